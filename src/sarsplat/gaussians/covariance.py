@@ -1,0 +1,23 @@
+"""Rotation and covariance of a Gaussian (math.md §2)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def rotation_matrix(quaternions: Tensor) -> Tensor:
+    """R(q) of quaternions (w, x, y, z), [..., 4] → [..., 3, 3]; normalised here."""
+    w, x, y, z = torch.unbind(quaternions / quaternions.norm(dim=-1, keepdim=True), dim=-1)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
+
+
+def covariance(quaternions: Tensor, scales: Tensor) -> Tensor:
+    """Σ = R(q) diag(s²) R(q)ᵀ, m²; [..., 4] and [..., 3] → [..., 3, 3]."""
+    root = rotation_matrix(quaternions) * scales[..., None, :]
+    return root @ root.transpose(-1, -2)

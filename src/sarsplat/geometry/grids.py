@@ -1,0 +1,87 @@
+"""Where an image is sampled, and how densely rays stand on the computation plane."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sarsplat.errors import SarsplatError
+
+
+def _positive(name: str, values: tuple[float, ...]) -> None:
+    for value in values:
+        if not (math.isfinite(value) and value > 0):
+            raise SarsplatError(f"{name} {values} must be positive and finite, in metres")
+
+
+@dataclass(frozen=True)
+class ImageGrid:
+    """Pixels of the imaging plane (azimuth × slant range).
+
+    `image[row = range, column = azimuth]`; row 0 is near range, columns grow with +x_r. Pairs are (azimuth, range).
+
+    Parameters
+    ----------
+    rows, columns : int
+        Number of range rows and of azimuth columns.
+    spacing : (float, float)
+        Pixel spacing (Δa, Δr), m.
+    resolution : (float, float)
+        3 dB width of the power response (ρa, ρr), m. Not the same thing as the spacing.
+    center : (float, float)
+        Position (a0, r0) of the image centre in the radar frame, m; (0, 0) is the scene centre.
+    """
+
+    rows: int
+    columns: int
+    spacing: tuple[float, float]
+    resolution: tuple[float, float]
+    center: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if self.rows < 1 or self.columns < 1:
+            raise SarsplatError(f"an image of {self.rows} × {self.columns} pixels is empty; give at least 1 × 1")
+        _positive("pixel spacing", self.spacing)
+        _positive("resolution", self.resolution)
+
+    @property
+    def azimuth_m(self) -> np.ndarray:
+        """Azimuth x_m of the pixel columns' centres, m, float64 [columns]."""
+        return (np.arange(self.columns) - (self.columns - 1) / 2) * self.spacing[0] + self.center[0]
+
+    @property
+    def range_m(self) -> np.ndarray:
+        """Slant range r_n of the pixel rows' centres from the scene centre, m, float64 [rows]."""
+        return (np.arange(self.rows) - (self.rows - 1) / 2) * self.spacing[1] + self.center[1]
+
+
+@dataclass(frozen=True)
+class RayGrid:
+    """Lattice of parallel rays on the computation plane, anchored at the radar frame's origin.
+
+    Rays stand at ((k + ½)·δx, (l + ½)·δy). The spacing is an accuracy setting: half the pixel spacing gives whole images
+    good to 49–54 dB; truth images and evaluation use a quarter or less.
+
+    Parameters
+    ----------
+    spacing : (float, float)
+        Ray spacing (δx, δy), m.
+    """
+
+    spacing: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        _positive("ray spacing", self.spacing)
+
+    @classmethod
+    def for_image(cls, grid: ImageGrid, per_pixel: float = 2.0) -> RayGrid:
+        """Square lattice, `per_pixel` rays to the smaller pixel spacing."""
+        spacing = min(grid.spacing) / per_pixel
+        return cls((spacing, spacing))
+
+    @property
+    def cell_area(self) -> float:
+        """Area A_c = δx·δy that one ray stands for, m²."""
+        return self.spacing[0] * self.spacing[1]

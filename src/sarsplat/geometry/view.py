@@ -1,0 +1,74 @@
+"""From where the radar looks: azimuth, grazing angle and the radar frame."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sarsplat.errors import SarsplatError
+
+
+@dataclass(frozen=True)
+class View:
+    """Direction to a far-away, monostatic, right-looking radar.
+
+    Parameters
+    ----------
+    azimuth_deg : float
+        Azimuth φ of the radar seen from the scene, degrees, clockwise seen from above, from +x.
+    grazing_deg : float
+        Grazing angle θ, degrees in (0, 90): elevation of the radar seen from the scene
+        (the depression angle over a flat earth; incidence = 90° − grazing).
+
+    Raises
+    ------
+    SarsplatError
+        If an angle is not finite or the grazing angle lies outside (0°, 90°).
+    """
+
+    azimuth_deg: float
+    grazing_deg: float
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.azimuth_deg):
+            raise SarsplatError(f"azimuth {self.azimuth_deg} is not a number of degrees; give a finite azimuth")
+        if not 0.0 < self.grazing_deg < 90.0:  # also catches NaN
+            raise SarsplatError(
+                f"grazing angle {self.grazing_deg}° lies outside (0°, 90°); "
+                "give degrees above the horizon (grazing = 90° − incidence)"
+            )
+
+    @property
+    def incidence_deg(self) -> float:
+        """Incidence angle against the vertical, degrees."""
+        return 90.0 - self.grazing_deg
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Unit vector u from the scene to the radar, world frame, float64 [3]."""
+        return -radar_frame(self)[2]
+
+
+def radar_frame(view: View) -> np.ndarray:
+    """Rotation R_r from the world to the radar frame, x_r = R_r x_w.
+
+    Returns
+    -------
+    numpy.ndarray, float64 [3, 3]
+        Rows: azimuth (direction of flight), elevation (⟂ to the line of sight), range (away from the radar).
+
+    Notes
+    -----
+    Source: SAR-GS, eq. (6); a proper rotation.
+    """
+    phi, theta = math.radians(view.azimuth_deg), math.radians(view.grazing_deg)
+    sp, cp, st, ct = math.sin(phi), math.cos(phi), math.sin(theta), math.cos(theta)
+    return np.array(
+        [
+            [-sp, -cp, 0.0],
+            [-st * cp, st * sp, ct],
+            [-ct * cp, ct * sp, -st],
+        ]
+    )
