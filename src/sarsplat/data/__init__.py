@@ -1,0 +1,33 @@
+"""Files in and out: datasets, measured chips, Gaussians and points, checkpoints."""
+
+from sarsplat.data.checkpoint import load_checkpoint, save_checkpoint
+from sarsplat.data.dataset import Dataset, DatasetView, read_dataset, write_dataset
+from sarsplat.data.files import new_folder, read_json, write_bytes, write_json
+from sarsplat.data.image import SarImage
+from sarsplat.data.mstar import import_mstar
+from sarsplat.data.phoenix import PhoenixChip, read_phoenix
+from sarsplat.data.ply import read_gaussians_ply, read_points_ply, write_gaussians_ply, write_points_ply
+from sarsplat.data.tiff import read_power_tiff, write_power_tiff
+
+__all__ = [
+    "Dataset",
+    "DatasetView",
+    "PhoenixChip",
+    "SarImage",
+    "import_mstar",
+    "load_checkpoint",
+    "new_folder",
+    "read_dataset",
+    "read_gaussians_ply",
+    "read_json",
+    "read_phoenix",
+    "read_points_ply",
+    "read_power_tiff",
+    "save_checkpoint",
+    "write_bytes",
+    "write_dataset",
+    "write_gaussians_ply",
+    "write_json",
+    "write_points_ply",
+    "write_power_tiff",
+]

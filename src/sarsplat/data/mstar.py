@@ -1,0 +1,195 @@
+"""Import measured MSTAR chips as a dataset: choose the training views, turn the arrays, set one common scale.
+
+Geometry. The published array has the radar at the bottom; turned by 180° it is our `image[range, azimuth]`, row 0 near.
+TargetAz is 0 with the nose toward the radar, and with growing TargetAz the nose turns clockwise in the displayed chip,
+which in our frame (azimuth clockwise from the nose) means φ = −TargetAz.
+
+Whether the published chips are mirror images is not settled. `mirrored=True` assumes they are: the columns are flipped
+and φ = +TargetAz. The two readings give each other's mirror image (y → −y) as the target and explain the chips equally
+well, so no likelihood can tell them apart; only something known to be on one side of the vehicle can.
+
+Power. The chips carry no absolute calibration here. Power is max(DN, 2)² over its mean over all pixels of the training
+chips: β⁰ up to one common factor, with DN the 8-bit number of the JPEGs, or 523.6 × the Phoenix magnitude.
+"""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from sarsplat.data.dataset import Dataset, write_dataset
+from sarsplat.data.mstar_chips import JPEG_DN_PER_MAGNITUDE, Chip, read_chips
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, View
+
+LEAST_DN = 2.0
+"""Digital numbers are raised to this: below it lies nothing but quantisation, and zero has no logarithm."""
+
+
+def import_mstar(
+    chips: Path,
+    out: Path,
+    *,
+    labels: Path | None,
+    target_class: str,
+    train_views: int,
+    train_depression: int = 17,
+    serial: str | None = None,
+    mirrored: bool = False,
+    overwrite: bool = False,
+) -> Dataset:
+    """Make a dataset from measured chips of one vehicle.
+
+    Parameters
+    ----------
+    chips : Path
+        Folder of the chips: JPEGs that `labels` describes, or Phoenix files.
+    out : Path
+        Dataset to make.
+    labels : Path or None
+        Table of the JPEGs (see `read_chips`); None for Phoenix files.
+    target_class : str
+        E.g. `T72`.
+    train_views : int
+        Number K of training views: the distinct chips nearest to TargetAz = k·360°/K, k = 0 … K − 1. All others are
+        test views, one set per depression: `test-17`, `test-15`.
+    train_depression : int
+        Depression, as planned, of the training views, degrees.
+    serial : str, optional
+        Only this vehicle of the class; None takes them all.
+    mirrored : bool
+        Take the published chips for mirror images (see the head of this module).
+    overwrite : bool
+        Whether an existing dataset may be replaced.
+
+    Returns
+    -------
+    Dataset
+        Domain `measured`; power with mean 1 over the training views; `source` says what was assumed, and which chip
+        each view is.
+
+    Raises
+    ------
+    SarsplatError
+        If there are no such chips, too few of them, one is damaged, or the output exists.
+
+    Warns
+    -----
+    UserWarning
+        If chips lack labels or labels chips, the class holds several vehicles, or chips of different sizes are cut.
+    """
+    found = read_chips(Path(chips), None if labels is None else Path(labels), target_class)
+    found = _one_vehicle(found, target_class, serial)
+    train = _training_chips(found, train_views, train_depression)
+    chosen = {id(chip) for chip in train}
+    test = [chip for chip in found if id(chip) not in chosen]
+    test.sort(key=lambda chip: (-chip.depression, chip.target_az_deg, chip.name))
+    ordered = [*train, *test]
+
+    grid = _common_grid(ordered)
+    dn = np.stack([_central(chip.dn, grid) for chip in ordered])
+    dn = dn[:, ::-1, :] if mirrored else dn[:, ::-1, ::-1]  # turned by 180°; mirroring undoes the flip of the columns
+    power = np.maximum(dn, np.float32(LEAST_DN)) ** 2
+    scale = float(power[: len(train)].mean(dtype=np.float64))
+    sign = 1 if mirrored else -1
+    views = [
+        (
+            View((sign * chip.target_az_deg) % 360, chip.grazing_deg),
+            "train" if index < len(train) else f"test-{chip.depression}",
+            chip.target_az_deg,
+        )
+        for index, chip in enumerate(ordered)
+    ]
+    source: dict[str, Any] = {
+        "kind": "mstar",
+        "sensor": "X-band 9.6 GHz, HH, spotlight",
+        "format": "phoenix" if labels is None else "jpeg",
+        "class": target_class,
+        "serials": sorted({chip.serial for chip in ordered}),
+        "train_views": train_views,
+        "train_depression_deg": train_depression,
+        "mirrored": mirrored,
+        "azimuth": f"azimuth = {'+' if mirrored else '-'}TargetAz; grazing = measured depression",
+        "orientation": f"published array turned by 180 degrees{', then columns flipped' if mirrored else ''}",
+        "calibration": (
+            "none: power = max(DN, least_dn)^2 / mean_dn_squared, the mean over all pixels of the training chips; "
+            "DN = the 8-bit value of the JPEG, or dn_per_magnitude x the Phoenix magnitude"
+        ),
+        "least_dn": LEAST_DN,
+        "dn_per_magnitude": JPEG_DN_PER_MAGNITUDE,
+        "mean_dn_squared": scale,
+        "cut_to_common_size": any(chip.dn.shape != (grid.rows, grid.columns) for chip in ordered),
+        "chips": [chip.name for chip in ordered],
+    }
+    return write_dataset(
+        out,
+        grid=grid,
+        views=views,
+        images=np.ascontiguousarray(power / np.float32(scale)),
+        source=source,
+        domain="measured",
+        overwrite=overwrite,
+    )
+
+
+def _one_vehicle(chips: list[Chip], target_class: str, serial: str | None) -> list[Chip]:
+    serials = sorted({chip.serial for chip in chips})
+    if serial is not None:
+        chips = [chip for chip in chips if chip.serial == serial]
+        if not chips:
+            raise SarsplatError(
+                f"there is no {target_class} with the serial {serial!r}; there are {', '.join(serials)}"
+            )
+    elif len(serials) > 1:
+        warnings.warn(
+            f"the {target_class} chips show {len(serials)} vehicles (serials {', '.join(serials)}), taken as one; "
+            "name one serial to keep them apart",
+            stacklevel=3,
+        )
+    return chips
+
+
+def _training_chips(chips: list[Chip], count: int, depression: int) -> list[Chip]:
+    """The distinct chips nearest to k·360°/count at one depression, in the order of k."""
+    at_depression = sorted((chip for chip in chips if chip.depression == depression), key=lambda chip: chip.name)
+    if not at_depression:
+        there = ", ".join(f"{value}°" for value in sorted({chip.depression for chip in chips}))
+        raise SarsplatError(f"there is no chip at the training depression of {depression}°; there are chips at {there}")
+    if not 1 <= count <= len(at_depression):
+        raise SarsplatError(
+            f"{count} training views are asked for but {len(at_depression)} chips lie at {depression}°; "
+            f"ask for 1 to {len(at_depression)}"
+        )
+    wanted = np.arange(count) * 360 / count
+    azimuths = np.array([chip.target_az_deg for chip in at_depression])
+    distance = np.abs((azimuths[None, :] - wanted[:, None] + 180) % 360 - 180)
+    # Least total distance: each wanted azimuth gets its nearest chip, and where two want the same one, they share out.
+    _, index = linear_sum_assignment(distance)
+    return [at_depression[i] for i in index]
+
+
+def _common_grid(chips: list[Chip]) -> ImageGrid:
+    """The grid of the chips; if their sizes differ, the smallest even size."""
+    first = chips[0]
+    for chip in chips:
+        if not np.allclose([*chip.spacing, *chip.resolution], [*first.spacing, *first.resolution], rtol=1e-3):
+            raise SarsplatError(
+                f"{chip.name} has pixel spacing {chip.spacing} m and resolution {chip.resolution} m "
+                f"but {first.name} has {first.spacing} and {first.resolution}; import chips of one kind"
+            )
+    shapes = {chip.dn.shape for chip in chips}
+    rows, columns = first.dn.shape
+    if len(shapes) > 1:
+        rows = min(shape[0] for shape in shapes) // 2 * 2
+        columns = min(shape[1] for shape in shapes) // 2 * 2
+        warnings.warn(f"the chips have {len(shapes)} sizes; all are cut centrally to {rows} × {columns}", stacklevel=3)
+    return ImageGrid(rows, columns, first.spacing, first.resolution)
+
+
+def _central(image: np.ndarray, grid: ImageGrid) -> np.ndarray:
+    top, left = (image.shape[0] - grid.rows) // 2, (image.shape[1] - grid.columns) // 2
+    return image[top : top + grid.rows, left : left + grid.columns]

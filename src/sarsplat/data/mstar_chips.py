@@ -1,0 +1,212 @@
+"""Find and read MSTAR chips: JPEGs described by a table of labels, or Phoenix files, which describe themselves."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sarsplat.data.files import plain_os_errors
+from sarsplat.data.phoenix import is_phoenix, read_phoenix
+from sarsplat.errors import SarsplatError
+
+JPEG_DN_PER_MAGNITUDE = 523.6
+"""Digital number of the published JPEGs per unit of Phoenix magnitude (they saturate at DN 255, magnitude 0.487)."""
+
+_COLUMNS = ("path", "class", "serial", "desired_depression_deg", "measured_depression_deg", "target_az_deg")
+_MOST_PIXELS_A_SIDE = 4096
+
+
+@dataclass(frozen=True)
+class Chip:
+    """One measured chip, in the order of the published array: near range is the bottom row.
+
+    Parameters
+    ----------
+    name : str
+        Path relative to the folder of chips.
+    serial : str
+        Serial number of the vehicle.
+    depression : int
+        Depression angle as planned, whole degrees: the name of the collection.
+    grazing_deg : float
+        Depression angle as flown, degrees.
+    target_az_deg : float
+        TargetAz, degrees in [0, 360): 0 = nose toward the radar.
+    dn : numpy.ndarray, float32 [rows, columns]
+        Magnitude in digital numbers of the JPEGs (Phoenix magnitudes are scaled to them).
+    spacing, resolution : (float, float)
+        Pixel spacing and 3 dB width (cross-range, slant range), m.
+    """
+
+    name: str
+    serial: str
+    depression: int
+    grazing_deg: float
+    target_az_deg: float
+    dn: np.ndarray
+    spacing: tuple[float, float] = (0.203125, 0.202148)
+    resolution: tuple[float, float] = (0.3229, 0.3013)
+
+
+def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chip]:
+    """Read every chip of one class.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the chips lie, in subfolders or not.
+    labels : Path or None
+        Table (CSV) of the JPEGs: path relative to `folder`, class, serial, desired_depression_deg,
+        measured_depression_deg, target_az_deg. None: read Phoenix files, which carry all that in their headers.
+    target_class : str
+        E.g. `T72`; a Phoenix header's `t72_tank` is the same class.
+
+    Returns
+    -------
+    list of Chip
+        In the order of the table, or of the files' names.
+
+    Raises
+    ------
+    SarsplatError
+        If the folder is missing or empty, the labels are garbled or match no chip, the class is unknown, or a chip is
+        damaged.
+
+    Warns
+    -----
+    UserWarning
+        Once for JPEGs without a label, once for labels of the class without a chip.
+    """
+    with plain_os_errors("read", folder):
+        if not folder.is_dir():
+            raise SarsplatError(f"{folder} is not a folder; give the folder that holds the MSTAR chips")
+        files = sorted(path for path in folder.rglob("*") if path.is_file())
+    if not files:
+        raise SarsplatError(f"{folder} is empty; give the folder that holds the MSTAR chips")
+    jpegs = [path for path in files if path.suffix.lower() in (".jpeg", ".jpg")]
+    if labels is None:
+        return _phoenix_chips(folder, files, bool(jpegs), target_class)
+    return _jpeg_chips(folder, jpegs, labels, target_class)
+
+
+def _same_class(wanted: str, found: str) -> bool:
+    """Whether two names mean one class: `T-72` = `t72` = `t72_tank`."""
+
+    def plain(name: str) -> str:
+        return re.sub(r"[^a-z0-9]", "", name.lower())
+
+    return plain(wanted) in (plain(found), plain(found.split("_")[0]))
+
+
+def _refuse_class(target_class: str, where: Path, classes: set[str]) -> SarsplatError:
+    return SarsplatError(f"there is no class {target_class!r} in {where}; it has {', '.join(sorted(classes))}")
+
+
+def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_class: str) -> list[Chip]:
+    found = [read_phoenix(path) for path in files if is_phoenix(path)]
+    if not found:
+        remedy = "name the table of its JPEGs with --labels" if has_jpegs else "give the folder of the MSTAR chips"
+        raise SarsplatError(f"there is no Phoenix file in {folder}; {remedy}")
+    chosen = [chip for chip in found if _same_class(target_class, chip.target_type)]
+    if not chosen:
+        raise _refuse_class(target_class, folder, {chip.target_type for chip in found})
+    for chip in chosen:
+        if chip.radar_position != "bottom":
+            raise SarsplatError(
+                f"{chip.path} has RadarPosition= {chip.radar_position!r}; only 'bottom' is understood, so leave it out"
+            )
+    return [
+        Chip(
+            name=str(chip.path.relative_to(folder)),
+            serial=chip.serial,
+            depression=round(chip.desired_depression_deg),
+            grazing_deg=chip.measured_depression_deg,
+            target_az_deg=chip.target_az_deg % 360,
+            dn=chip.magnitude * np.float32(JPEG_DN_PER_MAGNITUDE),
+            spacing=chip.spacing,
+            resolution=chip.resolution,
+        )
+        for chip in chosen
+    ]
+
+
+def _jpeg_chips(folder: Path, jpegs: list[Path], labels: Path, target_class: str) -> list[Chip]:
+    table = _read_labels(labels)
+    rows = [(line, row) for line, row in table if _same_class(target_class, row["class"])]
+    if not rows:
+        raise _refuse_class(target_class, labels, {row["class"] for _, row in table})
+    present = [(line, row) for line, row in rows if (folder / row["path"]).is_file()]
+    if not present:
+        raise SarsplatError(
+            f"none of the {len(rows)} chips that {labels} lists as {target_class} lies in {folder} "
+            f"(the first is {rows[0][1]['path']}); give the folder its paths are relative to"
+        )
+    if len(present) < len(rows):
+        warnings.warn(
+            f"{len(rows) - len(present)} of {len(rows)} {target_class} chips in {labels} are missing", stacklevel=4
+        )
+    if unlabelled := len(set(jpegs) - {folder / row["path"] for _, row in table}):
+        warnings.warn(f"{unlabelled} JPEGs in {folder} have no label in {labels} and are left out", stacklevel=4)
+    return [
+        Chip(
+            name=row["path"],
+            serial=row["serial"],
+            depression=round(_number(labels, line, row, "desired_depression_deg")),
+            grazing_deg=_number(labels, line, row, "measured_depression_deg"),
+            target_az_deg=_number(labels, line, row, "target_az_deg") % 360,
+            dn=_read_jpeg(folder / row["path"]),
+        )
+        for line, row in present
+    ]
+
+
+def _read_labels(path: Path) -> list[tuple[int, dict[str, str]]]:
+    """Rows of the table with their line numbers."""
+    with plain_os_errors("read", path), path.open(newline="", encoding="utf-8-sig") as file:
+        reader = csv.DictReader(file, restval="")
+        try:
+            missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
+            if missing:
+                raise SarsplatError(f"{path} lacks the column {missing[0]!r}; it needs {', '.join(_COLUMNS)}")
+            rows = [(reader.line_num, row) for row in reader]
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise SarsplatError(f"{path} is not a readable CSV table ({error}); give the table of labels") from error
+    if not rows:
+        raise SarsplatError(f"{path} has no rows; give the table of labels")
+    return rows
+
+
+def _number(path: Path, line: int, row: dict[str, str], column: str) -> float:
+    try:
+        value = float(row[column])
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise SarsplatError(f"{path}, line {line}: {column} is {row[column][:40]!r}; it must be a number of degrees")
+    return value
+
+
+def _read_jpeg(path: Path) -> np.ndarray:
+    """Digital numbers of an 8-bit grey JPEG, float32 [rows, columns]."""
+    from PIL import Image, UnidentifiedImageError
+
+    with plain_os_errors("read", path):
+        data = path.open("rb")
+    with data:
+        try:
+            image = Image.open(data, formats=("JPEG",))
+            if image.mode != "L" or max(image.size) > _MOST_PIXELS_A_SIDE:
+                raise SarsplatError(
+                    f"{path} is a {image.mode} image of {image.size[0]} × {image.size[1]} pixels; chips are 8-bit grey"
+                )
+            return np.asarray(image, dtype=np.float32)
+        except UnidentifiedImageError as error:
+            raise SarsplatError(f"{path} is not a JPEG image; fetch it again") from error
+        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:  # what Pillow says of damage
+            raise SarsplatError(f"{path} is a truncated or damaged JPEG ({error}); fetch it again") from error

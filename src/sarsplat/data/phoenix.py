@@ -1,0 +1,193 @@
+"""Original MSTAR chips: Phoenix files, an ASCII header followed by magnitudes and phases.
+
+The header is a list of `Key= value` lines. With `native_header_length= 0` the data are big-endian float32: all
+magnitudes, then all phases, row by row. The files come from strangers: a size is believed only if it fits the file's.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sarsplat.data.files import plain_os_errors
+from sarsplat.errors import SarsplatError
+
+_MAGIC = b"[PhoenixHeaderVer"
+_END = "[EndofPhoenixHeader]"
+_LONGEST_HEADER = 65_536
+_MOST_PIXELS_A_SIDE = 4096
+
+
+@dataclass(frozen=True)
+class PhoenixChip:
+    """One chip as it was published.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for error messages.
+    header : dict of str to str
+        Every `Key= value` of the header, stripped.
+    magnitude : numpy.ndarray, float32 [rows, columns]
+        Linear magnitude (not power) in the file's order: rows are range, near range on the side `radar_position` names.
+    """
+
+    path: Path
+    header: dict[str, str]
+    magnitude: np.ndarray
+
+    @property
+    def target_type(self) -> str:
+        """E.g. `t72_tank`."""
+        return _text(self.path, self.header, "TargetType")
+
+    @property
+    def serial(self) -> str:
+        """Serial number of the vehicle, e.g. `132`."""
+        return _text(self.path, self.header, "TargetSerNum")
+
+    @property
+    def radar_position(self) -> str:
+        """Side of the array that faces the radar, e.g. `bottom`."""
+        return _text(self.path, self.header, "RadarPosition")
+
+    @property
+    def target_az_deg(self) -> float:
+        """TargetAz, degrees: 0 = nose toward the radar; the nose turns clockwise in the displayed chip."""
+        return _number(self.path, self.header, "TargetAz")
+
+    @property
+    def measured_depression_deg(self) -> float:
+        """Depression angle as flown, degrees."""
+        return _number(self.path, self.header, "MeasuredDepression")
+
+    @property
+    def desired_depression_deg(self) -> float:
+        """Depression angle as planned, degrees: the name of the collection (15, 17, 30, 45)."""
+        return _number(self.path, self.header, "DesiredDepression")
+
+    @property
+    def spacing(self) -> tuple[float, float]:
+        """Pixel spacing (cross-range, slant range), m."""
+        return (
+            _number(self.path, self.header, "CrossRangePixelSpacing"),
+            _number(self.path, self.header, "RangePixelSpacing"),
+        )
+
+    @property
+    def resolution(self) -> tuple[float, float]:
+        """3 dB width of the response (cross-range, slant range), m."""
+        return _number(self.path, self.header, "CrossRange3dBWidth"), _number(self.path, self.header, "Range3dBWidth")
+
+
+def is_phoenix(path: Path) -> bool:
+    """Whether the file starts the way Phoenix files do."""
+    with plain_os_errors("read", path), path.open("rb") as file:
+        return _begins(file.read(len(_MAGIC) + 1))
+
+
+def _begins(start: bytes) -> bool:
+    return start.removeprefix(b"\n").startswith(_MAGIC)  # the originals start with an empty line
+
+
+def read_phoenix(path: Path) -> PhoenixChip:
+    """Read one Phoenix file.
+
+    Parameters
+    ----------
+    path : Path
+        The file; its suffix (.000, .015, …) is a serial, not an angle.
+
+    Returns
+    -------
+    PhoenixChip
+        Header and magnitudes; phases are not read.
+
+    Raises
+    ------
+    SarsplatError
+        If it is no Phoenix file, its header is garbled, its sizes do not fit the file (a truncated chip), it is a full
+        scene rather than a chip, or a magnitude is negative or not finite.
+    """
+    path = Path(path)
+    with plain_os_errors("read", path), path.open("rb") as file:
+        size = file.seek(0, 2)
+        file.seek(0)
+        start = file.read(_LONGEST_HEADER)
+        length, header = _parse_header(path, start)
+        rows = _whole(path, header, "NumberOfRows", _MOST_PIXELS_A_SIDE)
+        columns = _whole(path, header, "NumberOfColumns", _MOST_PIXELS_A_SIDE)
+        if header.get("native_header_length") != "0":
+            raise SarsplatError(
+                f"{path} has a native header of {header.get('native_header_length', 'unknown')} bytes, "
+                "so it is a scene and no chip of float32; give target chips"
+            )
+        expected = length + 8 * rows * columns
+        if size != expected:
+            state = "is truncated" if size < expected else "is too long"
+            raise SarsplatError(
+                f"{path} {state}: {size} bytes where its header ({rows} × {columns} pixels) asks for {expected}; "
+                "fetch it again"
+            )
+        file.seek(length)
+        data = file.read(4 * rows * columns)
+    magnitude = np.frombuffer(data, dtype=">f4").reshape(rows, columns).astype(np.float32)
+    bad = ~(np.isfinite(magnitude) & (magnitude >= 0))
+    if bad.any():
+        row, column = np.argwhere(bad)[0]
+        raise SarsplatError(
+            f"{path} holds the magnitude {magnitude[row, column]} at row {row}, column {column}; "
+            "magnitudes must be finite and ≥ 0, so fetch it again"
+        )
+    return PhoenixChip(path, header, magnitude)
+
+
+def _parse_header(path: Path, start: bytes) -> tuple[int, dict[str, str]]:
+    """Length of the header in bytes, and its fields."""
+    if not _begins(start):
+        raise SarsplatError(f"{path} is not a Phoenix file: it does not start with {_MAGIC.decode()}; give originals")
+    stated = re.search(rb"\nPhoenixHeaderLength= *(\d{1,9})\s", start[:256])
+    length = int(stated[1]) if stated else 0
+    if not 0 < length <= len(start):
+        raise SarsplatError(
+            f"{path} states a header of {length} bytes but {len(start)} were there to read "
+            f"(at most {_LONGEST_HEADER}); fetch it again"
+        )
+    try:
+        lines = start[:length].decode("ascii").splitlines()
+    except UnicodeDecodeError as error:
+        raise SarsplatError(f"{path} has a header that is not ASCII text ({error}); fetch it again") from error
+    if _END not in lines:
+        raise SarsplatError(f"{path} has no {_END} within the {length} bytes of its header; fetch it again")
+    pairs = (line.split("=", 1) for line in lines if "=" in line)
+    return length, {key.strip(): value.strip() for key, value in pairs}
+
+
+def _text(path: Path, header: dict[str, str], key: str) -> str:
+    value = header.get(key, "")
+    if not value:
+        raise SarsplatError(f"{path} has no {key} in its header; fetch it again")
+    return value
+
+
+def _number(path: Path, header: dict[str, str], key: str) -> float:
+    text = _text(path, header, key)
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise SarsplatError(f"{path} has {key}= {text[:40]!r} in its header, which is no number; fetch it again")
+    return value
+
+
+def _whole(path: Path, header: dict[str, str], key: str, most: int) -> int:
+    text = _text(path, header, key)
+    value = int(text) if re.fullmatch(r"[0-9]{1,9}", text) else 0
+    if not 1 <= value <= most:
+        raise SarsplatError(f"{path} has {key}= {text[:40]!r} in its header; it must be 1 to {most}")
+    return value

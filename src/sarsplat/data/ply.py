@@ -1,0 +1,274 @@
+"""Gaussians and points as PLY: in the layout of 3D Gaussian splatting, so that other programs open them.
+
+A Gaussian's vertex holds, as float32,
+
+* x y z, nx ny nz (zero), f_dc_0..2, f_rest_*, opacity, scale_0..2, rot_0..3 — what 3DGS programs read: scales as
+  natural logarithms, opacity as the logit of 1 − e^{−κ}, quaternions wxyz, harmonics channel by channel, with one
+  channel repeated three times. 3DGS evaluates harmonics at the direction *from* the camera, we at the direction *to*
+  the radar, so odd degrees change sign in the file. (It shows ½ + Σ, we mean p_min + softplus(Σ): same order, no more.)
+* optical_depth, sigma_0..2 — κ and the standard deviations (m) as they are, so that what we read back is what we wrote.
+
+The header's comments carry the version and p_min.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import torch
+from plyfile import PlyData, PlyElement, PlyParseError
+
+from sarsplat.data.files import plain_os_errors, write_bytes
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
+
+_VERSION = "sarsplat gaussians 1"
+_ODD = [1, 2, 3, 9, 10, 11, 12, 13, 14, 15]  # harmonics of degree 1 and 3
+_LEAST_LOGIT = -30.0  # stands for an opacity of zero, whose logit is −∞
+_LONGEST_HEADER = 65_536
+_BYTES = {
+    **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
+    **dict.fromkeys(("short", "ushort", "int16", "uint16"), 2),
+    **dict.fromkeys(("int", "uint", "int32", "uint32", "float", "float32"), 4),
+    **dict.fromkeys(("double", "float64"), 8),
+}
+
+
+def write_gaussians_ply(path: Path, gaussians: Gaussians, comments: Iterable[str] = ()) -> None:
+    """Write Gaussians, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        File to write; an existing one is replaced.
+    gaussians : Gaussians
+        Stored as float32.
+    comments : iterable of str
+        Lines for the header.
+
+    Raises
+    ------
+    SarsplatError
+        If a value is not finite or outside its range, or the file cannot be written.
+    """
+    values = {name: t.detach().cpu().numpy().astype(np.float32) for name, t in gaussians.tensors().items()}
+    _check_gaussians(values, "the Gaussians")
+    depth = values["optical_depth"].astype(np.float64)
+    with np.errstate(divide="ignore"):
+        opacity = np.maximum(np.log(np.expm1(depth)), _LEAST_LOGIT)  # logit(1 − e^{−κ}) = ln(e^κ − 1)
+    seen = _flip_odd(values["harmonics"])
+    rest = np.tile(seen[:, 1:], (1, 3))
+    columns = {
+        **_columns(("x", "y", "z"), values["means"]),
+        **_columns(("nx", "ny", "nz"), np.zeros_like(values["means"])),
+        **_columns((f"f_dc_{c}" for c in range(3)), np.repeat(seen[:, :1], 3, axis=1)),
+        **_columns((f"f_rest_{k}" for k in range(rest.shape[1])), rest),
+        "opacity": opacity,
+        **_columns((f"scale_{k}" for k in range(3)), np.log(values["scales"])),
+        **_columns((f"rot_{k}" for k in range(4)), values["quaternions"]),
+        "optical_depth": values["optical_depth"],
+        **_columns((f"sigma_{k}" for k in range(3)), values["scales"]),
+    }
+    _write(path, columns, [_VERSION, f"p_min {gaussians.p_min!r}", *comments])
+
+
+def read_gaussians_ply(path: Path) -> Gaussians:
+    """Read Gaussians: our own files exactly, those of other 3DGS programs as well as they translate.
+
+    Of a foreign file, κ = −ln(1 − opacity) and the harmonics are the mean over the three colours; p_min is 0.
+
+    Returns
+    -------
+    Gaussians
+        float32, on the CPU.
+
+    Raises
+    ------
+    SarsplatError
+        If the file is missing, damaged, truncated, no 3DGS file, or holds values outside their range.
+    """
+    columns, comments = _read(Path(path))
+    ours = _VERSION in comments
+    foreign = next((line for line in comments if line.startswith("sarsplat gaussians") and not ours), None)
+    if foreign is not None:
+        raise SarsplatError(f"{path} has the format {foreign!r} but this program reads {_VERSION!r}; update it")
+    rest = sum(name.startswith("f_rest_") for name in columns)
+    if rest not in (0, 9, 24, 45):
+        raise SarsplatError(f"{path} has {rest} properties f_rest_*; degrees 0 to 3 have 0, 9, 24 or 45")
+    constant = _stack(path, columns, [f"f_dc_{c}" for c in range(3)])
+    harmonics = np.empty((len(constant), 1 + rest // 3), np.float32)
+    colours = _stack(path, columns, [f"f_rest_{k}" for k in range(rest)]).reshape(len(constant), 3, rest // 3)
+    if ours:  # one channel, three times
+        harmonics[:, 0], harmonics[:, 1:] = constant[:, 0], colours[:, 0]
+        depth = _stack(path, columns, ["optical_depth"])[:, 0]
+        scales = _stack(path, columns, [f"sigma_{k}" for k in range(3)])
+    else:
+        harmonics[:, 0], harmonics[:, 1:] = constant.mean(1), colours.mean(1)
+        logit = _stack(path, columns, ["opacity"])[:, 0].astype(np.float64)
+        depth = np.minimum(np.logaddexp(0, logit), MAX_OPTICAL_DEPTH)  # −ln(1 − sigmoid(x)) = ln(1 + eˣ)
+        with np.errstate(over="ignore"):
+            scales = np.maximum(np.exp(_stack(path, columns, [f"scale_{k}" for k in range(3)])), np.float32(MIN_SCALE))
+    values = {
+        "means": _stack(path, columns, ["x", "y", "z"]),
+        "quaternions": _stack(path, columns, [f"rot_{k}" for k in range(4)]),
+        "scales": scales,
+        "optical_depth": depth.astype(np.float32),
+        "harmonics": _flip_odd(harmonics),
+    }
+    _check_gaussians(values, str(path))
+    p_min = _p_min(path, comments) if ours else 0.0
+    return Gaussians(**{name: torch.from_numpy(value.copy()) for name, value in values.items()}, p_min=p_min)
+
+
+def write_points_ply(path: Path, points: np.ndarray, /, **columns: np.ndarray) -> None:
+    """Write points with any number of named scalars each, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        File to write; an existing one is replaced.
+    points : numpy.ndarray [P, 3]
+        Positions, m; stored as float32.
+    **columns : numpy.ndarray [P]
+        One scalar per point under that name; stored as float32.
+
+    Raises
+    ------
+    SarsplatError
+        If shapes do not fit, a value is not finite, or the file cannot be written.
+    """
+    points = np.asarray(points)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise SarsplatError(f"the points have shape {points.shape}; it must be (P, 3)")
+    for name, column in columns.items():
+        if np.shape(column) != (len(points),) or name in ("x", "y", "z"):
+            raise SarsplatError(
+                f"the column {name!r} has shape {np.shape(column)}; for these points it must be ({len(points)},)"
+            )
+    table = {**_columns(("x", "y", "z"), points), **columns}
+    for name, column in table.items():
+        if not np.isfinite(column).all():
+            raise SarsplatError(f"the column {name!r} of the points holds NaN or an infinity; leave such points out")
+    _write(path, table, ["sarsplat points 1"])
+
+
+def read_points_ply(path: Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Read points.
+
+    Returns
+    -------
+    points : numpy.ndarray, float32 [P, 3]
+        Positions, m.
+    columns : dict of str to numpy.ndarray, float32 [P]
+        Every other scalar of the file.
+
+    Raises
+    ------
+    SarsplatError
+        If the file is missing, damaged or truncated, or has no x, y, z.
+    """
+    columns, _ = _read(Path(path))
+    points = _stack(path, columns, ["x", "y", "z"])
+    return points, {name: column for name, column in columns.items() if name not in ("x", "y", "z")}
+
+
+def _columns(names: Iterable[str], values: np.ndarray) -> dict[str, np.ndarray]:
+    return dict(zip(names, values.T, strict=True))
+
+
+def _stack(path: Path, columns: dict[str, np.ndarray], names: list[str]) -> np.ndarray:
+    """The named columns side by side, float32 [P, len(names)]."""
+    for name in names:
+        if name not in columns:
+            raise SarsplatError(f"{path} lacks the vertex property {name!r}; it is not a PLY of the kind asked for")
+        if not np.isfinite(columns[name]).all():
+            raise SarsplatError(f"{path} holds NaN or an infinity in {name!r}; make it again")
+    rows = len(next(iter(columns.values()), ()))
+    return np.stack([columns[name] for name in names], axis=1) if names else np.empty((rows, 0), np.float32)
+
+
+def _flip_odd(harmonics: np.ndarray) -> np.ndarray:
+    """Coefficients for the opposite direction: Y_k(−u) = (−1)^degree Y_k(u)."""
+    flipped = harmonics.copy()
+    flipped[:, [k for k in _ODD if k < harmonics.shape[1]]] *= -1
+    return flipped
+
+
+def _check_gaussians(values: dict[str, np.ndarray], name: str) -> None:
+    for key, value in values.items():
+        if not np.isfinite(value).all():
+            raise SarsplatError(f"{name} hold NaN or an infinity in {key}; leave such Gaussians out")
+    scales, depth = values["scales"], values["optical_depth"]
+    if (scales < np.float32(MIN_SCALE)).any():
+        raise SarsplatError(f"{name} hold a scale of {scales.min()} m; the least is {MIN_SCALE} m")
+    if ((depth < 0) | (depth > MAX_OPTICAL_DEPTH)).any():
+        raise SarsplatError(
+            f"{name} hold optical depths from {depth.min()} to {depth.max()}; allowed is 0 to {MAX_OPTICAL_DEPTH}"
+        )
+    if (np.abs(values["quaternions"]).max(axis=1, initial=0) == 0).any():
+        raise SarsplatError(f"{name} hold a quaternion of zeros; give each Gaussian an orientation")
+
+
+def _p_min(path: Path, comments: list[str]) -> float:
+    stated = [line.removeprefix("p_min ") for line in comments if line.startswith("p_min ")]
+    if len(stated) != 1 or not re.fullmatch(r"[0-9.e+-]{1,30}", stated[0]):
+        raise SarsplatError(f"{path} does not state one p_min in its header; make it again")
+    try:
+        return float(stated[0])
+    except ValueError as error:
+        raise SarsplatError(f"{path} states p_min {stated[0]!r}, which is no number; make it again") from error
+
+
+def _write(path: Path, columns: dict[str, np.ndarray], comments: list[str]) -> None:
+    count = len(next(iter(columns.values())))
+    table = np.empty(count, dtype=[(name, "<f4") for name in columns])
+    for name, column in columns.items():
+        table[name] = column
+    # PLY comments are single lines of ASCII.
+    lines = [line.encode("ascii", "backslashreplace").decode() for text in comments for line in text.splitlines()]
+    buffer = io.BytesIO()
+    PlyData([PlyElement.describe(table, "vertex")], byte_order="<", comments=lines).write(buffer)
+    write_bytes(Path(path), buffer.getvalue())
+
+
+def _read(path: Path) -> tuple[dict[str, np.ndarray], list[str]]:
+    """The vertex columns, float32 [P], and the header's comments."""
+    with plain_os_errors("read", path):
+        data = path.read_bytes()
+    _check_size(path, data)
+    try:
+        ply = PlyData.read(io.BytesIO(data), mmap=False)
+        table = ply["vertex"].data
+        with np.errstate(over="ignore"):
+            return {name: table[name].astype(np.float32) for name in table.dtype.names}, list(ply.comments)
+    except (PlyParseError, ValueError, KeyError, TypeError) as error:
+        raise SarsplatError(f"{path} is a damaged PLY ({error}); make it again") from error
+
+
+def _check_size(path: Path, data: bytes) -> None:
+    """Believe the header's counts only if the file is as long as they say: a reader allocates by them."""
+    header, end, _ = data[:_LONGEST_HEADER].partition(b"end_header\n")
+    if not data.startswith(b"ply\n") or not end:
+        raise SarsplatError(f"{path} is not a PLY file; give one made by `sarsplat export` or a 3DGS program")
+    size, count = len(header) + len(end), 0
+    for words in (line.split() for line in header.decode("latin-1").splitlines()):
+        match words:
+            case ["format", kind, *_] if kind != "binary_little_endian":
+                raise SarsplatError(f"{path} is a PLY in {kind[:30]} format; only binary_little_endian is read")
+            case ["element", _, number] if re.fullmatch(r"[0-9]{1,12}", number):
+                count = int(number)
+            case ["element", *_]:
+                raise SarsplatError(f"{path} has a garbled element in its PLY header; make it again")
+            case ["property", kind, _] if kind in _BYTES:
+                size += count * _BYTES[kind]
+            case ["property", *_]:
+                raise SarsplatError(
+                    f"{path} has properties {' '.join(words)[:40]!r}: it is a mesh, not points or Gaussians"
+                )
+    if size != len(data):
+        state = "is truncated" if len(data) < size else "is too long"
+        raise SarsplatError(f"{path} {state}: {len(data)} bytes where its header asks for {size}; make it again")

@@ -1,0 +1,84 @@
+"""One image of power as a float32 TIFF."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import tifffile
+
+from sarsplat.data.files import plain_os_errors, write_bytes
+from sarsplat.errors import SarsplatError
+
+
+def write_power_tiff(path: Path, power: np.ndarray, description: str) -> None:
+    """Write an image as an uncompressed single-page float32 TIFF, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    power : numpy.ndarray, float32 [rows, columns]
+        Linear power, row 0 near range.
+    description : str
+        What it shows, for whoever opens the file elsewhere (ASCII; the ImageDescription tag).
+    """
+    buffer = io.BytesIO()
+    image = np.ascontiguousarray(power, dtype=np.float32)
+    tifffile.imwrite(
+        buffer, image, photometric="minisblack", metadata=None, description=description, software="sarsplat"
+    )
+    write_bytes(path, buffer.getvalue())
+
+
+def read_power_tiff(path: Path, shape: tuple[int, int]) -> np.ndarray:
+    """Read an image of power that must have the given shape.
+
+    Parameters
+    ----------
+    path : Path
+        An uncompressed float32 TIFF; its header is believed only as far as it fits `shape` and the size of the file.
+    shape : (int, int)
+        Rows and columns to expect.
+
+    Returns
+    -------
+    numpy.ndarray, float32 [rows, columns]
+        Linear power.
+
+    Raises
+    ------
+    SarsplatError
+        If the file is missing, damaged, truncated, compressed, of another shape or type, or holds NaN, an infinity or
+        negative power.
+    """
+    with plain_os_errors("read", path):
+        data = path.read_bytes()
+    if len(data) < 4 * shape[0] * shape[1]:
+        raise SarsplatError(
+            f"{path} has {len(data)} bytes, too few for {shape[0]} × {shape[1]} float32 pixels; "
+            "it is truncated, compressed or of another size: make the dataset again"
+        )
+    try:
+        with tifffile.TiffFile(io.BytesIO(data)) as tiff:
+            page = tiff.pages.first
+            found = (page.shape, page.dtype, page.compression)
+            power = page.asarray() if found == (shape, np.float32, tifffile.COMPRESSION.NONE) else None
+    except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
+        raise SarsplatError(f"{path} is not a readable TIFF ({error}); make the dataset again") from error
+    if power is None:
+        raise SarsplatError(
+            f"{path} holds {found[1]} pixels of shape {found[0]}, compression {found[2]}; "
+            f"it must be uncompressed float32 of shape {shape}"
+        )
+    check_power(power, str(path))
+    return np.asarray(power, dtype=np.float32)
+
+
+def check_power(power: np.ndarray, name: str) -> None:
+    """Raise SarsplatError if a pixel is negative or not finite; `name` is what the error calls the image."""
+    bad = ~(np.isfinite(power) & (power >= 0))
+    if bad.any():
+        place = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise SarsplatError(f"{name} holds {power[place]} at {place}; power must be finite and ≥ 0")

@@ -1,0 +1,193 @@
+"""Scores of rendered images against the truth: protocols R (rendered sets) and M (measured chips).
+
+Every function takes two stacks of β⁰ power images, truth and rendered, [V, rows, columns], and returns one number: the
+score of each image, averaged over the V images. Where a score does not exist they raise `UndefinedScore`; they never
+return NaN or infinity.
+
+The scores of protocol R compare *amplitudes*, √β⁰ divided by the largest amplitude of the training set, without
+clipping; the peak of PSNR and the data range of SSIM are 1. The scores of protocol M compare *powers*.
+"""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+import torch
+from scipy.ndimage import uniform_filter
+
+from sarsplat.errors import SarsplatError
+
+TARGET_DYNAMIC_DB = 30.0
+"""The target's mask: truth β⁰ within this many dB of the evaluated set's maximum."""
+
+CHIP_MARGIN = 24
+"""Pixels left out on each side of a measured chip: rows and columns 24:104 of 128 are scored."""
+
+_SMALLEST_MSE = float(np.finfo(np.float32).eps) ** 2  # 138 dB: float32 images cannot be told apart any better
+
+
+class UndefinedScore(SarsplatError):
+    """The images are sound, but this score does not exist for them."""
+
+
+def normalised_amplitude(power: np.ndarray, reference_amplitude: float) -> np.ndarray:
+    """√power / reference_amplitude, not clipped: what the scores of protocol R compare.
+
+    Parameters
+    ----------
+    power : numpy.ndarray, float [V, rows, columns]
+        β⁰, linear power.
+    reference_amplitude : float
+        The largest amplitude √β⁰ of the *training* set.
+
+    Returns
+    -------
+    numpy.ndarray, float32 [V, rows, columns]
+    """
+    if not (np.isfinite(reference_amplitude) and reference_amplitude > 0):
+        raise SarsplatError(
+            f"the reference amplitude {reference_amplitude} must be positive; give the largest of the training set"
+        )
+    return (np.sqrt(power, dtype=np.float32) / np.float32(reference_amplitude)).astype(np.float32, copy=False)
+
+
+def psnr_db(truth: np.ndarray, rendered: np.ndarray, reference_amplitude: float) -> float:
+    """Peak signal-to-noise ratio of the whole image, dB: −10·log10 of each image's mean square error, averaged.
+
+    Parameters
+    ----------
+    truth, rendered : numpy.ndarray, float [V, rows, columns]
+        β⁰, linear power.
+    reference_amplitude : float
+        The largest amplitude √β⁰ of the *training* set: the peak.
+
+    Returns
+    -------
+    float
+        dB. An image reproduced to within float32 rounding counts as 138 dB instead of infinity.
+    """
+    _check(truth, rendered)
+    error = normalised_amplitude(truth, reference_amplitude) - normalised_amplitude(rendered, reference_amplitude)
+    return _mean_psnr(np.mean(np.square(error, dtype=np.float64), axis=(1, 2)))
+
+
+def psnr_target_db(truth: np.ndarray, rendered: np.ndarray, reference_amplitude: float) -> float:
+    """PSNR over the target alone, dB: pixels whose true β⁰ lies above −30 dB of the maximum of `truth`.
+
+    The target fills 1–2 % of an image, so the whole-image figure flatters by 17–20 dB; this one does not. Parameters
+    and returns as in `psnr_db`; an image without a target pixel is left out of the average.
+    """
+    _check(truth, rendered)
+    if not truth.max() > 0:
+        raise UndefinedScore("the true images are black everywhere, so there is no target to score; check the dataset")
+    mask = truth > truth.max() * 10 ** (-TARGET_DYNAMIC_DB / 10)
+    pixels = mask.sum(axis=(1, 2))
+    error = normalised_amplitude(truth, reference_amplitude) - normalised_amplitude(rendered, reference_amplitude)
+    squares = np.sum(np.square(error, dtype=np.float64), axis=(1, 2), where=mask)
+    return _mean_psnr(squares[pixels > 0] / pixels[pixels > 0])
+
+
+def ssim(truth: np.ndarray, rendered: np.ndarray, reference_amplitude: float) -> float:
+    """Structural similarity of the amplitudes: Gaussian window 11×11, σ = 1.5, data range 1.
+
+    Parameters as in `psnr_db`; returns the mean over the images, at most 1.
+    """
+    _check(truth, rendered)
+    if min(truth.shape[1:]) < 11:
+        raise UndefinedScore(
+            f"SSIM's 11×11 window does not fit images of {truth.shape[1]} × {truth.shape[2]} pixels; use larger ones"
+        )
+    # torchmetrics takes seconds to import: only who asks for SSIM pays
+    from torchmetrics.functional.image import structural_similarity_index_measure
+
+    first, second = (
+        torch.from_numpy(normalised_amplitude(power, reference_amplitude))[:, None] for power in (truth, rendered)
+    )
+    score = structural_similarity_index_measure(
+        second, first, gaussian_kernel=True, kernel_size=11, sigma=1.5, data_range=1.0
+    )
+    return float(cast(torch.Tensor, score))  # a tuple only when the full image is asked for
+
+
+def nats_per_pixel(truth: np.ndarray, rendered: np.ndarray) -> float:
+    """Single-look speckle likelihood: mean of log S + I/S; lower is better.
+
+    Parameters
+    ----------
+    truth : numpy.ndarray, float [V, rows, columns]
+        Measured power I, speckle and all, divided by the mean power of the training set.
+    rendered : numpy.ndarray, float [V, rows, columns]
+        Predicted mean power S > 0 in the same unit.
+
+    Returns
+    -------
+    float
+        Nats per pixel: the negative log-likelihood of I exponentially distributed with mean S, inside the chip margin.
+
+    Raises
+    ------
+    UndefinedScore
+        If S is zero inside the margin (the likelihood of any return is then zero), or nothing is left inside it.
+    """
+    _check(truth, rendered)
+    measured, predicted = _inside(truth.astype(np.float64)), _inside(rendered.astype(np.float64))
+    _check_positive(predicted, "rendered")
+    return float(np.mean(np.log(predicted) + measured / predicted))
+
+
+def log_correlation(truth: np.ndarray, rendered: np.ndarray) -> float:
+    """Pearson correlation of the logarithms of 3×3 means of truth and rendered power, per chip, averaged.
+
+    The means are taken on the full chip, then the margin is cut off. A constant image explains nothing and counts as 0.
+    Parameters as in `nats_per_pixel` (the unit does not matter here).
+
+    Raises
+    ------
+    UndefinedScore
+        If a 3×3 mean is zero inside the margin, or nothing is left inside it.
+    """
+    _check(truth, rendered)
+    logs = []
+    for power, name in ((truth, "true"), (rendered, "rendered")):
+        smooth = _inside(uniform_filter(power.astype(np.float64), size=(0, 3, 3)))
+        _check_positive(smooth, name)
+        log = np.log(smooth).reshape(len(smooth), -1)
+        logs.append(log - log.mean(axis=1, keepdims=True))
+    covariance = np.sum(logs[0] * logs[1], axis=1)
+    norm = np.sqrt(np.sum(logs[0] ** 2, axis=1) * np.sum(logs[1] ** 2, axis=1))
+    return float(np.mean(np.divide(covariance, norm, out=np.zeros_like(norm), where=norm > 0)))
+
+
+def _mean_psnr(mse: np.ndarray) -> float:
+    return float(np.mean(-10 * np.log10(np.maximum(mse, _SMALLEST_MSE))))
+
+
+def _inside(power: np.ndarray) -> np.ndarray:
+    rows, columns = power.shape[1:]
+    if min(rows, columns) <= 2 * CHIP_MARGIN:
+        raise UndefinedScore(
+            f"a chip of {rows} × {columns} pixels has nothing left inside the margin of {CHIP_MARGIN} pixels; "
+            f"use chips larger than {2 * CHIP_MARGIN} pixels"
+        )
+    return power[:, CHIP_MARGIN : rows - CHIP_MARGIN, CHIP_MARGIN : columns - CHIP_MARGIN]
+
+
+def _check(truth: np.ndarray, rendered: np.ndarray) -> None:
+    if truth.shape != rendered.shape or truth.ndim != 3 or len(truth) == 0:
+        raise SarsplatError(
+            f"true images {truth.shape} and rendered images {rendered.shape} must be equal, "
+            "non-empty stacks [views, rows, columns]"
+        )
+    for power, name in ((truth, "true"), (rendered, "rendered")):
+        if not (np.isfinite(power) & (power >= 0)).all():
+            raise SarsplatError(f"the {name} images hold negative or non-finite power; give β⁰ ≥ 0, linear")
+
+
+def _check_positive(power: np.ndarray, name: str) -> None:
+    zeros = int(np.count_nonzero(power <= 0))
+    if zeros:
+        raise UndefinedScore(
+            f"the {name} power is zero at {zeros} of {power.size} scored pixels, where its logarithm does not exist; "
+            "add a noise floor"
+        )

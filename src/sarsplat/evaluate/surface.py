@@ -1,0 +1,140 @@
+"""The part of the true surface that the radar saw: the standard for reconstructed points (protocol R)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import View, radar_frame
+
+if TYPE_CHECKING:
+    import trimesh
+    from embreex.rtcore_scene import EmbreeScene
+
+_BATCH = 1_000_000  # rays traced at once
+_LIFT = 1e-4  # m: shadow rays start this far from the surface; float32 places a vehicle to better than 1e-6 m
+_LARGEST_ROUND = 4_000_000  # samples drawn at once when most of them turn out to be hidden
+
+
+@dataclass(frozen=True)
+class VisibleSurface:
+    """The true surface, whole and as far as it is seen from at least one view, world frame, m.
+
+    Attributes
+    ----------
+    triangles : numpy.ndarray, float64 [T, 3, 3]
+        Visible triangles, whole: those that are the first hit of at least one ray (vertex, coordinate last).
+    all_triangles : numpy.ndarray, float64 [A, 3, 3]
+        Every triangle of the mesh.
+    samples : numpy.ndarray, float32 [S, 3]
+        Area-weighted random points of the visible surface: each lies on a visible triangle and is itself seen.
+    samples_whole : numpy.ndarray, float32 [S, 3]
+        Area-weighted random points of every triangle.
+    """
+
+    triangles: np.ndarray
+    all_triangles: np.ndarray
+    samples: np.ndarray
+    samples_whole: np.ndarray
+
+
+def visible_surface(
+    mesh: trimesh.Trimesh,
+    views: Sequence[View],
+    *,
+    ray_spacing: float = 0.01,
+    samples: int = 1_000_000,
+    seed: int = 0,
+) -> VisibleSurface:
+    """Triangles and samples of the surface that at least one of the views sees.
+
+    Surfaces are two-sided: dirty meshes have no reliable outside.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        True surface in the world frame, m.
+    views : sequence of View
+        The training views.
+    ray_spacing : float
+        Distance of the parallel rays that look for visible triangles, m.
+    samples : int
+        Number of samples of the visible and of the whole surface.
+    seed : int
+        Of the samples.
+
+    Raises
+    ------
+    SarsplatError
+        If there is no view, or no ray hits the mesh.
+    """
+    import trimesh
+
+    if not views:
+        raise SarsplatError("the visible surface needs at least one view; give the training views")
+    if not (mesh.area > 0 and np.isfinite(mesh.bounds).all()):
+        raise SarsplatError(f"the mesh ({len(mesh.faces)} triangles) has no surface; give a mesh with an area")
+    scene = _scene(mesh)
+    visible = np.zeros(len(mesh.faces), dtype=bool)
+    for view in views:
+        for origins in _lattice(np.asarray(mesh.vertices), view, ray_spacing):
+            hits = scene.run(origins, _towards(-view.direction))
+            visible[hits[hits >= 0]] = True
+    if not visible.any():
+        raise SarsplatError(
+            f"no ray hits the mesh: its parts are smaller than the ray spacing of {ray_spacing} m; use a finer spacing"
+        )
+
+    generator = np.random.default_rng(seed)
+    whole, _ = trimesh.sample.sample_surface(mesh, samples, seed=generator)
+    weight = mesh.area_faces * visible
+    seen, missing, fraction = [np.empty((0, 3), np.float32)], samples, 1.0
+    while missing > 0:
+        count = min(int(missing / fraction * 1.02) + 100, _LARGEST_ROUND)
+        candidates, _ = trimesh.sample.sample_surface(mesh, count, face_weight=weight, seed=generator)
+        found = candidates[_is_seen(scene, candidates, views)][:missing].astype(np.float32)
+        seen.append(found)
+        missing -= len(found)
+        fraction = max(len(found) / count, 1e-3)
+    triangles = np.asarray(mesh.triangles, dtype=np.float64)
+    return VisibleSurface(triangles[visible], triangles, np.concatenate(seen), whole.astype(np.float32))
+
+
+def _scene(mesh: trimesh.Trimesh) -> EmbreeScene:
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+
+    scene = EmbreeScene(robust=True)  # robust: no ray slips through between two triangles
+    TriangleMesh(scene, np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32))
+    return scene
+
+
+def _towards(direction: np.ndarray) -> np.ndarray:
+    """One direction, used for all rays of a batch, float32 [1, 3]."""
+    return direction.astype(np.float32)[None]
+
+
+def _lattice(vertices: np.ndarray, view: View, spacing: float) -> Iterator[np.ndarray]:
+    """Batches of ray origins, float32 [≤ batch, 3]: a lattice on the computation plane, just before the mesh begins."""
+    frame = radar_frame(view)
+    low, high = (vertices @ frame.T).min(axis=0), (vertices @ frame.T).max(axis=0)
+    x, y = ((np.arange(np.floor(low[k] / spacing), np.ceil(high[k] / spacing)) + 0.5) * spacing for k in (0, 1))
+    lines = max(1, _BATCH // max(1, len(x)))
+    for first in range(0, len(y), lines):
+        plane = np.stack(np.meshgrid(x, y[first : first + lines]), axis=-1).reshape(-1, 2)
+        yield (plane @ frame[:2] + (low[2] - 1.0) * frame[2]).astype(np.float32)
+
+
+def _is_seen(scene: EmbreeScene, points: np.ndarray, views: Sequence[View]) -> np.ndarray:
+    """Whether a ray from just above each surface point reaches the radar of at least one view, bool [P]."""
+    hidden = np.arange(len(points))
+    for view in views:
+        origins = (points[hidden] + _LIFT * view.direction).astype(np.float32)
+        hidden = hidden[scene.run(origins, _towards(view.direction)) >= 0]
+        if len(hidden) == 0:
+            break
+    return np.bincount(hidden, minlength=len(points)) == 0

@@ -1,0 +1,138 @@
+"""A thin loader of the CPU engine: ctypes mirrors of `csrc/api.h`, and nothing of Gaussians or views."""
+
+from __future__ import annotations
+
+import ctypes
+from ctypes import POINTER, c_float, c_int32, c_int64, c_void_p
+from functools import cache
+from pathlib import Path
+from typing import TypeVar
+
+import torch
+
+from sarsplat.errors import SarsplatError
+
+INSTRUCTION_SETS = ("auto", "base", "avx2", "avx512")
+FAULTS = ("", "means", "quaternions", "scales", "optical_depth", "harmonics", "scattering", "shift", "lattice")
+"""What a forward pass can reject, by status code."""
+
+
+def _struct(name: str, *fields: tuple[str, type]) -> type[ctypes.Structure]:
+    return type(name, (ctypes.Structure,), {"_fields_": list(fields)})
+
+
+_PAIR = c_float * 2
+Problem = _struct(
+    "Problem",
+    *((name, c_int32) for name in ("peak", "views", "gaussians", "coefficients", "rows", "columns")),
+    *((name, c_void_p) for name in ("means", "quaternions", "scales", "kappa", "harmonics", "scattering")),
+    *((name, c_void_p) for name in ("frames", "basis", "shift")),
+    ("p_min", c_float),
+    *((name, _PAIR) for name in ("pixel", "center", "response_var", "ray")),
+    *((name, c_float) for name in ("cell_widening", "min_ray_depth", "min_transmittance", "image_cut")),
+    *((name, c_float) for name in ("min_scale", "max_depth")),
+)
+Outputs = _struct("Outputs", *((name, c_void_p) for name in ("images", "cross_sections", "lit_area")))
+Gradients = _struct(
+    "Gradients",
+    *((name, c_void_p) for name in ("images", "cross_sections", "transmittance")),
+    *((name, c_void_p) for name in ("means", "quaternions", "scales", "kappa", "harmonics", "scattering")),
+    *((name, c_void_p) for name in ("shift", "planes")),
+)
+Lattice = _struct("Lattice", ("k0x", c_int64), ("k0y", c_int64), ("rows", c_int32), ("columns", c_int32))
+Statistics = _struct(
+    "Statistics",
+    *((f"{what}_{plane}", c_int64) for plane in ("attenuation", "imaging") for what in ("blocks", "live")),
+    ("lanes", c_int64),
+)
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """The compiled engine, its threads borrowed from torch.
+
+    Raises
+    ------
+    SarsplatError
+        If it was never built, or does not fit this machine.
+    """
+    path = Path(__file__).with_name("_engine.so")
+    try:
+        lib = ctypes.CDLL(str(path))
+    except OSError as error:
+        raise SarsplatError(
+            f"the CPU engine cannot be loaded ({error}); reinstall with `pip install .`, or use engine='reference'"
+        ) from error
+    lib.sg_create.restype = c_void_p
+    lib.sg_create.argtypes = [c_int32]
+    lib.sg_destroy.argtypes = [c_void_p]
+    lib.sg_forward.argtypes = [c_void_p, POINTER(Problem), POINTER(Outputs), POINTER(c_int64)]
+    lib.sg_backward.argtypes = [c_void_p, POINTER(Problem), POINTER(Gradients)]
+    lib.sg_backward.restype = None
+    lib.sg_get_lattice.argtypes = [c_void_p, c_int32, POINTER(Lattice)]
+    lib.sg_trace.argtypes = [c_void_p, POINTER(Problem), c_int32, c_float, c_void_p, c_void_p]
+    lib.sg_trace.restype = None
+    lib.sg_get_statistics.argtypes = [c_void_p, POINTER(Problem), POINTER(Statistics)]
+    lib.sg_isa_name.restype = ctypes.c_char_p
+    torch_pool = ctypes.CDLL(str(next((Path(torch.__file__).parent / "lib").glob("libtorch_cpu.*")))).torch_parallel_for
+    lib.sg_use_torch(ctypes.cast(torch_pool, c_void_p))
+    return lib
+
+
+def best_instruction_set() -> str:
+    """The widest instruction set that this processor, and this build, can run."""
+    return library().sg_isa_name(library().sg_best_isa()).decode()
+
+
+Struct = TypeVar("Struct", bound=ctypes.Structure)
+
+
+class Pass:
+    """One forward pass and what its backward pass needs. Memory goes back to a small pool for the next one."""
+
+    _idle: dict[int, list[int]] = {}  # noqa: RUF012 - shared on purpose: handles waiting for reuse, per instruction set
+    _keep = 2
+
+    def __init__(self, instruction_set: str = "auto") -> None:
+        self._isa = INSTRUCTION_SETS.index(instruction_set)
+        idle = self._idle.setdefault(self._isa, [])
+        self._library = library()
+        self._handle = idle.pop() if idle else self._library.sg_create(self._isa)
+
+    def __del__(self) -> None:
+        handle = getattr(self, "_handle", None)
+        if handle is None:
+            return
+        idle = self._idle.setdefault(self._isa, [])
+        if len(idle) < self._keep:
+            idle.append(handle)
+        else:
+            self._library.sg_destroy(handle)
+
+    def forward(self, problem: ctypes.Structure, outputs: ctypes.Structure) -> tuple[str, int]:
+        """Run; returns what was rejected ("" for nothing) and at which index."""
+        culprit = c_int64(-1)
+        self._library.sg_set_threads(torch.get_num_threads())
+        status = self._library.sg_forward(self._handle, problem, outputs, culprit)
+        return FAULTS[status], culprit.value
+
+    def backward(self, problem: ctypes.Structure, gradients: ctypes.Structure) -> None:
+        """Run the adjoint of the last forward pass."""
+        self._library.sg_set_threads(torch.get_num_threads())
+        self._library.sg_backward(self._handle, problem, gradients)
+
+    def lattice(self, view: int) -> ctypes.Structure:
+        """Where the rays of a view stand."""
+        lattice = Lattice()
+        self._library.sg_get_lattice(self._handle, view, lattice)
+        return lattice
+
+    def trace(self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int) -> None:
+        """Fill T_end and the first-return range of a view's rays."""
+        self._library.sg_trace(self._handle, problem, view, depth, transmittance, first_return)
+
+    def statistics(self, problem: ctypes.Structure) -> ctypes.Structure:
+        """Visited blocks and live lanes of the last forward pass."""
+        statistics = Statistics()
+        self._library.sg_get_statistics(self._handle, problem, statistics)
+        return statistics

@@ -1,0 +1,49 @@
+// dispatch.cpp: picks the best instruction set the processor *and* the system support, once per context.
+#include <cstring>
+
+#include "api.h"
+
+#define SG_EXPORT extern "C" __attribute__((visibility("default")))
+
+extern "C" const sg_engine sg_engine_base;
+#if defined(__x86_64__)
+#include <cpuid.h>
+extern "C" const sg_engine sg_engine_avx2, sg_engine_avx512;
+
+static int best() {  // 1 base, 2 AVX2 + FMA, 3 AVX-512 F/BW/DQ/VL
+  unsigned a, b, c, d;
+  if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & (1u << 27)) || !(c & (1u << 12))) return 1;  // OSXSAVE, FMA
+  unsigned low, high;
+  __asm__ volatile("xgetbv" : "=a"(low), "=d"(high) : "c"(0));
+  if ((low & 6) != 6 || !__get_cpuid_count(7, 0, &a, &b, &c, &d)) return 1;
+  if (!(b & (1u << 5)) || !(b & (1u << 8)) || !(b & (1u << 3))) return 1;                    // AVX2, BMI2, BMI1
+  const unsigned wanted = (1u << 16) | (1u << 17) | (1u << 28) | (1u << 30) | (1u << 31);
+  return (low & 0xE6) == 0xE6 && (b & wanted) == wanted ? 3 : 2;
+}
+static const sg_engine* engine(int isa) { return isa == 3 ? &sg_engine_avx512 : isa == 2 ? &sg_engine_avx2 : &sg_engine_base; }
+#else
+static int best() { return 1; }
+static const sg_engine* engine(int) { return &sg_engine_base; }
+#endif
+
+struct sg_handle { const sg_engine* engine; sg_context* context; };
+
+SG_EXPORT int32_t sg_best_isa() { return best(); }
+SG_EXPORT const char* sg_isa_name(int32_t isa) { return engine(isa)->name; }
+SG_EXPORT sg_handle* sg_create(int32_t isa) {
+  const sg_engine* e = engine(isa > 0 && isa <= best() ? isa : best());
+  return new sg_handle{e, e->create()};
+}
+SG_EXPORT void sg_destroy(sg_handle* h) {
+  h->engine->destroy(h->context);
+  delete h;
+}
+SG_EXPORT int32_t sg_forward(sg_handle* h, const sg_problem* p, const sg_outputs* out, int64_t* culprit) {
+  return h->engine->forward(h->context, p, out, culprit);
+}
+SG_EXPORT void sg_backward(sg_handle* h, const sg_problem* p, const sg_gradients* g) { h->engine->backward(h->context, p, g); }
+SG_EXPORT void sg_get_lattice(const sg_handle* h, int32_t view, sg_lattice* out) { h->engine->lattice(h->context, view, out); }
+SG_EXPORT void sg_trace(const sg_handle* h, const sg_problem* p, int32_t view, float depth, float* transmittance, float* first_return) {
+  h->engine->trace(h->context, p, view, depth, transmittance, first_return);
+}
+SG_EXPORT void sg_get_statistics(const sg_handle* h, const sg_problem* p, sg_statistics* out) { h->engine->statistics(h->context, p, out); }

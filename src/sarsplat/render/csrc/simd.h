@@ -1,0 +1,106 @@
+// simd.h: the vector type of one instruction set. Clang's vector extension carries the arithmetic, so that this is the
+// same source for SSE2, AVX2, AVX-512 and NEON; SG_WIDTH lanes are one block of 4 x SG_WIDTH/4 rays or pixels.
+#pragma once
+#include <cstdint>
+
+#define SG_FN inline __attribute__((always_inline))
+
+namespace sarsplat {
+namespace SG_ISA {
+
+constexpr int kWidth = SG_WIDTH;
+typedef float F __attribute__((ext_vector_type(SG_WIDTH)));
+typedef int32_t I __attribute__((ext_vector_type(SG_WIDTH)));
+typedef bool Bits __attribute__((ext_vector_type(SG_WIDTH)));
+
+SG_FN F splat(float x) { return (F)(x); }
+SG_FN F load(const float* p) { return *(const F*)p; }
+SG_FN void store(float* p, F x) { *(F*)p = x; }
+SG_FN I load(const int32_t* p) { return *(const I*)p; }
+SG_FN void store(int32_t* p, I x) { *(I*)p = x; }
+SG_FN F choose(I mask, F a, F b) { return mask ? a : b; }
+SG_FN I choose(I mask, I a, I b) { return mask ? a : b; }
+SG_FN F root(F x) { return __builtin_elementwise_sqrt(x); }
+SG_FN F absolute(F x) { return __builtin_elementwise_abs(x); }
+SG_FN F larger(F a, F b) { return __builtin_elementwise_max(a, b); }
+
+#if SG_WIDTH == 16
+typedef uint16_t BitWord;
+#else
+typedef uint8_t BitWord;
+#endif
+SG_FN unsigned bits(I mask) {
+#if SG_WIDTH >= 8
+  return __builtin_bit_cast(BitWord, __builtin_convertvector(mask, Bits));
+#else
+  return (mask[0] & 1) | (mask[1] & 2) | (mask[2] & 4) | (mask[3] & 8);
+#endif
+}
+SG_FN bool any(I mask) { return bits(mask) != 0; }
+
+#if SG_WIDTH == 16
+typedef float Half __attribute__((ext_vector_type(8)));
+SG_FN Half fold(F x) { return x.lo + x.hi; }
+#elif SG_WIDTH == 8
+typedef F Half;
+SG_FN Half fold(F x) { return x; }
+#endif
+
+// sums over the lanes of six vectors at once, in a fixed order
+SG_FN void sum6(F a, F b, F c, F d, F e, F f, float* out) {
+#if SG_WIDTH >= 8
+  const Half A = fold(a), B = fold(b), C = fold(c), D = fold(d), E = fold(e), G = fold(f);
+#define SG_LOW(x, y) __builtin_shufflevector(x, y, 0, 8, 1, 9, 4, 12, 5, 13)
+#define SG_HIGH(x, y) __builtin_shufflevector(x, y, 2, 10, 3, 11, 6, 14, 7, 15)
+  const Half ab = SG_LOW(A, B) + SG_HIGH(A, B), cd = SG_LOW(C, D) + SG_HIGH(C, D), ef = SG_LOW(E, G) + SG_HIGH(E, G);
+#undef SG_LOW
+#undef SG_HIGH
+  const Half abcd = __builtin_shufflevector(ab, cd, 0, 1, 8, 9, 4, 5, 12, 13) + __builtin_shufflevector(ab, cd, 2, 3, 10, 11, 6, 7, 14, 15);
+  const Half efef = ef + __builtin_shufflevector(ef, ef, 2, 3, 0, 1, 6, 7, 4, 5);
+  const auto four = abcd.lo + abcd.hi, two = efef.lo + efef.hi;
+  out[0] = four.x; out[1] = four.y; out[2] = four.z; out[3] = four.w; out[4] = two.x; out[5] = two.y;
+#else
+  const F all[6] = {a, b, c, d, e, f};
+  for (int k = 0; k < 6; k++) out[k] = (all[k].x + all[k].z) + (all[k].y + all[k].w);
+#endif
+}
+SG_FN float sum(F x) {
+#if SG_WIDTH == 16
+  const Half h = fold(x);
+  const auto q = h.lo + h.hi;
+#elif SG_WIDTH == 8
+  const auto q = x.lo + x.hi;
+#else
+  const F q = x;
+#endif
+  return (q.x + q.z) + (q.y + q.w);
+}
+
+// 2^x = scale * (1 + fraction): one polynomial serves 2^x and 2^x - 1 without cancellation. |x| < 126.
+struct Power2 { F scale, fraction; };
+SG_FN Power2 power2_parts(F x) {
+  const F shifted = x + 12582912.0f;  // 1.5 * 2^23: the nearest integer n now sits in the low bits
+  const F f = x - (shifted - 12582912.0f);
+  F p = f * 1.5403530e-4f + 1.3333558e-3f;
+  p = p * f + 9.6181291e-3f;
+  p = p * f + 5.5504109e-2f;
+  p = p * f + 2.4022651e-1f;
+  p = p * f + 6.9314718e-1f;
+  return {__builtin_bit_cast(F, (__builtin_bit_cast(I, shifted) << 23) + 0x3f800000), p * f};
+}
+SG_FN F power2(F x) { const Power2 e = power2_parts(x); return e.scale * e.fraction + e.scale; }
+SG_FN F power2(Power2 e) { return e.scale * e.fraction + e.scale; }
+SG_FN F power2_minus_one(Power2 e) { return e.scale * e.fraction + (e.scale - 1.0f); }
+
+// natural logarithm of normal positive numbers, relative error about 1e-7
+SG_FN F natural_log(F x) {
+  const I raw = __builtin_bit_cast(I, x);
+  const I exponent = (raw - 0x3f3504f3) >> 23;  // mantissa in [sqrt 1/2, sqrt 2)
+  const F m = __builtin_bit_cast(F, raw - (exponent << 23)) - 1.0f;
+  const F s = m / (m + 2.0f), s2 = s * s;
+  const F series = s * s2 * (0.66666667f + s2 * (0.4f + s2 * (0.28571429f + s2 * 0.22222222f)));
+  return __builtin_convertvector(exponent, F) * 0.69314718f + (2.0f * s + series);
+}
+
+}  // namespace SG_ISA
+}  // namespace sarsplat

@@ -1,0 +1,219 @@
+"""The engines behind one differentiable function: gathers arrays, calls a kernel once each way, names what is wrong."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
+from sarsplat.gaussians.harmonics import harmonic_basis
+from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.render import cpu
+from sarsplat.render.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
+from sarsplat.render.rendering import RayMap, Rendering
+
+_ALLOWED = {
+    "means": "finite metres",
+    "quaternions": "finite and not zero",
+    "scales": f"finite and at least MIN_SCALE = {MIN_SCALE} m",
+    "optical_depth": f"between 0 and MAX_OPTICAL_DEPTH = {MAX_OPTICAL_DEPTH:g}",
+    "harmonics": "finite",
+    "scattering": "finite",
+    "shift": "finite metres",
+}
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """Everything about a call that is not differentiable."""
+
+    views: tuple[View, ...]
+    grid: ImageGrid
+    rays: RayGrid
+    p_min: float
+    peak: bool
+    first_return_depth: float | None
+    instruction_set: str
+    planes: Tensor | None
+
+
+def render_cpu(
+    gaussians: Gaussians,
+    views: Sequence[View],
+    grid: ImageGrid,
+    *,
+    rays: RayGrid,
+    scattering: Tensor | None,
+    shift: Tensor | None,
+    gain: Tensor | None,
+    imaging_weight: str,
+    first_return_depth: float | None,
+    plane_gradients: bool,
+    instruction_set: str,
+) -> Rendering:
+    """`sarsplat.render` on the CPU engine; arguments are documented there."""
+    for name, tensor in {**gaussians.tensors(), "scattering": scattering, "shift": shift, "gain": gain}.items():
+        if tensor is not None and (tensor.dtype != torch.float32 or tensor.device.type != "cpu"):
+            raise SarsplatError(
+                f"{name} is {tensor.dtype} on {tensor.device}; the CPU engine takes torch.float32 on the CPU "
+                "(engine='reference' takes any dtype)"
+            )
+    planes = torch.zeros(len(views), len(gaussians), 4) if plane_gradients else None
+    setting = _Setting(
+        tuple(views), grid, rays, gaussians.p_min, imaging_weight == "peak", first_return_depth, instruction_set, planes
+    )
+    shift = torch.zeros(len(views), 2) if shift is None else shift
+    images, cross_sections, lit_area, transmittance, first_return, lattices = _Render.apply(
+        gaussians.means,
+        gaussians.quaternions,
+        gaussians.scales,
+        gaussians.optical_depth,
+        gaussians.harmonics if scattering is None else None,
+        scattering,
+        shift,
+        setting,
+    )
+    if gain is not None:
+        images = images * gain[:, None, None]
+    ray_maps = _ray_maps(transmittance, first_return, lattices, rays) if first_return_depth is not None else None
+    return Rendering(images, cross_sections, lit_area, ray_maps, planes)
+
+
+def _ray_maps(
+    transmittance: Tensor, first_return: Tensor, lattices: list[tuple[int, int, int, int]], rays: RayGrid
+) -> tuple[RayMap, ...]:
+    maps, at = [], 0
+    for k0x, k0y, rows, columns in lattices:
+        part = slice(at, at + rows * columns)
+        origin = ((k0x + 0.5) * rays.spacing[0], (k0y + 0.5) * rays.spacing[1])
+        maps.append(RayMap(transmittance[part].view(rows, columns), first_return[part].view(rows, columns), origin))
+        at = part.stop
+    return tuple(maps)
+
+
+class _Render(torch.autograd.Function):
+    """One call each way for all views."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        means: Tensor,
+        quaternions: Tensor,
+        scales: Tensor,
+        kappa: Tensor,
+        harmonics: Tensor | None,
+        scattering: Tensor | None,
+        shift: Tensor,
+        setting: _Setting,
+    ) -> tuple[Any, ...]:
+        inputs = [t if t is None else t.contiguous() for t in (means, quaternions, scales, kappa, harmonics, scattering)]
+        inputs.append(shift.contiguous())
+        problem, constants = _problem(inputs, setting)
+        views, n, grid = len(setting.views), means.shape[0], setting.grid
+        images = torch.empty(views, grid.rows, grid.columns)
+        cross_sections, lit_area = torch.empty(views, n), torch.empty(views, n)
+        kernel = cpu.Pass(setting.instruction_set)
+        outputs = cpu.Outputs(images.data_ptr(), cross_sections.data_ptr(), lit_area.data_ptr())
+        fault, index = kernel.forward(problem, outputs)
+        if fault:
+            raise SarsplatError(_explain(fault, index, inputs, setting))
+        transmittance = first_return = torch.empty(0)
+        lattices: list[tuple[int, int, int, int]] = []
+        if setting.first_return_depth is not None:
+            transmittance, first_return, lattices = _trace(kernel, problem, setting)
+        ctx.kernel, ctx.problem, ctx.constants, ctx.setting = kernel, problem, constants, setting
+        ctx.save_for_backward(*inputs)
+        ctx.mark_non_differentiable(lit_area, first_return)
+        ctx.set_materialize_grads(False)
+        return images, cross_sections, lit_area, transmittance, first_return, lattices
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
+        d_images, d_cross_sections, _, d_transmittance, *_ = grads
+        inputs = ctx.saved_tensors  # also the check that nobody changed them in place
+        setting: _Setting = ctx.setting
+        if d_images is None:
+            d_images = torch.zeros(len(setting.views), setting.grid.rows, setting.grid.columns)
+        seeds = [t if t is None else t.contiguous() for t in (d_images, d_cross_sections, d_transmittance)]
+        results = [None if t is None else torch.empty_like(t) for t in inputs]
+        gradients = cpu.Gradients(*(_pointer(t) for t in (*seeds, *results, setting.planes)))
+        ctx.kernel.backward(ctx.problem, gradients)
+        return (*results, None)
+
+
+def _pointer(tensor: Tensor | None) -> int | None:
+    return None if tensor is None else tensor.data_ptr()
+
+
+def _problem(inputs: Sequence[Tensor | None], setting: _Setting) -> tuple[ctypes.Structure, tuple[Tensor, ...]]:
+    """The kernel's view of a call, and the tensors it points at that must outlive it."""
+    means, harmonics = inputs[0], inputs[4]
+    assert means is not None
+    frames64 = torch.from_numpy(np.stack([radar_frame(view) for view in setting.views]))
+    degree = 0 if harmonics is None else math.isqrt(harmonics.shape[1]) - 1
+    frames = frames64.to(torch.float32).contiguous()
+    basis = harmonic_basis(-frames64[:, 2], degree).to(torch.float32).contiguous()
+    grid, rays = setting.grid, setting.rays
+    problem = cpu.Problem(
+        setting.peak,
+        len(setting.views),
+        means.shape[0],
+        0 if harmonics is None else harmonics.shape[1],
+        grid.rows,
+        grid.columns,
+        *(_pointer(t) for t in inputs[:6]),
+        _pointer(frames),
+        _pointer(basis),
+        _pointer(inputs[6]),
+        setting.p_min,
+        grid.spacing,
+        grid.center,
+        tuple(width**2 / (8 * math.log(2)) for width in grid.resolution),
+        rays.spacing,
+        CELL_WIDENING,
+        MIN_RAY_DEPTH,
+        MIN_TRANSMITTANCE,
+        IMAGE_CUT,
+        MIN_SCALE * (1 - 1e-6),
+        MAX_OPTICAL_DEPTH * (1 + 1e-6),
+    )
+    return problem, (frames, basis)
+
+
+def _trace(
+    kernel: cpu.Pass, problem: ctypes.Structure, setting: _Setting
+) -> tuple[Tensor, Tensor, list[tuple[int, int, int, int]]]:
+    lattices = [kernel.lattice(v) for v in range(len(setting.views))]
+    total = sum(lattice.rows * lattice.columns for lattice in lattices)
+    transmittance, first_return = torch.empty(total), torch.empty(total)
+    at = 0
+    for v, lattice in enumerate(lattices):
+        kernel.trace(
+            problem, v, setting.first_return_depth, transmittance[at:].data_ptr(), first_return[at:].data_ptr()
+        )
+        at += lattice.rows * lattice.columns
+    return transmittance, first_return, [(la.k0x, la.k0y, la.rows, la.columns) for la in lattices]
+
+
+def _explain(fault: str, index: int, inputs: Sequence[Tensor | None], setting: _Setting) -> str:
+    if fault == "lattice":
+        means = inputs[0]
+        assert means is not None
+        return (
+            f"view {index} would need too many rays at a spacing of {setting.rays.spacing} m: the Gaussians reach "
+            f"{float(means.abs().max()):.4g} m from the scene centre; remove far ones or take coarser rays"
+        )
+    tensor = inputs[cpu.FAULTS.index(fault) - 1]
+    assert tensor is not None
+    value = tensor.reshape(-1)[index].item() if fault == "scattering" else tensor[index].tolist()
+    return f"{fault}[{index}] is {value}; it must be {_ALLOWED[fault]}"

@@ -1,0 +1,141 @@
+"""The reference renderer: plain torch, any dtype, equation by equation. It is the judge, not the engine.
+
+Dense: every Gaussian meets every ray and every pixel, so it is meant for small scenes. Numbers in comments are
+sections of the model (docs/conventions.md).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from torch.nn.functional import softplus
+
+from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians.covariance import covariance
+from sarsplat.gaussians.harmonics import harmonic_basis
+from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.render.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
+from sarsplat.render.rendering import RayMap, Rendering
+
+_UNCUT_RADIUS = 9.0
+"""Without cuts the lattice reaches this many standard deviations: e⁻⁴⁰ is below float64's resolution."""
+
+
+def render_reference(
+    gaussians: Gaussians,
+    views: Sequence[View],
+    grid: ImageGrid,
+    *,
+    rays: RayGrid | None = None,
+    scattering: Tensor | None = None,
+    shift: Tensor | None = None,
+    gain: Tensor | None = None,
+    imaging_weight: str = "area",
+    first_return_depth: float | None = None,
+    cuts: bool = True,
+) -> Rendering:
+    """Render as `sarsplat.render` does, slowly and by the book.
+
+    `cuts=False` takes off the footprint cuts and the early stop, so that finite differences are valid; everything else
+    is documented at `sarsplat.render`.
+    """
+    rays = rays or RayGrid.for_image(grid)
+    means = gaussians.means
+    sigma_world = covariance(gaussians.quaternions, gaussians.scales)
+    images, cross_sections, lit_areas, ray_maps = [], [], [], []
+    for v, view in enumerate(views):
+        frame = torch.as_tensor(radar_frame(view), dtype=means.dtype, device=means.device)
+        mean_r = means @ frame.T  # §1: x_r = R_r x_w
+        cov_r = frame @ sigma_world @ frame.T
+        if scattering is None:
+            basis = harmonic_basis(-frame[2], gaussians.degree)
+            phase = gaussians.p_min + softplus(gaussians.harmonics @ basis)  # P(u), §2
+        else:
+            phase = scattering[v]
+        weight, transmittance, ray_map = _attenuate(
+            mean_r, cov_r, gaussians.optical_depth, rays, cuts, first_return_depth
+        )
+        lit_area = rays.cell_area * weight
+        cross_section = phase * lit_area  # σ = P A_c Σ w
+        offset = shift[v] if shift is not None else means.new_zeros(2)
+        image = _image(mean_r, cov_r, cross_section, offset, grid, imaging_weight, cuts)
+        images.append(image if gain is None else image * gain[v])
+        cross_sections.append(cross_section)
+        lit_areas.append(lit_area.detach())
+        if ray_map is not None:
+            ray_maps.append(RayMap(transmittance, *ray_map))
+    return Rendering(
+        torch.stack(images),
+        torch.stack(cross_sections),
+        torch.stack(lit_areas),
+        tuple(ray_maps) if first_return_depth is not None else None,
+    )
+
+
+def _attenuate(
+    mean_r: Tensor, cov_r: Tensor, kappa: Tensor, rays: RayGrid, cuts: bool, first_return_depth: float | None
+) -> tuple[Tensor, Tensor, tuple[Tensor, tuple[float, float]] | None]:
+    """Pass A (§3): Σ_ρ w per Gaussian [N], T_end per ray [rows, columns], and the first-return map on request."""
+    spacing = torch.tensor(rays.spacing, dtype=mean_r.dtype, device=mean_r.device)
+    mean_c, cov_c = mean_r[:, :2], cov_r[:, :2, :2]
+    widened = cov_c + CELL_WIDENING * torch.diag(spacing**2)  # Σ_C'
+    kappa_ray = kappa * (torch.linalg.det(cov_c) / torch.linalg.det(widened)).sqrt()  # κ'
+    limit = 2 * torch.log(kappa_ray.detach() / MIN_RAY_DEPTH) if cuts else torch.full_like(kappa, _UNCUT_RADIUS**2)
+    touched = limit >= 0
+    if not bool(touched.any()):
+        empty = mean_r.new_ones(0, 0)
+        return 0 * kappa, empty, (empty, (0.0, 0.0)) if first_return_depth is not None else None
+
+    radius = (limit.clamp(min=0)[:, None] * torch.diagonal(widened.detach(), dim1=1, dim2=2)).sqrt()
+    low = torch.floor((mean_c.detach() - radius)[touched].amin(0) / spacing).long().tolist()
+    high = torch.ceil((mean_c.detach() + radius)[touched].amax(0) / spacing).long().tolist()
+    x = (torch.arange(low[0], high[0], dtype=mean_r.dtype) + 0.5).to(spacing.device) * spacing[0]
+    y = (torch.arange(low[1], high[1], dtype=mean_r.dtype) + 0.5).to(spacing.device) * spacing[1]
+    rho = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1)  # ray positions [rows, columns, 2]
+
+    order = torch.sort(mean_r[:, 2].detach(), stable=True).indices  # front to back; ties by index
+    d = rho - mean_c[order][:, None, None, :]
+    inverse = torch.linalg.inv(widened)[order]
+    q = torch.einsum("nyxi,nij,nyxj->nyx", d, inverse, d)
+    tau = kappa_ray[order][:, None, None] * torch.exp(-0.5 * q)
+    if cuts:
+        tau = torch.where(q <= limit[order][:, None, None], tau, torch.zeros_like(tau))
+    before = torch.exp(-(torch.cumsum(tau, dim=0) - tau))  # T_i
+    if cuts:
+        tau = torch.where(before >= MIN_TRANSMITTANCE, tau, torch.zeros_like(tau))
+    weight = before * -torch.expm1(-tau)
+    transmittance = torch.exp(-tau.sum(0))
+
+    ray_map = None
+    if first_return_depth is not None:
+        # the range of each Gaussian's densest point on the ray, at the Gaussian where the depth is first reached
+        slope = torch.einsum("nij,nj->ni", inverse, cov_r[order][:, :2, 2])
+        peak = mean_r[order][:, 2, None, None] + torch.einsum("nyxi,ni->nyx", d, slope)
+        reached = torch.cumsum(tau, dim=0) >= first_return_depth
+        first = reached.to(torch.uint8).argmax(dim=0)
+        found = torch.gather(peak, 0, first[None])[0]
+        found = torch.where(reached.any(0), found, torch.full_like(found, math.nan))
+        ray_map = (found.detach(), (float(x[0]), float(y[0])))
+    return torch.zeros_like(kappa).index_copy(0, order, weight.sum((1, 2))), transmittance, ray_map
+
+
+def _image(
+    mean_r: Tensor, cov_r: Tensor, cross_section: Tensor, shift: Tensor, grid: ImageGrid, imaging_weight: str, cuts: bool
+) -> Tensor:
+    """Pass B (§3): β⁰ [rows, columns] of one view, before the gain."""
+    like = {"dtype": mean_r.dtype, "device": mean_r.device}
+    response = torch.tensor(grid.resolution, **like) ** 2 / (8 * math.log(2))
+    cov_i = cov_r[:, [0, 2]][:, :, [0, 2]] + torch.diag(response)  # Σ_I'
+    x, r = torch.as_tensor(grid.azimuth_m, **like), torch.as_tensor(grid.range_m, **like)
+    pixel = torch.stack(torch.meshgrid(x, r, indexing="xy"), dim=-1)  # [rows, columns, 2]
+    e = pixel - (mean_r[:, [0, 2]] + shift)[:, None, None, :]
+    q = torch.einsum("nyxi,nij,nyxj->nyx", e, torch.linalg.inv(cov_i), e)
+    splat = torch.exp(-0.5 * q)
+    if cuts:
+        splat = torch.where(q <= IMAGE_CUT, splat, torch.zeros_like(splat)) / (1 - math.exp(-IMAGE_CUT / 2))
+    if imaging_weight == "area":
+        splat = splat / (2 * math.pi * torch.linalg.det(cov_i).sqrt())[:, None, None]
+    return torch.einsum("n,nyx->yx", cross_section, splat)

@@ -1,0 +1,52 @@
+"""What a renderer returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class RayMap:
+    """What the rays of one view met, on that view's ray lattice (rows: y_r, columns: x_r).
+
+    Parameters
+    ----------
+    transmittance : Tensor [rows, columns]
+        Two-way transmittance T_end behind all Gaussians; differentiable.
+    first_return : Tensor [rows, columns]
+        Slant range z_r, m, at which the two-way optical depth reaches the asked value, NaN where it never does.
+        A selection: not differentiable.
+    origin : (float, float)
+        (x_r, y_r) of the ray in row 0, column 0, m.
+    """
+
+    transmittance: Tensor
+    first_return: Tensor
+    origin: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """Images of V views and how each Gaussian contributed.
+
+    Parameters
+    ----------
+    images : Tensor [V, rows, columns]
+        β⁰, linear power; differentiable. Amplitude is its root.
+    cross_sections : Tensor [V, N]
+        Radar cross-section σ of each Gaussian, m²; differentiable.
+    lit_area : Tensor [V, N]
+        A_c Σ_ρ w, m²: the area across the line of sight over which a Gaussian is seen. Not differentiable.
+    ray_maps : tuple of RayMap, one per view, or None
+        On request (`first_return_depth`).
+    plane_gradients : Tensor [V, N, 4] or None
+        On request: zeros until backward, then ∂L/∂(μ_C,x, μ_C,y, μ_I,x, μ_I,z) per view, per m. For density control.
+    """
+
+    images: Tensor
+    cross_sections: Tensor
+    lit_area: Tensor
+    ray_maps: tuple[RayMap, ...] | None = None
+    plane_gradients: Tensor | None = None

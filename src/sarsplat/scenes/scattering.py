@@ -1,0 +1,47 @@
+"""How strongly a surface scatters back at a given incidence angle."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from sarsplat.errors import SarsplatError
+
+
+@dataclass(frozen=True)
+class ScatteringLaw:
+    """γ⁰(i) = floor + lobe·cos²i, with i the angle between a facet's normal and the direction to the radar.
+
+    Two-sided: a facet scatters alike from both sides (|cos i|), because the normals of real meshes cannot be trusted.
+    γ⁰ is the cross-section per unit area projected along the line of sight, dimensionless and linear.
+
+    Parameters
+    ----------
+    floor : float
+        γ⁰ at grazing incidence on the facet, ≥ 0.
+    lobe : float
+        What normal incidence adds to it, ≥ 0.
+
+    Raises
+    ------
+    SarsplatError
+        If a coefficient is negative or not finite.
+    """
+
+    floor: float = 0.1
+    lobe: float = 0.9
+
+    def __post_init__(self) -> None:
+        for name, value in self.as_dict().items():
+            if not (math.isfinite(value) and value >= 0):
+                raise SarsplatError(f"the scattering law's {name} {value} must be finite and at least 0 (linear γ⁰)")
+
+    def gamma0(self, cos_incidence: np.ndarray) -> np.ndarray:
+        """γ⁰ for the cosine of the incidence angle, of either sign; same shape and dtype."""
+        return self.floor + self.lobe * np.square(cos_incidence)
+
+    def as_dict(self) -> dict[str, float]:
+        """The coefficients by name, to be recorded with a dataset; `ScatteringLaw(**d)` restores the law."""
+        return asdict(self)
