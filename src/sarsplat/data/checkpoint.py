@@ -62,6 +62,8 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """
     path = Path(path)
     try:
+        with plain_os_errors("read", path):
+            path.open("rb").close()  # the OSErrors of safetensors do not say which one they are
         with plain_os_errors("read", path), safetensors.safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no dict)

@@ -67,7 +67,7 @@ class Dataset:
     source : dict
         Where the images come from and what was assumed (JSON).
     domain : {"rendered", "measured"}
-        Whether they are free of speckle on an absolute scale of β⁰, or measured, up to one common factor.
+        Whether they were computed, on the absolute scale of β⁰, or measured, here up to one common factor.
     truth_mesh : Path or None
         Triangle mesh of the target, if it is known; target frame, m.
     """

@@ -160,7 +160,7 @@ def _jpeg_chips(folder: Path, jpegs: list[Path], labels: Path, target_class: str
             depression=round(_number(labels, line, row, "desired_depression_deg")),
             grazing_deg=_number(labels, line, row, "measured_depression_deg"),
             target_az_deg=_number(labels, line, row, "target_az_deg") % 360,
-            dn=_read_jpeg(folder / row["path"]),
+            dn=read_jpeg(folder / row["path"]),
         )
         for line, row in present
     ]
@@ -192,10 +192,12 @@ def _number(path: Path, line: int, row: dict[str, str], column: str) -> float:
     return value
 
 
-def _read_jpeg(path: Path) -> np.ndarray:
+def read_jpeg(path: Path) -> np.ndarray:
     """Digital numbers of an 8-bit grey JPEG, float32 [rows, columns]."""
-    from PIL import Image, UnidentifiedImageError
-
+    try:
+        from PIL import Image, UnidentifiedImageError
+    except ImportError as error:
+        raise SarsplatError("reading JPEG chips needs Pillow; install it with pip install 'sarsplat[mstar]'") from error
     with plain_os_errors("read", path):
         data = path.open("rb")
     with data:

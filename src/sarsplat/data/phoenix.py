@@ -140,7 +140,7 @@ def read_phoenix(path: Path) -> PhoenixChip:
     if bad.any():
         row, column = np.argwhere(bad)[0]
         raise SarsplatError(
-            f"{path} holds the magnitude {magnitude[row, column]} at row {row}, column {column}; "
+            f"{path} holds the magnitude {magnitude[row, column]:.6g} at row {row}, column {column}; "
             "magnitudes must be finite and ≥ 0, so fetch it again"
         )
     return PhoenixChip(path, header, magnitude)

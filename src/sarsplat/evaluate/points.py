@@ -111,7 +111,7 @@ def surface_distance(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     Notes
     -----
     Triangles are cut into pieces within a radius r of their centres. The triangle of the nearest centre is at a
-    distance d, and any nearer triangle has a piece whose centre is within d + r: those are tried, and nothing is missed.
+    distance d, and any nearer triangle has a piece whose centre is within d + r: those are tried, nothing is missed.
     """
     from trimesh.triangles import nondegenerate
 

@@ -1,0 +1,24 @@
+"""Truth for experiments, independent of the renderer: targets, the ray-cast simulator, speckle, protocols."""
+
+from sarsplat.scenes.meshes import load_mesh
+from sarsplat.scenes.protocols import mstar_grid, mstar_views, paper_grid, paper_views
+from sarsplat.scenes.raycast import simulate_raycast
+from sarsplat.scenes.scattering import ScatteringLaw
+from sarsplat.scenes.speckle import add_speckle
+from sarsplat.scenes.splat_truth import law_scattering, surface_gaussians
+from sarsplat.scenes.vehicles import VEHICLES, vehicle
+
+__all__ = [
+    "VEHICLES",
+    "ScatteringLaw",
+    "add_speckle",
+    "law_scattering",
+    "load_mesh",
+    "mstar_grid",
+    "mstar_views",
+    "paper_grid",
+    "paper_views",
+    "simulate_raycast",
+    "surface_gaussians",
+    "vehicle",
+]

@@ -65,8 +65,8 @@ def belt(
     """
     import trimesh
 
-    # The support point of a union of discs in direction d is c + r·d of the disc with the largest c·d + r; the same disc
-    # supports the thickened belt, so inner and outer points pair up.
+    # The support point of a union of discs in direction d is c + r·d of the disc with the largest c·d + r; the same
+    # disc supports the thickened belt, so inner and outer points pair up.
     circles = np.array(wheels)
     angles = np.arange(sections) * (2 * math.pi / sections)
     normals = np.stack([np.cos(angles), np.sin(angles)], axis=1)

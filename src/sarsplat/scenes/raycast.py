@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.sparse import coo_matrix
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.scenes._deposit import Deposit
 from sarsplat.scenes.scattering import ScatteringLaw
 
 if TYPE_CHECKING:
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 # The ray lattice is turned by the golden angle of the plane, tan⁻¹((√5 − 1)/2): its lines then lie along no edge of a
 # vehicle seen from a round azimuth. Along such an edge a whole row of rays would cross at once when the phase moves.
 _LATTICE_TILT = math.atan((math.sqrt(5) - 1) / 2)
-
-# Half width of the response that is carried beyond the image, in its standard deviations: e⁻³² of the peak.
-_MARGIN_SIGMA = 8.0
 
 _RAYS_PER_BATCH = 1 << 20
 
@@ -94,7 +91,7 @@ def simulate_raycast(
     ray_phase : (float, float)
         Offset of the lattice along its two axes, in spacings. Two phases tell how far the rays have converged.
     oversample : int
-        Histogram nodes per pixel and axis; pixel centres are nodes. Hits are shared between the four nearest nodes.
+        Histogram nodes per pixel and axis; pixel centres are nodes. A hit is shared between the four nodes around it.
 
     Returns
     -------
@@ -106,42 +103,46 @@ def simulate_raycast(
     SarsplatError
         If the mesh has no faces or is not finite, or a setting is out of range.
     """
-    _check(mesh, ground_gamma0, ray_spacing, oversample)
+    _check(mesh, ground_gamma0, ray_spacing, ray_phase)
     facets = _Facets.of(mesh, view)
     gamma0 = law.gamma0(facets.cos_incidence)
     cell_area = ray_spacing**2
-    histogram = _Histogram(grid, oversample)
+    deposit = Deposit(grid, oversample)
     theta = math.radians(view.grazing_deg)
-    for position, face in _first_hits(facets, histogram.azimuth_reach, ray_spacing, ray_phase):
+    for position, face in _first_hits(facets, deposit.azimuth_reach, ray_spacing, ray_phase):
         x, y = position.T
         z = facets.depth(face, position)
         if ground_gamma0 is None:
-            histogram.add(x, z, gamma0[face] * cell_area)
+            deposit.add(x, z, gamma0[face] * cell_area)
             continue
         # Height above the ground is y_r·cosθ − z_r·sinθ: rays reach it at z_r = y_r / tanθ. The free ground is known in
         # closed form and has no moiré; a ray stopped by the target takes back what it would have brought from there.
         z_ground = y / math.tan(theta)
         above = z < z_ground + 1e-6
         x, z, z_ground = x[above], z[above], z_ground[above]
-        histogram.add(x, z, gamma0[face[above]] * cell_area)
-        histogram.add(x, z_ground, np.full(x.shape, -ground_gamma0 * cell_area))
-    image = histogram.seen_through_response()
+        deposit.add(x, z, gamma0[face[above]] * cell_area)
+        deposit.add(x, z_ground, np.full(x.shape, -ground_gamma0 * cell_area))
+    image = deposit.image
     if ground_gamma0 is not None:
-        image += ground_gamma0 * math.tan(theta)
+        image = image + ground_gamma0 * math.tan(theta)
     return np.maximum(image, 0.0).astype(np.float32)  # rounding leaves −1e-9 where the shadow is full
 
 
-def _check(mesh: trimesh.Trimesh, ground_gamma0: float | None, ray_spacing: float, oversample: int) -> None:
+def _check(
+    mesh: trimesh.Trimesh, ground_gamma0: float | None, ray_spacing: float, ray_phase: tuple[float, float]
+) -> None:
     if len(mesh.faces) == 0:
         raise SarsplatError("the mesh has 0 faces, so there is nothing to image; give a mesh with triangles")
     if not np.isfinite(mesh.vertices).all():
-        raise SarsplatError("the mesh holds a vertex that is not finite; read it with load_mesh, which drops such faces")
+        raise SarsplatError(
+            "the mesh holds a vertex that is not finite; read it with load_mesh, which drops such faces"
+        )
     if ground_gamma0 is not None and not (math.isfinite(ground_gamma0) and ground_gamma0 >= 0):
         raise SarsplatError(f"ground_gamma0 {ground_gamma0} must be finite and at least 0 (linear γ⁰, not decibels)")
     if not (math.isfinite(ray_spacing) and ray_spacing > 0):
         raise SarsplatError(f"ray_spacing {ray_spacing} must be positive and finite, in metres")
-    if oversample < 1 or oversample != int(oversample):
-        raise SarsplatError(f"oversample {oversample} must be a whole number of at least 1")
+    if not np.isfinite(ray_phase).all():
+        raise SarsplatError(f"ray_phase {ray_phase} must be two finite numbers, in ray spacings")
 
 
 def _first_hits(
@@ -197,63 +198,3 @@ def _lattice(
         position = spacing * np.column_stack([u.ravel(), v.ravel()]) @ turn.T
         inside = ((position >= (x[0], y[0])) & (position <= (x[1], y[1]))).all(axis=1)
         yield position[inside]
-
-
-class _Histogram:
-    """Cross-section on a lattice of nodes finer than the pixels, seen through the Gaussian power response at the end."""
-
-    def __init__(self, grid: ImageGrid, oversample: int) -> None:
-        self._axes = [
-            _Axis(centers, spacing / oversample, resolution)
-            for centers, spacing, resolution in zip(
-                (grid.range_m, grid.azimuth_m), reversed(grid.spacing), reversed(grid.resolution)
-            )
-        ]
-        self._image = np.zeros((grid.rows, grid.columns))
-
-    @property
-    def azimuth_reach(self) -> tuple[float, float]:
-        """Azimuths beyond which nothing touches the image, m."""
-        axis = self._axes[1]
-        return axis.first, axis.first + (axis.count - 1) * axis.step
-
-    def add(self, azimuth: np.ndarray, slant_range: np.ndarray, cross_section: np.ndarray) -> None:
-        """Deposit cross-sections (m²) at positions (m), each shared bilinearly between its four nodes.
-
-        Sharing keeps total and centre of gravity of every deposit, so that rays and nodes do not beat into moiré.
-        """
-        rows, columns = self._axes
-        v, u = (slant_range - rows.first) / rows.step, (azimuth - columns.first) / columns.step
-        near = (v >= 0) & (v < rows.count - 1) & (u >= 0) & (u < columns.count - 1)
-        v, u, weight = v[near], u[near], cross_section[near]
-        row, column = v.astype(np.int32), u.astype(np.int32)
-        fv, fu = v - row, u - column
-        deposits = coo_matrix(
-            (
-                np.concatenate([weight * a * b for a in (1 - fv, fv) for b in (1 - fu, fu)]),
-                (
-                    np.concatenate([row, row, row + 1, row + 1]),
-                    np.concatenate([column, column + 1, column, column + 1]),
-                ),
-            ),
-            shape=(rows.count, columns.count),
-        ).tocsr()
-        self._image += (deposits.T @ rows.response.T).T @ columns.response.T
-
-    def seen_through_response(self) -> np.ndarray:
-        """β⁰ at the pixel centres, float64 [rows, columns]."""
-        return self._image
-
-
-class _Axis:
-    """Nodes along one image axis, and the response from node to pixel."""
-
-    def __init__(self, centers: np.ndarray, step: float, resolution: float) -> None:
-        # Bilinear sharing widens a point by step²/6; the response is narrowed by as much.
-        variance = resolution**2 / (8 * math.log(2)) - step**2 / 6
-        margin = math.ceil(_MARGIN_SIGMA * math.sqrt(variance) / step)
-        self.step = step
-        self.first = centers[0] - margin * step
-        self.count = round((centers[-1] - centers[0]) / step) + 2 * margin + 1
-        offset = centers[:, None] - (self.first + step * np.arange(self.count))
-        self.response = np.exp(-(offset**2) / (2 * variance)) / math.sqrt(2 * math.pi * variance)  # 1/m

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -25,7 +25,7 @@ def t72() -> trimesh.Trimesh:
     import trimesh
 
     parts = [*_hull(), *_running_gear(+1), *_running_gear(-1), *_fenders(), *_stern(), *_turret(), _gun()]
-    return trimesh.util.concatenate(parts)
+    return cast("trimesh.Trimesh", trimesh.util.concatenate(parts))
 
 
 def _hull() -> list[trimesh.Trimesh]:
@@ -36,7 +36,13 @@ def _hull() -> list[trimesh.Trimesh]:
         return 0.92 + (3.45 - x) * glacis_slope
 
     splash_guard = [
-        hull([(x, y, on_glacis(x) + dz) for x, y in ((2.75, 0.0), (2.45, side), (2.71, 0.0), (2.41, side)) for dz in (0, 0.1)])
+        hull(
+            [
+                (x, y, on_glacis(x) + dz)
+                for x, y in ((2.75, 0.0), (2.45, side), (2.71, 0.0), (2.41, side))
+                for dz in (0, 0.1)
+            ]
+        )
         for side in (-1.0, 1.0)
     ]
     lamps = [box((2.70, 2.85), (y - 0.11, y + 0.11), (1.1, 1.37)) for y in (-0.85, 0.85)]
@@ -51,10 +57,10 @@ def _running_gear(side: int) -> list[trimesh.Trimesh]:
     road = [(2.14 - 0.856 * k, 0.42, 0.375) for k in range(6)]
     idler, sprocket = (2.93, 0.70, 0.27), (-2.98, 0.72, 0.31)
     loop = belt([*road, idler, sprocket], 0.045, (min(track), max(track)))
-    discs = [
-        cylinder(radius, (x, side * 1.24, z), (x, side * 1.68, z)) for x, z, radius in (*road, idler, sprocket)
+    discs = [cylinder(radius, (x, side * 1.24, z), (x, side * 1.68, z)) for x, z, radius in (*road, idler, sprocket)]
+    hubs = [
+        cylinder(0.13, (x, side * 1.6, z), (x, side * 1.73, z), sections=12) for x, z, _ in (*road, idler, sprocket)
     ]
-    hubs = [cylinder(0.13, (x, side * 1.6, z), (x, side * 1.73, z), sections=12) for x, z, _ in (*road, idler, sprocket)]
     return [loop, *discs, *hubs]
 
 
@@ -72,7 +78,9 @@ def _fenders() -> list[trimesh.Trimesh]:
         parts.append(box((-2.9, 2.75), across(side * 1.77, side * 1.80), (0.66, 1.10)))
     # Right: a row of fuel cells. Left: stowage boxes with gaps and the exhaust in front of the last one.
     parts += [box((x, x + 1.02), (-1.72, -1.12), (1.10, 1.36)) for x in (-2.75, -1.65, -0.55, 0.55)]
-    parts += [box((x, x + length), (1.12, 1.70), (1.10, 1.38)) for x, length in ((-2.95, 0.75), (-1.25, 1.1), (0.05, 1.5))]
+    parts += [
+        box((x, x + length), (1.12, 1.70), (1.10, 1.38)) for x, length in ((-2.95, 0.75), (-1.25, 1.1), (0.05, 1.5))
+    ]
     parts.append(box((-2.0, -1.4), (1.2, 1.76), (1.10, 1.30)))
     return parts
 
@@ -99,7 +107,10 @@ def _turret() -> list[trimesh.Trimesh]:
         + [(1.66, y, z) for y in (-0.16, 0.16) for z in (1.57, 1.80)]
     )
     # Commander on the right with his cupola (the highest point), gunner on the left.
-    cupola = [cylinder(0.38, (0.02, -0.48, 1.85), (0.02, -0.48, 2.12)), cylinder(0.27, (0.02, -0.48, 2.1), (0.02, -0.48, 2.20))]
+    cupola = [
+        cylinder(0.38, (0.02, -0.48, 1.85), (0.02, -0.48, 2.12)),
+        cylinder(0.27, (0.02, -0.48, 2.1), (0.02, -0.48, 2.20)),
+    ]
     gunner = [cylinder(0.30, (0.12, 0.50, 1.85), (0.12, 0.50, 2.06)), box((0.62, 0.85), (0.35, 0.62), (1.85, 2.10))]
     searchlight = cylinder(0.19, (1.22, -0.55, 1.80), (1.48, -0.55, 1.80))
     snorkel = cylinder(0.12, (-1.08, -0.85, 1.72), (-1.08, 0.95, 1.72), sections=16)

@@ -1,0 +1,103 @@
+"""Where Gaussians start: scattered in the space that the images bound, or on the paper's hemisphere shell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.optimize import linprog
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, View, radar_frame
+
+
+@dataclass(frozen=True)
+class Region:
+    """A convex part of space: normals · x ≤ offsets, inside the box [low, high]; world frame, m."""
+
+    normals: np.ndarray
+    offsets: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    @classmethod
+    def box(cls, low: Sequence[float], high: Sequence[float]) -> Region:
+        """An upright box."""
+        corners = np.array(low, float), np.array(high, float)
+        return cls(np.concatenate([-np.eye(3), np.eye(3)]), np.concatenate([-corners[0], corners[1]]), *corners)
+
+    def sample(self, count: int, generator: torch.Generator) -> np.ndarray:
+        """Uniform points inside, float64 [count, 3]."""
+        kept: list[np.ndarray] = []
+        while sum(map(len, kept)) < count:
+            unit = torch.rand(4 * count, 3, generator=generator, dtype=torch.float64).numpy()
+            points = self.low + (self.high - self.low) * unit
+            kept.append(points[(points @ self.normals.T <= self.offsets).all(axis=1)])
+        return np.concatenate(kept)[:count]
+
+
+def bounded_region(power: np.ndarray, views: Sequence[View], grid: ImageGrid, threshold_db: float = -30.0) -> Region:
+    """The space that can hold the target, given that nothing else returns: an intersection of half-spaces.
+
+    In every view the target lies within the azimuths of the bright pixels and behind the nearest bright range; it
+    stands on the ground z = 0. Shadow hides nothing from these bounds, so nothing of the target is cut off.
+
+    Parameters
+    ----------
+    power : numpy.ndarray [V, rows, columns]
+        β⁰ of the training images, linear power, without ground.
+    views, grid
+        Where they were taken from, and where their pixels lie.
+    threshold_db : float
+        Pixels above this, relative to the maximum of all, count as bright, dB.
+
+    Raises
+    ------
+    SarsplatError
+        If an image has no bright pixel, or the bounds leave no space.
+    """
+    bright = power > power.max() * 10 ** (threshold_db / 10)
+    normals, offsets = [np.array([0.0, 0.0, -1.0])], [0.0]
+    half_a, half_r = grid.spacing[0] / 2, grid.spacing[1] / 2
+    for mask, view in zip(bright, views, strict=True):
+        if not mask.any():
+            raise SarsplatError(
+                f"the image at azimuth {view.azimuth_deg}°, grazing {view.grazing_deg}° is dark everywhere "
+                f"({threshold_db:g} dB below the brightest pixel of the set); leave it out or check the simulation"
+            )
+        frame = radar_frame(view)
+        columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
+        normals += [frame[0], -frame[0], -frame[2]]
+        offsets += [
+            grid.azimuth_m[columns[-1]] + half_a,
+            half_a - grid.azimuth_m[columns[0]],
+            half_r - grid.range_m[rows[0]],
+        ]
+    a, b = np.array(normals), np.array(offsets)
+    reach = float(np.hypot(grid.rows * grid.spacing[1], grid.columns * grid.spacing[0]))
+    corners = [linprog(sign * axis, a, b, bounds=[(-reach, reach)] * 3) for axis in np.eye(3) for sign in (1, -1)]
+    if not all(corner.success for corner in corners):
+        raise SarsplatError(
+            "no space is left that could explain the bright pixels of all views; check the azimuths' sense and the "
+            "image orientation (row 0 = near range), or start from --init hemisphere"
+        )
+    extremes = np.array([corner.fun for corner in corners]).reshape(3, 2)
+    return Region(a, b, extremes[:, 0], -extremes[:, 1])
+
+
+def hemisphere_shell(region: Region, count: int, generator: torch.Generator) -> np.ndarray:
+    """Points spread evenly over the upper half of a sphere around a region's centre, float64 [count, 3] (the paper's)."""
+    centre = (region.low + region.high) / 2 * (1, 1, 0)
+    radius = float(np.linalg.norm((region.high - region.low)[:2])) / 2
+    unit = torch.rand(count, 2, generator=generator, dtype=torch.float64).numpy()
+    z, angle = unit[:, 0], 2 * np.pi * unit[:, 1]
+    ring = np.sqrt(1 - z**2)
+    return centre + radius * np.column_stack([ring * np.cos(angle), ring * np.sin(angle), z])
+
+
+def random_quaternions(count: int, generator: torch.Generator) -> Tensor:
+    """Uniformly distributed orientations, float32 [count, 4]."""
+    return torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1)

@@ -1,0 +1,201 @@
+"""How a reconstruction is done: one frozen record, and the presets as data."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, Literal
+
+from sarsplat.errors import SarsplatError
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Adam's learning rates; `means` decays exponentially to `means_end`, the others tenfold over the second half."""
+
+    means: float = 0.02  # m
+    means_end: float = 0.001  # m
+    quaternions: float = 0.01
+    log_scales: float = 0.02
+    log_optical_depth: float = 0.05
+    harmonics: float = 0.05
+    higher_harmonics: float = 0.01
+    nuisance: float = 0.01  # ground, noise floor, shifts (m) and log gains
+
+
+@dataclass(frozen=True)
+class Densification:
+    """Density control of 3D Gaussian splatting, with the paper's thresholds."""
+
+    start: int
+    stop: int
+    every: int
+    gradient: float  # mean |∂L/∂μ| on the planes, per half image width (normalised device coordinates, as 3DGS)
+    split_above: float  # m: a larger Gaussian is split, a smaller one cloned
+    largest: float  # share of the illuminated range beyond which a Gaussian is pruned
+    least_scattering: float  # P·(1 − e^−κ) below which a Gaussian is pruned
+    most: int  # Gaussians
+
+
+@dataclass(frozen=True)
+class PointExtraction:
+    """How a point cloud is drawn from Gaussians."""
+
+    method: Literal["rays", "centres"]
+    optical_depth: float  # two-way depth at which a ray has returned ("rays"), or least κ of a centre ("centres")
+    voxel: float  # m: one point in each
+    cluster_radius: float | None = None  # DBSCAN ε, m; None: no clean-up
+    cluster_size: int = 10
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What measured chips hold besides the target."""
+
+    ground_radius: float  # m: must cover the chip at every rotation
+    target_low: tuple[float, float, float]  # box in which the target may lie, m
+    target_high: tuple[float, float, float]
+    noise_floor: float  # initial additive power
+    shift_penalty: float  # per m²
+
+
+@dataclass(frozen=True)
+class Config:
+    """Everything a reconstruction depends on, besides the dataset."""
+
+    preset: str
+    iterations: int
+    views_per_step: int
+    gaussians: int
+    initialisation: Literal["box", "hemisphere"]
+    loss: Literal["amplitude", "speckle"]
+    ssim_weight: float
+    p_min: float  # γ⁰
+    initial_scale: float  # m
+    initial_optical_depth: float
+    initial_scattering: float  # γ⁰
+    scale_bounds: tuple[float, float]  # m
+    most_optical_depth: float
+    harmonics_degree: int
+    harmonics_every: int  # iterations between degrees
+    rays_per_pixel: float
+    rates: Rates
+    points: PointExtraction
+    densification: Densification | None = None
+    surroundings: Surroundings | None = None
+    checkpoint_every: int = 500
+    seed: int = 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain JSON data."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Config:
+        """Undo `as_dict`.
+
+        Raises
+        ------
+        SarsplatError
+            If a field is missing or unknown.
+        """
+        try:
+            known = {f.name for f in fields(cls)}
+            if set(data) != known:
+                raise TypeError(f"fields {sorted(set(data) ^ known)} missing or unknown")
+            nested = {
+                "rates": Rates(**data["rates"]),
+                "points": PointExtraction(**data["points"]),
+                "densification": Densification(**data["densification"]) if data["densification"] else None,
+                "surroundings": _surroundings(data["surroundings"]) if data["surroundings"] else None,
+                "scale_bounds": tuple(data["scale_bounds"]),
+            }
+            return cls(**{**data, **nested})
+        except (TypeError, KeyError, AttributeError) as error:
+            raise SarsplatError(f"the configuration does not fit this version ({error}); start the run again") from error
+
+
+def _surroundings(data: dict[str, Any]) -> Surroundings:
+    return Surroundings(**{**data, "target_low": tuple(data["target_low"]), "target_high": tuple(data["target_high"])})
+
+
+_DEFAULT = Config(
+    preset="default",
+    iterations=1500,
+    views_per_step=8,
+    gaussians=15_000,
+    initialisation="box",
+    loss="amplitude",
+    ssim_weight=0.0,
+    p_min=0.03,
+    initial_scale=0.08,
+    initial_optical_depth=0.1,
+    initial_scattering=0.5,
+    scale_bounds=(0.01, 0.3),
+    most_optical_depth=10.0,
+    harmonics_degree=3,
+    harmonics_every=300,
+    rays_per_pixel=2.0,
+    rates=Rates(),
+    points=PointExtraction("rays", optical_depth=1.5, voxel=0.05),
+)
+
+PRESETS: dict[str, Config] = {
+    # what measures best on noise-free images
+    "default": _DEFAULT,
+    # the paper's training, as far as it is stated (docs/paper-map.md)
+    "paper": replace(
+        _DEFAULT,
+        preset="paper",
+        iterations=30_000,
+        views_per_step=1,
+        initialisation="hemisphere",
+        ssim_weight=0.2,
+        p_min=0.0,
+        harmonics_every=2500,
+        rates=Rates(means=0.01, means_end=0.0005, log_scales=0.005, quaternions=0.001, harmonics=0.01, higher_harmonics=0.0005),
+        densification=Densification(
+            start=10_000, stop=25_000, every=500, gradient=0.003, split_above=0.1, largest=0.3, least_scattering=0.005, most=60_000
+        ),
+        points=PointExtraction("centres", optical_depth=0.05, voxel=0.02),
+        checkpoint_every=2500,
+    ),
+    # real chips: ground, noise floor, shift and gain of each chip, speckle likelihood
+    "measured": replace(
+        _DEFAULT,
+        preset="measured",
+        iterations=1500,
+        gaussians=12_000,
+        loss="speckle",
+        p_min=0.2,
+        initial_scattering=1.0,
+        harmonics_every=300,
+        points=PointExtraction("rays", optical_depth=1.5, voxel=0.05, cluster_radius=0.3, cluster_size=20),
+        surroundings=Surroundings(
+            ground_radius=19.0,
+            target_low=(-4.5, -2.5, 0.0),
+            target_high=(6.5, 2.5, 3.0),
+            noise_floor=0.05,
+            shift_penalty=1.0,
+        ),
+    ),
+}
+"""Known presets by name."""
+
+
+def preset(name: str) -> Config:
+    """The preset of that name.
+
+    Raises
+    ------
+    SarsplatError
+        If there is none.
+    """
+    if name not in PRESETS:
+        raise SarsplatError(f"preset {name!r} is unknown; choose one of {', '.join(PRESETS)}")
+    return PRESETS[name]
+
+
+def logit_of_scattering(scattering: float, p_min: float) -> float:
+    """Degree-0 coefficient for which P = p_min + softplus(h·Y₀) equals `scattering`."""
+    return math.log(math.expm1(max(scattering - p_min, 1e-3))) * 2 * math.sqrt(math.pi)

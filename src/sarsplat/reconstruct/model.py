@@ -1,0 +1,191 @@
+"""What is learned: the target's Gaussians and, on measured chips, ground, noise floor, and each chip's shift and gain."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import softplus
+
+from sarsplat.data import Dataset
+from sarsplat.gaussians import MIN_SCALE, Gaussians
+from sarsplat.gaussians.initialise import Region, bounded_region, hemisphere_shell, random_quaternions
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.reconstruct.config import Config, Surroundings, logit_of_scattering
+from sarsplat.render import Rendering, render
+
+PER_GAUSSIAN = ("means", "quaternions", "log_scales", "log_optical_depth", "harmonics", "higher_harmonics")
+"""Parameters with one row for each Gaussian; the others are nuisances of measured data."""
+
+_LEAST_OPTICAL_DEPTH = 1e-3
+_SLACK = 0.2
+"""Centres are kept within the region's box and this margin, m."""
+
+_GROUND_DEPTH = 3.0
+"""Two-way peak optical depth of a ground Gaussian: with the overlap below the ground is opaque at any grazing angle."""
+
+
+class SceneModel:
+    """Learned tensors and how they make a scene.
+
+    Parameters
+    ----------
+    config : Config
+        The reconstruction's configuration.
+    region : Region
+        The space the target may occupy.
+    parameters : dict of str to Tensor
+        See `PER_GAUSSIAN`; with `config.surroundings` also `ground`, `noise`, `shift` [V, 2] and `log_gain` [V].
+    """
+
+    def __init__(self, config: Config, region: Region, parameters: dict[str, Tensor]) -> None:
+        self.config = config
+        self.region = region
+        self.parameters = {name: tensor.detach().clone().requires_grad_() for name, tensor in parameters.items()}
+        self._ground = _ground_sheet(config.surroundings) if config.surroundings else None
+
+    @classmethod
+    def initial(cls, config: Config, dataset: Dataset, generator: torch.Generator) -> SceneModel:
+        """The state training starts from."""
+        region = scene_region(config, dataset)
+        sample = hemisphere_shell if config.initialisation == "hemisphere" else Region.sample
+        n, views = config.gaussians, len(dataset.select("train"))
+        parameters = {
+            "means": torch.from_numpy(sample(region, n, generator)).float(),
+            "quaternions": random_quaternions(n, generator),
+            "log_scales": torch.full((n, 3), math.log(config.initial_scale)),
+            "log_optical_depth": torch.full((n,), math.log(config.initial_optical_depth)),
+            "harmonics": torch.full((n, 1), logit_of_scattering(config.initial_scattering, config.p_min)),
+            "higher_harmonics": torch.zeros(n, (config.harmonics_degree + 1) ** 2 - 1),
+        }
+        if config.surroundings:
+            mean_tangent = float(np.mean([math.tan(math.radians(v.view.grazing_deg)) for v in dataset.select("train")]))
+            level = float(np.median(dataset.images("train"))) / math.log(2) / mean_tangent  # γ⁰ of single-look clutter
+            parameters |= {
+                "ground": torch.tensor([logit_of_scattering(level, config.p_min)]),
+                "noise": torch.tensor([math.log(config.surroundings.noise_floor)]),
+                "shift": torch.zeros(views, 2),
+                "log_gain": torch.zeros(views),
+            }
+        return cls(config, region, parameters)
+
+    def __len__(self) -> int:
+        return self.parameters["means"].shape[0]
+
+    def degree(self, iteration: int) -> int:
+        """Degree of the harmonics in use at an iteration."""
+        return min(self.config.harmonics_degree, iteration // self.config.harmonics_every)
+
+    def target(self, degree: int) -> Gaussians:
+        """The target's Gaussians, differentiable with respect to the parameters."""
+        p = self.parameters
+        higher = (degree + 1) ** 2 - 1
+        harmonics = torch.cat([p["harmonics"], p["higher_harmonics"][:, :higher]], dim=1) if higher else p["harmonics"]
+        return Gaussians(
+            p["means"],
+            p["quaternions"],
+            p["log_scales"].exp(),
+            p["log_optical_depth"].exp(),
+            harmonics,
+            self.config.p_min,
+        )
+
+    def scene(self, degree: int) -> Gaussians:
+        """Target and, where there is one, ground."""
+        target = self.target(degree)
+        if self._ground is None:
+            return target
+        ground = self._ground
+        level = self.parameters["ground"].expand(len(ground), 1)
+        harmonics = torch.cat([level, ground.harmonics[:, : target.harmonics.shape[1] - 1]], dim=1)
+        parts = {**ground.tensors(), "harmonics": harmonics}
+        joined = {name: torch.cat([tensor, parts[name]]) for name, tensor in target.tensors().items()}
+        return Gaussians(**joined, p_min=self.config.p_min)
+
+    def render(
+        self,
+        views: Sequence[View],
+        grid: ImageGrid,
+        degree: int,
+        *,
+        rays: RayGrid | None = None,
+        chips: Sequence[int] | None = None,
+        plane_gradients: bool = False,
+    ) -> tuple[Tensor, Rendering]:
+        """Power images [V, rows, columns] with noise floor, and the rendering behind them.
+
+        `chips` are the indices of training views, whose own shift and gain then apply; unseen views have none.
+        """
+        p = self.parameters
+        shift = gain = None
+        if self.config.surroundings and chips is not None:
+            index = torch.as_tensor(chips)
+            shift, gain = p["shift"][index], p["log_gain"][index].exp()
+        rendering = render(
+            self.scene(degree), views, grid, rays=rays, shift=shift, gain=gain, plane_gradients=plane_gradients
+        )
+        images = rendering.images
+        if self.config.surroundings:
+            images = images + p["noise"].exp()
+        return images, rendering
+
+    def penalty(self) -> Tensor | None:
+        """What the nuisances cost: shifts and gains are deviations from the mean chip."""
+        if self.config.surroundings is None:
+            return None
+        p = self.parameters
+        deviation = (p["shift"] ** 2).mean() + p["shift"].mean(0).square().sum() + (p["log_gain"] ** 2).mean()
+        return self.config.surroundings.shift_penalty * 0.01 * deviation
+
+    @torch.no_grad()
+    def constrain(self) -> None:
+        """Bring every parameter back into its range after a step."""
+        p, config = self.parameters, self.config
+        low, high = (torch.from_numpy(corner).float() for corner in (self.region.low, self.region.high))
+        if config.initialisation == "hemisphere":  # the shell reaches beyond the region
+            half = (high - low).norm() / 2
+            centre = (low + high) / 2
+            low, high = torch.minimum(low, centre - half), torch.maximum(high, centre + half)
+        p["means"].clamp_(low - _SLACK, high + _SLACK)
+        least, most = config.scale_bounds
+        p["log_scales"].clamp_(math.log(max(least, MIN_SCALE)), math.log(most))
+        p["log_optical_depth"].clamp_(math.log(_LEAST_OPTICAL_DEPTH), math.log(config.most_optical_depth))
+
+
+def scene_region(config: Config, dataset: Dataset) -> Region:
+    """The space the target may occupy: bounded by the images, or given for measured chips full of ground."""
+    if config.surroundings:
+        return Region.box(config.surroundings.target_low, config.surroundings.target_high)
+    views = [item.view for item in dataset.select("train")]
+    return bounded_region(dataset.images("train"), views, dataset.grid)
+
+
+def _ground_sheet(surroundings: Surroundings) -> Gaussians:
+    """Flat, fixed Gaussians at z = 0: fine where the target's shadow falls, coarser to the edge of the chip."""
+    fine, coarse, near = 0.3, 0.6, 7.2  # m; near is a multiple of both pitches
+    patches = []
+    for pitch in (fine, coarse):
+        steps = np.arange(-surroundings.ground_radius, surroundings.ground_radius, pitch) + pitch / 2
+        x, y = (axis.ravel() for axis in np.meshgrid(steps, steps))
+        inner = np.maximum(abs(x), abs(y)) < near
+        inside = inner if pitch == fine else (np.hypot(x, y) < surroundings.ground_radius) & ~inner
+        points = np.column_stack([x, y, np.full_like(x, -0.05)])[inside]
+        patches.append((points, np.full(len(points), 0.6 * pitch)))
+    means = torch.from_numpy(np.concatenate([points for points, _ in patches])).float()
+    width = torch.from_numpy(np.concatenate([widths for _, widths in patches])).float()
+    n = len(means)
+    return Gaussians(
+        means,
+        torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(n, 4),
+        torch.stack([width, width, torch.full_like(width, 0.01)], dim=1),
+        torch.full((n,), _GROUND_DEPTH),
+        torch.zeros(n, 16),
+    )
+
+
+def level_of(parameter: Tensor, p_min: float) -> float:
+    """γ⁰ of an isotropic scatterer with this degree-0 coefficient."""
+    return p_min + float(softplus(parameter.detach().double() / (2 * math.sqrt(math.pi))))

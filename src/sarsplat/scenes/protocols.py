@@ -1,0 +1,40 @@
+"""From where the experiments look, and on which grids."""
+
+from __future__ import annotations
+
+from sarsplat.geometry import ImageGrid, View
+
+
+def paper_views() -> list[tuple[View, str]]:
+    """Views of the paper's rendered sets with their split, 24 'train' and 48 'test'.
+
+    Incidence 15, 45 and 75°; training azimuths 0, 45, …, 315°, test azimuths the other 16 of the 15° raster.
+    Source: SAR-GS, Tables I–III. The paper also prints "every third of 24", which would overlap.
+    """
+    return [
+        (View(float(azimuth), 90.0 - incidence), "train" if azimuth % 45 == 0 else "test")
+        for incidence in (15.0, 45.0, 75.0)
+        for azimuth in range(0, 360, 15)
+    ]
+
+
+def paper_grid() -> ImageGrid:
+    """128 × 128 pixels, spacing and resolution 0.3 m."""
+    return ImageGrid(128, 128, spacing=(0.3, 0.3), resolution=(0.3, 0.3))
+
+
+def mstar_views() -> list[tuple[View, str]]:
+    """Views like the measured MSTAR sets: 36 azimuths at 17° grazing to train with, those in between to test.
+
+    Splits: 'train' (0, 10, …, 350° at 17°), 'test-17' and 'test-15' (5, 15, …, 355° at 17° and at 15°).
+    """
+    return [
+        (View(float(azimuth), grazing), split)
+        for split, first, grazing in (("train", 0, 17.0), ("test-17", 5, 17.0), ("test-15", 5, 15.0))
+        for azimuth in range(first, 360, 10)
+    ]
+
+
+def mstar_grid() -> ImageGrid:
+    """128 × 128 pixels with the spacing and the true 3 dB widths of the public MSTAR chips."""
+    return ImageGrid(128, 128, spacing=(0.203125, 0.202148), resolution=(0.3229, 0.3013))

@@ -1,0 +1,249 @@
+"""MSTAR import on made-up chips, and on the measured ones where they are at hand."""
+
+import csv
+import shutil
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from test_phoenix import phoenix_bytes
+
+from sarsplat.data import import_mstar
+from sarsplat.errors import SarsplatError
+
+MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
+needs_measured = pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured MSTAR chips are not here")
+COLUMNS = ["path", "class", "serial", "desired_depression_deg", "measured_depression_deg", "target_az_deg"]
+LOWER_LEFT = np.zeros((16, 16), np.uint8)
+LOWER_LEFT[8:, :8] = 200  # in the published array the radar is at the bottom: this block is near
+
+
+def write_chips(folder: Path, rows: list[tuple], size: int = 16) -> Path:
+    """JPEGs and their labels; rows are (class, serial, depression, azimuth)."""
+    with (folder / "labels.csv").open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(COLUMNS)
+        for index, (name, serial, depression, azimuth) in enumerate(rows):
+            path = folder / name / f"chip{index:03d}.jpeg"
+            path.parent.mkdir(exist_ok=True)
+            Image.fromarray(np.resize(LOWER_LEFT, (size, size))).save(path, quality=100)
+            table.writerow([f"{name}/{path.name}", name, serial, depression, depression + 0.1, azimuth])
+    return folder / "labels.csv"
+
+
+ROWS = [("T72", "132", 17, azimuth) for azimuth in (1, 44, 89, 91, 181, 269, 330, 359.5)]
+ROWS += [("T72", "132", 15, azimuth) for azimuth in (10, 100)] + [("BMP2", "9563", 17, 5)]
+
+
+@pytest.fixture
+def chips(tmp_path):
+    folder = tmp_path / "chips"
+    folder.mkdir()
+    write_chips(folder, ROWS)
+    return folder
+
+
+def run(chips: Path, train_views: int = 4, target_class: str = "T72", **options):
+    options = {"labels": chips / "labels.csv", **options}
+    return import_mstar(chips, chips.parent / "out", target_class=target_class, train_views=train_views, **options)
+
+
+def test_splits_angles_and_order(chips):
+    dataset = run(chips)
+    assert dataset.splits() == ("train", "test-17", "test-15")
+    train = dataset.select("train")
+    assert [view.target_az_deg for view in train] == [359.5, 89, 181, 269]  # 89 and 91 tie; the earlier name wins
+    assert [view.view.azimuth_deg for view in train] == [0.5, 271, 179, 91]
+    assert [view.target_az_deg for view in dataset.select("test-17")] == [1, 44, 91, 330]
+    assert [view.view.grazing_deg for view in dataset.select("test-15")] == [15.1, 15.1]
+    assert dataset.domain == "measured"
+    assert dataset.source["chips"][:2] == ["T72/chip007.jpeg", "T72/chip002.jpeg"]
+    assert "max(DN, least_dn)^2" in dataset.source["calibration"]
+    assert (dataset.grid.spacing, dataset.grid.resolution) == ((0.203125, 0.202148), (0.3229, 0.3013))
+
+
+def test_training_chips_are_distinct_and_limited(chips):
+    dataset = run(chips, train_views=8)
+    assert sorted(view.target_az_deg for view in dataset.select("train")) == sorted(row[3] for row in ROWS[:8])
+    for count in (0, 9):
+        with pytest.raises(SarsplatError, match=f"{count} training views are asked for but 8 chips lie at 17°"):
+            run(chips, train_views=count, overwrite=True)
+    with pytest.raises(SarsplatError, match="no chip at the training depression of 30°; there are chips at 15°, 17°"):
+        run(chips, train_depression=30, overwrite=True)
+    assert run(chips, train_views=2, train_depression=15, overwrite=True).splits() == ("train", "test-17")
+
+
+def test_orientation_and_power(chips):
+    image = run(chips).images("train")[0]
+    # Turned by 180°: what was lower left, near the radar, is upper right.
+    assert image[:8, 8:].min() > 100 * image[:8, :8].max()
+    assert image[:8, 8:].min() > 100 * image[8:].max()
+    assert run(chips, overwrite=True).images("train").mean() == pytest.approx(1, rel=1e-5)
+    dark = image.min()
+    assert image.max() / dark == pytest.approx((200 / 2) ** 2, rel=0.03)  # dark pixels are raised to DN 2
+
+
+def test_mirrored_flips_columns_and_azimuth(chips):
+    plain, mirrored = run(chips), import_mirrored(chips)
+    np.testing.assert_array_equal(mirrored.images("train"), plain.images("train")[:, :, ::-1])
+    for a, b in zip(plain.views, mirrored.views):
+        assert (a.view.azimuth_deg + b.view.azimuth_deg) % 360 == 0
+    assert mirrored.source["mirrored"] is True
+
+
+def import_mirrored(chips: Path):
+    return import_mstar(
+        chips, chips.parent / "out2", labels=chips / "labels.csv", target_class="t-72", train_views=4, mirrored=True
+    )
+
+
+def test_chips_without_labels_are_counted_once(chips):
+    for name in ("a", "b"):
+        shutil.copy(chips / "T72" / "chip000.jpeg", chips / f"{name}.JPG")
+    with pytest.warns(UserWarning, match="2 JPEGs in .* have no label") as caught:
+        run(chips)
+    assert len(caught) == 1
+
+
+def test_labels_without_chips_are_counted_once(chips):
+    (chips / "T72" / "chip001.jpeg").unlink()
+    with pytest.warns(UserWarning, match="1 of 10 T72 chips in .* are missing"):
+        run(chips)
+    shutil.rmtree(chips / "T72")
+    with pytest.raises(SarsplatError, match="none of the 10 chips"):
+        run(chips, overwrite=True)
+
+
+def test_several_vehicles(chips):
+    write_chips(chips, [*ROWS, ("T72", "812", 17, 200)])
+    with pytest.warns(UserWarning, match="2 vehicles .serials 132, 812."):
+        run(chips)
+    assert run(chips, serial="812", train_views=1, overwrite=True).source["serials"] == ["812"]
+    with pytest.raises(SarsplatError, match="no T72 with the serial '9'; there are 132, 812"):
+        run(chips, serial="9", overwrite=True)
+
+
+def test_unknown_class_names_the_known_ones(chips):
+    with pytest.raises(SarsplatError, match=r"no class 'T80' in .*labels\.csv; it has BMP2, T72"):
+        run(chips, target_class="T80")
+
+
+def test_wrong_folders(tmp_path, chips):
+    with pytest.raises(SarsplatError, match="is not a folder"):
+        run(tmp_path / "none")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(SarsplatError, match="is empty"):
+        run(tmp_path / "empty")
+    with pytest.raises(SarsplatError, match=r"no Phoenix file .* --labels"):
+        run(chips, labels=None)
+    with pytest.raises(SarsplatError, match="--overwrite"):
+        run(chips)
+        run(chips)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "lacks the column 'path'"),
+        (b"path,class\nT72/chip000.jpeg,T72\n", "lacks the column 'serial'"),
+        (",".join(COLUMNS).encode(), "has no rows"),
+        (b"\xff\xfe\x00", "not a readable CSV"),
+        (
+            ",".join(COLUMNS).encode() + b"\nT72/chip000.jpeg,T72,132,17,17.1,north\n",
+            "line 2: target_az_deg is 'north'",
+        ),
+        (",".join(COLUMNS).encode() + b"\nT72/chip000.jpeg,T72,132,17\n", "line 2: measured_depression_deg is ''"),
+        (",".join(COLUMNS).encode() + b"\nT72/chip000.jpeg,T72,132,17,95,3\n", "grazing angle 95"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*have no label")
+def test_wrong_labels(chips, content, words):
+    (chips / "labels.csv").write_bytes(content)
+    with pytest.raises(SarsplatError, match=words):
+        run(chips, train_views=1)
+    with pytest.raises(SarsplatError, match="does not exist"):
+        run(chips, labels=chips / "none.csv")
+
+
+def test_damaged_jpegs_are_named(chips):
+    path = chips / "T72" / "chip003.jpeg"
+    whole = path.read_bytes()
+    for content, words in [(whole[: len(whole) // 2], "truncated"), (whole[:-40], "truncated"), (b"no", "not a JPEG")]:
+        path.write_bytes(content)
+        with pytest.raises(SarsplatError, match=rf"chip003\.jpeg is .*{words}"):
+            run(chips)
+    Image.new("RGB", (16, 16)).save(path, format="JPEG")
+    with pytest.raises(SarsplatError, match=r"chip003\.jpeg is a RGB image"):
+        run(chips)
+
+
+def test_different_sizes_are_cut(chips):
+    Image.fromarray(np.pad(LOWER_LEFT, ((2, 3), (1, 1)))).save(chips / "T72" / "chip001.jpeg", quality=100)
+    with pytest.warns(UserWarning, match="2 sizes; all are cut centrally to 16 × 16"):
+        dataset = run(chips)
+    assert dataset.source["cut_to_common_size"] is True
+    np.testing.assert_allclose(dataset.images("test-17")[1][:8, 8:], dataset.images("train")[0][:8, 8:], rtol=0.1)
+
+
+@pytest.fixture
+def originals(tmp_path):
+    folder = tmp_path / "originals"
+    folder.mkdir()
+    magnitude = LOWER_LEFT.astype(np.float32) / 523.6
+    for index, azimuth in enumerate((2, 92, 178, 275, 300)):
+        (folder / f"HB{index}.015").write_bytes(phoenix_bytes(magnitude, TargetAz=str(azimuth)))
+    (folder / "HB0.000").write_bytes(phoenix_bytes(magnitude, TargetType="bmp2_tank"))
+    (folder / "readme.txt").write_text("not a chip")
+    return folder
+
+
+def test_phoenix_originals(originals, chips):
+    dataset = run(originals, labels=None)
+    assert [view.target_az_deg for view in dataset.select("train")] == [2, 92, 178, 275]
+    assert [view.view.azimuth_deg for view in dataset.select("test-17")] == [60]
+    assert dataset.source["format"] == "phoenix"
+    from_jpeg = import_mstar(
+        chips, chips.parent / "jpeg", labels=chips / "labels.csv", target_class="T72", train_views=4
+    )
+    np.testing.assert_allclose(dataset.images("train")[0], from_jpeg.images("train")[0], rtol=0.05)
+
+
+def test_wrong_originals(originals):
+    with pytest.raises(SarsplatError, match=r"no class 'T80' in .*; it has bmp2_tank, t72_tank"):
+        run(originals, labels=None, target_class="T80")
+    good = (originals / "HB1.015").read_bytes()
+    (originals / "HB1.015").write_bytes(good[:-9])
+    with pytest.raises(SarsplatError, match=r"HB1\.015 is truncated"):
+        run(originals, labels=None)
+    (originals / "HB1.015").write_bytes(phoenix_bytes(RadarPosition="top"))
+    with pytest.raises(SarsplatError, match="RadarPosition= 'top'"):
+        run(originals, labels=None)
+    (originals / "HB1.015").write_bytes(phoenix_bytes(CrossRangePixelSpacing="0.4"))
+    with pytest.raises(SarsplatError, match="import chips of one kind"):
+        run(originals, labels=None)
+
+
+@needs_measured
+def test_measured_t72(tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        dataset = import_mstar(
+            MEASURED, tmp_path / "t72", labels=MEASURED / "labels.csv", target_class="T72", train_views=8
+        )
+    assert [len(dataset.select(split)) for split in dataset.splits()] == [8, 232 - 8, 196]
+    images = dataset.images("test-17")
+    assert dataset.images("train").mean() == pytest.approx(1, rel=1e-5)
+    # The target is bright and its shadow falls down, away from near range.
+    mean = images.mean(0)
+    assert mean[50:66, 54:74].mean() > 5
+    assert mean[76:90, 56:72].mean() < 0.6 * mean[20:40, 56:72].mean()
+
+
+@needs_measured
+def test_measured_originals(tmp_path):
+    with pytest.warns(UserWarning, match="3 vehicles"):
+        dataset = import_mstar(MEASURED / "phoenix", tmp_path / "a", labels=None, target_class="BMP2", train_views=2)
+    assert len(dataset.views) == 3
+    assert dataset.grid.resolution == (0.3229, 0.3013)

@@ -1,0 +1,135 @@
+"""Phoenix files: read as published, and believed only as far as the file reaches."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sarsplat.data import read_phoenix
+from sarsplat.data.mstar_chips import JPEG_DN_PER_MAGNITUDE, read_jpeg
+from sarsplat.errors import SarsplatError
+
+FIELDS = {
+    "native_header_length": "0",
+    "NumberOfColumns": "6",
+    "NumberOfRows": "4",
+    "TargetType": "t72_tank",
+    "TargetSerNum": "132",
+    "TargetAz": "10.790657",
+    "DesiredDepression": "17",
+    "MeasuredDepression": "17.093750",
+    "RadarPosition": "bottom",
+    "Range3dBWidth": "0.301300",
+    "CrossRange3dBWidth": "0.322900",
+    "RangePixelSpacing": "0.202148",
+    "CrossRangePixelSpacing": "0.203125",
+}
+MAGNITUDE = np.arange(24, dtype=np.float32).reshape(4, 6) / 50
+
+
+def phoenix_bytes(magnitude: np.ndarray = MAGNITUDE, **changes: str) -> bytes:
+    fields = {**FIELDS, "NumberOfRows": str(magnitude.shape[0]), "NumberOfColumns": str(magnitude.shape[1]), **changes}
+    body = "".join(f"{key}= {value}\n" for key, value in fields.items()) + "[EndofPhoenixHeader]\n"
+    top = "\n[PhoenixHeaderVer01.04]\nPhoenixHeaderLength= 00000\n"
+    header = top.replace("00000", f"{len(top) + len(body):05d}") + body
+    phase = np.full_like(magnitude, 3.0)
+    return header.encode() + magnitude.astype(">f4").tobytes() + phase.astype(">f4").tobytes()
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "HB03787.015"
+
+
+def test_reads_magnitudes_and_header(path):
+    path.write_bytes(phoenix_bytes())
+    chip = read_phoenix(path)
+    np.testing.assert_array_equal(chip.magnitude, MAGNITUDE)
+    assert chip.magnitude.dtype == np.float32
+    assert chip.magnitude.dtype.isnative
+    assert (chip.target_type, chip.serial, chip.radar_position) == ("t72_tank", "132", "bottom")
+    assert (chip.target_az_deg, chip.measured_depression_deg, chip.desired_depression_deg) == (10.790657, 17.09375, 17)
+    assert chip.spacing == (0.203125, 0.202148)
+    assert chip.resolution == (0.3229, 0.3013)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"", "not a Phoenix file"),
+        (b"\xff\xd8 a picture", "not a Phoenix file"),
+        (phoenix_bytes()[:-1], "is truncated"),
+        (phoenix_bytes()[:-150], "is truncated"),
+        (phoenix_bytes()[:200], "states a header of"),
+        (phoenix_bytes() + b"x", "is too long"),
+        (phoenix_bytes(NumberOfRows="1000000"), "NumberOfRows"),
+        (phoenix_bytes(NumberOfRows="4096", NumberOfColumns="4096"), "is truncated"),
+        (phoenix_bytes(NumberOfRows="0"), "NumberOfRows"),
+        (phoenix_bytes(NumberOfRows="-4"), "NumberOfRows"),
+        (phoenix_bytes(NumberOfColumns=""), "no NumberOfColumns"),
+        (phoenix_bytes(native_header_length="512"), "a scene and no chip"),
+        (phoenix_bytes().replace(b"Length= 00", b"Length= 99"), "states a header of 99"),
+        (phoenix_bytes().replace(b"Length= 00", b"Length= -1"), "states a header of 0"),
+        (phoenix_bytes().replace(b"[EndofPhoenixHeader]", b"[EndOfPhoenixHeader]"), "no .EndofPhoenixHeader"),
+        (phoenix_bytes().replace(b"t72_tank", b"t72\xfftank"), "not ASCII"),
+        (phoenix_bytes(-MAGNITUDE), "holds the magnitude -0.02 at row 0, column 1"),
+        (phoenix_bytes(MAGNITUDE * np.float32(np.nan)), "holds the magnitude nan"),
+    ],
+)
+def test_refuses(path, data, words):
+    path.write_bytes(data)
+    with pytest.raises(SarsplatError, match=words) as caught:
+        read_phoenix(path)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("value", ["north", "nan", "inf", ""])
+def test_refuses_a_garbled_angle_when_asked_for_it(path, value):
+    path.write_bytes(phoenix_bytes(TargetAz=value))
+    chip = read_phoenix(path)
+    with pytest.raises(SarsplatError, match="TargetAz"):
+        _ = chip.target_az_deg
+
+
+def test_missing_file(path):
+    with pytest.raises(SarsplatError, match="does not exist"):
+        read_phoenix(path)
+
+
+def test_damaged_files_never_crash(path):
+    good = phoenix_bytes()
+    random = np.random.default_rng(3)
+    refused = 0
+    for _ in range(500):
+        bad = bytearray(good)
+        for place in random.integers(0, len(bad), size=random.integers(1, 5)):
+            bad[place] = random.integers(256)
+        path.write_bytes(bad[: random.integers(len(bad))] if random.random() < 0.2 else bad)
+        try:
+            assert read_phoenix(path).magnitude.shape == (4, 6)
+        except SarsplatError:
+            refused += 1
+    assert 100 < refused < 500
+
+
+@pytest.mark.parametrize(
+    ("original", "jpeg", "header", "correlation"),
+    [
+        ("BMP2_HB03787.000", "BMP2", ("bmp2_tank", "9563", 346.491974), 0.94),
+        ("T72_HB03787.015", "T72", ("t72_tank", "132", 10.790657), 0.955),
+    ],
+)
+def test_originals_against_their_jpegs(original, jpeg, header, correlation):
+    """One reader against the other, where the JPEG does not saturate: pixel by pixel, and less its noise."""
+    folder = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
+    if not folder.is_dir():
+        pytest.skip("the measured MSTAR chips are not here")
+    from scipy.ndimage import uniform_filter
+
+    chip = read_phoenix(folder / "phoenix" / original)
+    assert (chip.target_type, chip.serial, chip.target_az_deg) == header
+    published = read_jpeg(folder / jpeg / "17deg" / "hb03787.jpeg")
+    expected = np.minimum(chip.magnitude * JPEG_DN_PER_MAGNITUDE, 255)
+    assert np.corrcoef(expected.ravel(), published.ravel())[0, 1] > correlation
+    assert np.corrcoef(uniform_filter(expected, 3).ravel(), uniform_filter(published, 3).ravel())[0, 1] > 0.99
+    assert expected.mean() == pytest.approx(published.mean(), rel=0.04)

@@ -1,0 +1,193 @@
+"""Gaussians and points as PLY: lossless for us, the 3DGS convention for others."""
+
+import numpy as np
+import pytest
+import torch
+from plyfile import PlyData, PlyElement
+
+from sarsplat.data import read_gaussians_ply, read_points_ply, write_gaussians_ply, write_points_ply
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
+from sarsplat.gaussians.harmonics import harmonic_basis
+
+
+def some(count: int = 7, degree: int = 3, seed: int = 0, p_min: float = 0.05) -> Gaussians:
+    g = torch.Generator().manual_seed(seed)
+    depth = 5 * torch.rand(count, generator=g)
+    scales = torch.exp(torch.randn(count, 3, generator=g) - 3).clamp_min(MIN_SCALE)
+    if count > 2:
+        depth[0], depth[1], scales[1, 2] = 0.0, MAX_OPTICAL_DEPTH, MIN_SCALE
+    return Gaussians(
+        torch.randn(count, 3, generator=g),
+        torch.randn(count, 4, generator=g),
+        scales,
+        depth,
+        torch.randn(count, (degree + 1) ** 2, generator=g),
+        p_min,
+    )
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("count", [0, 1, 7])
+def test_our_own_files_are_lossless(tmp_path, count, degree):
+    written = some(count, degree, p_min=0.1 + 0.2)
+    write_gaussians_ply(tmp_path / "a.ply", written, ["target T72", "two\nlines, ünicode"])
+    read = read_gaussians_ply(tmp_path / "a.ply")
+    assert read.p_min == written.p_min
+    for name, tensor in written.tensors().items():
+        assert read.tensors()[name].dtype == torch.float32
+        assert torch.equal(read.tensors()[name], tensor), name
+
+
+def test_layout_is_that_of_3dgs(tmp_path):
+    gaussians = some()
+    write_gaussians_ply(tmp_path / "a.ply", gaussians)
+    vertex = PlyData.read(tmp_path / "a.ply")["vertex"]
+    expected = ["x", "y", "z", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(45))]
+    expected += ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    assert [p.name for p in vertex.properties][: len(expected)] == expected
+    alpha = 1 / (1 + np.exp(-vertex["opacity"].astype(np.float64)))
+    np.testing.assert_allclose(alpha, 1 - np.exp(-gaussians.optical_depth.double().numpy()), atol=1e-7)
+    np.testing.assert_allclose(np.exp(vertex["scale_1"]), gaussians.scales[:, 1], rtol=1e-6)
+    np.testing.assert_array_equal(vertex["rot_0"], gaussians.quaternions[:, 0])
+
+
+def test_harmonics_mean_the_same_seen_from_the_camera(tmp_path):
+    """A 3DGS program evaluates the file at the direction from the camera, −u; every channel must give our sum at u."""
+    gaussians = some()
+    write_gaussians_ply(tmp_path / "a.ply", gaussians)
+    vertex = PlyData.read(tmp_path / "a.ply")["vertex"]
+    u = torch.nn.functional.normalize(torch.tensor([0.3, -0.8, 0.4]), dim=0)
+    ours = (gaussians.harmonics * harmonic_basis(u, 3)).sum(-1)
+    for channel in range(3):
+        names = [f"f_dc_{channel}", *(f"f_rest_{15 * channel + k}" for k in range(15))]
+        in_file = torch.from_numpy(np.stack([vertex[name] for name in names], axis=1))
+        torch.testing.assert_close((in_file * harmonic_basis(-u, 3)).sum(-1), ours)
+
+
+def test_foreign_files(tmp_path):
+    names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{k}" for k in range(9)), "opacity"]
+    names += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    table = np.zeros(2, dtype=[(name, "<f4") for name in names])
+    table["rot_0"] = 1
+    table["f_dc_0"], table["f_dc_1"] = 3, 6
+    for channel in range(3):
+        table[f"f_rest_{3 * channel + 1}"] = channel + 1  # the z harmonic
+    table["opacity"] = [0, 100]
+    table["scale_0"] = [-20, np.log(0.5)]
+    PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(tmp_path / "a.ply")
+    read = read_gaussians_ply(tmp_path / "a.ply")
+    assert read.p_min == 0
+    torch.testing.assert_close(read.optical_depth, torch.tensor([np.log(2), MAX_OPTICAL_DEPTH], dtype=torch.float32))
+    torch.testing.assert_close(read.scales[:, 0], torch.tensor([MIN_SCALE, 0.5]))
+    torch.testing.assert_close(read.harmonics[0], torch.tensor([3.0, 0, -2, 0]))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("means", float("nan"), "NaN or an infinity in means"),
+        ("scales", 1e-5, "scale of"),
+        ("optical_depth", -1.0, "optical depths from -1"),
+        ("optical_depth", 41.0, "optical depths"),
+        ("quaternions", 0.0, "quaternion of zeros"),
+    ],
+)
+def test_values_out_of_range_are_not_written(tmp_path, name, value, words):
+    gaussians = some()
+    gaussians.tensors()[name][3] = value
+    with pytest.raises(SarsplatError, match=words):
+        write_gaussians_ply(tmp_path / "a.ply", gaussians)
+    assert list(tmp_path.iterdir()) == []
+
+
+def points(path):
+    positions = np.random.default_rng(0).normal(size=(9, 3)).astype(np.float32)
+    write_points_ply(path, positions, power=np.arange(9), support=np.linspace(0, 1, 9))
+    return positions
+
+
+def test_points_round_trip(tmp_path):
+    positions = points(tmp_path / "p.ply")
+    read, columns = read_points_ply(tmp_path / "p.ply")
+    np.testing.assert_array_equal(read, positions)
+    assert list(columns) == ["power", "support"]
+    np.testing.assert_array_equal(columns["power"], np.arange(9, dtype=np.float32))
+    write_points_ply(tmp_path / "none.ply", np.empty((0, 3)))
+    assert read_points_ply(tmp_path / "none.ply")[0].shape == (0, 3)
+
+
+def test_wrong_points_are_not_written(tmp_path):
+    good = np.zeros((4, 3))
+    for array, columns in [
+        (good[:, :2], {}),
+        (good, {"a": np.zeros(3)}),
+        (good, {"x": np.zeros(4)}),
+        (good * np.nan, {}),
+    ]:
+        with pytest.raises(SarsplatError):
+            write_points_ply(tmp_path / "p.ply", array, **columns)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (b"vertex 9", b"vertex 8", "is too long"),
+        (b"vertex 9", b"vertex 999999999999", "is truncated"),
+        (b"vertex 9", b"vertex -9", "garbled element"),
+        (b"ply\n", b"PLY\n", "not a PLY file"),
+        (b"end_header", b"end_headed", "not a PLY file"),
+        (b"binary_little_endian", b"ascii", "ascii format"),
+        (b"float power", b"list uchar int power", "it is a mesh"),
+        (b"float x", b"float q", "lacks the vertex property 'x'"),
+        (b"float y", b"float x", "damaged PLY"),
+        (b"element vertex", b"element corner", "damaged PLY"),
+    ],
+)
+def test_damaged_headers(tmp_path, old, new, words):
+    path = tmp_path / "p.ply"
+    points(path)
+    data = path.read_bytes()
+    assert data.count(old) == 1
+    path.write_bytes(data.replace(old, new))
+    with pytest.raises(SarsplatError, match=words):
+        read_points_ply(path)
+
+
+def test_points_are_no_gaussians_and_versions_are_checked(tmp_path):
+    path = tmp_path / "p.ply"
+    points(path)
+    with pytest.raises(SarsplatError, match="lacks the vertex property 'f_dc_0'"):
+        read_gaussians_ply(path)
+    with pytest.raises(SarsplatError, match="does not exist"):
+        read_gaussians_ply(tmp_path / "none.ply")
+    write_gaussians_ply(path, some())
+    data = path.read_bytes()
+    for old, new, words in [
+        (b"gaussians 1", b"gaussians 2", "'sarsplat gaussians 2'"),
+        (b"p_min 0.05", b"p_mix 0.05", "one p_min"),
+        (b"p_min 0.05", b"p_min 1e99e", "no number"),
+        (b"p_min 0.05", b"p_min -0.5", "p_min -0.5"),
+    ]:
+        path.write_bytes(data.replace(old, new))
+        with pytest.raises(SarsplatError, match=words):
+            read_gaussians_ply(path)
+
+
+def test_damaged_files_never_crash(tmp_path):
+    path = tmp_path / "g.ply"
+    write_gaussians_ply(path, some(3, 1))
+    good = path.read_bytes()
+    random = np.random.default_rng(4)
+    refused = 0
+    for _ in range(400):
+        bad = bytearray(good)
+        for place in random.integers(0, len(bad), size=random.integers(1, 4)):
+            bad[place] = random.integers(256)
+        path.write_bytes(bad[: random.integers(len(bad))] if random.random() < 0.2 else bad)
+        try:
+            assert torch.isfinite(read_gaussians_ply(path).harmonics).all()
+        except SarsplatError:
+            refused += 1
+    assert 100 < refused < 400

@@ -1,0 +1,100 @@
+"""Mesh files: clean, dirty, foreign."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sarsplat.errors import SarsplatError
+from sarsplat.scenes import load_mesh
+
+trimesh = pytest.importorskip("trimesh")
+
+REAL_MESHES = Path(__file__).resolve().parents[3] / "shared" / "data" / "meshes"
+
+SQUARE = "v 0 0 0\nv 2 0 0\nv 2 2 0\nv 0 2 0\n"
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def test_clean_file_comes_back_unchanged(tmp_path):
+    path = tmp_path / "box.ply"
+    box = trimesh.creation.box((4, 2, 1))
+    box.export(path)
+    mesh = load_mesh(path)
+    assert len(mesh.faces) == 12
+    assert mesh.bounds == pytest.approx(box.bounds)
+
+
+def test_parts_of_a_scene_become_one_mesh(tmp_path):
+    scene = trimesh.Scene()
+    for shift in (0.0, 5.0):
+        scene.add_geometry(
+            trimesh.creation.box((1, 1, 1)), transform=trimesh.transformations.translation_matrix((shift, 0, 0))
+        )
+    scene.export(tmp_path / "two.glb")
+    mesh = load_mesh(tmp_path / "two.glb")
+    assert len(mesh.faces) == 24
+    assert mesh.extents == pytest.approx((6, 1, 1))
+
+
+def test_bad_faces_are_dropped_with_their_number(tmp_path):
+    text = SQUARE + "v nan 0 0\nf 1 2 3\nf 1 3 4\nf 3 2 1\nf 1 1 2\nf 1 2 5\n"  # doubled, degenerate, not finite
+    path = write(tmp_path / "dirty.obj", text)
+    with pytest.warns(UserWarning, match="dropped 3 of 5 faces"):
+        mesh = load_mesh(path)
+    assert len(mesh.faces) == 2
+    assert np.isfinite(mesh.vertices).all()
+
+
+def test_doubled_faces_are_found_across_vertex_numbers(tmp_path):
+    triangle = "v 0 0 0\nv 2 0 0\nv 0 2 0\n"
+    path = write(tmp_path / "soup.obj", triangle + triangle + "f 1 2 3\nf 5 6 4\n")
+    with pytest.warns(UserWarning, match="dropped 1 of 2 faces"):
+        assert len(load_mesh(path).faces) == 1
+
+
+@pytest.mark.parametrize("scale", [1000.0, 0.01])
+def test_other_units_are_suspected(tmp_path, scale):
+    path = tmp_path / "unit.stl"
+    trimesh.creation.box((7 * scale, 3 * scale, 2 * scale)).export(path)
+    with pytest.warns(UserWarning, match="metre"):
+        load_mesh(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("points.obj", SQUARE, "face|mesh"),
+        ("text.obj", "this is not a mesh", "mesh|face"),
+        ("text.stl", "this is not a mesh", "mesh|face"),
+        ("table.csv", "1,2,3", "cannot be read"),
+        ("flat.obj", SQUARE + "f 1 1 2\n", "none of the 1 faces"),
+        ("nan.obj", "v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "none of the 1 faces"),
+    ],
+)
+def test_what_is_no_mesh_is_refused(tmp_path, name, text, message):
+    with pytest.raises(SarsplatError, match=message):
+        load_mesh(write(tmp_path / name, text))
+
+
+def test_missing_file_is_named(tmp_path):
+    with pytest.raises(SarsplatError, match=r"nowhere\.obj"):
+        load_mesh(tmp_path / "nowhere.obj")
+
+
+@pytest.mark.skipif(not REAL_MESHES.is_dir(), reason=f"{REAL_MESHES} is absent")
+def test_real_meshes_load():
+    files = sorted(REAL_MESHES.glob("*.obj"))
+    assert files
+    for file in files:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # dropped faces are expected of some
+            mesh = load_mesh(file)
+        assert len(mesh.faces) > 100
+        assert 5 < mesh.extents.max() < 12
+        assert mesh.bounds[0, 2] == pytest.approx(0, abs=0.05)

@@ -1,0 +1,49 @@
+"""The views and grids of the experiments, and what importing the folder costs."""
+
+import os
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from sarsplat.scenes import mstar_grid, mstar_views, paper_grid, paper_views
+
+
+def test_paper_views_are_24_to_train_and_48_others():
+    views = paper_views()
+    assert Counter(split for _, split in views) == {"train": 24, "test": 48}
+    assert len({view for view, _ in views}) == 72
+    train = {view for view, split in views if split == "train"}
+    assert {view.azimuth_deg for view in train} == {0, 45, 90, 135, 180, 225, 270, 315}
+    assert Counter(view.grazing_deg for view, _ in views) == {75: 24, 45: 24, 15: 24}
+    assert {view.incidence_deg for view in train} == {15, 45, 75}
+
+
+def test_mstar_views_test_between_the_training_azimuths():
+    views = mstar_views()
+    assert Counter(split for _, split in views) == {"train": 36, "test-17": 36, "test-15": 36}
+    grazing = {split: {view.grazing_deg for view, s in views if s == split} for _, split in views}
+    assert grazing == {"train": {17}, "test-17": {17}, "test-15": {15}}
+    train = {view.azimuth_deg for view, split in views if split == "train"}
+    assert not train & {view.azimuth_deg for view, split in views if split != "train"}
+
+
+def test_grids():
+    assert (paper_grid().rows, paper_grid().columns) == (128, 128)
+    assert paper_grid().spacing == paper_grid().resolution == (0.3, 0.3)
+    assert mstar_grid().spacing == pytest.approx((0.203125, 0.202148))
+    assert mstar_grid().resolution == pytest.approx((0.3229, 0.3013))
+
+
+def test_importing_scenes_needs_no_optional_dependency_and_never_the_renderer():
+    code = (
+        "import sys, sarsplat.scenes; "
+        "bad = [m for m in sys.modules if m.split('.')[0] in ('trimesh', 'embreex', 'matplotlib') "
+        "or m.startswith('sarsplat.render')]; sys.exit(', '.join(bad))"
+    )
+    source = Path(__file__).resolve().parents[2] / "src"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(source), os.environ.get("PYTHONPATH", "")])}
+    result = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr

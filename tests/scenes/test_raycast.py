@@ -1,0 +1,200 @@
+"""The ray-cast simulator against closed forms (physics), against itself (convergence), and its errors."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.scenes import ScatteringLaw, paper_grid, simulate_raycast, vehicle
+
+trimesh = pytest.importorskip("trimesh")
+pytest.importorskip("embreex")
+
+LAMBERT = ScatteringLaw(floor=1.0, lobe=0.0)  # γ⁰ = 1 at every incidence
+GRID = ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3))
+
+
+def box(x, y, z):
+    return trimesh.creation.box(bounds=np.array([x, y, z], dtype=float).T)
+
+
+@pytest.fixture(scope="module")
+def t72():
+    return vehicle("t72")
+
+
+@pytest.mark.parametrize("grazing", [15.0, 45.0, 75.0])
+def test_flat_plate_has_gamma0_tan_theta(grazing):
+    plate = box((-40, 40), (-40, 40), (-1, 0))
+    law = ScatteringLaw(0.1, 0.9)
+    image = simulate_raycast(plate, View(30, grazing), GRID, law, ray_spacing=0.05)
+    theta = math.radians(grazing)
+    expected = law.gamma0(np.array(math.sin(theta))) * math.tan(theta)
+    np.testing.assert_allclose(image[28:36, 8:-8], expected, rtol=1e-3)
+
+
+@pytest.mark.parametrize("grazing", [30.0, 45.0, 60.0])
+def test_wall_facing_the_radar_has_gamma0_over_tan_theta(grazing):
+    wall = box((-1, 0), (-20, 20), (-10, 10))  # the radar at azimuth 0 sees the face x = 0
+    law = ScatteringLaw(0.1, 0.9)
+    image = simulate_raycast(wall, View(0, grazing), GRID, law, ray_spacing=0.05)
+    theta = math.radians(grazing)
+    expected = law.gamma0(np.array(math.cos(theta))) / math.tan(theta)
+    np.testing.assert_allclose(image[28:36, 8:-8], expected, rtol=1e-3)
+
+
+def test_energy_is_the_cross_section():
+    sphere = trimesh.creation.icosphere(subdivisions=5, radius=2.0)
+    image = simulate_raycast(sphere, View(20, 40), GRID, ScatteringLaw(0.1, 0.9))
+    # ∫ γ⁰ over the projected disc: cos²i averages ½ over it.
+    assert image.sum() * 0.09 == pytest.approx(math.pi * 4 * (0.1 + 0.9 / 2), rel=2e-3)
+
+
+def test_a_point_target_is_the_response_at_the_right_pixel():
+    grid = ImageGrid(65, 33, (0.2, 0.25), (0.4, 0.5), center=(1.0, -2.0))
+    view = View(70, 35)
+    where = radar_frame(view).T @ np.array([1.4, 3.0, -1.0])  # two columns right of, four rows behind the centre
+    target = trimesh.creation.icosphere(subdivisions=3, radius=0.05)
+    target.apply_translation(where)
+    image = simulate_raycast(target, view, grid, LAMBERT, ray_spacing=0.002)
+    row, column = 32 + 4, 16 + 2
+    assert np.unravel_index(image.argmax(), image.shape) == (row, column)
+    half = 10**-0.30103  # one resolution cell across the 3 dB width: ±ρ/2 is one pixel here
+    assert image[row, column + 1] / image[row, column] == pytest.approx(half, rel=0.02)
+    assert image[row + 1, column] / image[row, column] == pytest.approx(half, rel=0.1)  # the sphere's front is nearer
+    assert (image[row - 1, column] + image[row + 1, column]) / 2 / image[row, column] == pytest.approx(half, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("height", "depth", "levels"),
+    [
+        (10.0, 4.0, [((-9.5, -6.5), 3.0), ((-5.5, -0.5), 2.0), ((0.5, 13.5), 0.0), ((14.5, 16.5), 1.0)]),
+        (8.0, 8.0, [((-7.5, -0.5), 3.0), ((0.5, 15.5), 0.0)]),
+        (6.0, 10.0, [((-5.5, -0.5), 3.0), ((0.5, 3.5), 1.0), ((4.5, 15.5), 0.0)]),
+    ],
+)
+def test_buildings_lay_over_and_cast_shadows(height, depth, levels):
+    """Analytic truth: layover, roof and shadow of a box at 45°, all of γ⁰ = 1, in ground range from the near wall."""
+    building = box((-depth, 0), (-6, 6), (0, height))
+    grid = ImageGrid(128, 16, (0.3, 0.3), (0.3, 0.3))
+    image = simulate_raycast(building, View(0, 45), grid, LAMBERT, ground_gamma0=1.0, ray_spacing=0.05)
+    ground_range = grid.range_m / math.cos(math.radians(45))
+    for (start, stop), level in levels:
+        inside = (ground_range > start) & (ground_range < stop)
+        assert inside.any()
+        np.testing.assert_allclose(image[inside], level, atol=0.01)
+
+
+@pytest.mark.parametrize("grazing", [15.0, 45.0, 75.0])
+def test_free_ground_is_exact_and_full_shadow_dark(grazing):
+    slab = box((-1, 0), (-6, 6), (0, 6))
+    image = simulate_raycast(slab, View(0, grazing), GRID, LAMBERT, ground_gamma0=0.2)
+    theta = math.radians(grazing)
+    np.testing.assert_allclose(image[:, :8], 0.2 * math.tan(theta), rtol=1e-6)
+    in_shadow = (GRID.range_m > 0.6 * math.cos(theta) + 0.4) & (
+        GRID.range_m < 6 * math.cos(theta) / math.tan(theta) - 0.4 if grazing < 70 else GRID.range_m < 0
+    )
+    if in_shadow.any():
+        assert image[in_shadow][:, 24:40].max() < 1e-4 * 0.2 * math.tan(theta)
+
+
+def test_what_lies_below_the_ground_is_not_seen():
+    buried = box((-2, 2), (-2, 2), (-3, -1))
+    image = simulate_raycast(buried, View(0, 45), GRID, LAMBERT, ground_gamma0=0.2)
+    np.testing.assert_allclose(image, 0.2, rtol=1e-6)
+    assert simulate_raycast(buried, View(0, 45), GRID, LAMBERT).max() > 0.5  # and without ground it is
+
+
+def test_facets_scatter_from_both_sides():
+    law = ScatteringLaw(0.1, 0.9)
+    plate = trimesh.Trimesh([[-3, -3, 0], [3, -3, 0], [3, 3, 0], [-3, 3, 0]], [[0, 1, 2], [0, 2, 3]], process=False)
+    turned = plate.copy()
+    turned.invert()
+    images = [simulate_raycast(mesh, View(10, 50), GRID, law) for mesh in (plate, turned)]
+    np.testing.assert_allclose(images[0], images[1], rtol=1e-6)
+
+
+def test_near_surfaces_hide_far_ones():
+    front = box((-0.1, 0), (-3, 3), (-3, 3))
+    both = trimesh.util.concatenate([front, box((-2, -1), (-1, 1), (-1, 1))])
+    # 6 m × 6 m in front of 2 m × 2 m, seen almost along the horizon
+    images = [simulate_raycast(mesh, View(0, 5), GRID, LAMBERT) for mesh in (front, both)]
+    np.testing.assert_array_equal(images[0], images[1])
+
+
+def test_turning_the_target_against_the_view_changes_nothing(t72):
+    turned = t72.copy()
+    turned.apply_transform(trimesh.transformations.rotation_matrix(math.radians(37), (0, 0, 1)))
+    image = simulate_raycast(t72, View(60, 45), GRID, ScatteringLaw())
+    again = simulate_raycast(turned, View(60 - 37, 45), GRID, ScatteringLaw())
+    assert np.abs(np.sqrt(image) - np.sqrt(again)).max() < 2e-3 * np.sqrt(image.max())
+
+
+def test_orientation_of_the_image(t72):
+    """Nose towards the radar: the barrel comes first. From its right: the barrel points left, to smaller x_r."""
+    rows, columns = np.nonzero(simulate_raycast(t72, View(0, 45), GRID, ScatteringLaw()) > 1e-2)
+    assert 31.5 - rows.min() > rows.max() - 31.5
+    rows, columns = np.nonzero(simulate_raycast(t72, View(90, 45), GRID, ScatteringLaw()) > 1e-2)
+    assert 31.5 - columns.min() > 1.5 * (columns.max() - 31.5)
+
+
+@pytest.mark.parametrize("view", [View(0, 15), View(45, 45), View(330, 75), View(90, 75)])
+def test_two_ray_phases_agree_to_65_db(t72, view):
+    amplitudes = [
+        np.sqrt(simulate_raycast(t72, view, paper_grid(), ScatteringLaw(), ray_phase=phase).astype(np.float64))
+        for phase in ((0.5, 0.5), (0.0, 0.0), (0.2, 0.7))
+    ]
+    for other in amplitudes[1:]:
+        error = np.mean((other - amplitudes[0]) ** 2) / amplitudes[0].max() ** 2
+        assert -10 * math.log10(error) >= 65
+
+
+def test_finer_histogram_changes_nothing(t72):
+    images = [
+        np.sqrt(simulate_raycast(t72, View(45, 45), paper_grid(), ScatteringLaw(), oversample=k)) for k in (9, 27)
+    ]
+    error = np.mean((images[0] - images[1]) ** 2) / images[1].max() ** 2
+    assert -10 * math.log10(error) >= 80
+
+
+def test_large_scenes_are_cut_to_the_swath_and_batched():
+    plain = box((-500, 500), (-500, 500), (-1, 0))
+    small = box((-60, 60), (-60, 60), (-1, 0))
+    grid = ImageGrid(16, 16, (0.3, 0.3), (0.3, 0.3))
+    images = [simulate_raycast(mesh, View(0, 45), grid, LAMBERT, ray_spacing=0.05) for mesh in (plain, small)]
+    np.testing.assert_allclose(images[0], 1.0, rtol=1e-3)
+    np.testing.assert_allclose(images[1], 1.0, rtol=1e-3)
+
+
+def test_target_beside_the_image_leaves_it_empty():
+    far = box((-1, 1), (99, 101), (0, 1))
+    image = simulate_raycast(far, View(0, 45), GRID, LAMBERT)
+    assert image.shape == (64, 64) and image.dtype == np.float32
+    assert image.max() == 0
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"ray_spacing": 0.0}, "ray_spacing"),
+        ({"ray_spacing": math.nan}, "ray_spacing"),
+        ({"ray_phase": (math.nan, 0.0)}, "ray_phase"),
+        ({"oversample": 0}, "oversample"),
+        ({"oversample": 2.5}, "oversample"),
+        ({"oversample": 1}, "too coarse"),
+        ({"ground_gamma0": -10.0}, "ground_gamma0"),
+    ],
+)
+def test_impossible_settings_are_refused(settings, message):
+    with pytest.raises(SarsplatError, match=message):
+        simulate_raycast(box((-1, 1), (-1, 1), (0, 1)), View(0, 45), GRID, LAMBERT, **settings)
+
+
+def test_meshes_that_cannot_be_imaged_are_refused():
+    with pytest.raises(SarsplatError, match="0 faces"):
+        simulate_raycast(trimesh.Trimesh(), View(0, 45), GRID, LAMBERT)
+    broken = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, math.nan, 0]], [[0, 1, 2]], process=False)
+    with pytest.raises(SarsplatError, match="finite"):
+        simulate_raycast(broken, View(0, 45), GRID, LAMBERT)
