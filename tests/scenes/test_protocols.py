@@ -41,7 +41,7 @@ def test_importing_scenes_needs_no_optional_dependency_and_never_the_renderer():
     code = (
         "import sys, sarsplat.scenes; "
         "bad = [m for m in sys.modules if m.split('.')[0] in ('trimesh', 'embreex', 'matplotlib') "
-        "or m.startswith('sarsplat.render')]; sys.exit(', '.join(bad))"
+        "or m.startswith('sarsplat.render')]; sys.exit(', '.join(bad) or 0)"
     )
     source = Path(__file__).resolve().parents[2] / "src"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(source), os.environ.get("PYTHONPATH", "")])}

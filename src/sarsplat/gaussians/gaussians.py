@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -85,12 +86,15 @@ class Gaussians:
 
     def detach(self) -> Gaussians:
         """The same Gaussians outside the autograd graph."""
-        return replace(self, **{name: tensor.detach() for name, tensor in self.tensors().items()})
+        return self._with(Tensor.detach)
 
     def to(self, target: torch.dtype | torch.device | str) -> Gaussians:
         """The same Gaussians in another dtype or on another device."""
-        return replace(self, **{name: tensor.to(target) for name, tensor in self.tensors().items()})
+        return self._with(lambda tensor: tensor.to(target))
 
     def select(self, index: Tensor) -> Gaussians:
         """The Gaussians at a boolean mask [N] or at integer indices."""
-        return replace(self, **{name: tensor[index] for name, tensor in self.tensors().items()})
+        return self._with(lambda tensor: tensor[index])
+
+    def _with(self, change: Callable[[Tensor], Tensor]) -> Gaussians:
+        return Gaussians(**{name: change(tensor) for name, tensor in self.tensors().items()}, p_min=self.p_min)

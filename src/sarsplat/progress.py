@@ -1,0 +1,59 @@
+"""How long work shows itself: a bar on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+_SECONDS_BETWEEN_LINES = 5.0
+
+
+class Reporter:
+    """Told of every step; shows what fits the terminal."""
+
+    def __init__(self, total: int, bar: Progress | None, description: str) -> None:
+        self._total, self._bar, self._description = total, bar, description
+        self._task = bar.add_task(description, total=total, status="") if bar else None
+        self._begun = self._last = time.monotonic()
+        self._first = 0
+
+    def start_at(self, done: int) -> None:
+        """Work resumed: this many steps were done before."""
+        self._first = done
+        self.update(done)
+
+    def update(self, done: int, status: str = "") -> None:
+        """`done` steps of the total are finished; `status` is a short text such as the loss."""
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, completed=done, status=status)
+            return
+        now = time.monotonic()
+        if now - self._last < _SECONDS_BETWEEN_LINES and done < self._total:
+            return
+        self._last = now
+        left = (now - self._begun) / max(done - self._first, 1) * (self._total - done)
+        print(f"{self._description}: {done}/{self._total}  {status}  {left:.0f} s left", flush=True)
+
+
+@contextmanager
+def progress(description: str, total: int) -> Iterator[Reporter]:
+    """Show progress of `total` steps while the block runs."""
+    console = Console()
+    if not console.is_terminal:
+        yield Reporter(total, None, description)
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[status]}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console) as bar:
+        yield Reporter(total, bar, description)

@@ -1,0 +1,185 @@
+"""The folder of a reconstruction: what is in it, and how it is read back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from sarsplat.data import (
+    Dataset,
+    load_checkpoint,
+    read_dataset,
+    read_json,
+    read_points_ply,
+    write_gaussians_ply,
+    write_json,
+    write_points_ply,
+)
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians
+from sarsplat.geometry import RayGrid, View
+from sarsplat.reconstruct.config import Config
+from sarsplat.reconstruct.model import SceneModel, scene_region
+from sarsplat.reconstruct.points import extract_points
+
+SCHEMA = "sarsplat-run"
+SCHEMA_VERSION = 1
+
+_EVALUATION_RAYS_PER_PIXEL = 4.0
+
+
+@dataclass(frozen=True)
+class Run:
+    """A reconstruction on the disk.
+
+    Parameters
+    ----------
+    path : Path
+        Its folder: `config.json`, `metrics.jsonl`, `metrics.json`, `checkpoints/`, `gaussians.ply`, `points.ply`,
+        `report/`.
+    dataset_path : Path
+        The dataset it was made from.
+    fingerprint : str
+        That dataset's fingerprint when training began.
+    config : Config
+        How it was made.
+    """
+
+    path: Path
+    dataset_path: Path
+    fingerprint: str
+    config: Config
+
+    @classmethod
+    def create(cls, path: Path, dataset: Dataset, config: Config) -> Run:
+        """Write `config.json` into a new folder."""
+        run = cls(Path(path), dataset.path.resolve(), dataset.fingerprint(), config)
+        (run.path / "checkpoints").mkdir()
+        write_json(
+            run.path / "config.json",
+            {
+                "schema": SCHEMA,
+                "schema_version": SCHEMA_VERSION,
+                "dataset": str(run.dataset_path),
+                "dataset_fingerprint": run.fingerprint,
+                "config": config.as_dict(),
+            },
+        )
+        return run
+
+    @classmethod
+    def load(cls, path: Path) -> Run:
+        """Read a run's folder.
+
+        Raises
+        ------
+        SarsplatError
+            If it is missing, or not a run of this version.
+        """
+        path = Path(path)
+        header = path / "config.json"
+        if not header.is_file():
+            what = "does not exist" if not path.exists() else "holds no config.json, so it is not a run"
+            raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out {path}`")
+        data = read_json(header)
+        if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+            raise SarsplatError(f"{header} is not the header of a run; give the folder that `sarsplat reconstruct` wrote")
+        if data.get("schema_version") != SCHEMA_VERSION:
+            raise SarsplatError(
+                f"{path} has schema version {data.get('schema_version')!r} but this program reads {SCHEMA_VERSION}; "
+                "reconstruct it again"
+            )
+        if not isinstance(data.get("dataset"), str) or not isinstance(data.get("dataset_fingerprint"), str):
+            raise SarsplatError(f"{header} does not name its dataset; reconstruct it again")
+        config = data.get("config")
+        if not isinstance(config, dict):
+            raise SarsplatError(f"{header} holds no configuration; reconstruct it again")
+        return cls(path, Path(data["dataset"]), data["dataset_fingerprint"], Config.from_dict(config))
+
+    @cached_property
+    def dataset(self) -> Dataset:
+        """The dataset it was made from."""
+        return read_dataset(self.dataset_path)
+
+    @property
+    def checkpoint_path(self) -> Path | None:
+        """The newest checkpoint, if there is one."""
+        found = sorted((self.path / "checkpoints").glob("*.safetensors"))
+        return found[-1] if found else None
+
+    @cached_property
+    def _checkpoint(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+        if self.checkpoint_path is None:
+            raise SarsplatError(f"{self.path} holds no checkpoint; run `sarsplat reconstruct` again with --overwrite")
+        return load_checkpoint(self.checkpoint_path)
+
+    @cached_property
+    def model(self) -> SceneModel:
+        """The learned scene, as of the newest checkpoint."""
+        tensors, _ = self._checkpoint
+        learned = {name.removeprefix("model/"): t for name, t in tensors.items() if name.startswith("model/")}
+        return SceneModel(self.config, scene_region(self.config, self.dataset), learned)
+
+    @property
+    def iteration(self) -> int:
+        """Iterations done, as of the newest checkpoint."""
+        return int(self._checkpoint[1]["iteration"])
+
+    @property
+    def time_s(self) -> float:
+        """Training time so far, s of wall clock."""
+        return float(self._checkpoint[1]["seconds"])
+
+    @property
+    def seed(self) -> int:
+        """Seed of everything random."""
+        return self.config.seed
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """The target's Gaussians."""
+        return self.model.target(self.model.degree(self.iteration)).detach()
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """The reconstructed surface, world frame, m, float64 [P, 3]."""
+        return read_points_ply(self.path / "points.ply")[0]
+
+    @property
+    def history(self) -> list[dict[str, Any]]:
+        """The lines of `metrics.jsonl`."""
+        path = self.path / "metrics.jsonl"
+        lines = path.read_text().splitlines() if path.is_file() else []
+        return [json.loads(line) for line in lines]
+
+    @property
+    def metrics(self) -> dict[str, Any] | None:
+        """What `sarsplat evaluate` found, if it was asked."""
+        path = self.path / "metrics.json"
+        return read_json(path) if path.is_file() else None
+
+    def render(self, views: Sequence[View]) -> np.ndarray:
+        """β⁰ of unseen views, linear power, float32 [V, rows, columns]; rays at a quarter of the pixel spacing."""
+        grid = self.dataset.grid
+        rays = RayGrid.for_image(grid, _EVALUATION_RAYS_PER_PIXEL)
+        degree = self.model.degree(self.iteration)
+        images = []
+        with torch.no_grad():
+            for first in range(0, len(views), 8):  # a few at a time: memory stays small
+                images.append(self.model.render(views[first : first + 8], grid, degree, rays=rays)[0].numpy())
+        return np.concatenate(images)
+
+    def write_results(self) -> None:
+        """Write `gaussians.ply` and `points.ply` from the newest checkpoint."""
+        gaussians = self.gaussians
+        write_gaussians_ply(self.path / "gaussians.ply", gaussians)
+        views = [item.view for item in self.dataset.select("train")]
+        points = extract_points(gaussians, views, self.dataset.grid, self.config.points)
+        write_points_ply(self.path / "points.ply", points)

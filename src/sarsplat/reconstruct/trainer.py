@@ -1,0 +1,237 @@
+"""Training: from a dataset to a run, step by step, resumable bit for bit."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from sarsplat.data import Dataset, load_checkpoint, new_folder, save_checkpoint
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import RayGrid
+from sarsplat.progress import progress
+from sarsplat.reconstruct.config import Config
+from sarsplat.reconstruct.density import DensityControl
+from sarsplat.reconstruct.losses import amplitude_loss, speckle_loss
+from sarsplat.reconstruct.model import PER_GAUSSIAN, SceneModel
+from sarsplat.reconstruct.optimiser import Optimiser
+from sarsplat.reconstruct.run import Run
+
+_LINES_PER_RUN = 200
+"""About how many lines `metrics.jsonl` gets."""
+
+_CHECKPOINTS_KEPT = 2
+
+
+class Trainer:
+    """The state of a training and how it advances by one step."""
+
+    def __init__(self, dataset: Dataset, config: Config) -> None:
+        self.config = config
+        self.grid = dataset.grid
+        self.views = [item.view for item in dataset.select("train")]
+        power = torch.from_numpy(dataset.images("train"))
+        if not bool(power.max() > 0):
+            raise SarsplatError(f"the training images of {dataset.path} are black everywhere; simulate or import again")
+        self._reference = math.sqrt(float(power.max()))
+        self._truth = power.sqrt() / self._reference if config.loss == "amplitude" else power
+        self._rays = RayGrid.for_image(self.grid, config.rays_per_pixel)
+        self._generator = torch.Generator().manual_seed(config.seed)
+        self.model = SceneModel.initial(config, dataset, self._generator)
+        self.optimiser = Optimiser(self.model.parameters, config)
+        self.density = DensityControl(config.densification, len(self.model)) if config.densification else None
+        self.iteration = 0
+        self._queue: list[int] = []
+
+    def step(self) -> float:
+        """One step of Adam on a few views; returns the loss."""
+        chips = self._next_views()
+        gather = self.density is not None and self.density.wanted(self.iteration)
+        images, rendering = self.model.render(
+            [self.views[i] for i in chips],
+            self.grid,
+            self.model.degree(self.iteration),
+            rays=self._rays,
+            chips=chips,
+            plane_gradients=gather,
+        )
+        truth = self._truth[chips]
+        if self.config.loss == "amplitude":
+            loss = amplitude_loss(images, truth, self._reference, self.config.ssim_weight)
+        else:
+            loss = speckle_loss(images, truth)
+        penalty = self.model.penalty()
+        (loss if penalty is None else loss + penalty).backward()
+        if gather and self.density is not None:
+            self.density.gather(rendering, self.grid)
+        self.optimiser.step(self.iteration)
+        self.model.constrain()
+        self.iteration += 1
+        if self.density is not None and self.density.due(self.iteration):
+            self._densify(self.density)
+        return float(loss.detach())
+
+    def _next_views(self) -> list[int]:
+        """Every view once in a random order, then again."""
+        count = min(self.config.views_per_step, len(self.views))
+        while len(self._queue) < count:
+            self._queue += torch.randperm(len(self.views), generator=self._generator).tolist()
+        chosen, self._queue = self._queue[:count], self._queue[count:]
+        return chosen
+
+    def _densify(self, density: DensityControl) -> None:
+        with torch.no_grad():
+            gaussians = self.model.target(self.model.degree(self.iteration))
+            extent = self.grid.rows * self.grid.spacing[1]
+            source, kept, displacement, shrink = density.decide(gaussians, extent, self._generator)
+            parameters = {
+                name: tensor[source] if name in PER_GAUSSIAN else tensor
+                for name, tensor in self.model.parameters.items()
+            }
+            parameters["means"] = parameters["means"] + displacement
+            parameters["log_scales"] = parameters["log_scales"] + shrink.log()[:, None]
+        self.model = SceneModel(self.config, self.model.region, parameters)
+        self.model.constrain()
+        self.optimiser = self.optimiser.rebuild(self.model.parameters, torch.where(kept, source, -1))
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Everything the next step depends on: tensors, and JSON."""
+        tensors = {f"model/{name}": tensor.detach() for name, tensor in self.model.parameters.items()}
+        tensors |= {f"optimiser/{name}": tensor for name, tensor in self.optimiser.state().items()}
+        tensors["generator"] = self._generator.get_state()
+        if self.density:
+            tensors |= {"density/gradient": self.density.gradient, "density/seen": self.density.seen}
+        return tensors, {"iteration": self.iteration, "queue": self._queue}
+
+    def load_state(self, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
+        """Undo `state`."""
+
+        def part(prefix: str) -> dict[str, Tensor]:
+            return {name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)}
+
+        self.model = SceneModel(self.config, self.model.region, part("model/"))
+        self.optimiser = Optimiser(self.model.parameters, self.config)
+        self.optimiser.load_state(part("optimiser/"))
+        self._generator.set_state(tensors["generator"])
+        if self.density:
+            self.density.gradient, self.density.seen = tensors["density/gradient"], tensors["density/seen"]
+        self.iteration, self._queue = int(state["iteration"]), list(state["queue"])
+
+
+def reconstruct(
+    dataset: Dataset, out: Path, config: Config, *, resume: bool = False, overwrite: bool = False
+) -> Run:
+    """Reconstruct a target from the training images of a dataset.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Where the images are.
+    out : Path
+        Folder of the run.
+    config : Config
+        How; see `PRESETS`.
+    resume : bool
+        Go on from the newest checkpoint in `out`, exactly as if the training had never stopped.
+    overwrite : bool
+        Replace an existing run.
+
+    Returns
+    -------
+    Run
+        The finished run. On Ctrl-C what has been learned so far is written as well, and KeyboardInterrupt passes on.
+
+    Raises
+    ------
+    SarsplatError
+        If `out` exists (or, to resume, does not), or the dataset or configuration is not the one the run was begun with.
+    """
+    trainer = Trainer(dataset, config)
+    if resume:
+        run, seconds = _resumed(dataset, Path(out), config, trainer)
+    else:
+        with new_folder(Path(out), overwrite, marker="config.json") as folder:
+            Run.create(folder, dataset, config)
+        run, seconds = Run.load(out), 0.0
+    try:
+        _train(trainer, run, seconds)
+    finally:  # also on Ctrl-C: the run is usable as far as it has come
+        finished = Run.load(out)
+        if finished.checkpoint_path is not None:
+            finished.write_results()
+    return finished
+
+
+def _resumed(dataset: Dataset, out: Path, config: Config, trainer: Trainer) -> tuple[Run, float]:
+    run = Run.load(out)
+    if run.fingerprint != dataset.fingerprint():
+        raise SarsplatError(f"{out} was begun with another dataset ({run.dataset_path}); resume it with that one")
+    if run.config != config:
+        raise SarsplatError(
+            f"{out} was begun with other settings (preset {run.config.preset}, seed {run.config.seed}, "
+            f"{run.config.iterations} iterations, init {run.config.initialisation}); resume it with the same"
+        )
+    if run.checkpoint_path is None:
+        return run, 0.0
+    tensors, state = load_checkpoint(run.checkpoint_path)
+    try:
+        trainer.load_state(tensors, state)
+        seconds = float(state["seconds"])
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise SarsplatError(
+            f"{run.checkpoint_path} does not fit this version ({error}); start again with --overwrite"
+        ) from error
+    return run, seconds
+
+
+def _train(trainer: Trainer, run: Run, seconds: float) -> None:
+    """Step to the end; log, show and save on the way, and once more at the end or when interrupted."""
+    config = trainer.config
+    history = [line for line in run.history if line["iteration"] <= trainer.iteration]  # a crash may have left more
+    log = run.path / "metrics.jsonl"
+    log.write_text("".join(json.dumps(line) + "\n" for line in history))
+    every = max(1, config.iterations // _LINES_PER_RUN)
+    begun = time.monotonic() - seconds
+    total, count = 0.0, 0
+    with progress(f"reconstruct ({config.preset})", config.iterations) as shown, log.open("a") as file:
+        shown.start_at(trainer.iteration)
+        try:
+            while trainer.iteration < config.iterations:
+                total, count = total + trainer.step(), count + 1
+                if trainer.iteration % every == 0 or trainer.iteration == config.iterations:
+                    loss = total / count
+                    _require_finite(loss, trainer.iteration)
+                    line = {
+                        "iteration": trainer.iteration,
+                        "seconds": round(time.monotonic() - begun, 3),
+                        "loss": loss,
+                        "gaussians": len(trainer.model),
+                    }
+                    file.write(json.dumps(line) + "\n")
+                    file.flush()
+                    shown.update(trainer.iteration, f"loss {loss:.3g}  {len(trainer.model)} Gaussians")
+                    total, count = 0.0, 0
+                if trainer.iteration % config.checkpoint_every == 0:
+                    _save(trainer, run, time.monotonic() - begun)
+        finally:
+            _save(trainer, run, time.monotonic() - begun)
+
+
+def _require_finite(loss: float, iteration: int) -> None:
+    if not math.isfinite(loss):
+        raise SarsplatError(
+            f"the loss became {loss} at iteration {iteration}; the newest checkpoint is from before, lower the rates"
+        )
+
+
+def _save(trainer: Trainer, run: Run, seconds: float) -> None:
+    tensors, state = trainer.state()
+    folder = run.path / "checkpoints"
+    save_checkpoint(folder / f"{trainer.iteration:08d}.safetensors", tensors, {**state, "seconds": round(seconds, 3)})
+    for old in sorted(folder.glob("*.safetensors"))[:-_CHECKPOINTS_KEPT]:
+        old.unlink()
