@@ -56,7 +56,7 @@ class Surroundings:
     target_low: tuple[float, float, float]  # box in which the target may lie, m
     target_high: tuple[float, float, float]
     noise_floor: float  # initial additive power
-    shift_penalty: float  # per m²
+    deviation_penalty: float  # nats per pixel, per m² of shift and squared log gain
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,9 @@ class Config:
             }
             return cls(**{**data, **nested})
         except (TypeError, KeyError, AttributeError) as error:
-            raise SarsplatError(f"the configuration does not fit this version ({error}); start the run again") from error
+            raise SarsplatError(
+                f"the configuration does not fit this version ({error}); start the run again"
+            ) from error
 
 
 def _surroundings(data: dict[str, Any]) -> Surroundings:
@@ -153,9 +155,18 @@ PRESETS: dict[str, Config] = {
         ssim_weight=0.2,
         p_min=0.0,
         harmonics_every=2500,
-        rates=Rates(means=0.01, means_end=0.0005, log_scales=0.005, quaternions=0.001, harmonics=0.01, higher_harmonics=0.0005),
+        rates=Rates(
+            means=0.01, means_end=0.0005, log_scales=0.005, quaternions=0.001, harmonics=0.01, higher_harmonics=0.0005
+        ),
         densification=Densification(
-            start=10_000, stop=25_000, every=500, gradient=0.003, split_above=0.1, largest=0.3, least_scattering=0.005, most=60_000
+            start=10_000,
+            stop=25_000,
+            every=500,
+            gradient=0.003,
+            split_above=0.1,
+            largest=0.3,
+            least_scattering=0.005,
+            most=60_000,
         ),
         points=PointExtraction("centres", optical_depth=0.05, voxel=0.02),
         checkpoint_every=2500,
@@ -176,7 +187,7 @@ PRESETS: dict[str, Config] = {
             target_low=(-4.5, -2.5, 0.0),
             target_high=(6.5, 2.5, 3.0),
             noise_floor=0.05,
-            shift_penalty=1.0,
+            deviation_penalty=0.01,
         ),
     ),
 }

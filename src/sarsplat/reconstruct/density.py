@@ -73,14 +73,18 @@ class DensityControl:
         c = self._config
         n = len(gaussians)
         size = gaussians.scales.max(dim=1).values
-        scattering = gaussians.p_min + torch.nn.functional.softplus(gaussians.harmonics[:, 0] / (2 * math.sqrt(math.pi)))
+        scattering = gaussians.p_min + torch.nn.functional.softplus(
+            gaussians.harmonics[:, 0] / (2 * math.sqrt(math.pi))
+        )
         pruned = (scattering * -torch.expm1(-gaussians.optical_depth) < c.least_scattering) | (
             size > c.largest * illuminated_range
         )
         grows = (self.gradient / self.seen.clamp(min=1) > c.gradient) & ~pruned
         room = max(0, c.most - n)
         if int(grows.sum()) > room:  # the strongest first
-            strongest = torch.where(grows, self.gradient / self.seen.clamp(min=1), 0.0).argsort(descending=True, stable=True)
+            strongest = torch.where(grows, self.gradient / self.seen.clamp(min=1), 0.0).argsort(
+                descending=True, stable=True
+            )
             grows = torch.zeros_like(grows).index_fill(0, strongest[:room], True)
         split = grows & (size > c.split_above)
         stay = (~pruned & ~split).nonzero()[:, 0]

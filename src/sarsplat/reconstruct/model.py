@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -117,13 +118,17 @@ class SceneModel:
     ) -> tuple[Tensor, Rendering]:
         """Power images [V, rows, columns] with noise floor, and the rendering behind them.
 
-        `chips` are the indices of training views, whose own shift and gain then apply; unseen views have none.
+        `chips` are the indices of training views, whose own shift and gain then apply. Of an unseen chip only the
+        distribution of its shift is known: its expected image is seen through a response widened by that spread.
         """
         p = self.parameters
         shift = gain = None
+        if self.config.surroundings and chips is None:
+            grid = self._widened(grid)
         if self.config.surroundings and chips is not None:
-            index = torch.as_tensor(chips)
-            shift, gain = p["shift"][index], p["log_gain"][index].exp()
+            # deviations from the mean chip: an unseen view is rendered as the mean one
+            shift = (p["shift"] - p["shift"].mean(0))[list(chips)]
+            gain = (p["log_gain"] - p["log_gain"].mean())[list(chips)].exp()
         rendering = render(
             self.scene(degree), views, grid, rays=rays, shift=shift, gain=gain, plane_gradients=plane_gradients
         )
@@ -132,13 +137,20 @@ class SceneModel:
             images = images + p["noise"].exp()
         return images, rendering
 
+    def _widened(self, grid: ImageGrid) -> ImageGrid:
+        """The grid whose response includes the spread of the training chips' shifts."""
+        spread = self.parameters["shift"].detach().var(dim=0, correction=0).tolist()
+        azimuth, slant_range = (
+            math.sqrt(width**2 + 8 * math.log(2) * variance) for width, variance in zip(grid.resolution, spread)
+        )
+        return replace(grid, resolution=(azimuth, slant_range))
+
     def penalty(self) -> Tensor | None:
-        """What the nuisances cost: shifts and gains are deviations from the mean chip."""
+        """What shifts and gains cost, or None without them: chips differ little."""
         if self.config.surroundings is None:
             return None
         p = self.parameters
-        deviation = (p["shift"] ** 2).mean() + p["shift"].mean(0).square().sum() + (p["log_gain"] ** 2).mean()
-        return self.config.surroundings.shift_penalty * 0.01 * deviation
+        return self.config.surroundings.deviation_penalty * ((p["shift"] ** 2).mean() + (p["log_gain"] ** 2).mean())
 
     @torch.no_grad()
     def constrain(self) -> None:
@@ -168,7 +180,8 @@ def _ground_sheet(surroundings: Surroundings) -> Gaussians:
     fine, coarse, near = 0.3, 0.6, 7.2  # m; near is a multiple of both pitches
     patches = []
     for pitch in (fine, coarse):
-        steps = np.arange(-surroundings.ground_radius, surroundings.ground_radius, pitch) + pitch / 2
+        half = math.ceil(surroundings.ground_radius / pitch)
+        steps = (np.arange(-half, half) + 0.5) * pitch
         x, y = (axis.ravel() for axis in np.meshgrid(steps, steps))
         inner = np.maximum(abs(x), abs(y)) < near
         inside = inner if pitch == fine else (np.hypot(x, y) < surroundings.ground_radius) & ~inner

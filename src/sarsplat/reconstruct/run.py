@@ -90,7 +90,9 @@ class Run:
             raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out {path}`")
         data = read_json(header)
         if not isinstance(data, dict) or data.get("schema") != SCHEMA:
-            raise SarsplatError(f"{header} is not the header of a run; give the folder that `sarsplat reconstruct` wrote")
+            raise SarsplatError(
+                f"{header} is not the header of a run; give the folder that `sarsplat reconstruct` wrote"
+            )
         if data.get("schema_version") != SCHEMA_VERSION:
             raise SarsplatError(
                 f"{path} has schema version {data.get('schema_version')!r} but this program reads {SCHEMA_VERSION}; "

@@ -123,9 +123,7 @@ class Trainer:
         self.iteration, self._queue = int(state["iteration"]), list(state["queue"])
 
 
-def reconstruct(
-    dataset: Dataset, out: Path, config: Config, *, resume: bool = False, overwrite: bool = False
-) -> Run:
+def reconstruct(dataset: Dataset, out: Path, config: Config, *, resume: bool = False, overwrite: bool = False) -> Run:
     """Reconstruct a target from the training images of a dataset.
 
     Parameters

@@ -115,7 +115,9 @@ class _Render(torch.autograd.Function):
         shift: Tensor,
         setting: _Setting,
     ) -> tuple[Any, ...]:
-        inputs = [t if t is None else t.contiguous() for t in (means, quaternions, scales, kappa, harmonics, scattering)]
+        inputs = [
+            t if t is None else t.contiguous() for t in (means, quaternions, scales, kappa, harmonics, scattering)
+        ]
         inputs.append(shift.contiguous())
         problem, constants = _problem(inputs, setting)
         views, n, grid = len(setting.views), means.shape[0], setting.grid
@@ -129,7 +131,9 @@ class _Render(torch.autograd.Function):
         transmittance = first_return = torch.empty(0)
         lattices: list[tuple[int, int, int, int]] = []
         if setting.first_return_depth is not None:
-            transmittance, first_return, lattices = _trace(kernel, problem, setting)
+            transmittance, first_return, lattices = _trace(
+                kernel, problem, setting.first_return_depth, len(setting.views)
+            )
         ctx.kernel, ctx.problem, ctx.constants, ctx.setting = kernel, problem, constants, setting
         ctx.save_for_backward(*inputs)
         ctx.mark_non_differentiable(lit_area, first_return)
@@ -191,16 +195,14 @@ def _problem(inputs: Sequence[Tensor | None], setting: _Setting) -> tuple[ctypes
 
 
 def _trace(
-    kernel: cpu.Pass, problem: ctypes.Structure, setting: _Setting
+    kernel: cpu.Pass, problem: ctypes.Structure, depth: float, views: int
 ) -> tuple[Tensor, Tensor, list[tuple[int, int, int, int]]]:
-    lattices = [kernel.lattice(v) for v in range(len(setting.views))]
+    lattices = [kernel.lattice(v) for v in range(views)]
     total = sum(lattice.rows * lattice.columns for lattice in lattices)
     transmittance, first_return = torch.empty(total), torch.empty(total)
     at = 0
     for v, lattice in enumerate(lattices):
-        kernel.trace(
-            problem, v, setting.first_return_depth, transmittance[at:].data_ptr(), first_return[at:].data_ptr()
-        )
+        kernel.trace(problem, v, depth, transmittance[at:].data_ptr(), first_return[at:].data_ptr())
         at += lattice.rows * lattice.columns
     return transmittance, first_return, [(la.k0x, la.k0y, la.rows, la.columns) for la in lattices]
 

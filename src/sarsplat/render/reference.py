@@ -123,13 +123,18 @@ def _attenuate(
 
 
 def _image(
-    mean_r: Tensor, cov_r: Tensor, cross_section: Tensor, shift: Tensor, grid: ImageGrid, imaging_weight: str, cuts: bool
+    mean_r: Tensor,
+    cov_r: Tensor,
+    cross_section: Tensor,
+    shift: Tensor,
+    grid: ImageGrid,
+    imaging_weight: str,
+    cuts: bool,
 ) -> Tensor:
     """Pass B (§3): β⁰ [rows, columns] of one view, before the gain."""
-    like = {"dtype": mean_r.dtype, "device": mean_r.device}
-    response = torch.tensor(grid.resolution, **like) ** 2 / (8 * math.log(2))
+    response = mean_r.new_tensor(grid.resolution) ** 2 / (8 * math.log(2))
     cov_i = cov_r[:, [0, 2]][:, :, [0, 2]] + torch.diag(response)  # Σ_I'
-    x, r = torch.as_tensor(grid.azimuth_m, **like), torch.as_tensor(grid.range_m, **like)
+    x, r = (torch.from_numpy(axis).to(mean_r) for axis in (grid.azimuth_m, grid.range_m))
     pixel = torch.stack(torch.meshgrid(x, r, indexing="xy"), dim=-1)  # [rows, columns, 2]
     e = pixel - (mean_r[:, [0, 2]] + shift)[:, None, None, :]
     q = torch.einsum("nyxi,nij,nyxj->nyx", e, torch.linalg.inv(cov_i), e)

@@ -1,0 +1,59 @@
+# make demo    the whole way once: simulate, reconstruct, evaluate, report
+# make test    the test suite without the slow tests; make test-slow runs those
+# make lint    style and types
+# make clean   remove everything that was made here, the environment included
+#
+# Needs Python 3.11 or newer, make and git; no compiler. Choose another interpreter with `make PYTHON=python3.12 demo`.
+
+PYTHON ?= $(shell for p in python3.11 python3; do "$$p" -c "" 2>/dev/null && { echo "$$p"; break; }; done)
+
+SHELL := bash
+BIN := .venv/bin
+READY := .venv/.installed
+DEMO := demo
+
+# Says what is done, does it, and says how long it took.
+define step
+@printf '\n==> %s\n' "$(1)"; begun=$$SECONDS; $(2) && printf '    (%s s)\n' $$((SECONDS - begun))
+endef
+
+.PHONY: demo setup test test-slow lint readme clean
+
+demo: setup
+	$(call step,simulate: a T-72-like target by ray casting (24 training views and 48 test views),\
+	  $(BIN)/sarsplat simulate --target t72 --protocol paper --source raycast --out $(DEMO)/dataset --overwrite)
+	$(call step,reconstruct: 3D Gaussians from the training views,\
+	  $(BIN)/sarsplat reconstruct $(DEMO)/dataset --out $(DEMO)/run --overwrite)
+	$(call step,evaluate: score the unseen views and the points; write the report,\
+	  $(BIN)/sarsplat evaluate $(DEMO)/run)
+
+test: setup
+	$(BIN)/python -m pytest -m "not slow"
+
+test-slow: setup
+	$(BIN)/python -m pytest -m slow
+
+lint: setup
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+# The README's picture and table, from the last `make demo`.
+readme: setup
+	$(BIN)/python docs/readme_results.py $(DEMO)/run
+
+clean:
+	rm -rf .venv $(DEMO) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis src/sarsplat/render/_engine.so
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+setup: $(READY)
+
+$(READY): pyproject.toml constraints.txt build_engine.py $(wildcard src/sarsplat/render/csrc/*)
+	@"$(PYTHON)" -c "import sys; sys.exit(sys.version_info < (3, 11))" 2>/dev/null || { \
+	  echo "sarsplat needs Python 3.11 or newer, but PYTHON is '$(PYTHON)'; name one: make PYTHON=/path/to/python3.11" >&2; \
+	  exit 1; }
+	$(call step,set up .venv (once; a minute or two),\
+	  "$(PYTHON)" -m venv .venv \
+	  && $(BIN)/python -m pip install --quiet -c constraints.txt hatchling editables ziglang \
+	  && $(BIN)/python -m pip install --quiet --no-build-isolation -c constraints.txt -e '.[dev]')
+	@touch $@

@@ -1,0 +1,116 @@
+"""Fill the README's results from a run: its table, between two markers, and docs/images/demo.png.
+
+Run as `make readme` after `make demo`, or as `python docs/readme_results.py RUN`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+import trimesh
+from matplotlib.axes import Axes
+
+from sarsplat import Run, View
+from sarsplat.evaluate import paper_row, visible_surface
+
+HERE = Path(__file__).parent
+README, PICTURE = HERE.parent / "README.md", HERE / "images" / "demo.png"
+BLOCK = re.compile(r"(<!-- results: begin[^>]*-->\n).*?(<!-- results: end -->)", re.DOTALL)
+
+SHOWN = (View(30.0, 75.0), View(120.0, 45.0), View(210.0, 15.0))  # unseen views, one at each grazing angle
+DYNAMIC_DB = 45.0
+CROP = 40  # pixels left out on every side
+SKIP = 20  # one in so many of a million samples of the true surface
+
+
+def table(metrics: dict[str, Any]) -> str:
+    """The scores as Markdown."""
+    images, points, paper = metrics["images"]["test"], metrics["points"]["visible"], paper_row("T72")
+
+    def minutes(seconds: float) -> str:
+        return f"{round(seconds) // 60} min {round(seconds) % 60:02d} s"
+
+    rows = (
+        ("PSNR, whole image (dB, ↑)", images["psnr_db"], ".2f", paper.psnr_db),
+        ("PSNR, target only (dB, ↑)", images["psnr_target_db"], ".2f", None),
+        ("SSIM (↑)", images["ssim"], ".4f", paper.ssim),
+        ("LPIPS (↓)", images["lpips"], ".4f", paper.lpips),
+        ("Chamfer distance, visible surface (m, ↓)", points["cd_m"], ".3f", paper.cd_m),
+        ("F1 at 0.3 m, visible surface (↑)", points["f1@0.3"], ".3f", paper.f1),
+        ("F1 at 0.1 m, visible surface (↑)", points["f1@0.1"], ".3f", None),
+    )
+    cells = [
+        (name, *("–" if value is None else format(value, how) for value in (ours, theirs)))
+        for name, ours, how, theirs in rows
+    ]
+    ours = f"{minutes(metrics['time_s'])} on {os.cpu_count()} CPU cores"
+    cells.append(("training time", ours, f"{minutes(paper.time_s)} on an RTX 3060 Ti"))
+    head = ["| | sarsplat, `make demo` | SAR-GS paper, T72 |", "|---|---:|---:|"]
+    return "\n".join([*head, *(f"| {' | '.join(row)} |" for row in cells)]) + "\n"
+
+
+def draw(run: Run) -> None:
+    """True and reconstructed: three unseen views, and the surface from two sides."""
+    dataset = run.dataset
+    test = dataset.select("test")
+    chosen = [next(k for k, item in enumerate(test) if item.view == view) for view in SHOWN]
+    truth = dataset.images("test")[chosen]
+    rendered = run.render([test[k].view for k in chosen])
+    mesh = trimesh.load_mesh(dataset.truth_mesh, process=False)
+    surface = visible_surface(mesh, [item.view for item in dataset.select("train")]).samples[::SKIP]
+
+    figure, axes = plt.subplots(2, 5, figsize=(15, 4.6), width_ratios=(1, 1, 1, 1.45, 1.45), layout="constrained")
+    peak = float(dataset.images("train").max())
+    for row, (name, images, points) in enumerate((("truth", truth, surface), ("sarsplat", rendered, run.points))):
+        for ax, image, view in zip(axes[row], images, SHOWN):
+            show_image(ax, image, peak, dataset.grid.spacing)
+            if row == 0:
+                ax.set_title(f"azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}°", fontsize=10)
+        axes[row, 0].set_ylabel(name, fontsize=13)
+        show_points(axes[row, 3], points, (0, 2))
+        show_points(axes[row, 4], points, (0, 1))
+    axes[0, 3].set_title("surface, from the side", fontsize=10)
+    axes[0, 4].set_title("surface, from above", fontsize=10)
+    figure.savefig(PICTURE, dpi=100, facecolor="white")
+
+
+def show_image(ax: Axes, power: np.ndarray, peak: float, spacing: tuple[float, float]) -> None:
+    """The middle of a β⁰ image in decibels below the set's brightest pixel."""
+    decibels = 10 * np.log10(np.maximum(power[CROP:-CROP, CROP:-CROP] / peak, 1e-12))
+    ax.imshow(decibels, cmap="gray", vmin=-DYNAMIC_DB, vmax=0, interpolation="nearest", aspect=spacing[1] / spacing[0])
+    ax.set(xticks=[], yticks=[])
+
+
+def show_points(ax: Axes, points: np.ndarray, axes: tuple[int, int]) -> None:
+    """Points on one of the world's planes, the nearer ones on top, coloured by height."""
+    (hidden,) = {0, 1, 2} - set(axes)
+    order = np.argsort(points[:, hidden] * (-1 if hidden == 1 else 1))  # seen from −y, or from above
+    x, y = points[order][:, axes[0]], points[order][:, axes[1]]
+    ax.scatter(x, y, c=points[order, 2], s=0.8, cmap="viridis", vmin=0, vmax=2.5, linewidths=0, rasterized=True)
+    ax.set(aspect="equal", xlim=(-3.7, 6.3), ylim=(-0.2, 3.2) if axes[1] == 2 else (-2.2, 2.2))
+    ax.axis("off")
+
+
+def main() -> None:
+    """Rewrite the README's block and the picture."""
+    if len(sys.argv) != 2:
+        sys.exit("usage: python docs/readme_results.py RUN")
+    run = Run.load(Path(sys.argv[1]))
+    if run.metrics is None:
+        sys.exit(f"{run.path} has no metrics.json; run `sarsplat evaluate {run.path}` first")
+    text = README.read_text(encoding="utf-8")
+    if not BLOCK.search(text):
+        sys.exit(f"{README} has no results block to fill: <!-- results: begin … --> … <!-- results: end -->")
+    block = table(run.metrics)
+    README.write_text(BLOCK.sub(lambda match: match[1] + block + match[2], text), encoding="utf-8")
+    draw(run)
+
+
+if __name__ == "__main__":
+    main()

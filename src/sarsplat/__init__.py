@@ -1,0 +1,136 @@
+"""Render SAR images from 3D Gaussians, and reconstruct 3D targets from SAR images.
+
+Everything public is here by name and loaded when first used, so that importing the package, and the command line's help,
+need no torch.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sarsplat.data import (
+        Dataset,
+        DatasetView,
+        PhoenixChip,
+        SarImage,
+        import_mstar,
+        read_dataset,
+        read_gaussians_ply,
+        read_phoenix,
+        read_points_ply,
+        write_dataset,
+        write_gaussians_ply,
+        write_points_ply,
+    )
+    from sarsplat.errors import SarsplatError
+    from sarsplat.evaluate import evaluate_run, point_metrics, visible_surface
+    from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
+    from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+    from sarsplat.reconstruct import PRESETS, Config, Run, Trainer, extract_points, preset, reconstruct
+    from sarsplat.render import RayMap, Rendering, render
+    from sarsplat.report import write_report
+    from sarsplat.scenes import (
+        ScatteringLaw,
+        add_speckle,
+        load_mesh,
+        mstar_grid,
+        mstar_views,
+        paper_grid,
+        paper_views,
+        simulate_raycast,
+        vehicle,
+    )
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "errors": ("SarsplatError",),
+    "geometry": ("ImageGrid", "RayGrid", "View", "radar_frame"),
+    "gaussians": ("MAX_OPTICAL_DEPTH", "MIN_SCALE", "Gaussians"),
+    "render": ("RayMap", "Rendering", "render"),
+    "scenes": (
+        *("ScatteringLaw", "add_speckle", "load_mesh", "mstar_grid", "mstar_views", "paper_grid", "paper_views"),
+        *("simulate_raycast", "vehicle"),
+    ),
+    "data": (
+        *("Dataset", "DatasetView", "PhoenixChip", "SarImage", "import_mstar", "read_dataset", "read_gaussians_ply"),
+        *("read_phoenix", "read_points_ply", "write_dataset", "write_gaussians_ply", "write_points_ply"),
+    ),
+    "reconstruct": ("PRESETS", "Config", "Run", "Trainer", "extract_points", "preset", "reconstruct"),
+    "evaluate": ("evaluate_run", "point_metrics", "visible_surface"),
+    "report": ("write_report",),
+}
+_MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
+
+__all__ = [
+    "MAX_OPTICAL_DEPTH",
+    "MIN_SCALE",
+    "PRESETS",
+    "Config",
+    "Dataset",
+    "DatasetView",
+    "Gaussians",
+    "ImageGrid",
+    "PhoenixChip",
+    "RayGrid",
+    "RayMap",
+    "Rendering",
+    "Run",
+    "SarImage",
+    "SarsplatError",
+    "ScatteringLaw",
+    "Trainer",
+    "View",
+    "add_speckle",
+    "evaluate_run",
+    "extract_points",
+    "import_mstar",
+    "load_mesh",
+    "mstar_grid",
+    "mstar_views",
+    "paper_grid",
+    "paper_views",
+    "point_metrics",
+    "preset",
+    "radar_frame",
+    "read_dataset",
+    "read_gaussians_ply",
+    "read_phoenix",
+    "read_points_ply",
+    "reconstruct",
+    "render",
+    "simulate_raycast",
+    "vehicle",
+    "visible_surface",
+    "write_dataset",
+    "write_gaussians_ply",
+    "write_points_ply",
+    "write_report",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module 'sarsplat' has no attribute {name!r}")
+    value = getattr(import_module(f"sarsplat.{_MODULE_OF[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
+class _Package(ModuleType):
+    """`sarsplat.render` and `sarsplat.reconstruct` are the functions, whichever module was imported first."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name in _MODULE_OF and isinstance(value, ModuleType)):  # importing a subpackage would bind its name here
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

@@ -1,0 +1,94 @@
+"""Entry point: which commands there are, and how every one of them ends."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TextIO
+
+import tyro
+
+from sarsplat.cli import console, extras
+from sarsplat.cli.doctor import doctor
+from sarsplat.cli.evaluate import evaluate
+from sarsplat.cli.export import export
+from sarsplat.cli.import_ import import_
+from sarsplat.cli.info import info
+from sarsplat.cli.reconstruct import reconstruct
+from sarsplat.cli.render import render
+from sarsplat.cli.report import report
+from sarsplat.cli.simulate import simulate
+from sarsplat.errors import SarsplatError
+
+_COMMANDS: dict[str, Callable[..., Any]] = {
+    "simulate": simulate,
+    "import": import_,
+    "reconstruct": reconstruct,
+    "evaluate": evaluate,
+    "report": report,
+    "render": render,
+    "export": export,
+    "info": info,
+    "doctor": doctor,
+}
+
+_DESCRIPTION = "From SAR images to a 3D target and back: simulate or import → reconstruct → evaluate → look."
+
+_INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+_MISUSED = 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Words after the program's name; those of the process unless given.
+
+    Returns
+    -------
+    int
+        Exit code: 0, or 2 after a mistake in the input, or 130 after Ctrl-C. Options that do not parse end the process
+        with code 2.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words == ["--version"]:
+        console.say(f"sarsplat {extras.installed_version('sarsplat')}")
+        return 0
+    with warnings.catch_warnings():
+        warnings.showwarning = _show_warning
+        try:
+            tyro.extras.subcommand_cli_from_dict(
+                _COMMANDS, prog="sarsplat", description=_DESCRIPTION, args=words, config=(tyro.conf.FlagCreatePairsOff,)
+            )
+        except SarsplatError as error:
+            console.complain(str(error))
+            return _MISUSED
+        except ModuleNotFoundError as error:
+            extra = extras.extra_with(error.name or "")
+            if extra is None:
+                raise
+            console.complain(f"this needs {error.name}, which is not installed; {extras.install_command(extra)}")
+            return _MISUSED
+        except KeyboardInterrupt as interrupt:
+            console.complain(str(interrupt) or "stopped by Ctrl-C; nothing half-written was left behind")
+            return _INTERRUPTED
+    return 0
+
+
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Ours in plain words; others' as Python shows them."""
+    if issubclass(category, UserWarning) and Path(__file__).parents[1] in Path(filename).parents:
+        console.warn(str(message))
+    else:
+        sys.stderr.write(warnings.formatwarning(message, category, filename, lineno, line))

@@ -1,0 +1,99 @@
+"""Kinds of arguments that several commands take, and how angles are spelled."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from sarsplat.errors import SarsplatError
+
+if TYPE_CHECKING:
+    from sarsplat.geometry import View
+
+RunFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
+File = Annotated[Path, tyro.conf.arg(metavar="FILE")]
+OptionalFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(optional)")]
+OptionalFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(optional)")]
+OptionalName = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(optional)")]
+OptionalNumber = Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(optional)")]
+OptionalCount = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(optional)")]
+Metres = Annotated[float | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="(optional)")]
+Angles = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DEG …", help_behavior_hint="")]
+"""Numbers or ranges start:stop:step, degrees; see `angles`."""
+
+_MOST_ANGLES = 10_000
+
+
+def angles(texts: Sequence[str], name: str) -> list[float]:
+    """Degrees from words such as `30`, `-7.5` and `0:360:15` (start:stop:step; the stop is left out).
+
+    Raises
+    ------
+    SarsplatError
+        If a word is neither, or a range is empty or too long.
+    """
+    values: list[float] = []
+    for text in texts:
+        try:
+            numbers = [float(part) for part in text.split(":")]
+        except ValueError:
+            numbers = []
+        if len(numbers) == 1:
+            values += numbers
+            continue
+        if len(numbers) != 3 or not all(map(math.isfinite, numbers)) or numbers[2] == 0:
+            raise SarsplatError(f"--{name} {text!r} is neither degrees, such as 30, nor a range, such as 0:360:15")
+        start, stop, step = numbers
+        count = math.ceil((stop - start) / step - 1e-9)
+        if not 1 <= count <= _MOST_ANGLES:
+            raise SarsplatError(
+                f"--{name} {text!r} is a range of {max(count, 0)} angles; give 1 to {_MOST_ANGLES} (start:stop:step)"
+            )
+        values += [start + step * k for k in range(count)]
+    return values
+
+
+def views_from(
+    azimuth: Sequence[str], grazing: Sequence[str], incidence: Sequence[str], prefix: str = ""
+) -> list[View]:
+    """Every azimuth at every grazing (or incidence) angle, without repetition; `prefix` names the options in errors.
+
+    Raises
+    ------
+    SarsplatError
+        If azimuths or elevations are missing, elevations are given both ways, or an angle is out of range.
+    """
+    from sarsplat.geometry import View
+
+    if bool(grazing) == bool(incidence):
+        problem = "both were given" if grazing else "neither was given"
+        raise SarsplatError(
+            f"{problem}: --{prefix}grazing and --{prefix}incidence say the same thing two ways; give one of them"
+        )
+    if not azimuth:
+        raise SarsplatError(f"--{prefix}azimuth is missing; give degrees or a range, such as 0:360:15")
+    if incidence:
+        elevations = [90.0 - angle for angle in angles(incidence, f"{prefix}incidence")]
+    else:
+        elevations = angles(grazing, f"{prefix}grazing")
+    azimuths = angles(azimuth, f"{prefix}azimuth")
+    return list(dict.fromkeys(View(a, e) for e in elevations for a in azimuths))
+
+
+def refuse_existing(path: Path, overwrite: bool) -> None:
+    """Say at once, not after minutes of work, that an output is in the way.
+
+    Raises
+    ------
+    SarsplatError
+        If something stands at `path` (an empty folder is nothing) and may not be replaced.
+    """
+    if overwrite or not os.path.lexists(path) or (path.is_dir() and not any(path.iterdir())):
+        return
+    raise SarsplatError(f"{path} exists; give another name or --overwrite")

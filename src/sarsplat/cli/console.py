@@ -1,0 +1,64 @@
+"""What the commands say, and where: results on stdout, complaints on stderr."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console, RenderableType
+from rich.markup import escape
+from rich.table import Table
+
+
+def say(text: str) -> None:
+    """One line on stdout."""
+    _print(Console(), escape(text))
+
+
+def show(renderable: RenderableType) -> None:
+    """A table on stdout."""
+    Console().print(renderable)
+
+
+def facts(title: str, rows: dict[str, str]) -> None:
+    """A title, and below it names and values."""
+    say(title)
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, value in rows.items():
+        table.add_row(f"  {escape(name)}", escape(value))
+    show(table)
+
+
+def finish(wrote: str, next_step: str) -> None:
+    """How a command ends: what it wrote, and what to do next."""
+    _print(Console(), f"[green]wrote[/] {escape(wrote)}")
+    _print(Console(), f"[dim]next:[/] {escape(next_step)}")
+
+
+def complain(text: str) -> None:
+    """An error on stderr."""
+    _print(Console(stderr=True), f"[bold red]error:[/] {escape(text)}")
+
+
+def warn(text: str) -> None:
+    """A warning on stderr."""
+    _print(Console(stderr=True), f"[yellow]warning:[/] {escape(text)}")
+
+
+@contextmanager
+def busy(text: str) -> Iterator[None]:
+    """A spinner on terminals, one line elsewhere, while work of unknown length goes on."""
+    console = Console()
+    if not console.is_terminal:
+        say(f"{text} …")
+        yield
+        return
+    with console.status(escape(text)):
+        yield
+
+
+def _print(console: Console, markup: str) -> None:
+    # soft_wrap: paths and commands stay whole, to be copied
+    console.print(markup, soft_wrap=True, highlight=False)

@@ -1,0 +1,61 @@
+"""`sarsplat doctor`: is everything there?"""
+
+from __future__ import annotations
+
+import os
+import platform
+from importlib.util import find_spec
+from pathlib import Path
+
+from sarsplat.cli import console, extras
+from sarsplat.errors import SarsplatError
+
+
+def doctor() -> None:
+    """Say which version, engines, extras and weights this installation has, and how to get what it lacks."""
+    console.facts(f"sarsplat {extras.installed_version('sarsplat') or '(not installed: running from source)'}", _core())
+    console.facts(
+        "engines", {"reference": "plain torch, any dtype", "cpu": _cpu_engine(), "cuda": "not yet in this version"}
+    )
+    console.facts("extras", {extra: _extra(extra) for extra in extras.EXTRAS})
+    console.facts("LPIPS weights", {"found": _lpips_weights()})
+
+
+def _core() -> dict[str, str]:
+    import torch
+
+    return {
+        "python": f"{platform.python_version()} on {platform.system()} {platform.machine()}",
+        "torch": f"{torch.__version__}, {torch.get_num_threads()} threads of {os.cpu_count()} processors",
+        **{name: extras.installed_version(name) or "missing" for name in ("numpy", "scipy", "tyro", "rich")},
+    }
+
+
+def _cpu_engine() -> str:
+    from sarsplat.render.cpu import best_instruction_set
+
+    try:
+        return f"loaded, instruction set {best_instruction_set()}"
+    except SarsplatError as error:
+        return str(error)
+
+
+def _extra(extra: str) -> str:
+    modules = extras.EXTRAS[extra]
+    missing = [name for module, name in modules.items() if find_spec(module) is None]
+    if missing:
+        return f"lacks {', '.join(missing)}; {extras.install_command(extra)}"
+    return ", ".join(f"{name} {extras.installed_version(name)}" for name in modules.values())
+
+
+def _lpips_weights() -> str:
+    from sarsplat.evaluate.lpips import WEIGHTS_VARIABLE, Lpips, lpips_weights
+
+    folder: Path | None = lpips_weights(None)
+    if folder is None:
+        return f"no; name their folder in {WEIGHTS_VARIABLE} or with --lpips-weights (LPIPS is left out without)"
+    try:
+        Lpips(folder)
+    except SarsplatError as error:
+        return f"no; {error}"
+    return f"yes, {folder} (from {WEIGHTS_VARIABLE})"

@@ -1,0 +1,34 @@
+"""`sarsplat evaluate`: a run in, scores out."""
+
+from __future__ import annotations
+
+from sarsplat.cli import console
+from sarsplat.cli.arguments import OptionalFolder, RunFolder
+
+
+def evaluate(run: RunFolder, *, lpips_weights: OptionalFolder = None) -> None:
+    """Score a run on unseen views and against the true surface; refreshes its report.
+
+    Parameters
+    ----------
+    run
+        Folder that `sarsplat reconstruct` made.
+    lpips_weights
+        Folder of the LPIPS weights; else the one named in SARSPLAT_LPIPS_WEIGHTS; without it LPIPS is left out.
+    """
+    from sarsplat.data import write_json
+    from sarsplat.evaluate import evaluate_run, metrics_table
+    from sarsplat.evaluate.yardsticks import yardstick_scores
+    from sarsplat.reconstruct import Run
+    from sarsplat.report import paper_beside, write_report
+
+    done = Run.load(run)
+    with console.busy(f"evaluating {run}"):
+        metrics = evaluate_run(done, lpips_weights=lpips_weights)
+        # what two-dimensional tricks score on the same chips (protocol M)
+        metrics["yardsticks"] = yardstick_scores(done.dataset) if done.dataset.domain == "measured" else None
+    write_json(run / "metrics.json", metrics)
+    with console.busy("writing the report"):
+        page = write_report(done)
+    console.show(metrics_table(metrics, paper=paper_beside(done.dataset), yardsticks=metrics["yardsticks"]))
+    console.finish(f"{run / 'metrics.json'} and {page}", f"open {page} in a browser")

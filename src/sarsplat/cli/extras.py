@@ -1,0 +1,32 @@
+"""Which optional parts there are, and how to get them."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+
+EXTRAS: dict[str, dict[str, str]] = {
+    "simulate": {"trimesh": "trimesh", "embreex": "embreex"},
+    "mstar": {"PIL": "pillow"},
+    "evaluate": {"torchmetrics": "torchmetrics", "sklearn": "scikit-learn", "trimesh": "trimesh", "embreex": "embreex"},
+    "report": {"matplotlib": "matplotlib"},
+}
+"""Extra → modules it brings → names of their distributions."""
+
+
+def extra_with(module: str) -> str | None:
+    """The extra that brings a module, or None."""
+    root = module.partition(".")[0]
+    return next((extra for extra, modules in EXTRAS.items() if root in modules), None)
+
+
+def install_command(extra: str) -> str:
+    """What to type to get an extra."""
+    return f"install it with: pip install 'sarsplat[{extra}]'"
+
+
+def installed_version(distribution: str) -> str | None:
+    """Version of an installed distribution, or None."""
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return None

@@ -1,0 +1,71 @@
+"""`sarsplat import`: measured chips in, a dataset out."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from sarsplat.cli import console
+from sarsplat.cli.arguments import Folder, OptionalFile, OptionalName
+
+
+def import_(
+    format: Annotated[Literal["mstar"], tyro.conf.Positional],
+    chips: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CHIPS")],
+    *,
+    out: Folder,
+    target_class: Annotated[str, tyro.conf.arg(name="class", metavar="NAME")],
+    train_views: Annotated[int, tyro.conf.arg(metavar="K")],
+    labels: OptionalFile = None,
+    train_depression: Annotated[int, tyro.conf.arg(metavar="DEG")] = 17,
+    serial: OptionalName = None,
+    mirrored: bool = False,
+    overwrite: bool = False,
+) -> None:
+    """Import measured chips (MSTAR): a dataset to reconstruct from.
+
+    Parameters
+    ----------
+    format
+        Kind of chips: mstar (JPEGs with a table of labels, or original Phoenix files).
+    chips
+        Folder of the chips.
+    out
+        Dataset to make.
+    target_class
+        Vehicle, e.g. T72.
+    train_views
+        Training chips: those nearest to k·360°/K. All others are test chips, one set per depression.
+    labels
+        Table (CSV) of the JPEGs; without it, Phoenix files are looked for.
+    train_depression
+        Depression of the training chips, degrees.
+    serial
+        Only this vehicle of the class.
+    mirrored
+        Take the published chips for mirror images.
+    overwrite
+        Replace an existing dataset.
+    """
+    from sarsplat.data import import_mstar
+
+    with console.busy(f"reading chips from {chips}"):
+        dataset = import_mstar(
+            chips,
+            out,
+            labels=labels,
+            target_class=target_class,
+            train_views=train_views,
+            train_depression=train_depression,
+            serial=serial,
+            mirrored=mirrored,
+            overwrite=overwrite,
+        )
+    counts = ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits())
+    console.finish(
+        f"{out}: {len(dataset.views)} chips of {target_class} ({counts}); relative power, mean 1 over the training set",
+        f"sarsplat reconstruct {shlex.quote(str(out))} --out {shlex.quote(f'{out}-run')}",
+    )

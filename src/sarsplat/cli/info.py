@@ -1,0 +1,186 @@
+"""`sarsplat info`: what is this file or folder?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from sarsplat.cli import console
+from sarsplat.errors import SarsplatError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from sarsplat.geometry import ImageGrid
+
+_UNDERSTOOD = "a dataset, a run, a PLY of Gaussians or points, a Phoenix chip, a power TIFF or a mesh"
+
+
+def info(path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]) -> None:
+    """Say what a file or folder is: dataset, run, PLY, Phoenix chip, TIFF or mesh; with sizes and units.
+
+    Parameters
+    ----------
+    path
+        File or folder to look at.
+    """
+    if not path.exists():
+        raise SarsplatError(f"{path} does not exist; give {_UNDERSTOOD}")
+    kind, rows = _folder(path) if path.is_dir() else _file(path)
+    console.facts(f"{path}: {kind}", rows)
+
+
+def _folder(path: Path) -> tuple[str, dict[str, str]]:
+    if (path / "dataset.json").is_file():
+        return _dataset(path)
+    if (path / "config.json").is_file():
+        return _run(path)
+    raise SarsplatError(f"{path} is a folder but neither a dataset nor a run; give {_UNDERSTOOD}")
+
+
+def _file(path: Path) -> tuple[str, dict[str, str]]:
+    from sarsplat.data.phoenix import is_phoenix
+
+    if is_phoenix(path):
+        return _phoenix(path)
+    match path.suffix.lower():
+        case ".tif" | ".tiff":
+            return _tiff(path)
+        case ".ply":
+            return _ply(path)
+        case ".png" | ".jpg" | ".jpeg":
+            raise SarsplatError(f"{path} is a picture, which carries no units; chips are read by `sarsplat import`")
+        case ".json" | ".jsonl" | ".safetensors" | ".html" | ".csv" | ".txt" | ".md":
+            raise SarsplatError(f"{path} is none of what this command knows; give {_UNDERSTOOD}")
+    return _mesh(path)
+
+
+def _dataset(path: Path) -> tuple[str, dict[str, str]]:
+    from sarsplat.data import read_dataset
+
+    dataset = read_dataset(path)
+    rows = {
+        "domain": dataset.domain,
+        "quantity": "β⁰, linear power, float32; row 0 near range",
+        **_grid(dataset.grid),
+        **{f"set {split}": _set(dataset.images(split)) for split in dataset.splits()},
+        "truth": dataset.truth_mesh.name if dataset.truth_mesh else "no mesh",
+        **{f"source.{name}": str(value) for name, value in dataset.source.items() if not isinstance(value, list)},
+    }
+    return f"a dataset of {len(dataset.views)} images", rows
+
+
+def _set(images: np.ndarray) -> str:
+    return f"{len(images)} images, mean β⁰ {images.mean():.4g}, largest {images.max():.4g}"
+
+
+def _grid(grid: ImageGrid) -> dict[str, str]:
+    def pair(values: tuple[float, float]) -> str:
+        return f"{values[0]:g} m in azimuth, {values[1]:g} m in slant range"
+
+    return {
+        "pixels": f"{grid.rows} rows (range) × {grid.columns} columns (azimuth)",
+        "spacing": pair(grid.spacing),
+        "resolution": f"{pair(grid.resolution)} (3 dB)",
+    }
+
+
+def _run(path: Path) -> tuple[str, dict[str, str]]:
+    from sarsplat.reconstruct import Run
+
+    run = Run.load(path)
+    rows = {
+        "dataset": str(run.dataset_path),
+        "preset": f"{run.config.preset}, start {run.config.initialisation}, seed {run.seed}",
+        "iterations": f"{run.iteration} of {run.config.iterations}",
+        "time": f"{run.time_s:.1f} s",
+        "Gaussians": str(len(run.gaussians)),
+        "points": _extent(run.points),
+        "scores": "metrics.json" if run.metrics else "none yet; sarsplat evaluate makes them",
+        "report": "report/index.html" if (path / "report" / "index.html").is_file() else "none yet",
+    }
+    return "a run", rows
+
+
+def _extent(points: np.ndarray) -> str:
+    if len(points) == 0:
+        return "0"
+    low, high = points.min(axis=0), points.max(axis=0)
+    ranges = ", ".join(f"{name} {a:.2f} … {b:.2f} m" for name, a, b in zip("xyz", low, high, strict=True))
+    return f"{len(points)}; {ranges}"
+
+
+def _phoenix(path: Path) -> tuple[str, dict[str, str]]:
+    from sarsplat.data import read_phoenix
+
+    chip = read_phoenix(path)
+    rows = {
+        "vehicle": f"{chip.target_type}, serial {chip.serial}",
+        "depression": f"{chip.measured_depression_deg:g}° (planned {chip.desired_depression_deg:g}°)",
+        "TargetAz": f"{chip.target_az_deg:g}°; azimuth here {-chip.target_az_deg % 360:g}°",
+        "pixels": f"{chip.magnitude.shape[0]} × {chip.magnitude.shape[1]}, linear magnitude, phase left out",
+        "spacing": f"{chip.spacing[0]:g} m in cross-range, {chip.spacing[1]:g} m in slant range",
+        "resolution": f"{chip.resolution[0]:g} m, {chip.resolution[1]:g} m (3 dB)",
+        "radar at the": chip.radar_position,
+    }
+    return "a Phoenix chip (MSTAR)", rows
+
+
+def _tiff(path: Path) -> tuple[str, dict[str, str]]:
+    import tifffile
+
+    from sarsplat.data import read_power_tiff
+
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            page = tiff.pages.first
+            shape, description = page.shape, str(page.description)
+    except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
+        raise SarsplatError(f"{path} is not a readable TIFF ({error}); give {_UNDERSTOOD}") from error
+    if len(shape) != 2:
+        raise SarsplatError(f"{path} is a TIFF of shape {shape}; power images have rows and columns only")
+    power = read_power_tiff(path, (shape[0], shape[1]))
+    rows = {
+        "pixels": f"{shape[0]} rows × {shape[1]} columns, float32",
+        "power": f"mean {power.mean():.4g}, largest {power.max():.4g}, linear",
+        "description": description or "none",
+    }
+    return "a power image", rows
+
+
+def _ply(path: Path) -> tuple[str, dict[str, str]]:
+    from sarsplat.data import read_gaussians_ply, read_points_ply
+
+    with path.open("rb") as file:
+        header = file.read(65_536).partition(b"end_header")[0]
+    if b"property list" in header:
+        return _mesh(path)
+    if b" f_dc_0" in header:
+        gaussians = read_gaussians_ply(path)
+        rows = {
+            "centres": _extent(gaussians.means.numpy()),
+            "scales": f"median {gaussians.scales.median():.3g} m" if len(gaussians) else "none",
+            "optical depth": f"median {gaussians.optical_depth.median():.3g} (two-way, peak)"
+            if len(gaussians)
+            else "–",
+            "harmonics": f"degree {gaussians.degree}, p_min {gaussians.p_min:g} (γ⁰)",
+        }
+        return f"{len(gaussians)} Gaussians", rows
+    points, columns = read_points_ply(path)
+    return "points", {"points": _extent(points), "other columns": ", ".join(columns) or "none"}
+
+
+def _mesh(path: Path) -> tuple[str, dict[str, str]]:
+    from sarsplat.scenes import load_mesh
+
+    mesh = load_mesh(path)
+    rows = {
+        "vertices": _extent(mesh.vertices),
+        "faces": str(len(mesh.faces)),
+        "surface": f"{mesh.area:.1f} m²",
+        "closed": "yes" if mesh.is_watertight else "no (fine for ray casting)",
+        "unit": "taken as metres; +x nose, +y left, +z up, ground at z = 0",
+    }
+    return "a mesh", rows

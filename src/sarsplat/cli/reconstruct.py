@@ -1,0 +1,92 @@
+"""`sarsplat reconstruct`: a dataset in, a run out."""
+
+from __future__ import annotations
+
+import dataclasses
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from sarsplat.cli import console
+from sarsplat.cli.arguments import Folder, OptionalCount, OptionalName, refuse_existing
+from sarsplat.errors import SarsplatError
+
+if TYPE_CHECKING:
+    from sarsplat.data import Dataset
+
+Initialisation = Annotated[Literal["box", "hemisphere"] | None, tyro.conf.arg(help_behavior_hint="(optional)")]
+
+
+def reconstruct(
+    dataset: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")],
+    *,
+    out: Folder,
+    preset: OptionalName = None,
+    init: Initialisation = None,
+    seed: OptionalCount = None,
+    iterations: OptionalCount = None,
+    resume: bool = False,
+    overwrite: bool = False,
+) -> None:
+    """Reconstruct Gaussians and points from the training images of a dataset.
+
+    Parameters
+    ----------
+    dataset
+        Folder that `sarsplat simulate` or `sarsplat import` made.
+    out
+        Run to make; what has been learned so far is kept there on Ctrl-C.
+    preset
+        default (measures best), paper (the paper's training) or measured (ground, noise floor, speckle). Unless given:
+        measured where the images show ground, else default.
+    init
+        Start in the box the images bound, or on the paper's hemisphere, instead of the preset's choice.
+    seed
+        Seed of everything random; 0 unless given.
+    iterations
+        Number of training steps instead of the preset's.
+    resume
+        Go on with the run in --out, with the settings it was begun with.
+    overwrite
+        Replace an existing run.
+    """
+    from sarsplat.data import read_dataset
+    from sarsplat.reconstruct import Run
+    from sarsplat.reconstruct import preset as named_preset
+    from sarsplat.reconstruct import reconstruct as train
+
+    if resume and overwrite:
+        raise SarsplatError("--resume goes on with the run and --overwrite throws it away; give one of them")
+    images = read_dataset(dataset)
+    if resume:
+        config = Run.load(out).config
+        if preset is not None and preset != config.preset:
+            raise SarsplatError(f"{out} was begun with preset {config.preset!r}, not {preset!r}; leave --preset out")
+    else:
+        config = named_preset(preset or _fitting_preset(images))
+        refuse_existing(out, overwrite)
+    chosen: dict[str, Any] = {"initialisation": init, "seed": seed, "iterations": iterations}
+    if iterations is not None and iterations < 1:
+        raise SarsplatError(f"--iterations {iterations} must be at least 1")
+    config = dataclasses.replace(config, **{name: value for name, value in chosen.items() if value is not None})
+    place = shlex.quote(str(out))
+    try:
+        run = train(images, out, config, resume=resume, overwrite=overwrite)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"stopped by Ctrl-C; {out} holds what was learned so far: go on with "
+            f"`sarsplat reconstruct {shlex.quote(str(dataset))} --out {place} --resume`"
+        ) from None
+    console.finish(
+        f"{out}: {len(run.gaussians)} Gaussians and {len(run.points)} points in {run.time_s:.0f} s "
+        f"(preset {config.preset}, seed {run.seed})",
+        f"sarsplat evaluate {place}",
+    )
+
+
+def _fitting_preset(dataset: Dataset) -> str:
+    """Where there is ground it must be modelled."""
+    has_ground = dataset.domain == "measured" or dataset.source.get("ground_gamma0") is not None
+    return "measured" if has_ground else "default"

@@ -1,0 +1,26 @@
+"""`sarsplat report`: a run in, a page to look at out."""
+
+from __future__ import annotations
+
+from sarsplat.cli import console
+from sarsplat.cli.arguments import RunFolder
+
+
+def report(run: RunFolder) -> None:
+    """Write a run's report: pictures, scores and settings on one page that needs no network.
+
+    Parameters
+    ----------
+    run
+        Folder that `sarsplat reconstruct` made.
+    """
+    from sarsplat.reconstruct import Run
+    from sarsplat.report import write_report
+
+    done = Run.load(run)
+    with console.busy(f"writing the report of {run}"):
+        page = write_report(done)
+    evaluated = done.metrics is not None
+    console.finish(
+        str(page), f"open {page} in a browser" if evaluated else f"sarsplat evaluate {run} (adds the scores)"
+    )

@@ -1,0 +1,179 @@
+"""`sarsplat simulate`: a mesh in, a dataset out."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Literal
+
+from sarsplat.cli import console
+from sarsplat.cli.arguments import (
+    Angles,
+    Folder,
+    Metres,
+    OptionalCount,
+    OptionalFile,
+    OptionalName,
+    OptionalNumber,
+    refuse_existing,
+    views_from,
+)
+from sarsplat.errors import SarsplatError
+
+if TYPE_CHECKING:
+    from sarsplat.geometry import ImageGrid, View
+
+
+def simulate(
+    *,
+    out: Folder,
+    target: OptionalName = None,
+    mesh: OptionalFile = None,
+    protocol: Literal["paper", "mstar"] = "paper",
+    azimuth: Angles = (),
+    grazing: Angles = (),
+    incidence: Angles = (),
+    test_azimuth: Angles = (),
+    test_grazing: Angles = (),
+    test_incidence: Angles = (),
+    source: Literal["raycast", "splat"] = "raycast",
+    ground: OptionalNumber = None,
+    looks: OptionalNumber = None,
+    pixels: OptionalCount = None,
+    spacing: Metres = None,
+    resolution: Metres = None,
+    seed: int = 0,
+    overwrite: bool = False,
+) -> None:
+    """Simulate SAR images of a target: a dataset to reconstruct from.
+
+    Parameters
+    ----------
+    out
+        Dataset to make.
+    target
+        A built-in target: t72.
+    mesh
+        Any mesh instead: metres, +x nose, +y left, +z up, ground at z = 0.
+    protocol
+        Views and pixels: 24 + 48 views at incidence 15, 45, 75° (paper), or 36 + 72 at 17 and 15° grazing (mstar).
+    azimuth
+        Own training azimuths instead of the protocol's views: degrees or start:stop:step (stop left out): 0:360:15.
+    grazing
+        Own grazing angles, degrees in (0, 90).
+    incidence
+        The same as incidence angles, 90° − grazing.
+    test_azimuth
+        Azimuths of unseen test views; those of the training unless given. What is trained on is left out.
+    test_grazing
+        Grazing angles of the test views; those of the training unless given.
+    test_incidence
+        The same as incidence angles.
+    source
+        Ray casting (independent of the renderer), or our own forward model on surface points.
+    ground
+        γ⁰ (linear) of a flat ground; none unless given.
+    looks
+        Looks of multiplicative speckle, 1 = single look; none unless given.
+    pixels
+        Rows and columns instead of the protocol's 128.
+    spacing
+        Pixel spacing in azimuth and slant range instead of the protocol's.
+    resolution
+        3 dB width in both instead of the protocol's (with --spacing: that spacing).
+    seed
+        Seed of everything random.
+    overwrite
+        Replace an existing dataset.
+    """
+    from sarsplat.data import write_dataset
+    from sarsplat.progress import progress
+    from sarsplat.scenes import ScatteringLaw, load_mesh, vehicle
+    from sarsplat.scenes.simulate import simulate_images, simulation_record
+
+    views, test_options = _views(protocol, azimuth, grazing, incidence), (test_azimuth, test_grazing, test_incidence)
+    if any(test_options):
+        views = _with_test_views(views, azimuth, grazing, incidence, *test_options)
+    grid = _grid(protocol, pixels, spacing, resolution)
+    refuse_existing(out, overwrite)
+    if mesh is not None and target is None:
+        surface, name = load_mesh(mesh), mesh.name
+    elif target is not None and mesh is None:
+        surface, name = vehicle(target), target
+    else:
+        problem = "both" if target else "neither"
+        raise SarsplatError(f"{problem} of --target and --mesh was given; give one, e.g. --target t72")
+    how: dict[str, Any] = {
+        "source": source,
+        "law": ScatteringLaw(),
+        "ground_gamma0": ground,
+        "looks": looks,
+        "seed": seed,
+    }
+    with progress(f"simulate {name}", len(views)) as shown:
+        images = simulate_images(surface, [view for view, _ in views], grid, **how, progress=shown.update)
+    record = {
+        "target": name,
+        "protocol": None if azimuth else protocol,
+        **simulation_record(**how),
+    }
+    dataset = write_dataset(
+        out,
+        grid=grid,
+        views=[(view, split, None) for view, split in views],
+        images=images,
+        source=record,
+        domain="rendered",
+        truth_mesh=surface,
+        overwrite=overwrite,
+    )
+    counts = ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits())
+    run = shlex.quote(f"{out}-run")
+    console.finish(
+        f"{out}: {len(views)} images of {name} ({counts}), {grid.rows} × {grid.columns} pixels",
+        f"sarsplat reconstruct {shlex.quote(str(out))} --out {run}",
+    )
+
+
+def _views(protocol: str, azimuth: Angles, grazing: Angles, incidence: Angles) -> list[tuple[View, str]]:
+    """The protocol's views, or the user's own, all for training."""
+    from sarsplat.scenes import mstar_views, paper_views
+
+    if azimuth or grazing or incidence:
+        return [(view, "train") for view in views_from(azimuth, grazing, incidence)]
+    return paper_views() if protocol == "paper" else mstar_views()
+
+
+def _with_test_views(
+    views: list[tuple[View, str]],
+    azimuth: Angles,
+    grazing: Angles,
+    incidence: Angles,
+    test_azimuth: Angles,
+    test_grazing: Angles,
+    test_incidence: Angles,
+) -> list[tuple[View, str]]:
+    """The same training views, and unseen ones."""
+    if not azimuth:
+        raise SarsplatError(
+            "test views were given, but the training views are the protocol's, which has its own; give --azimuth too"
+        )
+    if not test_grazing and not test_incidence:
+        test_grazing, test_incidence = grazing, incidence
+    trained = {view for view, _ in views}
+    test = views_from(test_azimuth or azimuth, test_grazing, test_incidence, prefix="test-")
+    unseen = [view for view in test if view not in trained]
+    if not unseen:
+        raise SarsplatError(f"all {len(test)} test views are training views too; give others with --test-azimuth")
+    return [*views, *((view, "test") for view in unseen)]
+
+
+def _grid(protocol: str, pixels: int | None, spacing: float | None, resolution: float | None) -> ImageGrid:
+    from sarsplat.scenes import mstar_grid, paper_grid
+
+    grid = paper_grid() if protocol == "paper" else mstar_grid()
+    if pixels is not None:
+        grid = replace(grid, rows=pixels, columns=pixels)
+    if spacing is not None:
+        grid = replace(grid, spacing=(spacing, spacing), resolution=(spacing, spacing))
+    return grid if resolution is None else replace(grid, resolution=(resolution, resolution))

@@ -1,0 +1,51 @@
+"""Many images on one sheet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.report.canvas import colour_bar, dress, new_figure, ramp, to_png
+from sarsplat.report.decibels import DYNAMIC_DB, to_decibels
+
+_SIDE = 1.6  # inches
+_MOST_COLUMNS = 8
+
+
+def contact_sheet(images: np.ndarray, views: Sequence[View], grid: ImageGrid, peak: float) -> bytes:
+    """All images in decibels, labelled with their views, as PNG.
+
+    Parameters
+    ----------
+    images : numpy.ndarray, float [V, rows, columns]
+        β⁰, linear power.
+    views, grid
+        From where, and where the pixels lie.
+    peak : float
+        The power shown white.
+    """
+    columns = min(len(views), _MOST_COLUMNS, max(3, math.ceil(math.sqrt(len(views)))))
+    lines = math.ceil(len(views) / columns)
+    aspect = (grid.rows * grid.spacing[1]) / (grid.columns * grid.spacing[0])
+    width, height = max(columns * _SIDE, 3.6), lines * (_SIDE * aspect + 0.22) + 0.66
+    figure = new_figure(width, height)
+    panels = figure.subplots(lines, columns, squeeze=False)
+    for axes in panels.flat:
+        axes.set_axis_off()
+    for axes, image, view in zip(panels.flat, images, views):  # empty places stay dark
+        axes.imshow(
+            to_decibels(image, peak), cmap="gray", vmin=-DYNAMIC_DB, vmax=0, aspect=grid.spacing[1] / grid.spacing[0]
+        )
+        dress(axes)
+        axes.set_title(f"{view.azimuth_deg:g}°, grazing {view.grazing_deg:g}°", size=7.5, pad=3)
+    figure.subplots_adjust(
+        left=0.02, right=0.98, top=1 - 0.24 / height, bottom=0.6 / height, wspace=0.05, hspace=0.2 / _SIDE
+    )
+    bar = figure.add_axes(((1 - 2.6 / width) / 2, 0.44 / height, 2.6 / width, 0.08 / height))
+    colour_bar(
+        figure, bar, ramp("grey", "black", "white"), (-DYNAMIC_DB, 0), "power, dB of the brightest training pixel"
+    )
+    return to_png(figure)

@@ -1,0 +1,100 @@
+"""Put a report together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from sarsplat.data import Dataset, write_bytes
+from sarsplat.data.files import plain_os_errors
+from sarsplat.reconstruct import Run
+from sarsplat.report.cloud import points_figure
+from sarsplat.report.curves import curves_figure
+from sarsplat.report.page import Picture, page
+from sarsplat.report.views import evenly, views_figure
+
+_VIEWS = 6
+_SURFACE_SAMPLES = 100_000
+
+
+def write_report(run: Run) -> Path:
+    """Write `RUN/report/`: `index.html`, which holds all it shows, and its pictures once more as PNGs.
+
+    Parameters
+    ----------
+    run : Run
+        A reconstruction; its scores are shown if `metrics.json` is there.
+
+    Returns
+    -------
+    Path
+        `RUN/report/index.html`.
+
+    Raises
+    ------
+    SarsplatError
+        If the run's dataset is missing or a file cannot be written.
+    """
+    folder = run.path / "report"
+    with plain_os_errors("write", folder):
+        folder.mkdir(exist_ok=True)
+    pictures, training = [_views(run), _points(run)], _curves(run)
+    for picture in (*pictures, *training):
+        write_bytes(folder / picture.file, picture.png)
+    write_bytes(folder / "index.html", page(run, pictures, training).encode())
+    return folder / "index.html"
+
+
+def is_speckled(dataset: Dataset) -> bool:
+    """Whether its images carry speckle."""
+    return dataset.domain == "measured" or bool(dataset.source.get("looks"))
+
+
+def _views(run: Run) -> Picture:
+    dataset = run.dataset
+    splits = [split for split in dataset.splits() if split != "train"] or ["train"]
+    items = [(item, split, index) for split in splits for index, item in enumerate(dataset.select(split))]
+    chosen = [items[index] for index in evenly(len(items), _VIEWS)]
+    stacks = {split: dataset.images(split) for split in {split for _, split, _ in chosen}}
+    truth = np.stack([stacks[split][index] for _, split, index in chosen])
+    views = [item.view for item, _, _ in chosen]
+    speckled = is_speckled(dataset)
+    png = views_figure(
+        truth, run.render(views), views, dataset.grid, float(dataset.images("train").max()), speckled=speckled
+    )
+    unseen = (
+        f"{len(chosen)} of {len(items)} test views, evenly chosen; none of them was trained on."
+        if splits != ["train"]
+        else "The dataset has no test views, so these are training views."
+    )
+    what = (
+        "The truth is a measured chip with its speckle; the rendering is the expected power, without speckle, so the "
+        "difference compares 3×3 means."
+        if speckled
+        else "Orange: too bright; blue: too dark; what is darker than the pictures show counts as equal."
+    )
+    text = f"{unseen} β⁰ in decibels, radar at the top, near range first. {what}"
+    return Picture("views.png", "Unseen views", text, png)
+
+
+def _points(run: Run) -> Picture:
+    if run.dataset.truth_mesh is None:
+        text = "Where the rays of the training views return, from three sides. No true surface is known here."
+        return Picture("points.png", "Points", text, points_figure(run.points, None))
+    import trimesh
+
+    mesh = trimesh.load_mesh(run.dataset.truth_mesh, process=False)
+    surface, _ = trimesh.sample.sample_surface(mesh, _SURFACE_SAMPLES, seed=0)
+    text = "The reconstruction beside the true surface, which it never saw: images and their views were all it had."
+    return Picture("points.png", "Points", text, points_figure(run.points, np.asarray(surface)))
+
+
+def _curves(run: Run) -> list[Picture]:
+    history = run.history
+    if not history:
+        return []
+    name = "log-likelihood of the speckle" if run.config.loss == "speckle" else "difference of amplitudes (largest = 1)"
+    label = "nats per pixel" if run.config.loss == "speckle" else "loss"
+    text = f"The loss is the {name}, averaged over the training views."
+    return [Picture("curves.png", "Training", text, curves_figure(history, label))]

@@ -1,0 +1,140 @@
+"""Images of a mesh from many views, by either source of truth, and the record of how they were made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import torch
+
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.render import render
+from sarsplat.scenes.raycast import simulate_raycast
+from sarsplat.scenes.scattering import ScatteringLaw
+from sarsplat.scenes.speckle import add_speckle
+from sarsplat.scenes.splat_truth import law_scattering, surface_gaussians
+
+if TYPE_CHECKING:
+    import trimesh
+
+Source = Literal["raycast", "splat"]
+
+# Protocol R: rays of the ray caster, and the surface points of the splat truth with their rays.
+_RAY_SPACING, _OVERSAMPLE = 0.02, 9
+_POINTS, _SIGMA, _OPTICAL_DEPTH, _RAYS_PER_PIXEL = 20_000, 0.06, 4.0, 4.0
+
+
+def simulate_images(
+    mesh: trimesh.Trimesh,
+    views: Sequence[View],
+    grid: ImageGrid,
+    *,
+    source: Source = "raycast",
+    law: ScatteringLaw | None = None,
+    ground_gamma0: float | None = None,
+    looks: float | None = None,
+    seed: int = 0,
+    progress: Callable[[int], object] | None = None,
+) -> np.ndarray:
+    """SAR images of a mesh from every view.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        Target, m.
+    views, grid
+        V views, and where the pixels of each image lie.
+    source : {"raycast", "splat"}
+        Ray casting of the mesh (R-ray: shares nothing with the renderer), or our own forward model from points on its
+        surface (R-self, as in the paper).
+    law : ScatteringLaw, optional
+        γ⁰ of the surface against incidence angle; 0.1 + 0.9 cos² i unless given.
+    ground_gamma0 : float, optional
+        γ⁰ (linear) of a flat ground at z = 0; none unless given. Ray casting only.
+    looks : float, optional
+        Number of looks of the speckle; none unless given.
+    seed : int
+        Seed of the speckle and of the surface points.
+    progress : callable, optional
+        Told the number of finished images after each.
+
+    Returns
+    -------
+    numpy.ndarray, float32 [V, rows, columns]
+        β⁰, linear power.
+
+    Raises
+    ------
+    SarsplatError
+        If the source is unknown or can do no ground, or the mesh or a setting is unsound.
+    """
+    law = law or ScatteringLaw()
+    if source == "raycast":
+        images = _raycast(mesh, views, grid, law, ground_gamma0)
+    elif source != "splat":
+        raise SarsplatError(f"source {source!r} is unknown; choose 'raycast' or 'splat'")
+    elif ground_gamma0 is not None:
+        raise SarsplatError(f"source 'splat' has no ground (γ⁰ {ground_gamma0} was asked for); take source 'raycast'")
+    else:
+        images = _splat(mesh, views, grid, law, seed)
+    stack = np.ones((len(views), grid.rows, grid.columns), dtype=np.float32)
+    if looks is not None:  # first, so that a bad number of looks is told before minutes of ray casting
+        stack = add_speckle(stack, looks, np.random.default_rng(seed))
+    for index, image in enumerate(images):
+        stack[index] *= image
+        if progress is not None:
+            progress(index + 1)
+    return stack
+
+
+def simulation_record(
+    *, source: Source, law: ScatteringLaw, ground_gamma0: float | None, looks: float | None, seed: int
+) -> dict[str, Any]:
+    """How `simulate_images` made images with these arguments, as JSON for a dataset's `source`."""
+    how: dict[str, Any]
+    if source == "raycast":
+        how = {"ray_spacing_m": _RAY_SPACING, "nodes_per_pixel": _OVERSAMPLE}
+    else:
+        how = {
+            "surface_points": _POINTS,
+            "sigma_m": _SIGMA,
+            "optical_depth": _OPTICAL_DEPTH,
+            "rays_per_pixel": _RAYS_PER_PIXEL,
+        }
+    return {
+        "kind": source,
+        "law": law.as_dict(),
+        "law_formula": "gamma0(i) = floor + lobe*cos(i)^2, two-sided; i = angle between facet normal and radar",
+        "ground_gamma0": ground_gamma0,
+        "looks": looks,
+        "seed": seed,
+        **how,
+    }
+
+
+def _raycast(
+    mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid, law: ScatteringLaw, ground_gamma0: float | None
+) -> Iterator[np.ndarray]:
+    for view in views:
+        yield simulate_raycast(
+            mesh,
+            view,
+            grid,
+            law,
+            ground_gamma0=ground_gamma0,
+            ray_spacing=_RAY_SPACING,
+            oversample=_OVERSAMPLE,
+        )
+
+
+def _splat(
+    mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid, law: ScatteringLaw, seed: int
+) -> Iterator[np.ndarray]:
+    gaussians, normals = surface_gaussians(mesh, _POINTS, sigma=_SIGMA, optical_depth=_OPTICAL_DEPTH, seed=seed)
+    rays = RayGrid.for_image(grid, _RAYS_PER_PIXEL)
+    for view in views:
+        scattering = torch.from_numpy(law_scattering(normals, [view], law).astype(np.float32))
+        with torch.no_grad():
+            yield render(gaussians, [view], grid, rays=rays, scattering=scattering).images[0].numpy()

@@ -1,0 +1,81 @@
+"""Frames, angles and pixel positions (docs/conventions.md §1)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+
+views = st.builds(View, st.floats(-720, 720), st.floats(0.01, 89.99))
+
+
+@given(views)
+def test_the_radar_frame_is_a_proper_rotation(view):
+    frame = radar_frame(view)
+    assert frame @ frame.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert np.linalg.det(frame) == pytest.approx(1.0)
+
+
+@given(views)
+def test_its_axes_are_what_they_are_called(view):
+    flight, elevation, away = radar_frame(view)
+    phi, theta = math.radians(view.azimuth_deg), math.radians(view.grazing_deg)
+    u = np.array([math.cos(theta) * math.cos(phi), -math.cos(theta) * math.sin(phi), math.sin(theta)])
+    assert view.direction == pytest.approx(u, abs=1e-12)
+    assert away == pytest.approx(-u, abs=1e-12)
+    assert flight[2] == 0.0  # the radar flies level
+    assert elevation[2] > 0.0  # up in the scene is up across the line of sight
+    # right-looking: seen from the radar, the scene lies to the right of the direction of flight
+    assert np.cross(flight, away)[2] < 0.0
+    assert view.incidence_deg == pytest.approx(90 - view.grazing_deg)
+
+
+def test_azimuth_runs_clockwise_seen_from_above():
+    def ground(azimuth):
+        return View(azimuth, 30.0).direction[:2] / math.cos(math.radians(30.0))
+
+    assert ground(0.0) == pytest.approx([1, 0], abs=1e-12)
+    assert ground(90.0) == pytest.approx([0, -1], abs=1e-12)
+    assert ground(180.0) == pytest.approx([-1, 0], abs=1e-12)
+
+
+@given(views, st.floats(-180, 180))
+def test_turning_the_scene_is_turning_the_radar_back(view, angle):
+    c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])  # counter-clockwise
+    turned_back = View(view.azimuth_deg - angle, view.grazing_deg)
+    assert radar_frame(turned_back) @ turn == pytest.approx(radar_frame(view), abs=1e-11)
+
+
+def test_image_is_a_map_with_the_radar_at_the_top():
+    """Ground points east and north of the centre, seen from the north: neither mirrored nor upside down."""
+    from_north = View(-90.0, 40.0)  # +y is north
+    x_of, _, r_of = radar_frame(from_north)
+    east, north = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
+    assert r_of @ north < 0 < r_of @ -north  # nearer to the radar: further up (row 0 is near range)
+    # with north at the top of the picture east would be right, with columns growing to the right
+    assert x_of @ east > 0
+    assert x_of @ north == pytest.approx(0.0, abs=1e-12)
+    # height comes in early: layover
+    assert r_of @ np.array([0, 0, 1.0]) == pytest.approx(-math.sin(math.radians(40.0)))
+
+
+def test_pixel_centres():
+    even = ImageGrid(4, 6, spacing=(0.5, 0.25), resolution=(0.6, 0.3))
+    assert even.azimuth_m == pytest.approx([-1.25, -0.75, -0.25, 0.25, 0.75, 1.25])
+    assert even.range_m == pytest.approx([-0.375, -0.125, 0.125, 0.375])
+    odd = ImageGrid(3, 1, spacing=(0.5, 0.25), resolution=(0.6, 0.3), center=(10.0, -2.0))
+    assert odd.azimuth_m == pytest.approx([10.0])
+    assert odd.range_m == pytest.approx([-2.25, -2.0, -1.75])
+
+
+def test_rays_to_a_pixel():
+    grid = ImageGrid(4, 6, spacing=(0.5, 0.2), resolution=(0.6, 0.3))
+    assert RayGrid.for_image(grid).spacing == (0.1, 0.1)  # half of the finer spacing
+    assert RayGrid.for_image(grid, per_pixel=4).spacing == (0.05, 0.05)
+    assert RayGrid((0.1, 0.3)).cell_area == pytest.approx(0.03)

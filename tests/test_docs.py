@@ -1,0 +1,125 @@
+"""The documentation tells the truth: its example runs, its links lead somewhere, its commands and names exist."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sarsplat.cli import main
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+
+
+def run_python(*arguments: str) -> str:
+    """Standard output of a fresh interpreter in which every warning is an error."""
+    command = [sys.executable, "-W", "error", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def anchors(page: Path) -> set[str]:
+    """The names under which a page's headings can be linked to."""
+    headings = re.findall(r"^#+ +(.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_readme_example_gives_every_parameter_a_gradient():
+    example = blocks(ROOT / "README.md", "python")[0]
+    assert sum(bool(line.strip()) for line in example.splitlines()) < 20
+    printed = run_python("-c", example)
+    cross_section, image_sum = map(float, re.findall(r"([\d.]+) m²", printed))
+    assert cross_section > 0
+    assert image_sum == pytest.approx(cross_section, rel=0.01)
+    for name in ("means", "quaternions", "scales", "optical_depth", "harmonics"):
+        (gradient,) = re.findall(rf"^{name}: tensor\((.*?)\)$", printed, re.MULTILINE)
+        values = [float(number) for number in re.findall(r"-?\d+\.?\d*(?:e[-+]\d+)?", gradient)]
+        assert any(value != 0 for value in values), name
+
+
+def test_readme_example_is_the_example_script():
+    script = (ROOT / "examples" / "one_gaussian.py").read_text(encoding="utf-8")
+    assert script.endswith(blocks(ROOT / "README.md", "python")[0])
+
+
+@pytest.mark.parametrize("script", EXAMPLES, ids=lambda path: path.name)
+def test_example_compiles(script):
+    compile(script.read_text(encoding="utf-8"), str(script), "exec")
+
+
+@pytest.mark.slow
+def test_fit_gaussians_reaches_a_good_fit():
+    last = run_python(str(ROOT / "examples" / "fit_gaussians.py")).splitlines()[-1]
+    assert float(re.findall(r"PSNR ([\d.]+) dB", last)[0]) > 40
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        name, _, anchor = target.partition("#")
+        path = (page.parent / name).resolve() if name else page
+        assert path.exists(), f"{page.name}: {target}"
+        if anchor:
+            assert anchor in anchors(path), f"{page.name}: {target}"
+
+
+def commands(page: Path) -> list[str]:
+    lines = [line for block in blocks(page, "bash") for line in block.splitlines()]
+    return [line for line in lines if line.startswith("sarsplat ")]
+
+
+def test_readme_shows_every_command():
+    shown = {shlex.split(command)[1] for command in commands(ROOT / "README.md")}
+    assert shown == {"simulate", "import", "reconstruct", "evaluate", "render", "report", "info", "export", "doctor"}
+
+
+def test_commands_in_readme_have_the_options_shown(capsys):
+    for command in commands(ROOT / "README.md"):
+        _, name, *words = shlex.split(command)
+        with pytest.raises(SystemExit):
+            main([name, "--help"])
+        known = set(re.findall(r"--[\w-]+", capsys.readouterr().out))
+        assert {word for word in words if word.startswith("--")} <= known, command
+
+
+def test_names_in_the_paper_map_exist():
+    text = (ROOT / "docs" / "paper-map.md").read_text(encoding="utf-8")
+    references = re.findall(r"`([\w/]+\.(?:py|h))`(?:: ((?:`\w+`(?:, )?)+))?", text)
+    assert len(references) > 20
+    for file, names in references:
+        path = ROOT / "src" / "sarsplat" / file
+        assert path.is_file(), file
+        for name in re.findall(r"\w+", names):
+            assert re.search(rf"\b(def|class|struct) {name}\b|\b{name}\(", path.read_text(encoding="utf-8")), (
+                file,
+                name,
+            )
+
+
+def test_results_table_comes_from_metrics_and_leaves_gaps_open():
+    spec = importlib.util.spec_from_file_location("readme_results", ROOT / "docs" / "readme_results.py")
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    metrics = {
+        "images": {"test": {"psnr_db": 50.13, "psnr_target_db": 33.0, "ssim": 0.999, "lpips": None}},
+        "points": {"visible": {"cd_m": 0.08, "f1@0.3": 0.97, "f1@0.1": 0.7}},
+        "time_s": 83.2,
+    }
+    table = module.table(metrics)
+    assert "| 50.13 | 35.91 |" in table
+    assert "| LPIPS (↓) | – | 0.0165 |" in table
+    assert "1 min 23 s" in table
+    assert module.BLOCK.search((ROOT / "README.md").read_text(encoding="utf-8"))
