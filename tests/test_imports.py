@@ -12,7 +12,16 @@ import pytest
 import sarsplat
 
 PACKAGE = Path(sarsplat.__file__).parent
-ORDER = (("geometry",), ("gaussians",), ("render",), ("scenes", "data"), ("reconstruct",), ("evaluate",), ("report",), ("cli",))
+ORDER = (
+    ("geometry",),
+    ("gaussians",),
+    ("render",),
+    ("scenes", "data"),
+    ("reconstruct",),
+    ("evaluate",),
+    ("report",),
+    ("cli",),
+)
 RANK = {folder: rank for rank, folders in enumerate(ORDER) for folder in folders}
 
 
@@ -51,7 +60,9 @@ def test_imports_run_one_way(folder):
 def test_nothing_imports_the_package_itself():
     """`sarsplat/__init__.py` gathers the public names; going through it would hide a cycle."""
     for path in PACKAGE.rglob("*.py"):
-        names = {n.module for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.ImportFrom)}
+        names = {
+            n.module for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.ImportFrom)
+        }
         if path.parent != PACKAGE and path.parent.name != "cli":
             assert "sarsplat" not in names, path
 
@@ -73,4 +84,8 @@ def test_importing_the_renderer_loads_nothing_more():
     ).stdout.split()
     heavy = {"scipy", "safetensors", "plyfile", "tifffile", "rich", "tyro", "trimesh", "matplotlib", "PIL", "sklearn"}
     assert not {module.split(".")[0] for module in loaded} & heavy
-    assert not [m for m in loaded if m.startswith("sarsplat.") and m.split(".")[1] not in ("errors", "geometry", "gaussians", "render")]
+    assert not [
+        m
+        for m in loaded
+        if m.startswith("sarsplat.") and m.split(".")[1] not in ("errors", "geometry", "gaussians", "render")
+    ]

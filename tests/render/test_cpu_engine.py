@@ -72,7 +72,9 @@ def test_matches_the_reference(name, instruction_set):
         assert relative(outputs[output][~missing], value[~missing]) <= 1e-5, output
         assert name in NO_IMAGE or float(value[~missing].norm()) > 0, output
 
-    gradients = dict(zip(leaves, torch.autograd.grad(loss_of(outputs, norms), list(leaves.values()), allow_unused=True)))
+    gradients = dict(
+        zip(leaves, torch.autograd.grad(loss_of(outputs, norms), list(leaves.values()), allow_unused=True))
+    )
     for argument, value in expected_gradients.items():
         if value is None or name in NOTHING_TO_SEE:
             assert gradients[argument] is None or not gradients[argument].any(), argument

@@ -58,7 +58,7 @@ def one(kappa: float = 1.0, scales: tuple[float, float, float] = (0.4, 0.3, 0.2)
     )
 
 
-# ---- 1. opaque surfaces: a level that depends on the grazing angle alone ------------------------------------------------
+# ---- 1. opaque surfaces: a level that depends on the grazing angle alone ---------------------------------------------
 GRID = ImageGrid(12, 8, spacing=(0.5, 0.5), resolution=(0.75, 0.75))
 RAYS = RayGrid.for_image(GRID, per_pixel=4)
 LOOK = 0.0  # the radar stands at +x
@@ -107,7 +107,7 @@ def test_layover_adds_and_the_shadow_is_as_long_as_geometry_says(engine):
     assert level[(g > 0.5) & (g < height / tan - 0.5)] == pytest.approx(0.0, abs=0.02 * tan)
 
 
-# ---- 2. one Gaussian ----------------------------------------------------------------------------------------------------
+# ---- 2. one Gaussian -------------------------------------------------------------------------------------------------
 def test_the_image_holds_the_cross_section(engine):
     grid = ImageGrid(40, 44, spacing=(0.2, 0.25), resolution=(0.3, 0.4))  # ρ ≥ 1.5 Δ
     rendering = render(one().to(DTYPE[engine]), VIEWS, grid, engine=engine)
@@ -145,12 +145,14 @@ def test_cross_section_of_a_thin_gaussian(engine):
         assert float(rendering.cross_sections[v, 0]) == pytest.approx(expected, rel=1e-3)
 
 
-# ---- 3. attenuation -----------------------------------------------------------------------------------------------------
+# ---- 3. attenuation --------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("name", ["overlap", "opaque", "needles", "oblong rays", "depth ties"])
 def test_what_is_lit_is_what_does_not_pass(engine, name):
     """Σ_i w_i = 1 − T_end, summed over the rays of a view."""
     scene = MATRIX[name]()
-    rendering = scene.call(render, {k: t.to(DTYPE[engine]) for k, t in scene.leaves(torch.float64).items()}, engine=engine)
+    rendering = scene.call(
+        render, {k: t.to(DTYPE[engine]) for k, t in scene.leaves(torch.float64).items()}, engine=engine
+    )
     rays = scene.rays or RayGrid.for_image(scene.grid)
     for lit, ray_map in zip(rendering.lit_area, rendering.ray_maps, strict=True):
         stopped = rays.cell_area * float((1 - ray_map.transmittance.detach().double()).sum())
@@ -172,7 +174,7 @@ def test_behind_a_wall(engine, kappa):
         assert math.exp(-kappa) * float(free) <= float(behind) <= math.exp(-least) * float(free)
 
 
-# ---- 4. symmetries ------------------------------------------------------------------------------------------------------
+# ---- 4. symmetries ---------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("angle", [90.0, 33.0, -140.0])
 def test_turning_scene_and_radar_together(engine, angle):
     scene = cloud(40, 16, degree=0).to(DTYPE[engine])

@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words == ["--version"]:
-        console.say(f"sarsplat {extras.installed_version('sarsplat')}")
+        console.say(f"sarsplat {extras.installed_version('sarsplat') or '(running from source)'}")
         return 0
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning

@@ -13,7 +13,7 @@ from sarsplat.errors import SarsplatError
 
 def doctor() -> None:
     """Say which version, engines, extras and weights this installation has, and how to get what it lacks."""
-    console.facts(f"sarsplat {extras.installed_version('sarsplat') or '(not installed: running from source)'}", _core())
+    console.facts(f"sarsplat {extras.installed_version('sarsplat') or '(running from source)'}", _core())
     console.facts(
         "engines", {"reference": "plain torch, any dtype", "cpu": _cpu_engine(), "cuda": "not yet in this version"}
     )

@@ -67,7 +67,7 @@ def _dataset(path: Path) -> tuple[str, dict[str, str]]:
         **_grid(dataset.grid),
         **{f"set {split}": _set(dataset.images(split)) for split in dataset.splits()},
         "truth": dataset.truth_mesh.name if dataset.truth_mesh else "no mesh",
-        **{f"source.{name}": str(value) for name, value in dataset.source.items() if not isinstance(value, list)},
+        **{f"source.{name}": str(value) for name, value in dataset.source.items() if value and name != "chips"},
     }
     return f"a dataset of {len(dataset.views)} images", rows
 

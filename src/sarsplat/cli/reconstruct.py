@@ -16,7 +16,10 @@ from sarsplat.errors import SarsplatError
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
 
-Initialisation = Annotated[Literal["box", "hemisphere"] | None, tyro.conf.arg(help_behavior_hint="(optional)")]
+Initialisation = Annotated[
+    Literal["box", "hemisphere"] | None,
+    tyro.conf.arg(metavar="{box,hemisphere}", help_behavior_hint="(optional)"),
+]
 
 
 def reconstruct(
@@ -39,8 +42,8 @@ def reconstruct(
     out
         Run to make; what has been learned so far is kept there on Ctrl-C.
     preset
-        default (measures best), paper (the paper's training) or measured (ground, noise floor, speckle). Unless given:
-        measured where the images show ground, else default.
+        default (measures best), paper (the paper's training) or measured (ground, noise floor, speckle); measured
+        if the images show ground and default otherwise, unless given.
     init
         Start in the box the images bound, or on the paper's hemisphere, instead of the preset's choice.
     seed
@@ -75,6 +78,8 @@ def reconstruct(
     try:
         run = train(images, out, config, resume=resume, overwrite=overwrite)
     except KeyboardInterrupt:
+        if not (out / "config.json").is_file():
+            raise
         raise KeyboardInterrupt(
             f"stopped by Ctrl-C; {out} holds what was learned so far: go on with "
             f"`sarsplat reconstruct {shlex.quote(str(dataset))} --out {place} --resume`"

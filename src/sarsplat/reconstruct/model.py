@@ -66,7 +66,7 @@ class SceneModel:
             mean_tangent = float(np.mean([math.tan(math.radians(v.view.grazing_deg)) for v in dataset.select("train")]))
             level = float(np.median(dataset.images("train"))) / math.log(2) / mean_tangent  # γ⁰ of single-look clutter
             parameters |= {
-                "ground": torch.tensor([logit_of_scattering(level, config.p_min)]),
+                "ground": torch.tensor([logit_of_scattering(level, config.p_min), *[0.0] * 15]),
                 "noise": torch.tensor([math.log(config.surroundings.noise_floor)]),
                 "shift": torch.zeros(views, 2),
                 "log_gain": torch.zeros(views),
@@ -100,9 +100,8 @@ class SceneModel:
         if self._ground is None:
             return target
         ground = self._ground
-        level = self.parameters["ground"].expand(len(ground), 1)
-        harmonics = torch.cat([level, ground.harmonics[:, : target.harmonics.shape[1] - 1]], dim=1)
-        parts = {**ground.tensors(), "harmonics": harmonics}
+        coefficients = target.harmonics.shape[1]  # one γ⁰(u) for all of the ground
+        parts = {**ground.tensors(), "harmonics": self.parameters["ground"][:coefficients].expand(len(ground), -1)}
         joined = {name: torch.cat([tensor, parts[name]]) for name, tensor in target.tensors().items()}
         return Gaussians(**joined, p_min=self.config.p_min)
 
@@ -128,7 +127,7 @@ class SceneModel:
         if self.config.surroundings and chips is not None:
             # deviations from the mean chip: an unseen view is rendered as the mean one
             shift = (p["shift"] - p["shift"].mean(0))[list(chips)]
-            gain = (p["log_gain"] - p["log_gain"].mean())[list(chips)].exp()
+            gain = torch.softmax(p["log_gain"], dim=0)[list(chips)] * len(p["log_gain"])  # of mean 1
         rendering = render(
             self.scene(degree), views, grid, rays=rays, shift=shift, gain=gain, plane_gradients=plane_gradients
         )
@@ -195,10 +194,10 @@ def _ground_sheet(surroundings: Surroundings) -> Gaussians:
         torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(n, 4),
         torch.stack([width, width, torch.full_like(width, 0.01)], dim=1),
         torch.full((n,), _GROUND_DEPTH),
-        torch.zeros(n, 16),
+        torch.zeros(n, 1),
     )
 
 
 def level_of(parameter: Tensor, p_min: float) -> float:
     """γ⁰ of an isotropic scatterer with this degree-0 coefficient."""
-    return p_min + float(softplus(parameter.detach().double() / (2 * math.sqrt(math.pi))))
+    return p_min + float(softplus(parameter.detach().double().reshape(-1)[0] / (2 * math.sqrt(math.pi))))

@@ -117,16 +117,16 @@ def _differences() -> Colormap:
 
 def _window(truth: np.ndarray, rendered: np.ndarray, peak: float) -> tuple[slice, slice]:
     """The rows and columns worth showing: the target with a margin if all around is dark, else the chip's middle."""
-    size = np.array(truth.shape[1:])
+    size = truth.shape[1:]
     bright = np.maximum(truth, rendered).max(axis=0) > peak * 10 ** (-DYNAMIC_DB / 10)
     if not bright.any() or bright.mean() > 0.5:
         margin = _CHIP_MARGIN if min(size) > 3 * _CHIP_MARGIN else 0
         return slice(margin, size[0] - margin), slice(margin, size[1] - margin)
     spans = [np.flatnonzero(bright.any(axis=1 - axis))[[0, -1]] for axis in (0, 1)]
-    half = max(span[1] - span[0] for span in spans) / 2 + _MARGIN
-    low, high = zip(*((sum(span) / 2 - half, sum(span) / 2 + half + 1) for span in spans), strict=True)
-    first, last = np.maximum(np.floor(low), 0).astype(int), np.minimum(np.ceil(high), size).astype(int)
-    return slice(first[0], last[0]), slice(first[1], last[1])
+    side = max(int(span[1] - span[0]) for span in spans) + 1 + 2 * _MARGIN
+    first = [(int(span.sum()) + 1 - side) // 2 for span in spans]
+    rows, columns = (slice(max(start, 0), start + side) for start in first)  # cut where it leaves the image
+    return rows, columns
 
 
 def _difference_db(truth: np.ndarray, rendered: np.ndarray, peak: float, speckled: bool) -> np.ndarray:

@@ -15,7 +15,7 @@ from sarsplat.report.page import Picture, page
 from sarsplat.report.views import evenly, views_figure
 
 _VIEWS = 6
-_SURFACE_SAMPLES = 100_000
+_SURFACE_SAMPLES = 60_000
 
 
 def write_report(run: Run) -> Path:
@@ -74,7 +74,7 @@ def _views(run: Run) -> Picture:
         if speckled
         else "Orange: too bright; blue: too dark; what is darker than the pictures show counts as equal."
     )
-    text = f"{unseen} β⁰ in decibels, radar at the top, near range first. {what}"
+    text = f"{unseen} Power in decibels, radar at the top, near range first. {what}"
     return Picture("views.png", "Unseen views", text, png)
 
 
@@ -94,7 +94,11 @@ def _curves(run: Run) -> list[Picture]:
     history = run.history
     if not history:
         return []
-    name = "log-likelihood of the speckle" if run.config.loss == "speckle" else "difference of amplitudes (largest = 1)"
+    name = (
+        "negative log-likelihood of the speckle"
+        if run.config.loss == "speckle"
+        else "difference of amplitudes (largest = 1)"
+    )
     label = "nats per pixel" if run.config.loss == "speckle" else "loss"
     text = f"The loss is the {name}, averaged over the training views."
     return [Picture("curves.png", "Training", text, curves_figure(history, label))]

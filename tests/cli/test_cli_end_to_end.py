@@ -1,0 +1,143 @@
+"""The whole way on the command line, on a target small enough to take seconds."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+import trimesh
+from PIL import Image
+
+from sarsplat.cli import main
+from sarsplat.data import read_dataset, read_gaussians_ply, read_points_ply
+
+
+@pytest.fixture(scope="module")
+def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a mesh, a dataset and an evaluated run."""
+    folder = tmp_path_factory.mktemp("workshop")
+    box = trimesh.creation.box(extents=(2.4, 1.2, 1.0))
+    box.apply_translation((0, 0, 0.5))
+    box.export(folder / "box.obj")
+    simulate = ["simulate", "--mesh", str(folder / "box.obj"), "--out", str(folder / "dataset")]
+    simulate += ["--azimuth", "0:360:90", "--grazing", "30", "60", "--test-azimuth", "0:360:45", "--pixels", "32"]
+    assert main(simulate) == 0
+    assert main(["reconstruct", str(folder / "dataset"), "--out", str(folder / "run"), "--iterations", "4"]) == 0
+    assert main(["evaluate", str(folder / "run")]) == 0
+    return folder
+
+
+def test_simulate_writes_the_views_that_were_asked_for(workshop: Path) -> None:
+    dataset = read_dataset(workshop / "dataset")
+    train = {(item.view.azimuth_deg, item.view.grazing_deg) for item in dataset.select("train")}
+    test = {(item.view.azimuth_deg, item.view.grazing_deg) for item in dataset.select("test")}
+    assert train == {(azimuth, grazing) for azimuth in (0, 90, 180, 270) for grazing in (30, 60)}
+    assert test == {(azimuth, grazing) for azimuth in (45, 135, 225, 315) for grazing in (30, 60)}
+    assert (dataset.grid.rows, dataset.grid.spacing) == (32, (0.3, 0.3))
+    assert dataset.truth_mesh is not None
+    assert dataset.source["kind"] == "raycast"
+    assert dataset.source["target"] == "box.obj"
+    assert dataset.source["law"] == {"floor": 0.1, "lobe": 0.9}
+    assert dataset.source["protocol"] is None
+
+
+def test_evaluate_writes_every_score(workshop: Path) -> None:
+    metrics = json.loads((workshop / "run" / "metrics.json").read_text())
+    assert metrics["images"]["test"]["psnr_db"] > 10
+    assert metrics["images"]["test"]["lpips"] is None
+    assert metrics["points"]["visible"]["cd_m"] > 0
+    assert metrics["yardsticks"] is None
+    assert metrics["seed"] == 0
+
+
+def test_evaluate_refreshes_the_report(workshop: Path) -> None:
+    page = (workshop / "run" / "report" / "index.html").read_text()
+    psnr = json.loads((workshop / "run" / "metrics.json").read_text())["images"]["test"]["psnr_db"]
+    assert f"{psnr:.2f}" in page
+
+
+def test_render_sweep(workshop: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "images"
+    command = ["render", str(workshop / "run"), "--azimuth", "0:90:45", "--incidence", "45", "--out", str(out)]
+    assert main(command) == 0
+    assert {path.name for path in out.iterdir()} == {
+        *("az000_gr45.tif", "az000_gr45.png", "az045_gr45.tif", "az045_gr45.png"),
+        "contact-sheet.png",
+    }
+    power = tifffile.imread(out / "az045_gr45.tif")
+    assert power.dtype == np.float32
+    picture = np.asarray(Image.open(out / "az045_gr45.png"))
+    peak = read_dataset(workshop / "dataset").images("train").max()
+    expected = 255 * np.clip(1 + 10 * np.log10(np.maximum(power, 1e-30) / peak) / 40, 0, 1)
+    np.testing.assert_allclose(picture, expected, atol=0.51)
+    said = capsys.readouterr().out
+    assert "40 dB" in said
+    assert f"wrote {out}: 2 images" in said
+    assert main(command) == 2
+    assert main([*command, "--overwrite"]) == 0
+
+
+def test_export_and_info(workshop: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = str(workshop / "run")
+    for kind in ("ply", "points"):
+        assert main(["export", run, "--format", kind, "--out", str(tmp_path / f"{kind}.ply")]) == 0
+    assert len(read_gaussians_ply(tmp_path / "ply.ply")) == 15_000
+    points, _ = read_points_ply(tmp_path / "points.ply")
+    assert main(["export", run, "--format", "points", "--out", str(tmp_path / "points.ply")]) == 2
+    capsys.readouterr()
+    expected = {
+        run: ": a run",
+        str(workshop / "dataset"): "8 images",
+        str(workshop / "dataset" / "images" / "000.tif"): "a power image",
+        str(workshop / "dataset" / "truth.ply"): "a mesh",
+        str(workshop / "box.obj"): "a mesh",
+        str(tmp_path / "ply.ply"): "15000 Gaussians",
+        str(tmp_path / "points.ply"): f"{len(points)};",
+    }
+    for path, text in expected.items():
+        assert main(["info", path]) == 0
+        assert text in capsys.readouterr().out.replace("\n", " ")
+
+
+def test_resume_keeps_the_settings_of_the_run(
+    workshop: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, dataset = str(tmp_path / "run"), str(workshop / "dataset")
+    assert main(["reconstruct", dataset, "--out", run, "--iterations", "2", "--init", "hemisphere", "--seed", "7"]) == 0
+    assert main(["reconstruct", dataset, "--out", run, "--resume"]) == 0
+    assert "seed 7" in capsys.readouterr().out
+    assert main(["reconstruct", dataset, "--out", run, "--resume", "--preset", "paper"]) == 2
+    assert "was begun with preset 'default'" in capsys.readouterr().err
+
+
+def test_ctrl_c_says_how_to_go_on(
+    workshop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from sarsplat.reconstruct import Trainer
+
+    step, calls = Trainer.step, []
+
+    def interrupted(trainer: Trainer) -> float:
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return step(trainer)
+
+    monkeypatch.setattr(Trainer, "step", interrupted)
+    run = tmp_path / "run"
+    assert main(["reconstruct", str(workshop / "dataset"), "--out", str(run), "--iterations", "9"]) == 130
+    complaint = capsys.readouterr().err
+    assert "--resume" in complaint
+    assert "Traceback" not in complaint
+    monkeypatch.undo()
+    assert main(["info", str(run)]) == 0
+    assert "2 of 9" in capsys.readouterr().out
+
+
+def test_doctor_knows_what_is_installed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor"]) == 0
+    said = capsys.readouterr().out
+    assert "not yet in this version" in said
+    assert "trimesh" in said
+    assert "SARSPLAT_LPIPS_WEIGHTS" in said

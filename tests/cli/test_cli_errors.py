@@ -1,0 +1,113 @@
+"""What a newcomer gets wrong first: one sentence on stderr, exit code 2, nothing written."""
+
+from pathlib import Path
+
+import pytest
+
+from sarsplat.cli import extras, main
+
+SIMULATE = ["simulate", "--out", "new"]
+ONE_VIEW = ["--azimuth", "0", "--grazing", "45"]
+
+MISTAKES = {
+    "unknown target": ([*SIMULATE, "--target", "t73"], "known targets: t72"),
+    "no target": (SIMULATE, "neither of --target and --mesh"),
+    "two targets": ([*SIMULATE, "--target", "t72", "--mesh", "a.obj"], "both of --target and --mesh"),
+    "no such mesh": ([*SIMULATE, "--mesh", "nowhere.obj"], "nowhere.obj"),
+    "grazing too high": ([*SIMULATE, "--target", "t72", "--azimuth", "0", "--grazing", "95"], "95"),
+    "grazing not a number": ([*SIMULATE, "--target", "t72", "--azimuth", "0", "--grazing", "nan"], "nan"),
+    "grazing a word": ([*SIMULATE, "--target", "t72", "--azimuth", "0", "--grazing", "low"], "'low'"),
+    "no azimuth": ([*SIMULATE, "--target", "t72", "--grazing", "45"], "--azimuth is missing"),
+    "two elevations": ([*SIMULATE, "--target", "t72", *ONE_VIEW, "--incidence", "45"], "give one of them"),
+    "nothing unseen": ([*SIMULATE, "--target", "t72", *ONE_VIEW, "--test-azimuth", "0"], "are training views too"),
+    "protocol and test views": ([*SIMULATE, "--target", "t72", "--test-azimuth", "5"], "--azimuth too"),
+    "ground without rays": ([*SIMULATE, "--target", "t72", *ONE_VIEW, "--source", "splat", "--ground", "1"], "raycast"),
+    "negative looks": ([*SIMULATE, "--target", "t72", *ONE_VIEW, "--looks", "-1"], "looks -1.0"),
+    "no pixels": ([*SIMULATE, "--target", "t72", *ONE_VIEW, "--pixels", "0"], "0 × 0"),
+    "output in the way": (["simulate", "--target", "t72", *ONE_VIEW, "--out", "full"], "--overwrite"),
+    "missing dataset": (["reconstruct", "nowhere", "--out", "new"], "nowhere does not exist"),
+    "empty dataset": (["reconstruct", "empty", "--out", "new"], "empty is empty"),
+    "not a dataset": (["reconstruct", "full", "--out", "new"], "not a dataset"),
+    "resume and overwrite": (["reconstruct", "full", "--out", "new", "--resume", "--overwrite"], "one of them"),
+    "missing run": (["evaluate", "nowhere"], "nowhere does not exist"),
+    "not a run": (["report", "full"], "not a run"),
+    "render: grazing": (["render", "full", "--azimuth", "0", "--grazing", "0", "--out", "new"], "grazing angle 0.0"),
+    "export: not a run": (["export", "full", "--out", "new"], "not a run"),
+    "info: nothing there": (["info", "nowhere"], "does not exist"),
+    "info: unknown folder": (["info", "full"], "neither a dataset nor a run"),
+    "info: picture": (["info", "full/picture.png"], "carries no units"),
+    "info: broken TIFF": (["info", "full/broken.tif"], "not a readable TIFF"),
+    "chips: no folder": (
+        ["import", "mstar", "nowhere", "--out", "new", "--class", "T72", "--train-views", "8"],
+        "folder",
+    ),
+}
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with an empty folder and one full of other things."""
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "picture.png").write_bytes(b"\x89PNG")
+    (tmp_path / "full" / "broken.tif").write_bytes(b"II*\0nonsense")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_mistakes_are_told_in_one_sentence(name: str, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments, told = MISTAKES[name]
+    assert main(arguments) == 2
+    complaint = capsys.readouterr().err
+    assert complaint.startswith("error: ")
+    assert told in complaint
+    assert complaint.count("\n") == 1
+    assert "Traceback" not in complaint
+    assert {path.name for path in place.iterdir()} == {"empty", "full"}
+
+
+def test_unknown_preset_lists_the_choices(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    dataset = str(tmp_path / "dataset")
+    assert main(["simulate", "--target", "t72", "--out", dataset, *ONE_VIEW, "--pixels", "32"]) == 0
+    assert main(["reconstruct", dataset, "--out", str(tmp_path / "run"), "--preset", "best"]) == 2
+    assert "default, paper, measured" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["simulate", "--target", "t72", "--oout", "x"],
+        ["bogus"],
+        [],
+        [*SIMULATE, "--target", "t72", "--source", "magic"],
+    ],
+)
+def test_options_that_do_not_parse_exit_with_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    assert end.value.code == 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_a_missing_extra_names_the_command_to_get_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    assert main(["simulate", "--target", "t72", "--out", str(tmp_path / "new"), *ONE_VIEW]) == 2
+    assert "pip install 'sarsplat[simulate]'" in capsys.readouterr().err
+    assert extras.extra_with("json") is None
+
+
+def test_a_warning_is_one_plain_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import warnings
+
+    import trimesh
+
+    trimesh.creation.box(extents=(2000.0, 1000.0, 500.0)).export(tmp_path / "millimetres.stl")
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert main(["info", str(tmp_path / "millimetres.stl")]) == 0
+    assert capsys.readouterr().err.startswith("warning: ")

@@ -1,0 +1,50 @@
+"""Pictures: decibels, windows, sheets."""
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.report import contact_sheet, decibel_png
+from sarsplat.report.decibels import to_decibels
+from sarsplat.report.views import _difference_db, _window, evenly
+
+
+def test_decibels_of_power() -> None:
+    np.testing.assert_allclose(to_decibels(np.array([1.0, 10.0, 0.5]), peak=10.0), [-10, 0, -13.0103], atol=1e-4)
+    assert np.isfinite(to_decibels(0.0))
+
+
+def test_grey_levels_of_the_png() -> None:
+    power = np.array([[100.0, 1.0], [0.01, 0.0]])  # 0, −20, −40 dB and nothing
+    picture = Image.open(io.BytesIO(decibel_png(power, 100.0)))
+    assert np.asarray(picture).tolist() == [[255, 128], [0, 0]]
+    assert "-40 dB" in picture.text["Description"]
+
+
+@pytest.mark.parametrize(("count", "wanted", "expected"), [(48, 3, [0, 24, 47]), (2, 6, [0, 1]), (1, 6, [0])])
+def test_views_are_chosen_evenly(count: int, wanted: int, expected: list[int]) -> None:
+    assert evenly(count, wanted) == expected
+
+
+def test_the_window_holds_every_bright_pixel() -> None:
+    truth = np.zeros((2, 64, 64))
+    truth[0, 30, 20], truth[1, 40, 35] = 1.0, 1.0
+    rows, columns = _window(truth, np.zeros_like(truth), peak=1.0)
+    assert (truth[:, rows, columns] > 0).sum() == 2
+    assert rows.stop - rows.start == columns.stop - columns.start < 40
+
+
+def test_the_difference_ignores_what_is_too_dark_to_see() -> None:
+    truth, rendered = np.array([[1.0, 1e-9]]), np.array([[2.0, 1e-7]])
+    np.testing.assert_allclose(_difference_db(truth, rendered, 1.0, False), [[3.0103, 0]], atol=1e-4)
+
+
+@pytest.mark.parametrize("count", [1, 7])
+def test_a_contact_sheet_of_any_length(count: int) -> None:
+    grid = ImageGrid(16, 24, spacing=(0.3, 0.2), resolution=(0.3, 0.3))
+    views = [View(10.0 * k, 30.0) for k in range(count)]
+    sheet = Image.open(io.BytesIO(contact_sheet(np.ones((count, 16, 24)), views, grid, 1.0)))
+    assert min(sheet.size) > 100
