@@ -14,10 +14,10 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 # fp-contract: fused multiply-adds are wanted; nothing else may be reordered, or results would depend on the compiler
-FLAGS = (
-    "-std=c++17 -O3 -g0 -fPIC -fno-math-errno -fno-trapping-math -ffp-contract=fast -fvisibility=hidden "
-    "-fno-exceptions -fno-rtti -fno-sanitize=all -Wall -Wextra -Wno-psabi"
-).split()
+FLAGS = [
+    *("-std=c++17", "-O3", "-g0", "-fPIC", "-fvisibility=hidden", "-fno-exceptions", "-fno-rtti", "-fno-sanitize=all"),
+    *("-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast", "-Wall", "-Wextra", "-Wno-psabi"),
+]
 # name, lanes of a vector, flags
 X86 = (
     ("base", 4, ()),
@@ -57,16 +57,16 @@ def compile_engine(sources: Path, library: Path, machine: str) -> None:
     levels = X86 if machine == "x86_64" else (("base", 4, ()),)
     with tempfile.TemporaryDirectory() as folder:
         jobs = [
-            [*compiler, *flags, f"-DSG_ISA={name}", f"-DSG_WIDTH={width}", "-c", str(sources / "engine.cpp")]
-            + ["-o", f"{folder}/{name}.o"]
-            for name, width, flags in levels
+            (name, "engine.cpp", [*flags, f"-DSG_ISA={name}", f"-DSG_WIDTH={width}"]) for name, width, flags in levels
         ]
-        jobs += [
-            [*compiler, "-c", str(sources / f"{name}.cpp"), "-o", f"{folder}/{name}.o"]
-            for name in ("dispatch", "parallel")
-        ]
+        jobs += [(name, f"{name}.cpp", []) for name in ("dispatch", "parallel")]
+
+        def compile_one(job: tuple[str, str, list[str]]) -> None:
+            name, source, flags = job
+            subprocess.check_call([*compiler, *flags, "-c", str(sources / source), "-o", f"{folder}/{name}.o"])
+
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-            list(pool.map(subprocess.check_call, jobs))
+            list(pool.map(compile_one, jobs))
         objects = sorted(str(path) for path in Path(folder).glob("*.o"))
         linked = Path(folder) / "engine.so"
         subprocess.check_call([*compiler, "-shared", "-s", *objects, "-o", str(linked)])

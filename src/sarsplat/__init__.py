@@ -1,7 +1,7 @@
 """Render SAR images from 3D Gaussians, and reconstruct 3D targets from SAR images.
 
-Everything public is here by name and loaded when first used, so that importing the package, and the command line's help,
-need no torch.
+Everything public is here by name and loaded when first used: importing the package, and the command line's help, need
+no torch.
 """
 
 from __future__ import annotations
@@ -129,7 +129,9 @@ class _Package(ModuleType):
     """`sarsplat.render` and `sarsplat.reconstruct` are the functions, whichever module was imported first."""
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if not (name in _MODULE_OF and isinstance(value, ModuleType)):  # importing a subpackage would bind its name here
+        if not (
+            name in _MODULE_OF and isinstance(value, ModuleType)
+        ):  # importing a subpackage would bind its name here
             super().__setattr__(name, value)
 
 

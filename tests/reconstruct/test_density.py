@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import torch
+
 from sarsplat import Gaussians, preset
 from sarsplat.reconstruct.config import Densification
 from sarsplat.reconstruct.density import DensityControl

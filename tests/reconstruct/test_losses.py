@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+
 from sarsplat.reconstruct.losses import amplitude, amplitude_loss, speckle_loss, ssim
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+
 from sarsplat import Dataset, ImageGrid, Run, SarsplatError, ScatteringLaw, View, preset, reconstruct, simulate_raycast
 from sarsplat.data import write_dataset
 from sarsplat.reconstruct import Config, Trainer, extract_points

@@ -18,15 +18,12 @@ def evaluate(run: RunFolder, *, lpips_weights: OptionalFolder = None) -> None:
     """
     from sarsplat.data import write_json
     from sarsplat.evaluate import evaluate_run, metrics_table
-    from sarsplat.evaluate.yardsticks import yardstick_scores
     from sarsplat.reconstruct import Run
     from sarsplat.report import paper_beside, write_report
 
     done = Run.load(run)
     with console.busy(f"evaluating {run}"):
         metrics = evaluate_run(done, lpips_weights=lpips_weights)
-        # what two-dimensional tricks score on the same chips (protocol M)
-        metrics["yardsticks"] = yardstick_scores(done.dataset) if done.dataset.domain == "measured" else None
     write_json(run / "metrics.json", metrics)
     with console.busy("writing the report"):
         page = write_report(done)

@@ -13,6 +13,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.evaluate import images, lpips
 from sarsplat.evaluate.points import THRESHOLDS, VOXEL, PointMetrics, point_metrics
 from sarsplat.evaluate.surface import visible_surface
+from sarsplat.evaluate.yardsticks import yardstick_scores
 from sarsplat.geometry import View
 
 IMAGE_METRICS = ("psnr_db", "psnr_target_db", "ssim", "lpips", "nats_per_pixel", "log_correlation")
@@ -60,7 +61,8 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dic
     Returns
     -------
     dict
-        The content of `metrics.json`: `images.<set>.<metric>`, `points.{visible, whole}.<metric>`, `time_s`, `seed`,
+        The content of `metrics.json`: `images.<set>.<metric>`, `points.{visible, whole}.<metric>`, `yardsticks` (what
+        two-dimensional tricks score on measured chips: protocol M), `time_s`, `seed`,
         `domain` (what exactly was compared) and `reasons`: for every metric that is None, its dotted key and why.
 
     Raises
@@ -92,6 +94,7 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dic
     return {
         "images": scores,
         "points": _points(run, reasons),
+        "yardsticks": yardstick_scores(dataset) if dataset.domain == "measured" else None,
         "time_s": run.time_s,
         "seed": run.seed,
         "domain": _domain(reference_amplitude, mean_power),

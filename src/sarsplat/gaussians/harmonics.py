@@ -2,8 +2,8 @@
 
 Degree 0:  ½/√π.  Degree 1: (−y, z, −x)·√(3/4π).  Degree 2: (xy, −yz, 3z² − 1, −xz, x² − y²), degree 3:
 (−y(3x² − y²), xyz, −y(5z² − 1), z(5z² − 3), −x(5z² − 1), z(x² − y²), −x(x² − 3y²)), each with the constant below.
-The Condon–Shortley sign (−1)^m is included. 3DGS evaluates them at the direction *from* the camera, we at u, the direction
-*to* the radar: exports flip the sign of odd degrees.
+The Condon–Shortley sign (−1)^m is included. 3DGS evaluates them at the direction *from* the camera, we at u, the
+direction *to* the radar: exports flip the sign of odd degrees.
 """
 
 from __future__ import annotations

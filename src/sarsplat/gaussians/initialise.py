@@ -89,7 +89,7 @@ def bounded_region(power: np.ndarray, views: Sequence[View], grid: ImageGrid, th
 
 
 def hemisphere_shell(region: Region, count: int, generator: torch.Generator) -> np.ndarray:
-    """Points spread evenly over the upper half of a sphere around a region's centre, float64 [count, 3] (the paper's)."""
+    """Points spread evenly over a half sphere around a region, float64 [count, 3] (the paper's start)."""
     centre = (region.low + region.high) / 2 * (1, 1, 0)
     radius = float(np.linalg.norm((region.high - region.low)[:2])) / 2
     unit = torch.rand(count, 2, generator=generator, dtype=torch.float64).numpy()

@@ -61,8 +61,8 @@ class ImageGrid:
 class RayGrid:
     """Lattice of parallel rays on the computation plane, anchored at the radar frame's origin.
 
-    Rays stand at ((k + ½)·δx, (l + ½)·δy). The spacing is an accuracy setting: half the pixel spacing gives whole images
-    good to 49–54 dB; truth images and evaluation use a quarter or less.
+    Rays stand at ((k + ½)·δx, (l + ½)·δy). The spacing is an accuracy setting: half the pixel spacing gives whole
+    images good to 49–54 dB; truth images and evaluation use a quarter or less.
 
     Parameters
     ----------

@@ -61,7 +61,7 @@ def radar_frame(view: View) -> np.ndarray:
 
     Notes
     -----
-    Source: SAR-GS, eq. (6); a proper rotation.
+    Source: SAR-GS, eq. (5); a proper rotation.
     """
     phi, theta = math.radians(view.azimuth_deg), math.radians(view.grazing_deg)
     sp, cp, st, ct = math.sin(phi), math.cos(phi), math.sin(theta), math.cos(theta)

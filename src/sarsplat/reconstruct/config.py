@@ -44,7 +44,10 @@ class PointExtraction:
     method: Literal["rays", "centres"]
     optical_depth: float  # two-way depth at which a ray has returned ("rays"), or least κ of a centre ("centres")
     voxel: float  # m: one point in each
-    cluster_radius: float | None = None  # DBSCAN ε, m; None: no clean-up
+    least_height: float = 0.0  # m above the ground: lower points are the ground, or below it
+    seen_through: int = 3  # a point is dropped when this many views have their return behind it ("rays") …
+    behind: float = 0.1  # … by more than this, m
+    cluster_radius: float | None = None  # DBSCAN ε, m, of which the largest cluster is kept; None: no clean-up
     cluster_size: int = 10
 
 
@@ -123,7 +126,7 @@ def _surroundings(data: dict[str, Any]) -> Surroundings:
 
 _DEFAULT = Config(
     preset="default",
-    iterations=1500,
+    iterations=1000,
     views_per_step=8,
     gaussians=15_000,
     initialisation="box",
@@ -136,10 +139,10 @@ _DEFAULT = Config(
     scale_bounds=(0.01, 0.3),
     most_optical_depth=10.0,
     harmonics_degree=3,
-    harmonics_every=300,
+    harmonics_every=200,
     rays_per_pixel=2.0,
     rates=Rates(),
-    points=PointExtraction("rays", optical_depth=1.5, voxel=0.05),
+    points=PointExtraction("rays", optical_depth=0.6, voxel=0.05),
 )
 
 PRESETS: dict[str, Config] = {
@@ -171,17 +174,21 @@ PRESETS: dict[str, Config] = {
         points=PointExtraction("centres", optical_depth=0.05, voxel=0.02),
         checkpoint_every=2500,
     ),
-    # real chips: ground, noise floor, shift and gain of each chip, speckle likelihood
+    # real chips: ground, noise floor, shift and gain of each chip, speckle likelihood. Large Gaussians average speckle;
+    # glints are 20 dB above the ground, so the harmonics must travel far.
     "measured": replace(
         _DEFAULT,
         preset="measured",
-        iterations=1500,
+        iterations=600,
         gaussians=12_000,
         loss="speckle",
         p_min=0.2,
+        initial_scale=0.25,
         initial_scattering=1.0,
-        harmonics_every=300,
-        points=PointExtraction("rays", optical_depth=1.5, voxel=0.05, cluster_radius=0.3, cluster_size=20),
+        scale_bounds=(0.2, 0.7),
+        harmonics_every=50,
+        rates=Rates(means=0.05, harmonics=0.4, higher_harmonics=0.4),
+        points=PointExtraction("rays", 0.7, voxel=0.1, least_height=0.5, cluster_radius=0.3, cluster_size=10),
         surroundings=Surroundings(
             ground_radius=19.0,
             target_low=(-4.5, -2.5, 0.0),

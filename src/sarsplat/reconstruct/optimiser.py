@@ -43,7 +43,7 @@ class Optimiser:
         parameters : dict of str to Tensor
             The new leaves.
         source : Tensor, int64 [N]
-            Row whose moments a new row inherits, or −1 to start from rest. Parameters that are not per Gaussian keep theirs.
+            Row whose moments a new row inherits, or −1 to start from rest; what is not per Gaussian keeps its own.
         """
         state = self.state()
         fresh = Optimiser(parameters, self._config)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -37,23 +38,48 @@ def extract_points(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid,
     gaussians = gaussians.detach()
     if how.method == "centres":
         points = gaussians.means[gaussians.optical_depth >= how.optical_depth].double().numpy()
+        points = _thin(points[points[:, 2] >= how.least_height], how.voxel)
     else:
-        points = _first_returns(gaussians, views, grid, how.optical_depth)
-    points = _thin(points, how.voxel)
+        returns = [_FirstReturns.of(gaussians, view, grid, how.optical_depth) for view in views]
+        points = np.concatenate([found.points() for found in returns])
+        points = _thin(points[points[:, 2] >= how.least_height], how.voxel)
+        # haze that one view takes for a surface is looked through by others
+        through = sum((found.behind(points, how.behind).astype(int) for found in returns), np.zeros(len(points), int))
+        points = points[through < how.seen_through]
     return points if how.cluster_radius is None else _cluster(points, how.cluster_radius, how.cluster_size)
 
 
-def _first_returns(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, optical_depth: float) -> np.ndarray:
-    rays = RayGrid.for_image(grid, _RAYS_PER_PIXEL)
-    found = []
-    for view in views:  # one at a time: only the points are kept
+@dataclass(frozen=True)
+class _FirstReturns:
+    """Where the rays of one view return: ranges on its lattice, NaN where a ray meets nothing."""
+
+    frame: np.ndarray  # R_r
+    range_m: np.ndarray  # [rows, columns]
+    origin: np.ndarray  # (x_r, y_r) of row 0, column 0
+    spacing: np.ndarray
+
+    @classmethod
+    def of(cls, gaussians: Gaussians, view: View, grid: ImageGrid, optical_depth: float) -> _FirstReturns:
+        rays = RayGrid.for_image(grid, _RAYS_PER_PIXEL)
         (ray_map,) = render(gaussians, [view], grid, rays=rays, first_return_depth=optical_depth).ray_maps or ()
-        depth = ray_map.first_return.double().numpy()
-        row, column = np.nonzero(~np.isnan(depth))
-        x = ray_map.origin[0] + column * rays.spacing[0]
-        y = ray_map.origin[1] + row * rays.spacing[1]
-        found.append(np.column_stack([x, y, depth[row, column]]) @ radar_frame(view))
-    return np.concatenate(found)
+        ranges = ray_map.first_return.double().numpy()
+        return cls(radar_frame(view), ranges, np.array(ray_map.origin), np.array(rays.spacing))
+
+    def points(self) -> np.ndarray:
+        """The returns in the world frame, [P, 3]."""
+        row, column = np.nonzero(~np.isnan(self.range_m))
+        plane = self.origin + np.column_stack([column, row]) * self.spacing
+        return np.column_stack([plane, self.range_m[row, column]]) @ self.frame
+
+    def behind(self, points: np.ndarray, margin: float) -> np.ndarray:
+        """Whether the ray through each point returns more than `margin` behind it, or never; bool [P]."""
+        local = points @ self.frame.T
+        column, row = np.rint((local[:, :2] - self.origin) / self.spacing).astype(int).T
+        rows, columns = self.range_m.shape
+        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        found = np.full(len(points), np.inf)
+        found[inside] = np.nan_to_num(self.range_m[row[inside], column[inside]], nan=np.inf)
+        return found > local[:, 2] + margin
 
 
 def _thin(points: np.ndarray, voxel: float) -> np.ndarray:
@@ -67,7 +93,7 @@ def _thin(points: np.ndarray, voxel: float) -> np.ndarray:
 
 
 def _cluster(points: np.ndarray, radius: float, size: int) -> np.ndarray:
-    """Without the points that DBSCAN calls noise."""
+    """The largest of DBSCAN's clusters: what floats apart from the target is left out."""
     try:
         from sklearn.cluster import DBSCAN
     except ImportError as error:
@@ -76,4 +102,5 @@ def _cluster(points: np.ndarray, radius: float, size: int) -> np.ndarray:
         ) from error
     if len(points) == 0:
         return points
-    return points[DBSCAN(eps=radius, min_samples=size).fit(points).labels_ >= 0]
+    labels = DBSCAN(eps=radius, min_samples=size).fit(points).labels_
+    return points[labels == np.bincount(labels + 1, minlength=2)[1:].argmax()]

@@ -147,7 +147,7 @@ def reconstruct(dataset: Dataset, out: Path, config: Config, *, resume: bool = F
     Raises
     ------
     SarsplatError
-        If `out` exists (or, to resume, does not), or the dataset or configuration is not the one the run was begun with.
+        If `out` exists (to resume: does not), or dataset or configuration are not those the run was begun with.
     """
     trainer = Trainer(dataset, config)
     if resume:

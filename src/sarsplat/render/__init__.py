@@ -80,7 +80,7 @@ def render(
 
     Notes
     -----
-    Source: SAR-GS, eqs. (4)–(14), as amended in docs/paper-map.md.
+    Source: SAR-GS, eqs. (4)–(13), as amended in docs/paper-map.md.
     """
     rays = rays or RayGrid.for_image(grid)
     _check(gaussians, views, scattering, shift, gain, imaging_weight, first_return_depth, engine)
