@@ -76,7 +76,7 @@ def make(tmp_path, monkeypatch):
 
 def test_every_key_is_there_and_every_null_has_its_reason(make):
     metrics = evaluate_run(FakeRun(make(), power=1.1))
-    assert list(metrics) == ["images", "points", "time_s", "seed", "domain", "reasons"]
+    assert list(metrics) == ["images", "points", "yardsticks", "time_s", "seed", "domain", "reasons"]
     assert list(metrics["images"]) == ["test-17", "test-15"]
     assert list(metrics["points"]) == ["visible", "whole"]
     leaves = {f"images.{name}.{key}": value for name, row in metrics["images"].items() for key, value in row.items()}

@@ -188,7 +188,9 @@ PRESETS: dict[str, Config] = {
         scale_bounds=(0.2, 0.7),
         harmonics_every=50,
         rates=Rates(means=0.05, harmonics=0.4, higher_harmonics=0.4),
-        points=PointExtraction("rays", 0.7, voxel=0.1, least_height=0.5, cluster_radius=0.3, cluster_size=10),
+        points=PointExtraction(
+            "rays", 0.7, voxel=0.1, least_height=0.5, behind=0.2, cluster_radius=0.3, cluster_size=10
+        ),
         surroundings=Surroundings(
             ground_radius=19.0,
             target_low=(-4.5, -2.5, 0.0),
