@@ -10,13 +10,12 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.render.checks import ENGINES, check_options, check_shapes, check_values
 from sarsplat.render.engine import render_cpu
 from sarsplat.render.reference import render_reference
 from sarsplat.render.rendering import RayMap, Rendering
 
 __all__ = ["ENGINES", "RayMap", "Rendering", "render"]
-
-ENGINES = ("auto", "cpu", "reference")
 
 
 def render(
@@ -83,7 +82,8 @@ def render(
     Source: SAR-GS, eqs. (4)–(13), as amended in docs/paper-map.md.
     """
     rays = rays or RayGrid.for_image(grid)
-    _check(gaussians, views, scattering, shift, gain, imaging_weight, first_return_depth, engine)
+    check_options(imaging_weight, first_return_depth, engine, instruction_set)
+    check_shapes(gaussians, views, scattering, shift, gain)
     if engine == "auto":
         fits = gaussians.means.dtype == torch.float32 and gaussians.means.device.type == "cpu"
         engine = "cpu" if fits else "reference"
@@ -103,6 +103,7 @@ def render(
         )
     if plane_gradients:
         raise SarsplatError("plane_gradients=True needs engine='cpu'; the reference has autograd instead")
+    check_values({**gaussians.tensors(), "scattering": scattering, "shift": shift, "gain": gain})
     return render_reference(
         gaussians,
         views,
@@ -114,34 +115,3 @@ def render(
         imaging_weight=imaging_weight,
         first_return_depth=first_return_depth,
     )
-
-
-def _check(
-    gaussians: Gaussians,
-    views: Sequence[View],
-    scattering: Tensor | None,
-    shift: Tensor | None,
-    gain: Tensor | None,
-    imaging_weight: str,
-    first_return_depth: float | None,
-    engine: str,
-) -> None:
-    if engine not in ENGINES:
-        raise SarsplatError(f"engine {engine!r} is unknown; choose one of {', '.join(ENGINES)}")
-    if imaging_weight not in ("area", "peak"):
-        raise SarsplatError(f"imaging_weight {imaging_weight!r} is unknown; choose 'area' or 'peak'")
-    if not views:
-        raise SarsplatError("there are no views to render; give at least one View")
-    if first_return_depth is not None and not 0 < first_return_depth < float("inf"):
-        raise SarsplatError(f"first_return_depth {first_return_depth} must be a positive two-way optical depth")
-    expected = {
-        "scattering": (scattering, (len(views), len(gaussians))),
-        "shift": (shift, (len(views), 2)),
-        "gain": (gain, (len(views),)),
-    }
-    for name, (tensor, shape) in expected.items():
-        if tensor is not None and tuple(tensor.shape) != shape:
-            raise SarsplatError(
-                f"{name} has shape {tuple(tensor.shape)}; for {len(views)} views and {len(gaussians)} Gaussians "
-                f"it must be {shape}"
-            )

@@ -11,8 +11,8 @@ from typing import TypeVar
 import torch
 
 from sarsplat.errors import SarsplatError
+from sarsplat.render.checks import INSTRUCTION_SETS
 
-INSTRUCTION_SETS = ("auto", "base", "avx2", "avx512")
 FAULTS = ("", "means", "quaternions", "scales", "optical_depth", "harmonics", "scattering", "shift", "lattice")
 """What a forward pass can reject, by status code."""
 

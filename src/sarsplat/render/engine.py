@@ -18,18 +18,9 @@ from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
 from sarsplat.gaussians.harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.render import cpu
+from sarsplat.render.checks import ALLOWED, check_for_cpu, check_values, complaint
 from sarsplat.render.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
 from sarsplat.render.rendering import RayMap, Rendering
-
-_ALLOWED = {
-    "means": "finite metres",
-    "quaternions": "finite and not zero",
-    "scales": f"finite and at least MIN_SCALE = {MIN_SCALE} m",
-    "optical_depth": f"between 0 and MAX_OPTICAL_DEPTH = {MAX_OPTICAL_DEPTH:g}",
-    "harmonics": "finite",
-    "scattering": "finite",
-    "shift": "finite metres",
-}
 
 
 @dataclass(frozen=True)
@@ -61,12 +52,8 @@ def render_cpu(
     instruction_set: str,
 ) -> Rendering:
     """`sarsplat.render` on the CPU engine; arguments are documented there."""
-    for name, tensor in {**gaussians.tensors(), "scattering": scattering, "shift": shift, "gain": gain}.items():
-        if tensor is not None and (tensor.dtype != torch.float32 or tensor.device.type != "cpu"):
-            raise SarsplatError(
-                f"{name} is {tensor.dtype} on {tensor.device}; the CPU engine takes torch.float32 on the CPU "
-                "(engine='reference' takes any dtype)"
-            )
+    check_for_cpu(grid, {**gaussians.tensors(), "scattering": scattering, "shift": shift, "gain": gain})
+    check_values({"gain": gain})  # the rest is checked on the way in
     planes = torch.zeros(len(views), len(gaussians), 4) if plane_gradients else None
     setting = _Setting(
         tuple(views), grid, rays, gaussians.p_min, imaging_weight == "peak", first_return_depth, instruction_set, planes
@@ -217,5 +204,7 @@ def _explain(fault: str, index: int, inputs: Sequence[Tensor | None], setting: _
         )
     tensor = inputs[cpu.FAULTS.index(fault) - 1]
     assert tensor is not None
-    value = tensor.reshape(-1)[index].item() if fault == "scattering" else tensor[index].tolist()
-    return f"{fault}[{index}] is {value}; it must be {_ALLOWED[fault]}"
+    if fault == "scattering":
+        view, gaussian = divmod(index, tensor.shape[1])
+        return f"scattering[{view}, {gaussian}] is {tensor[view, gaussian].item()}; it must be {ALLOWED[fault]}"
+    return complaint(fault, tensor, index)

@@ -1,0 +1,103 @@
+"""What the renderer refuses, in words. Values are checked where they are read: in C++ for the CPU engine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
+from sarsplat.geometry import ImageGrid, View
+
+ENGINES = ("auto", "cpu", "reference")
+INSTRUCTION_SETS = ("auto", "base", "avx2", "avx512")
+
+ALLOWED = {
+    "means": "finite metres",
+    "quaternions": "finite and not zero",
+    "scales": f"finite and at least MIN_SCALE = {MIN_SCALE} m",
+    "optical_depth": f"between 0 and MAX_OPTICAL_DEPTH = {MAX_OPTICAL_DEPTH:g}",
+    "harmonics": "finite",
+    "scattering": "finite",
+    "shift": "finite metres",
+    "gain": "finite",
+}
+"""What each tensor must be."""
+
+_MOST_PIXELS = 32_767
+"""Of an image's side, on the CPU engine: block indices have 16 bits."""
+
+
+def check_shapes(
+    gaussians: Gaussians,
+    views: Sequence[View],
+    scattering: Tensor | None,
+    shift: Tensor | None,
+    gain: Tensor | None,
+) -> None:
+    """No views, or tensors per view that do not fit them."""
+    if not views:
+        raise SarsplatError("there are no views to render; give at least one View")
+    expected = {
+        "scattering": (scattering, (len(views), len(gaussians))),
+        "shift": (shift, (len(views), 2)),
+        "gain": (gain, (len(views),)),
+    }
+    for name, (tensor, shape) in expected.items():
+        if tensor is not None and tuple(tensor.shape) != shape:
+            raise SarsplatError(
+                f"{name} has shape {tuple(tensor.shape)}; for {len(views)} views and {len(gaussians)} Gaussians "
+                f"it must be {shape}"
+            )
+
+
+def check_options(imaging_weight: str, first_return_depth: float | None, engine: str, instruction_set: str) -> None:
+    """Words and numbers that are not among the choices."""
+    choices = {
+        "engine": (engine, ENGINES),
+        "imaging_weight": (imaging_weight, ("area", "peak")),
+        "instruction_set": (instruction_set, INSTRUCTION_SETS),
+    }
+    for name, (value, known) in choices.items():
+        if value not in known:
+            raise SarsplatError(f"{name} {value!r} is unknown; choose one of {', '.join(known)}")
+    if first_return_depth is not None and not 0 < first_return_depth < float("inf"):
+        raise SarsplatError(f"first_return_depth {first_return_depth} must be a positive two-way optical depth")
+
+
+def check_for_cpu(grid: ImageGrid, tensors: dict[str, Tensor | None]) -> None:
+    """What the CPU engine does not take."""
+    if max(grid.rows, grid.columns) > _MOST_PIXELS:
+        raise SarsplatError(
+            f"an image of {grid.rows} × {grid.columns} pixels is too large for the CPU engine; "
+            f"render parts of at most {_MOST_PIXELS} pixels a side by moving the grid's center"
+        )
+    for name, tensor in tensors.items():
+        if tensor is not None and (tensor.dtype != torch.float32 or tensor.device.type != "cpu"):
+            raise SarsplatError(
+                f"{name} is {tensor.dtype} on {tensor.device}; the CPU engine takes torch.float32 on the CPU "
+                "(engine='reference' takes any dtype)"
+            )
+
+
+def check_values(tensors: dict[str, Tensor | None]) -> None:
+    """Values out of range, named with their index."""
+    for name, tensor in tensors.items():
+        if tensor is None:
+            continue
+        good = torch.isfinite(tensor)
+        if name == "scales":
+            good = good & (tensor >= MIN_SCALE * (1 - 1e-6))
+        elif name == "optical_depth":
+            good = good & (tensor >= 0) & (tensor <= MAX_OPTICAL_DEPTH * (1 + 1e-6))
+        elif name == "quaternions":
+            good = good & (tensor.norm(dim=1, keepdim=True) > 0)
+        if not bool(good.all()):
+            raise SarsplatError(complaint(name, tensor, int((~good).nonzero()[0, 0])))
+
+
+def complaint(name: str, tensor: Tensor, index: int) -> str:
+    """The sentence for one bad row."""
+    return f"{name}[{index}] is {tensor[index].tolist()}; it must be {ALLOWED[name]}"
