@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -54,6 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit code: 0, or 2 after a mistake in the input, or 130 after Ctrl-C. Options that do not parse end the process
         with code 2.
     """
+    # before torch is loaded: threads that spin while they wait cost tens of milliseconds a step on a shared machine
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words == ["--version"]:
         console.say(f"sarsplat {extras.installed_version('sarsplat') or '(running from source)'}")

@@ -38,6 +38,8 @@ def check_shapes(
     gain: Tensor | None,
 ) -> None:
     """No views, or tensors per view that do not fit them."""
+    if isinstance(views, View):
+        raise SarsplatError(f"views is a single {views}; give a sequence: [view]")
     if not views:
         raise SarsplatError("there are no views to render; give at least one View")
     expected = {

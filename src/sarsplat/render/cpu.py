@@ -95,8 +95,13 @@ class Pass:
 
     def __init__(self, instruction_set: str = "auto") -> None:
         self._isa = INSTRUCTION_SETS.index(instruction_set)
-        idle = self._idle.setdefault(self._isa, [])
         self._library = library()
+        if self._isa > self._library.sg_best_isa():
+            raise SarsplatError(
+                f"instruction_set {instruction_set!r} is more than this processor has; use 'auto' or at most "
+                f"{best_instruction_set()!r}"
+            )
+        idle = self._idle.setdefault(self._isa, [])
         self._handle = idle.pop() if idle else self._library.sg_create(self._isa)
 
     def __del__(self) -> None:

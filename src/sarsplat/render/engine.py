@@ -196,11 +196,13 @@ def _trace(
 
 def _explain(fault: str, index: int, inputs: Sequence[Tensor | None], setting: _Setting) -> str:
     if fault == "lattice":
-        means = inputs[0]
+        means, scales = inputs[0], inputs[2]
         assert means is not None
+        assert scales is not None
         return (
             f"view {index} would need too many rays at a spacing of {setting.rays.spacing} m: the Gaussians reach "
-            f"{float(means.abs().max()):.4g} m from the scene centre; remove far ones or take coarser rays"
+            f"{float(means.abs().max()):.4g} m from the scene centre and are up to {float(scales.max()):.4g} m wide; "
+            "remove far and wide ones or take coarser rays"
         )
     tensor = inputs[cpu.FAULTS.index(fault) - 1]
     assert tensor is not None

@@ -30,8 +30,8 @@ struct sg_handle { const sg_engine* engine; sg_context* context; };
 
 SG_EXPORT int32_t sg_best_isa() { return best(); }
 SG_EXPORT const char* sg_isa_name(int32_t isa) { return engine(isa)->name; }
-SG_EXPORT sg_handle* sg_create(int32_t isa) {
-  const sg_engine* e = engine(isa > 0 && isa <= best() ? isa : best());
+SG_EXPORT sg_handle* sg_create(int32_t isa) {  // 0: the best; otherwise at most sg_best_isa()
+  const sg_engine* e = engine(isa ? isa : best());
   return new sg_handle{e, e->create()};
 }
 SG_EXPORT void sg_destroy(sg_handle* h) {
