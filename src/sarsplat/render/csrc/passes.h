@@ -107,5 +107,18 @@ static void image_backward(const Entry* entries, int first, int end, Band whole,
   }
 }
 
+// blocked to row-major and back, rows [first, end)
+static void from_blocks(const float* in, int blocks_x, int rows, int columns, int first, int end, float* out) {
+  for (int y = first; y < end && y < rows; y++)
+    for (int x = 0; x < columns; x++)
+      out[(int64_t)y * columns + x] = in[((int64_t)(y / kBlockY) * blocks_x + x / kBlockX) * kWidth + y % kBlockY * kBlockX + x % kBlockX];
+}
+static void to_blocks(const float* in, int blocks_x, int rows, int columns, int first, int end, float* out) {
+  for (int y = first; y < end; y++)
+    for (int x = 0; x < blocks_x * kBlockX; x++)
+      out[((int64_t)(y / kBlockY) * blocks_x + x / kBlockX) * kWidth + y % kBlockY * kBlockX + x % kBlockX] =
+          y < rows && x < columns ? in[(int64_t)y * columns + x] : 0.0f;
+}
+
 }  // namespace SG_ISA
 }  // namespace sarsplat
