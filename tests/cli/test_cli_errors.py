@@ -21,7 +21,6 @@ MISTAKES = {
     "two elevations": ([*SIMULATE, "--target", "t72", *ONE_VIEW, "--incidence", "45"], "give one of them"),
     "nothing unseen": ([*SIMULATE, "--target", "t72", *ONE_VIEW, "--test-azimuth", "0"], "are training views too"),
     "protocol and test views": ([*SIMULATE, "--target", "t72", "--test-azimuth", "5"], "--azimuth too"),
-    "ground without rays": ([*SIMULATE, "--target", "t72", *ONE_VIEW, "--source", "splat", "--ground", "1"], "raycast"),
     "negative looks": ([*SIMULATE, "--target", "t72", *ONE_VIEW, "--looks", "-1"], "looks -1.0"),
     "no pixels": ([*SIMULATE, "--target", "t72", *ONE_VIEW, "--pixels", "0"], "0 × 0"),
     "output in the way": (["simulate", "--target", "t72", *ONE_VIEW, "--out", "full"], "--overwrite"),

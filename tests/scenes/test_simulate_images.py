@@ -31,6 +31,20 @@ def test_both_sources_show_the_same_target(box: trimesh.Trimesh) -> None:
     assert np.corrcoef(np.sqrt(rays).ravel(), np.sqrt(splats).ravel())[0, 1] > 0.97
 
 
+def test_both_sources_stand_on_the_same_ground(box: trimesh.Trimesh) -> None:
+    rays = simulate_images(box, VIEWS, GRID, source="raycast", ground_gamma0=0.2)
+    splats = simulate_images(box, VIEWS, GRID, source="splat", ground_gamma0=0.2)
+    for view, ray, splat in zip(VIEWS, rays, splats, strict=True):
+        level = 0.2 * np.tan(np.radians(view.grazing_deg))
+        free = np.abs(ray / level - 1) < 1e-3
+        assert free.sum() > 100
+        assert splat[free].mean() == pytest.approx(level, rel=0.02)
+        shadow, dark = ray < 0.05 * level, splat < 0.5 * level
+        assert shadow.sum() > 20
+        assert dark[shadow].mean() > 0.9
+        assert np.corrcoef(np.sqrt(ray).ravel(), np.sqrt(splat).ravel())[0, 1] > 0.97
+
+
 def test_speckle_keeps_the_mean_and_depends_on_the_seed(box: trimesh.Trimesh) -> None:
     clean = simulate_images(box, VIEWS, GRID, ground_gamma0=0.5)
     first = simulate_images(box, VIEWS, GRID, ground_gamma0=0.5, looks=4, seed=1)
@@ -48,8 +62,6 @@ def test_progress_counts_images(box: trimesh.Trimesh) -> None:
 
 
 def test_what_cannot_be_simulated_is_refused(box: trimesh.Trimesh) -> None:
-    with pytest.raises(SarsplatError, match="'splat' has no ground"):
-        simulate_images(box, VIEWS, GRID, source="splat", ground_gamma0=0.1)
     with pytest.raises(SarsplatError, match="'magic' is unknown"):
         simulate_images(box, VIEWS, GRID, source="magic")  # type: ignore[arg-type]
 

@@ -98,3 +98,14 @@ class Gaussians:
 
     def _with(self, change: Callable[[Tensor], Tensor]) -> Gaussians:
         return Gaussians(**{name: change(tensor) for name, tensor in self.tensors().items()}, p_min=self.p_min)
+
+
+def join(first: Gaussians, second: Gaussians) -> Gaussians:
+    """Both scenes in one, with the `p_min` of the first; the shorter harmonics are filled up with zeros."""
+    degree = max(first.harmonics.shape[1], second.harmonics.shape[1])
+    parts = [{**scene.tensors(), "harmonics": _filled(scene.harmonics, degree)} for scene in (first, second)]
+    return Gaussians(**{name: torch.cat([part[name] for part in parts]) for name in parts[0]}, p_min=first.p_min)
+
+
+def _filled(harmonics: Tensor, columns: int) -> Tensor:
+    return torch.nn.functional.pad(harmonics, (0, columns - harmonics.shape[1]))

@@ -12,10 +12,11 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from sarsplat.data import Dataset
-from sarsplat.gaussians import MIN_SCALE, Gaussians
+from sarsplat.gaussians import MIN_SCALE, Gaussians, join
+from sarsplat.gaussians.ground import ground_sheet
 from sarsplat.gaussians.initialise import Region, bounded_region, hemisphere_shell, random_quaternions
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.reconstruct.config import Config, Surroundings, logit_of_scattering
+from sarsplat.reconstruct.config import Config, logit_of_scattering
 from sarsplat.render import Rendering, render
 
 PER_GAUSSIAN = ("means", "quaternions", "log_scales", "log_optical_depth", "harmonics", "higher_harmonics")
@@ -25,8 +26,8 @@ _LEAST_OPTICAL_DEPTH = 1e-3
 _SLACK = 0.2
 """Centres are kept within the region's box and this margin, m."""
 
-_GROUND_DEPTH = 3.0
-"""Two-way peak optical depth of a ground Gaussian: with the overlap below the ground is opaque at any grazing angle."""
+_GROUND_PITCH = 0.4
+"""Of the ground's Gaussians, m."""
 
 
 class SceneModel:
@@ -46,7 +47,8 @@ class SceneModel:
         self.config = config
         self.region = region
         self.parameters = {name: tensor.detach().clone().requires_grad_() for name, tensor in parameters.items()}
-        self._ground = _ground_sheet(config.surroundings) if config.surroundings else None
+        around = config.surroundings
+        self._ground = ground_sheet(around.ground_radius, _GROUND_PITCH) if around else None
 
     @classmethod
     def initial(cls, config: Config, dataset: Dataset, generator: torch.Generator) -> SceneModel:
@@ -99,11 +101,8 @@ class SceneModel:
         target = self.target(degree)
         if self._ground is None:
             return target
-        ground = self._ground
-        coefficients = target.harmonics.shape[1]  # one γ⁰(u) for all of the ground
-        parts = {**ground.tensors(), "harmonics": self.parameters["ground"][:coefficients].expand(len(ground), -1)}
-        joined = {name: torch.cat([tensor, parts[name]]) for name, tensor in target.tensors().items()}
-        return Gaussians(**joined, p_min=self.config.p_min)
+        level = self.parameters["ground"][: target.harmonics.shape[1]]  # one γ⁰(u) for all of the ground
+        return join(target, replace(self._ground, harmonics=level.expand(len(self._ground), -1)))
 
     def render(
         self,
@@ -172,30 +171,6 @@ def scene_region(config: Config, dataset: Dataset) -> Region:
         return Region.box(config.surroundings.target_low, config.surroundings.target_high)
     views = [item.view for item in dataset.select("train")]
     return bounded_region(dataset.images("train"), views, dataset.grid)
-
-
-def _ground_sheet(surroundings: Surroundings) -> Gaussians:
-    """Flat, fixed Gaussians at z = 0: fine where the target's shadow falls, coarser to the edge of the chip."""
-    fine, coarse, near = 0.3, 0.6, 7.2  # m; near is a multiple of both pitches
-    patches = []
-    for pitch in (fine, coarse):
-        half = math.ceil(surroundings.ground_radius / pitch)
-        steps = (np.arange(-half, half) + 0.5) * pitch
-        x, y = (axis.ravel() for axis in np.meshgrid(steps, steps))
-        inner = np.maximum(abs(x), abs(y)) < near
-        inside = inner if pitch == fine else (np.hypot(x, y) < surroundings.ground_radius) & ~inner
-        points = np.column_stack([x, y, np.full_like(x, -0.05)])[inside]
-        patches.append((points, np.full(len(points), 0.6 * pitch)))
-    means = torch.from_numpy(np.concatenate([points for points, _ in patches])).float()
-    width = torch.from_numpy(np.concatenate([widths for _, widths in patches])).float()
-    n = len(means)
-    return Gaussians(
-        means,
-        torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(n, 4),
-        torch.stack([width, width, torch.full_like(width, 0.01)], dim=1),
-        torch.full((n,), _GROUND_DEPTH),
-        torch.zeros(n, 1),
-    )
 
 
 def level_of(parameter: Tensor, p_min: float) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.scenes._deposit import Deposit
-from sarsplat.scenes.scattering import ScatteringLaw
+from sarsplat.scenes.scattering import ScatteringLaw, check_ground
 
 if TYPE_CHECKING:
     import trimesh
@@ -137,8 +137,7 @@ def _check(
         raise SarsplatError(
             "the mesh holds a vertex that is not finite; read it with load_mesh, which drops such faces"
         )
-    if ground_gamma0 is not None and not (math.isfinite(ground_gamma0) and ground_gamma0 >= 0):
-        raise SarsplatError(f"ground_gamma0 {ground_gamma0} must be finite and at least 0 (linear γ⁰, not decibels)")
+    check_ground(ground_gamma0)
     if not (math.isfinite(ray_spacing) and ray_spacing > 0):
         raise SarsplatError(f"ray_spacing {ray_spacing} must be positive and finite, in metres")
     if not np.isfinite(ray_phase).all():

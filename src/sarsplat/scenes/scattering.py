@@ -45,3 +45,9 @@ class ScatteringLaw:
     def as_dict(self) -> dict[str, float]:
         """The coefficients by name, to be recorded with a dataset; `ScatteringLaw(**d)` restores the law."""
         return asdict(self)
+
+
+def check_ground(gamma0: float | None) -> None:
+    """Refuse a ground that is not a γ⁰."""
+    if gamma0 is not None and not (math.isfinite(gamma0) and gamma0 >= 0):
+        raise SarsplatError(f"ground_gamma0 {gamma0} must be finite and at least 0 (linear γ⁰, not decibels)")

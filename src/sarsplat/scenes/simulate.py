@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -9,10 +10,12 @@ import numpy as np
 import torch
 
 from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import join
+from sarsplat.gaussians.ground import ground_sheet
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.render import render
 from sarsplat.scenes.raycast import simulate_raycast
-from sarsplat.scenes.scattering import ScatteringLaw
+from sarsplat.scenes.scattering import ScatteringLaw, check_ground
 from sarsplat.scenes.speckle import add_speckle
 from sarsplat.scenes.splat_truth import law_scattering, surface_gaussians
 
@@ -52,7 +55,7 @@ def simulate_images(
     law : ScatteringLaw, optional
         γ⁰ of the surface against incidence angle; 0.1 + 0.9 cos² i unless given.
     ground_gamma0 : float, optional
-        γ⁰ (linear) of a flat ground at z = 0; none unless given. Ray casting only.
+        γ⁰ (linear) of a flat ground at z = 0; none unless given.
     looks : float, optional
         Number of looks of the speckle; none unless given.
     seed : int
@@ -68,17 +71,16 @@ def simulate_images(
     Raises
     ------
     SarsplatError
-        If the source is unknown or can do no ground, or the mesh or a setting is unsound.
+        If the source is unknown, or the mesh or a setting is unsound.
     """
     law = law or ScatteringLaw()
+    check_ground(ground_gamma0)
     if source == "raycast":
         images = _raycast(mesh, views, grid, law, ground_gamma0)
     elif source != "splat":
         raise SarsplatError(f"source {source!r} is unknown; choose 'raycast' or 'splat'")
-    elif ground_gamma0 is not None:
-        raise SarsplatError(f"source 'splat' has no ground (γ⁰ {ground_gamma0} was asked for); take source 'raycast'")
     else:
-        images = _splat(mesh, views, grid, law, seed)
+        images = _splat(mesh, views, grid, law, ground_gamma0, seed)
     stack = np.ones((len(views), grid.rows, grid.columns), dtype=np.float32)
     if looks is not None:  # first, so that a bad number of looks is told before minutes of ray casting
         stack = add_speckle(stack, looks, np.random.default_rng(seed))
@@ -130,11 +132,28 @@ def _raycast(
 
 
 def _splat(
-    mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid, law: ScatteringLaw, seed: int
+    mesh: trimesh.Trimesh,
+    views: Sequence[View],
+    grid: ImageGrid,
+    law: ScatteringLaw,
+    ground_gamma0: float | None,
+    seed: int,
 ) -> Iterator[np.ndarray]:
     gaussians, normals = surface_gaussians(mesh, _POINTS, sigma=_SIGMA, optical_depth=_OPTICAL_DEPTH, seed=seed)
+    target = len(gaussians)
+    if ground_gamma0 is not None:
+        gaussians = join(gaussians, ground_sheet(_ground_radius(views, grid), min(grid.spacing)))
     rays = RayGrid.for_image(grid, _RAYS_PER_PIXEL)
     for view in views:
-        scattering = torch.from_numpy(law_scattering(normals, [view], law).astype(np.float32))
+        scattering = torch.full((1, len(gaussians)), ground_gamma0 or 0.0)
+        scattering[:, :target] = torch.from_numpy(law_scattering(normals, [view], law))
         with torch.no_grad():
             yield render(gaussians, [view], grid, rays=rays, scattering=scattering).images[0].numpy()
+
+
+def _ground_radius(views: Sequence[View], grid: ImageGrid) -> float:
+    """Of the ground that the images show, m, with a margin for footprints and responses."""
+    across = grid.columns * grid.spacing[0] + 2 * abs(grid.center[0])
+    steepest = math.cos(math.radians(max(view.grazing_deg for view in views)))
+    along = (grid.rows * grid.spacing[1] + 2 * abs(grid.center[1])) / steepest
+    return math.hypot(across, along) / 2 + 2 * max(grid.resolution)

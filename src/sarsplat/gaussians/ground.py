@@ -1,0 +1,48 @@
+"""Flat ground as Gaussians: an opaque sheet at z = 0."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+
+from sarsplat.gaussians.gaussians import Gaussians
+
+_WIDTH = 0.6
+"""Standard deviation in pitches: the sum of footprints then ripples by less than a thousandth."""
+
+_OPTICAL_DEPTH = 3.0
+"""Two-way, at a Gaussian's peak; overlapping, the sheet has 2π·0.6²·3 = 6.8 at any grazing angle."""
+
+_THICKNESS = 0.01  # m
+
+
+def ground_sheet(radius: float, pitch: float) -> Gaussians:
+    """A disc of flat Gaussians around the origin, on a square lattice.
+
+    Parameters
+    ----------
+    radius : float
+        Of the disc, m.
+    pitch : float
+        Of the lattice, m: also how finely a shadow's edge can fall.
+
+    Returns
+    -------
+    Gaussians
+        float32, harmonics zero.
+    """
+    half = math.ceil(radius / pitch)
+    steps = (np.arange(-half, half) + 0.5) * pitch
+    x, y = (axis.ravel() for axis in np.meshgrid(steps, steps))
+    inside = np.hypot(x, y) < radius
+    means = torch.from_numpy(np.column_stack([x, y, np.zeros_like(x)])[inside]).float()
+    n = len(means)
+    return Gaussians(
+        means,
+        torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
+        torch.tensor([_WIDTH * pitch, _WIDTH * pitch, _THICKNESS]).repeat(n, 1),
+        torch.full((n,), _OPTICAL_DEPTH),
+        torch.zeros(n, 1),
+    )
