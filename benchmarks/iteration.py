@@ -32,7 +32,7 @@ CORE_RATE = 128e9  # flop/s of one AVX-512 core; the floor below is for such a c
 
 
 def halfway() -> SceneModel:
-    """The distributions of a default run's Gaussians after 750 of 1,500 iterations."""
+    """The distributions of a default run's Gaussians halfway through."""
     generator = torch.Generator().manual_seed(0)
     region = Region.box((-3.4, -1.78, 0.1), (5.2, 1.78, 2.15))
     medians = torch.tensor([0.025, 0.053, 0.083])  # m, shortest to longest axis

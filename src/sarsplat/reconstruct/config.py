@@ -171,7 +171,7 @@ PRESETS: dict[str, Config] = {
             least_scattering=0.005,
             most=60_000,
         ),
-        points=PointExtraction("centres", optical_depth=0.05, voxel=0.02),
+        points=PointExtraction("centres", optical_depth=0.01, voxel=0.02),
         checkpoint_every=2500,
     ),
     # real chips: ground, noise floor, shift and gain of each chip, speckle likelihood. Large Gaussians average speckle;
