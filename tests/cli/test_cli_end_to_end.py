@@ -1,6 +1,7 @@
 """The whole way on the command line, on a target small enough to take seconds."""
 
 import json
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -121,7 +122,7 @@ def test_ctrl_c_says_how_to_go_on(
     def interrupted(trainer: Trainer) -> float:
         calls.append(1)
         if len(calls) == 3:
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)  # the step is finished first
         return step(trainer)
 
     monkeypatch.setattr(Trainer, "step", interrupted)
@@ -132,7 +133,7 @@ def test_ctrl_c_says_how_to_go_on(
     assert "Traceback" not in complaint
     monkeypatch.undo()
     assert main(["info", str(run)]) == 0
-    assert "2 of 9" in capsys.readouterr().out
+    assert "3 of 9" in capsys.readouterr().out
 
 
 def test_doctor_knows_what_is_installed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from sarsplat import Dataset, ImageGrid, Run, SarsplatError, ScatteringLaw, View
 from sarsplat.data import write_dataset
 from sarsplat.reconstruct import Config, Trainer, extract_points
 from sarsplat.reconstruct.config import Densification
+from sarsplat.reconstruct.model import SceneModel
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")
@@ -106,19 +109,22 @@ def test_a_stopped_training_resumes_bit_for_bit(
     if density:
         assert len(whole.gaussians) != config.gaussians
 
-    step, stop_at = Trainer.step, 37  # between checkpoints
+    render, stop_after = SceneModel.render, 36  # between checkpoints
 
-    def interrupted(self: Trainer) -> float:
-        if self.iteration == stop_at:
-            raise KeyboardInterrupt
-        return step(self)
+    def interrupted(self: SceneModel, *args: Any, **kwargs: Any) -> Any:
+        calls.append(1)
+        if len(calls) == stop_after + 1:
+            signal.raise_signal(signal.SIGINT)  # in the middle of a step, which is finished first
+        return render(self, *args, **kwargs)
+
+    calls: list[int] = []
 
     with monkeypatch.context() as patched:
-        patched.setattr(Trainer, "step", interrupted)
+        patched.setattr(SceneModel, "render", interrupted)
         with pytest.raises(KeyboardInterrupt):
             reconstruct(dataset, tmp_path / "stopped", config)
     stopped = Run.load(tmp_path / "stopped")
-    assert stopped.iteration == stop_at
+    assert stopped.iteration == stop_after + 1
     assert stopped.render([View(10.0, 30.0)]).shape == (1, 32, 32)  # usable as it is
     assert same_results(reconstruct(dataset, tmp_path / "stopped", config, resume=True), whole)
 

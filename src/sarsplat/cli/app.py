@@ -76,6 +76,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise
             console.complain(f"this needs {error.name}, which is not installed; {extras.install_command(extra)}")
             return _MISUSED
+        except MemoryError as error:
+            console.complain(f"not enough memory ({error}); ask for fewer or smaller images, or fewer Gaussians")
+            return _MISUSED
         except KeyboardInterrupt as interrupt:
             console.complain(str(interrupt) or "stopped by Ctrl-C; nothing half-written was left behind")
             return _INTERRUPTED

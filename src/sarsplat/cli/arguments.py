@@ -50,12 +50,12 @@ def angles(texts: Sequence[str], name: str) -> list[float]:
         if len(numbers) != 3 or not all(map(math.isfinite, numbers)) or numbers[2] == 0:
             raise SarsplatError(f"--{name} {text!r} is neither degrees, such as 30, nor a range, such as 0:360:15")
         start, stop, step = numbers
-        count = math.ceil((stop - start) / step - 1e-9)
-        if not 1 <= count <= _MOST_ANGLES:
+        steps = (stop - start) / step - 1e-9
+        if not 0 < steps <= _MOST_ANGLES:  # also catches what overflowed
             raise SarsplatError(
-                f"--{name} {text!r} is a range of {max(count, 0)} angles; give 1 to {_MOST_ANGLES} (start:stop:step)"
+                f"--{name} {text!r} is start:stop:step of {max(steps, 0):.0f} angles; give 1 to {_MOST_ANGLES}"
             )
-        values += [start + step * k for k in range(count)]
+        values += [start + step * k for k in range(math.ceil(steps))]
     return values
 
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from sarsplat.errors import SarsplatError
 
+_LEAST_LENGTH, _MOST_LENGTH = 1e-6, 1e6  # m: beyond these, float32 squares go wrong long before physics does
+_MOST_PIXELS = 1 << 17
+
 
 def _positive(name: str, values: tuple[float, ...]) -> None:
     for value in values:
-        if not (math.isfinite(value) and value > 0):
-            raise SarsplatError(f"{name} {values} must be positive and finite, in metres")
+        if not _LEAST_LENGTH <= value <= _MOST_LENGTH:  # also catches NaN
+            raise SarsplatError(
+                f"{name} {values} must be positive and finite, in metres ({_LEAST_LENGTH:g} to {_MOST_LENGTH:g})"
+            )
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,10 @@ class ImageGrid:
     def __post_init__(self) -> None:
         if self.rows < 1 or self.columns < 1:
             raise SarsplatError(f"an image of {self.rows} × {self.columns} pixels is empty; give at least 1 × 1")
+        if max(self.rows, self.columns) > _MOST_PIXELS:
+            raise SarsplatError(
+                f"an image of {self.rows} × {self.columns} pixels is too large; give at most {_MOST_PIXELS} a side"
+            )
         _positive("pixel spacing", self.spacing)
         _positive("resolution", self.resolution)
 

@@ -17,6 +17,7 @@ from sarsplat.geometry import RayGrid
 from sarsplat.progress import progress
 from sarsplat.reconstruct.config import Config
 from sarsplat.reconstruct.density import DensityControl
+from sarsplat.reconstruct.interrupt import interrupts_between_steps
 from sarsplat.reconstruct.losses import amplitude_loss, speckle_loss
 from sarsplat.reconstruct.model import PER_GAUSSIAN, SceneModel
 from sarsplat.reconstruct.optimiser import Optimiser
@@ -196,28 +197,34 @@ def _train(trainer: Trainer, run: Run, seconds: float) -> None:
     every = max(1, config.iterations // _LINES_PER_RUN)
     begun = time.monotonic() - seconds
     total, count = 0.0, 0
-    with progress(f"reconstruct ({config.preset})", config.iterations) as shown, log.open("a") as file:
+    with (
+        progress(f"reconstruct ({config.preset})", config.iterations) as shown,
+        log.open("a") as file,
+        interrupts_between_steps() as raise_if_interrupted,
+    ):
         shown.start_at(trainer.iteration)
-        try:
-            while trainer.iteration < config.iterations:
-                total, count = total + trainer.step(), count + 1
-                if trainer.iteration % every == 0 or trainer.iteration == config.iterations:
-                    loss = total / count
-                    _require_finite(loss, trainer.iteration)
-                    line = {
-                        "iteration": trainer.iteration,
-                        "seconds": round(time.monotonic() - begun, 3),
-                        "loss": loss,
-                        "gaussians": len(trainer.model),
-                    }
-                    file.write(json.dumps(line) + "\n")
-                    file.flush()
-                    shown.update(trainer.iteration, f"loss {loss:.3g}  {len(trainer.model)} Gaussians")
-                    total, count = 0.0, 0
-                if trainer.iteration % config.checkpoint_every == 0:
-                    _save(trainer, run, time.monotonic() - begun)
-        finally:
-            _save(trainer, run, time.monotonic() - begun)
+        while trainer.iteration < config.iterations:
+            total, count = total + trainer.step(), count + 1
+            if trainer.iteration % every == 0 or trainer.iteration == config.iterations:
+                loss = total / count
+                _require_finite(loss, trainer.iteration)
+                line = {
+                    "iteration": trainer.iteration,
+                    "seconds": round(time.monotonic() - begun, 3),
+                    "loss": loss,
+                    "gaussians": len(trainer.model),
+                }
+                file.write(json.dumps(line) + "\n")
+                file.flush()
+                shown.update(trainer.iteration, f"loss {loss:.3g}  {len(trainer.model)} Gaussians")
+                total, count = 0.0, 0
+            if trainer.iteration % config.checkpoint_every == 0 or trainer.iteration == config.iterations:
+                _save(trainer, run, time.monotonic() - begun)
+            try:
+                raise_if_interrupted()
+            except KeyboardInterrupt:
+                _save(trainer, run, time.monotonic() - begun)
+                raise
 
 
 def _require_finite(loss: float, iteration: int) -> None:

@@ -9,6 +9,8 @@ import numpy as np
 
 from sarsplat.errors import SarsplatError
 
+_MOST_GAMMA0 = 1e6
+
 
 @dataclass(frozen=True)
 class ScatteringLaw:
@@ -49,5 +51,5 @@ class ScatteringLaw:
 
 def check_ground(gamma0: float | None) -> None:
     """Refuse a ground that is not a γ⁰."""
-    if gamma0 is not None and not (math.isfinite(gamma0) and gamma0 >= 0):
+    if gamma0 is not None and not 0 <= gamma0 <= _MOST_GAMMA0:
         raise SarsplatError(f"ground_gamma0 {gamma0} must be finite and at least 0 (linear γ⁰, not decibels)")

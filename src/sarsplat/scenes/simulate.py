@@ -75,6 +75,8 @@ def simulate_images(
     """
     law = law or ScatteringLaw()
     check_ground(ground_gamma0)
+    if seed < 0:
+        raise SarsplatError(f"seed {seed} must be at least 0")
     if source == "raycast":
         images = _raycast(mesh, views, grid, law, ground_gamma0)
     elif source != "splat":
