@@ -149,7 +149,7 @@ def change(header: dict, place: str, value: object) -> None:
         ("grid.rows", True, "grid.rows"),
         ("grid.rows", -1, "empty"),
         ("grid.rows", 7, "shape"),
-        ("grid.rows", 10**9, "too few"),
+        ("grid.rows", 10**9, "too large"),
         ("grid.rows", 5, "shape"),
         ("grid.spacing_m", [0.1], "pair"),
         ("grid.spacing_m", [0.1, 0], "positive"),

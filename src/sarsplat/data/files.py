@@ -70,6 +70,8 @@ def write_bytes(path: Path, data: bytes) -> None:
         If the disk is full or read-only, permission is missing, or the folder is not there.
     """
     path = Path(path)
+    if not path.name:
+        raise SarsplatError(f"cannot write {path}: it is a folder, not a file; give another path")
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with plain_os_errors("write", path):
         try:

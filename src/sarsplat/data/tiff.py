@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ import tifffile
 
 from sarsplat.data.files import plain_os_errors, write_bytes
 from sarsplat.errors import SarsplatError
+
+logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what is wrong with a file is said by our own errors
 
 
 def write_power_tiff(path: Path, power: np.ndarray, description: str) -> None:

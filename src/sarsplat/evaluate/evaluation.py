@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from sarsplat.evaluate.points import THRESHOLDS, VOXEL, PointMetrics, point_metr
 from sarsplat.evaluate.surface import visible_surface
 from sarsplat.evaluate.yardsticks import yardstick_scores
 from sarsplat.geometry import View
+
+if TYPE_CHECKING:
+    import trimesh
 
 IMAGE_METRICS = ("psnr_db", "psnr_target_db", "ssim", "lpips", "nats_per_pixel", "log_correlation")
 POINT_METRICS = (
@@ -158,7 +161,7 @@ def _points(run: EvaluatedRun, reasons: dict[str, str]) -> dict[str, dict[str, f
         return _no_points("the dataset has no true mesh to compare with", reasons)
     if len(points) == 0:
         return _no_points("the run reconstructed no points", reasons)
-    surface = visible_surface(_load_mesh(dataset.truth_mesh), [entry.view for entry in dataset.select("train")])
+    surface = visible_surface(read_truth_mesh(dataset.truth_mesh), [entry.view for entry in dataset.select("train")])
     return {
         "visible": _flat(point_metrics(points, surface.triangles, surface.samples)),
         "whole": _flat(point_metrics(points, surface.all_triangles, surface.samples_whole)),
@@ -184,13 +187,24 @@ def _flat(metrics: PointMetrics) -> dict[str, float | None]:
     }
 
 
-def _load_mesh(path: Path) -> Any:
+def read_truth_mesh(path: Path) -> trimesh.Trimesh:
+    """The true mesh of a dataset, exactly as it was written.
+
+    Raises
+    ------
+    SarsplatError
+        If it cannot be read, or has no faces, or holds vertices that are not there or not finite.
+    """
     import trimesh
 
     try:
-        return trimesh.load_mesh(path, process=False)
-    except (OSError, ValueError, KeyError, IndexError, NotImplementedError) as error:
+        mesh = trimesh.load_mesh(path, process=False)
+        sound = len(mesh.faces) > 0 and mesh.faces.max() < len(mesh.vertices) and bool(np.isfinite(mesh.vertices).all())
+    except (OSError, ValueError, KeyError, IndexError, NotImplementedError, AttributeError) as error:
         raise SarsplatError(f"the true mesh {path} cannot be read ({error}); restore it or simulate again") from error
+    if not sound:
+        raise SarsplatError(f"the true mesh {path} is damaged: no faces, or bad vertices; restore it or simulate again")
+    return mesh
 
 
 def _domain(reference_amplitude: float, mean_power: float) -> dict[str, Any]:

@@ -51,6 +51,11 @@ class Gaussians:
     p_min: float = 0.0
 
     def __post_init__(self) -> None:
+        for name, tensor in self.tensors().items():
+            if not isinstance(tensor, Tensor):
+                raise SarsplatError(
+                    f"{name} is a {type(tensor).__name__}; give a torch.Tensor (torch.as_tensor makes one)"
+                )
         n = self.means.shape[0] if self.means.ndim else 0
         expected = {"means": (n, 3), "quaternions": (n, 4), "scales": (n, 3), "optical_depth": (n,)}
         for name, shape in expected.items():

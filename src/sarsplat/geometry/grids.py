@@ -13,6 +13,8 @@ _MOST_PIXELS = 1 << 17
 
 
 def _positive(name: str, values: tuple[float, ...]) -> None:
+    if not isinstance(values, tuple | list) or len(values) != 2:
+        raise SarsplatError(f"{name} {values!r} must be a pair of metres")
     for value in values:
         if not _LEAST_LENGTH <= value <= _MOST_LENGTH:  # also catches NaN
             raise SarsplatError(
@@ -45,6 +47,8 @@ class ImageGrid:
     center: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.rows, int) or not isinstance(self.columns, int):
+            raise SarsplatError(f"an image of {self.rows} × {self.columns} pixels cannot be; give whole numbers")
         if self.rows < 1 or self.columns < 1:
             raise SarsplatError(f"an image of {self.rows} × {self.columns} pixels is empty; give at least 1 × 1")
         if max(self.rows, self.columns) > _MOST_PIXELS:

@@ -62,6 +62,14 @@ class Surroundings:
     deviation_penalty: float  # nats per pixel, per m² of shift and squared log gain
 
 
+_MOST = 100_000_000
+
+
+def _require(fits: bool, name: str, value: object, allowed: str) -> None:
+    if not fits:
+        raise SarsplatError(f"{name} {value!r} does not do in a configuration; it must be {allowed}")
+
+
 @dataclass(frozen=True)
 class Config:
     """Everything a reconstruction depends on, besides the dataset."""
@@ -88,6 +96,22 @@ class Config:
     surroundings: Surroundings | None = None
     checkpoint_every: int = 500
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("iterations", "views_per_step", "gaussians", "harmonics_every", "checkpoint_every"):
+            _require(isinstance(value := getattr(self, name), int) and 1 <= value <= _MOST, name, value, "1 or more")
+        _require(isinstance(self.seed, int) and 0 <= self.seed < 2**63, "seed", self.seed, "0 or more, below 2^63")
+        _require(self.harmonics_degree in (0, 1, 2, 3), "harmonics_degree", self.harmonics_degree, "0 to 3")
+        for name in ("rays_per_pixel", "initial_scale", "initial_optical_depth", "most_optical_depth"):
+            value = getattr(self, name)
+            _require(isinstance(value, int | float) and 0 < value < 1e6, name, value, "a positive number")
+        for name in ("p_min", "ssim_weight", "initial_scattering"):
+            value = getattr(self, name)
+            _require(isinstance(value, int | float) and 0 <= value < 1e6, name, value, "a number of at least 0")
+        for record in (self.rates, self.points):
+            for field, value in vars(record).items():
+                fits = isinstance(value, int | float | str | None) and (isinstance(value, str) == (field == "method"))
+                _require(fits, field, value, "a number")
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON data."""

@@ -120,14 +120,24 @@ class Run:
     def _checkpoint(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
         if self.checkpoint_path is None:
             raise SarsplatError(f"{self.path} holds no checkpoint; run `sarsplat reconstruct` again with --overwrite")
-        return load_checkpoint(self.checkpoint_path)
+        tensors, state = load_checkpoint(self.checkpoint_path)
+        if not isinstance(state.get("iteration"), int) or not isinstance(state.get("seconds"), int | float):
+            raise SarsplatError(
+                f"{self.checkpoint_path} does not say how far the training was; reconstruct it again with --overwrite"
+            )
+        return tensors, state
 
     @cached_property
     def model(self) -> SceneModel:
         """The learned scene, as of the newest checkpoint."""
         tensors, _ = self._checkpoint
         learned = {name.removeprefix("model/"): t for name, t in tensors.items() if name.startswith("model/")}
-        return SceneModel(self.config, scene_region(self.config, self.dataset), learned)
+        try:
+            return SceneModel(self.config, scene_region(self.config, self.dataset), learned)
+        except (KeyError, ValueError) as error:
+            raise SarsplatError(
+                f"{self.checkpoint_path} does not hold a whole model ({error}); reconstruct it again with --overwrite"
+            ) from error
 
     @property
     def iteration(self) -> int:
@@ -156,16 +166,27 @@ class Run:
 
     @property
     def history(self) -> list[dict[str, Any]]:
-        """The lines of `metrics.jsonl`."""
+        """The lines of `metrics.jsonl`, up to the first that a crash has torn."""
         path = self.path / "metrics.jsonl"
-        lines = path.read_text().splitlines() if path.is_file() else []
-        return [json.loads(line) for line in lines]
+        lines = path.read_text(errors="replace").splitlines() if path.is_file() else []
+        history: list[dict[str, Any]] = []
+        for line in lines:
+            try:
+                history.append(_log_line(json.loads(line)))
+            except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
+                break
+        return history
 
     @property
     def metrics(self) -> dict[str, Any] | None:
         """What `sarsplat evaluate` found, if it was asked."""
         path = self.path / "metrics.json"
-        return read_json(path) if path.is_file() else None
+        if not path.is_file():
+            return None
+        metrics = read_json(path)
+        if not isinstance(metrics, dict) or not all(isinstance(metrics.get(key), dict) for key in ("images", "points")):
+            raise SarsplatError(f"{path} holds no scores; write them again with `sarsplat evaluate {self.path}`")
+        return metrics
 
     def render(self, views: Sequence[View]) -> np.ndarray:
         """β⁰ of unseen views, linear power, float32 [V, rows, columns]; rays at a quarter of the pixel spacing."""
@@ -185,3 +206,18 @@ class Run:
         views = [item.view for item in self.dataset.select("train")]
         points = extract_points(gaussians, views, self.dataset.grid, self.config.points)
         write_points_ply(self.path / "points.ply", points)
+
+
+def _log_line(record: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "iteration": int(record["iteration"]),
+        "seconds": float(record["seconds"]),
+        "loss": float(record["loss"]),
+        "gaussians": int(record["gaussians"]),
+    }
+
+
+def require_replaceable(out: Path) -> None:
+    """Refuse to overwrite a folder that is not a run: many programs keep a `config.json`."""
+    if (out / "config.json").is_file():
+        Run.load(out)

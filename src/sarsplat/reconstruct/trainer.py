@@ -21,7 +21,7 @@ from sarsplat.reconstruct.interrupt import interrupts_between_steps
 from sarsplat.reconstruct.losses import amplitude_loss, speckle_loss
 from sarsplat.reconstruct.model import PER_GAUSSIAN, SceneModel
 from sarsplat.reconstruct.optimiser import Optimiser
-from sarsplat.reconstruct.run import Run
+from sarsplat.reconstruct.run import Run, require_replaceable
 
 _LINES_PER_RUN = 200
 """About how many lines `metrics.jsonl` gets."""
@@ -121,7 +121,9 @@ class Trainer:
         self._generator.set_state(tensors["generator"])
         if self.density:
             self.density.gradient, self.density.seen = tensors["density/gradient"], tensors["density/seen"]
-        self.iteration, self._queue = int(state["iteration"]), list(state["queue"])
+        self.iteration, self._queue = int(state["iteration"]), [int(k) for k in state["queue"]]
+        if not all(0 <= k < len(self.views) for k in self._queue):
+            raise ValueError("it queues views that are not there")
 
 
 def reconstruct(dataset: Dataset, out: Path, config: Config, *, resume: bool = False, overwrite: bool = False) -> Run:
@@ -154,6 +156,8 @@ def reconstruct(dataset: Dataset, out: Path, config: Config, *, resume: bool = F
     if resume:
         run, seconds = _resumed(dataset, Path(out), config, trainer)
     else:
+        if overwrite:
+            require_replaceable(Path(out))
         with new_folder(Path(out), overwrite, marker="config.json") as folder:
             Run.create(folder, dataset, config)
         run, seconds = Run.load(out), 0.0
@@ -181,7 +185,7 @@ def _resumed(dataset: Dataset, out: Path, config: Config, trainer: Trainer) -> t
     try:
         trainer.load_state(tensors, state)
         seconds = float(state["seconds"])
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+    except (KeyError, TypeError, ValueError, RuntimeError, OverflowError) as error:
         raise SarsplatError(
             f"{run.checkpoint_path} does not fit this version ({error}); start again with --overwrite"
         ) from error

@@ -10,7 +10,7 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.render.checks import ENGINES, check_options, check_shapes, check_values
+from sarsplat.render.checks import ENGINES, check_for_reference, check_options, check_shapes, check_values
 from sarsplat.render.engine import render_cpu
 from sarsplat.render.reference import render_reference
 from sarsplat.render.rendering import RayMap, Rendering
@@ -82,6 +82,7 @@ def render(
     Source: SAR-GS, eqs. (4)–(13), as amended in docs/paper-map.md.
     """
     rays = rays or RayGrid.for_image(grid)
+    views = views if isinstance(views, View) else tuple(views)
     check_options(imaging_weight, first_return_depth, engine, instruction_set)
     check_shapes(gaussians, views, scattering, shift, gain)
     if engine == "auto":
@@ -103,6 +104,7 @@ def render(
         )
     if plane_gradients:
         raise SarsplatError("plane_gradients=True needs engine='cpu'; the reference has autograd instead")
+    check_for_reference(gaussians.means.dtype)
     check_values({**gaussians.tensors(), "scattering": scattering, "shift": shift, "gain": gain})
     return render_reference(
         gaussians,

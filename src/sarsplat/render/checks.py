@@ -40,6 +40,9 @@ def check_shapes(
     """No views, or tensors per view that do not fit them."""
     if isinstance(views, View):
         raise SarsplatError(f"views is a single {views}; give a sequence: [view]")
+    for view in views:
+        if not isinstance(view, View):
+            raise SarsplatError(f"views holds {view!r}; each must be a View(azimuth_deg, grazing_deg)")
     if not views:
         raise SarsplatError("there are no views to render; give at least one View")
     expected = {
@@ -82,6 +85,12 @@ def check_for_cpu(grid: ImageGrid, tensors: dict[str, Tensor | None]) -> None:
                 f"{name} is {tensor.dtype} on {tensor.device}; the CPU engine takes torch.float32 on the CPU "
                 "(engine='reference' takes any dtype)"
             )
+
+
+def check_for_reference(dtype: torch.dtype) -> None:
+    """What the reference does not take."""
+    if dtype not in (torch.float32, torch.float64):
+        raise SarsplatError(f"means is {dtype}, too coarse for the reference; use torch.float64 or torch.float32")
 
 
 def check_values(tensors: dict[str, Tensor | None]) -> None:

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import softplus
 
+from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.covariance import covariance
 from sarsplat.gaussians.harmonics import harmonic_basis
@@ -22,6 +23,9 @@ from sarsplat.render.rendering import RayMap, Rendering
 
 _UNCUT_RADIUS = 9.0
 """Without cuts the lattice reaches this many standard deviations: e⁻⁴⁰ is below float64's resolution."""
+
+_MOST_PAIRS = 1 << 30
+"""Of Gaussians and rays; each takes tens of bytes."""
 
 
 def render_reference(
@@ -92,6 +96,12 @@ def _attenuate(
     radius = (limit.clamp(min=0)[:, None] * torch.diagonal(widened.detach(), dim1=1, dim2=2)).sqrt()
     low = torch.floor((mean_c.detach() - radius)[touched].amin(0) / spacing).long().tolist()
     high = torch.ceil((mean_c.detach() + radius)[touched].amax(0) / spacing).long().tolist()
+    pairs = len(kappa) * max(high[0] - low[0], 1) * max(high[1] - low[1], 1)
+    if pairs > _MOST_PAIRS:
+        raise SarsplatError(
+            f"the reference would need too many rays: {pairs:.3g} pairs of Gaussians and rays; remove far and wide "
+            "Gaussians, take coarser rays, or use engine='cpu'"
+        )
     x = (torch.arange(low[0], high[0], dtype=mean_r.dtype) + 0.5).to(spacing.device) * spacing[0]
     y = (torch.arange(low[1], high[1], dtype=mean_r.dtype) + 0.5).to(spacing.device) * spacing[1]
     rho = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1)  # ray positions [rows, columns, 2]

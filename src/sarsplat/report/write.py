@@ -8,6 +8,8 @@ import numpy as np
 
 from sarsplat.data import Dataset, write_bytes
 from sarsplat.data.files import plain_os_errors
+from sarsplat.errors import SarsplatError
+from sarsplat.evaluate.evaluation import read_truth_mesh
 from sarsplat.reconstruct import Run
 from sarsplat.report.cloud import points_figure
 from sarsplat.report.curves import curves_figure
@@ -42,7 +44,14 @@ def write_report(run: Run) -> Path:
     pictures, training = [_views(run), _points(run)], _curves(run)
     for picture in (*pictures, *training):
         write_bytes(folder / picture.file, picture.png)
-    write_bytes(folder / "index.html", page(run, pictures, training).encode())
+    try:
+        html = page(run, pictures, training)
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise SarsplatError(
+            f"{run.path / 'metrics.json'} does not hold all scores ({error!r}); write it again with "
+            f"`sarsplat evaluate {run.path}`"
+        ) from error
+    write_bytes(folder / "index.html", html.encode())
     return folder / "index.html"
 
 
@@ -84,7 +93,7 @@ def _points(run: Run) -> Picture:
         return Picture("points.png", "Points", text, points_figure(run.points, None))
     import trimesh
 
-    mesh = trimesh.load_mesh(run.dataset.truth_mesh, process=False)
+    mesh = read_truth_mesh(run.dataset.truth_mesh)
     surface, _ = trimesh.sample.sample_surface(mesh, _SURFACE_SAMPLES, seed=0)
     text = "The reconstruction beside the true surface, which it never saw: images and their views were all it had."
     return Picture("points.png", "Points", text, points_figure(run.points, np.asarray(surface)))
