@@ -183,3 +183,15 @@ def test_gaussians_that_do_not_fit_together(name, tensor, message):
         replace(cloud(10, 0), **{name: tensor})
     with pytest.raises(SarsplatError, match=r"p_min -0.1 must be finite and at least 0"):
         replace(cloud(10, 0), p_min=-0.1)
+
+
+def test_torch_defaults_do_not_matter():
+    scene = cloud(10, 0)
+    expected = render(scene, VIEWS, GRID, first_return_depth=0.1)
+    torch.set_default_dtype(torch.float64)
+    try:
+        again = render(scene, VIEWS, GRID, first_return_depth=0.1)
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert torch.equal(again.images, expected.images)
+    assert torch.equal(again.ray_maps[0].transmittance, expected.ray_maps[0].transmittance)

@@ -54,11 +54,11 @@ def render_cpu(
     """`sarsplat.render` on the CPU engine; arguments are documented there."""
     check_for_cpu(grid, {**gaussians.tensors(), "scattering": scattering, "shift": shift, "gain": gain})
     check_values({"gain": gain})  # the rest is checked on the way in
-    planes = torch.zeros(len(views), len(gaussians), 4) if plane_gradients else None
+    planes = gaussians.means.new_zeros(len(views), len(gaussians), 4) if plane_gradients else None
     setting = _Setting(
         tuple(views), grid, rays, gaussians.p_min, imaging_weight == "peak", first_return_depth, instruction_set, planes
     )
-    shift = torch.zeros(len(views), 2) if shift is None else shift
+    shift = gaussians.means.new_zeros(len(views), 2) if shift is None else shift
     images, cross_sections, lit_area, transmittance, first_return, lattices = _Render.apply(
         gaussians.means,
         gaussians.quaternions,
@@ -108,14 +108,14 @@ class _Render(torch.autograd.Function):
         inputs.append(shift.contiguous())
         problem, constants = _problem(inputs, setting)
         views, n, grid = len(setting.views), means.shape[0], setting.grid
-        images = torch.empty(views, grid.rows, grid.columns)
-        cross_sections, lit_area = torch.empty(views, n), torch.empty(views, n)
+        images = means.new_empty(views, grid.rows, grid.columns)  # never torch's default dtype or device
+        cross_sections, lit_area = means.new_empty(views, n), means.new_empty(views, n)
         kernel = cpu.Pass(setting.instruction_set)
         outputs = cpu.Outputs(images.data_ptr(), cross_sections.data_ptr(), lit_area.data_ptr())
         fault, index = kernel.forward(problem, outputs)
         if fault:
             raise SarsplatError(_explain(fault, index, inputs, setting))
-        transmittance = first_return = torch.empty(0)
+        transmittance = first_return = means.new_empty(0)
         lattices: list[tuple[int, int, int, int]] = []
         if setting.first_return_depth is not None:
             transmittance, first_return, lattices = _trace(
@@ -134,7 +134,7 @@ class _Render(torch.autograd.Function):
         inputs = ctx.saved_tensors  # also the check that nobody changed them in place
         setting: _Setting = ctx.setting
         if d_images is None:
-            d_images = torch.zeros(len(setting.views), setting.grid.rows, setting.grid.columns)
+            d_images = inputs[0].new_zeros(len(setting.views), setting.grid.rows, setting.grid.columns)
         seeds = [t if t is None else t.contiguous() for t in (d_images, d_cross_sections, d_transmittance)]
         results = [None if t is None else torch.empty_like(t) for t in inputs]
         gradients = cpu.Gradients(*(_pointer(t) for t in (*seeds, *results, setting.planes)))
@@ -186,7 +186,7 @@ def _trace(
 ) -> tuple[Tensor, Tensor, list[tuple[int, int, int, int]]]:
     lattices = [kernel.lattice(v) for v in range(views)]
     total = sum(lattice.rows * lattice.columns for lattice in lattices)
-    transmittance, first_return = torch.empty(total), torch.empty(total)
+    transmittance, first_return = torch.empty(2, total, dtype=torch.float32, device="cpu")
     at = 0
     for v, lattice in enumerate(lattices):
         kernel.trace(problem, v, depth, transmittance[at:].data_ptr(), first_return[at:].data_ptr())
