@@ -46,7 +46,7 @@ def halfway() -> SceneModel:
         "harmonics": -2.6 + 2.2 * torch.randn(COUNT, 1, generator=generator),
         "higher_harmonics": 0.22 * torch.randn(COUNT, 15, generator=generator),
     }
-    return SceneModel(preset("default"), region, parameters)
+    return SceneModel(preset("default"), region, 1.0, parameters)
 
 
 class Clock:

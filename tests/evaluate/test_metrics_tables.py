@@ -27,7 +27,9 @@ def rows(table) -> list[list[str]]:
 
 
 def test_rendered_sets_stand_above_the_paper():
-    table = metrics_table(metrics(test={"psnr_db": 53.712, "psnr_target_db": 36.0, "ssim": 0.99951}))
+    table = metrics_table(
+        metrics(test={"psnr_db": 53.712, "psnr_target_db": 36.0, "ssim": 0.99951}), paper=paper_row("T72")
+    )
     assert [str(column.header) for column in table.columns][1:] == [
         *("PSNR dB", "target dB", "SSIM", "LPIPS", "CD m", "F1@0.3", "time"),
     ]

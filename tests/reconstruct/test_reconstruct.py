@@ -167,7 +167,8 @@ def test_measured_scenes_have_ground_noise_and_their_own_shifts(dataset: Dataset
         assert not torch.equal(before[name], trainer.model.parameters[name]), name
     with torch.no_grad():
         images, _ = trainer.model.render([View(0.0, 20.0)], GRID, 0)
-    assert float(images.min()) >= float(trainer.model.parameters["noise"].detach().exp())
+    floor = float(trainer.model.parameters["noise"].detach().exp()) * trainer.model.unit
+    assert float(images.min()) >= floor * (1 - 1e-6)
 
 
 def test_points_of_no_gaussians_are_none(finished: Run, dataset: Dataset) -> None:

@@ -45,7 +45,7 @@ def make_dataset(
         grid=GRID,
         views=views,
         images=power,
-        source={"target": target, "law": {"floor": 0.1, "lobe": 0.9}},
+        source={"target": target, "protocol": "paper", "law": {"floor": 0.1, "lobe": 0.9}},
         domain="measured" if measured else "rendered",
         truth_mesh=trimesh.creation.box() if mesh else None,
     )
@@ -146,5 +146,9 @@ def test_scores_that_do_not_apply_have_no_row() -> None:
 
 
 def test_the_row_of_the_paper_is_that_of_the_target() -> None:
-    assert paper_beside(SimpleNamespace(source={"target": "BTR70"})).target == "BTR70"  # type: ignore[arg-type]
-    assert paper_beside(SimpleNamespace(source={})).target == "T72"  # type: ignore[arg-type]
+    for source, target in (({"target": "BTR70"}, "BTR70"), ({}, "T72")):
+        row = paper_beside(SimpleNamespace(source={"protocol": "paper", **source}))  # type: ignore[arg-type]
+        assert row is not None
+        assert row.target == target
+    for other in ({"protocol": None}, {"protocol": "paper", "looks": 1.0}, {"protocol": "paper", "ground_gamma0": 0.1}):
+        assert paper_beside(SimpleNamespace(source=other)) is None  # type: ignore[arg-type]

@@ -113,6 +113,12 @@ def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_clas
     if not found:
         remedy = "name the table of its JPEGs with --labels" if has_jpegs else "give the folder of the MSTAR chips"
         raise SarsplatError(f"there is no Phoenix file in {folder}; {remedy}")
+    if has_jpegs:
+        warnings.warn(
+            f"{folder} holds JPEG chips too, which are left out; name the table of their labels with --labels to take "
+            "them instead of the Phoenix files",
+            stacklevel=2,
+        )
     chosen = [chip for chip in found if _same_class(target_class, chip.target_type)]
     if not chosen:
         raise _refuse_class(target_class, folder, {chip.target_type for chip in found})

@@ -77,7 +77,9 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dic
     dataset = run.dataset
     test_sets = [split for split in dataset.splits() if split != "train"]
     if not test_sets:
-        raise SarsplatError(f"the dataset {dataset.path} has no test images, so nothing is unseen; give it a test set")
+        raise SarsplatError(
+            f"the dataset {dataset.path} has no test images, so nothing is unseen; simulate it with --test-azimuth"
+        )
     weights = lpips.lpips_weights(lpips_weights)
     network = None if weights is None else lpips.Lpips(weights)
     train = dataset.images("train")

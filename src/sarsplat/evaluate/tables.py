@@ -78,7 +78,7 @@ def metrics_table(
     metrics : mapping
         What `evaluate_run` returned, or `metrics.json`.
     paper : PaperRow, optional
-        The paper's figures, for a rendered set; the T72 row unless told otherwise.
+        The paper's figures, where the protocol is the paper's.
     yardsticks : mapping, optional
         What `yardstick_scores` returned, for a measured set.
 
@@ -90,10 +90,10 @@ def metrics_table(
     """
     if all(scores["psnr_db"] is None for scores in metrics["images"].values()):
         return _measured_table(metrics, yardsticks or {})
-    return _rendered_table(metrics, paper or paper_row("T72"))
+    return _rendered_table(metrics, paper)
 
 
-def _rendered_table(metrics: Mapping[str, Any], paper: PaperRow) -> Table:
+def _rendered_table(metrics: Mapping[str, Any], paper: PaperRow | None) -> Table:
     table = Table("")
     for heading in ("PSNR dB", "target dB", "SSIM", "LPIPS", "CD m", "F1@0.3", "time"):
         table.add_column(heading, justify="right", no_wrap=True)
@@ -109,6 +109,8 @@ def _rendered_table(metrics: Mapping[str, Any], paper: PaperRow) -> Table:
             _number(visible["f1@0.3"], 3),
             _duration(metrics["time_s"]),
         )
+    if paper is None:
+        return table
     table.add_row(
         f"paper, {paper.target}",
         _number(paper.psnr_db, 2),

@@ -58,7 +58,7 @@ class Surroundings:
     ground_radius: float  # m: must cover the chip at every rotation
     target_low: tuple[float, float, float]  # box in which the target may lie, m
     target_high: tuple[float, float, float]
-    noise_floor: float  # initial additive power
+    noise_floor: float  # initial additive power, in units of the training mean, as P_min and every γ⁰
     deviation_penalty: float  # nats per pixel, per m² of shift and squared log gain
 
 

@@ -39,13 +39,16 @@ class SceneModel:
         The reconstruction's configuration.
     region : Region
         The space the target may occupy.
+    unit : float
+        Power that counts as 1: every γ⁰, the noise floor and P_min are in this unit (`power_unit`).
     parameters : dict of str to Tensor
         See `PER_GAUSSIAN`; with `config.surroundings` also `ground`, `noise`, `shift` [V, 2] and `log_gain` [V].
     """
 
-    def __init__(self, config: Config, region: Region, parameters: dict[str, Tensor]) -> None:
+    def __init__(self, config: Config, region: Region, unit: float, parameters: dict[str, Tensor]) -> None:
         self.config = config
         self.region = region
+        self.unit = unit
         n = len(parameters["means"])
         for name in PER_GAUSSIAN:
             if parameters[name].dtype != torch.float32 or len(parameters[name]) != n:
@@ -57,7 +60,7 @@ class SceneModel:
     @classmethod
     def initial(cls, config: Config, dataset: Dataset, generator: torch.Generator) -> SceneModel:
         """The state training starts from."""
-        region = scene_region(config, dataset)
+        region, unit = scene_region(config, dataset), power_unit(config, dataset)
         sample = hemisphere_shell if config.initialisation == "hemisphere" else Region.sample
         n, views = config.gaussians, len(dataset.select("train"))
         parameters = {
@@ -70,14 +73,16 @@ class SceneModel:
         }
         if config.surroundings:
             mean_tangent = float(np.mean([math.tan(math.radians(v.view.grazing_deg)) for v in dataset.select("train")]))
-            level = float(np.median(dataset.images("train"))) / math.log(2) / mean_tangent  # γ⁰ of single-look clutter
+            level = (
+                float(np.median(dataset.images("train"))) / unit / math.log(2) / mean_tangent
+            )  # γ⁰ of single-look clutter
             parameters |= {
                 "ground": torch.tensor([logit_of_scattering(level, config.p_min), *[0.0] * 15]),
                 "noise": torch.tensor([math.log(config.surroundings.noise_floor)]),
                 "shift": torch.zeros(views, 2),
                 "log_gain": torch.zeros(views),
             }
-        return cls(config, region, parameters)
+        return cls(config, region, unit, parameters)
 
     def __len__(self) -> int:
         return self.parameters["means"].shape[0]
@@ -137,7 +142,7 @@ class SceneModel:
         images = rendering.images
         if self.config.surroundings:
             images = images + p["noise"].exp()
-        return images, rendering
+        return images * self.unit, rendering
 
     def _widened(self, grid: ImageGrid) -> ImageGrid:
         """The grid whose response includes the spread of the training chips' shifts."""
@@ -175,6 +180,11 @@ def scene_region(config: Config, dataset: Dataset) -> Region:
         return Region.box(config.surroundings.target_low, config.surroundings.target_high)
     views = [item.view for item in dataset.select("train")]
     return bounded_region(dataset.images("train"), views, dataset.grid)
+
+
+def power_unit(config: Config, dataset: Dataset) -> float:
+    """Power that counts as 1: β⁰ itself, or for chips with surroundings, calibrated or not, the training set's mean."""
+    return float(dataset.images("train").mean(dtype=np.float64)) if config.surroundings else 1.0
 
 
 def level_of(parameter: Tensor, p_min: float) -> float:

@@ -26,7 +26,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import RayGrid, View
 from sarsplat.reconstruct.config import Config
-from sarsplat.reconstruct.model import SceneModel, scene_region
+from sarsplat.reconstruct.model import SceneModel, power_unit, scene_region
 from sarsplat.reconstruct.points import extract_points
 
 SCHEMA = "sarsplat-run"
@@ -108,6 +108,11 @@ class Run:
     @cached_property
     def dataset(self) -> Dataset:
         """The dataset it was made from."""
+        if not self.dataset_path.exists():
+            raise SarsplatError(
+                f"{self.path} needs the dataset it was made from, which is no longer at {self.dataset_path}; "
+                "move it back there"
+            )
         return read_dataset(self.dataset_path)
 
     @property
@@ -133,7 +138,8 @@ class Run:
         tensors, _ = self._checkpoint
         learned = {name.removeprefix("model/"): t for name, t in tensors.items() if name.startswith("model/")}
         try:
-            return SceneModel(self.config, scene_region(self.config, self.dataset), learned)
+            region, unit = scene_region(self.config, self.dataset), power_unit(self.config, self.dataset)
+            return SceneModel(self.config, region, unit, learned)
         except (KeyError, ValueError) as error:
             raise SarsplatError(
                 f"{self.checkpoint_path} does not hold a whole model ({error}); reconstruct it again with --overwrite"

@@ -65,7 +65,7 @@ class Trainer:
         if self.config.loss == "amplitude":
             loss = amplitude_loss(images, truth, self._reference, self.config.ssim_weight)
         else:
-            loss = speckle_loss(images, truth)
+            loss = speckle_loss(images / self.model.unit, truth / self.model.unit)
         penalty = self.model.penalty()
         (loss if penalty is None else loss + penalty).backward()
         if gather and self.density is not None:
@@ -96,7 +96,7 @@ class Trainer:
             }
             parameters["means"] = parameters["means"] + displacement
             parameters["log_scales"] = parameters["log_scales"] + shrink.log()[:, None]
-        self.model = SceneModel(self.config, self.model.region, parameters)
+        self.model = SceneModel(self.config, self.model.region, self.model.unit, parameters)
         self.model.constrain()
         self.optimiser = self.optimiser.rebuild(self.model.parameters, torch.where(kept, source, -1))
 
@@ -115,7 +115,7 @@ class Trainer:
         def part(prefix: str) -> dict[str, Tensor]:
             return {name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)}
 
-        self.model = SceneModel(self.config, self.model.region, part("model/"))
+        self.model = SceneModel(self.config, self.model.region, self.model.unit, part("model/"))
         self.optimiser = Optimiser(self.model.parameters, self.config)
         self.optimiser.load_state(part("optimiser/"))
         self._generator.set_state(tensors["generator"])

@@ -78,7 +78,7 @@ def _views(run: Run) -> Picture:
         else "The dataset has no test views, so these are training views."
     )
     what = (
-        "The truth is a measured chip with its speckle; the rendering is the expected power, without speckle, so the "
+        "The truth has its speckle; the rendering is the expected power, without speckle, so the "
         "difference compares 3×3 means."
         if speckled
         else "Orange: too bright; blue: too dark; what is darker than the pictures show counts as equal."

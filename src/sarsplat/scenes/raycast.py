@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _LATTICE_TILT = math.atan((math.sqrt(5) - 1) / 2)
 
 _RAYS_PER_BATCH = 1 << 20
+_MOST_RAYS = 1e8  # a minute a view
 
 
 @dataclass(frozen=True)
@@ -154,6 +155,12 @@ def _first_hits(
     x_range = max(lower[0], azimuth_reach[0]), min(upper[0], azimuth_reach[1])
     if x_range[0] > x_range[1]:
         return
+    rays = (x_range[1] - x_range[0]) * (upper[1] - lower[1]) / spacing**2
+    if rays > _MOST_RAYS:
+        raise SarsplatError(
+            f"the mesh spans {upper[1] - lower[1]:.4g} m of elevation, which takes {rays:.2g} rays {spacing} m apart; "
+            "is it in millimetres? Scale it to metres, or take a smaller one"
+        )
     z_start = lower[2] - center[2] - max(1.0, spacing)
     for position in _lattice(x_range, (lower[1], upper[1]), spacing, phase):
         origins = np.empty((len(position), 3), dtype=np.float32)
