@@ -174,3 +174,24 @@ def test_measured_scenes_have_ground_noise_and_their_own_shifts(dataset: Dataset
 def test_points_of_no_gaussians_are_none(finished: Run, dataset: Dataset) -> None:
     nothing = finished.gaussians.select(torch.zeros(len(finished.gaussians), dtype=torch.bool))
     assert extract_points(nothing, [View(0.0, 30.0)], dataset.grid, finished.config.points).shape == (0, 3)
+
+
+def test_a_foreign_config_is_not_overwritten(dataset: Dataset, config: Config, tmp_path: Path) -> None:
+    (tmp_path / "project").mkdir()
+    (tmp_path / "project" / "config.json").write_text('{"mine": 1}')
+    with pytest.raises(SarsplatError, match="not the header of a run"):
+        reconstruct(dataset, tmp_path / "project", config, overwrite=True)
+    assert (tmp_path / "project" / "config.json").read_text() == '{"mine": 1}'
+
+
+def test_a_torn_log_is_read_up_to_the_tear(finished: Run, tmp_path: Path) -> None:
+    log = (finished.path / "metrics.jsonl").read_text().splitlines()
+    copy = replace(finished, path=tmp_path)
+    (tmp_path / "metrics.jsonl").write_text("\n".join([*log[:3], log[3][:9]]))
+    assert copy.history == finished.history[:3]
+
+
+@pytest.mark.parametrize(("field", "value"), [("iterations", 0), ("gaussians", "x"), ("seed", -1), ("p_min", None)])
+def test_configurations_are_checked(config: Config, field: str, value: object) -> None:
+    with pytest.raises(SarsplatError, match=rf"{field} .* does not do in a configuration"):
+        replace(config, **{field: value})

@@ -73,3 +73,10 @@ def test_the_record_is_json_and_says_the_law(source: str) -> None:
     assert json.loads(json.dumps(record)) == record
     assert ScatteringLaw(**record["law"]) == law
     assert (record["kind"], record["looks"], record["seed"]) == (source, 1.0, 3)
+
+
+def test_a_mesh_in_millimetres_is_refused(box: trimesh.Trimesh) -> None:
+    giant = box.copy()
+    giant.apply_scale(1000.0)
+    with pytest.raises(SarsplatError, match="is it in millimetres"):
+        simulate_images(giant, VIEWS, GRID, source="raycast")
