@@ -77,7 +77,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             console.complain(f"this needs {error.name}, which is not installed; {extras.install_command(extra)}")
             return _MISUSED
         except OSError as error:  # what no command foresaw: no permission to look, a name too long
-            console.complain(f"cannot use {error.filename}: {error.strerror}; check the path and its permissions")
+            console.complain(
+                f"cannot use {error.filename or 'a file'}: {error.strerror}; check path, permissions and disk"
+            )
             return _MISUSED
         except MemoryError as error:
             console.complain(f"not enough memory ({error}); ask for fewer or smaller images, or fewer Gaussians")

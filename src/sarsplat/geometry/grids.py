@@ -55,6 +55,8 @@ class ImageGrid:
             raise SarsplatError(
                 f"an image of {self.rows} × {self.columns} pixels is too large; give at most {_MOST_PIXELS} a side"
             )
+        if len(self.center) != 2 or not all(abs(value) <= _MOST_LENGTH for value in self.center):
+            raise SarsplatError(f"image centre {self.center} must be a pair of finite metres")
         _positive("pixel spacing", self.spacing)
         _positive("resolution", self.resolution)
 

@@ -113,7 +113,13 @@ class Run:
                 f"{self.path} needs the dataset it was made from, which is no longer at {self.dataset_path}; "
                 "move it back there"
             )
-        return read_dataset(self.dataset_path)
+        dataset = read_dataset(self.dataset_path)
+        if dataset.fingerprint() != self.fingerprint:
+            raise SarsplatError(
+                f"the dataset {self.dataset_path} is not what {self.path} was made from: it has changed since; "
+                "reconstruct again"
+            )
+        return dataset
 
     @property
     def checkpoint_path(self) -> Path | None:

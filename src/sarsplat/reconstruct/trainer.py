@@ -157,6 +157,8 @@ def reconstruct(dataset: Dataset, out: Path, config: Config, *, resume: bool = F
         run, seconds = _resumed(dataset, Path(out), config, trainer)
     else:
         if overwrite:
+            if dataset.path.resolve().is_relative_to(Path(out).resolve()):
+                raise SarsplatError(f"{out} holds the dataset {dataset.path}, which would be lost; give another name")
             require_replaceable(Path(out))
         with new_folder(Path(out), overwrite, marker="config.json") as folder:
             Run.create(folder, dataset, config)
