@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import softplus
 
 from sarsplat.data import Dataset
 from sarsplat.gaussians import MIN_SCALE, Gaussians, join
@@ -73,9 +72,8 @@ class SceneModel:
         }
         if config.surroundings:
             mean_tangent = float(np.mean([math.tan(math.radians(v.view.grazing_deg)) for v in dataset.select("train")]))
-            level = (
-                float(np.median(dataset.images("train"))) / unit / math.log(2) / mean_tangent
-            )  # γ⁰ of single-look clutter
+            # γ⁰ of single-look clutter, from its median
+            level = float(np.median(dataset.images("train"))) / unit / math.log(2) / mean_tangent
             parameters |= {
                 "ground": torch.tensor([logit_of_scattering(level, config.p_min), *[0.0] * 15]),
                 "noise": torch.tensor([math.log(config.surroundings.noise_floor)]),
@@ -185,8 +183,3 @@ def scene_region(config: Config, dataset: Dataset) -> Region:
 def power_unit(config: Config, dataset: Dataset) -> float:
     """Power that counts as 1: β⁰ itself, or for chips with surroundings, calibrated or not, the training set's mean."""
     return float(dataset.images("train").mean(dtype=np.float64)) if config.surroundings else 1.0
-
-
-def level_of(parameter: Tensor, p_min: float) -> float:
-    """γ⁰ of an isotropic scatterer with this degree-0 coefficient."""
-    return p_min + float(softplus(parameter.detach().double().reshape(-1)[0] / (2 * math.sqrt(math.pi))))

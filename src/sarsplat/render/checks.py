@@ -83,7 +83,7 @@ def check_for_cpu(grid: ImageGrid, tensors: dict[str, Tensor | None]) -> None:
         if tensor is not None and (tensor.dtype != torch.float32 or tensor.device.type != "cpu"):
             raise SarsplatError(
                 f"{name} is {tensor.dtype} on {tensor.device}; the CPU engine takes torch.float32 on the CPU "
-                "(engine='reference' takes any dtype)"
+                "(engine='reference' takes torch.float64 too)"
             )
 
 
