@@ -6,15 +6,20 @@ import ctypes
 from ctypes import POINTER, c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
 
 import torch
 
 from sarsplat.errors import SarsplatError
 from sarsplat.render.checks import INSTRUCTION_SETS
 
-FAULTS = ("", "means", "quaternions", "scales", "optical_depth", "harmonics", "scattering", "shift", "lattice")
-"""What a forward pass can reject, by status code."""
+LIBRARY = Path(__file__).with_name("_engine.so")
+"""The compiled engine."""
+
+_INPUTS = ("means", "quaternions", "scales", "optical_depth", "harmonics", "scattering", "shift")
+FAULTS = ("", *_INPUTS, "lattice", "memory")
+"""What a pass can reject, by status code."""
+
+_NO_MEMORY = "the memory of this machine does not suffice for the rendering; take fewer views at a time or coarser rays"
 
 
 def _struct(name: str, *fields: tuple[str, type]) -> type[ctypes.Structure]:
@@ -56,9 +61,8 @@ def library() -> ctypes.CDLL:
     SarsplatError
         If it was never built, or does not fit this machine.
     """
-    path = Path(__file__).with_name("_engine.so")
     try:
-        lib = ctypes.CDLL(str(path))
+        lib = ctypes.CDLL(str(LIBRARY))
     except OSError as error:
         raise SarsplatError(
             f"the CPU engine cannot be loaded ({error}); reinstall with `pip install .`, or use engine='reference'"
@@ -68,10 +72,8 @@ def library() -> ctypes.CDLL:
     lib.sg_destroy.argtypes = [c_void_p]
     lib.sg_forward.argtypes = [c_void_p, POINTER(Problem), POINTER(Outputs), POINTER(c_int64)]
     lib.sg_backward.argtypes = [c_void_p, POINTER(Problem), POINTER(Gradients)]
-    lib.sg_backward.restype = None
     lib.sg_get_lattice.argtypes = [c_void_p, c_int32, POINTER(Lattice)]
     lib.sg_trace.argtypes = [c_void_p, POINTER(Problem), c_int32, c_float, c_void_p, c_void_p]
-    lib.sg_trace.restype = None
     lib.sg_get_statistics.argtypes = [c_void_p, POINTER(Problem), POINTER(Statistics)]
     lib.sg_isa_name.restype = ctypes.c_char_p
     torch_pool = ctypes.CDLL(str(next((Path(torch.__file__).parent / "lib").glob("libtorch_cpu.*")))).torch_parallel_for
@@ -84,7 +86,9 @@ def best_instruction_set() -> str:
     return library().sg_isa_name(library().sg_best_isa()).decode()
 
 
-Struct = TypeVar("Struct", bound=ctypes.Structure)
+def _require_memory(status: int) -> None:
+    if FAULTS[status] == "memory":
+        raise SarsplatError(_NO_MEMORY)
 
 
 class Pass:
@@ -115,16 +119,23 @@ class Pass:
             self._library.sg_destroy(handle)
 
     def forward(self, problem: ctypes.Structure, outputs: ctypes.Structure) -> tuple[str, int]:
-        """Run; returns what was rejected ("" for nothing) and at which index."""
+        """Run; returns what was rejected ("" for nothing) and at which index.
+
+        Raises
+        ------
+        SarsplatError
+            If there is not enough memory, here and below.
+        """
         culprit = c_int64(-1)
         self._library.sg_set_threads(torch.get_num_threads())
         status = self._library.sg_forward(self._handle, problem, outputs, culprit)
+        _require_memory(status)
         return FAULTS[status], culprit.value
 
     def backward(self, problem: ctypes.Structure, gradients: ctypes.Structure) -> None:
         """Run the adjoint of the last forward pass."""
         self._library.sg_set_threads(torch.get_num_threads())
-        self._library.sg_backward(self._handle, problem, gradients)
+        _require_memory(self._library.sg_backward(self._handle, problem, gradients))
 
     def lattice(self, view: int) -> ctypes.Structure:
         """Where the rays of a view stand."""
@@ -134,7 +145,8 @@ class Pass:
 
     def trace(self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int) -> None:
         """Fill T_end and the first-return range of a view's rays."""
-        self._library.sg_trace(self._handle, problem, view, depth, transmittance, first_return)
+        status = self._library.sg_trace(self._handle, problem, view, depth, transmittance, first_return)
+        _require_memory(status)
 
     def statistics(self, problem: ctypes.Structure) -> ctypes.Structure:
         """Visited blocks and live lanes of the last forward pass."""

@@ -55,7 +55,7 @@ struct sg_statistics {    // of the last forward: for the benchmarks
 
 struct sg_context;        // what backward needs; opaque
 
-enum sg_status { SG_OK = 0, SG_MEANS, SG_QUATERNIONS, SG_SCALES, SG_KAPPA, SG_HARMONICS, SG_SCATTERING, SG_SHIFT, SG_LATTICE };
+enum sg_status { SG_OK = 0, SG_MEANS, SG_QUATERNIONS, SG_SCALES, SG_KAPPA, SG_HARMONICS, SG_SCATTERING, SG_SHIFT, SG_LATTICE, SG_MEMORY };
 
 }  // extern "C"
 
@@ -64,8 +64,8 @@ struct sg_engine {        // one per instruction set
   sg_context* (*create)();
   void (*destroy)(sg_context*);
   int32_t (*forward)(sg_context*, const sg_problem*, const sg_outputs*, int64_t* culprit);
-  void (*backward)(sg_context*, const sg_problem*, const sg_gradients*);
+  int32_t (*backward)(sg_context*, const sg_problem*, const sg_gradients*);
   void (*lattice)(const sg_context*, int32_t view, sg_lattice*);
-  void (*trace)(const sg_context*, const sg_problem*, int32_t view, float depth, float* transmittance, float* first_return);
+  int32_t (*trace)(const sg_context*, const sg_problem*, int32_t view, float depth, float* transmittance, float* first_return);
   void (*statistics)(const sg_context*, const sg_problem*, sg_statistics*);
 };

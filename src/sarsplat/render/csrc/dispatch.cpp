@@ -41,9 +41,11 @@ SG_EXPORT void sg_destroy(sg_handle* h) {
 SG_EXPORT int32_t sg_forward(sg_handle* h, const sg_problem* p, const sg_outputs* out, int64_t* culprit) {
   return h->engine->forward(h->context, p, out, culprit);
 }
-SG_EXPORT void sg_backward(sg_handle* h, const sg_problem* p, const sg_gradients* g) { h->engine->backward(h->context, p, g); }
+SG_EXPORT int32_t sg_backward(sg_handle* h, const sg_problem* p, const sg_gradients* g) {
+  return h->engine->backward(h->context, p, g);
+}
 SG_EXPORT void sg_get_lattice(const sg_handle* h, int32_t view, sg_lattice* out) { h->engine->lattice(h->context, view, out); }
-SG_EXPORT void sg_trace(const sg_handle* h, const sg_problem* p, int32_t view, float depth, float* transmittance, float* first_return) {
-  h->engine->trace(h->context, p, view, depth, transmittance, first_return);
+SG_EXPORT int32_t sg_trace(const sg_handle* h, const sg_problem* p, int32_t view, float depth, float* transmittance, float* first_return) {
+  return h->engine->trace(h->context, p, view, depth, transmittance, first_return);
 }
 SG_EXPORT void sg_get_statistics(const sg_handle* h, const sg_problem* p, sg_statistics* out) { h->engine->statistics(h->context, p, out); }

@@ -35,12 +35,14 @@ int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs
   const float cell = p.ray[0] * p.ray[1];
   auto chunk_end = [&](int64_t chunk, int64_t limit) { return (chunk + 1) * kChunk < limit ? (chunk + 1) * kChunk : limit; };
 
+  auto out_of_memory = [&] { arena.give_back(); return SG_MEMORY; };
+  c.views = arena.take<ViewState>(V);
+  if (arena.failed()) return out_of_memory();
   float** const fields[] = {&c.mean[0], &c.mean[1], &c.mean[2], &c.scale[0], &c.scale[1], &c.scale[2],
                             &c.unit[0], &c.unit[1], &c.unit[2], &c.unit[3], &c.norm, &c.kappa};
   for (float** field : fields) *field = arena.take<float>(np);
   for (int k = 0; k < 9; k++) c.rot[k] = arena.take<float>(np);
   for (int k = 0; k < p.coefficients; k++) c.harmonics[k] = arena.take<float>(np);
-  c.views = arena.take<ViewState>(V);
   for (int v = 0; v < V; v++) {
     ViewState& s = c.views[v];
     for (int k = 0; k < 9; k++) s.frame.r[k] = p.frames[9 * v + k];
@@ -58,6 +60,7 @@ int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs
     s.partial = arena.take<float>(n * bands);
   }
   float* image = arena.take<float>((int64_t)V * image_bx * image_by * kWidth);
+  if (arena.failed()) return out_of_memory();
 
   parallel(chunks, [&](int i) { prepare(c, p, (int64_t)i * kChunk, chunk_end(i, np)); });
   parallel(V * chunks, [&](int i) { project_chunk(c, p, i / chunks, (int64_t)(i % chunks) * kChunk, chunk_end(i % chunks, np)); });
@@ -70,6 +73,7 @@ int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs
   int most_rows = image_by;
   for (int v = 0; v < V; v++) most_rows = most(most_rows, c.views[v].ray_by);
   int64_t* work = arena.take<int64_t>((int64_t)V * (most_rows + 1));
+  if (arena.failed()) return out_of_memory();
   c.kept = arena.mark();
 
   parallel(V, [&](int v) { sort_by_depth(c.views[v], (int)n); });
@@ -122,7 +126,7 @@ int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs
   return SG_OK;
 }
 
-void backward(sg_context* context, const sg_problem* problem, const sg_gradients* gradients) {
+int32_t backward(sg_context* context, const sg_problem* problem, const sg_gradients* gradients) {
   sg_context& c = *context;
   const sg_problem& p = *problem;
   const sg_gradients& g = *gradients;
@@ -133,7 +137,10 @@ void backward(sg_context* context, const sg_problem* problem, const sg_gradients
   const float cell = p.ray[0] * p.ray[1];
   auto chunk_end = [&](int64_t chunk, int64_t limit) { return (chunk + 1) * kChunk < limit ? (chunk + 1) * kChunk : limit; };
 
+  auto out_of_memory = [&] { arena.release(c.kept); return SG_MEMORY; };
   Backward* scratch = arena.take<Backward>(V);
+  const float** from = arena.take<const float*>(V);
+  if (arena.failed()) return out_of_memory();
   for (int v = 0; v < V; v++) {
     const ViewState& s = c.views[v];
     const int64_t lanes = (int64_t)s.ray_bx * s.ray_by * kWidth;
@@ -141,6 +148,7 @@ void backward(sg_context* context, const sg_problem* problem, const sg_gradients
                   arena.take<float>(lanes), arena.take<float>(lanes), arena.take<float>((int64_t)image_bx * image_by * kWidth)};
   }
   float* shift_sums = arena.take<float>((int64_t)chunks * 2 * V);
+  if (arena.failed()) return out_of_memory();
   for (int64_t i = 0; i < (int64_t)chunks * 2 * V; i++) shift_sums[i] = 0.0f;
 
   parallel(V * bands, [&](int i) {
@@ -158,7 +166,6 @@ void backward(sg_context* context, const sg_problem* problem, const sg_gradients
     }
   });
   int64_t at = 0;  // of the view's lattice in dL/dT_end
-  const float** from = arena.take<const float*>(V);
   for (int v = 0; v < V; v++) {
     from[v] = g.transmittance ? g.transmittance + at : nullptr;
     at += (int64_t)c.views[v].ray_rows * c.views[v].ray_columns;
@@ -187,6 +194,7 @@ void backward(sg_context* context, const sg_problem* problem, const sg_gradients
     g.shift[k] = total;
   }
   arena.release(c.kept);
+  return SG_OK;
 }
 
 sg_context* create() { return new sg_context(); }

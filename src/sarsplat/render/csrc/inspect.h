@@ -12,12 +12,13 @@ void lattice(const sg_context* c, int32_t view, sg_lattice* out) {
 }
 
 // T_end and the range at which the two-way optical depth reaches `depth`, ray by ray; NaN where it never does
-void trace(const sg_context* context, const sg_problem* p, int32_t view, float depth, float* transmittance, float* first_return) {
+int32_t trace(const sg_context* context, const sg_problem* p, int32_t view, float depth, float* transmittance, float* first_return) {
   const sg_context& c = *context;
   const ViewState& s = c.views[view];
   const int64_t rays = (int64_t)s.ray_rows * s.ray_columns;
   from_blocks(s.T, s.ray_bx, s.ray_rows, s.ray_columns, 0, s.ray_rows, transmittance);
   float* sum_tau = (float*)std::malloc(sizeof(float) * (rays + 1));
+  if (!sum_tau) return SG_MEMORY;
   for (int64_t i = 0; i < rays; i++) { sum_tau[i] = 0.0f; first_return[i] = __builtin_nanf(""); }
   const PlaneUnits u = units(*p);
   const float stop = -__builtin_logf(p->min_transmittance);
@@ -42,6 +43,7 @@ void trace(const sg_context* context, const sg_problem* p, int32_t view, float d
       }
   }
   std::free(sum_tau);
+  return SG_OK;
 }
 
 void statistics(const sg_context* c, const sg_problem* p, sg_statistics* out) {

@@ -1,41 +1,91 @@
 // memory.h: memory of one forward and backward pass. Chunks are kept for the next call: fresh pages cost more than kernels.
+// When the machine has no more, `take` returns null and `failed` says so: ask it before the first write.
 #pragma once
 #include <cstdint>
 #include <cstdlib>
 
+#if defined(__has_feature)
+#if __has_feature(address_sanitizer)
+#include <cstring>
+#include <sanitizer/asan_interface.h>
+#define SG_SANITIZED 1
+#endif
+#endif
+
 namespace sarsplat {
 namespace SG_ISA {
 
+// Under AddressSanitizer every array of an arena has red zones of its own, and begins as NaN: nothing is read unwritten.
+inline void forbid(char* p, int64_t bytes) {
+#ifdef SG_SANITIZED
+  __asan_poison_memory_region(p, bytes);
+#else
+  (void)p, (void)bytes;
+#endif
+}
+inline void allow(char* p, int64_t bytes) {
+#ifdef SG_SANITIZED
+  __asan_unpoison_memory_region(p, bytes);
+  std::memset(p, 0xff, bytes);
+#else
+  (void)p, (void)bytes;
+#endif
+}
+#ifdef SG_SANITIZED
+constexpr int64_t kRedZone = 64;
+#else
+constexpr int64_t kRedZone = 0;
+#endif
+
 class Arena {
  public:
-  ~Arena() { for (int i = 0; i < count_; i++) std::free(chunks_[i].raw); }
-  void reset() { current_ = 0; used_ = 0; }
+  ~Arena() { give_back(); }
+  void reset() { release({0, 0}); }
+  void give_back() {  // everything taken becomes invalid
+    reset();
+    for (int i = 0; i < count_; i++) { allow(chunks_[i].start, chunks_[i].bytes); std::free(chunks_[i].raw); }
+    count_ = 0;
+  }
+  bool failed() const { return failed_; }
   template <class T> T* take(int64_t n) {
-    const int64_t bytes = (n * (int64_t)sizeof(T) + 63) & ~int64_t(63);
+    const int64_t wanted = n * (int64_t)sizeof(T), bytes = ((wanted + 63) & ~int64_t(63)) + kRedZone;
     while (current_ < count_ && used_ + bytes > chunks_[current_].bytes) { current_++; used_ = 0; }
-    if (current_ == count_) grow(bytes);
-    T* p = (T*)(chunks_[current_].start + used_);
+    if (current_ == count_ && !grow(bytes)) { failed_ = true; return nullptr; }
+    char* p = chunks_[current_].start + used_;
     used_ += bytes;
-    return p;
+    allow(p, wanted);
+    return (T*)p;
   }
   struct Mark { int chunk; int64_t used; };
   Mark mark() const { return {current_, used_}; }
-  void release(Mark m) { current_ = m.chunk; used_ = m.used; }
+  void release(Mark m) {
+    failed_ = false;
+    current_ = m.chunk;
+    used_ = m.used;
+    for (int i = current_; i < count_; i++) {
+      const int64_t kept = i == current_ ? used_ : 0;
+      forbid(chunks_[i].start + kept, chunks_[i].bytes - kept);
+    }
+  }
 
  private:
   struct Chunk { void* raw; char* start; int64_t bytes; };
-  void grow(int64_t bytes) {
-    if (count_ == kMost) std::abort();  // 64 chunks, each at least twice the one before
+  bool grow(int64_t bytes) {
+    if (count_ == kMost) return false;  // 64 chunks, each at least twice the one before
     const int64_t twice = count_ ? 2 * chunks_[count_ - 1].bytes : int64_t(1) << 22;
-    const int64_t size = bytes > twice ? bytes : twice;
+    int64_t size = bytes > twice ? bytes : twice;
     void* raw = std::malloc(size + 64);
-    if (!raw) std::abort();
-    chunks_[count_++] = {raw, (char*)(((uintptr_t)raw + 63) & ~uintptr_t(63)), size};
+    if (!raw) raw = std::malloc((size = bytes) + 64);  // room to grow is a luxury
+    if (!raw) return false;
+    chunks_[count_] = {raw, (char*)(((uintptr_t)raw + 63) & ~uintptr_t(63)), size};
+    forbid(chunks_[count_++].start, size);
+    return true;
   }
   static constexpr int kMost = 64;
   Chunk chunks_[kMost] = {};
   int count_ = 0, current_ = 0;
   int64_t used_ = 0;
+  bool failed_ = false;
 };
 
 }  // namespace SG_ISA
