@@ -153,7 +153,7 @@ MATRIX: dict[str, Callable[[], Scene]] = {
     "all outside": lambda: Scene(replace(cloud(20, 12), means=cloud(20, 12).means + torch.tensor([30.0, 0.0, 0.0]))),
     "none": lambda: Scene(cloud(0, 0), shift=0.1 * _random(4, 3, 2)),
     "one": lambda: Scene(cloud(1, 13, kappa=(1.0, 2.0))),
-    "many views": lambda: Scene(cloud(20, 14), views=_ring(35), grid=ImageGrid(16, 16, (0.25, 0.25), (0.3, 0.3))),
+    "many views": lambda: Scene(cloud(20, 14), views=_ring(64), grid=ImageGrid(16, 16, (0.25, 0.25), (0.3, 0.3))),
     "one view": lambda: Scene(cloud(60, 15), views=VIEWS[:1]),
     "degree 0": lambda: Scene(cloud(40, 16, degree=0)),
     "degree 1": lambda: Scene(cloud(40, 17, degree=1)),

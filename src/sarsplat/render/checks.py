@@ -14,15 +14,23 @@ from sarsplat.geometry import ImageGrid, View
 ENGINES = ("auto", "cpu", "reference")
 INSTRUCTION_SETS = ("auto", "base", "avx2", "avx512")
 
+MAX_SCALE = 1e6
+"""m: beyond it a variance's square overflows float32; the CPU engine has the same bound."""
+
+_QUATERNION_LENGTHS = (1e-15, 1e15)
+
+_FAR, _STRONG = 1e9, 1e15  # beyond these, float32 overflows on the way
+_MOST = {"means": _FAR, "shift": _FAR, "harmonics": _STRONG, "scattering": _STRONG, "gain": _STRONG}
+
 ALLOWED = {
-    "means": "finite metres",
-    "quaternions": "finite and not zero",
-    "scales": f"finite and at least MIN_SCALE = {MIN_SCALE} m",
+    "means": f"finite metres, at most {_FAR:g}",
+    "quaternions": "finite and not zero, of a length between 1e-15 and 1e15",
+    "scales": f"finite and at least MIN_SCALE = {MIN_SCALE} m, at most {MAX_SCALE:g} m",
     "optical_depth": f"between 0 and MAX_OPTICAL_DEPTH = {MAX_OPTICAL_DEPTH:g}",
-    "harmonics": "finite",
-    "scattering": "finite",
-    "shift": "finite metres",
-    "gain": "finite",
+    "harmonics": f"finite, at most {_STRONG:g}",
+    "scattering": f"finite, at most {_STRONG:g}",
+    "shift": f"finite metres, at most {_FAR:g}",
+    "gain": f"finite, at most {_STRONG:g}",
 }
 """What each tensor must be."""
 
@@ -37,7 +45,7 @@ def check_shapes(
     shift: Tensor | None,
     gain: Tensor | None,
 ) -> None:
-    """No views, or tensors per view that do not fit them."""
+    """No views, tensors without values, or tensors per view that do not fit them."""
     if isinstance(views, View):
         raise SarsplatError(f"views is a single {views}; give a sequence: [view]")
     for view in views:
@@ -45,6 +53,9 @@ def check_shapes(
             raise SarsplatError(f"views holds {view!r}; each must be a View(azimuth_deg, grazing_deg)")
     if not views:
         raise SarsplatError("there are no views to render; give at least one View")
+    for name, tensor in {"means": gaussians.means, "scattering": scattering, "shift": shift, "gain": gain}.items():
+        if tensor is not None and tensor.is_meta:
+            raise SarsplatError(f"{name} lies on torch's meta device, which holds no values; make it on the CPU")
     expected = {
         "scattering": (scattering, (len(views), len(gaussians))),
         "shift": (shift, (len(views), 2)),
@@ -98,13 +109,15 @@ def check_values(tensors: dict[str, Tensor | None]) -> None:
     for name, tensor in tensors.items():
         if tensor is None:
             continue
-        good = torch.isfinite(tensor)
+        good = tensor.abs() <= _MOST.get(name, float("inf"))
         if name == "scales":
-            good = good & (tensor >= MIN_SCALE * (1 - 1e-6))
+            good = (tensor >= MIN_SCALE * (1 - 1e-6)) & (tensor <= MAX_SCALE)
         elif name == "optical_depth":
-            good = good & (tensor >= 0) & (tensor <= MAX_OPTICAL_DEPTH * (1 + 1e-6))
+            good = (tensor >= 0) & (tensor <= MAX_OPTICAL_DEPTH * (1 + 1e-6))
         elif name == "quaternions":
-            good = good & (tensor.norm(dim=1, keepdim=True) > 0)
+            least, most = _QUATERNION_LENGTHS
+            length = tensor.double().norm(dim=1, keepdim=True)
+            good = (length >= least) & (length <= most)
         if not bool(good.all()):
             raise SarsplatError(complaint(name, tensor, int((~good).nonzero()[0, 0])))
 

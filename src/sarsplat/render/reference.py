@@ -24,8 +24,8 @@ from sarsplat.render.rendering import RayMap, Rendering
 _UNCUT_RADIUS = 9.0
 """Without cuts the lattice reaches this many standard deviations: e⁻⁴⁰ is below float64's resolution."""
 
-_MOST_PAIRS = 1 << 30
-"""Of Gaussians and rays; each takes tens of bytes."""
+_MOST_PAIRS = 1 << 26
+"""Of Gaussians and rays in one view; in float64 they take about 5 GB and 10 s."""
 
 
 def render_reference(
@@ -48,29 +48,30 @@ def render_reference(
     """
     rays = rays or RayGrid.for_image(grid)
     means = gaussians.means
-    sigma_world = covariance(gaussians.quaternions, gaussians.scales)
     images, cross_sections, lit_areas, ray_maps = [], [], [], []
-    for v, view in enumerate(views):
-        frame = torch.as_tensor(radar_frame(view), dtype=means.dtype, device=means.device)
-        mean_r = means @ frame.T  # §1: x_r = R_r x_w
-        cov_r = frame @ sigma_world @ frame.T
-        if scattering is None:
-            basis = harmonic_basis(-frame[2], gaussians.degree)
-            phase = gaussians.p_min + softplus(gaussians.harmonics @ basis)  # P(u), §2
-        else:
-            phase = scattering[v]
-        weight, transmittance, ray_map = _attenuate(
-            mean_r, cov_r, gaussians.optical_depth, rays, cuts, first_return_depth
-        )
-        lit_area = rays.cell_area * weight
-        cross_section = phase * lit_area  # σ = P A_c Σ w
-        offset = shift[v] if shift is not None else means.new_zeros(2)
-        image = _image(mean_r, cov_r, cross_section, offset, grid, imaging_weight, cuts)
-        images.append(image if gain is None else image * gain[v])
-        cross_sections.append(cross_section)
-        lit_areas.append(lit_area.detach())
-        if ray_map is not None:
-            ray_maps.append(RayMap(transmittance, *ray_map))
+    with torch.autocast(means.device.type, enabled=False):  # a judge does not round to 16 bits
+        sigma_world = covariance(gaussians.quaternions, gaussians.scales)
+        for v, view in enumerate(views):
+            frame = torch.as_tensor(radar_frame(view), dtype=means.dtype, device=means.device)
+            mean_r = means @ frame.T  # §1: x_r = R_r x_w
+            cov_r = frame @ sigma_world @ frame.T
+            if scattering is None:
+                basis = harmonic_basis(-frame[2], gaussians.degree)
+                phase = gaussians.p_min + softplus(gaussians.harmonics @ basis)  # P(u), §2
+            else:
+                phase = scattering[v]
+            weight, transmittance, ray_map = _attenuate(
+                mean_r, cov_r, gaussians.optical_depth, rays, cuts, first_return_depth
+            )
+            lit_area = rays.cell_area * weight
+            cross_section = phase * lit_area  # σ = P A_c Σ w
+            offset = shift[v] if shift is not None else means.new_zeros(2)
+            image = _image(mean_r, cov_r, cross_section, offset, grid, imaging_weight, cuts)
+            images.append(image if gain is None else image * gain[v])
+            cross_sections.append(cross_section)
+            lit_areas.append(lit_area.detach())
+            if ray_map is not None:
+                ray_maps.append(RayMap(transmittance, *ray_map))
     return Rendering(
         torch.stack(images),
         torch.stack(cross_sections),
@@ -94,13 +95,14 @@ def _attenuate(
         return 0 * kappa, empty, (empty, (0.0, 0.0)) if first_return_depth is not None else None
 
     radius = (limit.clamp(min=0)[:, None] * torch.diagonal(widened.detach(), dim1=1, dim2=2)).sqrt()
-    low = torch.floor((mean_c.detach() - radius)[touched].amin(0) / spacing).long().tolist()
-    high = torch.ceil((mean_c.detach() + radius)[touched].amax(0) / spacing).long().tolist()
+    low = torch.floor((mean_c.detach() - radius)[touched].amin(0) / spacing).tolist()
+    high = torch.ceil((mean_c.detach() + radius)[touched].amax(0) / spacing).tolist()
     pairs = len(kappa) * max(high[0] - low[0], 1) * max(high[1] - low[1], 1)
-    if pairs > _MOST_PAIRS:
+    if not pairs <= _MOST_PAIRS:  # also catches what overflowed
         raise SarsplatError(
-            f"the reference would need too many rays: {pairs:.3g} pairs of Gaussians and rays; remove far and wide "
-            "Gaussians, take coarser rays, or use engine='cpu'"
+            f"the reference would need too many rays at a spacing of {rays.spacing} m: {pairs:.3g} pairs of Gaussians "
+            f"and rays, of which it takes {_MOST_PAIRS:.3g}; remove far and wide Gaussians, take coarser rays, or use "
+            "engine='cpu'"
         )
     x = (torch.arange(low[0], high[0], dtype=mean_r.dtype) + 0.5).to(spacing.device) * spacing[0]
     y = (torch.arange(low[1], high[1], dtype=mean_r.dtype) + 0.5).to(spacing.device) * spacing[1]

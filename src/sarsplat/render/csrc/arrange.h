@@ -19,15 +19,15 @@ int64_t outside(const float* p, int64_t n, float low, float high) {
 
 int32_t check(const sg_problem& p, int64_t* culprit) {
   const int64_t n = p.gaussians;
-  const float huge = 3e38f;
+  const float far = 1e9f, strong = 1e15f;  // beyond these, float32 overflows on the way
   struct { const float* data; int64_t count, per; float low, high; int32_t status; } const rules[] = {
-      {p.means, 3 * n, 3, -huge, huge, SG_MEANS},
+      {p.means, 3 * n, 3, -far, far, SG_MEANS},
       {p.quaternions, 4 * n, 4, -1e15f, 1e15f, SG_QUATERNIONS},
       {p.scales, 3 * n, 3, p.min_scale, 1e6f, SG_SCALES},
       {p.kappa, n, 1, 0.0f, p.max_depth, SG_KAPPA},
-      {p.harmonics, p.coefficients * n, p.coefficients, -huge, huge, SG_HARMONICS},
-      {p.scattering, p.scattering ? p.views * n : 0, 1, -huge, huge, SG_SCATTERING},
-      {p.shift, 2 * (int64_t)p.views, 2, -huge, huge, SG_SHIFT},
+      {p.harmonics, p.coefficients * n, p.coefficients, -strong, strong, SG_HARMONICS},
+      {p.scattering, p.scattering ? p.views * n : 0, 1, -strong, strong, SG_SCATTERING},
+      {p.shift, 2 * (int64_t)p.views, 2, -far, far, SG_SHIFT},
   };
   for (const auto& r : rules) {
     const int64_t i = outside(r.data, r.count, r.low, r.high);
