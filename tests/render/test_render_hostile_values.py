@@ -69,7 +69,7 @@ def test_denormals_are_zeros(argument, value, engine, instruction_set):
 
 
 @pytest.mark.parametrize(("engine", "instruction_set"), ENGINES)
-@settings(max_examples=150, derandomize=True, deadline=None, database=None)
+@settings(max_examples=60, derandomize=True, deadline=None, database=None)
 @given(
     argument=st.sampled_from(ARGUMENTS),
     index=st.integers(0, 200),
