@@ -1,15 +1,17 @@
-"""Imports run one way, and the renderer needs torch and numpy only."""
+"""Imports run one way, and the renderer needs torch and numpy only, and everything imports without the optional packages."""
 
 from __future__ import annotations
 
 import ast
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
 import sarsplat
+from sarsplat.cli.extras import EXTRAS
 
 PACKAGE = Path(sarsplat.__file__).parent
 ORDER = (
@@ -68,7 +70,7 @@ def test_nothing_imports_the_package_itself():
 
 
 def test_the_renderer_imports_torch_and_numpy_only():
-    allowed = {"torch", "numpy", "sarsplat"} | set(sys.stdlib_module_names)
+    allowed = {"torch", "numpy", "jaxtyping", "sarsplat"} | set(sys.stdlib_module_names)
     for folder in ("geometry", "gaussians", "render"):
         for path in (PACKAGE / folder).glob("*.py"):
             third_party = {module.split(".")[0] for module in imported(path)} - allowed
@@ -89,3 +91,57 @@ def test_importing_the_renderer_loads_nothing_more():
         for m in loaded
         if m.startswith("sarsplat.") and m.split(".")[1] not in ("errors", "geometry", "gaussians", "render")
     ]
+
+
+WITHOUT_EXTRAS = """
+import importlib, pkgutil, sys
+
+extras = set(sys.argv[1].split(","))
+
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in extras:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Missing())
+import sarsplat
+for info in pkgutil.walk_packages(sarsplat.__path__, "sarsplat."):
+    if not info.name.endswith("._engine"):
+        importlib.import_module(info.name)
+for name in sarsplat.__all__:
+    getattr(sarsplat, name)
+assert not extras & {name.partition(".")[0] for name in sys.modules}
+import torch
+from sarsplat import Gaussians, ImageGrid, View, render
+one = Gaussians(*(torch.ones(1, k) for k in (3, 4, 3)), torch.ones(1), torch.ones(1, 1))
+assert render(one, [View(30.0, 40.0)], ImageGrid(32, 32, (0.3, 0.3), (0.3, 0.3))).images.sum() > 0
+from sarsplat.cli import main
+sys.exit(main(["simulate", "--target", "t72", "--out", sys.argv[2]]))
+"""
+
+
+def test_everything_imports_and_renders_with_the_core_dependencies_alone(tmp_path):
+    extras = {module for modules in EXTRAS.values() for module in modules}
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", WITHOUT_EXTRAS, ",".join(sorted(extras)), str(tmp_path / "out")],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2, done.stderr
+    assert "which is not installed; install it with: pip install 'sarsplat[simulate]'" in " ".join(done.stderr.split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_extras_in_the_code_are_those_of_the_package():
+    optional = tomllib.loads((PACKAGE.parents[1] / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    for extra, modules in EXTRAS.items():
+        assert {requirement.partition(">")[0] for requirement in optional[extra]} == set(modules.values())
+
+
+def test_core_dependencies_are_declared_and_used():
+    project = tomllib.loads((PACKAGE.parents[1] / "pyproject.toml").read_text())["project"]
+    declared = {requirement.partition(">")[0] for requirement in project["dependencies"]}
+    extras = {module for modules in EXTRAS.values() for module in modules}
+    used = {module.partition(".")[0] for path in PACKAGE.rglob("*.py") for module in imported(path)}
+    assert used - {"sarsplat", *sys.stdlib_module_names} - extras == declared

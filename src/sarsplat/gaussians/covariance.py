@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 
-def rotation_matrix(quaternions: Tensor) -> Tensor:
+def rotation_matrix(quaternions: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 3 3"]:
     """R(q) of quaternions (w, x, y, z), [..., 4] → [..., 3, 3]; normalised here."""
     w, x, y, z = torch.unbind(quaternions / quaternions.norm(dim=-1, keepdim=True), dim=-1)
     rows = (
@@ -17,7 +18,7 @@ def rotation_matrix(quaternions: Tensor) -> Tensor:
     return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
 
 
-def covariance(quaternions: Tensor, scales: Tensor) -> Tensor:
+def covariance(quaternions: Float[Tensor, "*n 4"], scales: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3 3"]:
     """Σ = R(q) diag(s²) R(q)ᵀ, m²; [..., 4] and [..., 3] → [..., 3, 3]."""
     root = rotation_matrix(quaternions) * scales[..., None, :]
     return root @ root.transpose(-1, -2)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
@@ -43,11 +44,11 @@ class Gaussians:
         If shapes, dtypes or devices do not fit together.
     """
 
-    means: Tensor
-    quaternions: Tensor
-    scales: Tensor
-    optical_depth: Tensor
-    harmonics: Tensor
+    means: Float[Tensor, "n 3"]
+    quaternions: Float[Tensor, "n 4"]
+    scales: Float[Tensor, "n 3"]
+    optical_depth: Float[Tensor, " n"]
+    harmonics: Float[Tensor, "n k"]
     p_min: float = 0.0
 
     def __post_init__(self) -> None:
@@ -112,5 +113,5 @@ def join(first: Gaussians, second: Gaussians) -> Gaussians:
     return Gaussians(**{name: torch.cat([part[name] for part in parts]) for name in parts[0]}, p_min=first.p_min)
 
 
-def _filled(harmonics: Tensor, columns: int) -> Tensor:
+def _filled(harmonics: Float[Tensor, "n k"], columns: int) -> Float[Tensor, "n {columns}"]:
     return torch.nn.functional.pad(harmonics, (0, columns - harmonics.shape[1]))

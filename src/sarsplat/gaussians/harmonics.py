@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 _PI = math.pi
@@ -31,7 +32,7 @@ CONSTANTS: tuple[float, ...] = (
 )
 
 
-def harmonic_basis(directions: Tensor, degree: int) -> Tensor:
+def harmonic_basis(directions: Float[Tensor, "*n 3"], degree: int) -> Float[Tensor, "*n {(degree+1)**2}"]:
     """Y_k(u) for unit vectors, [..., 3] → [..., (degree + 1)²]."""
     x, y, z = torch.unbind(directions, dim=-1)
     one = torch.ones_like(x)

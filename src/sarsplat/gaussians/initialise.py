@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from jaxtyping import Float, Float32, Float64
 from scipy.optimize import linprog
 from torch import Tensor
 
@@ -18,10 +19,10 @@ from sarsplat.geometry import ImageGrid, View, radar_frame
 class Region:
     """A convex part of space: normals · x ≤ offsets, inside the box [low, high]; world frame, m."""
 
-    normals: np.ndarray
-    offsets: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
+    normals: Float64[np.ndarray, "planes 3"]
+    offsets: Float64[np.ndarray, " planes"]
+    low: Float64[np.ndarray, " 3"]
+    high: Float64[np.ndarray, " 3"]
 
     @classmethod
     def box(cls, low: Sequence[float], high: Sequence[float]) -> Region:
@@ -29,7 +30,7 @@ class Region:
         corners = np.array(low, float), np.array(high, float)
         return cls(np.concatenate([-np.eye(3), np.eye(3)]), np.concatenate([-corners[0], corners[1]]), *corners)
 
-    def sample(self, count: int, generator: torch.Generator) -> np.ndarray:
+    def sample(self, count: int, generator: torch.Generator) -> Float64[np.ndarray, "{count} 3"]:
         """Uniform points inside, float64 [count, 3]."""
         kept: list[np.ndarray] = []
         while sum(map(len, kept)) < count:
@@ -39,7 +40,12 @@ class Region:
         return np.concatenate(kept)[:count]
 
 
-def bounded_region(power: np.ndarray, views: Sequence[View], grid: ImageGrid, threshold_db: float = -30.0) -> Region:
+def bounded_region(
+    power: Float[np.ndarray, "v {grid.rows} {grid.columns}"],
+    views: Sequence[View],
+    grid: ImageGrid,
+    threshold_db: float = -30.0,
+) -> Region:
     """The space that can hold the target, given that nothing else returns: an intersection of half-spaces.
 
     In every view the target lies within the azimuths of the bright pixels and behind the nearest bright range; it
@@ -88,7 +94,7 @@ def bounded_region(power: np.ndarray, views: Sequence[View], grid: ImageGrid, th
     return Region(a, b, extremes[:, 0], -extremes[:, 1])
 
 
-def hemisphere_shell(region: Region, count: int, generator: torch.Generator) -> np.ndarray:
+def hemisphere_shell(region: Region, count: int, generator: torch.Generator) -> Float64[np.ndarray, "{count} 3"]:
     """Points spread evenly over a half sphere around a region, float64 [count, 3] (the paper's start)."""
     centre = (region.low + region.high) / 2 * (1, 1, 0)
     radius = float(np.linalg.norm((region.high - region.low)[:2])) / 2
@@ -98,6 +104,6 @@ def hemisphere_shell(region: Region, count: int, generator: torch.Generator) -> 
     return centre + radius * np.column_stack([ring * np.cos(angle), ring * np.sin(angle), z])
 
 
-def random_quaternions(count: int, generator: torch.Generator) -> Tensor:
+def random_quaternions(count: int, generator: torch.Generator) -> Float32[Tensor, "{count} 4"]:
     """Uniformly distributed orientations, float32 [count, 4]."""
     return torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
+from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError
 
@@ -12,11 +14,15 @@ _LEAST_LENGTH, _MOST_LENGTH = 1e-6, 1e6  # m: beyond these, float32 squares go w
 _MOST_PIXELS = 1 << 17
 
 
-def _positive(name: str, values: tuple[float, ...]) -> None:
+def _pair(name: str, values: tuple[float, ...]) -> None:
     if not isinstance(values, tuple | list) or len(values) != 2:
         raise SarsplatError(f"{name} {values!r} must be a pair of metres")
+
+
+def _positive(name: str, values: tuple[float, ...]) -> None:
+    _pair(name, values)
     for value in values:
-        if not _LEAST_LENGTH <= value <= _MOST_LENGTH:  # also catches NaN
+        if not isinstance(value, Real) or not _LEAST_LENGTH <= value <= _MOST_LENGTH:  # also catches NaN
             raise SarsplatError(
                 f"{name} {values} must be positive and finite, in metres ({_LEAST_LENGTH:g} to {_MOST_LENGTH:g})"
             )
@@ -55,18 +61,19 @@ class ImageGrid:
             raise SarsplatError(
                 f"an image of {self.rows} × {self.columns} pixels is too large; give at most {_MOST_PIXELS} a side"
             )
-        if len(self.center) != 2 or not all(abs(value) <= _MOST_LENGTH for value in self.center):
+        _pair("image centre", self.center)
+        if not all(isinstance(value, Real) and abs(value) <= _MOST_LENGTH for value in self.center):
             raise SarsplatError(f"image centre {self.center} must be a pair of finite metres")
         _positive("pixel spacing", self.spacing)
         _positive("resolution", self.resolution)
 
     @property
-    def azimuth_m(self) -> np.ndarray:
+    def azimuth_m(self) -> Float64[np.ndarray, " {self.columns}"]:
         """Azimuth x_m of the pixel columns' centres, m, float64 [columns]."""
         return (np.arange(self.columns) - (self.columns - 1) / 2) * self.spacing[0] + self.center[0]
 
     @property
-    def range_m(self) -> np.ndarray:
+    def range_m(self) -> Float64[np.ndarray, " {self.rows}"]:
         """Slant range r_n of the pixel rows' centres from the scene centre, m, float64 [rows]."""
         return (np.arange(self.rows) - (self.rows - 1) / 2) * self.spacing[1] + self.center[1]
 

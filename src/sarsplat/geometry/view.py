@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
+from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError
+
+_MOST_AZIMUTH = 3600  # degrees: ten turns
 
 
 @dataclass(frozen=True)
@@ -17,7 +21,8 @@ class View:
     Parameters
     ----------
     azimuth_deg : float
-        Azimuth φ of the radar seen from the scene, degrees, clockwise seen from above, from +x.
+        Azimuth φ of the radar seen from the scene, degrees, clockwise seen from above, from +x; at most ten turns,
+        ±3600°.
     grazing_deg : float
         Grazing angle θ, degrees in (0, 90): elevation of the radar seen from the scene
         (the depression angle over a flat earth; incidence = 90° − grazing).
@@ -25,15 +30,21 @@ class View:
     Raises
     ------
     SarsplatError
-        If an angle is not finite or the grazing angle lies outside (0°, 90°).
+        If an angle is not a number, the azimuth exceeds ten turns or the grazing angle lies outside (0°, 90°).
     """
 
     azimuth_deg: float
     grazing_deg: float
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.azimuth_deg):
-            raise SarsplatError(f"azimuth {self.azimuth_deg} is not a number of degrees; give a finite azimuth")
+        for name, value in (("azimuth", self.azimuth_deg), ("grazing angle", self.grazing_deg)):
+            if not isinstance(value, Real):
+                raise SarsplatError(f"{name} {value!r} is not a number; give degrees")
+        if not abs(self.azimuth_deg) <= _MOST_AZIMUTH:  # also catches NaN; of 1e308° nobody knows the direction
+            raise SarsplatError(
+                f"azimuth {self.azimuth_deg} is not a number of degrees within ±{_MOST_AZIMUTH}; "
+                "give degrees, such as 0 to 360"
+            )
         if not 0.0 < self.grazing_deg < 90.0:  # also catches NaN
             raise SarsplatError(
                 f"grazing angle {self.grazing_deg}° lies outside (0°, 90°); "
@@ -46,12 +57,12 @@ class View:
         return 90.0 - self.grazing_deg
 
     @property
-    def direction(self) -> np.ndarray:
+    def direction(self) -> Float64[np.ndarray, " 3"]:
         """Unit vector u from the scene to the radar, world frame, float64 [3]."""
         return -radar_frame(self)[2]
 
 
-def radar_frame(view: View) -> np.ndarray:
+def radar_frame(view: View) -> Float64[np.ndarray, "3 3"]:
     """Rotation R_r from the world to the radar frame, x_r = R_r x_w.
 
     Returns

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
@@ -24,9 +25,9 @@ def render(
     grid: ImageGrid,
     *,
     rays: RayGrid | None = None,
-    scattering: Tensor | None = None,
-    shift: Tensor | None = None,
-    gain: Tensor | None = None,
+    scattering: Float[Tensor, "v n"] | None = None,
+    shift: Float[Tensor, "v 2"] | None = None,
+    gain: Float[Tensor, " v"] | None = None,
     imaging_weight: str = "area",
     first_return_depth: float | None = None,
     plane_gradients: bool = False,

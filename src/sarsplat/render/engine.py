@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
@@ -34,7 +35,7 @@ class _Setting:
     peak: bool
     first_return_depth: float | None
     instruction_set: str
-    planes: Tensor | None
+    planes: Float[Tensor, "v n 4"] | None
 
 
 def render_cpu(
@@ -43,9 +44,9 @@ def render_cpu(
     grid: ImageGrid,
     *,
     rays: RayGrid,
-    scattering: Tensor | None,
-    shift: Tensor | None,
-    gain: Tensor | None,
+    scattering: Float[Tensor, "v n"] | None,
+    shift: Float[Tensor, "v 2"] | None,
+    gain: Float[Tensor, " v"] | None,
     imaging_weight: str,
     first_return_depth: float | None,
     plane_gradients: bool,
@@ -76,7 +77,10 @@ def render_cpu(
 
 
 def _ray_maps(
-    transmittance: Tensor, first_return: Tensor, lattices: list[tuple[int, int, int, int]], rays: RayGrid
+    transmittance: Float[Tensor, " all_rays"],
+    first_return: Float[Tensor, " all_rays"],
+    lattices: list[tuple[int, int, int, int]],
+    rays: RayGrid,
 ) -> tuple[RayMap, ...]:
     maps, at = [], 0
     for k0x, k0y, rows, columns in lattices:
@@ -98,7 +102,7 @@ class _Render(torch.autograd.Function):
         scales: Tensor,
         kappa: Tensor,
         harmonics: Tensor | None,
-        scattering: Tensor | None,
+        scattering: Float[Tensor, "v n"] | None,
         shift: Tensor,
         setting: _Setting,
     ) -> tuple[Any, ...]:
@@ -183,7 +187,7 @@ def _problem(inputs: Sequence[Tensor | None], setting: _Setting) -> tuple[ctypes
 
 def _trace(
     kernel: cpu.Pass, problem: ctypes.Structure, depth: float, views: int
-) -> tuple[Tensor, Tensor, list[tuple[int, int, int, int]]]:
+) -> tuple[Float[Tensor, " all_rays"], Float[Tensor, " all_rays"], list[tuple[int, int, int, int]]]:
     lattices = [kernel.lattice(v) for v in range(views)]
     total = sum(lattice.rows * lattice.columns for lattice in lattices)
     transmittance, first_return = torch.empty(2, total, dtype=torch.float32, device="cpu")

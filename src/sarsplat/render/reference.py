@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import softplus
 
@@ -34,9 +35,9 @@ def render_reference(
     grid: ImageGrid,
     *,
     rays: RayGrid | None = None,
-    scattering: Tensor | None = None,
-    shift: Tensor | None = None,
-    gain: Tensor | None = None,
+    scattering: Float[Tensor, "v n"] | None = None,
+    shift: Float[Tensor, "v 2"] | None = None,
+    gain: Float[Tensor, " v"] | None = None,
     imaging_weight: str = "area",
     first_return_depth: float | None = None,
     cuts: bool = True,
@@ -81,8 +82,17 @@ def render_reference(
 
 
 def _attenuate(
-    mean_r: Tensor, cov_r: Tensor, kappa: Tensor, rays: RayGrid, cuts: bool, first_return_depth: float | None
-) -> tuple[Tensor, Tensor, tuple[Tensor, tuple[float, float]] | None]:
+    mean_r: Float[Tensor, "n 3"],
+    cov_r: Float[Tensor, "n 3 3"],
+    kappa: Float[Tensor, " n"],
+    rays: RayGrid,
+    cuts: bool,
+    first_return_depth: float | None,
+) -> tuple[
+    Float[Tensor, " n"],
+    Float[Tensor, "rows columns"],
+    tuple[Float[Tensor, "rows columns"], tuple[float, float]] | None,
+]:
     """Pass A (§3): Σ_ρ w per Gaussian [N], T_end per ray [rows, columns], and the first-return map on request."""
     spacing = torch.tensor(rays.spacing, dtype=mean_r.dtype, device=mean_r.device)
     mean_c, cov_c = mean_r[:, :2], cov_r[:, :2, :2]
@@ -135,14 +145,14 @@ def _attenuate(
 
 
 def _image(
-    mean_r: Tensor,
-    cov_r: Tensor,
-    cross_section: Tensor,
-    shift: Tensor,
+    mean_r: Float[Tensor, "n 3"],
+    cov_r: Float[Tensor, "n 3 3"],
+    cross_section: Float[Tensor, " n"],
+    shift: Float[Tensor, " 2"],
     grid: ImageGrid,
     imaging_weight: str,
     cuts: bool,
-) -> Tensor:
+) -> Float[Tensor, "{grid.rows} {grid.columns}"]:
     """Pass B (§3): β⁰ [rows, columns] of one view, before the gain."""
     response = mean_r.new_tensor(grid.resolution) ** 2 / (8 * math.log(2))
     cov_i = cov_r[:, [0, 2]][:, :, [0, 2]] + torch.diag(response)  # Σ_I'

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from jaxtyping import Float
 from torch import Tensor
 
 
@@ -22,8 +23,8 @@ class RayMap:
         (x_r, y_r) of the ray in row 0, column 0, m.
     """
 
-    transmittance: Tensor
-    first_return: Tensor
+    transmittance: Float[Tensor, "rows columns"]
+    first_return: Float[Tensor, "rows columns"]
     origin: tuple[float, float]
 
 
@@ -45,8 +46,8 @@ class Rendering:
         On request: zeros until backward, then ∂L/∂(μ_C,x, μ_C,y, μ_I,x, μ_I,z) per view, per m. For density control.
     """
 
-    images: Tensor
-    cross_sections: Tensor
-    lit_area: Tensor
+    images: Float[Tensor, "v rows columns"]
+    cross_sections: Float[Tensor, "v n"]
+    lit_area: Float[Tensor, "v n"]
     ray_maps: tuple[RayMap, ...] | None = None
-    plane_gradients: Tensor | None = None
+    plane_gradients: Float[Tensor, "v n 4"] | None = None

@@ -1,0 +1,211 @@
+"""Fuzz every reader of files: python tests/fuzz.py [--inputs 2000] [--seed 0] [reader …]
+
+Each reader runs in a process of its own, guided by coverage if atheris is installed. An input may be read or refused
+with one sentence; anything else, more than a second, or more memory than 4 × its size + 64 MiB is a failure. Failing
+inputs are kept. Prints a table, and exits with code 1 if there was a failure.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import faulthandler
+import json
+import random
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+_MOST_SECONDS = 1.0
+_FREE_BYTES = 64 << 20
+_INSTRUMENTED = ["sarsplat.data", "sarsplat.reconstruct.run", "sarsplat.scenes", "tifffile", "plyfile", "trimesh"]
+
+
+@dataclass
+class Tally:
+    """What came of the inputs of one reader."""
+
+    tried: int = 0
+    refused: int = 0
+    accepted: int = 0
+    failed: int = 0
+    slowest_s: float = 0.0
+    most_mib: float = 0.0
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("readers", nargs="*")
+    parser.add_argument("--inputs", type=int, default=2000, help="for each reader")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "sarsplat-fuzz")
+    parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    arguments.keep.mkdir(exist_ok=True)
+    if arguments.worker:
+        work(arguments.readers[0], arguments.inputs, arguments.seed, arguments.keep)
+        return 0
+    from fuzz_inputs import READERS
+
+    names = arguments.readers or [reader.name for reader in READERS]
+    print(
+        f"{'reader':<15}{'tried':>8}{'refused':>9}{'accepted':>9}{'failures':>9}{'slowest':>10}{'most memory':>13}",
+        flush=True,
+    )
+    total = Tally()
+    for name in names:
+        tally = _in_process(name, arguments)
+        show(name, tally)
+        total = Tally(
+            *(getattr(total, key) + getattr(tally, key) for key in ("tried", "refused", "accepted", "failed")),
+            max(total.slowest_s, tally.slowest_s),
+            max(total.most_mib, tally.most_mib),
+        )
+    show("all", total)
+    return int(total.failed > 0)
+
+
+def show(name: str, tally: Tally) -> None:
+    print(
+        f"{name:<15}{tally.tried:>8}{tally.refused:>9}{tally.accepted:>9}{tally.failed:>9}"
+        f"{tally.slowest_s:>8.2f} s{tally.most_mib:>9.1f} MiB",
+        flush=True,
+    )
+
+
+def _in_process(name: str, arguments: argparse.Namespace) -> Tally:
+    """The tally of a worker; one that dies, of a crash or a hang, is a failure."""
+    slug = name.replace(" ", "-")
+    log, tally = arguments.keep / f"{slug}.log", arguments.keep / f"{slug}.tally"
+    tally.unlink(missing_ok=True)
+    with log.open("wb") as output:
+        command = [sys.executable, __file__, "--worker", name]
+        options = ["--inputs", str(arguments.inputs), "--seed", str(arguments.seed), "--keep", str(arguments.keep)]
+        code = subprocess.run([*command, *options], stdout=output, stderr=output, check=False).returncode
+    found = Tally(**json.loads(tally.read_text())) if tally.exists() else Tally()
+    if code:
+        print(f"{name}: the process ended with code {code}; see {log} and {arguments.keep}/{slug}.current", flush=True)
+        found.failed += 1
+    return found
+
+
+def work(name: str, inputs: int, seed: int, keep: Path) -> None:
+    """Feed one reader, and write the tally every hundred inputs."""
+    try:
+        import atheris
+    except ImportError:
+        atheris = None
+    with atheris.instrument_imports(include=_INSTRUMENTED) if atheris else contextlib.nullcontext():
+        import fuzz_inputs
+
+    reader = next(reader for reader in fuzz_inputs.READERS if reader.name == name)
+    tally, slug = Tally(), name.replace(" ", "-")
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        reader.prepare(place)
+
+        def one(data: bytes) -> None:
+            (keep / f"{slug}.current").write_bytes(data)
+            fault = judge(reader, place, data, tally)
+            if fault:
+                kept = keep / f"{slug}-{tally.failed}"
+                kept.write_bytes(data)
+                print(f"FAILURE {kept}: {fault}", file=sys.stderr, flush=True)
+            if tally.tried % 100 == 0 or tally.tried == inputs:
+                (keep / f"{slug}.tally").write_text(json.dumps(asdict(tally)))
+
+        seeds = reader.seeds()
+        if atheris is None:
+            rng = random.Random(seed)
+            for data in [*seeds, *(reader.spoil(rng.choice(seeds), rng) for _ in range(inputs - len(seeds)))]:
+                one(data)
+            return
+        corpus = place / "corpus"
+        corpus.mkdir()
+        for number, data in enumerate(seeds):
+            (corpus / f"seed{number}").write_bytes(data)
+
+        def spoil(data: bytes, most: int, number: int) -> bytes:
+            rng = random.Random(number)
+            return reader.spoil(rng.choice((data, rng.choice(seeds))), rng)[:most]
+
+        options = [f"-runs={inputs}", f"-seed={seed + 1}", f"-max_len={fuzz_inputs.MOST_BYTES}", "-rss_limit_mb=0"]
+        atheris.Setup([__file__, *options, str(corpus)], one, custom_mutator=spoil)
+        atheris.Fuzz()
+
+
+def judge(reader: object, folder: Path, data: bytes, tally: Tally) -> str | None:
+    """Read one input, add it to the tally, and return what was wrong with how it was taken."""
+    path = folder / reader.file
+    path.write_bytes(data)
+    faults = []
+    tally.tried += 1
+    with watched() as cost, warnings.catch_warnings():
+        from sarsplat.errors import SarsplatError, SarsplatWarning
+
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", SarsplatWarning)
+        try:
+            reader.read(folder)
+            tally.accepted += 1
+        except SarsplatError as error:
+            tally.refused += 1
+            faults += sentence_faults(str(error))
+        except Exception as error:
+            faults.append(f"{type(error).__name__}: {error!s:.300}")
+    tally.slowest_s, tally.most_mib = max(tally.slowest_s, cost.seconds), max(tally.most_mib, cost.bytes / 2**20)
+    if cost.seconds > _MOST_SECONDS:
+        faults.append(f"took {cost.seconds:.2f} s")
+    if cost.bytes > 4 * len(data) + _FREE_BYTES:
+        faults.append(f"took {cost.bytes / 2**20:.0f} MiB for {len(data)} bytes")
+    tally.failed += bool(faults)
+    return "; ".join(faults) or None
+
+
+def sentence_faults(text: str) -> list[str]:
+    """What keeps an error from being one readable sentence."""
+    found = []
+    if not text.isprintable():
+        found.append(f"the message is not printable: {text[:300]!r}")
+    if len(text) > 1000:
+        found.append(f"the message has {len(text)} characters: {text[:300]!r}")
+    return found
+
+
+@dataclass
+class Cost:
+    """What reading took: processor time, s, and memory beyond what was held before, bytes."""
+
+    seconds: float = 0.0
+    bytes: int = 0
+
+
+@contextlib.contextmanager
+def watched() -> Iterator[Cost]:
+    """Measure the block; a hang of 20 s ends the process with a traceback."""
+    cost = Cost()
+    faulthandler.dump_traceback_later(20, exit=True)
+    Path("/proc/self/clear_refs").write_text("5")  # the peak of the resident memory starts anew (Linux)
+    before, begun = _memory("VmRSS"), time.process_time()
+    try:
+        yield cost
+    finally:
+        cost.seconds = time.process_time() - begun
+        cost.bytes = max(0, _memory("VmHWM") - before)
+        faulthandler.cancel_dump_traceback_later()
+
+
+def _memory(field: str) -> int:
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith(field):
+            return int(line.split()[1]) * 1024
+    raise RuntimeError(f"/proc/self/status has no {field}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,393 @@
+"""What strangers may hand to each reader: valid files of every kind, and structure-aware ways to spoil them."""
+
+from __future__ import annotations
+
+import io
+import json
+import random
+import re
+import struct
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import safetensors.torch
+import tifffile
+import torch
+import trimesh
+from PIL import Image
+
+from fuzz_mutations import NUMBERS, Mutation, spoil_bytes, spoil_json
+from sarsplat.data import (
+    load_checkpoint,
+    read_dataset,
+    read_gaussians_ply,
+    read_phoenix,
+    read_points_ply,
+    read_power_tiff,
+    save_checkpoint,
+    write_dataset,
+    write_gaussians_ply,
+    write_points_ply,
+)
+from sarsplat.data.mstar_chips import read_chips
+from sarsplat.gaussians import Gaussians
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.reconstruct.config import PRESETS
+from sarsplat.reconstruct.run import Run
+from sarsplat.scenes import load_mesh
+
+GRID = ImageGrid(6, 5, (0.2, 0.3), (0.25, 0.35))
+IMAGE = np.random.default_rng(1).gamma(1.0, size=(6, 5)).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One reader, the file it gets, and how that file is spoilt."""
+
+    name: str
+    file: str  # path of the hostile file in a folder that `prepare` has filled
+    read: Callable[[Path], object]  # takes that folder
+    seeds: Callable[[], list[bytes]]
+    mutations: tuple[Mutation, ...] = ()
+    prepare: Callable[[Path], object] = lambda folder: None
+
+    def spoil(self, data: bytes, rng: random.Random) -> bytes:
+        """The file, changed in one to four places."""
+        for _ in range(rng.choice((1, 1, 1, 2, 4))):
+            data = rng.choice((*self.mutations * 2, spoil_bytes))(data, rng)
+        return data[:MOST_BYTES]
+
+
+MOST_BYTES = 1 << 17
+
+# ---- Phoenix ----
+
+
+def phoenix() -> bytes:
+    """A chip of 4 × 6 pixels."""
+    fields = (
+        "native_header_length= 0|NumberOfColumns= 6|NumberOfRows= 4|TargetType= t72_tank|TargetSerNum= 132|"
+        "TargetAz= 10.79|DesiredDepression= 17|MeasuredDepression= 17.09|RadarPosition= bottom|Range3dBWidth= 0.3013|"
+        "CrossRange3dBWidth= 0.3229|RangePixelSpacing= 0.202148|CrossRangePixelSpacing= 0.203125|"
+    )
+    body = fields.replace("|", "\n") + "[EndofPhoenixHeader]\n"
+    top = "\n[PhoenixHeaderVer01.04]\nPhoenixHeaderLength= 00000\n"
+    header = top.replace("00000", f"{len(top) + len(body):05d}") + body
+    return header.encode() + (np.arange(48) / 50).astype(">f4").tobytes()
+
+
+def _phoenix_fits(data: bytes, rng: random.Random) -> bytes:
+    """A header whose sizes are changed and whose data follow suit."""
+    rows, columns = rng.choice((1, 2, 4, 64)), rng.choice((1, 3, 6, 64))
+    data = re.sub(rb"NumberOfRows= \d+", b"NumberOfRows= %d" % rows, data, count=1)
+    data = re.sub(rb"NumberOfColumns= \d+", b"NumberOfColumns= %d" % columns, data, count=1)
+    head, end, _ = data.partition(b"[EndofPhoenixHeader]\n")
+    head = re.sub(rb"PhoenixHeaderLength= \d+", b"PhoenixHeaderLength= %05d" % len(head + end), head)
+    return (head + end + bytes(8 * rows * columns))[:MOST_BYTES]
+
+
+def _read_phoenix(folder: Path) -> object:
+    chip = read_phoenix(folder / "HB00001.000")
+    assert np.isfinite(np.square(chip.magnitude * np.float32(523.6))).all()
+    return chip, chip.target_type, chip.serial, chip.target_az_deg, chip.spacing, chip.resolution, chip.radar_position
+
+
+# ---- datasets and their images ----
+
+
+def prepare_dataset(folder: Path) -> None:
+    """A dataset of four views in the folder `set`."""
+    views = [(View(10.0 * k, 20.0), "train" if k else "test-17", None if k else 5.0) for k in range(4)]
+    truth = trimesh.creation.box((3.0, 2.0, 1.0))
+    images = np.stack([IMAGE] * 4)
+    write_dataset(
+        folder / "set", grid=GRID, views=views, images=images, source={"kind": "é"}, domain="rendered", truth_mesh=truth
+    )
+
+
+def _dataset_header() -> list[bytes]:
+    with tempfile.TemporaryDirectory() as folder:
+        prepare_dataset(Path(folder))
+        return [(Path(folder) / "set/dataset.json").read_bytes()]
+
+
+def _read_dataset(folder: Path) -> object:
+    dataset = read_dataset(folder / "set")
+    str(dataset.source).encode()  # what `sarsplat info` prints
+    return dataset, dataset.fingerprint(), [dataset.images(split).mean() for split in dataset.splits()]
+
+
+def _tiffs() -> list[bytes]:
+    made = []
+    for image, options in [
+        (IMAGE, {"metadata": None, "description": "power"}),
+        (IMAGE, {"byteorder": ">", "metadata": None}),
+        (IMAGE, {"bigtiff": True, "metadata": None}),
+        (np.stack([IMAGE, IMAGE]), {"metadata": None, "photometric": "minisblack"}),
+        (np.zeros((2048, 2048), np.float32), {"compression": "zlib"}),  # a bomb: 16 MiB in 16 KiB
+        (np.zeros((6, 5), np.float32), {"compression": "zlib", "description": "x" * 200}),
+        (np.zeros((16, 16), np.float32), {"tile": (16, 16)}),
+        (IMAGE.astype(np.float64), {}),
+        (IMAGE, {"ome": True}),
+        (IMAGE, {"imagej": True}),
+    ]:
+        buffer = io.BytesIO()
+        tifffile.imwrite(buffer, image, **options)
+        made.append(buffer.getvalue())
+    return made
+
+
+def _spoil_tiff(data: bytes, rng: random.Random) -> bytes:
+    """One tag of the first directory: its number, type, count or value."""
+    if len(data) < 30 or data[:4] != b"II*\0":
+        return spoil_bytes(data, rng)
+    start = struct.unpack_from("<I", data, 4)[0]
+    if start + 14 > len(data):
+        return spoil_bytes(data, rng)
+    count = struct.unpack_from("<H", data, start)[0]
+    place = start + 2 + 12 * rng.randrange(max(1, min(count, 20)))
+    tag = rng.choice(
+        (256, 257, 258, 259, 262, 270, 273, 277, 278, 279, 284, 322, 324, 325, 330, 339, 347, 34735, 65535)
+    )
+    offset, code, value = rng.choice(
+        ((0, "<H", tag), (2, "<H", rng.randrange(20)), (4, "<I", rng.choice(NUMBERS)), (8, "<I", rng.choice(NUMBERS)))
+    )
+    packed = struct.pack(code, value % 256 ** struct.calcsize(code))
+    return data[: place + offset] + packed + data[place + offset + len(packed) :]
+
+
+def _read_tiff(folder: Path) -> object:
+    power = read_power_tiff(folder / "image.tif", (6, 5))
+    assert power.shape == (6, 5)
+    return power.mean()
+
+
+# ---- PLY ----
+
+
+def _written(write: Callable[[Path], object]) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder) / "file")
+        return (Path(folder) / "file").read_bytes()
+
+
+def _gaussians(degree: int) -> bytes:
+    g = torch.Generator().manual_seed(degree)
+    some = Gaussians(
+        torch.randn(5, 3, generator=g), torch.randn(5, 4, generator=g), torch.rand(5, 3, generator=g) + 0.1,
+        torch.rand(5, generator=g), torch.randn(5, (degree + 1) ** 2, generator=g), 0.05,
+    )  # fmt: skip
+    return _written(lambda path: write_gaussians_ply(path, some))
+
+
+def _points() -> bytes:
+    points = np.random.default_rng(0).normal(size=(9, 3))
+    return _written(lambda path: write_points_ply(path, points, power=np.arange(9), support=np.linspace(0, 1, 9)))
+
+
+def _ply_fits(data: bytes, rng: random.Random) -> bytes:
+    """Types, names and counts changed in the header, and the data cut or filled to the length it then asks for."""
+    head, end, body = data.partition(b"end_header\n")
+    lines = head.split(b"\n")
+    for _ in range(rng.choice((1, 3))):
+        place = rng.randrange(len(lines))
+        kind, name = (
+            rng.choice((b"uchar", b"double", b"float", b"int")),
+            rng.choice((b"x", b"a", b"scale_0", b"f_rest_9")),
+        )
+        new = (b"property " + kind + b" " + name, b"element vertex %d" % rng.choice((0, 1, 50_000)), b"element e 3")
+        lines[place] = rng.choice(new)
+    sizes = {b"uchar": 1, b"double": 8, b"float": 4, b"int": 4}
+    size = count = 0
+    for words in (line.split() for line in lines):
+        if len(words) == 3 and words[0] == b"element" and words[2].isdigit():
+            count = int(words[2])
+        if len(words) == 3 and words[0] == b"property":
+            size += count * sizes.get(words[1], 0)
+    if size > MOST_BYTES:
+        return data
+    fill = rng.choice((b"\0", b"\xff", b"\x3f"))
+    return b"\n".join(lines) + end + (body + fill * size)[:size]
+
+
+def _read_gaussians(folder: Path) -> object:
+    gaussians = read_gaussians_ply(folder / "g.ply")
+    assert all(torch.isfinite(tensor).all() for tensor in gaussians.tensors().values())
+    return gaussians
+
+
+# ---- checkpoints ----
+
+
+def _checkpoint() -> bytes:
+    tensors = {"model/means": torch.randn(4, 3), "mask": torch.tensor([True]), "n": torch.arange(3)}
+    return _written(lambda path: save_checkpoint(path, tensors, {"iteration": 7, "seconds": 1.5, "g": [2**70, "ü"]}))
+
+
+def _spoil_checkpoint(data: bytes, rng: random.Random) -> bytes:
+    """The JSON of the header or the state in it, with the header's length put right."""
+    length = int.from_bytes(data[:8], "little")
+    try:
+        header = json.loads(data[8 : 8 + length])
+        if rng.random() < 0.5:
+            header["__metadata__"]["state"] = spoil_json(header["__metadata__"]["state"].encode(), rng).decode(
+                "latin-1"
+            )
+            text = json.dumps(header).encode()
+        elif rng.random() < 0.1:
+            empty = {"dtype": "F32", "shape": [0], "data_offsets": [0, 0]}
+            text = json.dumps({str(k): empty for k in range(5000)} | header).encode()
+        else:
+            text = spoil_json(data[8 : 8 + length], rng)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return spoil_bytes(data, rng)
+    return len(text).to_bytes(8, "little") + text + data[8 + length :]
+
+
+# ---- runs ----
+
+
+def _run(folder: Path) -> None:
+    (folder / "run").mkdir()
+    (folder / "run/config.json").write_bytes(_run_config()[0])
+
+
+def _run_config() -> list[bytes]:
+    config = PRESETS["measured"]
+    head = {"schema": "sarsplat-run", "schema_version": 1, "dataset": "/nowhere", "dataset_fingerprint": "0" * 64}
+    return [json.dumps({**head, "config": asdict(config)}).encode()]
+
+
+def _history() -> list[bytes]:
+    line = {"iteration": 1, "seconds": 0.5, "loss": 0.25, "gaussians": 100}
+    return ["".join(json.dumps({**line, "iteration": k}) + "\n" for k in range(5)).encode()]
+
+
+def _spoil_lines(data: bytes, rng: random.Random) -> bytes:
+    lines = data.split(b"\n")
+    place = rng.randrange(len(lines))
+    lines[place] = spoil_json(lines[place], rng)
+    return b"\n".join(lines)
+
+
+def _metrics() -> list[bytes]:
+    scores = {"psnr": 30.5, "ssim": 0.9, "lpips": None}
+    return [
+        json.dumps({"images": {"test": scores}, "points": {"visible": {"cd_m": 0.1}}, "reasons": {"a": "b"}}).encode()
+    ]
+
+
+# ---- meshes ----
+
+
+def _mesh(kind: str) -> list[bytes]:
+    box = trimesh.creation.box((4, 2, 1))
+    scene = trimesh.Scene([box, trimesh.creation.icosphere(subdivisions=1).apply_translation((0, 0, 2))])
+    match kind:
+        case "obj":
+            text = "mtllib a.mtl\nv 0 0 0\nv 2 0 0\nv 2 2 0 1 0 0\nv 0 2 1\nvt 0 0\nvn 0 0 1\n"
+            faces = "f 1 2 3\nusemtl b\nf 1/1/1 2/1/1 3/1/1\nf 1//1 3//1 4//1\nf 1 2 3 4\n"
+            return [box.export(file_type="obj").encode(), (text + faces).encode()]
+        case "stl":
+            return [box.export(file_type="stl"), box.export(file_type="stl_ascii").encode()]
+        case "ply":
+            # Headers that end with a texture, and lists of differing lengths.
+            head = "ply\nformat ascii 1.0\ncomment TextureFile a.png\nelement vertex 4\nproperty float x\n"
+            head += "property float y\nproperty float z\nelement face 2\nproperty list uchar int vertex_indices\n"
+            ascii_ply = head + "end_header\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n4 0 1 2 3\n"
+            return [box.export(file_type="ply"), box.export(file_type="ply", encoding="ascii"), ascii_ply.encode()]
+        case "off":
+            return [box.export(file_type="off").encode(), b"OFF\n4 1 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3\n"]
+    return [scene.export(file_type="glb"), _instances(scene.export(file_type="glb"))]
+
+
+def _instances(data: bytes) -> bytes:
+    """Four thousand copies of the first mesh."""
+    length = int.from_bytes(data[12:16], "little")
+    header = json.loads(data[20 : 20 + length])
+    header["nodes"] = [{"mesh": 0} for _ in range(4000)]
+    header["scenes"] = [{"nodes": list(range(4000))}]
+    return _pack_glb(json.dumps(header).encode(), data[20 + length :])
+
+
+def _pack_glb(text: bytes, rest: bytes) -> bytes:
+    text += b" " * (-len(text) % 4)
+    return b"glTF" + struct.pack("<III", 2, 20 + len(text) + len(rest), len(text)) + b"JSON" + text + rest
+
+
+def _spoil_glb(data: bytes, rng: random.Random) -> bytes:
+    length = int.from_bytes(data[12:16], "little")
+    return _pack_glb(spoil_json(data[20 : 20 + length], rng), data[20 + length :])
+
+
+def _mesh_reader(kind: str, *mutations: Mutation) -> Reader:
+    name = f"mesh.{kind}"
+    return Reader(name, name, lambda folder: load_mesh(folder / name).area, lambda: _mesh(kind), mutations)
+
+
+# ---- chips ----
+
+
+def _jpeg() -> bytes:
+    buffer = io.BytesIO()
+    Image.fromarray((IMAGE * 20).astype(np.uint8)).save(buffer, "JPEG")
+    return buffer.getvalue()
+
+
+_LABELS = (
+    b"path,class,serial,frame,desired_depression_deg,measured_depression_deg,target_az_deg,width,height\n"
+    b"a.jpeg,T72,132,1,17,17.1,10.5,5,6\nb.jpeg,BMP2,9563,1,15,15.1,20,5,6\n"
+)
+
+
+def _chips(folder: Path) -> None:
+    (folder / "chips").mkdir()
+    (folder / "chips/a.jpeg").write_bytes(_jpeg())
+    (folder / "labels.csv").write_bytes(_LABELS)
+
+
+def _read_chips(folder: Path) -> object:
+    return read_chips(folder / "chips", folder / "labels.csv", "T72")
+
+
+READERS = (
+    Reader("phoenix", "HB00001.000", _read_phoenix, lambda: [phoenix()], (_phoenix_fits,)),
+    Reader("dataset.json", "set/dataset.json", _read_dataset, _dataset_header, (spoil_json,), prepare_dataset),
+    Reader("image.tif", "image.tif", _read_tiff, _tiffs, (_spoil_tiff,)),
+    Reader("gaussians.ply", "g.ply", _read_gaussians, lambda: [_gaussians(0), _gaussians(2)], (_ply_fits,)),
+    Reader("points.ply", "p.ply", lambda folder: read_points_ply(folder / "p.ply"), lambda: [_points()], (_ply_fits,)),
+    Reader(
+        "checkpoint",
+        "c.safetensors",
+        lambda folder: load_checkpoint(folder / "c.safetensors"),
+        lambda: [_checkpoint(), safetensors.torch.save({"x": torch.ones(3)})],
+        (_spoil_checkpoint,),
+    ),
+    Reader("run config", "run/config.json", lambda folder: Run.load(folder / "run"), _run_config, (spoil_json,), _run),
+    Reader(
+        "run history",
+        "run/metrics.jsonl",
+        lambda folder: Run.load(folder / "run").history,
+        _history,
+        (_spoil_lines,),
+        _run,
+    ),
+    Reader(
+        "run metrics",
+        "run/metrics.json",
+        lambda folder: Run.load(folder / "run").metrics,
+        _metrics,
+        (spoil_json,),
+        _run,
+    ),
+    _mesh_reader("obj"),
+    _mesh_reader("stl"),
+    _mesh_reader("ply", _ply_fits),
+    _mesh_reader("off"),
+    _mesh_reader("glb", _spoil_glb),
+    Reader("labels.csv", "labels.csv", _read_chips, lambda: [_LABELS], (), _chips),
+    Reader("chip.jpeg", "chips/a.jpeg", _read_chips, lambda: [_jpeg()], (), _chips),
+)

@@ -1,0 +1,45 @@
+"""The checker of shape annotations does check; otherwise every other test would pass in vain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from jaxtyping import Float
+
+import shapes
+from sarsplat import Gaussians, SarsplatError, View, radar_frame
+from sarsplat.gaussians import covariance as covariance_module
+from sarsplat.gaussians.covariance import covariance, rotation_matrix
+
+
+def test_calls_are_counted():
+    before = shapes.EXECUTED["sarsplat.geometry.view.radar_frame"]
+    radar_frame(View(0.0, 45.0))
+    assert shapes.EXECUTED["sarsplat.geometry.view.radar_frame"] == before + 1
+    assert View(0.0, 45.0).direction.shape == (3,)
+    assert shapes.EXECUTED["sarsplat.geometry.view.View.direction"] > 0
+
+
+@pytest.mark.parametrize("scales", [(1, 3), (5, 1), (3,)])
+def test_a_function_that_takes_a_wrong_shape_is_found(scales):
+    with pytest.raises(shapes.ShapeError, match=r"covariance accepted scales: not of the shape in its annotation"):
+        covariance(torch.ones(5, 4), torch.ones(scales))
+
+
+def test_a_wrong_result_is_found():
+    def shrunk(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        return points[1:]
+
+    with pytest.raises(shapes.ShapeError, match="shrunk returned something else"):
+        shapes.watched(shrunk)(np.zeros((4, 3)))
+
+
+def test_refusing_by_itself_is_fine():
+    with pytest.raises(SarsplatError, match=r"means has shape \(5, 2\)"):
+        Gaussians(torch.ones(5, 2), torch.ones(5, 4), torch.ones(5, 3), torch.ones(5), torch.ones(5, 1))
+
+
+def test_names_imported_elsewhere_are_watched_too():
+    assert covariance_module.rotation_matrix is rotation_matrix
+    assert rotation_matrix.__wrapped__ is not None
