@@ -81,6 +81,9 @@ def render(
     Notes
     -----
     Source: SAR-GS, eqs. (4)–(13), as amended in docs/paper-map.md.
+
+    The CPU engine borrows torch's threads (`torch.set_num_threads`); its results do not depend on their number. As with
+    all of torch, a forked process must begin with `torch.set_num_threads(1)`; torch's data loaders do that.
     """
     rays = rays or RayGrid.for_image(grid)
     views = views if isinstance(views, View) else tuple(views)
