@@ -1,5 +1,6 @@
 # make demo    the whole way once: simulate, reconstruct, evaluate, report
 # make test    the test suite without the slow tests; make test-slow runs those
+# make figures pictures in figures/ and their tables: buildings, vehicles, splat against ray cast
 # make lint    style and types
 # make clean   remove everything that was made here, the environment included
 #
@@ -17,7 +18,7 @@ define step
 @printf '\n==> %s\n' "$(1)"; begun=$$SECONDS; $(2) && printf '    (%s s)\n' $$((SECONDS - begun))
 endef
 
-.PHONY: demo setup test test-slow lint readme clean
+.PHONY: demo setup test test-slow figures lint readme clean
 
 demo: setup
 	$(call step,simulate: a T-72-like target by ray casting (24 training views and 48 test views),\
@@ -33,6 +34,12 @@ test: setup
 test-slow: setup
 	$(BIN)/python -m pytest -m slow
 
+# Also the tables of docs/forward-model.md and docs/images/buildings.png.
+figures: setup
+	$(call step,buildings: both forward models against the closed form,$(BIN)/python docs/draw_buildings.py)
+	$(call step,splat against ray cast: one mesh through both forward models,$(BIN)/python docs/draw_splat_against_raycast.py)
+	$(call step,vehicles beside measured chips,$(BIN)/python docs/draw_vehicles.py)
+
 lint: setup
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
@@ -43,7 +50,7 @@ readme: setup
 	$(BIN)/python docs/readme_results.py $(DEMO)/run
 
 clean:
-	rm -rf .venv $(DEMO) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis src/sarsplat/render/_engine.so
+	rm -rf .venv $(DEMO) figures build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis src/sarsplat/render/_engine.so
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 setup: $(READY)

@@ -54,15 +54,12 @@ def watch() -> None:
 
 def shapes_of(function: Callable) -> dict[str, object]:
     """The annotations that speak of arrays, by parameter; those of other types are the type checker's business."""
-    written = getattr(function, "__annotations__", {})
-    if not any("[" in str(hint) and ("Tensor" in str(hint) or "ndarray" in str(hint)) for hint in written.values()):
-        return {}
     names = {**vars(typing), **vars(sys.modules[function.__module__])}
     found = {}
-    for name, hint in written.items():
+    for name, hint in getattr(function, "__annotations__", {}).items():
         try:
             found[name] = eval(hint, names) if isinstance(hint, str) else hint
-        except NameError:  # a name that only the type checker imports
+        except (NameError, TypeError):  # what only the type checker imports, or knows how to subscribe
             continue
     return {name: hint for name, hint in found.items() if _speaks_of_arrays(hint)}
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from sarsplat.cli import main
+from sarsplat.scenes import vehicle
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
@@ -123,3 +124,27 @@ def test_results_table_comes_from_metrics_and_leaves_gaps_open():
     assert "| LPIPS (↓) | – | 0.0165 |" in table
     assert "1 min 23 s" in table
     assert module.BLOCK.search((ROOT / "README.md").read_text(encoding="utf-8"))
+
+
+@pytest.mark.slow
+def test_readme_commands_work_in_the_order_shown(tmp_path):
+    """As printed; measured chips only where there are some."""
+    vehicle("t72").export(tmp_path / "vehicle.obj")
+    chips = ROOT.parent / "shared" / "data" / "mstar"
+    if chips.is_dir():
+        (tmp_path / "chips").symlink_to(chips)
+        (tmp_path / "labels.csv").symlink_to(next(chips.glob("*.csv")))
+    for command in commands(ROOT / "README.md"):
+        if "mstar" in command and not chips.is_dir():
+            continue
+        words = [
+            sys.executable,
+            "-c",
+            "import sys, sarsplat.cli; sys.exit(sarsplat.cli.main())",
+            *shlex.split(command)[1:],
+        ]
+        done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=900)
+        assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+        assert done.stdout or done.stderr, command
+    for made in ("t72-run/report/index.html", "t72-run/metrics.json", "sweep/contact-sheet.png", "t72.ply"):
+        assert (tmp_path / made).stat().st_size > 0, made

@@ -1,4 +1,4 @@
-"""Imports run one way; the renderer needs torch and numpy only, and everything imports without the optional packages."""
+"""Imports run one way; the renderer needs torch and numpy only; everything imports without the optional packages."""
 
 from __future__ import annotations
 

@@ -27,8 +27,8 @@ def test_both_sources_show_the_same_target(box: trimesh.Trimesh) -> None:
     splats = simulate_images(box, VIEWS, GRID, source="splat")
     assert rays.shape == splats.shape == (2, 36, 36)
     assert rays.dtype == splats.dtype == np.float32
-    np.testing.assert_allclose(splats.sum(axis=(1, 2)), rays.sum(axis=(1, 2)), rtol=0.15)  # Gaussians of 6 cm bulge
-    assert np.corrcoef(np.sqrt(rays).ravel(), np.sqrt(splats).ravel())[0, 1] > 0.97
+    np.testing.assert_allclose(splats.sum(axis=(1, 2)), rays.sum(axis=(1, 2)), rtol=0.02)
+    assert np.corrcoef(np.sqrt(rays).ravel(), np.sqrt(splats).ravel())[0, 1] > 0.999
 
 
 def test_both_sources_stand_on_the_same_ground(box: trimesh.Trimesh) -> None:
@@ -38,11 +38,11 @@ def test_both_sources_stand_on_the_same_ground(box: trimesh.Trimesh) -> None:
         level = 0.2 * np.tan(np.radians(view.grazing_deg))
         free = np.abs(ray / level - 1) < 1e-3
         assert free.sum() > 100
-        assert splat[free].mean() == pytest.approx(level, rel=0.02)
-        shadow, dark = ray < 0.05 * level, splat < 0.5 * level
+        assert splat[free].mean() == pytest.approx(level, rel=0.002)
+        shadow, dark = ray < 0.05 * level, splat < 0.2 * level
         assert shadow.sum() > 20
-        assert dark[shadow].mean() > 0.9
-        assert np.corrcoef(np.sqrt(ray).ravel(), np.sqrt(splat).ravel())[0, 1] > 0.97
+        assert dark[shadow].mean() > 0.95
+        assert np.corrcoef(np.sqrt(ray).ravel(), np.sqrt(splat).ravel())[0, 1] > 0.99
 
 
 def test_speckle_keeps_the_mean_and_depends_on_the_seed(box: trimesh.Trimesh) -> None:

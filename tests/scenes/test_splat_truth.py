@@ -1,49 +1,70 @@
-"""Surface Gaussians for protocol R-self."""
+"""Surface Gaussians of the splat truth."""
+
+import math
 
 import numpy as np
 import pytest
 import torch
-from scipy.spatial import KDTree
 
 from sarsplat.errors import SarsplatError
+from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.geometry import View
-from sarsplat.scenes import ScatteringLaw, law_scattering, surface_gaussians, vehicle
+from sarsplat.scenes import ScatteringLaw, law_scattering, simulate_raycast, surface_gaussians, vehicle
+from sarsplat.scenes.protocols import paper_grid
+from sarsplat.scenes.simulate import simulate_images
 
 trimesh = pytest.importorskip("trimesh")
 
 
-def test_points_lie_on_the_surface_evenly_with_their_normals():
-    sphere = trimesh.creation.icosphere(subdivisions=5, radius=2.0)
-    gaussians, normals = surface_gaussians(sphere, 3000)
-    means = gaussians.means.double().numpy()
-    assert abs(len(gaussians) / 3000 - 1) < 0.08
-    np.testing.assert_allclose(np.linalg.norm(means, axis=1), 2.0, atol=5e-3)
-    np.testing.assert_allclose(normals, means / 2.0, atol=0.05)
-    spacing = np.sqrt(sphere.area / len(gaussians))
-    nearest = KDTree(means).query(means, k=2)[0][:, 1]
-    assert nearest.min() > 0.6 * spacing  # random points would come as close as 0.01
-    samples = trimesh.sample.sample_surface(sphere, 5000, seed=1)[0]
-    assert KDTree(means).query(samples)[0].max() < 1.1 * spacing  # and leave holes twice as wide
+def depths_and_areas(gaussians):
+    """Optical depth times footprint, m², of every Gaussian seen along its normal."""
+    scales = gaussians.scales.double()
+    return (2 * math.pi * gaussians.optical_depth.double() * scales[:, 1] * scales[:, 2]).numpy()
 
 
-def test_thin_plates_are_covered_on_both_sides():
-    plate = trimesh.creation.box((6, 6, 0.02))
-    gaussians, normals = surface_gaussians(plate, 4000)
-    assert abs(len(gaussians) / 4000 - 1) < 0.08
-    assert abs((normals[:, 2] > 0.5).mean() - 0.5) < 0.03
+def test_every_face_is_covered_in_proportion_to_its_area():
+    mesh = trimesh.creation.cylinder(radius=0.8, height=5.0, sections=20)  # needles and large faces
+    gaussians, faces = surface_gaussians(mesh, 0.05)
+    depth = np.bincount(faces, depths_and_areas(gaussians), len(mesh.faces)) / mesh.area_faces
+    np.testing.assert_allclose(depth, 7.0, rtol=0.02)  # no Gaussian is narrower than it is thick
 
 
-def test_parameters_and_reproducibility():
+def test_gaussians_keep_the_centre_and_lie_in_the_face():
     mesh = vehicle("t72")
-    first, normals = surface_gaussians(mesh, 2000, sigma=0.07, optical_depth=3.0, seed=4)
-    again, _ = surface_gaussians(mesh, 2000, sigma=0.07, optical_depth=3.0, seed=4)
-    other, _ = surface_gaussians(mesh, 2000, seed=5)
-    assert torch.equal(first.means, again.means)
-    assert first.means.shape != other.means.shape or not torch.equal(first.means, other.means)
-    assert abs(len(first) / 2000 - 1) < 0.1
-    assert (first.scales == 0.07).all() and (first.optical_depth == 3.0).all()
-    assert normals.shape == (len(first), 3) and normals.dtype == np.float64
-    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, rtol=1e-9)
+    gaussians, faces = surface_gaussians(mesh, 0.15)
+    weight = depths_and_areas(gaussians)
+    np.testing.assert_allclose(np.average(gaussians.means, axis=0, weights=weight), mesh.centroid, atol=5e-3)
+    offset = ((gaussians.means.double().numpy() - mesh.triangles_center[faces]) * mesh.face_normals[faces]).sum(1)
+    assert np.abs(offset).max() < 1e-5
+    assert float(gaussians.scales.max()) <= 0.29 * 0.15
+    normals = rotation_matrix(gaussians.quaternions.double())[:, :, 0].numpy()
+    wide = gaussians.scales[:, 1].numpy() > 2e-3  # thinner than that, a needle has no plane
+    cosine = np.abs((normals * mesh.face_normals[faces]).sum(1))[wide]
+    assert cosine.min() > 1 - 1e-4
+
+
+def test_second_moments_are_those_of_the_pieces():
+    right = trimesh.Trimesh([[0, 0, 0], [0.3, 0, 0], [0, 0.3, 0]], [[0, 1, 2]], process=False)
+    (gaussians, _), side = surface_gaussians(right, 1.0), 0.3
+    assert len(gaussians) == 1
+    # of a right isosceles triangle with legs a, about its centre: a²/12 and a²/36 along its axes
+    expected = 1.2 * np.array([side / math.sqrt(36), side / math.sqrt(12)])
+    np.testing.assert_allclose(gaussians.scales[0, 1:], expected, rtol=1e-5)
+
+
+def test_the_same_mesh_gives_the_same_gaussians():
+    first, again = (surface_gaussians(vehicle("t72"), 0.3)[0] for _ in range(2))
+    assert all(torch.equal(a, b) for a, b in zip(first.tensors().values(), again.tensors().values()))
+
+
+def test_a_vehicle_looks_the_same_to_both_forward_models():
+    pytest.importorskip("embreex")
+    mesh, view, grid = vehicle("t72"), View(30.0, 45.0), paper_grid()
+    truth = np.sqrt(simulate_raycast(mesh, view, grid, ScatteringLaw()).astype(float))
+    splat = np.sqrt(simulate_images(mesh, [view], grid, source="splat")[0].astype(float))
+    mask = truth > truth.max() * 10 ** (-30 / 20)
+    psnr = -10 * math.log10(np.mean((splat - truth)[mask] ** 2) / truth.max() ** 2)
+    assert psnr >= 40.0
 
 
 def test_scattering_follows_the_law_in_every_view():
@@ -55,7 +76,9 @@ def test_scattering_follows_the_law_in_every_view():
 
 
 def test_impossible_requests_are_refused():
-    with pytest.raises(SarsplatError, match="count 0"):
+    with pytest.raises(SarsplatError, match="size 0"):
         surface_gaussians(trimesh.creation.box((1, 1, 1)), 0)
-    with pytest.raises(SarsplatError, match="no points"):
-        surface_gaussians(trimesh.Trimesh(), 10)
+    with pytest.raises(SarsplatError, match="cannot be covered"):
+        surface_gaussians(trimesh.Trimesh(), 0.1)
+    with pytest.raises(SarsplatError, match="is it in millimetres"):
+        surface_gaussians(trimesh.creation.box((7000, 3600, 2000)), 0.1)

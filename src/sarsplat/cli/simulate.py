@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import (
@@ -23,6 +25,8 @@ from sarsplat.errors import SarsplatError
 if TYPE_CHECKING:
     from sarsplat.geometry import ImageGrid, View
 
+Law = Annotated[tuple[float, float], tyro.conf.arg(metavar="FLOOR LOBE")]
+
 
 def simulate(
     *,
@@ -37,6 +41,7 @@ def simulate(
     test_grazing: Angles = (),
     test_incidence: Angles = (),
     source: Literal["raycast", "splat"] = "raycast",
+    law: Law = (0.1, 0.9),
     ground: OptionalNumber = None,
     looks: OptionalNumber = None,
     pixels: OptionalCount = None,
@@ -52,7 +57,7 @@ def simulate(
     out
         Dataset to make.
     target
-        A built-in target: t72.
+        A built-in target: t72, btr70, 2s1, kraz, or one of the paper's buildings: building-a, building-b, building-c.
     mesh
         Any mesh instead: metres, +x nose, +y left, +z up, ground at z = 0.
     protocol
@@ -70,7 +75,9 @@ def simulate(
     test_incidence
         The same as incidence angles.
     source
-        Ray casting (independent of the renderer), or our own forward model on surface points.
+        Ray casting (independent of the renderer), or our own forward model on Gaussians that cover the surface.
+    law
+        γ⁰ (linear) of the target's surface: floor + lobe·cos² of the angle between its normal and the radar.
     ground
         γ⁰ (linear) of a flat ground; none unless given.
     looks
@@ -88,7 +95,7 @@ def simulate(
     """
     from sarsplat.data import write_dataset
     from sarsplat.progress import progress
-    from sarsplat.scenes import ScatteringLaw, load_mesh, vehicle
+    from sarsplat.scenes import ScatteringLaw, load_mesh, target_mesh
     from sarsplat.scenes.simulate import simulate_images, simulation_record
 
     views, test_options = _views(protocol, azimuth, grazing, incidence), (test_azimuth, test_grazing, test_incidence)
@@ -99,13 +106,13 @@ def simulate(
     if mesh is not None and target is None:
         surface, name = load_mesh(mesh), mesh.name
     elif target is not None and mesh is None:
-        surface, name = vehicle(target), target
+        surface, name = target_mesh(target), target
     else:
         problem = "both" if target else "neither"
         raise SarsplatError(f"{problem} of --target and --mesh was given; give one, e.g. --target t72")
     how: dict[str, Any] = {
         "source": source,
-        "law": ScatteringLaw(),
+        "law": ScatteringLaw(*law),
         "ground_gamma0": ground,
         "looks": looks,
         "seed": seed,

@@ -1,17 +1,26 @@
 """Truth for experiments, independent of the renderer: targets, the ray-cast simulator, speckle, protocols."""
 
+from sarsplat.scenes.building_profile import BuildingProfile, building_profile
+from sarsplat.scenes.buildings import BUILDINGS, Building, Gamma0
 from sarsplat.scenes.meshes import load_mesh
 from sarsplat.scenes.protocols import mstar_grid, mstar_views, paper_grid, paper_views
 from sarsplat.scenes.raycast import simulate_raycast
 from sarsplat.scenes.scattering import ScatteringLaw
 from sarsplat.scenes.speckle import add_speckle
 from sarsplat.scenes.splat_truth import law_scattering, surface_gaussians
+from sarsplat.scenes.targets import TARGETS, target_mesh
 from sarsplat.scenes.vehicles import VEHICLES, vehicle
 
 __all__ = [
+    "BUILDINGS",
+    "TARGETS",
     "VEHICLES",
+    "Building",
+    "BuildingProfile",
+    "Gamma0",
     "ScatteringLaw",
     "add_speckle",
+    "building_profile",
     "law_scattering",
     "load_mesh",
     "mstar_grid",
@@ -20,5 +29,6 @@ __all__ = [
     "paper_views",
     "simulate_raycast",
     "surface_gaussians",
+    "target_mesh",
     "vehicle",
 ]

@@ -17,7 +17,7 @@ import numpy as np
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.scenes._deposit import Deposit
-from sarsplat.scenes.scattering import ScatteringLaw, check_ground
+from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflectivity
 
 if TYPE_CHECKING:
     import trimesh
@@ -69,6 +69,7 @@ def simulate_raycast(
     grid: ImageGrid,
     law: ScatteringLaw,
     *,
+    reflectivity: np.ndarray | None = None,
     ground_gamma0: float | None = None,
     ray_spacing: float = 0.02,
     ray_phase: tuple[float, float] = (0.5, 0.5),
@@ -84,6 +85,8 @@ def simulate_raycast(
         From where, and where the pixels lie.
     law : ScatteringLaw
         γ⁰ of the mesh's facets against incidence angle.
+    reflectivity : numpy.ndarray [F], optional
+        Factor on the law's γ⁰ for each face; 1 unless given.
     ground_gamma0 : float, optional
         γ⁰ (linear) of an infinite flat ground at z = 0; without it nothing lies behind the mesh. What lies below the
         ground is not seen.
@@ -106,7 +109,7 @@ def simulate_raycast(
     """
     _check(mesh, ground_gamma0, ray_spacing, ray_phase)
     facets = _Facets.of(mesh, view)
-    gamma0 = law.gamma0(facets.cos_incidence)
+    gamma0 = check_reflectivity(reflectivity, len(mesh.faces)) * law.gamma0(facets.cos_incidence)
     cell_area = ray_spacing**2
     deposit = Deposit(grid, oversample)
     theta = math.radians(view.grazing_deg)

@@ -53,3 +53,15 @@ def check_ground(gamma0: float | None) -> None:
     """Refuse a ground that is not a γ⁰."""
     if gamma0 is not None and not 0 <= gamma0 <= _MOST_GAMMA0:
         raise SarsplatError(f"ground_gamma0 {gamma0} must be finite and at least 0 (linear γ⁰, not decibels)")
+
+
+def check_reflectivity(reflectivity: np.ndarray | None, faces: int) -> np.ndarray:
+    """Factors on the law's γ⁰, float64 [faces]: 1 unless given; refused if they are not that many, or not factors."""
+    if reflectivity is None:
+        return np.ones(faces)
+    factors = np.asarray(reflectivity, dtype=np.float64)
+    if factors.shape != (faces,):
+        raise SarsplatError(f"reflectivity has shape {factors.shape}; give one factor for each of the {faces} faces")
+    if not ((factors >= 0) & (factors <= _MOST_GAMMA0)).all():  # also catches NaN
+        raise SarsplatError("reflectivity holds a factor that is negative or not finite; give linear factors on γ⁰")
+    return factors

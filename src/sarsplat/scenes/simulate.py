@@ -15,7 +15,7 @@ from sarsplat.gaussians.ground import ground_sheet
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.render import render
 from sarsplat.scenes.raycast import simulate_raycast
-from sarsplat.scenes.scattering import ScatteringLaw, check_ground
+from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflectivity
 from sarsplat.scenes.speckle import add_speckle
 from sarsplat.scenes.splat_truth import law_scattering, surface_gaussians
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 Source = Literal["raycast", "splat"]
 
-# Protocol R: rays of the ray caster, and the surface points of the splat truth with their rays.
+# Protocol R: rays of the ray caster (m), and of the splat truth the Gaussians and rays that go to a pixel spacing.
 _RAY_SPACING, _OVERSAMPLE = 0.02, 9
-_POINTS, _SIGMA, _OPTICAL_DEPTH, _RAYS_PER_PIXEL = 20_000, 0.06, 4.0, 4.0
+_PIECES_PER_PIXEL, _GROUND_PER_PIXEL, _RAYS_PER_PIXEL = 3.0, 2.0, 15.0
 
 
 def simulate_images(
@@ -36,6 +36,7 @@ def simulate_images(
     *,
     source: Source = "raycast",
     law: ScatteringLaw | None = None,
+    reflectivity: np.ndarray | None = None,
     ground_gamma0: float | None = None,
     looks: float | None = None,
     seed: int = 0,
@@ -50,16 +51,18 @@ def simulate_images(
     views, grid
         V views, and where the pixels of each image lie.
     source : {"raycast", "splat"}
-        Ray casting of the mesh (R-ray: shares nothing with the renderer), or our own forward model from points on its
-        surface (R-self, as in the paper).
+        Ray casting of the mesh (R-ray: shares nothing with the renderer), or our own forward model from Gaussians on
+        its surface (R-self, as in the paper).
     law : ScatteringLaw, optional
         γ⁰ of the surface against incidence angle; 0.1 + 0.9 cos² i unless given.
+    reflectivity : numpy.ndarray [F], optional
+        Factor on the law's γ⁰ for each face; 1 unless given.
     ground_gamma0 : float, optional
         γ⁰ (linear) of a flat ground at z = 0; none unless given.
     looks : float, optional
         Number of looks of the speckle; none unless given.
     seed : int
-        Seed of the speckle and of the surface points.
+        Seed of the speckle.
     progress : callable, optional
         Told the number of finished images after each.
 
@@ -74,15 +77,16 @@ def simulate_images(
         If the source is unknown, or the mesh or a setting is unsound.
     """
     law = law or ScatteringLaw()
+    reflectivity = check_reflectivity(reflectivity, len(mesh.faces))
     check_ground(ground_gamma0)
     if seed < 0:
         raise SarsplatError(f"seed {seed} must be at least 0")
     if source == "raycast":
-        images = _raycast(mesh, views, grid, law, ground_gamma0)
+        images = _raycast(mesh, views, grid, law, reflectivity, ground_gamma0)
     elif source != "splat":
         raise SarsplatError(f"source {source!r} is unknown; choose 'raycast' or 'splat'")
     else:
-        images = _splat(mesh, views, grid, law, ground_gamma0, seed)
+        images = _splat(mesh, views, grid, law, reflectivity, ground_gamma0)
     stack = np.ones((len(views), grid.rows, grid.columns), dtype=np.float32)
     if looks is not None:  # first, so that a bad number of looks is told before minutes of ray casting
         stack = add_speckle(stack, looks, np.random.default_rng(seed))
@@ -102,9 +106,8 @@ def simulation_record(
         how = {"ray_spacing_m": _RAY_SPACING, "nodes_per_pixel": _OVERSAMPLE}
     else:
         how = {
-            "surface_points": _POINTS,
-            "sigma_m": _SIGMA,
-            "optical_depth": _OPTICAL_DEPTH,
+            "surface_pieces_per_pixel": _PIECES_PER_PIXEL,
+            "ground_pieces_per_pixel": _GROUND_PER_PIXEL,
             "rays_per_pixel": _RAYS_PER_PIXEL,
         }
     return {
@@ -119,7 +122,12 @@ def simulation_record(
 
 
 def _raycast(
-    mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid, law: ScatteringLaw, ground_gamma0: float | None
+    mesh: trimesh.Trimesh,
+    views: Sequence[View],
+    grid: ImageGrid,
+    law: ScatteringLaw,
+    reflectivity: np.ndarray,
+    ground_gamma0: float | None,
 ) -> Iterator[np.ndarray]:
     for view in views:
         yield simulate_raycast(
@@ -127,6 +135,7 @@ def _raycast(
             view,
             grid,
             law,
+            reflectivity=reflectivity,
             ground_gamma0=ground_gamma0,
             ray_spacing=_RAY_SPACING,
             oversample=_OVERSAMPLE,
@@ -138,17 +147,19 @@ def _splat(
     views: Sequence[View],
     grid: ImageGrid,
     law: ScatteringLaw,
+    reflectivity: np.ndarray,
     ground_gamma0: float | None,
-    seed: int,
 ) -> Iterator[np.ndarray]:
-    gaussians, normals = surface_gaussians(mesh, _POINTS, sigma=_SIGMA, optical_depth=_OPTICAL_DEPTH, seed=seed)
+    pixel = min(grid.spacing)
+    gaussians, faces = surface_gaussians(mesh, pixel / _PIECES_PER_PIXEL)
     target = len(gaussians)
     if ground_gamma0 is not None:
-        gaussians = join(gaussians, ground_sheet(_ground_radius(views, grid), min(grid.spacing)))
+        gaussians = join(gaussians, ground_sheet(_ground_radius(views, grid), pixel / _GROUND_PER_PIXEL))
     rays = RayGrid.for_image(grid, _RAYS_PER_PIXEL)
     for view in views:
         scattering = torch.full((1, len(gaussians)), ground_gamma0 or 0.0)
-        scattering[:, :target] = torch.from_numpy(law_scattering(normals, [view], law))
+        of_faces = reflectivity * law_scattering(mesh.face_normals, [view], law)
+        scattering[:, :target] = torch.from_numpy(of_faces[:, faces])
         with torch.no_grad():
             yield render(gaussians, [view], grid, rays=rays, scattering=scattering).images[0].numpy()
 

@@ -1,4 +1,4 @@
-"""Truth for protocol R-self: a surface covered with small Gaussians, to be imaged by our own forward model."""
+"""Truth by our own forward model (protocol R-self): a surface covered with small, flat Gaussians."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
@@ -18,77 +18,91 @@ from sarsplat.scenes.scattering import ScatteringLaw
 if TYPE_CHECKING:
     import trimesh
 
-# Darts thrown per point asked for, and the least distance between points in units of sqrt(area / count): with so many
-# darts the surface is nearly full, and this distance then gives the count asked for within a few per cent (measured).
-_CANDIDATES_PER_POINT = 10
-_DISTANCE = 0.76
+# Chosen by measurement against the ray caster (docs/forward-model.md): wider or denser discs bulge over edges and come
+# in nearer than the surface, narrower or thinner ones leak.
+_WIDENING, _SHEET_DEPTH = 1.2, 7.0
+
+_THICKNESS = 1e-3  # m
+_MOST_GAUSSIANS = 1e7
 
 
 def surface_gaussians(
-    mesh: trimesh.Trimesh, count: int = 20_000, sigma: float = 0.06, optical_depth: float = 4.0, seed: int = 0
+    mesh: trimesh.Trimesh, size: float, *, widening: float = _WIDENING, sheet_depth: float = _SHEET_DEPTH
 ) -> tuple[Gaussians, np.ndarray]:
-    """Isotropic Gaussians evenly spaced over a mesh's surface.
+    """Flat Gaussians that cover a mesh's surface.
+
+    Every triangle is bisected until its edges are no longer than `size`. Each piece becomes a Gaussian with the piece's
+    centre and the piece's own second moments, widened by a constant factor so that neighbours close the gaps between
+    them; its optical depth spreads the same mean depth over every piece, so that the surface is opaque from all sides.
 
     Parameters
     ----------
     mesh : trimesh.Trimesh
         Surface, m.
-    count : int
-        Number of points asked for; a few per cent more or fewer are returned.
-    sigma : float
-        Standard deviation of every Gaussian, m.
-    optical_depth : float
-        Two-way peak optical depth of every Gaussian.
-    seed : int
-        The same seed gives the same points.
+    size : float
+        Longest edge of a piece, m; standard deviations are at most 0.24 · `widening` of it.
+    widening : float
+        Standard deviations of a Gaussian, in those of a uniform density on its piece.
+    sheet_depth : float
+        Mean two-way optical depth of the surface.
 
     Returns
     -------
     Gaussians
         float32; harmonics zero and p_min 0: the scattering is meant to be given per view (`law_scattering`).
-    numpy.ndarray, float64 [N, 3]
-        Unit normals of the faces the points lie on.
+    numpy.ndarray, int64 [N]
+        The face that each Gaussian lies on.
 
     Raises
     ------
     SarsplatError
-        If `count` is not positive or the mesh has no area.
+        If `size` is not positive, the mesh has no area, or that would take too many Gaussians.
     """
-    import trimesh
-
-    if count < 1:
-        raise SarsplatError(f"count {count} must be at least 1 surface point")
+    if not (math.isfinite(size) and size > 0):
+        raise SarsplatError(f"size {size} of the surface's pieces must be positive and finite, in metres")
     if not mesh.area > 0:
-        raise SarsplatError(f"the mesh has a surface of {mesh.area} m², so no points can be spread on it")
-    candidates, faces = trimesh.sample.sample_surface(mesh, _CANDIDATES_PER_POINT * count, seed=seed)
-    candidate_normals = np.asarray(mesh.face_normals[faces], dtype=np.float64)
-    kept = _spread(candidates, candidate_normals, _DISTANCE * math.sqrt(mesh.area / count))
-    n = len(kept)
+        raise SarsplatError(f"the mesh has a surface of {mesh.area} m², so it cannot be covered with Gaussians")
+    fewest = mesh.area / (size**2 / 4)
+    if fewest > _MOST_GAUSSIANS:
+        raise SarsplatError(
+            f"the mesh has a surface of {mesh.area:.2g} m², which takes {fewest:.2g} Gaussians or more; "
+            "is it in millimetres? Scale it to metres, or take a smaller one"
+        )
+    pieces, faces = _bisected(np.asarray(mesh.triangles, dtype=np.float64), size)
+    centers = pieces.mean(axis=1)
+    spokes = pieces - centers[:, None]
+    moments = widening**2 / 12 * np.einsum("nki,nkj->nij", spokes, spokes)
+    variances, axes = np.linalg.eigh(moments)  # ascending: the first axis is the normal
+    axes[:, :, 0] *= np.linalg.det(axes)[:, None]
+    # A triangle's area over 2π times the root of its moments' determinant is 3√3/π, whatever its shape.
+    optical_depth = sheet_depth * 3 * math.sqrt(3) / math.pi / widening**2
+    n = len(centers)
     gaussians = Gaussians(
-        means=torch.from_numpy(np.ascontiguousarray(candidates[kept], dtype=np.float32)),
-        quaternions=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
-        scales=torch.full((n, 3), sigma),
+        means=torch.from_numpy(centers).float(),
+        quaternions=torch.from_numpy(Rotation.from_matrix(axes).as_quat(scalar_first=True)).float(),
+        scales=torch.from_numpy(np.sqrt(np.maximum(variances, _THICKNESS**2))).float(),
         optical_depth=torch.full((n,), optical_depth),
         harmonics=torch.zeros(n, 1),
     )
-    return gaussians, candidate_normals[kept]
+    return gaussians, faces
 
 
-def _spread(candidates: np.ndarray, normals: np.ndarray, distance: float) -> np.ndarray:
-    """Indices of candidates [K, 3] kept by throwing them one by one, none closer than `distance` to one kept before it.
-
-    The two sides of a thin plate, told apart by the normals, are filled independently.
-    """
-    pairs = KDTree(candidates).query_pairs(distance, output_type="ndarray")
-    pairs = pairs[np.einsum("kc,kc->k", normals[pairs[:, 0]], normals[pairs[:, 1]]) > 0]
-    later = np.sort(pairs, axis=1)
-    later = later[np.lexsort(later.T[::-1])]
-    starts = np.searchsorted(later[:, 0], np.arange(len(candidates) + 1))
-    alive = np.ones(len(candidates), dtype=bool)
-    for index in range(len(candidates)):
-        if alive[index]:
-            alive[later[starts[index] : starts[index + 1], 1]] = False
-    return np.flatnonzero(alive)
+def _bisected(triangles: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Pieces [N, 3, 3] with edges up to `size`, by halving longest edges, and the triangle each comes from [N]."""
+    origin = np.arange(len(triangles))
+    done, origins = [], []
+    while len(triangles):
+        edges = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
+        small = edges.max(axis=1) <= size
+        done.append(triangles[small])
+        origins.append(origin[small])
+        triangles, origin, longest = triangles[~small], origin[~small], edges[~small].argmax(axis=1)
+        row = np.arange(len(triangles))
+        a, b, c = (triangles[row, (longest + k) % 3] for k in range(3))
+        middle = (a + b) / 2
+        triangles = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+        origin = np.concatenate([origin, origin])
+    return np.concatenate(done), np.concatenate(origins)
 
 
 def law_scattering(normals: np.ndarray, views: Sequence[View], law: ScatteringLaw) -> np.ndarray:

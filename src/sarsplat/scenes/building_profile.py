@@ -1,0 +1,105 @@
+"""Where the edges of a building lie in an image, and how bright its regions are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sarsplat.geometry import ImageGrid
+from sarsplat.scenes.buildings import Building, Gamma0, Region
+
+_CLEAR = 2.0
+"""Levels are measured this many 3 dB widths away from every edge: there the response has settled to 10⁻⁶."""
+
+
+@dataclass(frozen=True)
+class MeasuredRegion:
+    """A region and its level in an image: the mean over its pixels, or None where no pixel is clear of the edges."""
+
+    region: Region
+    beta0: float | None
+
+
+@dataclass(frozen=True)
+class MeasuredEdge:
+    """An edge at a ground range, and how much farther away from the radar the image has it, m of slant range."""
+
+    ground_range: float
+    error: float
+
+
+@dataclass(frozen=True)
+class BuildingProfile:
+    """A building's image, averaged along the wall, beside its closed form.
+
+    Parameters
+    ----------
+    slant_range : numpy.ndarray [rows]
+        m, from the foot of the near wall.
+    measured, analytic : numpy.ndarray [rows]
+        β⁰, linear power.
+    edges : list of MeasuredEdge
+        From near to far.
+    regions : list of MeasuredRegion
+        From near to far.
+    """
+
+    slant_range: np.ndarray
+    measured: np.ndarray
+    analytic: np.ndarray
+    edges: list[MeasuredEdge]
+    regions: list[MeasuredRegion]
+
+
+def building_profile(
+    image: np.ndarray, grid: ImageGrid, building: Building, grazing_deg: float, gamma0: Gamma0
+) -> BuildingProfile:
+    """Measure the image of a building, seen from azimuth 0.
+
+    An edge lies where the profile crosses the level that the analytic profile has there (half way between the levels on
+    either side, if they are long); both crossings are interpolated between the same pixels, so that this cancels.
+
+    Parameters
+    ----------
+    image : numpy.ndarray [rows, columns]
+        β⁰, linear power.
+    grid, building, grazing_deg, gamma0
+        What `image` shows, and how.
+
+    Returns
+    -------
+    BuildingProfile
+    """
+    cos = math.cos(math.radians(grazing_deg))
+    regions = building.regions(grazing_deg, gamma0)
+    inner = np.abs(grid.azimuth_m) <= building.length / 2 - _CLEAR * grid.resolution[0]
+    along, resolution = grid.range_m, grid.resolution[1]
+    measured = np.asarray(image[:, inner], dtype=np.float64).mean(axis=1)
+    analytic = building.profile(along, grazing_deg, gamma0, resolution)
+    edges = []
+    for region in regions[1:]:
+        where = region.start * cos
+        level = float(building.profile(np.array([where]), grazing_deg, gamma0, resolution)[0])
+        found, expected = (_crossing(along, profile, level, where) for profile in (measured, analytic))
+        edges.append(MeasuredEdge(region.start, found - expected))
+    clear = [
+        (along >= region.start * cos + _CLEAR * resolution) & (along <= region.stop * cos - _CLEAR * resolution)
+        for region in regions
+    ]
+    levels = [
+        MeasuredRegion(region, float(measured[rows].mean()) if rows.any() else None)
+        for region, rows in zip(regions, clear, strict=True)
+    ]
+    return BuildingProfile(along, measured, analytic, edges, levels)
+
+
+def _crossing(position: np.ndarray, profile: np.ndarray, level: float, near: float) -> float:
+    """Where the profile crosses the level, nearest to a position; NaN if it never does."""
+    above = profile - level
+    k = np.flatnonzero(np.sign(above[:-1]) != np.sign(above[1:]))
+    if len(k) == 0:
+        return math.nan
+    crossings = position[k] + (position[k + 1] - position[k]) * above[k] / (above[k] - above[k + 1])
+    return float(crossings[np.abs(crossings - near).argmin()])

@@ -1,0 +1,156 @@
+"""Buildings A, B and C through both forward models, against the closed form: edges, levels, layover."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sarsplat.cli import main
+from sarsplat.data import read_dataset
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.scenes import BUILDINGS, Gamma0, ScatteringLaw, building_profile, simulate_raycast, target_mesh
+from sarsplat.scenes.simulate import simulate_images
+
+pytest.importorskip("trimesh")
+pytest.importorskip("embreex")
+
+GRID = ImageGrid(144, 20, spacing=(0.3, 0.3), resolution=(0.3, 0.3))  # as far as building A's shadow at 30°
+LAW = ScatteringLaw(floor=1.0, lobe=0.0)  # alike at every angle: the faces' own factor is their γ⁰
+EQUAL, UNEQUAL = Gamma0(0.5, 0.5, 0.5), Gamma0(wall=0.8, roof=0.3, ground=0.1)
+CASES = [(n, t, g) for n in sorted(BUILDINGS) for t in (30.0, 45.0, 60.0) for g in (EQUAL, UNEQUAL)]
+
+
+def image_of(source, name, grazing, gamma0):
+    box = BUILDINGS[name]
+    return simulate_images(
+        target_mesh(name),
+        [View(0.0, grazing)],
+        GRID,
+        source=source,
+        law=LAW,
+        reflectivity=box.reflectivity(gamma0),
+        ground_gamma0=gamma0.ground,
+    )[0]
+
+
+def check(source, name, grazing, gamma0, *, edges_px, levels):
+    """Every edge within so many pixels, every region within such a share of its analytic β⁰."""
+    found = building_profile(image_of(source, name, grazing, gamma0), GRID, BUILDINGS[name], grazing, gamma0)
+    errors = {edge.ground_range: edge.error / GRID.spacing[1] for edge in found.edges}
+    assert all(abs(error) <= edges_px for error in errors.values()), errors
+    free = gamma0.ground * math.tan(math.radians(grazing))
+    measured = [(item.region, item.beta0) for item in found.regions if item.beta0 is not None]
+    assert len(measured) >= 4 or grazing > 45 or name == "building-b"
+    for region, beta0 in measured:
+        assert beta0 == pytest.approx(region.beta0, rel=levels, abs=0.0 if region.surfaces else levels * free), region
+
+
+@pytest.mark.parametrize(("name", "grazing", "gamma0"), CASES)
+def test_ray_caster(name, grazing, gamma0):
+    check("raycast", name, grazing, gamma0, edges_px=0.05, levels=1e-3)
+
+
+@pytest.mark.parametrize("name", sorted(BUILDINGS))
+def test_splat_renderer(name):
+    check("splat", name, 45.0, UNEQUAL, edges_px=0.5, levels=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "grazing", "gamma0"), CASES)
+def test_splat_renderer_at_every_angle(name, grazing, gamma0):
+    check("splat", name, grazing, gamma0, edges_px=0.5, levels=0.01)
+
+
+@pytest.mark.parametrize("source", ["raycast", "splat"])
+def test_layover_is_the_sum_of_wall_roof_and_ground(source):
+    parts = [Gamma0(0.8, 0.0, 0.0), Gamma0(0.0, 0.3, 0.0), Gamma0(0.0, 0.0, 0.1)]
+    images = [image_of(source, "building-a", 45.0, gamma0) for gamma0 in parts]
+    whole = image_of(source, "building-a", 45.0, UNEQUAL)
+    np.testing.assert_allclose(sum(images), whole, rtol=1e-5, atol=1e-6)
+    layover = np.abs(GRID.range_m / math.cos(math.radians(45.0)) + 8.0) < 1.0
+    for image, level in zip(images, (0.8, 0.3, 0.1)):
+        assert image[layover].mean() == pytest.approx(level, rel=0.01)
+
+
+# ---- the closed form itself ------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("name", "regions"),
+    [
+        ("building-a", [((-10, -6), "roof wall ground"), ((-6, 0), "wall ground"), ((0, 14), "")]),
+        ("building-b", [((-8, 0), "roof wall ground"), ((0, 16), "")]),
+        ("building-c", [((-6, 0), "roof wall ground"), ((0, 4), "roof"), ((4, 16), "")]),
+    ],
+)
+def test_the_paper_s_regions_at_45_degrees(name, regions):
+    near, *middle, far = BUILDINGS[name].regions(45.0, EQUAL)
+    assert (near.start, far.stop) == (-math.inf, math.inf)
+    assert near.surfaces == far.surfaces == ("ground",)
+    assert [(region.start, region.stop) for region in middle] == [pytest.approx(limits) for limits, _ in regions]
+    assert [" ".join(region.surfaces) for region in middle] == [surfaces for _, surfaces in regions]
+    assert [region.beta0 for region in middle] == pytest.approx([0.5 * len(s.split()) for _, s in regions])
+
+
+def test_levels_follow_the_grazing_angle():
+    near, layover, behind, roof, *_ = BUILDINGS["building-c"].regions(30.0, UNEQUAL)
+    tan = math.tan(math.radians(30.0))
+    assert near.beta0 == pytest.approx(0.1 * tan)
+    assert layover.beta0 == pytest.approx(0.3 * tan + 0.8 / tan + 0.1 * tan)
+    assert (behind.surfaces, behind.beta0) == (("roof",), pytest.approx(0.3 * tan))
+    assert (roof.surfaces, roof.beta0) == ((), 0.0)
+
+
+def test_the_profile_is_the_regions_seen_through_the_response():
+    box, cos = BUILDINGS["building-a"], math.cos(math.radians(45.0))
+    sharp = box.profile(np.array([-8.0, -3.0, 7.0, 20.0]) * cos, 45.0, EQUAL, 1e-6)
+    assert sharp == pytest.approx([1.5, 1.0, 0.0, 0.5])
+    # at an edge the mean of both levels; half a 3 dB width beside it, the share erfc(√ln 2)/2 of the step
+    step = 0.5 * math.erfc(math.sqrt(math.log(2)))
+    beside = box.profile(np.array([0.0, 0.15]), 45.0, EQUAL, 0.3)
+    assert beside == pytest.approx([0.5, step])
+
+
+def test_a_misplaced_or_faint_image_is_measured_as_such():
+    name = "building-a"
+    image = simulate_raycast(
+        target_mesh(name), View(0.0, 45.0), GRID, ScatteringLaw(0.5, 0.0), ground_gamma0=0.5, ray_spacing=0.05
+    )
+    found = building_profile(np.roll(image, 1, axis=0) * 0.98, GRID, BUILDINGS[name], 45.0, EQUAL)
+    assert [edge.error for edge in found.edges] == pytest.approx([0.3] * 4, abs=0.03)
+    lit = [item for item in found.regions if item.region.surfaces and item.beta0 is not None]
+    assert [item.beta0 / item.region.beta0 for item in lit] == pytest.approx([0.98] * len(lit), abs=0.002)
+
+
+def test_the_near_wall_faces_azimuth_0_with_its_foot_at_the_origin():
+    mesh = target_mesh("building-a")
+    np.testing.assert_allclose(mesh.bounds, [[-4, -8, 0], [0, 8, 10]])
+    assert mesh.is_winding_consistent
+    outward = mesh.triangles_center - [-2.0, 0.0, 5.0]
+    assert ((outward * mesh.face_normals).sum(axis=1) > 0).all()
+    np.testing.assert_array_equal(mesh.face_normals[:, 2] > 0.5, BUILDINGS["building-a"].reflectivity(UNEQUAL) == 0.3)
+
+
+def test_the_command_line_makes_the_paper_s_building(tmp_path, capsys):
+    words = "--target building-a --azimuth 0 --grazing 45 --law 0.5 0 --ground 0.5 --pixels 64"
+    assert main(["simulate", *words.split(), "--out", str(tmp_path / "a")]) == 0
+    dataset = read_dataset(tmp_path / "a")
+    assert dataset.source["law"] == {"floor": 0.5, "lobe": 0.0}
+    ground_range = dataset.grid.range_m / math.cos(math.radians(45.0))
+    layover = np.abs(ground_range + 8.0) < 1.0
+    assert dataset.images("train")[0][layover, 30:34] == pytest.approx(1.5, rel=1e-3)
+
+
+# ---- bad input -------------------------------------------------------------------------------------------------------
+def test_unknown_targets_are_told_what_there_is():
+    with pytest.raises(SarsplatError, match=r"'building-d'.*t72.*building-c"):
+        target_mesh("building-d")
+
+
+@pytest.mark.parametrize("source", ["raycast", "splat"])
+@pytest.mark.parametrize(
+    ("reflectivity", "message"),
+    [(np.ones(9), r"shape \(9,\).*10 faces"), (np.full(10, -1.0), "negative"), (np.full(10, np.nan), "not finite")],
+)
+def test_reflectivity_has_to_fit_the_faces(source, reflectivity, message):
+    with pytest.raises(SarsplatError, match=message):
+        simulate_images(target_mesh("building-a"), [View(0, 45)], GRID, source=source, reflectivity=reflectivity)
