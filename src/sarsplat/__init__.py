@@ -2,6 +2,10 @@
 
 Everything public is here by name and loaded when first used: importing the package, and the command line's help, need
 no torch.
+
+`sarsplat.render` and `sarsplat.reconstruct` are functions, although folders of modules have the same names. Modules
+inside those folders are therefore imported with `from`: `from sarsplat.reconstruct import config`, for
+`import sarsplat.reconstruct.config as config` would look for `config` in the function.
 """
 
 from __future__ import annotations
@@ -26,7 +30,7 @@ if TYPE_CHECKING:
         write_gaussians_ply,
         write_points_ply,
     )
-    from sarsplat.errors import SarsplatError
+    from sarsplat.errors import SarsplatError, SarsplatWarning
     from sarsplat.evaluate import evaluate_run, point_metrics, visible_surface
     from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
     from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
@@ -48,7 +52,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
-    "errors": ("SarsplatError",),
+    "errors": ("SarsplatError", "SarsplatWarning"),
     "geometry": ("ImageGrid", "RayGrid", "View", "radar_frame"),
     "gaussians": ("MAX_OPTICAL_DEPTH", "MIN_SCALE", "Gaussians"),
     "render": ("RayMap", "Rendering", "render"),
@@ -82,6 +86,7 @@ __all__ = [
     "Run",
     "SarImage",
     "SarsplatError",
+    "SarsplatWarning",
     "ScatteringLaw",
     "Trainer",
     "View",

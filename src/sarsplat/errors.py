@@ -1,4 +1,4 @@
-"""The one exception users are meant to read."""
+"""How the package complains: the one exception, and the one warning, that users are meant to read."""
 
 
 class SarsplatError(Exception):
@@ -6,3 +6,15 @@ class SarsplatError(Exception):
 
     The command line prints the message without a traceback and exits with code 2.
     """
+
+
+class SarsplatWarning(UserWarning):
+    """Something that looks like a mistake but may be meant, told in one sentence; the work goes on.
+
+    The command line prints the message as one line on stderr.
+    """
+
+
+def counted(number: int, noun: str) -> str:
+    """A number with its noun: `1 chip`, `2 chips`, `1,200 chips`."""
+    return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"

@@ -3,7 +3,7 @@
 import pytest
 
 from sarsplat.cli.arguments import angles, views_from
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, SarsplatWarning
 
 
 @pytest.mark.parametrize(
@@ -30,3 +30,15 @@ def test_what_is_no_angle_is_named(word: str) -> None:
 def test_every_azimuth_at_every_elevation_once() -> None:
     views = views_from(["0", "90", "0:180:90"], [], ["15", "75"])
     assert [(view.azimuth_deg, view.grazing_deg) for view in views] == [(0, 75), (90, 75), (0, 15), (90, 15)]
+
+
+@pytest.mark.parametrize("word", ["1e308", "-4000", "0:1e308:1e305"])
+def test_azimuths_beyond_ten_turns_are_refused(word: str) -> None:
+    with pytest.raises(SarsplatError, match="not a number of degrees within ±3600"):
+        views_from([word], ["30"], [])
+
+
+def test_radians_are_told() -> None:
+    with pytest.warns(SarsplatWarning, match="look like radians; give degrees"):
+        assert len(views_from(["0:6.28:0.26"], [], ["0.26", "0.78"])) == 50
+    assert len(views_from(["0:3:1"], ["17"], [])) == 3  # honest: told nothing

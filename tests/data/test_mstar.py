@@ -11,7 +11,7 @@ from PIL import Image
 from test_phoenix import phoenix_bytes
 
 from sarsplat.data import import_mstar
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, SarsplatWarning
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
 needs_measured = pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured MSTAR chips are not here")
@@ -28,7 +28,8 @@ def write_chips(folder: Path, rows: list[tuple], size: int = 16) -> Path:
         for index, (name, serial, depression, azimuth) in enumerate(rows):
             path = folder / name / f"chip{index:03d}.jpeg"
             path.parent.mkdir(exist_ok=True)
-            Image.fromarray(np.resize(LOWER_LEFT, (size, size))).save(path, quality=100)
+            picture = np.resize(LOWER_LEFT, (size, size)) - index % 5 * (np.resize(LOWER_LEFT, (size, size)) > 0)
+            Image.fromarray(picture.astype(np.uint8)).save(path, quality=100)  # no two neighbours alike
             table.writerow([f"{name}/{path.name}", name, serial, depression, depression + 0.1, azimuth])
     return folder / "labels.csv"
 
@@ -68,11 +69,14 @@ def test_training_chips_are_distinct_and_limited(chips):
     dataset = run(chips, train_views=8)
     assert sorted(view.target_az_deg for view in dataset.select("train")) == sorted(row[3] for row in ROWS[:8])
     for count in (0, 9):
-        with pytest.raises(SarsplatError, match=f"{count} training views are asked for but 8 chips lie at 17°"):
+        with pytest.raises(
+            SarsplatError, match=f"{count} training views are asked for, but the chips at 17° allow 1 to 8"
+        ):
             run(chips, train_views=count, overwrite=True)
     with pytest.raises(SarsplatError, match="no chip at the training depression of 30°; there are chips at 15°, 17°"):
         run(chips, train_depression=30, overwrite=True)
-    assert run(chips, train_views=2, train_depression=15, overwrite=True).splits() == ("train", "test-17")
+    with pytest.warns(SarsplatWarning, match="leave 270° of azimuth out, from 350° clockwise to 260°"):
+        assert run(chips, train_views=2, train_depression=15, overwrite=True).splits() == ("train", "test-17")
 
 
 def test_orientation_and_power(chips):
@@ -102,25 +106,82 @@ def import_mirrored(chips: Path):
 def test_chips_without_labels_are_counted_once(chips):
     for name in ("a", "b"):
         shutil.copy(chips / "T72" / "chip000.jpeg", chips / f"{name}.JPG")
-    with pytest.warns(UserWarning, match="2 JPEGs in .* have no label") as caught:
+    with pytest.warns(SarsplatWarning, match="has no label for 2 JPEGs") as caught:
         run(chips)
     assert len(caught) == 1
 
 
+def rewrite(labels: Path, change) -> None:
+    with labels.open(newline="") as file:
+        rows = list(csv.reader(file))
+    with labels.open("w", newline="") as file:
+        csv.writer(file).writerows(change(rows))
+
+
+def test_labels_with_empty_fields_are_counted_once(chips):
+    def blank(rows):
+        rows[2][5], rows[5][4] = "", " "  # azimuth of the second chip, depression of the fifth
+        return rows
+
+    rewrite(chips / "labels.csv", blank)
+    with pytest.warns(
+        SarsplatWarning, match=r"empty fields for 2 of 10 chips \(the first: target_az_deg in line 3\)"
+    ) as caught:
+        dataset = run(chips)
+    assert len(caught) == 1
+    assert len(dataset.views) == 8
+
+
+def test_a_chip_without_a_class_has_no_label(chips):
+    rewrite(chips / "labels.csv", lambda rows: [*rows[:2], [rows[2][0], "", *rows[2][2:]], *rows[3:]])
+    with pytest.warns(SarsplatWarning, match="has no label for 1 JPEG in"):
+        assert len(run(chips).views) == 9
+
+
+@pytest.mark.parametrize("spelling", ["T72/chip002.jpeg", "T72/./chip002.jpeg"])
+def test_a_chip_that_is_listed_twice_is_taken_once(chips, spelling):
+    rewrite(chips / "labels.csv", lambda rows: [*rows, [spelling, *rows[3][1:]], rows[4]])
+    with pytest.warns(SarsplatWarning, match="repeats 2 labels; each chip is taken once"):
+        dataset = run(chips)
+    assert sorted(dataset.source["chips"]) == [f"T72/chip{index:03d}.jpeg" for index in range(10)]
+
+
+def test_two_labels_of_one_chip_are_refused(chips):
+    rewrite(chips / "labels.csv", lambda rows: [*rows, [*rows[3][:5], "200"]])
+    with pytest.raises(SarsplatError, match=r"gives T72/chip002.jpeg two labels, in line 4 and line 13"):
+        run(chips)
+
+
+@pytest.mark.parametrize("path", ["../outside.jpeg", "T72/../../outside.jpeg", "/etc/passwd", "T72/a\0b.jpeg"])
+def test_labels_may_not_lead_out_of_the_folder(chips, path):
+    shutil.copy(chips / "T72" / "chip000.jpeg", chips.parent / "outside.jpeg")
+    rewrite(chips / "labels.csv", lambda rows: [*rows, [path, *rows[1][1:]]])
+    with pytest.raises(SarsplatError, match=r"line 13: .* leads out of the folder of chips|not a readable CSV"):
+        run(chips)
+    assert not (chips.parent / "out").exists()
+
+
+def test_mixed_spacings_are_refused(originals):
+    (originals / "HB1.015").write_bytes(phoenix_bytes(RangePixelSpacing="0.3"))
+    with pytest.raises(SarsplatError, match=r"HB1.015 has pixel spacing .* import chips of one kind"):
+        run(originals, labels=None)
+
+
 def test_labels_without_chips_are_counted_once(chips):
     (chips / "T72" / "chip001.jpeg").unlink()
-    with pytest.warns(UserWarning, match="1 of 10 T72 chips in .* are missing"):
+    with pytest.warns(SarsplatWarning, match="lacks 1 of 10 T72 chips in"):
         run(chips)
     shutil.rmtree(chips / "T72")
-    with pytest.raises(SarsplatError, match="none of the 10 chips"):
+    with pytest.raises(SarsplatError, match="holds none of 10 T72 chips in"):
         run(chips, overwrite=True)
 
 
 def test_several_vehicles(chips):
     write_chips(chips, [*ROWS, ("T72", "812", 17, 200)])
-    with pytest.warns(UserWarning, match="2 vehicles .serials 132, 812."):
+    with pytest.warns(SarsplatWarning, match="2 vehicles .serials 132, 812."):
         run(chips)
-    assert run(chips, serial="812", train_views=1, overwrite=True).source["serials"] == ["812"]
+    with pytest.warns(SarsplatWarning, match="one training view"):
+        assert run(chips, serial="812", train_views=1, overwrite=True).source["serials"] == ["812"]
     with pytest.raises(SarsplatError, match="no T72 with the serial '9'; there are 132, 812"):
         run(chips, serial="9", overwrite=True)
 
@@ -154,11 +215,11 @@ def test_wrong_folders(tmp_path, chips):
             ",".join(COLUMNS).encode() + b"\nT72/chip000.jpeg,T72,132,17,17.1,north\n",
             "line 2: target_az_deg is 'north'",
         ),
-        (",".join(COLUMNS).encode() + b"\nT72/chip000.jpeg,T72,132,17\n", "line 2: measured_depression_deg is ''"),
-        (",".join(COLUMNS).encode() + b"\nT72/chip000.jpeg,T72,132,17,95,3\n", "grazing angle 95"),
+        (",".join(COLUMNS).encode() + b"\nT72/chip000.jpeg,T72,132,17\n", "line 2: measured_depression_deg is empty"),
+        (",".join(COLUMNS).encode() + b"\nT72/chip000.jpeg,T72,132,17,95,3\n", "T72/chip000.jpeg: grazing angle 95"),
     ],
 )
-@pytest.mark.filterwarnings("ignore:.*have no label")
+@pytest.mark.filterwarnings("ignore:.*has no label")
 def test_wrong_labels(chips, content, words):
     (chips / "labels.csv").write_bytes(content)
     with pytest.raises(SarsplatError, match=words):
@@ -181,7 +242,7 @@ def test_damaged_jpegs_are_named(chips):
 
 def test_different_sizes_are_cut(chips):
     Image.fromarray(np.pad(LOWER_LEFT, ((2, 3), (1, 1)))).save(chips / "T72" / "chip001.jpeg", quality=100)
-    with pytest.warns(UserWarning, match="2 sizes; all are cut centrally to 16 × 16"):
+    with pytest.warns(SarsplatWarning, match="2 sizes; all are cut centrally to 16 × 16"):
         dataset = run(chips)
     assert dataset.source["cut_to_common_size"] is True
     np.testing.assert_allclose(dataset.images("test-17")[1][:8, 8:], dataset.images("train")[0][:8, 8:], rtol=0.1)
@@ -193,7 +254,7 @@ def originals(tmp_path):
     folder.mkdir()
     magnitude = LOWER_LEFT.astype(np.float32) / 523.6
     for index, azimuth in enumerate((2, 92, 178, 275, 300)):
-        (folder / f"HB{index}.015").write_bytes(phoenix_bytes(magnitude, TargetAz=str(azimuth)))
+        (folder / f"HB{index}.015").write_bytes(phoenix_bytes(magnitude * (1 + index / 500), TargetAz=str(azimuth)))
     (folder / "HB0.000").write_bytes(phoenix_bytes(magnitude, TargetType="bmp2_tank"))
     (folder / "readme.txt").write_text("not a chip")
     return folder
@@ -243,7 +304,7 @@ def test_measured_t72(tmp_path):
 
 @needs_measured
 def test_measured_originals(tmp_path):
-    with pytest.warns(UserWarning, match="3 vehicles"):
+    with pytest.warns(SarsplatWarning, match="3 vehicles|azimuth out"):
         dataset = import_mstar(MEASURED / "phoenix", tmp_path / "a", labels=None, target_class="BMP2", train_views=2)
     assert len(dataset.views) == 3
     assert dataset.grid.resolution == (0.3229, 0.3013)

@@ -181,14 +181,45 @@ def test_an_unreadable_mesh_is_told(make):
         evaluate_run(FakeRun(dataset))
 
 
-def test_a_dataset_without_test_views_cannot_be_evaluated(tmp_path):
-    dataset = write_dataset(
-        tmp_path / "dataset",
+def only_training(path: Path, mesh) -> Dataset:
+    return write_dataset(
+        path,
         grid=ImageGrid(SIZE, SIZE, (0.3, 0.3), (0.3, 0.3)),
         views=[(View(0, 45), "train", None)],
         images=image(0)[None],
         source={},
         domain="rendered",
+        truth_mesh=mesh,
     )
-    with pytest.raises(SarsplatError, match="no test images"):
-        evaluate_run(FakeRun(dataset))
+
+
+def test_without_test_views_the_points_are_scored(tmp_path, make):  # make: coarse surfaces
+    metrics = evaluate_run(FakeRun(only_training(tmp_path / "with mesh", CUBE)))
+    assert metrics["images"] == {}
+    assert metrics["points"]["visible"]["cd_m"] is not None
+    assert "no test images" in metrics["reasons"]["images"]
+
+
+@pytest.mark.parametrize(("mesh", "points", "told"), [(None, ON_THE_TOP, "no true mesh"), (CUBE, [], "no points")])
+def test_with_nothing_to_score_evaluation_is_refused(tmp_path, mesh, points, told):
+    with pytest.raises(SarsplatError, match=f"no test images and .*{told}"):
+        evaluate_run(FakeRun(only_training(tmp_path / "dataset", mesh), points=np.array(points)))
+
+
+@pytest.mark.parametrize("scale", [1e-45, 1e-38, 1e-30, 1e16])
+@pytest.mark.parametrize("domain", ["rendered", "measured"])
+def test_faint_and_strong_images_are_scored_without_a_warning(make, domain, scale):
+    dataset = make(domain=domain, looks=1, mesh=None, scale=scale)
+    scores = evaluate_run(FakeRun(dataset, power=scale))["images"]["test-17"]
+    assert all(np.isfinite(value) for value in scores.values() if value is not None)
+
+
+@pytest.mark.parametrize("scale", [1e-40, 1e17])
+def test_scores_do_not_depend_on_the_scale(tmp_path, scale):
+    generator = np.random.default_rng(0)
+    truth, rendered = (generator.exponential(size=(2, 64, 64)).astype(np.float32) + 1 for _ in range(2))
+    faint = [(power * np.float32(scale)).astype(np.float32) for power in (truth, rendered)]
+    assert psnr_db(*faint, float(np.sqrt(faint[0].max()))) == pytest.approx(
+        psnr_db(truth, rendered, float(np.sqrt(truth.max()))), abs=1e-3
+    )
+    assert log_correlation(*faint) == pytest.approx(log_correlation(truth, rendered), abs=1e-3)

@@ -41,7 +41,7 @@ def test_rendered_sets_stand_above_the_paper():
 
 def test_another_row_of_the_paper():
     table = metrics_table(metrics(test={"psnr_db": 40.0}), paper=paper_row("kraz"))
-    assert rows(table)[-1] == ["paper, KRAZ", "37.33", "–", "0.9969", "0.0109", "0.207", "0.862", "6:16"]
+    assert rows(table)[-1] == ["paper, KRAZ", "37.33", "0.9969", "0.0109", "0.207", "0.862", "6:16"]
     assert paper_row("Btr70").f1 == 0.846
 
 
@@ -53,15 +53,33 @@ def test_unknown_rows_are_told():
 def test_measured_sets_stand_beside_the_yardsticks():
     sets = {"test-17": {"nats_per_pixel": 0.55, "log_correlation": 0.86}, "test-15": {"nats_per_pixel": 0.5}}
     yardsticks = {"test-17": {"nearest_chip": {"nats_per_pixel": 0.573, "log_correlation": 0.841}}}
-    assert rows(metrics_table(metrics(**sets), yardsticks=yardsticks)) == [
+    measured = metrics(**sets)
+    measured["points"]["visible"] = dict.fromkeys(POINT_METRICS)
+    assert rows(metrics_table(measured, yardsticks=yardsticks)) == [
         ["ours, test-17", "0.550", "0.860", "1:02"],
         ["nearest chip, test-17", "0.573", "0.841", "–"],
         ["ours, test-15", "0.500", "–", "1:02"],
     ]
 
 
+def test_speckled_simulations_have_both_kinds_of_scores():
+    speckled = {"psnr_db": 40.0, "nats_per_pixel": 0.5123, "log_correlation": 0.91}
+    table = metrics_table(metrics(test=speckled))
+    assert [str(column.header) for column in table.columns][1:] == [
+        *("PSNR dB", "nats per pixel", "log corr.", "CD m", "F1@0.3", "time"),
+    ]
+    assert rows(table) == [["ours, test", "40.00", "0.512", "0.910", "0.074", "0.983", "1:02"]]
+
+
+def test_without_test_views_the_points_have_their_row():
+    assert rows(metrics_table(metrics())) == [["ours", "0.074", "0.983", "1:02"]]
+
+
 def test_the_table_fits_a_terminal():
-    console = Console(file=io.StringIO(), width=90)
-    console.print(metrics_table(metrics(test={"psnr_db": 53.712})))
-    assert "53.71" in console.file.getvalue()
-    assert "…" not in console.file.getvalue()
+    every = {name: 53.712 if name.startswith("psnr") else 0.98765 for name in IMAGE_METRICS}
+    console = Console(file=io.StringIO(), width=80)
+    console.print(metrics_table(metrics(test=every)))
+    printed = console.file.getvalue()
+    for figure in ("53.71", "0.9877", "0.988", "0.074", "0.983", "1:02", "ours, test"):
+        assert figure in printed
+    assert "…" not in printed

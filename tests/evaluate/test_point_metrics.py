@@ -97,3 +97,9 @@ def test_no_or_bad_points_are_told():
             point_metrics(points, SQUARE, lattice(5))
     with pytest.raises(SarsplatError, match="not finite"):
         point_metrics(np.array([[0, 0, np.inf]]), SQUARE, lattice(5))
+
+
+@pytest.mark.parametrize("samples", [np.empty((0, 3)), np.full((2, 3), np.inf)])
+def test_samples_of_the_truth_are_checked_too(samples):
+    with pytest.raises(SarsplatError, match="samples of the true surface"):
+        point_metrics(lattice(3), SQUARE, samples)

@@ -61,7 +61,7 @@ def test_scores_of_a_dataset_do_not_depend_on_its_calibration(tmp_path):
             source={},
             domain="measured",
         )
-        scores.append(yardstick_scores(read_dataset(dataset.path)))
+        scores.append(yardstick_scores(read_dataset(dataset.path), {}))
     assert list(scores[0]) == ["test-17"]
     for name in ("nearest_chip", "rotated_average"):
         first, second = (score["test-17"][name] for score in scores)
@@ -82,3 +82,20 @@ def test_known_yardsticks_of_the_measured_t72(tmp_path):
     some = slice(None, None, 8)
     rotated = rotated_average(train, train_views, views[some], dataset.grid)
     assert nats_per_pixel(truth[some], rotated) < nats_per_pixel(truth[some], nearest[some]) - 0.02
+
+
+def test_zeros_of_measured_power_leave_a_score_null_with_its_reason(tmp_path):
+    views = [(View(azimuth, 17), split, None) for azimuth, split in ((0, "train"), (120, "train"), (5, "test-17"))]
+    images = np.stack([spots(view) for view, *_ in views])
+    images[0, 30:40, 30:40] = 0  # training chips with nothing there predict that nothing can ever come back
+    images[2, 50, 50] = 0  # a zero of the truth alone does no harm
+    dataset = write_dataset(tmp_path / "zeros", grid=GRID, views=views, images=images, source={}, domain="measured")
+    reasons: dict[str, str] = {}
+    scores = yardstick_scores(dataset, reasons)["test-17"]
+    assert scores["nearest_chip"]["nats_per_pixel"] is None
+    assert "the predicted power is zero at 36 of" in reasons["yardsticks.test-17.nearest_chip.nats_per_pixel"]
+    images[0, 30:40, 30:40] = 0.1
+    dataset = write_dataset(tmp_path / "fine", grid=GRID, views=views, images=images, source={}, domain="measured")
+    reasons.clear()
+    assert yardstick_scores(dataset, reasons)["test-17"]["nearest_chip"]["nats_per_pixel"] is not None
+    assert not reasons

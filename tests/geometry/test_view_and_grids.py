@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 
 views = st.builds(View, st.floats(-720, 720), st.floats(0.01, 89.99))
@@ -79,3 +81,42 @@ def test_rays_to_a_pixel():
     assert RayGrid.for_image(grid).spacing == (0.1, 0.1)  # half of the finer spacing
     assert RayGrid.for_image(grid, per_pixel=4).spacing == (0.05, 0.05)
     assert RayGrid((0.1, 0.3)).cell_area == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize(
+    ("angles", "told"),
+    [
+        (("30", 40.0), "azimuth '30' is not a number; give degrees"),
+        ((30.0, None), "grazing angle None is not a number; give degrees"),
+        ((1e308, 40.0), r"azimuth 1e\+308 is not a number of degrees within ±3600"),
+        ((-3600.1, 40.0), r"azimuth -3600.1 is not a number of degrees within ±3600"),
+        ((math.inf, 40.0), "azimuth inf is not a number of degrees"),
+        ((0.0, -1.0), "grazing angle -1.0° lies outside"),
+    ],
+)
+def test_what_is_no_direction_is_refused_in_words(angles, told):
+    with pytest.raises(SarsplatError, match=told):
+        View(*angles)
+
+
+def test_numbers_of_every_kind_are_angles():
+    assert View(np.float32(30), 40) == View(30.0, np.int64(40))
+    assert json.dumps(View(np.float32(30), np.int64(40)).__dict__) == '{"azimuth_deg": 30.0, "grazing_deg": 40.0}'
+    assert View(3600, 40).direction == pytest.approx(View(0, 40).direction, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"spacing": ("0.2", 0.2)},
+        {"spacing": 0.2},
+        {"resolution": (0.3, None)},
+        {"center": 0.0},
+        {"center": ("0", 0.0)},
+        {"center": (math.inf, 0.0)},
+        {"rows": 4.0},
+    ],
+)
+def test_what_is_no_grid_is_refused_in_words(wrong):
+    with pytest.raises(SarsplatError):
+        ImageGrid(**{"rows": 4, "columns": 4, "spacing": (0.2, 0.2), "resolution": (0.3, 0.3), **wrong})

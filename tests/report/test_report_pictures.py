@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.report import contact_sheet, decibel_png
 from sarsplat.report.decibels import to_decibels
-from sarsplat.report.views import _difference_db, _window, evenly
+from sarsplat.report.views import _difference_db, evenly
+from sarsplat.report.window import target_window
 
 
 def test_decibels_of_power() -> None:
@@ -32,7 +34,7 @@ def test_views_are_chosen_evenly(count: int, wanted: int, expected: list[int]) -
 def test_the_window_holds_every_bright_pixel() -> None:
     truth = np.zeros((2, 64, 64))
     truth[0, 30, 20], truth[1, 40, 35] = 1.0, 1.0
-    rows, columns = _window(truth, np.zeros_like(truth), peak=1.0)
+    rows, columns = target_window(truth, peak=1.0)
     assert (truth[:, rows, columns] > 0).sum() == 2
     assert rows.stop - rows.start == columns.stop - columns.start < 40
 
@@ -48,3 +50,34 @@ def test_a_contact_sheet_of_any_length(count: int) -> None:
     views = [View(10.0 * k, 30.0) for k in range(count)]
     sheet = Image.open(io.BytesIO(contact_sheet(np.ones((count, 16, 24)), views, grid, 1.0)))
     assert min(sheet.size) > 100
+
+
+def test_a_contact_sheet_shows_the_target_large() -> None:
+    grid = ImageGrid(128, 128, spacing=(0.3, 0.3), resolution=(0.3, 0.3))
+    images = np.zeros((6, 128, 128))
+    images[:, 60:68, 60:68] = 1.0  # 0.4 % of the image
+    views = [View(60.0 * k, 30.0) for k in range(6)]
+    sheet = np.asarray(Image.open(io.BytesIO(contact_sheet(images, views, grid, 1.0))).convert("L"))
+    assert (sheet > 250).mean() > 0.08
+
+
+def test_minor_ticks_can_be_read_on_the_dark_panel() -> None:
+    from matplotlib.colors import to_hex
+
+    from sarsplat.report.canvas import MUTED, dress, new_figure
+
+    figure = new_figure(4, 3)
+    axes = figure.subplots()
+    axes.plot([1, 2], [2.0, 9.0])
+    axes.set_yscale("log")
+    dress(axes)
+    figure.canvas.draw()
+    labels = [label for label in axes.get_yticklabels(minor=True) if label.get_text()]
+    assert labels
+    assert {to_hex(label.get_color()) for label in labels} == {MUTED}
+
+
+def test_a_contact_sheet_of_nothing_is_refused() -> None:
+    grid = ImageGrid(16, 16, spacing=(0.3, 0.3), resolution=(0.3, 0.3))
+    with pytest.raises(SarsplatError, match="no images"):
+        contact_sheet(np.empty((0, 16, 16)), [], grid, 1.0)

@@ -68,7 +68,13 @@ def views_from(
     ------
     SarsplatError
         If azimuths or elevations are missing, elevations are given both ways, or an angle is out of range.
+
+    Warns
+    -----
+    SarsplatWarning
+        If the angles look like radians.
     """
+    from sarsplat.data.plausible import suspicious_angles, warn
     from sarsplat.geometry import View
 
     if bool(grazing) == bool(incidence):
@@ -83,7 +89,9 @@ def views_from(
     else:
         elevations = angles(grazing, f"{prefix}grazing")
     azimuths = angles(azimuth, f"{prefix}azimuth")
-    return list(dict.fromkeys(View(a, e) for e in elevations for a in azimuths))
+    views = list(dict.fromkeys(View(a, e) for e in elevations for a in azimuths))
+    warn(suspicious_angles(views))
+    return views
 
 
 def refuse_existing(path: Path, overwrite: bool) -> None:

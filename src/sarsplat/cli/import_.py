@@ -51,6 +51,7 @@ def import_(
         Replace an existing dataset.
     """
     from sarsplat.data import import_mstar
+    from sarsplat.errors import counted
 
     with console.busy(f"reading chips from {chips}"):
         dataset = import_mstar(
@@ -66,6 +67,7 @@ def import_(
         )
     counts = ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits())
     console.finish(
-        f"{out}: {len(dataset.views)} chips of {target_class} ({counts}); relative power, mean 1 over the training set",
+        f"{out}: {counted(len(dataset.views), 'chip')} of {target_class} ({counts}); relative power, mean 1 over the "
+        "training set",
         f"sarsplat reconstruct {shlex.quote(str(out))} --out {shlex.quote(f'{out}-run')}",
     )

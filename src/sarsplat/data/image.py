@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float, Real
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
@@ -26,14 +27,19 @@ class SarImage:
     Raises
     ------
     SarsplatError
-        If the shape does not fit the grid, or a pixel is negative or not finite.
+        If it is no array of real numbers, its shape does not fit the grid, or a pixel is negative or not finite.
     """
 
-    power: np.ndarray
+    power: Real[np.ndarray, "rows columns"]
     view: View
     grid: ImageGrid
 
     def __post_init__(self) -> None:
+        if not isinstance(self.power, np.ndarray) or self.power.dtype.kind not in "fiu":
+            kind = self.power.dtype if isinstance(self.power, np.ndarray) else type(self.power).__name__
+            raise SarsplatError(
+                f"the image is of {kind}; give power as an array of real numbers (of complex ones, |x|²)"
+            )
         expected = (self.grid.rows, self.grid.columns)
         if self.power.shape != expected:
             raise SarsplatError(f"the image has shape {self.power.shape} but its grid has {expected} (range × azimuth)")
@@ -45,12 +51,12 @@ class SarImage:
             )
 
     @property
-    def amplitude(self) -> np.ndarray:
+    def amplitude(self) -> Float[np.ndarray, "rows columns"]:
         """√β⁰."""
         return np.sqrt(self.power)
 
     @property
-    def decibels(self) -> np.ndarray:
+    def decibels(self) -> Float[np.ndarray, "rows columns"]:
         """10·log10 β⁰; −inf where the power is zero."""
         with np.errstate(divide="ignore"):
             return 10 * np.log10(self.power)

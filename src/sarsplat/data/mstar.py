@@ -19,11 +19,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Real
 from scipy.optimize import linear_sum_assignment
 
 from sarsplat.data.dataset import Dataset, write_dataset
 from sarsplat.data.mstar_chips import JPEG_DN_PER_MAGNITUDE, Chip, read_chips
-from sarsplat.errors import SarsplatError
+from sarsplat.data.plausible import suspicions, warn
+from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import ImageGrid, View
 
 LEAST_DN = 2.0
@@ -79,8 +81,9 @@ def import_mstar(
 
     Warns
     -----
-    UserWarning
-        If chips lack labels or labels chips, the class holds several vehicles, or chips of different sizes are cut.
+    SarsplatWarning
+        If chips lack labels or labels chips, the class holds several vehicles, chips of different sizes are cut, or
+        the dataset looks odd (`sarsplat.data.plausible`).
     """
     found = read_chips(Path(chips), None if labels is None else Path(labels), target_class)
     found = _one_vehicle(found, target_class, serial)
@@ -98,7 +101,7 @@ def import_mstar(
     sign = 1 if mirrored else -1
     views = [
         (
-            View((sign * chip.target_az_deg) % 360, chip.grazing_deg),
+            _view(sign, chip),
             "train" if index < len(train) else f"test-{chip.depression}",
             chip.target_az_deg,
         )
@@ -125,7 +128,7 @@ def import_mstar(
         "cut_to_common_size": any(chip.dn.shape != (grid.rows, grid.columns) for chip in ordered),
         "chips": [chip.name for chip in ordered],
     }
-    return write_dataset(
+    dataset = write_dataset(
         out,
         grid=grid,
         views=views,
@@ -134,6 +137,15 @@ def import_mstar(
         domain="measured",
         overwrite=overwrite,
     )
+    warn(suspicions(dataset))
+    return dataset
+
+
+def _view(sign: int, chip: Chip) -> View:
+    try:
+        return View((sign * chip.target_az_deg) % 360, chip.grazing_deg)
+    except SarsplatError as error:
+        raise SarsplatError(f"{chip.name}: {error}") from error
 
 
 def _one_vehicle(chips: list[Chip], target_class: str, serial: str | None) -> list[Chip]:
@@ -148,6 +160,7 @@ def _one_vehicle(chips: list[Chip], target_class: str, serial: str | None) -> li
         warnings.warn(
             f"the {target_class} chips show {len(serials)} vehicles (serials {', '.join(serials)}), taken as one; "
             "name one serial to keep them apart",
+            SarsplatWarning,
             stacklevel=3,
         )
     return chips
@@ -161,8 +174,8 @@ def _training_chips(chips: list[Chip], count: int, depression: int) -> list[Chip
         raise SarsplatError(f"there is no chip at the training depression of {depression}°; there are chips at {there}")
     if not 1 <= count <= len(at_depression):
         raise SarsplatError(
-            f"{count} training views are asked for but {len(at_depression)} chips lie at {depression}°; "
-            f"ask for 1 to {len(at_depression)}"
+            f"{count} training views are asked for, but the chips at {depression}° allow 1 to {len(at_depression)}; "
+            "ask for so many"
         )
     wanted = np.arange(count) * 360 / count
     azimuths = np.array([chip.target_az_deg for chip in at_depression])
@@ -186,10 +199,16 @@ def _common_grid(chips: list[Chip]) -> ImageGrid:
     if len(shapes) > 1:
         rows = min(shape[0] for shape in shapes) // 2 * 2
         columns = min(shape[1] for shape in shapes) // 2 * 2
-        warnings.warn(f"the chips have {len(shapes)} sizes; all are cut centrally to {rows} × {columns}", stacklevel=3)
+        warnings.warn(
+            f"the chips have {len(shapes)} sizes; all are cut centrally to {rows} × {columns}",
+            SarsplatWarning,
+            stacklevel=3,
+        )
     return ImageGrid(rows, columns, first.spacing, first.resolution)
 
 
-def _central(image: np.ndarray, grid: ImageGrid) -> np.ndarray:
+def _central(
+    image: Real[np.ndarray, "rows columns"], grid: ImageGrid
+) -> Real[np.ndarray, "{grid.rows} {grid.columns}"]:
     top, left = (image.shape[0] - grid.rows) // 2, (image.shape[1] - grid.columns) // 2
     return image[top : top + grid.rows, left : left + grid.columns]

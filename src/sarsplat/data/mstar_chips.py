@@ -7,18 +7,20 @@ import math
 import re
 import warnings
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
+from jaxtyping import Real
 
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.phoenix import is_phoenix, read_phoenix
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 
 JPEG_DN_PER_MAGNITUDE = 523.6
 """Digital number of the published JPEGs per unit of Phoenix magnitude (they saturate at DN 255, magnitude 0.487)."""
 
-_COLUMNS = ("path", "class", "serial", "desired_depression_deg", "measured_depression_deg", "target_az_deg")
+_ANGLES = ("desired_depression_deg", "measured_depression_deg", "target_az_deg")
+_COLUMNS = ("path", "class", "serial", *_ANGLES)
 _MOST_PIXELS_A_SIDE = 4096
 
 
@@ -49,7 +51,7 @@ class Chip:
     depression: int
     grazing_deg: float
     target_az_deg: float
-    dn: np.ndarray
+    dn: Real[np.ndarray, "rows columns"]
     spacing: tuple[float, float] = (0.203125, 0.202148)
     resolution: tuple[float, float] = (0.3229, 0.3013)
 
@@ -75,13 +77,14 @@ def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chi
     Raises
     ------
     SarsplatError
-        If the folder is missing or empty, the labels are garbled or match no chip, the class is unknown, or a chip is
-        damaged.
+        If the folder is missing or empty, the labels are garbled, contradict each other, lead out of the folder or
+        match no chip, the class is unknown, or a chip is damaged.
 
     Warns
     -----
-    UserWarning
-        Once for JPEGs without a label, once for labels of the class without a chip.
+    SarsplatWarning
+        Once each, with their number, for JPEGs without a label, labels of the class without a chip, labels with empty
+        fields and labels that are there twice.
     """
     with plain_os_errors("read", folder):
         if not folder.is_dir():
@@ -117,6 +120,7 @@ def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_clas
         warnings.warn(
             f"{folder} holds JPEG chips too, which are left out; name the table of their labels with --labels to take "
             "them instead of the Phoenix files",
+            SarsplatWarning,
             stacklevel=2,
         )
     chosen = [chip for chip in found if _same_class(target_class, chip.target_type)]
@@ -147,18 +151,19 @@ def _jpeg_chips(folder: Path, jpegs: list[Path], labels: Path, target_class: str
     rows = [(line, row) for line, row in table if _same_class(target_class, row["class"])]
     if not rows:
         raise _refuse_class(target_class, labels, {row["class"] for _, row in table})
-    present = [(line, row) for line, row in rows if (folder / row["path"]).is_file()]
+    chips_of_class = counted(len(rows), f"{target_class} chip")
+    with plain_os_errors("read", folder):
+        present = [(line, row) for line, row in rows if (folder / row["path"]).is_file()]
     if not present:
         raise SarsplatError(
-            f"none of the {len(rows)} chips that {labels} lists as {target_class} lies in {folder} "
+            f"{folder} holds none of {chips_of_class} in {labels} "
             f"(the first is {rows[0][1]['path']}); give the folder its paths are relative to"
         )
     if len(present) < len(rows):
-        warnings.warn(
-            f"{len(rows) - len(present)} of {len(rows)} {target_class} chips in {labels} are missing", stacklevel=4
-        )
-    if unlabelled := len(set(jpegs) - {folder / row["path"] for _, row in table}):
-        warnings.warn(f"{unlabelled} JPEGs in {folder} have no label in {labels} and are left out", stacklevel=4)
+        _warn(f"{folder} lacks {len(rows) - len(present)} of {chips_of_class} in {labels}; the others are taken")
+    if unlabelled := len(set(jpegs) - {folder / row["path"] for _, row in table if row["class"].strip()}):
+        _warn(f"{labels} has no label for {counted(unlabelled, 'JPEG')} in {folder}; add labels, or go on without")
+    present = _once(labels, _complete(labels, present))
     return [
         Chip(
             name=row["path"],
@@ -172,7 +177,41 @@ def _jpeg_chips(folder: Path, jpegs: list[Path], labels: Path, target_class: str
     ]
 
 
-def _read_labels(path: Path) -> list[tuple[int, dict[str, str]]]:
+def _warn(text: str) -> None:
+    warnings.warn(text, SarsplatWarning, stacklevel=5)  # whoever called import_mstar
+
+
+_Rows = list[tuple[int, dict[str, str]]]
+
+
+def _complete(labels: Path, rows: _Rows) -> _Rows:
+    """The rows that have all their angles; those with empty fields are counted."""
+    whole = [(line, row) for line, row in rows if all(row[name].strip() for name in _ANGLES)]
+    if len(whole) < len(rows):
+        line, row = next(item for item in rows if item not in whole)
+        missing = next(name for name in _ANGLES if not row[name].strip())
+        what = f"{labels} has empty fields for {len(rows) - len(whole)} of {counted(len(rows), 'chip')}"
+        if not whole:
+            raise SarsplatError(f"{what} (line {line}: {missing} is empty); fill them in")
+        _warn(f"{what} (the first: {missing} in line {line}), left out; fill them in, or go on without")
+    return whole
+
+
+def _once(labels: Path, rows: _Rows) -> _Rows:
+    """Each chip once: one that is there twice could be trained on and tested on."""
+    first: dict[Path, tuple[int, dict[str, str]]] = {}
+    for line, row in rows:
+        other_line, other = first.setdefault(Path(row["path"]), (line, row))
+        if any(row[name] != other[name] for name in _COLUMNS[1:]):
+            raise SarsplatError(
+                f"{labels} gives {row['path']} two labels, in line {other_line} and line {line}; take the wrong one out"
+            )
+    if repeated := len(rows) - len(first):
+        _warn(f"{labels} repeats {counted(repeated, 'label')}; each chip is taken once")
+    return list(first.values())
+
+
+def _read_labels(path: Path) -> _Rows:
     """Rows of the table with their line numbers."""
     with plain_os_errors("read", path), path.open(newline="", encoding="utf-8-sig") as file:
         reader = csv.DictReader(file, restval="")
@@ -185,6 +224,13 @@ def _read_labels(path: Path) -> list[tuple[int, dict[str, str]]]:
             raise SarsplatError(f"{path} is not a readable CSV table ({error}); give the table of labels") from error
     if not rows:
         raise SarsplatError(f"{path} has no rows; give the table of labels")
+    for line, row in rows:
+        inside = PurePosixPath(row["path"])
+        if inside.is_absolute() or ".." in inside.parts or "\0" in row["path"]:
+            raise SarsplatError(
+                f"{path}, line {line}: the path {row['path'][:60]!r} leads out of the folder of chips; "
+                "give paths relative to it"
+            )
     return rows
 
 
@@ -198,7 +244,7 @@ def _number(path: Path, line: int, row: dict[str, str], column: str) -> float:
     return value
 
 
-def read_jpeg(path: Path) -> np.ndarray:
+def read_jpeg(path: Path) -> Real[np.ndarray, "rows columns"]:
     """Digital numbers of an 8-bit grey JPEG, float32 [rows, columns]."""
     try:
         from PIL import Image, UnidentifiedImageError

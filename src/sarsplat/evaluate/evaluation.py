@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from jaxtyping import Float
 
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluate import images, lpips
+from sarsplat.evaluate.images import Stack
 from sarsplat.evaluate.points import THRESHOLDS, VOXEL, PointMetrics, point_metrics
 from sarsplat.evaluate.surface import visible_surface
 from sarsplat.evaluate.yardsticks import yardstick_scores
@@ -38,7 +40,7 @@ class EvaluatedRun(Protocol):
     def dataset(self) -> Dataset: ...
 
     @property
-    def points(self) -> np.ndarray:
+    def points(self) -> Float[np.ndarray, "p 3"]:
         """Reconstructed points, world frame, m, float64 [P, 3]."""
 
     @property
@@ -47,7 +49,7 @@ class EvaluatedRun(Protocol):
     @property
     def seed(self) -> int | None: ...
 
-    def render(self, views: Sequence[View], /) -> np.ndarray:
+    def render(self, views: Sequence[View], /) -> Stack:
         """β⁰ power of unseen views, float32 [V, rows, columns]."""
 
 
@@ -67,18 +69,21 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dic
         The content of `metrics.json`: `images.<set>.<metric>`, `points.{visible, whole}.<metric>`, `yardsticks` (what
         two-dimensional tricks score on measured chips: protocol M), `time_s`, `seed`,
         `domain` (what exactly was compared) and `reasons`: for every metric that is None, its dotted key and why.
+        Without test images `images` is empty.
 
     Raises
     ------
     SarsplatError
-        If the dataset has no test images or nothing but black to learn from, a rendered image is unsound, the LPIPS
-        weights are given but unusable, or the true mesh cannot be read.
+        If there is nothing to score (no test images, and no true mesh or no points), the training images are black, a
+        rendered image is unsound, the LPIPS weights are given but unusable, or the true mesh cannot be read.
     """
     dataset = run.dataset
     test_sets = [split for split in dataset.splits() if split != "train"]
-    if not test_sets:
+    if not test_sets and (dataset.truth_mesh is None or len(run.points) == 0):
+        lacks = "no true mesh" if dataset.truth_mesh is None else "the run no points"
         raise SarsplatError(
-            f"the dataset {dataset.path} has no test images, so nothing is unseen; simulate it with --test-azimuth"
+            f"nothing can be scored: the dataset {dataset.path} has no test images and {lacks}; "
+            "simulate it with --test-azimuth"
         )
     weights = lpips.lpips_weights(lpips_weights)
     network = None if weights is None else lpips.Lpips(weights)
@@ -90,16 +95,18 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dic
     reference_amplitude, mean_power = float(np.sqrt(train.max())), float(train.mean(dtype=np.float64))
 
     reasons: dict[str, str] = {}
+    if not test_sets:
+        reasons["images"] = "the dataset has no test images, so nothing is unseen; simulate it with --test-azimuth"
     scores: dict[str, dict[str, float | None]] = {}
     for split in test_sets:
         truth = dataset.images(split)
         rendered = run.render([entry.view for entry in dataset.select(split)])
         table = _image_metrics(truth, rendered, reference_amplitude, mean_power, network)
-        scores[split] = _scored(table, _not_applicable(dataset), f"images.{split}", reasons)
+        scores[split] = images.defined(table, f"images.{split}", reasons, _not_applicable(dataset))
     return {
         "images": scores,
         "points": _points(run, reasons),
-        "yardsticks": yardstick_scores(dataset) if dataset.domain == "measured" else None,
+        "yardsticks": yardstick_scores(dataset, reasons) if dataset.domain == "measured" else None,
         "time_s": run.time_s,
         "seed": run.seed,
         "domain": _domain(reference_amplitude, mean_power),
@@ -108,7 +115,11 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dic
 
 
 def _image_metrics(
-    truth: np.ndarray, rendered: np.ndarray, reference_amplitude: float, mean_power: float, network: lpips.Lpips | None
+    truth: Stack,
+    rendered: Stack,
+    reference_amplitude: float,
+    mean_power: float,
+    network: lpips.Lpips | None,
 ) -> dict[str, Callable[[], float]]:
     """Every image metric of one set, ready to be computed."""
 
@@ -124,7 +135,9 @@ def _image_metrics(
         "psnr_target_db": lambda: images.psnr_target_db(truth, rendered, reference_amplitude),
         "ssim": lambda: images.ssim(truth, rendered, reference_amplitude),
         "lpips": perceptual,
-        "nats_per_pixel": lambda: images.nats_per_pixel(truth / mean_power, rendered / mean_power),
+        "nats_per_pixel": lambda: images.nats_per_pixel(  # not in float32, of which faint images are no multiples
+            truth.astype(np.float64) / mean_power, rendered.astype(np.float64) / mean_power
+        ),
         "log_correlation": lambda: images.log_correlation(truth, rendered),
     }
 
@@ -138,22 +151,6 @@ def _not_applicable(dataset: Dataset) -> dict[str, str]:
         reason = "the truth is free of speckle; a speckle likelihood needs measured or speckled images (protocol M)"
         return dict.fromkeys(("nats_per_pixel", "log_correlation"), reason)
     return {}
-
-
-def _scored(
-    metrics: Mapping[str, Callable[[], float]], excluded: Mapping[str, str], prefix: str, reasons: dict[str, str]
-) -> dict[str, float | None]:
-    """Value of every metric; None, with the reason noted, where it does not apply or does not exist here."""
-    values: dict[str, float | None] = {}
-    for name, compute in metrics.items():
-        reason = excluded.get(name)
-        try:
-            values[name] = compute() if reason is None else None
-        except images.UndefinedScore as undefined:
-            values[name], reason = None, str(undefined)
-        if reason is not None:
-            reasons[f"{prefix}.{name}"] = reason
-    return values
 
 
 def _points(run: EvaluatedRun, reasons: dict[str, str]) -> dict[str, dict[str, float | None]]:

@@ -10,13 +10,18 @@ clipping; the peak of PSNR and the data range of SSIM are 1. The scores of proto
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import cast
 
 import numpy as np
 import torch
+from jaxtyping import Float, Real
 from scipy.ndimage import correlate
 
 from sarsplat.errors import SarsplatError
+
+Stack = Real[np.ndarray, "v rows columns"]
+"""Images of V views; equal sizes within one call."""
 
 TARGET_DYNAMIC_DB = 30.0
 """The target's mask: truth β⁰ within this many dB of the evaluated set's maximum."""
@@ -31,7 +36,35 @@ class UndefinedScore(SarsplatError):
     """The images are sound, but this score does not exist for them."""
 
 
-def normalised_amplitude(power: np.ndarray, reference_amplitude: float) -> np.ndarray:
+def defined(
+    metrics: Mapping[str, Callable[[], float]], prefix: str, reasons: dict[str, str], excluded: Mapping[str, str]
+) -> dict[str, float | None]:
+    """Value of every metric; None, with the reason noted, where it does not apply or does not exist.
+
+    Parameters
+    ----------
+    metrics : mapping of str to callable
+        How each is computed.
+    prefix : str
+        What stands before a metric's name in `reasons`, with a dot.
+    reasons : dict of str to str
+        Filled in: dotted name of each metric that is None, and why.
+    excluded : mapping of str to str
+        Metrics that do not apply, and why; they are not computed.
+    """
+    values: dict[str, float | None] = {}
+    for name, compute in metrics.items():
+        reason = excluded.get(name)
+        try:
+            values[name] = compute() if reason is None else None
+        except UndefinedScore as undefined:
+            values[name], reason = None, str(undefined)
+        if reason is not None:
+            reasons[f"{prefix}.{name}"] = reason
+    return values
+
+
+def normalised_amplitude(power: Stack, reference_amplitude: float) -> Stack:
     """√power / reference_amplitude, not clipped: what the scores of protocol R compare.
 
     Parameters
@@ -52,7 +85,7 @@ def normalised_amplitude(power: np.ndarray, reference_amplitude: float) -> np.nd
     return (np.sqrt(power, dtype=np.float32) / np.float32(reference_amplitude)).astype(np.float32, copy=False)
 
 
-def psnr_db(truth: np.ndarray, rendered: np.ndarray, reference_amplitude: float) -> float:
+def psnr_db(truth: Stack, rendered: Stack, reference_amplitude: float) -> float:
     """Peak signal-to-noise ratio of the whole image, dB: −10·log10 of each image's mean square error, averaged.
 
     Parameters
@@ -72,7 +105,7 @@ def psnr_db(truth: np.ndarray, rendered: np.ndarray, reference_amplitude: float)
     return _mean_psnr(np.mean(np.square(error, dtype=np.float64), axis=(1, 2)))
 
 
-def psnr_target_db(truth: np.ndarray, rendered: np.ndarray, reference_amplitude: float) -> float:
+def psnr_target_db(truth: Stack, rendered: Stack, reference_amplitude: float) -> float:
     """PSNR over the target alone, dB: pixels whose true β⁰ lies above −30 dB of the maximum of `truth`.
 
     The target fills 1–2 % of an image, so the whole-image figure flatters by 17–20 dB; this one does not. Parameters
@@ -88,7 +121,7 @@ def psnr_target_db(truth: np.ndarray, rendered: np.ndarray, reference_amplitude:
     return _mean_psnr(squares[pixels > 0] / pixels[pixels > 0])
 
 
-def ssim(truth: np.ndarray, rendered: np.ndarray, reference_amplitude: float) -> float:
+def ssim(truth: Stack, rendered: Stack, reference_amplitude: float) -> float:
     """Structural similarity of the amplitudes: Gaussian window 11×11, σ = 1.5, data range 1, borders reflected.
 
     Parameters as in `psnr_db`; returns the mean over the images, at most 1.
@@ -110,7 +143,7 @@ def ssim(truth: np.ndarray, rendered: np.ndarray, reference_amplitude: float) ->
     return float(cast(torch.Tensor, score))  # a tuple only when the full image is asked for
 
 
-def nats_per_pixel(truth: np.ndarray, rendered: np.ndarray) -> float:
+def nats_per_pixel(truth: Stack, rendered: Stack) -> float:
     """Single-look speckle likelihood: mean of log S + I/S; lower is better.
 
     Parameters
@@ -132,11 +165,11 @@ def nats_per_pixel(truth: np.ndarray, rendered: np.ndarray) -> float:
     """
     _check(truth, rendered)
     measured, predicted = _inside(truth.astype(np.float64)), _inside(rendered.astype(np.float64))
-    _check_positive(predicted, "rendered")
+    _check_positive(predicted, "predicted")
     return float(np.mean(np.log(predicted) + measured / predicted))
 
 
-def log_correlation(truth: np.ndarray, rendered: np.ndarray) -> float:
+def log_correlation(truth: Stack, rendered: Stack) -> float:
     """Pearson correlation of the logarithms of 3×3 means of truth and rendered power, per chip, averaged.
 
     The means are taken on the full chip, then the margin is cut off. A constant image explains nothing and counts as 0.
@@ -149,7 +182,7 @@ def log_correlation(truth: np.ndarray, rendered: np.ndarray) -> float:
     """
     _check(truth, rendered)
     logs = []
-    for power, name in ((truth, "true"), (rendered, "rendered")):
+    for power, name in ((truth, "true"), (rendered, "predicted")):
         # not uniform_filter: its running sums leave rounding residues where the mean is zero
         smooth = _inside(correlate(power.astype(np.float64), np.full((1, 3, 3), 1 / 9)))
         _check_positive(smooth, name)
@@ -160,11 +193,11 @@ def log_correlation(truth: np.ndarray, rendered: np.ndarray) -> float:
     return float(np.mean(np.divide(covariance, norm, out=np.zeros_like(norm), where=norm > 0)))
 
 
-def _mean_psnr(mse: np.ndarray) -> float:
+def _mean_psnr(mse: Float[np.ndarray, " v"]) -> float:
     return float(np.mean(-10 * np.log10(np.maximum(mse, _SMALLEST_MSE))))
 
 
-def _inside(power: np.ndarray) -> np.ndarray:
+def _inside(power: Stack) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
     rows, columns = power.shape[1:]
     if min(rows, columns) <= 2 * CHIP_MARGIN:
         raise UndefinedScore(
@@ -174,7 +207,7 @@ def _inside(power: np.ndarray) -> np.ndarray:
     return power[:, CHIP_MARGIN : rows - CHIP_MARGIN, CHIP_MARGIN : columns - CHIP_MARGIN]
 
 
-def _check(truth: np.ndarray, rendered: np.ndarray) -> None:
+def _check(truth: Stack, rendered: Stack) -> None:
     if truth.shape != rendered.shape or truth.ndim != 3 or len(truth) == 0:
         raise SarsplatError(
             f"true images {truth.shape} and rendered images {rendered.shape} must be equal, "
@@ -185,10 +218,11 @@ def _check(truth: np.ndarray, rendered: np.ndarray) -> None:
             raise SarsplatError(f"the {name} images hold negative or non-finite power; give β⁰ ≥ 0, linear")
 
 
-def _check_positive(power: np.ndarray, name: str) -> None:
+def _check_positive(power: Stack, name: str) -> None:
     zeros = int(np.count_nonzero(power <= 0))
     if zeros:
+        remedy = "raise the dataset's zeros to its least power" if name == "true" else "add a noise floor"
         raise UndefinedScore(
             f"the {name} power is zero at {zeros} of {power.size} scored pixels, where its logarithm does not exist; "
-            "add a noise floor"
+            f"{remedy}"
         )

@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float32
 
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluate.images import UndefinedScore, normalised_amplitude
+from sarsplat.evaluate.images import Stack, UndefinedScore, normalised_amplitude
 
 WEIGHTS_VARIABLE = "SARSPLAT_LPIPS_WEIGHTS"
 _FEATURES, _HEADS = "alexnet_features_torchvision.npz", "lpips_v0.1_lin_alex.pth"
@@ -57,7 +58,9 @@ class Lpips:
             raise _broken(weights_dir, error) from error
 
     @torch.no_grad()
-    def __call__(self, first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
+    def __call__(
+        self, first: Float32[torch.Tensor, "v 3 rows columns"], second: Float32[torch.Tensor, "v 3 rows columns"]
+    ) -> Float32[torch.Tensor, " v"]:
         """Distance of each pair.
 
         Parameters
@@ -77,7 +80,7 @@ class Lpips:
         pairs = zip(self._features(first), self._features(second), self._heads, strict=True)
         return torch.stack([F.conv2d((a - b) ** 2, head).mean(dim=(1, 2, 3)) for a, b, head in pairs]).sum(dim=0)
 
-    def _features(self, image: torch.Tensor) -> list[torch.Tensor]:
+    def _features(self, image: Float32[torch.Tensor, "v 3 rows columns"]) -> list[Float32[torch.Tensor, "v _ _ _"]]:
         """Output of each of the five rectified convolutions, channels scaled to unit length."""
         # the mean and deviation of ImageNet, moved from [0, 1] to [−1, 1]
         mean, deviation = image.new_tensor([[-0.030, -0.088, -0.188], [0.458, 0.448, 0.450]])[:, None, :, None, None]
@@ -89,7 +92,7 @@ class Lpips:
         return features
 
 
-def lpips(truth: np.ndarray, rendered: np.ndarray, reference_amplitude: float, network: Lpips) -> float:
+def lpips(truth: Stack, rendered: Stack, reference_amplitude: float, network: Lpips) -> float:
     """Mean LPIPS of a set: amplitude / reference_amplitude moved from [0, 1] to [−1, 1], grey three times, no clip.
 
     Parameters

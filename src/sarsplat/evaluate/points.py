@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float, Float64, Int64
 from scipy.spatial import cKDTree
 
 from sarsplat.errors import SarsplatError
@@ -48,7 +49,9 @@ class PointMetrics:
     count: int
 
 
-def point_metrics(points: np.ndarray, triangles: np.ndarray, samples: np.ndarray) -> PointMetrics:
+def point_metrics(
+    points: Float[np.ndarray, "p 3"], triangles: Float[np.ndarray, "t 3 3"], samples: Float[np.ndarray, "s 3"]
+) -> PointMetrics:
     """Score reconstructed points against one part of the true surface.
 
     Parameters
@@ -63,12 +66,13 @@ def point_metrics(points: np.ndarray, triangles: np.ndarray, samples: np.ndarray
     Raises
     ------
     SarsplatError
-        If there is no point, or one is not finite.
+        If there is no point or no sample, or one is not finite, or no triangle has an area.
     """
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
-        raise SarsplatError(f"the reconstructed points have shape {points.shape}; at least one point [P, 3] is needed")
-    if not np.isfinite(points).all():
-        raise SarsplatError("the reconstructed points hold values that are not finite; remove them before evaluation")
+    for name, values in (("reconstructed points", points), ("samples of the true surface", samples)):
+        if values.ndim != 2 or values.shape[1] != 3 or len(values) == 0:
+            raise SarsplatError(f"the {name} have shape {values.shape}; at least one point [P, 3] is needed")
+        if not np.isfinite(values).all():
+            raise SarsplatError(f"the {name} hold values that are not finite; remove them before evaluation")
     kept = thin(points)
     to_surface = surface_distance(kept, triangles)
     to_points = cKDTree(kept).query(samples, workers=-1)[0]
@@ -87,14 +91,16 @@ def point_metrics(points: np.ndarray, triangles: np.ndarray, samples: np.ndarray
     )
 
 
-def thin(points: np.ndarray, voxel: float = VOXEL) -> np.ndarray:
+def thin(points: Float[np.ndarray, "p 3"], voxel: float = VOXEL) -> Float[np.ndarray, "fewer 3"]:
     """The first point of every voxel (edge in m, anchored at the origin), float64 [≤ P, 3], in their old order."""
     cells = np.floor(points / voxel).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
     return points[np.sort(first)].astype(np.float64)
 
 
-def surface_distance(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def surface_distance(
+    points: Float[np.ndarray, "p 3"], triangles: Float[np.ndarray, "t 3 3"]
+) -> Float64[np.ndarray, " p"]:
     """Exact distance of each point from the nearest triangle, m.
 
     Parameters
@@ -131,7 +137,9 @@ def surface_distance(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return distance
 
 
-def _pieces(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+def _pieces(
+    triangles: Float[np.ndarray, "t 3 3"],
+) -> tuple[Float[np.ndarray, "pieces 3"], Int64[np.ndarray, " pieces"], float]:
     """Centres [N, 3] and triangles [N] of pieces with edges ≤ `_PIECE`, and the largest radius about a centre.
 
     Halving the longest edge keeps the number of pieces of a long sliver proportional to its length.
@@ -153,7 +161,9 @@ def _pieces(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     return centres, owners, float(np.linalg.norm(pieces - centres[:, None], axis=2).max())
 
 
-def _triangle_distance(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def _triangle_distance(
+    points: Float[np.ndarray, "p 3"], triangles: Float[np.ndarray, "p 3 3"]
+) -> Float64[np.ndarray, " p"]:
     """Distance of each point from its own triangle, [P]."""
     from trimesh.triangles import closest_point
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Bool, Float, Float32, Float64
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View, radar_frame
@@ -36,10 +37,10 @@ class VisibleSurface:
         Area-weighted random points of every triangle.
     """
 
-    triangles: np.ndarray
-    all_triangles: np.ndarray
-    samples: np.ndarray
-    samples_whole: np.ndarray
+    triangles: Float64[np.ndarray, "visible 3 3"]
+    all_triangles: Float64[np.ndarray, "all 3 3"]
+    samples: Float32[np.ndarray, "s 3"]
+    samples_whole: Float32[np.ndarray, "w 3"]
 
 
 def visible_surface(
@@ -113,12 +114,14 @@ def _scene(mesh: trimesh.Trimesh) -> EmbreeScene:
     return scene
 
 
-def _towards(direction: np.ndarray) -> np.ndarray:
+def _towards(direction: Float64[np.ndarray, " 3"]) -> Float32[np.ndarray, "1 3"]:
     """One direction, used for all rays of a batch, float32 [1, 3]."""
     return direction.astype(np.float32)[None]
 
 
-def _lattice(vertices: np.ndarray, view: View, spacing: float) -> Iterator[np.ndarray]:
+def _lattice(
+    vertices: Float64[np.ndarray, "n 3"], view: View, spacing: float
+) -> Iterator[Float32[np.ndarray, "rays 3"]]:
     """Batches of ray origins, float32 [≤ batch, 3]: a lattice on the computation plane, just before the mesh begins."""
     frame = radar_frame(view)
     low, high = (vertices @ frame.T).min(axis=0), (vertices @ frame.T).max(axis=0)
@@ -129,7 +132,7 @@ def _lattice(vertices: np.ndarray, view: View, spacing: float) -> Iterator[np.nd
         yield (plane @ frame[:2] + (low[2] - 1.0) * frame[2]).astype(np.float32)
 
 
-def _is_seen(scene: EmbreeScene, points: np.ndarray, views: Sequence[View]) -> np.ndarray:
+def _is_seen(scene: EmbreeScene, points: Float[np.ndarray, "p 3"], views: Sequence[View]) -> Bool[np.ndarray, " p"]:
     """Whether a ray from just above each surface point reaches the radar of at least one view, bool [P]."""
     hidden = np.arange(len(points))
     for view in views:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from rich import box
 from rich.table import Table
 
 from sarsplat.errors import SarsplatError
@@ -65,11 +66,34 @@ def paper_row(target_name: str) -> PaperRow:
         raise SarsplatError(f"the paper has no row for {target_name!r}; it has {names}") from None
 
 
+def _decimals(count: int) -> Callable[[float | None], str]:
+    return lambda value: "–" if value is None else f"{value:.{count}f}"
+
+
+def _duration(seconds: float | None) -> str:
+    """Minutes and seconds, as the paper gives them."""
+    return "–" if seconds is None else f"{round(seconds) // 60}:{round(seconds) % 60:02d}"
+
+
+_COLUMNS: tuple[tuple[str, str, Callable[[float | None], str]], ...] = (
+    ("psnr_db", "PSNR dB", _decimals(2)),
+    ("psnr_target_db", "target dB", _decimals(2)),
+    ("ssim", "SSIM", _decimals(4)),
+    ("lpips", "LPIPS", _decimals(4)),
+    ("nats_per_pixel", "nats per pixel", _decimals(3)),
+    ("log_correlation", "log corr.", _decimals(3)),
+    ("cd_m", "CD m", _decimals(3)),
+    ("f1@0.3", "F1@0.3", _decimals(3)),
+    ("time_s", "time", _duration),
+)
+"""Key of a score, its heading, and how it is written."""
+
+
 def metrics_table(
     metrics: Mapping[str, Any],
     *,
     paper: PaperRow | None = None,
-    yardsticks: Mapping[str, Mapping[str, Mapping[str, float]]] | None = None,
+    yardsticks: Mapping[str, Mapping[str, Mapping[str, float | None]]] | None = None,
 ) -> Table:
     """The headline scores: ours, one row per test set, and below them what they compare with.
 
@@ -85,64 +109,26 @@ def metrics_table(
     Returns
     -------
     rich.table.Table
-        PSNR, SSIM, LPIPS, CD, F1 and time for a rendered set; likelihood and correlation for a measured one. "–" stands
-        for what does not apply.
+        A column for every score that any row has: PSNR, SSIM and LPIPS of noise-free truth, likelihood and correlation
+        of speckled truth, CD and F1 of a known surface, and time. "–" stands for what does not apply.
     """
-    if all(scores["psnr_db"] is None for scores in metrics["images"].values()):
-        return _measured_table(metrics, yardsticks or {})
-    return _rendered_table(metrics, paper)
-
-
-def _rendered_table(metrics: Mapping[str, Any], paper: PaperRow | None) -> Table:
-    table = Table("")
-    for heading in ("PSNR dB", "target dB", "SSIM", "LPIPS", "CD m", "F1@0.3", "time"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    visible = metrics["points"]["visible"]
-    for name, scores in metrics["images"].items():
-        table.add_row(
-            f"ours, {name}",
-            _number(scores["psnr_db"], 2),
-            _number(scores["psnr_target_db"], 2),
-            _number(scores["ssim"], 4),
-            _number(scores["lpips"], 4),
-            _number(visible["cd_m"], 3),
-            _number(visible["f1@0.3"], 3),
-            _duration(metrics["time_s"]),
-        )
-    if paper is None:
-        return table
-    table.add_row(
-        f"paper, {paper.target}",
-        _number(paper.psnr_db, 2),
-        _number(None, 2),
-        _number(paper.ssim, 4),
-        _number(paper.lpips, 4),
-        _number(paper.cd_m, 3),
-        _number(paper.f1, 3),
-        _duration(paper.time_s),
-    )
-    return table
-
-
-def _measured_table(metrics: Mapping[str, Any], yardsticks: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Table:
-    table = Table("")
-    for heading in ("nats per pixel", "correlation", "time"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    points = {key: metrics["points"]["visible"][key] for key in ("cd_m", "f1@0.3")}
+    common = {**points, "time_s": metrics["time_s"]}
+    rows: list[tuple[str, Mapping[str, float | None]]] = []
     for split, scores in metrics["images"].items():
-        ours = (f"ours, {split}", scores, metrics["time_s"])
-        others = [
-            (f"{name.replace('_', ' ')}, {split}", beside, None) for name, beside in yardsticks.get(split, {}).items()
-        ]
-        for label, row, seconds in (ours, *others):
-            nats, correlation = _number(row["nats_per_pixel"], 3), _number(row["log_correlation"], 3)
-            table.add_row(label, nats, correlation, _duration(seconds))
+        rows.append((f"ours, {split}", {**scores, **common}))
+        beside = (yardsticks or {}).get(split, {})
+        rows += [(f"{name.replace('_', ' ')}, {split}", scores) for name, scores in beside.items()]
+    if not rows:
+        rows.append(("ours", common))
+    if paper is not None:
+        rows.append((f"paper, {paper.target}", {**vars(paper), "f1@0.3": paper.f1}))
+    shown = [column for column in _COLUMNS if any(scores.get(column[0]) is not None for _, scores in rows)]
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    table.add_column("", no_wrap=True)
+    for key, heading, text in shown:
+        words = [*heading.split(), *(text(scores.get(key)) for _, scores in rows)]
+        table.add_column(heading, justify="right", min_width=max(map(len, words)))  # headings may wrap
+    for name, scores in rows:
+        table.add_row(name, *(text(scores.get(key)) for key, _, text in shown))
     return table
-
-
-def _number(value: float | None, decimals: int) -> str:
-    return "–" if value is None else f"{value:.{decimals}f}"
-
-
-def _duration(seconds: float | None) -> str:
-    """Minutes and seconds, as the paper gives them."""
-    return "–" if seconds is None else f"{round(seconds) // 60}:{round(seconds) % 60:02d}"

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
-from scipy.ndimage import map_coordinates, uniform_filter
+from jaxtyping import Float, Float64, Real
+from scipy.ndimage import correlate, map_coordinates
 
 from sarsplat.data import Dataset
-from sarsplat.evaluate.images import log_correlation, nats_per_pixel
+from sarsplat.evaluate.images import defined, log_correlation, nats_per_pixel
 from sarsplat.geometry import ImageGrid, View
 
 _KERNEL = 0.4
@@ -20,7 +22,9 @@ favours the yardstick, not a reconstruction measured by it. The likelihood is fl
 """
 
 
-def nearest_chip(train: np.ndarray, train_views: Sequence[View], views: Sequence[View]) -> np.ndarray:
+def nearest_chip(
+    train: Real[np.ndarray, "k rows columns"], train_views: Sequence[View], views: Sequence[View]
+) -> Float[np.ndarray, "v rows columns"]:
     """The training chip nearest in azimuth, smoothed by a 5×5 mean.
 
     Parameters
@@ -39,8 +43,8 @@ def nearest_chip(train: np.ndarray, train_views: Sequence[View], views: Sequence
 
 
 def rotated_average(
-    train: np.ndarray, train_views: Sequence[View], views: Sequence[View], grid: ImageGrid
-) -> np.ndarray:
+    train: Real[np.ndarray, "k rows columns"], train_views: Sequence[View], views: Sequence[View], grid: ImageGrid
+) -> Float64[np.ndarray, "v rows columns"]:
     """Training chips, smoothed by a 5×5 mean, turned in the ground plane to the wanted azimuth and averaged.
 
     The weights are a Gaussian of the azimuth difference with σ = 0.4·360°/K. Everything is treated as if it lay flat on
@@ -58,7 +62,7 @@ def rotated_average(
     numpy.ndarray, float64 [V, rows, columns]
         Predicted mean power.
     """
-    smooth, turns = _smooth(train).astype(np.float64), _turn_deg(train_views, views)
+    smooth, turns = _smooth(train), _turn_deg(train_views, views)
     weights = np.exp(-0.5 * (turns / (_KERNEL * 360 / len(train))) ** 2)
     weights[np.arange(len(views)), np.abs(turns).argmin(axis=1)] += 1e-9  # far from every chip: take the nearest
     predicted = np.zeros((len(views), *train.shape[1:]))
@@ -69,44 +73,63 @@ def rotated_average(
     return predicted
 
 
-def yardstick_scores(dataset: Dataset) -> dict[str, dict[str, dict[str, float]]]:
+def yardstick_scores(dataset: Dataset, reasons: dict[str, str]) -> dict[str, dict[str, dict[str, float | None]]]:
     """Scores of both yardsticks on every test set.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Measured chips.
+    reasons : dict of str to str
+        Filled in: for every score that does not exist, `yardsticks.<set>.<yardstick>.<score>` and why.
 
     Returns
     -------
     dict
         `scores[set][yardstick]["nats_per_pixel" | "log_correlation"]`; yardsticks: `nearest_chip`, `rotated_average`.
     """
-    train, train_views = dataset.images("train"), [entry.view for entry in dataset.select("train")]
-    mean_power = train.mean(dtype=np.float64)
+    train, train_views = dataset.images("train").astype(np.float64), [item.view for item in dataset.select("train")]
+    mean_power = train.mean()
     scores = {}
     for split in dataset.splits():
         if split == "train":
             continue
-        truth, views = dataset.images(split) / mean_power, [entry.view for entry in dataset.select(split)]
+        truth = dataset.images(split).astype(np.float64) / mean_power
+        views = [item.view for item in dataset.select(split)]
         predictions = {
             "nearest_chip": nearest_chip(train / mean_power, train_views, views),
             "rotated_average": rotated_average(train / mean_power, train_views, views, dataset.grid),
         }
         scores[split] = {
-            name: {"nats_per_pixel": nats_per_pixel(truth, S), "log_correlation": log_correlation(truth, S)}
-            for name, S in predictions.items()
+            name: defined(
+                {
+                    "nats_per_pixel": partial(nats_per_pixel, truth, predicted),
+                    "log_correlation": partial(log_correlation, truth, predicted),
+                },
+                f"yardsticks.{split}.{name}",
+                reasons,
+                {},
+            )
+            for name, predicted in predictions.items()
         }
     return scores
 
 
-def _smooth(power: np.ndarray) -> np.ndarray:
-    return uniform_filter(power, size=(0, 5, 5))
+def _smooth(power: Real[np.ndarray, "v rows columns"]) -> Float[np.ndarray, "v rows columns"]:
+    # not uniform_filter: its running sums leave rounding residues, even negative ones, where the mean is zero
+    return correlate(power.astype(np.float64), np.full((1, 5, 5), 1 / 25))
 
 
-def _turn_deg(train_views: Sequence[View], views: Sequence[View]) -> np.ndarray:
+def _turn_deg(train_views: Sequence[View], views: Sequence[View]) -> Float64[np.ndarray, "v k"]:
     """Azimuth of each training view minus that of each wanted view, degrees in [−180, 180), [V, K]."""
     train, wanted = (np.array([view.azimuth_deg for view in some]) for some in (train_views, views))
     turns = (train[None] - wanted[:, None] + 180) % 360 - 180
     return turns.round(6)  # chips lie on a raster: equal distances must tie exactly, so that the first chip wins
 
 
-def _turned(power: np.ndarray, source: View, wanted: View, turn_deg: float, grid: ImageGrid) -> np.ndarray:
+def _turned(
+    power: Real[np.ndarray, "{grid.rows} {grid.columns}"], source: View, wanted: View, turn_deg: float, grid: ImageGrid
+) -> Float64[np.ndarray, "{grid.rows} {grid.columns}"]:
     """A chip seen from `source` as it would look from `wanted` if it lay flat on the ground."""
     slant, across = np.meshgrid(grid.range_m, grid.azimuth_m, indexing="ij")
     ground = slant / np.cos(np.radians(wanted.grazing_deg))

@@ -37,9 +37,11 @@ class View:
     grazing_deg: float
 
     def __post_init__(self) -> None:
-        for name, value in (("azimuth", self.azimuth_deg), ("grazing angle", self.grazing_deg)):
+        for field, name in (("azimuth_deg", "azimuth"), ("grazing_deg", "grazing angle")):
+            value = getattr(self, field)
             if not isinstance(value, Real):
                 raise SarsplatError(f"{name} {value!r} is not a number; give degrees")
+            object.__setattr__(self, field, float(value))  # numpy's numbers do not fit into JSON
         if not abs(self.azimuth_deg) <= _MOST_AZIMUTH:  # also catches NaN; of 1e308° nobody knows the direction
             raise SarsplatError(
                 f"azimuth {self.azimuth_deg} is not a number of degrees within ±{_MOST_AZIMUTH}; "

@@ -27,7 +27,7 @@ def new_figure(width: float, height: float) -> Figure:
 def dress(axes: Axes) -> None:
     """Colours of one set of axes."""
     axes.set_facecolor(PANEL)
-    axes.tick_params(colors=MUTED, labelsize=8, length=3)
+    axes.tick_params(which="both", colors=MUTED, labelsize=8, length=3)
     for spine in axes.spines.values():
         spine.set_color(FAINT)
     axes.xaxis.label.set(color=MUTED, size=9)

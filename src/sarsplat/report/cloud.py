@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from sarsplat.report.canvas import INK, MUTED, colour_bar, dress, new_figure, ramp, to_png
@@ -22,7 +23,7 @@ _SIDES = (("side", 0, 2, 1, -1), ("front", 1, 2, 0, 1), ("top", 0, 1, 2, 1))
 _MARGIN = 0.25  # m
 
 
-def points_figure(points: np.ndarray, surface: np.ndarray | None) -> bytes:
+def points_figure(points: Float[np.ndarray, "p 3"], surface: Float[np.ndarray, "s 3"] | None) -> bytes:
     """Points from the side, the front and the top, on equal axes in metres, as PNG.
 
     Parameters
@@ -61,7 +62,7 @@ def points_figure(points: np.ndarray, surface: np.ndarray | None) -> bytes:
     return to_png(figure)
 
 
-def _limits(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _limits(points: Float[np.ndarray, "p 3"]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
     """Corners of the space shown, m; a few strays do not shrink everything else."""
     if len(points) == 0:
         return np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 1.0])
@@ -71,10 +72,10 @@ def _limits(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _draw(
     block: SubFigure,
-    points: np.ndarray,
-    value: np.ndarray,
+    points: Float[np.ndarray, "p 3"],
+    value: Float[np.ndarray, " p"],
     colours: Colormap,
-    limits: tuple[np.ndarray, np.ndarray],
+    limits: tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]],
     height: float,
 ) -> Axes:
     """Three sides as on a drawing board; returns axes for the colour bar."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 
 import numpy as np
+from jaxtyping import Real
 
 DYNAMIC_DB = 40.0
 """Pictures show this range below the brightest training pixel, dB; what is darker is black."""
@@ -16,7 +17,7 @@ def to_decibels(power: np.ndarray | float, peak: float = 1.0) -> np.ndarray:
     return 10 * np.log10(np.maximum(np.asarray(power, dtype=np.float64) / peak, least))
 
 
-def decibel_png(power: np.ndarray, peak: float) -> bytes:
+def decibel_png(power: Real[np.ndarray, "rows columns"], peak: float) -> bytes:
     """One image as an 8-bit grey PNG, pixel for pixel: black is −`DYNAMIC_DB` dB of `peak` or less, white is `peak`.
 
     Parameters

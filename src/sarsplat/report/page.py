@@ -12,6 +12,7 @@ from string import Template
 from typing import Any
 
 from sarsplat.data import Dataset
+from sarsplat.errors import counted
 from sarsplat.reconstruct import Run
 from sarsplat.report.scores import ScoreTable, paper_beside, score_tables
 
@@ -51,8 +52,8 @@ def _lead(run: Run) -> str:
     train = dataset.select("train")
     kind = "measured" if dataset.domain == "measured" else "simulated"
     return (
-        f"{len(run.gaussians):,} Gaussians and {len(run.points):,} surface points, reconstructed from {len(train)} "
-        f"{kind} SAR images in {_duration(run.time_s)}."
+        f"{counted(len(run.gaussians), 'Gaussian')} and {counted(len(run.points), 'surface point')}, reconstructed "
+        f"from {counted(len(train), f'{kind} SAR image')} in {_duration(run.time_s)}."
     )
 
 
@@ -153,7 +154,7 @@ def _run_facts(run: Run) -> dict[str, str]:
         "folder": str(run.path),
         "preset": config.preset,
         "start": config.initialisation,
-        "iterations": f"{run.iteration:,} of {config.iterations:,}, {config.views_per_step} views each",
+        "iterations": f"{run.iteration:,} of {config.iterations:,}, {counted(config.views_per_step, 'view')} each",
         "training time": _duration(run.time_s),
         "seed": str(run.seed),
         "report by": f"sarsplat {program}",

@@ -6,17 +6,22 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Real
 
+from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.report.canvas import colour_bar, dress, new_figure, ramp, to_png
 from sarsplat.report.decibels import DYNAMIC_DB, to_decibels
+from sarsplat.report.window import target_window
 
 _SIDE = 1.6  # inches
 _MOST_COLUMNS = 8
 
 
-def contact_sheet(images: np.ndarray, views: Sequence[View], grid: ImageGrid, peak: float) -> bytes:
-    """All images in decibels, labelled with their views, as PNG.
+def contact_sheet(
+    images: Real[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid, peak: float
+) -> bytes:
+    """All images in decibels, the same part of each with the target in it, labelled with their views, as PNG.
 
     Parameters
     ----------
@@ -26,16 +31,25 @@ def contact_sheet(images: np.ndarray, views: Sequence[View], grid: ImageGrid, pe
         From where, and where the pixels lie.
     peak : float
         The power shown white.
+
+    Raises
+    ------
+    SarsplatError
+        If there are no images.
     """
+    if len(images) == 0:
+        raise SarsplatError("there are no images to put on a contact sheet; give at least one")
     columns = min(len(views), _MOST_COLUMNS, max(3, math.ceil(math.sqrt(len(views)))))
     lines = math.ceil(len(views) / columns)
-    aspect = (grid.rows * grid.spacing[1]) / (grid.columns * grid.spacing[0])
+    window = target_window(images, peak)
+    shown = images[(slice(None), *window)]
+    aspect = (shown.shape[1] * grid.spacing[1]) / (shown.shape[2] * grid.spacing[0])
     width, height = max(columns * _SIDE, 3.6), lines * (_SIDE * aspect + 0.22) + 0.66
     figure = new_figure(width, height)
     panels = figure.subplots(lines, columns, squeeze=False)
     for axes in panels.flat:
         axes.set_axis_off()
-    for axes, image, view in zip(panels.flat, images, views):  # empty places stay dark
+    for axes, image, view in zip(panels.flat, shown, views):  # empty places stay dark
         axes.imshow(
             to_decibels(image, peak), cmap="gray", vmin=-DYNAMIC_DB, vmax=0, aspect=grid.spacing[1] / grid.spacing[0]
         )

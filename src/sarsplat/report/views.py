@@ -6,17 +6,17 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float, Real
 from scipy.ndimage import uniform_filter
 
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.report.canvas import INK, MUTED, colour_bar, dress, new_figure, ramp, to_png
 from sarsplat.report.decibels import DYNAMIC_DB, to_decibels
+from sarsplat.report.window import target_window
 
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap
 
-_MARGIN = 5  # pixels around the target
-_CHIP_MARGIN = 24  # of measured chips: the part that is scored is shown
 _MOST_DB = {False: 6.0, True: 10.0}  # larger differences look alike; by whether there is speckle
 _BESIDE = 2  # views side by side
 
@@ -35,8 +35,8 @@ def view_name(view: View) -> str:
 
 
 def views_figure(
-    truth: np.ndarray,
-    rendered: np.ndarray,
+    truth: Real[np.ndarray, "v rows columns"],
+    rendered: Real[np.ndarray, "v rows columns"],
     views: Sequence[View],
     grid: ImageGrid,
     peak: float,
@@ -57,7 +57,7 @@ def views_figure(
         Whether the truth is speckled: the difference is then that of 3×3 means.
     """
     most = _MOST_DB[speckled]
-    rows, columns = _window(truth, rendered, peak)
+    rows, columns = target_window(np.maximum(truth, rendered), peak)
     extent = (
         grid.azimuth_m[columns][0] - grid.spacing[0] / 2,
         grid.azimuth_m[columns][-1] + grid.spacing[0] / 2,
@@ -115,21 +115,9 @@ def _differences() -> Colormap:
     return ramp("difference", "#7fd4ff", "#2b7fd0", "#151a21", "#d0602b", "#ffc37f")
 
 
-def _window(truth: np.ndarray, rendered: np.ndarray, peak: float) -> tuple[slice, slice]:
-    """The rows and columns worth showing: the target with a margin if all around is dark, else the chip's middle."""
-    size = truth.shape[1:]
-    bright = np.maximum(truth, rendered).max(axis=0) > peak * 10 ** (-DYNAMIC_DB / 10)
-    if not bright.any() or bright.mean() > 0.5:
-        margin = _CHIP_MARGIN if min(size) > 3 * _CHIP_MARGIN else 0
-        return slice(margin, size[0] - margin), slice(margin, size[1] - margin)
-    spans = [np.flatnonzero(bright.any(axis=1 - axis))[[0, -1]] for axis in (0, 1)]
-    side = max(int(span[1] - span[0]) for span in spans) + 1 + 2 * _MARGIN
-    first = [(int(span.sum()) + 1 - side) // 2 for span in spans]
-    rows, columns = (slice(max(start, 0), start + side) for start in first)  # cut where it leaves the image
-    return rows, columns
-
-
-def _difference_db(truth: np.ndarray, rendered: np.ndarray, peak: float, speckled: bool) -> np.ndarray:
+def _difference_db(
+    truth: Real[np.ndarray, "rows columns"], rendered: Real[np.ndarray, "rows columns"], peak: float, speckled: bool
+) -> Float[np.ndarray, "rows columns"]:
     """Rendered over truth, dB; what is darker than the pictures show counts as equally dark."""
     floor = peak * 10 ** (-DYNAMIC_DB / 10)
     if speckled:

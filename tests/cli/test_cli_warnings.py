@@ -1,0 +1,64 @@
+"""What may be a mistake is one line on stderr, and the work goes on."""
+
+from __future__ import annotations
+
+import csv
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sarsplat.cli import main
+from sarsplat.data import read_dataset
+from sarsplat.errors import SarsplatWarning
+
+COLUMNS = ["path", "class", "serial", "desired_depression_deg", "measured_depression_deg", "target_az_deg"]
+
+
+@pytest.fixture(autouse=True)
+def warnings_are_shown() -> Iterator[None]:
+    """As outside of tests, where no warning is an error."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("default", SarsplatWarning)
+        yield
+
+
+@pytest.fixture
+def chips(tmp_path: Path) -> Path:
+    """Six chips; the last has no azimuth, and one more has no label."""
+    generator = np.random.default_rng(0)
+    with (tmp_path / "labels.csv").open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(COLUMNS)
+        for index in range(7):
+            noise = generator.integers(10, 200, size=(16, 16), dtype=np.uint8)
+            Image.fromarray(noise).save(tmp_path / f"{index}.jpeg")
+            if index < 6:
+                table.writerow([f"{index}.jpeg", "T72", "132", 17, 17.1, "" if index == 5 else 70 * index])
+    return tmp_path
+
+
+def test_importing_counts_what_lacks_labels(chips: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["import", "mstar", str(chips), "--labels", str(chips / "labels.csv"), "--class", "T72"]
+    assert main([*command, "--train-views", "1", "--out", str(chips / "out")]) == 0
+    told = capsys.readouterr()
+    lines = told.err.splitlines()
+    assert [line.startswith("warning: ") for line in lines] == [True, True, True]
+    assert "has no label for 1 JPEG" in lines[0]
+    assert "empty fields for 1 of 6 chips (the first: target_az_deg in line 7)" in lines[1]
+    assert "one training view (azimuth 0°)" in lines[2]
+    assert "5 chips of T72 (1 train, 4 test-17)" in told.out
+    assert len(read_dataset(chips / "out").views) == 5
+
+
+def test_radians_are_simulated_as_the_degrees_they_are_called(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["simulate", "--target", "t72", "--azimuth", "0:6.28:1.57", "--grazing", "0.3", "--pixels", "8"]
+    assert main([*command, "--out", str(tmp_path / "out")]) == 0
+    (line, *_) = capsys.readouterr().err.splitlines()
+    assert line.startswith("warning: the azimuths (0° to 4.71°) and grazing angles (0.3° to 0.3°) look like radians")
+    assert [item.view.azimuth_deg for item in read_dataset(tmp_path / "out").views] == [0, 1.57, 3.14, 4.71]

@@ -1,0 +1,164 @@
+"""What looks like a mistake is told by name; what somebody may well mean is not."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sarsplat.data import Dataset, write_dataset
+from sarsplat.data.plausible import suspicions, suspicious_angles, warn
+from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.scenes import mstar_views, paper_views
+
+GRID = ImageGrid(8, 8, (0.3, 0.3), (0.3, 0.3))
+AROUND = [View(azimuth, 30) for azimuth in (0, 120, 240)]
+
+
+def views(azimuths, grazings) -> list[View]:
+    return [View(float(azimuth), float(grazing)) for azimuth in azimuths for grazing in grazings]
+
+
+RADIANS = {
+    "a circle": views(np.arange(0, 2 * math.pi, math.pi / 12), [0.2618, 0.7854, 1.309]),
+    "half a circle either way": views(np.linspace(-math.pi, math.pi, 9), [0.3]),
+    "typed with two decimals": views(np.arange(0, 6.28, 0.26), [0.26]),
+    "as incidence": views(np.arange(0, 6.28, 0.26), [90 - 0.26, 90 - 1.31]),
+    "grazing in degrees": views(np.arange(0, 2 * math.pi, math.pi / 12), [15, 45]),
+    "four decimals": views(np.round(np.radians([0, 10, 47, 98, 203, 359]), 4), [17]),
+}
+
+HONEST = {
+    "0 to 3 by 1": views(range(4), [17]),
+    "0 to 3 by 1, grazing 1": views(range(4), [1]),
+    "one view": [View(0.5, 0.5)],
+    "a short arc": views(np.arange(-5, 5.1, 0.25), [30]),
+    "a fine arc": views(np.arange(0, 6, 0.01), [45]),
+    "a very short arc, very low": views(np.arange(0, 1.5, 0.1), [1.5]),
+    "two views": views([0.3, 6], [0.5]),
+    "paper": [view for view, _ in paper_views()],
+    "mstar": [view for view, _ in mstar_views()],
+}
+
+
+@pytest.mark.parametrize("name", RADIANS)
+def test_radians_are_suspected(name: str) -> None:
+    (told,) = suspicious_angles(RADIANS[name])
+    assert "look like radians; give degrees" in told
+
+
+@pytest.mark.parametrize("name", HONEST)
+def test_honest_angles_are_not(name: str) -> None:
+    assert suspicious_angles(HONEST[name]) == []
+
+
+@given(
+    st.integers(-600, 600),
+    st.integers(1, 400),
+    st.integers(2, 40),
+    st.integers(157, 8842).map(lambda hundredths: hundredths / 100),
+)
+def test_no_raster_of_hundredths_is_suspected(first: int, step: int, count: int, grazing: float) -> None:
+    grid = [View((first + step * k) / 100, max(grazing, 1.58)) for k in range(count)]
+    assert suspicious_angles(grid) == []
+
+
+def make(
+    folder: Path, train: list[View], images: np.ndarray | None = None, test: list[View] | None = None, **options
+) -> Dataset:
+    """A dataset of noise, or of these images."""
+    items = [(view, "train", None) for view in train] + [(view, "test", None) for view in test or []]
+    if images is None:
+        images = np.random.default_rng(0).exponential(size=(len(items), 8, 8)).astype(np.float32)
+    options = {"grid": GRID, "source": {}, "domain": "rendered", **options}
+    return write_dataset(folder / "dataset", views=items, images=images, **options)
+
+
+def noise(count: int) -> np.ndarray:
+    return np.random.default_rng(1).exponential(size=(count, 8, 8)).astype(np.float32)
+
+
+def test_nothing_is_odd_about_a_sound_dataset(tmp_path: Path) -> None:
+    assert suspicions(make(tmp_path, AROUND, test=[View(60, 30)])) == []
+
+
+@pytest.mark.parametrize(
+    ("train", "told"),
+    [
+        ([View(30, 40)], "one training view (azimuth 30°)"),
+        ([View(30, 40)] * 4, "all 4 training views are the same (azimuth 30°, grazing 40°)"),
+        ([View(30, 40), View(390, 40)], "all 2 training views are the same"),
+        ([View(350, 40), View(10, 40), View(90, 40)], "leave 260° of azimuth out, from 90° clockwise to 350°"),
+        ([View(a / 100, 0.3) for a in range(0, 628, 26)], "look like radians"),
+    ],
+)
+def test_odd_views(tmp_path: Path, train: list[View], told: str) -> None:
+    assert told in suspicions(make(tmp_path, train))[0]
+
+
+@pytest.mark.parametrize("azimuths", [(0, 180), (0, 90, 270), (-90, 0, 90), (0, 120, 240)])
+def test_half_a_circle_is_enough(tmp_path: Path, azimuths: tuple[float, ...]) -> None:
+    assert suspicions(make(tmp_path, views(azimuths, [30]))) == []
+
+
+def test_images_all_the_same(tmp_path: Path) -> None:
+    told = suspicions(make(tmp_path, AROUND, np.repeat(noise(1), 3, axis=0)))
+    assert told == ["all 3 training images are the same, pixel by pixel; check the files"]
+
+
+def test_constant_images_are_counted_and_the_first_is_named(tmp_path: Path) -> None:
+    images = noise(5)
+    images[1], images[4] = 0.5, 0
+    told = suspicions(make(tmp_path, AROUND, images, test=[View(60, 30), View(70, 30)]))
+    assert told == ["2 of 5 images are constant (images/001.tif is 0.5 everywhere); check the files"]
+
+
+def test_a_single_pixel_is_not_called_constant(tmp_path: Path) -> None:
+    assert suspicions(make(tmp_path, AROUND, noise(3)[:, :1, :1].copy(), grid=ImageGrid(1, 1, (1, 1), (1, 1)))) == []
+
+
+def test_zeros_of_measured_power_are_counted(tmp_path: Path) -> None:
+    images = noise(3)
+    images[0, 2, :5] = 0
+    assert suspicions(make(tmp_path, AROUND, images)) == []  # rendered: nothing there to scatter
+    (told,) = suspicions(make(tmp_path, AROUND, images, domain="measured", overwrite=True))
+    assert told.startswith("5 pixels of 192 in set train are zero")
+
+
+def test_test_images_that_were_trained_on(tmp_path: Path) -> None:
+    images = noise(5)
+    images[3] = images[1]  # of the same view: a copy; images[4] is another image of a view that was trained on
+    (told,) = suspicions(make(tmp_path, AROUND, images, test=[AROUND[1], AROUND[2]]))
+    assert "1 test image can be found among the training images (images/003.tif is images/001.tif)" in told
+
+
+def test_warnings_have_one_category_and_are_not_repeated() -> None:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default")
+        warn(["odd", "odder"])
+        warn(["odd"])
+    assert [str(item.message) for item in caught] == ["odd", "odder"]
+    assert {item.category for item in caught} == {SarsplatWarning}
+    assert issubclass(SarsplatWarning, UserWarning)
+
+
+@pytest.mark.parametrize(
+    ("train", "images", "told"),
+    [
+        ([], np.zeros((0, 8, 8), np.float32), "nothing to learn from"),
+        (AROUND, np.full((3, 8, 8), np.nan, np.float32), "power must be finite"),
+        (AROUND, np.full((3, 8, 8), np.inf, np.float32), "power must be finite"),
+        (AROUND, np.full((3, 8, 8), -1.0, np.float32), "power must be finite and ≥ 0"),
+        (AROUND, np.ones((3, 8, 9), np.float32), "must be float32"),
+    ],
+)
+def test_what_would_be_meaningless_is_refused(tmp_path: Path, train, images, told: str) -> None:
+    with pytest.raises(SarsplatError, match=told):
+        make(tmp_path, train, images)
+    assert not (tmp_path / "dataset").exists()
