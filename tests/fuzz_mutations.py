@@ -6,7 +6,7 @@ import json
 import random
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -80,35 +80,28 @@ def spoil_json(data: bytes, rng: random.Random) -> bytes:
     """One value of the JSON replaced, removed, moved, nested deeply, made wide, or its field named twice."""
     try:
         value = json.loads(data)
-    except (ValueError, RecursionError):
+        places = list(_places(value))
+        node, key = rng.choice(places)
+        match rng.randrange(6):
+            case 0:
+                del node[key]
+            case 1:
+                other, where = rng.choice(places)
+                node[key] = json.loads(json.dumps(other[where]))
+            case 2 if isinstance(node, dict):
+                node[rng.choice(("new", "", "\ud800", "x" * 200))] = node.pop(key)
+            case _:
+                node[key] = rng.choice(VALUES)
+        text = json.dumps(value)
+    except (ValueError, LookupError, RecursionError):  # spoilt before, or nothing in it
         return spoil_bytes(data, rng)
-    places: list[tuple[Any, Any]] = []
-
-    def visit(node: Any) -> None:
-        for key in list(node) if isinstance(node, dict) else range(len(node)):
-            places.append((node, key))
-            if isinstance(node[key], dict | list):
-                visit(node[key])
-
-    if isinstance(value, dict | list):
-        try:
-            visit(value)
-        except RecursionError:
-            return spoil_bytes(data, rng)
-    if not places:
-        return spoil_bytes(data, rng)
-    node, key = rng.choice(places)
-    match rng.randrange(6):
-        case 0:
-            del node[key]
-        case 1:
-            other, where = rng.choice(places)
-            node[key] = json.loads(json.dumps(other[where])) if where in other or isinstance(other, list) else None
-        case 2 if isinstance(node, dict):
-            node[rng.choice(("new", "", "\ud800", "x" * 200))] = node.pop(key)
-        case _:
-            node[key] = rng.choice(VALUES)
-    text = json.dumps(value)
     text = text.replace('"@deep"', "[" * (depth := rng.choice((50, 900, 100_000))) + "]" * depth)
     text = text.replace('"@wide"', "[" + rng.choice(("0,", "[],", "{},", '"a",')) * rng.choice((9, 30_000)) + "0]")
     return text.replace('"@twice"', '{"a":1,"a":2}').encode()
+
+
+def _places(node: Any) -> Iterator[tuple[Any, Any]]:
+    """Every value of some JSON, as what holds it and its key or index there."""
+    for key in list(node) if isinstance(node, dict) else range(len(node)) if isinstance(node, list) else ():
+        yield node, key
+        yield from _places(node[key])

@@ -170,6 +170,7 @@ def change(header: dict, place: str, value: object) -> None:
         ("views.1.file", "/etc/passwd", "does not lie inside"),
         ("views.1.file", "images/a\0b.tif", "does not lie inside"),
         ("views.1.file", "", "does not lie inside"),
+        ("views.1.file", "images/\x1b[2J.tif", "does not lie inside"),
         ("views.1.file", "images/000.tif", "same image"),
         ("views.1.file", "images/none.tif", "does not exist"),
         ("views.1.file", "images", "is a folder"),

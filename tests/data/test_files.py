@@ -1,4 +1,4 @@
-"""Whole or absent: files, folders, JSON."""
+"""Whole or absent files, and JSON."""
 
 import errno
 import os
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sarsplat.data.files import new_folder, read_json, write_bytes, write_json
+from sarsplat.data.files import locked, plain_os_errors, read_json, write_bytes, write_json
 from sarsplat.errors import SarsplatError
 
 
@@ -24,6 +24,47 @@ def test_write_bytes_replaces_and_leaves_nothing_else(tmp_path):
     write_bytes(path, b"two")
     assert path.read_bytes() == b"two"
     assert names(tmp_path) == ["a.bin"]
+
+
+def test_write_bytes_takes_over_what_a_killed_process_left(tmp_path):
+    (tmp_path / ".a.bin.tmp").write_bytes(b"half of something longer")
+    write_bytes(tmp_path / "a.bin", b"new")
+    assert (tmp_path / "a.bin").read_bytes() == b"new"
+    assert names(tmp_path) == ["a.bin"]
+
+
+def test_write_bytes_refuses_while_another_writes(tmp_path):
+    path = tmp_path / "a.bin"
+    with locked(tmp_path / ".a.bin.tmp", path), pytest.raises(SarsplatError, match="in use by another process"):
+        write_bytes(path, b"new")
+    assert not path.exists()
+
+
+def test_a_lock_follows_the_file_and_is_not_fooled_by_its_successor(tmp_path):
+    first, moved = tmp_path / "lock", tmp_path / "moved"
+    with locked(first, first):
+        first.rename(moved)
+        with pytest.raises(SarsplatError, match="in use"), locked(moved, moved):
+            pass
+        with locked(first, first):  # another file by now
+            pass
+    with locked(moved, moved):
+        pass
+
+
+def test_devices_and_pipes_are_never_replaced(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "dangling").symlink_to(tmp_path / "nothing")
+    (tmp_path / "null").symlink_to("/dev/null")
+    for name in ("pipe", "dangling", "null"):
+        with pytest.raises(SarsplatError, match="a device, a pipe or a broken link"):
+            write_bytes(tmp_path / name, b"")
+    assert names(tmp_path) == ["dangling", "null", "pipe"]
+
+
+def test_an_error_without_a_number_is_told_too(tmp_path):
+    with pytest.raises(SarsplatError, match="odd; check the path and the disk"), plain_os_errors("read", tmp_path):
+        raise OSError("odd")
 
 
 def test_full_disk_keeps_the_old_file_and_says_so(tmp_path, monkeypatch):
@@ -46,8 +87,6 @@ def test_os_errors_become_one_sentence(tmp_path, monkeypatch, number, words):
     monkeypatch.setattr(os, "fsync", refuse)
     with pytest.raises(SarsplatError, match=words):
         write_bytes(tmp_path / "a", b"")
-    with pytest.raises(SarsplatError, match=words), new_folder(tmp_path / "b", False):
-        pass
     assert names(tmp_path) == []
 
 
@@ -55,10 +94,10 @@ def test_missing_folder_and_file_in_the_way(tmp_path):
     with pytest.raises(SarsplatError, match="does not exist"):
         write_bytes(tmp_path / "no" / "a", b"")
     (tmp_path / "file").write_text("")
-    with pytest.raises(SarsplatError, match="is a file, not a folder"), new_folder(tmp_path / "file" / "out", False):
-        pass
-    with pytest.raises(SarsplatError, match="is a file, not a folder"), new_folder(tmp_path / "file", True):
-        pass
+    with pytest.raises(SarsplatError, match="is a file, not a folder"):
+        write_bytes(tmp_path / "file" / "a", b"")
+    with pytest.raises(SarsplatError, match="is a folder, not a file"):
+        write_bytes(tmp_path, b"")
 
 
 def test_json_round_trip_and_refusals(tmp_path):
@@ -98,72 +137,3 @@ def test_missing_json_and_folder_for_json(tmp_path):
         read_json(tmp_path / "a.json")
     with pytest.raises(SarsplatError, match="is a folder"):
         read_json(tmp_path)
-
-
-def test_new_folder_appears_whole_with_usual_permissions(tmp_path):
-    out = tmp_path / "deep" / "out"
-    with new_folder(out, False) as folder:
-        (folder / "sub").mkdir()
-        (folder / "sub" / "a").write_text("a")
-        assert not out.exists()
-    assert (out / "sub" / "a").read_text() == "a"
-    assert names(out.parent) == ["out"]
-    plain = tmp_path / "plain"
-    plain.mkdir()
-    assert out.stat().st_mode == plain.stat().st_mode
-
-
-def test_existing_folder_needs_overwrite_but_an_empty_one_does_not(tmp_path):
-    out = tmp_path / "out"
-    out.mkdir()
-    with new_folder(out, False) as folder:
-        (folder / "one").write_text("")
-    with pytest.raises(SarsplatError, match=r"exists; give another name or --overwrite"), new_folder(out, False):
-        pytest.fail("must not get here")
-    with new_folder(out, True) as folder:
-        (folder / "two").write_text("")
-    assert names(out) == ["two"]
-    assert names(tmp_path) == ["out"]
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
-def test_an_error_keeps_the_old_folder(tmp_path, error):
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "old").write_text("")
-    with pytest.raises(error), new_folder(out, True) as folder:
-        (folder / "half").write_text("")
-        raise error
-    assert names(out) == ["old"]
-    assert names(tmp_path) == ["out"]
-
-
-def test_a_failed_swap_puts_the_old_folder_back(tmp_path, monkeypatch):
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "old").write_text("")
-    rename = Path.replace
-
-    def fail_for_the_new_one(self: Path, target: Path) -> Path:
-        if self.name == "new":
-            raise KeyboardInterrupt
-        return rename(self, target)
-
-    monkeypatch.setattr(Path, "replace", fail_for_the_new_one)
-    with pytest.raises(KeyboardInterrupt), new_folder(out, True) as folder:
-        (folder / "new").write_text("")
-    assert names(out) == ["old"]
-    assert names(tmp_path) == ["out"]
-
-
-def test_overwrite_spares_the_work_place_and_folders_of_others(tmp_path, monkeypatch):
-    out = tmp_path / "out"
-    (out / "inside").mkdir(parents=True)
-    (out / "thesis.tex").write_text("")
-    with pytest.raises(SarsplatError, match=r"holds no dataset\.json"), new_folder(out, True, marker="dataset.json"):
-        pass
-    monkeypatch.chdir(out / "inside")
-    for path in (Path(), Path(".."), out):
-        with pytest.raises(SarsplatError, match="never replaced"), new_folder(path, True):
-            pass
-    assert (out / "thesis.tex").exists()

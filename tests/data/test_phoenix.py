@@ -66,7 +66,7 @@ def test_reads_magnitudes_and_header(path):
         (phoenix_bytes(NumberOfRows="4096", NumberOfColumns="4096"), "is truncated"),
         (phoenix_bytes(NumberOfRows="0"), "NumberOfRows"),
         (phoenix_bytes(NumberOfRows="-4"), "NumberOfRows"),
-        (phoenix_bytes(NumberOfColumns=""), "no NumberOfColumns"),
+        (phoenix_bytes(NumberOfColumns=""), "no readable NumberOfColumns"),
         (phoenix_bytes(native_header_length="512"), "a scene and no chip"),
         (phoenix_bytes().replace(b"Length= 00", b"Length= 99"), "states a header of 99"),
         (phoenix_bytes().replace(b"Length= 00", b"Length= -1"), "states a header of 0"),

@@ -1,5 +1,7 @@
 """Gaussians and points as PLY: lossless for us, the 3DGS convention for others."""
 
+import time
+
 import numpy as np
 import pytest
 import torch
@@ -115,6 +117,13 @@ def test_points_round_trip(tmp_path):
     np.testing.assert_array_equal(columns["power"], np.arange(9, dtype=np.float32))
     write_points_ply(tmp_path / "none.ply", np.empty((0, 3)))
     assert read_points_ply(tmp_path / "none.ply")[0].shape == (0, 3)
+
+
+def test_a_million_points_are_read_at_once(tmp_path):
+    write_points_ply(tmp_path / "p.ply", np.zeros((1_000_000, 3)))
+    begun = time.process_time()
+    assert read_points_ply(tmp_path / "p.ply")[0].shape == (1_000_000, 3)
+    assert time.process_time() - begun < 1
 
 
 def test_wrong_points_are_not_written(tmp_path):

@@ -2,7 +2,8 @@
 
 from sarsplat.data.checkpoint import load_checkpoint, save_checkpoint
 from sarsplat.data.dataset import Dataset, DatasetView, read_dataset, write_dataset
-from sarsplat.data.files import new_folder, read_json, write_bytes, write_json
+from sarsplat.data.files import read_json, write_bytes, write_json
+from sarsplat.data.folders import new_folder
 from sarsplat.data.image import SarImage
 from sarsplat.data.mstar import import_mstar
 from sarsplat.data.phoenix import PhoenixChip, read_phoenix

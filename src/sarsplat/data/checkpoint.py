@@ -5,7 +5,6 @@ One file, so that one rename makes it whole: a checkpoint is either there or not
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,11 +13,13 @@ import safetensors
 import safetensors.torch
 from torch import Tensor
 
-from sarsplat.data.files import encode_json, plain_os_errors, write_bytes
+from sarsplat.data.fields import shown
+from sarsplat.data.files import decode_json, encode_json, open_file, plain_os_errors, write_bytes
 from sarsplat.errors import SarsplatError
 
 _SCHEMA = "sarsplat-checkpoint"
 _VERSION = "1"
+_LONGEST_HEADER = 1 << 20  # bytes; it describes some dozens of tensors, and each costs memory however small it is
 
 
 def save_checkpoint(path: Path, tensors: Mapping[str, Tensor], state: dict[str, Any]) -> None:
@@ -62,21 +63,32 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """
     path = Path(path)
     try:
-        with plain_os_errors("read", path):
-            path.open("rb").close()  # the OSErrors of safetensors do not say which one they are
+        _check_header(path)
         with plain_os_errors("read", path), safetensors.safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no dict)
     except safetensors.SafetensorError as error:
-        raise SarsplatError(f"{path} is a damaged checkpoint ({error}); resume from another one") from error
+        raise SarsplatError(f"{path} is a damaged checkpoint ({shown(str(error))}); resume from another one") from error
     if metadata.get("schema") != _SCHEMA:
         raise SarsplatError(f"{path} holds tensors but is not a checkpoint of a run; give one from RUN/checkpoints")
     if metadata.get("version") != _VERSION:
         raise SarsplatError(
-            f"{path} is a checkpoint of version {metadata.get('version')!r} but this program reads {_VERSION!r}; "
+            f"{path} is a checkpoint of version {shown(metadata.get('version'))} but this program reads {_VERSION!r}; "
             "start the run again"
         )
-    try:
-        return tensors, dict(json.loads(metadata.get("state", "")))
-    except (ValueError, TypeError, RecursionError) as error:
-        raise SarsplatError(f"{path} has a garbled state ({error}); resume from another checkpoint") from error
+    state = decode_json(metadata.get("state", "").encode(), Path(f"the state in {path}"))
+    if not isinstance(state, dict):
+        raise SarsplatError(f"the state in {path} is no object of named fields; resume from another checkpoint")
+    return tensors, state
+
+
+def _check_header(path: Path) -> None:
+    """Believe the header's length only if the file is that long and ours could be; safetensors checks the rest."""
+    with open_file(path) as file:
+        size = file.seek(0, 2)
+        file.seek(0)
+        length = int.from_bytes(file.read(8), "little")
+    if not 0 < length <= min(size - 8, _LONGEST_HEADER):
+        raise SarsplatError(
+            f"{path} is a damaged checkpoint (a header of {length} bytes in {size}); resume from another one"
+        )

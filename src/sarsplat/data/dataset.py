@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from sarsplat.data.fields import Fields
-from sarsplat.data.files import new_folder, plain_os_errors, read_json, write_bytes, write_json
+from sarsplat.data.fields import Fields, shown
+from sarsplat.data.files import plain_os_errors, read_json, write_bytes, write_json
+from sarsplat.data.folders import new_folder
 from sarsplat.data.tiff import check_power, read_power_tiff, write_power_tiff
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
@@ -273,7 +274,8 @@ def _parse(path: Path, value: object) -> Dataset:
         raise SarsplatError(f"this is not a dataset's header: its schema is not {SCHEMA!r}; {_MAKE_ONE}")
     if value.get("schema_version") != SCHEMA_VERSION:
         raise SarsplatError(
-            f"schema_version is {value.get('schema_version')!r} but this program reads {SCHEMA_VERSION}; {_MAKE_ONE}"
+            f"schema_version is {shown(value.get('schema_version'))} but this program reads {SCHEMA_VERSION}; "
+            f"{_MAKE_ONE}"
         )
     fields = Fields(
         value,
@@ -286,7 +288,7 @@ def _parse(path: Path, value: object) -> Dataset:
     views = tuple(_parse_view(path, item, f"views[{index}]") for index, item in enumerate(fields.items("views")))
     if not any(item.split == "train" for item in views):
         raise SarsplatError('there is no view in the split "train", so there is nothing to learn from; mark some')
-    if len({item.image for item in views}) < len(views):
+    if len({(path / item.image).resolve() for item in views}) < len(views):
         raise SarsplatError("two views name the same image file; give each view its own")
     domain: Domain = "rendered" if fields.text("domain", "rendered", "measured") == "rendered" else "measured"
     return Dataset(path, _parse_grid(fields.get("grid")), views, fields.mapping("source"), domain, mesh)
@@ -307,7 +309,7 @@ def _parse_view(path: Path, value: object, where: str) -> DatasetView:
     fields = Fields(value, where, ("file", "azimuth_deg", "grazing_deg", "split", "target_az_deg"))
     split, image = fields.text("split"), fields.text("file")
     if not re.fullmatch(r"train|test[A-Za-z0-9.-]*", split):
-        raise SarsplatError(f'{where}.split is {split!r} but must be "train" or a name that starts with "test"')
+        raise SarsplatError(f'{where}.split is {shown(split)} but must be "train" or a name that starts with "test"')
     _inside(path, image)
     try:
         view = View(fields.number("azimuth_deg"), fields.number("grazing_deg"))
@@ -320,11 +322,11 @@ def _inside(folder: Path, name: str) -> Path:
     """`folder / name`, which must not lead out of the folder, not even by a link."""
     path = folder / name
     try:
-        inside = "\0" not in name and path.resolve().is_relative_to(folder.resolve())
+        inside = name.isprintable() and path.resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError):  # a name the system cannot hold, or a loop of links
         inside = False
     if not name or not inside:
         raise SarsplatError(
-            f"the file {name[:60]!r} does not lie inside the dataset's folder; use a relative path in it"
+            f"the file {shown(name)} does not lie inside the dataset's folder; use a plain relative path in it"
         )
     return path

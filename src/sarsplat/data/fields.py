@@ -25,15 +25,15 @@ class Fields:
 
     def __init__(self, value: object, where: str, names: tuple[str, ...]) -> None:
         if not isinstance(value, dict):
-            raise SarsplatError(f"{where} is {_shown(value)} but must be an object with the fields {', '.join(names)}")
+            raise SarsplatError(f"{where} is {shown(value)} but must be an object with the fields {', '.join(names)}")
         if missing := [name for name in names if name not in value]:
             raise SarsplatError(f"{where} lacks the field {missing[0]!r}; add it or make the file again")
         if unknown := [name for name in value if name not in names]:
-            raise SarsplatError(f"{where} has the unknown field {unknown[0]!r}; it may have {', '.join(names)}")
+            raise SarsplatError(f"{where} has the unknown field {shown(unknown[0])}; it may have {', '.join(names)}")
         self._value, self._where = value, where
 
     def _wrong(self, name: str, expected: str) -> SarsplatError:
-        return SarsplatError(f"{self._where}.{name} is {_shown(self._value[name])} but must be {expected}")
+        return SarsplatError(f"{self._where}.{name} is {shown(self._value[name])} but must be {expected}")
 
     def text(self, name: str, *allowed: str) -> str:
         """A string, one of `allowed` if any are named."""
@@ -91,6 +91,7 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
+    """The value as an error may quote it, whatever a stranger wrote there: printable and not too long."""
     text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "…"
+    return text if len(text) <= 120 else text[:119] + "…"

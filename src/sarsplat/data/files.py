@@ -1,17 +1,17 @@
-"""Files and folders that are whole or absent (a temporary name, synced, then renamed), and JSON read with care."""
+"""Files that are whole or absent (a temporary name, synced, then renamed), and JSON read with care."""
 
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
 import math
 import os
-import shutil
-import tempfile
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from sarsplat.errors import SarsplatError
 
@@ -26,7 +26,13 @@ _REASONS = {
     errno.EISDIR: "it is a folder, not a file; give another path",
     errno.ENOENT: "it does not exist; check the path",
     errno.ENAMETOOLONG: "its name is too long; give a shorter one",
+    errno.EFBIG: "it grows larger than the system allows; free some space or raise the limit",
 }
+
+# Parsed JSON takes far more memory than its text: "[]," is three bytes there and a list here. Files of ours are sparse.
+_BYTES_PER_VALUE = 130
+_FREE_BYTES = 48 << 20
+_LARGEST_JSON = 1 << 28  # bytes
 
 
 @contextmanager
@@ -41,11 +47,15 @@ def plain_os_errors(verb: str, path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        reason = _REASONS.get(error.errno or 0) or f"{error.strerror or error}; check the path and the disk"
-        raise SarsplatError(f"cannot {verb} {path}: {reason}") from error
+        raise SarsplatError(f"cannot {verb} {path}: {plain_reason(error)}") from error
 
 
-def _sync(path: Path) -> None:
+def plain_reason(error: OSError) -> str:
+    """What an OSError means, and the remedy."""
+    return _REASONS.get(error.errno or 0) or f"{error.strerror or error}; check the path and the disk"
+
+
+def sync(path: Path) -> None:
     """Flush one file or folder to the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
@@ -54,8 +64,57 @@ def _sync(path: Path) -> None:
         os.close(descriptor)
 
 
+@contextmanager
+def locked(path: Path, user: Path) -> Iterator[int]:
+    """Hold a file, made if need be, that no other process can hold at the same time.
+
+    The system lets go of it when the process ends, however it ends: there are no stale locks.
+
+    Parameters
+    ----------
+    path : Path
+        The file; it may be renamed while it is held.
+    user : Path
+        What the lock stands for: named in the error.
+
+    Yields
+    ------
+    int
+        Descriptor of the open file.
+
+    Raises
+    ------
+    SarsplatError
+        If another process holds it, or it is no ordinary file.
+    """
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
+        try:
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                raise SarsplatError(f"{path} is no ordinary file; remove it")
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise SarsplatError(f"{user} is in use by another process; wait until that has ended") from error
+            if not _is_at(descriptor, path):
+                continue  # its last holder renamed or removed it before we had it
+            yield descriptor
+            return
+        finally:
+            os.close(descriptor)
+
+
+def _is_at(descriptor: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.lstat())
+    except FileNotFoundError:
+        return False
+
+
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file, whole or not at all; an existing one is replaced only once the new one is on the disk.
+
+    What a killed process left under the temporary name, `.NAME.tmp`, is written over by the next one.
 
     Parameters
     ----------
@@ -67,22 +126,27 @@ def write_bytes(path: Path, data: bytes) -> None:
     Raises
     ------
     SarsplatError
-        If the disk is full or read-only, permission is missing, or the folder is not there.
+        If the disk is full or read-only, permission is missing, the folder is not there, another process is writing
+        this file, or what stands there is no ordinary file.
     """
     path = Path(path)
-    if not path.name:
-        raise SarsplatError(f"cannot write {path}: it is a folder, not a file; give another path")
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with plain_os_errors("write", path):
-        try:
-            with temporary.open("wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.replace(path)
-            _sync(path.parent)
-        finally:
-            temporary.unlink(missing_ok=True)  # still there only if something above failed
+        if not path.name or path.is_dir():
+            raise SarsplatError(f"cannot write {path}: it is a folder, not a file; give another path")
+        if os.path.lexists(path) and not path.is_file():
+            raise SarsplatError(f"cannot write {path}: it is a device, a pipe or a broken link; give another path")
+        temporary = path.with_name(f".{path.name}.tmp")
+        with locked(temporary, path) as descriptor:
+            try:
+                os.ftruncate(descriptor, 0)
+                with open(descriptor, "wb", closefd=False) as file:
+                    file.write(data)
+                os.fsync(descriptor)
+                temporary.replace(path)
+            except BaseException:
+                temporary.unlink(missing_ok=True)
+                raise
+        sync(path.parent)
 
 
 def write_json(path: Path, obj: Any) -> None:
@@ -100,10 +164,36 @@ def encode_json(obj: Any, path: Path) -> bytes:
     """The object as indented UTF-8 JSON ending in a newline; `path` is what an error names."""
     try:
         return (json.dumps(obj, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    except UnicodeEncodeError as error:  # a path whose bytes are not UTF-8 carries them as halves of surrogate pairs
+        name = error.object[max(0, error.start - 60) : error.end + 60]
+        raise SarsplatError(
+            f"{path} cannot hold the name {name!r}, which is not UTF-8 text; rename that file"
+        ) from error
     except (TypeError, ValueError, RecursionError) as error:
         raise SarsplatError(
             f"{path} cannot be written as JSON: {error}; use finite numbers, text, lists, dicts"
         ) from error
+
+
+@contextmanager
+def open_file(path: Path) -> Iterator[BinaryIO]:
+    """Open a regular file for reading; pipes, sockets and devices may never end, so they are refused unopened.
+
+    Raises
+    ------
+    SarsplatError
+        If it is missing, closed to us, or not a regular file; in place of any OSError or MemoryError in the block.
+    """
+    path = Path(path)
+    with plain_os_errors("read", path):
+        mode = path.stat().st_mode
+        if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+            raise SarsplatError(f"cannot read {path}: it is a pipe, socket or device; give a regular file")
+        try:
+            with path.open("rb") as file:
+                yield file
+        except MemoryError as error:
+            raise SarsplatError(f"cannot read {path}: it does not fit into memory; give a smaller file") from error
 
 
 def read_json(path: Path) -> Any:
@@ -112,22 +202,46 @@ def read_json(path: Path) -> Any:
     Returns
     -------
     dict, list, str, int, float, bool or None
-        The value; every number in it is finite.
+        The value; every number in it is finite, no object names a field twice, and all text can be written as UTF-8.
 
     Raises
     ------
     SarsplatError
-        If the file is missing, is not UTF-8 JSON, holds NaN or an infinity, or is nested too deeply.
+        If the file is missing, is not UTF-8 JSON, holds NaN or an infinity, or is nested too deeply or too densely.
     """
-    path = Path(path)
-    with plain_os_errors("read", path):
-        data = path.read_bytes()
+    with open_file(path) as file:
+        if file.seek(0, os.SEEK_END) > _LARGEST_JSON:
+            raise SarsplatError(f"{path} is larger than {_LARGEST_JSON} bytes, so it is no file of ours; make it again")
+        file.seek(0)
+        return decode_json(file.read(), Path(path))
+
+
+def decode_json(data: bytes, path: Path) -> Any:
+    """The value of JSON text, read as `read_json` does; `path` is what an error names."""
+    values = sum(data.count(mark) for mark in (b",", b"[", b"{"))
+    if values * _BYTES_PER_VALUE > 4 * len(data) + _FREE_BYTES:
+        raise SarsplatError(
+            f"{path} packs {values} values into {len(data)} bytes, more than files of ours; make it again"
+        )
     try:
-        return json.loads(data.decode(), parse_constant=_refuse_constant, parse_float=_finite)
+        value = json.loads(
+            data.decode(), parse_constant=_refuse_constant, parse_float=_finite, object_pairs_hook=_no_field_twice
+        )
+        if b"\\u" in data:
+            json.dumps(value, ensure_ascii=False).encode()  # fails on half a surrogate pair
+        return value
     except RecursionError as error:
         raise SarsplatError(f"{path} is nested too deeply to be a file of ours; make it again") from error
     except ValueError as error:  # JSONDecodeError and UnicodeDecodeError among them
         raise SarsplatError(f"{path} is not valid JSON ({error}); make it again") from error
+
+
+def _no_field_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    fields = dict(pairs)
+    if len(fields) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"an object names {max(names, key=names.count)[:40]!r} twice")
+    return fields
 
 
 def _refuse_constant(name: str) -> float:
@@ -139,71 +253,3 @@ def _finite(text: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"{text} is too large")
     return value
-
-
-@contextmanager
-def new_folder(path: Path, overwrite: bool, *, marker: str | None = None) -> Iterator[Path]:
-    """Build a whole output folder under a temporary sibling name; it takes its place when the block ends well.
-
-    If the block raises, KeyboardInterrupt included, the temporary folder is removed and what stood at `path` stays.
-
-    Parameters
-    ----------
-    path : Path
-        The folder to make; parent folders are made too. An empty folder there counts as absent.
-    overwrite : bool
-        Whether an existing folder may be replaced, as a whole.
-    marker : str, optional
-        Name of the file by which an earlier output of this kind is known: a folder without it is never replaced.
-
-    Yields
-    ------
-    Path
-        The temporary folder to write into.
-
-    Raises
-    ------
-    SarsplatError
-        If `path` exists and may not be replaced, or the disk is full, read-only or closed to us.
-    """
-    path = Path(path).resolve()
-    with plain_os_errors("write", path):
-        _refuse_existing(path, overwrite, marker)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        # mkdtemp makes a private folder; the one inside it gets the user's usual permissions.
-        workshop = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent))
-        try:
-            built, retired = workshop / "new", workshop / "old"
-            built.mkdir()
-            yield built
-            for folder, _, names in os.walk(built):
-                for name in names:
-                    _sync(Path(folder, name))
-                _sync(Path(folder))
-            _refuse_existing(path, overwrite, marker)  # it may have appeared meanwhile
-            try:
-                if path.exists():
-                    path.replace(retired)
-                built.replace(path)
-            except BaseException:
-                if retired.exists() and not path.exists():
-                    retired.replace(path)
-                raise
-            _sync(path.parent)
-        finally:
-            shutil.rmtree(workshop, ignore_errors=True)
-
-
-def _refuse_existing(path: Path, overwrite: bool, marker: str | None) -> None:
-    if not os.path.lexists(path):
-        return
-    if not path.is_dir():
-        raise SarsplatError(f"{path} is a file, not a folder; give another name")
-    empty = not any(path.iterdir())
-    if not empty and not overwrite:
-        raise SarsplatError(f"{path} exists; give another name or --overwrite")
-    # Replacing a folder deletes everything in it, so a slip such as `--out . --overwrite` must not cost a day's work.
-    if Path.cwd().is_relative_to(path) or Path.home().resolve().is_relative_to(path):
-        raise SarsplatError(f"{path} holds the current or the home folder and is never replaced; give another name")
-    if not empty and marker is not None and not (path / marker).is_file():
-        raise SarsplatError(f"{path} holds no {marker}, so it is not ours to replace; give another name")

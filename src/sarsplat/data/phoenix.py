@@ -13,13 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
-from sarsplat.data.files import plain_os_errors
+from sarsplat.data.fields import shown
+from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError
 
 _MAGIC = b"[PhoenixHeaderVer"
 _END = "[EndofPhoenixHeader]"
 _LONGEST_HEADER = 65_536
 _MOST_PIXELS_A_SIDE = 4096
+_LARGEST = 1e9  # no magnitude and no number of a header comes near it, and its square still fits into float32
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ class PhoenixChip:
 
 def is_phoenix(path: Path) -> bool:
     """Whether the file starts the way Phoenix files do."""
-    with plain_os_errors("read", path), path.open("rb") as file:
+    with open_file(path) as file:
         return _begins(file.read(len(_MAGIC) + 1))
 
 
@@ -111,10 +113,10 @@ def read_phoenix(path: Path) -> PhoenixChip:
     ------
     SarsplatError
         If it is no Phoenix file, its header is garbled, its sizes do not fit the file (a truncated chip), it is a full
-        scene rather than a chip, or a magnitude is negative or not finite.
+        scene rather than a chip, a field is stated twice, or a magnitude is negative, absurdly large or not finite.
     """
     path = Path(path)
-    with plain_os_errors("read", path), path.open("rb") as file:
+    with open_file(path) as file:
         size = file.seek(0, 2)
         file.seek(0)
         start = file.read(_LONGEST_HEADER)
@@ -123,7 +125,7 @@ def read_phoenix(path: Path) -> PhoenixChip:
         columns = _whole(path, header, "NumberOfColumns", _MOST_PIXELS_A_SIDE)
         if header.get("native_header_length") != "0":
             raise SarsplatError(
-                f"{path} has a native header of {header.get('native_header_length', 'unknown')} bytes, "
+                f"{path} has a native header of {shown(header.get('native_header_length'))} bytes, "
                 "so it is a scene and no chip of float32; give target chips"
             )
         expected = length + 8 * rows * columns
@@ -136,12 +138,12 @@ def read_phoenix(path: Path) -> PhoenixChip:
         file.seek(length)
         data = file.read(4 * rows * columns)
     magnitude = np.frombuffer(data, dtype=">f4").reshape(rows, columns).astype(np.float32)
-    bad = ~(np.isfinite(magnitude) & (magnitude >= 0))
+    bad = ~((magnitude >= 0) & (magnitude <= _LARGEST))  # also catches NaN
     if bad.any():
         row, column = np.argwhere(bad)[0]
         raise SarsplatError(
             f"{path} holds the magnitude {magnitude[row, column]:.6g} at row {row}, column {column}; "
-            "magnitudes must be finite and ≥ 0, so fetch it again"
+            f"magnitudes lie between 0 and {_LARGEST:g}, so fetch it again"
         )
     return PhoenixChip(path, header, magnitude)
 
@@ -163,14 +165,17 @@ def _parse_header(path: Path, start: bytes) -> tuple[int, dict[str, str]]:
         raise SarsplatError(f"{path} has a header that is not ASCII text ({error}); fetch it again") from error
     if _END not in lines:
         raise SarsplatError(f"{path} has no {_END} within the {length} bytes of its header; fetch it again")
-    pairs = (line.split("=", 1) for line in lines if "=" in line)
-    return length, {key.strip(): value.strip() for key, value in pairs}
+    header: dict[str, str] = {}
+    for key, value in (line.split("=", 1) for line in lines if "=" in line):
+        if header.setdefault(key.strip(), value.strip()) != value.strip():
+            raise SarsplatError(f"{path} states {key.strip()[:40]!r} twice and differently; fetch it again")
+    return length, header
 
 
 def _text(path: Path, header: dict[str, str], key: str) -> str:
     value = header.get(key, "")
-    if not value:
-        raise SarsplatError(f"{path} has no {key} in its header; fetch it again")
+    if not value.isprintable() or not value:
+        raise SarsplatError(f"{path} has no readable {key} in its header; fetch it again")
     return value
 
 
@@ -180,8 +185,10 @@ def _number(path: Path, header: dict[str, str], key: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value):
-        raise SarsplatError(f"{path} has {key}= {text[:40]!r} in its header, which is no number; fetch it again")
+    if not abs(value) <= _LARGEST:  # also catches NaN
+        raise SarsplatError(
+            f"{path} has {key}= {text[:40]!r} in its header, which is no number that could be right; fetch it again"
+        )
     return value
 
 

@@ -22,7 +22,8 @@ import numpy as np
 import torch
 from plyfile import PlyData, PlyElement, PlyParseError
 
-from sarsplat.data.files import plain_os_errors, write_bytes
+from sarsplat.data.fields import shown
+from sarsplat.data.files import open_file, write_bytes
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
 
@@ -95,7 +96,7 @@ def read_gaussians_ply(path: Path) -> Gaussians:
     ours = _VERSION in comments
     foreign = next((line for line in comments if line.startswith("sarsplat gaussians") and not ours), None)
     if foreign is not None:
-        raise SarsplatError(f"{path} has the format {foreign!r} but this program reads {_VERSION!r}; update it")
+        raise SarsplatError(f"{path} has the format {shown(foreign)} but this program reads {_VERSION!r}; update it")
     rest = sum(name.startswith("f_rest_") for name in columns)
     if rest not in (0, 9, 24, 45):
         raise SarsplatError(f"{path} has {rest} properties f_rest_*; degrees 0 to 3 have 0, 9, 24 or 45")
@@ -237,25 +238,31 @@ def _write(path: Path, columns: dict[str, np.ndarray], comments: list[str]) -> N
 
 def _read(path: Path) -> tuple[dict[str, np.ndarray], list[str]]:
     """The vertex columns, float32 [P], and the header's comments."""
-    with plain_os_errors("read", path):
-        data = path.read_bytes()
-    _check_size(path, data)
     try:
-        ply = PlyData.read(io.BytesIO(data), mmap=False)
+        with open_file(path) as file:
+            start = file.read(_LONGEST_HEADER)
+            _check_size(path, start, file.seek(0, 2))
+            file.seek(0)
+            ply = PlyData.read(file)  # mapped into memory: without, plyfile reads row by row
         table = ply["vertex"].data
         with np.errstate(over="ignore"):
             return {name: table[name].astype(np.float32) for name in table.dtype.names}, list(ply.comments)
     except (PlyParseError, ValueError, KeyError, TypeError) as error:
-        raise SarsplatError(f"{path} is a damaged PLY ({error}); make it again") from error
+        raise SarsplatError(f"{path} is a damaged PLY ({shown(str(error))}); make it again") from error
 
 
-def _check_size(path: Path, data: bytes) -> None:
-    """Believe the header's counts only if the file is as long as they say: a reader allocates by them."""
-    header, end, _ = data[:_LONGEST_HEADER].partition(b"end_header\n")
-    if not data.startswith(b"ply\n") or not end:
+def _check_size(path: Path, start: bytes, length: int) -> None:
+    """Believe the header's counts only if the file, of `length` bytes, is as long: plyfile allocates by them.
+
+    It must see the same lines as we do here, so the header may hold nothing but printable ASCII.
+    """
+    header, end, _ = start.partition(b"\nend_header\n")
+    if not header.startswith(b"ply\n") or not end:
         raise SarsplatError(f"{path} is not a PLY file; give one made by `sarsplat export` or a 3DGS program")
+    if not re.fullmatch(rb"[\n\t -~]*", header):
+        raise SarsplatError(f"{path} has a PLY header that is not plain ASCII text with LF line ends; make it again")
     size, count = len(header) + len(end), 0
-    for words in (line.split() for line in header.decode("latin-1").splitlines()):
+    for words in (line.split() for line in header.decode("ascii").split("\n")):
         match words:
             case ["format", kind, *_] if kind != "binary_little_endian":
                 raise SarsplatError(f"{path} is a PLY in {kind[:30]} format; only binary_little_endian is read")
@@ -269,6 +276,6 @@ def _check_size(path: Path, data: bytes) -> None:
                 raise SarsplatError(
                     f"{path} has properties {' '.join(words)[:40]!r}: it is a mesh, not points or Gaussians"
                 )
-    if size != len(data):
-        state = "is truncated" if len(data) < size else "is too long"
-        raise SarsplatError(f"{path} {state}: {len(data)} bytes where its header asks for {size}; make it again")
+    if size != length:
+        state = "is truncated" if length < size else "is too long"
+        raise SarsplatError(f"{path} {state}: {length} bytes where its header asks for {size}; make it again")

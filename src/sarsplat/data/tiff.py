@@ -9,8 +9,12 @@ from pathlib import Path
 import numpy as np
 import tifffile
 
-from sarsplat.data.files import plain_os_errors, write_bytes
+from sarsplat.data.fields import shown
+from sarsplat.data.files import open_file, write_bytes
 from sarsplat.errors import SarsplatError
+
+_LARGEST_POWER = 1e18  # 180 dB: beyond any calibration, and its square still fits into float32
+_LONGEST_HEADER = 1 << 20  # bytes of a TIFF that are not pixels: tags, descriptions
 
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what is wrong with a file is said by our own errors
 
@@ -56,32 +60,37 @@ def read_power_tiff(path: Path, shape: tuple[int, int]) -> np.ndarray:
         If the file is missing, damaged, truncated, compressed, of another shape or type, or holds NaN, an infinity or
         negative power.
     """
-    with plain_os_errors("read", path):
-        data = path.read_bytes()
-    if len(data) < 4 * shape[0] * shape[1]:
-        raise SarsplatError(
-            f"{path} has {len(data)} bytes, too few for {shape[0]} × {shape[1]} float32 pixels; "
-            "it is truncated, compressed or of another size: make the dataset again"
-        )
+    path, least = Path(path), 4 * shape[0] * shape[1]
+    with open_file(path) as file:
+        size = file.seek(0, 2)
+        if not least <= size <= least + _LONGEST_HEADER:
+            raise SarsplatError(
+                f"{path} has {size} bytes, too {'few' if size < least else 'many'} for {shape[0]} × {shape[1]} float32 "
+                "pixels; it is truncated, compressed or of another size: make the dataset again"
+            )
+        file.seek(0)
+        data = file.read()
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as tiff:
             page = tiff.pages.first
-            found = (page.shape, page.dtype, page.compression)
-            power = page.asarray() if found == (shape, np.float32, tifffile.COMPRESSION.NONE) else None
+            found = (page.shape, page.dtype, page.compression, tiff.pages.is_multipage)
+            power = page.asarray() if found == (shape, np.float32, tifffile.COMPRESSION.NONE, False) else None
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
-        raise SarsplatError(f"{path} is not a readable TIFF ({error}); make the dataset again") from error
+        raise SarsplatError(f"{path} is not a readable TIFF ({shown(str(error))}); make the dataset again") from error
     if power is None:
         raise SarsplatError(
-            f"{path} holds {found[1]} pixels of shape {found[0]}, compression {found[2]}; "
-            f"it must be uncompressed float32 of shape {shape}"
+            f"{path} holds {found[1]} pixels of shape {found[0]}, compression {found[2]!r:.30}, on "
+            f"{'several pages' if found[3] else 'one page'}; give one page of uncompressed float32 of shape {shape}"
         )
     check_power(power, str(path))
     return np.asarray(power, dtype=np.float32)
 
 
 def check_power(power: np.ndarray, name: str) -> None:
-    """Raise SarsplatError if a pixel is negative or not finite; `name` is what the error calls the image."""
-    bad = ~(np.isfinite(power) & (power >= 0))
+    """Raise SarsplatError if a pixel is negative, absurdly large or not finite; `name` is what to call the image."""
+    bad = ~((power >= 0) & (power <= _LARGEST_POWER))  # also catches NaN
     if bad.any():
         place = tuple(int(i) for i in np.argwhere(bad)[0])
-        raise SarsplatError(f"{name} holds {power[place]} at {place}; power must be finite and ≥ 0")
+        raise SarsplatError(
+            f"{name} holds {power[place]:.6g} at {place}; power must be finite and ≥ 0, at most {_LARGEST_POWER:g}"
+        )

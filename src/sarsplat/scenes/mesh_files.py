@@ -1,0 +1,142 @@
+"""Triangle meshes from files that nobody vouches for: what is checked before trimesh may believe it.
+
+trimesh reads many formats, follows names in a file to other files, unpacks archives, and allocates what a glTF header
+asks for. Here it reads the bytes of one regular file in one of five formats, and nothing else.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import re
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sarsplat.errors import SarsplatError
+
+if TYPE_CHECKING:
+    import trimesh
+
+_FORMATS = (".obj", ".stl", ".ply", ".off", ".glb")
+_FARTHEST = 1e9  # m from the origin: beyond any unit mistaken for the metre, and squares of it stay finite
+_LARGEST_FILE = 1 << 30  # bytes
+_FREE_NUMBERS = 100_000  # that a .glb file of any size may unfold to
+_LONGEST_SCENE = 1 << 20  # bytes of JSON in a .glb file
+_MOST_PARTS = 2_000  # nodes and primitives of a glTF scene: trimesh takes about a tenth of a millisecond for each
+_MOST_SOLIDS = 1_000  # in an ASCII .stl file: half a millisecond for each
+_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+
+logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # what is wrong with a file is said by our own errors
+
+
+def read_mesh(path: Path) -> trimesh.Trimesh:
+    """All triangles of a mesh file, exactly as they are there; a scene's parts become one mesh.
+
+    Parameters
+    ----------
+    path : Path
+        An .obj, .stl, .ply, .off or .glb file that is whole in itself: materials and textures are left out.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        At least one face; every face names vertices that are there. Vertices may be NaN or infinite.
+
+    Raises
+    ------
+    SarsplatError
+        If the file is missing, of another format or damaged, or unfolds to far more than it holds.
+    """
+    import trimesh
+
+    path = Path(path)
+    kind = path.suffix.lower()
+    if kind not in _FORMATS:
+        raise SarsplatError(f"'{path}' is not a mesh of a known format; give an {', '.join(_FORMATS)} file")
+    try:
+        if not path.is_file():  # nor a pipe or a device, whose end may never come
+            raise SarsplatError(f"there is no mesh file at '{path}'; give the path of an {', '.join(_FORMATS)} file")
+        if (size := path.stat().st_size) > _LARGEST_FILE:
+            raise SarsplatError(f"'{path}' has {size} bytes, more than is sensible for a target; simplify the mesh")
+        data = path.read_bytes()
+    except (OSError, MemoryError) as error:
+        raise SarsplatError(f"cannot read '{path}': {error}; check the path and its permissions") from error
+    if kind == ".obj":
+        data = _plain_obj(path, data)
+    elif kind == ".glb":
+        _check_glb(path, data)
+    elif kind == ".stl" and (solids := data.lower().count(b"endsolid")) > _MOST_SOLIDS:
+        raise SarsplatError(f"'{path}' holds {solids} solids, each a mesh; export it as one plain mesh")
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            # numpy only warns of a number it cannot read, and leaves out the rest of the line.
+            warnings.filterwarnings("error", message="string or file could not be read")
+            # Unprocessed: merging vertices would move them. A stream without resolver: no other file can be named.
+            scene = trimesh.load_scene(io.BytesIO(data), file_type=kind[1:], process=False, skip_materials=True)
+            mesh = scene.to_mesh()
+    except Exception as error:  # the readers behind trimesh raise whatever their parsers raise
+        reason = repr(str(error) or type(error).__name__)[:200]
+        raise SarsplatError(f"'{path}' cannot be read as a mesh ({reason}); repair it or give another file") from error
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    if len(faces) == 0:
+        raise SarsplatError(f"'{path}' holds no faces, only {len(vertices)} vertices; give a triangle mesh")
+    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or faces.min() < 0 or faces.max() >= len(vertices):
+        raise SarsplatError(f"'{path}' has faces whose vertices are not there; repair the mesh")
+    if (far := np.abs(vertices[np.isfinite(vertices)])).size and far.max() > _FARTHEST:
+        raise SarsplatError(f"'{path}' has a vertex {far.max():.3g} m from the origin; repair it or scale it to metres")
+    return mesh
+
+
+def _plain_obj(path: Path, data: bytes) -> bytes:
+    """The text without materials: trimesh would make a mesh of each change of material, and each costs milliseconds."""
+    if re.search(rb"^f[^\n]*[ \t]-", data, flags=re.MULTILINE):
+        raise SarsplatError(f"'{path}' counts the vertices of its faces backwards; export it with absolute numbers")
+    return data.decode("utf-8", "replace").encode().replace(b"usemtl", b"#")
+
+
+def _check_glb(path: Path, data: bytes) -> None:
+    """Believe what the scene's JSON says of sizes only as far as the file goes."""
+    length = int.from_bytes(data[12:16], "little")
+    if data[:4] != b"glTF" or data[16:20] != b"JSON" or length > len(data) - 20:
+        raise SarsplatError(f"'{path}' is not a whole .glb file; export it again")
+    if length > _LONGEST_SCENE:
+        raise SarsplatError(f"'{path}' describes its scene in {length} bytes of JSON; export it as one plain mesh")
+    try:
+        numbers, parts = _unfolded(json.loads(data[20 : 20 + length].decode()))
+    except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
+        raise SarsplatError(f"'{path}' has a garbled scene ({repr(error)[:200]}); export it again") from error
+    if numbers > 2 * len(data) + _FREE_NUMBERS or parts > _MOST_PARTS:
+        raise SarsplatError(
+            f"'{path}' unfolds {len(data)} bytes to {numbers} numbers in {parts} parts; export it as one plain mesh"
+        )
+
+
+def _unfolded(scene: dict[str, Any]) -> tuple[int, int]:
+    """How many numbers trimesh would hold, each part of the scene in each of its places, and how many places."""
+    views, accessors, meshes, nodes = (scene.get(key, []) for key in ("bufferViews", "accessors", "meshes", "nodes"))
+    numbers = sum(_natural(view["byteLength"]) // 4 for view in views)
+    for accessor in accessors:
+        if "sparse" in accessor or "bufferView" not in accessor:
+            raise ValueError("sparse and compressed data are not read")
+        numbers += _natural(accessor["count"]) * _COMPONENTS[accessor["type"]]
+    loads, parts = [], len(nodes)
+    for mesh in meshes:
+        primitives = mesh["primitives"]
+        if any("KHR_draco_mesh_compression" in primitive.get("extensions", ()) for primitive in primitives):
+            raise ValueError("compressed data are not read")
+        used = [index for p in primitives for index in (*p["attributes"].values(), p.get("indices"))]
+        loads.append((sum(accessors[index]["count"] for index in used if index is not None), len(primitives)))
+    for load, count in [*loads, *(loads[node["mesh"]] for node in nodes if "mesh" in node)]:
+        numbers, parts = numbers + load, parts + count
+    return numbers, parts + sum(len(node.get("children", ())) for node in nodes)
+
+
+def _natural(value: object) -> int:
+    if not isinstance(value, int) or value < 0:
+        raise ValueError(f"{value!r:.40} is no count")
+    return value

@@ -1,0 +1,356 @@
+"""Files from strangers: read, or refused with one sentence; never a crash, a hang or a flood of memory.
+
+`make fuzz` tries many more inputs on the same readers.
+"""
+
+import json
+import os
+import pickle
+import re
+import shutil
+import signal
+import socket
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sarsplat
+from fuzz import Tally, judge, sentence_faults, watched
+from fuzz_inputs import GRID, READERS, phoenix, prepare_dataset
+from sarsplat.cli import main
+from sarsplat.data import (
+    load_checkpoint,
+    read_dataset,
+    read_json,
+    read_phoenix,
+    read_points_ply,
+    read_power_tiff,
+    write_json,
+)
+from sarsplat.errors import SarsplatError
+from sarsplat.scenes import load_mesh
+
+SUFFIXES = (".000", ".json", ".tif", ".ply", ".safetensors", ".obj", ".stl", ".off", ".glb")
+NEVER_OPENED = ("pipe", "socket", "zero", "loop", "folder", "absent", "empty", "sparse")
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory) -> dict[str, Path]:
+    """A prepared folder for each reader."""
+    folders = {reader.name: tmp_path_factory.mktemp("reader") for reader in READERS}
+    for reader in READERS:
+        reader.prepare(folders[reader.name])
+    return folders
+
+
+@contextmanager
+def at_most(seconds: float) -> Iterator[None]:
+    def stop(*_: object) -> None:
+        raise TimeoutError(f"it took more than {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.name)
+def test_valid_files_are_read(reader, places):
+    path = places[reader.name] / reader.file
+    path.write_bytes(reader.seeds()[0])
+    reader.read(places[reader.name])
+
+
+@pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.name)
+def test_spoilt_files_are_read_or_refused(reader, places):
+    seeds, tally = reader.seeds(), Tally()
+
+    @settings(derandomize=True, max_examples=40, deadline=None, database=None)
+    @given(st.sampled_from(seeds), st.randoms())
+    def spoilt(data, rng):
+        assert judge(reader, places[reader.name], reader.spoil(data, rng), tally) is None
+
+    spoilt()
+    assert tally.tried >= 40
+
+
+def special(path: Path, kind: str) -> None:
+    """What a path may lead to besides a file with something in it."""
+    match kind:
+        case "pipe":
+            os.mkfifo(path)
+        case "socket":
+            here = Path.cwd()
+            os.chdir(path.parent)  # a socket's path must be short
+            with socket.socket(socket.AF_UNIX) as server:
+                server.bind(path.name)
+            os.chdir(here)
+        case "zero":
+            path.symlink_to("/dev/zero")
+        case "loop":
+            path.symlink_to(path)
+        case "folder":
+            path.mkdir()
+        case "empty":
+            path.touch()
+        case "sparse":
+            with path.open("wb") as file:
+                file.truncate(2**40)
+
+
+def read(path: Path) -> None:
+    match path.suffix:
+        case ".000":
+            read_phoenix(path)
+        case ".json":
+            read_json(path)
+        case ".tif":
+            read_power_tiff(path, (6, 5))
+        case ".safetensors":
+            load_checkpoint(path)
+        case _:
+            load_mesh(path)
+
+
+@pytest.mark.parametrize("kind", NEVER_OPENED)
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_what_is_no_file_is_refused_at_once(tmp_path, suffix, kind):
+    path = tmp_path / f"it{suffix}"
+    special(path, kind)
+    with at_most(5), watched() as cost:
+        with pytest.raises(SarsplatError) as caught:
+            read(path)
+        if suffix == ".ply":
+            with pytest.raises(SarsplatError):
+                read_points_ply(path)
+    assert cost.seconds < 1
+    assert cost.bytes < 64 << 20
+    assert sentence_faults(str(caught.value)) == []
+
+
+@pytest.mark.parametrize("kind", NEVER_OPENED)
+@pytest.mark.parametrize("suffix", (".000", ".tif", ".ply", ".glb"))
+def test_info_says_so_in_one_line(tmp_path, capsys, suffix, kind):
+    path = tmp_path / f"it{suffix}"
+    special(path, kind)
+    with at_most(5):
+        assert main(["info", str(path)]) == 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_nothing_is_ever_unpickled(tmp_path):
+    class Evil:
+        def __reduce__(self):
+            return Path.touch, (tmp_path / "ran",)
+
+    for suffix in (*SUFFIXES, ".pkl", ".npy", ".npz", ".pt"):
+        path = tmp_path / f"it{suffix}"
+        path.write_bytes(pickle.dumps(Evil()))
+        with pytest.raises(SarsplatError):
+            read(path)
+    assert not (tmp_path / "ran").exists()
+    sources = "".join(file.read_text() for file in Path(sarsplat.__file__).parent.rglob("*.py"))
+    assert re.findall(r"pickle\.load|allow_pickle=True|weights_only=False|joblib|shelve", sources) == []
+
+
+# ---- JSON and datasets ----
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('{"a": 1, "b": 2, "a": 3}', "names 'a' twice"),
+        (r'["\ud800"]', "surrogates"),
+        (r'{"\udfff": 1}', "surrogates"),
+        ("[" + "[]," * 400_000 + "0]", "packs"),
+        ('{"a":' * 100_000, "nested too deeply"),
+        ("\ufeff{}", "BOM"),
+    ],
+)
+def test_json(tmp_path, text, words):
+    path = tmp_path / "a.json"
+    path.write_text(text, encoding="utf-8")
+    with watched() as cost, pytest.raises(SarsplatError, match=words):
+        read_json(path)
+    assert cost.bytes < 4 * len(text) + (64 << 20)
+    path.write_text(r'["😀 \ud83d\ude00"]', encoding="utf-8")
+    assert read_json(path) == ["😀 😀"]
+
+
+@pytest.fixture
+def dataset(tmp_path):
+    prepare_dataset(tmp_path)
+    return tmp_path / "set"
+
+
+def change(dataset: Path, old: str, new: str) -> None:
+    text = (dataset / "dataset.json").read_text()
+    assert old in text
+    (dataset / "dataset.json").write_text(text.replace(old, new, 1))
+
+
+def test_two_names_for_one_image(dataset):
+    change(dataset, "images/002.tif", "images/./001.tif")
+    with pytest.raises(SarsplatError, match="same image file"):
+        read_dataset(dataset)
+    change(dataset, "images/./001.tif", "images/002.tif")
+    (dataset / "images/002.tif").unlink()
+    (dataset / "images/002.tif").symlink_to("001.tif")
+    with pytest.raises(SarsplatError, match="same image file"):
+        read_dataset(dataset)
+
+
+def test_half_a_surrogate_pair_in_a_dataset(dataset):
+    change(dataset, '"kind": "é"', r'"kind": "\ud800"')
+    with pytest.raises(SarsplatError, match="surrogates"):
+        read_dataset(dataset)
+
+
+def test_folders_whose_names_are_not_text(dataset, tmp_path):
+    there = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff\xfe"))
+    shutil.move(dataset, there)
+    assert read_dataset(there).grid == GRID
+    assert main(["info", str(there)]) == 0
+    with pytest.raises(SarsplatError, match="not UTF-8 text; rename"):
+        write_json(tmp_path / "a.json", {"dataset": str(there)})  # as the header of a run names it
+
+
+def test_images_of_other_kinds(tmp_path):
+    path, image = tmp_path / "a.tif", np.ones((6, 5), np.float32)
+    for data, options, words in [
+        (np.stack([image, image]), {"photometric": "minisblack", "metadata": None}, "several pages"),
+        (np.zeros((4096, 4096), np.float32), {"compression": "zlib"}, "compress"),
+        (image * np.float32(3e38), {}, r"holds 3e\+38 at \(0, 0\)"),
+    ]:
+        tifffile.imwrite(path, data, **options)
+        shape = data.shape[-2:]
+        with watched() as cost, pytest.raises(SarsplatError, match=words):
+            read_power_tiff(path, shape)
+        assert cost.bytes < 4 * path.stat().st_size + (64 << 20)
+
+
+def test_phoenix_magnitudes_whose_square_overflows(tmp_path):
+    path, data = tmp_path / "a.000", phoenix()
+    path.write_bytes(data[:-192] + np.full(48, 3e38, ">f4").tobytes())
+    with pytest.raises(SarsplatError, match=r"holds the magnitude 3e\+38 at row 0, column 0"):
+        read_phoenix(path)
+    path.write_bytes(data.replace(b"TargetSerNum= 132\n", b"NumberOfRows= 5\nT=\n"))
+    with pytest.raises(SarsplatError, match="'NumberOfRows' twice"):
+        read_phoenix(path)
+
+
+# ---- headers that promise more than there is ----
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        b"comment end_header\nelement more 900000000000\nproperty double q\n",  # plyfile reads on
+        b"comment \x0belement none 0\nproperty double q\n",  # plyfile sees one line, splitlines two
+        b"comment \x85element none 0\nproperty double q\n",
+        b"element none 0\relement more 900000000000\nproperty double q\n",
+    ],
+)
+def test_ply_headers_that_two_parsers_read_differently(tmp_path, lines):
+    path = tmp_path / "p.ply"
+    head = b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
+    head += b"property float z\n"
+    path.write_bytes(head + lines + b"end_header\n" + bytes(12))
+    with watched() as cost, pytest.raises(SarsplatError):
+        read_points_ply(path)
+    assert cost.bytes < 64 << 20
+
+
+def glb(scene: dict, data: bytes = b"") -> bytes:
+    text = json.dumps({"asset": {"version": "2.0"}, **scene}).encode()
+    text += b" " * (-len(text) % 4)
+    body = struct.pack("<I", len(data)) + b"BIN\0" + data
+    return b"glTF" + struct.pack("<III", 2, 20 + len(text) + len(body), len(text)) + b"JSON" + text + body
+
+
+def triangle(**changes: object) -> bytes:
+    scene = {
+        "buffers": [{"byteLength": 36}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+    }
+    return glb({**scene, **changes}, struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"accessors": [{"componentType": 5126, "count": 10**9, "type": "VEC3"}]}, "sparse and compressed"),
+        ({"accessors": [{"bufferView": 0, "componentType": 5126, "count": 10**9, "type": "VEC3"}]}, "unfolds"),
+        ({"nodes": [{"mesh": 0}] * 5000, "scenes": [{"nodes": [*range(5000)]}]}, "unfolds"),
+        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0}}] * 9000}]}, "unfolds"),
+        ({"nodes": [{"children": [*range(90)], "mesh": 0}] * 90, "scenes": [{"nodes": [*range(90)]}]}, "unfolds"),
+        ({"bufferViews": [{"buffer": 0, "byteLength": 10**9}]}, "unfolds"),
+        ({"buffers": [{"byteLength": 36, "uri": "pipe"}]}, "cannot be read"),
+        ({"accessors": [{"bufferView": 0, "componentType": 5126, "count": -3, "type": "VEC3"}]}, "no count"),
+        ({"meshes": []}, "garbled scene"),
+        ({"extras": "x" * (1 << 20)}, "bytes of JSON"),
+    ],
+)
+def test_glb_scenes_that_unfold(tmp_path, changes, words):
+    path = tmp_path / "a.glb"
+    os.mkfifo(tmp_path / "pipe")
+    path.write_bytes(triangle())
+    assert len(load_mesh(path).faces) == 1
+    path.write_bytes(triangle(**changes))
+    with at_most(5), watched() as cost, pytest.raises(SarsplatError, match=words):
+        load_mesh(path)
+    assert cost.seconds < 1
+    assert cost.bytes < 64 << 20
+
+
+def test_meshes_open_no_other_file(tmp_path):
+    os.mkfifo(tmp_path / "pipe")  # opening it would hang
+    square = "v 0 0 0\nv 2 0 0\nv 2 2 0\nf 1 2 3\n"
+    (tmp_path / "a.obj").write_text("mtllib pipe\nusemtl a\n" + square)
+    head = "ply\nformat ascii 1.0\ncomment TextureFile pipe\nelement vertex 3\nproperty float x\nproperty float y\n"
+    head += "property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    (tmp_path / "a.ply").write_text(head + "0 0 0\n2 0 0\n2 2 0\n3 0 1 2\n")
+    with at_most(5):
+        assert len(load_mesh(tmp_path / "a.obj").faces) == 1
+        assert len(load_mesh(tmp_path / "a.ply").faces) == 1
+
+
+def test_many_materials_are_no_many_meshes(tmp_path):
+    path = tmp_path / "a.obj"
+    path.write_text(
+        "v 0 0 0\nv 2 0 0\nv 2 2 0\nv 0 2 0\n" + "".join(f"usemtl m{k}\nf 1 2 {3 + k % 2}\n" for k in range(3000))
+    )
+    with watched() as cost:
+        assert len(load_mesh(path).faces) == 2
+    assert cost.seconds < 1
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.zip", "PK", "known format"),
+        ("a.stl", "solid\nendsolid\n" * 2000, "2000 solids"),
+        ("a.obj", "v 0 0 0\nv 2 0 0\nv 2 2 0\nf -3 -2 -1\n", "backwards"),
+        ("a.obj", "v 0 0 0\nv 2 0 0\nv 2 2 0\nf 1 2 9\n", "cannot be read"),
+        ("a.obj", "v 0 0 0\nv 2 0 0\nv 2 1e300 0\nf 1 2 3\n", r"1e\+300 m from the origin"),
+        ("a.obj", "v 0 0 0\nv 2 0 0\nv 2 2 0\nf 1 2 three\n", "cannot be read"),
+    ],
+)
+def test_meshes_that_are_refused(tmp_path, name, text, words):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(SarsplatError, match=words):
+        load_mesh(tmp_path / name)
