@@ -148,7 +148,7 @@ def test_a_chip_that_is_listed_twice_is_taken_once(chips, spelling):
 
 def test_two_labels_of_one_chip_are_refused(chips):
     rewrite(chips / "labels.csv", lambda rows: [*rows, [*rows[3][:5], "200"]])
-    with pytest.raises(SarsplatError, match=r"gives T72/chip002.jpeg two labels, in line 4 and line 13"):
+    with pytest.raises(SarsplatError, match=r"gives 'T72/chip002.jpeg' two labels, in lines 4 and 13"):
         run(chips)
 
 

@@ -177,7 +177,7 @@ def test_weights_give_lpips(make):
 def test_an_unreadable_mesh_is_told(make):
     dataset = make()
     dataset.truth_mesh.write_bytes(b"ply\nnot a mesh")
-    with pytest.raises(SarsplatError, match=r"truth\.ply cannot be read"):
+    with pytest.raises(SarsplatError, match=r"the true mesh cannot be used: .*truth\.ply"):
         evaluate_run(FakeRun(dataset))
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from jaxtyping import Float32, Real
 
 from sarsplat.data.fields import Fields, shown
 from sarsplat.data.files import plain_os_errors, read_json, write_bytes, write_json
@@ -97,7 +98,7 @@ class Dataset:
             raise SarsplatError(f"{self.path} has no set {split!r}; it has {', '.join(self.splits())}")
         return chosen
 
-    def images(self, split: str) -> np.ndarray:
+    def images(self, split: str) -> Float32[np.ndarray, "v {self.grid.rows} {self.grid.columns}"]:
         """β⁰ of one set, linear power, float32 [V, rows, columns], row 0 near range; read from the disk."""
         shape = (self.grid.rows, self.grid.columns)
         return np.stack([read_power_tiff(self.path / item.image, shape) for item in self.select(split)])
@@ -116,7 +117,7 @@ def write_dataset(
     *,
     grid: ImageGrid,
     views: Sequence[tuple[View, str, float | None]],
-    images: np.ndarray,
+    images: Real[np.ndarray, "v rows columns"],
     source: dict[str, Any],
     domain: Domain,
     truth_mesh: trimesh.Trimesh | None = None,

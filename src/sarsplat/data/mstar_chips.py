@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import io
+import itertools
 import math
 import re
 import warnings
@@ -12,7 +14,8 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from jaxtyping import Real
 
-from sarsplat.data.files import plain_os_errors
+from sarsplat.data.fields import shown
+from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.data.phoenix import is_phoenix, read_phoenix
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 
@@ -22,6 +25,7 @@ JPEG_DN_PER_MAGNITUDE = 523.6
 _ANGLES = ("desired_depression_deg", "measured_depression_deg", "target_az_deg")
 _COLUMNS = ("path", "class", "serial", *_ANGLES)
 _MOST_PIXELS_A_SIDE = 4096
+_MOST_LABELS = 100_000
 
 
 @dataclass(frozen=True)
@@ -108,7 +112,8 @@ def _same_class(wanted: str, found: str) -> bool:
 
 
 def _refuse_class(target_class: str, where: Path, classes: set[str]) -> SarsplatError:
-    return SarsplatError(f"there is no class {target_class!r} in {where}; it has {', '.join(sorted(classes))}")
+    names = ", ".join(name if name.isprintable() else shown(name) for name in sorted(classes)[:20])
+    return SarsplatError(f"there is no class {target_class!r} in {where}; it has {names}")
 
 
 def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_class: str) -> list[Chip]:
@@ -157,7 +162,7 @@ def _jpeg_chips(folder: Path, jpegs: list[Path], labels: Path, target_class: str
     if not present:
         raise SarsplatError(
             f"{folder} holds none of {chips_of_class} in {labels} "
-            f"(the first is {rows[0][1]['path']}); give the folder its paths are relative to"
+            f"(the first is {shown(rows[0][1]['path'])}); give the folder its paths are relative to"
         )
     if len(present) < len(rows):
         _warn(f"{folder} lacks {len(rows) - len(present)} of {chips_of_class} in {labels}; the others are taken")
@@ -204,7 +209,7 @@ def _once(labels: Path, rows: _Rows) -> _Rows:
         other_line, other = first.setdefault(Path(row["path"]), (line, row))
         if any(row[name] != other[name] for name in _COLUMNS[1:]):
             raise SarsplatError(
-                f"{labels} gives {row['path']} two labels, in line {other_line} and line {line}; take the wrong one out"
+                f"{labels} gives {shown(row['path'])} two labels, in lines {other_line} and {line}; take one out"
             )
     if repeated := len(rows) - len(first):
         _warn(f"{labels} repeats {counted(repeated, 'label')}; each chip is taken once")
@@ -213,22 +218,25 @@ def _once(labels: Path, rows: _Rows) -> _Rows:
 
 def _read_labels(path: Path) -> _Rows:
     """Rows of the table with their line numbers."""
-    with plain_os_errors("read", path), path.open(newline="", encoding="utf-8-sig") as file:
-        reader = csv.DictReader(file, restval="")
-        try:
-            missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
-            if missing:
-                raise SarsplatError(f"{path} lacks the column {missing[0]!r}; it needs {', '.join(_COLUMNS)}")
-            rows = [(reader.line_num, row) for row in reader]
-        except (UnicodeDecodeError, csv.Error) as error:
-            raise SarsplatError(f"{path} is not a readable CSV table ({error}); give the table of labels") from error
+    with open_file(path) as file:
+        data = file.read()
+    try:
+        reader = csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), restval="")
+        missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
+        if missing:
+            raise SarsplatError(f"{path} lacks the column {missing[0]!r}; it needs {', '.join(_COLUMNS)}")
+        rows = [(reader.line_num, row) for row in itertools.islice(reader, _MOST_LABELS + 1)]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise SarsplatError(f"{path} is not a readable CSV table ({error}); give the table of labels") from error
+    if len(rows) > _MOST_LABELS:
+        raise SarsplatError(f"{path} has more than {_MOST_LABELS} rows; give the table of labels, in parts if need be")
     if not rows:
         raise SarsplatError(f"{path} has no rows; give the table of labels")
     for line, row in rows:
         inside = PurePosixPath(row["path"])
         if inside.is_absolute() or ".." in inside.parts or "\0" in row["path"]:
             raise SarsplatError(
-                f"{path}, line {line}: the path {row['path'][:60]!r} leads out of the folder of chips; "
+                f"{path}, line {line}: the path {shown(row['path'])} leads out of the folder of chips; "
                 "give paths relative to it"
             )
     return rows
@@ -240,7 +248,7 @@ def _number(path: Path, line: int, row: dict[str, str], column: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise SarsplatError(f"{path}, line {line}: {column} is {row[column][:40]!r}; it must be a number of degrees")
+        raise SarsplatError(f"{path}, line {line}: {column} is {shown(row[column])}; it must be a number of degrees")
     return value
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float32
 
 from sarsplat.data.fields import shown
 from sarsplat.data.files import open_file
@@ -40,7 +41,7 @@ class PhoenixChip:
 
     path: Path
     header: dict[str, str]
-    magnitude: np.ndarray
+    magnitude: Float32[np.ndarray, "rows columns"]
 
     @property
     def target_type(self) -> str:

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float, Float32, Real
 from plyfile import PlyData, PlyElement, PlyParseError
 
 from sarsplat.data.fields import shown
@@ -125,7 +126,7 @@ def read_gaussians_ply(path: Path) -> Gaussians:
     return Gaussians(**{name: torch.from_numpy(value.copy()) for name, value in values.items()}, p_min=p_min)
 
 
-def write_points_ply(path: Path, points: np.ndarray, /, **columns: np.ndarray) -> None:
+def write_points_ply(path: Path, points: Real[np.ndarray, "p 3"], /, **columns: np.ndarray) -> None:
     """Write points with any number of named scalars each, whole or not at all.
 
     Parameters
@@ -157,7 +158,7 @@ def write_points_ply(path: Path, points: np.ndarray, /, **columns: np.ndarray) -
     _write(path, table, ["sarsplat points 1"])
 
 
-def read_points_ply(path: Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def read_points_ply(path: Path) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]]:
     """Read points.
 
     Returns
@@ -177,11 +178,11 @@ def read_points_ply(path: Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     return points, {name: column for name, column in columns.items() if name not in ("x", "y", "z")}
 
 
-def _columns(names: Iterable[str], values: np.ndarray) -> dict[str, np.ndarray]:
+def _columns(names: Iterable[str], values: Real[np.ndarray, "n k"]) -> dict[str, Real[np.ndarray, " n"]]:
     return dict(zip(names, values.T, strict=True))
 
 
-def _stack(path: Path, columns: dict[str, np.ndarray], names: list[str]) -> np.ndarray:
+def _stack(path: Path, columns: dict[str, np.ndarray], names: list[str]) -> Float32[np.ndarray, "n {len(names)}"]:
     """The named columns side by side, float32 [P, len(names)]."""
     for name in names:
         if name not in columns:
@@ -192,7 +193,7 @@ def _stack(path: Path, columns: dict[str, np.ndarray], names: list[str]) -> np.n
     return np.stack([columns[name] for name in names], axis=1) if names else np.empty((rows, 0), np.float32)
 
 
-def _flip_odd(harmonics: np.ndarray) -> np.ndarray:
+def _flip_odd(harmonics: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
     """Coefficients for the opposite direction: Y_k(−u) = (−1)^degree Y_k(u)."""
     flipped = harmonics.copy()
     flipped[:, [k for k in _ODD if k < harmonics.shape[1]]] *= -1

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import tifffile
+from jaxtyping import Float32, Real
 
 from sarsplat.data.fields import shown
 from sarsplat.data.files import open_file, write_bytes
@@ -19,7 +20,7 @@ _LONGEST_HEADER = 1 << 20  # bytes of a TIFF that are not pixels: tags, descript
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what is wrong with a file is said by our own errors
 
 
-def write_power_tiff(path: Path, power: np.ndarray, description: str) -> None:
+def write_power_tiff(path: Path, power: Real[np.ndarray, "rows columns"], description: str) -> None:
     """Write an image as an uncompressed single-page float32 TIFF, whole or not at all.
 
     Parameters
@@ -39,7 +40,7 @@ def write_power_tiff(path: Path, power: np.ndarray, description: str) -> None:
     write_bytes(path, buffer.getvalue())
 
 
-def read_power_tiff(path: Path, shape: tuple[int, int]) -> np.ndarray:
+def read_power_tiff(path: Path, shape: tuple[int, int]) -> Float32[np.ndarray, "{shape[0]} {shape[1]}"]:
     """Read an image of power that must have the given shape.
 
     Parameters
@@ -86,7 +87,7 @@ def read_power_tiff(path: Path, shape: tuple[int, int]) -> np.ndarray:
     return np.asarray(power, dtype=np.float32)
 
 
-def check_power(power: np.ndarray, name: str) -> None:
+def check_power(power: Real[np.ndarray, "*shape"], name: str) -> None:
     """Raise SarsplatError if a pixel is negative, absurdly large or not finite; `name` is what to call the image."""
     bad = ~((power >= 0) & (power <= _LARGEST_POWER))  # also catches NaN
     if bad.any():

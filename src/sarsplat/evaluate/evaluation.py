@@ -17,6 +17,7 @@ from sarsplat.evaluate.points import THRESHOLDS, VOXEL, PointMetrics, point_metr
 from sarsplat.evaluate.surface import visible_surface
 from sarsplat.evaluate.yardsticks import yardstick_scores
 from sarsplat.geometry import View
+from sarsplat.scenes.mesh_files import read_mesh
 
 if TYPE_CHECKING:
     import trimesh
@@ -194,15 +195,12 @@ def read_truth_mesh(path: Path) -> trimesh.Trimesh:
     SarsplatError
         If it cannot be read, or has no faces, or holds vertices that are not there or not finite.
     """
-    import trimesh
-
     try:
-        mesh = trimesh.load_mesh(path, process=False)
-        sound = len(mesh.faces) > 0 and mesh.faces.max() < len(mesh.vertices) and bool(np.isfinite(mesh.vertices).all())
-    except (OSError, ValueError, KeyError, IndexError, NotImplementedError, AttributeError) as error:
-        raise SarsplatError(f"the true mesh {path} cannot be read ({error}); restore it or simulate again") from error
-    if not sound:
-        raise SarsplatError(f"the true mesh {path} is damaged: no faces, or bad vertices; restore it or simulate again")
+        mesh = read_mesh(path)
+    except SarsplatError as error:
+        raise SarsplatError(f"the true mesh cannot be used: {error}; restore it or simulate again") from error
+    if not np.isfinite(mesh.vertices).all():
+        raise SarsplatError(f"the true mesh {path} holds vertices that are not finite; restore it or simulate again")
     return mesh
 
 

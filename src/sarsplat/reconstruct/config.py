@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any, Literal
+from types import UnionType
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+from sarsplat.data.fields import shown
 from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import MIN_SCALE
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,28 @@ _MOST = 100_000_000
 
 def _require(fits: bool, name: str, value: object, allowed: str) -> None:
     if not fits:
-        raise SarsplatError(f"{name} {value!r} does not do in a configuration; it must be {allowed}")
+        raise SarsplatError(f"{name} {shown(value)} does not do in a configuration; it must be {allowed}")
+
+
+def _require_types(record: object) -> None:
+    """Every field of a dataclass is of the type that it is declared with; a whole number will do for a float."""
+    for name, declared in get_type_hints(type(record)).items():
+        value = getattr(record, name)
+        described = str(getattr(declared, "__name__", declared)) if not get_args(declared) else str(declared)
+        _require(_is(value, declared), name, value, described.replace("typing.", ""))
+
+
+def _is(value: object, declared: Any) -> bool:
+    inner = get_args(declared)
+    if get_origin(declared) is Literal:
+        return value in inner
+    if get_origin(declared) is UnionType:
+        return any(_is(value, choice) for choice in inner)
+    if get_origin(declared) is tuple:
+        return isinstance(value, tuple) and len(value) == len(inner) and all(map(_is, value, inner))
+    if declared in (int, float):
+        return isinstance(value, int | declared) and not isinstance(value, bool) and abs(value) < 1e300
+    return isinstance(value, declared)
 
 
 @dataclass(frozen=True)
@@ -98,20 +122,23 @@ class Config:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        for record in (self, self.rates, self.points, self.densification, self.surroundings):
+            if record is not None:
+                _require_types(record)
         for name in ("iterations", "views_per_step", "gaussians", "harmonics_every", "checkpoint_every"):
-            _require(isinstance(value := getattr(self, name), int) and 1 <= value <= _MOST, name, value, "1 or more")
-        _require(isinstance(self.seed, int) and 0 <= self.seed < 2**63, "seed", self.seed, "0 or more, below 2^63")
+            _require(1 <= (value := getattr(self, name)) <= _MOST, name, value, "1 or more")
+        _require(0 <= self.seed < 2**63, "seed", self.seed, "0 or more, below 2^63")
         _require(self.harmonics_degree in (0, 1, 2, 3), "harmonics_degree", self.harmonics_degree, "0 to 3")
         for name in ("rays_per_pixel", "initial_scale", "initial_optical_depth", "most_optical_depth"):
             value = getattr(self, name)
-            _require(isinstance(value, int | float) and 0 < value < 1e6, name, value, "a positive number")
+            _require(0 < value < 1e6, name, value, "a positive number")
         for name in ("p_min", "ssim_weight", "initial_scattering"):
             value = getattr(self, name)
-            _require(isinstance(value, int | float) and 0 <= value < 1e6, name, value, "a number of at least 0")
-        for record in (self.rates, self.points):
-            for field, value in vars(record).items():
-                fits = isinstance(value, int | float | str | None) and (isinstance(value, str) == (field == "method"))
-                _require(fits, field, value, "a number")
+            _require(0 <= value < 1e6, name, value, "a number of at least 0")
+        low, high = self.scale_bounds
+        _require(
+            MIN_SCALE <= low <= high <= 1e6, "scale_bounds", self.scale_bounds, f"a rising pair from {MIN_SCALE:g} m"
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON data."""
@@ -140,7 +167,7 @@ class Config:
             return cls(**{**data, **nested})
         except (TypeError, KeyError, AttributeError) as error:
             raise SarsplatError(
-                f"the configuration does not fit this version ({error}); start the run again"
+                f"the configuration does not fit this version ({shown(str(error))}); start the run again"
             ) from error
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import conv2d
 
@@ -14,12 +15,14 @@ _SSIM_SIGMA = 1.5
 _C1, _C2 = 0.01**2, 0.03**2
 
 
-def amplitude(power: Tensor, reference: float) -> Tensor:
+def amplitude(power: Float[Tensor, "*shape"], reference: float) -> Float[Tensor, "*shape"]:
     """√power / reference, softened near zero: 0 stays 0 and the slope stays finite; [...] → [...]."""
     return (power / reference**2 + _FLOOR**2).sqrt() - _FLOOR
 
 
-def amplitude_loss(power: Tensor, truth: Tensor, reference: float, ssim_weight: float) -> Tensor:
+def amplitude_loss(
+    power: Float[Tensor, "v rows columns"], truth: Float[Tensor, "v rows columns"], reference: float, ssim_weight: float
+) -> Float[Tensor, ""]:
     """(1 − λ)·L1 + λ·(1 − SSIM) on amplitude.
 
     Parameters
@@ -40,7 +43,9 @@ def amplitude_loss(power: Tensor, truth: Tensor, reference: float, ssim_weight: 
     return (1 - ssim_weight) * absolute + ssim_weight * (1 - ssim(rendered, truth))
 
 
-def speckle_loss(power: Tensor, intensity: Tensor) -> Tensor:
+def speckle_loss(
+    power: Float[Tensor, "v rows columns"], intensity: Float[Tensor, "v rows columns"]
+) -> Float[Tensor, ""]:
     """Negative log-likelihood of single-look speckle, nats per pixel: the mean of log S + I / S.
 
     Parameters
@@ -53,7 +58,7 @@ def speckle_loss(power: Tensor, intensity: Tensor) -> Tensor:
     return (power.log() + intensity / power).mean()
 
 
-def ssim(a: Tensor, b: Tensor) -> Tensor:
+def ssim(a: Float[Tensor, "v rows columns"], b: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
     """Mean structural similarity of images in [0, 1], [V, rows, columns]; Gaussian window 11 × 11, σ = 1.5."""
     x = torch.arange(_SSIM_WINDOW, dtype=a.dtype, device=a.device) - _SSIM_WINDOW // 2
     window = torch.exp(-(x**2) / (2 * _SSIM_SIGMA**2))

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.data import Dataset
@@ -120,7 +121,7 @@ class SceneModel:
         rays: RayGrid | None = None,
         chips: Sequence[int] | None = None,
         plane_gradients: bool = False,
-    ) -> tuple[Tensor, Rendering]:
+    ) -> tuple[Float[Tensor, "v {grid.rows} {grid.columns}"], Rendering]:
         """Power images [V, rows, columns] with noise floor, and the rendering behind them.
 
         `chips` are the indices of training views, whose own shift and gain then apply. Of an unseen chip only the
@@ -150,7 +151,7 @@ class SceneModel:
         )
         return replace(grid, resolution=(azimuth, slant_range))
 
-    def penalty(self) -> Tensor | None:
+    def penalty(self) -> Float[Tensor, ""] | None:
         """What shifts and gains cost, or None without them: chips differ little."""
         if self.config.surroundings is None:
             return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Int64
 from torch import Tensor
 
 from sarsplat.reconstruct.config import Config
@@ -35,7 +36,7 @@ class Optimiser:
         self._adam.step()
         self._adam.zero_grad(set_to_none=True)
 
-    def rebuild(self, parameters: dict[str, Tensor], source: Tensor) -> Optimiser:
+    def rebuild(self, parameters: dict[str, Tensor], source: Int64[Tensor, " n"]) -> Optimiser:
         """The optimiser of parameters whose rows changed.
 
         Parameters

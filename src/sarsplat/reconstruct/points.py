@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Bool, Float64
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
@@ -16,7 +17,9 @@ from sarsplat.render import render
 _RAYS_PER_PIXEL = 4.0
 
 
-def extract_points(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, how: PointExtraction) -> np.ndarray:
+def extract_points(
+    gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, how: PointExtraction
+) -> Float64[np.ndarray, "p 3"]:
     """Points of the surface that Gaussians stand for.
 
     Parameters
@@ -53,10 +56,10 @@ def extract_points(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid,
 class _FirstReturns:
     """Where the rays of one view return: ranges on its lattice, NaN where a ray meets nothing."""
 
-    frame: np.ndarray  # R_r
-    range_m: np.ndarray  # [rows, columns]
-    origin: np.ndarray  # (x_r, y_r) of row 0, column 0
-    spacing: np.ndarray
+    frame: Float64[np.ndarray, "3 3"]  # R_r
+    range_m: Float64[np.ndarray, "rows columns"]
+    origin: Float64[np.ndarray, " 2"]  # (x_r, y_r) of row 0, column 0
+    spacing: Float64[np.ndarray, " 2"]
 
     @classmethod
     def of(cls, gaussians: Gaussians, view: View, grid: ImageGrid, optical_depth: float) -> _FirstReturns:
@@ -65,13 +68,13 @@ class _FirstReturns:
         ranges = ray_map.first_return.double().numpy()
         return cls(radar_frame(view), ranges, np.array(ray_map.origin), np.array(rays.spacing))
 
-    def points(self) -> np.ndarray:
+    def points(self) -> Float64[np.ndarray, "p 3"]:
         """The returns in the world frame, [P, 3]."""
         row, column = np.nonzero(~np.isnan(self.range_m))
         plane = self.origin + np.column_stack([column, row]) * self.spacing
         return np.column_stack([plane, self.range_m[row, column]]) @ self.frame
 
-    def behind(self, points: np.ndarray, margin: float) -> np.ndarray:
+    def behind(self, points: Float64[np.ndarray, "p 3"], margin: float) -> Bool[np.ndarray, " p"]:
         """Whether the ray through each point returns more than `margin` behind it, or never; bool [P]."""
         local = points @ self.frame.T
         column, row = np.rint((local[:, :2] - self.origin) / self.spacing).astype(int).T
@@ -82,7 +85,7 @@ class _FirstReturns:
         return found > local[:, 2] + margin
 
 
-def _thin(points: np.ndarray, voxel: float) -> np.ndarray:
+def _thin(points: Float64[np.ndarray, "p 3"], voxel: float) -> Float64[np.ndarray, "fewer 3"]:
     """The mean of the points in each voxel."""
     if len(points) == 0:
         return points
@@ -92,7 +95,7 @@ def _thin(points: np.ndarray, voxel: float) -> np.ndarray:
     return sums / count[:, None]
 
 
-def _cluster(points: np.ndarray, radius: float, size: int) -> np.ndarray:
+def _cluster(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Float64[np.ndarray, "fewer 3"]:
     """The largest of DBSCAN's clusters: what floats apart from the target is left out."""
     try:
         from sklearn.cluster import DBSCAN

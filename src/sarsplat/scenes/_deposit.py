@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from jaxtyping import Float64
 from scipy.sparse import coo_matrix
 
 from sarsplat.errors import SarsplatError
@@ -47,7 +48,12 @@ class Deposit:
         """Azimuths beyond which nothing touches the image, m."""
         return self._columns.first, self._columns.first + (self._columns.count - 1) * self._columns.step
 
-    def add(self, azimuth: np.ndarray, slant_range: np.ndarray, cross_section: np.ndarray) -> None:
+    def add(
+        self,
+        azimuth: Float64[np.ndarray, " hits"],
+        slant_range: Float64[np.ndarray, " hits"],
+        cross_section: Float64[np.ndarray, " hits"],
+    ) -> None:
         """Add cross-sections (m², of either sign) at positions (m), all float64 [K].
 
         Each is shared bilinearly between its four nodes. That keeps its centre of gravity, so that rays and nodes do
@@ -75,7 +81,7 @@ class Deposit:
 class _Axis:
     """Nodes along one image axis, and the response from nodes to pixels."""
 
-    def __init__(self, centers: np.ndarray, step: float, resolution: float) -> None:
+    def __init__(self, centers: Float64[np.ndarray, " pixels"], step: float, resolution: float) -> None:
         if step > resolution / 2:
             raise SarsplatError(
                 f"nodes {step:.3g} m apart are too coarse for a resolution of {resolution:.3g} m; "

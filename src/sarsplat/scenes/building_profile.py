@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float64, Real
 
 from sarsplat.geometry import ImageGrid
 from sarsplat.scenes.buildings import Building, Gamma0, Region
@@ -46,15 +47,19 @@ class BuildingProfile:
         From near to far.
     """
 
-    slant_range: np.ndarray
-    measured: np.ndarray
-    analytic: np.ndarray
+    slant_range: Float64[np.ndarray, " rows"]
+    measured: Float64[np.ndarray, " rows"]
+    analytic: Float64[np.ndarray, " rows"]
     edges: list[MeasuredEdge]
     regions: list[MeasuredRegion]
 
 
 def building_profile(
-    image: np.ndarray, grid: ImageGrid, building: Building, grazing_deg: float, gamma0: Gamma0
+    image: Real[np.ndarray, "{grid.rows} {grid.columns}"],
+    grid: ImageGrid,
+    building: Building,
+    grazing_deg: float,
+    gamma0: Gamma0,
 ) -> BuildingProfile:
     """Measure the image of a building, seen from azimuth 0.
 
@@ -95,7 +100,9 @@ def building_profile(
     return BuildingProfile(along, measured, analytic, edges, levels)
 
 
-def _crossing(position: np.ndarray, profile: np.ndarray, level: float, near: float) -> float:
+def _crossing(
+    position: Float64[np.ndarray, " rows"], profile: Float64[np.ndarray, " rows"], level: float, near: float
+) -> float:
     """Where the profile crosses the level, nearest to a position; NaN if it never does."""
     above = profile - level
     k = np.flatnonzero(np.sign(above[:-1]) != np.sign(above[1:]))

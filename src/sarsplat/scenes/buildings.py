@@ -13,6 +13,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float, Float64
 from scipy.special import ndtr
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ class Building:
         faces = [triangle for a, b, c, d in quads for triangle in ((a, b, c), (a, c, d))]
         return trimesh.Trimesh(corners, faces, process=False)
 
-    def reflectivity(self, gamma0: Gamma0) -> np.ndarray:
+    def reflectivity(self, gamma0: Gamma0) -> Float64[np.ndarray, " faces"]:
         """γ⁰ of the mesh's faces, float64 [10]: a factor for a law that is 1 at every angle."""
         return np.array([gamma0.wall] * 8 + [gamma0.roof] * 2)
 
@@ -109,7 +110,9 @@ class Building:
             regions.append(Region(start, stop, tuple(name for name, _ in seen), sum(level for _, level in seen)))
         return regions
 
-    def profile(self, slant_range: np.ndarray, grazing_deg: float, gamma0: Gamma0, resolution: float) -> np.ndarray:
+    def profile(
+        self, slant_range: Float[np.ndarray, " n"], grazing_deg: float, gamma0: Gamma0, resolution: float
+    ) -> Float64[np.ndarray, " n"]:
         """β⁰ across the building, seen through the power response.
 
         Parameters

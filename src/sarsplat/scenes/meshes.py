@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.scenes.mesh_files import read_mesh
@@ -71,7 +72,7 @@ def load_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
     return mesh
 
 
-def _have_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def _have_area(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
     """Which faces [F] are finite and have an area."""
     first, second, third = (vertices[faces[:, k]] for k in range(3))
     with np.errstate(invalid="ignore"):  # of infinities; no finite vertex is so far away that its square is one
@@ -79,7 +80,7 @@ def _have_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.isfinite(area2) & (area2 > 0)
 
 
-def _first_of_equals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def _first_of_equals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
     """Which faces [F] are not the same triangle as an earlier one, whatever the order and numbers of their vertices."""
     _, number = np.unique(vertices, axis=0, return_inverse=True)
     _, first = np.unique(np.sort(number.reshape(-1)[faces], axis=1), axis=0, return_index=True)

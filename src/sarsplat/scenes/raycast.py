@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float, Float64, Int32, Real
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
@@ -34,12 +35,12 @@ _MOST_RAYS = 1e8  # a minute a view
 class _Facets:
     """The mesh in the radar frame: depth of every triangle's plane as z = z0 + slope·(x, y), and its |cos i|."""
 
-    vertices: np.ndarray  # float64 [V, 3]
-    faces: np.ndarray  # int32 [F, 3]
-    z0: np.ndarray  # float64 [F]
-    slope: np.ndarray  # float64 [F, 2]
-    z_span: np.ndarray  # float64 [2, F], nearest and farthest vertex
-    cos_incidence: np.ndarray  # float64 [F]
+    vertices: Float64[np.ndarray, "v 3"]
+    faces: Int32[np.ndarray, "f 3"]
+    z0: Float64[np.ndarray, " f"]
+    slope: Float64[np.ndarray, "f 2"]
+    z_span: Float64[np.ndarray, "2 f"]  # nearest and farthest vertex
+    cos_incidence: Float64[np.ndarray, " f"]
 
     @classmethod
     def of(cls, mesh: trimesh.Trimesh, view: View) -> _Facets:
@@ -56,7 +57,7 @@ class _Facets:
         z0 = a[:, 2] - (slope * a[:, :2]).sum(axis=1)
         return cls(vertices, faces, z0, slope, np.stack([depths.min(axis=1), depths.max(axis=1)]), cos_incidence)
 
-    def depth(self, face: np.ndarray, position: np.ndarray) -> np.ndarray:
+    def depth(self, face: Int32[np.ndarray, " k"], position: Float64[np.ndarray, "k 2"]) -> Float64[np.ndarray, " k"]:
         """Range z_r of the planes of faces [K] at positions (x_r, y_r) [K, 2], kept within each triangle."""
         # In float64 from the plane, not from the intersector's float32; the clip tames planes seen almost edge-on.
         z = self.z0[face] + (self.slope[face] * position).sum(axis=1)
@@ -69,12 +70,12 @@ def simulate_raycast(
     grid: ImageGrid,
     law: ScatteringLaw,
     *,
-    reflectivity: np.ndarray | None = None,
+    reflectivity: Real[np.ndarray, " faces"] | None = None,
     ground_gamma0: float | None = None,
     ray_spacing: float = 0.02,
     ray_phase: tuple[float, float] = (0.5, 0.5),
     oversample: int = 9,
-) -> np.ndarray:
+) -> Float[np.ndarray, "{grid.rows} {grid.columns}"]:
     """SAR image of a mesh, by ray casting.
 
     Parameters
@@ -150,7 +151,7 @@ def _check(
 
 def _first_hits(
     facets: _Facets, azimuth_reach: tuple[float, float], spacing: float, phase: tuple[float, float]
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+) -> Iterator[tuple[Float64[np.ndarray, "k 2"], Int32[np.ndarray, " k"]]]:
     """Batches of rays that hit the mesh: positions (x_r, y_r) float64 [K, 2] and first-hit faces [K]."""
     lower, upper = facets.vertices.min(axis=0), facets.vertices.max(axis=0)
     center = (lower + upper) / 2  # float32 keeps the most digits around zero
@@ -174,7 +175,7 @@ def _first_hits(
         yield position[hit], face[hit]
 
 
-def _intersector(vertices: np.ndarray, faces: np.ndarray) -> Any:
+def _intersector(vertices: Float64[np.ndarray, "v 3"], faces: Int32[np.ndarray, "f 3"]) -> Any:
     """Function from ray origins float32 [K, 3] to the first face hit along +z, int32 [K], −1 for none."""
     try:
         from embreex.mesh_construction import TriangleMesh
@@ -189,7 +190,7 @@ def _intersector(vertices: np.ndarray, faces: np.ndarray) -> Any:
 
 def _lattice(
     x: tuple[float, float], y: tuple[float, float], spacing: float, phase: tuple[float, float]
-) -> Iterator[np.ndarray]:
+) -> Iterator[Float64[np.ndarray, "k 2"]]:
     """Points of the tilted square lattice within a rectangle, in batches, float64 [K, 2]."""
     turn = np.array(
         [

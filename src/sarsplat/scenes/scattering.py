@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from jaxtyping import Float, Float64, Real
 
 from sarsplat.errors import SarsplatError
 
@@ -40,7 +41,7 @@ class ScatteringLaw:
             if not (math.isfinite(value) and value >= 0):
                 raise SarsplatError(f"the scattering law's {name} {value} must be finite and at least 0 (linear γ⁰)")
 
-    def gamma0(self, cos_incidence: np.ndarray) -> np.ndarray:
+    def gamma0(self, cos_incidence: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
         """γ⁰ for the cosine of the incidence angle, of either sign; same shape and dtype."""
         return self.floor + self.lobe * np.square(cos_incidence)
 
@@ -55,7 +56,9 @@ def check_ground(gamma0: float | None) -> None:
         raise SarsplatError(f"ground_gamma0 {gamma0} must be finite and at least 0 (linear γ⁰, not decibels)")
 
 
-def check_reflectivity(reflectivity: np.ndarray | None, faces: int) -> np.ndarray:
+def check_reflectivity(
+    reflectivity: Real[np.ndarray, " {faces}"] | None, faces: int
+) -> Float64[np.ndarray, " {faces}"]:
     """Factors on the law's γ⁰, float64 [faces]: 1 unless given; refused if they are not that many, or not factors."""
     if reflectivity is None:
         return np.ones(faces)

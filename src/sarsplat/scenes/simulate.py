@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import torch
+from jaxtyping import Float, Float32, Float64, Real
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import join
@@ -36,12 +37,12 @@ def simulate_images(
     *,
     source: Source = "raycast",
     law: ScatteringLaw | None = None,
-    reflectivity: np.ndarray | None = None,
+    reflectivity: Real[np.ndarray, " faces"] | None = None,
     ground_gamma0: float | None = None,
     looks: float | None = None,
     seed: int = 0,
     progress: Callable[[int], object] | None = None,
-) -> np.ndarray:
+) -> Float32[np.ndarray, "v {grid.rows} {grid.columns}"]:
     """SAR images of a mesh from every view.
 
     Parameters
@@ -126,9 +127,9 @@ def _raycast(
     views: Sequence[View],
     grid: ImageGrid,
     law: ScatteringLaw,
-    reflectivity: np.ndarray,
+    reflectivity: Float64[np.ndarray, " faces"],
     ground_gamma0: float | None,
-) -> Iterator[np.ndarray]:
+) -> Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]:
     for view in views:
         yield simulate_raycast(
             mesh,
@@ -147,9 +148,9 @@ def _splat(
     views: Sequence[View],
     grid: ImageGrid,
     law: ScatteringLaw,
-    reflectivity: np.ndarray,
+    reflectivity: Float64[np.ndarray, " faces"],
     ground_gamma0: float | None,
-) -> Iterator[np.ndarray]:
+) -> Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]:
     pixel = min(grid.spacing)
     gaussians, faces = surface_gaussians(mesh, pixel / _PIECES_PER_PIXEL)
     target = len(gaussians)

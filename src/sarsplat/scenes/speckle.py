@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from jaxtyping import Float, Real
 
 from sarsplat.errors import SarsplatError
 
 
-def add_speckle(power: np.ndarray, looks: float, rng: np.random.Generator) -> np.ndarray:
+def add_speckle(
+    power: Real[np.ndarray, "*shape"], looks: float, rng: np.random.Generator
+) -> Float[np.ndarray, "*shape"]:
     """Fully developed, spatially white speckle on an intensity image.
 
     Parameters

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from jaxtyping import Float, Float64, Int
 from scipy.spatial.transform import Rotation
 
 from sarsplat.errors import SarsplatError
@@ -28,7 +29,7 @@ _MOST_GAUSSIANS = 1e7
 
 def surface_gaussians(
     mesh: trimesh.Trimesh, size: float, *, widening: float = _WIDENING, sheet_depth: float = _SHEET_DEPTH
-) -> tuple[Gaussians, np.ndarray]:
+) -> tuple[Gaussians, Int[np.ndarray, " n"]]:
     """Flat Gaussians that cover a mesh's surface.
 
     Every triangle is bisected until its edges are no longer than `size`. Each piece becomes a Gaussian with the piece's
@@ -87,7 +88,9 @@ def surface_gaussians(
     return gaussians, faces
 
 
-def _bisected(triangles: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
+def _bisected(
+    triangles: Float64[np.ndarray, "t 3 3"], size: float
+) -> tuple[Float64[np.ndarray, "n 3 3"], Int[np.ndarray, " n"]]:
     """Pieces [N, 3, 3] with edges up to `size`, by halving longest edges, and the triangle each comes from [N]."""
     origin = np.arange(len(triangles))
     done, origins = [], []
@@ -105,7 +108,9 @@ def _bisected(triangles: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarra
     return np.concatenate(done), np.concatenate(origins)
 
 
-def law_scattering(normals: np.ndarray, views: Sequence[View], law: ScatteringLaw) -> np.ndarray:
+def law_scattering(
+    normals: Float[np.ndarray, "n 3"], views: Sequence[View], law: ScatteringLaw
+) -> Float64[np.ndarray, "v n"]:
     """Scattering γ⁰ of surface points in every view, two-sided.
 
     Parameters
