@@ -1,6 +1,9 @@
 """The whole way on the command line, on a target small enough to take seconds."""
 
+import errno
 import json
+import os
+import shutil
 import signal
 from pathlib import Path
 
@@ -12,6 +15,7 @@ from PIL import Image
 
 from sarsplat.cli import main
 from sarsplat.data import read_dataset, read_gaussians_ply, read_points_ply
+from sarsplat.data.folders import only_writer
 
 
 @pytest.fixture(scope="module")
@@ -134,6 +138,101 @@ def test_ctrl_c_says_how_to_go_on(
     monkeypatch.undo()
     assert main(["info", str(run)]) == 0
     assert "3 of 9" in capsys.readouterr().out
+
+
+def refusal(command: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """What is said to a command that is refused: one sentence."""
+    capsys.readouterr()
+    assert main(command) == 2
+    complaint = capsys.readouterr().err
+    assert complaint.startswith("error: ")
+    assert complaint.count("\n") == 1
+    return complaint
+
+
+@pytest.mark.parametrize("command", ["evaluate RUN", "report RUN", "reconstruct DATASET --out RUN --resume"])
+def test_a_second_process_is_refused(workshop: Path, command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    places = {"RUN": str(workshop / "run"), "DATASET": str(workshop / "dataset")}
+    before = {path: path.stat().st_mtime_ns for path in (workshop / "run").rglob("*")}
+    with only_writer(workshop / "run"):
+        assert "in use by another process; wait" in refusal([places.get(w, w) for w in command.split()], capsys)
+    assert {path: path.stat().st_mtime_ns for path in (workshop / "run").rglob("*")} == before
+
+
+def test_export_replaces_nothing_but_its_like(
+    workshop: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    export = ["export", str(workshop / "run"), "--overwrite", "--out"]
+    config = workshop / "run" / "config.json"
+    before = config.read_bytes()
+    assert "lies inside the run" in refusal([*export, str(config)], capsys)
+    (tmp_path / "inside").symlink_to(workshop / "run")
+    assert "lies inside the run" in refusal([*export, str(tmp_path / "inside" / "new.ply")], capsys)
+    assert config.read_bytes() == before
+    (tmp_path / "thesis.tex").write_text("\\documentclass")
+    assert "not a PLY file" in refusal([*export, str(tmp_path / "thesis.tex")], capsys)
+    assert "device" in refusal([*export, "/dev/null"], capsys)
+    assert Path("/dev/null").is_char_device()
+    assert "folder" in refusal([*export, str(tmp_path)], capsys)
+    for _ in range(2):
+        assert main([*export, str(tmp_path / "new.ply")]) == 0
+
+
+def test_overwrite_spares_what_is_not_ours(workshop: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pictures = tmp_path / "pictures"
+    render = ["render", str(workshop / "run"), "--azimuth", "5", "--grazing", "45", "--out", str(pictures)]
+    assert main(render) == 0
+    (pictures / "holiday.png").write_text("")
+    assert "also holds holiday.png" in refusal([*render, "--overwrite"], capsys)
+    shutil.copytree(workshop / "dataset", tmp_path / "dataset")
+    shutil.copytree(workshop / "run", tmp_path / "dataset" / "run")
+    simulate = ["simulate", "--target", "t72", "--azimuth", "0", "--grazing", "45", "--pixels", "32", "--overwrite"]
+    assert "also holds run/" in refusal([*simulate, "--out", str(tmp_path / "dataset")], capsys)
+    assert (tmp_path / "dataset" / "run" / "points.ply").exists()
+
+
+WRITING = (
+    "simulate --mesh box.obj --azimuth 0 --grazing 45 --pixels 32 --out new",
+    "reconstruct dataset --iterations 2 --out new",
+    "reconstruct dataset --iterations 2 --overwrite --out run",
+    "evaluate run",
+    "report run",
+    "render run --azimuth 5 --grazing 45 --out new",
+    "export run --out new.ply",
+)
+
+
+@pytest.mark.parametrize("command", WRITING)
+def test_a_full_disk_changes_nothing(
+    workshop: Path, command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def everything() -> dict[Path, int]:
+        return {
+            path: path.stat().st_mtime_ns for path in workshop.rglob("*") if path.is_file() and path.name != ".lock"
+        }
+
+    before = everything()
+    monkeypatch.chdir(workshop)
+    monkeypatch.setattr(os, "fsync", refuse)
+    assert "the disk is full; free some space" in refusal(command.split(), capsys)
+    assert everything() == before
+
+
+def test_info_on_rendered_images(workshop: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "images"
+    sweep = ["--azimuth", "0:90:45", "--grazing", "30", "--out", str(out)]
+    assert main(["render", str(workshop / "run"), *sweep]) == 0
+    capsys.readouterr()
+    assert main(["info", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "2 rendered images" in said
+    assert "az000_gr30 … az045_gr30" in said
+    for path in out.glob("*.tif"):
+        path.unlink()
+    assert "has lost its images" in refusal(["info", str(out)], capsys)
 
 
 def test_doctor_knows_what_is_installed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -110,3 +110,50 @@ def test_a_warning_is_one_plain_line(tmp_path: Path, capsys: pytest.CaptureFixtu
         warnings.simplefilter("always")
         assert main(["info", str(tmp_path / "millimetres.stl")]) == 0
     assert capsys.readouterr().err.startswith("warning: ")
+
+
+def test_ctrl_c_while_the_program_is_loading(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import sys
+
+    class Interrupted:
+        def find_spec(self, name: str, *_: object) -> None:
+            if name == "sarsplat.cli.app":
+                raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, "sarsplat.cli.app", raising=False)
+    monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
+    assert main(["doctor"]) == 130
+    assert capsys.readouterr().err == "error: stopped by Ctrl-C; nothing half-written was left behind\n"
+
+
+def test_ctrl_c_after_the_work_is_done_changes_nothing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import signal
+
+    usual = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr("sys.argv", ["sarsplat", "--version"])
+    try:
+        assert main() == 0
+        signal.raise_signal(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, usual)
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), OSError("odd")])
+def test_what_no_command_foresaw_is_one_sentence(
+    error: OSError, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from sarsplat.cli import app
+
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(app.tyro.extras, "subcommand_cli_from_dict", fail)
+    assert main(["doctor"]) == 2
+    assert capsys.readouterr().err in (
+        "error: cannot use a file: the disk is full; free some space\n",
+        "error: cannot use a file: odd; check the path and the disk\n",
+    )

@@ -11,40 +11,12 @@ import numpy as np
 import pytest
 import torch
 
-from sarsplat import Dataset, ImageGrid, Run, SarsplatError, ScatteringLaw, View, preset, reconstruct, simulate_raycast
-from sarsplat.data import write_dataset
+from sarsplat import Dataset, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.reconstruct import Config, Trainer, extract_points
 from sarsplat.reconstruct.config import Densification
 from sarsplat.reconstruct.model import SceneModel
 
-trimesh = pytest.importorskip("trimesh")
-pytest.importorskip("embreex")
-
-GRID = ImageGrid(32, 32, (0.3, 0.3), (0.45, 0.45))
 BOX = (3.0, 2.0, 1.2)
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    mesh = trimesh.creation.box(BOX)
-    mesh.apply_translation([0, 0, BOX[2] / 2])
-    views = [(View(azimuth, grazing), "train", None) for azimuth in range(0, 360, 60) for grazing in (20.0, 50.0)]
-    views += [(View(azimuth, 35.0), "test", None) for azimuth in (30, 200)]
-    images = np.stack([simulate_raycast(mesh, view, GRID, ScatteringLaw()) for view, _, _ in views])
-    path = tmp_path_factory.mktemp("box") / "dataset"
-    return write_dataset(
-        path, grid=GRID, views=views, images=images, source={"kind": "raycast"}, domain="rendered", truth_mesh=mesh
-    )
-
-
-@pytest.fixture(scope="module")
-def config() -> Config:
-    return replace(preset("default"), iterations=60, gaussians=600, harmonics_every=20, checkpoint_every=20)
-
-
-@pytest.fixture(scope="module")
-def finished(dataset: Dataset, config: Config, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    return reconstruct(dataset, tmp_path_factory.mktemp("run") / "run", config)
 
 
 def same_results(a: Run, b: Run) -> bool:
@@ -72,7 +44,7 @@ def test_a_run_reads_back_as_it_was(finished: Run) -> None:
     assert again.config == finished.config
     assert same_results(again, finished)
     assert sorted(p.name for p in finished.path.iterdir()) == [
-        *("checkpoints", "config.json", "gaussians.ply", "metrics.jsonl", "points.ply")
+        *(".lock", "checkpoints", "config.json", "gaussians.ply", "metrics.jsonl", "points.ply")
     ]
 
 
@@ -166,7 +138,7 @@ def test_measured_scenes_have_ground_noise_and_their_own_shifts(dataset: Dataset
     for name in ("ground", "noise", "shift", "log_gain", "means", "harmonics"):
         assert not torch.equal(before[name], trainer.model.parameters[name]), name
     with torch.no_grad():
-        images, _ = trainer.model.render([View(0.0, 20.0)], GRID, 0)
+        images, _ = trainer.model.render([View(0.0, 20.0)], dataset.grid, 0)
     floor = float(trainer.model.parameters["noise"].detach().exp()) * trainer.model.unit
     assert float(images.min()) >= floor * (1 - 1e-6)
 

@@ -1,11 +1,11 @@
-"""Entry point: which commands there are, and how every one of them ends."""
+"""Which commands there are, and how every one of them ends."""
 
 from __future__ import annotations
 
 import os
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -37,27 +37,13 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
 
 _DESCRIPTION = "From SAR images to a 3D target and back: simulate or import → reconstruct → evaluate → look."
 
-_INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 _MISUSED = 2
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Words after the program's name; those of the process unless given.
-
-    Returns
-    -------
-    int
-        Exit code: 0, or 2 after a mistake in the input, or 130 after Ctrl-C. Options that do not parse end the process
-        with code 2.
-    """
+def run(words: list[str]) -> int:
+    """Do what the words after the program's name ask for; the exit code is 0, or 2 after a mistake in the input."""
     # before torch is loaded: threads that spin while they wait cost tens of milliseconds a step on a shared machine
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    words = list(sys.argv[1:] if arguments is None else arguments)
     if words == ["--version"]:
         console.say(f"sarsplat {extras.installed_version('sarsplat') or '(running from source)'}")
         return 0
@@ -77,16 +63,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             console.complain(f"this needs {error.name}, which is not installed; {extras.install_command(extra)}")
             return _MISUSED
         except OSError as error:  # what no command foresaw: no permission to look, a name too long
-            console.complain(
-                f"cannot use {error.filename or 'a file'}: {error.strerror}; check path, permissions and disk"
-            )
+            from sarsplat.data.files import plain_reason
+
+            console.complain(f"cannot use {error.filename or 'a file'}: {plain_reason(error)}")
             return _MISUSED
         except MemoryError as error:
             console.complain(f"not enough memory ({error}); ask for fewer or smaller images, or fewer Gaussians")
             return _MISUSED
-        except KeyboardInterrupt as interrupt:
-            console.complain(str(interrupt) or "stopped by Ctrl-C; nothing half-written was left behind")
-            return _INTERRUPTED
     return 0
 
 

@@ -17,15 +17,17 @@ def evaluate(run: RunFolder, *, lpips_weights: OptionalFolder = None) -> None:
         Folder of the LPIPS weights; else the one named in SARSPLAT_LPIPS_WEIGHTS; without it LPIPS is left out.
     """
     from sarsplat.data import write_json
+    from sarsplat.data.folders import only_writer
     from sarsplat.evaluate import evaluate_run, metrics_table
     from sarsplat.reconstruct import Run
     from sarsplat.report import paper_beside, write_report
 
     done = Run.load(run)
-    with console.busy(f"evaluating {run}"):
-        metrics = evaluate_run(done, lpips_weights=lpips_weights)
-    write_json(run / "metrics.json", metrics)
-    with console.busy("writing the report"):
-        page = write_report(done)
+    with only_writer(run):
+        with console.busy(f"evaluating {run}"):
+            metrics = evaluate_run(done, lpips_weights=lpips_weights)
+        write_json(run / "metrics.json", metrics)
+        with console.busy("writing the report"):
+            page = write_report(done)
     console.show(metrics_table(metrics, paper=paper_beside(done.dataset), yardsticks=metrics["yardsticks"]))
     console.finish(f"{run / 'metrics.json'} and {page}", f"open {page} in a browser")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import File, RunFolder, refuse_existing
+from sarsplat.errors import SarsplatError
 
 
 def export(
@@ -26,13 +28,14 @@ def export(
     format
         ply: Gaussians, as 3D Gaussian splatting programs read them; points: the reconstructed surface points, metres.
     overwrite
-        Replace an existing file.
+        Replace an existing PLY file.
     """
     from sarsplat.data import write_gaussians_ply, write_points_ply
     from sarsplat.reconstruct import Run
 
     done = Run.load(run)
     refuse_existing(out, overwrite)
+    _refuse_others(out, run)
     if format == "ply":
         gaussians = done.gaussians
         write_gaussians_ply(out, gaussians)
@@ -40,3 +43,15 @@ def export(
     else:
         write_points_ply(out, done.points)
         console.finish(f"{out}: {len(done.points)} points, metres", f"open {out} in any point cloud or mesh viewer")
+
+
+def _refuse_others(out: Path, run: Path) -> None:
+    """A slip must not cost the run, nor a file that is no export."""
+    from sarsplat.data.files import open_file
+
+    if out.resolve().is_relative_to(run.resolve()):
+        raise SarsplatError(f"{out} lies inside the run; give a path outside of {run}")
+    if out.exists():
+        with open_file(out) as file:
+            if file.read(3) != b"ply":
+                raise SarsplatError(f"{out} is not a PLY file, so it is not ours to replace; give another name")

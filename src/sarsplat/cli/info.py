@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from sarsplat.geometry import ImageGrid
 
-_UNDERSTOOD = "a dataset, a run, a PLY of Gaussians or points, a Phoenix chip, a power TIFF or a mesh"
+_UNDERSTOOD = "a dataset, a run, rendered images, a PLY of Gaussians or points, a Phoenix chip, a power TIFF or a mesh"
 
 
 def info(path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]) -> None:
@@ -37,6 +37,8 @@ def _folder(path: Path) -> tuple[str, dict[str, str]]:
         return _dataset(path)
     if (path / "config.json").is_file():
         return _run(path)
+    if (path / "contact-sheet.png").is_file():
+        return _renderings(path)
     raise SarsplatError(f"{path} is a folder but neither a dataset nor a run; give {_UNDERSTOOD}")
 
 
@@ -102,6 +104,14 @@ def _run(path: Path) -> tuple[str, dict[str, str]]:
         "report": "report/index.html" if (path / "report" / "index.html").is_file() else "none yet",
     }
     return "a run", rows
+
+
+def _renderings(path: Path) -> tuple[str, dict[str, str]]:
+    images = sorted(path.glob("az*_gr*.tif"))
+    if not images:
+        raise SarsplatError(f"{path} has lost its images; make it again with `sarsplat render RUN --out {path}`")
+    rows = {"images": f"{images[0].stem} … {images[-1].stem}, degrees", "pixels": _tiff(images[0])[1]["pixels"]}
+    return f"{len(images)} rendered images, β⁰ in linear power (TIFF) and decibels (PNG)", rows
 
 
 def _extent(points: np.ndarray) -> str:

@@ -40,7 +40,7 @@ def reconstruct(
     dataset
         Folder that `sarsplat simulate` or `sarsplat import` made.
     out
-        Run to make; what has been learned so far is kept there on Ctrl-C.
+        Run to make; it appears with its first checkpoint. What has been learned so far is kept there on Ctrl-C.
     preset
         default (measures best), paper (the paper's training) or measured (ground, noise floor, speckle); measured
         if the images show ground and default otherwise, unless given.
@@ -51,9 +51,9 @@ def reconstruct(
     iterations
         Number of training steps instead of the preset's.
     resume
-        Go on with the run in --out, with the settings it was begun with.
+        Go on with the run in --out, with the settings it was begun with; DATASET may have been moved.
     overwrite
-        Replace an existing run.
+        Replace an existing run, which is kept until the new one has its first checkpoint.
     """
     from sarsplat.data import read_dataset
     from sarsplat.reconstruct import Run
@@ -77,8 +77,8 @@ def reconstruct(
     place = shlex.quote(str(out))
     try:
         run = train(images, out, config, resume=resume, overwrite=overwrite)
-    except KeyboardInterrupt:
-        if not (out / "config.json").is_file():
+    except KeyboardInterrupt as interrupt:
+        if interrupt.args or not (out / "config.json").is_file():
             raise
         raise KeyboardInterrupt(
             f"stopped by Ctrl-C; {out} holds what was learned so far: go on with "

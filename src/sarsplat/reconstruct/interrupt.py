@@ -10,13 +10,13 @@ from types import FrameType
 
 
 @contextmanager
-def interrupts_between_steps() -> Iterator[Callable[[], None]]:
-    """Hold back Ctrl-C (and a polite kill) inside the block until the yielded function is called, which then raises it.
+def interrupts_held_back() -> Iterator[Callable[[], bool]]:
+    """Hold back Ctrl-C (and a polite kill) inside the block; the yielded function says whether there was one.
 
     A second Ctrl-C is not held back. Outside the main thread, where no signal arrives, nothing changes.
     """
     if threading.current_thread() is not threading.main_thread():
-        yield lambda: None
+        yield lambda: False
         return
     asked = False
 
@@ -26,13 +26,9 @@ def interrupts_between_steps() -> Iterator[Callable[[], None]]:
             raise KeyboardInterrupt
         asked = True
 
-    def raise_if_asked() -> None:
-        if asked:
-            raise KeyboardInterrupt
-
     before = {number: signal.signal(number, hold) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield raise_if_asked
+        yield lambda: asked
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

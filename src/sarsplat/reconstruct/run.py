@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from sarsplat.data import (
     write_json,
     write_points_ply,
 )
+from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import RayGrid, View
@@ -31,6 +32,10 @@ from sarsplat.reconstruct.points import extract_points
 
 SCHEMA = "sarsplat-run"
 SCHEMA_VERSION = 1
+HEADER = "config.json"
+
+_RESULTS = ("gaussians.ply", "points.ply", "metrics.json", "report/index.html")
+"""What is made from the newest checkpoint."""
 
 _EVALUATION_RAYS_PER_PIXEL = 4.0
 
@@ -62,17 +67,24 @@ class Run:
         """Write `config.json` into a new folder."""
         run = cls(Path(path), dataset.path.resolve(), dataset.fingerprint(), config)
         (run.path / "checkpoints").mkdir()
-        write_json(
-            run.path / "config.json",
-            {
-                "schema": SCHEMA,
-                "schema_version": SCHEMA_VERSION,
-                "dataset": str(run.dataset_path),
-                "dataset_fingerprint": run.fingerprint,
-                "config": config.as_dict(),
-            },
-        )
+        run._write_header()
         return run
+
+    def set_dataset_path(self, dataset_path: Path) -> None:
+        """Note on the disk where the dataset is now, if it has moved."""
+        moved = replace(self, dataset_path=dataset_path.resolve())
+        if moved != self:
+            moved._write_header()
+
+    def _write_header(self) -> None:
+        header = {
+            "schema": SCHEMA,
+            "schema_version": SCHEMA_VERSION,
+            "dataset": str(self.dataset_path),
+            "dataset_fingerprint": self.fingerprint,
+            "config": self.config.as_dict(),
+        }
+        write_json(self.path / HEADER, header)
 
     @classmethod
     def load(cls, path: Path) -> Run:
@@ -84,9 +96,9 @@ class Run:
             If it is missing, or not a run of this version.
         """
         path = Path(path)
-        header = path / "config.json"
+        header = path / HEADER
         if not header.is_file():
-            what = "does not exist" if not path.exists() else "holds no config.json, so it is not a run"
+            what = "does not exist" if not path.exists() else f"holds no {HEADER}, so it is not a run"
             raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out {path}`")
         data = read_json(header)
         if not isinstance(data, dict) or data.get("schema") != SCHEMA:
@@ -111,7 +123,7 @@ class Run:
         if not self.dataset_path.exists():
             raise SarsplatError(
                 f"{self.path} needs the dataset it was made from, which is no longer at {self.dataset_path}; "
-                "move it back there"
+                f"say where it is with `sarsplat reconstruct DATASET --out {self.path} --resume`"
             )
         dataset = read_dataset(self.dataset_path)
         if dataset.fingerprint() != self.fingerprint:
@@ -173,13 +185,22 @@ class Run:
 
     @cached_property
     def points(self) -> np.ndarray:
-        """The reconstructed surface, world frame, m, float64 [P, 3]."""
-        return read_points_ply(self.path / "points.ply")[0]
+        """The reconstructed surface, as of the newest checkpoint, world frame, m, float32 [P, 3].
+
+        From `points.ply`; extracted anew if a training that was killed has not written it.
+        """
+        path = self.path / "points.ply"
+        return read_points_ply(path)[0] if path.is_file() else self._extracted_points()
+
+    @property
+    def log_path(self) -> Path:
+        """Its `metrics.jsonl`."""
+        return self.path / "metrics.jsonl"
 
     @property
     def history(self) -> list[dict[str, Any]]:
         """The lines of `metrics.jsonl`, up to the first that a crash has torn."""
-        path = self.path / "metrics.jsonl"
+        path = self.log_path
         lines = path.read_text(errors="replace").splitlines() if path.is_file() else []
         history: list[dict[str, Any]] = []
         for line in lines:
@@ -213,11 +234,19 @@ class Run:
 
     def write_results(self) -> None:
         """Write `gaussians.ply` and `points.ply` from the newest checkpoint."""
-        gaussians = self.gaussians
-        write_gaussians_ply(self.path / "gaussians.ply", gaussians)
+        write_gaussians_ply(self.path / "gaussians.ply", self.gaussians)
+        write_points_ply(self.path / "points.ply", self._extracted_points())
+
+    def remove_results(self) -> None:
+        """Before training goes on: results of an earlier state must not be taken for those of the next checkpoint."""
+        with plain_os_errors("write", self.path):
+            for name in _RESULTS:
+                (self.path / name).unlink(missing_ok=True)
+
+    def _extracted_points(self) -> np.ndarray:
         views = [item.view for item in self.dataset.select("train")]
-        points = extract_points(gaussians, views, self.dataset.grid, self.config.points)
-        write_points_ply(self.path / "points.ply", points)
+        points = extract_points(self.gaussians, views, self.dataset.grid, self.config.points)
+        return points.astype(np.float32)  # as the file has them
 
 
 def _log_line(record: dict[str, Any]) -> dict[str, Any]:
@@ -230,6 +259,9 @@ def _log_line(record: dict[str, Any]) -> dict[str, Any]:
 
 
 def require_replaceable(out: Path) -> None:
-    """Refuse to overwrite a folder that is not a run: many programs keep a `config.json`."""
-    if (out / "config.json").is_file():
-        Run.load(out)
+    """Refuse to overwrite a folder that is not a run, of whatever version: many programs keep a `config.json`."""
+    header = out / HEADER
+    if header.is_file():
+        data = read_json(header)
+        if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+            raise SarsplatError(f"{header} is not the header of a run, so it is not ours to replace; give another name")

@@ -5,23 +5,27 @@ from __future__ import annotations
 import json
 import math
 import time
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from sarsplat.data import Dataset, load_checkpoint, new_folder, save_checkpoint
+from sarsplat.data import Dataset, load_checkpoint, new_folder, save_checkpoint, write_bytes
+from sarsplat.data.files import plain_os_errors
+from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import RayGrid
-from sarsplat.progress import progress
+from sarsplat.progress import Reporter, progress
 from sarsplat.reconstruct.config import Config
 from sarsplat.reconstruct.density import DensityControl
-from sarsplat.reconstruct.interrupt import interrupts_between_steps
+from sarsplat.reconstruct.interrupt import interrupts_held_back
 from sarsplat.reconstruct.losses import amplitude_loss, speckle_loss
 from sarsplat.reconstruct.model import PER_GAUSSIAN, SceneModel
 from sarsplat.reconstruct.optimiser import Optimiser
-from sarsplat.reconstruct.run import Run, require_replaceable
+from sarsplat.reconstruct.run import HEADER, Run, require_replaceable
 
 _LINES_PER_RUN = 200
 """About how many lines `metrics.jsonl` gets."""
@@ -134,7 +138,7 @@ def reconstruct(dataset: Dataset, out: Path, config: Config, *, resume: bool = F
     dataset : Dataset
         Where the images are.
     out : Path
-        Folder of the run.
+        Folder of the run; it appears, or replaces an earlier run, with the first checkpoint.
     config : Config
         How; see `PRESETS`.
     resume : bool
@@ -145,98 +149,112 @@ def reconstruct(dataset: Dataset, out: Path, config: Config, *, resume: bool = F
     Returns
     -------
     Run
-        The finished run. On Ctrl-C what has been learned so far is written as well, and KeyboardInterrupt passes on.
+        The finished run. On Ctrl-C what has been learned so far is written as well, and KeyboardInterrupt passes on;
+        but an earlier run stays if the new one has no checkpoint yet.
 
     Raises
     ------
     SarsplatError
-        If `out` exists (to resume: does not), or dataset or configuration are not those the run was begun with.
+        If `out` exists (to resume: does not), another process is writing it, or dataset or configuration are not those
+        the run was begun with.
     """
+    out = Path(out)
     trainer = Trainer(dataset, config)
-    if resume:
-        run, seconds = _resumed(dataset, Path(out), config, trainer)
-    else:
-        if overwrite:
-            if dataset.path.resolve().is_relative_to(Path(out).resolve()):
-                raise SarsplatError(f"{out} holds the dataset {dataset.path}, which would be lost; give another name")
-            require_replaceable(Path(out))
-        with new_folder(Path(out), overwrite, marker="config.json") as folder:
-            Run.create(folder, dataset, config)
-        run, seconds = Run.load(out), 0.0
-    try:
-        _train(trainer, run, seconds)
-    finally:  # also on Ctrl-C: the run is usable as far as it has come
-        finished = Run.load(out)
-        if finished.checkpoint_path is not None:
-            finished.write_results()
+    with (
+        ExitStack() as held,
+        progress(f"reconstruct ({config.preset})", config.iterations) as shown,
+        interrupts_held_back() as interrupted,
+    ):
+        begun = time.monotonic()
+        if resume:
+            run = Run.load(out)
+            held.enter_context(only_writer(out))
+            begun -= _resume(trainer, run, dataset)
+            shown.start_at(trainer.iteration)
+        else:
+            if overwrite:
+                require_replaceable(out)
+            with new_folder(out, overwrite, marker=HEADER) as folder:
+                held.enter_context(only_writer(folder))  # to the end, also under its final name
+                run = Run.create(folder, dataset, config)
+                _train(trainer, run, min(config.checkpoint_every, config.iterations), begun, shown, interrupted)
+                if interrupted() and (out / HEADER).is_file():
+                    raise KeyboardInterrupt(f"stopped by Ctrl-C before the first checkpoint; {out} is still as it was")
+        try:
+            _train(trainer, Run.load(out), config.iterations, begun, shown, interrupted)
+        finally:  # the run is usable as far as it has come
+            finished = Run.load(out)
+            if finished.checkpoint_path is not None:
+                finished.write_results()
+    if interrupted() and trainer.iteration < config.iterations:
+        raise KeyboardInterrupt
     return finished
 
 
-def _resumed(dataset: Dataset, out: Path, config: Config, trainer: Trainer) -> tuple[Run, float]:
-    run = Run.load(out)
+def _resume(trainer: Trainer, run: Run, dataset: Dataset) -> float:
+    """Bring trainer and run to the newest checkpoint; returns the seconds trained until then."""
     if run.fingerprint != dataset.fingerprint():
-        raise SarsplatError(f"{out} was begun with another dataset ({run.dataset_path}); resume it with that one")
-    if run.config != config:
+        raise SarsplatError(f"{run.path} was begun with another dataset ({run.dataset_path}); resume it with that one")
+    if run.config != trainer.config:
         raise SarsplatError(
-            f"{out} was begun with other settings (preset {run.config.preset}, seed {run.config.seed}, "
+            f"{run.path} was begun with other settings (preset {run.config.preset}, seed {run.config.seed}, "
             f"{run.config.iterations} iterations, init {run.config.initialisation}); resume it with the same"
         )
-    if run.checkpoint_path is None:
-        return run, 0.0
-    tensors, state = load_checkpoint(run.checkpoint_path)
-    try:
-        trainer.load_state(tensors, state)
-        seconds = float(state["seconds"])
-    except (KeyError, TypeError, ValueError, RuntimeError, OverflowError) as error:
-        raise SarsplatError(
-            f"{run.checkpoint_path} does not fit this version ({error}); start again with --overwrite"
-        ) from error
-    return run, seconds
+    run.set_dataset_path(dataset.path)
+    seconds = 0.0
+    if run.checkpoint_path is not None:
+        tensors, state = load_checkpoint(run.checkpoint_path)
+        try:
+            trainer.load_state(tensors, state)
+            seconds = float(state["seconds"])
+        except (KeyError, TypeError, ValueError, RuntimeError, OverflowError) as error:
+            raise SarsplatError(
+                f"{run.checkpoint_path} does not fit this version ({error}); start again with --overwrite"
+            ) from error
+    if trainer.iteration < trainer.config.iterations:
+        run.remove_results()
+    lines = [line for line in run.history if line["iteration"] <= trainer.iteration]  # a killed process wrote more
+    write_bytes(run.log_path, "".join(json.dumps(line) + "\n" for line in lines).encode())
+    return seconds
 
 
-def _train(trainer: Trainer, run: Run, seconds: float) -> None:
-    """Step to the end; log, show and save on the way, and once more at the end or when interrupted."""
+def _train(
+    trainer: Trainer,
+    run: Run,
+    iterations: int,
+    begun: float,
+    shown: Reporter,
+    interrupted: Callable[[], bool],
+) -> None:
+    """Step until so many iterations are done or Ctrl-C came; log, show and save on the way, and save at the end."""
     config = trainer.config
-    history = [line for line in run.history if line["iteration"] <= trainer.iteration]  # a crash may have left more
-    log = run.path / "metrics.jsonl"
-    log.write_text("".join(json.dumps(line) + "\n" for line in history))
     every = max(1, config.iterations // _LINES_PER_RUN)
-    begun = time.monotonic() - seconds
     total, count = 0.0, 0
-    with (
-        progress(f"reconstruct ({config.preset})", config.iterations) as shown,
-        log.open("a") as file,
-        interrupts_between_steps() as raise_if_interrupted,
-    ):
-        shown.start_at(trainer.iteration)
-        while trainer.iteration < config.iterations:
-            total, count = total + trainer.step(), count + 1
-            if trainer.iteration % every == 0 or trainer.iteration == config.iterations:
-                loss = total / count
-                _require_finite(loss, trainer.iteration)
-                line = {
-                    "iteration": trainer.iteration,
-                    "seconds": round(time.monotonic() - begun, 3),
-                    "loss": loss,
-                    "gaussians": len(trainer.model),
-                }
+    stop = trainer.iteration >= iterations or interrupted()
+    while not stop:
+        total, count = total + trainer.step(), count + 1
+        stop = trainer.iteration >= iterations or interrupted()
+        if trainer.iteration % every == 0 or trainer.iteration == config.iterations:
+            loss = total / count
+            _require_finite(loss, trainer.iteration)
+            line = {
+                "iteration": trainer.iteration,
+                "seconds": round(time.monotonic() - begun, 3),
+                "loss": loss,
+                "gaussians": len(trainer.model),
+            }
+            with plain_os_errors("write", run.log_path), run.log_path.open("a") as file:
                 file.write(json.dumps(line) + "\n")
-                file.flush()
-                shown.update(trainer.iteration, f"loss {loss:.3g}  {len(trainer.model)} Gaussians")
-                total, count = 0.0, 0
-            if trainer.iteration % config.checkpoint_every == 0 or trainer.iteration == config.iterations:
-                _save(trainer, run, time.monotonic() - begun)
-            try:
-                raise_if_interrupted()
-            except KeyboardInterrupt:
-                _save(trainer, run, time.monotonic() - begun)
-                raise
+            shown.update(trainer.iteration, f"loss {loss:.3g}  {len(trainer.model)} Gaussians")
+            total, count = 0.0, 0
+        if stop or trainer.iteration % config.checkpoint_every == 0:
+            _save(trainer, run, time.monotonic() - begun)
 
 
 def _require_finite(loss: float, iteration: int) -> None:
     if not math.isfinite(loss):
         raise SarsplatError(
-            f"the loss became {loss} at iteration {iteration}; the newest checkpoint is from before, lower the rates"
+            f"the loss became {loss} at iteration {iteration}; lower the rates (checkpoints are from before)"
         )
 
 
@@ -244,5 +262,6 @@ def _save(trainer: Trainer, run: Run, seconds: float) -> None:
     tensors, state = trainer.state()
     folder = run.path / "checkpoints"
     save_checkpoint(folder / f"{trainer.iteration:08d}.safetensors", tensors, {**state, "seconds": round(seconds, 3)})
-    for old in sorted(folder.glob("*.safetensors"))[:-_CHECKPOINTS_KEPT]:
-        old.unlink()
+    with plain_os_errors("write", folder):
+        for old in sorted(folder.glob("*.safetensors"))[:-_CHECKPOINTS_KEPT]:
+            old.unlink()
