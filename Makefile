@@ -1,6 +1,7 @@
 # make demo    the whole way once: simulate, reconstruct, evaluate, report
 # make test    the test suite without the slow tests; make test-slow runs those
 # make figures pictures in figures/ and their tables: buildings, vehicles, splat against ray cast
+# make fuzz    hostile files for every reader; make sanitize  the engine under ASan and UBSan (needs Debian's clang-19)
 # make lint    style and types
 # make clean   remove everything that was made here, the environment included
 #
@@ -18,7 +19,7 @@ define step
 @printf '\n==> %s\n' "$(1)"; begun=$$SECONDS; $(2) && printf '    (%s s)\n' $$((SECONDS - begun))
 endef
 
-.PHONY: demo setup test test-slow figures lint readme clean
+.PHONY: demo setup test test-slow figures fuzz sanitize lint readme clean
 
 demo: setup
 	$(call step,simulate: a T-72-like target by ray casting (24 training views and 48 test views),\
@@ -33,6 +34,14 @@ test: setup
 
 test-slow: setup
 	$(BIN)/python -m pytest -m slow
+
+# Guided by coverage where atheris can be installed, by chance elsewhere.
+fuzz: setup
+	-$(BIN)/python -m pip install --quiet -c constraints.txt atheris
+	$(BIN)/python tests/fuzz.py --inputs 2000
+
+sanitize: setup
+	$(BIN)/python tests/sanitize.py
 
 # Also the tables of docs/forward-model.md and docs/images/buildings.png.
 figures: setup

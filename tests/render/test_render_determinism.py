@@ -13,6 +13,7 @@ import torch
 from named_scenes import GRID, MATRIX, VIEWS, cloud
 
 from sarsplat.gaussians import Gaussians
+from sarsplat.geometry import ImageGrid, RayGrid
 from sarsplat.render import render
 
 
@@ -126,3 +127,16 @@ def test_a_forked_process_renders_too():
     """On one thread, as torch's data loaders set it: OpenMP's threads do not survive a fork, with or without us."""
     command = [sys.executable, "-c", FORKED, str(Path(__file__).parent)]
     subprocess.run(command, check=True, timeout=60)
+
+
+def test_gradient_of_the_gain_of_one_large_image(threads):
+    """Summed over so many pixels that torch would share them out."""
+    scene, grid = cloud(60, 1), ImageGrid(256, 250, (0.01, 0.01), (0.1, 0.1))
+    seeds = torch.rand(20, 1, 256, 250, generator=torch.Generator().manual_seed(2))
+    found = []
+    for count in (1, 2, 3):
+        threads(count)
+        gain = torch.ones(1, requires_grad=True)
+        images = render(scene, VIEWS[:1], grid, rays=RayGrid((0.05, 0.05)), gain=gain).images
+        found.append([torch.autograd.grad(images, gain, seed, retain_graph=True)[0].item() for seed in seeds])
+    assert found[0] == found[1] == found[2]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import warnings
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TextIO
 
 import tyro
@@ -21,7 +21,7 @@ from sarsplat.cli.reconstruct import reconstruct
 from sarsplat.cli.render import render
 from sarsplat.cli.report import report
 from sarsplat.cli.simulate import simulate
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, SarsplatWarning
 
 _COMMANDS: dict[str, Callable[..., Any]] = {
     "simulate": simulate,
@@ -44,10 +44,17 @@ def run(words: list[str]) -> int:
     """Do what the words after the program's name ask for; the exit code is 0, or 2 after a mistake in the input."""
     # before torch is loaded: threads that spin while they wait cost tens of milliseconds a step on a shared machine
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    for stream in (
+        sys.stdout,
+        sys.stderr,
+    ):  # a terminal without γ or ° gets "?" and not an error after the work is done
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     if words == ["--version"]:
         console.say(f"sarsplat {extras.installed_version('sarsplat') or '(running from source)'}")
         return 0
     with warnings.catch_warnings():
+        warnings.simplefilter("default", SarsplatWarning)
         warnings.showwarning = _show_warning
         try:
             tyro.extras.subcommand_cli_from_dict(
@@ -67,8 +74,10 @@ def run(words: list[str]) -> int:
 
             console.complain(f"cannot use {error.filename or 'a file'}: {plain_reason(error)}")
             return _MISUSED
-        except MemoryError as error:
-            console.complain(f"not enough memory ({error}); ask for fewer or smaller images, or fewer Gaussians")
+        except (MemoryError, RuntimeError) as error:
+            if isinstance(error, RuntimeError) and "can't allocate memory" not in str(error):  # torch's words for it
+                raise
+            console.complain("not enough memory; ask for fewer or smaller images, or fewer Gaussians")
             return _MISUSED
     return 0
 
@@ -82,7 +91,7 @@ def _show_warning(
     line: str | None = None,
 ) -> None:
     """Ours in plain words; others' as Python shows them."""
-    if issubclass(category, UserWarning) and Path(__file__).parents[1] in Path(filename).parents:
+    if issubclass(category, SarsplatWarning):
         console.warn(str(message))
     else:
         sys.stderr.write(warnings.formatwarning(message, category, filename, lineno, line))

@@ -12,7 +12,7 @@ from rich.table import Table
 
 def say(text: str) -> None:
     """One line on stdout."""
-    _print(Console(), escape(text))
+    _print(Console(), _safe(text))
 
 
 def show(renderable: RenderableType) -> None:
@@ -27,24 +27,24 @@ def facts(title: str, rows: dict[str, str]) -> None:
     table.add_column(style="dim", no_wrap=True)
     table.add_column(overflow="fold")
     for name, value in rows.items():
-        table.add_row(f"  {escape(name)}", escape(value))
+        table.add_row(f"  {_safe(name)}", _safe(value))
     show(table)
 
 
 def finish(wrote: str, next_step: str) -> None:
     """How a command ends: what it wrote, and what to do next."""
-    _print(Console(), f"[green]wrote[/] {escape(wrote)}")
-    _print(Console(), f"[dim]next:[/] {escape(next_step)}")
+    _print(Console(), f"[green]wrote[/] {_safe(wrote)}")
+    _print(Console(), f"[dim]next:[/] {_safe(next_step)}")
 
 
 def complain(text: str) -> None:
     """An error on stderr."""
-    _print(Console(stderr=True), f"[bold red]error:[/] {escape(text)}")
+    _print(Console(stderr=True), f"[bold red]error:[/] {_safe(text)}")
 
 
 def warn(text: str) -> None:
     """A warning on stderr."""
-    _print(Console(stderr=True), f"[yellow]warning:[/] {escape(text)}")
+    _print(Console(stderr=True), f"[yellow]warning:[/] {_safe(text)}")
 
 
 @contextmanager
@@ -55,8 +55,13 @@ def busy(text: str) -> Iterator[None]:
         say(f"{text} …")
         yield
         return
-    with console.status(escape(text)):
+    with console.status(_safe(text)):
         yield
+
+
+def _safe(text: str) -> str:
+    """Foreign text as it may be shown: no markup, and no control characters for the terminal."""
+    return escape("".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text))
 
 
 def _print(console: Console, markup: str) -> None:

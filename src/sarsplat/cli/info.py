@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -61,8 +61,11 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
 
 def _dataset(path: Path) -> tuple[str, dict[str, str]]:
     from sarsplat.data import read_dataset
+    from sarsplat.data.plausible import suspicions
 
     dataset = read_dataset(path)
+    for text in suspicions(dataset):
+        console.warn(text)
     rows = {
         "domain": dataset.domain,
         "quantity": "β⁰, linear power, float32; row 0 near range",
@@ -71,11 +74,11 @@ def _dataset(path: Path) -> tuple[str, dict[str, str]]:
         "truth": dataset.truth_mesh.name if dataset.truth_mesh else "no mesh",
         **{f"source.{name}": str(value) for name, value in dataset.source.items() if value and name != "chips"},
     }
-    return f"a dataset of {len(dataset.views)} images", rows
+    return f"a dataset of {counted(len(dataset.views), 'image')}", rows
 
 
 def _set(images: np.ndarray) -> str:
-    return f"{len(images)} images, mean β⁰ {images.mean():.4g}, largest {images.max():.4g}"
+    return f"{counted(len(images), 'image')}, mean β⁰ {images.mean():.4g}, largest {images.max():.4g}"
 
 
 def _grid(grid: ImageGrid) -> dict[str, str]:
@@ -111,7 +114,7 @@ def _renderings(path: Path) -> tuple[str, dict[str, str]]:
     if not images:
         raise SarsplatError(f"{path} has lost its images; make it again with `sarsplat render RUN --out {path}`")
     rows = {"images": f"{images[0].stem} … {images[-1].stem}, degrees", "pixels": _tiff(images[0])[1]["pixels"]}
-    return f"{len(images)} rendered images, β⁰ in linear power (TIFF) and decibels (PNG)", rows
+    return f"{counted(len(images), 'rendered image')}, β⁰ in linear power (TIFF) and decibels (PNG)", rows
 
 
 def _extent(points: np.ndarray) -> str:

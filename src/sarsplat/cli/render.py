@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import Angles, Folder, RunFolder, refuse_existing, views_from
+from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
     from sarsplat.geometry import View
@@ -45,10 +46,12 @@ def render(
     from sarsplat.report.decibels import DYNAMIC_DB, to_decibels
 
     views = views_from(azimuth, grazing, incidence)
+    if len({_name(view) for view in views}) < len(views):
+        raise SarsplatError("two of the views are the same to a millionth of a degree; give each once")
     done = Run.load(run)
     refuse_existing(out, overwrite)
     peak = float(done.dataset.images("train").max())
-    with console.busy(f"rendering {len(views)} views"):
+    with console.busy(f"rendering {counted(len(views), 'view')}"):
         images = done.render(views)
         with new_folder(out, overwrite, marker=_SHEET) as folder:
             for view, image in zip(views, images, strict=True):
@@ -63,13 +66,13 @@ def render(
         f"PNGs: grey from −{DYNAMIC_DB:g} dB (black) to 0 dB (white) of the brightest training pixel, "
         f"β⁰ = {float(to_decibels(peak)):.1f} dB; row 0 is near range"
     )
-    console.finish(f"{out}: {len(views)} images as TIFF and PNG, and {_SHEET}", f"look at {out / _SHEET}")
+    console.finish(f"{out}: {counted(len(views), 'image')} as TIFF and PNG, and {_SHEET}", f"look at {out / _SHEET}")
 
 
 def _name(view: View) -> str:
     """E.g. az030_gr17.5: sorts by azimuth."""
 
     def digits(angle: float, width: int) -> str:
-        return f"{angle:0{width}.3f}".rstrip("0").rstrip(".")
+        return f"{angle:0{width}.6f}".rstrip("0").rstrip(".")
 
-    return f"az{digits(view.azimuth_deg, 7)}_gr{digits(view.grazing_deg, 6)}"
+    return f"az{digits(view.azimuth_deg, 10)}_gr{digits(view.grazing_deg, 9)}"

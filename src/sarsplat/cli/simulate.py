@@ -20,7 +20,7 @@ from sarsplat.cli.arguments import (
     refuse_existing,
     views_from,
 )
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
     from sarsplat.geometry import ImageGrid, View
@@ -94,6 +94,7 @@ def simulate(
         Replace an existing dataset.
     """
     from sarsplat.data import write_dataset
+    from sarsplat.data.plausible import suspicions, warn
     from sarsplat.progress import progress
     from sarsplat.scenes import ScatteringLaw, load_mesh, target_mesh
     from sarsplat.scenes.simulate import simulate_images, simulation_record
@@ -134,10 +135,11 @@ def simulate(
         truth_mesh=surface,
         overwrite=overwrite,
     )
+    warn(suspicions(dataset))
     counts = ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits())
     run = shlex.quote(f"{out}-run")
     console.finish(
-        f"{out}: {len(views)} images of {name} ({counts}), {grid.rows} × {grid.columns} pixels",
+        f"{out}: {counted(len(views), 'image')} of {name} ({counts}), {grid.rows} × {grid.columns} pixels",
         f"sarsplat reconstruct {shlex.quote(str(out))} --out {run}",
     )
 

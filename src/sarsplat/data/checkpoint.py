@@ -21,6 +21,8 @@ _SCHEMA = "sarsplat-checkpoint"
 _VERSION = "1"
 _LONGEST_HEADER = 1 << 20  # bytes; it describes some dozens of tensors, and each costs memory however small it is
 
+_REMEDY = "delete it, and `sarsplat reconstruct … --resume` goes on from the one before"
+
 
 def save_checkpoint(path: Path, tensors: Mapping[str, Tensor], state: dict[str, Any]) -> None:
     """Write a checkpoint, whole or not at all; an existing one is replaced.
@@ -68,7 +70,7 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no dict)
     except safetensors.SafetensorError as error:
-        raise SarsplatError(f"{path} is a damaged checkpoint ({shown(str(error))}); resume from another one") from error
+        raise SarsplatError(f"{path} is a damaged checkpoint ({shown(str(error))}); {_REMEDY}") from error
     if metadata.get("schema") != _SCHEMA:
         raise SarsplatError(f"{path} holds tensors but is not a checkpoint of a run; give one from RUN/checkpoints")
     if metadata.get("version") != _VERSION:
@@ -78,7 +80,7 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         )
     state = decode_json(metadata.get("state", "").encode(), Path(f"the state in {path}"))
     if not isinstance(state, dict):
-        raise SarsplatError(f"the state in {path} is no object of named fields; resume from another checkpoint")
+        raise SarsplatError(f"the state in {path} is no object of named fields; {_REMEDY}")
     return tensors, state
 
 
@@ -89,6 +91,4 @@ def _check_header(path: Path) -> None:
         file.seek(0)
         length = int.from_bytes(file.read(8), "little")
     if not 0 < length <= min(size - 8, _LONGEST_HEADER):
-        raise SarsplatError(
-            f"{path} is a damaged checkpoint (a header of {length} bytes in {size}); resume from another one"
-        )
+        raise SarsplatError(f"{path} is a damaged checkpoint (a header of {length} bytes in {size}); {_REMEDY}")

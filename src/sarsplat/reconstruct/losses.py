@@ -37,7 +37,7 @@ def amplitude_loss(
         λ.
     """
     rendered = amplitude(power, reference)
-    absolute = (rendered - truth).abs().mean()
+    absolute = _mean((rendered - truth).abs())
     if ssim_weight == 0:
         return absolute
     return (1 - ssim_weight) * absolute + ssim_weight * (1 - ssim(rendered, truth))
@@ -55,7 +55,7 @@ def speckle_loss(
     intensity : Tensor [V, rows, columns]
         Measured intensity.
     """
-    return (power.log() + intensity / power).mean()
+    return _mean(power.log() + intensity / power)
 
 
 def ssim(a: Float[Tensor, "v rows columns"], b: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
@@ -68,4 +68,9 @@ def ssim(a: Float[Tensor, "v rows columns"], b: Float[Tensor, "v rows columns"])
     mean_a, mean_b, aa, bb, ab = maps.view(len(a), 5, *maps.shape[-2:]).unbind(1)
     var_a, var_b, cov = aa - mean_a**2, bb - mean_b**2, ab - mean_a * mean_b
     similarity = (2 * mean_a * mean_b + _C1) * (2 * cov + _C2)
-    return (similarity / ((mean_a**2 + mean_b**2 + _C1) * (var_a + var_b + _C2))).mean()
+    return _mean(similarity / ((mean_a**2 + mean_b**2 + _C1) * (var_a + var_b + _C2)))
+
+
+def _mean(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
+    """One dimension after the other: torch splits a sum to one number by threads, and its bits would depend on them."""
+    return images.mean(2).mean(1).mean(0)

@@ -140,7 +140,7 @@ class SceneModel:
         )
         images = rendering.images
         if self.config.surroundings:
-            images = images + p["noise"].exp()
+            images = images + p["noise"].exp().expand(grid.columns)  # so that its gradient is summed column by column
         return images * self.unit, rendering
 
     def _widened(self, grid: ImageGrid) -> ImageGrid:

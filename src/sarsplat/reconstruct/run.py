@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,6 +23,7 @@ from sarsplat.data import (
     write_json,
     write_points_ply,
 )
+from sarsplat.data.fields import shown
 from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
@@ -107,8 +109,8 @@ class Run:
             )
         if data.get("schema_version") != SCHEMA_VERSION:
             raise SarsplatError(
-                f"{path} has schema version {data.get('schema_version')!r} but this program reads {SCHEMA_VERSION}; "
-                "reconstruct it again"
+                f"{path} has schema version {shown(data.get('schema_version'))} "
+                f"but this program reads {SCHEMA_VERSION}; reconstruct it again"
             )
         if not isinstance(data.get("dataset"), str) or not isinstance(data.get("dataset_fingerprint"), str):
             raise SarsplatError(f"{header} does not name its dataset; reconstruct it again")
@@ -155,13 +157,16 @@ class Run:
         """The learned scene, as of the newest checkpoint."""
         tensors, _ = self._checkpoint
         learned = {name.removeprefix("model/"): t for name, t in tensors.items() if name.startswith("model/")}
+        region, unit = scene_region(self.config, self.dataset), power_unit(self.config, self.dataset)
         try:
-            region, unit = scene_region(self.config, self.dataset), power_unit(self.config, self.dataset)
-            return SceneModel(self.config, region, unit, learned)
-        except (KeyError, ValueError) as error:
+            model = SceneModel(self.config, region, unit, learned)
+            model.scene(self.config.harmonics_degree)  # shapes and values are checked where they are used
+        except (KeyError, ValueError, TypeError, IndexError, RuntimeError, SarsplatError) as error:
             raise SarsplatError(
-                f"{self.checkpoint_path} does not hold a whole model ({error}); reconstruct it again with --overwrite"
+                f"{self.checkpoint_path} does not hold a whole model ({shown(str(error))}); "
+                "reconstruct it again with --overwrite"
             ) from error
+        return model
 
     @property
     def iteration(self) -> int:
@@ -250,12 +255,10 @@ class Run:
 
 
 def _log_line(record: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "iteration": int(record["iteration"]),
-        "seconds": float(record["seconds"]),
-        "loss": float(record["loss"]),
-        "gaussians": int(record["gaussians"]),
-    }
+    line = {"seconds": float(record["seconds"]), "loss": float(record["loss"])}
+    if not all(map(math.isfinite, line.values())):
+        raise ValueError("no number a training could have written")
+    return {"iteration": int(record["iteration"]), **line, "gaussians": int(record["gaussians"])}
 
 
 def require_replaceable(out: Path) -> None:

@@ -16,6 +16,7 @@ from torch import Tensor
 from sarsplat.data import Dataset, load_checkpoint, new_folder, save_checkpoint, write_bytes
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer
+from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import RayGrid
 from sarsplat.progress import Reporter, progress
@@ -32,6 +33,9 @@ _LINES_PER_RUN = 200
 
 _CHECKPOINTS_KEPT = 2
 
+_FAINTEST = 1e-30
+"""Largest β⁰ below which images count as black: squares and reciprocals of it would leave float32."""
+
 
 class Trainer:
     """The state of a training and how it advances by one step."""
@@ -41,8 +45,11 @@ class Trainer:
         self.grid = dataset.grid
         self.views = [item.view for item in dataset.select("train")]
         power = torch.from_numpy(dataset.images("train"))
-        if not bool(power.max() > 0):
-            raise SarsplatError(f"the training images of {dataset.path} are black everywhere; simulate or import again")
+        if not float(power.max()) > _FAINTEST:
+            raise SarsplatError(
+                f"the training images of {dataset.path} are black everywhere (largest β⁰ {float(power.max()):.3g}); "
+                "simulate or import again"
+            )
         self._reference = math.sqrt(float(power.max()))
         self._truth = power.sqrt() / self._reference if config.loss == "amplitude" else power
         self._rays = RayGrid.for_image(self.grid, config.rays_per_pixel)
@@ -159,6 +166,7 @@ def reconstruct(dataset: Dataset, out: Path, config: Config, *, resume: bool = F
         the run was begun with.
     """
     out = Path(out)
+    warn(suspicions(dataset))
     trainer = Trainer(dataset, config)
     with (
         ExitStack() as held,

@@ -71,7 +71,8 @@ def render_cpu(
         setting,
     )
     if gain is not None:
-        images = images * gain[:, None, None]
+        # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
+        images = images * gain[:, None, None].expand(-1, 1, grid.columns)
     ray_maps = _ray_maps(transmittance, first_return, lattices, rays) if first_return_depth is not None else None
     return Rendering(images, cross_sections, lit_area, ray_maps, planes)
 

@@ -1,0 +1,63 @@
+"""What reaches the terminal: on any encoding, without control characters, and in one sentence when memory runs out."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sarsplat.cli import main
+
+RUN = "import sys, sarsplat.cli; sys.exit(sarsplat.cli.main())"
+SIMULATE = ["simulate", "--target", "t72", "--azimuth", "0", "180", "--grazing", "45", "--pixels", "16"]
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_terminals_that_know_few_letters(encoding: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", RUN, *SIMULATE, "--out", str(tmp_path / "out")]
+    environment = os.environ | {"PYTHONIOENCODING": encoding, "LC_ALL": "C"}
+    made = subprocess.run(command, capture_output=True, env=environment, check=False)
+    assert made.returncode == 0, made.stderr
+    shown = subprocess.run(
+        [sys.executable, "-c", RUN, "info", str(tmp_path / "out")], capture_output=True, env=environment, check=True
+    )
+    assert b"mean ?" in shown.stdout
+    assert b"Traceback" not in made.stderr + shown.stderr
+
+
+def test_escape_sequences_of_strangers_are_not_sent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*SIMULATE, "--out", str(tmp_path / "out")]) == 0
+    header = tmp_path / "out" / "dataset.json"
+    data = json.loads(header.read_text())
+    data["source"]["target"] = "\x1b]0;gone\x07[red]t72"
+    header.write_text(json.dumps(data))
+    capsys.readouterr()
+    assert main(["info", str(tmp_path / "out")]) == 0
+    shown = capsys.readouterr().out
+    assert "\x1b" not in shown
+    assert "\x07" not in shown
+    assert r"\x1b]0;gone\x07[red]t72" in shown
+
+
+def test_when_memory_runs_out(tmp_path: Path) -> None:
+    limit = (
+        "import resource, torch, sarsplat.cli\n"
+        "size = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize()\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (size + (900 << 20), resource.RLIM_INFINITY))\n"
+    )
+    command = [sys.executable, "-c", limit + RUN, *SIMULATE[:-1], "20000", "--out", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2, done.stderr
+    assert "memory" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_views_that_would_have_one_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["render", "run", "--azimuth", "30", "30.0000001", "--grazing", "40", "--out", str(tmp_path / "out")]
+    assert main(command) == 2
+    assert "two of the views are the same to a millionth of a degree" in " ".join(capsys.readouterr().err.split())
