@@ -1,52 +1,133 @@
-"""The procedural T-72 has a T-72's dimensions and is made of sound bodies."""
+"""The procedural vehicles have their originals' dimensions and are made of sound bodies."""
 
 import numpy as np
 import pytest
 
 from sarsplat.errors import SarsplatError
-from sarsplat.scenes import vehicle
+from sarsplat.scenes import VEHICLES, vehicle
 
 pytest.importorskip("trimesh")
 
+# Published length, width and height, m. The T-72's length is the one with its gun forward.
+DIMENSIONS = {
+    "t72": (9.55, 3.60, 2.20),
+    "btr70": (7.54, 2.80, 2.24),
+    "2s1": (7.26, 2.85, 2.73),
+    "kraz": (8.65, 2.75, 2.94),
+}
+ON_THE_GROUND = {"t72": 2, "btr70": 8, "2s1": 2, "kraz": 6}  # tracks or wheels
+
 
 @pytest.fixture(scope="module")
-def t72():
-    return vehicle("t72")
+def meshes():
+    return {name: vehicle(name) for name in VEHICLES}
 
 
-def test_overall_dimensions(t72):
-    low, high = t72.bounds
+@pytest.fixture(scope="module")
+def bodies(meshes):
+    return {name: mesh.split(only_watertight=False) for name, mesh in meshes.items()}
+
+
+def test_every_vehicle_is_measured_here():
+    assert set(DIMENSIONS) == set(VEHICLES)
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_overall_dimensions(meshes, name):
+    low, high = meshes[name].bounds
     assert low[2] == pytest.approx(0.0, abs=1e-9)
-    assert high[2] == pytest.approx(2.2, abs=0.01)
-    assert (low[1], high[1]) == pytest.approx((-1.8, 1.8), abs=0.01)
-    assert high[0] - low[0] == pytest.approx(9.55, abs=0.1)
-    below_gun = t72.vertices[t72.vertices[:, 2] < 1.3]  # hull alone: neither gun nor drums
-    assert below_gun[:, 0].max() == pytest.approx(3.45, abs=0.01)
-    assert below_gun[:, 0].min() == pytest.approx(-3.45, abs=0.06)  # the unditching log stands out a little
+    assert high - low == pytest.approx(DIMENSIONS[name], abs=0.02)
 
 
-def test_barrel_rises_forwards(t72):
-    ahead = t72.vertices[t72.vertices[:, 0] > 4.0]
+@pytest.mark.parametrize("name", VEHICLES)
+def test_hull_is_centred(meshes, name):
+    low, high = meshes[name].bounds
+    if name == "t72":  # without the gun and the drums, which stand out
+        below = meshes[name].vertices[meshes[name].vertices[:, 2] < 1.3]
+        low, high = below.min(axis=0), below.max(axis=0)
+    assert (low + high)[:2] / 2 == pytest.approx((0, 0), abs=0.03)
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_bodies_are_closed_and_face_outwards(meshes, bodies, name):
+    assert meshes[name].is_watertight
+    assert meshes[name].is_winding_consistent
+    assert len(bodies[name]) > 40
+    assert min(body.volume for body in bodies[name]) > 0
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_stands_on_its_wheels_or_tracks_alone_half_of_them_on_either_side(bodies, name):
+    standing = [body for body in bodies[name] if body.bounds[0, 2] < 0.01]
+    assert len(standing) == ON_THE_GROUND[name]
+    assert sum(body.bounds[0, 1] > 0 for body in standing) == len(standing) / 2
+    assert sum(body.bounds[1, 1] < 0 for body in standing) == len(standing) / 2
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_running_gear_is_the_same_on_both_sides(bodies, name):
+    gear = np.concatenate([body.vertices for body in bodies[name] if body.bounds[0, 2] < 0.06])
+    left, right = gear[gear[:, 1] > 0], gear[gear[:, 1] < 0]
+    assert len(left) == len(right) > 300
+    for axis in (0, 2):
+        assert np.sort(left[:, axis]) == pytest.approx(np.sort(right[:, axis]))
+    assert np.sort(left[:, 1]) == pytest.approx(np.sort(-right[:, 1]))
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_is_the_same_each_time(meshes, name):
+    again = vehicle(name)
+    assert np.array_equal(again.vertices, meshes[name].vertices)
+    assert np.array_equal(again.faces, meshes[name].faces)
+
+
+def axles(bodies, height, radius, side):
+    """Places in x of the wheels of a radius whose axles are at a height, on one side."""
+    lengths = [
+        (body.bounds[:, 0].mean(), np.ptp(body.bounds[:, 0]), body.bounds[:, 2].mean(), body.bounds[:, 1].mean())
+        for body in bodies
+    ]
+    return sorted(
+        x for x, length, z, y in lengths
+        if length == pytest.approx(2 * radius) and z == pytest.approx(height) and y * side > 0
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_btr70_has_four_wheels_a_side_the_widest_gap_in_the_middle(bodies, side):
+    gaps = np.diff(axles(bodies["btr70"], 0.56, 0.56, side))
+    assert len(gaps) == 3
+    assert gaps[1] > max(gaps[0], gaps[2]) + 0.2
+    assert gaps.sum() == pytest.approx(4.4, abs=0.02)  # wheelbase
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_2s1_has_seven_road_wheels_a_side(bodies, side):
+    wheels = axles(bodies["2s1"], 0.375, 0.335, side)
+    assert len(wheels) == 7
+    assert np.diff(wheels) == pytest.approx(np.diff(wheels)[0])
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_kraz_has_one_axle_in_front_and_a_bogie_behind(bodies, side):
+    rear, middle, front = axles(bodies["kraz"], 0.65, 0.65, side)
+    assert middle - rear == pytest.approx(1.4, abs=0.01)
+    assert front - middle == pytest.approx(4.6, abs=0.01)
+
+
+def test_kraz_has_a_bed_lower_than_its_cab(meshes):
+    x, _, z = meshes["kraz"].vertices.T
+    assert z[x < 0].max() < 2.5 < 2.9 < z[x > 0.8].max()
+
+
+def test_t72_barrel_rises_forwards(meshes):
+    ahead = meshes["t72"].vertices[meshes["t72"].vertices[:, 0] > 4.0]
     assert np.abs(ahead[:, 1]).max() < 0.15
     root, tip = ahead[ahead[:, 0] < 4.5, 2], ahead[ahead[:, 0] > 5.8, 2]
     slope = (tip.mean() - root.mean()) / (5.95 - 4.2)
     assert 1.0 < np.degrees(np.arctan(slope)) < 5.0
 
 
-def test_bodies_are_closed_and_face_outwards(t72):
-    assert t72.is_watertight and t72.is_winding_consistent
-    volumes = [body.volume for body in t72.split(only_watertight=False)]
-    assert len(volumes) > 40
-    assert min(volumes) > 0
-
-
-def test_running_gear_is_the_same_on_both_sides(t72):
-    gear = t72.vertices[t72.vertices[:, 2] < 0.46]
-    left, right = gear[gear[:, 1] > 1.16], gear[gear[:, 1] < -1.16]
-    assert len(left) == len(right) > 100
-    assert np.sort(left[:, 0]) == pytest.approx(np.sort(right[:, 0]))
-
-
 def test_unknown_name_lists_the_known_ones():
-    with pytest.raises(SarsplatError, match=r"'t73'.*t72"):
+    with pytest.raises(SarsplatError, match=r"'t73'.*2s1, btr70, kraz, t72"):
         vehicle("t73")

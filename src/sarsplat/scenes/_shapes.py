@@ -1,24 +1,36 @@
-"""Closed primitive bodies that vehicles are put together from; all lengths in metres."""
+"""Closed bodies that vehicles are put together from, which may intersect; all lengths in metres.
+
+Pairs of coordinates are in either order, so that (side * a, side * b) serves both sides of a vehicle.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 if TYPE_CHECKING:
     import trimesh
 
+Pair = tuple[float, float]
 Point = tuple[float, float, float]
 
 
-def box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> trimesh.Trimesh:
+def assembled(parts: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """One mesh of many bodies."""
+    import trimesh
+
+    return cast("trimesh.Trimesh", trimesh.util.concatenate(parts))
+
+
+def box(x: Pair, y: Pair, z: Pair) -> trimesh.Trimesh:
     """Box between pairs of coordinates."""
     import trimesh
 
-    return trimesh.creation.box(bounds=np.array([x, y, z], dtype=float).T)
+    return trimesh.creation.box(bounds=np.sort(np.array([x, y, z], dtype=float)).T)
 
 
 def hull(points: Sequence[Point]) -> trimesh.Trimesh:
@@ -28,9 +40,22 @@ def hull(points: Sequence[Point]) -> trimesh.Trimesh:
     return trimesh.convex.convex_hull(np.array(points, dtype=float))
 
 
-def prism(profile: Sequence[tuple[float, float]], y: tuple[float, float]) -> trimesh.Trimesh:
+def prism(profile: Sequence[Pair], y: Pair) -> trimesh.Trimesh:
     """Convex side profile of (x, z) points, drawn out along y."""
-    return hull([(px, side, pz) for px, pz in profile for side in y])
+    return hull([(px, side, pz) for px, pz in profile for side in sorted(y)])
+
+
+def both(points: Sequence[Point]) -> list[Point]:
+    """The points and their mirror images on the other side of the vehicle."""
+    return [*points, *((x, -y, z) for x, y, z in points)]
+
+
+def strip(path: Sequence[Pair], thickness: float, y: Pair) -> list[trimesh.Trimesh]:
+    """Plates along a path of (x, z) points, such as a mudguard: one per segment, of a thickness measured in z."""
+    return [
+        prism([(xa, za), (xa, za + thickness), (xb, zb), (xb, zb + thickness)], y)
+        for (xa, za), (xb, zb) in pairwise(path)
+    ]
 
 
 def cylinder(radius: float, start: Point, end: Point, sections: int = 24) -> trimesh.Trimesh:
@@ -40,15 +65,41 @@ def cylinder(radius: float, start: Point, end: Point, sections: int = 24) -> tri
     return trimesh.creation.cylinder(radius=radius, segment=np.array([start, end], dtype=float), sections=sections)
 
 
-def revolved(profile: Sequence[tuple[float, float]], sections: int = 32) -> trimesh.Trimesh:
+def revolved(profile: Sequence[Pair], sections: int = 32) -> trimesh.Trimesh:
     """Body of revolution around z: (radius, height) points from axis to axis, counter-clockwise (bottom first)."""
     import trimesh
 
     return trimesh.creation.revolve(np.array(profile, dtype=float), sections=sections)
 
 
+def barrel(profile: Sequence[Pair], root: Point, elevation_deg: float, sections: int = 20) -> trimesh.Trimesh:
+    """Gun barrel from `root` forwards and upwards: (radius, distance from the root) points from axis to axis."""
+    import trimesh
+
+    body = revolved(profile, sections)
+    tilt = trimesh.transformations.rotation_matrix(math.radians(90 - elevation_deg), (0, 1, 0))
+    tilt[:3, 3] = np.array(root)
+    body.apply_transform(tilt)
+    return body
+
+
+def wheel(x: float, y: Pair, radius: float, rim: float = 0.55, z: float | None = None) -> trimesh.Trimesh:
+    """Tyred wheel between two values of y: round shoulders, sunk disc of the share `rim` of the radius, standing hub.
+
+    It stands on the ground unless the height of its axle is given.
+    """
+    half = abs(y[1] - y[0]) / 2
+    side = [
+        (0.0, 0.85), (0.22, 0.85), (0.26, 0.5), (rim, 0.6), (rim + 0.06, 0.92), (0.78, 1.0), (0.92, 0.92), (1.0, 0.68)
+    ]  # fmt: skip
+    points = [(r * radius, -h * half) for r, h in side] + [(r * radius, h * half) for r, h in side[::-1]]
+    body = revolved(points)
+    body.vertices = body.vertices[:, [0, 2, 1]] * (1, -1, 1) + (x, sum(y) / 2, radius if z is None else z)
+    return body
+
+
 def belt(
-    wheels: Sequence[tuple[float, float, float]], thickness: float, y: tuple[float, float], sections: int = 96
+    wheels: Sequence[tuple[float, float, float]], thickness: float, y: Pair, sections: int = 96
 ) -> trimesh.Trimesh:
     """Closed belt stretched around wheels, such as a track.
 
@@ -74,7 +125,8 @@ def belt(
     inner = support[:, :2] + support[:, 2:] * normals
     outer = inner + thickness * normals
     # The four edges of the belt's rectangular section, in order around it: each neighbouring pair spans one face strip.
-    corners = [(inner, y[0]), (inner, y[1]), (outer, y[1]), (outer, y[0])]
+    low, high = sorted(y)
+    corners = [(inner, low), (inner, high), (outer, high), (outer, low)]
     vertices = np.concatenate([np.column_stack([p[:, 0], np.full(sections, side), p[:, 1]]) for p, side in corners])
     here = np.arange(sections)
     after = np.roll(here, -1)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from sarsplat.scenes._shapes import belt, box, cylinder, hull, prism, revolved
+from sarsplat.scenes._shapes import assembled, barrel, belt, box, cylinder, hull, prism, revolved
 
 if TYPE_CHECKING:
     import trimesh
@@ -22,10 +20,7 @@ def t72() -> trimesh.Trimesh:
 
     Centred on the hull in x and y. Written from published overall dimensions; details are plausible, not surveyed.
     """
-    import trimesh
-
-    parts = [*_hull(), *_running_gear(+1), *_running_gear(-1), *_fenders(), *_stern(), *_turret(), _gun()]
-    return cast("trimesh.Trimesh", trimesh.util.concatenate(parts))
+    return assembled([*_hull(), *_running_gear(+1), *_running_gear(-1), *_fenders(), *_stern(), *_turret(), _gun()])
 
 
 def _hull() -> list[trimesh.Trimesh]:
@@ -56,7 +51,7 @@ def _running_gear(side: int) -> list[trimesh.Trimesh]:
     track = (side * 1.19, side * 1.75)
     road = [(2.14 - 0.856 * k, 0.42, 0.375) for k in range(6)]
     idler, sprocket = (2.93, 0.70, 0.27), (-2.98, 0.72, 0.31)
-    loop = belt([*road, idler, sprocket], 0.045, (min(track), max(track)))
+    loop = belt([*road, idler, sprocket], 0.045, track)
     discs = [cylinder(radius, (x, side * 1.24, z), (x, side * 1.68, z)) for x, z, radius in (*road, idler, sprocket)]
     hubs = [
         cylinder(0.13, (x, side * 1.6, z), (x, side * 1.73, z), sections=12) for x, z, _ in (*road, idler, sprocket)
@@ -69,13 +64,10 @@ def _fenders() -> list[trimesh.Trimesh]:
     for side in (-1.0, 1.0):
         inner, outer = side * 1.1, side * 1.78
 
-        def across(a: float, b: float) -> tuple[float, float]:
-            return (min(a, b), max(a, b))
-
-        parts.append(box((-3.25, 2.95), across(inner, outer), (1.08, 1.11)))
+        parts.append(box((-3.25, 2.95), (inner, outer), (1.08, 1.11)))
         # Front mudguard, sloping down to the nose; skirt over the upper run of the track.
-        parts.append(prism([(2.95, 1.11), (2.95, 1.08), (3.38, 0.93), (3.38, 0.96)], across(inner, outer)))
-        parts.append(box((-2.9, 2.75), across(side * 1.77, side * 1.80), (0.66, 1.10)))
+        parts.append(prism([(2.95, 1.11), (2.95, 1.08), (3.38, 0.93), (3.38, 0.96)], (inner, outer)))
+        parts.append(box((-2.9, 2.75), (side * 1.77, side * 1.80), (0.66, 1.10)))
     # Right: a row of fuel cells. Left: stowage boxes with gaps and the exhaust in front of the last one.
     parts += [box((x, x + 1.02), (-1.72, -1.12), (1.10, 1.36)) for x in (-2.75, -1.65, -0.55, 0.55)]
     parts += [
@@ -125,15 +117,9 @@ def _turret() -> list[trimesh.Trimesh]:
 
 def _gun() -> trimesh.Trimesh:
     """125 mm-class gun with thermal sleeve, bore evacuator and muzzle collar, inclined upwards."""
-    import trimesh
-
     length = (_MUZZLE_X - _TRUNNION[0]) / math.cos(math.radians(_GUN_ELEVATION_DEG))
     profile = [
         (0.0, 0.0), (0.115, 0.0), (0.115, 1.0), (0.092, 1.1), (0.092, 2.55), (0.135, 2.65), (0.135, 3.25),
         (0.088, 3.35), (0.08, length - 0.12), (0.1, length - 0.12), (0.1, length), (0.0, length),
     ]  # fmt: skip
-    gun = revolved(profile, sections=20)
-    tilt = trimesh.transformations.rotation_matrix(math.radians(90 - _GUN_ELEVATION_DEG), (0, 1, 0))
-    tilt[:3, 3] = np.array(_TRUNNION)
-    gun.apply_transform(tilt)
-    return gun
+    return barrel(profile, _TRUNNION, _GUN_ELEVATION_DEG)

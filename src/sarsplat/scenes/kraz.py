@@ -1,0 +1,144 @@
+"""A KrAZ-255B 6×6 lorry of true dimensions with an open bed, from simple closed bodies that may intersect."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from sarsplat.scenes._shapes import assembled, both, box, cylinder, hull, prism, strip, wheel
+
+if TYPE_CHECKING:
+    import trimesh
+
+AXLES_X = (3.30, -1.30, -2.70)
+"""Wheelbase 4.6 m, bogie 1.4 m; single wide tyres of 1.30 m all round."""
+
+_BED = (-4.32, 0.24)
+_FLOOR, _BOARDS = 1.60, 2.42
+
+
+def kraz() -> trimesh.Trimesh:
+    """KrAZ-255B: 8.65 m × 2.75 m, 2.94 m high at the cab, six wheels; +x nose, +y left, ground at z = 0.
+
+    Centred in x and y. Written from published overall dimensions; details are plausible, not surveyed.
+    """
+    return assembled([*_chassis(), *_side(+1), *_side(-1), *_bonnet(), *_cab(), *_bed()])
+
+
+def _chassis() -> list[trimesh.Trimesh]:
+    rails = [box((-4.15, 4.05), (y - 0.06, y + 0.06), (0.98, 1.24)) for y in (-0.45, 0.45)]
+    axles = [cylinder(0.11, (x, -0.95, 0.65), (x, 0.95, 0.65), sections=16) for x in AXLES_X]
+    differentials = [
+        hull([(x + dx, dy, 0.65 + dz) for dx in (-0.26, 0.26) for dy in (-0.24, 0.24) for dz in (-0.2, 0.2)])
+        for x in AXLES_X
+    ]
+    gearbox = box((0.2, 1.3), (-0.30, 0.30), (0.70, 1.10))
+    bumper = box((4.18, 4.325), (-1.25, 1.25), (0.92, 1.20))
+    hooks = [box((4.05, 4.30), (y - 0.06, y + 0.06), (1.18, 1.32)) for y in (-0.5, 0.5)]
+    crossbar = box((-4.20, -4.08), (-0.9, 0.9), (0.95, 1.20))
+    tow_hook = cylinder(0.08, (-4.30, 0.0, 1.08), (-4.10, 0.0, 1.08), sections=12)
+    spare = wheel(0.0, (-0.26, 0.26), 0.62, rim=0.5)  # upright behind the cab, its axis along the vehicle
+    spare.vertices = spare.vertices[:, [1, 0, 2]] * (1, -1, 1) + (0.50, 0.45, 1.26)
+    rack = box((0.28, 0.72), (-1.0, 1.1), (1.20, 1.28))
+    air_filter = cylinder(0.20, (0.52, -0.65, 1.28), (0.52, -0.65, 2.10), sections=16)
+    return [*rails, *axles, *differentials, gearbox, bumper, *hooks, crossbar, tow_hook, spare, rack, air_filter]
+
+
+def _side(side: int) -> list[trimesh.Trimesh]:
+    """Wheels, front wing, step and tank of the left (+1) or right (−1) side."""
+    wheels = [wheel(x, (side * 0.815, side * 1.345), 0.65, rim=0.48) for x in AXLES_X]
+    # The wing rises from the bumper, runs flat over the wheel and falls to the step below the cab's door.
+    wing = strip(
+        [(4.20, 1.20), (4.05, 1.42), (3.72, 1.55), (2.95, 1.55), (2.55, 1.36), (2.25, 1.02)],
+        0.05,
+        (side * 0.62, side * 1.36),
+    )
+    step = box((0.95, 2.28), (side * 0.85, side * 1.30), (0.90, 0.98))
+    tank = hull(
+        [
+            (x, side * y, z)
+            for x in (-0.25, 0.92)
+            for y, z in ((0.62, 0.72), (0.62, 1.30), (1.22, 0.78), (1.28, 0.9), (1.28, 1.2), (1.22, 1.30))
+        ]
+    )
+    lamp = cylinder(0.14, (3.92, side * 0.98, 1.66), (4.10, side * 0.98, 1.66), sections=20)
+    lamp_post = box((3.96, 4.02), (side * 0.94, side * 1.02), (1.40, 1.56))
+    mirror = [
+        box((2.02, 2.06), (side * 1.22, side * 1.36), (2.15, 2.48)),
+        box((2.02, 2.05), (side * 1.0, side * 1.3), (2.3, 2.33)),
+    ]
+    return [*wheels, *wing, step, tank, lamp, lamp_post, *mirror]
+
+
+def _bonnet() -> list[trimesh.Trimesh]:
+    """Long, narrowing to the radiator, its top falling a little forwards."""
+    hood = hull(
+        both(
+            [
+                (2.15, 0.72, 1.20), (2.15, 0.72, 1.98), (2.15, 0.58, 2.12), (4.02, 0.52, 1.20), (4.02, 0.52, 1.86),
+                (4.02, 0.42, 1.98),
+            ]
+        )
+    )  # fmt: skip
+    frame = [
+        box((4.0, 4.08), (-0.56, 0.56), (1.84, 1.99)),
+        box((4.0, 4.08), (-0.56, 0.56), (1.14, 1.24)),
+        *(box((4.0, 4.08), (side * 0.46, side * 0.56), (1.14, 1.99)) for side in (-1, 1)),
+    ]
+    bars = [box((4.02, 4.06), (y - 0.02, y + 0.02), (1.2, 1.86)) for y in (-0.36, -0.24, -0.12, 0.0, 0.12, 0.24, 0.36)]
+    return [hood, *frame, *bars]
+
+
+def _cab() -> list[trimesh.Trimesh]:
+    """Lower half, pillars and roof, so that the windows are open."""
+    rear, front, belt = 0.82, 2.20, 2.06
+    body = prism([(rear, 1.05), (front, 1.05), (front, belt), (rear, belt)], (-1.16, 1.16))
+    doors = [box((1.12, 2.10), (side * 1.15, side * 1.18), (1.10, belt)) for side in (-1, 1)]
+    back = box((rear, rear + 0.06), (-1.12, 1.12), (belt, 2.85))
+    pillars = [
+        hull(
+            [
+                (x + dx, side * (y + dy), z)
+                for x, y, z in ((front - 0.08, 1.06, belt), (front - 0.22, 1.0, 2.84))
+                for dx in (0.0, 0.08)
+                for dy in (0.0, 0.08)
+            ]
+        )
+        for side in (-1, 1)
+    ]
+    pillars += [box((x, x + 0.10), (side * 1.02, side * 1.12), (belt, 2.84)) for side in (-1, 1) for x in (rear, 1.08)]
+    pillars.append(box((front - 0.17, front - 0.10), (-0.03, 0.03), (belt, 2.84)))
+    roof = hull(
+        both(
+            [
+                (rear, 1.14, 2.78),
+                (rear + 0.05, 0.98, 2.94),
+                (front - 0.10, 1.10, 2.76),
+                (front - 0.22, 0.95, 2.93),
+                (rear, 1.14, 2.70),
+                (front - 0.10, 1.10, 2.70),
+            ]
+        )
+    )
+    return [body, *doors, back, *pillars, roof]
+
+
+def _bed() -> list[trimesh.Trimesh]:
+    """Flat floor on cross bearers, slatted boards all round and a solid tailboard."""
+    rear, front = _BED
+    floor = box(_BED, (-1.33, 1.33), (_FLOOR - 0.10, _FLOOR))
+    bearers = [box((x - 0.06, x + 0.06), (-1.25, 1.25), (1.24, 1.52)) for x in (-3.9, -3.0, -2.0, -1.0, -0.1)]
+    rails = [(_FLOOR + 0.02, _FLOOR + 0.40), (_FLOOR + 0.44, _FLOOR + 0.58), (_BOARDS - 0.16, _BOARDS)]
+    boards = [box(_BED, (side * 1.325, side * 1.365), z) for side in (-1, 1) for z in rails]
+    posts = [
+        box((x - 0.05, x + 0.05), (side * 1.31, side * 1.375), (1.48, _BOARDS))
+        for side in (-1, 1)
+        for x in (-4.2, -3.3, -2.4, -1.5, -0.6, 0.15)
+    ]
+    ends = [
+        box((front - 0.05, front), (-1.33, 1.33), (_FLOOR, _BOARDS)),
+        box((rear, rear + 0.05), (-1.33, 1.33), (_FLOOR, _FLOOR + 0.62)),
+    ]
+    benches = [
+        box((rear + 0.2, front - 0.2), (side * 0.95, side * 1.30), (_FLOOR + 0.42, _FLOOR + 0.46)) for side in (-1, 1)
+    ]
+    return [floor, *bearers, *boards, *posts, *ends, *benches]
