@@ -15,7 +15,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.patches import Arc, Circle, Wedge
 
 from sarsplat.geometry import ImageGrid, View, radar_frame
-from sarsplat.scenes import ScatteringLaw, simulate_raycast, vehicle
+from sarsplat.scenes import ScatteringLaw, simulate_raycast, target_mesh
 
 VIEW = View(azimuth_deg=35.0, grazing_deg=40.0)
 GRID = ImageGrid(rows=96, columns=96, spacing=(0.125, 0.125), resolution=(0.2, 0.2))
@@ -192,7 +192,7 @@ def image_array(ax: Axes, power: np.ndarray) -> None:
 
 def main() -> None:
     """Draw the three panels."""
-    mesh = vehicle("t72")
+    mesh = target_mesh("t72")
     triangles = np.asarray(mesh.triangles, dtype=np.float64)
     power = simulate_raycast(mesh, VIEW, GRID, ScatteringLaw(), ground_gamma0=0.04)
     figure, axes = plt.subplots(1, 3, figsize=(17, 5.9), width_ratios=(1.0, 1.0, 0.92), layout="constrained")

@@ -16,13 +16,13 @@ import numpy as np
 import torch
 from fill_block import fill_block
 
-from sarsplat import Gaussians, RayGrid, ScatteringLaw, View, paper_grid, render, simulate_raycast, vehicle
+from sarsplat import Gaussians, RayGrid, ScatteringLaw, View, paper_grid, render, simulate_raycast, target_mesh
 from sarsplat.scenes import law_scattering, surface_gaussians
 
 HERE = Path(__file__).parent
 FIGURES, PAGE = HERE.parent / "figures", HERE / "forward-model.md"
 
-MESH, LAW, GRID = vehicle("t72"), ScatteringLaw(), paper_grid()
+MESH, LAW, GRID = target_mesh("t72"), ScatteringLaw(), paper_grid()
 VIEWS = (View(0.0, 15.0), View(30.0, 45.0), View(90.0, 75.0), View(135.0, 45.0))
 TRUTH_RAYS = 0.005  # m
 SIZES = (0.4, 0.2, 0.1, 0.05, 0.025)  # longest edges of the pieces that become Gaussians, m

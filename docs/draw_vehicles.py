@@ -19,7 +19,7 @@ from outlines import Outline, despeckled, iou, outline
 
 from sarsplat import ScatteringLaw, View, radar_frame
 from sarsplat.data.mstar import import_mstar
-from sarsplat.scenes import add_speckle, mstar_grid, simulate_raycast, vehicle
+from sarsplat.scenes import add_speckle, mstar_grid, simulate_raycast, target_mesh
 
 HERE = Path(__file__).parent
 FIGURES, PICTURE, PAGE = HERE.parent / "figures", HERE / "images" / "vehicles.png", HERE / "vehicles.md"
@@ -77,7 +77,7 @@ def draw_meshes() -> None:
     """The committed picture: each vehicle from one oblique side, and its SAR image from there, with speckle."""
     figure, axes = plt.subplots(2, 4, figsize=(10, 4.3), height_ratios=(0.64, 1), layout="constrained")
     for (name, title), (above, below) in zip(NAMES.items(), axes.T, strict=True):
-        mesh = vehicle(name)
+        mesh = target_mesh(name)
         show_mesh(above, mesh, OBLIQUE)
         show_power(below, simulated(mesh, [View(OBLIQUE.azimuth_deg, GRAZING)])[0])
         above.set_title(title, fontsize=11)
@@ -90,7 +90,7 @@ def draw_around() -> None:
     figure, axes = plt.subplots(4, len(AZIMUTHS), figsize=(16, 8.4), layout="constrained")
     views = [View(float(azimuth), GRAZING) for azimuth in AZIMUTHS]
     for (name, title), row in zip(NAMES.items(), axes, strict=True):
-        for ax, power in zip(row, simulated(vehicle(name), views), strict=True):
+        for ax, power in zip(row, simulated(target_mesh(name), views), strict=True):
             show_power(ax, power)
         row[0].set_ylabel(title, fontsize=12)
     for ax, azimuth in zip(axes[0], AZIMUTHS, strict=True):
@@ -114,10 +114,10 @@ def measured_chips() -> tuple[list[View], np.ndarray, np.ndarray]:
 def compare() -> str:
     """Outlines of simulated images against those of the measured chips, as Markdown; draws some of them."""
     views, measured, neighbours = measured_chips()
-    rows = {f"{title}, simulated": simulated(vehicle(name), views) for name, title in NAMES.items()}
+    rows = {f"{title}, simulated": simulated(target_mesh(name), views) for name, title in NAMES.items()}
     for turn in (90, 180):
         turned = [View((view.azimuth_deg + turn) % 360, view.grazing_deg) for view in views]
-        rows[f"T-72, simulated at azimuth + {turn}°"] = simulated(vehicle("t72"), turned)
+        rows[f"T-72, simulated at azimuth + {turn}°"] = simulated(target_mesh("t72"), turned)
     rows["the measured chip next in azimuth"] = neighbours
     outlines = [outline(power) for power in measured]
     scores = {}

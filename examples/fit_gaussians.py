@@ -9,14 +9,14 @@ import numpy as np
 import torch
 
 from sarsplat import Gaussians, ImageGrid, View, render
-from sarsplat.scenes import ScatteringLaw, simulate_raycast, vehicle
+from sarsplat.scenes import ScatteringLaw, simulate_raycast, target_mesh
 
 ITERATIONS, COUNT = 200, 2000
 torch.manual_seed(0)
 
 views = [View(azimuth, 45.0) for azimuth in range(0, 360, 45)]
 grid = ImageGrid(rows=48, columns=48, spacing=(0.3, 0.3), resolution=(0.3, 0.3))
-mesh = vehicle("t72")
+mesh = target_mesh("t72")
 power = np.stack([simulate_raycast(mesh, view, grid, ScatteringLaw()) for view in views])
 truth = torch.from_numpy(power).sqrt()  # amplitude
 

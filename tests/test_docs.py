@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from sarsplat.cli import main
-from sarsplat.scenes import vehicle
+from sarsplat.scenes import target_mesh
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
@@ -129,7 +129,7 @@ def test_results_table_comes_from_metrics_and_leaves_gaps_open():
 @pytest.mark.slow
 def test_readme_commands_work_in_the_order_shown(tmp_path):
     """As printed; measured chips only where there are some."""
-    vehicle("t72").export(tmp_path / "vehicle.obj")
+    target_mesh("t72").export(tmp_path / "vehicle.obj")
     chips = ROOT.parent / "shared" / "data" / "mstar"
     if chips.is_dir():
         (tmp_path / "chips").symlink_to(chips)

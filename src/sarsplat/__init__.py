@@ -46,7 +46,7 @@ if TYPE_CHECKING:
         paper_grid,
         paper_views,
         simulate_raycast,
-        vehicle,
+        target_mesh,
     )
 
 __version__ = "0.1.0"
@@ -58,7 +58,7 @@ _HOME = {
     "render": ("RayMap", "Rendering", "render"),
     "scenes": (
         *("ScatteringLaw", "add_speckle", "load_mesh", "mstar_grid", "mstar_views", "paper_grid", "paper_views"),
-        *("simulate_raycast", "vehicle"),
+        *("simulate_raycast", "target_mesh"),
     ),
     "data": (
         *("Dataset", "DatasetView", "PhoenixChip", "SarImage", "import_mstar", "read_dataset", "read_gaussians_ply"),
@@ -109,7 +109,7 @@ __all__ = [
     "reconstruct",
     "render",
     "simulate_raycast",
-    "vehicle",
+    "target_mesh",
     "visible_surface",
     "write_dataset",
     "write_gaussians_ply",

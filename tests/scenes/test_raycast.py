@@ -7,7 +7,7 @@ import pytest
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
-from sarsplat.scenes import ScatteringLaw, paper_grid, simulate_raycast, vehicle
+from sarsplat.scenes import ScatteringLaw, paper_grid, simulate_raycast, target_mesh
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")
@@ -22,7 +22,7 @@ def box(x, y, z):
 
 @pytest.fixture(scope="module")
 def t72():
-    return vehicle("t72")
+    return target_mesh("t72")
 
 
 @pytest.mark.parametrize("grazing", [15.0, 45.0, 75.0])

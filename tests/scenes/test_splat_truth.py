@@ -9,7 +9,7 @@ import torch
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.geometry import View
-from sarsplat.scenes import ScatteringLaw, law_scattering, simulate_raycast, surface_gaussians, vehicle
+from sarsplat.scenes import ScatteringLaw, law_scattering, simulate_raycast, surface_gaussians, target_mesh
 from sarsplat.scenes.protocols import paper_grid
 from sarsplat.scenes.simulate import simulate_images
 
@@ -30,7 +30,7 @@ def test_every_face_is_covered_in_proportion_to_its_area():
 
 
 def test_gaussians_keep_the_centre_and_lie_in_the_face():
-    mesh = vehicle("t72")
+    mesh = target_mesh("t72")
     gaussians, faces = surface_gaussians(mesh, 0.15)
     weight = depths_and_areas(gaussians)
     np.testing.assert_allclose(np.average(gaussians.means, axis=0, weights=weight), mesh.centroid, atol=5e-3)
@@ -53,13 +53,13 @@ def test_second_moments_are_those_of_the_pieces():
 
 
 def test_the_same_mesh_gives_the_same_gaussians():
-    first, again = (surface_gaussians(vehicle("t72"), 0.3)[0] for _ in range(2))
+    first, again = (surface_gaussians(target_mesh("t72"), 0.3)[0] for _ in range(2))
     assert all(torch.equal(a, b) for a, b in zip(first.tensors().values(), again.tensors().values()))
 
 
 def test_a_vehicle_looks_the_same_to_both_forward_models():
     pytest.importorskip("embreex")
-    mesh, view, grid = vehicle("t72"), View(30.0, 45.0), paper_grid()
+    mesh, view, grid = target_mesh("t72"), View(30.0, 45.0), paper_grid()
     truth = np.sqrt(simulate_raycast(mesh, view, grid, ScatteringLaw()).astype(float))
     splat = np.sqrt(simulate_images(mesh, [view], grid, source="splat")[0].astype(float))
     mask = truth > truth.max() * 10 ** (-30 / 20)

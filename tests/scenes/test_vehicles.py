@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sarsplat.errors import SarsplatError
-from sarsplat.scenes import VEHICLES, vehicle
+from sarsplat.scenes import VEHICLES, target_mesh
 
 pytest.importorskip("trimesh")
 
@@ -20,7 +20,7 @@ ON_THE_GROUND = {"t72": 2, "btr70": 8, "2s1": 2, "kraz": 6}  # tracks or wheels
 
 @pytest.fixture(scope="module")
 def meshes():
-    return {name: vehicle(name) for name in VEHICLES}
+    return {name: target_mesh(name) for name in VEHICLES}
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_running_gear_is_the_same_on_both_sides(bodies, name):
 
 @pytest.mark.parametrize("name", VEHICLES)
 def test_is_the_same_each_time(meshes, name):
-    again = vehicle(name)
+    again = target_mesh(name)
     assert np.array_equal(again.vertices, meshes[name].vertices)
     assert np.array_equal(again.faces, meshes[name].faces)
 
@@ -129,5 +129,5 @@ def test_t72_barrel_rises_forwards(meshes):
 
 
 def test_unknown_name_lists_the_known_ones():
-    with pytest.raises(SarsplatError, match=r"'t73'.*2s1, btr70, kraz, t72"):
-        vehicle("t73")
+    with pytest.raises(SarsplatError, match=r"'t73'.*t72, btr70, 2s1, kraz, building-a, building-b, building-c"):
+        target_mesh("t73")

@@ -9,7 +9,7 @@ from sarsplat.scenes.scattering import ScatteringLaw
 from sarsplat.scenes.speckle import add_speckle
 from sarsplat.scenes.splat_truth import law_scattering, surface_gaussians
 from sarsplat.scenes.targets import TARGETS, target_mesh
-from sarsplat.scenes.vehicles import VEHICLES, vehicle
+from sarsplat.scenes.vehicles import VEHICLES
 
 __all__ = [
     "BUILDINGS",
@@ -30,5 +30,4 @@ __all__ = [
     "simulate_raycast",
     "surface_gaussians",
     "target_mesh",
-    "vehicle",
 ]
