@@ -64,7 +64,7 @@ def test_dim_pixels_do_not_count():
 def test_dark_image_and_contradictory_images():
     images = masks(box_points())
     images[4] = 0.0
-    with pytest.raises(SarsplatError, match=r"the image at azimuth 45°, grazing 45.0° is dark everywhere"):
+    with pytest.raises(SarsplatError, match=r"the image at azimuth 45°, grazing 45° is dark everywhere"):
         bounded_region(images, VIEWS, GRID)
     images = np.zeros((len(VIEWS), GRID.rows, GRID.columns), np.float32)
     images[:, 60, 2] = 1.0  # at the left edge from every side

@@ -71,7 +71,7 @@ def bounded_region(
     for mask, view in zip(bright, views, strict=True):
         if not mask.any():
             raise SarsplatError(
-                f"the image at azimuth {view.azimuth_deg}°, grazing {view.grazing_deg}° is dark everywhere "
+                f"the image at azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}° is dark everywhere "
                 f"({threshold_db:g} dB below the brightest pixel of the set); leave it out or check the simulation"
             )
         frame = radar_frame(view)
