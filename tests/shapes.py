@@ -59,7 +59,7 @@ def shapes_of(function: Callable) -> dict[str, object]:
     for name, hint in getattr(function, "__annotations__", {}).items():
         try:
             found[name] = eval(hint, names) if isinstance(hint, str) else hint
-        except (NameError, TypeError):  # what only the type checker imports, or knows how to subscribe
+        except (NameError, TypeError, AttributeError):  # what only the type checker imports, or knows how to subscribe
             continue
     return {name: hint for name, hint in found.items() if _speaks_of_arrays(hint)}
 

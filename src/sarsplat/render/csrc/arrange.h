@@ -41,17 +41,21 @@ int32_t check(const sg_problem& p, int64_t* culprit) {
 }
 
 // ---- bodies: arrays of structures to structures of arrays, quaternion to rotation -------------------------------------
+template <int K> SG_FN void split(const float* rows, int64_t first, int64_t end, float* const* columns) {
+  for (int64_t i = first; i < end; i++)
+    for (int k = 0; k < K; k++) columns[k][i] = rows[K * i + k];
+}
+
 void prepare(sg_context& c, const sg_problem& p, int64_t first, int64_t end) {
-  const int64_t real = end < p.gaussians ? end : p.gaussians;  // padding lanes hold a harmless Gaussian
-  for (int64_t i = first; i < end; i++) {
-    const bool pad = i >= real;
-    for (int k = 0; k < 3; k++) {
-      c.mean[k][i] = pad ? 0.0f : p.means[3 * i + k];
-      c.scale[k][i] = pad ? 1.0f : p.scales[3 * i + k];
-    }
-    for (int k = 0; k < 4; k++) c.unit[k][i] = pad ? (k == 0 ? 1.0f : 0.0f) : p.quaternions[4 * i + k];
-    c.kappa[i] = pad ? 0.0f : p.kappa[i];
-    for (int k = 0; k < p.coefficients; k++) c.harmonics[k][i] = pad ? 0.0f : p.harmonics[p.coefficients * i + k];
+  const int64_t real = end < p.gaussians ? end : p.gaussians;
+  split<3>(p.means, first, real, c.mean);
+  split<3>(p.scales, first, real, c.scale);
+  split<4>(p.quaternions, first, real, c.unit);
+  split<1>(p.kappa, first, real, &c.kappa);
+  for (int64_t i = real; i < end; i++) {  // padding lanes hold a harmless Gaussian
+    for (int k = 0; k < 3; k++) { c.mean[k][i] = 0.0f; c.scale[k][i] = 1.0f; }
+    for (int k = 0; k < 4; k++) c.unit[k][i] = k == 0 ? 1.0f : 0.0f;
+    c.kappa[i] = 0.0f;
   }
   for (int64_t i = first; i < end; i += kWidth) {
     F unit[4], rot[9], norm;
@@ -62,81 +66,135 @@ void prepare(sg_context& c, const sg_problem& p, int64_t first, int64_t end) {
   }
 }
 
-// ---- projection --------------------------------------------------------------------------------------------------------
-void write_footprint(const Plane& plane, int64_t i, F x, F y, const Sym2<F>& cov, F det, F limit, F depth) {
-  const Sym2<F> s = inverse(cov, det);
-  store(plane.x + i, x);
-  store(plane.y + i, y);
-  store(plane.a + i, s.xx * (0.5f * kLog2e));
-  store(plane.b + i, s.xy * kLog2e);
-  store(plane.c + i, s.yy * (0.5f * kLog2e));
-  store(plane.limit + i, limit);
-  store(plane.depth + i, depth);
-  const F reach = larger(limit, splat(0.0f)) * (2.0f * kLn2);  // Mahalanobis^2
-  store(plane.rx + i, root(reach * cov.xx));
-  store(plane.ry + i, root(reach * cov.yy));
+// ---- scattering --------------------------------------------------------------------------------------------------------
+// rows of K floats of the Gaussians [i, i + kWidth) as K vectors; those past n are zero
+template <class Visit> SG_FN void for_columns(const float* rows, int K, int64_t i, int64_t n, Visit visit) {
+  const int64_t here = n - i < kWidth ? n - i : kWidth;
+  for (int k0 = 0; k0 < K; k0 += kWidth) {
+    F m[kWidth];
+    if (here == kWidth && k0 + kWidth <= K) {
+      for (int r = 0; r < kWidth; r++) m[r] = load_anywhere(rows + (i + r) * K + k0);
+      transpose(m);
+    } else {
+      for (int k = 0; k < kWidth; k++)
+        for (int r = 0; r < kWidth; r++) m[k][r] = r < here && k0 + k < K ? rows[(i + r) * K + k0 + k] : 0.0f;
+    }
+    for (int k = 0; k < kWidth && k0 + k < K; k++) visit(k0 + k, m[k]);
+  }
 }
+
+// the reverse: K vectors to rows of K floats
+SG_FN void write_columns(const F* columns, int K, int64_t i, int64_t n, float* rows) {
+  const int64_t here = n - i < kWidth ? n - i : kWidth;
+  for (int k0 = 0; k0 < K; k0 += kWidth) {
+    if (here == kWidth && k0 + kWidth <= K) {
+      F m[kWidth];
+      for (int k = 0; k < kWidth; k++) m[k] = columns[k0 + k];
+      transpose(m);
+      for (int r = 0; r < kWidth; r++) store_anywhere(rows + (i + r) * K + k0, m[r]);
+    } else {
+      for (int k = k0; k < K && k < k0 + kWidth; k++)
+        for (int r = 0; r < here; r++) rows[(i + r) * K + k] = columns[k][r];
+    }
+  }
+}
+
+void scatter_chunk(const sg_context& c, const sg_problem& p, int64_t first, int64_t end) {
+  for (int64_t i = first; i < end; i += kWidth) {
+    if (p.scattering) {
+      for (int v = 0; v < p.views; v++)
+        for_columns(p.scattering + (int64_t)v * p.gaussians, 1, i, p.gaussians, [&](int, F x) { store(c.views[v].phase + i, x); });
+      continue;
+    }
+    F h[16];
+    for_columns(p.harmonics, p.coefficients, i, p.gaussians, [&](int k, F x) { h[k] = x; });
+    for (int v = 0; v < p.views; v++) {
+      F sum_y = splat(0.0f);
+      for (int k = 0; k < p.coefficients; k++) sum_y += h[k] * p.basis[v * p.coefficients + k];
+      store(c.views[v].phase + i, softplus(sum_y) + p.p_min);
+    }
+  }
+}
+
+// ---- projection --------------------------------------------------------------------------------------------------------
+SG_FN F words(I x) { return __builtin_bit_cast(F, x); }
+SG_FN I whole(F x) { return __builtin_convertvector(smaller(larger(x, splat(-2.0f * kFarthest)), splat(2.0f * kFarthest)), I); }
+
+struct Reach { F x, y; };
+
+// Entries of kWidth Gaussians, their boxes cut to [0, columns) x [0, rows) unless that is empty.
+Reach write_entries(Entry* out, int64_t count, F x, F y, const Sym2<F>& cov, F det, F limit, F depth, int columns, int rows) {
+  const Sym2<F> s = inverse(cov, det);
+  const F mahalanobis = larger(limit, splat(0.0f)) * (2.0f * kLn2);
+  const Reach reach{root(mahalanobis * cov.xx), root(mahalanobis * cov.yy)};
+  const float slack = 1e-3f;
+  F x0 = up(x - reach.x - slack), x1 = down(x + reach.x + slack), y0 = up(y - reach.y - slack), y1 = down(y + reach.y + slack);
+  if (columns) {
+    x0 = larger(x0, splat(0.0f)); x1 = smaller(x1, splat((float)(columns - 1)));
+    y0 = larger(y0, splat(0.0f)); y1 = smaller(y1, splat((float)(rows - 1)));
+  }
+  const I top = whole(y0), bottom = choose((x0 <= x1) & (limit >= 0.0f), whole(y1), top - 1);
+  F fields[16] = {x, y, s.xx * (0.5f * kLog2e), s.xy * kLog2e, s.yy * (0.5f * kLog2e), limit, depth,
+                  words(whole(x0)), words(whole(x1)), words(top), words(bottom)};
+  for (int k = 11; k < 16; k++) fields[k] = splat(0.0f);
+  for (int part = 0; part < 16; part += kWidth) {
+    F m[kWidth];
+    for (int k = 0; k < kWidth; k++) m[k] = fields[part + k];
+    transpose(m);
+    for (int k = 0; k < kWidth && k < count; k++) store((float*)(out + k) + part, m[k]);
+  }
+  return reach;
+}
+
+float least_of(F x) { float m = x[0]; for (int k = 1; k < kWidth; k++) m = x[k] < m ? x[k] : m; return m; }
 
 void project_chunk(const sg_context& c, const sg_problem& p, int v, int64_t first, int64_t end) {
   const ViewState& s = c.views[v];
   const PlaneUnits u = units(p);
   const float* shift = p.shift + 2 * v;
   const float image_norm = 1.0f / (1.0f - __builtin_expf(-0.5f * p.image_cut));
-  Bounds bound{{3e38f, 3e38f}, {-3e38f, -3e38f}};
+  const float huge = 3e38f;
+  F low[2] = {splat(huge), splat(huge)}, high[2] = {splat(huge), splat(huge)};  // high: negated
   for (int64_t i = first; i < end; i += kWidth) {
+    const int64_t count = p.gaussians - i;
     const Projection<F> g = project(body(c, i), s.frame, u);
     const F kappa = load(c.kappa + i) * widening_ratio(g, u);
     const F touches = kappa * (1.0f / p.min_ray_depth);
-    const I touching = touches >= 1.0f;
+    const I touching = touches >= 1.0f;      // padding has no depth and touches nothing
     const F limit = choose(touching, natural_log(choose(touching, touches, splat(1.0f))) * kLog2e, splat(-1.0f));
     const F x = g.mean[0] * (1.0f / u.ray[0]), y = g.mean[1] * (1.0f / u.ray[1]);
-    write_footprint(s.rays, i, x, y, g.cov_c, g.det_cw, limit, kappa * kLog2e);
-    store(s.range + i, g.mean[2]);
-    F phase;
-    if (p.scattering) {
-      alignas(64) float lanes[kWidth];
-      for (int k = 0; k < kWidth; k++) lanes[k] = i + k < p.gaussians ? p.scattering[(int64_t)v * p.gaussians + i + k] : 0.0f;
-      phase = load(lanes);
-    } else {
-      F sum_y = splat(0.0f);
-      for (int k = 0; k < p.coefficients; k++) sum_y += load(c.harmonics[k] + i) * p.basis[v * p.coefficients + k];
-      phase = softplus(sum_y) + p.p_min;
-    }
-    store(s.phase + i, phase);
+    // ray k of an axis stands at k + 1/2
+    const Reach reach = write_entries(s.on_rays + i, count, x - 0.5f, y - 0.5f, g.cov_c, g.det_cw, limit, kappa * kLog2e, 0, 0);
+    store(s.range + i, choose(touching, g.mean[2], splat(__builtin_inff())));
+    low[0] = smaller(low[0], choose(touching, x - reach.x, splat(huge)));
+    low[1] = smaller(low[1], choose(touching, y - reach.y, splat(huge)));
+    high[0] = smaller(high[0], choose(touching, -(x + reach.x), splat(huge)));
+    high[1] = smaller(high[1], choose(touching, -(y + reach.y), splat(huge)));
     const F norm = p.peak ? splat(image_norm) : image_norm / (6.2831853f * p.pixel[0] * p.pixel[1] * root(g.det_iw));
-    write_footprint(s.pixels, i, (g.mean[0] + shift[0] - p.center[0]) * (1.0f / p.pixel[0]) + 0.5f * (float)(p.columns - 1),
-                    (g.mean[2] + shift[1] - p.center[1]) * (1.0f / p.pixel[1]) + 0.5f * (float)(p.rows - 1), g.cov_i, g.det_iw,
-                    splat(0.5f * kLog2e * p.image_cut), norm);
-    for (int k = 0; k < kWidth; k++) {
-      const int64_t j = i + k;
-      if (s.rays.limit[j] < 0.0f || j >= p.gaussians) continue;
-      const float at[2] = {s.rays.x[j], s.rays.y[j]}, reach[2] = {s.rays.rx[j], s.rays.ry[j]};
-      for (int axis = 0; axis < 2; axis++) {
-        if (at[axis] - reach[axis] < bound.low[axis]) bound.low[axis] = at[axis] - reach[axis];
-        if (at[axis] + reach[axis] > bound.high[axis]) bound.high[axis] = at[axis] + reach[axis];
-      }
-    }
+    store(s.norm + i, norm);
+    write_entries(s.on_pixels + i, count, (g.mean[0] + shift[0] - p.center[0]) * (1.0f / p.pixel[0]) + 0.5f * (float)(p.columns - 1),
+                  (g.mean[2] + shift[1] - p.center[1]) * (1.0f / p.pixel[1]) + 0.5f * (float)(p.rows - 1), g.cov_i, g.det_iw,
+                  splat(0.5f * kLog2e * p.image_cut), norm, p.columns, p.rows);
   }
-  s.bounds[first / kChunk] = bound;
+  s.bounds[first / kChunk] = {{least_of(low[0]), least_of(low[1])}, {-least_of(high[0]), -least_of(high[1])}};
 }
 
 // ---- lattice and depth order -------------------------------------------------------------------------------------------
-bool place_lattice(ViewState& s, int chunks) {
+bool place_lattice(ViewState& s, int chunks, int bands) {
   Bounds all{{3e38f, 3e38f}, {-3e38f, -3e38f}};
   for (int i = 0; i < chunks; i++)
     for (int axis = 0; axis < 2; axis++) {
       if (s.bounds[i].low[axis] < all.low[axis]) all.low[axis] = s.bounds[i].low[axis];
       if (s.bounds[i].high[axis] > all.high[axis]) all.high[axis] = s.bounds[i].high[axis];
     }
-  s.k0x = s.k0y = 0;
-  s.ray_rows = s.ray_columns = s.ray_bx = s.ray_by = 0;
+  s.rays = {0, 0, 0, 0, 1, {}};
   if (!(all.low[0] <= all.high[0])) return true;  // nothing touches a ray
+  for (int axis = 0; axis < 2; axis++)
+    if (!(all.low[axis] > -kFarthest && all.high[axis] < kFarthest)) return false;
   const double x0 = __builtin_floor(all.low[0]), y0 = __builtin_floor(all.low[1]);
   const double nx = __builtin_ceil(all.high[0]) - x0, ny = __builtin_ceil(all.high[1]) - y0;
-  if (!(nx <= (double)kMostBlocks * kBlockX && ny <= (double)kMostBlocks * kBlockY && nx * ny <= (double)kMostLanes)) return false;
-  s.k0x = (int64_t)x0; s.k0y = (int64_t)y0;
-  s.ray_columns = most(1, (int)nx); s.ray_rows = most(1, (int)ny);
-  s.ray_bx = blocks(s.ray_columns, kBlockX); s.ray_by = blocks(s.ray_rows, kBlockY);
+  if (!(nx * ny <= (double)kMostRays)) return false;
+  s.rays = {(int)x0, (int)y0, most(1, (int)nx), most(1, (int)ny), bands_of((int)ny, bands), {}};
   return true;
 }
 
@@ -145,8 +203,7 @@ void sort_by_depth(ViewState& s, int n) {
   uint32_t count[3][2048] = {};
   int m = 0;
   for (int i = 0; i < n; i++) {
-    s.rank[i] = -1;
-    if (s.rays.limit[i] < 0.0f) continue;
+    if (s.range[i] == __builtin_inff()) continue;
     uint32_t key = __builtin_bit_cast(uint32_t, s.range[i] + 0.0f);
     key ^= (uint32_t)((int32_t)key >> 31) | 0x80000000u;  // floats to unsigned, order kept
     s.order[m++] = (uint64_t)key << 32 | (uint32_t)i;
@@ -162,36 +219,49 @@ void sort_by_depth(ViewState& s, int n) {
   }
 }
 
-// inclusive range of blocks that hold a lattice point within `reach` of `at`
-void block_range(float at, float reach, int points, int per, int16_t* first, int16_t* last) {
-  const float low = at - reach - 1e-3f, high = at + reach + 1e-3f;
-  const int i0 = low > 0.0f ? (low < (float)points ? (int)__builtin_ceilf(low) : points) : 0;
-  const int i1 = high < (float)(points - 1) ? (high >= 0.0f ? (int)high : -1) : points - 1;
-  *first = (int16_t)(i0 / per);
-  *last = (int16_t)(i1 < i0 ? i0 / per - 1 : i1 / per);
-}
-
-Entry entry(const Plane& plane, int64_t i, float x0, float y0, int columns, int rows) {
-  Entry e;
-  e.g = {plane.x[i] - x0, plane.y[i] - y0, plane.a[i], plane.b[i], plane.c[i], plane.limit[i], plane.depth[i]};
-  e.id = (int32_t)i;
-  block_range(e.g.x, plane.rx[i], columns, kBlockX, &e.x0, &e.x1);
-  block_range(e.g.y, plane.ry[i], rows, kBlockY, &e.y0, &e.y1);
-  if (e.x1 < e.x0) e.y1 = (int16_t)(e.y0 - 1);
-  return e;
-}
-
-// contiguous bands of block rows with about equal work
-void cut_bands(const Entry* entries, int n, int rows, Band* bands, int count, int64_t* work) {
-  for (int y = 0; y <= rows; y++) work[y] = 0;
-  for (int i = 0; i < n; i++)
-    for (int y = entries[i].y0; y <= entries[i].y1; y++) work[y] += entries[i].x1 - entries[i].x0 + 1;
-  int64_t total = 0, done = 0;
-  for (int y = 0; y < rows; y++) total += work[y] += 1;
-  for (int b = 0, y = 0; b < count; b++) {
-    bands[b].first = y;
-    while (y < rows && (b == count - 1 || done * count < total * (b + 1))) done += work[y++];
-    bands[b].end = y;
+// Cuts a plane into bands of rows with about equal work, gives every entry its bands and slots, and lists for each band who
+// reaches it: in the order given, or by id. work: one number a row, and one more.
+void plan(Strips& s, Entry* entries, int n, const uint64_t* order, int ordered, Lists& lists, int64_t* work) {
+  for (int y = 0; y <= s.rows; y++) work[y] = 0;
+  for (int i = 0; i < n; i++) {
+    Entry& e = entries[i];
+    e.x0 = most(e.x0, s.x0); e.x1 = least(e.x1, s.x0 + s.columns - 1);
+    e.y0 = most(e.y0, s.y0); e.y1 = least(e.y1, s.y0 + s.rows - 1);
+    if (e.x1 < e.x0) e.y1 = e.y0 - 1;
+    if (e.y1 < e.y0) continue;
+    const int wide = (e.x1 - s.x0) / kBlockX - (e.x0 - s.x0) / kBlockX + 1;
+    work[e.y0 - s.y0] += wide;
+    work[e.y1 - s.y0 + 1] -= wide;
+  }
+  int64_t total = s.rows, running = 0, done = 0;
+  for (int y = 0; y < s.rows; y++) total += running += work[y];
+  running = 0;
+  for (int b = 0, y = 0; b < s.bands; b++) {
+    s.band[b].first = s.y0 + y;
+    while (y < s.rows && (b == s.bands - 1 || done * s.bands < total * (b + 1))) {
+      done += 1 + (running += work[y]);
+      work[y++] = b;
+    }
+    s.band[b].end = s.y0 + y;
+  }
+  int count[kMostBands] = {}, slot = 0;
+  for (int i = 0; i < n; i++) {
+    Entry& e = entries[i];
+    e.slot = slot;
+    e.first_band = 0;
+    e.last_band = -1;
+    if (e.y1 < e.y0) continue;
+    e.first_band = (int)work[e.y0 - s.y0];
+    e.last_band = (int)work[e.y1 - s.y0];
+    slot += e.last_band - e.first_band + 1;
+    for (int b = e.first_band; b <= e.last_band; b++) count[b]++;
+  }
+  lists.first[0] = 0;
+  int at[kMostBands];
+  for (int b = 0; b < s.bands; b++) { at[b] = lists.first[b]; lists.first[b + 1] = lists.first[b] + count[b]; }
+  for (int k = 0; k < ordered; k++) {
+    const int32_t id = order ? (int32_t)(uint32_t)order[k] : k;
+    for (int b = entries[id].first_band; b <= entries[id].last_band; b++) lists.ids[at[b]++] = id;
   }
 }
 

@@ -1,5 +1,7 @@
 // context.h: what one forward pass keeps for its backward pass, and the constants of its division into tasks.
 #pragma once
+#include <cstring>
+
 #include "simd.h"
 
 #include "api.h"
@@ -12,38 +14,37 @@ namespace SG_ISA {
 namespace {
 
 constexpr int kChunk = 1024;      // Gaussians per task; a multiple of every kWidth
-constexpr int kTasks = 16;        // pair-loop tasks wanted over all views
-constexpr int kMostBands = 8;     // of them at most this many per view: a Gaussian on a border is visited twice
-constexpr int kMostBlocks = 32767;
-constexpr int64_t kMostLanes = int64_t(1) << 28;
+constexpr int kTasks = 16;        // pair-loop tasks wanted over all views, at most kMostBands of them per view
+constexpr int kRowsPerBand = 12;   // at least: a Gaussian on a border is visited twice
+constexpr float kFarthest = 1 << 24;  // ray cells or pixels from the origin: whole numbers in float32
+constexpr int64_t kMostRays = int64_t(1) << 28;
 
 int least(int a, int b) { return a < b ? a : b; }
 int most(int a, int b) { return a > b ? a : b; }
+int bands_of(int rows, int bands) { return most(1, least(bands, rows / kRowsPerBand)); }
 int64_t padded(int64_t n) { return (n + kWidth - 1) / kWidth * kWidth; }
-int blocks(int n, int per) { return (n + per - 1) / per; }
 
 // ---- what a view keeps -----------------------------------------------------------------------------------------------
-struct Plane { float *x, *y, *a, *b, *c, *limit, *depth, *rx, *ry; };  // footprints, one array a field
-
 struct Bounds { float low[2], high[2]; };
+
+struct Lists {                    // of each band, the Gaussians that reach it, in order
+  int32_t* ids;
+  int first[kMostBands + 1];
+};
 
 struct ViewState {
   ViewFrame frame;
-  Plane rays, pixels;             // depth: kappa' on rays, the norm on pixels
-  float *range, *phase;           // z_r, P(u)
+  Entry *on_rays, *on_pixels;     // by id; depth: kappa' on rays, the amplitude on pixels
+  float *range, *phase, *norm;    // z_r, infinite for Gaussians that touch no ray; P(u); of the imaging weight
   Bounds* bounds;                 // per chunk, of the footprints on the computation plane
-  uint64_t *order, *order_spare;  // radix sort: depth key << 32 | id
-  int64_t k0x, k0y;
-  int ray_rows, ray_columns, ray_bx, ray_by;
-  int touching;                   // Gaussians that can touch a ray, front to back:
-  Entry* on_rays;
-  int32_t* rank;                  // id -> position in on_rays, or -1
-  Entry* on_pixels;               // by id
-  Band ray_bands[kMostBands], pixel_bands[kMostBands];
-  float* T;
-  int32_t* last;
-  float* weight;                  // sum of w over rays, by id
-  float* partial;                 // [bands, touching]
+  uint64_t *order, *order_spare;  // front to back: depth key << 32 | id
+  int touching;                   // how many are in it
+  Strips rays, pixels;
+  Lists ray_lists, pixel_lists;
+  float* T;                       // strips of rays
+  int32_t* stop;
+  float* partial;                 // sums of w by slot
+  float* weight;                  // sum of w over all rays, by id
 };
 
 }  // namespace
@@ -55,7 +56,7 @@ using namespace sarsplat::SG_ISA;
 struct sg_context {
   Arena arena;
   Arena::Mark kept;
-  float *mean[3], *unit[4], *norm, *rot[9], *scale[3], *kappa, *harmonics[16];
+  float *mean[3], *unit[4], *norm, *rot[9], *scale[3], *kappa;
   ViewState* views;
   int bands;
 };
@@ -73,6 +74,13 @@ Body<F> body(const sg_context& c, int64_t i) {
 
 PlaneUnits units(const sg_problem& p) {
   return {{p.ray[0], p.ray[1]}, {p.pixel[0], p.pixel[1]}, p.cell_widening, {p.response_var[0], p.response_var[1]}};
+}
+
+// strips of a band to rows of an image
+void copy_rows(const Strips& s, int b, const float* strips, float* image) {
+  for (int y = s.band[b].first; y < s.band[b].end; y++)
+    for (int x = 0; x < s.columns; x += kBlockX)
+      std::memcpy(image + (int64_t)(y - s.y0) * s.columns + x, strips + s.at(b, s.x0 + x, y), sizeof(float) * least(kBlockX, s.columns - x));
 }
 
 }  // namespace

@@ -35,23 +35,19 @@ void differentiate(const sg_context& c, const sg_problem& p, const sg_gradients&
     for (int k = 0; k < p.coefficients; k++) d_harmonics[k] = zero;
     for (int v = 0; v < p.views; v++) {
       const ViewState& s = c.views[v];
-      alignas(64) float ray[6][kWidth] = {}, pixel[6][kWidth] = {}, d_sigma[kWidth] = {}, weight[kWidth] = {}, norm[kWidth] = {};
+      alignas(64) float ray[6][kWidth] = {}, pixel[6][kWidth] = {}, d_sigma[kWidth] = {}, weight[kWidth] = {};
       for (int k = 0; k < real; k++) {
         const int64_t j = i + k;
-        const int rank = s.rank[j];
-        if (rank < 0 || s.weight[j] == 0.0f) continue;
-        for (int band = 0; band < c.bands; band++) {
-          if (!overlaps(s.on_rays[rank], s.ray_bands[band])) continue;
-          const float* m = scratch[v].ray_moments + 6 * ((int64_t)band * s.touching + rank);
-          for (int q = 0; q < 6; q++) ray[q][k] += m[q] * kLn2;   // tau is kept in units of log2(e)
-        }
-        for (int q = 0; q < 6; q++) pixel[q][k] = scratch[v].pixel_moments[6 * j + q];
+        if (s.weight[j] == 0.0f) continue;
+        const Entry& e = s.on_rays[j];
+        for (int slot = e.slot; slot <= e.slot + e.last_band - e.first_band; slot++)
+          for (int q = 0; q < 6; q++) ray[q][k] += scratch[v].ray_moments[6 * (int64_t)slot + q];
+        for (int q = 0; q < 6; q++) { ray[q][k] *= kLn2; pixel[q][k] = scratch[v].pixel_moments[6 * j + q]; }  // tau is in units of log2(e)
         weight[k] = s.weight[j];
-        norm[k] = s.pixels.depth[j];
         d_sigma[k] = scratch[v].d_sigma[j];
       }
       const Projection<F> proj = project(b, s.frame, u);
-      const F lit = load(weight) * cell, phase = load(s.phase + i), amplitude = phase * lit * load(norm);
+      const F lit = load(weight) * cell, phase = load(s.phase + i), amplitude = phase * lit * load(s.norm + i);
       Moments<F> mr = gather(ray), mp = gather(pixel);
       mp = {mp.m0 * amplitude, mp.mx * amplitude, mp.my * amplitude, mp.mxx * amplitude, mp.mxy * amplitude, mp.myy * amplitude};
       F planes[4];
@@ -79,8 +75,8 @@ void differentiate(const sg_context& c, const sg_problem& p, const sg_gradients&
       for (int a = 0; a < 3; a++) { g.means[3 * (i + k) + a] = total.mean[a][k]; g.scales[3 * (i + k) + a] = d_scale[a][k]; }
       for (int a = 0; a < 4; a++) g.quaternions[4 * (i + k) + a] = d_quaternion[a][k];
       g.kappa[i + k] = d_kappa[k];
-      for (int a = 0; a < p.coefficients; a++) g.harmonics[p.coefficients * (i + k) + a] = d_harmonics[a][k];
     }
+    write_columns(d_harmonics, p.coefficients, i, n, g.harmonics);
   }
 }
 

@@ -1,10 +1,12 @@
 // engine.cpp: a batch of views, forward and backward. Compiled once per instruction set.
 //
-// forward:  check -> bodies -> project -> lattice, depth order -> pass A -> cross-sections -> pass B
+// forward:  check -> bodies, scattering, projection -> lattice -> depth order, bands -> pass A -> cross-sections -> pass B
 // backward: pass B (gather per Gaussian) -> pass A (back to front) -> adjoint of the projection, views summed in order
 //
 // Every stage is a set of independent tasks whose number and order of summation depend on the problem alone, never on
 // the number of threads: results are bit-identical for any.
+
+
 #include "arrange.h"
 #include "context.h"
 #include "differentiate.h"
@@ -15,12 +17,8 @@ namespace sarsplat {
 namespace SG_ISA {
 namespace {
 
-Plane take_plane(Arena& arena, int64_t n) {
-  Plane p;
-  float** const fields[] = {&p.x, &p.y, &p.a, &p.b, &p.c, &p.limit, &p.depth, &p.rx, &p.ry};
-  for (float** field : fields) *field = arena.take<float>(n);
-  return p;
-}
+int64_t chunk_end(int64_t chunk, int64_t limit) { return (chunk + 1) * kChunk < limit ? (chunk + 1) * kChunk : limit; }
+int chunks_of(int64_t n) { return (int)((n + kChunk - 1) / kChunk); }
 
 int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs* out, int64_t* culprit) {
   sg_context& c = *context;
@@ -29,11 +27,8 @@ int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs
   Arena& arena = c.arena;
   arena.reset();
   const int64_t n = p.gaussians, np = padded(n);
-  const int V = p.views, chunks = blocks((int)n, kChunk);
-  const int image_bx = blocks(p.columns, kBlockX), image_by = blocks(p.rows, kBlockY);
-  const int bands = c.bands = most(1, least(kMostBands, kTasks / most(V, 1)));
+  const int V = p.views, chunks = chunks_of(n), bands = c.bands = most(1, least(kMostBands, kTasks / most(V, 1)));
   const float cell = p.ray[0] * p.ray[1];
-  auto chunk_end = [&](int64_t chunk, int64_t limit) { return (chunk + 1) * kChunk < limit ? (chunk + 1) * kChunk : limit; };
 
   auto out_of_memory = [&] { arena.give_back(); return SG_MEMORY; };
   c.views = arena.take<ViewState>(V);
@@ -42,86 +37,84 @@ int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs
                             &c.unit[0], &c.unit[1], &c.unit[2], &c.unit[3], &c.norm, &c.kappa};
   for (float** field : fields) *field = arena.take<float>(np);
   for (int k = 0; k < 9; k++) c.rot[k] = arena.take<float>(np);
-  for (int k = 0; k < p.coefficients; k++) c.harmonics[k] = arena.take<float>(np);
   for (int v = 0; v < V; v++) {
     ViewState& s = c.views[v];
     for (int k = 0; k < 9; k++) s.frame.r[k] = p.frames[9 * v + k];
-    s.rays = take_plane(arena, np);
-    s.pixels = take_plane(arena, np);
+    s.on_rays = arena.take<Entry>(n);
+    s.on_pixels = arena.take<Entry>(n);
     s.range = arena.take<float>(np);
     s.phase = arena.take<float>(np);
+    s.norm = arena.take<float>(np);
+    s.weight = arena.take<float>(n);
     s.bounds = arena.take<Bounds>(chunks);
     s.order = arena.take<uint64_t>(n);
     s.order_spare = arena.take<uint64_t>(n);
-    s.rank = arena.take<int32_t>(n);
-    s.on_rays = arena.take<Entry>(n);
-    s.on_pixels = arena.take<Entry>(n);
-    s.weight = arena.take<float>(n);
+    s.ray_lists.ids = arena.take<int32_t>(n * bands);
+    s.pixel_lists.ids = arena.take<int32_t>(n * bands);
     s.partial = arena.take<float>(n * bands);
+    s.pixels = {0, 0, p.columns, p.rows, bands_of(p.rows, bands), {}};
   }
-  float* image = arena.take<float>((int64_t)V * image_bx * image_by * kWidth);
+  float* images = arena.take<float>(V ? V * c.views[0].pixels.size() : 0);
   if (arena.failed()) return out_of_memory();
 
-  parallel(chunks, [&](int i) { prepare(c, p, (int64_t)i * kChunk, chunk_end(i, np)); });
-  parallel(V * chunks, [&](int i) { project_chunk(c, p, i / chunks, (int64_t)(i % chunks) * kChunk, chunk_end(i % chunks, np)); });
+  parallel(chunks, [&](int i) {
+    const int64_t first = (int64_t)i * kChunk, end = chunk_end(i, np);
+    prepare(c, p, first, end);
+    scatter_chunk(c, p, first, end);
+    for (int v = 0; v < V; v++) project_chunk(c, p, v, first, end);
+  });
+  int most_rows = p.rows;
   for (int v = 0; v < V; v++) {
     ViewState& s = c.views[v];
-    if (!place_lattice(s, chunks)) { *culprit = v; return SG_LATTICE; }
-    s.T = arena.take<float>((int64_t)s.ray_bx * s.ray_by * kWidth);
-    s.last = arena.take<int32_t>((int64_t)s.ray_bx * s.ray_by * kWidth);
+    if (!place_lattice(s, chunks, bands)) { *culprit = v; return SG_LATTICE; }
+    s.T = arena.take<float>(s.rays.size());
+    s.stop = arena.take<int32_t>(s.rays.size());
+    most_rows = most(most_rows, s.rays.rows);
   }
-  int most_rows = image_by;
-  for (int v = 0; v < V; v++) most_rows = most(most_rows, c.views[v].ray_by);
-  int64_t* work = arena.take<int64_t>((int64_t)V * (most_rows + 1));
+  int64_t* work = arena.take<int64_t>((int64_t)2 * V * (most_rows + 1));
   if (arena.failed()) return out_of_memory();
   c.kept = arena.mark();
 
-  parallel(V, [&](int v) { sort_by_depth(c.views[v], (int)n); });
-  parallel(V * chunks, [&](int i) {
-    ViewState& s = c.views[i / chunks];
-    const int first = i % chunks * kChunk, end = (int)chunk_end(i % chunks, n);
-    for (int k = first; k < end && k < s.touching; k++) {
-      const int32_t id = (int32_t)(uint32_t)s.order[k];
-      s.on_rays[k] = entry(s.rays, id, 0.5f + (float)s.k0x, 0.5f + (float)s.k0y, s.ray_columns, s.ray_rows);
-      s.rank[id] = k;
+  parallel(2 * V, [&](int i) {
+    ViewState& s = c.views[i / 2];
+    int64_t* rows = work + (int64_t)i * (most_rows + 1);
+    if (i % 2) {
+      plan(s.pixels, s.on_pixels, (int)n, nullptr, (int)n, s.pixel_lists, rows);
+    } else {
+      sort_by_depth(s, (int)n);
+      plan(s.rays, s.on_rays, (int)n, s.order, s.touching, s.ray_lists, rows);
     }
-    for (int k = first; k < end; k++) s.on_pixels[k] = entry(s.pixels, k, 0.0f, 0.0f, p.columns, p.rows);
   });
-  parallel(V, [&](int v) {
-    ViewState& s = c.views[v];
-    cut_bands(s.on_rays, s.touching, s.ray_by, s.ray_bands, bands, work + (int64_t)v * (most_rows + 1));
-    cut_bands(s.on_pixels, (int)n, image_by, s.pixel_bands, bands, work + (int64_t)v * (most_rows + 1));
-  });
-
   parallel(V * bands, [&](int i) {
     ViewState& s = c.views[i / bands];
     const int b = i % bands;
-    attenuate_band(s.on_rays, s.touching, s.ray_bands[b], s.ray_bx, p.min_transmittance, s.T, s.last, s.partial + (int64_t)b * s.touching);
+    if (b >= s.rays.bands) return;
+    const int first = s.ray_lists.first[b];
+    attenuate_band(s.on_rays, s.ray_lists.ids + first, s.ray_lists.first[b + 1] - first, s.rays, b, p.min_transmittance,
+                   s.T + s.rays.start(b), s.stop + s.rays.start(b), s.partial);
   });
   parallel(V * chunks, [&](int i) {
     const int v = i / chunks;
     ViewState& s = c.views[v];
     for (int64_t k = (int64_t)(i % chunks) * kChunk; k < chunk_end(i % chunks, n); k++) {
-      const int rank = s.rank[k];
+      const Entry& e = s.on_rays[k];
       float w = 0.0f;
-      for (int b = 0; rank >= 0 && b < bands; b++)
-        if (overlaps(s.on_rays[rank], s.ray_bands[b])) w += s.partial[(int64_t)b * s.touching + rank];
-      s.weight[k] = w;
+      for (int slot = e.slot; slot <= e.slot + e.last_band - e.first_band; slot++) w += s.partial[slot];
       const float lit = w * cell, sigma = s.phase[k] * lit;
+      s.weight[k] = w;
       out->lit_area[v * n + k] = lit;
       out->cross_sections[v * n + k] = sigma;
-      Entry& e = s.on_pixels[k];
-      e.g.depth *= sigma;                                // the amplitude
-      if (w == 0.0f) e.y1 = (int16_t)(e.y0 - 1);         // unlit: contributes nothing, forward or backward
+      s.on_pixels[k].g.depth = sigma * s.norm[k];
     }
   });
   parallel(V * bands, [&](int i) {
-    const int v = i / bands;
+    const int v = i / bands, b = i % bands;
     const ViewState& s = c.views[v];
-    const Band band = s.pixel_bands[i % bands];
-    float* S = image + (int64_t)v * image_bx * image_by * kWidth;
-    image_band(s.on_pixels, (int)n, band, image_bx, S);
-    from_blocks(S, image_bx, p.rows, p.columns, band.first * kBlockY, band.end * kBlockY, out->images + (int64_t)v * p.rows * p.columns);
+    if (b >= s.pixels.bands) return;
+    float* strips = images + v * s.pixels.size();
+    const int first = s.pixel_lists.first[b];
+    image_band(s.on_pixels, s.pixel_lists.ids + first, s.pixel_lists.first[b + 1] - first, s.pixels, b, strips + s.pixels.start(b));
+    copy_rows(s.pixels, b, strips + s.pixels.start(b), out->images + (int64_t)v * p.rows * p.columns);
   });
   return SG_OK;
 }
@@ -132,58 +125,65 @@ int32_t backward(sg_context* context, const sg_problem* problem, const sg_gradie
   const sg_gradients& g = *gradients;
   Arena& arena = c.arena;
   const int64_t n = p.gaussians, np = padded(n);
-  const int V = p.views, bands = c.bands, chunks = blocks((int)n, kChunk);
-  const int image_bx = blocks(p.columns, kBlockX), image_by = blocks(p.rows, kBlockY);
+  const int V = p.views, chunks = chunks_of(n), bands = c.bands;
   const float cell = p.ray[0] * p.ray[1];
-  auto chunk_end = [&](int64_t chunk, int64_t limit) { return (chunk + 1) * kChunk < limit ? (chunk + 1) * kChunk : limit; };
 
   auto out_of_memory = [&] { arena.release(c.kept); return SG_MEMORY; };
   Backward* scratch = arena.take<Backward>(V);
   const float** from = arena.take<const float*>(V);
   if (arena.failed()) return out_of_memory();
+  const Strips whole{0, 0, p.columns, p.rows, 1, {{0, p.rows}}};  // the image as one band
   for (int v = 0; v < V; v++) {
     const ViewState& s = c.views[v];
-    const int64_t lanes = (int64_t)s.ray_bx * s.ray_by * kWidth;
-    scratch[v] = {arena.take<float>(n), arena.take<float>(n), arena.take<float>(6 * (int64_t)bands * s.touching), arena.take<float>(6 * n),
-                  arena.take<float>(lanes), arena.take<float>(lanes), arena.take<float>((int64_t)image_bx * image_by * kWidth)};
+    scratch[v] = {arena.take<float>(n), arena.take<float>(n), arena.take<float>(6 * n * s.rays.bands), arena.take<float>(6 * n),
+                  arena.take<float>(s.rays.size()), arena.take<float>(s.rays.size()), arena.take<float>(whole.size())};
   }
   float* shift_sums = arena.take<float>((int64_t)chunks * 2 * V);
   if (arena.failed()) return out_of_memory();
   for (int64_t i = 0; i < (int64_t)chunks * 2 * V; i++) shift_sums[i] = 0.0f;
 
-  parallel(V * bands, [&](int i) {
-    const int v = i / bands, first = image_by * (i % bands) / bands, end = image_by * (i % bands + 1) / bands;
-    to_blocks(g.images + (int64_t)v * p.rows * p.columns, image_bx, p.rows, p.columns, first * kBlockY, end * kBlockY, scratch[v].dS);
+  parallel(V, [&](int v) {
+    float* dS = scratch[v].dS;
+    for (int64_t i = 0; i < whole.size(); i++) dS[i] = 0.0f;
+    for (int y = 0; y < p.rows; y++)
+      for (int x = 0; x < p.columns; x++) dS[whole.at(0, x, y)] = g.images[((int64_t)v * p.rows + y) * p.columns + x];
   });
   parallel(V * chunks, [&](int i) {
-    const int v = i / chunks, first = i % chunks * kChunk, end = (int)chunk_end(i % chunks, n);
+    const int v = i / chunks;
     const ViewState& s = c.views[v];
     const Backward& w = scratch[v];
-    image_backward(s.on_pixels, first, end, {0, image_by}, image_bx, w.dS, w.pixel_moments);
-    for (int k = first; k < end; k++) {
-      w.d_sigma[k] = w.pixel_moments[6 * (int64_t)k] * s.pixels.depth[k] + (g.cross_sections ? g.cross_sections[v * n + k] : 0.0f);
+    const Lanes lanes;
+    for (int64_t k = (int64_t)(i % chunks) * kChunk; k < chunk_end(i % chunks, n); k++) {
+      float* moments = w.pixel_moments + 6 * k;
+      if (s.weight[k] != 0.0f) image_backward(s.on_pixels[k], whole, lanes, w.dS, moments);
+      else for (int q = 0; q < 6; q++) moments[q] = 0.0f;
+      w.d_sigma[k] = moments[0] * s.norm[k] + (g.cross_sections ? g.cross_sections[v * n + k] : 0.0f);
       w.h[k] = w.d_sigma[k] * s.phase[k] * cell;
     }
   });
   int64_t at = 0;  // of the view's lattice in dL/dT_end
   for (int v = 0; v < V; v++) {
     from[v] = g.transmittance ? g.transmittance + at : nullptr;
-    at += (int64_t)c.views[v].ray_rows * c.views[v].ray_columns;
+    at += (int64_t)c.views[v].rays.rows * c.views[v].rays.columns;
   }
   parallel(V * bands, [&](int i) {
     const int v = i / bands, b = i % bands;
     const ViewState& s = c.views[v];
-    const Backward& w = scratch[v];
-    const Band band = s.ray_bands[b];
-    const int64_t lane0 = (int64_t)band.first * s.ray_bx * kWidth, lane1 = (int64_t)band.end * s.ray_bx * kWidth;
-    if (from[v]) to_blocks(from[v], s.ray_bx, s.ray_rows, s.ray_columns, band.first * kBlockY, band.end * kBlockY, w.B);
-    for (int64_t k = lane0; k < lane1; k += kWidth) {
-      const F t = load(s.T + k);
-      store(w.T + k, t);
-      store(w.B + k, from[v] ? t * load(w.B + k) : splat(0.0f));
+    const Strips& rays = s.rays;
+    if (b >= rays.bands) return;
+    const int64_t start = rays.start(b), size = rays.size(b);
+    float *T = scratch[v].T + start, *B = scratch[v].B + start;
+    for (int64_t k = 0; k < size; k++) { T[k] = s.T[start + k]; B[k] = 0.0f; }
+    for (int y = rays.band[b].first; from[v] && y < rays.band[b].end; y++) {
+      const float* row = from[v] + (int64_t)(y - rays.y0) * rays.columns;
+      for (int x = 0; x < rays.columns; x++) {
+        const int64_t at_ray = rays.at(b, rays.x0 + x, y);
+        B[at_ray] = T[at_ray] * row[x];
+      }
     }
-    attenuate_band_backward(s.on_rays, s.touching, band, s.ray_bx, w.h, w.T, s.last, w.B,
-                            w.ray_moments + 6 * (int64_t)b * s.touching);
+    const int first = s.ray_lists.first[b];
+    attenuate_band_backward(s.on_rays, s.ray_lists.ids + first, s.ray_lists.first[b + 1] - first, rays, b, scratch[v].h, T,
+                            s.stop + start, B, scratch[v].ray_moments);
   });
   parallel(chunks, [&](int i) {
     differentiate(c, p, g, scratch, (int64_t)i * kChunk, chunk_end(i, np), shift_sums + (int64_t)i * 2 * V);

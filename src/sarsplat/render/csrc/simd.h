@@ -23,6 +23,36 @@ SG_FN I choose(I mask, I a, I b) { return mask ? a : b; }
 SG_FN F root(F x) { return __builtin_elementwise_sqrt(x); }
 SG_FN F absolute(F x) { return __builtin_elementwise_abs(x); }
 SG_FN F larger(F a, F b) { return __builtin_elementwise_max(a, b); }
+SG_FN F smaller(F a, F b) { return __builtin_elementwise_min(a, b); }
+SG_FN F up(F x) { return __builtin_elementwise_ceil(x); }
+SG_FN F down(F x) { return __builtin_elementwise_floor(x); }
+
+// at any address, not only at multiples of the vector
+SG_FN F load_anywhere(const float* p) { F x; __builtin_memcpy(&x, p, sizeof(x)); return x; }
+SG_FN I load_anywhere(const int32_t* p) { I x; __builtin_memcpy(&x, p, sizeof(x)); return x; }
+SG_FN void store_anywhere(float* p, F x) { __builtin_memcpy(p, &x, sizeof(x)); }
+SG_FN void store_anywhere(int32_t* p, I x) { __builtin_memcpy(p, &x, sizeof(x)); }
+
+// rows become columns: a perfect shuffle, as often as it takes
+SG_FN void transpose(F (&m)[kWidth]) {
+  for (int step = 1; step < kWidth; step *= 2) {
+    F next[kWidth];
+    for (int i = 0; i < kWidth / 2; i++) {
+      const F a = m[i], b = m[i + kWidth / 2];
+#if SG_WIDTH == 16
+      next[2 * i] = __builtin_shufflevector(a, b, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
+      next[2 * i + 1] = __builtin_shufflevector(a, b, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31);
+#elif SG_WIDTH == 8
+      next[2 * i] = __builtin_shufflevector(a, b, 0, 8, 1, 9, 2, 10, 3, 11);
+      next[2 * i + 1] = __builtin_shufflevector(a, b, 4, 12, 5, 13, 6, 14, 7, 15);
+#else
+      next[2 * i] = __builtin_shufflevector(a, b, 0, 4, 1, 5);
+      next[2 * i + 1] = __builtin_shufflevector(a, b, 2, 6, 3, 7);
+#endif
+    }
+    for (int i = 0; i < kWidth; i++) m[i] = next[i];
+  }
+}
 
 #if SG_WIDTH == 16
 typedef uint16_t BitWord;
