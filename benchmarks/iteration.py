@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import statistics
 import time
 from collections.abc import Callable
 from functools import wraps
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the command line does, before torch is loaded
 
 import torch
 from naive_torch import render_naive
@@ -71,10 +74,10 @@ class Clock:
 def measure(views_per_step: int, repeats: int, clock: Clock) -> None:
     """Print the iteration time and its parts, ms: median, and fastest to 90th percentile."""
     model, grid, config = halfway(), paper_grid(), preset("default")
-    optimiser = Optimiser(model.parameters, config)
+    optimiser = Optimiser(model.parameters, model.bounds, config)
     views = [view for view, split in paper_views() if split == "train"]
     truth = torch.rand(len(views), grid.rows, grid.columns, generator=torch.Generator().manual_seed(1)) * 0.1
-    step = clock.wrap("optimiser", lambda k: (optimiser.step(k), model.constrain()))
+    step = clock.wrap("optimiser", optimiser.step)
 
     def loss_gradient(images: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
         leaf = images.detach().requires_grad_()

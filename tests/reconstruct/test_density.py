@@ -57,7 +57,7 @@ def test_it_acts_on_schedule() -> None:
 def test_moments_follow_their_gaussians() -> None:
     config = preset("default")
     old = {"means": torch.zeros(3, 3, requires_grad=True)}
-    optimiser = Optimiser(old, config)
+    optimiser = Optimiser(old, {}, config)
     (old["means"] * torch.tensor([[1.0], [2.0], [3.0]])).sum().backward()
     optimiser.step(0)
     moments = optimiser.state()["means/exp_avg"].clone()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -158,19 +159,28 @@ class SceneModel:
         p = self.parameters
         return self.config.surroundings.deviation_penalty * ((p["shift"] ** 2).mean() + (p["log_gain"] ** 2).mean())
 
-    @torch.no_grad()
-    def constrain(self) -> None:
-        """Bring every parameter back into its range after a step."""
-        p, config = self.parameters, self.config
+    @cached_property
+    def bounds(self) -> dict[str, tuple[Tensor, Tensor]]:
+        """Least and largest values of parameters that have any, by name; one number, or one for each column."""
+        config = self.config
         low, high = (torch.from_numpy(corner).float() for corner in (self.region.low, self.region.high))
         if config.initialisation == "hemisphere":  # the shell reaches beyond the region
             half = (high - low).norm() / 2
             centre = (low + high) / 2
             low, high = torch.minimum(low, centre - half), torch.maximum(high, centre + half)
-        p["means"].clamp_(low - _SLACK, high + _SLACK)
-        least, most = config.scale_bounds
-        p["log_scales"].clamp_(math.log(max(least, MIN_SCALE)), math.log(most))
-        p["log_optical_depth"].clamp_(math.log(_LEAST_OPTICAL_DEPTH), math.log(config.most_optical_depth))
+        scales = torch.tensor(config.scale_bounds).clamp(min=MIN_SCALE).log()
+        depths = torch.tensor([_LEAST_OPTICAL_DEPTH, config.most_optical_depth]).log()
+        return {
+            "means": (low - _SLACK, high + _SLACK),
+            "log_scales": (scales[0], scales[1]),
+            "log_optical_depth": (depths[0], depths[1]),
+        }
+
+    @torch.no_grad()
+    def constrain(self) -> None:
+        """Bring every parameter into its bounds."""
+        for name, (low, high) in self.bounds.items():
+            self.parameters[name].clamp_(low, high)
 
 
 def scene_region(config: Config, dataset: Dataset) -> Region:

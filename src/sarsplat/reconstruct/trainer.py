@@ -55,7 +55,7 @@ class Trainer:
         self._rays = RayGrid.for_image(self.grid, config.rays_per_pixel)
         self._generator = torch.Generator().manual_seed(config.seed)
         self.model = SceneModel.initial(config, dataset, self._generator)
-        self.optimiser = Optimiser(self.model.parameters, config)
+        self.optimiser = Optimiser(self.model.parameters, self.model.bounds, config)
         self.density = DensityControl(config.densification, len(self.model)) if config.densification else None
         self.iteration = 0
         self._queue: list[int] = []
@@ -82,7 +82,6 @@ class Trainer:
         if gather and self.density is not None:
             self.density.gather(rendering, self.grid)
         self.optimiser.step(self.iteration)
-        self.model.constrain()
         self.iteration += 1
         if self.density is not None and self.density.due(self.iteration):
             self._densify(self.density)
@@ -127,7 +126,7 @@ class Trainer:
             return {name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)}
 
         self.model = SceneModel(self.config, self.model.region, self.model.unit, part("model/"))
-        self.optimiser = Optimiser(self.model.parameters, self.config)
+        self.optimiser = Optimiser(self.model.parameters, self.model.bounds, self.config)
         self.optimiser.load_state(part("optimiser/"))
         self._generator.set_state(tensors["generator"])
         if self.density:

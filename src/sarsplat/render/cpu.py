@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from ctypes import POINTER, c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
@@ -52,6 +53,18 @@ Statistics = _struct(
 )
 
 
+_BOUNDS = c_float * 16
+AdamGroup = _struct(
+    "AdamGroup",
+    *((name, c_void_p) for name in ("value", "gradient", "mean", "square")),
+    ("count", c_int64),
+    ("columns", c_int32),
+    *((name, c_float) for name in ("rate", "beta1_power", "beta2_power")),
+    ("low", _BOUNDS),
+    ("high", _BOUNDS),
+)
+
+
 @cache
 def library() -> ctypes.CDLL:
     """The compiled engine, its threads borrowed from torch.
@@ -75,6 +88,8 @@ def library() -> ctypes.CDLL:
     lib.sg_get_lattice.argtypes = [c_void_p, c_int32, POINTER(Lattice)]
     lib.sg_trace.argtypes = [c_void_p, POINTER(Problem), c_int32, c_float, c_void_p, c_void_p]
     lib.sg_get_statistics.argtypes = [c_void_p, POINTER(Problem), POINTER(Statistics)]
+    lib.sg_adam.argtypes = [c_int32, POINTER(AdamGroup), c_int32, c_float, c_float, c_float]
+    lib.sg_adam.restype = None
     lib.sg_isa_name.restype = ctypes.c_char_p
     torch_pool = ctypes.CDLL(str(next((Path(torch.__file__).parent / "lib").glob("libtorch_cpu.*")))).torch_parallel_for
     lib.sg_use_torch(ctypes.cast(torch_pool, c_void_p))
@@ -84,6 +99,15 @@ def library() -> ctypes.CDLL:
 def best_instruction_set() -> str:
     """The widest instruction set that this processor, and this build, can run."""
     return library().sg_isa_name(library().sg_best_isa()).decode()
+
+
+def adam(
+    groups: Sequence[ctypes.Structure], beta1: float, beta2: float, epsilon: float, instruction_set: str = "auto"
+) -> None:
+    """One step of Adam on every group, and its values back into their bounds."""
+    library().sg_set_threads(torch.get_num_threads())
+    isa = INSTRUCTION_SETS.index(instruction_set)
+    library().sg_adam(isa, (AdamGroup * len(groups))(*groups), len(groups), beta1, beta2, epsilon)
 
 
 def _require_memory(status: int) -> None:

@@ -53,6 +53,16 @@ struct sg_statistics {    // of the last forward: for the benchmarks
   int64_t blocks_attenuation, live_attenuation, blocks_imaging, live_imaging, lanes;
 };
 
+struct sg_adam_group {    // one parameter of a training
+  float* value;
+  const float* gradient;
+  float *mean, *square;     // moments
+  int64_t count;            // of numbers; a multiple of columns
+  int32_t columns;          // bounds repeat after so many; 1 to 16
+  float rate, beta1_power, beta2_power;  // beta to the number of steps, this one included
+  float low[16], high[16];
+};
+
 struct sg_context;        // what backward needs; opaque
 
 enum sg_status { SG_OK = 0, SG_MEANS, SG_QUATERNIONS, SG_SCALES, SG_KAPPA, SG_HARMONICS, SG_SCATTERING, SG_SHIFT, SG_LATTICE, SG_MEMORY };
@@ -67,5 +77,6 @@ struct sg_engine {        // one per instruction set
   int32_t (*backward)(sg_context*, const sg_problem*, const sg_gradients*);
   void (*lattice)(const sg_context*, int32_t view, sg_lattice*);
   int32_t (*trace)(const sg_context*, const sg_problem*, int32_t view, float depth, float* transmittance, float* first_return);
+  void (*adam)(const sg_adam_group*, int32_t count, float beta1, float beta2, float epsilon);
   void (*statistics)(const sg_context*, const sg_problem*, sg_statistics*);
 };

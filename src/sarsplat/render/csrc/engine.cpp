@@ -7,6 +7,7 @@
 // the number of threads: results are bit-identical for any.
 
 
+#include "adam.h"
 #include "arrange.h"
 #include "context.h"
 #include "differentiate.h"
@@ -209,4 +210,4 @@ void destroy(sg_context* c) { delete c; }
 #define SG_TEXT_(a) #a
 #define SG_TEXT(a) SG_TEXT_(a)
 extern "C" const sg_engine SG_JOIN(sg_engine_, SG_ISA);
-const sg_engine SG_JOIN(sg_engine_, SG_ISA) = {SG_TEXT(SG_ISA), create, destroy, forward, backward, lattice, trace, statistics};
+const sg_engine SG_JOIN(sg_engine_, SG_ISA) = {SG_TEXT(SG_ISA), create, destroy, forward, backward, lattice, trace, adam, statistics};
