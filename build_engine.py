@@ -33,7 +33,7 @@ class EngineBuildHook(BuildHookInterface):
         package = Path(self.root) / "src" / "sarsplat" / "render"
         machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
         library = package / "_engine.so"
-        sources = sorted((package / "csrc").iterdir())
+        sources = [*(package / "csrc").glob("*.cpp"), *(package / "csrc").glob("*.h")]  # the rest is CUDA's
         newest = max(path.stat().st_mtime for path in [*sources, Path(__file__)])
         if not library.exists() or library.stat().st_mtime < newest:
             self.app.display_info("sarsplat: compiling the CPU engine (about a minute the first time)")

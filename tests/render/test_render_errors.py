@@ -81,7 +81,7 @@ def test_arguments(engine, options, message):
 
 def test_engine_views_and_dtype():
     scene = cloud(10, 0)
-    with pytest.raises(SarsplatError, match="engine 'gpu' is unknown; choose one of auto, cpu, reference"):
+    with pytest.raises(SarsplatError, match="engine 'gpu' is unknown; choose one of auto, cpu, cuda, reference"):
         render(scene, VIEWS, GRID, engine="gpu")
     with pytest.raises(SarsplatError, match="there are no views to render; give at least one View"):
         render(scene, [], GRID)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -12,7 +11,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.render.checks import ENGINES, check_for_reference, check_options, check_shapes, check_values
-from sarsplat.render.engine import render_cpu
+from sarsplat.render.engine import choose_engine, engine_for, render_with
 from sarsplat.render.reference import render_reference
 from sarsplat.render.rendering import RayMap, Rendering
 
@@ -62,9 +61,10 @@ def render(
     first_return_depth : float, optional
         Two-way optical depth at which a ray counts as returned; asks for `Rendering.ray_maps`.
     plane_gradients : bool
-        Ask for `Rendering.plane_gradients` (CPU engine).
-    engine : {"auto", "cpu", "reference"}
-        "auto" is the CPU engine for float32 on the CPU and the reference otherwise.
+        Ask for `Rendering.plane_gradients` (CPU and CUDA engines).
+    engine : {"auto", "cpu", "cuda", "reference"}
+        "auto" is the CPU engine for float32 on the CPU, the CUDA engine for float32 on a GPU, and the reference
+        otherwise; the first time, the logger "sarsplat" says which it took.
     instruction_set : {"auto", "base", "avx2", "avx512"}
         Force the CPU engine below the best this processor has.
 
@@ -76,7 +76,7 @@ def render(
     Raises
     ------
     SarsplatError
-        If shapes or dtypes do not fit, a value is out of range, or an option is unknown.
+        If shapes or dtypes do not fit, a value is out of range, an option is unknown, or the engine is not available.
 
     Notes
     -----
@@ -84,16 +84,20 @@ def render(
 
     The CPU engine borrows torch's threads (`torch.set_num_threads`); its results do not depend on their number. As with
     all of torch, a forked process must begin with `torch.set_num_threads(1)`; torch's data loaders do that.
+
+    The CUDA engine is compiled at first use, which takes a few seconds, and kept in the user's cache folder; its
+    results are the same bits from run to run.
     """
     rays = rays or RayGrid.for_image(grid)
     views = views if isinstance(views, View) else tuple(views)
     check_options(imaging_weight, first_return_depth, engine, instruction_set)
     check_shapes(gaussians, views, scattering, shift, gain)
     if engine == "auto":
-        fits = gaussians.means.dtype == torch.float32 and gaussians.means.device.type == "cpu"
-        engine = "cpu" if fits else "reference"
-    if engine == "cpu":
-        return render_cpu(
+        engine = choose_engine(gaussians.means.dtype, gaussians.means.device.type)
+    tensors = {**gaussians.tensors(), "scattering": scattering, "shift": shift, "gain": gain}
+    if engine in ("cpu", "cuda"):
+        return render_with(
+            engine_for(engine, instruction_set, grid, tensors),
             gaussians,
             views,
             grid,
@@ -104,12 +108,11 @@ def render(
             imaging_weight=imaging_weight,
             first_return_depth=first_return_depth,
             plane_gradients=plane_gradients,
-            instruction_set=instruction_set,
         )
     if plane_gradients:
-        raise SarsplatError("plane_gradients=True needs engine='cpu'; the reference has autograd instead")
+        raise SarsplatError("plane_gradients=True needs engine='cpu' or 'cuda'; the reference has autograd instead")
     check_for_reference(gaussians.means.dtype)
-    check_values({**gaussians.tensors(), "scattering": scattering, "shift": shift, "gain": gain})
+    check_values(tensors)
     return render_reference(
         gaussians,
         views,

@@ -1,4 +1,4 @@
-"""What the renderer refuses, in words. Values are checked where they are read: in C++ for the CPU engine."""
+"""What the renderer refuses, in words. The engines check values where they read them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
 from sarsplat.geometry import ImageGrid, View
 
-ENGINES = ("auto", "cpu", "reference")
+ENGINES = ("auto", "cpu", "cuda", "reference")
 INSTRUCTION_SETS = ("auto", "base", "avx2", "avx512")
 
 MAX_SCALE = 1e6
@@ -96,6 +96,20 @@ def check_for_cpu(grid: ImageGrid, tensors: dict[str, Tensor | None]) -> None:
                 f"{name} is {tensor.dtype} on {tensor.device}; the CPU engine takes torch.float32 on the CPU "
                 "(engine='reference' takes torch.float64 too)"
             )
+
+
+def check_for_cuda(tensors: dict[str, Tensor | None]) -> int:
+    """What the CUDA engine does not take; returns the number of the GPU."""
+    where = tensors["means"].device  # type: ignore[union-attr]
+    for name, tensor in tensors.items():
+        if tensor is not None and (tensor.dtype != torch.float32 or tensor.device.type != "cuda"):
+            raise SarsplatError(
+                f"{name} is {tensor.dtype} on {tensor.device}; the CUDA engine takes torch.float32 on a GPU "
+                "(move it with .to('cuda'), or use engine='cpu')"
+            )
+        if tensor is not None and tensor.device != where:
+            raise SarsplatError(f"{name} is on {tensor.device} but means is on {where}; put them on one GPU")
+    return where.index
 
 
 def check_for_reference(dtype: torch.dtype) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cache, partial
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -18,10 +20,31 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
 from sarsplat.gaussians.harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
-from sarsplat.render import cpu
-from sarsplat.render.checks import ALLOWED, check_for_cpu, check_values, complaint
+from sarsplat.render import cpu, cuda
+from sarsplat.render.checks import ALLOWED, check_for_cpu, check_for_cuda, check_values, complaint
 from sarsplat.render.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
+from sarsplat.render.cuda_device import device, require_cuda
 from sarsplat.render.rendering import RayMap, Rendering
+
+
+class Pass(Protocol):
+    """What an engine does: one forward pass, and what its backward pass needs."""
+
+    def forward(self, problem: ctypes.Structure, outputs: ctypes.Structure) -> tuple[str, int]:
+        """Run; returns what was rejected ("" for nothing) and at which index."""
+        ...
+
+    def backward(self, problem: ctypes.Structure, gradients: ctypes.Structure) -> None:
+        """Run the adjoint of the last forward pass."""
+        ...
+
+    def lattice(self, view: int) -> ctypes.Structure:
+        """Where the rays of a view stand."""
+        ...
+
+    def trace(self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int) -> None:
+        """Fill T_end and the first-return range of a view's rays."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -34,11 +57,37 @@ class _Setting:
     p_min: float
     peak: bool
     first_return_depth: float | None
-    instruction_set: str
+    new_pass: Callable[[], Pass]
     planes: Float[Tensor, "v n 4"] | None
 
 
-def render_cpu(
+@cache
+def choose_engine(dtype: torch.dtype, device_type: str) -> str:
+    """The engine that "auto" takes for these tensors; says so once."""
+    engine = device_type if dtype == torch.float32 and device_type in ("cpu", "cuda") else "reference"
+    logging.getLogger("sarsplat").info("engine='auto' is %r for %s on %s", engine, dtype, device_type)
+    return engine
+
+
+def engine_for(
+    engine: str, instruction_set: str, grid: ImageGrid, tensors: dict[str, Tensor | None]
+) -> Callable[[], Pass]:
+    """What makes the passes of the engine "cpu" or "cuda" over these tensors.
+
+    Raises
+    ------
+    SarsplatError
+        If the engine does not take them, or is not available.
+    """
+    if engine == "cpu":
+        check_for_cpu(grid, tensors)
+        return partial(cpu.Pass, instruction_set)
+    require_cuda()
+    return partial(cuda.Pass, device(check_for_cuda(tensors)))
+
+
+def render_with(
+    new_pass: Callable[[], Pass],
     gaussians: Gaussians,
     views: Sequence[View],
     grid: ImageGrid,
@@ -50,14 +99,12 @@ def render_cpu(
     imaging_weight: str,
     first_return_depth: float | None,
     plane_gradients: bool,
-    instruction_set: str,
 ) -> Rendering:
-    """`sarsplat.render` on the CPU engine; arguments are documented there."""
-    check_for_cpu(grid, {**gaussians.tensors(), "scattering": scattering, "shift": shift, "gain": gain})
+    """`sarsplat.render` on an engine's passes; arguments are documented there."""
     check_values({"gain": gain})  # the rest is checked on the way in
     planes = gaussians.means.new_zeros(len(views), len(gaussians), 4) if plane_gradients else None
     setting = _Setting(
-        tuple(views), grid, rays, gaussians.p_min, imaging_weight == "peak", first_return_depth, instruction_set, planes
+        tuple(views), grid, rays, gaussians.p_min, imaging_weight == "peak", first_return_depth, new_pass, planes
     )
     shift = gaussians.means.new_zeros(len(views), 2) if shift is None else shift
     images, cross_sections, lit_area, transmittance, first_return, lattices = _Render.apply(
@@ -115,7 +162,7 @@ class _Render(torch.autograd.Function):
         views, n, grid = len(setting.views), means.shape[0], setting.grid
         images = means.new_empty(views, grid.rows, grid.columns)  # never torch's default dtype or device
         cross_sections, lit_area = means.new_empty(views, n), means.new_empty(views, n)
-        kernel = cpu.Pass(setting.instruction_set)
+        kernel = setting.new_pass()
         outputs = cpu.Outputs(images.data_ptr(), cross_sections.data_ptr(), lit_area.data_ptr())
         fault, index = kernel.forward(problem, outputs)
         if fault:
@@ -124,7 +171,7 @@ class _Render(torch.autograd.Function):
         lattices: list[tuple[int, int, int, int]] = []
         if setting.first_return_depth is not None:
             transmittance, first_return, lattices = _trace(
-                kernel, problem, setting.first_return_depth, len(setting.views)
+                kernel, problem, setting.first_return_depth, len(setting.views), means.device
             )
         ctx.kernel, ctx.problem, ctx.constants, ctx.setting = kernel, problem, constants, setting
         ctx.save_for_backward(*inputs)
@@ -157,8 +204,8 @@ def _problem(inputs: Sequence[Tensor | None], setting: _Setting) -> tuple[ctypes
     assert means is not None
     frames64 = torch.from_numpy(np.stack([radar_frame(view) for view in setting.views]))
     degree = 0 if harmonics is None else math.isqrt(harmonics.shape[1]) - 1
-    frames = frames64.to(torch.float32).contiguous()
-    basis = harmonic_basis(-frames64[:, 2], degree).to(torch.float32).contiguous()
+    frames = frames64.to(means.device, torch.float32).contiguous()
+    basis = harmonic_basis(-frames64[:, 2], degree).to(means.device, torch.float32).contiguous()
     grid, rays = setting.grid, setting.rays
     problem = cpu.Problem(
         setting.peak,
@@ -187,11 +234,11 @@ def _problem(inputs: Sequence[Tensor | None], setting: _Setting) -> tuple[ctypes
 
 
 def _trace(
-    kernel: cpu.Pass, problem: ctypes.Structure, depth: float, views: int
+    kernel: Pass, problem: ctypes.Structure, depth: float, views: int, device: torch.device
 ) -> tuple[Float[Tensor, " all_rays"], Float[Tensor, " all_rays"], list[tuple[int, int, int, int]]]:
     lattices = [kernel.lattice(v) for v in range(views)]
     total = sum(lattice.rows * lattice.columns for lattice in lattices)
-    transmittance, first_return = torch.empty(2, total, dtype=torch.float32, device="cpu")
+    transmittance, first_return = torch.empty(2, total, dtype=torch.float32, device=device)
     at = 0
     for v, lattice in enumerate(lattices):
         kernel.trace(problem, v, depth, transmittance[at:].data_ptr(), first_return[at:].data_ptr())

@@ -1,0 +1,125 @@
+// cuda_rays.cuh: pass A. A block is a tile of rays; what a ray carries (T, the last Gaussian, the suffix sum) lives in
+// registers, and what the block's warps add up per Gaussian is summed in the order of the warps into the slot.
+#pragma once
+#include "cuda_state.cuh"
+
+namespace sarsplat {
+namespace SG_ISA {
+
+extern "C" __global__ void __launch_bounds__(kThreads) attenuate_tiles(sg_problem p, State s) {
+  __shared__ Splat splats[kBatch];
+  __shared__ int64_t slots[kBatch];
+  __shared__ float sums[kBatch][kWarps];
+  const Lattice lattice = lattice_of_tile(s.rays.lattices, p.views, blockIdx.x);
+  const Point ray = point_of_thread(lattice, blockIdx.x);
+  const int64_t first = s.rays.starts[blockIdx.x];
+  const int count = (int)(s.rays.starts[blockIdx.x + 1] - first);
+  float T = ray.inside ? 1.0f : 0.0f;
+  int last = -1;
+  for (int begin = 0; begin < count; begin += kBatch) {
+    if (!__syncthreads_or(T >= p.min_transmittance)) break;
+    const int size = count - begin < kBatch ? count - begin : kBatch;
+    if (thread() < size) {
+      const int64_t slot = slots[thread()] = s.rays.order[first + begin + thread()];
+      Splat splat = s.rays.splats[s.rays.owners[slot]];
+      splat.g = placed(splat.g, lattice);
+      splats[thread()] = splat;
+    }
+    __syncthreads();
+    for (int k = 0; k < size; k++) {
+      const Footprint& g = splats[k].g;
+      const Offset<float> d = offset(g, (float)ray.x, (float)ray.y);
+      const bool live = d.q <= g.limit && T >= p.min_transmittance;
+      float w = 0.0f;
+      if (__any_sync(kWholeWarp, live)) {
+        w = warp_sum(attenuate(g, d, live, T));
+        if (live) last = begin + k;
+      }
+      if (lane() == 0) sums[k][warp()] = w;
+    }
+    __syncthreads();
+    if (thread() < size) {
+      float w = 0.0f;
+      for (int k = 0; k < kWarps; k++) w += sums[thread()][k];
+      s.slot_weights[slots[thread()]] = w;
+    }
+  }
+  if (!ray.inside) return;
+  s.transmittance[ray.index] = T;
+  s.last[ray.index] = last;
+}
+
+// Back to front. `from`: dL/dT_end, or null.
+extern "C" __global__ void __launch_bounds__(kThreads) attenuate_tiles_backward(sg_problem p, State s, const float* from) {
+  __shared__ Splat splats[kBatch];
+  __shared__ float h[kBatch];
+  __shared__ int64_t slots[kBatch];
+  __shared__ float sums[kBatch][kWarps][6];
+  const Lattice lattice = lattice_of_tile(s.rays.lattices, p.views, blockIdx.x);
+  const Point ray = point_of_thread(lattice, blockIdx.x);
+  const int64_t first = s.rays.starts[blockIdx.x];
+  const int count = (int)(s.rays.starts[blockIdx.x + 1] - first);
+  float T = ray.inside ? s.transmittance[ray.index] : 0.0f;
+  float B = ray.inside && from ? T * from[ray.index] : 0.0f;
+  const int last = ray.inside ? s.last[ray.index] : -1;
+  for (int begin = (count - 1) / kBatch * kBatch; begin >= 0; begin -= kBatch) {
+    if (!__syncthreads_or(last >= begin)) continue;
+    const int size = count - begin < kBatch ? count - begin : kBatch;
+    if (thread() < size) {
+      const int64_t slot = slots[thread()] = s.rays.order[first + begin + thread()];
+      const int32_t j = s.rays.owners[slot];
+      Splat splat = s.rays.splats[j];
+      splat.g = placed(splat.g, lattice);
+      splats[thread()] = splat;
+      h[thread()] = s.h[j];
+    }
+    __syncthreads();
+    const int sixth = sixth_of(lane());
+    for (int k = size - 1; k >= 0; k--) {
+      const Footprint& g = splats[k].g;
+      const Offset<float> d = offset(g, (float)ray.x, (float)ray.y);
+      const bool live = d.q <= g.limit && last >= begin + k;
+      float sum = 0.0f;
+      if (__any_sync(kWholeWarp, live)) {
+        Moments<float> m{};
+        m.add(d, attenuate_backward(g, d, live, h[k], T, B));
+        sum = sum6(m.m0, m.mx, m.my, m.mxx, m.mxy, m.myy, lane());
+      }
+      if (sixth >= 0) sums[k][warp()][sixth] = sum;
+    }
+    __syncthreads();
+    for (int i = thread(); i < 6 * size; i += kThreads) {
+      float sum = 0.0f;
+      for (int k = 0; k < kWarps; k++) sum += sums[i / 6][k][i % 6];
+      s.slot_moments[6 * slots[i / 6] + i % 6] = sum;
+    }
+  }
+}
+
+// T_end and the range at which the two-way optical depth reaches `depth`, ray by ray, of the view that begins at
+// first_tile; NaN where it never does
+extern "C" __global__ void __launch_bounds__(kThreads)
+trace_tiles(sg_problem p, State s, int32_t first_tile, float depth, float* transmittance, float* first_return) {
+  const int tile = first_tile + blockIdx.x;
+  const Lattice lattice = lattice_of_tile(s.rays.lattices, p.views, tile);
+  const Point ray = point_of_thread(lattice, tile);
+  if (!ray.inside) return;
+  const float stop = -logf(p.min_transmittance);
+  float sum_tau = 0.0f, found = __int_as_float(0x7fc00000);
+  for (int64_t k = s.rays.starts[tile]; k < s.rays.starts[tile + 1] && sum_tau <= stop; k++) {
+    const int32_t j = s.rays.owners[s.rays.order[k]];
+    const Splat& splat = s.rays.splats[j];
+    const Footprint g = placed(splat.g, lattice);
+    const Offset<float> d = offset(g, (float)ray.x, (float)ray.y);
+    if (!(d.q <= g.limit)) continue;
+    const float before = sum_tau;
+    sum_tau += g.depth * kLn2 * power2(-d.q);
+    if (before < depth && sum_tau >= depth) found = splat.extra + s.slope[2 * j] * d.dx + s.slope[2 * j + 1] * d.dy;
+  }
+  const int64_t at = ray.index - lattice.first_point;
+  transmittance[at] = s.transmittance[ray.index];
+  first_return[at] = found;
+}
+
+}  // namespace SG_ISA
+}  // namespace sarsplat

@@ -1,0 +1,192 @@
+"""Compiles the CUDA engine at first use with NVRTC, which torch's CUDA builds bring along; kept on disk afterwards."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import tempfile
+from collections.abc import Mapping
+from ctypes import POINTER, byref, c_char_p, c_int, c_size_t, c_void_p
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Protocol
+
+import torch
+
+from sarsplat.errors import SarsplatError
+
+SOURCES = Path(__file__).with_name("csrc")
+"""The folder of the engine's source."""
+
+MAIN = "kernels.cu"
+"""The source that includes all others."""
+
+_OPTIONS = ("--std=c++17",)
+
+# NVRTC has no standard library; this is all of it that the source needs
+_CSTDINT = """#pragma once
+typedef short int16_t;
+typedef int int32_t;
+typedef unsigned int uint32_t;
+typedef long long int64_t;
+"""
+
+_REMEDY = "install a torch built for CUDA, which brings it along, or use engine='cpu'"
+
+
+class Compiler(Protocol):
+    """What turns source into machine code; NVRTC, except in tests."""
+
+    version: str
+
+    def compile(self, sources: Mapping[str, str], architecture: str) -> bytes:
+        """The machine code of `MAIN`, which includes the other sources by name."""
+        ...
+
+
+def sources() -> dict[str, str]:
+    """Every file that the engine's source includes, by name."""
+    paths = (SOURCES / MAIN, *sorted(SOURCES.glob("cuda_*.cuh")))
+    shared = (SOURCES / name for name in ("api.h", "pair_math.h", "gaussian_math.h"))
+    return {path.name: path.read_text(encoding="utf-8") for path in (*paths, *shared)} | {"cstdint": _CSTDINT}
+
+
+def machine_code(architecture: str, compiler: Compiler) -> bytes:
+    """The engine for one architecture ("sm_90"), from the user's cache folder or compiled now.
+
+    The folder is $XDG_CACHE_HOME/sarsplat, or ~/.cache/sarsplat. A file is used only if its checksum holds.
+
+    Raises
+    ------
+    SarsplatError
+        If it does not compile, or the folder cannot be written.
+    """
+    text = sources()
+    key = hashlib.sha256(repr((sorted(text.items()), architecture, compiler.version, _OPTIONS)).encode()).hexdigest()
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sarsplat"
+    path = folder / f"{architecture}-{key[:32]}.cubin"
+    if (kept := _read(path)) is not None:
+        return kept
+    code = compiler.compile(text, architecture)
+    try:
+        _write(path, code)
+    except OSError as error:
+        raise SarsplatError(
+            f"the compiled CUDA engine cannot be kept in {folder} ({error}); make it writable, or name another folder "
+            "in XDG_CACHE_HOME"
+        ) from error
+    return code
+
+
+def _read(path: Path) -> bytes | None:
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    digest, code = content[:32], content[32:]
+    return code if hashlib.sha256(code).digest() == digest else None
+
+
+def _write(path: Path, code: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+        temporary = Path(file.name)
+        try:
+            file.write(hashlib.sha256(code).digest() + code)
+            file.flush()
+            os.fsync(file.fileno())
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+
+
+class Nvrtc:
+    """NVIDIA's run-time compiler, through ctypes.
+
+    Raises
+    ------
+    SarsplatError
+        If it is not installed.
+    """
+
+    def __init__(self) -> None:
+        self._library = _load()
+        major, minor = c_int(), c_int()
+        self._check(self._library.nvrtcVersion(byref(major), byref(minor)))
+        self.version = f"{major.value}.{minor.value}"
+
+    def compile(self, sources: Mapping[str, str], architecture: str) -> bytes:
+        """Machine code; the compiler's own words are in the error if there is one."""
+        headers = [name for name in sources if name != MAIN]
+        texts = (c_char_p * len(headers))(*(sources[name].encode() for name in headers))
+        names = (c_char_p * len(headers))(*(name.encode() for name in headers))
+        program = c_void_p()
+        self._check(
+            self._library.nvrtcCreateProgram(
+                byref(program), sources[MAIN].encode(), MAIN.encode(), len(headers), texts, names
+            )
+        )
+        try:
+            options = (*_OPTIONS, f"--gpu-architecture={architecture}")
+            status = self._library.nvrtcCompileProgram(
+                program, len(options), (c_char_p * len(options))(*(option.encode() for option in options))
+            )
+            if status:
+                log = (
+                    self._text(program, "ProgramLog").rstrip(b"\0").decode(errors="replace").strip().partition("\n")[0]
+                )
+                raise SarsplatError(
+                    f"NVRTC {self.version} cannot compile the CUDA engine for {architecture} "
+                    f"({log or self._reason(status)}); install a torch whose CUDA knows this device, "
+                    "or use engine='cpu'"
+                )
+            return self._text(program, "CUBIN")
+        finally:
+            self._library.nvrtcDestroyProgram(byref(program))
+
+    def _text(self, program: c_void_p, what: str) -> bytes:
+        size = c_size_t()
+        self._check(getattr(self._library, f"nvrtcGet{what}Size")(program, byref(size)))
+        buffer = ctypes.create_string_buffer(size.value)
+        self._check(getattr(self._library, f"nvrtcGet{what}")(program, buffer))
+        return buffer.raw
+
+    def _reason(self, status: int) -> str:
+        return self._library.nvrtcGetErrorString(status).decode()
+
+    def _check(self, status: int) -> None:
+        if status:
+            raise SarsplatError(f"NVRTC fails ({self._reason(status)}); {_REMEDY}")
+
+
+def _candidates() -> list[Path]:
+    """NVRTC in the wheels that torch's CUDA builds bring along, of torch's own CUDA first; then the system's."""
+    spec = find_spec("nvidia")
+    folders = [Path(folder) for folder in (spec.submodule_search_locations or ())] if spec else []
+    own = "." + torch.version.cuda.split(".")[0] if torch.version.cuda else ""
+    found = [path for folder in folders for path in sorted(folder.glob("*/lib/libnvrtc.so.*"))]
+    wheels = sorted((path for path in found if ".alt." not in path.name), key=lambda path: path.suffix != own)
+    return [*wheels, Path(f"libnvrtc.so{own}")]
+
+
+@cache
+def _load() -> ctypes.CDLL:
+    faults = []
+    for path in _candidates():
+        try:
+            if path.is_absolute():
+                for builtins in path.parent.glob("libnvrtc-builtins.so.*"):  # NVRTC asks for it by name alone
+                    ctypes.CDLL(str(builtins), mode=ctypes.RTLD_GLOBAL)
+            library = ctypes.CDLL(str(path))
+        except OSError as error:
+            faults.append(str(error))
+            continue
+        library.nvrtcGetErrorString.restype = c_char_p
+        library.nvrtcCreateProgram.argtypes = [
+            *(POINTER(c_void_p), c_char_p, c_char_p, c_int, POINTER(c_char_p), POINTER(c_char_p))
+        ]
+        return library
+    raise SarsplatError(f"NVRTC, which compiles the CUDA engine, cannot be loaded ({'; '.join(faults)}); {_REMEDY}")

@@ -1,0 +1,51 @@
+// emulator.h: the part of CUDA C++ that the engine's kernels use, on one CPU thread. The threads of a block are fibers
+// that run until they must wait for each other, in an order of the caller's choosing: a missing barrier gives different
+// results in different orders. Shared memory holds NaN before every block; a collective call that not all threads of a
+// warp or block reach is reported.
+#pragma once
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+
+#define __device__
+#define __global__
+#define __forceinline__ inline __attribute__((always_inline))
+#define __launch_bounds__(threads)
+#define __shared__ static __attribute__((section("shared_memory")))
+
+namespace emulator {
+
+struct Index { unsigned x; };
+extern Index thread, block;
+
+enum Collective { BLOCK, WARP_ANY, WARP_EXCHANGE };
+// Waits for the warp or block; returns every thread's value, by its number there.
+const uint32_t* meet(Collective what, uint32_t mine);
+int size(Collective what);
+
+}  // namespace emulator
+
+#define threadIdx emulator::thread
+#define blockIdx emulator::block
+
+inline float __int_as_float(int x) { return __builtin_bit_cast(float, x); }
+inline unsigned __float_as_uint(float x) { return __builtin_bit_cast(unsigned, x); }
+
+inline int any_of(emulator::Collective what, int mine) {
+  const uint32_t* all = emulator::meet(what, mine != 0);
+  int any = 0;
+  for (int k = 0; k < emulator::size(what); k++) any |= (int)all[k];
+  return any;
+}
+inline void __syncthreads() { emulator::meet(emulator::BLOCK, 0); }
+inline int __syncthreads_or(int mine) { return any_of(emulator::BLOCK, mine); }
+inline int __any_sync(unsigned, int mine) { return any_of(emulator::WARP_ANY, mine); }
+inline float __shfl_xor_sync(unsigned, float mine, int other) {
+  const uint32_t* all = emulator::meet(emulator::WARP_EXCHANGE, __float_as_uint(mine));
+  return __int_as_float((int)all[(threadIdx.x % 32) ^ other]);
+}
+inline unsigned long long atomicMin(unsigned long long* at, unsigned long long value) {
+  const unsigned long long before = *at;
+  if (value < before) *at = value;
+  return before;
+}
