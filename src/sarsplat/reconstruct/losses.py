@@ -2,45 +2,75 @@
 
 from __future__ import annotations
 
-import torch
-from jaxtyping import Float
-from torch import Tensor
-from torch.nn.functional import conv2d
+from typing import Any
 
-_FLOOR = 1e-3
+import torch
+from jaxtyping import Float, Float32
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from sarsplat.errors import SarsplatError
+from sarsplat.render import cpu
+
+FLOOR = 1e-3
 """Amplitudes are softened below this share of the reference: the root has no slope at zero."""
 
-_SSIM_WINDOW = 11
-_SSIM_SIGMA = 1.5
-_C1, _C2 = 0.01**2, 0.03**2
-
-
-def amplitude(power: Float[Tensor, "*shape"], reference: float) -> Float[Tensor, "*shape"]:
-    """√power / reference, softened near zero: 0 stays 0 and the slope stays finite; [...] → [...]."""
-    return (power / reference**2 + _FLOOR**2).sqrt() - _FLOOR
+SSIM_WINDOW = 11
+SSIM_SIGMA = 1.5
+C1, C2 = 0.01**2, 0.03**2
 
 
 def amplitude_loss(
-    power: Float[Tensor, "v rows columns"], truth: Float[Tensor, "v rows columns"], reference: float, ssim_weight: float
-) -> Float[Tensor, ""]:
-    """(1 − λ)·L1 + λ·(1 − SSIM) on amplitude.
+    power: Float32[Tensor, "v rows columns"],
+    truth: Float32[Tensor, "v rows columns"],
+    reference: float,
+    ssim_weight: float,
+) -> Float32[Tensor, ""]:
+    """(1 − λ)·L1 + λ·(1 − SSIM) on amplitude, √(power / reference² + ε²) − ε; value and gradient in one engine call.
 
     Parameters
     ----------
     power : Tensor [V, rows, columns]
-        Rendered β⁰.
+        Rendered β⁰; differentiable.
     truth : Tensor [V, rows, columns]
         True amplitude, already divided by the reference.
     reference : float
         Amplitude that counts as 1: the largest of the training set.
     ssim_weight : float
-        λ.
+        λ. SSIM has a Gaussian window of 11 × 11, σ = 1.5, and counts where the window fits whole.
+
+    Raises
+    ------
+    SarsplatError
+        If SSIM is asked for and the images are smaller than its window.
     """
-    rendered = amplitude(power, reference)
-    absolute = _mean((rendered - truth).abs())
-    if ssim_weight == 0:
-        return absolute
-    return (1 - ssim_weight) * absolute + ssim_weight * (1 - ssim(rendered, truth))
+    if ssim_weight > 0 and min(power.shape[1:]) < SSIM_WINDOW:
+        raise SarsplatError(
+            f"SSIM needs images of at least {SSIM_WINDOW} × {SSIM_WINDOW} pixels, and these have "
+            f"{power.shape[1]} × {power.shape[2]}; take larger ones or a preset without SSIM"
+        )
+    return _AmplitudeLoss.apply(power, truth, reference, ssim_weight)
+
+
+class _AmplitudeLoss(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, power: Tensor, truth: Tensor, reference: float, ssim_weight: float) -> Tensor:
+        power, truth = power.contiguous(), truth.contiguous()
+        gradient, losses = torch.empty_like(power), power.new_empty(len(power))
+        x = torch.arange(SSIM_WINDOW, dtype=torch.float32, device="cpu") - SSIM_WINDOW // 2
+        window = torch.exp(-(x**2) / (2 * SSIM_SIGMA**2))
+        window /= window.sum()
+        pointers = (tensor.data_ptr() for tensor in (power, truth, window))
+        numbers = (reference, FLOOR, ssim_weight, C1, C2)
+        cpu.Pass().amplitude_loss(cpu.Loss(*power.shape, *pointers, *numbers, gradient.data_ptr(), losses.data_ptr()))
+        ctx.save_for_backward(gradient)
+        return losses.mean(0)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
+        (gradient,) = ctx.saved_tensors
+        return gradient * slope, None, None, None
 
 
 def speckle_loss(
@@ -56,19 +86,6 @@ def speckle_loss(
         Measured intensity.
     """
     return _mean(power.log() + intensity / power)
-
-
-def ssim(a: Float[Tensor, "v rows columns"], b: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
-    """Mean structural similarity of images in [0, 1], [V, rows, columns]; Gaussian window 11 × 11, σ = 1.5."""
-    x = torch.arange(_SSIM_WINDOW, dtype=a.dtype, device=a.device) - _SSIM_WINDOW // 2
-    window = torch.exp(-(x**2) / (2 * _SSIM_SIGMA**2))
-    window = window / window.sum()
-    maps = torch.stack([a, b, a * a, b * b, a * b], dim=1).flatten(0, 1)[:, None]
-    maps = conv2d(conv2d(maps, window[None, None, :, None]), window[None, None, None, :])
-    mean_a, mean_b, aa, bb, ab = maps.view(len(a), 5, *maps.shape[-2:]).unbind(1)
-    var_a, var_b, cov = aa - mean_a**2, bb - mean_b**2, ab - mean_a * mean_b
-    similarity = (2 * mean_a * mean_b + _C1) * (2 * cov + _C2)
-    return _mean(similarity / ((mean_a**2 + mean_b**2 + _C1) * (var_a + var_b + _C2)))
 
 
 def _mean(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:

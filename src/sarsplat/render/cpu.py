@@ -53,6 +53,13 @@ Statistics = _struct(
 )
 
 
+Loss = _struct(
+    "Loss",
+    *((name, c_int32) for name in ("views", "rows", "columns")),
+    *((name, c_void_p) for name in ("power", "truth", "window")),
+    *((name, c_float) for name in ("reference", "floor", "ssim_weight", "c1", "c2")),
+    *((name, c_void_p) for name in ("gradient", "loss")),
+)
 _BOUNDS = c_float * 16
 AdamGroup = _struct(
     "AdamGroup",
@@ -88,6 +95,7 @@ def library() -> ctypes.CDLL:
     lib.sg_get_lattice.argtypes = [c_void_p, c_int32, POINTER(Lattice)]
     lib.sg_trace.argtypes = [c_void_p, POINTER(Problem), c_int32, c_float, c_void_p, c_void_p]
     lib.sg_get_statistics.argtypes = [c_void_p, POINTER(Problem), POINTER(Statistics)]
+    lib.sg_amplitude_loss.argtypes = [c_void_p, POINTER(Loss)]
     lib.sg_adam.argtypes = [c_int32, POINTER(AdamGroup), c_int32, c_float, c_float, c_float]
     lib.sg_adam.restype = None
     lib.sg_isa_name.restype = ctypes.c_char_p
@@ -160,6 +168,11 @@ class Pass:
         """Run the adjoint of the last forward pass."""
         self._library.sg_set_threads(torch.get_num_threads())
         _require_memory(self._library.sg_backward(self._handle, problem, gradients))
+
+    def amplitude_loss(self, loss: ctypes.Structure) -> None:
+        """Fill the loss of every image and its gradient."""
+        self._library.sg_set_threads(torch.get_num_threads())
+        _require_memory(self._library.sg_amplitude_loss(self._handle, loss))
 
     def lattice(self, view: int) -> ctypes.Structure:
         """Where the rays of a view stand."""

@@ -7,7 +7,7 @@ import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -198,14 +198,21 @@ def _pointer(tensor: Tensor | None) -> int | None:
     return None if tensor is None else tensor.data_ptr()
 
 
+@lru_cache(maxsize=4096)
+def _frame_and_basis(view: View, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Radar frame and harmonics towards the radar, float32: the same few views come again and again in a training."""
+    frame = radar_frame(view)
+    basis = harmonic_basis(torch.from_numpy(-frame[2]), degree).numpy()
+    return frame.astype(np.float32), basis.astype(np.float32)
+
+
 def _problem(inputs: Sequence[Tensor | None], setting: _Setting) -> tuple[ctypes.Structure, tuple[Tensor, ...]]:
     """The kernel's view of a call, and the tensors it points at that must outlive it."""
     means, harmonics = inputs[0], inputs[4]
     assert means is not None
-    frames64 = torch.from_numpy(np.stack([radar_frame(view) for view in setting.views]))
     degree = 0 if harmonics is None else math.isqrt(harmonics.shape[1]) - 1
-    frames = frames64.to(means.device, torch.float32).contiguous()
-    basis = harmonic_basis(-frames64[:, 2], degree).to(means.device, torch.float32).contiguous()
+    by_view = zip(*(_frame_and_basis(view, degree) for view in setting.views))
+    frames, basis = (torch.from_numpy(np.stack(part)).to(means.device) for part in by_view)
     grid, rays = setting.grid, setting.rays
     problem = cpu.Problem(
         setting.peak,

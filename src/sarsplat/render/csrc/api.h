@@ -63,6 +63,15 @@ struct sg_adam_group {    // one parameter of a training
   float low[16], high[16];
 };
 
+struct sg_loss {          // of V images; see loss.h
+  int32_t views, rows, columns;
+  const float *power, *truth;  // [V, rows, columns]
+  const float* window;    // 11 weights
+  float reference, floor, ssim_weight, c1, c2;
+  float* gradient;        // out [V, rows, columns]: of the mean over the images
+  float* loss;            // out [V]
+};
+
 struct sg_context;        // what backward needs; opaque
 
 enum sg_status { SG_OK = 0, SG_MEANS, SG_QUATERNIONS, SG_SCALES, SG_KAPPA, SG_HARMONICS, SG_SCATTERING, SG_SHIFT, SG_LATTICE, SG_MEMORY };
@@ -77,6 +86,7 @@ struct sg_engine {        // one per instruction set
   int32_t (*backward)(sg_context*, const sg_problem*, const sg_gradients*);
   void (*lattice)(const sg_context*, int32_t view, sg_lattice*);
   int32_t (*trace)(const sg_context*, const sg_problem*, int32_t view, float depth, float* transmittance, float* first_return);
+  int32_t (*amplitude_loss)(sg_context*, const sg_loss*);
   void (*adam)(const sg_adam_group*, int32_t count, float beta1, float beta2, float epsilon);
   void (*statistics)(const sg_context*, const sg_problem*, sg_statistics*);
 };

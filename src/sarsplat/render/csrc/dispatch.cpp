@@ -48,6 +48,7 @@ SG_EXPORT void sg_get_lattice(const sg_handle* h, int32_t view, sg_lattice* out)
 SG_EXPORT int32_t sg_trace(const sg_handle* h, const sg_problem* p, int32_t view, float depth, float* transmittance, float* first_return) {
   return h->engine->trace(h->context, p, view, depth, transmittance, first_return);
 }
+SG_EXPORT int32_t sg_amplitude_loss(sg_handle* h, const sg_loss* loss) { return h->engine->amplitude_loss(h->context, loss); }
 SG_EXPORT void sg_adam(int32_t isa, const sg_adam_group* groups, int32_t count, float beta1, float beta2, float epsilon) {
   engine(isa ? isa : best())->adam(groups, count, beta1, beta2, epsilon);
 }

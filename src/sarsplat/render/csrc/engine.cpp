@@ -12,6 +12,7 @@
 #include "context.h"
 #include "differentiate.h"
 #include "inspect.h"
+#include "loss.h"
 #include "parallel.h"
 
 namespace sarsplat {
@@ -210,4 +211,4 @@ void destroy(sg_context* c) { delete c; }
 #define SG_TEXT_(a) #a
 #define SG_TEXT(a) SG_TEXT_(a)
 extern "C" const sg_engine SG_JOIN(sg_engine_, SG_ISA);
-const sg_engine SG_JOIN(sg_engine_, SG_ISA) = {SG_TEXT(SG_ISA), create, destroy, forward, backward, lattice, trace, adam, statistics};
+const sg_engine SG_JOIN(sg_engine_, SG_ISA) = {SG_TEXT(SG_ISA), create, destroy, forward, backward, lattice, trace, amplitude_loss, adam, statistics};
