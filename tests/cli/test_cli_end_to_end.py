@@ -13,9 +13,11 @@ import tifffile
 import trimesh
 from PIL import Image
 
+from sarsplat import scenes
 from sarsplat.cli import main
 from sarsplat.data import read_dataset, read_gaussians_ply, read_points_ply
 from sarsplat.data.folders import only_writer
+from sarsplat.reconstruct import Run
 
 
 @pytest.fixture(scope="module")
@@ -189,6 +191,39 @@ def test_overwrite_spares_what_is_not_ours(workshop: Path, tmp_path: Path, capsy
     simulate = ["simulate", "--target", "t72", "--azimuth", "0", "--grazing", "45", "--pixels", "32", "--overwrite"]
     assert "also holds run/" in refusal([*simulate, "--out", str(tmp_path / "dataset")], capsys)
     assert (tmp_path / "dataset" / "run" / "points.ply").exists()
+
+
+@pytest.mark.parametrize("out", [".", "/", "pictures", "run"])
+@pytest.mark.parametrize(
+    "command", ["simulate --mesh box.obj --azimuth 0 --grazing 45", "render run --azimuth 0 --grazing 45"]
+)
+def test_overwrite_is_refused_before_the_work(
+    workshop: Path, out: str, command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def work(*_: object, **__: object) -> None:
+        pytest.fail("must not get here")
+
+    monkeypatch.chdir(workshop)
+    monkeypatch.setattr(scenes, "load_mesh", work)
+    monkeypatch.setattr(Run, "render", work)
+    (workshop / "pictures").mkdir(exist_ok=True)
+    (workshop / "pictures" / "holiday.png").write_text("")
+    assert "give another name" in refusal([*command.split(), "--overwrite", "--out", out], capsys)
+
+
+@pytest.mark.parametrize("command", ["report", "evaluate"])
+def test_a_report_is_not_written_through_a_link(
+    workshop: Path, tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, outside = tmp_path / "run", tmp_path / "outside"
+    shutil.copytree(workshop / "run", run)
+    shutil.rmtree(run / "report")
+    (run / "metrics.json").unlink()
+    outside.mkdir()
+    (run / "report").symlink_to(outside)
+    assert "report is a link" in refusal([command, str(run)], capsys)
+    assert list(outside.iterdir()) == []
+    assert not (run / "metrics.json").exists()
 
 
 WRITING = (

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sarsplat.data import folders
-from sarsplat.data.folders import new_folder, only_writer
+from sarsplat.data.folders import new_folder, only_writer, refuse_existing
 from sarsplat.errors import SarsplatError
 
 DATASET, RUN, SHEET = "dataset.json", "config.json", "contact-sheet.png"
@@ -153,6 +153,78 @@ def test_the_only_writer_clears_what_an_overwriting_killed_one_left_beside(tmp_p
             assert names(tmp_path) == [".out.tmpdir", "out"]  # in use
 
 
+def test_the_only_writer_spares_what_is_not_of_a_run(tmp_path):
+    out, others = tmp_path / "out", [".notes.tmp", "mine/.keep.tmp", ".dir.tmp/inside", "checkpoints/.best.tmp"]
+    make(out, "config.json", *others)
+    (out / "report").mkdir()
+    (out / "report" / ".page.png.tmp").symlink_to(tmp_path)
+    make(tmp_path, ".out.tmpdir/mine")
+    with only_writer(out):
+        assert all((out / file).is_file() for file in others)
+        assert (out / "report" / ".page.png.tmp").is_symlink()
+    assert (tmp_path / ".out.tmpdir" / "mine").is_file()
+
+
+@pytest.mark.parametrize("kind", ["link", "folder", "file", "link inside"])
+def test_a_temporary_folder_of_others_is_left_alone(tmp_path, kind):
+    out, temporary, outside = tmp_path / "out", tmp_path / ".out.tmpdir", tmp_path / "outside"
+    make(outside, "new/file")
+    if kind == "link":
+        temporary.symlink_to(outside)
+    elif kind == "folder":
+        make(temporary, "mine/file", "new/file")
+    elif kind == "file":
+        temporary.write_text("")
+    else:
+        temporary.mkdir()
+        (temporary / "old").symlink_to(outside)
+    before = sorted(tmp_path.rglob("*"))
+    told = r"\.out\.tmpdir (is not the temporary folder|holds (mine|old), which is not ours)"
+    with pytest.raises(SarsplatError, match=told):
+        refuse_existing(out, False, marker=RUN)
+    with pytest.raises(SarsplatError, match=told), new_folder(out, False, marker=RUN):
+        pass
+    assert sorted(tmp_path.rglob("*")) == before
+    make(out, RUN)
+    with only_writer(out):
+        assert sorted({*tmp_path.rglob("*")} - {out, out / RUN, out / ".lock"}) == before
+
+
+def test_a_writer_that_comes_while_another_leaves_keeps_its_work(tmp_path, monkeypatch):
+    out, unlink, next_one = tmp_path / "out", Path.unlink, new_folder(tmp_path / "out", True, marker=DATASET)
+    building: list[Path] = []
+
+    def watched(self: Path, missing_ok: bool = False) -> None:
+        unlink(self, missing_ok)
+        if self.name == ".lock" and not building:
+            building.append(next_one.__enter__())
+            make(building[0], DATASET)
+
+    monkeypatch.setattr(Path, "unlink", watched)
+    with new_folder(out, False, marker=DATASET) as folder:
+        make(folder, DATASET, "truth.ply")
+    make(building[0], "images/0.tif")
+    next_one.__exit__(None, None, None)
+    assert names(out) == [DATASET, "images"]
+    assert names(tmp_path) == ["out"]
+
+
+def test_a_temporary_folder_that_goes_while_we_come_is_made_anew(tmp_path, monkeypatch):
+    mkdir, calls = Path.mkdir, []
+
+    def gone_again(self: Path, *how: object, **more: object) -> None:
+        if self.name == ".out.tmpdir" and not calls:
+            calls.append(self)
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
+        mkdir(self, *how, **more)
+
+    monkeypatch.setattr(Path, "mkdir", gone_again)
+    with new_folder(tmp_path / "out", False, marker=RUN) as folder:
+        make(folder, RUN)
+    assert calls
+    assert names(tmp_path) == ["out"]
+
+
 @pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC])
 def test_os_errors_become_one_sentence(tmp_path, monkeypatch, number):
     def refuse(*_: object) -> None:
@@ -166,7 +238,8 @@ def test_os_errors_become_one_sentence(tmp_path, monkeypatch, number):
 
 def test_files_in_the_way(tmp_path):
     make(tmp_path, "file")
-    for path in (tmp_path / "file" / "out", tmp_path / "file"):
+    (tmp_path / "loop").symlink_to("loop")
+    for path in (tmp_path / "file" / "out", tmp_path / "file", tmp_path / "loop"):
         with pytest.raises(SarsplatError, match="is a file, not a folder"), new_folder(path, True, marker=RUN):
             pass
 

@@ -94,14 +94,28 @@ def views_from(
     return views
 
 
-def refuse_existing(path: Path, overwrite: bool) -> None:
+def refuse_existing(path: Path, overwrite: bool, *, marker: str | None = None) -> None:
     """Say at once, not after minutes of work, that an output is in the way.
+
+    Parameters
+    ----------
+    path : Path
+        The output.
+    overwrite : bool
+        Whether it may be replaced.
+    marker : str, optional
+        For a folder: the file that marks its kind; the same as `new_folder` refuses is then refused.
 
     Raises
     ------
     SarsplatError
         If something stands at `path` (an empty folder is nothing) and may not be replaced.
     """
+    if marker is not None:
+        from sarsplat.data import folders
+
+        folders.refuse_existing(path, overwrite, marker=marker)
+        return
     if overwrite or not os.path.lexists(path) or (path.is_dir() and not any(path.iterdir())):
         return
     raise SarsplatError(f"{path} exists; give another name or --overwrite")

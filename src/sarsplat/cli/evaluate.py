@@ -21,8 +21,10 @@ def evaluate(run: RunFolder, *, lpips_weights: OptionalFolder = None) -> None:
     from sarsplat.evaluate import evaluate_run, metrics_table
     from sarsplat.reconstruct import Run
     from sarsplat.report import paper_beside, write_report
+    from sarsplat.report.write import refuse_linked_report
 
     done = Run.load(run)
+    refuse_linked_report(run)
     with only_writer(run):
         with console.busy(f"evaluating {run}"):
             metrics = evaluate_run(done, lpips_weights=lpips_weights)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Literal
 
@@ -49,7 +50,7 @@ def _refuse_others(out: Path, run: Path) -> None:
     """A slip must not cost the run, nor a file that is no export."""
     from sarsplat.data.files import open_file
 
-    if out.resolve().is_relative_to(run.resolve()):
+    if Path(os.path.realpath(out)).is_relative_to(run.resolve()):
         raise SarsplatError(f"{out} lies inside the run; give a path outside of {run}")
     if out.exists():
         with open_file(out) as file:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import Folder, OptionalFile, OptionalName
+from sarsplat.cli.arguments import Folder, OptionalFile, OptionalName, refuse_existing
 
 
 def import_(
@@ -51,8 +51,10 @@ def import_(
         Replace an existing dataset.
     """
     from sarsplat.data import import_mstar
+    from sarsplat.data.dataset import HEADER
     from sarsplat.errors import counted
 
+    refuse_existing(out, overwrite, marker=HEADER)
     with console.busy(f"reading chips from {chips}"):
         dataset = import_mstar(
             chips,

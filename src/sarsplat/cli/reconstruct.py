@@ -59,6 +59,7 @@ def reconstruct(
     from sarsplat.reconstruct import Run
     from sarsplat.reconstruct import preset as named_preset
     from sarsplat.reconstruct import reconstruct as train
+    from sarsplat.reconstruct.run import HEADER
 
     if resume and overwrite:
         raise SarsplatError("--resume goes on with the run and --overwrite throws it away; give one of them")
@@ -69,7 +70,7 @@ def reconstruct(
             raise SarsplatError(f"{out} was begun with preset {config.preset!r}, not {preset!r}; leave --preset out")
     else:
         config = named_preset(preset or _fitting_preset(images))
-        refuse_existing(out, overwrite)
+        refuse_existing(out, overwrite, marker=HEADER)
     chosen: dict[str, Any] = {"initialisation": init, "seed": seed, "iterations": iterations}
     if iterations is not None and iterations < 1:
         raise SarsplatError(f"--iterations {iterations} must be at least 1")

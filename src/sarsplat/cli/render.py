@@ -49,7 +49,7 @@ def render(
     if len({_name(view) for view in views}) < len(views):
         raise SarsplatError("two of the views are the same to a millionth of a degree; give each once")
     done = Run.load(run)
-    refuse_existing(out, overwrite)
+    refuse_existing(out, overwrite, marker=_SHEET)
     peak = float(done.dataset.images("train").max())
     with console.busy(f"rendering {counted(len(views), 'view')}"):
         images = done.render(views)

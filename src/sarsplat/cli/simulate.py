@@ -94,6 +94,7 @@ def simulate(
         Replace an existing dataset.
     """
     from sarsplat.data import write_dataset
+    from sarsplat.data.dataset import HEADER
     from sarsplat.data.plausible import suspicions, warn
     from sarsplat.progress import progress
     from sarsplat.scenes import ScatteringLaw, load_mesh, target_mesh
@@ -103,7 +104,7 @@ def simulate(
     if any(test_options):
         views = _with_test_views(views, azimuth, grazing, incidence, *test_options)
     grid = _grid(protocol, pixels, spacing, resolution)
-    refuse_existing(out, overwrite)
+    refuse_existing(out, overwrite, marker=HEADER)
     if mesh is not None and target is None:
         surface, name = load_mesh(mesh), mesh.name
     elif target is not None and mesh is None:

@@ -7,6 +7,7 @@ import errno
 import os
 import re
 import shutil
+import stat
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -24,15 +25,15 @@ _LAYOUTS = {
 }
 """The kinds of folder we make, by the file that marks them, and what may be in them."""
 
-_LOCK = ".lock"
+_LOCK, _BUILT, _RETIRED = ".lock", "new", "old"
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of Linux's renameat2
 
 
 @contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
-    """Be the only process that writes into a folder while the block runs, under whatever name it gets meanwhile.
+    """Be the only process that writes into a run while the block runs, under whatever name its folder gets meanwhile.
 
-    What a killed process left is removed: temporary files in it, and a temporary folder beside it.
+    What a killed process left is removed: temporary files of a run in it, and our temporary folder beside it.
 
     Raises
     ------
@@ -41,9 +42,10 @@ def only_writer(folder: Path) -> Iterator[None]:
     """
     with plain_os_errors("write", folder), locked(folder / _LOCK, folder):
         for stray in folder.rglob(".*.tmp"):
-            stray.unlink()
+            if stray.is_file() and not stray.is_symlink() and _belongs(stray.relative_to(folder), "config.json"):
+                stray.unlink()
         if _temporary_name(folder.resolve()).exists():
-            with suppress(SarsplatError), _workshop(folder.resolve()):  # it may be in use
+            with suppress(SarsplatError, OSError), _workshop(folder.resolve()):  # it may be in use, or not ours
                 pass
         yield
 
@@ -72,8 +74,8 @@ def new_folder(path: Path, overwrite: bool, *, marker: str) -> Iterator[Path]:
     Raises
     ------
     SarsplatError
-        If `path` exists and may not be replaced or another process is writing it, or the disk is full, read-only or
-        closed to us.
+        If `path` exists and may not be replaced, another process is writing it, the temporary folder is not ours, or
+        the disk is full, read-only or closed to us.
 
     Notes
     -----
@@ -81,9 +83,9 @@ def new_folder(path: Path, overwrite: bool, *, marker: str) -> Iterator[Path]:
     folder is moved aside first; a process killed just then leaves it in `.NAME.tmpdir/old`, from where the next call
     for the same path puts it back.
     """
-    path = Path(path).resolve()
+    path = Path(os.path.realpath(path))  # unlike resolve() it bears a link to itself
     with plain_os_errors("write", path), ExitStack() as held:
-        _refuse_existing(path, overwrite, marker)
+        refuse_existing(path, overwrite, marker=marker)
         path.parent.mkdir(parents=True, exist_ok=True)
         built, retired = held.enter_context(_workshop(path))
         _refuse_existing(path, overwrite, marker)  # it may have been put back
@@ -103,6 +105,21 @@ def new_folder(path: Path, overwrite: bool, *, marker: str) -> Iterator[Path]:
         sync(path.parent)
 
 
+def refuse_existing(path: Path, overwrite: bool, *, marker: str) -> None:
+    """Refuse what `new_folder` would refuse, without making anything.
+
+    Raises
+    ------
+    SarsplatError
+        If `path` exists and may not be replaced, or a folder that is not ours has the temporary name.
+    """
+    path = Path(os.path.realpath(path))  # unlike resolve() it bears a link to itself
+    with plain_os_errors("write", path):
+        _refuse_existing(path, overwrite, marker)
+        with suppress(FileNotFoundError):
+            _refuse_foreign_workshop(_temporary_name(path))
+
+
 def _temporary_name(path: Path) -> Path:
     return path.with_name(f".{path.name}.tmpdir")
 
@@ -111,11 +128,13 @@ def _temporary_name(path: Path) -> Path:
 def _workshop(path: Path) -> Iterator[tuple[Path, Path]]:
     """Two free names in a temporary folder beside `path`, which is ours alone and removed at the end."""
     folder = _temporary_name(path)
-    built, retired = folder / "new", folder / "old"
+    built, retired = folder / _BUILT, folder / _RETIRED
     with ExitStack() as held:
         while True:
-            folder.mkdir(exist_ok=True)
+            with suppress(FileExistsError):
+                folder.mkdir()
             try:
+                _refuse_foreign_workshop(folder)
                 held.enter_context(locked(folder / _LOCK, path))
                 break
             except FileNotFoundError:
@@ -129,8 +148,22 @@ def _workshop(path: Path) -> Iterator[tuple[Path, Path]]:
         finally:
             for left in (built, retired):
                 shutil.rmtree(left, ignore_errors=True)
-            (folder / _LOCK).unlink(missing_ok=True)
-            shutil.rmtree(folder, ignore_errors=True)
+            # From here on the next process may lock and build in it, so only an empty folder may go.
+            with suppress(OSError):
+                (folder / _LOCK).unlink()
+                folder.rmdir()
+
+
+def _refuse_foreign_workshop(folder: Path) -> None:
+    """Refuse a temporary folder that we have not made; FileNotFoundError if there is none."""
+    if not stat.S_ISDIR(folder.lstat().st_mode):
+        raise SarsplatError(f"{folder} is not the temporary folder we make there; move it or give another name")
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name not in (_LOCK, _BUILT, _RETIRED) or entry.is_symlink():
+                raise SarsplatError(
+                    f"{folder} holds {entry.name}, which is not ours to delete; move it or give another name"
+                )
 
 
 def _exchange(one: Path, other: Path) -> bool:
@@ -179,7 +212,12 @@ def _foreign(path: Path, marker: str) -> Path | None:
         links = [name for name in folders if Path(folder, name).is_symlink()]
         for name in sorted(files + links):
             relative = Path(folder, name).relative_to(path)
-            finished = relative.with_name(re.sub(r"^\.(.+)\.tmp$", r"\1", name))  # what a killed process left
-            if not re.fullmatch(_LAYOUTS[marker], finished.as_posix()):
+            if not _belongs(relative, marker):
                 return relative
     return None
+
+
+def _belongs(relative: Path, marker: str) -> bool:
+    """Whether a file is part of a kind of folder, be it under the temporary name that a killed process left."""
+    finished = relative.with_name(re.sub(r"^\.(.+)\.tmp$", r"\1", relative.name))
+    return re.fullmatch(_LAYOUTS[marker], finished.as_posix()) is not None

@@ -16,6 +16,7 @@ from sarsplat.report.curves import curves_figure
 from sarsplat.report.page import Picture, page
 from sarsplat.report.views import evenly, views_figure
 
+_FOLDER = "report"
 _VIEWS = 6
 _SURFACE_SAMPLES = 60_000
 
@@ -36,9 +37,10 @@ def write_report(run: Run) -> Path:
     Raises
     ------
     SarsplatError
-        If the run's dataset is missing or a file cannot be written.
+        If the run's dataset is missing, `RUN/report` is a link or a file cannot be written.
     """
-    folder = run.path / "report"
+    refuse_linked_report(run.path)
+    folder = run.path / _FOLDER
     with plain_os_errors("write", folder):
         folder.mkdir(exist_ok=True)
     pictures, training = [_views(run), _points(run)], _curves(run)
@@ -53,6 +55,19 @@ def write_report(run: Run) -> Path:
         ) from error
     write_bytes(folder / "index.html", html.encode())
     return folder / "index.html"
+
+
+def refuse_linked_report(run: Path) -> None:
+    """Refuse to write a report where a link leads out of the run.
+
+    Raises
+    ------
+    SarsplatError
+        If `RUN/report` is a link.
+    """
+    folder = run / _FOLDER
+    if folder.is_symlink():
+        raise SarsplatError(f"{folder} is a link, but a report is written inside its run only; remove the link")
 
 
 def is_speckled(dataset: Dataset) -> bool:
