@@ -24,7 +24,16 @@ FLAGS = [
 LEVELS = {"base": (4, []), "avx2": (8, ["-march=x86-64-v3"]), "avx512": (16, ["-march=x86-64-v4"])}
 # What exercises the engine; the memory growth test would measure the sanitizer instead. A report goes to file
 # descriptor 2 and ends the process, so pytest must not capture that.
-TESTS = ["tests/render", "-k", "not memory_does_not_grow", "-p", "no:cacheprovider", "--capture=sys"]
+TESTS = [
+    "tests/render",
+    "tests/reconstruct/test_losses.py",
+    "tests/reconstruct/test_optimiser.py",
+    "-k",
+    "not memory_does_not_grow",
+    "-p",
+    "no:cacheprovider",
+    "--capture=sys",
+]
 
 
 def main() -> int:

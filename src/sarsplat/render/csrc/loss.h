@@ -125,7 +125,8 @@ int32_t amplitude_loss(sg_context* context, const sg_loss* loss) {
     const float *a = s.a + y * stride + pad, *slope = s.slope + y * stride + pad;
     const float* truth = l.truth + ((int64_t)v * R + y) * C;
     float* gradient = l.gradient + ((int64_t)v * R + y) * C;
-    float *along = s.blurred[0] + y * stride + pad, *times_truth = s.blurred[1] + y * stride + pad;
+    float* along = similar ? s.blurred[0] + y * stride + pad : nullptr;
+    float* times_truth = similar ? s.blurred[1] + y * stride + pad : nullptr;
     for (int x = 0; similar && x < C; x += kWidth) {
       F sums[3];
       for (int q = 0; q < 3; q++)
