@@ -93,14 +93,15 @@ def watched(function: types.FunctionType) -> Callable:
 
 
 def _watch_class(cls: type) -> None:
+    fields = {f.name for f in dataclasses.fields(cls)} if dataclasses.is_dataclass(cls) else set()
+    generated = {"__init__"} if fields else set()  # a dataclass's is checked by its fields, after what it refuses
     for name, member in list(vars(cls).items()):
         function = member.__func__ if isinstance(member, classmethod | staticmethod) else member
         if isinstance(member, property) and member.fget is not None and shapes_of(member.fget):
             setattr(cls, name, property(watched(member.fget), doc=member.__doc__))
-        elif inspect.isfunction(function) and shapes_of(function) and not name.startswith("__"):
+        elif inspect.isfunction(function) and shapes_of(function) and name not in generated:
             replacement = watched(function)
             setattr(cls, name, replacement if member is function else type(member)(replacement))
-    fields = {f.name for f in dataclasses.fields(cls)} if dataclasses.is_dataclass(cls) else set()
     shapes = {name: hint for name, hint in shapes_of(cls).items() if name in fields}
     if shapes:
         _watch_fields(cls, shapes)

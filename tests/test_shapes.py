@@ -9,8 +9,10 @@ from jaxtyping import Float
 
 import shapes
 from sarsplat import Gaussians, SarsplatError, View, radar_frame
+from sarsplat.evaluate.lpips import Lpips
 from sarsplat.gaussians import covariance as covariance_module
 from sarsplat.gaussians.covariance import covariance, rotation_matrix
+from sarsplat.scenes._deposit import _Axis
 
 
 def test_calls_are_counted():
@@ -19,6 +21,12 @@ def test_calls_are_counted():
     assert shapes.EXECUTED["sarsplat.geometry.view.radar_frame"] == before + 1
     assert View(0.0, 45.0).direction.shape == (3,)
     assert shapes.EXECUTED["sarsplat.geometry.view.View.direction"] > 0
+
+
+def test_initialisers_and_calls_are_watched():
+    with pytest.raises(shapes.ShapeError, match=r"_Axis\.__init__ accepted centers"):
+        _Axis(np.zeros(3, np.float32), 0.1, 0.3)
+    assert Lpips.__call__.__wrapped__ is not None
 
 
 @pytest.mark.parametrize("scales", [(1, 3), (5, 1), (3,)])

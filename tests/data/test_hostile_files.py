@@ -339,10 +339,42 @@ def test_many_materials_are_no_many_meshes(tmp_path):
     assert cost.seconds < 1
 
 
+@pytest.mark.parametrize("filling", ["#" * 2_000_000, "#\n" * 1_000_000, "\n" * 2_000_000, "\x0b" * 2_000_000])
+@pytest.mark.parametrize("kind", ["off", "ply"])
+def test_comments_and_empty_lines_cost_nothing(tmp_path, kind, filling):
+    path, corners = tmp_path / f"a.{kind}", "0 0 0\n2 0 0\n2 2 0\n"
+    head = "OFF\n3 1 0\n"
+    if kind == "ply":
+        head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+        head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        filling = filling.replace("#", "\n")  # it has no comments among its data
+    path.write_text(head + corners + filling + "\n3 0 1 2\n")
+    with watched() as cost:
+        assert len(load_mesh(path).faces) == 1
+    assert cost.seconds < 1
+    assert cost.bytes < 64 << 20
+
+
+@pytest.mark.parametrize("name", ["a.obj", "a.off", "a.stl", "a.ply"])
+def test_text_that_is_too_long(tmp_path, name):
+    with (tmp_path / name).open("wb") as file:
+        file.write(b"ply\nformat ascii 1.0\n")
+        file.truncate(60 << 20)
+    with watched() as cost, pytest.raises(SarsplatError, match="62914560 bytes of text; simplify the mesh"):
+        load_mesh(tmp_path / name)
+    assert cost.seconds < 1
+
+
+def test_text_that_is_not_utf8(tmp_path):
+    (tmp_path / "a.off").write_bytes(b"OFF # \xe9t\xe9\n3 1 0\n0 0 0\n2 0 0\n2 2 0\n3 0 1 2\n")
+    assert len(load_mesh(tmp_path / "a.off").faces) == 1
+
+
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
         ("a.zip", "PK", "known format"),
+        ("a.stl", "\0" * 80 + "\x07\0\0\0" + "\0" * 100, "says that it has 7 faces, 434 bytes, but has 184"),
         ("a.stl", "solid\nendsolid\n" * 2000, "2000 solids"),
         ("a.obj", "v 0 0 0\nv 2 0 0\nv 2 2 0\nf -3 -2 -1\n", "backwards"),
         ("a.obj", "v 0 0 0\nv 2 0 0\nv 2 2 0\nf 1 2 9\n", "cannot be read"),

@@ -167,6 +167,12 @@ def test_mixed_spacings_are_refused(originals):
         run(originals, labels=None)
 
 
+def test_a_path_too_long_for_any_file_is_a_label_without_a_chip(chips):
+    rewrite(chips / "labels.csv", lambda rows: [*rows, ["T72/" + "a" * 5000, *rows[1][1:]]])
+    with pytest.warns(SarsplatWarning, match="lacks 1 of 11 T72 chips in"):
+        assert len(run(chips).views) == 10
+
+
 def test_labels_without_chips_are_counted_once(chips):
     (chips / "T72" / "chip001.jpeg").unlink()
     with pytest.warns(SarsplatWarning, match="lacks 1 of 10 T72 chips in"):

@@ -32,6 +32,13 @@ RADIANS = {
     "as incidence": views(np.arange(0, 6.28, 0.26), [90 - 0.26, 90 - 1.31]),
     "grazing in degrees": views(np.arange(0, 2 * math.pi, math.pi / 12), [15, 45]),
     "four decimals": views(np.round(np.radians([0, 10, 47, 98, 203, 359]), 4), [17]),
+    "steps of 7.5": views(np.radians(np.arange(0, 360, 7.5)), [30]),
+    "steps of 15, three decimals": views(np.round(np.radians(np.arange(0, 360, 15)), 3), [30]),
+    "steps of 15, two decimals": views(np.round(np.radians(np.arange(0, 360, 15)), 2), [30]),
+    "uneven": views(np.radians(np.random.default_rng(0).uniform(0, 360, 36)), [17]),
+    "azimuths in degrees": views(range(0, 360, 15), [0.5236]),
+    "azimuths in degrees, three grazings": views(range(0, 360, 15), np.radians([15, 30, 45])),
+    "two views": views([0, 1.5708], [0.52]),
 }
 
 HONEST = {
@@ -42,6 +49,10 @@ HONEST = {
     "a fine arc": views(np.arange(0, 6, 0.01), [45]),
     "a very short arc, very low": views(np.arange(0, 1.5, 0.1), [1.5]),
     "two views": views([0.3, 6], [0.5]),
+    "steps of a half, low": views(np.arange(0, 6, 0.5), [1.5]),
+    "steps of 1.25, low": views(np.arange(0, 5.1, 1.25), [1.25]),
+    "0 to 6 by 1, very low": views(range(7), [0.5]),
+    "from above": views([0, 0.5, 1, 1.7, 2.2], [88.6]),
     "paper": [view for view, _ in paper_views()],
     "mstar": [view for view, _ in mstar_views()],
 }
@@ -100,6 +111,19 @@ def test_nothing_is_odd_about_a_sound_dataset(tmp_path: Path) -> None:
 )
 def test_odd_views(tmp_path: Path, train: list[View], told: str) -> None:
     assert told in suspicions(make(tmp_path, train))[0]
+
+
+def test_from_above_no_side_is_left_out(tmp_path: Path) -> None:
+    above = views(range(0, 90, 10), [89.9])
+    assert suspicions(make(tmp_path, above)) == []
+    (told,) = suspicions(make(tmp_path, [*above, *views([20, 40], [30])], overwrite=True))
+    assert "leave 340° of azimuth out, from 40° clockwise to 20°" in told
+
+
+@pytest.mark.parametrize(("azimuths", "asked"), [(np.arange(0, 6.28, 0.26), True), (range(0, 60, 5), False)])
+def test_what_may_be_degrees_or_radians_is_asked(tmp_path: Path, azimuths, asked: bool) -> None:
+    (told,) = suspicions(make(tmp_path, views(azimuths, [30])))
+    assert ("add views from there (or are the azimuths radians?)" in told) is asked
 
 
 @pytest.mark.parametrize("azimuths", [(0, 180), (0, 90, 270), (-90, 0, 90), (0, 120, 240)])

@@ -126,6 +126,13 @@ def test_a_million_points_are_read_at_once(tmp_path):
     assert time.process_time() - begun < 1
 
 
+@pytest.mark.parametrize("far", [3e38, -1.1e9])
+def test_points_beyond_all_measure_are_refused(tmp_path, far):
+    write_points_ply(tmp_path / "p.ply", np.array([[0, 0, 0], [0, far, 0]]))
+    with pytest.raises(SarsplatError, match=r"p\.ply holds a point .* m from the origin"):
+        read_points_ply(tmp_path / "p.ply")
+
+
 def test_wrong_points_are_not_written(tmp_path):
     good = np.zeros((4, 3))
     for array, columns in [
@@ -177,6 +184,7 @@ def test_points_are_no_gaussians_and_versions_are_checked(tmp_path):
         (b"gaussians 1", b"gaussians 2", "'sarsplat gaussians 2'"),
         (b"p_min 0.05", b"p_mix 0.05", "one p_min"),
         (b"p_min 0.05", b"p_min 1e99e", "no number"),
+        (b"p_min 0.05", b"p_min 1e+999", r"p\.ply states p_min 1e\+999"),
         (b"p_min 0.05", b"p_min -0.5", "p_min -0.5"),
     ]:
         path.write_bytes(data.replace(old, new))

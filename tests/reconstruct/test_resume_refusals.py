@@ -116,6 +116,56 @@ def test_a_checkpoint_of_another_version(begun: Path, dataset: Dataset) -> None:
     refused(begun, dataset, CONFIG, "does not fit this version")
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"seconds": 10**400},
+        {"seconds": -1.0},
+        {"seconds": True},
+        {"iteration": 10**400},
+        {"iteration": -1},
+        {"iteration": 1.5},
+        {"iteration": None},
+    ],
+)
+def test_a_checkpoint_no_training_can_reach(begun: Path, dataset: Dataset, change: dict[str, Any]) -> None:
+    newest = Run.load(begun).checkpoint_path
+    assert newest is not None
+    tensors, state = load_checkpoint(newest)
+    save_checkpoint(newest, tensors, {**state, **change})
+    told = f"{newest.name} does not say how far the training was"
+    refused(begun, dataset, CONFIG, told)
+    for name in ("time_s", "iteration"):
+        with pytest.raises(SarsplatError, match=told):
+            getattr(Run.load(begun), name)
+
+
+LINE = {"iteration": 1, "seconds": 0.5, "loss": 0.25, "gaussians": 50}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"iteration": 1e300, "gaussians": 1e300},
+        {"iteration": 10**400},
+        {"gaussians": -1},
+        {"loss": 1e308},
+        {"loss": -1e308},
+        {"seconds": 1e11},
+    ],
+)
+def test_a_line_that_no_training_writes_ends_the_history(begun: Path, change: dict[str, Any]) -> None:
+    lines = [LINE, {**LINE, **change}, LINE]
+    (begun / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    assert Run.load(begun).history == [LINE]
+
+
+def test_a_history_that_is_too_long(begun: Path) -> None:
+    (begun / "metrics.jsonl").write_text((json.dumps(LINE) + "\n") * 70_000)
+    with pytest.raises(SarsplatError, match=r"metrics\.jsonl is longer than 4194304 bytes"):
+        _ = Run.load(begun).history
+
+
 def test_a_run_that_is_not_there(dataset: Dataset, tmp_path: Path) -> None:
     with pytest.raises(SarsplatError, match="does not exist"):
         reconstruct(dataset, tmp_path / "nowhere", CONFIG, resume=True)

@@ -8,7 +8,9 @@ from PIL import Image
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.reconstruct import run as run_module
 from sarsplat.report import contact_sheet, decibel_png
+from sarsplat.report.curves import curves_figure
 from sarsplat.report.decibels import to_decibels
 from sarsplat.report.views import _difference_db, evenly
 from sarsplat.report.window import target_window
@@ -24,6 +26,14 @@ def test_grey_levels_of_the_png() -> None:
     picture = Image.open(io.BytesIO(decibel_png(power, 100.0)))
     assert np.asarray(picture).tolist() == [[255, 128], [0, 0]]
     assert "-40 dB" in picture.text["Description"]
+
+
+@pytest.mark.parametrize("losses", [(-1e30, 1e30), (1e-320, 1e30), (0.0, 0.0), (1e30, 1e30)])
+@pytest.mark.parametrize("counts", [(0, 0), (0, 10**9), (10**9, 10**9)])
+def test_curves_of_whatever_a_history_may_hold(losses: tuple[float, float], counts: tuple[int, int]) -> None:
+    lines = [{"iteration": n, "seconds": 0.0, "loss": x, "gaussians": n} for x, n in zip(losses, counts, strict=True)]
+    history = [run_module._log_line(line) for line in lines]
+    assert curves_figure(history, "loss").startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize(("count", "wanted", "expected"), [(48, 3, [0, 24, 47]), (2, 6, [0, 1]), (1, 6, [0])])

@@ -19,7 +19,7 @@ from sarsplat.geometry import View
 _FEW = 3  # angles: of fewer nothing can be said
 _SAME_DIRECTION_DEG = 0.01
 _HALF_CIRCLE_DEG = 180.0
-_VERTICAL_DEG = 90 - math.pi / 2  # and above: incidence angles that might be radians
+_FROM_ABOVE_DEG = 80.0  # and above: a view that favours no side
 
 
 def suspicions(dataset: Dataset) -> list[str]:
@@ -44,15 +44,19 @@ def suspicions(dataset: Dataset) -> list[str]:
 
 def suspicious_angles(views: Sequence[View]) -> list[str]:
     """Whether angles that should be degrees look like radians; a list of one sentence, or empty."""
-    if not _look_like_radians(views):
+    azimuths = np.unique([view.azimuth_deg for view in views])
+    grazings = np.unique([view.grazing_deg for view in views])
+    incidences = 90 - grazings[::-1]
+    low, steep = _radian_elevations(grazings), _radian_elevations(incidences)
+    suspect = [("azimuths", azimuths)] if _radian_azimuths(azimuths, low or steep) else []
+    if low:
+        suspect.append(("grazing angles", grazings))
+    elif suspect and steep:
+        suspect.append(("incidence angles", incidences))
+    if not suspect:
         return []
-    azimuths, name, elevations = [view.azimuth_deg for view in views], "grazing", [view.grazing_deg for view in views]
-    if min(elevations) >= _VERTICAL_DEG:
-        name, elevations = "incidence", [view.incidence_deg for view in views]
-    return [
-        f"the azimuths ({min(azimuths):.4g}° to {max(azimuths):.4g}°) and {name} angles ({min(elevations):.4g}° to "
-        f"{max(elevations):.4g}°) look like radians; give degrees, 57.2958 times as many"
-    ]
+    names = " and ".join(f"{name} ({values[0]:.4g}° to {values[-1]:.4g}°)" for name, values in suspect)
+    return [f"the {names} look like radians; give degrees, 57.2958 times as many, if they are"]
 
 
 def warn(texts: Iterable[str]) -> None:
@@ -61,29 +65,32 @@ def warn(texts: Iterable[str]) -> None:
         warnings.warn(text, SarsplatWarning, stacklevel=1)  # one place, so that Python knows repetitions
 
 
-def _look_like_radians(views: Sequence[View]) -> bool:
-    """The rule: at least three azimuths, all within ±2π and spread over π/2 or more, and one of
+def _radian_azimuths(azimuths: np.ndarray, elevations_too: bool) -> bool:
+    """At least three, all within ±2π and spread over π/2 or more, that are not written as degrees are.
 
-    - all grazing (or all incidence) angles are at most π/2, and not every angle is a whole number. No target is imaged
-      at 1.6° above the horizon or from the vertical: its shadow, or its layover, is 36 times as long as it is high;
-    - read as radians at least four azimuths besides 0 are whole degrees, to within what four decimals carry, while as
-      degrees they are no multiples of 0.01. A set such as 0°, 1°, 2°, 3° is neither, nor is any other that somebody
-      would write down in degrees.
+    Written as degrees are multiples of 0.05 and, unless the elevations look like radians too, evenly spaced
+    multiples of 0.01. Rounded radians are neither as a rule: 15°, 30°, 45° … are 0.26, 0.52, 0.79 ….
     """
-    azimuths = np.unique([view.azimuth_deg for view in views])
-    grazings = np.array([view.grazing_deg for view in views])
-    few_or_wide = len(azimuths) < _FEW or np.abs(azimuths).max() > 2 * math.pi + 1e-3
-    if few_or_wide or np.ptp(azimuths) < math.pi / 2:
+    if len(azimuths) < _FEW or not _within_a_turn(azimuths) or np.ptp(azimuths) < math.pi / 2:
         return False
-    flat_or_vertical = grazings.max() <= math.pi / 2 or grazings.min() >= _VERTICAL_DEG
-    if flat_or_vertical and not _multiples(np.concatenate([azimuths, grazings]), 1.0, 1e-6):
-        return True
-    turned = azimuths[azimuths != 0]
-    return len(turned) > _FEW and _multiples(np.degrees(turned), 1.0, 4e-3) and not _multiples(turned, 0.01, 1e-6)
+    even = not elevations_too and np.ptp(np.diff(azimuths)) < 1e-6 and _multiples(azimuths, 0.01)
+    return not even and not _multiples(azimuths, 0.05)
 
 
-def _multiples(values: np.ndarray, of: float, within: float) -> bool:
-    return bool((np.abs(values - of * np.round(values / of)) <= within).all())
+def _radian_elevations(elevations: np.ndarray) -> bool:
+    """Grazing or incidence angles at most π/2 and not all multiples of 0.25.
+
+    So low or steep no target is imaged: its shadow, or its layover, is 36 times as long as it is high.
+    """
+    return bool(elevations.max() <= math.pi / 2) and not _multiples(elevations, 0.25)
+
+
+def _within_a_turn(azimuths: np.ndarray) -> bool:
+    return bool(np.abs(azimuths).max() <= 2 * math.pi + 1e-3)
+
+
+def _multiples(values: np.ndarray, of: float) -> bool:
+    return bool((np.abs(values - of * np.round(values / of)) <= 1e-6).all())
 
 
 def _coverage(views: Sequence[View]) -> list[str]:
@@ -100,14 +107,18 @@ def _coverage(views: Sequence[View]) -> list[str]:
             f"all {len(views)} training views are the same (azimuth {first.azimuth_deg:g}°, grazing "
             f"{first.grazing_deg:g}°), from which no shape can be told; check their angles"
         ]
-    azimuths = np.unique(np.round([view.azimuth_deg % 360 for view in views], 6))
+    given = np.array([view.azimuth_deg for view in views if view.grazing_deg < _FROM_ABOVE_DEG])
+    if len(given) == 0:
+        return []
+    azimuths = np.unique(np.round(given % 360, 6))
     gaps = np.diff([*azimuths, azimuths[0] + 360])
     widest = int(gaps.argmax())
     if gaps[widest] <= _HALF_CIRCLE_DEG + 1e-6:
         return []
+    question = " (or are the azimuths radians?)" if _within_a_turn(given) else ""
     return [
         f"the training views leave {gaps[widest]:.4g}° of azimuth out, from {azimuths[widest]:.4g}° clockwise to "
-        f"{(azimuths[widest] + gaps[widest]) % 360:.4g}°, where the shape is a guess; add views from there"
+        f"{(azimuths[widest] + gaps[widest]) % 360:.4g}°, where the shape is a guess; add views from there{question}"
     ]
 
 

@@ -14,6 +14,7 @@ The header's comments carry the version and p_min.
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -30,6 +31,7 @@ from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
 
 _VERSION = "sarsplat gaussians 1"
 _ODD = [1, 2, 3, 9, 10, 11, 12, 13, 14, 15]  # harmonics of degree 1 and 3
+_FARTHEST = 1e9  # m from the origin, of points: squares of it stay finite
 _LEAST_LOGIT = -30.0  # stands for an opacity of zero, whose logit is −∞
 _LONGEST_HEADER = 65_536
 _BYTES = {
@@ -171,10 +173,12 @@ def read_points_ply(path: Path) -> tuple[Float32[np.ndarray, "p 3"], dict[str, R
     Raises
     ------
     SarsplatError
-        If the file is missing, damaged or truncated, or has no x, y, z.
+        If the file is missing, damaged or truncated, has no x, y, z, or a point is farther than 10⁹ m from the origin.
     """
     columns, _ = _read(Path(path))
     points = _stack(path, columns, ["x", "y", "z"])
+    if (farthest := np.abs(points).max(initial=0)) > _FARTHEST:
+        raise SarsplatError(f"{path} holds a point {farthest:.3g} m from the origin; make it again, in metres")
     return points, {name: column for name, column in columns.items() if name not in ("x", "y", "z")}
 
 
@@ -220,9 +224,12 @@ def _p_min(path: Path, comments: list[str]) -> float:
     if len(stated) != 1 or not re.fullmatch(r"[0-9.e+-]{1,30}", stated[0]):
         raise SarsplatError(f"{path} does not state one p_min in its header; make it again")
     try:
-        return float(stated[0])
-    except ValueError as error:
-        raise SarsplatError(f"{path} states p_min {stated[0]!r}, which is no number; make it again") from error
+        p_min = float(stated[0])
+    except ValueError:
+        p_min = math.nan
+    if not 0 <= p_min < math.inf:
+        raise SarsplatError(f"{path} states p_min {stated[0]}, which is no number ≥ 0 and finite; make it again")
+    return p_min
 
 
 def _write(path: Path, columns: dict[str, np.ndarray], comments: list[str]) -> None:

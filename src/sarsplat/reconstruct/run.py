@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,7 +23,7 @@ from sarsplat.data import (
     write_points_ply,
 )
 from sarsplat.data.fields import shown
-from sarsplat.data.files import plain_os_errors
+from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import RayGrid, View
@@ -40,6 +39,12 @@ _RESULTS = ("gaussians.ply", "points.ply", "metrics.json", "report/index.html")
 """What is made from the newest checkpoint."""
 
 _EVALUATION_RAYS_PER_PIXEL = 4.0
+
+# What files may say of a training: far more than any does, and what sums and pictures of them can bear.
+_MOST = 10**9  # iterations, Gaussians
+_LONGEST_S = 1e10
+_LARGEST_LOSS = 1e30
+_LONGEST_LOG = 1 << 22  # bytes; a training writes some tens of thousands
 
 
 @dataclass(frozen=True)
@@ -142,20 +147,25 @@ class Run:
         return found[-1] if found else None
 
     @cached_property
-    def _checkpoint(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    def checkpoint(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+        """Tensors and state of the newest checkpoint; `iteration` and `seconds` are numbers a training can reach."""
         if self.checkpoint_path is None:
             raise SarsplatError(f"{self.path} holds no checkpoint; run `sarsplat reconstruct` again with --overwrite")
         tensors, state = load_checkpoint(self.checkpoint_path)
-        if not isinstance(state.get("iteration"), int) or not isinstance(state.get("seconds"), int | float):
+        try:
+            _count(state.get("iteration"))
+            _number(state.get("seconds"), 0.0, _LONGEST_S)
+        except ValueError as error:
             raise SarsplatError(
-                f"{self.checkpoint_path} does not say how far the training was; reconstruct it again with --overwrite"
-            )
+                f"{self.checkpoint_path} does not say how far the training was ({error}); "
+                "reconstruct it again with --overwrite"
+            ) from error
         return tensors, state
 
     @cached_property
     def model(self) -> SceneModel:
         """The learned scene, as of the newest checkpoint."""
-        tensors, _ = self._checkpoint
+        tensors, _ = self.checkpoint
         learned = {name.removeprefix("model/"): t for name, t in tensors.items() if name.startswith("model/")}
         region, unit = scene_region(self.config, self.dataset), power_unit(self.config, self.dataset)
         try:
@@ -171,12 +181,12 @@ class Run:
     @property
     def iteration(self) -> int:
         """Iterations done, as of the newest checkpoint."""
-        return int(self._checkpoint[1]["iteration"])
+        return int(self.checkpoint[1]["iteration"])
 
     @property
     def time_s(self) -> float:
         """Training time so far, s of wall clock."""
-        return float(self._checkpoint[1]["seconds"])
+        return float(self.checkpoint[1]["seconds"])
 
     @property
     def seed(self) -> int:
@@ -204,14 +214,19 @@ class Run:
 
     @property
     def history(self) -> list[dict[str, Any]]:
-        """The lines of `metrics.jsonl`, up to the first that a crash has torn."""
+        """The lines of `metrics.jsonl`, up to the first that a crash has torn; a file of over 4 MiB is refused."""
         path = self.log_path
-        lines = path.read_text(errors="replace").splitlines() if path.is_file() else []
+        if not path.is_file():
+            return []
+        with open_file(path) as file:
+            data = file.read(_LONGEST_LOG + 1)
+        if len(data) > _LONGEST_LOG:
+            raise SarsplatError(f"{path} is longer than {_LONGEST_LOG} bytes, which no training writes; remove it")
         history: list[dict[str, Any]] = []
-        for line in lines:
+        for line in data.decode(errors="replace").splitlines():
             try:
                 history.append(_log_line(json.loads(line)))
-            except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
+            except (ValueError, KeyError, TypeError, RecursionError):
                 break
         return history
 
@@ -255,10 +270,24 @@ class Run:
 
 
 def _log_line(record: dict[str, Any]) -> dict[str, Any]:
-    line = {"seconds": float(record["seconds"]), "loss": float(record["loss"])}
-    if not all(map(math.isfinite, line.values())):
-        raise ValueError("no number a training could have written")
-    return {"iteration": int(record["iteration"]), **line, "gaussians": int(record["gaussians"])}
+    return {
+        "iteration": _count(record["iteration"]),
+        "seconds": _number(record["seconds"], 0.0, _LONGEST_S),
+        "loss": _number(record["loss"], -_LARGEST_LOSS, _LARGEST_LOSS),
+        "gaussians": _count(record["gaussians"]),
+    }
+
+
+def _count(value: object) -> int:
+    if type(value) is not int or not 0 <= value <= _MOST:
+        raise ValueError(f"{shown(value)} is no whole number from 0 to {_MOST}")
+    return value
+
+
+def _number(value: object, least: float, most: float) -> float:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not least <= value <= most:
+        raise ValueError(f"{shown(value)} is no number from {least:g} to {most:g}")
+    return float(value)
 
 
 def require_replaceable(out: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from sarsplat.data import Dataset, load_checkpoint, new_folder, save_checkpoint, write_bytes
+from sarsplat.data import Dataset, new_folder, save_checkpoint, write_bytes
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer
 from sarsplat.data.plausible import suspicions, warn
@@ -210,10 +210,10 @@ def _resume(trainer: Trainer, run: Run, dataset: Dataset) -> float:
     run.set_dataset_path(dataset.path)
     seconds = 0.0
     if run.checkpoint_path is not None:
-        tensors, state = load_checkpoint(run.checkpoint_path)
+        tensors, state = run.checkpoint
+        seconds = run.time_s
         try:
             trainer.load_state(tensors, state)
-            seconds = float(state["seconds"])
         except (KeyError, TypeError, ValueError, RuntimeError, OverflowError) as error:
             raise SarsplatError(
                 f"{run.checkpoint_path} does not fit this version ({error}); start again with --overwrite"

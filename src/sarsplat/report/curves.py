@@ -32,7 +32,7 @@ def curves_figure(history: Sequence[Mapping[str, Any]], loss_name: str) -> bytes
     right.set(xlabel="iteration", title=f"Gaussians: {history[-1]['gaussians']:,}")
     for axes in (left, right):
         dress(axes)
-        axes.set_xlim(0, max(iteration))
+        axes.set_xlim(0, max(1, *iteration))
         axes.grid(color=FAINT, linewidth=0.6)
         axes.spines[["top", "right"]].set_visible(False)
     figure.tight_layout()

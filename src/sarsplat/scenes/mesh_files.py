@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
 _FORMATS = (".obj", ".stl", ".ply", ".off", ".glb")
 _FARTHEST = 1e9  # m from the origin: beyond any unit mistaken for the metre, and squares of it stay finite
-_LARGEST_FILE = 1 << 30  # bytes
+_LARGEST_FILE = 1 << 28  # bytes
+# Bytes of text: trimesh takes up to fifty times as much memory for the first two, eighty times for the others.
+_LONGEST_TEXT = {".obj": 1 << 25, ".stl": 1 << 25, ".off": 1 << 24, ".ply": 1 << 24}
 _FREE_NUMBERS = 100_000  # that a .glb file of any size may unfold to
 _LONGEST_SCENE = 1 << 20  # bytes of JSON in a .glb file
 _MOST_PARTS = 2_000  # nodes and primitives of a glTF scene: trimesh takes about a tenth of a millisecond for each
@@ -62,15 +64,15 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
             raise SarsplatError(f"there is no mesh file at '{path}'; give the path of an {', '.join(_FORMATS)} file")
         if (size := path.stat().st_size) > _LARGEST_FILE:
             raise SarsplatError(f"'{path}' has {size} bytes, more than is sensible for a target; simplify the mesh")
+        if kind in (".obj", ".off") and size > _LONGEST_TEXT[kind]:
+            raise _too_long(path, size)
         data = path.read_bytes()
     except (OSError, MemoryError) as error:
         raise SarsplatError(f"cannot read '{path}': {error}; check the path and its permissions") from error
-    if kind == ".obj":
-        data = _plain_obj(path, data)
-    elif kind == ".glb":
+    if kind == ".glb":
         _check_glb(path, data)
-    elif kind == ".stl" and (solids := data.lower().count(b"endsolid")) > _MOST_SOLIDS:
-        raise SarsplatError(f"'{path}' holds {solids} solids, each a mesh; export it as one plain mesh")
+    elif not _is_binary(kind, data):
+        data = _plain_text(path, kind, data)
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
@@ -92,11 +94,35 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     return mesh
 
 
-def _plain_obj(path: Path, data: bytes) -> bytes:
-    """The text without materials: trimesh would make a mesh of each change of material, and each costs milliseconds."""
-    if re.search(rb"^f[^\n]*[ \t]-", data, flags=re.MULTILINE):
-        raise SarsplatError(f"'{path}' counts the vertices of its faces backwards; export it with absolute numbers")
-    return data.decode("utf-8", "replace").encode().replace(b"usemtl", b"#")
+def _is_binary(kind: str, data: bytes) -> bool:
+    if kind == ".stl":
+        return len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
+    return kind == ".ply" and not re.match(rb"[^\n]*\n[^\n]*ascii", data, re.IGNORECASE)  # as trimesh tells them apart
+
+
+def _plain_text(path: Path, kind: str, data: bytes) -> bytes:
+    """UTF-8 without what costs trimesh far more than it holds: materials, comments, empty lines."""
+    if len(data) > _LONGEST_TEXT[kind]:
+        raise _too_long(path, len(data))
+    if kind == ".stl" and b"\0" in data:
+        faces = int.from_bytes(data[80:84], "little")
+        raise SarsplatError(
+            f"'{path}' says that it has {faces} faces, {84 + 50 * faces} bytes, but has {len(data)}; export it again"
+        )
+    data = data.decode("utf-8", "replace").encode()
+    if kind == ".stl" and (solids := data.lower().count(b"endsolid")) > _MOST_SOLIDS:
+        raise SarsplatError(f"'{path}' holds {solids} solids, each a mesh; export it as one plain mesh")
+    if kind == ".obj":
+        if re.search(rb"^f[^\n]*[ \t]-", data, flags=re.MULTILINE):
+            raise SarsplatError(f"'{path}' counts the vertices of its faces backwards; export it with absolute numbers")
+        return data.replace(b"usemtl", b"#")  # each change of material would be a mesh, for milliseconds
+    if kind == ".off":
+        return re.sub(rb"(?:[\n-\r\x1c-\x1e]|#[^\n]*)(?:[\s\x1c-\x1e]+|#[^\n]*)*+", b"\n", data)
+    return re.sub(rb"[\n-\r\x1c-\x1e][\s\x1c-\x1e]*", b"\n", data)
+
+
+def _too_long(path: Path, size: int) -> SarsplatError:
+    return SarsplatError(f"'{path}' has {size} bytes of text; simplify the mesh or export it as .glb or binary .ply")
 
 
 def _check_glb(path: Path, data: bytes) -> None:
