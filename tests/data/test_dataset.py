@@ -80,7 +80,7 @@ def test_truth_mesh(tmp_path):
     assert dataset.truth_mesh == tmp_path / "set" / "truth.ply"
     assert trimesh.load_mesh(dataset.truth_mesh).volume == pytest.approx(6.0)
     dataset.truth_mesh.unlink()
-    with pytest.raises(SarsplatError, match=r"lacks its mesh truth\.ply"):
+    with pytest.raises(SarsplatError, match=r"lacks its mesh 'truth\.ply'"):
         read_dataset(dataset.path)
 
 
@@ -226,3 +226,19 @@ def test_damaged_images_never_crash(dataset):
         except SarsplatError:
             refused += 1
     assert refused > 100
+
+
+def test_a_mesh_name_longer_than_names_can_be(dataset):
+    header = json.loads((dataset.path / "dataset.json").read_text())
+    header["truth_mesh"] = "x" * 300
+    (dataset.path / "dataset.json").write_text(json.dumps(header))
+    with pytest.raises(SarsplatError, match=r"cannot read .*name is too long"):
+        read_dataset(dataset.path)
+
+
+def test_a_tiff_of_a_thousand_dimensions_is_told_briefly(dataset):
+    path = dataset.path / "images" / "001.tif"
+    tifffile.imwrite(path, np.zeros((1,) * 20 + (2, 3), np.float32), photometric="minisblack", volumetric=False)
+    with pytest.raises(SarsplatError, match="holds float32 pixels of shape") as refusal:
+        read_dataset(dataset.path)
+    assert len(str(refusal.value)) < 500

@@ -249,8 +249,10 @@ def read_dataset(path: Path) -> Dataset:
         raise SarsplatError(f"{path / HEADER}: {error}") from error
     for item in dataset.views:
         read_power_tiff(path / item.image, (dataset.grid.rows, dataset.grid.columns))
-    if dataset.truth_mesh is not None and not dataset.truth_mesh.is_file():
-        raise SarsplatError(f"{path} lacks its mesh {dataset.truth_mesh.name}; {_MAKE_ONE}")
+    with plain_os_errors("read", path):  # a name may be longer than the system has names
+        lacking = dataset.truth_mesh is not None and not dataset.truth_mesh.is_file()
+    if dataset.truth_mesh is not None and lacking:
+        raise SarsplatError(f"{path} lacks its mesh {shown(dataset.truth_mesh.name)}; {_MAKE_ONE}")
     return dataset
 
 

@@ -80,7 +80,7 @@ def read_power_tiff(path: Path, shape: tuple[int, int]) -> Float32[np.ndarray, "
         raise SarsplatError(f"{path} is not a readable TIFF ({shown(str(error))}); make the dataset again") from error
     if power is None:
         raise SarsplatError(
-            f"{path} holds {found[1]} pixels of shape {found[0]}, compression {found[2]!r:.30}, on "
+            f"{path} holds {found[1]} pixels of shape {shown(found[0])}, compression {found[2]!r:.30}, on "
             f"{'several pages' if found[3] else 'one page'}; give one page of uncompressed float32 of shape {shape}"
         )
     check_power(power, str(path))
