@@ -2,17 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from scipy.ndimage import binary_dilation, gaussian_filter, label, shift
+from scipy.ndimage import binary_dilation, gaussian_filter, label, median_filter, shift
 
-SIGMA = 1.5  # pixels: the despeckling filter
 FRAME = 12  # pixels along the chip's edges that show nothing but ground
+REACH = 10  # pixels: a shadow starts no farther from the target, whose far side may be dim
+
+Filter = Callable[[np.ndarray], np.ndarray]
+GAUSSIAN: Filter = partial(gaussian_filter, sigma=1.5)  # pixels
+FILTERS: dict[str, Filter] = {
+    "Gaussian, σ = 1.5": GAUSSIAN,
+    "median, 5 × 5": partial(median_filter, size=5),
+    "median, 7 × 7": partial(median_filter, size=7),
+}
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How outlines are found: a despeckling filter, and levels over the ground's median."""
+
+    smooth: Filter
+    bright: float
+    dark: float
+
+    @classmethod
+    def passing(cls, smooth: Filter, share: float, chips: np.ndarray) -> Rule:
+        """The rule whose levels are passed by this share of the chips' frames, which show ground alone."""
+        ground = np.concatenate([despeckled(power, smooth)[_frame(power)] for power in chips])
+        return cls(smooth, float(np.quantile(ground, 1 - share)), float(np.quantile(ground, share)))
+
+
 # Fixed by the ground alone: of the measured chips' frames one filtered pixel in a hundred is brighter than 3 × their
 # median, and one in a hundred darker than 0.35 × it.
-BRIGHT, DARK = 3.0, 0.35
-REACH = 10  # pixels: a shadow starts no farther from the target, whose far side may be dim
+RULE = Rule(GAUSSIAN, bright=3.0, dark=0.35)
 
 
 @dataclass(frozen=True)
@@ -29,19 +55,23 @@ class Outline:
         return Outline(*(shift(mask.astype(np.uint8), by, order=0).astype(bool) for mask in (self.target, self.shadow)))
 
 
-def despeckled(power: np.ndarray) -> np.ndarray:
-    """Power behind a Gaussian filter, over the median of the ground's: the pixels of the frame."""
-    smooth = gaussian_filter(np.asarray(power, dtype=np.float64), SIGMA)
-    ground = np.ones(smooth.shape, dtype=bool)
-    ground[FRAME:-FRAME, FRAME:-FRAME] = False
-    return smooth / np.median(smooth[ground])
+def despeckled(power: np.ndarray, smooth: Filter = GAUSSIAN) -> np.ndarray:
+    """Power behind a filter, over the median of the ground's: the pixels of the frame."""
+    level = smooth(np.asarray(power, dtype=np.float64))
+    return level / np.median(level[_frame(power)])
 
 
-def outline(power: np.ndarray) -> Outline:
-    """Target: the largest connected area above `BRIGHT`. Shadow: the largest below `DARK` within `REACH` of it."""
-    level = despeckled(power)
-    target = _largest(level > BRIGHT)
-    return Outline(target, _largest(level < DARK, binary_dilation(target, iterations=REACH)))
+def outline(power: np.ndarray, rule: Rule = RULE) -> Outline:
+    """Target: the largest connected area that is bright. Shadow: the largest dark one within `REACH` of it."""
+    level = despeckled(power, rule.smooth)
+    target = _largest(level > rule.bright)
+    return Outline(target, _largest(level < rule.dark, binary_dilation(target, iterations=REACH)))
+
+
+def _frame(power: np.ndarray) -> np.ndarray:
+    frame = np.ones(power.shape, dtype=bool)
+    frame[FRAME:-FRAME, FRAME:-FRAME] = False
+    return frame
 
 
 def _largest(mask: np.ndarray, touching: np.ndarray | None = None) -> np.ndarray:

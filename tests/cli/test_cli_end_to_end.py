@@ -3,9 +3,12 @@
 import errno
 import json
 import os
+import re
 import shutil
 import signal
+from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -270,9 +273,42 @@ def test_info_on_rendered_images(workshop: Path, tmp_path: Path, capsys: pytest.
     assert "has lost its images" in refusal(["info", str(out)], capsys)
 
 
+def test_info_on_a_run_whose_dataset_has_moved(
+    workshop: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(workshop / "run", run)
+    capsys.readouterr()
+    assert main(["info", str(run)]) == 0
+    before = capsys.readouterr().out.split()
+    header = json.loads((run / "config.json").read_text())
+    (run / "config.json").write_text(json.dumps({**header, "dataset": str(tmp_path / "gone")}))
+    assert main(["info", str(run)]) == 0
+    after = capsys.readouterr().out
+    assert "(no longer there)" in after
+    assert after.split()[-20:] == before[-20:]  # iterations, Gaussians, points: as with the dataset
+    (run / "gaussians.ply").unlink()
+    assert main(["info", str(run)]) == 0
+    assert "unknown without the dataset" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("part", ["run/config.json", "run/report", "run/report/index.html", "dataset/dataset.json"])
+def test_info_points_from_a_part_to_the_whole(workshop: Path, part: str, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = workshop / part.partition("/")[0]
+    assert f"is a part of the {whole.name} {whole}; give that folder" in refusal(["info", str(workshop / part)], capsys)
+
+
+def test_doctor_names_the_gpu(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(import_module("sarsplat.render.cuda_device"), "require_cuda", lambda: None)
+    monkeypatch.setattr("torch.cuda.get_device_name", lambda: "Some GPU")
+    monkeypatch.setattr(import_module("sarsplat.render.nvrtc"), "Nvrtc", lambda: SimpleNamespace(version="12.8"))
+    assert main(["doctor"]) == 0
+    assert "Some GPU, compiled at first use by NVRTC 12.8" in capsys.readouterr().out
+
+
 def test_doctor_knows_what_is_installed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor"]) == 0
     said = capsys.readouterr().out
-    assert "not yet in this version" in said
+    assert re.search(r"cuda +(not usable: the CUDA engine needs|not usable: torch|\S.* by NVRTC \d)", said)
     assert "trimesh" in said
     assert "SARSPLAT_LPIPS_WEIGHTS" in said

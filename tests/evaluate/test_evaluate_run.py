@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sarsplat.data import Dataset, write_dataset
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.evaluate import IMAGE_METRICS, POINT_METRICS, evaluate_run, log_correlation, nats_per_pixel, psnr_db
 from sarsplat.evaluate.lpips import WEIGHTS_VARIABLE
 from sarsplat.geometry import ImageGrid, View
@@ -194,7 +194,8 @@ def only_training(path: Path, mesh) -> Dataset:
 
 
 def test_without_test_views_the_points_are_scored(tmp_path, make):  # make: coarse surfaces
-    metrics = evaluate_run(FakeRun(only_training(tmp_path / "with mesh", CUBE)))
+    with pytest.warns(SarsplatWarning, match="made from one view, from which no shape can be told"):
+        metrics = evaluate_run(FakeRun(only_training(tmp_path / "with mesh", CUBE)))
     assert metrics["images"] == {}
     assert metrics["points"]["visible"]["cd_m"] is not None
     assert "no test images" in metrics["reasons"]["images"]

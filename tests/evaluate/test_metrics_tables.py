@@ -37,6 +37,7 @@ def test_rendered_sets_stand_above_the_paper():
         ["ours, test", "53.71", "36.00", "0.9995", "–", "0.074", "0.983", "1:02"],
         ["paper, T72", "35.91", "–", "0.9943", "0.0165", "0.187", "0.925", "6:40"],
     ]
+    assert "not the same experiment" in str(table.caption)
 
 
 def test_another_row_of_the_paper():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 import torch
 
 from sarsplat import Dataset, Run, SarsplatError, View, preset, reconstruct
+from sarsplat.errors import SarsplatWarning
 from sarsplat.reconstruct import Config, Trainer, extract_points
 from sarsplat.reconstruct.config import Densification
 from sarsplat.reconstruct.model import SceneModel
@@ -141,6 +143,20 @@ def test_measured_scenes_have_ground_noise_and_their_own_shifts(dataset: Dataset
         images, _ = trainer.model.render([View(0.0, 20.0)], dataset.grid, 0)
     floor = float(trainer.model.parameters["noise"].detach().exp()) * trainer.model.unit
     assert float(images.min()) >= floor * (1 - 1e-6)
+
+
+def test_a_target_larger_than_its_box_is_told(dataset: Dataset, tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    config = replace(preset("measured"), gaussians=20)
+    for height, fits in ((3.1, True), (10.0, False)):
+        mesh = tmp_path / f"{height}.ply"
+        trimesh.creation.box(bounds=[[-4, -2, 0], [6, 2, height]]).export(mesh)
+        images = replace(dataset, truth_mesh=mesh)
+        with nullcontext() if fits else pytest.warns(SarsplatWarning, match=r"z 0.0 … 10.0 m\) is larger than the box"):
+            Trainer(images, config)
+    Trainer(images, replace(preset("default"), gaussians=20))  # bounded by the images: no warning
+    mesh.write_bytes(b"garbled")
+    Trainer(images, config)
 
 
 def test_points_of_no_gaussians_are_none(finished: Run, dataset: Dataset) -> None:

@@ -1,6 +1,7 @@
 """The report of runs of every kind."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -102,6 +103,15 @@ def test_the_page_says_what_matters(tmp_path: Path) -> None:
     for words in (*expected, "12.5 s", "5 of 5 test views", "floor 0.1, lobe 0.9", "<dt>seed</dt><dd>7</dd>"):
         assert words in text, words
     assert '<td class="best">51.23</td>' in text
+
+
+def test_the_figures_of_the_paper_stand_with_a_caution(tmp_path: Path) -> None:
+    dataset = make_dataset(tmp_path)
+    told = "The paper&#x27;s figures are not the same experiment"
+    assert told in words_of(write_report(make_run(tmp_path, dataset, make_metrics())))
+    elsewhere = replace(dataset, source={"target": "t72", "protocol": None})
+    (tmp_path / "other").mkdir()
+    assert told not in words_of(write_report(make_run(tmp_path / "other", elsewhere, make_metrics())))
 
 
 def test_names_from_files_cannot_become_markup(tmp_path: Path) -> None:

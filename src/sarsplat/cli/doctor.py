@@ -14,9 +14,7 @@ from sarsplat.errors import SarsplatError
 def doctor() -> None:
     """Say which version, engines, extras and weights this installation has, and how to get what it lacks."""
     console.facts(f"sarsplat {extras.installed_version('sarsplat') or '(running from source)'}", _core())
-    console.facts(
-        "engines", {"reference": "plain torch, any dtype", "cpu": _cpu_engine(), "cuda": "not yet in this version"}
-    )
+    console.facts("engines", {"reference": "plain torch, any dtype", "cpu": _cpu_engine(), "cuda": _cuda_engine()})
     console.facts("extras", {extra: _extra(extra) for extra in extras.EXTRAS})
     console.facts("LPIPS weights", {"found": _lpips_weights()})
 
@@ -38,6 +36,19 @@ def _cpu_engine() -> str:
         return f"loaded, instruction set {best_instruction_set()}"
     except SarsplatError as error:
         return str(error)
+
+
+def _cuda_engine() -> str:
+    import torch
+
+    from sarsplat.render.cuda_device import require_cuda
+    from sarsplat.render.nvrtc import Nvrtc
+
+    try:
+        require_cuda()
+        return f"{torch.cuda.get_device_name()}, compiled at first use by NVRTC {Nvrtc().version}"
+    except SarsplatError as error:
+        return f"not usable: {error}"
 
 
 def _extra(extra: str) -> str:

@@ -39,7 +39,16 @@ def _folder(path: Path) -> tuple[str, dict[str, str]]:
         return _run(path)
     if (path / "contact-sheet.png").is_file():
         return _renderings(path)
+    _refuse_part(path)
     raise SarsplatError(f"{path} is a folder but neither a dataset nor a run; give {_UNDERSTOOD}")
+
+
+def _refuse_part(path: Path) -> None:
+    """Point from a part of a dataset or run to the whole."""
+    for folder in path.absolute().parents[:2]:
+        for header, whole in (("dataset.json", "dataset"), ("config.json", "run")):
+            if (folder / header).is_file():
+                raise SarsplatError(f"{path} is a part of the {whole} {folder}; give that folder")
 
 
 def _file(path: Path) -> tuple[str, dict[str, str]]:
@@ -55,6 +64,7 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
         case ".png" | ".jpg" | ".jpeg":
             raise SarsplatError(f"{path} is a picture, which carries no units; chips are read by `sarsplat import`")
         case ".json" | ".jsonl" | ".safetensors" | ".html" | ".csv" | ".txt" | ".md":
+            _refuse_part(path)
             raise SarsplatError(f"{path} is none of what this command knows; give {_UNDERSTOOD}")
     return _mesh(path)
 
@@ -93,16 +103,22 @@ def _grid(grid: ImageGrid) -> dict[str, str]:
 
 
 def _run(path: Path) -> tuple[str, dict[str, str]]:
+    from sarsplat.data import read_gaussians_ply
     from sarsplat.reconstruct import Run
 
     run = Run.load(path)
+    whole = run.dataset_path.exists()  # without its dataset the results in its folder are what there is
+    gaussians, points = path / "gaussians.ply", path / "points.ply"
+    lost = "unknown without the dataset"
     rows = {
-        "dataset": str(run.dataset_path),
+        "dataset": str(run.dataset_path) if whole else f"{run.dataset_path} (no longer there)",
         "preset": f"{run.config.preset}, start {run.config.initialisation}, seed {run.seed}",
         "iterations": f"{run.iteration} of {run.config.iterations}",
         "time": f"{run.time_s:.1f} s",
-        "Gaussians": str(len(run.gaussians)),
-        "points": _extent(run.points),
+        "Gaussians": str(len(run.gaussians if whole else read_gaussians_ply(gaussians)))
+        if whole or gaussians.is_file()
+        else lost,
+        "points": _extent(run.points) if whole or points.is_file() else lost,
         "scores": "metrics.json" if run.metrics else "none yet; sarsplat evaluate makes them",
         "report": "report/index.html" if (path / "report" / "index.html").is_file() else "none yet",
     }

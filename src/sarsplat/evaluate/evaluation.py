@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from sarsplat.data import Dataset
+from sarsplat.data.plausible import warn
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluate import images, lpips
 from sarsplat.evaluate.images import Stack
@@ -68,7 +69,7 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dic
     -------
     dict
         The content of `metrics.json`: `images.<set>.<metric>`, `points.{visible, whole}.<metric>`, `yardsticks` (what
-        two-dimensional tricks score on measured chips: protocol M), `time_s`, `seed`,
+        two-dimensional tricks score on measured chips), `time_s`, `seed`,
         `domain` (what exactly was compared) and `reasons`: for every metric that is None, its dotted key and why.
         Without test images `images` is empty.
 
@@ -77,6 +78,11 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dic
     SarsplatError
         If there is nothing to score (no test images, and no true mesh or no points), the training images are black, a
         rendered image is unsound, the LPIPS weights are given but unusable, or the true mesh cannot be read.
+
+    Warns
+    -----
+    SarsplatWarning
+        If points of a run from one training view are scored.
     """
     dataset = run.dataset
     test_sets = [split for split in dataset.splits() if split != "train"]
@@ -146,10 +152,10 @@ def _image_metrics(
 def _not_applicable(dataset: Dataset) -> dict[str, str]:
     """Image metrics that say nothing about this kind of dataset, and why."""
     if dataset.domain == "measured":
-        reason = "the truth is a measured, speckled image; noise-free images are needed (protocol R)"
+        reason = "the truth is a measured, speckled image; this score needs a noise-free one"
         return dict.fromkeys(("psnr_db", "psnr_target_db", "ssim", "lpips"), reason)
     if not dataset.source.get("looks"):
-        reason = "the truth is free of speckle; a speckle likelihood needs measured or speckled images (protocol M)"
+        reason = "the truth is free of speckle; this score needs a measured or speckled one"
         return dict.fromkeys(("nats_per_pixel", "log_correlation"), reason)
     return {}
 
@@ -161,7 +167,10 @@ def _points(run: EvaluatedRun, reasons: dict[str, str]) -> dict[str, dict[str, f
         return _no_points("the dataset has no true mesh to compare with", reasons)
     if len(points) == 0:
         return _no_points("the run reconstructed no points", reasons)
-    surface = visible_surface(read_truth_mesh(dataset.truth_mesh), [entry.view for entry in dataset.select("train")])
+    views = [entry.view for entry in dataset.select("train")]
+    surface = visible_surface(read_truth_mesh(dataset.truth_mesh), views)
+    if len(views) == 1:
+        warn([f"{run.path} was made from one view, from which no shape can be told: its CD and F1 say nothing"])
     return {
         "visible": _flat(point_metrics(points, surface.triangles, surface.samples)),
         "whole": _flat(point_metrics(points, surface.all_triangles, surface.samples_whole)),

@@ -66,6 +66,13 @@ def paper_row(target_name: str) -> PaperRow:
         raise SarsplatError(f"the paper has no row for {target_name!r}; it has {names}") from None
 
 
+NOT_THE_SAME_EXPERIMENT = (
+    "The paper's figures are not the same experiment: its targets and images are not published, its truth is rendered "
+    "by its own method, and its F1 threshold and Chamfer distance are not defined."
+)
+"""What must stand wherever the paper's figures stand beside others."""
+
+
 def _decimals(count: int) -> Callable[[float | None], str]:
     return lambda value: "–" if value is None else f"{value:.{count}f}"
 
@@ -111,6 +118,7 @@ def metrics_table(
     rich.table.Table
         A column for every score that any row has: PSNR, SSIM and LPIPS of noise-free truth, likelihood and correlation
         of speckled truth, CD and F1 of a known surface, and time. "–" stands for what does not apply.
+        Below the paper's row, what it means.
     """
     points = {key: metrics["points"]["visible"][key] for key in ("cd_m", "f1@0.3")}
     common = {**points, "time_s": metrics["time_s"]}
@@ -131,4 +139,6 @@ def metrics_table(
         table.add_column(heading, justify="right", min_width=max(map(len, words)))  # headings may wrap
     for name, scores in rows:
         table.add_row(name, *(text(scores.get(key)) for key, _, text in shown))
+    if paper is not None:
+        table.caption, table.caption_justify = NOT_THE_SAME_EXPERIMENT, "left"
     return table

@@ -13,12 +13,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.data import Dataset
+from sarsplat.data.plausible import warn
+from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MIN_SCALE, Gaussians, join
 from sarsplat.gaussians.ground import ground_sheet
 from sarsplat.gaussians.initialise import Region, bounded_region, hemisphere_shell, random_quaternions
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruct.config import Config, logit_of_scattering
 from sarsplat.render import Rendering, render
+from sarsplat.scenes.mesh_files import read_mesh
 
 PER_GAUSSIAN = ("means", "quaternions", "log_scales", "log_optical_depth", "harmonics", "higher_harmonics")
 """Parameters with one row for each Gaussian; the others are nuisances of measured data."""
@@ -60,8 +63,10 @@ class SceneModel:
 
     @classmethod
     def initial(cls, config: Config, dataset: Dataset, generator: torch.Generator) -> SceneModel:
-        """The state training starts from."""
+        """The state training starts from; warns if a given region leaves out a part of the true target."""
         region, unit = scene_region(config, dataset), power_unit(config, dataset)
+        if config.surroundings:
+            warn(_cut_off(region, dataset))
         sample = hemisphere_shell if config.initialisation == "hemisphere" else Region.sample
         n, views = config.gaussians, len(dataset.select("train"))
         parameters = {
@@ -189,6 +194,28 @@ def scene_region(config: Config, dataset: Dataset) -> Region:
         return Region.box(config.surroundings.target_low, config.surroundings.target_high)
     views = [item.view for item in dataset.select("train")]
     return bounded_region(dataset.images("train"), views, dataset.grid)
+
+
+def _cut_off(region: Region, dataset: Dataset) -> list[str]:
+    """What of the true target lies outside; a list of one sentence, or empty."""
+    if dataset.truth_mesh is None:
+        return []
+    try:
+        vertices = np.asarray(read_mesh(dataset.truth_mesh).vertices)
+    except (ImportError, SarsplatError):  # training does not need it; evaluation, which does, says what is wrong
+        return []
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    if (low >= region.low - _SLACK).all() and (high <= region.high + _SLACK).all():
+        return []
+
+    def spans(low: np.ndarray, high: np.ndarray) -> str:
+        return ", ".join(f"{name} {a:.1f} … {b:.1f}" for name, a, b in zip("xyz", low, high, strict=True))
+
+    return [
+        f"the target ({spans(low, high)} m) is larger than the box that the configuration gives it "
+        f"({spans(region.low, region.high)} m) and will be cut off; simulate it without ground for the preset default, "
+        "or widen surroundings.target_low and target_high of the configuration in Python"
+    ]
 
 
 def power_unit(config: Config, dataset: Dataset) -> float:

@@ -13,6 +13,7 @@ from typing import Any
 
 from sarsplat.data import Dataset
 from sarsplat.errors import counted
+from sarsplat.evaluate.tables import NOT_THE_SAME_EXPERIMENT
 from sarsplat.reconstruct import Run
 from sarsplat.report.scores import ScoreTable, paper_beside, score_tables
 
@@ -30,7 +31,8 @@ class Picture:
 def page(run: Run, pictures: list[Picture], training: list[Picture]) -> str:
     """The whole page as HTML: pictures come before the scores, those of the training after them."""
     metrics, dataset = run.metrics, run.dataset
-    tables = score_tables(metrics, paper_beside(dataset) if dataset.domain == "rendered" else None) if metrics else []
+    paper = paper_beside(dataset) if dataset.domain == "rendered" else None
+    tables = score_tables(metrics, paper) if metrics else []
     target = str(dataset.source.get("target") or dataset.source.get("class") or dataset.path.name)
     here = files("sarsplat.report")
     return Template(here.joinpath("page.html").read_text("utf-8")).substitute(
@@ -40,7 +42,7 @@ def page(run: Run, pictures: list[Picture], training: list[Picture]) -> str:
         cards=_cards(run, tables),
         pictures="\n".join(_picture(picture) for picture in pictures),
         training="\n".join(_picture(picture) for picture in training),
-        scores=_scores(tables, metrics),
+        scores=_scores(tables, metrics, NOT_THE_SAME_EXPERIMENT if paper else ""),
         dataset=_facts(_dataset_facts(dataset)),
         run=_facts(_run_facts(run)),
         configuration=escape(json.dumps(run.config.as_dict(), indent=2)),
@@ -85,10 +87,11 @@ def _picture(picture: Picture) -> str:
     )
 
 
-def _scores(tables: list[ScoreTable], metrics: dict[str, Any] | None) -> str:
+def _scores(tables: list[ScoreTable], metrics: dict[str, Any] | None, caution: str) -> str:
     if metrics is None:
         return ""
-    parts = [_table(table) for table in tables]
+    parts = [f'<p class="note">{escape(caution)}</p>'] if caution else []
+    parts += [_table(table) for table in tables]
     missing: dict[str, list[str]] = {}
     for key, reason in metrics.get("reasons", {}).items():
         missing.setdefault(reason, []).append(key.rpartition(".")[2])
