@@ -90,3 +90,11 @@ def test_speckle_likelihood_is_best_at_the_mean_intensity() -> None:
     levels = torch.linspace(1.0, 6.0, 51)
     losses = torch.stack([speckle_loss(torch.full_like(intensity, float(level)), intensity) for level in levels])
     assert float(levels[losses.argmin()]) == pytest.approx(float(intensity.mean()), abs=0.06)
+
+
+@pytest.mark.parametrize("wrong", [torch.ones(1, 4, 5), torch.ones(1, 4, 4, dtype=torch.float64)])
+def test_what_does_not_fit_together_is_refused(wrong) -> None:
+    with pytest.raises(
+        SarsplatError, match=r"truth is torch.float\d\d \(1, 4, .\) on cpu; the loss takes torch.float32"
+    ):
+        amplitude_loss(torch.ones(1, 4, 4), wrong, 1.0, 0.0)

@@ -56,31 +56,34 @@ def relative(found: torch.Tensor, expected: torch.Tensor) -> float:
     return difference / float(expected.norm()) if difference else 0.0
 
 
+def check(name: str, found: dict[str, torch.Tensor | None]) -> None:
+    """Outputs within 1e-5 and gradients within 1e-4 of the reference's."""
+    _, expected, _, expected_gradients, _ = judged(name)
+    for output, value in expected.items():
+        missing = torch.isnan(value)
+        assert torch.equal(torch.isnan(found[output]), missing), output
+        assert relative(found[output][~missing], value[~missing]) <= 1e-5, output
+        assert name in NO_IMAGE or float(value[~missing].norm()) > 0, output
+    for argument, value in expected_gradients.items():
+        if value is None or name in NOTHING_TO_SEE:
+            assert found[argument] is None or not found[argument].any(), argument
+            continue
+        assert float(value.norm()) > 0, argument
+        assert relative(found[argument], value) <= 1e-4, argument
+
+
 @pytest.mark.parametrize("instruction_set", AVAILABLE)
 @pytest.mark.parametrize("name", MATRIX)
 def test_matches_the_reference(name, instruction_set):
-    scene, expected, norms, expected_gradients, maps = judged(name)
+    scene, _, norms, _, maps = judged(name)
     leaves = scene.leaves(torch.float32)
     rendering = scene.call(render, leaves, engine="cpu", instruction_set=instruction_set)
     outputs = outputs_of(rendering)
     for mine, theirs in zip(rendering.ray_maps, maps, strict=True):
         assert mine.transmittance.shape == theirs.transmittance.shape
         assert mine.transmittance.numel() == 0 or mine.origin == pytest.approx(theirs.origin)
-    for output, value in expected.items():
-        missing = torch.isnan(value)
-        assert torch.equal(torch.isnan(outputs[output]), missing), output
-        assert relative(outputs[output][~missing], value[~missing]) <= 1e-5, output
-        assert name in NO_IMAGE or float(value[~missing].norm()) > 0, output
-
-    gradients = dict(
-        zip(leaves, torch.autograd.grad(loss_of(outputs, norms), list(leaves.values()), allow_unused=True))
-    )
-    for argument, value in expected_gradients.items():
-        if value is None or name in NOTHING_TO_SEE:
-            assert gradients[argument] is None or not gradients[argument].any(), argument
-            continue
-        assert float(value.norm()) > 0, argument
-        assert relative(gradients[argument], value) <= 1e-4, argument
+    gradients = torch.autograd.grad(loss_of(outputs, norms), list(leaves.values()), allow_unused=True)
+    check(name, outputs | dict(zip(leaves, gradients, strict=True)))
 
 
 @pytest.mark.parametrize("name", [name for name in MATRIX if name not in NOTHING_TO_SEE])

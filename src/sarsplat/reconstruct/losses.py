@@ -42,8 +42,14 @@ def amplitude_loss(
     Raises
     ------
     SarsplatError
-        If SSIM is asked for and the images are smaller than its window.
+        If the two do not fit together, or SSIM is asked for and the images are smaller than its window.
     """
+    for name, tensor in (("power", power), ("truth", truth)):  # the engine reads their memory as such
+        if tensor.shape != power.shape or tensor.dtype != torch.float32 or tensor.device.type != "cpu":
+            raise SarsplatError(
+                f"{name} is {tensor.dtype} {tuple(tensor.shape)} on {tensor.device}; the loss takes torch.float32 on "
+                f"the CPU, both of shape {tuple(power.shape)}"
+            )
     if ssim_weight > 0 and min(power.shape[1:]) < SSIM_WINDOW:
         raise SarsplatError(
             f"SSIM needs images of at least {SSIM_WINDOW} × {SSIM_WINDOW} pixels, and these have "

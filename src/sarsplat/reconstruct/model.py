@@ -57,7 +57,10 @@ class SceneModel:
         for name in PER_GAUSSIAN:
             if parameters[name].dtype != torch.float32 or len(parameters[name]) != n:
                 raise ValueError(f"{name} is {parameters[name].dtype} {list(parameters[name].shape)}")
-        self.parameters = {name: tensor.detach().clone().requires_grad_() for name, tensor in parameters.items()}
+        self.parameters = {
+            name: tensor.detach().clone(memory_format=torch.contiguous_format).requires_grad_()
+            for name, tensor in parameters.items()
+        }
         around = config.surroundings
         self._ground = ground_sheet(around.ground_radius, _GROUND_PITCH) if around else None
 

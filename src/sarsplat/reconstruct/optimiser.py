@@ -110,6 +110,8 @@ class Optimiser:
             if f"{name}/step" not in state:
                 continue
             self._steps[name] = int(state[f"{name}/step"])
+            if self._steps[name] < 1:
+                raise ValueError(f"{name} was stepped {self._steps[name]} times")
             for moment in _MOMENTS:
                 value = state[f"{name}/{moment}"]
                 if value.shape != tensor.shape or value.dtype != torch.float32:

@@ -6,7 +6,6 @@
 // Every stage is a set of independent tasks whose number and order of summation depend on the problem alone, never on
 // the number of threads: results are bit-identical for any.
 
-
 #include "adam.h"
 #include "arrange.h"
 #include "context.h"
