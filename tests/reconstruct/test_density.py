@@ -9,7 +9,7 @@ import torch
 from sarsplat import Gaussians, preset
 from sarsplat.reconstruct.config import Densification
 from sarsplat.reconstruct.density import DensityControl
-from sarsplat.reconstruct.optimiser import Optimiser, learning_rate
+from sarsplat.reconstruct.optimiser import Optimiser, decay, learning_rate
 
 CONTROL = Densification(
     start=10, stop=100, every=10, gradient=1.0, split_above=0.1, largest=0.3, least_scattering=0.01, most=10
@@ -68,7 +68,11 @@ def test_moments_follow_their_gaussians() -> None:
 
 def test_rates_decay_as_documented() -> None:
     config = preset("default")
-    assert learning_rate("means", 0, config) == config.rates.means
-    assert abs(learning_rate("means", config.iterations, config) - config.rates.means_end) < 1e-12
-    assert learning_rate("harmonics", config.iterations // 2, config) == config.rates.harmonics
-    assert abs(learning_rate("shift", config.iterations, config) - 0.1 * config.rates.nuisance) < 1e-12
+    rates, last = config.rates, config.iterations
+    assert [learning_rate("harmonics", k, config) for k in (0, 1)] == [rates.harmonics, rates.higher_harmonics]
+    assert learning_rate("scales", 2, config) == rates.log_scales
+    assert learning_rate("shift", 0, config) == rates.nuisance
+    assert learning_rate("means", 0, config) == rates.means
+    assert decay("means", 0, config) == decay("harmonics", last // 2, config) == 1.0
+    assert abs(rates.means * decay("means", last, config) - rates.means_end) < 1e-12
+    assert abs(decay("shift", last, config) - 0.1) < 1e-12

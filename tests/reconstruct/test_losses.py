@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import loss_twin
 import pytest
 import torch
 
 from sarsplat.errors import SarsplatError
+from sarsplat.reconstruct import losses as module
 from sarsplat.reconstruct.losses import amplitude_loss, speckle_loss
+from sarsplat.render import cpu
+
+BUILT = cpu.INSTRUCTION_SETS[1:]
+AVAILABLE = BUILT[: BUILT.index(cpu.best_instruction_set()) + 1]
 
 
 def pair(views: int, rows: int, columns: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -21,10 +28,12 @@ def pair(views: int, rows: int, columns: int) -> tuple[torch.Tensor, torch.Tenso
     return power, truth
 
 
-# one vector and less, tails, a window that fits once, more rows than one task
-@pytest.mark.parametrize("shape", [(1, 11, 11), (2, 12, 29), (3, 40, 17), (1, 128, 128), (2, 33, 64)])
+# one vector and less, tails, a window that fits once, more rows than one task, tasks shorter than the window
+@pytest.mark.parametrize("shape", [(1, 11, 11), (2, 12, 29), (3, 40, 17), (1, 130, 128), (2, 33, 64)])
 @pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
-def test_amplitude_loss_and_its_gradient_are_the_twins(shape, weight) -> None:
+@pytest.mark.parametrize("instruction_set", AVAILABLE)
+def test_amplitude_loss_and_its_gradient_are_the_twins(shape, weight, instruction_set, monkeypatch) -> None:
+    monkeypatch.setattr(module.cpu, "Pass", partial(cpu.Pass, instruction_set))
     power, truth = pair(*shape)
     mine, theirs = power.clone().requires_grad_(), power.double().requires_grad_()
     found = amplitude_loss(mine, truth, 2.0, weight)

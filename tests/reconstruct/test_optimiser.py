@@ -3,58 +3,89 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
 from sarsplat.reconstruct import optimiser as module
 from sarsplat.reconstruct.config import preset
-from sarsplat.reconstruct.optimiser import Optimiser, learning_rate
+from sarsplat.reconstruct.optimiser import Optimiser, decay, learning_rate
 from sarsplat.render import cpu
 
 BUILT = cpu.INSTRUCTION_SETS[1:]
 AVAILABLE = BUILT[: BUILT.index(cpu.best_instruction_set()) + 1]
-# more than one task, a tail in the last vector, three and fifteen columns
-SHAPES = {"means": (6001, 3), "quaternions": (7, 4), "log_optical_depth": (1,), "higher_harmonics": (333, 15)}
+# more than one task, a tail in the last vector, one to sixteen columns
+SHAPES = {"means": (6001, 3), "quaternions": (7, 4), "optical_depth": (1,), "harmonics": (333, 16)}
 BOUNDS = {
     "means": (torch.tensor([-1.0, -0.5, 0.0]), torch.tensor([1.0, 0.5, 2.0])),
-    "log_optical_depth": (torch.tensor(-0.01), torch.tensor(0.01)),
+    "optical_depth": (torch.tensor(0.99), torch.tensor(1.01)),
 }
 
 
 def leaves() -> dict[str, torch.Tensor]:
     generator = torch.Generator().manual_seed(3)
-    return {name: torch.randn(shape, generator=generator).requires_grad_() for name, shape in SHAPES.items()}
+    leaves = {name: torch.randn(shape, generator=generator) for name, shape in SHAPES.items()}
+    leaves["optical_depth"].fill_(1.0)
+    return {name: tensor.requires_grad_() for name, tensor in leaves.items()}
 
 
 def test_every_step_is_torchs(instruction_set: str) -> None:
     config = preset("default")
-    mine, theirs = leaves(), leaves()
+    mine = leaves()
     optimiser = Optimiser(mine, BOUNDS, config)
-    groups = [{"params": [tensor], "name": name} for name, tensor in theirs.items()]
+    theirs = {name: tensor.detach().clone() for name, tensor in mine.items()}
+    theirs["optical_depth"].log_()  # what is stepped is its logarithm
+    low, high = BOUNDS["optical_depth"]
+    bounds = BOUNDS | {"optical_depth": (low.log(), high.log())}
+    columns = {  # one to a group of torch's: each has its rate
+        (name, k): tensor.view(len(tensor), -1)[:, k].requires_grad_()
+        for name, tensor in theirs.items()
+        for k in range(tensor[0].numel())
+    }
+    groups = [{"params": [tensor], "column": key} for key, tensor in columns.items()]
     adam = torch.optim.Adam(groups, lr=0.0, betas=(0.9, 0.99), eps=1e-15)
     generator = torch.Generator().manual_seed(4)
     for iteration in range(30):
-        for name in SHAPES:
-            if name == "higher_harmonics" and iteration < 10:
-                continue  # unused at first: it counts no steps
-            gradient = torch.randn(SHAPES[name], generator=generator) * 10.0 ** (iteration % 9 - 6)
-            mine[name].grad, theirs[name].grad = gradient.clone(), gradient
+        for name, shape in SHAPES.items():
+            gradient = torch.randn(shape, generator=generator) * 10.0 ** (iteration % 9 - 6)
+            if name == "harmonics" and iteration < 10:
+                gradient[:, 1:] = 0.0  # higher degrees are not used at first
+            mine[name].grad = gradient.clone()
+            if name == "optical_depth":
+                gradient *= mine[name].detach()
+            for k in range(gradient[0].numel()):
+                columns[name, k].grad = gradient.view(len(gradient), -1)[:, k]
         for group in adam.param_groups:
-            group["lr"] = learning_rate(group["name"], iteration, config)
+            name, column = group["column"]
+            group["lr"] = learning_rate(name, column, config) * decay(name, iteration, config)
         optimiser.step(iteration)
         adam.step()
         with torch.no_grad():
-            for name, (low, high) in BOUNDS.items():
+            for name, (low, high) in bounds.items():
                 theirs[name].clamp_(low, high)
         for name in SHAPES:
             assert mine[name].grad is None
-            assert torch.allclose(mine[name], theirs[name], rtol=1e-5, atol=1e-6), (name, iteration)
-    for name in SHAPES:
+            found = mine[name].log() if name == "optical_depth" else mine[name]
+            assert torch.allclose(found, theirs[name], rtol=1e-5, atol=1e-6), (name, iteration)
+    for (name, k), tensor in columns.items():
         for moment in ("exp_avg", "exp_avg_sq"):
-            found, expected = optimiser.state()[f"{name}/{moment}"], adam.state[theirs[name]][moment]
+            found, expected = optimiser.state()[f"{name}/{moment}"], adam.state[tensor][moment]
+            found = found.view(len(found), -1)[:, k]
             assert float((found - expected).norm() / expected.norm()) < 3e-6
-        assert float(optimiser.state()[f"{name}/step"]) == (20 if name == "higher_harmonics" else 30)
+
+
+def test_no_step_leaves_the_positive_numbers(instruction_set: str) -> None:
+    config = preset("default")
+    wild = replace(config, rates=replace(config.rates, log_scales=1e4))
+    parameters = {"scales": torch.full((5, 3), 0.1, requires_grad=True)}
+    bounds = {"scales": (torch.tensor(0.01), torch.tensor(0.5))}
+    optimiser = Optimiser(parameters, bounds, wild)
+    for sign, end in ((1.0, 0.01), (-1.0, 0.5)):
+        for _ in range(20):
+            parameters["scales"].grad = torch.full((5, 3), sign)
+            optimiser.step(0)
+        assert bool((parameters["scales"] == end).all())
 
 
 @pytest.fixture(params=AVAILABLE)
@@ -73,6 +104,32 @@ def test_values_changed_behind_a_backward_pass_are_noticed() -> None:
     optimiser.step(0)
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         square.backward()
+
+
+def test_every_parameter_needs_a_gradient() -> None:
+    optimiser = Optimiser({"means": torch.ones(4, 3, requires_grad=True)}, {}, preset("default"))
+    with pytest.raises(ValueError, match="means has no gradient"):
+        optimiser.step(0)
+
+
+def test_threads_change_nothing() -> None:
+    usual = torch.get_num_threads()
+    found = []
+    try:
+        for threads in (1, 2, 3):
+            torch.set_num_threads(threads)
+            parameters = leaves()
+            optimiser = Optimiser(parameters, BOUNDS, preset("default"))
+            for iteration in range(3):
+                for tensor in parameters.values():
+                    tensor.grad = tensor.detach().sin()
+                optimiser.step(iteration)
+            found.append(parameters)
+    finally:
+        torch.set_num_threads(usual)
+    for parameters in found[1:]:
+        for name in SHAPES:
+            assert torch.equal(parameters[name], found[0][name])
 
 
 def test_state_comes_back() -> None:

@@ -111,7 +111,7 @@ def test_a_checkpoint_of_another_version(begun: Path, dataset: Dataset) -> None:
     newest = Run.load(begun).checkpoint_path
     assert newest is not None
     tensors, state = load_checkpoint(newest)
-    del tensors["model/log_optical_depth"]
+    del tensors["model/optical_depth"]
     save_checkpoint(newest, tensors, state)
     refused(begun, dataset, CONFIG, "does not fit this version")
 

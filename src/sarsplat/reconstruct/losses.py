@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
@@ -18,6 +19,11 @@ FLOOR = 1e-3
 SSIM_WINDOW = 11
 SSIM_SIGMA = 1.5
 C1, C2 = 0.01**2, 0.03**2
+
+_WINDOW = torch.tensor(
+    [math.exp(-((k - SSIM_WINDOW // 2) ** 2) / (2 * SSIM_SIGMA**2)) for k in range(SSIM_WINDOW)], dtype=torch.float64
+)
+_WEIGHTS = (_WINDOW / _WINDOW.sum()).float()
 
 
 def amplitude_loss(
@@ -62,15 +68,12 @@ class _AmplitudeLoss(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, power: Tensor, truth: Tensor, reference: float, ssim_weight: float) -> Tensor:
         power, truth = power.contiguous(), truth.contiguous()
-        gradient, losses = torch.empty_like(power), power.new_empty(len(power))
-        x = torch.arange(SSIM_WINDOW, dtype=torch.float32, device="cpu") - SSIM_WINDOW // 2
-        window = torch.exp(-(x**2) / (2 * SSIM_SIGMA**2))
-        window /= window.sum()
-        pointers = (tensor.data_ptr() for tensor in (power, truth, window))
+        value, gradient = power.new_empty(()), torch.empty_like(power)
+        pointers = (tensor.data_ptr() for tensor in (power, truth, _WEIGHTS))
         numbers = (reference, FLOOR, ssim_weight, C1, C2)
-        cpu.Pass().amplitude_loss(cpu.Loss(*power.shape, *pointers, *numbers, gradient.data_ptr(), losses.data_ptr()))
+        cpu.Pass().amplitude_loss(cpu.Loss(*power.shape, *pointers, *numbers, value.data_ptr(), gradient.data_ptr()))
         ctx.save_for_backward(gradient)
-        return losses.mean(0)
+        return value
 
     @staticmethod
     @once_differentiable

@@ -23,8 +23,11 @@ from sarsplat.reconstruct.config import Config, logit_of_scattering
 from sarsplat.render import Rendering, render
 from sarsplat.scenes.mesh_files import read_mesh
 
-PER_GAUSSIAN = ("means", "quaternions", "log_scales", "log_optical_depth", "harmonics", "higher_harmonics")
+PER_GAUSSIAN = ("means", "quaternions", "scales", "optical_depth", "harmonics")
 """Parameters with one row for each Gaussian; the others are nuisances of measured data."""
+
+LOGARITHMIC = ("scales", "optical_depth")
+"""Positive ones, which move by factors: what is stepped is their logarithm."""
 
 _LEAST_OPTICAL_DEPTH = 1e-3
 _SLACK = 0.2
@@ -54,6 +57,8 @@ class SceneModel:
         self.region = region
         self.unit = unit
         n = len(parameters["means"])
+        if parameters["harmonics"].shape[1:] != ((config.harmonics_degree + 1) ** 2,):
+            raise ValueError(f"harmonics of degree {config.harmonics_degree} are {list(parameters['harmonics'].shape)}")
         for name in PER_GAUSSIAN:
             if parameters[name].dtype != torch.float32 or len(parameters[name]) != n:
                 raise ValueError(f"{name} is {parameters[name].dtype} {list(parameters[name].shape)}")
@@ -75,11 +80,11 @@ class SceneModel:
         parameters = {
             "means": torch.from_numpy(sample(region, n, generator)).float(),
             "quaternions": random_quaternions(n, generator),
-            "log_scales": torch.full((n, 3), math.log(config.initial_scale)),
-            "log_optical_depth": torch.full((n,), math.log(config.initial_optical_depth)),
-            "harmonics": torch.full((n, 1), logit_of_scattering(config.initial_scattering, config.p_min)),
-            "higher_harmonics": torch.zeros(n, (config.harmonics_degree + 1) ** 2 - 1),
+            "scales": torch.full((n, 3), config.initial_scale),
+            "optical_depth": torch.full((n,), config.initial_optical_depth),
+            "harmonics": torch.zeros(n, (config.harmonics_degree + 1) ** 2),
         }
+        parameters["harmonics"][:, 0] = logit_of_scattering(config.initial_scattering, config.p_min)
         if config.surroundings:
             mean_tangent = float(np.mean([math.tan(math.radians(v.view.grazing_deg)) for v in dataset.select("train")]))
             # γ⁰ of single-look clutter, from its median
@@ -102,13 +107,14 @@ class SceneModel:
     def target(self, degree: int) -> Gaussians:
         """The target's Gaussians, differentiable with respect to the parameters."""
         p = self.parameters
-        higher = (degree + 1) ** 2 - 1
-        harmonics = torch.cat([p["harmonics"], p["higher_harmonics"][:, :higher]], dim=1) if higher else p["harmonics"]
+        harmonics = p["harmonics"]
+        if degree < self.config.harmonics_degree:  # a slice of everything would be a copy all the same
+            harmonics = harmonics[:, : (degree + 1) ** 2]
         return Gaussians(
             p["means"],
             p["quaternions"],
-            p["log_scales"].exp(),
-            p["log_optical_depth"].exp(),
+            p["scales"],
+            p["optical_depth"],
             harmonics,
             self.config.p_min,
         )
@@ -150,7 +156,7 @@ class SceneModel:
         images = rendering.images
         if self.config.surroundings:
             images = images + p["noise"].exp().expand(grid.columns)  # so that its gradient is summed column by column
-        return images * self.unit, rendering
+        return images if self.unit == 1 else images * self.unit, rendering
 
     def _widened(self, grid: ImageGrid) -> ImageGrid:
         """The grid whose response includes the spread of the training chips' shifts."""
@@ -176,12 +182,12 @@ class SceneModel:
             half = (high - low).norm() / 2
             centre = (low + high) / 2
             low, high = torch.minimum(low, centre - half), torch.maximum(high, centre + half)
-        scales = torch.tensor(config.scale_bounds).clamp(min=MIN_SCALE).log()
-        depths = torch.tensor([_LEAST_OPTICAL_DEPTH, config.most_optical_depth]).log()
+        scales = torch.tensor(config.scale_bounds).clamp(min=MIN_SCALE)
+        depths = torch.tensor([_LEAST_OPTICAL_DEPTH, config.most_optical_depth])
         return {
             "means": (low - _SLACK, high + _SLACK),
-            "log_scales": (scales[0], scales[1]),
-            "log_optical_depth": (depths[0], depths[1]),
+            "scales": (scales[0], scales[1]),
+            "optical_depth": (depths[0], depths[1]),
         }
 
     @torch.no_grad()

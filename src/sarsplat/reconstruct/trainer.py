@@ -72,7 +72,7 @@ class Trainer:
             chips=chips,
             plane_gradients=gather,
         )
-        truth = self._truth[chips]
+        truth = torch.stack([self._truth[i] for i in chips])  # much faster than an index
         if self.config.loss == "amplitude":
             loss = amplitude_loss(images, truth, self._reference, self.config.ssim_weight)
         else:
@@ -105,7 +105,7 @@ class Trainer:
                 for name, tensor in self.model.parameters.items()
             }
             parameters["means"] = parameters["means"] + displacement
-            parameters["log_scales"] = parameters["log_scales"] + shrink.log()[:, None]
+            parameters["scales"] = parameters["scales"] * shrink[:, None]
         self.model = SceneModel(self.config, self.model.region, self.model.unit, parameters)
         self.model.constrain()
         self.optimiser = self.optimiser.rebuild(self.model.parameters, torch.where(kept, source, -1))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
 from ctypes import POINTER, c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
@@ -58,17 +57,23 @@ Loss = _struct(
     *((name, c_int32) for name in ("views", "rows", "columns")),
     *((name, c_void_p) for name in ("power", "truth", "window")),
     *((name, c_float) for name in ("reference", "floor", "ssim_weight", "c1", "c2")),
-    *((name, c_void_p) for name in ("gradient", "loss")),
+    *((name, c_void_p) for name in ("loss", "gradient")),
 )
-_BOUNDS = c_float * 16
+_COLUMNS = c_float * 16
 AdamGroup = _struct(
     "AdamGroup",
     *((name, c_void_p) for name in ("value", "gradient", "mean", "square")),
-    ("count", c_int64),
+    ("rows", c_int64),
     ("columns", c_int32),
-    *((name, c_float) for name in ("rate", "beta1_power", "beta2_power")),
-    ("low", _BOUNDS),
-    ("high", _BOUNDS),
+    ("logarithmic", c_int32),
+    ("decay", c_float),
+    *((name, _COLUMNS) for name in ("rate", "low", "high")),
+)
+AdamStep = _struct(
+    "AdamStep",
+    ("groups", POINTER(AdamGroup)),
+    ("count", c_int32),
+    *((name, c_float) for name in ("beta1", "beta2", "epsilon", "beta1_power", "beta2_power")),
 )
 
 
@@ -96,7 +101,7 @@ def library() -> ctypes.CDLL:
     lib.sg_trace.argtypes = [c_void_p, POINTER(Problem), c_int32, c_float, c_void_p, c_void_p]
     lib.sg_get_statistics.argtypes = [c_void_p, POINTER(Problem), POINTER(Statistics)]
     lib.sg_amplitude_loss.argtypes = [c_void_p, POINTER(Loss)]
-    lib.sg_adam.argtypes = [c_int32, POINTER(AdamGroup), c_int32, c_float, c_float, c_float]
+    lib.sg_adam.argtypes = [c_int32, POINTER(AdamStep)]
     lib.sg_adam.restype = None
     lib.sg_isa_name.restype = ctypes.c_char_p
     torch_pool = ctypes.CDLL(str(next((Path(torch.__file__).parent / "lib").glob("libtorch_cpu.*")))).torch_parallel_for
@@ -109,13 +114,10 @@ def best_instruction_set() -> str:
     return library().sg_isa_name(library().sg_best_isa()).decode()
 
 
-def adam(
-    groups: Sequence[ctypes.Structure], beta1: float, beta2: float, epsilon: float, instruction_set: str = "auto"
-) -> None:
+def adam(step: ctypes.Structure, instruction_set: str = "auto") -> None:
     """One step of Adam on every group, and its values back into their bounds."""
     library().sg_set_threads(torch.get_num_threads())
-    isa = INSTRUCTION_SETS.index(instruction_set)
-    library().sg_adam(isa, (AdamGroup * len(groups))(*groups), len(groups), beta1, beta2, epsilon)
+    library().sg_adam(INSTRUCTION_SETS.index(instruction_set), step)
 
 
 def _require_memory(status: int) -> None:
@@ -170,7 +172,7 @@ class Pass:
         _require_memory(self._library.sg_backward(self._handle, problem, gradients))
 
     def amplitude_loss(self, loss: ctypes.Structure) -> None:
-        """Fill the loss of every image and its gradient."""
+        """Fill in the loss and its gradient."""
         self._library.sg_set_threads(torch.get_num_threads())
         _require_memory(self._library.sg_amplitude_loss(self._handle, loss))
 

@@ -212,7 +212,7 @@ def _problem(inputs: Sequence[Tensor | None], setting: _Setting) -> tuple[ctypes
     assert means is not None
     degree = 0 if harmonics is None else math.isqrt(harmonics.shape[1]) - 1
     by_view = zip(*(_frame_and_basis(view, degree) for view in setting.views))
-    frames, basis = (torch.from_numpy(np.stack(part)).to(means.device) for part in by_view)
+    frames, basis = (torch.from_numpy(np.array(part)).to(means.device) for part in by_view)
     grid, rays = setting.grid, setting.rays
     problem = cpu.Problem(
         setting.peak,

@@ -2,49 +2,45 @@
 #pragma once
 #include "api.h"
 #include "parallel.h"
-#include "simd.h"
+#include "tail.h"
 
 namespace sarsplat {
 namespace SG_ISA {
 namespace {
 
-constexpr int kVectors = 256;       // vectors per task and column
+constexpr int kRows = 1024;  // per task; a multiple of every kWidth
 constexpr int kMostColumns = 16;
 
-void adam(const sg_adam_group* groups, int32_t count, float beta1, float beta2, float epsilon) {
-  for (int32_t n = 0; n < count; n++) {
-    const sg_adam_group& g = groups[n];
-    const int64_t per_task = (int64_t)kVectors * kWidth * g.columns, tasks = (g.count + per_task - 1) / per_task;
-    F low[kMostColumns], high[kMostColumns];  // of the j-th vector from a multiple of `columns` vectors on
-    for (int j = 0; j < g.columns; j++)
-      for (int k = 0; k < kWidth; k++) { low[j][k] = g.low[(j * kWidth + k) % g.columns]; high[j][k] = g.high[(j * kWidth + k) % g.columns]; }
-    const float rate = g.rate / (1.0f - g.beta1_power), spread = 1.0f / __builtin_sqrtf(1.0f - g.beta2_power);
-    auto step = [&](F& value, F gradient, F& mean, F& square, int j) {
-      mean += (gradient - mean) * (1.0f - beta1);
-      square = square * beta2 + gradient * gradient * (1.0f - beta2);
-      value -= mean / (root(square) * spread + epsilon) * rate;
-      value = smaller(larger(value, low[j]), high[j]);
-    };
-    parallel((int)tasks, [&](int task) {
-      const int64_t end = (task + 1) * per_task < g.count ? (task + 1) * per_task : g.count;
-      int j = 0;
-      for (int64_t i = task * per_task; i < end; i += kWidth, j = j + 1 < g.columns ? j + 1 : 0) {
-        alignas(64) float tail[4][kWidth] = {};
-        const bool whole = i + kWidth <= end;
-        float *value = g.value + i, *mean = g.mean + i, *square = g.square + i;
-        const float* gradient = g.gradient + i;
-        if (!whole) {
-          for (int64_t k = 0; k < end - i; k++) { tail[0][k] = value[k]; tail[1][k] = gradient[k]; tail[2][k] = mean[k]; tail[3][k] = square[k]; }
-          value = tail[0]; gradient = tail[1]; mean = tail[2]; square = tail[3];
-        }
-        F v = load_anywhere(value), m = load_anywhere(mean), s = load_anywhere(square);
-        step(v, load_anywhere(gradient), m, s, j);
-        store_anywhere(value, v); store_anywhere(mean, m); store_anywhere(square, s);
-        if (!whole)
-          for (int64_t k = 0; k < end - i; k++) { g.value[i + k] = tail[0][k]; g.mean[i + k] = tail[2][k]; g.square[i + k] = tail[3][k]; }
-      }
-    });
-  }
+int adam_tasks(const sg_adam_group& g) { return (int)((g.rows + kRows - 1) / kRows); }
+
+void adam(const sg_adam_step* adam) {
+  const float mean_share = 1.0f - adam->beta1, square_share = 1.0f - adam->beta2;
+  const float rate = 1.0f / (1.0f - adam->beta1_power), spread = 1.0f / __builtin_sqrtf(1.0f - adam->beta2_power);
+  int tasks = 0;
+  for (int32_t n = 0; n < adam->count; n++) tasks += adam_tasks(adam->groups[n]);
+  parallel(tasks, [&](int task) {
+    const sg_adam_group* group = adam->groups;
+    for (; task >= adam_tasks(*group); group++) task -= adam_tasks(*group);
+    const sg_adam_group& g = *group;
+    alignas(64) float low[kMostColumns * kWidth], high[kMostColumns * kWidth], rates[kMostColumns * kWidth];
+    for (int k = 0, column = 0; k < g.columns * kWidth; k++, column = column + 1 < g.columns ? column + 1 : 0) {
+      low[k] = g.low[column]; high[k] = g.high[column]; rates[k] = g.rate[column] * g.decay * rate;
+    }
+    const int64_t end = (task + 1 < adam_tasks(g) ? (int64_t)(task + 1) * kRows : g.rows) * g.columns;
+    for (int64_t i = (int64_t)task * kRows * g.columns, k = 0; i < end; i += kWidth, k = k + kWidth < g.columns * kWidth ? k + kWidth : 0) {
+      const int64_t some = end - i;
+      F value = load_some(g.value + i, some), gradient = load_some(g.gradient + i, some);
+      if (g.logarithmic) gradient *= value;
+      F mean = load_some(g.mean + i, some), square = load_some(g.square + i, some);
+      mean += (gradient - mean) * mean_share;
+      square = square * adam->beta2 + gradient * gradient * square_share;
+      const F down = mean / (root(square) * spread + adam->epsilon) * load(rates + k);
+      value = g.logarithmic ? value * power2(smaller(larger(down * -1.44269504f, splat(-99.0f)), splat(99.0f))) : value - down;
+      store_some(g.mean + i, mean, some);
+      store_some(g.square + i, square, some);
+      store_some(g.value + i, smaller(larger(value, load(low + k)), load(high + k)), some);
+    }
+  });
 }
 
 }  // namespace

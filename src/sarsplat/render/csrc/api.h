@@ -54,13 +54,21 @@ struct sg_statistics {    // of the last forward: for the benchmarks
 };
 
 struct sg_adam_group {    // one parameter of a training
-  float* value;
+  float* value;             // [rows, columns]
   const float* gradient;
   float *mean, *square;     // moments
-  int64_t count;            // of numbers; a multiple of columns
-  int32_t columns;          // bounds repeat after so many; 1 to 16
-  float rate, beta1_power, beta2_power;  // beta to the number of steps, this one included
-  float low[16], high[16];
+  int64_t rows;
+  int32_t columns;          // 1 to 16
+  int32_t logarithmic;      // 1: the step is one of the value's logarithm
+  float decay;              // factor on the rates
+  float rate[16], low[16], high[16];  // of each column
+};
+
+struct sg_adam_step {
+  const sg_adam_group* groups;
+  int32_t count;            // of groups
+  float beta1, beta2, epsilon;
+  float beta1_power, beta2_power;  // beta to the number of steps, this one included
 };
 
 struct sg_loss {          // of V images; see loss.h
@@ -68,8 +76,8 @@ struct sg_loss {          // of V images; see loss.h
   const float *power, *truth;  // [V, rows, columns]
   const float* window;    // 11 weights
   float reference, floor, ssim_weight, c1, c2;
-  float* gradient;        // out [V, rows, columns]: of the mean over the images
-  float* loss;            // out [V]
+  float* loss;            // out: one number, the mean over the images
+  float* gradient;        // out [V, rows, columns]
 };
 
 struct sg_context;        // what backward needs; opaque
@@ -87,6 +95,6 @@ struct sg_engine {        // one per instruction set
   void (*lattice)(const sg_context*, int32_t view, sg_lattice*);
   int32_t (*trace)(const sg_context*, const sg_problem*, int32_t view, float depth, float* transmittance, float* first_return);
   int32_t (*amplitude_loss)(sg_context*, const sg_loss*);
-  void (*adam)(const sg_adam_group*, int32_t count, float beta1, float beta2, float epsilon);
+  void (*adam)(const sg_adam_step*);
   void (*statistics)(const sg_context*, const sg_problem*, sg_statistics*);
 };

@@ -10,7 +10,7 @@ extern "C" const sg_engine sg_engine_base;
 #include <cpuid.h>
 extern "C" const sg_engine sg_engine_avx2, sg_engine_avx512;
 
-static int best() {  // 1 base, 2 AVX2 + FMA, 3 AVX-512 F/BW/DQ/VL
+static int find_best() {  // 1 base, 2 AVX2 + FMA, 3 AVX-512 F/BW/DQ/VL
   unsigned a, b, c, d;
   if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & (1u << 27)) || !(c & (1u << 12))) return 1;  // OSXSAVE, FMA
   unsigned low, high;
@@ -22,16 +22,18 @@ static int best() {  // 1 base, 2 AVX2 + FMA, 3 AVX-512 F/BW/DQ/VL
 }
 static const sg_engine* engine(int isa) { return isa == 3 ? &sg_engine_avx512 : isa == 2 ? &sg_engine_avx2 : &sg_engine_base; }
 #else
-static int best() { return 1; }
+static int find_best() { return 1; }
 static const sg_engine* engine(int) { return &sg_engine_base; }
 #endif
 
+static const int best = find_best();  // asked once: in a virtual machine cpuid costs tens of microseconds
+
 struct sg_handle { const sg_engine* engine; sg_context* context; };
 
-SG_EXPORT int32_t sg_best_isa() { return best(); }
+SG_EXPORT int32_t sg_best_isa() { return best; }
 SG_EXPORT const char* sg_isa_name(int32_t isa) { return engine(isa)->name; }
 SG_EXPORT sg_handle* sg_create(int32_t isa) {  // 0: the best; otherwise at most sg_best_isa()
-  const sg_engine* e = engine(isa ? isa : best());
+  const sg_engine* e = engine(isa ? isa : best);
   return new sg_handle{e, e->create()};
 }
 SG_EXPORT void sg_destroy(sg_handle* h) {
@@ -49,7 +51,5 @@ SG_EXPORT int32_t sg_trace(const sg_handle* h, const sg_problem* p, int32_t view
   return h->engine->trace(h->context, p, view, depth, transmittance, first_return);
 }
 SG_EXPORT int32_t sg_amplitude_loss(sg_handle* h, const sg_loss* loss) { return h->engine->amplitude_loss(h->context, loss); }
-SG_EXPORT void sg_adam(int32_t isa, const sg_adam_group* groups, int32_t count, float beta1, float beta2, float epsilon) {
-  engine(isa ? isa : best())->adam(groups, count, beta1, beta2, epsilon);
-}
+SG_EXPORT void sg_adam(int32_t isa, const sg_adam_step* step) { engine(isa ? isa : best)->adam(step); }
 SG_EXPORT void sg_get_statistics(const sg_handle* h, const sg_problem* p, sg_statistics* out) { h->engine->statistics(h->context, p, out); }

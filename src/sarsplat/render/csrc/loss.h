@@ -1,35 +1,42 @@
 // loss.h: (1 - lambda) L1 + lambda (1 - SSIM) of amplitudes, and its gradient with respect to power, in one go.
 //
 // amplitude a = sqrt(power / reference^2 + floor^2) - floor against truth t; SSIM of the places where the window fits
-// whole. rows -> blur along rows -> blur along columns, similarity and its slopes -> both blurs transposed -> gradient.
+// whole. A task makes some rows of the gradient and computes what they need of their neighbours for itself:
+// amplitudes -> windows, along columns and along rows -> similarity and its slopes -> both transposed -> gradient.
 #pragma once
 #include "context.h"
 #include "parallel.h"
+#include "tail.h"
 
 namespace sarsplat {
 namespace SG_ISA {
 namespace {
 
-constexpr int kTaps = 11, kRowsPerTask = 16;
+constexpr int kTaps = 11, kReach = kTaps - 1;
+constexpr int kPad = 16;  // numbers before a row of scratch: at least kReach, and whole vectors
 
-struct LossImage {  // one view's scratch; every row has `stride` numbers
-  float *a, *slope;         // amplitude, d a / d power
-  float *blurred[5];        // along rows: of a, t, a^2, t^2, a t
-  float *slopes[3];         // dS / d(mean of a, of a^2, of a t), then blurred along columns
-  float *absolute, *similar;  // sums by row
+struct LossTask {  // its scratch; every row has `stride` numbers and begins after kPad of them
+  float *a, *truth;       // [rows and neighbours]
+  float* blurred[5];      // one row: of a, t, a^2, t^2, a t, along columns
+  float* slopes[3];       // one row: dS / d(mean of a, of a^2, of a t)
+  float* spread[3];       // [windows]: the same, transposed along the row
+  double absolute, similar;  // sums
 };
 
-// sum over the window of rows or columns: `step` numbers apart
-SG_FN F window_sum(const float* w, const float* p, int64_t step) {
-  F sum = load_anywhere(p) * w[0];
-  for (int k = 1; k < kTaps; k++) sum += load_anywhere(p + k * step) * w[k];
+// Sum over the window that begins at p, whose numbers are `step` apart. The window is symmetric: what a place takes from
+// all windows that contain it is the same sum over windows, begun kReach before it.
+SG_FN F window_sum(const F (&w)[kReach / 2 + 1], const float* p, int64_t step) {
+  F sum = load_anywhere(p + kReach / 2 * step) * w[kReach / 2];
+  for (int k = 0; k < kReach / 2; k++) sum += (load_anywhere(p + k * step) + load_anywhere(p + (kReach - k) * step)) * w[k];
   return sum;
 }
-// its transpose: place y takes from the windows that begin at y - k, as far as they are there
-SG_FN F window_sum_transposed(const float* w, const float* p, int64_t step, int first, int last) {
-  F sum = splat(0.0f);
-  for (int k = first; k <= last; k++) sum += load_anywhere(p - k * step) * w[k];
-  return sum;
+
+struct Similarity { F value, slopes[3]; };
+SG_FN Similarity similarity(const F (&mean)[5], float c1, float c2) {
+  const F ma = mean[0], mb = mean[1], aa = mean[2] - ma * ma, bb = mean[3] - mb * mb, ab = mean[4] - ma * mb;
+  const F a1 = ma * mb * 2.0f + c1, a2 = ab * 2.0f + c2, b1 = ma * ma + mb * mb + c1, b2 = aa + bb + c2;
+  const F inverse = 1.0f / (b1 * b2), S = a1 * a2 * inverse;
+  return {S, {(mb * (a2 - a1) * inverse - ma * S * (1.0f / b1 - 1.0f / b2)) * 2.0f, -S / b2, a1 * inverse * 2.0f}};
 }
 
 int32_t amplitude_loss(sg_context* context, const sg_loss* loss) {
@@ -37,115 +44,89 @@ int32_t amplitude_loss(sg_context* context, const sg_loss* loss) {
   Arena& arena = context->arena;
   arena.reset();
   const int R = l.rows, C = l.columns, V = l.views;
-  const bool similar = l.ssim_weight > 0.0f;
-  const int64_t pad = kWidth + kTaps, stride = C + 2 * pad, size = (int64_t)R * stride;  // blocks may reach beyond both ends
-  const int valid_rows = R - kTaps + 1, valid_columns = C - kTaps + 1;
-  LossImage* images = arena.take<LossImage>(V);
-  if (arena.failed()) { arena.give_back(); return SG_MEMORY; }
-  for (int v = 0; v < V; v++) {
-    LossImage& s = images[v];
-    s.a = arena.take<float>(size);
-    s.slope = arena.take<float>(size);
-    for (float*& p : s.blurred) p = similar ? arena.take<float>(size) : nullptr;
-    for (float*& p : s.slopes) p = similar ? arena.take<float>(2 * size) : nullptr;  // before and after the columns' blur
-    s.absolute = arena.take<float>(R);
-    s.similar = arena.take<float>(R);
+  const int reach = l.ssim_weight > 0.0f ? kReach : 0, valid_rows = R - reach, valid_columns = C - reach;
+  const int64_t stride = kPad + padded(C) + kPad;
+  const int rows = reach ? 32 : 128;  // of a task: without windows, fewer cost less than waking a thread
+  const int tasks = (R + rows - 1) / rows;
+  LossTask* all = arena.take<LossTask>(V * tasks);
+  for (int i = 0; i < V * tasks && !arena.failed(); i++) {
+    LossTask& s = all[i];
+    s.a = arena.take<float>((rows + 2 * reach) * stride);
+    s.truth = arena.take<float>((rows + 2 * reach) * stride);
+    if (!reach) continue;
+    for (float*& p : s.blurred) p = arena.take<float>(stride);
+    for (float*& p : s.slopes) p = arena.take<float>(stride);
+    for (float*& p : s.spread) p = arena.take<float>((rows + reach) * stride);
   }
   if (arena.failed()) { arena.give_back(); return SG_MEMORY; }
-
-  const int tasks = (R + kRowsPerTask - 1) / kRowsPerTask;
-  auto for_rows = [&](auto visit) {  // visit(view, row)
-    parallel(V * tasks, [&](int i) {
-      for (int y = i % tasks * kRowsPerTask; y < least(R, (i % tasks + 1) * kRowsPerTask); y++) visit(i / tasks, y);
-    });
-  };
   const float scale = 1.0f / (l.reference * l.reference), floor2 = l.floor * l.floor;
   const float share = (1.0f - l.ssim_weight) / ((float)V * R * C);
-  const float ssim_share = similar ? -l.ssim_weight / ((float)V * valid_rows * valid_columns) : 0.0f;
+  const float ssim_share = -l.ssim_weight / ((float)V * valid_rows * valid_columns);
 
-  for_rows([&](int v, int y) {
-    const LossImage& s = images[v];
-    const float *power = l.power + ((int64_t)v * R + y) * C, *truth = l.truth + ((int64_t)v * R + y) * C;
-    float *a = s.a + y * stride + pad, *slope = s.slope + y * stride + pad, absolute = 0.0f;
-    for (int x = 0; x < C; x++) {
-      const float root = __builtin_sqrtf(power[x] * scale + floor2);
-      a[x] = root - l.floor;
-      slope[x] = 0.5f * scale / root;
-      absolute += __builtin_fabsf(a[x] - truth[x]);
-    }
-    s.absolute[y] = absolute;
-    if (!similar) return;
-    float* row[5];
-    for (int q = 0; q < 5; q++) row[q] = s.blurred[q] + y * stride + pad;
-    for (int x = 0; x < C; x++) {
-      row[0][x] = a[x]; row[1][x] = truth[x];
-      row[2][x] = a[x] * a[x]; row[3][x] = truth[x] * truth[x]; row[4][x] = a[x] * truth[x];
-    }
-    for (int q = 0; q < 5; q++)
-      for (int x = 0; x < valid_columns; x += kWidth) store_anywhere(row[q] + x, window_sum(l.window, row[q] + x, 1));  // reads ahead only
-  });
-  if (similar) {
-    for_rows([&](int v, int y) {
-      if (y >= valid_rows) return;
-      const LossImage& s = images[v];
-      F total = splat(0.0f);
-      for (int64_t x = 0; x < valid_columns; x += kWidth) {
-        const int64_t at = y * stride + pad + x;
-        F m[5];
-        for (int q = 0; q < 5; q++) m[q] = window_sum(l.window, s.blurred[q] + at, stride);
-        const F ma = m[0], mb = m[1], aa = m[2] - ma * ma, bb = m[3] - mb * mb, ab = m[4] - ma * mb;
-        const F a1 = ma * mb * 2.0f + l.c1, a2 = ab * 2.0f + l.c2, b1 = ma * ma + mb * mb + l.c1, b2 = aa + bb + l.c2;
-        const F inverse = 1.0f / (b1 * b2), S = a1 * a2 * inverse;
-        alignas(64) float columns[kWidth];
-        for (int k = 0; k < kWidth; k++) columns[k] = (float)(x + k);
-        const I inside = load(columns) < (float)valid_columns;
-        total += choose(inside, S, splat(0.0f));
-        const F slopes[3] = {(mb * (a2 - a1) * inverse - ma * S * (1.0f / b1 - 1.0f / b2)) * 2.0f, -S / b2, a1 * inverse * 2.0f};
-        for (int q = 0; q < 3; q++) store_anywhere(s.slopes[q] + at, choose(inside, slopes[q], splat(0.0f)));
+  parallel(V * tasks, [&](int task) {
+    LossTask& s = all[task];
+    const int64_t image = (int64_t)(task / tasks) * R * C;
+    const int begin = task % tasks * rows, end = least(R, begin + rows);
+    const int first = begin - reach;  // the first window that contains one of the rows; some lie beyond the edges
+    auto row = [&](float* p, int y) { return p + (y - first) * stride + kPad; };
+    F w[kReach / 2 + 1];
+    for (int k = 0; k <= kReach / 2; k++) w[k] = splat(l.window[k]);
+    for (int y = most(0, first); y < least(R, end + reach); y++)
+      for (int x = 0; x < C; x += kWidth) {
+        const int64_t at = image + (int64_t)y * C + x;
+        store(row(s.a, y) + x, root(load_some(l.power + at, C - x) * scale + floor2) - l.floor);
+        store(row(s.truth, y) + x, load_some(l.truth + at, C - x));
       }
-      for (int q = 0; q < 3; q++)  // what the transposed blur along rows finds beside the valid columns
-        for (int64_t x = 1; x <= pad; x++) {
-          s.slopes[q][y * stride + pad - x] = 0.0f;
-          if (valid_columns + x <= C + pad) s.slopes[q][y * stride + pad + valid_columns + x - 1] = 0.0f;
+    s.similar = 0.0;
+    auto clear = [&](float* p) { for (int64_t x = 0; x < stride; x += kWidth) store(p + x, splat(0.0f)); };
+    for (int q = 0; reach && q < 3; q++) clear(s.slopes[q]);  // beside the windows there are none
+    for (int y = first; reach && y < end; y++) {
+      if (y < 0 || y >= valid_rows) {
+        for (float* p : s.spread) clear(row(p, y) - kPad);
+        continue;
+      }
+      for (int x = 0; x < C; x += kWidth) {
+        F sums[5] = {splat(0.0f), splat(0.0f), splat(0.0f), splat(0.0f), splat(0.0f)};
+        for (int k = 0; k < kTaps; k++) {
+          const F a = load(row(s.a, y + k) + x), t = load(row(s.truth, y + k) + x), wa = a * w[least(k, kReach - k)], wt = t * w[least(k, kReach - k)];
+          sums[0] += wa; sums[1] += wt; sums[2] += wa * a; sums[3] += wt * t; sums[4] += wa * t;
         }
-      s.similar[y] = sum(total);
-    });
-    for_rows([&](int v, int y) {
-      const LossImage& s = images[v];
-      const int first = most(0, y - valid_rows + 1), last = least(kTaps - 1, y);
+        for (int q = 0; q < 5; q++) store(s.blurred[q] + kPad + x, sums[q]);
+      }
+      F total = splat(0.0f);
+      for (int x = 0; x < valid_columns; x += kWidth) {
+        F means[5];
+        for (int q = 0; q < 5; q++) means[q] = window_sum(w, s.blurred[q] + kPad + x, 1);
+        const Similarity found = similarity(means, l.c1, l.c2);
+        total += load_some((const float*)&found.value, valid_columns - x);
+        for (int q = 0; q < 3; q++) store_some(s.slopes[q] + kPad + x, found.slopes[q], valid_columns - x);
+      }
+      if (y >= begin) s.similar += sum(total);  // the task above counts the others
       for (int q = 0; q < 3; q++)
-        for (int64_t x = 0; x + kWidth <= stride; x += kWidth) {
-          const int64_t at = y * stride + x;
-          store_anywhere(s.slopes[q] + size + at, window_sum_transposed(l.window, s.slopes[q] + at, stride, first, last));
-        }
-    });
-  }
-  for_rows([&](int v, int y) {
-    const LossImage& s = images[v];
-    const float *a = s.a + y * stride + pad, *slope = s.slope + y * stride + pad;
-    const float* truth = l.truth + ((int64_t)v * R + y) * C;
-    float* gradient = l.gradient + ((int64_t)v * R + y) * C;
-    float* along = similar ? s.blurred[0] + y * stride + pad : nullptr;
-    float* times_truth = similar ? s.blurred[1] + y * stride + pad : nullptr;
-    for (int x = 0; similar && x < C; x += kWidth) {
-      F sums[3];
-      for (int q = 0; q < 3; q++)
-        sums[q] = window_sum_transposed(l.window, s.slopes[q] + size + y * stride + pad + x, 1, 0, kTaps - 1);
-      store_anywhere(along + x, (sums[0] + load_anywhere(a + x) * sums[1] * 2.0f) * ssim_share);
-      store_anywhere(times_truth + x, sums[2] * ssim_share);
+        for (int x = 0; x < C; x += kWidth)
+          store(row(s.spread[q], y) + x, window_sum(w, s.slopes[q] + kPad + x - kReach, 1));
     }
-    for (int x = 0; x < C; x++) {
-      const float d = a[x] > truth[x] ? share : a[x] < truth[x] ? -share : 0.0f;
-      gradient[x] = (similar ? d + along[x] + truth[x] * times_truth[x] : d) * slope[x];
+    s.absolute = 0.0;
+    for (int y = begin; y < end; y++) {
+      F total = splat(0.0f);
+      for (int x = 0; x < C; x += kWidth) {
+        const F a = load(row(s.a, y) + x), t = load(row(s.truth, y) + x);  // beyond the end both are 0: the root of a square is exact
+        total += absolute(a - t);
+        F slope = choose(a > t, splat(share), choose(a < t, splat(-share), splat(0.0f)));
+        if (reach) {
+          F sums[3];
+          for (int q = 0; q < 3; q++) sums[q] = window_sum(w, row(s.spread[q], y - kReach) + x, stride);
+          slope += (sums[0] + a * sums[1] * 2.0f + t * sums[2]) * ssim_share;
+        }
+        store_some(l.gradient + image + (int64_t)y * C + x, slope * (0.5f * scale) / (a + l.floor), C - x);
+      }
+      s.absolute += sum(total);
     }
   });
-  for (int v = 0; v < V; v++) {
-    double absolute = 0.0, similarity = 0.0;
-    for (int y = 0; y < R; y++) absolute += images[v].absolute[y];
-    for (int y = 0; similar && y < valid_rows; y++) similarity += images[v].similar[y];
-    l.loss[v] = (float)((1.0 - l.ssim_weight) * absolute / ((double)R * C) +
-                        (similar ? l.ssim_weight * (1.0 - similarity / ((double)valid_rows * valid_columns)) : 0.0));
-  }
+  double absolute = 0.0, similar = 0.0;
+  for (int i = 0; i < V * tasks; i++) { absolute += all[i].absolute; similar += all[i].similar; }
+  *l.loss = (float)((1.0 - l.ssim_weight) * absolute / ((double)V * R * C) +
+                    (reach ? l.ssim_weight * (1.0 - similar / ((double)V * valid_rows * valid_columns)) : 0.0));
   return SG_OK;
 }
 
