@@ -14,37 +14,54 @@ namespace SG_ISA {
 namespace {
 
 constexpr int kChunk = 1024;      // Gaussians per task; a multiple of every kWidth
-constexpr int kTasks = 16;        // pair-loop tasks wanted over all views, at most kMostBands of them per view
-constexpr int kRowsPerBand = 12;   // at least: a Gaussian on a border is visited twice
+constexpr int kTasks = 16;        // pair-loop tasks wanted over all views, at most kMostParts of them per view
+constexpr int kMostParts = 8;
+constexpr int kRowsPerTask = 16;  // of images
+constexpr int kShapes = 8;        // told apart, in either direction
+constexpr int kRowsPerBand = 12;  // at least, on average: a Gaussian on a border is visited twice
 constexpr float kFarthest = 1 << 24;  // ray cells or pixels from the origin: whole numbers in float32
 constexpr int64_t kMostRays = int64_t(1) << 28;
 
 int least(int a, int b) { return a < b ? a : b; }
 int most(int a, int b) { return a > b ? a : b; }
-int bands_of(int rows, int bands) { return most(1, least(bands, rows / kRowsPerBand)); }
+I least(I a, I b) { return __builtin_elementwise_min(a, b); }
+I most(I a, I b) { return __builtin_elementwise_max(a, b); }
 int64_t padded(int64_t n) { return (n + kWidth - 1) / kWidth * kWidth; }
 
 // ---- what a view keeps -----------------------------------------------------------------------------------------------
 struct Bounds { float low[2], high[2]; };
 
-struct Lists {                    // of each band, the Gaussians that reach it, in order
-  int32_t* ids;
-  int first[kMostBands + 1];
+// What one task of a pair loop works on: some Gaussians of a list, and a rectangle with memory of its own.
+struct Part {
+  int first, end;                 // in the list
+  Strips strips;
+  int64_t start;                  // in the memory of all parts
+  float* memory;
+  int count() const { return end - first; }
 };
+
+struct Reached { uint8_t first, end; };  // bands
 
 struct ViewState {
   ViewFrame frame;
-  Entry *on_rays, *on_pixels;     // by id; depth: kappa' on rays, the amplitude on pixels
-  float *range, *phase, *norm;    // z_r, infinite for Gaussians that touch no ray; P(u); of the imaging weight
+  RayEntry* on_rays;              // by id
+  PixelEntry* on_pixels;
+  float *phase, *range;           // P(u); z_r, infinite for Gaussians that touch no ray
   Bounds* bounds;                 // per chunk, of the footprints on the computation plane
   uint64_t *order, *order_spare;  // front to back: depth key << 32 | id
   int touching;                   // how many are in it
-  Strips rays, pixels;
-  Lists ray_lists, pixel_lists;
-  float* T;                       // strips of rays
+  Strips rays;                    // the lattice
+  int ray_parts, pixel_parts;
+  Part ray_bands[kMostParts];     // of rows; who reaches them, front to back
+  Part pixel_groups[kMostParts];  // every Gaussian is in one of them
+  int32_t *ray_list, *pixel_list; // ids
+  int32_t* pixel_keys;           // by id: the first row, then the shape
+  Reached* reached;               // by id
+  int64_t* rows;                  // scratch
+  int32_t* counts;
+  float* T;                       // by band
   int32_t* stop;
   float* partial;                 // sums of w by slot
-  float* weight;                  // sum of w over all rays, by id
 };
 
 }  // namespace
@@ -58,7 +75,8 @@ struct sg_context {
   Arena::Mark kept;
   float *mean[3], *unit[4], *norm, *rot[9], *scale[3], *kappa;
   ViewState* views;
-  int bands;
+  Strips image;
+  int parts;                      // of a view, at most
 };
 
 namespace sarsplat {
@@ -72,15 +90,37 @@ Body<F> body(const sg_context& c, int64_t i) {
   return b;
 }
 
+// log2 of the optical depth at which a footprint ends, and q at which an imaging weight ends; base 2
+float least_log_tau(const sg_problem& p) { return __builtin_log2f(p.min_ray_depth * kLog2e); }
+float image_cut(const sg_problem& p) { return 0.5f * kLog2e * p.image_cut; }
+
 PlaneUnits units(const sg_problem& p) {
   return {{p.ray[0], p.ray[1]}, {p.pixel[0], p.pixel[1]}, p.cell_widening, {p.response_var[0], p.response_var[1]}};
 }
 
-// strips of a band to rows of an image
-void copy_rows(const Strips& s, int b, const float* strips, float* image) {
-  for (int y = s.band[b].first; y < s.band[b].end; y++)
-    for (int x = 0; x < s.columns; x += kBlockX)
-      std::memcpy(image + (int64_t)(y - s.y0) * s.columns + x, strips + s.at(b, s.x0 + x, y), sizeof(float) * least(kBlockX, s.columns - x));
+int64_t size_with_spare_rows(const Strips& s, int parts) { return s.size() + (int64_t)(parts - 1) * (kBlockY - 1) * s.count() * kBlockX; }
+
+// One row of strips to a row of numbers.
+void read_row(const Strips& s, int y, const float* strips, float* row) {
+  for (int x = 0; x < s.columns; x += kBlockX)
+    std::memcpy(row + x, strips + s.at(s.x0 + x, y), sizeof(float) * least(kBlockX, s.columns - x));
+}
+
+// Rows of an image: what its parts hold, in their order.
+void add_parts(const ViewState& s, int first, int end, int columns, float* image) {
+  for (int y = first; y < end; y++) {
+    float* row = image + (int64_t)y * columns;
+    for (int x = 0; x < columns; x++) row[x] = 0.0f;
+    for (int b = 0; b < s.pixel_parts; b++) {
+      const Part& part = s.pixel_groups[b];
+      const Strips& r = part.strips;
+      if (y < r.y0 || y >= r.y0 + r.rows) continue;
+      for (int x = 0; x < columns; x += kBlockX) {
+        const float* from = part.memory + r.at(x, y);
+        for (int k = 0; k < least(kBlockX, columns - x); k++) row[x + k] += from[k];
+      }
+    }
+  }
 }
 
 }  // namespace

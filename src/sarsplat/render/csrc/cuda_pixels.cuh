@@ -16,7 +16,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) illuminate(sg_problem p, 
   s.weight[j] = w;
   out.lit_area[j] = lit;
   out.cross_sections[j] = sigma;
-  s.pixels.splats[j].g.depth = s.pixels.splats[j].extra * sigma;
+  s.pixels.splats[j].g.height = s.pixels.splats[j].extra * sigma;
 }
 
 extern "C" __global__ void __launch_bounds__(kThreads) image_tiles(sg_problem p, State s, float* images) {
@@ -25,6 +25,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) image_tiles(sg_problem p,
   const Point pixel = point_of_thread(lattice, blockIdx.x);
   const int64_t first = s.pixels.starts[blockIdx.x];
   const int count = (int)(s.pixels.starts[blockIdx.x + 1] - first);
+  const float cut = image_cut(p);
   float S = 0.0f;
   for (int begin = 0; begin < count; begin += kThreads) {
     const int size = count - begin < kThreads ? count - begin : kThreads;
@@ -34,9 +35,9 @@ extern "C" __global__ void __launch_bounds__(kThreads) image_tiles(sg_problem p,
     __syncthreads();
     for (int k = 0; k < size; k++) {
       const Footprint& g = staged[k];
-      if (g.depth == 0.0f) continue;  // unlit
+      if (g.height == 0.0f) continue;  // unlit
       const Offset<float> d = offset(g, (float)pixel.x, (float)pixel.y);
-      S += imaging_weight(d, d.q <= g.limit) * g.depth;
+      S += imaging_weight(distance(d), cut) * g.height;
     }
   }
   if (pixel.inside) images[pixel.index] = S;
@@ -51,16 +52,17 @@ image_backward(sg_problem p, State s, const float* d_images, const float* d_cros
   const Lattice lattice = s.pixels.lattices[j / n];
   const Footprint g = placed(splat.g, lattice);
   const Box box = points(g, s.pixels.reach + 2 * j, lattice);
+  const float cut = image_cut(p);
   Moments<float> m{};
   if (s.weight[j] != 0.0f && !empty(box)) {  // an unlit Gaussian has no gradient
     const int64_t width = box.x.last - box.x.first + 1, pixels = width * (box.y.last - box.y.first + 1);
     for (int64_t k = lane(); k < pixels; k += kWarp) {
       const int x = box.x.first + (int)(k % width), y = box.y.first + (int)(k / width);
       const Offset<float> d = offset(g, (float)x, (float)y);
-      m.add(d, imaging_weight(d, d.q <= g.limit) * d_images[lattice.first_point + (int64_t)y * lattice.columns + x]);
+      m.add(d, imaging_weight(distance(d), cut) * d_images[lattice.first_point + (int64_t)y * lattice.columns + x]);
     }
   }
-  const float sum = sum6(m.m0, m.mx, m.my, m.mxx, m.mxy, m.myy, lane());
+  const float sum = sum6(m.m0, m.mu, m.mv, m.muu, m.muv, m.mvv, lane());
   const int sixth = sixth_of(lane());
   if (sixth >= 0) s.pixel_moments[6 * j + sixth] = sum;
   if (lane() != 0) return;

@@ -32,13 +32,12 @@ SG_FN uint32_t ordered(float x) {  // floats to unsigned, order kept; -0 equals 
   return bits & 0x80000000u ? ~bits : bits | 0x80000000u;
 }
 
-SG_FN void write_splat(const Plane& plane, int64_t j, float x, float y, const Sym2<float>& cov, float det, float limit,
-                       float depth, float extra) {
-  const Sym2<float> s = inverse(cov, det);
-  plane.splats[j] = {{x, y, s.xx * (0.5f * kLog2e), s.xy * kLog2e, s.yy * (0.5f * kLog2e), limit, depth}, extra};
-  const float reach = larger(limit, 0.0f) * (2.0f * kLn2);  // Mahalanobis^2
-  plane.reach[2 * j] = root(reach * cov.xx);
-  plane.reach[2 * j + 1] = root(reach * cov.yy);
+SG_FN void write_splat(const Plane& plane, int64_t j, float x, float y, const Sym2<float>& cov, float det, float reach,
+                       float height, float extra) {
+  const Whitening<float> w = whitening(cov, det);
+  plane.splats[j] = {{x, y, w.ux, w.uy, w.vy, height}, extra};
+  plane.reach[2 * j] = reach < 0.0f ? -1.0f : reach * root(cov.xx);  // reach: in standard deviations
+  plane.reach[2 * j + 1] = reach < 0.0f ? -1.0f : reach * root(cov.yy);
 }
 
 SG_FN float scattering(const sg_problem& p, const State& s, int view, int64_t i, int64_t j) {
@@ -55,20 +54,18 @@ SG_FN void project_pair(const sg_problem& p, const State& s, int view, int64_t i
   const PlaneUnits u = units(p);
   float unit[4], norm;
   const Projection<float> g = project(body(p, i, unit, norm), frame(p, view), u);
-  const float kappa = p.kappa[i] * widening_ratio(g, u), touches = kappa * (1.0f / p.min_ray_depth);
-  const float limit = touches >= 1.0f ? natural_log(touches) * kLog2e : -1.0f;
-  write_splat(s.rays, j, g.mean[0] * (1.0f / u.ray[0]), g.mean[1] * (1.0f / u.ray[1]), g.cov_c, g.det_cw, limit,
-              kappa * kLog2e, g.mean[2]);
-  const Sym2<float> inv = inverse(g.cov_c, g.det_cw);
-  const float xz = g.xz / u.ray[0], yz = g.yz / u.ray[1];
-  s.slope[2 * j] = inv.xx * xz + inv.xy * yz;
-  s.slope[2 * j + 1] = inv.xy * xz + inv.yy * yz;
+  const float kappa = p.kappa[i] * widening_ratio(g, u);
+  const bool touching = kappa >= p.min_ray_depth;
+  const float height = natural_log((touching ? kappa : p.min_ray_depth) * kLog2e) * kLog2e;
+  const float reach = touching ? root(larger(height - least_log_tau(p), 0.0f) * (2.0f * kLn2)) : -1.0f;
+  write_splat(s.rays, j, g.mean[0] * (1.0f / u.ray[0]), g.mean[1] * (1.0f / u.ray[1]), g.cov_c, g.det_cw, reach, height, g.mean[2]);
+  densest(g, u, s.slope + 2 * j);
   s.phase[j] = scattering(p, s, view, i, j);
   const float* shift = p.shift + 2 * view;
   const float lost = 1.0f / (1.0f - expf(-0.5f * p.image_cut));  // what the cut takes away
   write_splat(s.pixels, j, (g.mean[0] + shift[0] - p.center[0]) * (1.0f / p.pixel[0]) + 0.5f * (float)(p.columns - 1),
               (g.mean[2] + shift[1] - p.center[1]) * (1.0f / p.pixel[1]) + 0.5f * (float)(p.rows - 1), g.cov_i, g.det_iw,
-              0.5f * kLog2e * p.image_cut, 0.0f,
+              root(p.image_cut), 0.0f,
               p.peak ? lost : lost / (6.2831853f * p.pixel[0] * p.pixel[1] * root(g.det_iw)));
 }
 
@@ -84,7 +81,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) project_gaussians(sg_prob
     project_pair(p, s, view, i, j);
     const Footprint g = s.rays.splats[j].g;
     const float *reach = s.rays.reach + 2 * j;
-    if (g.limit >= 0.0f) {
+    if (reach[0] >= 0.0f) {
       lowest[0] = g.x - reach[0];
       lowest[1] = g.y - reach[1];
       lowest[2] = -(g.x + reach[0]);
@@ -101,7 +98,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) project_gaussians(sg_prob
 SG_FN Box tiles(const Plane& plane, const Lattice& lattice, int64_t j) {
   const Footprint g = placed(plane.splats[j].g, lattice);
   const Box b = points(g, plane.reach + 2 * j, lattice);
-  if (g.limit < 0.0f || empty(b)) return {{0, -1}, {0, -1}};
+  if (empty(b)) return {{0, -1}, {0, -1}};
   return {{b.x.first / kTile, b.x.last / kTile}, {b.y.first / kTile, b.y.last / kTile}};
 }
 

@@ -14,6 +14,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) attenuate_tiles(sg_proble
   const Point ray = point_of_thread(lattice, blockIdx.x);
   const int64_t first = s.rays.starts[blockIdx.x];
   const int count = (int)(s.rays.starts[blockIdx.x + 1] - first);
+  const float least = least_log_tau(p);
   float T = ray.inside ? 1.0f : 0.0f;
   int last = -1;
   for (int begin = 0; begin < count; begin += kBatch) {
@@ -29,10 +30,11 @@ extern "C" __global__ void __launch_bounds__(kThreads) attenuate_tiles(sg_proble
     for (int k = 0; k < size; k++) {
       const Footprint& g = splats[k].g;
       const Offset<float> d = offset(g, (float)ray.x, (float)ray.y);
-      const bool live = d.q <= g.limit && T >= p.min_transmittance;
+      const float log_tau = log_depth(g, d);
+      const bool live = log_tau >= least && T >= p.min_transmittance;
       float w = 0.0f;
       if (__any_sync(kWholeWarp, live)) {
-        w = warp_sum(attenuate(g, d, live, T));
+        w = warp_sum(attenuate(log_tau, live, T));
         if (live) last = begin + k;
       }
       if (lane() == 0) sums[k][warp()] = w;
@@ -59,6 +61,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) attenuate_tiles_backward(
   const Point ray = point_of_thread(lattice, blockIdx.x);
   const int64_t first = s.rays.starts[blockIdx.x];
   const int count = (int)(s.rays.starts[blockIdx.x + 1] - first);
+  const float least = least_log_tau(p);
   float T = ray.inside ? s.transmittance[ray.index] : 0.0f;
   float B = ray.inside && from ? T * from[ray.index] : 0.0f;
   const int last = ray.inside ? s.last[ray.index] : -1;
@@ -78,12 +81,13 @@ extern "C" __global__ void __launch_bounds__(kThreads) attenuate_tiles_backward(
     for (int k = size - 1; k >= 0; k--) {
       const Footprint& g = splats[k].g;
       const Offset<float> d = offset(g, (float)ray.x, (float)ray.y);
-      const bool live = d.q <= g.limit && last >= begin + k;
+      const float log_tau = log_depth(g, d);
+      const bool live = log_tau >= least && last >= begin + k;
       float sum = 0.0f;
       if (__any_sync(kWholeWarp, live)) {
         Moments<float> m{};
-        m.add(d, attenuate_backward(g, d, live, h[k], T, B));
-        sum = sum6(m.m0, m.mx, m.my, m.mxx, m.mxy, m.myy, lane());
+        m.add(d, attenuate_backward(log_tau, live, h[k], T, B));
+        sum = sum6(m.m0, m.mu, m.mv, m.muu, m.muv, m.mvv, lane());
       }
       if (sixth >= 0) sums[k][warp()][sixth] = sum;
     }
@@ -110,11 +114,12 @@ trace_tiles(sg_problem p, State s, int32_t first_tile, float depth, float* trans
     const int32_t j = s.rays.owners[s.rays.order[k]];
     const Splat& splat = s.rays.splats[j];
     const Footprint g = placed(splat.g, lattice);
-    const Offset<float> d = offset(g, (float)ray.x, (float)ray.y);
-    if (!(d.q <= g.limit)) continue;
+    const float log_tau = log_depth(g, offset(g, (float)ray.x, (float)ray.y));
+    if (!(log_tau >= least_log_tau(p))) continue;
     const float before = sum_tau;
-    sum_tau += g.depth * kLn2 * power2(-d.q);
-    if (before < depth && sum_tau >= depth) found = splat.extra + s.slope[2 * j] * d.dx + s.slope[2 * j + 1] * d.dy;
+    sum_tau += kLn2 * power2(log_tau);
+    if (before < depth && sum_tau >= depth)
+      found = splat.extra + s.slope[2 * j] * ((float)ray.x - g.x) + s.slope[2 * j + 1] * ((float)ray.y - g.y);
   }
   const int64_t at = ray.index - lattice.first_point;
   transmittance[at] = s.transmittance[ray.index];

@@ -15,7 +15,7 @@ constexpr int kThreads = kTile * kTile;         // of every block
 constexpr int kWarps = kThreads / kWarp;
 constexpr int kBatch = 64;                      // Gaussians staged in shared memory at a time
 
-// limit < 0: touches nothing. extra: z_r on rays, the weight's norm on pixels. On pixels g.depth is the amplitude.
+// extra: z_r on rays, the weight's norm on pixels
 struct alignas(16) Splat { Footprint g; float extra; };
 
 struct Lattice {          // the rays or pixels of one view
@@ -27,7 +27,7 @@ struct Lattice {          // the rays or pixels of one view
 
 struct Plane {
   Splat* splats;            // [V N]
-  float* reach;             // [V N, 2] half the footprint's extent, points
+  float* reach;             // [V N, 2] half the footprint's extent, points; -1: it touches nothing
   const Lattice* lattices;  // [V]
   int64_t* counts;          // [V N] slots
   const int64_t* ends;      // [V N] their running sum
@@ -65,6 +65,10 @@ SG_FN int64_t pair_index(const sg_problem& p, int* view, int* gaussian) {
   *gaussian = blockIdx.x % chunks(p) * kThreads + thread();
   return *gaussian < p.gaussians ? (int64_t)*view * p.gaussians + *gaussian : -1;
 }
+
+// log2 of the optical depth at which a footprint ends, and q at which an imaging weight ends; base 2
+SG_FN float least_log_tau(const sg_problem& p) { return log2f(p.min_ray_depth * kLog2e); }
+SG_FN float image_cut(const sg_problem& p) { return 0.5f * kLog2e * p.image_cut; }
 
 SG_FN PlaneUnits units(const sg_problem& p) {
   return {{p.ray[0], p.ray[1]}, {p.pixel[0], p.pixel[1]}, p.cell_widening, {p.response_var[0], p.response_var[1]}};

@@ -28,12 +28,16 @@ int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs
   Arena& arena = c.arena;
   arena.reset();
   const int64_t n = p.gaussians, np = padded(n);
-  const int V = p.views, chunks = chunks_of(n), bands = c.bands = most(1, least(kMostBands, kTasks / most(V, 1)));
+  const int V = p.views, chunks = chunks_of(n), parts = c.parts = most(1, least(kMostParts, kTasks / most(V, 1)));
   const float cell = p.ray[0] * p.ray[1];
+  const int row_tasks = (p.rows + kRowsPerTask - 1) / kRowsPerTask;
 
   auto out_of_memory = [&] { arena.give_back(); return SG_MEMORY; };
   c.views = arena.take<ViewState>(V);
+  c.image = {0, 0, p.columns, p.rows, nullptr, nullptr};
+  float* ruler = arena.take<float>(c.image.ruler());
   if (arena.failed()) return out_of_memory();
+  c.image.mark(ruler);
   float** const fields[] = {&c.mean[0], &c.mean[1], &c.mean[2], &c.scale[0], &c.scale[1], &c.scale[2],
                             &c.unit[0], &c.unit[1], &c.unit[2], &c.unit[3], &c.norm, &c.kappa};
   for (float** field : fields) *field = arena.take<float>(np);
@@ -41,21 +45,19 @@ int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs
   for (int v = 0; v < V; v++) {
     ViewState& s = c.views[v];
     for (int k = 0; k < 9; k++) s.frame.r[k] = p.frames[9 * v + k];
-    s.on_rays = arena.take<Entry>(n);
-    s.on_pixels = arena.take<Entry>(n);
+    s.on_rays = arena.take<RayEntry>(n);
+    s.on_pixels = arena.take<PixelEntry>(n);
     s.range = arena.take<float>(np);
     s.phase = arena.take<float>(np);
-    s.norm = arena.take<float>(np);
-    s.weight = arena.take<float>(n);
     s.bounds = arena.take<Bounds>(chunks);
     s.order = arena.take<uint64_t>(n);
     s.order_spare = arena.take<uint64_t>(n);
-    s.ray_lists.ids = arena.take<int32_t>(n * bands);
-    s.pixel_lists.ids = arena.take<int32_t>(n * bands);
-    s.partial = arena.take<float>(n * bands);
-    s.pixels = {0, 0, p.columns, p.rows, bands_of(p.rows, bands), {}};
+    s.reached = arena.take<Reached>(n);
+    s.pixel_keys = arena.take<int32_t>(np);
+    s.pixel_list = arena.take<int32_t>(n);
+    s.ray_list = arena.take<int32_t>(n * parts);
+    s.partial = arena.take<float>(n * parts);
   }
-  float* images = arena.take<float>(V ? V * c.views[0].pixels.size() : 0);
   if (arena.failed()) return out_of_memory();
 
   parallel(chunks, [&](int i) {
@@ -64,59 +66,65 @@ int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs
     scatter_chunk(c, p, first, end);
     for (int v = 0; v < V; v++) project_chunk(c, p, v, first, end);
   });
-  int most_rows = p.rows;
   for (int v = 0; v < V; v++) {
     ViewState& s = c.views[v];
-    if (!place_lattice(s, chunks, bands)) { *culprit = v; return SG_LATTICE; }
-    s.T = arena.take<float>(s.rays.size());
-    s.stop = arena.take<int32_t>(s.rays.size());
-    most_rows = most(most_rows, s.rays.rows);
+    if (!place_lattice(s, chunks)) { *culprit = v; return SG_LATTICE; }
+    s.rays.mark(arena.take<float>(s.rays.ruler()));
+    s.T = arena.take<float>(size_with_spare_rows(s.rays, parts));
+    s.stop = arena.take<int32_t>(size_with_spare_rows(s.rays, parts));
+    s.rows = arena.take<int64_t>(s.rays.rows + 1);
+    s.counts = arena.take<int32_t>((int64_t)p.rows * kShapes * kShapes + 1);
   }
-  int64_t* work = arena.take<int64_t>((int64_t)2 * V * (most_rows + 1));
   if (arena.failed()) return out_of_memory();
-  c.kept = arena.mark();
 
   parallel(2 * V, [&](int i) {
     ViewState& s = c.views[i / 2];
-    int64_t* rows = work + (int64_t)i * (most_rows + 1);
     if (i % 2) {
-      plan(s.pixels, s.on_pixels, (int)n, nullptr, (int)n, s.pixel_lists, rows);
+      cut_pixels(s, c.image, (int)n, parts, s.counts);
     } else {
       sort_by_depth(s, (int)n);
-      plan(s.rays, s.on_rays, (int)n, s.order, s.touching, s.ray_lists, rows);
+      cut_rays(s, (int)n, parts, s.rows);
     }
   });
-  parallel(V * bands, [&](int i) {
-    ViewState& s = c.views[i / bands];
-    const int b = i % bands;
-    if (b >= s.rays.bands) return;
-    const int first = s.ray_lists.first[b];
-    attenuate_band(s.on_rays, s.ray_lists.ids + first, s.ray_lists.first[b + 1] - first, s.rays, b, p.min_transmittance,
-                   s.T + s.rays.start(b), s.stop + s.rays.start(b), s.partial);
+  c.kept = arena.mark();
+  for (int v = 0; v < V; v++) {
+    ViewState& s = c.views[v];
+    for (int b = 0; b < s.pixel_parts; b++) s.pixel_groups[b].memory = arena.take<float>(s.pixel_groups[b].strips.size());
+  }
+  if (arena.failed()) return out_of_memory();
+  parallel(V * parts, [&](int i) {
+    ViewState& s = c.views[i / parts];
+    const int b = i % parts;
+    if (b >= s.ray_parts) return;
+    const Part& band = s.ray_bands[b];
+    attenuate_band(s.on_rays, s.ray_list + band.first, band.count(), band.strips, b, least_log_tau(p), p.min_transmittance,
+                   s.T + band.start, s.stop + band.start, s.partial);
   });
   parallel(V * chunks, [&](int i) {
     const int v = i / chunks;
     ViewState& s = c.views[v];
     for (int64_t k = (int64_t)(i % chunks) * kChunk; k < chunk_end(i % chunks, n); k++) {
-      const Entry& e = s.on_rays[k];
+      const RayEntry& e = s.on_rays[k];
+      PixelEntry& pixel = s.on_pixels[k];
       float w = 0.0f;
       for (int slot = e.slot; slot <= e.slot + e.last_band - e.first_band; slot++) w += s.partial[slot];
-      const float lit = w * cell, sigma = s.phase[k] * lit;
-      s.weight[k] = w;
-      out->lit_area[v * n + k] = lit;
+      const float lit = w * cell, sigma = pixel.phase * lit;
+      out->lit_area[v * n + k] = pixel.lit = lit;
       out->cross_sections[v * n + k] = sigma;
-      s.on_pixels[k].g.depth = sigma * s.norm[k];
+      pixel.g.height = sigma * pixel.norm;
     }
   });
-  parallel(V * bands, [&](int i) {
-    const int v = i / bands, b = i % bands;
-    const ViewState& s = c.views[v];
-    if (b >= s.pixels.bands) return;
-    float* strips = images + v * s.pixels.size();
-    const int first = s.pixel_lists.first[b];
-    image_band(s.on_pixels, s.pixel_lists.ids + first, s.pixel_lists.first[b + 1] - first, s.pixels, b, strips + s.pixels.start(b));
-    copy_rows(s.pixels, b, strips + s.pixels.start(b), out->images + (int64_t)v * p.rows * p.columns);
+  parallel(V * parts, [&](int i) {
+    const ViewState& s = c.views[i / parts];
+    if (i % parts >= s.pixel_parts) return;
+    const Part& part = s.pixel_groups[i % parts];
+    image_part(s.on_pixels, s.pixel_list + part.first, part.count(), part.strips, image_cut(p), part.memory);
   });
+  parallel(V * row_tasks, [&](int i) {  // in the order of the parts
+    const int v = i / row_tasks, first = i % row_tasks * kRowsPerTask;
+    add_parts(c.views[v], first, least(p.rows, first + kRowsPerTask), p.columns, out->images + (int64_t)v * p.rows * p.columns);
+  });
+  arena.release(c.kept);
   return SG_OK;
 }
 
@@ -126,18 +134,19 @@ int32_t backward(sg_context* context, const sg_problem* problem, const sg_gradie
   const sg_gradients& g = *gradients;
   Arena& arena = c.arena;
   const int64_t n = p.gaussians, np = padded(n);
-  const int V = p.views, chunks = chunks_of(n), bands = c.bands;
+  const int V = p.views, chunks = chunks_of(n), parts = c.parts;
   const float cell = p.ray[0] * p.ray[1];
 
   auto out_of_memory = [&] { arena.release(c.kept); return SG_MEMORY; };
   Backward* scratch = arena.take<Backward>(V);
   const float** from = arena.take<const float*>(V);
   if (arena.failed()) return out_of_memory();
-  const Strips whole{0, 0, p.columns, p.rows, 1, {{0, p.rows}}};  // the image as one band
+  const Strips& whole = c.image;
   for (int v = 0; v < V; v++) {
     const ViewState& s = c.views[v];
-    scratch[v] = {arena.take<float>(n), arena.take<float>(n), arena.take<float>(6 * n * s.rays.bands), arena.take<float>(6 * n),
-                  arena.take<float>(s.rays.size()), arena.take<float>(s.rays.size()), arena.take<float>(whole.size())};
+    const int64_t rays = size_with_spare_rows(s.rays, parts);
+    scratch[v] = {arena.take<float>(kSums * n * s.ray_parts), arena.take<float>(kSums * n),
+                  arena.take<float>(rays), arena.take<float>(rays), arena.take<float>(whole.size())};
   }
   float* shift_sums = arena.take<float>((int64_t)chunks * 2 * V);
   if (arena.failed()) return out_of_memory();
@@ -147,19 +156,23 @@ int32_t backward(sg_context* context, const sg_problem* problem, const sg_gradie
     float* dS = scratch[v].dS;
     for (int64_t i = 0; i < whole.size(); i++) dS[i] = 0.0f;
     for (int y = 0; y < p.rows; y++)
-      for (int x = 0; x < p.columns; x++) dS[whole.at(0, x, y)] = g.images[((int64_t)v * p.rows + y) * p.columns + x];
+      for (int x = 0; x < p.columns; x++) dS[whole.at(x, y)] = g.images[((int64_t)v * p.rows + y) * p.columns + x];
   });
-  parallel(V * chunks, [&](int i) {
-    const int v = i / chunks;
+  parallel(V * parts, [&](int i) {
+    const int v = i / parts;
     const ViewState& s = c.views[v];
+    if (i % parts >= s.pixel_parts) return;
     const Backward& w = scratch[v];
-    const Lanes lanes;
-    for (int64_t k = (int64_t)(i % chunks) * kChunk; k < chunk_end(i % chunks, n); k++) {
-      float* moments = w.pixel_moments + 6 * k;
-      if (s.weight[k] != 0.0f) image_backward(s.on_pixels[k], whole, lanes, w.dS, moments);
+    const Part& part = s.pixel_groups[i % parts];
+    for (int k = part.first; k < part.end; k++) {
+      const int32_t id = s.pixel_list[k];
+      __builtin_prefetch(s.on_pixels + s.pixel_list[least(k + kAhead, part.end - 1)]);
+      const PixelEntry& e = s.on_pixels[id];
+      float* moments = w.pixel_moments + kSums * (int64_t)id;
+      if (e.lit != 0.0f) image_backward(e, c.image, image_cut(p), w.dS, moments);
       else for (int q = 0; q < 6; q++) moments[q] = 0.0f;
-      w.d_sigma[k] = moments[0] * s.norm[k] + (g.cross_sections ? g.cross_sections[v * n + k] : 0.0f);
-      w.h[k] = w.d_sigma[k] * s.phase[k] * cell;
+      const float d_sigma = moments[6] = moments[0] * e.norm + (g.cross_sections ? g.cross_sections[v * n + id] : 0.0f);
+      s.on_rays[id].h = d_sigma * e.phase * cell;
     }
   });
   int64_t at = 0;  // of the view's lattice in dL/dT_end
@@ -167,24 +180,23 @@ int32_t backward(sg_context* context, const sg_problem* problem, const sg_gradie
     from[v] = g.transmittance ? g.transmittance + at : nullptr;
     at += (int64_t)c.views[v].rays.rows * c.views[v].rays.columns;
   }
-  parallel(V * bands, [&](int i) {
-    const int v = i / bands, b = i % bands;
+  parallel(V * parts, [&](int i) {
+    const int v = i / parts, b = i % parts;
     const ViewState& s = c.views[v];
-    const Strips& rays = s.rays;
-    if (b >= rays.bands) return;
-    const int64_t start = rays.start(b), size = rays.size(b);
-    float *T = scratch[v].T + start, *B = scratch[v].B + start;
-    for (int64_t k = 0; k < size; k++) { T[k] = s.T[start + k]; B[k] = 0.0f; }
-    for (int y = rays.band[b].first; from[v] && y < rays.band[b].end; y++) {
-      const float* row = from[v] + (int64_t)(y - rays.y0) * rays.columns;
+    if (b >= s.ray_parts) return;
+    const Part& band = s.ray_bands[b];
+    const Strips& rays = band.strips;
+    float *T = scratch[v].T + band.start, *B = scratch[v].B + band.start;
+    for (int64_t k = 0; k < rays.size(); k++) { T[k] = s.T[band.start + k]; B[k] = 0.0f; }
+    for (int y = rays.y0; from[v] && y < rays.y0 + rays.rows; y++) {
+      const float* row = from[v] + (int64_t)(y - s.rays.y0) * rays.columns;
       for (int x = 0; x < rays.columns; x++) {
-        const int64_t at_ray = rays.at(b, rays.x0 + x, y);
+        const int64_t at_ray = rays.at(rays.x0 + x, y);
         B[at_ray] = T[at_ray] * row[x];
       }
     }
-    const int first = s.ray_lists.first[b];
-    attenuate_band_backward(s.on_rays, s.ray_lists.ids + first, s.ray_lists.first[b + 1] - first, rays, b, scratch[v].h, T,
-                            s.stop + start, B, scratch[v].ray_moments);
+    attenuate_band_backward(s.on_rays, s.ray_list + band.first, band.count(), rays, b, least_log_tau(p), T,
+                            s.stop + band.start, B, scratch[v].ray_moments);
   });
   parallel(chunks, [&](int i) {
     differentiate(c, p, g, scratch, (int64_t)i * kChunk, chunk_end(i, np), shift_sums + (int64_t)i * 2 * V);

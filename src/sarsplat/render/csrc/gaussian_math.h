@@ -68,7 +68,25 @@ template <class F> SG_FN F widening_ratio(const Projection<F>& p, const PlaneUni
   return root(p.det_c / (p.det_cw * (u.ray[0] * u.ray[0] * u.ray[1] * u.ray[1])));
 }
 
-template <class F> SG_FN Sym2<F> inverse(const Sym2<F>& m, F det) { return {m.yy / det, -m.xy / det, m.xx / det}; }
+// The triangular factor L of an inverse covariance: S = 2 ln 2 L^T L, and the Gaussian is 2^-(u^2 + v^2) at (u, v) = L d.
+template <class F> struct Whitening {
+  F ux, uy, vy;
+  SG_FN F x(F u, F) const { return ux * u; }                  // L^T (u, v)
+  SG_FN F y(F u, F v) const { return uy * u + vy * v; }
+};
+template <class F> SG_FN Whitening<F> whitening(const Sym2<F>& cov, F det) {
+  const F inverse = 1.0f / cov.yy, ux = root(cov.yy * (0.5f * kLog2e) / det);
+  return {ux, -(cov.xy * inverse) * ux, root(inverse * (0.5f * kLog2e))};
+}
+
+// Where a Gaussian is densest along a ray, z_r = mean + slope (dx, dy): S (Sigma_xz, Sigma_yz).
+template <class F> SG_FN void densest(const Projection<F>& p, const PlaneUnits& units, F* slope) {
+  const Whitening<F> w = whitening(p.cov_c, p.det_cw);
+  const F x = p.xz / units.ray[0] * (2.0f * kLn2), y = p.yz / units.ray[1] * (2.0f * kLn2);
+  const F u = w.ux * x + w.uy * y, v = w.vy * y;
+  slope[0] = w.x(u, v);
+  slope[1] = w.y(u, v);
+}
 
 // softplus without cancellation: log1p(e) = ln(1 + e) e / ((1 + e) - 1)
 template <class F> SG_FN F softplus(F x) {
@@ -83,25 +101,24 @@ template <class F> SG_FN F softplus(F x) {
 // kept apart because Sigma_C^-1 of a thin Gaussian would drown the rest in rounding.
 template <class F> struct BodyGradient { F mean[3], g[6], scale[3], rot[9], kappa; };
 
-// half [S M2 S - m0 S] with S the inverse of a widened covariance and M2 the second moments
-template <class F> SG_FN Sym2<F> covariance_gradient(const Sym2<F>& s, const Moments<F>& m, F m0) {
-  const F ax = s.xx * m.mxx + s.xy * m.mxy, ay = s.xx * m.mxy + s.xy * m.myy;  // rows of S M2
-  const F bx = s.xy * m.mxx + s.yy * m.mxy, by = s.xy * m.mxy + s.yy * m.myy;
-  return {(ax * s.xx + ay * s.xy - m0 * s.xx) * 0.5f, (ax * s.xy + ay * s.yy - m0 * s.xy) * 0.5f,
-          (bx * s.xy + by * s.yy - m0 * s.yy) * 0.5f};
+// half [S M2 S - m0 S] with S the inverse of a widened covariance and M2 the second moments: ln 2 L^T [2 ln 2 M - m0] L
+template <class F> SG_FN Sym2<F> covariance_gradient(const Whitening<F>& w, const Moments<F>& m, F m0) {
+  const F uu = m.muu * (2.0f * kLn2) - m0, uv = m.muv * (2.0f * kLn2), vv = m.mvv * (2.0f * kLn2) - m0;
+  const F ux = w.ux * kLn2, along = uu * w.uy + uv * w.vy, across = uv * w.uy + vv * w.vy;
+  return {uu * w.ux * ux, along * ux, (along * w.uy + across * w.vy) * kLn2};
 }
 
-// One view's moments: a = kappa' sum F{1, d, dd}, b = sigma sum dL/dS b{1, e, ee}. planes: dL/d(mu_C, mu_I), per metre.
+// One view's moments: a = kappa' sum F{1, w, ww}, b = sigma sum dL/dS b{1, w, ww} with w = (u, v). planes: dL/d(mu_C, mu_I), per metre.
 template <class F>
 SG_FN void accumulate(const Projection<F>& p, const ViewFrame& f, const PlaneUnits& u, const Moments<F>& a,
                       const Moments<F>& b, bool peak, BodyGradient<F>& out, F* planes) {
-  const Sym2<F> sc = inverse(p.cov_c, p.det_cw), si = inverse(p.cov_i, p.det_iw);
-  planes[0] = (sc.xx * a.mx + sc.xy * a.my) * (1.0f / u.ray[0]);
-  planes[1] = (sc.xy * a.mx + sc.yy * a.my) * (1.0f / u.ray[1]);
-  planes[2] = (si.xx * b.mx + si.xy * b.my) * (1.0f / u.pixel[0]);
-  planes[3] = (si.xy * b.mx + si.yy * b.my) * (1.0f / u.pixel[1]);
-  const Sym2<F> gc = covariance_gradient(sc, a, a.m0);
-  const Sym2<F> gi = covariance_gradient(si, b, peak ? b.m0 * 0.0f : b.m0);
+  const Whitening<F> wc = whitening(p.cov_c, p.det_cw), wi = whitening(p.cov_i, p.det_iw);
+  planes[0] = wc.x(a.mu, a.mv) * (2.0f * kLn2 / u.ray[0]);
+  planes[1] = wc.y(a.mu, a.mv) * (2.0f * kLn2 / u.ray[1]);
+  planes[2] = wi.x(b.mu, b.mv) * (2.0f * kLn2 / u.pixel[0]);
+  planes[3] = wi.y(b.mu, b.mv) * (2.0f * kLn2 / u.pixel[1]);
+  const Sym2<F> gc = covariance_gradient(wc, a, a.m0);
+  const Sym2<F> gi = covariance_gradient(wi, b, peak ? b.m0 * 0.0f : b.m0);
   // the radar frame's full gradient: (x, y) from plane C, (x, z) from plane I, per m^2
   const F gxx = gc.xx * (1.0f / (u.ray[0] * u.ray[0])) + gi.xx * (1.0f / (u.pixel[0] * u.pixel[0]));
   const F gxy = gc.xy * (1.0f / (u.ray[0] * u.ray[1])), gyy = gc.yy * (1.0f / (u.ray[1] * u.ray[1]));

@@ -1,6 +1,6 @@
 // pair_math.h: the one place where the mathematics of a pair lives: (Gaussian, ray) and (Gaussian, pixel).
 // F is a SIMD vector on a CPU and float on a GPU thread; the includer provides splat, choose, power2, power2_parts,
-// power2_minus_one and sum6 for its F. Exponents are kept in base 2: q, depth and limit carry a factor log2(e).
+// power2_minus_one and sum6 for its F. Exponents and optical depths are kept in base 2: they carry a factor log2(e).
 #pragma once
 
 namespace sarsplat {
@@ -8,48 +8,49 @@ namespace SG_ISA {
 
 constexpr float kLog2e = 1.4426950408889634f, kLn2 = 0.6931471805599453f;
 
-// A projected Gaussian in lattice or pixel units: q = a dx^2 + b dx dy + c dy^2 <= limit is inside the footprint.
-struct Footprint { float x, y, a, b, c, limit, depth; };
+// A projected Gaussian in lattice or pixel units: 2^-(u^2 + v^2) with u = ux dx + uy dy and v = vy dy, the inverse
+// covariance by its Cholesky factor. height: log2 of the optical depth at its centre; the amplitude on the imaging plane.
+struct Footprint { float x, y, ux, uy, vy, height; };
 
-template <class F> struct Offset { F dx, dy, q; };
+template <class F> struct Offset { F u, v; };
 
 template <class F> SG_FN Offset<F> offset(const Footprint& g, F x, F y) {
   const F dx = x - g.x, dy = y - g.y;
-  return {dx, dy, (dx * g.a + dy * g.b) * dx + dy * dy * g.c};
+  return {dx * g.ux + dy * g.uy, dy * g.vy};
 }
+template <class F> SG_FN F distance(const Offset<F>& d) { return d.u * d.u + d.v * d.v; }
+template <class F> SG_FN F log_depth(const Footprint& g, const Offset<F>& d) { return (g.height - d.u * d.u) - d.v * d.v; }
 
-// Pass A, front to back (§3): w = T (1 - e^-tau); T becomes the transmittance behind the Gaussian.
-template <class F, class M> SG_FN F attenuate(const Footprint& g, const Offset<F>& d, M live, F& T) {
-  const auto e = power2_parts(-(power2(-d.q) * g.depth));
-  const F w = choose(live, -(T * power2_minus_one(e)), splat(0.0f));
-  T = choose(live, T * power2(e), T);
+// Pass A, front to back (§3): w = T (1 - e^-tau); T becomes the transmittance behind the Gaussian. Who is not live meets no
+// depth, and T stays as it is to the bit: so it can be stored whole (masked stores are slow to read back).
+template <class F, class M> SG_FN F attenuate(F log_tau, M live, F& T) {
+  const auto e = power2_parts(-choose(live, power2(log_tau), splat(0.0f)));
+  const F w = -(T * power2_minus_one(e));
+  T = T * power2(e);
   return w;
 }
 
 // Pass A, back to front (§4): on entry T is the transmittance behind the Gaussian and B = sum of h w behind it;
 // on return both hold the values before it. Returns tau dL/dtau, with tau in units of log2(e).
-template <class F, class M>
-SG_FN F attenuate_backward(const Footprint& g, const Offset<F>& d, M live, float h, F& T, F& B) {
-  const F tau = power2(-d.q) * g.depth;
+template <class F, class M> SG_FN F attenuate_backward(F log_tau, M live, float h, F& T, F& B) {
+  const F tau = choose(live, power2(log_tau), splat(0.0f));
   const auto e = power2_parts(tau);
-  const F f = choose(live, tau * (T * h - B), splat(0.0f));
-  B = choose(live, T * power2_minus_one(e) * h + B, B);
-  T = choose(live, T * power2(e), T);
+  const F f = tau * (T * h - B);
+  B = T * power2_minus_one(e) * h + B;
+  T = T * power2(e);
   return f;
 }
 
 // Pass B (§3): the footprint's weight, without its norm.
-template <class F, class M> SG_FN F imaging_weight(const Offset<F>& d, M live) {
-  return choose(live, power2(-d.q), splat(0.0f));
-}
+template <class F> SG_FN F imaging_weight(F q, float cut) { return choose(q <= cut, power2(-q), splat(0.0f)); }
 
-// Six sums per Gaussian and plane are all that the backward pass needs (§4): f {1, d, d d^T}.
+// Six sums per Gaussian and plane are all that the backward pass needs (§4): f {1, u, v, u^2, u v, v^2}.
 template <class F> struct Moments {
-  F m0, mx, my, mxx, mxy, myy;
+  F m0, mu, mv, muu, muv, mvv;
   SG_FN void add(const Offset<F>& d, F f) {
-    const F fx = f * d.dx, fy = f * d.dy;
-    m0 += f; mx += fx; my += fy;
-    mxx = fx * d.dx + mxx; mxy = fx * d.dy + mxy; myy = fy * d.dy + myy;
+    const F fu = f * d.u, fv = f * d.v;
+    m0 += f; mu += fu; mv += fv;
+    muu = fu * d.u + muu; muv = fu * d.v + muv; mvv = fv * d.v + mvv;
   }
 };
 
