@@ -1,6 +1,7 @@
 # make demo    the whole way once: simulate, reconstruct, evaluate, report
 # make test    the test suite without the slow tests; make test-slow runs those
 # make figures pictures in figures/ and their tables: buildings, vehicles, splat against ray cast
+# make bench   speed and memory against plain torch and the floor; fills the README's performance section (5 minutes)
 # make fuzz    hostile files for every reader; make sanitize  the engine under ASan and UBSan (needs Debian's clang-19)
 # make lint    style and types
 # make clean   remove everything that was made here, the environment included
@@ -19,7 +20,7 @@ define step
 @printf '\n==> %s\n' "$(1)"; begun=$$SECONDS; $(2) && printf '    (%s s)\n' $$((SECONDS - begun))
 endef
 
-.PHONY: demo setup test test-slow figures fuzz sanitize lint readme clean
+.PHONY: demo setup test test-slow figures bench fuzz sanitize lint readme clean
 
 demo: setup
 	$(call step,simulate: a T-72-like target by ray casting (24 training views and 48 test views),\
@@ -48,6 +49,11 @@ figures: setup
 	$(call step,buildings: both forward models against the closed form,$(BIN)/python docs/draw_buildings.py)
 	$(call step,splat against ray cast: one mesh through both forward models,$(BIN)/python docs/draw_splat_against_raycast.py)
 	$(call step,vehicles beside measured chips,$(BIN)/python docs/draw_vehicles.py)
+
+bench: setup
+	$(call step,bench: speed and memory of every part (minutes; leave the machine alone),\
+	  $(BIN)/python benchmarks/bench.py --out benchmarks/results)
+	$(call step,README: the performance section from benchmarks/results,$(BIN)/python benchmarks/readme_performance.py)
 
 lint: setup
 	$(BIN)/ruff check

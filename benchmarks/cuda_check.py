@@ -1,38 +1,42 @@
 """Proof and pace of the CUDA engine, to run where a GPU is: `python benchmarks/cuda_check.py`.
 
 The scenes of the tests against the float64 reference, twice for equal bits; milliseconds per view for 15,000 Gaussians
-with 24 views at a time, kernel by kernel; a million Gaussians on 2048 × 2048 pixels. Results go to
-`benchmarks/results/cuda-<device>.json`. Needs pytest besides the package, and no compiler.
+with 24 views at a time, kernel by kernel, and of a whole training step; a million Gaussians on 2048 × 2048 pixels;
+the share of the device's own rate; gsplat beside it where it is installed. Results go to
+`benchmarks/results/cuda-<device>.json`. Needs pytest besides the package, and no compiler. Never run on a GPU yet.
 """
 
 from __future__ import annotations
 
-import json
 import re
 import statistics
 import sys
-import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
+from clock import Spread, in_turn, spread
+from naive_torch import count_pairs
+from results import REPOSITORY, RESULTS, save
+from work import FLOPS
 
-REPOSITORY = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(REPOSITORY / "tests" / "render"))
 
-from named_scenes import MATRIX, Scene, cloud  # noqa: E402
-from test_cpu_engine import NOTHING_TO_SEE, judged, relative  # noqa: E402
-from test_cuda_native import on_gpu  # noqa: E402
+from named_scenes import MATRIX, Scene, cloud
+from test_cpu_engine import NOTHING_TO_SEE, judged, relative
+from test_cuda_native import on_gpu
 
-from sarsplat.gaussians import Gaussians  # noqa: E402
-from sarsplat.geometry import ImageGrid, View  # noqa: E402
-from sarsplat.render import render  # noqa: E402
-from sarsplat.render.cuda_device import Device, device, require_cuda  # noqa: E402
-from sarsplat.render.nvrtc import Nvrtc  # noqa: E402
+from sarsplat.gaussians import Gaussians
+from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.render import render
+from sarsplat.render.cuda_device import Device, device, require_cuda
+from sarsplat.render.nvrtc import Nvrtc
 
 VIEWS = tuple(View(45.0 * k, grazing) for grazing in (15.0, 45.0, 75.0) for k in range(8))
 WORKLOADS: dict[str, tuple[Callable[[], Scene], int]] = {
-    "15,000 Gaussians, 128 x 128, 24 views": (
+    "training": (
         lambda: Scene(
             cloud(15_000, 1, size=(6.4, 3.3, 2.2), scale=0.06, kappa=(0.01, 4.0)),
             VIEWS,
@@ -40,7 +44,7 @@ WORKLOADS: dict[str, tuple[Callable[[], Scene], int]] = {
         ),
         50,
     ),
-    "1,000,000 Gaussians, 2048 x 2048, 1 view": (
+    "million": (
         lambda: Scene(
             cloud(1_000_000, 2, size=(200.0, 200.0, 10.0), scale=0.1, kappa=(0.01, 4.0)),
             VIEWS[8:9],
@@ -49,6 +53,7 @@ WORKLOADS: dict[str, tuple[Callable[[], Scene], int]] = {
         10,
     ),
 }
+STEP_AIM_S = 0.2e-3  # of a view in a training step
 
 
 def proof() -> dict[str, dict[str, float]]:
@@ -101,10 +106,37 @@ class Stopwatch:
         return total
 
 
-def pace(scene: Scene, repeats: int) -> dict[str, object]:
-    """Forward and backward to every Gaussian: milliseconds per view, by kernel, and the memory taken."""
+def on_device(scene: Scene) -> Gaussians:
+    """The Gaussians on the GPU, differentiable."""
     moved = scene.gaussians.to("cuda")
-    leaves = Gaussians(*(t.requires_grad_() for t in moved.tensors().values()), p_min=moved.p_min)
+    return replace(moved, **{name: tensor.requires_grad_() for name, tensor in moved.tensors().items()})
+
+
+def timed(programs: dict[str, Callable[[], object]], repeats: int, views: int) -> dict[str, Spread]:
+    """Seconds per view of each, in turn, until the GPU is done."""
+
+    def finished(program: Callable[[], object]) -> Callable[[], None]:
+        def run() -> None:
+            program()
+            torch.cuda.synchronize()
+
+        return run
+
+    samples = in_turn({name: finished(program) for name, program in programs.items()}, repeats)
+    return {name: spread([second / views for second in seconds]) for name, seconds in samples.items()}
+
+
+def peak_flop_s() -> float:
+    """What the device can do: a product of float32 matrices, not rounded to TF32."""
+    torch.backends.cuda.matmul.allow_tf32 = False
+    side = 8192
+    factors = torch.rand(2, side, side, device="cuda")
+    return 2 * side**3 / timed({"multiply": lambda: torch.mm(*factors)}, 10, 1)["multiply"]["median"]
+
+
+def pace(scene: Scene, repeats: int, peak: float) -> dict[str, Any]:
+    """Forward and backward to every Gaussian: seconds per view, by kernel, share of the peak, and the memory taken."""
+    leaves = on_device(scene)
     views, grid = len(scene.views), scene.grid
     seed = torch.rand(views, grid.rows, grid.columns, device="cuda")
 
@@ -112,48 +144,115 @@ def pace(scene: Scene, repeats: int) -> dict[str, object]:
         images = render(leaves, scene.views, grid, engine="cuda").images
         torch.autograd.grad(images, list(leaves.tensors().values()), seed)
 
-    for _ in range(3):
-        step()
+    step()
     torch.cuda.synchronize()
     torch.cuda.reset_peak_memory_stats()
-    samples = []
-    for _ in range(repeats):
-        begun = time.perf_counter()
-        step()
-        torch.cuda.synchronize()
-        samples.append(1e3 * (time.perf_counter() - begun))
+    seconds = timed({"engine": step}, repeats, views)["engine"]
     memory = torch.cuda.max_memory_allocated()
     with Stopwatch(device(leaves.means.device.index)) as watch:
         for _ in range(repeats):
             step()
-    kernels = {name: ms / views for name, ms in watch.spent(repeats).items()}
-    deciles = statistics.quantiles(samples, n=10)
-    result = {
-        "ms_per_view": statistics.median(samples) / views,
-        "ms_per_view_fastest": min(samples) / views,
-        "ms_per_view_90_percent": deciles[-1] / views,
-        "kernel_ms_per_view": kernels,
+    pairs = [count_pairs(scene.gaussians, view, grid, RayGrid.for_image(grid)) for view in scene.views]
+    flops = statistics.mean(sum(each[plane] * FLOPS[plane] for plane in FLOPS) for each in pairs)
+    return {
+        "gaussians": len(scene.gaussians),
+        "side": grid.rows,
+        "views": views,
+        "view_s": seconds,
+        "kernel_ms_per_view": {name: ms / views for name, ms in watch.spent(repeats).items()},
         "peak_bytes": memory,
+        "flops_per_view": flops,
+        "share_of_peak": flops / seconds["median"] / peak,
     }
-    print(f"  {result['ms_per_view']:.3f} ms a view (fastest {result['ms_per_view_fastest']:.3f}), {memory >> 20} MiB")
-    for name, ms in kernels.items():
-        print(f"    {name:26} {ms:.4f}")
-    return result
 
 
-def main() -> None:
-    """Run everything and write it down."""
+def training_step(scene: Scene, repeats: int) -> dict[str, Any]:
+    """Seconds per view of render, L1 on amplitude as in the default preset, backward, and torch's fused Adam."""
+    leaves = on_device(scene)
+    with torch.no_grad():
+        truth = render(leaves, scene.views, scene.grid, engine="cuda").images.sqrt() * 0.9
+    adam = torch.optim.Adam(list(leaves.tensors().values()), lr=1e-7, fused=True)  # nothing may leave its bounds
+
+    def step() -> None:
+        images = render(leaves, scene.views, scene.grid, engine="cuda").images
+        ((images + 1e-6).sqrt() - truth).abs().mean().backward()
+        adam.step()
+        adam.zero_grad()
+
+    seconds = timed({"step": step}, repeats, len(scene.views))["step"]
+    return {"view_s": seconds, "of_the_aim": seconds["median"] / STEP_AIM_S}
+
+
+def beside_gsplat(scene: Scene, repeats: int) -> dict[str, Any] | None:
+    """An optical rasteriser in orthographic mode on the same Gaussians and image size, or None if it is not installed.
+
+    It has one plane to our two, and alpha instead of optical depth.
+    """
+    try:
+        from gsplat import rasterization
+    except ImportError:
+        return None
+    leaves, grid, count = on_device(scene), scene.grid, len(scene.views)
+    cameras = torch.eye(4, device="cuda").repeat(count, 1, 1)
+    for camera, view in zip(cameras, scene.views, strict=True):
+        camera[:3, :3] = torch.from_numpy(radar_frame(view))
+        camera[2, 3] = 1000.0  # m: all of the scene is in front
+    half = (grid.columns / 2, grid.rows / 2)
+    lens = torch.tensor([[1 / grid.spacing[0], 0, half[0]], [0, 1 / grid.spacing[1], half[1]], [0, 0, 1]])
+    lenses = lens.cuda().repeat(count, 1, 1)
+    colours = torch.rand(len(scene.gaussians), 3, device="cuda", requires_grad=True)
+    seed = torch.rand(count, grid.rows, grid.columns, device="cuda")
+
+    def optical() -> None:
+        images, *_ = rasterization(
+            leaves.means,
+            leaves.quaternions,
+            leaves.scales,
+            -torch.expm1(-leaves.optical_depth),
+            colours,
+            cameras,
+            lenses,
+            grid.columns,
+            grid.rows,
+            camera_model="ortho",
+            far_plane=1e5,
+        )
+        wanted = [leaves.means, leaves.quaternions, leaves.scales, leaves.optical_depth, colours]
+        torch.autograd.grad(images, wanted, seed[..., None].expand_as(images))
+
+    def radar() -> None:
+        images = render(leaves, scene.views, grid, engine="cuda").images
+        torch.autograd.grad(images, list(leaves.tensors().values()), seed)
+
+    view_s = timed({"gsplat": optical, "engine": radar}, repeats, count)
+    return {"view_s": view_s, "gsplat / engine": view_s["gsplat"]["median"] / view_s["engine"]["median"]}
+
+
+def main(folder: Path = RESULTS) -> None:
+    """Run everything, print it and write it down."""
     require_cuda()
     name = torch.cuda.get_device_name()
     print(f"{name}, torch {torch.__version__}, NVRTC {Nvrtc().version}")
-    results: dict[str, object] = {"device": name, "torch": torch.__version__, "nvrtc": Nvrtc().version}
-    results["largest relative error"] = proof()
+    results: dict[str, Any] = {"device": name, "torch": torch.__version__, "nvrtc": Nvrtc().version}
+    results["largest_relative_error"] = proof()
+    results["peak_flop_s"] = peak_flop_s()
+    results["workloads"] = {}
     for title, (make, repeats) in WORKLOADS.items():
-        print(title)
-        results[title] = pace(make(), repeats)
-    path = REPOSITORY / "benchmarks" / "results" / f"cuda-{re.sub('[^a-z0-9]+', '-', name.lower())}.json"
-    path.parent.mkdir(exist_ok=True)
-    path.write_text(json.dumps(results, indent=2) + "\n")
+        found = results["workloads"][title] = pace(make(), repeats, results["peak_flop_s"])
+        print(
+            f"{found['gaussians']:,} Gaussians, {found['side']}², {found['views']} views: "
+            f"{1e3 * found['view_s']['median']:.3f} ms a view, {found['peak_bytes'] >> 20} MiB, "
+            f"{100 * found['share_of_peak']:.1f} % of the device's {results['peak_flop_s'] / 1e12:.1f} TFlop/s"
+        )
+        for kernel, ms in found["kernel_ms_per_view"].items():
+            print(f"    {kernel:26} {ms:.4f} ms")
+    make, repeats = WORKLOADS["training"]
+    step = results["training_step"] = training_step(make(), repeats)
+    print(f"training step: {1e3 * step['view_s']['median']:.3f} ms a view, {step['of_the_aim']:.2f} × the aim")
+    beside = results["gsplat"] = beside_gsplat(make(), repeats)
+    print(f"gsplat / engine: {beside['gsplat / engine']:.2f}" if beside else "gsplat is not installed")
+    path = folder / f"cuda-{re.sub('[^a-z0-9]+', '-', name.lower())}.json"
+    save(path, results)
     print(path)
 
 

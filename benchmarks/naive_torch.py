@@ -21,6 +21,22 @@ def render_naive(gaussians: Gaussians, views: list[View], grid: ImageGrid, rays:
     return torch.stack([_view(gaussians, sigma, view, grid, rays) for view in views])
 
 
+@torch.no_grad()
+def count_pairs(gaussians: Gaussians, view: View, grid: ImageGrid, rays: RayGrid) -> dict[str, int]:
+    """Pairs inside the footprints on each plane, those behind the end of a ray included; on the CPU, in portions."""
+    frame = torch.from_numpy(radar_frame(view)).float()
+    found = {"attenuation": 0, "imaging": 0}
+    for part in range(0, len(gaussians), 20_000):
+        mean, quaternions, scales, depth = (
+            tensor[part : part + 20_000].cpu()
+            for tensor in (gaussians.means, gaussians.quaternions, gaussians.scales, gaussians.optical_depth)
+        )
+        mean, cov = mean @ frame.T, frame @ covariance(quaternions, scales) @ frame.T
+        found["attenuation"] += len(_ray_pairs(mean, cov, depth, rays)[1])
+        found["imaging"] += len(_pixel_pairs(mean, cov, grid)[1])
+    return found
+
+
 def _view(gaussians: Gaussians, sigma: Tensor, view: View, grid: ImageGrid, rays: RayGrid) -> Tensor:
     frame = torch.from_numpy(radar_frame(view)).float()
     mean = gaussians.means @ frame.T
@@ -28,17 +44,7 @@ def _view(gaussians: Gaussians, sigma: Tensor, view: View, grid: ImageGrid, rays
     mean, cov = mean[order], (frame @ sigma @ frame.T)[order]
     phase = (gaussians.p_min + softplus(gaussians.harmonics @ harmonic_basis(-frame[2], gaussians.degree)))[order]
 
-    spacing = torch.tensor(rays.spacing)
-    unit = spacing[:, None] * spacing
-    cov_c = cov[:, :2, :2] / unit  # in ray cells
-    wide = cov_c + CELL_WIDENING * torch.eye(2)
-    kappa = gaussians.optical_depth[order] * (_det(cov_c) / _det(wide)).clamp(min=0).sqrt()
-    limit = 2 * torch.log(kappa.detach() / MIN_RAY_DEPTH)
-    center = mean[:, :2] / spacing - 0.5
-    reach = (limit.clamp(min=0)[:, None] * torch.diagonal(wide.detach(), dim1=1, dim2=2)).sqrt()
-    low = torch.floor((center.detach() - reach).amin(0))
-    size = (torch.ceil((center.detach() + reach).amax(0)) - low + 1).long()
-    who, where, q = _pairs(center - low, wide, limit, int(size[0]), int(size[1]))
+    kappa, who, where, q = _ray_pairs(mean, cov, gaussians.optical_depth[order], rays)
 
     where, by_ray = torch.sort(where, stable=True)
     who, q = who[by_ray], q[by_ray]
@@ -52,15 +58,35 @@ def _view(gaussians: Gaussians, sigma: Tensor, view: View, grid: ImageGrid, rays
     weight = torch.where(kept, torch.exp(-before) * -torch.expm1(-tau), 0.0)
     cross_section = phase * rays.cell_area * torch.zeros_like(kappa).index_add(0, who, weight)
 
+    cov_i, who, where, q = _pixel_pairs(mean, cov, grid)
+    norm = 2 * math.pi * math.prod(grid.spacing) * (1 - math.exp(-IMAGE_CUT / 2)) * _det(cov_i).sqrt()
+    splat = (cross_section / norm)[who] * torch.exp(-0.5 * q)
+    return torch.zeros(grid.rows * grid.columns).index_add(0, where, splat).view(grid.rows, grid.columns)
+
+
+def _ray_pairs(mean: Tensor, cov: Tensor, depth: Tensor, rays: RayGrid) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Optical depth κ' of every Gaussian, and its pairs with rays."""
+    spacing = torch.tensor(rays.spacing)
+    cov_c = cov[:, :2, :2] / (spacing[:, None] * spacing)  # in ray cells
+    wide = cov_c + CELL_WIDENING * torch.eye(2)
+    kappa = depth * (_det(cov_c) / _det(wide)).clamp(min=0).sqrt()
+    limit = 2 * torch.log(kappa.detach() / MIN_RAY_DEPTH)
+    center = mean[:, :2] / spacing - 0.5
+    reach = (limit.clamp(min=0)[:, None] * torch.diagonal(wide.detach(), dim1=1, dim2=2)).sqrt()
+    low = torch.floor((center.detach() - reach).amin(0))
+    size = (torch.ceil((center.detach() + reach).amax(0)) - low + 1).long()
+    return kappa, *_pairs(center - low, wide, limit, int(size[0]), int(size[1]))
+
+
+def _pixel_pairs(mean: Tensor, cov: Tensor, grid: ImageGrid) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Covariance of every Gaussian in pixels, the response included, and its pairs with pixels."""
     pixel, image_center = torch.tensor(grid.spacing), torch.tensor(grid.center)
     response = torch.diag(torch.tensor(grid.resolution) ** 2 / (8 * math.log(2)))
     cov_i = (cov[:, [0, 2]][:, :, [0, 2]] + response) / (pixel[:, None] * pixel)
     half = torch.tensor([(grid.columns - 1) / 2, (grid.rows - 1) / 2])
     center = (mean[:, [0, 2]] - image_center) / pixel + half
-    who, where, q = _pairs(center, cov_i, torch.full_like(limit, IMAGE_CUT), grid.columns, grid.rows)
-    norm = 2 * math.pi * float(pixel.prod()) * (1 - math.exp(-IMAGE_CUT / 2)) * _det(cov_i).sqrt()
-    splat = (cross_section / norm)[who] * torch.exp(-0.5 * q)
-    return torch.zeros(grid.rows * grid.columns).index_add(0, where, splat).view(grid.rows, grid.columns)
+    limit = torch.full_like(center[:, 0].detach(), IMAGE_CUT)
+    return cov_i, *_pairs(center, cov_i, limit, grid.columns, grid.rows)
 
 
 def _det(m: Tensor) -> Tensor:

@@ -1,0 +1,60 @@
+"""Loads that break other renderers: they may cost their work, and no more."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from clock import Spread, in_turn, ratio, spread
+from recipes import training_view
+from scene import Scene, field
+from work import blocks, unseen, visited
+
+from sarsplat.geometry import View
+
+
+def loads(quick: bool) -> dict[str, Scene]:
+    """Footprints that cover everything, and Gaussians that nothing but their shape tells apart."""
+    wide = field(30 if quick else 150, 64, sigma=40.0)
+    wide = replace(wide, gaussians=replace(wide.gaussians, optical_depth=wide.gaussians.optical_depth * 0.1))
+    together = training_view(5000)
+    centre = together.gaussians.means.mean(0, keepdim=True)
+    means = centre.expand(len(together.gaussians), 3).contiguous()
+    return {
+        "footprints larger than the image": wide,
+        "5,000 Gaussians in one place": replace(together, gaussians=replace(together.gaussians, means=means)),
+    }
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """Time over that of the same work in the ordinary scene: so many blocks, and what each Gaussian costs unseen."""
+    scenes = {"ordinary": training_view(), **loads(quick)}
+    if not all(math.isfinite(float(t.sum())) for scene in scenes.values() for t in scene.step()):
+        raise SystemExit("a degenerate scene gave something that is not finite")
+    programs: dict[str, Callable[[], object]] = {name: scene.step for name, scene in scenes.items()}
+    programs |= {f"{name}, unseen": unseen(scene).step for name, scene in scenes.items()}
+    times = in_turn(programs, 3 if quick else 30)
+    count = {name: blocks(visited(scene)) for name, scene in scenes.items()}
+    spent = {name: statistics.median(samples) for name, samples in times.items()}
+    per_block = (spent["ordinary"] - spent["ordinary, unseen"]) / count["ordinary"]
+
+    def over_work(name: str) -> Spread:
+        work = spent[f"{name}, unseen"] + count[name] * per_block
+        return spread([seconds / work for seconds in times[name]])
+
+    around = tuple(View(360.0 * k / 64, 15.0 + 30.0 * (k % 3)) for k in range(64))
+    batch = replace(training_view(1000) if quick else scenes["ordinary"], views=around)
+    alone = [replace(batch, views=(view,)) for view in around]
+    rivals = {"64 views, one by one": lambda: [scene.step() for scene in alone], "64 views at once": batch.step}
+    views = in_turn(rivals, 1 if quick else 8)
+    return {
+        "ratios": {
+            **{f"{name} / as much ordinary work": over_work(name) for name in scenes if name != "ordinary"},
+            "64 views at once / one by one": ratio(views["64 views at once"], views["64 views, one by one"]),
+        },
+        "times": {name: spread(samples) for name, samples in (times | views).items()},
+        "blocks": count,
+    }

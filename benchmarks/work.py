@@ -1,0 +1,69 @@
+"""What the engine's loops visit, and at what rate these cores multiply and add."""
+
+from __future__ import annotations
+
+import statistics
+from dataclasses import replace
+from typing import Any
+
+import torch
+from clock import in_turn
+from scene import Scene
+
+from sarsplat.render import cpu
+
+FLOPS = {"attenuation": 25 + 40 + 2 * 15, "imaging": 12 + 25 + 2 * 15}
+"""Per lane: forward, backward, and an exponential in each."""
+
+_SIDE = 1024
+_FACTORS = torch.rand(2, _SIDE, _SIDE, generator=torch.Generator().manual_seed(0))
+
+
+def multiply() -> None:
+    """What the cores can do: a product of float32 matrices, on torch's threads."""
+    torch.mm(*_FACTORS)
+
+
+def rate(seconds: float) -> float:
+    """Flop/s of a `multiply` that took so long."""
+    return 2 * _SIDE**3 / seconds
+
+
+def measured_rate(repeats: int = 15) -> float:
+    """Flop/s of these cores now."""
+    return rate(statistics.median(in_turn({"multiply": multiply}, repeats)["multiply"]))
+
+
+def visited(scene: Scene) -> dict[str, int]:
+    """Blocks visited and lanes live on each plane in one forward pass, and the lanes of a block."""
+    found = []
+    forward = cpu.Pass.forward
+
+    def counted(self: cpu.Pass, problem: Any, outputs: Any) -> tuple[str, int]:
+        result = forward(self, problem, outputs)
+        found.append(self.statistics(problem))
+        return result
+
+    cpu.Pass.forward = counted  # type: ignore[method-assign]
+    try:
+        with torch.no_grad():
+            scene.images()
+    finally:
+        cpu.Pass.forward = forward  # type: ignore[method-assign]
+    return {field[0]: int(getattr(found[0], field[0])) for field in found[0]._fields_}
+
+
+def flops(counts: dict[str, int]) -> int:
+    """Of every visited lane, live or not, forward and backward."""
+    return counts["lanes"] * sum(counts[f"blocks_{plane}"] * each for plane, each in FLOPS.items())
+
+
+def blocks(counts: dict[str, int]) -> int:
+    """Visited on both planes."""
+    return sum(counts[f"blocks_{plane}"] for plane in FLOPS)
+
+
+def unseen(scene: Scene) -> Scene:
+    """The same Gaussians, too thin to touch a ray and far from the image: all of the engine's work but its pairs."""
+    thin = replace(scene.gaussians, optical_depth=torch.full_like(scene.gaussians.optical_depth, 1e-6))
+    return Scene(thin, scene.views, replace(scene.grid, center=(1e4, 1e4)))

@@ -1,0 +1,185 @@
+"""`make bench` in small: the parts run, and the README's performance section can be made of what they find."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+BENCHMARKS = ROOT / "benchmarks"
+ON_A_GPU_BOX = ("cuda_check", "clock", "naive_torch", "results", "scene", "work")
+
+
+@pytest.fixture
+def generator(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """What fills the README."""
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    import readme_performance
+
+    return readme_performance
+
+
+def spread(median: float) -> dict[str, float]:
+    return {"median": median, "least": 0.8 * median, "p10": 0.9 * median, "p90": 1.25 * median, "samples": 9}
+
+
+def made_up() -> dict[str, dict]:
+    """Results of a machine that does not exist."""
+
+    def series(*sizes: tuple[int, int]) -> list[dict]:
+        return [
+            {
+                "gaussians": count,
+                "side": side,
+                "seconds": spread(1e-6 * count),
+                "floor_s": 5e-7 * count,
+                "peak_bytes": 300 * count,
+                "process_bytes": 3 << 29,
+            }
+            for count, side in sizes
+        ]
+
+    parts = {
+        "determinism": {"ratios": {"the same bits for 1, 2, 3 threads": "yes"}},
+        "naive": {
+            "ratios": {"plain torch / engine": spread(40.0)},
+            "times": {"plain torch": spread(0.1), "engine": spread(0.0025)},
+        },
+        "floor": {
+            "ratios": {
+                "engine / floor of visited blocks": spread(2.0),
+                "live lanes, attenuation": 0.16,
+                "live lanes, imaging": 0.22,
+            },
+            "times": {"engine forward + backward": spread(0.0025), "floor of visited blocks": spread(0.00125)},
+            "rate_flop_s": 2e11,
+        },
+        "iteration": {
+            "ratios": {"a view of 8 / a view alone": spread(0.5), "60,000 / 15,000 Gaussians, a view alone": spread(3)},
+            "view_s": {"one view": spread(0.004), "8 views": spread(0.002)},
+            "view_s_many": {"one view": spread(0.012), "8 views": spread(0.007)},
+            "gaussians": {"few": 15_000, "many": 60_000},
+        },
+        "twins": {
+            "ratios": {"Adam: torch / engine": spread(1.5)},
+            "times": {"Adam: torch": spread(0.0009), "Adam: engine": spread(0.0006)},
+        },
+        "degenerate": {"ratios": {"64 views at once / one by one": spread(0.7)}},
+        "growth": {
+            "slopes": {"gaussians": 1.02, "pixels": 0.98},
+            "series": {"gaussians": series((1000, 65), (10_000, 205)), "pixels": series((256, 128), (1024, 256))},
+            "bytes_each": {"gaussian": 411.0, "pixel": 83.0, "nothing": 4e7},
+        },
+    }
+    machine = {
+        "processor": "Abacus",
+        "cores": 2,
+        "threads": 2,
+        "instruction_set": "avx2",
+        "torch": "2",
+        "date": "today",
+    }
+    return {"machine": {**machine, "quick": False}, "parts": parts}
+
+
+PAPER = {"iterations": 30_000, "training_s": 100.0, "paper_s": 400.0}
+DEVICE = {
+    "device": "Wheel",
+    "workloads": {
+        "training": {"gaussians": 15_000, "side": 128, "views": 24, "share_of_peak": 0.123, "view_s": spread(0.0001)}
+    },
+    "training_step": {"view_s": spread(0.00015)},
+    "gsplat": {"gsplat / engine": 1.1, "view_s": {"gsplat": spread(0.00011), "engine": spread(0.0001)}},
+}
+
+
+def test_the_section_says_what_was_measured(generator):
+    results = made_up()
+    text = generator.section(results, [])
+    for said in (
+        "| 40 × (36 … 50) | plain PyTorch / engine, forward and backward of one view | 100 ms / 2.5 ms |",
+        "| 2 × (1.8 … 2.5) | engine / its floor",
+        "| exponent 1.02 | growth of time with Gaussians",
+        "| 1.50 GiB | 10,000 Gaussians on 205 × 205 pixels",
+        "411 bytes a Gaussian and 83 a pixel",
+        "| yes | the same bits for 1, 2, 3 threads |",
+        "CUDA: not run on a GPU.",
+        "![",
+    ):
+        assert said in text.replace("\n", " ")
+    assert "RTX" not in text  # that training was not run
+    results["parts"]["paper"] = PAPER
+    assert "| 4.0 × | the paper's training on an RTX 3060 Ti" in generator.section(results, [])
+
+
+def test_the_section_has_a_table_of_every_gpu(generator):
+    text = generator.section(made_up(), [DEVICE, {**DEVICE, "device": "Lever", "gsplat": None}])
+    assert "not run" not in text
+    assert "| 12.3 % | Wheel, forward and backward: 15,000 Gaussians, 128 × 128 pixels, 24 views | 0.1 ms |" in text
+    assert text.count("gsplat") == 1
+    assert "Lever" in text
+
+
+def test_quick_results_do_not_reach_the_readme(generator, monkeypatch, tmp_path):
+    page, picture = tmp_path / "README.md", tmp_path / "growth.png"
+    page.write_text("above\n<!-- performance: begin -->\nold\n<!-- performance: end -->\nbelow\n")
+    for name, value in {"RESULTS": tmp_path, "README": page, "PICTURE": picture}.items():
+        monkeypatch.setattr(generator, name, value)
+    with pytest.raises(SystemExit, match="run `make bench`"):
+        generator.main()
+    results = made_up()
+    for quick in (True, False):
+        results["machine"]["quick"] = quick
+        (tmp_path / "cpu.json").write_text(json.dumps(results))
+        if quick:
+            with pytest.raises(SystemExit, match="quick run"):
+                generator.main()
+            assert "old" in page.read_text()
+    generator.main()
+    assert "Abacus" in page.read_text()
+    assert "old" not in page.read_text()
+    assert page.read_text().endswith("<!-- performance: end -->\nbelow\n")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_quick_bench_finds_all_that_the_section_needs(generator, tmp_path):
+    command = [sys.executable, "-W", "error", str(BENCHMARKS / "bench.py"), "--quick", "--out", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["cpu.json"]
+    results = json.loads((tmp_path / "cpu.json").read_text())
+    assert results["machine"]["quick"]
+    text = generator.section(results, [])
+    assert "nan" not in text
+    growth = results["parts"]["growth"]
+    assert all(row["peak_bytes"] > 0 and row["floor_s"] > 0 for row in growth["series"]["gaussians"])
+    assert not {"/", "\\"} & set(json.dumps({k: v for k, v in results["machine"].items() if k != "processor"}))
+
+
+@pytest.mark.slow
+def test_the_whole_training_is_measured(generator):
+    import paper_run
+
+    found = paper_run.measure(quick=True)
+    assert found["iterations"] == 20
+    results = made_up()
+    results["parts"]["paper"] = found
+    assert "20 iterations" in generator.section(results, [])
+
+
+def test_what_runs_on_a_gpu_box_needs_torch_numpy_and_pytest_only():
+    own = {path.stem for path in BENCHMARKS.glob("*.py")} | {path.stem for path in (ROOT / "tests").rglob("*.py")}
+    for name in ON_A_GPU_BOX:
+        tree = ast.parse((BENCHMARKS / f"{name}.py").read_text(encoding="utf-8"))
+        found = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+        found |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
+        assert not {module for module in found if module.startswith("sarsplat.") and module.split(".")[1] == "scenes"}
+        first = {module.split(".")[0] for module in found} - set(sys.stdlib_module_names) - {"torch", "numpy", "gsplat"}
+        assert first & {path.stem for path in BENCHMARKS.glob("*.py")} <= set(ON_A_GPU_BOX), name
+        assert first - own <= {"sarsplat"}, name
