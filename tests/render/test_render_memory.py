@@ -51,7 +51,7 @@ elif which == "rays":
     leave(100)
     print(refused(lambda: everything(3)))
 else:
-    images = everything(140_000)  # whose backward pass outgrows what the forward pass left over
+    images = everything(240_000)  # whose backward pass outgrows what the forward pass left over
     leave(30)  # for the gradients themselves
     print(refused(lambda: images.sum().backward(retain_graph=True)))
     leave(500)

@@ -2,9 +2,8 @@
 #pragma once
 #include <cstring>
 
-#include "simd.h"
-
 #include "api.h"
+#include "columns.h"
 #include "gaussian_math.h"
 #include "memory.h"
 #include "passes.h"
@@ -16,10 +15,11 @@ namespace {
 constexpr int kChunk = 1024;      // Gaussians per task; a multiple of every kWidth
 constexpr int kTasks = 16;        // pair-loop tasks wanted over all views, at most kMostParts of them per view
 constexpr int kMostParts = 8;
-constexpr int kRowsPerTask = 16;  // of images
+constexpr int kRowsPerTask = 16, kStripsPerTask = 8;  // of images
 constexpr int kShapes = 8;        // told apart, in either direction
 constexpr int kRowsPerBand = 12;  // at least, on average: a Gaussian on a border is visited twice
 constexpr float kFarthest = 1 << 24;  // ray cells or pixels from the origin: whole numbers in float32
+constexpr int32_t kNoDepth = -1;      // as an unsigned key it comes last
 constexpr int64_t kMostRays = int64_t(1) << 28;
 
 int least(int a, int b) { return a < b ? a : b; }
@@ -29,7 +29,7 @@ I most(I a, I b) { return __builtin_elementwise_max(a, b); }
 int64_t padded(int64_t n) { return (n + kWidth - 1) / kWidth * kWidth; }
 
 // ---- what a view keeps -----------------------------------------------------------------------------------------------
-struct Bounds { float low[2], high[2]; };
+struct Bounds { F low[2], high[2]; };
 
 // What one task of a pair loop works on: some Gaussians of a list, and a rectangle with memory of its own.
 struct Part {
@@ -46,8 +46,9 @@ struct ViewState {
   ViewFrame frame;
   RayEntry* on_rays;              // by id
   PixelEntry* on_pixels;
-  float *phase, *range;           // P(u); z_r, infinite for Gaussians that touch no ray
-  Bounds* bounds;                 // per chunk, of the footprints on the computation plane
+  int32_t* depth_keys;            // by id: z_r as an ordered number, kNoDepth for Gaussians that touch no ray
+  int32_t* pixel_keys;            // by id: the first row, then the shape
+  Bounds* bounds;                 // by chunk, of the footprints on the computation plane
   uint64_t *order, *order_spare;  // front to back: depth key << 32 | id
   int touching;                   // how many are in it
   Strips rays;                    // the lattice
@@ -55,7 +56,6 @@ struct ViewState {
   Part ray_bands[kMostParts];     // of rows; who reaches them, front to back
   Part pixel_groups[kMostParts];  // every Gaussian is in one of them
   int32_t *ray_list, *pixel_list; // ids
-  int32_t* pixel_keys;           // by id: the first row, then the shape
   Reached* reached;               // by id
   int64_t* rows;                  // scratch
   int32_t* counts;
@@ -73,7 +73,6 @@ using namespace sarsplat::SG_ISA;
 struct sg_context {
   Arena arena;
   Arena::Mark kept;
-  float *mean[3], *unit[4], *norm, *rot[9], *scale[3], *kappa;
   ViewState* views;
   Strips image;
   int parts;                      // of a view, at most
@@ -83,10 +82,22 @@ namespace sarsplat {
 namespace SG_ISA {
 namespace {
 
-Body<F> body(const sg_context& c, int64_t i) {
-  Body<F> b;
-  for (int k = 0; k < 3; k++) { b.mean[k] = load(c.mean[k] + i); b.scale[k] = load(c.scale[k] + i); }
-  for (int k = 0; k < 9; k++) b.rot[k] = load(c.rot[k] + i);
+struct Bodies {                   // kWidth Gaussians
+  Body<F> body;
+  F unit[4], norm, kappa;         // q / |q|, |q|
+};
+Bodies read_bodies(const sg_problem& p, int64_t i, int real) {
+  Bodies b;
+  F q[4];
+  read_few<3>(p.means + 3 * i, real, b.body.mean);
+  read_few<3>(p.scales + 3 * i, real, b.body.scale);
+  read_few<4>(p.quaternions + 4 * i, real, q);
+  read_few<1>(p.kappa + i, real, &b.kappa);
+  for (int k = real; k < kWidth; k++) {  // the rest are harmless
+    for (F& scale : b.body.scale) scale[k] = 1.0f;
+    q[0][k] = 1.0f;
+  }
+  rotation(q[0], q[1], q[2], q[3], b.body.rot, b.unit, b.norm);
   return b;
 }
 
@@ -104,6 +115,16 @@ int64_t size_with_spare_rows(const Strips& s, int parts) { return s.size() + (in
 void read_row(const Strips& s, int y, const float* strips, float* row) {
   for (int x = 0; x < s.columns; x += kBlockX)
     std::memcpy(row + x, strips + s.at(s.x0 + x, y), sizeof(float) * least(kBlockX, s.columns - x));
+}
+
+// An image to strips, whose spare rows are zero.
+void write_strips(const Strips& s, int first, int end, const float* image, float* strips) {
+  for (int i = first; i < end; i++) {
+    float* strip = strips + (int64_t)i * s.height() * kBlockX;
+    const int x = i * kBlockX, some = least(kBlockX, s.columns - x);
+    std::memset(strip, 0, sizeof(float) * s.height() * kBlockX);
+    for (int y = 0; y < s.rows; y++) std::memcpy(strip + y * kBlockX, image + (int64_t)y * s.columns + x, sizeof(float) * some);
+  }
 }
 
 // Rows of an image: what its parts hold, in their order.

@@ -13,18 +13,18 @@
 #include "inspect.h"
 #include "loss.h"
 #include "parallel.h"
+#include "project.h"
 
 namespace sarsplat {
 namespace SG_ISA {
 namespace {
 
 int64_t chunk_end(int64_t chunk, int64_t limit) { return (chunk + 1) * kChunk < limit ? (chunk + 1) * kChunk : limit; }
-int chunks_of(int64_t n) { return (int)((n + kChunk - 1) / kChunk); }
+int chunks_of(int64_t n) { return most(1, (int)((n + kChunk - 1) / kChunk)); }
 
-int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs* out, int64_t* culprit) {
+int32_t forward_stages(sg_context* context, const sg_problem* problem, const sg_outputs* out, int64_t* culprit) {
   sg_context& c = *context;
   const sg_problem& p = *problem;
-  if (const int32_t status = check(p, culprit)) return status;
   Arena& arena = c.arena;
   arena.reset();
   const int64_t n = p.gaussians, np = padded(n);
@@ -38,17 +38,13 @@ int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs
   float* ruler = arena.take<float>(c.image.ruler());
   if (arena.failed()) return out_of_memory();
   c.image.mark(ruler);
-  float** const fields[] = {&c.mean[0], &c.mean[1], &c.mean[2], &c.scale[0], &c.scale[1], &c.scale[2],
-                            &c.unit[0], &c.unit[1], &c.unit[2], &c.unit[3], &c.norm, &c.kappa};
-  for (float** field : fields) *field = arena.take<float>(np);
-  for (int k = 0; k < 9; k++) c.rot[k] = arena.take<float>(np);
+  Fault* faults = arena.take<Fault>(chunks);
   for (int v = 0; v < V; v++) {
     ViewState& s = c.views[v];
     for (int k = 0; k < 9; k++) s.frame.r[k] = p.frames[9 * v + k];
     s.on_rays = arena.take<RayEntry>(n);
     s.on_pixels = arena.take<PixelEntry>(n);
-    s.range = arena.take<float>(np);
-    s.phase = arena.take<float>(np);
+    s.depth_keys = arena.take<int32_t>(np);
     s.bounds = arena.take<Bounds>(chunks);
     s.order = arena.take<uint64_t>(n);
     s.order_spare = arena.take<uint64_t>(n);
@@ -61,11 +57,14 @@ int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs
   if (arena.failed()) return out_of_memory();
 
   parallel(chunks, [&](int i) {
-    const int64_t first = (int64_t)i * kChunk, end = chunk_end(i, np);
-    prepare(c, p, first, end);
-    scatter_chunk(c, p, first, end);
-    for (int v = 0; v < V; v++) project_chunk(c, p, v, first, end);
+    const int64_t first = (int64_t)i * kChunk, end = chunk_end(i, n);
+    faults[i] = check(p, first, end);
+    if (faults[i].status == SG_OK) project_chunk(c, p, i, first, end);
   });
+  Fault fault{SG_OK, -1};
+  for (int i = 0; i < chunks; i++)
+    if (faults[i].status && (!fault.status || faults[i].status < fault.status)) fault = faults[i];
+  if (fault.status) { *culprit = fault.index; return fault.status; }
   for (int v = 0; v < V; v++) {
     ViewState& s = c.views[v];
     if (!place_lattice(s, chunks)) { *culprit = v; return SG_LATTICE; }
@@ -77,14 +76,11 @@ int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs
   }
   if (arena.failed()) return out_of_memory();
 
-  parallel(2 * V, [&](int i) {
-    ViewState& s = c.views[i / 2];
-    if (i % 2) {
-      cut_pixels(s, c.image, (int)n, parts, s.counts);
-    } else {
-      sort_by_depth(s, (int)n);
-      cut_rays(s, (int)n, parts, s.rows);
-    }
+  parallel(3 * V, [&](int i) {
+    ViewState& s = c.views[i % V];
+    if (i / V == 0) sort_by_depth(s, (int)n);
+    else if (i / V == 1) cut_rays(s, (int)n, parts, s.rows);
+    else cut_pixels(s, c.image, (int)n, parts, s.counts);
   });
   c.kept = arena.mark();
   for (int v = 0; v < V; v++) {
@@ -96,7 +92,9 @@ int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs
     ViewState& s = c.views[i / parts];
     const int b = i % parts;
     if (b >= s.ray_parts) return;
-    const Part& band = s.ray_bands[b];
+    Part& band = s.ray_bands[b];
+    band.first = b * (int)n;
+    band.end = band.first + list_band(s, b, s.ray_list + band.first);
     attenuate_band(s.on_rays, s.ray_list + band.first, band.count(), band.strips, b, least_log_tau(p), p.min_transmittance,
                    s.T + band.start, s.stop + band.start, s.partial);
   });
@@ -128,7 +126,7 @@ int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs
   return SG_OK;
 }
 
-int32_t backward(sg_context* context, const sg_problem* problem, const sg_gradients* gradients) {
+int32_t backward_stages(sg_context* context, const sg_problem* problem, const sg_gradients* gradients) {
   sg_context& c = *context;
   const sg_problem& p = *problem;
   const sg_gradients& g = *gradients;
@@ -152,11 +150,10 @@ int32_t backward(sg_context* context, const sg_problem* problem, const sg_gradie
   if (arena.failed()) return out_of_memory();
   for (int64_t i = 0; i < (int64_t)chunks * 2 * V; i++) shift_sums[i] = 0.0f;
 
-  parallel(V, [&](int v) {
-    float* dS = scratch[v].dS;
-    for (int64_t i = 0; i < whole.size(); i++) dS[i] = 0.0f;
-    for (int y = 0; y < p.rows; y++)
-      for (int x = 0; x < p.columns; x++) dS[whole.at(x, y)] = g.images[((int64_t)v * p.rows + y) * p.columns + x];
+  const int groups = (whole.count() + kStripsPerTask - 1) / kStripsPerTask;
+  parallel(V * groups, [&](int i) {
+    const int first = i % groups * kStripsPerTask, end = least(whole.count(), first + kStripsPerTask);
+    write_strips(whole, first, end, g.images + (int64_t)(i / groups) * p.rows * p.columns, scratch[i / groups].dS);
   });
   parallel(V * parts, [&](int i) {
     const int v = i / parts;
@@ -168,11 +165,13 @@ int32_t backward(sg_context* context, const sg_problem* problem, const sg_gradie
       const int32_t id = s.pixel_list[k];
       __builtin_prefetch(s.on_pixels + s.pixel_list[least(k + kAhead, part.end - 1)]);
       const PixelEntry& e = s.on_pixels[id];
-      float* moments = w.pixel_moments + kSums * (int64_t)id;
-      if (e.lit != 0.0f) image_backward(e, c.image, image_cut(p), w.dS, moments);
-      else for (int q = 0; q < 6; q++) moments[q] = 0.0f;
-      const float d_sigma = moments[6] = moments[0] * e.norm + (g.cross_sections ? g.cross_sections[v * n + id] : 0.0f);
+      Eight moments = e.lit == 0.0f ? (Eight)(0.0f) : image_backward(e, c.image, image_cut(p), w.dS);
+      const float d_sigma = moments[0] * e.norm + (g.cross_sections ? g.cross_sections[v * n + id] : 0.0f);
       s.on_rays[id].h = d_sigma * e.phase * cell;
+      moments *= e.g.height;
+      moments[6] = d_sigma * e.lit;
+      moments[7] = e.phase;
+      store_eight(w.pixel_moments + kSums * (int64_t)id, moments);
     }
   });
   int64_t at = 0;  // of the view's lattice in dL/dT_end
@@ -208,6 +207,18 @@ int32_t backward(sg_context* context, const sg_problem* problem, const sg_gradie
   }
   arena.release(c.kept);
   return SG_OK;
+}
+
+int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs* out, int64_t* culprit) {
+  int32_t status = SG_OK;
+  together([&] { status = forward_stages(context, problem, out, culprit); });
+  return status;
+}
+
+int32_t backward(sg_context* context, const sg_problem* problem, const sg_gradients* gradients) {
+  int32_t status = SG_OK;
+  together([&] { status = backward_stages(context, problem, gradients); });
+  return status;
 }
 
 sg_context* create() { return new sg_context(); }

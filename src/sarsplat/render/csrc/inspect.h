@@ -26,12 +26,12 @@ int32_t trace(const sg_context* context, const sg_problem* p, int32_t view, floa
   if (!sum_tau) return SG_MEMORY;
   for (int64_t i = 0; i < rays; i++) { sum_tau[i] = 0.0f; first_return[i] = __builtin_nanf(""); }
   const PlaneUnits u = units(*p);
-  const float stop = -__builtin_logf(p->min_transmittance), least = least_log_tau(*p);
+  const float stop = -__builtin_logf(p->min_transmittance), faintest = least_log_tau(*p);
   for (int k = 0; k < s.touching; k++) {
     const int32_t id = (int32_t)(uint32_t)s.order[k];
     const Entry& e = s.on_rays[id];
     const int64_t group = id / kWidth * kWidth, lane = id % kWidth;
-    const Projection<F> g = project(body(c, group), s.frame, u);
+    const Projection<F> g = project(read_bodies(*p, group, least(kWidth, (int)(p->gaussians - group))).body, s.frame, u);
     F slope[2];
     densest(g, u, slope);
     for (int y = e.y0; y <= e.y1; y++)
@@ -40,7 +40,7 @@ int32_t trace(const sg_context* context, const sg_problem* p, int32_t view, floa
         const float log_tau = log_depth(e.g, offset(e.g, (float)x, (float)y));
         const int64_t at = (int64_t)(y - lattice.y0) * lattice.columns + (x - lattice.x0);
         float& d = sum_tau[at];
-        if (!(log_tau >= least) || d > stop) continue;
+        if (!(log_tau >= faintest) || d > stop) continue;
         const float before = d;
         d += kLn2 * __builtin_exp2f(log_tau);
         if (before < depth && d >= depth) first_return[at] = g.mean[2][lane] + slope[0][lane] * dx + slope[1][lane] * dy;

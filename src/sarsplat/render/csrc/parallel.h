@@ -1,7 +1,15 @@
-// parallel.h: run f(i) for i in [0, n) on the host's thread pool, in no particular order.
+// parallel.h: independent tasks on the threads that torch has.
 #pragma once
-extern "C" void sg_parallel(int n, void (*f)(void*, int), void* context);
 
-template <class Function> static inline void parallel(int n, Function function) {
-  sg_parallel(n, [](void* context, int i) { (*(Function*)context)(i); }, &function);
+extern "C" void sg_parallel(int n, void (*f)(void*, int), void* context);
+extern "C" void sg_together(void (*f)(void*), void* context);
+
+// f(0) ... f(n - 1), in any order, at the same time
+template <class F> static inline void parallel(int n, F f) {
+  sg_parallel(n, [](void* p, int i) { (*(F*)p)(i); }, &f);
+}
+
+// f(), on one thread; the others stay awake and share in every `parallel` in it
+template <class F> static inline void together(F f) {
+  sg_together([](void* p) { (*(F*)p)(); }, &f);
 }

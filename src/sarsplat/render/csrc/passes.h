@@ -25,7 +25,8 @@ struct alignas(64) PixelEntry : Entry {  // height: the amplitude
   int32_t unused[3];
 };
 static_assert(sizeof(RayEntry) == 64 && sizeof(PixelEntry) == 64, "an entry is a line of the cache");
-constexpr int kSums = 8;          // numbers in a row of moments: six, and two to align it
+constexpr int kSums = 8;          // numbers in a row of moments: six, and two more
+SG_FN Eight sum6(const Moments<F>& m) { return sum6(m.m0, m.mu, m.mv, m.muu, m.muv, m.mvv); }
 
 constexpr int kBlockX = 4, kBlockY = kWidth / kBlockX;
 
@@ -114,7 +115,7 @@ static void attenuate_band_backward(const RayEntry* entries, const int32_t* list
       store_anywhere(T + at, t);
       store_anywhere(B + at, suffix);
     });
-    sum6(m.m0, m.mu, m.mv, m.muu, m.muv, m.mvv, moments + kSums * (int64_t)(e.slot + b - e.first_band));
+    store_eight(moments + kSums * (int64_t)(e.slot + b - e.first_band), sum6(m));
   }
 }
 
@@ -131,13 +132,13 @@ static void image_part(const PixelEntry* entries, const int32_t* list, int n, co
 }
 
 // a gather: every Gaussian reads the pixels it touches; spare rows of dS are zero
-static void image_backward(const Entry& e, const Strips& s, float cut, const float* dS, float* moments) {
+SG_FN Eight image_backward(const Entry& e, const Strips& s, float cut, const float* dS) {
   const F zero = splat(0.0f);
   Moments<F> m{zero, zero, zero, zero, zero, zero};
   for_blocks(e, s, [&](const Offset<F>& d, int64_t at) {
     m.add(d, imaging_weight(distance(d), cut) * load_anywhere(dS + at));
   });
-  sum6(m.m0, m.mu, m.mv, m.muu, m.muv, m.mvv, moments);
+  return sum6(m);
 }
 
 }  // namespace SG_ISA

@@ -68,35 +68,38 @@ SG_FN unsigned bits(I mask) {
 }
 SG_FN bool any(I mask) { return bits(mask) != 0; }
 
+typedef float Eight __attribute__((ext_vector_type(8)));
+SG_FN Eight load_eight(const float* p) { Eight x; __builtin_memcpy(&x, p, sizeof(x)); return x; }
+SG_FN void store_eight(float* p, Eight x) { __builtin_memcpy(p, &x, sizeof(x)); }
 #if SG_WIDTH == 16
-typedef float Half __attribute__((ext_vector_type(8)));
-SG_FN Half fold(F x) { return x.lo + x.hi; }
+SG_FN Eight fold(F x) { return x.lo + x.hi; }
 #elif SG_WIDTH == 8
-typedef F Half;
-SG_FN Half fold(F x) { return x; }
+SG_FN Eight fold(F x) { return x; }
 #endif
 
-// sums over the lanes of six vectors at once, in a fixed order
-SG_FN void sum6(F a, F b, F c, F d, F e, F f, float* out) {
+// sums over the lanes of six vectors at once, in a fixed order; the last two numbers mean nothing
+SG_FN Eight sum6(F a, F b, F c, F d, F e, F f) {
 #if SG_WIDTH >= 8
-  const Half A = fold(a), B = fold(b), C = fold(c), D = fold(d), E = fold(e), G = fold(f);
+  const Eight A = fold(a), B = fold(b), C = fold(c), D = fold(d), E = fold(e), G = fold(f);
 #define SG_LOW(x, y) __builtin_shufflevector(x, y, 0, 8, 1, 9, 4, 12, 5, 13)
 #define SG_HIGH(x, y) __builtin_shufflevector(x, y, 2, 10, 3, 11, 6, 14, 7, 15)
-  const Half ab = SG_LOW(A, B) + SG_HIGH(A, B), cd = SG_LOW(C, D) + SG_HIGH(C, D), ef = SG_LOW(E, G) + SG_HIGH(E, G);
+  const Eight ab = SG_LOW(A, B) + SG_HIGH(A, B), cd = SG_LOW(C, D) + SG_HIGH(C, D), ef = SG_LOW(E, G) + SG_HIGH(E, G);
 #undef SG_LOW
 #undef SG_HIGH
-  const Half abcd = __builtin_shufflevector(ab, cd, 0, 1, 8, 9, 4, 5, 12, 13) + __builtin_shufflevector(ab, cd, 2, 3, 10, 11, 6, 7, 14, 15);
-  const Half efef = ef + __builtin_shufflevector(ef, ef, 2, 3, 0, 1, 6, 7, 4, 5);
+  const Eight abcd = __builtin_shufflevector(ab, cd, 0, 1, 8, 9, 4, 5, 12, 13) + __builtin_shufflevector(ab, cd, 2, 3, 10, 11, 6, 7, 14, 15);
+  const Eight efef = ef + __builtin_shufflevector(ef, ef, 2, 3, 0, 1, 6, 7, 4, 5);
   const auto four = abcd.lo + abcd.hi, two = efef.lo + efef.hi;
-  out[0] = four.x; out[1] = four.y; out[2] = four.z; out[3] = four.w; out[4] = two.x; out[5] = two.y;
+  return __builtin_shufflevector(four, two, 0, 1, 2, 3, 4, 5, 6, 7);
 #else
+  Eight sums = (Eight)(0.0f);
   const F all[6] = {a, b, c, d, e, f};
-  for (int k = 0; k < 6; k++) out[k] = (all[k].x + all[k].z) + (all[k].y + all[k].w);
+  for (int k = 0; k < 6; k++) sums[k] = (all[k].x + all[k].z) + (all[k].y + all[k].w);
+  return sums;
 #endif
 }
 SG_FN float sum(F x) {
 #if SG_WIDTH == 16
-  const Half h = fold(x);
+  const Eight h = fold(x);
   const auto q = h.lo + h.hi;
 #elif SG_WIDTH == 8
   const auto q = x.lo + x.hi;

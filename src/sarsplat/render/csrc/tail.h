@@ -9,12 +9,12 @@ namespace SG_ISA {
 SG_FN F load_some(const float* p, int64_t count) {
   if (count >= kWidth) return load_anywhere(p);
   F x = splat(0.0f);
-  __builtin_memcpy(&x, p, sizeof(float) * count);
+  if (count > 0) __builtin_memcpy(&x, p, sizeof(float) * count);
   return x;
 }
 SG_FN void store_some(float* p, F x, int64_t count) {
   if (count >= kWidth) return store_anywhere(p, x);
-  __builtin_memcpy(p, &x, sizeof(float) * count);
+  if (count > 0) __builtin_memcpy(p, &x, sizeof(float) * count);
 }
 
 }  // namespace SG_ISA
