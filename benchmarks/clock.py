@@ -1,13 +1,17 @@
-"""Times that can be trusted on a busy machine: rivals run in turn, medians, and the spread beside them."""
+"""Times that can be trusted on a busy machine: rivals run in turns, medians, and the spread beside them."""
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
 from typing import TypedDict
+
+TURN = 8
+"""Calls of one program before the next has its turn; the first of them finds its data out of the caches."""
 
 
 class Spread(TypedDict):
@@ -36,14 +40,16 @@ def ratio(numerator: Sequence[float], denominator: Sequence[float]) -> Spread:
 
 
 def in_turn(programs: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, list[float]]:
-    """Seconds of each call: a, b, a, b …, after two rounds that do not count."""
+    """Seconds of `repeats` calls of each, rounded up to whole turns, and one for each turn that does not count."""
     samples: dict[str, list[float]] = {name: [] for name in programs}
-    for k in range(repeats + 2):
+    turn = min(TURN, repeats + 1)
+    for _ in range(math.ceil(repeats / (turn - 1))):
         for name, program in programs.items():
-            begun = time.perf_counter()
-            program()
-            if k >= 2:
-                samples[name].append(time.perf_counter() - begun)
+            for k in range(turn):
+                begun = time.perf_counter()
+                program()
+                if k:
+                    samples[name].append(time.perf_counter() - begun)
     return samples
 
 

@@ -49,7 +49,7 @@ def measure(quick: bool) -> dict[str, Any]:
     batch = replace(training_view(1000) if quick else scenes["ordinary"], views=around)
     alone = [replace(batch, views=(view,)) for view in around]
     rivals = {"64 views, one by one": lambda: [scene.step() for scene in alone], "64 views at once": batch.step}
-    views = in_turn(rivals, 1 if quick else 8)
+    views = in_turn(rivals, 1 if quick else 7)
     return {
         "ratios": {
             **{f"{name} / as much ordinary work": over_work(name) for name in scenes if name != "ordinary"},

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
-from clock import Clock, ratio, spread
+from clock import TURN, Clock, ratio, spread
 from recipes import COUNT, halfway
 
 from sarsplat.reconstruct.config import preset
@@ -22,7 +22,6 @@ from sarsplat.scenes import paper_grid, paper_views
 
 COUNTS, VIEWS = (COUNT, 4 * COUNT), (1, 8)
 PARTS = ("engine forward", "engine backward", "loss", "optimiser", "rest", "total")
-BLOCK = 8  # iterations of one kind before the next has its turn; the first finds its data out of the caches
 
 
 def training(count: int, views_per_step: int, clock: Clock) -> Callable[[int], None]:
@@ -57,7 +56,7 @@ def measure(quick: bool) -> dict[str, Any]:
     with clock.watching(cpu.Pass, {"forward": "engine forward", "backward": "engine backward"}):
         for _ in range(rounds):
             for (count, views), iterate in kinds.items():
-                for k in range(BLOCK):
+                for k in range(TURN):
                     clock.spent.clear()
                     begun = time.perf_counter()
                     iterate(k)

@@ -10,6 +10,7 @@ import sys
 import textwrap
 from typing import Any
 
+from clock import TURN
 from draw_growth import draw
 from recipes import COUNT
 from results import REPOSITORY, RESULTS
@@ -48,6 +49,12 @@ def cpu_table(parts: dict[str, Any]) -> str:
             "engine / its floor, the mere arithmetic of the blocks it visits",
             f"{ms(floor['times']['engine forward + backward']['median'])} / "
             f"{ms(floor['times']['floor of visited blocks']['median'])}",
+        ),
+        (
+            times(floor["ratios"]["pair loops / floor of visited blocks"]),
+            "its loops over these blocks alone / the floor; the rest is per Gaussian, seen or not: "
+            f"{ms(floor['times']['the same Gaussians unseen']['median'])}",
+            "",
         ),
         (
             times(iteration["ratios"]["a view of 8 / a view alone"]),
@@ -103,8 +110,9 @@ def how(results: dict[str, Any]) -> str:
     text = (
         f"Measured by `make bench` on {machine['processor']}, {machine['cores']} cores, {machine['threads']} threads, "
         f"{machine['instruction_set']}, PyTorch {machine['torch']}, {machine['date']}: {COUNT:,} Gaussians as they "
-        "are halfway through a T-72, 128 × 128 pixels, four rays to a pixel, unless said otherwise; rivals in turn in "
-        "one process, medians, and the 10th and 90th percentile of the ratios of neighbours in time. The floor takes "
+        "are halfway through a T-72, 128 × 128 pixels, four rays to a pixel, unless said otherwise; rivals in turns of "
+        f"{TURN} calls in one process, medians, and the 10th and 90th percentile of the ratios of neighbours in time. "
+        "The floor takes "
         "the rate at which these cores multiply matrices in the same minute, "
         f"{parts['floor']['rate_flop_s'] / 1e9:.0f} GFlop/s; of the visited lanes "
         f"{100 * live['live lanes, attenuation']:.0f} % are live on the computation plane and "

@@ -28,30 +28,29 @@ bool place_lattice(ViewState& s, int chunks) {
 
 // stable radix sort by depth: ties keep the order of their indices
 void sort_by_depth(ViewState& s, int n) {
-  uint32_t count[3][2048] = {};
+  uint32_t start[3][2048] = {};
+  uint64_t *from = s.sorting[0], *to = s.sorting[1];  // depth key << 32 | id
   int m = 0;
   for (int i = 0; i < n; i++) {
     const uint32_t key = (uint32_t)s.depth_keys[i];
     if (key == (uint32_t)kNoDepth) continue;
-    s.order[m++] = (uint64_t)key << 32 | (uint32_t)i;
-    count[0][key & 2047]++; count[1][key >> 11 & 2047]++; count[2][key >> 22]++;
+    from[m++] = (uint64_t)key << 32 | (uint32_t)i;
+    start[0][key & 2047]++; start[1][key >> 11 & 2047]++; start[2][key >> 22]++;
   }
   s.touching = m;
-  for (int pass = 0; pass < 3; pass++) {
-    uint32_t start = 0;
-    for (int k = 0; k < 2048; k++) { const uint32_t c = count[pass][k]; count[pass][k] = start; start += c; }
-    const int shift = 32 + 11 * pass;
-    for (int i = 0; i < m; i++) s.order_spare[count[pass][s.order[i] >> shift & 2047]++] = s.order[i];
-    uint64_t* swap = s.order; s.order = s.order_spare; s.order_spare = swap;
-  }
+  for (auto& digit : start)
+    for (uint32_t k = 0, at = 0; k < 2048; k++) { const uint32_t count = digit[k]; digit[k] = at; at += count; }
+  for (int i = 0; i < m; i++) to[start[0][from[i] >> 32 & 2047]++] = from[i];
+  for (int i = 0; i < m; i++) from[start[1][to[i] >> 43 & 2047]++] = to[i];
+  for (int i = 0; i < m; i++) s.front_to_back[start[2][from[i] >> 54]++] = (int32_t)(uint32_t)from[i];
 }
 
 // ---- the tasks of the pair loops -----------------------------------------------------------------------------------------
-// Cuts the lattice into bands of rows with about equal work, and gives every entry its bands and slots. work: one number
-// a row, and one more.
-void cut_rays(ViewState& s, int n, int parts, int64_t* work) {
+// Cuts the lattice into bands of rows with about equal work, and gives every entry its bands and slots.
+void cut_rays(ViewState& s, int n, int parts) {
+  int64_t* work = s.row_work;     // that begins in a row, less what ended
   const Strips& all = s.rays;
-  s.ray_parts = most(1, least(parts, all.rows / kRowsPerBand));
+  for (s.ray_parts = 1; 2 * s.ray_parts <= least(parts, all.rows / kRowsPerBand);) s.ray_parts *= 2;  // so that no thread is left over
   for (int y = 0; y <= all.rows; y++) work[y] = 0;
   for (int i = 0; i < n; i++) {
     RayEntry& e = s.on_rays[i];
@@ -92,7 +91,7 @@ void cut_rays(ViewState& s, int n, int parts, int64_t* work) {
 int list_band(const ViewState& s, int band, int32_t* list) {
   int count = 0;
   for (int k = 0; k < s.touching; k++) {
-    const int32_t id = (int32_t)(uint32_t)s.order[k];
+    const int32_t id = s.front_to_back[k];
     const Reached r = s.reached[id];
     list[count] = id;
     count += (r.first <= band) & (band < r.end);  // no branch: it would be guessed wrong
@@ -101,8 +100,9 @@ int list_band(const ViewState& s, int band, int32_t* list) {
 }
 
 // Sorts Gaussians by the image row they begin in and by their shape in blocks, so that a part's rows are few and its
-// loops alike, and cuts them into parts of about equal work. counts: of each key.
-void cut_pixels(ViewState& s, const Strips& image, int n, int parts, int32_t* counts) {
+// loops alike, and cuts them into parts of about equal work.
+void cut_pixels(ViewState& s, const Strips& image, int n, int parts) {
+  int32_t* counts = s.key_counts;
   const int keys = image.rows * kShapes * kShapes + 1;
   for (int k = 0; k < keys; k++) counts[k] = 0;
   for (int i = 0; i < n; i++) counts[s.pixel_keys[i]]++;
@@ -121,8 +121,8 @@ void cut_pixels(ViewState& s, const Strips& image, int n, int parts, int32_t* co
         part = s.pixel_groups + s.pixel_parts++;
         *part = {at, at, image.part(first_row, first_row), 0, nullptr};
       }
-      const int64_t room = (total * s.pixel_parts / parts - done) / each + 1;
-      const int here = left < room ? left : (int)room;
+      const int64_t room = (total * s.pixel_parts / parts - done) / each + 1;  // one at least: a heavy one may have been too much
+      const int here = room < 1 ? 1 : room < left ? (int)room : left;
       part->end = at += here;
       part->strips.rows = most(part->strips.rows, last_row - part->strips.y0 + 1);
       done += here * each;

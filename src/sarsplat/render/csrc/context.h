@@ -42,26 +42,60 @@ struct Part {
 
 struct Reached { uint8_t first, end; };  // bands
 
+// Memory of all bands of a lattice.
+int64_t size_in_bands(const Strips& s, int bands) { return s.size() + (int64_t)(bands - 1) * (kBlockY - 1) * s.count() * kBlockX; }
+
 struct ViewState {
   ViewFrame frame;
-  RayEntry* on_rays;              // by id
+  // by id
+  RayEntry* on_rays;
   PixelEntry* on_pixels;
-  int32_t* depth_keys;            // by id: z_r as an ordered number, kNoDepth for Gaussians that touch no ray
-  int32_t* pixel_keys;            // by id: the first row, then the shape
-  Bounds* bounds;                 // by chunk, of the footprints on the computation plane
-  uint64_t *order, *order_spare;  // front to back: depth key << 32 | id
-  int touching;                   // how many are in it
+  int32_t* depth_keys;            // z_r as an ordered number, kNoDepth for Gaussians that touch no ray
+  int32_t* pixel_keys;            // the first row, then the shape
+  Reached* reached;
+  // computation plane
+  Bounds* bounds;                 // by chunk, of the footprints
   Strips rays;                    // the lattice
-  int ray_parts, pixel_parts;
-  Part ray_bands[kMostParts];     // of rows; who reaches them, front to back
-  Part pixel_groups[kMostParts];  // every Gaussian is in one of them
-  int32_t *ray_list, *pixel_list; // ids
-  Reached* reached;               // by id
-  int64_t* rows;                  // scratch
-  int32_t* counts;
+  int ray_parts;
+  Part ray_bands[kMostParts];     // of rows
+  int touching;                   // how many Gaussians touch a ray
+  int32_t *front_to_back, *ray_list;  // their ids; those of every band
   float* T;                       // by band
   int32_t* stop;
   float* partial;                 // sums of w by slot
+  // imaging plane
+  int pixel_parts;
+  Part pixel_groups[kMostParts];  // every Gaussian is in one of them
+  int32_t* pixel_list;            // ids
+  // scratch
+  uint64_t* sorting[2];
+  int64_t* row_work;
+  int32_t* key_counts;
+
+  void take_per_gaussian(Arena& arena, int64_t n, int chunks, int parts) {
+    on_rays = arena.take<RayEntry>(n);
+    on_pixels = arena.take<PixelEntry>(n);
+    depth_keys = arena.take<int32_t>(padded(n));
+    pixel_keys = arena.take<int32_t>(padded(n));
+    reached = arena.take<Reached>(n);
+    bounds = arena.take<Bounds>(chunks);
+    front_to_back = arena.take<int32_t>(n);
+    ray_list = arena.take<int32_t>(n * parts);
+    partial = arena.take<float>(n * parts);
+    pixel_list = arena.take<int32_t>(n);
+    for (uint64_t*& scratch : sorting) scratch = arena.take<uint64_t>(n);
+  }
+  void take_per_ray(Arena& arena, int image_rows, int parts) {  // once the lattice is placed
+    float* ruler = arena.take<float>(rays.ruler());
+    T = arena.take<float>(size_in_bands(rays, parts));
+    stop = arena.take<int32_t>(size_in_bands(rays, parts));
+    row_work = arena.take<int64_t>(rays.rows + 1);
+    key_counts = arena.take<int32_t>((int64_t)image_rows * kShapes * kShapes + 1);
+    if (!arena.failed()) rays.mark(ruler);
+  }
+  void take_images(Arena& arena) {  // once the parts are cut
+    for (int b = 0; b < pixel_parts; b++) pixel_groups[b].memory = arena.take<float>(pixel_groups[b].strips.size());
+  }
 };
 
 }  // namespace
@@ -107,41 +141,6 @@ float image_cut(const sg_problem& p) { return 0.5f * kLog2e * p.image_cut; }
 
 PlaneUnits units(const sg_problem& p) {
   return {{p.ray[0], p.ray[1]}, {p.pixel[0], p.pixel[1]}, p.cell_widening, {p.response_var[0], p.response_var[1]}};
-}
-
-int64_t size_with_spare_rows(const Strips& s, int parts) { return s.size() + (int64_t)(parts - 1) * (kBlockY - 1) * s.count() * kBlockX; }
-
-// One row of strips to a row of numbers.
-void read_row(const Strips& s, int y, const float* strips, float* row) {
-  for (int x = 0; x < s.columns; x += kBlockX)
-    std::memcpy(row + x, strips + s.at(s.x0 + x, y), sizeof(float) * least(kBlockX, s.columns - x));
-}
-
-// An image to strips, whose spare rows are zero.
-void write_strips(const Strips& s, int first, int end, const float* image, float* strips) {
-  for (int i = first; i < end; i++) {
-    float* strip = strips + (int64_t)i * s.height() * kBlockX;
-    const int x = i * kBlockX, some = least(kBlockX, s.columns - x);
-    std::memset(strip, 0, sizeof(float) * s.height() * kBlockX);
-    for (int y = 0; y < s.rows; y++) std::memcpy(strip + y * kBlockX, image + (int64_t)y * s.columns + x, sizeof(float) * some);
-  }
-}
-
-// Rows of an image: what its parts hold, in their order.
-void add_parts(const ViewState& s, int first, int end, int columns, float* image) {
-  for (int y = first; y < end; y++) {
-    float* row = image + (int64_t)y * columns;
-    for (int x = 0; x < columns; x++) row[x] = 0.0f;
-    for (int b = 0; b < s.pixel_parts; b++) {
-      const Part& part = s.pixel_groups[b];
-      const Strips& r = part.strips;
-      if (y < r.y0 || y >= r.y0 + r.rows) continue;
-      for (int x = 0; x < columns; x += kBlockX) {
-        const float* from = part.memory + r.at(x, y);
-        for (int k = 0; k < least(kBlockX, columns - x); k++) row[x + k] += from[k];
-      }
-    }
-  }
 }
 
 }  // namespace

@@ -1,17 +1,11 @@
 // differentiate.h: from six sums per Gaussian, view and plane to the gradients of a problem's arrays: everything after
 // the pair loops.
 #pragma once
-#include "context.h"
+#include "planes.h"
 
 namespace sarsplat {
 namespace SG_ISA {
 namespace {
-
-struct Backward {                 // scratch of one backward pass, per view: rows of kSums
-  float* ray_moments;             // by slot
-  float* pixel_moments;           // by id; times the amplitude, then dL/dP(u) and P(u)
-  float *T, *B, *dS;
-};
 
 // What the pair loops left of kWidth Gaussians: a row of each plane, as columns.
 void gather(const ViewState& s, const Backward& scratch, int64_t i, int real, F (&sums)[kFields]) {
@@ -39,6 +33,7 @@ void differentiate(const sg_context& c, const sg_problem& p, const sg_gradients&
                    int64_t end, float* shift_sums) {
   const PlaneUnits u = units(p);
   const int64_t n = p.gaussians;
+  for (int k = 0; k < 2 * p.views; k++) shift_sums[k] = 0.0f;
   for (int64_t i = first; i < end; i += kWidth) {
     const int real = least(kWidth, (int)(n - i));
     const Bodies bodies = read_bodies(p, i, real);

@@ -28,7 +28,7 @@ int32_t trace(const sg_context* context, const sg_problem* p, int32_t view, floa
   const PlaneUnits u = units(*p);
   const float stop = -__builtin_logf(p->min_transmittance), faintest = least_log_tau(*p);
   for (int k = 0; k < s.touching; k++) {
-    const int32_t id = (int32_t)(uint32_t)s.order[k];
+    const int32_t id = s.front_to_back[k];
     const Entry& e = s.on_rays[id];
     const int64_t group = id / kWidth * kWidth, lane = id % kWidth;
     const Projection<F> g = project(read_bodies(*p, group, least(kWidth, (int)(p->gaussians - group))).body, s.frame, u);

@@ -40,6 +40,14 @@ Fault check(const sg_problem& p, int64_t first, int64_t end) {
   return fault;
 }
 
+// the first of them: what any number of threads finds
+Fault worst(const Fault* faults, int count) {
+  Fault found{SG_OK, -1};
+  for (int i = 0; i < count; i++)
+    if (faults[i].status && (!found.status || faults[i].status < found.status)) found = faults[i];
+  return found;
+}
+
 // ---- projection --------------------------------------------------------------------------------------------------------
 SG_FN F words(I x) { return __builtin_bit_cast(F, x); }
 SG_FN I whole(F x) { return __builtin_convertvector(smaller(larger(x, splat(-2.0f * kFarthest)), splat(2.0f * kFarthest)), I); }
@@ -75,36 +83,44 @@ template <class E> void write_entries(E* out, int real, F x, F y, const Sym2<F>&
             [&](int k, int part, F numbers) { if (k < real) store((float*)(out + k) + part, numbers); });
 }
 
-void project_view(const ViewState& s, const sg_problem& p, int v, const Bodies& bodies, F phase, int64_t i, int real, Bounds& bounds) {
+struct Cuts {
+  float log_tau;                  // where a footprint on rays ends
+  float deviations, lost;         // where an imaging weight ends, and one over what is left of its integral
+};
+
+void project_view(const ViewState& s, const sg_problem& p, const Cuts& cuts, int v, const Bodies& bodies, F phase, int64_t i,
+                  int real, Bounds& bounds) {
   const PlaneUnits u = units(p);
   const Projection<F> g = project(bodies.body, s.frame, u);
   const F kappa = bodies.kappa * widening_ratio(g, u);
   const I touching = kappa >= p.min_ray_depth;  // padding has no depth and touches nothing
   const F height = natural_log(choose(touching, kappa, splat(p.min_ray_depth)) * kLog2e) * kLog2e;
-  const F reach = root(larger((height - least_log_tau(p)) * (2.0f * kLn2), splat(0.0f)));
+  const F reach = root(larger((height - cuts.log_tau) * (2.0f * kLn2), splat(0.0f)));
   const F reach_x = reach * root(g.cov_c.xx), reach_y = reach * root(g.cov_c.yy);
   const F x = g.mean[0] * (1.0f / u.ray[0]), y = g.mean[1] * (1.0f / u.ray[1]);  // ray k of an axis stands at k + 1/2
-  write_entries(s.on_rays + i, real, x - 0.5f, y - 0.5f, g.cov_c, g.det_cw, height, boxes_around(x - 0.5f, y - 0.5f, reach_x, reach_y, touching),
-                splat(0.0f), splat(0.0f), words((I)(-1)));  // in no band yet
+  const Boxes rays = boxes_around(x - 0.5f, y - 0.5f, reach_x, reach_y, touching);
+  const F zero = splat(0.0f), beyond = splat(3e38f);
+  write_entries(s.on_rays + i, real, x - 0.5f, y - 0.5f, g.cov_c, g.det_cw, height, rays, zero, zero, words((I)(-1)));  // no band yet
   store(s.depth_keys + i, choose(touching, ordered(g.mean[2]), (I)(kNoDepth)));
-  const F beyond = splat(3e38f);
   bounds.low[0] = smaller(bounds.low[0], choose(touching, x - reach_x, beyond));
   bounds.low[1] = smaller(bounds.low[1], choose(touching, y - reach_y, beyond));
   bounds.high[0] = larger(bounds.high[0], choose(touching, x + reach_x, -beyond));
   bounds.high[1] = larger(bounds.high[1], choose(touching, y + reach_y, -beyond));
 
-  const float *shift = p.shift + 2 * v, cut = __builtin_sqrtf(p.image_cut), lost = 1.0f / (1.0f - __builtin_expf(-0.5f * p.image_cut));
+  const float* shift = p.shift + 2 * v;
   const F column = (g.mean[0] + shift[0] - p.center[0]) * (1.0f / p.pixel[0]) + 0.5f * (float)(p.columns - 1);
   const F row = (g.mean[2] + shift[1] - p.center[1]) * (1.0f / p.pixel[1]) + 0.5f * (float)(p.rows - 1);
-  const Boxes box = within(boxes_around(column, row, cut * root(g.cov_i.xx), cut * root(g.cov_i.yy), (I)(-1)), p.columns, p.rows);
-  const F norm = p.peak ? splat(lost) : lost / (6.2831853f * p.pixel[0] * p.pixel[1] * root(g.det_iw));
-  write_entries(s.on_pixels + i, real, column, row, g.cov_i, g.det_iw, splat(0.0f), box, phase, norm, splat(0.0f));
-  store(s.pixel_keys + i, key_of(box, p.rows));
+  const F wide = cuts.deviations * root(g.cov_i.xx), tall = cuts.deviations * root(g.cov_i.yy);
+  const Boxes pixels = within(boxes_around(column, row, wide, tall, (I)(-1)), p.columns, p.rows);
+  const F norm = p.peak ? splat(cuts.lost) : cuts.lost / (6.2831853f * p.pixel[0] * p.pixel[1] * root(g.det_iw));
+  write_entries(s.on_pixels + i, real, column, row, g.cov_i, g.det_iw, zero, pixels, phase, norm, zero);
+  store(s.pixel_keys + i, key_of(pixels, p.rows));
 }
 
 // The Gaussians [first, end) in every view.
 void project_chunk(const sg_context& c, const sg_problem& p, int chunk, int64_t first, int64_t end) {
   const F beyond = splat(3e38f);
+  const Cuts cuts{least_log_tau(p), __builtin_sqrtf(p.image_cut), 1.0f / (1.0f - __builtin_expf(-0.5f * p.image_cut))};
   for (int v = 0; v < p.views; v++) c.views[v].bounds[chunk] = {{beyond, beyond}, {-beyond, -beyond}};
   for (int64_t i = first; i < end; i += kWidth) {
     const int real = least(kWidth, (int)(end - i));
@@ -120,7 +136,7 @@ void project_chunk(const sg_context& c, const sg_problem& p, int chunk, int64_t 
         for (int k = 0; k < p.coefficients; k++) sum += harmonics[k] * p.basis[v * p.coefficients + k];
         phase = softplus(sum) + p.p_min;
       }
-      project_view(c.views[v], p, v, bodies, phase, i, real, c.views[v].bounds[chunk]);
+      project_view(c.views[v], p, cuts, v, bodies, phase, i, real, c.views[v].bounds[chunk]);
     }
   }
 }
