@@ -149,6 +149,7 @@ MATRIX: dict[str, Callable[[], Scene]] = {
     "smaller than a ray": lambda: Scene(with_scales(cloud(60, 8, kappa=(5.0, 30.0)), (0.012, 0.01, 0.008))),
     "scale floor": lambda: Scene(with_scales(cloud(40, 9, kappa=(20.0, 40.0)), (0.1, 0.08, MIN_SCALE))),
     "larger than the image": lambda: Scene(cloud(5, 10, scale=3.0, spread=0.1), rays=RayGrid((0.5, 0.5))),
+    "one large, some small": lambda: Scene(_unequal(cloud(7, 52, scale=0.03)), views=VIEWS[:1]),
     "partly outside": lambda: Scene(cloud(60, 11, size=(8.0, 8.0, 2.0), scale=0.2)),
     "all outside": lambda: Scene(replace(cloud(20, 12), means=cloud(20, 12).means + torch.tensor([30.0, 0.0, 0.0]))),
     "none": lambda: Scene(cloud(0, 0), shift=0.1 * _random(4, 3, 2)),
@@ -173,6 +174,12 @@ MATRIX: dict[str, Callable[[], Scene]] = {
 """What the engines are compared on. Rendering is cut (footprints, early stop, image), and a pair that lies on a cut to
 float32's precision would fall on either side by chance: `test_no_pair_lies_on_a_cut` shows that these seeds have none.
 """
+
+
+def _unequal(gaussians: Gaussians) -> Gaussians:
+    scales = gaussians.scales.clone()
+    scales[5] = 1.5  # more work than all others: tasks of equal work do not exist
+    return replace(gaussians, scales=scales)
 
 
 def _some_empty(gaussians: Gaussians) -> Gaussians:
