@@ -106,16 +106,17 @@ void cut_pixels(ViewState& s, const Strips& image, int n, int parts) {
   const int keys = image.rows * kShapes * kShapes + 1;
   for (int k = 0; k < keys; k++) counts[k] = 0;
   for (int i = 0; i < n; i++) counts[s.pixel_keys[i]]++;
-  auto work = [&](int key) { return 2 + (key / kShapes % kShapes + 1) * (key % kShapes + 1); };
+  auto tall = [&](int key) { return least(kMostBlocks[key / kShapes % kShapes], (image.rows - 1) / kBlockY + 1); };
+  auto wide = [&](int key) { return least(kMostBlocks[key % kShapes], image.count()); };
+  auto work = [&](int key) { return 2 + (int64_t)tall(key) * wide(key); };
   int64_t total = 0, done = 0;
-  for (int k = 0; k < keys; k++) total += counts[k] * (int64_t)work(k);
+  for (int k = 0; k < keys; k++) total += counts[k] * work(k);
   s.pixel_parts = 0;
   Part* part = nullptr;
   int at = 0;
   for (int k = 0; k < keys; k++) {
     const int64_t each = work(k);
-    const int tall = k / kShapes % kShapes, first_row = least(k / kShapes / kShapes, image.rows - 1);
-    const int last_row = tall == kShapes - 1 ? image.rows - 1 : least(image.rows - 1, first_row + (tall + 1) * kBlockY - 1);
+    const int first_row = least(k / kShapes / kShapes, image.rows - 1), last_row = least(first_row + tall(k) * kBlockY, image.rows) - 1;
     for (int left = counts[k]; left > 0;) {
       if (!part || done * parts >= total * s.pixel_parts) {  // never after the last part: there done < total
         part = s.pixel_groups + s.pixel_parts++;

@@ -16,7 +16,8 @@ constexpr int kChunk = 1024;      // Gaussians per task; a multiple of every kWi
 constexpr int kTasks = 16;        // pair-loop tasks wanted over all views, at most kMostParts of them per view
 constexpr int kMostParts = 8;
 constexpr int kRowsPerTask = 16, kStripsPerTask = 8;  // of images
-constexpr int kShapes = 8;        // told apart, in either direction
+constexpr int kShapes = 8;        // of footprints that are told apart in either direction: so many blocks at most
+constexpr int kMostBlocks[kShapes] = {1, 2, 3, 4, 8, 16, 64, 1 << 15};
 constexpr int kRowsPerBand = 12;  // at least, on average: a Gaussian on a border is visited twice
 constexpr float kFarthest = 1 << 24;  // ray cells or pixels from the origin: whole numbers in float32
 constexpr int32_t kNoDepth = -1;      // as an unsigned key it comes last

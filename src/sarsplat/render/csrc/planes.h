@@ -65,17 +65,17 @@ void read_row(const Strips& s, int y, const float* strips, float* row) {
 // ---- imaging plane -----------------------------------------------------------------------------------------------------
 // Rows of an image: what its parts hold, in their order.
 void add_parts(const ViewState& s, int first, int end, int columns, float* image) {
-  for (int y = first; y < end; y++) {
-    float* row = image + (int64_t)y * columns;
-    for (int x = 0; x < columns; x++) row[x] = 0.0f;
-    for (int b = 0; b < s.pixel_parts; b++) {
-      const Part& part = s.pixel_groups[b];
-      const Strips& r = part.strips;
-      if (y < r.y0 || y >= r.y0 + r.rows) continue;
-      for (int x = 0; x < columns; x += kBlockX) {
-        const float* from = part.memory + r.at(x, y);
-        for (int k = 0; k < least(kBlockX, columns - x); k++) row[x + k] += from[k];
-      }
+  std::memset(image + (int64_t)first * columns, 0, sizeof(float) * (end - first) * columns);
+  for (int b = 0; b < s.pixel_parts; b++) {
+    const Part& part = s.pixel_groups[b];
+    const Strips& r = part.strips;
+    const int top = most(first, r.y0), bottom = least(end, r.y0 + r.rows);
+    for (int x = 0; x < columns && top < bottom; x += kBlockX) {
+      const float* from = part.memory + r.at(x, top);
+      float* to = image + (int64_t)top * columns + x;
+      const int some = least(kBlockX, columns - x);
+      for (int y = top; y < bottom; y++, from += kBlockX, to += columns)
+        for (int k = 0; k < some; k++) to[k] += from[k];
     }
   }
 }

@@ -64,9 +64,14 @@ Boxes within(const Boxes& b, int columns, int rows) {
   return {x0, x1, y0, choose(x0 <= x1, least(b.y1, (I)(rows - 1)), y0 - 1)};
 }
 
-// The first row, then the shape in blocks: large ones are all alike. What lies outside comes last.
+I shape_of(I blocks) {
+  I shape = (I)(0);
+  for (int k = 0; k < kShapes - 1; k++) shape -= blocks > kMostBlocks[k];
+  return shape;
+}
+// The first row, then the shape. What lies outside comes last.
 I key_of(const Boxes& box, int rows) {
-  const I tall = least((box.y1 - box.y0) / kBlockY, (I)(kShapes - 1)), wide = least(box.x1 / kBlockX - box.x0 / kBlockX, (I)(kShapes - 1));
+  const I tall = shape_of((box.y1 - box.y0) / kBlockY + 1), wide = shape_of(box.x1 / kBlockX - box.x0 / kBlockX + 1);
   return choose(box.y1 < box.y0, (I)(rows * kShapes * kShapes), (box.y0 * kShapes + tall) * kShapes + wide);
 }
 
