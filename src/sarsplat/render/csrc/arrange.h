@@ -14,7 +14,10 @@ bool place_lattice(ViewState& s, int chunks) {
   s.rays = {0, 0, 0, 0, nullptr, nullptr};
   for (int axis = 0; axis < 2; axis++) {
     F least = splat(3e38f), most = -least;
-    for (int i = 0; i < chunks; i++) { least = smaller(least, s.bounds[i].low[axis]); most = larger(most, s.bounds[i].high[axis]); }
+    for (int i = 0; i < chunks; i++) {
+      least = smaller(least, s.bounds[i].low[axis]);
+      most = larger(most, s.bounds[i].high[axis]);
+    }
     const float first = least_of(least), last = -least_of(-most);
     if (!(first <= last)) return true;  // nothing touches a ray
     if (!(first > -kFarthest && last < kFarthest)) return false;
@@ -50,7 +53,8 @@ void sort_by_depth(ViewState& s, int n) {
 void cut_rays(ViewState& s, int n, int parts) {
   int64_t* work = s.row_work;     // that begins in a row, less what ended
   const Strips& all = s.rays;
-  for (s.ray_parts = 1; 2 * s.ray_parts <= least(parts, all.rows / kRowsPerBand);) s.ray_parts *= 2;  // so that no thread is left over
+  s.ray_parts = 1;
+  while (2 * s.ray_parts <= least(parts, all.rows / kRowsPerBand)) s.ray_parts *= 2;  // they divide among threads
   for (int y = 0; y <= all.rows; y++) work[y] = 0;
   for (int i = 0; i < n; i++) {
     RayEntry& e = s.on_rays[i];
@@ -116,14 +120,15 @@ void cut_pixels(ViewState& s, const Strips& image, int n, int parts) {
   int at = 0;
   for (int k = 0; k < keys; k++) {
     const int64_t each = work(k);
-    const int first_row = least(k / kShapes / kShapes, image.rows - 1), last_row = least(first_row + tall(k) * kBlockY, image.rows) - 1;
+    const int first_row = least(k / kShapes / kShapes, image.rows - 1);
+    const int last_row = least(first_row + tall(k) * kBlockY, image.rows) - 1;
     for (int left = counts[k]; left > 0;) {
       if (!part || done * parts >= total * s.pixel_parts) {  // never after the last part: there done < total
         part = s.pixel_groups + s.pixel_parts++;
         *part = {at, at, image.part(first_row, first_row), 0, nullptr};
       }
-      const int64_t room = (total * s.pixel_parts / parts - done) / each + 1;  // one at least: a heavy one may have been too much
-      const int here = room < 1 ? 1 : room < left ? (int)room : left;
+      const int64_t room = (total * s.pixel_parts / parts - done) / each + 1;
+      const int here = room < 1 ? 1 : room < left ? (int)room : left;  // no room: one alone was more than a part
       part->end = at += here;
       part->strips.rows = most(part->strips.rows, last_row - part->strips.y0 + 1);
       done += here * each;

@@ -36,33 +36,41 @@ SG_FN void write_rows(const F (&columns)[kFields], int count, int real, float* r
 }
 
 // ---- rows of K numbers, without a detour by 16 -------------------------------------------------------------------------
-// Lane k of column q is number K k + q of K vectors; the first two of them are joined, then each of the others.
+// Number n of the rows is lane n % kWidth of vector n / kWidth, and lane n / K of column n % K. A column is joined from its
+// vectors, and a vector from its columns, two by two; an index below kWidth is a lane of what is joined so far.
+typedef std::make_integer_sequence<int, kWidth> AllLanes;
+
+constexpr int in_vector(int n, int v, int lane) { return n / kWidth == v ? kWidth + n % kWidth : v == 1 && n < kWidth ? n : lane; }
 template <int K, int Q, int V, int... k> SG_FN F join_column(F so_far, F next, std::integer_sequence<int, k...>) {
-  return __builtin_shufflevector(so_far, next, ((K * k + Q) / kWidth == V ? kWidth + (K * k + Q) % kWidth : V == 1 && K * k + Q < kWidth ? K * k + Q : k)...);
+  return __builtin_shufflevector(so_far, next, in_vector(K * k + Q, V, k)...);
 }
 template <int K, int Q, int V = 1> SG_FN F column_of(const F* vectors, F so_far) {
   if constexpr (V == K) return so_far;
-  else return column_of<K, Q, V + 1>(vectors, join_column<K, Q, V>(so_far, vectors[V], std::make_integer_sequence<int, kWidth>()));
+  else return column_of<K, Q, V + 1>(vectors, join_column<K, Q, V>(so_far, vectors[V], AllLanes()));
 }
-// Lane l of vector j is row (kWidth j + l) / K of column (kWidth j + l) % K.
-template <int K, int J, int Q, int... l> SG_FN F join_vector(F so_far, F next, std::integer_sequence<int, l...>) {
-  return __builtin_shufflevector(so_far, next, ((kWidth * J + l) % K == Q ? kWidth + (kWidth * J + l) / K : Q == 1 && (kWidth * J + l) % K == 0 ? (kWidth * J + l) / K : l)...);
+
+constexpr int in_column(int n, int K, int q, int lane) { return n % K == q ? kWidth + n / K : q == 1 && n % K == 0 ? n / K : lane; }
+template <int K, int V, int Q, int... k> SG_FN F join_vector(F so_far, F next, std::integer_sequence<int, k...>) {
+  return __builtin_shufflevector(so_far, next, in_column(kWidth * V + k, K, Q, k)...);
 }
-template <int K, int J, int Q = 1> SG_FN F vector_of(const F* columns, F so_far) {
+template <int K, int V, int Q = 1> SG_FN F vector_of(const F* columns, F so_far) {
   if constexpr (Q == K) return so_far;
-  else return vector_of<K, J, Q + 1>(columns, join_vector<K, J, Q>(so_far, columns[Q], std::make_integer_sequence<int, kWidth>()));
+  else return vector_of<K, V, Q + 1>(columns, join_vector<K, V, Q>(so_far, columns[Q], AllLanes()));
 }
 
-template <int K, int... q> SG_FN void read_few(const float* rows, int real, F* columns, std::integer_sequence<int, q...>) {
-  const F vectors[K] = {load_some(rows + kWidth * q, K * real - kWidth * q)...};
-  ((columns[q] = column_of<K, q>(vectors, vectors[0])), ...);
+template <int K, int... k> SG_FN void read_few(const float* rows, int real, F* columns, std::integer_sequence<int, k...>) {
+  const F vectors[K] = {load_some(rows + kWidth * k, K * real - kWidth * k)...};
+  ((columns[k] = column_of<K, k>(vectors, vectors[0])), ...);
 }
-template <int K> SG_FN void read_few(const float* rows, int real, F* columns) { read_few<K>(rows, real, columns, std::make_integer_sequence<int, K>()); }
-
-template <int K, int... j> SG_FN void write_few(const F* columns, int real, float* rows, std::integer_sequence<int, j...>) {
-  (store_some(rows + kWidth * j, vector_of<K, j>(columns, columns[0]), K * real - kWidth * j), ...);
+template <int K> SG_FN void read_few(const float* rows, int real, F* columns) {
+  read_few<K>(rows, real, columns, std::make_integer_sequence<int, K>());
 }
-template <int K> SG_FN void write_few(const F* columns, int real, float* rows) { write_few<K>(columns, real, rows, std::make_integer_sequence<int, K>()); }
+template <int K, int... k> SG_FN void write_few(const F* columns, int real, float* rows, std::integer_sequence<int, k...>) {
+  (store_some(rows + kWidth * k, vector_of<K, k>(columns, columns[0]), K * real - kWidth * k), ...);
+}
+template <int K> SG_FN void write_few(const F* columns, int real, float* rows) {
+  write_few<K>(columns, real, rows, std::make_integer_sequence<int, K>());
+}
 
 }  // namespace SG_ISA
 }  // namespace sarsplat

@@ -14,7 +14,8 @@ void gather(const ViewState& s, const Backward& scratch, int64_t i, int real, F 
     auto ray = [&] {
       const RayEntry& e = s.on_rays[i + k];
       Eight sum = (Eight)(0.0f);
-      for (int slot = e.slot; slot <= e.slot + e.last_band - e.first_band; slot++) sum += load_eight(scratch.ray_moments + kSums * (int64_t)slot);
+      for (int slot = e.slot; slot <= e.slot + e.last_band - e.first_band; slot++)
+        sum += load_eight(scratch.ray_moments + kSums * (int64_t)slot);
       return sum;
     };
     auto pixel = [&] { return load_eight(scratch.pixel_moments + kSums * (i + k)); };
@@ -52,7 +53,8 @@ void differentiate(const sg_context& c, const sg_problem& p, const sg_gradients&
       F sums[kFields];
       gather(s, scratch[v], i, real, sums);
       const F d_phase = sums[14], phase = sums[15];
-      const Moments<F> mr{sums[0] * kLn2, sums[1] * kLn2, sums[2] * kLn2, sums[3] * kLn2, sums[4] * kLn2, sums[5] * kLn2};  // tau is in units of log2(e)
+      for (int k = 0; k < 6; k++) sums[k] *= kLn2;  // tau is in units of log2(e)
+      const Moments<F> mr{sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]};
       const Moments<F> mp{sums[8], sums[9], sums[10], sums[11], sums[12], sums[13]};
       const Projection<F> proj = project(b, s.frame, u);
       F planes[4];

@@ -25,7 +25,8 @@ int32_t forward_stages(sg_context& c, const sg_problem& p, const sg_outputs& out
   Arena& arena = c.arena;
   arena.reset();
   auto out_of_memory = [&] { arena.give_back(); return SG_MEMORY; };
-  const int V = p.views, n = p.gaussians, chunks = chunks_of(n), parts = c.parts = most(1, least(kMostParts, kTasks / most(V, 1)));
+  const int V = p.views, n = p.gaussians, chunks = chunks_of(n);
+  const int parts = c.parts = most(1, least(kMostParts, kTasks / most(V, 1)));
   c.image = {0, 0, p.columns, p.rows, nullptr, nullptr};
   c.views = arena.take<ViewState>(V);
   float* ruler = arena.take<float>(c.image.ruler());

@@ -60,7 +60,8 @@ void statistics(const sg_context* c, const sg_problem* p, sg_statistics* out) {
         const Entry& e = s.on_rays[s.ray_list[band.first + k]];
         for_blocks(e, band.strips, [&](const Offset<F>& d, int64_t at) {
           out->blocks_attenuation++;
-          out->live_attenuation += __builtin_popcount(bits((log_depth(e.g, d) >= least_log_tau(*p)) & (load_anywhere(s.stop + band.start + at) >= k)));
+          const I followed = load_anywhere(s.stop + band.start + at) >= k;
+          out->live_attenuation += __builtin_popcount(bits((log_depth(e.g, d) >= least_log_tau(*p)) & followed));
         });
       }
     }

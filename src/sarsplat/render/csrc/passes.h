@@ -55,7 +55,8 @@ template <class Visit> SG_FN void for_blocks(const Entry& e, const Strips& s, Vi
   const int top = e.y0 > s.y0 ? e.y0 : s.y0, bottom = e.y1 < s.y0 + s.rows ? e.y1 : s.y0 + s.rows - 1;
   const int first = (e.x0 - s.x0) / kBlockX, last = (e.x1 - s.x0) / kBlockX;
   const int tall = (bottom - top) / kBlockY + 1, count = bottom < top ? 0 : tall * (last - first + 1);
-  const int64_t begin = (int64_t)(top - s.y0) * kBlockX, end = begin + (int64_t)tall * kWidth, height = (int64_t)s.height() * kBlockX;
+  const int64_t begin = (int64_t)(top - s.y0) * kBlockX, end = begin + (int64_t)tall * kWidth;
+  const int64_t height = (int64_t)s.height() * kBlockX;
   int64_t strip = first * height, down = begin;
   const float* x = s.x + first * kWidth;
   for (int k = 0; k < count; k++) {  // one loop, not one in the other: its end is guessed wrong once

@@ -57,7 +57,8 @@ struct Boxes { I x0, x1, y0, y1; };
 Boxes boxes_around(F x, F y, F reach_x, F reach_y, I touching) {
   const float slack = 1e-3f;
   const I top = whole(up(y - reach_y - slack));
-  return {whole(up(x - reach_x - slack)), whole(down(x + reach_x + slack)), top, choose(touching, whole(down(y + reach_y + slack)), top - 1)};
+  const I bottom = choose(touching, whole(down(y + reach_y + slack)), top - 1);
+  return {whole(up(x - reach_x - slack)), whole(down(x + reach_x + slack)), top, bottom};
 }
 Boxes within(const Boxes& b, int columns, int rows) {
   const I x0 = most(b.x0, (I)(0)), x1 = least(b.x1, (I)(columns - 1)), y0 = most(b.y0, (I)(0));
@@ -81,10 +82,12 @@ I ordered(F x) {
   return bits ^ ((bits >> 31) | (I)(INT32_MIN));
 }
 
-template <class E> void write_entries(E* out, int real, F x, F y, const Sym2<F>& cov, F det, F height, const Boxes& box, F a, F b, F c) {
+// a, b, c: what a plane has of its own
+template <class E>
+void write_entries(E* out, int real, F x, F y, const Sym2<F>& cov, F det, F height, const Boxes& box, F a, F b, F c) {
   const Whitening<F> w = whitening(cov, det);
-  const F none = splat(0.0f);
-  turn_back({x, y, w.ux, w.uy, w.vy, height, words(box.x0), words(box.x1), words(box.y0), words(box.y1), a, b, c, none, none, none},
+  const F x0 = words(box.x0), x1 = words(box.x1), y0 = words(box.y0), y1 = words(box.y1), none = splat(0.0f);
+  turn_back({x, y, w.ux, w.uy, w.vy, height, x0, x1, y0, y1, a, b, c, none, none, none},
             [&](int k, int part, F numbers) { if (k < real) store((float*)(out + k) + part, numbers); });
 }
 
@@ -105,7 +108,8 @@ void project_view(const ViewState& s, const sg_problem& p, const Cuts& cuts, int
   const F x = g.mean[0] * (1.0f / u.ray[0]), y = g.mean[1] * (1.0f / u.ray[1]);  // ray k of an axis stands at k + 1/2
   const Boxes rays = boxes_around(x - 0.5f, y - 0.5f, reach_x, reach_y, touching);
   const F zero = splat(0.0f), beyond = splat(3e38f);
-  write_entries(s.on_rays + i, real, x - 0.5f, y - 0.5f, g.cov_c, g.det_cw, height, rays, zero, zero, words((I)(-1)));  // no band yet
+  const F no_band = words((I)(-1));             // last_band, for the time being
+  write_entries(s.on_rays + i, real, x - 0.5f, y - 0.5f, g.cov_c, g.det_cw, height, rays, zero, zero, no_band);
   store(s.depth_keys + i, choose(touching, ordered(g.mean[2]), (I)(kNoDepth)));
   bounds.low[0] = smaller(bounds.low[0], choose(touching, x - reach_x, beyond));
   bounds.low[1] = smaller(bounds.low[1], choose(touching, y - reach_y, beyond));
