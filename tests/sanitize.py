@@ -30,8 +30,6 @@ TESTS = [
     "tests/reconstruct/test_optimiser.py",
     "-k",
     "not memory_does_not_grow",
-    "-p",
-    "no:cacheprovider",
     "--capture=sys",
 ]
 

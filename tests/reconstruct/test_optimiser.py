@@ -30,6 +30,15 @@ def leaves() -> dict[str, torch.Tensor]:
     return {name: tensor.requires_grad_() for name, tensor in leaves.items()}
 
 
+def test_a_gradient_that_is_not_a_number_does_not_become_a_bound(instruction_set: str) -> None:
+    mine = leaves()
+    optimiser = Optimiser(mine, BOUNDS, preset("default"))
+    for name, tensor in mine.items():
+        tensor.grad = torch.full_like(tensor, math.nan if name in BOUNDS else 0.0)
+    optimiser.step(0)
+    assert all(mine[name].isnan().all() for name in BOUNDS)  # the next rendering says so
+
+
 def test_every_step_is_torchs(instruction_set: str) -> None:
     config = preset("default")
     mine = leaves()

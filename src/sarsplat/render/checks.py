@@ -22,11 +22,12 @@ _QUATERNION_LENGTHS = (1e-15, 1e15)
 _FAR, _STRONG = 1e9, 1e15  # beyond these, float32 overflows on the way
 _MOST = {"means": _FAR, "shift": _FAR, "harmonics": _STRONG, "scattering": _STRONG, "gain": _STRONG}
 
+_POSITIVE = "optimise logarithms, or clamp"
 ALLOWED = {
     "means": f"finite metres, at most {_FAR:g}",
     "quaternions": "finite and not zero, of a length between 1e-15 and 1e15",
-    "scales": f"finite and at least MIN_SCALE = {MIN_SCALE} m, at most {MAX_SCALE:g} m",
-    "optical_depth": f"between 0 and MAX_OPTICAL_DEPTH = {MAX_OPTICAL_DEPTH:g}",
+    "scales": f"finite and at least MIN_SCALE = {MIN_SCALE} m, at most {MAX_SCALE:g} m: {_POSITIVE}",
+    "optical_depth": f"between 0 and MAX_OPTICAL_DEPTH = {MAX_OPTICAL_DEPTH:g}: {_POSITIVE}",
     "harmonics": f"finite, at most {_STRONG:g}",
     "scattering": f"finite, at most {_STRONG:g}",
     "shift": f"finite metres, at most {_FAR:g}",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import logging
 import math
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache, partial
@@ -45,6 +46,10 @@ class Pass(Protocol):
     def trace(self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int) -> None:
         """Fill T_end and the first-return range of a view's rays."""
         ...
+
+
+_ARRAYS = ("means", "quaternions", "scales", "kappa", "harmonics", "scattering", "shift")
+"""Inputs by their names in a problem."""
 
 
 @dataclass(frozen=True)
@@ -174,6 +179,8 @@ class _Render(torch.autograd.Function):
                 kernel, problem, setting.first_return_depth, len(setting.views), means.device
             )
         ctx.kernel, ctx.problem, ctx.constants, ctx.setting = kernel, problem, constants, setting
+        ctx.shapes = [t if t is None else t.shape for t in inputs]
+        ctx.one_at_a_time = threading.Lock()  # the kernel lets go of Python's, and has one set of scratch memory
         ctx.save_for_backward(*inputs)
         ctx.mark_non_differentiable(lit_area, first_return)
         ctx.set_materialize_grads(False)
@@ -183,19 +190,33 @@ class _Render(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         d_images, d_cross_sections, _, d_transmittance, *_ = grads
-        inputs = ctx.saved_tensors  # also the check that nobody changed them in place
+        # also the check that nobody changed them in place; they need not lie where they lay in the forward pass
+        inputs = [t if t is None else t.contiguous() for t in ctx.saved_tensors]
         setting: _Setting = ctx.setting
+        for name, tensor, shape in zip(_ARRAYS, inputs, ctx.shapes, strict=True):
+            if tensor is not None and tensor.shape != shape:
+                raise SarsplatError(
+                    f"{name} were {tuple(shape)} when they were rendered and are {tuple(tensor.shape)} now; do not "
+                    "replace the data of tensors between rendering and backward"
+                )
         if d_images is None:
-            d_images = inputs[0].new_zeros(len(setting.views), setting.grid.rows, setting.grid.columns)
+            d_images = ctx.saved_tensors[0].new_zeros(len(setting.views), setting.grid.rows, setting.grid.columns)
         seeds = [t if t is None else t.contiguous() for t in (d_images, d_cross_sections, d_transmittance)]
         results = [None if t is None else torch.empty_like(t) for t in inputs]
         gradients = cpu.Gradients(*(_pointer(t) for t in (*seeds, *results, setting.planes)))
-        ctx.kernel.backward(ctx.problem, gradients)
+        with ctx.one_at_a_time:
+            _point_at(ctx.problem, inputs)
+            ctx.kernel.backward(ctx.problem, gradients)
         return (*results, None)
 
 
 def _pointer(tensor: Tensor | None) -> int | None:
     return None if tensor is None else tensor.data_ptr()
+
+
+def _point_at(problem: ctypes.Structure, inputs: Sequence[Tensor | None]) -> None:
+    for name, tensor in zip(_ARRAYS, inputs, strict=True):
+        setattr(problem, name, _pointer(tensor))
 
 
 @lru_cache(maxsize=4096)
@@ -221,22 +242,21 @@ def _problem(inputs: Sequence[Tensor | None], setting: _Setting) -> tuple[ctypes
         0 if harmonics is None else harmonics.shape[1],
         grid.rows,
         grid.columns,
-        *(_pointer(t) for t in inputs[:6]),
-        _pointer(frames),
-        _pointer(basis),
-        _pointer(inputs[6]),
-        setting.p_min,
-        grid.spacing,
-        grid.center,
-        tuple(width**2 / (8 * math.log(2)) for width in grid.resolution),
-        rays.spacing,
-        CELL_WIDENING,
-        MIN_RAY_DEPTH,
-        MIN_TRANSMITTANCE,
-        IMAGE_CUT,
-        MIN_SCALE * (1 - 1e-6),
-        MAX_OPTICAL_DEPTH * (1 + 1e-6),
+        frames=_pointer(frames),
+        basis=_pointer(basis),
+        p_min=setting.p_min,
+        pixel=grid.spacing,
+        center=grid.center,
+        response_var=tuple(width**2 / (8 * math.log(2)) for width in grid.resolution),
+        ray=rays.spacing,
+        cell_widening=CELL_WIDENING,
+        min_ray_depth=MIN_RAY_DEPTH,
+        min_transmittance=MIN_TRANSMITTANCE,
+        image_cut=IMAGE_CUT,
+        min_scale=MIN_SCALE * (1 - 1e-6),
+        max_depth=MAX_OPTICAL_DEPTH * (1 + 1e-6),
     )
+    _point_at(problem, inputs)
     return problem, (frames, basis)
 
 

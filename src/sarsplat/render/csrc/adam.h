@@ -11,6 +11,9 @@ namespace {
 constexpr int kRows = 1024;  // per task; a multiple of every kWidth
 constexpr int kMostColumns = 16;
 
+// NaN stays NaN: the next forward pass says so
+SG_FN F within(F x, F low, F high) { return choose(x < low, low, choose(x > high, high, x)); }
+
 int adam_tasks(const sg_adam_group& g) { return (int)((g.rows + kRows - 1) / kRows); }
 
 void adam(const sg_adam_step* adam) {
@@ -35,10 +38,10 @@ void adam(const sg_adam_step* adam) {
       mean += (gradient - mean) * mean_share;
       square = square * adam->beta2 + gradient * gradient * square_share;
       const F down = mean / (root(square) * spread + adam->epsilon) * load(rates + k);
-      value = g.logarithmic ? value * power2(smaller(larger(down * -1.44269504f, splat(-99.0f)), splat(99.0f))) : value - down;
+      value = g.logarithmic ? value * power2(within(down * -1.44269504f, splat(-99.0f), splat(99.0f))) : value - down;
       store_some(g.mean + i, mean, some);
       store_some(g.square + i, square, some);
-      store_some(g.value + i, smaller(larger(value, load(low + k)), load(high + k)), some);
+      store_some(g.value + i, within(value, load(low + k), load(high + k)), some);
     }
   });
 }

@@ -37,8 +37,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) differentiate(sg_problem 
       accumulate(project(b, f, u), f, u, rays, pixels, p.peak != 0, total, planes);
       total.kappa += rays.m0;
       d_phase = s.d_sigma[j] * lit;
-      const float soft = phase - p.p_min;  // d softplus = 1 - e^-softplus
-      const float d_sum = d_phase * -power2_minus_one(power2_parts(larger(soft * -kLog2e, -120.0f)));
+      const float d_sum = p.scattering ? 0.0f : d_phase * softplus(sum_of_harmonics(p, v, i)).slope;
       for (int k = 0; k < kMostCoefficients; k++)
         if (k < p.coefficients) d_harmonics[k] += d_sum * p.basis[v * p.coefficients + k];
     }

@@ -45,9 +45,7 @@ SG_FN float scattering(const sg_problem& p, const State& s, int view, int64_t i,
     check(s, p.scattering + j, 1, -1e15f, 1e15f, SG_SCATTERING, j);
     return p.scattering[j];
   }
-  float sum = 0.0f;
-  for (int k = 0; k < p.coefficients; k++) sum += p.harmonics[p.coefficients * i + k] * p.basis[view * p.coefficients + k];
-  return softplus(sum) + p.p_min;
+  return softplus(sum_of_harmonics(p, view, i)).value + p.p_min;
 }
 
 SG_FN void project_pair(const sg_problem& p, const State& s, int view, int64_t i, int64_t j) {

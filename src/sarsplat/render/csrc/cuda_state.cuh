@@ -86,6 +86,12 @@ SG_FN Body<float> body(const sg_problem& p, int64_t i, float* unit, float& norm)
   return b;
 }
 
+SG_FN float sum_of_harmonics(const sg_problem& p, int view, int64_t i) {
+  float sum = 0.0f;
+  for (int k = 0; k < p.coefficients; k++) sum += p.harmonics[p.coefficients * i + k] * p.basis[view * p.coefficients + k];
+  return sum;
+}
+
 // inclusive range of lattice points within `reach` of `at`
 struct Range { int first, last; };
 SG_FN Range points(float at, float reach, int count) {

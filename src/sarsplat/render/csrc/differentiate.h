@@ -52,7 +52,7 @@ void differentiate(const sg_context& c, const sg_problem& p, const sg_gradients&
       const ViewState& s = c.views[v];
       F sums[kFields];
       gather(s, scratch[v], i, real, sums);
-      const F d_phase = sums[14], phase = sums[15];
+      const F d_phase = sums[14], d_sum = d_phase * sums[15];
       for (int k = 0; k < 6; k++) sums[k] *= kLn2;  // tau is in units of log2(e)
       const Moments<F> mr{sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]};
       const Moments<F> mp{sums[8], sums[9], sums[10], sums[11], sums[12], sums[13]};
@@ -67,11 +67,7 @@ void differentiate(const sg_context& c, const sg_problem& p, const sg_gradients&
           for (int q = 0; q < 4; q++) g.planes[((int64_t)v * n + i + k) * 4 + q] = planes[q][k];
       if (g.scattering)
         for (int k = 0; k < real; k++) g.scattering[(int64_t)v * n + i + k] = d_phase[k];
-      if (p.coefficients) {
-        const F soft = phase - p.p_min;                                       // d softplus = 1 - e^-softplus
-        const F d_sum = d_phase * -power2_minus_one(power2_parts(larger(soft * -kLog2e, splat(-120.0f))));
-        for (int k = 0; k < p.coefficients; k++) d_harmonics[k] += d_sum * p.basis[v * p.coefficients + k];
-      }
+      for (int k = 0; k < p.coefficients; k++) d_harmonics[k] += d_sum * p.basis[v * p.coefficients + k];
     }
     F d_scale[3], d_quaternion[4];
     finish(b, bodies.unit, bodies.norm, total, d_scale, d_quaternion);
@@ -80,7 +76,7 @@ void differentiate(const sg_context& c, const sg_problem& p, const sg_gradients&
     write_few<3>(d_scale, real, g.scales + 3 * i);
     write_few<4>(d_quaternion, real, g.quaternions + 4 * i);
     write_few<1>(&d_kappa, real, g.kappa + i);
-    write_rows(d_harmonics, p.coefficients, real, g.harmonics + p.coefficients * i);
+    if (p.coefficients) write_rows(d_harmonics, p.coefficients, real, g.harmonics + p.coefficients * i);
   }
 }
 

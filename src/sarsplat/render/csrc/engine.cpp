@@ -125,15 +125,18 @@ int32_t backward_stages(sg_context& c, const sg_problem& p, const sg_gradients& 
   return SG_OK;
 }
 
+// Below, one thread is done before another has come.
+bool worth_waking(const sg_problem& p) { return (int64_t)p.views * (p.gaussians + (int64_t)p.rows * p.columns / 16) > 2048; }
+
 int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs* out, int64_t* culprit) {
   int32_t status = SG_OK;
-  together([&] { status = forward_stages(*context, *problem, *out, culprit); });
+  together(worth_waking(*problem), [&] { status = forward_stages(*context, *problem, *out, culprit); });
   return status;
 }
 
 int32_t backward(sg_context* context, const sg_problem* problem, const sg_gradients* gradients) {
   int32_t status = SG_OK;
-  together([&] { status = backward_stages(*context, *problem, *gradients); });
+  together(worth_waking(*problem), [&] { status = backward_stages(*context, *problem, *gradients); });
   return status;
 }
 

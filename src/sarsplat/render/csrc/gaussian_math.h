@@ -88,12 +88,13 @@ template <class F> SG_FN void densest(const Projection<F>& p, const PlaneUnits& 
   slope[1] = w.y(u, v);
 }
 
-// softplus without cancellation: log1p(e) = ln(1 + e) e / ((1 + e) - 1)
-template <class F> SG_FN F softplus(F x) {
+// ln(1 + e^x) without cancellation, log1p(e) = ln(1 + e) e / ((1 + e) - 1), and its slope 1 / (1 + e^-x)
+template <class F> struct Softplus { F value, slope; };
+template <class F> SG_FN Softplus<F> softplus(F x) {
   const F e = power2(larger(absolute(x) * -kLog2e, splat(-120.0f)));
   const F one = e + 1.0f, rounded = one - 1.0f;
   const F log1p = choose(rounded == 0.0f, e, natural_log(one) * e / choose(rounded == 0.0f, splat(1.0f), rounded));
-  return larger(x, splat(0.0f)) + log1p;
+  return {larger(x, splat(0.0f)) + log1p, choose(x < 0.0f, e, splat(1.0f)) / one};
 }
 
 // ---- adjoints --------------------------------------------------------------------------------------------------------
@@ -131,11 +132,13 @@ SG_FN void accumulate(const Projection<F>& p, const ViewFrame& f, const PlaneUni
     const F z = gxz * f.r[j] + gzz * f.r[6 + j];
     for (int k = j; k < 3; k++, n++) out.g[n] += x * f.r[k] + y * f.r[3 + k] + z * f.r[6 + k];
   }
-  for (int k = 0; k < 3; k++) {         // a.m0 times d ln sqrt(det Sigma_C)
-    const F share = p.minor[k] * p.axis[2][k] / p.det_c * a.m0;
-    out.scale[k] += a.m0 - share * p.axis[2][k];  // divided by s_k at the end
-    for (int j = 0; j < 3; j++) out.rot[3 * j + k] += share * f.r[6 + j];
+  F share[3], term[3];                  // a.m0 times d ln sqrt(det Sigma_C), det Sigma_C being the sum of three terms
+  for (int k = 0; k < 3; k++) {
+    share[k] = p.minor[k] * p.axis[2][k] / p.det_c * a.m0;
+    term[k] = share[k] * p.axis[2][k];
+    for (int j = 0; j < 3; j++) out.rot[3 * j + k] += share[k] * f.r[6 + j];
   }
+  for (int k = 0; k < 3; k++) out.scale[k] += term[(k + 1) % 3] + term[(k + 2) % 3];  // divided by s_k at the end
 }
 
 // From the accumulated sums to dL/ds and dL/dq.

@@ -2,8 +2,8 @@
 // as a plain pointer. A second pool beside it (OpenMP or ours) would fight for the cores.
 //
 // Waking a thread takes as long as a stage of a pass. So a pass is one region of the pool: one thread leads through its
-// stages, and the others take tasks of whatever stage it has come to. Nobody waits for a thread that holds no task: if the
-// pool runs them one after the other, the leader does everything itself and the rest finds nothing left to do.
+// stages, and the others take tasks of whatever stage it has come to. No stage waits for a thread that holds no task: if
+// the pool runs them one after the other, the leader does everything itself and the rest finds nothing left to do.
 #include "parallel.h"
 
 #include <atomic>
@@ -12,12 +12,12 @@
 
 typedef int32_t (*torch_parallel_for_t)(int64_t, int64_t, int64_t, void (*)(int64_t, int64_t, void*), void*);
 static torch_parallel_for_t torch_parallel_for = nullptr;
-static int threads = 1;
+static std::atomic<int> threads{1};
 
 extern "C" __attribute__((visibility("default"))) void sg_use_torch(void* function) {
   torch_parallel_for = (torch_parallel_for_t)function;
 }
-extern "C" __attribute__((visibility("default"))) void sg_set_threads(int n) { threads = n; }
+extern "C" __attribute__((visibility("default"))) void sg_set_threads(int n) { threads.store(n, std::memory_order_relaxed); }
 
 namespace {
 
@@ -72,11 +72,19 @@ class Team {
 };
 
 thread_local Team* team = nullptr;  // which this thread leads
+thread_local bool alone = false;    // it has something small to do
 
 }  // namespace
 
+extern "C" void sg_alone(void (*f)(void*), void* context) {
+  const bool before = alone;
+  alone = true;
+  f(context);
+  alone = before;
+}
+
 extern "C" void sg_together(void (*f)(void*), void* context) {
-  if (threads <= 1 || team || !torch_parallel_for) return f(context);
+  if (threads <= 1 || alone || team || !torch_parallel_for) return f(context);
   struct Region { Team team; void (*f)(void*); void* context; } region{{}, f, context};
   torch_parallel_for(0, threads, 1,
                      [](int64_t, int64_t, void* p) {
@@ -91,7 +99,7 @@ extern "C" void sg_together(void (*f)(void*), void* context) {
 
 extern "C" void sg_parallel(int n, void (*f)(void*, int), void* context) {
   if (n > 1 && team) return team->run(n, f, context);
-  if (n <= 1 || threads <= 1 || !torch_parallel_for) {
+  if (n <= 1 || threads <= 1 || alone || !torch_parallel_for) {
     for (int i = 0; i < n; i++) f(context, i);
     return;
   }

@@ -22,7 +22,8 @@ struct alignas(64) RayEntry : Entry {
 };
 struct alignas(64) PixelEntry : Entry {  // height: the amplitude
   float phase, norm, lit;         // P(u), of the imaging weight, A_lit: the amplitude's factors
-  int32_t unused[3];
+  float slope;                    // of P(u) over the sum of harmonics
+  int32_t unused[2];
 };
 static_assert(sizeof(RayEntry) == 64 && sizeof(PixelEntry) == 64, "an entry is a line of the cache");
 constexpr int kSums = 8;          // numbers in a row of moments: six, and two more

@@ -30,7 +30,7 @@ void illuminate(const ViewState& s, float cell_area, int64_t first, int64_t end,
 
 struct Backward {                 // scratch of one backward pass, per view: rows of kSums
   float* ray_moments;             // by slot
-  float* pixel_moments;           // by id; times the amplitude, then dL/dP(u) and P(u)
+  float* pixel_moments;           // by id; times the amplitude, then dL/dP(u) and the slope of P(u)
   float *T, *B, *dS;
   const float* from;              // dL/dT_end of the view's rays, or null
   void take(Arena& arena, const ViewState& s, int64_t n, int parts, const Strips& image) {
@@ -103,7 +103,7 @@ void image_part_backward(const ViewState& s, const sg_problem& p, const Strips& 
     s.on_rays[id].h = d_sigma * e.phase * (p.ray[0] * p.ray[1]);
     moments *= e.g.height;
     moments[6] = d_sigma * e.lit;
-    moments[7] = e.phase;
+    moments[7] = e.slope;
     store_eight(scratch.pixel_moments + kSums * (int64_t)id, moments);
   }
 }

@@ -82,12 +82,12 @@ I ordered(F x) {
   return bits ^ ((bits >> 31) | (I)(INT32_MIN));
 }
 
-// a, b, c: what a plane has of its own
+// a, b, c, d: what a plane has of its own
 template <class E>
-void write_entries(E* out, int real, F x, F y, const Sym2<F>& cov, F det, F height, const Boxes& box, F a, F b, F c) {
+void write_entries(E* out, int real, F x, F y, const Sym2<F>& cov, F det, F height, const Boxes& box, F a, F b, F c, F d) {
   const Whitening<F> w = whitening(cov, det);
   const F x0 = words(box.x0), x1 = words(box.x1), y0 = words(box.y0), y1 = words(box.y1), none = splat(0.0f);
-  turn_back({x, y, w.ux, w.uy, w.vy, height, x0, x1, y0, y1, a, b, c, none, none, none},
+  turn_back({x, y, w.ux, w.uy, w.vy, height, x0, x1, y0, y1, a, b, c, d, none, none},
             [&](int k, int part, F numbers) { if (k < real) store((float*)(out + k) + part, numbers); });
 }
 
@@ -96,7 +96,7 @@ struct Cuts {
   float deviations, lost;         // where an imaging weight ends, and one over what is left of its integral
 };
 
-void project_view(const ViewState& s, const sg_problem& p, const Cuts& cuts, int v, const Bodies& bodies, F phase, int64_t i,
+void project_view(const ViewState& s, const sg_problem& p, const Cuts& cuts, int v, const Bodies& bodies, const Softplus<F>& phase, int64_t i,
                   int real, Bounds& bounds) {
   const PlaneUnits u = units(p);
   const Projection<F> g = project(bodies.body, s.frame, u);
@@ -109,7 +109,7 @@ void project_view(const ViewState& s, const sg_problem& p, const Cuts& cuts, int
   const Boxes rays = boxes_around(x - 0.5f, y - 0.5f, reach_x, reach_y, touching);
   const F zero = splat(0.0f), beyond = splat(3e38f);
   const F no_band = words((I)(-1));             // last_band, for the time being
-  write_entries(s.on_rays + i, real, x - 0.5f, y - 0.5f, g.cov_c, g.det_cw, height, rays, zero, zero, no_band);
+  write_entries(s.on_rays + i, real, x - 0.5f, y - 0.5f, g.cov_c, g.det_cw, height, rays, zero, zero, no_band, zero);
   store(s.depth_keys + i, choose(touching, ordered(g.mean[2]), (I)(kNoDepth)));
   bounds.low[0] = smaller(bounds.low[0], choose(touching, x - reach_x, beyond));
   bounds.low[1] = smaller(bounds.low[1], choose(touching, y - reach_y, beyond));
@@ -122,7 +122,7 @@ void project_view(const ViewState& s, const sg_problem& p, const Cuts& cuts, int
   const F wide = cuts.deviations * root(g.cov_i.xx), tall = cuts.deviations * root(g.cov_i.yy);
   const Boxes pixels = within(boxes_around(column, row, wide, tall, (I)(-1)), p.columns, p.rows);
   const F norm = p.peak ? splat(cuts.lost) : cuts.lost / (6.2831853f * p.pixel[0] * p.pixel[1] * root(g.det_iw));
-  write_entries(s.on_pixels + i, real, column, row, g.cov_i, g.det_iw, zero, pixels, phase, norm, zero);
+  write_entries(s.on_pixels + i, real, column, row, g.cov_i, g.det_iw, zero, pixels, phase.value, norm, zero, phase.slope);
   store(s.pixel_keys + i, key_of(pixels, p.rows));
 }
 
@@ -137,13 +137,14 @@ void project_chunk(const sg_context& c, const sg_problem& p, int chunk, int64_t 
     F harmonics[kFields];
     if (!p.scattering) read_rows(p.harmonics + p.coefficients * i, p.coefficients, real, harmonics);
     for (int v = 0; v < p.views; v++) {
-      F phase;
+      Softplus<F> phase;
       if (p.scattering) {
-        phase = load_some(p.scattering + v * (int64_t)p.gaussians + i, real);
+        phase = {load_some(p.scattering + v * (int64_t)p.gaussians + i, real), splat(0.0f)};
       } else {
         F sum = splat(0.0f);
         for (int k = 0; k < p.coefficients; k++) sum += harmonics[k] * p.basis[v * p.coefficients + k];
-        phase = softplus(sum) + p.p_min;
+        phase = softplus(sum);
+        phase.value += p.p_min;
       }
       project_view(c.views[v], p, cuts, v, bodies, phase, i, real, c.views[v].bounds[chunk]);
     }
