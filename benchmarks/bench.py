@@ -1,7 +1,7 @@
-"""Every benchmark, or those named: `python benchmarks/bench.py [PART …] [--quick] [--out FOLDER]`.
+"""Every benchmark, or those named: ratios first, absolute times second.
 
-Prints ratios first, absolute times second. With `--out` the results of all parts are written to FOLDER/cpu.json and,
-where there is a GPU, those of `cuda_check.py` beside it; `make bench` does that and fills the README from them.
+With --out the results of all parts are written to FOLDER/cpu.json and, where there is a GPU, those of cuda_check.py
+beside it; `make bench` does that and fills the README from them.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the command line does, before torch is loaded
@@ -34,16 +35,17 @@ from sarsplat.errors import SarsplatError
 from sarsplat.render import cpu
 from sarsplat.render.cuda_device import require_cuda
 
-PARTS: dict[str, Callable[[bool], dict[str, Any]]] = {
-    "determinism": determinism.measure,
-    "iteration": iteration.measure,
-    "floor": floor.measure,
-    "naive": against_naive.measure,
-    "twins": twins.measure,
-    "degenerate": degenerate.measure,
-    "growth": growth.measure,
-    "paper": paper_run.measure,
+PARTS: dict[str, tuple[ModuleType, str]] = {
+    "determinism": (determinism, "1 s"),
+    "iteration": (iteration, "10 s"),
+    "floor": (floor, "2 s"),
+    "naive": (against_naive, "7 s"),
+    "twins": (twins, "8 s"),
+    "degenerate": (degenerate, "7 s"),
+    "growth": (growth, "2 minutes"),
+    "paper": (paper_run, "2 minutes"),
 }
+"""Who measures, and how long that takes on two cores."""
 BUSY = 0.5  # processes running, in the mean of the last minute
 SECONDS = (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6))
 BYTES = (("GiB", 2.0**30), ("MiB", 2.0**20), ("B", 1.0))
@@ -61,6 +63,12 @@ SHOWN: dict[str, Callable[[float], str]] = {
     "bytes": partial(in_units, BYTES),
 }
 """What a part may find, in the order of its importance."""
+NOTES = (
+    "A ratio's median is the ratio of the medians; its spread is that of the ratios of neighbours in time. Unseen: the "
+    "same Gaussians out of sight, which leaves all of the engine's work but its pairs. Floor: the arithmetic of all "
+    "blocks that the loops visit, at the rate at which these cores multiply matrices now. Live lanes: the share of "
+    "these blocks' pairs that count."
+)
 
 
 def table(kind: str, parts: dict[str, dict[str, Any]], shown: Callable[[float], str]) -> Table:
@@ -68,21 +76,24 @@ def table(kind: str, parts: dict[str, dict[str, Any]], shown: Callable[[float], 
     found = Table(title=kind, title_justify="left", header_style="bold")
     for name in ("part", "what"):
         found.add_column(name)
-    for name in ("median", "fastest" if kind == "times" else "least", "10 … 90 %"):
+    for name in ("median", "10 … 90 %"):
         found.add_column(name, justify="right", no_wrap=True)
     for part, result in parts.items():
         for k, (what, value) in enumerate(result.get(kind, {}).items()):
             first = part if k == 0 else ""
             if isinstance(value, dict):
-                cells = (
-                    shown(value["median"]),
-                    shown(value["least"]),
-                    f"{shown(value['p10'])} … {shown(value['p90'])}",
-                )
+                cells = (shown(value["median"]), f"{shown(value['p10'])} … {shown(value['p90'])}")
             else:
-                cells = (value if isinstance(value, str) else shown(value), "", "")
+                cells = (value if isinstance(value, str) else shown(value), "")
             found.add_row(first, what, *cells)
     return found
+
+
+def about_parts() -> str:
+    """A line for every part: what its module is about, and how long it takes."""
+    rows = [(name, takes, (module.__doc__ or "").splitlines()[0]) for name, (module, takes) in PARTS.items()]
+    lines = [f"  {name:12} {takes:10} {line}" for name, takes, line in rows]
+    return "\n".join(["parts, and how long they take on two cores:", *lines])
 
 
 def gpu() -> bool:
@@ -97,29 +108,36 @@ def gpu() -> bool:
 
 def main() -> None:
     """Run, print, and write if asked."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; all unless given")
+    parser = argparse.ArgumentParser(
+        description=__doc__, epilog=about_parts(), formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("parts", nargs="*", metavar="PART", help="see below; all unless given")
     parser.add_argument("--quick", action="store_true", help="small scenes, few repeats, no training: a smoke test")
     parser.add_argument("--threads", type=int, default=torch.get_num_threads(), help="of torch and of the engine")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="write the results there; needs all parts")
     arguments = parser.parse_args()
     if unknown := set(arguments.parts) - set(PARTS):
-        parser.error(f"{sorted(unknown)[0]!r} is no part; take of {', '.join(PARTS)}")
+        parser.error(f"there is no part {min(unknown)!r}; choose from {', '.join(PARTS)}")
     if arguments.out and arguments.parts:
         parser.error("--out is for results of one whole run; leave out the names of parts")
+    if arguments.threads < 1:
+        parser.error("--threads must be at least 1")
     torch.set_num_threads(arguments.threads)
     about = machine() | {"instruction_set": cpu.best_instruction_set(), "quick": arguments.quick}
     if about["load"] > BUSY:
-        print(f"This machine is busy (load {about['load']:.1f}): its times will scatter, its ratios less so.")
+        print(f"This machine is busy (load {about['load']:.1f}): neither times nor ratios are to be trusted.")
     console, results = Console(width=None if sys.stdout.isatty() else 120), {}
     for name in arguments.parts or [name for name in PARTS if not (arguments.quick and name == "paper")]:
         begun = time.monotonic()
         console.print(f"{name} … ", end="")
-        results[name] = PARTS[name](arguments.quick)
+        results[name] = PARTS[name][0].measure(arguments.quick)
         console.print(f"{time.monotonic() - begun:.0f} s")
     for kind, shown in SHOWN.items():
         if any(result.get(kind) for result in results.values()):
             console.print(table(kind, results, shown))
+    console.print(NOTES, highlight=False)
+    if arguments.quick:
+        print("Quick run: it shows that everything works; the numbers mean nothing.")
     if arguments.out:
         save(arguments.out / "cpu.json", {"machine": about, "parts": results})
         if not arguments.quick and gpu():

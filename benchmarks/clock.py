@@ -18,18 +18,15 @@ class Spread(TypedDict):
     """A median and how far the samples scatter, in their unit."""
 
     median: float
-    least: float
     p10: float
     p90: float
     samples: int
 
 
 def spread(samples: Sequence[float]) -> Spread:
-    """Median, least, and 10th and 90th percentile."""
+    """Median, and 10th and 90th percentile."""
     deciles = statistics.quantiles(samples, n=10, method="inclusive") if len(samples) > 1 else list(samples) * 9
-    return Spread(
-        median=statistics.median(samples), least=min(samples), p10=deciles[0], p90=deciles[8], samples=len(samples)
-    )
+    return Spread(median=statistics.median(samples), p10=deciles[0], p90=deciles[8], samples=len(samples))
 
 
 def ratio(numerator: Sequence[float], denominator: Sequence[float]) -> Spread:

@@ -1,4 +1,4 @@
-"""Proof and pace of the CUDA engine, to run where a GPU is: `python benchmarks/cuda_check.py`.
+"""Proof and pace of the CUDA engine, to run where a GPU is.
 
 The scenes of the tests against the float64 reference, twice for equal bits; milliseconds per view for 15,000 Gaussians
 with 24 views at a time, kernel by kernel, and of a whole training step; a million Gaussians on 2048 × 2048 pixels;
@@ -8,6 +8,8 @@ the share of the device's own rate; gsplat beside it where it is installed. Resu
 
 from __future__ import annotations
 
+import argparse
+import importlib.util
 import re
 import statistics
 import sys
@@ -20,44 +22,40 @@ import torch
 from clock import Spread, in_turn, spread
 from naive_torch import count_pairs
 from results import REPOSITORY, RESULTS, save
+from scene import Scene
 from work import FLOPS
 
-sys.path.insert(0, str(REPOSITORY / "tests" / "render"))
-
-from named_scenes import MATRIX, Scene, cloud
-from test_cpu_engine import NOTHING_TO_SEE, judged, relative
-from test_cuda_native import on_gpu
-
+from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.render import render
 from sarsplat.render.cuda_device import Device, device, require_cuda
 from sarsplat.render.nvrtc import Nvrtc
 
+sys.path.insert(0, str(REPOSITORY / "tests" / "render"))  # whose modules are imported where a GPU is: they need pytest
+
 VIEWS = tuple(View(45.0 * k, grazing) for grazing in (15.0, 45.0, 75.0) for k in range(8))
-WORKLOADS: dict[str, tuple[Callable[[], Scene], int]] = {
-    "training": (
-        lambda: Scene(
-            cloud(15_000, 1, size=(6.4, 3.3, 2.2), scale=0.06, kappa=(0.01, 4.0)),
-            VIEWS,
-            ImageGrid(128, 128, spacing=(0.3, 0.3), resolution=(0.3, 0.3)),
-        ),
-        50,
-    ),
-    "million": (
-        lambda: Scene(
-            cloud(1_000_000, 2, size=(200.0, 200.0, 10.0), scale=0.1, kappa=(0.01, 4.0)),
-            VIEWS[8:9],
-            ImageGrid(2048, 2048, spacing=(0.1, 0.1), resolution=(0.15, 0.15)),
-        ),
-        10,
-    ),
-}
+REPEATS = {"training": 50, "million": 10}
 STEP_AIM_S = 0.2e-3  # of a view in a training step
+
+
+def workload(title: str) -> Scene:
+    """What is measured: Gaussians as in training, in 24 views, or a million of them in one."""
+    from named_scenes import cloud
+
+    if title == "training":
+        gaussians = cloud(15_000, 1, size=(6.4, 3.3, 2.2), scale=0.06, kappa=(0.01, 4.0))
+        return Scene(gaussians, VIEWS, ImageGrid(128, 128, spacing=(0.3, 0.3), resolution=(0.3, 0.3)))
+    gaussians = cloud(1_000_000, 2, size=(200.0, 200.0, 10.0), scale=0.1, kappa=(0.01, 4.0))
+    return Scene(gaussians, VIEWS[8:9], ImageGrid(2048, 2048, spacing=(0.1, 0.1), resolution=(0.15, 0.15)))
 
 
 def proof() -> dict[str, dict[str, float]]:
     """Largest relative errors of every scene; stops at bits that differ from run to run."""
+    from named_scenes import MATRIX
+    from test_cpu_engine import NOTHING_TO_SEE, judged, relative
+    from test_cuda_native import on_gpu
+
     found = {}
     for name in MATRIX:
         scene, values, norms, gradients, _ = judged(name)
@@ -230,15 +228,14 @@ def beside_gsplat(scene: Scene, repeats: int) -> dict[str, Any] | None:
 
 def main(folder: Path = RESULTS) -> None:
     """Run everything, print it and write it down."""
-    require_cuda()
     name = torch.cuda.get_device_name()
     print(f"{name}, torch {torch.__version__}, NVRTC {Nvrtc().version}")
     results: dict[str, Any] = {"device": name, "torch": torch.__version__, "nvrtc": Nvrtc().version}
     results["largest_relative_error"] = proof()
     results["peak_flop_s"] = peak_flop_s()
     results["workloads"] = {}
-    for title, (make, repeats) in WORKLOADS.items():
-        found = results["workloads"][title] = pace(make(), repeats, results["peak_flop_s"])
+    for title, repeats in REPEATS.items():
+        found = results["workloads"][title] = pace(workload(title), repeats, results["peak_flop_s"])
         print(
             f"{found['gaussians']:,} Gaussians, {found['side']}², {found['views']} views: "
             f"{1e3 * found['view_s']['median']:.3f} ms a view, {found['peak_bytes'] >> 20} MiB, "
@@ -246,15 +243,32 @@ def main(folder: Path = RESULTS) -> None:
         )
         for kernel, ms in found["kernel_ms_per_view"].items():
             print(f"    {kernel:26} {ms:.4f} ms")
-    make, repeats = WORKLOADS["training"]
-    step = results["training_step"] = training_step(make(), repeats)
+    scene, repeats = workload("training"), REPEATS["training"]
+    step = results["training_step"] = training_step(scene, repeats)
     print(f"training step: {1e3 * step['view_s']['median']:.3f} ms a view, {step['of_the_aim']:.2f} × the aim")
-    beside = results["gsplat"] = beside_gsplat(make(), repeats)
+    beside = results["gsplat"] = beside_gsplat(scene, repeats)
     print(f"gsplat / engine: {beside['gsplat / engine']:.2f}" if beside else "gsplat is not installed")
     path = folder / f"cuda-{re.sub('[^a-z0-9]+', '-', name.lower())}.json"
     save(path, results)
     print(path)
 
 
+def missing() -> str | None:
+    """What stands in the way, in one sentence."""
+    try:
+        require_cuda()
+    except SarsplatError as error:
+        reason = str(error).partition(";")[0]
+        return f"cuda_check runs only where there is an NVIDIA GPU: {reason}; the CPU is measured by `make bench`"
+    if importlib.util.find_spec("pytest") is None:
+        return "cuda_check takes its scenes from the tests, which need pytest; install it with `pip install pytest`"
+    return None
+
+
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.parse_args()
+    if sentence := missing():
+        print(sentence, file=sys.stderr)
+        sys.exit(2)
     main()

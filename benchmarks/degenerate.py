@@ -18,13 +18,14 @@ from sarsplat.geometry import View
 
 def loads(quick: bool) -> dict[str, Scene]:
     """Footprints that cover everything, and Gaussians that nothing but their shape tells apart."""
-    wide = field(30 if quick else 150, 64, sigma=40.0)
+    count = 30 if quick else 150
+    wide = field(count, 64, sigma=40.0)
     wide = replace(wide, gaussians=replace(wide.gaussians, optical_depth=wide.gaussians.optical_depth * 0.1))
     together = training_view(5000)
     centre = together.gaussians.means.mean(0, keepdim=True)
     means = centre.expand(len(together.gaussians), 3).contiguous()
     return {
-        "footprints larger than the image": wide,
+        f"{count} Gaussians wider than the image": wide,
         "5,000 Gaussians in one place": replace(together, gaussians=replace(together.gaussians, means=means)),
     }
 
@@ -40,21 +41,26 @@ def measure(quick: bool) -> dict[str, Any]:
     count = {name: blocks(visited(scene)) for name, scene in scenes.items()}
     spent = {name: statistics.median(samples) for name, samples in times.items()}
     per_block = (spent["ordinary"] - spent["ordinary, unseen"]) / count["ordinary"]
-
-    def over_work(name: str) -> Spread:
-        work = spent[f"{name}, unseen"] + count[name] * per_block
-        return spread([seconds / work for seconds in times[name]])
+    work = {name: spent[f"{name}, unseen"] + count[name] * per_block for name in scenes if name != "ordinary"}
 
     around = tuple(View(360.0 * k / 64, 15.0 + 30.0 * (k % 3)) for k in range(64))
     batch = replace(training_view(1000) if quick else scenes["ordinary"], views=around)
     alone = [replace(batch, views=(view,)) for view in around]
-    rivals = {"64 views, one by one": lambda: [scene.step() for scene in alone], "64 views at once": batch.step}
+    rivals = {"one by one": lambda: [scene.step() for scene in alone], "at once": batch.step}
     views = in_turn(rivals, 1 if quick else 7)
+    ratios: dict[str, Spread] = {}
+    rivals_s: dict[str, tuple[float, float]] = {}
+    for name, seconds in work.items():
+        key = f"{name}: time / what as many blocks and Gaussians cost in the ordinary scene"
+        ratios[key] = spread([sample / seconds for sample in times[name]])
+        rivals_s[key] = spent[name], seconds
+    key = "64 views: at once / one by one"
+    ratios[key] = ratio(views["at once"], views["one by one"])
+    rivals_s[key] = statistics.median(views["at once"]), statistics.median(views["one by one"])
+    times |= {f"64 views {how}": samples for how, samples in views.items()}
     return {
-        "ratios": {
-            **{f"{name} / as much ordinary work": over_work(name) for name in scenes if name != "ordinary"},
-            "64 views at once / one by one": ratio(views["64 views at once"], views["64 views, one by one"]),
-        },
-        "times": {name: spread(samples) for name, samples in (times | views).items()},
+        "ratios": ratios,
+        "times": {name: spread(samples) for name, samples in times.items()},
+        "rivals_s": rivals_s,
         "blocks": count,
     }

@@ -1,4 +1,4 @@
-"""What one training iteration costs, and where: engine forward, engine backward, loss, optimiser, rest.
+"""What one training iteration costs, and where: engine forward and backward, loss, optimiser, rest.
 
 Gaussians as they are halfway through the default T-72 reconstruction, 128 × 128 pixels, rays at half the pixel spacing;
 one view and eight views to an iteration.
@@ -67,7 +67,7 @@ def measure(quick: bool) -> dict[str, Any]:
                             samples[count, views][part].append(seconds / views)
 
     def title(count: int, views: int) -> str:
-        return f"{count:,}, {views} view{'s' if views > 1 else ''} a step"
+        return f"{count:,} Gaussians, {views} view{'s' if views > 1 else ''} a step"
 
     few, many = counts
     totals = {kind: found["total"] for kind, found in samples.items()}
@@ -77,10 +77,12 @@ def measure(quick: bool) -> dict[str, Any]:
     }
     for part in PARTS[:-1]:
         ratios[f"{part} / total, {title(few, 1)}"] = ratio(samples[few, 1][part], totals[few, 1])
+    spreads = {kind: {part: spread(found[part]) for part in PARTS} for kind, found in samples.items()}
     return {
         "ratios": ratios,
-        "times": {f"{title(*kind)}: {part}": spread(found[part]) for kind, found in samples.items() for part in PARTS},
-        "view_s": {"one view": spread(totals[few, 1]), "8 views": spread(totals[few, 8])},
-        "view_s_many": {"one view": spread(totals[many, 1]), "8 views": spread(totals[many, 8])},
+        "times": {f"{title(*kind)}, per view: {part}": spreads[kind][part] for kind in kinds for part in PARTS},
+        "split_s": {part: spreads[few, 1][part] for part in PARTS[:-1]},
+        "view_s": {"one view": spreads[few, 1]["total"], "8 views": spreads[few, 8]["total"]},
+        "view_s_many": {"one view": spreads[many, 1]["total"], "8 views": spreads[many, 8]["total"]},
         "gaussians": {"few": few, "many": many},
     }

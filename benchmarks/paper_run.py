@@ -49,7 +49,6 @@ def measure(quick: bool) -> dict[str, Any]:
         "times": {**{f"sarsplat {name}": value for name, value in steps.items()}, "training": seconds},
         "iterations": int(iterations),
         "training_s": seconds,
-        "paper_s": paper_row("T72").time_s,
         "psnr_db": metrics["images"]["test"]["psnr_db"],
         "chamfer_m": metrics["points"]["visible"]["cd_m"],
         "f1": metrics["points"]["visible"]["f1@0.3"],

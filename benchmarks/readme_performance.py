@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import sys
 import textwrap
+from collections.abc import Sequence
 from typing import Any
 
 from clock import TURN
@@ -15,11 +16,14 @@ from draw_growth import draw
 from recipes import COUNT
 from results import REPOSITORY, RESULTS
 
+from sarsplat.evaluate import paper_row
+
 sys.path.insert(0, str(REPOSITORY / "docs"))
 
 from fill_block import fill_block
 
 README, PICTURE = REPOSITORY / "README.md", REPOSITORY / "docs" / "images" / "growth.png"
+GOOD_HIGH, GOOD_LOW = "↑", "↓"
 
 
 def ms(seconds: float) -> str:
@@ -27,99 +31,138 @@ def ms(seconds: float) -> str:
     return f"{seconds:.3g} s" if seconds >= 1 else f"{1e3 * seconds:.3g} ms"
 
 
-def times(found: dict[str, float]) -> str:
-    """A ratio and where 80 % of its samples are."""
-    return f"{found['median']:.3g} × ({found['p10']:.3g} … {found['p90']:.3g})"
+def row(good: str, found: dict[str, float], what: str, *rivals: dict[str, float] | float) -> tuple[str, str, str]:
+    """A ratio and where 80 % of its samples are, what it is of, and the times of both."""
+    spread = f"{found['median']:.3g} × {good} ({found['p10']:.3g} … {found['p90']:.3g})"
+    return spread, what, " / ".join(ms(each if isinstance(each, float) else each["median"]) for each in rivals)
 
 
-def cpu_table(parts: dict[str, Any]) -> str:
-    """Ratios of the CPU engine and the times behind them, as Markdown; no row for a training that was not run."""
+def ratio_table(parts: dict[str, Any]) -> str:
+    """Ratios and the times behind them, as Markdown; no row for a training that was not run."""
     naive, floor, iteration = parts["naive"], parts["floor"], parts["iteration"]
-    growth, alone = parts["growth"], iteration["view_s"]["one view"]["median"]
     few, many = (f"{iteration['gaussians'][size]:,}" for size in ("few", "many"))
-    largest = growth["series"]["gaussians"][-1]
+    alone, bound = iteration["view_s"]["one view"], floor["times"]["floor of visited blocks"]
+    rows = [
+        row(
+            GOOD_HIGH,
+            naive["ratios"]["plain torch / engine"],
+            "plain PyTorch / engine: forward and backward together",
+            naive["times"]["plain torch"],
+            naive["times"]["engine"],
+        ),
+        *(
+            row(GOOD_HIGH, found, f"PyTorch / engine: {name}", *rivals)
+            for name, found, *rivals in against_twins(parts["twins"])
+        ),
+        row(
+            GOOD_LOW,
+            floor["ratios"]["engine / floor of visited blocks"],
+            "engine / the floor: forward and backward together",
+            floor["times"]["engine forward + backward"],
+            bound,
+        ),
+        row(
+            GOOD_LOW,
+            floor["ratios"]["engine less the same Gaussians unseen / floor of visited blocks"],
+            "forward and backward less what the same Gaussians cost out of sight / the floor",
+            floor["times"]["engine less the same Gaussians unseen"],
+            bound,
+        ),
+        row(
+            GOOD_LOW,
+            iteration["ratios"]["a view of 8 / a view alone"],
+            f"time per view, {few} Gaussians: a training step of 8 views / of one view, loss and Adam included",
+            iteration["view_s"]["8 views"],
+            alone,
+        ),
+        row(
+            GOOD_LOW,
+            iteration["ratios"][f"{many} / {few} Gaussians, a view alone"],
+            f"a training step of one view: {many} Gaussians / {few}",
+            iteration["view_s_many"]["one view"],
+            alone,
+        ),
+        *(
+            row(GOOD_LOW, found, load, *parts["degenerate"]["rivals_s"][load])
+            for load, found in parts["degenerate"]["ratios"].items()
+        ),
+    ]
+    if "paper" in parts:
+        rows.append(paper_training(parts["paper"]))
+    return markdown(("ratio (10 … 90 %)", "A / B", "time of A / time of B"), rows)
+
+
+def against_twins(twins: dict[str, Any]) -> list[tuple[str, dict, dict, dict]]:
+    """Loss and Adam: what, the ratio, PyTorch's time and the engine's."""
+    names = {key.removesuffix(": torch / engine"): found for key, found in twins["ratios"].items()}
+    return [(n, found, twins["times"][f"{n}: torch"], twins["times"][f"{n}: engine"]) for n, found in names.items()]
+
+
+def paper_training(paper: dict[str, Any]) -> tuple[str, str, str]:
+    """One run of the paper's preset: its time and its scores beside the paper's."""
+    theirs = paper_row("T72")
+    what = (
+        f"the paper's training on an RTX 3060 Ti / `--preset paper` on these cores, {paper['iterations']:,} "
+        f"iterations; one run. Scores, ours (the paper's): PSNR {paper['psnr_db']:.2f} dB ({theirs.psnr_db:.2f}), "
+        f"Chamfer distance {paper['chamfer_m']:.3f} m ({theirs.cd_m:.3f}), F1 at 0.3 m {paper['f1']:.3f} "
+        f"({theirs.f1:.3f}); the truths differ, as said above"
+    )
+    ratio = theirs.time_s / paper["training_s"]
+    return f"{ratio:.1f} × {GOOD_HIGH}", what, f"{theirs.time_s:.0f} s / {paper['training_s']:.0f} s"
+
+
+def other_table(parts: dict[str, Any]) -> str:
+    """What is no ratio of times, as Markdown."""
+    growth, floor, iteration = parts["growth"], parts["floor"], parts["iteration"]
+    largest, each, live = growth["series"]["gaussians"][-1], growth["bytes_each"], floor["ratios"]
+    split = ", ".join(f"{part} {1e3 * found['median']:.2f}" for part, found in iteration["split_s"].items())
     rows = [
         (
-            times(naive["ratios"]["plain torch / engine"]),
-            "plain PyTorch / engine, forward and backward of one view",
-            f"{ms(naive['times']['plain torch']['median'])} / {ms(naive['times']['engine']['median'])}",
+            f"{1e3 * iteration['view_s']['one view']['median']:.2f} ms",
+            f"a training step of one view, {iteration['gaussians']['few']:,} Gaussians; in ms: {split}",
         ),
-        (
-            times(floor["ratios"]["engine / floor of visited blocks"]),
-            "engine / its floor, the mere arithmetic of the blocks it visits",
-            f"{ms(floor['times']['engine forward + backward']['median'])} / "
-            f"{ms(floor['times']['floor of visited blocks']['median'])}",
-        ),
-        (
-            times(floor["ratios"]["pair loops / floor of visited blocks"]),
-            "its loops over these blocks alone / the floor; the rest is per Gaussian, seen or not: "
-            f"{ms(floor['times']['the same Gaussians unseen']['median'])}",
-            "",
-        ),
-        (
-            times(iteration["ratios"]["a view of 8 / a view alone"]),
-            f"a view in a training step of 8 / a step of one view, {few} Gaussians, loss and Adam included",
-            f"{ms(iteration['view_s']['8 views']['median'])} / {ms(alone)}",
-        ),
-        (
-            times(iteration["ratios"][f"{many} / {few} Gaussians, a view alone"]),
-            f"a step of one view with {many} Gaussians / with {few}",
-            f"{ms(iteration['view_s_many']['one view']['median'])} / {ms(alone)}",
-        ),
-        *twin_rows(parts["twins"]),
-        *((times(found), name, "") for name, found in parts["degenerate"]["ratios"].items()),
-        *((found, name, "") for name, found in parts["determinism"]["ratios"].items()),
         *(
-            (f"exponent {growth['slopes'][name.lower()]:.2f}", f"growth of time with {name}; 1 is linear", "")
+            (f"{growth['slopes'][name.lower()]:.2f}", f"exponent of the growth of time with {name} (1: linear)")
             for name in ("Gaussians", "pixels")
         ),
         (
             f"{largest['process_bytes'] / 2**30:.2f} GiB",
-            f"{largest['gaussians']:,} Gaussians on {largest['side']} × {largest['side']} pixels: the whole process at "
-            "its peak; forward and backward",
-            ms(largest["seconds"]["median"]),
+            f"whole process at its peak: {largest['gaussians']:,} Gaussians on {largest['side']} × {largest['side']} "
+            f"pixels, forward and backward together; {ms(largest['seconds']['median'])}",
         ),
+        (
+            f"{each['gaussian']:.0f} B, {each['pixel']:.0f} B",
+            "of memory at the peak for a Gaussian, and for a pixel with its four rays; gradients included",
+        ),
+        (
+            f"{100 * live['live lanes, attenuation']:.0f} %, {100 * live['live lanes, imaging']:.0f} %",
+            "live lanes: pairs that count among those of the visited blocks, on the computation and the imaging plane",
+        ),
+        (f"{floor['rate_flop_s'] / 1e9:.0f} GFlop/s", "rate at which these cores multiply float32 matrices"),
+        *((found, name) for name, found in parts["determinism"]["ratios"].items()),
     ]
-    if "paper" in parts:
-        paper = parts["paper"]
-        rows.append(
-            (
-                f"{paper['paper_s'] / paper['training_s']:.1f} ×",
-                "the paper's training on an RTX 3060 Ti / "
-                f"`--preset paper` on these cores, {paper['iterations']:,} iterations",
-                f"{paper['paper_s']:.0f} s / {paper['training_s']:.0f} s",
-            )
-        )
-    return markdown(("ratio (10 … 90 %)", "of what", "times"), rows)
+    return markdown(("value", "of what"), rows)
 
 
-def twin_rows(twins: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Loss and Adam: PyTorch over the engine."""
-    rows = []
-    for key, found in twins["ratios"].items():
-        name = key.removesuffix(": torch / engine")
-        rivals = " / ".join(ms(twins["times"][f"{name}: {who}"]["median"]) for who in ("torch", "engine"))
-        rows.append((times(found), f"PyTorch / engine: {name}", rivals))
-    return rows
-
-
-def how(results: dict[str, Any]) -> str:
-    """What was measured where, and what memory it takes."""
-    machine, parts = results["machine"], results["parts"]
-    each, live = parts["growth"]["bytes_each"], parts["floor"]["ratios"]
+def how(machine: dict[str, Any]) -> str:
+    """What was measured where and how, and what the words of the tables mean."""
     text = (
         f"Measured by `make bench` on {machine['processor']}, {machine['cores']} cores, {machine['threads']} threads, "
-        f"{machine['instruction_set']}, PyTorch {machine['torch']}, {machine['date']}: {COUNT:,} Gaussians as they "
-        "are halfway through a T-72, 128 × 128 pixels, four rays to a pixel, unless said otherwise; rivals in turns of "
-        f"{TURN} calls in one process, medians, and the 10th and 90th percentile of the ratios of neighbours in time. "
-        "The floor takes "
-        "the rate at which these cores multiply matrices in the same minute, "
-        f"{parts['floor']['rate_flop_s'] / 1e9:.0f} GFlop/s; of the visited lanes "
-        f"{100 * live['live lanes, attenuation']:.0f} % are live on the computation plane and "
-        f"{100 * live['live lanes, imaging']:.0f} % on the imaging plane. A pass takes at its peak "
-        f"{each['gaussian']:.0f} bytes a Gaussian and {each['pixel']:.0f} a pixel with its rays, gradients included."
+        f"{machine['instruction_set']}, PyTorch {machine['torch']}, {machine['date']}, with `OMP_WAIT_POLICY=PASSIVE` "
+        f"as the command line sets it; the machine's load before the run was {machine['load']:.1f}. Unless said "
+        f"otherwise: forward and backward together, one view of {COUNT:,} Gaussians as they are halfway through the "
+        "reconstruction of a T-72 (synthetic, same distributions), 128 × 128 pixels, two rays to a pixel spacing "
+        "(four to a pixel), the default.",
+        f"↑ means that more is better, ↓ that less is. Rivals run in turns of {TURN} calls in one process. A ratio is "
+        "that of the medians; beside it stand the 10th and 90th percentile of the ratios of neighbours in time. What "
+        "the ordinary scene would cost is computed from its time per visited block, and the spread is then A's. The "
+        "engine's time differs between rows because each rival leaves the caches in another state: only a row's ratio "
+        "is meant.",
+        "Plain PyTorch is [benchmarks/naive_torch.py](benchmarks/naive_torch.py) (pair lists, autograd). The floor is "
+        "the multiplications and additions of all blocks of Gaussian–ray and Gaussian–pixel pairs that the loops "
+        "visit, dead lanes included, at the rate at which these cores multiply float32 matrices in the same minute.",
     )
-    return textwrap.fill(text, 120) + "\n"
+    return "\n\n".join(textwrap.fill(paragraph, 120, break_on_hyphens=False) for paragraph in text) + "\n"
 
 
 def cuda_table(devices: list[dict[str, Any]]) -> str:
@@ -144,16 +187,18 @@ def cuda_table(devices: list[dict[str, Any]]) -> str:
     return markdown(("share of the device's multiply-add rate", "CUDA", "a view"), rows)
 
 
-def markdown(head: tuple[str, str, str], rows: list[tuple[str, str, str]]) -> str:
-    """A table of three columns."""
+def markdown(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
+    """A table of two or three columns, all but the second to the right."""
+    rules = ("---:", "---", "---:")[: len(head)]
     lines = [f"| {' | '.join(row)} |" for row in (head, *rows)]
-    return "\n".join([lines[0], "|---:|---|---:|", *lines[1:]]) + "\n"
+    return "\n".join([lines[0], f"|{'|'.join(rules)}|", *lines[1:]]) + "\n"
 
 
 def section(results: dict[str, Any], devices: list[dict[str, Any]]) -> str:
     """All of it, as Markdown."""
+    parts = results["parts"]
     picture = "![Time of forward and backward against Gaussians and against pixels](docs/images/growth.png)\n"
-    return "\n".join([cpu_table(results["parts"]), how(results), picture, cuda_table(devices)])
+    return "\n".join([ratio_table(parts), other_table(parts), how(results["machine"]), picture, cuda_table(devices)])
 
 
 def main() -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+import torch
 
 ROOT = Path(__file__).parents[1]
 BENCHMARKS = ROOT / "benchmarks"
@@ -25,8 +26,24 @@ def generator(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return readme_performance
 
 
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """What runs the parts."""
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    monkeypatch.setenv("OMP_WAIT_POLICY", "PASSIVE")  # and unset afterwards
+    import bench
+
+    return bench
+
+
+def run(program: str, *words: str) -> subprocess.CompletedProcess[str]:
+    """One of the benchmarks, as from a command line."""
+    command = [sys.executable, "-W", "error", str(BENCHMARKS / f"{program}.py"), *words]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+
+
 def spread(median: float) -> dict[str, float]:
-    return {"median": median, "least": 0.8 * median, "p10": 0.9 * median, "p90": 1.25 * median, "samples": 9}
+    return {"median": median, "p10": 0.9 * median, "p90": 1.25 * median, "samples": 9}
 
 
 def made_up() -> dict[str, dict]:
@@ -54,19 +71,20 @@ def made_up() -> dict[str, dict]:
         "floor": {
             "ratios": {
                 "engine / floor of visited blocks": spread(4.0),
-                "pair loops / floor of visited blocks": spread(2.0),
+                "engine less the same Gaussians unseen / floor of visited blocks": spread(2.0),
                 "live lanes, attenuation": 0.16,
                 "live lanes, imaging": 0.22,
             },
             "times": {
                 "engine forward + backward": spread(0.0025),
-                "the same Gaussians unseen": spread(0.001),
+                "engine less the same Gaussians unseen": spread(0.00125),
                 "floor of visited blocks": spread(0.000625),
             },
             "rate_flop_s": 2e11,
         },
         "iteration": {
             "ratios": {"a view of 8 / a view alone": spread(0.5), "60,000 / 15,000 Gaussians, a view alone": spread(3)},
+            "split_s": {"engine forward": spread(0.0015), "rest": spread(0.001)},
             "view_s": {"one view": spread(0.004), "8 views": spread(0.002)},
             "view_s_many": {"one view": spread(0.012), "8 views": spread(0.007)},
             "gaussians": {"few": 15_000, "many": 60_000},
@@ -75,7 +93,10 @@ def made_up() -> dict[str, dict]:
             "ratios": {"Adam: torch / engine": spread(1.5)},
             "times": {"Adam: torch": spread(0.0009), "Adam: engine": spread(0.0006)},
         },
-        "degenerate": {"ratios": {"64 views at once / one by one": spread(0.7)}},
+        "degenerate": {
+            "ratios": {"64 views: at once / one by one": spread(0.7)},
+            "rivals_s": {"64 views: at once / one by one": [0.07, 0.1]},
+        },
         "growth": {
             "slopes": {"gaussians": 1.02, "pixels": 0.98},
             "series": {"gaussians": series((1000, 65), (10_000, 205)), "pixels": series((256, 128), (1024, 256))},
@@ -89,11 +110,12 @@ def made_up() -> dict[str, dict]:
         "instruction_set": "avx2",
         "torch": "2",
         "date": "today",
+        "load": 0.04,
     }
     return {"machine": {**machine, "quick": False}, "parts": parts}
 
 
-PAPER = {"iterations": 30_000, "training_s": 100.0, "paper_s": 400.0}
+PAPER = {"iterations": 30_000, "training_s": 100.0, "psnr_db": 50.0, "chamfer_m": 0.2, "f1": 0.75}
 DEVICE = {
     "device": "Wheel",
     "workloads": {
@@ -108,12 +130,18 @@ def test_the_section_says_what_was_measured(generator):
     results = made_up()
     text = generator.section(results, [])
     for said in (
-        "| 40 × (36 … 50) | plain PyTorch / engine, forward and backward of one view | 100 ms / 2.5 ms |",
-        "| 4 × (3.6 … 5) | engine / its floor",
-        "| 2 × (1.8 … 2.5) | its loops over these blocks alone / the floor",
-        "| exponent 1.02 | growth of time with Gaussians",
-        "| 1.50 GiB | 10,000 Gaussians on 205 × 205 pixels",
-        "411 bytes a Gaussian and 83 a pixel",
+        "| 40 × ↑ (36 … 50) | plain PyTorch / engine: forward and backward together | 100 ms / 2.5 ms |",
+        "| 1.5 × ↑ (1.35 … 1.88) | PyTorch / engine: Adam | 0.9 ms / 0.6 ms |",
+        "| 4 × ↓ (3.6 … 5) | engine / the floor",
+        "| 2 × ↓ (1.8 … 2.5) | forward and backward less what the same Gaussians cost out of sight / the floor | 1.25",
+        "| 0.7 × ↓ (0.63 … 0.875) | 64 views: at once / one by one | 70 ms / 100 ms |",
+        "| 4.00 ms | a training step of one view, 15,000 Gaussians; in ms: engine forward 1.50, rest 1.00 |",
+        "| 1.02 | exponent of the growth of time with Gaussians",
+        "| 1.50 GiB | whole process at its peak: 10,000 Gaussians on 205 × 205 pixels",
+        "| 411 B, 83 B |",
+        "| 16 %, 22 % | live lanes",
+        "| 200 GFlop/s |",
+        "load before the run was 0.0",
         "| yes | the same bits for 1, 2, 3 threads |",
         "CUDA: not run on a GPU.",
         "![",
@@ -121,7 +149,15 @@ def test_the_section_says_what_was_measured(generator):
         assert said in text.replace("\n", " ")
     assert "RTX" not in text  # that training was not run
     results["parts"]["paper"] = PAPER
-    assert "| 4.0 × | the paper's training on an RTX 3060 Ti" in generator.section(results, [])
+    text = generator.section(results, [])
+    assert "| 4.0 × ↑ | the paper's training on an RTX 3060 Ti" in text
+    assert "PSNR 50.00 dB (35.91), Chamfer distance 0.200 m (0.187), F1 at 0.3 m 0.750 (0.925)" in text
+
+
+def test_every_ratio_stands_beside_its_times(generator):
+    rows = generator.ratio_table(made_up()["parts"] | {"paper": PAPER}).splitlines()[2:]
+    assert len(rows) == 8
+    assert all(row.count("|") == 4 and " s / " in row.replace("ms", "s") for row in rows)
 
 
 def test_the_section_has_a_table_of_every_gpu(generator):
@@ -155,17 +191,48 @@ def test_quick_results_do_not_reach_the_readme(generator, monkeypatch, tmp_path)
 
 
 def test_a_quick_bench_finds_all_that_the_section_needs(generator, tmp_path):
-    command = [sys.executable, "-W", "error", str(BENCHMARKS / "bench.py"), "--quick", "--out", str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    done = run("bench", "--quick", "--out", str(tmp_path))
     assert done.returncode == 0, done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["cpu.json"]
     results = json.loads((tmp_path / "cpu.json").read_text())
     assert results["machine"]["quick"]
     text = generator.section(results, [])
     assert "nan" not in text
+    assert done.stdout.endswith("Quick run: it shows that everything works; the numbers mean nothing.\n")
     growth = results["parts"]["growth"]
+    assert growth["slopes"]["gaussians"] != growth["slopes"]["pixels"]
     assert all(row["peak_bytes"] > 0 and row["floor_s"] > 0 for row in growth["series"]["gaussians"])
     assert not {"/", "\\"} & set(json.dumps({k: v for k, v in results["machine"].items() if k != "processor"}))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nave"], "there is no part 'nave'; choose from determinism, iteration"),
+        (["--threads", "0"], "--threads must be at least 1"),
+        (["floor", "--out", "x"], "leave out the names of parts"),
+    ],
+)
+def test_a_wrong_command_line_is_told_so(bench, monkeypatch, capsys, words, said):
+    monkeypatch.setattr(sys, "argv", ["bench.py", *words])
+    with pytest.raises(SystemExit, match="2"):
+        bench.main()
+    assert said in capsys.readouterr().err
+
+
+def test_the_help_has_a_line_for_every_part(bench):
+    for part in bench.PARTS:
+        assert f"\n  {part} " in bench.about_parts()
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_the_cuda_check_says_in_a_sentence_that_there_is_no_gpu():
+    done = run("cuda_check")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("cuda_check runs only where there is an NVIDIA GPU: ")
+    assert done.stderr.endswith("; the CPU is measured by `make bench`\n")
+    assert done.stderr.count("\n") == 1
 
 
 @pytest.mark.slow
