@@ -1,7 +1,7 @@
 # make demo    the whole way once: simulate, reconstruct, evaluate, report
 # make test    the test suite without the slow tests; make test-slow runs those
 # make figures pictures in figures/ and their tables: buildings, vehicles, splat against ray cast
-# make bench   speed and memory against plain torch and the floor; fills the README's performance section (5 minutes)
+# make bench   speed and memory against plain torch and the floor; fills the README's performance section (3 minutes)
 # make fuzz    hostile files for every reader; make sanitize  the engine under ASan and UBSan (needs Debian's clang-19)
 # make lint    style and types
 # make clean   remove everything that was made here, the environment included

@@ -170,7 +170,7 @@ def test_the_section_has_a_table_of_every_gpu(generator):
 
 def test_quick_results_do_not_reach_the_readme(generator, monkeypatch, tmp_path):
     page, picture = tmp_path / "README.md", tmp_path / "growth.png"
-    page.write_text("above\n<!-- performance: begin -->\nold\n<!-- performance: end -->\nbelow\n")
+    page.write_text("above\n<!-- performance: begin -->\nsuperseded\n<!-- performance: end -->\nbelow\n")
     for name, value in {"RESULTS": tmp_path, "README": page, "PICTURE": picture}.items():
         monkeypatch.setattr(generator, name, value)
     with pytest.raises(SystemExit, match="run `make bench`"):
@@ -182,10 +182,10 @@ def test_quick_results_do_not_reach_the_readme(generator, monkeypatch, tmp_path)
         if quick:
             with pytest.raises(SystemExit, match="quick run"):
                 generator.main()
-            assert "old" in page.read_text()
+            assert "superseded" in page.read_text()
     generator.main()
     assert "Abacus" in page.read_text()
-    assert "old" not in page.read_text()
+    assert "superseded" not in page.read_text()
     assert page.read_text().endswith("<!-- performance: end -->\nbelow\n")
     assert picture.read_bytes().startswith(b"\x89PNG")
 

@@ -39,6 +39,17 @@ def test_checkpointing():
     assert equal(gradients(checkpoint(images, *parameters, use_reentrant=False), parameters), expected)
 
 
+def test_checkpointing_without_images():
+    parameters = leaves()
+
+    def sections(*parameters: torch.Tensor) -> torch.Tensor:
+        return render(Gaussians(*(t * 1.0 for t in parameters)), VIEWS, GRID, engine="cpu").cross_sections
+
+    expected = torch.autograd.grad(sections(*parameters).square().sum(1).sum(0), parameters)
+    again = checkpoint(sections, *parameters, use_reentrant=False)
+    assert equal(torch.autograd.grad(again.square().sum(1).sum(0), parameters), expected)
+
+
 def test_saved_tensors_that_were_put_elsewhere():
     parameters = leaves()
     expected = gradients(images(*parameters), parameters)

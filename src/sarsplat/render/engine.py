@@ -191,7 +191,8 @@ class _Render(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         d_images, d_cross_sections, _, d_transmittance, *_ = grads
         # also the check that nobody changed them in place; they need not lie where they lay in the forward pass
-        inputs = [t if t is None else t.contiguous() for t in ctx.saved_tensors]
+        saved = ctx.saved_tensors  # asked for once: what checkpointing recomputes, it hands out once
+        inputs = [t if t is None else t.contiguous() for t in saved]
         setting: _Setting = ctx.setting
         for name, tensor, shape in zip(_ARRAYS, inputs, ctx.shapes, strict=True):
             if tensor is not None and tensor.shape != shape:
@@ -200,7 +201,7 @@ class _Render(torch.autograd.Function):
                     "replace the data of tensors between rendering and backward"
                 )
         if d_images is None:
-            d_images = ctx.saved_tensors[0].new_zeros(len(setting.views), setting.grid.rows, setting.grid.columns)
+            d_images = saved[0].new_zeros(len(setting.views), setting.grid.rows, setting.grid.columns)
         seeds = [t if t is None else t.contiguous() for t in (d_images, d_cross_sections, d_transmittance)]
         results = [None if t is None else torch.empty_like(t) for t in inputs]
         gradients = cpu.Gradients(*(_pointer(t) for t in (*seeds, *results, setting.planes)))

@@ -36,8 +36,8 @@ struct Bounds { F low[2], high[2]; };
 struct Part {
   int first, end;                 // in the list
   Strips strips;
-  int64_t start;                  // in the memory of all parts
-  float* memory;
+  int64_t start;                  // a band's rays in T and stop
+  float* memory;                  // a group's pixels
   int count() const { return end - first; }
 };
 

@@ -11,6 +11,12 @@ void lattice(const sg_context* c, int32_t view, sg_lattice* out) {
   *out = {s.x0, s.y0, s.rows, s.columns};
 }
 
+// One row of rays in strips to a row of numbers.
+void read_row(const Strips& s, int y, const float* strips, float* row) {
+  for (int x = 0; x < s.columns; x += kBlockX)
+    std::memcpy(row + x, strips + s.at(s.x0 + x, y), sizeof(float) * least(kBlockX, s.columns - x));
+}
+
 // T_end and the range at which the two-way optical depth reaches `depth`, ray by ray; NaN where it never does
 int32_t trace(const sg_context* context, const sg_problem* p, int32_t view, float depth, float* transmittance, float* first_return) {
   const sg_context& c = *context;

@@ -56,12 +56,6 @@ void attenuate_rays_backward(const ViewState& s, const sg_problem& p, int b, con
                           scratch.ray_moments);
 }
 
-// One row of rays in strips to a row of numbers.
-void read_row(const Strips& s, int y, const float* strips, float* row) {
-  for (int x = 0; x < s.columns; x += kBlockX)
-    std::memcpy(row + x, strips + s.at(s.x0 + x, y), sizeof(float) * least(kBlockX, s.columns - x));
-}
-
 // ---- imaging plane -----------------------------------------------------------------------------------------------------
 // Rows of an image: what its parts hold, in their order.
 void add_parts(const ViewState& s, int first, int end, int columns, float* image) {

@@ -110,7 +110,7 @@ SG_FN float sum(F x) {
 }
 
 // 2^x = scale * (1 + fraction): one polynomial serves 2^x and 2^x - 1 without cancellation. |x| < 126; relative errors of
-// 2^x below 2e-7, of 2^x - 1 below 1e-6. The loops wait for this chain more than for anything else: it is short.
+// 2^x below 2e-7, of 2^x - 1 below 1e-6: the pair loops spend half their operations here, so there is no term more.
 struct Power2 { F scale, fraction; };
 SG_FN Power2 power2_parts(F x) {
   const float magic = 12582912.0f + 127.0f;  // 1.5 * 2^23: the nearest integer, and the bias of exponents, now sit in the low bits
