@@ -65,12 +65,12 @@ readme: setup
 	$(BIN)/python docs/readme_results.py $(DEMO)/run
 
 clean:
-	rm -rf .venv $(DEMO) figures build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis src/sarsplat/render/_engine.so
+	rm -rf .venv $(DEMO) figures build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis src/sarsplat/renderer/_engine.so
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 setup: $(READY)
 
-$(READY): pyproject.toml constraints.txt build_engine.py $(wildcard src/sarsplat/render/csrc/*)
+$(READY): pyproject.toml constraints.txt build_engine.py $(wildcard src/sarsplat/renderer/csrc/*)
 	@"$(PYTHON)" -c "import sys; sys.exit(sys.version_info < (3, 11))" 2>/dev/null || { \
 	  echo "sarsplat needs Python 3.11 or newer, but PYTHON is '$(PYTHON)'; name one: make PYTHON=/path/to/python3.11" >&2; \
 	  exit 1; }

@@ -27,10 +27,10 @@ X86 = (
 
 
 class EngineBuildHook(BuildHookInterface):
-    """Compiles `render/csrc` into `render/_engine.so`; up to date builds are kept."""
+    """Compiles `renderer/csrc` into `renderer/_engine.so`; up to date builds are kept."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        package = Path(self.root) / "src" / "sarsplat" / "render"
+        package = Path(self.root) / "src" / "sarsplat" / "renderer"
         machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
         library = package / "_engine.so"
         sources = [*(package / "csrc").glob("*.cpp"), *(package / "csrc").glob("*.h")]  # the rest is CUDA's
@@ -76,5 +76,5 @@ def compile_engine(sources: Path, library: Path, machine: str) -> None:
 
 
 if __name__ == "__main__":
-    render = Path(__file__).parent / "src" / "sarsplat" / "render"
+    render = Path(__file__).parent / "src" / "sarsplat" / "renderer"
     compile_engine(render / "csrc", render / "_engine.so", platform.machine())

@@ -32,8 +32,8 @@ from rich.console import Console
 from rich.table import Table
 
 from sarsplat.errors import SarsplatError
-from sarsplat.render import cpu
-from sarsplat.render.cuda_device import require_cuda
+from sarsplat.renderer import cpu
+from sarsplat.renderer.cuda_device import require_cuda
 
 PARTS: dict[str, tuple[ModuleType, str]] = {
     "determinism": (determinism, "1 s"),

@@ -14,7 +14,6 @@ import re
 import statistics
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +27,13 @@ from work import FLOPS
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
-from sarsplat.render import render
-from sarsplat.render.cuda_device import Device, device, require_cuda
-from sarsplat.render.nvrtc import Nvrtc
+from sarsplat.renderer import render
+from sarsplat.renderer.cuda_device import Device, device, require_cuda
+from sarsplat.renderer.nvrtc import Nvrtc
 
-sys.path.insert(0, str(REPOSITORY / "tests" / "render"))  # whose modules are imported where a GPU is: they need pytest
+sys.path.insert(
+    0, str(REPOSITORY / "tests" / "renderer")
+)  # whose modules are imported where a GPU is: they need pytest
 
 VIEWS = tuple(View(45.0 * k, grazing) for grazing in (15.0, 45.0, 75.0) for k in range(8))
 REPEATS = {"training": 50, "million": 10}
@@ -45,9 +46,9 @@ def workload(title: str) -> Scene:
 
     if title == "training":
         gaussians = cloud(15_000, 1, size=(6.4, 3.3, 2.2), scale=0.06, kappa=(0.01, 4.0))
-        return Scene(gaussians, VIEWS, ImageGrid(128, 128, spacing=(0.3, 0.3), resolution=(0.3, 0.3)))
+        return Scene(gaussians, VIEWS, ImageGrid(128, 128, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3)))
     gaussians = cloud(1_000_000, 2, size=(200.0, 200.0, 10.0), scale=0.1, kappa=(0.01, 4.0))
-    return Scene(gaussians, VIEWS[8:9], ImageGrid(2048, 2048, spacing=(0.1, 0.1), resolution=(0.15, 0.15)))
+    return Scene(gaussians, VIEWS[8:9], ImageGrid(2048, 2048, spacing_m=(0.1, 0.1), resolution_m=(0.15, 0.15)))
 
 
 def proof() -> dict[str, dict[str, float]]:
@@ -107,7 +108,7 @@ class Stopwatch:
 def on_device(scene: Scene) -> Gaussians:
     """The Gaussians on the GPU, differentiable."""
     moved = scene.gaussians.to("cuda")
-    return replace(moved, **{name: tensor.requires_grad_() for name, tensor in moved.tensors().items()})
+    return moved.with_tensors(**{name: tensor.requires_grad_() for name, tensor in moved.tensors().items()})
 
 
 def timed(programs: dict[str, Callable[[], object]], repeats: int, views: int) -> dict[str, Spread]:
@@ -196,7 +197,7 @@ def beside_gsplat(scene: Scene, repeats: int) -> dict[str, Any] | None:
         camera[:3, :3] = torch.from_numpy(radar_frame(view))
         camera[2, 3] = 1000.0  # m: all of the scene is in front
     half = (grid.columns / 2, grid.rows / 2)
-    lens = torch.tensor([[1 / grid.spacing[0], 0, half[0]], [0, 1 / grid.spacing[1], half[1]], [0, 0, 1]])
+    lens = torch.tensor([[1 / grid.spacing_m[0], 0, half[0]], [0, 1 / grid.spacing_m[1], half[1]], [0, 0, 1]])
     lenses = lens.cuda().repeat(count, 1, 1)
     colours = torch.rand(len(scene.gaussians), 3, device="cuda", requires_grad=True)
     seed = torch.rand(count, grid.rows, grid.columns, device="cuda")

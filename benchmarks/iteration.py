@@ -14,10 +14,10 @@ import torch
 from clock import TURN, Clock, ratio, spread
 from recipes import COUNT, halfway
 
-from sarsplat.reconstruct.config import preset
-from sarsplat.reconstruct.losses import amplitude_loss
-from sarsplat.reconstruct.optimiser import Optimiser
-from sarsplat.render import cpu
+from sarsplat.reconstruction.config import preset
+from sarsplat.reconstruction.losses import amplitude_loss
+from sarsplat.reconstruction.optimiser import Optimiser
+from sarsplat.renderer import cpu
 from sarsplat.scenes import paper_grid, paper_views
 
 COUNTS, VIEWS = (COUNT, 4 * COUNT), (1, 8)

@@ -6,13 +6,11 @@ import math
 
 import torch
 from torch import Tensor
-from torch.nn.functional import softplus
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.covariance import covariance
-from sarsplat.gaussians.harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
-from sarsplat.render.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
+from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
 
 
 def render_naive(gaussians: Gaussians, views: list[View], grid: ImageGrid, rays: RayGrid) -> Tensor:
@@ -42,7 +40,7 @@ def _view(gaussians: Gaussians, sigma: Tensor, view: View, grid: ImageGrid, rays
     mean = gaussians.means @ frame.T
     order = torch.argsort(mean[:, 2].detach(), stable=True)  # from here on Gaussians are front to back
     mean, cov = mean[order], (frame @ sigma @ frame.T)[order]
-    phase = (gaussians.p_min + softplus(gaussians.harmonics @ harmonic_basis(-frame[2], gaussians.degree)))[order]
+    gamma0 = gaussians.gamma0(-frame[2:])[0][order]
 
     kappa, who, where, q = _ray_pairs(mean, cov, gaussians.optical_depth[order], rays)
 
@@ -56,17 +54,17 @@ def _view(gaussians: Gaussians, sigma: Tensor, view: View, grid: ImageGrid, rays
     before = (before - torch.repeat_interleave(before[first], counts)).float()
     kept = before.detach() <= -math.log(MIN_TRANSMITTANCE)
     weight = torch.where(kept, torch.exp(-before) * -torch.expm1(-tau), 0.0)
-    cross_section = phase * rays.cell_area * torch.zeros_like(kappa).index_add(0, who, weight)
+    cross_section = gamma0 * rays.cell_area * torch.zeros_like(kappa).index_add(0, who, weight)
 
     cov_i, who, where, q = _pixel_pairs(mean, cov, grid)
-    norm = 2 * math.pi * math.prod(grid.spacing) * (1 - math.exp(-IMAGE_CUT / 2)) * _det(cov_i).sqrt()
+    norm = 2 * math.pi * math.prod(grid.spacing_m) * (1 - math.exp(-IMAGE_CUT / 2)) * _det(cov_i).sqrt()
     splat = (cross_section / norm)[who] * torch.exp(-0.5 * q)
     return torch.zeros(grid.rows * grid.columns).index_add(0, where, splat).view(grid.rows, grid.columns)
 
 
 def _ray_pairs(mean: Tensor, cov: Tensor, depth: Tensor, rays: RayGrid) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Optical depth κ' of every Gaussian, and its pairs with rays."""
-    spacing = torch.tensor(rays.spacing)
+    spacing = torch.tensor(rays.spacing_m)
     cov_c = cov[:, :2, :2] / (spacing[:, None] * spacing)  # in ray cells
     wide = cov_c + CELL_WIDENING * torch.eye(2)
     kappa = depth * (_det(cov_c) / _det(wide)).clamp(min=0).sqrt()
@@ -80,8 +78,8 @@ def _ray_pairs(mean: Tensor, cov: Tensor, depth: Tensor, rays: RayGrid) -> tuple
 
 def _pixel_pairs(mean: Tensor, cov: Tensor, grid: ImageGrid) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Covariance of every Gaussian in pixels, the response included, and its pairs with pixels."""
-    pixel, image_center = torch.tensor(grid.spacing), torch.tensor(grid.center)
-    response = torch.diag(torch.tensor(grid.resolution) ** 2 / (8 * math.log(2)))
+    pixel, image_center = torch.tensor(grid.spacing_m), torch.tensor(grid.center_m)
+    response = torch.diag(torch.tensor(grid.resolution_m) ** 2 / (8 * math.log(2)))
     cov_i = (cov[:, [0, 2]][:, :, [0, 2]] + response) / (pixel[:, None] * pixel)
     half = torch.tensor([(grid.columns - 1) / 2, (grid.rows - 1) / 2])
     center = (mean[:, [0, 2]] - image_center) / pixel + half

@@ -10,8 +10,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from sarsplat.evaluate import paper_row
-from sarsplat.reconstruct.config import preset
+from sarsplat.evaluation import paper_row
+from sarsplat.reconstruction.config import preset
 
 CODE = "import sys, sarsplat.cli; sys.exit(sarsplat.cli.main())"
 

@@ -16,7 +16,7 @@ from draw_growth import draw
 from recipes import COUNT
 from results import REPOSITORY, RESULTS
 
-from sarsplat.evaluate import paper_row
+from sarsplat.evaluation import paper_row
 
 sys.path.insert(0, str(REPOSITORY / "docs"))
 
@@ -154,8 +154,8 @@ def how(machine: dict[str, Any]) -> str:
         "reconstruction of a T-72 (synthetic, same distributions), 128 × 128 pixels, two rays to a pixel spacing "
         "(four to a pixel), the default.",
         f"↑ means that more is better, ↓ that less is. Rivals run in turns of {TURN} calls in one process, the first "
-        "of which, with cold caches and sleeping threads, does not count. A ratio is that of the medians; beside it stand "
-        "the 10th and 90th percentile of the ratios of neighbours in time. What the ordinary scene would cost is "
+        "of which, with cold caches and sleeping threads, does not count. A ratio is that of the medians; beside it "
+        "stand the 10th and 90th percentile of the ratios of neighbours in time. What the ordinary scene would cost is "
         "computed from its time per visited block, and the spread is then A's. The engine's time differs between rows "
         "because each rival leaves the caches in another state: only a row's ratio is meant.",
         "Plain PyTorch is [benchmarks/naive_torch.py](benchmarks/naive_torch.py) (pair lists, autograd). The floor is "

@@ -8,8 +8,8 @@ import torch
 from scene import Scene
 
 from sarsplat.gaussians.initialise import Region, random_quaternions
-from sarsplat.reconstruct.config import preset
-from sarsplat.reconstruct.model import SceneModel
+from sarsplat.reconstruction.config import preset
+from sarsplat.reconstruction.model import SceneModel
 from sarsplat.scenes import paper_grid, paper_views
 
 COUNT = 15_000
@@ -27,7 +27,7 @@ def halfway(count: int = COUNT) -> SceneModel:
         "quaternions": random_quaternions(count, generator),
         "scales": log_scales.exp().clamp(0.01, 0.3),
         "optical_depth": log_depth.exp().clamp(1e-3, 10.0),
-        "harmonics": torch.cat(
+        "scattering": torch.cat(
             [
                 -2.6 + 2.2 * torch.randn(count, 1, generator=generator),
                 0.22 * torch.randn(count, 15, generator=generator),

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import torch
 from torch import Tensor
 
-from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.render import render
+from sarsplat.renderer import render
 
 _OBLIQUE = View(azimuth_deg=0.0, grazing_deg=45.0)
 
@@ -28,7 +28,7 @@ class Scene:
     def leaves(self) -> Gaussians:
         """The Gaussians, differentiable."""
         tensors = self.gaussians.tensors().items()
-        return replace(self.gaussians, **{name: tensor.detach().requires_grad_() for name, tensor in tensors})
+        return self.gaussians.with_tensors(**{name: tensor.detach().requires_grad_() for name, tensor in tensors})
 
     @cached_property
     def rays(self) -> RayGrid:
@@ -69,8 +69,7 @@ def field(count: int, side: int, sigma: float) -> Scene:
         quaternions=normal(count, 4),
         scales=normal(count, 3).mul_(0.4).exp_().mul_(sigma * pixel),
         optical_depth=torch.rand(count, generator=generator).mul_(math.log(40.0)).exp_().mul_(0.05),
-        harmonics=normal(count, 16),
-        p_min=0.05,
+        scattering=Harmonics(normal(count, 16), p_min=0.05),
     )
-    grid = ImageGrid(side, side, spacing=(pixel, pixel), resolution=(pixel, pixel))
+    grid = ImageGrid(side, side, spacing_m=(pixel, pixel), resolution_m=(pixel, pixel))
     return Scene(gaussians, (_OBLIQUE,), grid)

@@ -11,11 +11,11 @@ from clock import in_turn, ratio, spread
 from recipes import COUNT, halfway
 from torch import Tensor
 
-from sarsplat.reconstruct.config import preset
-from sarsplat.reconstruct.losses import amplitude_loss
-from sarsplat.reconstruct.optimiser import Optimiser
+from sarsplat.reconstruction.config import preset
+from sarsplat.reconstruction.losses import amplitude_loss
+from sarsplat.reconstruction.optimiser import Optimiser
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "reconstruct"))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "reconstruction"))
 
 import loss_twin
 

@@ -10,7 +10,7 @@ import torch
 from clock import in_turn
 from scene import Scene
 
-from sarsplat.render import cpu
+from sarsplat.renderer import cpu
 
 FLOPS = {"attenuation": 25 + 40 + 2 * 15, "imaging": 12 + 25 + 2 * 15}
 """Per lane: forward, backward, and an exponential in each."""
@@ -66,4 +66,4 @@ def blocks(counts: dict[str, int]) -> int:
 def unseen(scene: Scene) -> Scene:
     """The same Gaussians, too thin to touch a ray and far from the image: all of the engine's work but its pairs."""
     thin = replace(scene.gaussians, optical_depth=torch.full_like(scene.gaussians.optical_depth, 1e-6))
-    return Scene(thin, scene.views, replace(scene.grid, center=(1e4, 1e4)))
+    return Scene(thin, scene.views, replace(scene.grid, center_m=(1e4, 1e4)))

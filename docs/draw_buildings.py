@@ -22,7 +22,7 @@ from sarsplat.scenes.simulate import Source, simulate_images
 HERE = Path(__file__).parent
 FIGURES, PICTURE, PAGE = HERE.parent / "figures", HERE / "images" / "buildings.png", HERE / "forward-model.md"
 
-GRID = ImageGrid(144, 80, spacing=(0.3, 0.3), resolution=(0.3, 0.3))
+GRID = ImageGrid(144, 80, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
 LAW = ScatteringLaw(floor=1.0, lobe=0.0)  # alike at every angle: the faces' own factor is their γ⁰
 GRAZING = (30.0, 45.0, 60.0)
 GAMMA0 = {"equal": Gamma0(0.5, 0.5, 0.5), "unequal": Gamma0(wall=0.8, roof=0.3, ground=0.1)}
@@ -61,7 +61,7 @@ def tables() -> str:
         case = f"| {name[-1].upper()} | {grazing:.0f}° | {kind} |"
         off = [
             ", ".join(f"{edge.error / unit:+.2f}".replace("-0.00", "+0.00") for edge in found.edges)
-            for found, unit in ((splat, 1.0), (splat, GRID.spacing[1]), (rays, GRID.spacing[1]))
+            for found, unit in ((splat, 1.0), (splat, GRID.spacing_m[1]), (rays, GRID.spacing_m[1]))
         ]
         where = ", ".join(f"{edge.ground_range:.2f}" for edge in splat.edges)
         edges.append(f"{case} {where} | {' | '.join(off)} |")
@@ -88,9 +88,9 @@ def draw(ax_image: Axes, ax_profile: Axes, name: str, grazing: float = 45.0) -> 
     box, gamma0, cos = BUILDINGS[name], Gamma0(), math.cos(math.radians(grazing))
     images = {source: simulated(box, grazing, gamma0, source) for source in SOURCES}
     ground_range = GRID.range_m / cos
-    step = GRID.spacing[1] / cos / 2
+    step = GRID.spacing_m[1] / cos / 2
     limits = (ground_range[0] - step, ground_range[-1] + step)
-    sides = (GRID.azimuth_m[0] - GRID.spacing[0] / 2, GRID.azimuth_m[-1] + GRID.spacing[0] / 2)
+    sides = (GRID.azimuth_m[0] - GRID.spacing_m[0] / 2, GRID.azimuth_m[-1] + GRID.spacing_m[0] / 2)
     ax_image.imshow(images["splat"].T, cmap="gray", vmin=0, vmax=3, extent=(*limits, *sides), origin="lower")
     ax_image.set(title=f"building {name[-1].upper()}: h = {box.height:g} m, w = {box.depth:g} m", xlim=(-18, 22))
     ax_image.set(yticks=[], ylim=(-12, 12), aspect="auto")  # so that both panels share their abscissa
@@ -99,7 +99,7 @@ def draw(ax_image: Axes, ax_profile: Axes, name: str, grazing: float = 45.0) -> 
     fine = np.linspace(*limits, 4000)
     sharp = box.profile(fine * cos, grazing, gamma0, 1e-9)
     ax_profile.fill_between(fine, sharp, color="#dddddd", lw=0, label="analytic")
-    seen = box.profile(fine * cos, grazing, gamma0, GRID.resolution[1])
+    seen = box.profile(fine * cos, grazing, gamma0, GRID.resolution_m[1])
     ax_profile.plot(fine, seen, color="black", lw=1, label="analytic, 0.3 m resolution")
     for source, label in SOURCES.items():
         found = building_profile(images[source], GRID, box, grazing, gamma0)

@@ -18,7 +18,7 @@ from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.scenes import ScatteringLaw, simulate_raycast, target_mesh
 
 VIEW = View(azimuth_deg=35.0, grazing_deg=40.0)
-GRID = ImageGrid(rows=96, columns=96, spacing=(0.125, 0.125), resolution=(0.2, 0.2))
+GRID = ImageGrid(rows=96, columns=96, spacing_m=(0.125, 0.125), resolution_m=(0.2, 0.2))
 
 WORLD, RADAR, ANGLE, FAINT = "#333333", "#1f5fa8", "#c0392b", "#9a9a9a"
 BODY = np.array([0.66, 0.72, 0.64])

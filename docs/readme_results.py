@@ -17,7 +17,7 @@ import trimesh
 from matplotlib.axes import Axes
 
 from sarsplat import Run, View
-from sarsplat.evaluate import paper_row, visible_surface
+from sarsplat.evaluation import paper_row, visible_surface
 
 HERE = Path(__file__).parent
 README, PICTURE = HERE.parent / "README.md", HERE / "images" / "demo.png"
@@ -69,7 +69,7 @@ def draw(run: Run) -> None:
     peak = float(dataset.images("train").max())
     for row, (name, images, points) in enumerate((("truth", truth, surface), ("sarsplat", rendered, run.points))):
         for ax, image, view in zip(axes[row], images, SHOWN):
-            show_image(ax, image, peak, dataset.grid.spacing)
+            show_image(ax, image, peak, dataset.grid.spacing_m)
             if row == 0:
                 ax.set_title(f"azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}°", fontsize=10)
         axes[row, 0].set_ylabel(name, fontsize=13)

@@ -8,14 +8,14 @@ import math
 import numpy as np
 import torch
 
-from sarsplat import Gaussians, ImageGrid, View, render
+from sarsplat import Gaussians, Harmonics, ImageGrid, View, render
 from sarsplat.scenes import ScatteringLaw, simulate_raycast, target_mesh
 
 ITERATIONS, COUNT = 200, 2000
 torch.manual_seed(0)
 
 views = [View(azimuth, 45.0) for azimuth in range(0, 360, 45)]
-grid = ImageGrid(rows=48, columns=48, spacing=(0.3, 0.3), resolution=(0.3, 0.3))
+grid = ImageGrid(rows=48, columns=48, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
 mesh = target_mesh("t72")
 power = np.stack([simulate_raycast(mesh, view, grid, ScatteringLaw()) for view in views])
 truth = torch.from_numpy(power).sqrt()  # amplitude
@@ -29,7 +29,7 @@ harmonics = torch.zeros(COUNT, 4).requires_grad_()
 
 optimiser = torch.optim.Adam([means, quaternions, log_scales, log_depth, harmonics], lr=0.02)
 for iteration in range(ITERATIONS):
-    scene = Gaussians(means, quaternions, log_scales.exp(), log_depth.clamp(max=2.0).exp(), harmonics, p_min=0.03)
+    scene = Gaussians(means, quaternions, log_scales.exp(), log_depth.clamp(max=2.0).exp(), Harmonics(harmonics, 0.03))
     amplitude = (render(scene, views, grid).images + 1e-6).sqrt()
     loss = (amplitude - truth).abs().mean()
     optimiser.zero_grad()

@@ -11,7 +11,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 import pytest
 
 import shapes
-from sarsplat.render import cpu
+from sarsplat.renderer import cpu
 
 shapes.watch()
 

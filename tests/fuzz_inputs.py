@@ -33,10 +33,10 @@ from sarsplat.data import (
     write_points_ply,
 )
 from sarsplat.data.mstar_chips import read_chips
-from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.reconstruct.config import PRESETS
-from sarsplat.reconstruct.run import Run
+from sarsplat.reconstruction.config import PRESETS
+from sarsplat.reconstruction.run import Run
 from sarsplat.scenes import load_mesh
 
 GRID = ImageGrid(6, 5, (0.2, 0.3), (0.25, 0.35))
@@ -92,7 +92,15 @@ def _phoenix_fits(data: bytes, rng: random.Random) -> bytes:
 def _read_phoenix(folder: Path) -> object:
     chip = read_phoenix(folder / "HB00001.000")
     assert np.isfinite(np.square(chip.magnitude * np.float32(523.6))).all()
-    return chip, chip.target_type, chip.serial, chip.target_az_deg, chip.spacing, chip.resolution, chip.radar_position
+    return (
+        chip,
+        chip.target_type,
+        chip.serial,
+        chip.target_az_deg,
+        chip.spacing_m,
+        chip.resolution_m,
+        chip.radar_position,
+    )
 
 
 # ---- datasets and their images ----
@@ -178,7 +186,7 @@ def _gaussians(degree: int) -> bytes:
     g = torch.Generator().manual_seed(degree)
     some = Gaussians(
         torch.randn(5, 3, generator=g), torch.randn(5, 4, generator=g), torch.rand(5, 3, generator=g) + 0.1,
-        torch.rand(5, generator=g), torch.randn(5, (degree + 1) ** 2, generator=g), 0.05,
+        torch.rand(5, generator=g), Harmonics(torch.randn(5, (degree + 1) ** 2, generator=g), 0.05),
     )  # fmt: skip
     return _written(lambda path: write_gaussians_ply(path, some))
 

@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCES = ROOT / "src" / "sarsplat" / "render" / "csrc"
+SOURCES = ROOT / "src" / "sarsplat" / "renderer" / "csrc"
 FLAGS = [
     *("-std=c++17", "-O1", "-g", "-fPIC", "-fno-exceptions", "-fno-rtti", "-fno-omit-frame-pointer"),
     *("-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast", "-shared-libsan"),
@@ -25,9 +25,9 @@ LEVELS = {"base": (4, []), "avx2": (8, ["-march=x86-64-v3"]), "avx512": (16, ["-
 # What exercises the engine; the memory growth test would measure the sanitizer instead. A report goes to file
 # descriptor 2 and ends the process, so pytest must not capture that.
 TESTS = [
-    "tests/render",
-    "tests/reconstruct/test_losses.py",
-    "tests/reconstruct/test_optimiser.py",
+    "tests/renderer",
+    "tests/reconstruction/test_losses.py",
+    "tests/reconstruction/test_optimiser.py",
     "-k",
     "not memory_does_not_grow",
     "--capture=sys",

@@ -44,7 +44,7 @@ def test_readme_example_gives_every_parameter_a_gradient():
     cross_section, image_sum = map(float, re.findall(r"([\d.]+) m²", printed))
     assert cross_section > 0
     assert image_sum == pytest.approx(cross_section, rel=0.01)
-    for name in ("means", "quaternions", "scales", "optical_depth", "harmonics"):
+    for name in ("means", "quaternions", "scales", "optical_depth", "scattering"):
         (gradient,) = re.findall(rf"^{name}: tensor\((.*?)\)$", printed, re.MULTILINE)
         values = [float(number) for number in re.findall(r"-?\d+\.?\d*(?:e[-+]\d+)?", gradient)]
         assert any(value != 0 for value in values), name

@@ -17,10 +17,10 @@ PACKAGE = Path(sarsplat.__file__).parent
 ORDER = (
     ("geometry",),
     ("gaussians",),
-    ("render",),
+    ("renderer",),
     ("scenes", "data"),
-    ("reconstruct",),
-    ("evaluate",),
+    ("reconstruction",),
+    ("evaluation",),
     ("report",),
     ("cli",),
 )
@@ -71,7 +71,7 @@ def test_nothing_imports_the_package_itself():
 
 def test_the_renderer_imports_torch_and_numpy_only():
     allowed = {"torch", "numpy", "jaxtyping", "sarsplat"} | set(sys.stdlib_module_names)
-    for folder in ("geometry", "gaussians", "render"):
+    for folder in ("geometry", "gaussians", "renderer"):
         for path in (PACKAGE / folder).glob("*.py"):
             third_party = {module.split(".")[0] for module in imported(path)} - allowed
             assert third_party <= ({"scipy"} if path.name == "initialise.py" else set()), path
@@ -79,7 +79,7 @@ def test_the_renderer_imports_torch_and_numpy_only():
 
 def test_importing_the_renderer_loads_nothing_more():
     loaded = subprocess.run(
-        [sys.executable, "-c", "import sys, sarsplat.render; print(*sorted(sys.modules))"],
+        [sys.executable, "-c", "import sys, sarsplat.renderer; print(*sorted(sys.modules))"],
         capture_output=True,
         text=True,
         check=True,
@@ -89,7 +89,7 @@ def test_importing_the_renderer_loads_nothing_more():
     assert not [
         m
         for m in loaded
-        if m.startswith("sarsplat.") and m.split(".")[1] not in ("errors", "geometry", "gaussians", "render")
+        if m.startswith("sarsplat.") and m.split(".")[1] not in ("errors", "geometry", "gaussians", "renderer")
     ]
 
 
@@ -112,8 +112,8 @@ for name in sarsplat.__all__:
     getattr(sarsplat, name)
 assert not extras & {name.partition(".")[0] for name in sys.modules}
 import torch
-from sarsplat import Gaussians, ImageGrid, View, render
-one = Gaussians(*(torch.ones(1, k) for k in (3, 4, 3)), torch.ones(1), torch.ones(1, 1))
+from sarsplat import Gaussians, Harmonics, ImageGrid, View, render
+one = Gaussians(*(torch.ones(1, k) for k in (3, 4, 3)), torch.ones(1), Harmonics(torch.ones(1, 1)))
 assert render(one, [View(30.0, 40.0)], ImageGrid(32, 32, (0.3, 0.3), (0.3, 0.3))).images.sum() > 0
 from sarsplat.cli import main
 sys.exit(main(["simulate", "--target", "t72", "--out", sys.argv[2]]))

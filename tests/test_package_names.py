@@ -1,31 +1,35 @@
-"""Public names, and folders of modules that share their name with a function."""
+"""The public names: each is the very object that its folder offers, and no folder of modules hides one."""
 
 from __future__ import annotations
 
 import importlib
-
-import pytest
+import pkgutil
+import subprocess
+import sys
 
 import sarsplat
 
+FOLDERS = {info.name for info in pkgutil.iter_modules(sarsplat.__path__)}
 
-def test_every_public_name_is_there():
-    for name in sarsplat.__all__:
-        assert getattr(sarsplat, name) is not None
+
+def test_every_public_name_is_what_its_folder_offers():
     assert set(sarsplat.__all__) == set(dir(sarsplat))
+    for name, folder in sarsplat._MODULE_OF.items():
+        offered = importlib.import_module(f"sarsplat.{folder}")
+        assert getattr(sarsplat, name) is getattr(offered, name)
+        assert folder == "errors" or name in offered.__all__
 
 
-@pytest.mark.parametrize("name", ["render", "reconstruct"])
-def test_functions_keep_their_names_and_modules_can_be_reached(name):
-    folder = importlib.import_module(f"sarsplat.{name}")
-    assert getattr(sarsplat, name) is getattr(folder, name)
-    assert callable(getattr(sarsplat, name))
+def test_no_folder_of_modules_has_the_name_of_something_public():
+    assert not FOLDERS & set(sarsplat.__all__)
 
 
-def test_modules_inside_are_imported_with_from():
-    from sarsplat.reconstruct import config
-    from sarsplat.reconstruct.config import Config
-    from sarsplat.render import constants
-
-    assert config.Config is Config is sarsplat.Config
-    assert constants.IMAGE_CUT == 16
+def test_importing_a_folder_first_changes_no_public_name():
+    code = (
+        "import sys, importlib; [importlib.import_module(f'sarsplat.{name}') for name in sys.argv[1].split(',')]; "
+        "import sarsplat; print(callable(sarsplat.render) and callable(sarsplat.reconstruct))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, ",".join(sorted(FOLDERS))], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "True"

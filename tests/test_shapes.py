@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float
 
 import shapes
-from sarsplat import Gaussians, SarsplatError, View, radar_frame
-from sarsplat.evaluate.lpips import Lpips
+from sarsplat import Gaussians, Harmonics, SarsplatError, View, radar_frame
+from sarsplat.evaluation.lpips import Lpips
 from sarsplat.gaussians import covariance as covariance_module
 from sarsplat.gaussians.covariance import covariance, rotation_matrix
 from sarsplat.scenes._deposit import _Axis
@@ -45,7 +45,7 @@ def test_a_wrong_result_is_found():
 
 def test_refusing_by_itself_is_fine():
     with pytest.raises(SarsplatError, match=r"means has shape \(5, 2\)"):
-        Gaussians(torch.ones(5, 2), torch.ones(5, 4), torch.ones(5, 3), torch.ones(5), torch.ones(5, 1))
+        Gaussians(torch.ones(5, 2), torch.ones(5, 4), torch.ones(5, 3), torch.ones(5), Harmonics(torch.ones(5, 1)))
 
 
 def test_names_imported_elsewhere_are_watched_too():

@@ -2,17 +2,11 @@
 
 Everything public is here by name and loaded when first used: importing the package, and the command line's help, need
 no torch.
-
-`sarsplat.render` and `sarsplat.reconstruct` are functions, although folders of modules have the same names. Modules
-inside those folders are therefore imported with `from`: `from sarsplat.reconstruct import config`, for
-`import sarsplat.reconstruct.config as config` would look for `config` in the function.
 """
 
 from __future__ import annotations
 
-import sys
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -31,11 +25,11 @@ if TYPE_CHECKING:
         write_points_ply,
     )
     from sarsplat.errors import SarsplatError, SarsplatWarning
-    from sarsplat.evaluate import evaluate_run, point_metrics, visible_surface
-    from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
+    from sarsplat.evaluation import evaluate_run, point_metrics, visible_surface
+    from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians, Harmonics, NormalLobes, Scattering
     from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
-    from sarsplat.reconstruct import PRESETS, Config, Run, Trainer, extract_points, preset, reconstruct
-    from sarsplat.render import RayMap, Rendering, render
+    from sarsplat.reconstruction import PRESETS, Config, Run, Trainer, extract_points, preset, reconstruct
+    from sarsplat.renderer import RayMap, Rendering, render
     from sarsplat.report import write_report
     from sarsplat.scenes import (
         ScatteringLaw,
@@ -54,8 +48,8 @@ __version__ = "0.1.0"
 _HOME = {
     "errors": ("SarsplatError", "SarsplatWarning"),
     "geometry": ("ImageGrid", "RayGrid", "View", "radar_frame"),
-    "gaussians": ("MAX_OPTICAL_DEPTH", "MIN_SCALE", "Gaussians"),
-    "render": ("RayMap", "Rendering", "render"),
+    "gaussians": ("MAX_OPTICAL_DEPTH", "MIN_SCALE", "Gaussians", "Harmonics", "NormalLobes", "Scattering"),
+    "renderer": ("RayMap", "Rendering", "render"),
     "scenes": (
         *("ScatteringLaw", "add_speckle", "load_mesh", "mstar_grid", "mstar_views", "paper_grid", "paper_views"),
         *("simulate_raycast", "target_mesh"),
@@ -64,8 +58,8 @@ _HOME = {
         *("Dataset", "DatasetView", "PhoenixChip", "SarImage", "import_mstar", "read_dataset", "read_gaussians_ply"),
         *("read_phoenix", "read_points_ply", "write_dataset", "write_gaussians_ply", "write_points_ply"),
     ),
-    "reconstruct": ("PRESETS", "Config", "Run", "Trainer", "extract_points", "preset", "reconstruct"),
-    "evaluate": ("evaluate_run", "point_metrics", "visible_surface"),
+    "reconstruction": ("PRESETS", "Config", "Run", "Trainer", "extract_points", "preset", "reconstruct"),
+    "evaluation": ("evaluate_run", "point_metrics", "visible_surface"),
     "report": ("write_report",),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
@@ -78,7 +72,9 @@ __all__ = [
     "Dataset",
     "DatasetView",
     "Gaussians",
+    "Harmonics",
     "ImageGrid",
+    "NormalLobes",
     "PhoenixChip",
     "RayGrid",
     "RayMap",
@@ -87,6 +83,7 @@ __all__ = [
     "SarImage",
     "SarsplatError",
     "SarsplatWarning",
+    "Scattering",
     "ScatteringLaw",
     "Trainer",
     "View",
@@ -128,16 +125,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
-
-
-class _Package(ModuleType):
-    """`sarsplat.render` and `sarsplat.reconstruct` are the functions, whichever module was imported first."""
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if not (
-            name in _MODULE_OF and isinstance(value, ModuleType)
-        ):  # importing a subpackage would bind its name here
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package

@@ -20,7 +20,7 @@ from sarsplat import scenes
 from sarsplat.cli import main
 from sarsplat.data import read_dataset, read_gaussians_ply, read_points_ply
 from sarsplat.data.folders import only_writer
-from sarsplat.reconstruct import Run
+from sarsplat.reconstruction import Run
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_simulate_writes_the_views_that_were_asked_for(workshop: Path) -> None:
     test = {(item.view.azimuth_deg, item.view.grazing_deg) for item in dataset.select("test")}
     assert train == {(azimuth, grazing) for azimuth in (0, 90, 180, 270) for grazing in (30, 60)}
     assert test == {(azimuth, grazing) for azimuth in (45, 135, 225, 315) for grazing in (30, 60)}
-    assert (dataset.grid.rows, dataset.grid.spacing) == (32, (0.3, 0.3))
+    assert (dataset.grid.rows, dataset.grid.spacing_m) == (32, (0.3, 0.3))
     assert dataset.truth_mesh is not None
     assert dataset.source["kind"] == "raycast"
     assert dataset.source["target"] == "box.obj"
@@ -124,7 +124,7 @@ def test_resume_keeps_the_settings_of_the_run(
 def test_ctrl_c_says_how_to_go_on(
     workshop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from sarsplat.reconstruct import Trainer
+    from sarsplat.reconstruction import Trainer
 
     step, calls = Trainer.step, []
 
@@ -299,9 +299,9 @@ def test_info_points_from_a_part_to_the_whole(workshop: Path, part: str, capsys:
 
 
 def test_doctor_names_the_gpu(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(import_module("sarsplat.render.cuda_device"), "require_cuda", lambda: None)
+    monkeypatch.setattr(import_module("sarsplat.renderer.cuda_device"), "require_cuda", lambda: None)
     monkeypatch.setattr("torch.cuda.get_device_name", lambda: "Some GPU")
-    monkeypatch.setattr(import_module("sarsplat.render.nvrtc"), "Nvrtc", lambda: SimpleNamespace(version="12.8"))
+    monkeypatch.setattr(import_module("sarsplat.renderer.nvrtc"), "Nvrtc", lambda: SimpleNamespace(version="12.8"))
     assert main(["doctor"]) == 0
     assert "Some GPU, compiled at first use by NVRTC 12.8" in capsys.readouterr().out
 

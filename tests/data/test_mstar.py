@@ -62,7 +62,7 @@ def test_splits_angles_and_order(chips):
     assert dataset.domain == "measured"
     assert dataset.source["chips"][:2] == ["T72/chip007.jpeg", "T72/chip002.jpeg"]
     assert "max(DN, least_dn)^2" in dataset.source["calibration"]
-    assert (dataset.grid.spacing, dataset.grid.resolution) == ((0.203125, 0.202148), (0.3229, 0.3013))
+    assert (dataset.grid.spacing_m, dataset.grid.resolution_m) == ((0.203125, 0.202148), (0.3229, 0.3013))
 
 
 def test_training_chips_are_distinct_and_limited(chips):
@@ -313,4 +313,4 @@ def test_measured_originals(tmp_path):
     with pytest.warns(SarsplatWarning, match="3 vehicles|azimuth out"):
         dataset = import_mstar(MEASURED / "phoenix", tmp_path / "a", labels=None, target_class="BMP2", train_views=2)
     assert len(dataset.views) == 3
-    assert dataset.grid.resolution == (0.3229, 0.3013)
+    assert dataset.grid.resolution_m == (0.3229, 0.3013)

@@ -49,8 +49,8 @@ def test_reads_magnitudes_and_header(path):
     assert chip.magnitude.dtype.isnative
     assert (chip.target_type, chip.serial, chip.radar_position) == ("t72_tank", "132", "bottom")
     assert (chip.target_az_deg, chip.measured_depression_deg, chip.desired_depression_deg) == (10.790657, 17.09375, 17)
-    assert chip.spacing == (0.203125, 0.202148)
-    assert chip.resolution == (0.3229, 0.3013)
+    assert chip.spacing_m == (0.203125, 0.202148)
+    assert chip.resolution_m == (0.3229, 0.3013)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from plyfile import PlyData, PlyElement
 
 from sarsplat.data import read_gaussians_ply, read_points_ply, write_gaussians_ply, write_points_ply
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
+from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians, Harmonics
 from sarsplat.gaussians.harmonics import harmonic_basis
 
 
@@ -24,8 +24,7 @@ def some(count: int = 7, degree: int = 3, seed: int = 0, p_min: float = 0.05) ->
         torch.randn(count, 4, generator=g),
         scales,
         depth,
-        torch.randn(count, (degree + 1) ** 2, generator=g),
-        p_min,
+        Harmonics(torch.randn(count, (degree + 1) ** 2, generator=g), p_min),
     )
 
 
@@ -35,7 +34,7 @@ def test_our_own_files_are_lossless(tmp_path, count, degree):
     written = some(count, degree, p_min=0.1 + 0.2)
     write_gaussians_ply(tmp_path / "a.ply", written, ["target T72", "two\nlines, ünicode"])
     read = read_gaussians_ply(tmp_path / "a.ply")
-    assert read.p_min == written.p_min
+    assert read.scattering.p_min == written.scattering.p_min
     for name, tensor in written.tensors().items():
         assert read.tensors()[name].dtype == torch.float32
         assert torch.equal(read.tensors()[name], tensor), name
@@ -60,7 +59,7 @@ def test_harmonics_mean_the_same_seen_from_the_camera(tmp_path):
     write_gaussians_ply(tmp_path / "a.ply", gaussians)
     vertex = PlyData.read(tmp_path / "a.ply")["vertex"]
     u = torch.nn.functional.normalize(torch.tensor([0.3, -0.8, 0.4]), dim=0)
-    ours = (gaussians.harmonics * harmonic_basis(u, 3)).sum(-1)
+    ours = (gaussians.scattering.parameters * harmonic_basis(u, 3)).sum(-1)
     for channel in range(3):
         names = [f"f_dc_{channel}", *(f"f_rest_{15 * channel + k}" for k in range(15))]
         in_file = torch.from_numpy(np.stack([vertex[name] for name in names], axis=1))
@@ -79,10 +78,10 @@ def test_foreign_files(tmp_path):
     table["scale_0"] = [-20, np.log(0.5)]
     PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(tmp_path / "a.ply")
     read = read_gaussians_ply(tmp_path / "a.ply")
-    assert read.p_min == 0
+    assert read.scattering.p_min == 0
     torch.testing.assert_close(read.optical_depth, torch.tensor([np.log(2), MAX_OPTICAL_DEPTH], dtype=torch.float32))
     torch.testing.assert_close(read.scales[:, 0], torch.tensor([MIN_SCALE, 0.5]))
-    torch.testing.assert_close(read.harmonics[0], torch.tensor([3.0, 0, -2, 0]))
+    torch.testing.assert_close(read.scattering.parameters[0], torch.tensor([3.0, 0, -2, 0]))
 
 
 @pytest.mark.parametrize(
@@ -174,18 +173,21 @@ def test_damaged_headers(tmp_path, old, new, words):
 def test_points_are_no_gaussians_and_versions_are_checked(tmp_path):
     path = tmp_path / "p.ply"
     points(path)
-    with pytest.raises(SarsplatError, match="lacks the vertex property 'f_dc_0'"):
+    with pytest.raises(SarsplatError, match="lacks the vertex property 'rot_0'"):
         read_gaussians_ply(path)
     with pytest.raises(SarsplatError, match="does not exist"):
         read_gaussians_ply(tmp_path / "none.ply")
     write_gaussians_ply(path, some())
     data = path.read_bytes()
     for old, new, words in [
-        (b"gaussians 1", b"gaussians 2", "'sarsplat gaussians 2'"),
-        (b"p_min 0.05", b"p_mix 0.05", "one p_min"),
-        (b"p_min 0.05", b"p_min 1e99e", "no number"),
-        (b"p_min 0.05", b"p_min 1e+999", r"p\.ply states p_min 1e\+999"),
-        (b"p_min 0.05", b"p_min -0.5", "p_min -0.5"),
+        (b"gaussians 2", b"gaussians 3", "'sarsplat gaussians 3'"),
+        (b"scattering {", b"scattered {", "one law of scattering"),
+        (b"harmonics", b"harmonica", "states the scattering .*harmonica.*; known are harmonics, normal-lobes"),
+        (b'"p_min": 0.05', b'"p_min": 1e99e', "not valid JSON"),
+        (b'"p_min": 0.05', b'"p_min": 1e+999', r"the header of .*p\.ply is not valid JSON \(1e\+999 is too large"),
+        (b'"p_min": 0.05', b'"p_min": -0.5', "p_min -0.5 must be finite"),
+        (b'"p_min": 0.05', b'"p_min": "x"', "is none"),
+        (b'"p_min": 0.05', b'"gloss": 0.5', "is none .*gloss"),
     ]:
         path.write_bytes(data.replace(old, new))
         with pytest.raises(SarsplatError, match=words):
@@ -204,7 +206,7 @@ def test_damaged_files_never_crash(tmp_path):
             bad[place] = random.integers(256)
         path.write_bytes(bad[: random.integers(len(bad))] if random.random() < 0.2 else bad)
         try:
-            assert torch.isfinite(read_gaussians_ply(path).harmonics).all()
+            assert torch.isfinite(read_gaussians_ply(path).scattering.parameters).all()
         except SarsplatError:
             refused += 1
     assert 100 < refused < 400

@@ -10,7 +10,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.initialise import Region, bounded_region, hemisphere_shell, random_quaternions
 from sarsplat.geometry import ImageGrid, View, radar_frame
 
-GRID = ImageGrid(64, 64, spacing=(0.2, 0.2), resolution=(0.2, 0.2))
+GRID = ImageGrid(64, 64, spacing_m=(0.2, 0.2), resolution_m=(0.2, 0.2))
 VIEWS = [View(azimuth, grazing) for azimuth in range(0, 360, 45) for grazing in (15.0, 45.0, 75.0)]
 LOW, HIGH = np.array([-2.0, -1.0, 0.0]), np.array([3.0, 1.2, 1.5])
 
@@ -28,8 +28,8 @@ def masks(points: np.ndarray) -> np.ndarray:
     images = np.zeros((len(VIEWS), GRID.rows, GRID.columns), np.float32)
     for image, view in zip(images, VIEWS):
         x, _, r = radar_frame(view) @ points.T
-        rows = np.rint((r - GRID.range_m[0]) / GRID.spacing[1]).astype(int)
-        image[rows, np.rint((x - GRID.azimuth_m[0]) / GRID.spacing[0]).astype(int)] = 1.0
+        rows = np.rint((r - GRID.range_m[0]) / GRID.spacing_m[1]).astype(int)
+        image[rows, np.rint((x - GRID.azimuth_m[0]) / GRID.spacing_m[0]).astype(int)] = 1.0
     return images
 
 

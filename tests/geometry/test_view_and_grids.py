@@ -68,18 +68,18 @@ def test_image_is_a_map_with_the_radar_at_the_top():
 
 
 def test_pixel_centres():
-    even = ImageGrid(4, 6, spacing=(0.5, 0.25), resolution=(0.6, 0.3))
+    even = ImageGrid(4, 6, spacing_m=(0.5, 0.25), resolution_m=(0.6, 0.3))
     assert even.azimuth_m == pytest.approx([-1.25, -0.75, -0.25, 0.25, 0.75, 1.25])
     assert even.range_m == pytest.approx([-0.375, -0.125, 0.125, 0.375])
-    odd = ImageGrid(3, 1, spacing=(0.5, 0.25), resolution=(0.6, 0.3), center=(10.0, -2.0))
+    odd = ImageGrid(3, 1, spacing_m=(0.5, 0.25), resolution_m=(0.6, 0.3), center_m=(10.0, -2.0))
     assert odd.azimuth_m == pytest.approx([10.0])
     assert odd.range_m == pytest.approx([-2.25, -2.0, -1.75])
 
 
 def test_rays_to_a_pixel():
-    grid = ImageGrid(4, 6, spacing=(0.5, 0.2), resolution=(0.6, 0.3))
-    assert RayGrid.for_image(grid).spacing == (0.1, 0.1)  # half of the finer spacing
-    assert RayGrid.for_image(grid, per_pixel=4).spacing == (0.05, 0.05)
+    grid = ImageGrid(4, 6, spacing_m=(0.5, 0.2), resolution_m=(0.6, 0.3))
+    assert RayGrid.for_image(grid).spacing_m == (0.1, 0.1)  # half of the finer spacing
+    assert RayGrid.for_image(grid, per_pixel=4).spacing_m == (0.05, 0.05)
     assert RayGrid((0.1, 0.3)).cell_area == pytest.approx(0.03)
 
 
@@ -108,15 +108,15 @@ def test_numbers_of_every_kind_are_angles():
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"spacing": ("0.2", 0.2)},
-        {"spacing": 0.2},
-        {"resolution": (0.3, None)},
-        {"center": 0.0},
-        {"center": ("0", 0.0)},
-        {"center": (math.inf, 0.0)},
+        {"spacing_m": ("0.2", 0.2)},
+        {"spacing_m": 0.2},
+        {"resolution_m": (0.3, None)},
+        {"center_m": 0.0},
+        {"center_m": ("0", 0.0)},
+        {"center_m": (math.inf, 0.0)},
         {"rows": 4.0},
     ],
 )
 def test_what_is_no_grid_is_refused_in_words(wrong):
     with pytest.raises(SarsplatError):
-        ImageGrid(**{"rows": 4, "columns": 4, "spacing": (0.2, 0.2), "resolution": (0.3, 0.3), **wrong})
+        ImageGrid(**{"rows": 4, "columns": 4, "spacing_m": (0.2, 0.2), "resolution_m": (0.3, 0.3), **wrong})

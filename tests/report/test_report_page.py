@@ -12,11 +12,11 @@ import trimesh
 
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.reconstruct import preset
+from sarsplat.reconstruction import preset
 from sarsplat.report import paper_beside, write_report
 from sarsplat.report.scores import score_tables
 
-GRID = ImageGrid(32, 32, spacing=(0.3, 0.3), resolution=(0.3, 0.3))
+GRID = ImageGrid(32, 32, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
 IMAGE_SCORES = ("psnr_db", "psnr_target_db", "ssim", "lpips", "nats_per_pixel", "log_correlation")
 POINT_SCORES = (
     *("accuracy_m", "completeness_m", "cd_m", "cd_squared_m2", "precision@0.3", "recall@0.3"),

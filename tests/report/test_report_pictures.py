@@ -8,7 +8,7 @@ from PIL import Image
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.reconstruct import run as run_module
+from sarsplat.reconstruction import run as run_module
 from sarsplat.report import contact_sheet, decibel_png
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.decibels import to_decibels
@@ -56,14 +56,14 @@ def test_the_difference_ignores_what_is_too_dark_to_see() -> None:
 
 @pytest.mark.parametrize("count", [1, 7])
 def test_a_contact_sheet_of_any_length(count: int) -> None:
-    grid = ImageGrid(16, 24, spacing=(0.3, 0.2), resolution=(0.3, 0.3))
+    grid = ImageGrid(16, 24, spacing_m=(0.3, 0.2), resolution_m=(0.3, 0.3))
     views = [View(10.0 * k, 30.0) for k in range(count)]
     sheet = Image.open(io.BytesIO(contact_sheet(np.ones((count, 16, 24)), views, grid, 1.0)))
     assert min(sheet.size) > 100
 
 
 def test_a_contact_sheet_shows_the_target_large() -> None:
-    grid = ImageGrid(128, 128, spacing=(0.3, 0.3), resolution=(0.3, 0.3))
+    grid = ImageGrid(128, 128, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
     images = np.zeros((6, 128, 128))
     images[:, 60:68, 60:68] = 1.0  # 0.4 % of the image
     views = [View(60.0 * k, 30.0) for k in range(6)]
@@ -88,6 +88,6 @@ def test_minor_ticks_can_be_read_on_the_dark_panel() -> None:
 
 
 def test_a_contact_sheet_of_nothing_is_refused() -> None:
-    grid = ImageGrid(16, 16, spacing=(0.3, 0.3), resolution=(0.3, 0.3))
+    grid = ImageGrid(16, 16, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
     with pytest.raises(SarsplatError, match="no images"):
         contact_sheet(np.empty((0, 16, 16)), [], grid, 1.0)

@@ -15,7 +15,7 @@ from sarsplat.scenes.simulate import simulate_images
 pytest.importorskip("trimesh")
 pytest.importorskip("embreex")
 
-GRID = ImageGrid(144, 20, spacing=(0.3, 0.3), resolution=(0.3, 0.3))  # as far as building A's shadow at 30°
+GRID = ImageGrid(144, 20, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))  # as far as building A's shadow at 30°
 LAW = ScatteringLaw(floor=1.0, lobe=0.0)  # alike at every angle: the faces' own factor is their γ⁰
 EQUAL, UNEQUAL = Gamma0(0.5, 0.5, 0.5), Gamma0(wall=0.8, roof=0.3, ground=0.1)
 CASES = [(n, t, g) for n in sorted(BUILDINGS) for t in (30.0, 45.0, 60.0) for g in (EQUAL, UNEQUAL)]
@@ -37,7 +37,7 @@ def image_of(source, name, grazing, gamma0):
 def check(source, name, grazing, gamma0, *, edges_px, levels):
     """Every edge within so many pixels, every region within such a share of its analytic β⁰."""
     found = building_profile(image_of(source, name, grazing, gamma0), GRID, BUILDINGS[name], grazing, gamma0)
-    errors = {edge.ground_range: edge.error / GRID.spacing[1] for edge in found.edges}
+    errors = {edge.ground_range: edge.error / GRID.spacing_m[1] for edge in found.edges}
     assert all(abs(error) <= edges_px for error in errors.values()), errors
     free = gamma0.ground * math.tan(math.radians(grazing))
     measured = [(item.region, item.beta0) for item in found.regions if item.beta0 is not None]

@@ -32,9 +32,9 @@ def test_mstar_views_test_between_the_training_azimuths():
 
 def test_grids():
     assert (paper_grid().rows, paper_grid().columns) == (128, 128)
-    assert paper_grid().spacing == paper_grid().resolution == (0.3, 0.3)
-    assert mstar_grid().spacing == pytest.approx((0.203125, 0.202148))
-    assert mstar_grid().resolution == pytest.approx((0.3229, 0.3013))
+    assert paper_grid().spacing_m == paper_grid().resolution_m == (0.3, 0.3)
+    assert mstar_grid().spacing_m == pytest.approx((0.203125, 0.202148))
+    assert mstar_grid().resolution_m == pytest.approx((0.3229, 0.3013))
 
 
 def test_importing_scenes_needs_no_optional_dependency_and_never_the_renderer():

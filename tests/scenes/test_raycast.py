@@ -54,7 +54,7 @@ def test_energy_is_the_cross_section():
 
 
 def test_a_point_target_is_the_response_at_the_right_pixel():
-    grid = ImageGrid(65, 33, (0.2, 0.25), (0.4, 0.5), center=(1.0, -2.0))
+    grid = ImageGrid(65, 33, (0.2, 0.25), (0.4, 0.5), center_m=(1.0, -2.0))
     view = View(70, 35)
     where = radar_frame(view).T @ np.array([1.4, 3.0, -1.0])  # two columns right of, four rows behind the centre
     target = trimesh.creation.icosphere(subdivisions=3, radius=0.005)

@@ -11,7 +11,7 @@ from sarsplat.geometry import ImageGrid, View
 from sarsplat.scenes import ScatteringLaw
 from sarsplat.scenes.simulate import simulate_images, simulation_record
 
-GRID = ImageGrid(36, 36, spacing=(0.3, 0.3), resolution=(0.3, 0.3))
+GRID = ImageGrid(36, 36, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
 VIEWS = [View(20.0, 45.0), View(140.0, 30.0)]
 
 

@@ -30,7 +30,7 @@ def _core() -> dict[str, str]:
 
 
 def _cpu_engine() -> str:
-    from sarsplat.render.cpu import best_instruction_set
+    from sarsplat.renderer.cpu import best_instruction_set
 
     try:
         return f"loaded, instruction set {best_instruction_set()}"
@@ -41,8 +41,8 @@ def _cpu_engine() -> str:
 def _cuda_engine() -> str:
     import torch
 
-    from sarsplat.render.cuda_device import require_cuda
-    from sarsplat.render.nvrtc import Nvrtc
+    from sarsplat.renderer.cuda_device import require_cuda
+    from sarsplat.renderer.nvrtc import Nvrtc
 
     try:
         require_cuda()
@@ -60,7 +60,7 @@ def _extra(extra: str) -> str:
 
 
 def _lpips_weights() -> str:
-    from sarsplat.evaluate.lpips import WEIGHTS_VARIABLE, Lpips, lpips_weights
+    from sarsplat.evaluation.lpips import WEIGHTS_VARIABLE, Lpips, lpips_weights
 
     folder: Path | None = lpips_weights(None)
     if folder is None:

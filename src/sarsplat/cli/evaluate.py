@@ -18,8 +18,8 @@ def evaluate(run: RunFolder, *, lpips_weights: OptionalFolder = None) -> None:
     """
     from sarsplat.data import write_json
     from sarsplat.data.folders import only_writer
-    from sarsplat.evaluate import evaluate_run, metrics_table
-    from sarsplat.reconstruct import Run
+    from sarsplat.evaluation import evaluate_run, metrics_table
+    from sarsplat.reconstruction import Run
     from sarsplat.report import paper_beside, write_report
     from sarsplat.report.write import refuse_linked_report
 

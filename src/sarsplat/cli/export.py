@@ -32,7 +32,7 @@ def export(
         Replace an existing PLY file.
     """
     from sarsplat.data import write_gaussians_ply, write_points_ply
-    from sarsplat.reconstruct import Run
+    from sarsplat.reconstruction import Run
 
     done = Run.load(run)
     refuse_existing(out, overwrite)

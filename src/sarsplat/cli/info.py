@@ -97,14 +97,14 @@ def _grid(grid: ImageGrid) -> dict[str, str]:
 
     return {
         "pixels": f"{grid.rows} rows (range) × {grid.columns} columns (azimuth)",
-        "spacing": pair(grid.spacing),
-        "resolution": f"{pair(grid.resolution)} (3 dB)",
+        "spacing": pair(grid.spacing_m),
+        "resolution": f"{pair(grid.resolution_m)} (3 dB)",
     }
 
 
 def _run(path: Path) -> tuple[str, dict[str, str]]:
     from sarsplat.data import read_gaussians_ply
-    from sarsplat.reconstruct import Run
+    from sarsplat.reconstruction import Run
 
     run = Run.load(path)
     whole = run.dataset_path.exists()  # without its dataset the results in its folder are what there is
@@ -150,8 +150,8 @@ def _phoenix(path: Path) -> tuple[str, dict[str, str]]:
         "depression": f"{chip.measured_depression_deg:g}° (planned {chip.desired_depression_deg:g}°)",
         "TargetAz": f"{chip.target_az_deg:g}°; azimuth here {-chip.target_az_deg % 360:g}°",
         "pixels": f"{chip.magnitude.shape[0]} × {chip.magnitude.shape[1]}, linear magnitude, phase left out",
-        "spacing": f"{chip.spacing[0]:g} m in cross-range, {chip.spacing[1]:g} m in slant range",
-        "resolution": f"{chip.resolution[0]:g} m, {chip.resolution[1]:g} m (3 dB)",
+        "spacing": f"{chip.spacing_m[0]:g} m in cross-range, {chip.spacing_m[1]:g} m in slant range",
+        "resolution": f"{chip.resolution_m[0]:g} m, {chip.resolution_m[1]:g} m (3 dB)",
         "radar at the": chip.radar_position,
     }
     return "a Phoenix chip (MSTAR)", rows
@@ -194,7 +194,8 @@ def _ply(path: Path) -> tuple[str, dict[str, str]]:
             "optical depth": f"median {gaussians.optical_depth.median():.3g} (two-way, peak)"
             if len(gaussians)
             else "–",
-            "harmonics": f"degree {gaussians.degree}, p_min {gaussians.p_min:g} (γ⁰)",
+            "scattering": f"{gaussians.scattering.kind}, {gaussians.scattering.parameters.shape[1]} numbers each; "
+            f"p_min {gaussians.scattering.p_min:g} (γ⁰)",
         }
         return f"{len(gaussians)} Gaussians", rows
     points, columns = read_points_ply(path)

@@ -56,10 +56,10 @@ def reconstruct(
         Replace an existing run, which is kept until the new one has its first checkpoint.
     """
     from sarsplat.data import read_dataset
-    from sarsplat.reconstruct import Run
-    from sarsplat.reconstruct import preset as named_preset
-    from sarsplat.reconstruct import reconstruct as train
-    from sarsplat.reconstruct.run import HEADER
+    from sarsplat.reconstruction import Run
+    from sarsplat.reconstruction import preset as named_preset
+    from sarsplat.reconstruction import reconstruct as train
+    from sarsplat.reconstruction.run import HEADER
 
     if resume and overwrite:
         raise SarsplatError("--resume goes on with the run and --overwrite throws it away; give one of them")

@@ -41,7 +41,7 @@ def render(
         Replace an existing folder of such images.
     """
     from sarsplat.data import new_folder, write_bytes, write_power_tiff
-    from sarsplat.reconstruct import Run
+    from sarsplat.reconstruction import Run
     from sarsplat.report import contact_sheet, decibel_png
     from sarsplat.report.decibels import DYNAMIC_DB, to_decibels
 

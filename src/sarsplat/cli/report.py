@@ -15,7 +15,7 @@ def report(run: RunFolder) -> None:
         Folder that `sarsplat reconstruct` made.
     """
     from sarsplat.data.folders import only_writer
-    from sarsplat.reconstruct import Run
+    from sarsplat.reconstruction import Run
     from sarsplat.report import write_report
 
     done = Run.load(run)

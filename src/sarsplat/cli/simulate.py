@@ -185,5 +185,5 @@ def _grid(protocol: str, pixels: int | None, spacing: float | None, resolution: 
     if pixels is not None:
         grid = replace(grid, rows=pixels, columns=pixels)
     if spacing is not None:
-        grid = replace(grid, spacing=(spacing, spacing), resolution=(spacing, spacing))
-    return grid if resolution is None else replace(grid, resolution=(resolution, resolution))
+        grid = replace(grid, spacing_m=(spacing, spacing), resolution_m=(spacing, spacing))
+    return grid if resolution is None else replace(grid, resolution_m=(resolution, resolution))

@@ -186,7 +186,7 @@ def _describe(item: DatasetView, grid: ImageGrid) -> str:
     return (
         f"SAR image, beta0 in linear power; row 0 is near range, columns grow along the flight direction; "
         f"azimuth {item.view.azimuth_deg:.6g} deg, grazing {item.view.grazing_deg:.6g} deg; "
-        f"pixel spacing {grid.spacing[0]:.6g} m (azimuth) x {grid.spacing[1]:.6g} m (slant range); set {item.split}"
+        f"pixel spacing {grid.spacing_m[0]:.6g} m (azimuth) x {grid.spacing_m[1]:.6g} m (slant range); set {item.split}"
     )
 
 
@@ -202,9 +202,9 @@ def _header(dataset: Dataset) -> dict[str, Any]:
         "grid": {
             "rows": grid.rows,
             "columns": grid.columns,
-            "spacing_m": list(grid.spacing),
-            "resolution_m": list(grid.resolution),
-            "center_m": list(grid.center),
+            "spacing_m": list(grid.spacing_m),
+            "resolution_m": list(grid.resolution_m),
+            "center_m": list(grid.center_m),
         },
         "source": dataset.source,
         "truth_mesh": None if dataset.truth_mesh is None else dataset.truth_mesh.name,
@@ -302,9 +302,9 @@ def _parse_grid(value: object) -> ImageGrid:
     return ImageGrid(
         rows=fields.integer("rows"),
         columns=fields.integer("columns"),
-        spacing=fields.pair("spacing_m"),
-        resolution=fields.pair("resolution_m"),
-        center=fields.pair("center_m"),
+        spacing_m=fields.pair("spacing_m"),
+        resolution_m=fields.pair("resolution_m"),
+        center_m=fields.pair("center_m"),
     )
 
 

@@ -189,10 +189,10 @@ def _common_grid(chips: list[Chip]) -> ImageGrid:
     """The grid of the chips; if their sizes differ, the smallest even size."""
     first = chips[0]
     for chip in chips:
-        if not np.allclose([*chip.spacing, *chip.resolution], [*first.spacing, *first.resolution], rtol=1e-3):
+        if not np.allclose([*chip.spacing_m, *chip.resolution_m], [*first.spacing_m, *first.resolution_m], rtol=1e-3):
             raise SarsplatError(
-                f"{chip.name} has pixel spacing {chip.spacing} m and resolution {chip.resolution} m "
-                f"but {first.name} has {first.spacing} and {first.resolution}; import chips of one kind"
+                f"{chip.name} has pixel spacing {chip.spacing_m} m and resolution {chip.resolution_m} m "
+                f"but {first.name} has {first.spacing_m} and {first.resolution_m}; import chips of one kind"
             )
     shapes = {chip.dn.shape for chip in chips}
     rows, columns = first.dn.shape
@@ -204,7 +204,7 @@ def _common_grid(chips: list[Chip]) -> ImageGrid:
             SarsplatWarning,
             stacklevel=3,
         )
-    return ImageGrid(rows, columns, first.spacing, first.resolution)
+    return ImageGrid(rows, columns, first.spacing_m, first.resolution_m)
 
 
 def _central(

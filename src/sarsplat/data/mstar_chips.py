@@ -47,7 +47,7 @@ class Chip:
         TargetAz, degrees in [0, 360): 0 = nose toward the radar.
     dn : numpy.ndarray, float32 [rows, columns]
         Magnitude in digital numbers of the JPEGs (Phoenix magnitudes are scaled to them).
-    spacing, resolution : (float, float)
+    spacing_m, resolution_m : (float, float)
         Pixel spacing and 3 dB width (cross-range, slant range), m.
     """
 
@@ -57,8 +57,8 @@ class Chip:
     grazing_deg: float
     target_az_deg: float
     dn: Real[np.ndarray, "rows columns"]
-    spacing: tuple[float, float] = (0.203125, 0.202148)
-    resolution: tuple[float, float] = (0.3229, 0.3013)
+    spacing_m: tuple[float, float] = (0.203125, 0.202148)
+    resolution_m: tuple[float, float] = (0.3229, 0.3013)
 
 
 def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chip]:
@@ -145,8 +145,8 @@ def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_clas
             grazing_deg=chip.measured_depression_deg,
             target_az_deg=chip.target_az_deg % 360,
             dn=chip.magnitude * np.float32(JPEG_DN_PER_MAGNITUDE),
-            spacing=chip.spacing,
-            resolution=chip.resolution,
+            spacing_m=chip.spacing_m,
+            resolution_m=chip.resolution_m,
         )
         for chip in chosen
     ]

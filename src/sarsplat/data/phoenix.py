@@ -74,7 +74,7 @@ class PhoenixChip:
         return _number(self.path, self.header, "DesiredDepression")
 
     @property
-    def spacing(self) -> tuple[float, float]:
+    def spacing_m(self) -> tuple[float, float]:
         """Pixel spacing (cross-range, slant range), m."""
         return (
             _number(self.path, self.header, "CrossRangePixelSpacing"),
@@ -82,7 +82,7 @@ class PhoenixChip:
         )
 
     @property
-    def resolution(self) -> tuple[float, float]:
+    def resolution_m(self) -> tuple[float, float]:
         """3 dB width of the response (cross-range, slant range), m."""
         return _number(self.path, self.header, "CrossRange3dBWidth"), _number(self.path, self.header, "Range3dBWidth")
 

@@ -6,14 +6,17 @@ A Gaussian's vertex holds, as float32,
   natural logarithms, opacity as the logit of 1 − e^{−κ}, quaternions wxyz, harmonics channel by channel, with one
   channel repeated three times. 3DGS evaluates harmonics at the direction *from* the camera, we at the direction *to*
   the radar, so odd degrees change sign in the file. (It shows ½ + Σ, we mean p_min + softplus(Σ): same order, no more.)
-* optical_depth, sigma_0..2 — κ and the standard deviations (m) as they are, so that what we read back is what we wrote.
+* optical_depth, scale_m_0..2, scattering_0.. — κ, the standard deviations (m) and the parameters of the scattering as
+  they are, so that what we read back is what we wrote.
 
-The header's comments carry the version and p_min.
+The header's comments carry the version and, as JSON, which law of scattering it is. Of a law other than harmonics,
+f_dc and f_rest are the harmonics of degree 3 that come nearest to it.
 """
 
 from __future__ import annotations
 
 import io
+import json
 import math
 import re
 from collections.abc import Iterable
@@ -23,17 +26,21 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Real
 from plyfile import PlyData, PlyElement, PlyParseError
+from torch import Tensor
 
 from sarsplat.data.fields import shown
-from sarsplat.data.files import open_file, write_bytes
+from sarsplat.data.files import decode_json, open_file, write_bytes
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
+from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, SCATTERINGS, Gaussians, Harmonics, Scattering
+from sarsplat.gaussians.harmonics import harmonic_basis
 
-_VERSION = "sarsplat gaussians 1"
+_VERSION = "sarsplat gaussians 2"
+_LAW = "scattering "
 _ODD = [1, 2, 3, 9, 10, 11, 12, 13, 14, 15]  # harmonics of degree 1 and 3
 _FARTHEST = 1e9  # m from the origin, of points: squares of it stay finite
 _LEAST_LOGIT = -30.0  # stands for an opacity of zero, whose logit is −∞
 _LONGEST_HEADER = 65_536
+_DIRECTIONS = 200  # in which a law is compared with harmonics
 _BYTES = {
     **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
     **dict.fromkeys(("short", "ushort", "int16", "uint16"), 2),
@@ -64,7 +71,7 @@ def write_gaussians_ply(path: Path, gaussians: Gaussians, comments: Iterable[str
     depth = values["optical_depth"].astype(np.float64)
     with np.errstate(divide="ignore"):
         opacity = np.maximum(np.log(np.expm1(depth)), _LEAST_LOGIT)  # logit(1 − e^{−κ}) = ln(e^κ − 1)
-    seen = _flip_odd(values["harmonics"])
+    seen = _flip_odd(_as_harmonics(gaussians))
     rest = np.tile(seen[:, 1:], (1, 3))
     columns = {
         **_columns(("x", "y", "z"), values["means"]),
@@ -75,9 +82,11 @@ def write_gaussians_ply(path: Path, gaussians: Gaussians, comments: Iterable[str
         **_columns((f"scale_{k}" for k in range(3)), np.log(values["scales"])),
         **_columns((f"rot_{k}" for k in range(4)), values["quaternions"]),
         "optical_depth": values["optical_depth"],
-        **_columns((f"sigma_{k}" for k in range(3)), values["scales"]),
+        **_columns((f"scale_m_{k}" for k in range(3)), values["scales"]),
+        **_columns((f"scattering_{k}" for k in range(values["scattering"].shape[1])), values["scattering"]),
     }
-    _write(path, columns, [_VERSION, f"p_min {gaussians.p_min!r}", *comments])
+    law = {"kind": gaussians.scattering.kind, **gaussians.scattering.settings()}
+    _write(path, columns, [_VERSION, _LAW + json.dumps(law), *comments])
 
 
 def read_gaussians_ply(path: Path) -> Gaussians:
@@ -100,32 +109,39 @@ def read_gaussians_ply(path: Path) -> Gaussians:
     foreign = next((line for line in comments if line.startswith("sarsplat gaussians") and not ours), None)
     if foreign is not None:
         raise SarsplatError(f"{path} has the format {shown(foreign)} but this program reads {_VERSION!r}; update it")
+    values = {
+        "means": _stack(path, columns, ["x", "y", "z"]),
+        "quaternions": _stack(path, columns, [f"rot_{k}" for k in range(4)]),
+        **(_our_own(path, columns) if ours else _of_3dgs(path, columns)),
+    }
+    _check_gaussians(values, str(path))
+    tensors = {name: torch.from_numpy(value.copy()) for name, value in values.items()}
+    law = _law(path, comments, tensors.pop("scattering")) if ours else Harmonics(tensors.pop("scattering"))
+    return Gaussians(**tensors, scattering=law)
+
+
+def _our_own(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    count = sum(name.startswith("scattering_") for name in columns)
+    return {
+        "scales": _stack(path, columns, [f"scale_m_{k}" for k in range(3)]),
+        "optical_depth": _stack(path, columns, ["optical_depth"])[:, 0],
+        "scattering": _stack(path, columns, [f"scattering_{k}" for k in range(count)]),
+    }
+
+
+def _of_3dgs(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     rest = sum(name.startswith("f_rest_") for name in columns)
     if rest not in (0, 9, 24, 45):
         raise SarsplatError(f"{path} has {rest} properties f_rest_*; degrees 0 to 3 have 0, 9, 24 or 45")
     constant = _stack(path, columns, [f"f_dc_{c}" for c in range(3)])
     harmonics = np.empty((len(constant), 1 + rest // 3), np.float32)
     colours = _stack(path, columns, [f"f_rest_{k}" for k in range(rest)]).reshape(len(constant), 3, rest // 3)
-    if ours:  # one channel, three times
-        harmonics[:, 0], harmonics[:, 1:] = constant[:, 0], colours[:, 0]
-        depth = _stack(path, columns, ["optical_depth"])[:, 0]
-        scales = _stack(path, columns, [f"sigma_{k}" for k in range(3)])
-    else:
-        harmonics[:, 0], harmonics[:, 1:] = constant.mean(1), colours.mean(1)
-        logit = _stack(path, columns, ["opacity"])[:, 0].astype(np.float64)
-        depth = np.minimum(np.logaddexp(0, logit), MAX_OPTICAL_DEPTH)  # −ln(1 − sigmoid(x)) = ln(1 + eˣ)
-        with np.errstate(over="ignore"):
-            scales = np.maximum(np.exp(_stack(path, columns, [f"scale_{k}" for k in range(3)])), np.float32(MIN_SCALE))
-    values = {
-        "means": _stack(path, columns, ["x", "y", "z"]),
-        "quaternions": _stack(path, columns, [f"rot_{k}" for k in range(4)]),
-        "scales": scales,
-        "optical_depth": depth.astype(np.float32),
-        "harmonics": _flip_odd(harmonics),
-    }
-    _check_gaussians(values, str(path))
-    p_min = _p_min(path, comments) if ours else 0.0
-    return Gaussians(**{name: torch.from_numpy(value.copy()) for name, value in values.items()}, p_min=p_min)
+    harmonics[:, 0], harmonics[:, 1:] = constant.mean(1), colours.mean(1)
+    logit = _stack(path, columns, ["opacity"])[:, 0].astype(np.float64)
+    depth = np.minimum(np.logaddexp(0, logit), MAX_OPTICAL_DEPTH)  # −ln(1 − sigmoid(x)) = ln(1 + eˣ)
+    with np.errstate(over="ignore"):
+        scales = np.maximum(np.exp(_stack(path, columns, [f"scale_{k}" for k in range(3)])), np.float32(MIN_SCALE))
+    return {"scales": scales, "optical_depth": depth.astype(np.float32), "scattering": _flip_odd(harmonics)}
 
 
 def write_points_ply(path: Path, points: Real[np.ndarray, "p 3"], /, **columns: np.ndarray) -> None:
@@ -219,17 +235,34 @@ def _check_gaussians(values: dict[str, np.ndarray], name: str) -> None:
         raise SarsplatError(f"{name} hold a quaternion of zeros; give each Gaussian an orientation")
 
 
-def _p_min(path: Path, comments: list[str]) -> float:
-    stated = [line.removeprefix("p_min ") for line in comments if line.startswith("p_min ")]
-    if len(stated) != 1 or not re.fullmatch(r"[0-9.e+-]{1,30}", stated[0]):
-        raise SarsplatError(f"{path} does not state one p_min in its header; make it again")
+def _law(path: Path, comments: list[str], parameters: Tensor) -> Scattering:
+    """The law of scattering that the header states, with these parameters."""
+    stated = [line.removeprefix(_LAW) for line in comments if line.startswith(_LAW)]
+    if len(stated) != 1:
+        raise SarsplatError(f"{path} does not state one law of scattering in its header; make it again")
+    law = decode_json(stated[0].encode(), Path(f"the header of {path}"))
+    if not isinstance(law, dict) or law.get("kind") not in SCATTERINGS:
+        raise SarsplatError(f"{path} states the scattering {shown(law)}; known are {', '.join(SCATTERINGS)}")
     try:
-        p_min = float(stated[0])
-    except ValueError:
-        p_min = math.nan
-    if not 0 <= p_min < math.inf:
-        raise SarsplatError(f"{path} states p_min {stated[0]}, which is no number ≥ 0 and finite; make it again")
-    return p_min
+        return SCATTERINGS[law.pop("kind")](parameters, **law)
+    except (TypeError, SarsplatError) as error:
+        raise SarsplatError(f"{path} states a scattering that is none ({shown(str(error))}); make it again") from error
+
+
+def _as_harmonics(gaussians: Gaussians) -> Float[np.ndarray, "n k"]:
+    """The scattering as harmonics, for programs that know nothing else."""
+    law = gaussians.scattering
+    if isinstance(law, Harmonics):
+        return law.parameters.detach().cpu().numpy().astype(np.float32)
+    golden = math.pi * (3 - math.sqrt(5))  # a spiral of directions, evenly spread
+    index = np.arange(_DIRECTIONS)
+    z = 1 - (2 * index + 1) / _DIRECTIONS
+    ring = np.sqrt(1 - z**2)
+    u = torch.from_numpy(np.column_stack([ring * np.cos(golden * index), ring * np.sin(golden * index), z]))
+    with torch.no_grad():
+        excess = (gaussians.to("cpu").to(torch.float64).gamma0(u) - law.p_min).clamp(min=1e-6)
+    raw = torch.log(torch.expm1(excess))  # softplus undone
+    return torch.linalg.lstsq(harmonic_basis(u, 3), raw).solution.T.numpy().astype(np.float32)
 
 
 def _write(path: Path, columns: dict[str, np.ndarray], comments: list[str]) -> None:

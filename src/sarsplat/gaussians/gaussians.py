@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
+from sarsplat.gaussians.scattering import Scattering
 
 MIN_SCALE = 1e-4
 """Smallest standard deviation a Gaussian may have along an axis, m."""
@@ -17,10 +18,14 @@ MIN_SCALE = 1e-4
 MAX_OPTICAL_DEPTH = 40.0
 """Largest two-way peak optical depth κ; e⁻⁴⁰ is dark, and float32 still carries it."""
 
+_GEOMETRY = ("means", "quaternions", "scales", "optical_depth")
+
 
 @dataclass(frozen=True)
 class Gaussians:
     """N Gaussians in physical units, every tensor differentiable, on one device and of one floating dtype.
+
+    `len` counts them; a slice, a boolean mask [N] or integer indices select some: `gaussians[:100]`.
 
     Parameters
     ----------
@@ -32,11 +37,8 @@ class Gaussians:
         Standard deviations s along the Gaussian's own axes, m, at least `MIN_SCALE`.
     optical_depth : Tensor [N]
         Two-way peak optical depth κ = k⁺ + k⁻, 0 ≤ κ ≤ `MAX_OPTICAL_DEPTH`.
-    harmonics : Tensor [N, K]
-        Real spherical harmonics of the scattering, K = (degree + 1)², degree ≤ 3:
-        P(u) = p_min + softplus(Σ_k harmonics_k Y_k(u)).
-    p_min : float
-        Least scattering P_min ≥ 0 (γ⁰, dimensionless). Above zero it forbids black absorbers.
+    scattering : Scattering
+        γ⁰ against direction, such as `Harmonics` or `NormalLobes`, with a row of parameters for each Gaussian.
 
     Raises
     ------
@@ -48,47 +50,55 @@ class Gaussians:
     quaternions: Float[Tensor, "n 4"]
     scales: Float[Tensor, "n 3"]
     optical_depth: Float[Tensor, " n"]
-    harmonics: Float[Tensor, "n k"]
-    p_min: float = 0.0
+    scattering: Scattering
 
     def __post_init__(self) -> None:
+        if not isinstance(self.scattering, Scattering):
+            raise SarsplatError(
+                f"scattering is a {type(self.scattering).__name__}; give a law with its parameters, such as "
+                "Harmonics(torch.zeros(n, 16))"
+            )
         for name, tensor in self.tensors().items():
             if not isinstance(tensor, Tensor):
                 raise SarsplatError(
                     f"{name} is a {type(tensor).__name__}; give a torch.Tensor (torch.as_tensor makes one)"
                 )
         n = self.means.shape[0] if self.means.ndim else 0
-        expected = {"means": (n, 3), "quaternions": (n, 4), "scales": (n, 3), "optical_depth": (n,)}
+        expected = dict(zip(_GEOMETRY, ((n, 3), (n, 4), (n, 3), (n,)), strict=True))
+        expected["scattering"] = (n, self.scattering.parameters.shape[1])
         for name, shape in expected.items():
-            tensor = getattr(self, name)
+            tensor = self.tensors()[name]
             if tuple(tensor.shape) != shape:
                 raise SarsplatError(f"{name} has shape {tuple(tensor.shape)}; for {n} Gaussians it must be {shape}")
-        if self.harmonics.ndim != 2 or self.harmonics.shape[0] != n or self.harmonics.shape[1] not in (1, 4, 9, 16):
-            raise SarsplatError(
-                f"harmonics has shape {tuple(self.harmonics.shape)}; "
-                f"for {n} Gaussians it must be ({n}, K) with K = 1, 4, 9 or 16 (degree 0 to 3)"
-            )
-        for name in (*expected, "harmonics"):
-            tensor = getattr(self, name)
             if not tensor.is_floating_point() or tensor.dtype != self.means.dtype or tensor.device != self.means.device:
                 raise SarsplatError(
                     f"{name} is {tensor.dtype} on {tensor.device} but means is {self.means.dtype} on "
                     f"{self.means.device}; use one floating dtype and one device for all tensors"
                 )
-        if not 0 <= self.p_min < float("inf"):
-            raise SarsplatError(f"p_min {self.p_min} must be finite and at least 0")
 
     def __len__(self) -> int:
         return self.means.shape[0]
 
-    @property
-    def degree(self) -> int:
-        """Degree of the harmonics, 0 to 3."""
-        return {1: 0, 4: 1, 9: 2, 16: 3}[self.harmonics.shape[1]]
+    def __getitem__(self, index: int | slice | Tensor) -> Gaussians:
+        if isinstance(index, int):
+            if not -len(self) <= index < len(self):
+                raise IndexError(f"there is no Gaussian {index} among {len(self)}")
+            index = slice(index, index + 1 or None)
+        return self._with(lambda tensor: tensor[index])
 
     def tensors(self) -> dict[str, Tensor]:
-        """The five tensors by name."""
-        return {name: getattr(self, name) for name in ("means", "quaternions", "scales", "optical_depth", "harmonics")}
+        """The five tensors by name; that of `scattering` are its parameters [N, K]."""
+        return {name: getattr(self, name) for name in _GEOMETRY} | {"scattering": self.scattering.parameters}
+
+    def with_tensors(self, **tensors: Tensor) -> Gaussians:
+        """The same scene with other tensors in place of those named, as in `tensors()`."""
+        merged = self.tensors() | tensors
+        law = replace(self.scattering, parameters=merged.pop("scattering"))
+        return Gaussians(**merged, scattering=law)
+
+    def gamma0(self, directions: Float[Tensor, "v 3"]) -> Float[Tensor, "v n"]:
+        """γ⁰ [V, N] towards unit vectors u [V, 3] of the world frame; differentiable."""
+        return self.scattering.gamma0(directions, self.quaternions, self.scales)
 
     def detach(self) -> Gaussians:
         """The same Gaussians outside the autograd graph."""
@@ -98,20 +108,11 @@ class Gaussians:
         """The same Gaussians in another dtype or on another device."""
         return self._with(lambda tensor: tensor.to(target))
 
-    def select(self, index: Tensor) -> Gaussians:
-        """The Gaussians at a boolean mask [N] or at integer indices."""
-        return self._with(lambda tensor: tensor[index])
-
     def _with(self, change: Callable[[Tensor], Tensor]) -> Gaussians:
-        return Gaussians(**{name: change(tensor) for name, tensor in self.tensors().items()}, p_min=self.p_min)
+        return self.with_tensors(**{name: change(tensor) for name, tensor in self.tensors().items()})
 
 
 def join(first: Gaussians, second: Gaussians) -> Gaussians:
-    """Both scenes in one, with the `p_min` of the first; the shorter harmonics are filled up with zeros."""
-    degree = max(first.harmonics.shape[1], second.harmonics.shape[1])
-    parts = [{**scene.tensors(), "harmonics": _filled(scene.harmonics, degree)} for scene in (first, second)]
-    return Gaussians(**{name: torch.cat([part[name] for part in parts]) for name in parts[0]}, p_min=first.p_min)
-
-
-def _filled(harmonics: Float[Tensor, "n k"], columns: int) -> Float[Tensor, "n {columns}"]:
-    return torch.nn.functional.pad(harmonics, (0, columns - harmonics.shape[1]))
+    """Both scenes in one, under the scattering settings of the first (see `Scattering.joined`)."""
+    geometry = {name: torch.cat([getattr(first, name), getattr(second, name)]) for name in _GEOMETRY}
+    return Gaussians(**geometry, scattering=first.scattering.joined(second.scattering))

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from sarsplat.gaussians.gaussians import Gaussians
+from sarsplat.gaussians.scattering import Harmonics
 
 _WIDTH = 0.6
 """Standard deviation in pitches: the sum of footprints then ripples by less than a thousandth."""
@@ -31,7 +32,7 @@ def ground_sheet(radius: float, pitch: float) -> Gaussians:
     Returns
     -------
     Gaussians
-        float32, harmonics zero.
+        float32, with harmonics of zero.
     """
     half = math.ceil(radius / pitch)
     steps = (np.arange(-half, half) + 0.5) * pitch
@@ -44,5 +45,5 @@ def ground_sheet(radius: float, pitch: float) -> Gaussians:
         torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
         torch.tensor([_WIDTH * pitch, _WIDTH * pitch, _THICKNESS]).repeat(n, 1),
         torch.full((n,), _OPTICAL_DEPTH),
-        torch.zeros(n, 1),
+        Harmonics(torch.zeros(n, 1)),
     )

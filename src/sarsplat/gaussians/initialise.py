@@ -67,7 +67,7 @@ def bounded_region(
     """
     bright = power > power.max() * 10 ** (threshold_db / 10)
     normals, offsets = [np.array([0.0, 0.0, -1.0])], [0.0]
-    half_a, half_r = grid.spacing[0] / 2, grid.spacing[1] / 2
+    half_a, half_r = grid.spacing_m[0] / 2, grid.spacing_m[1] / 2
     for mask, view in zip(bright, views, strict=True):
         if not mask.any():
             raise SarsplatError(
@@ -83,7 +83,7 @@ def bounded_region(
             half_r - grid.range_m[rows[0]],
         ]
     a, b = np.array(normals), np.array(offsets)
-    reach = float(np.hypot(grid.rows * grid.spacing[1], grid.columns * grid.spacing[0]))
+    reach = float(np.hypot(grid.rows * grid.spacing_m[1], grid.columns * grid.spacing_m[0]))
     corners = [linprog(sign * axis, a, b, bounds=[(-reach, reach)] * 3) for axis in np.eye(3) for sign in (1, -1)]
     if not all(corner.success for corner in corners):
         raise SarsplatError(

@@ -38,19 +38,19 @@ class ImageGrid:
     ----------
     rows, columns : int
         Number of range rows and of azimuth columns.
-    spacing : (float, float)
+    spacing_m : (float, float)
         Pixel spacing (Δa, Δr), m.
-    resolution : (float, float)
+    resolution_m : (float, float)
         3 dB width of the power response (ρa, ρr), m. Not the same thing as the spacing.
-    center : (float, float)
+    center_m : (float, float)
         Position (a0, r0) of the image centre in the radar frame, m; (0, 0) is the scene centre.
     """
 
     rows: int
     columns: int
-    spacing: tuple[float, float]
-    resolution: tuple[float, float]
-    center: tuple[float, float] = (0.0, 0.0)
+    spacing_m: tuple[float, float]
+    resolution_m: tuple[float, float]
+    center_m: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if not isinstance(self.rows, int) or not isinstance(self.columns, int):
@@ -61,21 +61,21 @@ class ImageGrid:
             raise SarsplatError(
                 f"an image of {self.rows} × {self.columns} pixels is too large; give at most {_MOST_PIXELS} a side"
             )
-        _pair("image centre", self.center)
-        if not all(isinstance(value, Real) and abs(value) <= _MOST_LENGTH for value in self.center):
-            raise SarsplatError(f"image centre {self.center} must be a pair of finite metres")
-        _positive("pixel spacing", self.spacing)
-        _positive("resolution", self.resolution)
+        _pair("image centre", self.center_m)
+        if not all(isinstance(value, Real) and abs(value) <= _MOST_LENGTH for value in self.center_m):
+            raise SarsplatError(f"image centre {self.center_m} must be a pair of finite metres")
+        _positive("pixel spacing", self.spacing_m)
+        _positive("resolution", self.resolution_m)
 
     @property
     def azimuth_m(self) -> Float64[np.ndarray, " {self.columns}"]:
         """Azimuth x_m of the pixel columns' centres, m, float64 [columns]."""
-        return (np.arange(self.columns) - (self.columns - 1) / 2) * self.spacing[0] + self.center[0]
+        return (np.arange(self.columns) - (self.columns - 1) / 2) * self.spacing_m[0] + self.center_m[0]
 
     @property
     def range_m(self) -> Float64[np.ndarray, " {self.rows}"]:
         """Slant range r_n of the pixel rows' centres from the scene centre, m, float64 [rows]."""
-        return (np.arange(self.rows) - (self.rows - 1) / 2) * self.spacing[1] + self.center[1]
+        return (np.arange(self.rows) - (self.rows - 1) / 2) * self.spacing_m[1] + self.center_m[1]
 
 
 @dataclass(frozen=True)
@@ -87,22 +87,22 @@ class RayGrid:
 
     Parameters
     ----------
-    spacing : (float, float)
+    spacing_m : (float, float)
         Ray spacing (δx, δy), m.
     """
 
-    spacing: tuple[float, float]
+    spacing_m: tuple[float, float]
 
     def __post_init__(self) -> None:
-        _positive("ray spacing", self.spacing)
+        _positive("ray spacing", self.spacing_m)
 
     @classmethod
     def for_image(cls, grid: ImageGrid, per_pixel: float = 2.0) -> RayGrid:
         """Square lattice, `per_pixel` rays to the smaller pixel spacing."""
-        spacing = min(grid.spacing) / per_pixel
+        spacing = min(grid.spacing_m) / per_pixel
         return cls((spacing, spacing))
 
     @property
     def cell_area(self) -> float:
         """Area A_c = δx·δy that one ray stands for, m²."""
-        return self.spacing[0] * self.spacing[1]
+        return self.spacing_m[0] * self.spacing_m[1]

@@ -13,8 +13,8 @@ from typing import Any
 
 from sarsplat.data import Dataset
 from sarsplat.errors import counted
-from sarsplat.evaluate.tables import NOT_THE_SAME_EXPERIMENT
-from sarsplat.reconstruct import Run
+from sarsplat.evaluation.tables import NOT_THE_SAME_EXPERIMENT
+from sarsplat.reconstruction import Run
 from sarsplat.report.scores import ScoreTable, paper_beside, score_tables
 
 
@@ -131,8 +131,8 @@ def _dataset_facts(dataset: Dataset) -> dict[str, str]:
         "quantity": quantity,
         "images": ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits()),
         "pixels": f"{grid.rows} × {grid.columns} (slant range × azimuth)",
-        "spacing": f"{grid.spacing[0]:g} m in azimuth, {grid.spacing[1]:g} m in slant range",
-        "resolution": f"{grid.resolution[0]:g} m, {grid.resolution[1]:g} m (3 dB)",
+        "spacing": f"{grid.spacing_m[0]:g} m in azimuth, {grid.spacing_m[1]:g} m in slant range",
+        "resolution": f"{grid.resolution_m[0]:g} m, {grid.resolution_m[1]:g} m (3 dB)",
         **{name.replace("_", " "): _plain(value) for name, value in dataset.source.items() if name != "chips"},
     }
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluate import PaperRow, paper_row
+from sarsplat.evaluation import PaperRow, paper_row
 
 _HEADLINES = ("psnr_db", "psnr_target_db", "nats_per_pixel", "log_correlation", "cd_m", "f1@0.3")
 

@@ -43,7 +43,7 @@ def contact_sheet(
     lines = math.ceil(len(views) / columns)
     window = target_window(images, peak)
     shown = images[(slice(None), *window)]
-    aspect = (shown.shape[1] * grid.spacing[1]) / (shown.shape[2] * grid.spacing[0])
+    aspect = (shown.shape[1] * grid.spacing_m[1]) / (shown.shape[2] * grid.spacing_m[0])
     width, height = max(columns * _SIDE, 3.6), lines * (_SIDE * aspect + 0.22) + 0.66
     figure = new_figure(width, height)
     panels = figure.subplots(lines, columns, squeeze=False)
@@ -51,7 +51,11 @@ def contact_sheet(
         axes.set_axis_off()
     for axes, image, view in zip(panels.flat, shown, views):  # empty places stay dark
         axes.imshow(
-            to_decibels(image, peak), cmap="gray", vmin=-DYNAMIC_DB, vmax=0, aspect=grid.spacing[1] / grid.spacing[0]
+            to_decibels(image, peak),
+            cmap="gray",
+            vmin=-DYNAMIC_DB,
+            vmax=0,
+            aspect=grid.spacing_m[1] / grid.spacing_m[0],
         )
         dress(axes)
         axes.set_title(f"{view.azimuth_deg:g}°, grazing {view.grazing_deg:g}°", size=7.5, pad=3)

@@ -59,10 +59,10 @@ def views_figure(
     most = _MOST_DB[speckled]
     rows, columns = target_window(np.maximum(truth, rendered), peak)
     extent = (
-        grid.azimuth_m[columns][0] - grid.spacing[0] / 2,
-        grid.azimuth_m[columns][-1] + grid.spacing[0] / 2,
-        grid.range_m[rows][-1] + grid.spacing[1] / 2,
-        grid.range_m[rows][0] - grid.spacing[1] / 2,
+        grid.azimuth_m[columns][0] - grid.spacing_m[0] / 2,
+        grid.azimuth_m[columns][-1] + grid.spacing_m[0] / 2,
+        grid.range_m[rows][-1] + grid.spacing_m[1] / 2,
+        grid.range_m[rows][0] - grid.spacing_m[1] / 2,
     )
     beside = min(_BESIDE, len(views))
     lines = -(-len(views) // beside)

@@ -9,8 +9,8 @@ import numpy as np
 from sarsplat.data import Dataset, write_bytes
 from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluate.evaluation import read_truth_mesh
-from sarsplat.reconstruct import Run
+from sarsplat.evaluation.evaluation import read_truth_mesh
+from sarsplat.reconstruction import Run
 from sarsplat.report.cloud import points_figure
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.page import Picture, page

@@ -39,8 +39,8 @@ class Deposit:
     def __init__(self, grid: ImageGrid, oversample: int) -> None:
         if oversample < 1 or oversample != int(oversample):
             raise SarsplatError(f"oversample {oversample} must be a whole number of at least 1")
-        self._columns = _Axis(grid.azimuth_m, grid.spacing[0] / oversample, grid.resolution[0])
-        self._rows = _Axis(grid.range_m, grid.spacing[1] / oversample, grid.resolution[1])
+        self._columns = _Axis(grid.azimuth_m, grid.spacing_m[0] / oversample, grid.resolution_m[0])
+        self._rows = _Axis(grid.range_m, grid.spacing_m[1] / oversample, grid.resolution_m[1])
         self.image = np.zeros((grid.rows, grid.columns))
 
     @property

@@ -79,8 +79,8 @@ def building_profile(
     """
     cos = math.cos(math.radians(grazing_deg))
     regions = building.regions(grazing_deg, gamma0)
-    inner = np.abs(grid.azimuth_m) <= building.length / 2 - _CLEAR * grid.resolution[0]
-    along, resolution = grid.range_m, grid.resolution[1]
+    inner = np.abs(grid.azimuth_m) <= building.length / 2 - _CLEAR * grid.resolution_m[0]
+    along, resolution = grid.range_m, grid.resolution_m[1]
     measured = np.asarray(image[:, inner], dtype=np.float64).mean(axis=1)
     analytic = building.profile(along, grazing_deg, gamma0, resolution)
     edges = []

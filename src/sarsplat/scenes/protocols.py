@@ -20,7 +20,7 @@ def paper_views() -> list[tuple[View, str]]:
 
 def paper_grid() -> ImageGrid:
     """128 × 128 pixels, spacing and resolution 0.3 m."""
-    return ImageGrid(128, 128, spacing=(0.3, 0.3), resolution=(0.3, 0.3))
+    return ImageGrid(128, 128, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
 
 
 def mstar_views() -> list[tuple[View, str]]:
@@ -37,4 +37,4 @@ def mstar_views() -> list[tuple[View, str]]:
 
 def mstar_grid() -> ImageGrid:
     """128 × 128 pixels with the spacing and the true 3 dB widths of the public MSTAR chips."""
-    return ImageGrid(128, 128, spacing=(0.203125, 0.202148), resolution=(0.3229, 0.3013))
+    return ImageGrid(128, 128, spacing_m=(0.203125, 0.202148), resolution_m=(0.3229, 0.3013))

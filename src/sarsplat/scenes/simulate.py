@@ -14,7 +14,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import join
 from sarsplat.gaussians.ground import ground_sheet
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.render import render
+from sarsplat.renderer import render
 from sarsplat.scenes.raycast import simulate_raycast
 from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflectivity
 from sarsplat.scenes.speckle import add_speckle
@@ -151,23 +151,23 @@ def _splat(
     reflectivity: Float64[np.ndarray, " faces"],
     ground_gamma0: float | None,
 ) -> Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]:
-    pixel = min(grid.spacing)
+    pixel = min(grid.spacing_m)
     gaussians, faces = surface_gaussians(mesh, pixel / _PIECES_PER_PIXEL)
     target = len(gaussians)
     if ground_gamma0 is not None:
         gaussians = join(gaussians, ground_sheet(_ground_radius(views, grid), pixel / _GROUND_PER_PIXEL))
     rays = RayGrid.for_image(grid, _RAYS_PER_PIXEL)
     for view in views:
-        scattering = torch.full((1, len(gaussians)), ground_gamma0 or 0.0)
+        gamma0 = torch.full((1, len(gaussians)), ground_gamma0 or 0.0)
         of_faces = reflectivity * law_scattering(mesh.face_normals, [view], law)
-        scattering[:, :target] = torch.from_numpy(of_faces[:, faces])
+        gamma0[:, :target] = torch.from_numpy(of_faces[:, faces])
         with torch.no_grad():
-            yield render(gaussians, [view], grid, rays=rays, scattering=scattering).images[0].numpy()
+            yield render(gaussians, [view], grid, rays=rays, gamma0=gamma0).images[0].numpy()
 
 
 def _ground_radius(views: Sequence[View], grid: ImageGrid) -> float:
     """Of the ground that the images show, m, with a margin for footprints and responses."""
-    across = grid.columns * grid.spacing[0] + 2 * abs(grid.center[0])
+    across = grid.columns * grid.spacing_m[0] + 2 * abs(grid.center_m[0])
     steepest = math.cos(math.radians(max(view.grazing_deg for view in views)))
-    along = (grid.rows * grid.spacing[1] + 2 * abs(grid.center[1])) / steepest
-    return math.hypot(across, along) / 2 + 2 * max(grid.resolution)
+    along = (grid.rows * grid.spacing_m[1] + 2 * abs(grid.center_m[1])) / steepest
+    return math.hypot(across, along) / 2 + 2 * max(grid.resolution_m)

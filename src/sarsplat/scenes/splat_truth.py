@@ -12,7 +12,7 @@ from jaxtyping import Float, Float64, Int
 from scipy.spatial.transform import Rotation
 
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import View
 from sarsplat.scenes.scattering import ScatteringLaw
 
@@ -50,7 +50,7 @@ def surface_gaussians(
     Returns
     -------
     Gaussians
-        float32; harmonics zero and p_min 0: the scattering is meant to be given per view (`law_scattering`).
+        float32; harmonics zero and p_min 0: γ⁰ is meant to be given per view (`law_scattering`).
     numpy.ndarray, int64 [N]
         The face that each Gaussian lies on.
 
@@ -83,7 +83,7 @@ def surface_gaussians(
         quaternions=torch.from_numpy(Rotation.from_matrix(axes).as_quat(scalar_first=True)).float(),
         scales=torch.from_numpy(np.sqrt(np.maximum(variances, _THICKNESS**2))).float(),
         optical_depth=torch.full((n,), optical_depth),
-        harmonics=torch.zeros(n, 1),
+        scattering=Harmonics(torch.zeros(n, 1)),
     )
     return gaussians, faces
 

@@ -1,0 +1,206 @@
+"""How strongly Gaussians scatter towards the radar: laws of γ⁰ against direction, each with its table of parameters."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Self
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn.functional import pad, softplus
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians.covariance import rotation_matrix
+from sarsplat.gaussians.harmonics import CONSTANTS, harmonic_basis
+
+_LEAST_EXCESS = 1e-3
+"""γ⁰ above p_min that a law starts with at least: softplus never reaches zero."""
+
+
+@dataclass(frozen=True)
+class Scattering(ABC):
+    """γ⁰(u) of N Gaussians: backscatter per area projected along the line of sight, dimensionless, never negative.
+
+    To add a law, derive from this class, name its `kind`, and add it to `SCATTERINGS` (sarsplat/gaussians/__init__.py).
+    Everything else, from training to files, finds it there. Settings of a law that are not learned are further fields;
+    they must be what JSON can hold.
+
+    Parameters
+    ----------
+    parameters : Tensor [N, K]
+        What is learned, a row for each Gaussian; at most 16 columns. The first speaks for all directions, the others
+        of differences between them: they have learning rates of their own.
+    p_min : float
+        Least scattering P_min ≥ 0 (γ⁰). Above zero it forbids black absorbers.
+
+    Raises
+    ------
+    SarsplatError
+        If a shape or `p_min` does not fit.
+    """
+
+    parameters: Float[Tensor, "n k"]
+    p_min: float = 0.0
+
+    kind: ClassVar[str]
+    """Its name in files and configurations."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.parameters, Tensor):
+            raise SarsplatError(
+                f"the parameters of the scattering are a {type(self.parameters).__name__}; give a torch.Tensor "
+                "(torch.as_tensor makes one)"
+            )
+        if not 0 <= self.p_min < math.inf:
+            raise SarsplatError(f"p_min {self.p_min} must be finite and at least 0")
+        if (wrong := self._misfit()) is not None:
+            raise SarsplatError(f"scattering has shape {tuple(self.parameters.shape)}; {wrong}")
+
+    @abstractmethod
+    def _misfit(self) -> str | None:
+        """What the parameters' shape must be, if it is another."""
+
+    @abstractmethod
+    def gamma0(
+        self,
+        directions: Float[Tensor, "v 3"],
+        quaternions: Float[Tensor, "n 4"],
+        scales: Float[Tensor, "n 3"],
+    ) -> Float[Tensor, "v n"]:
+        """γ⁰ [V, N] towards unit vectors u [V, 3], of Gaussians turned and shaped like this; differentiable."""
+
+    @classmethod
+    @abstractmethod
+    def uniform(cls, count: int, gamma0: float, p_min: float) -> Self:
+        """The same γ⁰ for all Gaussians and in all directions: where a training starts; float32."""
+
+    def detailed(self, degree: int) -> Self:
+        """The law with no more detail than `degree`, 0 to 3: a training adds it by and by; most laws have none."""
+        return self
+
+    def settings(self) -> dict[str, Any]:
+        """What is not learned, by name; with `kind` and the parameters it makes the same law again."""
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "parameters"}
+
+    def joined(self, other: Scattering) -> Self:
+        """Both tables, one below the other, under the settings of the first."""
+        if type(other) is not type(self):
+            raise SarsplatError(
+                f"{self.kind} and {other.kind} cannot be joined; give both scenes one kind of scattering"
+            )
+        return replace(self, parameters=torch.cat([self.parameters, other.parameters]))
+
+
+@dataclass(frozen=True)
+class Harmonics(Scattering):
+    """Real spherical harmonics: γ⁰(u) = p_min + softplus(Σ_k parameters_k Y_k(u)).
+
+    `parameters` is [N, K] with K = (degree + 1)², degree ≤ 3; order and signs are those of 3D Gaussian splatting
+    (docs/conventions.md). Whatever else is at `Scattering` holds here too.
+    """
+
+    kind: ClassVar[str] = "harmonics"
+
+    @property
+    def degree(self) -> int:
+        """Degree of the harmonics, 0 to 3."""
+        return math.isqrt(self.parameters.shape[1]) - 1
+
+    def _misfit(self) -> str | None:
+        if self.parameters.ndim == 2 and self.parameters.shape[1] in (1, 4, 9, 16):
+            return None
+        return "for N Gaussians it must be (N, K) with K = 1, 4, 9 or 16 (harmonics of degree 0 to 3)"
+
+    def gamma0(
+        self,
+        directions: Float[Tensor, "v 3"],
+        quaternions: Float[Tensor, "n 4"],
+        scales: Float[Tensor, "n 3"],
+    ) -> Float[Tensor, "v n"]:
+        """See `Scattering.gamma0`; how a Gaussian is turned does not matter."""
+        return self.p_min + softplus(harmonic_basis(directions, self.degree) @ self.parameters.T)
+
+    @classmethod
+    def uniform(cls, count: int, gamma0: float, p_min: float) -> Self:
+        """See `Scattering.uniform`; of degree 3."""
+        parameters = torch.zeros(count, len(CONSTANTS))
+        parameters[:, 0] = _softplus_inverse(gamma0 - p_min) / CONSTANTS[0]
+        return cls(parameters, p_min)
+
+    def detailed(self, degree: int) -> Self:
+        """The harmonics up to that degree."""
+        if degree >= self.degree:  # a slice of everything would be a copy all the same
+            return self
+        return replace(self, parameters=self.parameters[:, : (degree + 1) ** 2])
+
+    def joined(self, other: Scattering) -> Self:
+        """See `Scattering.joined`; the shorter rows are filled up with zeros."""
+        if not isinstance(other, Harmonics):
+            return super().joined(other)
+        columns = max(self.parameters.shape[1], other.parameters.shape[1])
+        rows = [pad(law.parameters, (0, columns - law.parameters.shape[1])) for law in (self, other)]
+        return replace(self, parameters=torch.cat(rows))
+
+
+@dataclass(frozen=True)
+class NormalLobes(Scattering):
+    """Lobes around the surface normal: γ⁰(u) = p_min + b₀ + Σ_j b_j·exp(κ_j((n·u)² − 1)).
+
+    n is the shortest axis of a Gaussian, and two-sided: a flat Gaussian is a piece of surface. Differentiable with
+    respect to quaternions too; which axis is the shortest is held constant.
+
+    Parameters
+    ----------
+    parameters : Tensor [N, 1 + J]
+        softplus of them is b₀, the same in all directions, and b_1 … b_J.
+    p_min : float
+        Least scattering P_min ≥ 0 (γ⁰).
+    sharpness : tuple of J numbers
+        κ_j ≥ 0, fixed. Zero would only repeat b₀, so it stands for the squared cosine (n·u)².
+    """
+
+    sharpness: tuple[float, ...] = (0.0,)
+
+    kind: ClassVar[str] = "normal-lobes"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sharpness", tuple(self.sharpness))  # JSON has lists
+        if not all(0 <= value < math.inf for value in self.sharpness):
+            raise SarsplatError(f"sharpness {self.sharpness} of the lobes must be finite and at least 0")
+        super().__post_init__()
+
+    def _misfit(self) -> str | None:
+        wanted = 1 + len(self.sharpness)
+        if self.parameters.ndim == 2 and self.parameters.shape[1] == wanted:
+            return None
+        return f"for N Gaussians and {len(self.sharpness)} lobes it must be (N, {wanted})"
+
+    def gamma0(
+        self,
+        directions: Float[Tensor, "v 3"],
+        quaternions: Float[Tensor, "n 4"],
+        scales: Float[Tensor, "n 3"],
+    ) -> Float[Tensor, "v n"]:
+        """See `Scattering.gamma0`."""
+        axes, shortest = rotation_matrix(quaternions), scales.detach().argmin(dim=1)
+        normals = axes.gather(2, shortest[:, None, None].expand(-1, 3, 1))[:, :, 0]
+        squared = (directions @ normals.T) ** 2  # [V, N]
+        b = softplus(self.parameters)
+        total = self.p_min + b[:, 0].expand(len(directions), -1)
+        for j, sharpness in enumerate(self.sharpness, start=1):
+            total = total + b[:, j] * (squared if sharpness == 0 else torch.exp(sharpness * (squared - 1)))
+        return total
+
+    @classmethod
+    def uniform(cls, count: int, gamma0: float, p_min: float) -> Self:
+        """See `Scattering.uniform`; one lobe, the squared cosine, of a hundredth of b₀."""
+        b0 = max(gamma0 - p_min, _LEAST_EXCESS)
+        raw = torch.tensor([_softplus_inverse(b0), _softplus_inverse(b0 / 100)])
+        return cls(raw.repeat(count, 1), p_min)
+
+
+def _softplus_inverse(value: float) -> float:
+    return math.log(math.expm1(max(value, _LEAST_EXCESS)))

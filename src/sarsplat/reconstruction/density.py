@@ -1,0 +1,102 @@
+"""Density control as in 3D Gaussian splatting, with the paper's thresholds: clone, split, prune."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians.covariance import rotation_matrix
+from sarsplat.geometry import ImageGrid
+from sarsplat.reconstruction.config import Densification
+from sarsplat.renderer import Rendering
+
+_SPLIT_SHRINK = 1.6
+"""A split Gaussian's two parts are this much smaller."""
+
+
+class DensityControl:
+    """Gathers gradients on the planes and, every so often, decides which Gaussians come and go."""
+
+    def __init__(self, config: Densification, count: int) -> None:
+        self._config = config
+        self.gradient = torch.zeros(count)  # sums over the views that lit a Gaussian
+        self.seen = torch.zeros(count)
+
+    def wanted(self, iteration: int) -> bool:
+        """Whether gradients of this iteration count."""
+        return iteration < self._config.stop
+
+    def gather(self, rendering: Rendering, grid: ImageGrid) -> None:
+        """Add one step's gradients, after backward. Rows beyond the target's (the ground) are not asked."""
+        assert rendering.plane_gradients is not None
+        n = len(self.gradient)
+        half = 0.5 * grid.columns * grid.spacing_m[0]  # per half image width: the unit of 3DGS's threshold
+        slopes = rendering.plane_gradients[:, :n]
+        total = torch.stack([slopes[..., 0] + slopes[..., 2], slopes[..., 1], slopes[..., 3]], dim=-1)
+        lit = (rendering.lit_area[:, :n] > 0).float()
+        self.gradient += (total.norm(dim=-1) * half * lit).sum(0)
+        self.seen += lit.sum(0)
+
+    def due(self, iteration: int) -> bool:
+        """Whether to act after this iteration."""
+        c = self._config
+        return c.start <= iteration < c.stop and iteration % c.every == 0
+
+    def decide(
+        self, gaussians: Gaussians, illuminated_range: float, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """What the next generation of Gaussians is.
+
+        Parameters
+        ----------
+        gaussians : Gaussians
+            The present ones.
+        illuminated_range : float
+            Extent of the image in range, m.
+        generator : torch.Generator
+            Places the parts of split Gaussians.
+
+        Returns
+        -------
+        source : Tensor, int64 [M]
+            Row each new Gaussian is made from.
+        kept : Tensor, bool [M]
+            Whether it is that Gaussian itself, unchanged.
+        displacement : Tensor [M, 3]
+            How far its centre moves, m.
+        shrink : Tensor [M]
+            Factor on its standard deviations.
+        """
+        c = self._config
+        n = len(gaussians)
+        size = gaussians.scales.max(dim=1).values
+        # the part that is the same in all directions: what a law without its details says in any of them
+        plain = replace(gaussians, scattering=gaussians.scattering.detailed(0))
+        scattering = plain.gamma0(gaussians.means.new_tensor([[0.0, 0.0, 1.0]]))[0]
+        pruned = (scattering * -torch.expm1(-gaussians.optical_depth) < c.least_scattering) | (
+            size > c.largest * illuminated_range
+        )
+        grows = (self.gradient / self.seen.clamp(min=1) > c.gradient) & ~pruned
+        room = max(0, c.most - n)
+        if int(grows.sum()) > room:  # the strongest first
+            strongest = torch.where(grows, self.gradient / self.seen.clamp(min=1), 0.0).argsort(
+                descending=True, stable=True
+            )
+            grows = torch.zeros_like(grows).index_fill(0, strongest[:room], True)
+        split = grows & (size > c.split_above)
+        stay = (~pruned & ~split).nonzero()[:, 0]
+        clones = (grows & ~split).nonzero()[:, 0]
+        parts = split.nonzero()[:, 0].repeat(2)
+        offset = torch.randn(len(parts), 3, generator=generator) * gaussians.scales[parts]
+        offset = (rotation_matrix(gaussians.quaternions[parts]) @ offset[:, :, None])[:, :, 0]
+        source = torch.cat([stay, clones, parts])
+        kept = torch.arange(len(source)) < len(stay)
+        displacement = torch.zeros(len(source), 3)
+        displacement[len(stay) + len(clones) :] = offset
+        shrink = torch.ones(len(source))
+        shrink[len(stay) + len(clones) :] = 1 / _SPLIT_SHRINK
+        self.gradient, self.seen = torch.zeros(len(source)), torch.zeros(len(source))
+        return source, kept, displacement, shrink

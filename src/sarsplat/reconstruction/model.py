@@ -1,0 +1,232 @@
+"""What is learned: the target's Gaussians and, on measured chips, ground, noise floor, each chip's shift and gain."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sarsplat.data import Dataset
+from sarsplat.data.plausible import warn
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import MIN_SCALE, SCATTERINGS, Gaussians, Scattering, join
+from sarsplat.gaussians.ground import ground_sheet
+from sarsplat.gaussians.initialise import Region, bounded_region, hemisphere_shell, random_quaternions
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.reconstruction.config import Config
+from sarsplat.renderer import Rendering, render
+from sarsplat.scenes.mesh_files import read_mesh
+
+PER_GAUSSIAN = ("means", "quaternions", "scales", "optical_depth", "scattering")
+"""Parameters with one row for each Gaussian; the others are nuisances of measured data."""
+
+LOGARITHMIC = ("scales", "optical_depth")
+"""Positive ones, which move by factors: what is stepped is their logarithm."""
+
+_LEAST_OPTICAL_DEPTH = 1e-3
+_SLACK = 0.2
+"""Centres are kept within the region's box and this margin, m."""
+
+_GROUND_PITCH = 0.4
+"""Of the ground's Gaussians, m."""
+
+
+class SceneModel:
+    """Learned tensors and how they make a scene.
+
+    Parameters
+    ----------
+    config : Config
+        The reconstruction's configuration.
+    region : Region
+        The space the target may occupy.
+    unit : float
+        Power that counts as 1: every γ⁰, the noise floor and P_min are in this unit (`power_unit`).
+    parameters : dict of str to Tensor
+        See `PER_GAUSSIAN`; with `config.surroundings` also `ground`, `noise`, `shift` [V, 2] and `log_gain` [V].
+    """
+
+    def __init__(self, config: Config, region: Region, unit: float, parameters: dict[str, Tensor]) -> None:
+        self.config = config
+        self.region = region
+        self.unit = unit
+        n = len(parameters["means"])
+        self._law = _law(config, 1, 0.0)
+        columns = self._law.parameters.shape[1:]
+        if parameters["scattering"].shape[1:] != columns:
+            raise ValueError(f"{config.scattering} have {columns} columns, not {list(parameters['scattering'].shape)}")
+        for name in PER_GAUSSIAN:
+            if parameters[name].dtype != torch.float32 or len(parameters[name]) != n:
+                raise ValueError(f"{name} is {parameters[name].dtype} {list(parameters[name].shape)}")
+        self.parameters = {
+            name: tensor.detach().clone(memory_format=torch.contiguous_format).requires_grad_()
+            for name, tensor in parameters.items()
+        }
+        around = config.surroundings
+        self._ground = ground_sheet(around.ground_radius, _GROUND_PITCH) if around else None
+
+    @classmethod
+    def initial(cls, config: Config, dataset: Dataset, generator: torch.Generator) -> SceneModel:
+        """The state training starts from; warns if a given region leaves out a part of the true target."""
+        region, unit = scene_region(config, dataset), power_unit(config, dataset)
+        if config.surroundings:
+            warn(_cut_off(region, dataset))
+        sample = hemisphere_shell if config.initialisation == "hemisphere" else Region.sample
+        n, views = config.gaussians, len(dataset.select("train"))
+        parameters = {
+            "means": torch.from_numpy(sample(region, n, generator)).float(),
+            "quaternions": random_quaternions(n, generator),
+            "scales": torch.full((n, 3), config.initial_scale),
+            "optical_depth": torch.full((n,), config.initial_optical_depth),
+            "scattering": _law(config, n, config.initial_scattering).parameters,
+        }
+        if config.surroundings:
+            mean_tangent = float(np.mean([math.tan(math.radians(v.view.grazing_deg)) for v in dataset.select("train")]))
+            # γ⁰ of single-look clutter, from its median
+            level = float(np.median(dataset.images("train"))) / unit / math.log(2) / mean_tangent
+            parameters |= {
+                "ground": _law(config, 1, level).parameters[0],
+                "noise": torch.tensor([math.log(config.surroundings.noise_floor)]),
+                "shift": torch.zeros(views, 2),
+                "log_gain": torch.zeros(views),
+            }
+        return cls(config, region, unit, parameters)
+
+    def __len__(self) -> int:
+        return self.parameters["means"].shape[0]
+
+    def degree(self, iteration: int) -> int:
+        """Degree of the harmonics in use at an iteration."""
+        return min(self.config.harmonics_degree, iteration // self.config.harmonics_every)
+
+    def target(self, degree: int) -> Gaussians:
+        """The target's Gaussians, differentiable with respect to the parameters."""
+        p = self.parameters
+        law = self._scattering(p["scattering"], degree)
+        return Gaussians(p["means"], p["quaternions"], p["scales"], p["optical_depth"], law)
+
+    def scene(self, degree: int) -> Gaussians:
+        """Target and, where there is one, ground."""
+        target = self.target(degree)
+        if self._ground is None:
+            return target
+        level = self.parameters["ground"].expand(len(self._ground), -1)  # one γ⁰(u) for all of the ground
+        return join(target, replace(self._ground, scattering=self._scattering(level, degree)))
+
+    def _scattering(self, parameters: Float[Tensor, "n k"], degree: int) -> Scattering:
+        return replace(self._law, parameters=parameters).detailed(degree)
+
+    def render(
+        self,
+        views: Sequence[View],
+        grid: ImageGrid,
+        degree: int,
+        *,
+        rays: RayGrid | None = None,
+        chips: Sequence[int] | None = None,
+        plane_gradients: bool = False,
+    ) -> tuple[Float[Tensor, "v {grid.rows} {grid.columns}"], Rendering]:
+        """Power images [V, rows, columns] with noise floor, and the rendering behind them.
+
+        `chips` are the indices of training views, whose own shift and gain then apply. Of an unseen chip only the
+        distribution of its shift is known: its expected image is seen through a response widened by that spread.
+        """
+        p = self.parameters
+        shift = gain = None
+        if self.config.surroundings and chips is None:
+            grid = self._widened(grid)
+        if self.config.surroundings and chips is not None:
+            # deviations from the mean chip: an unseen view is rendered as the mean one
+            shift = (p["shift"] - p["shift"].mean(0))[list(chips)]
+            gain = torch.softmax(p["log_gain"], dim=0)[list(chips)] * len(p["log_gain"])  # of mean 1
+        rendering = render(
+            self.scene(degree), views, grid, rays=rays, shift=shift, gain=gain, plane_gradients=plane_gradients
+        )
+        images = rendering.images
+        if self.config.surroundings:
+            images = images + p["noise"].exp().expand(grid.columns)  # so that its gradient is summed column by column
+        return images if self.unit == 1 else images * self.unit, rendering
+
+    def _widened(self, grid: ImageGrid) -> ImageGrid:
+        """The grid whose response includes the spread of the training chips' shifts."""
+        spread = self.parameters["shift"].detach().var(dim=0, correction=0).tolist()
+        azimuth, slant_range = (
+            math.sqrt(width**2 + 8 * math.log(2) * variance) for width, variance in zip(grid.resolution_m, spread)
+        )
+        return replace(grid, resolution_m=(azimuth, slant_range))
+
+    def penalty(self) -> Float[Tensor, ""] | None:
+        """What shifts and gains cost, or None without them: chips differ little."""
+        if self.config.surroundings is None:
+            return None
+        p = self.parameters
+        return self.config.surroundings.deviation_penalty * ((p["shift"] ** 2).mean() + (p["log_gain"] ** 2).mean())
+
+    @cached_property
+    def bounds(self) -> dict[str, tuple[Tensor, Tensor]]:
+        """Least and largest values of parameters that have any, by name; one number, or one for each column."""
+        config = self.config
+        low, high = (torch.from_numpy(corner).float() for corner in (self.region.low, self.region.high))
+        if config.initialisation == "hemisphere":  # the shell reaches beyond the region
+            half = (high - low).norm() / 2
+            centre = (low + high) / 2
+            low, high = torch.minimum(low, centre - half), torch.maximum(high, centre + half)
+        scales = torch.tensor(config.scale_bounds).clamp(min=MIN_SCALE)
+        depths = torch.tensor([_LEAST_OPTICAL_DEPTH, config.most_optical_depth])
+        return {
+            "means": (low - _SLACK, high + _SLACK),
+            "scales": (scales[0], scales[1]),
+            "optical_depth": (depths[0], depths[1]),
+        }
+
+    @torch.no_grad()
+    def constrain(self) -> None:
+        """Bring every parameter into its bounds."""
+        for name, (low, high) in self.bounds.items():
+            self.parameters[name].clamp_(low, high)
+
+
+def _law(config: Config, count: int, gamma0: float) -> Scattering:
+    """The configuration's law of scattering, the same γ⁰ in all directions."""
+    return SCATTERINGS[config.scattering].uniform(count, gamma0, config.p_min).detailed(config.harmonics_degree)
+
+
+def scene_region(config: Config, dataset: Dataset) -> Region:
+    """The space the target may occupy: bounded by the images, or given for measured chips full of ground."""
+    if config.surroundings:
+        return Region.box(config.surroundings.target_low, config.surroundings.target_high)
+    views = [item.view for item in dataset.select("train")]
+    return bounded_region(dataset.images("train"), views, dataset.grid)
+
+
+def _cut_off(region: Region, dataset: Dataset) -> list[str]:
+    """What of the true target lies outside; a list of one sentence, or empty."""
+    if dataset.truth_mesh is None:
+        return []
+    try:
+        vertices = np.asarray(read_mesh(dataset.truth_mesh).vertices)
+    except (ImportError, SarsplatError):  # training does not need it; evaluation, which does, says what is wrong
+        return []
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    if (low >= region.low - _SLACK).all() and (high <= region.high + _SLACK).all():
+        return []
+
+    def spans(low: np.ndarray, high: np.ndarray) -> str:
+        return ", ".join(f"{name} {a:.1f} … {b:.1f}" for name, a, b in zip("xyz", low, high, strict=True))
+
+    return [
+        f"the target ({spans(low, high)} m) is larger than the box that the configuration gives it "
+        f"({spans(region.low, region.high)} m) and will be cut off; simulate it without ground for the preset default, "
+        "or widen surroundings.target_low and target_high of the configuration in Python"
+    ]
+
+
+def power_unit(config: Config, dataset: Dataset) -> float:
+    """Power that counts as 1: β⁰ itself, or for chips with surroundings, calibrated or not, the training set's mean."""
+    return float(dataset.images("train").mean(dtype=np.float64)) if config.surroundings else 1.0

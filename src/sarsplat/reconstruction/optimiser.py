@@ -1,0 +1,114 @@
+"""Adam over named parameters, with rates that decay, bounds, and rows that come and go."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Int64
+from torch import Tensor
+
+from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.model import LOGARITHMIC, PER_GAUSSIAN
+from sarsplat.renderer import cpu
+
+_BETA1, _BETA2, _EPSILON = 0.9, 0.99, 1e-15
+_MOMENTS = ("exp_avg", "exp_avg_sq")
+_UNBOUNDED = (torch.tensor(-torch.inf), torch.tensor(torch.inf))
+
+
+def learning_rate(name: str, column: int, config: Config) -> float:
+    """First rate of one column of a parameter."""
+    if name == "scattering" and column > 0:
+        return config.rates.directional_scattering
+    if name in LOGARITHMIC:
+        return getattr(config.rates, f"log_{name}")
+    return getattr(config.rates, name if name in PER_GAUSSIAN else "nuisance")
+
+
+def decay(name: str, iteration: int, config: Config) -> float:
+    """Factor on a parameter's rates: of means it falls exponentially throughout, else tenfold over the second half."""
+    done = iteration / config.iterations
+    if name == "means":
+        return (config.rates.means_end / config.rates.means) ** done
+    return 0.1 ** max(0.0, 2 * done - 1)
+
+
+class Optimiser:
+    """One Adam for all parameters, in one call of the engine; its moments are saved, restored and re-indexed with them.
+
+    Parameters
+    ----------
+    parameters : dict of str to Tensor
+        Leaves, float32 and contiguous, of at most 16 columns; stepped in place, some of them by their logarithm.
+    bounds : dict of str to (Tensor, Tensor)
+        Range that a parameter is brought back into after each step: two numbers, or two for each column.
+    config : Config
+        Rates and their decay.
+    """
+
+    def __init__(self, parameters: dict[str, Tensor], bounds: dict[str, tuple[Tensor, Tensor]], config: Config) -> None:
+        self._config, self._parameters, self._bounds = config, parameters, bounds
+        self._steps = 0
+        self._moments = {
+            f"{name}/{moment}": torch.zeros_like(tensor, requires_grad=False)
+            for name, tensor in parameters.items()
+            for moment in _MOMENTS
+        }
+        self._groups = (cpu.AdamGroup * len(parameters))()  # as the engine sees them
+        for group, (name, tensor) in zip(self._groups, parameters.items()):
+            group.value = tensor.data_ptr()
+            group.mean, group.square = (self._moments[f"{name}/{moment}"].data_ptr() for moment in _MOMENTS)
+            group.rows, group.columns = len(tensor), tensor[0].numel()
+            group.logarithmic = name in LOGARITHMIC
+            group.rate[: group.columns] = [learning_rate(name, column, config) for column in range(group.columns)]
+            low, high = bounds.get(name, _UNBOUNDED)
+            group.low[: group.columns] = low.expand(group.columns).tolist()
+            group.high[: group.columns] = high.expand(group.columns).tolist()
+
+    def step(self, iteration: int) -> None:
+        """One update, with the rates of this iteration; gradients are cleared."""
+        self._steps += 1
+        gradients = []  # kept alive until the call is over
+        for group, (name, tensor) in zip(self._groups, self._parameters.items()):
+            if tensor.grad is None:
+                raise ValueError(f"{name} has no gradient")
+            gradients.append(tensor.grad.contiguous())
+            group.gradient = gradients[-1].data_ptr()
+            group.decay = decay(name, iteration, self._config)
+            tensor.grad = None
+        powers = _BETA1**self._steps, _BETA2**self._steps
+        cpu.adam(cpu.AdamStep(self._groups, len(self._groups), _BETA1, _BETA2, _EPSILON, *powers))
+        # the engine wrote behind torch's back: whoever kept the old values for a backward pass is told
+        torch.autograd.graph.increment_version(list(self._parameters.values()))
+
+    def rebuild(self, parameters: dict[str, Tensor], source: Int64[Tensor, " n"]) -> Optimiser:
+        """The optimiser of parameters whose rows changed.
+
+        Parameters
+        ----------
+        parameters : dict of str to Tensor
+            The new leaves.
+        source : Tensor, int64 [N]
+            Row whose moments a new row inherits, or −1 to start from rest; what is not per Gaussian keeps its own.
+        """
+        moved = self.state()
+        for key, value in self._moments.items():
+            if key.split("/")[0] in PER_GAUSSIAN:
+                inherits = (source >= 0).view(-1, *[1] * (value.ndim - 1))
+                moved[key] = torch.where(inherits, value[source.clamp(min=0)], 0.0)
+        fresh = Optimiser(parameters, self._bounds, self._config)
+        fresh.load_state(moved)
+        return fresh
+
+    def state(self) -> dict[str, Tensor]:
+        """Moments by `parameter/moment`, and how many steps they are of."""
+        return self._moments | {"step": torch.tensor(float(self._steps))}
+
+    def load_state(self, state: dict[str, Tensor]) -> None:
+        """Undo `state`."""
+        self._steps = int(state["step"])
+        if self._steps < 0:
+            raise ValueError(f"the optimiser made {self._steps} steps")
+        for key, moment in self._moments.items():
+            if state[key].shape != moment.shape or state[key].dtype != torch.float32:
+                raise ValueError(f"{key} is {state[key].dtype} {list(state[key].shape)}")
+            moment.copy_(state[key])

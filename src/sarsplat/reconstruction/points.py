@@ -1,0 +1,109 @@
+"""From Gaussians to a point cloud: where the rays of the training views return, thinned and cleaned."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians
+from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.reconstruction.config import PointExtraction
+from sarsplat.renderer import render
+
+_RAYS_PER_PIXEL = 4.0
+
+
+def extract_points(
+    gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, how: PointExtraction
+) -> Float64[np.ndarray, "p 3"]:
+    """Points of the surface that Gaussians stand for.
+
+    Parameters
+    ----------
+    gaussians : Gaussians
+        The target alone.
+    views : sequence of View
+        Views whose rays look for the surface ("rays").
+    grid : ImageGrid
+        Sets the spacing of the rays: a quarter of the pixel's.
+    how : PointExtraction
+        Method, thinning and clean-up.
+
+    Returns
+    -------
+    numpy.ndarray, float64 [P, 3]
+        World frame, m; possibly empty.
+    """
+    gaussians = gaussians.detach()
+    if how.method == "centres":
+        points = gaussians.means[gaussians.optical_depth >= how.optical_depth].double().numpy()
+        points = _thin(points[points[:, 2] >= how.least_height], how.voxel)
+    else:
+        returns = [_FirstReturns.of(gaussians, view, grid, how.optical_depth) for view in views]
+        points = np.concatenate([found.points() for found in returns])
+        points = _thin(points[points[:, 2] >= how.least_height], how.voxel)
+        # haze that one view takes for a surface is looked through by others
+        through = sum((found.behind(points, how.behind).astype(int) for found in returns), np.zeros(len(points), int))
+        points = points[through < how.seen_through]
+    return points if how.cluster_radius is None else _cluster(points, how.cluster_radius, how.cluster_size)
+
+
+@dataclass(frozen=True)
+class _FirstReturns:
+    """Where the rays of one view return: ranges on its lattice, NaN where a ray meets nothing."""
+
+    frame: Float64[np.ndarray, "3 3"]  # R_r
+    range_m: Float64[np.ndarray, "rows columns"]
+    origin: Float64[np.ndarray, " 2"]  # (x_r, y_r) of row 0, column 0
+    spacing_m: Float64[np.ndarray, " 2"]
+
+    @classmethod
+    def of(cls, gaussians: Gaussians, view: View, grid: ImageGrid, optical_depth: float) -> _FirstReturns:
+        rays = RayGrid.for_image(grid, _RAYS_PER_PIXEL)
+        (ray_map,) = render(gaussians, [view], grid, rays=rays, first_return_depth=optical_depth).ray_maps or ()
+        ranges = ray_map.first_return.double().numpy()
+        return cls(radar_frame(view), ranges, np.array(ray_map.origin), np.array(rays.spacing_m))
+
+    def points(self) -> Float64[np.ndarray, "p 3"]:
+        """The returns in the world frame, [P, 3]."""
+        row, column = np.nonzero(~np.isnan(self.range_m))
+        plane = self.origin + np.column_stack([column, row]) * self.spacing_m
+        return np.column_stack([plane, self.range_m[row, column]]) @ self.frame
+
+    def behind(self, points: Float64[np.ndarray, "p 3"], margin: float) -> Bool[np.ndarray, " p"]:
+        """Whether the ray through each point returns more than `margin` behind it, or never; bool [P]."""
+        local = points @ self.frame.T
+        column, row = np.rint((local[:, :2] - self.origin) / self.spacing_m).astype(int).T
+        rows, columns = self.range_m.shape
+        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        found = np.full(len(points), np.inf)
+        found[inside] = np.nan_to_num(self.range_m[row[inside], column[inside]], nan=np.inf)
+        return found > local[:, 2] + margin
+
+
+def _thin(points: Float64[np.ndarray, "p 3"], voxel: float) -> Float64[np.ndarray, "fewer 3"]:
+    """The mean of the points in each voxel."""
+    if len(points) == 0:
+        return points
+    cells = np.floor(points / voxel).astype(np.int64)
+    _, owner, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    sums = np.stack([np.bincount(owner.ravel(), points[:, k], len(count)) for k in range(3)], axis=1)
+    return sums / count[:, None]
+
+
+def _cluster(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Float64[np.ndarray, "fewer 3"]:
+    """The largest of DBSCAN's clusters: what floats apart from the target is left out."""
+    try:
+        from sklearn.cluster import DBSCAN
+    except ImportError as error:
+        raise SarsplatError(
+            "cleaning the point cloud needs scikit-learn; install it with: pip install 'sarsplat[evaluate]'"
+        ) from error
+    if len(points) == 0:
+        return points
+    labels = DBSCAN(eps=radius, min_samples=size).fit(points).labels_
+    return points[labels == np.bincount(labels + 1, minlength=2)[1:].argmax()]

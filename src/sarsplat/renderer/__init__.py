@@ -1,0 +1,126 @@
+"""The renderer: Gaussians, views and a grid in; SAR images and cross-sections out; differentiable."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from jaxtyping import Float
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.renderer.checks import ENGINES, check_for_reference, check_options, check_shapes, check_values
+from sarsplat.renderer.engine import choose_engine, engine_for, render_with
+from sarsplat.renderer.reference import render_reference
+from sarsplat.renderer.rendering import RayMap, Rendering
+
+__all__ = ["ENGINES", "RayMap", "Rendering", "render"]
+
+
+def render(
+    gaussians: Gaussians,
+    views: Sequence[View],
+    grid: ImageGrid,
+    *,
+    rays: RayGrid | None = None,
+    gamma0: Float[Tensor, "v n"] | None = None,
+    shift: Float[Tensor, "v 2"] | None = None,
+    gain: Float[Tensor, " v"] | None = None,
+    imaging_weight: str = "area",
+    first_return_depth: float | None = None,
+    plane_gradients: bool = False,
+    engine: str = "auto",
+    instruction_set: str = "auto",
+) -> Rendering:
+    """Render SAR images of Gaussians seen from several views.
+
+    On the computation plane rays attenuate through the Gaussians front to back and give each its radar cross-section;
+    on the imaging plane (azimuth × slant range) the cross-sections are splatted additively. Differentiable with respect
+    to every tensor of `gaussians`, and to `gamma0`, `shift` and `gain`; footprint cuts, depth order and the early
+    stop are held constant.
+
+    Parameters
+    ----------
+    gaussians : Gaussians
+        The scene, N Gaussians.
+    views : sequence of View
+        V views, at least one.
+    grid : ImageGrid
+        Pixels and system response, the same for all views.
+    rays : RayGrid, optional
+        Rays of the computation plane; two to a pixel spacing unless given. An accuracy setting: finer is better.
+    gamma0 : Tensor [V, N], optional
+        γ⁰ (P, dimensionless) of each Gaussian in each view, instead of what `gaussians.scattering` says.
+    shift : Tensor [V, 2], optional
+        Displacement (azimuth, range) of each image, m.
+    gain : Tensor [V], optional
+        Factor on the power of each image.
+    imaging_weight : {"area", "peak"}
+        "area" conserves cross-section; "peak" is the paper's unnormalised weight exp(−½eᵀΣ⁻¹e), for ablations only.
+    first_return_depth : float, optional
+        Two-way optical depth at which a ray counts as returned; asks for `Rendering.ray_maps`.
+    plane_gradients : bool
+        Ask for `Rendering.plane_gradients` (CPU and CUDA engines).
+    engine : {"auto", "cpu", "cuda", "reference"}
+        "auto" is the CPU engine for float32 on the CPU, the CUDA engine for float32 on a GPU, and the reference
+        otherwise; the first time, the logger "sarsplat" says which it took.
+    instruction_set : {"auto", "base", "avx2", "avx512"}
+        Force the CPU engine below the best this processor has.
+
+    Returns
+    -------
+    Rendering
+        Images are β⁰, linear power.
+
+    Raises
+    ------
+    SarsplatError
+        If shapes or dtypes do not fit, a value is out of range, an option is unknown, or the engine is not available.
+
+    Notes
+    -----
+    Source: SAR-GS, eqs. (4)–(13), as amended in docs/paper-map.md.
+
+    The CPU engine borrows torch's threads (`torch.set_num_threads`); its results do not depend on their number. As with
+    all of torch, a forked process must begin with `torch.set_num_threads(1)`; torch's data loaders do that.
+
+    The CUDA engine is compiled at first use, which takes a few seconds, and kept in the user's cache folder; its
+    results are the same bits from run to run.
+    """
+    rays = rays or RayGrid.for_image(grid)
+    views = views if isinstance(views, View) else tuple(views)
+    check_options(imaging_weight, first_return_depth, engine, instruction_set)
+    check_shapes(gaussians, views, gamma0, shift, gain)
+    if engine == "auto":
+        engine = choose_engine(gaussians.means.dtype, gaussians.means.device.type)
+    tensors = {**gaussians.tensors(), "gamma0": gamma0, "shift": shift, "gain": gain}
+    if engine in ("cpu", "cuda"):
+        return render_with(
+            engine_for(engine, instruction_set, grid, tensors),
+            gaussians,
+            views,
+            grid,
+            rays=rays,
+            gamma0=gamma0,
+            shift=shift,
+            gain=gain,
+            imaging_weight=imaging_weight,
+            first_return_depth=first_return_depth,
+            plane_gradients=plane_gradients,
+        )
+    if plane_gradients:
+        raise SarsplatError("plane_gradients=True needs engine='cpu' or 'cuda'; the reference has autograd instead")
+    check_for_reference(gaussians.means.dtype)
+    check_values(tensors)
+    return render_reference(
+        gaussians,
+        views,
+        grid,
+        rays=rays,
+        gamma0=gamma0,
+        shift=shift,
+        gain=gain,
+        imaging_weight=imaging_weight,
+        first_return_depth=first_return_depth,
+    )

@@ -1,0 +1,142 @@
+"""What the renderer refuses, in words. The engines check values where they read them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
+from sarsplat.geometry import ImageGrid, View
+
+ENGINES = ("auto", "cpu", "cuda", "reference")
+INSTRUCTION_SETS = ("auto", "base", "avx2", "avx512")
+
+MAX_SCALE = 1e6
+"""m: beyond it a variance's square overflows float32; the CPU engine has the same bound."""
+
+_QUATERNION_LENGTHS = (1e-15, 1e15)
+
+_FAR, _STRONG = 1e9, 1e15  # beyond these, float32 overflows on the way
+_MOST = {"means": _FAR, "shift": _FAR, "scattering": _STRONG, "gamma0": _STRONG, "gain": _STRONG}
+
+_POSITIVE = "optimise logarithms, or clamp"
+ALLOWED = {
+    "means": f"finite metres, at most {_FAR:g}",
+    "quaternions": "finite and not zero, of a length between 1e-15 and 1e15",
+    "scales": f"finite and at least MIN_SCALE = {MIN_SCALE} m, at most {MAX_SCALE:g} m: {_POSITIVE}",
+    "optical_depth": f"between 0 and MAX_OPTICAL_DEPTH = {MAX_OPTICAL_DEPTH:g}: {_POSITIVE}",
+    "scattering": f"finite, at most {_STRONG:g}",
+    "gamma0": f"finite, at most {_STRONG:g}",
+    "shift": f"finite metres, at most {_FAR:g}",
+    "gain": f"finite, at most {_STRONG:g}",
+}
+"""What each tensor must be."""
+
+_MOST_PIXELS = 32_767
+"""Of an image's side, on the CPU engine; 4,096 is the largest that was measured."""
+
+
+def check_shapes(
+    gaussians: Gaussians,
+    views: Sequence[View],
+    gamma0: Tensor | None,
+    shift: Tensor | None,
+    gain: Tensor | None,
+) -> None:
+    """No views, tensors without values, or tensors per view that do not fit them."""
+    if isinstance(views, View):
+        raise SarsplatError(f"views is a single {views}; give a sequence: [view]")
+    for view in views:
+        if not isinstance(view, View):
+            raise SarsplatError(f"views holds {view!r}; each must be a View(azimuth_deg, grazing_deg)")
+    if not views:
+        raise SarsplatError("there are no views to render; give at least one View")
+    for name, tensor in {"means": gaussians.means, "gamma0": gamma0, "shift": shift, "gain": gain}.items():
+        if tensor is not None and tensor.is_meta:
+            raise SarsplatError(f"{name} lies on torch's meta device, which holds no values; make it on the CPU")
+    expected = {
+        "gamma0": (gamma0, (len(views), len(gaussians))),
+        "shift": (shift, (len(views), 2)),
+        "gain": (gain, (len(views),)),
+    }
+    for name, (tensor, shape) in expected.items():
+        if tensor is not None and tuple(tensor.shape) != shape:
+            raise SarsplatError(
+                f"{name} has shape {tuple(tensor.shape)}; for {len(views)} views and {len(gaussians)} Gaussians "
+                f"it must be {shape}"
+            )
+
+
+def check_options(imaging_weight: str, first_return_depth: float | None, engine: str, instruction_set: str) -> None:
+    """Words and numbers that are not among the choices."""
+    choices = {
+        "engine": (engine, ENGINES),
+        "imaging_weight": (imaging_weight, ("area", "peak")),
+        "instruction_set": (instruction_set, INSTRUCTION_SETS),
+    }
+    for name, (value, known) in choices.items():
+        if value not in known:
+            raise SarsplatError(f"{name} {value!r} is unknown; choose one of {', '.join(known)}")
+    if first_return_depth is not None and not 0 < first_return_depth < float("inf"):
+        raise SarsplatError(f"first_return_depth {first_return_depth} must be a positive two-way optical depth")
+
+
+def check_for_cpu(grid: ImageGrid, tensors: dict[str, Tensor | None]) -> None:
+    """What the CPU engine does not take."""
+    if max(grid.rows, grid.columns) > _MOST_PIXELS:
+        raise SarsplatError(
+            f"an image of {grid.rows} × {grid.columns} pixels is too large for the CPU engine; "
+            f"render parts of at most {_MOST_PIXELS} pixels a side by moving the grid's center"
+        )
+    for name, tensor in tensors.items():
+        if tensor is not None and (tensor.dtype != torch.float32 or tensor.device.type != "cpu"):
+            raise SarsplatError(
+                f"{name} is {tensor.dtype} on {tensor.device}; the CPU engine takes torch.float32 on the CPU "
+                "(engine='reference' takes torch.float64 too)"
+            )
+
+
+def check_for_cuda(tensors: dict[str, Tensor | None]) -> int:
+    """What the CUDA engine does not take; returns the number of the GPU."""
+    where = tensors["means"].device  # type: ignore[union-attr]
+    for name, tensor in tensors.items():
+        if tensor is not None and (tensor.dtype != torch.float32 or tensor.device.type != "cuda"):
+            raise SarsplatError(
+                f"{name} is {tensor.dtype} on {tensor.device}; the CUDA engine takes torch.float32 on a GPU "
+                "(move it with .to('cuda'), or use engine='cpu')"
+            )
+        if tensor is not None and tensor.device != where:
+            raise SarsplatError(f"{name} is on {tensor.device} but means is on {where}; put them on one GPU")
+    return where.index
+
+
+def check_for_reference(dtype: torch.dtype) -> None:
+    """What the reference does not take."""
+    if dtype not in (torch.float32, torch.float64):
+        raise SarsplatError(f"means is {dtype}, too coarse for the reference; use torch.float64 or torch.float32")
+
+
+def check_values(tensors: dict[str, Tensor | None]) -> None:
+    """Values out of range, named with their index."""
+    for name, tensor in tensors.items():
+        if tensor is None:
+            continue
+        good = tensor.abs() <= _MOST.get(name, float("inf"))
+        if name == "scales":
+            good = (tensor >= MIN_SCALE * (1 - 1e-6)) & (tensor <= MAX_SCALE)
+        elif name == "optical_depth":
+            good = (tensor >= 0) & (tensor <= MAX_OPTICAL_DEPTH * (1 + 1e-6))
+        elif name == "quaternions":
+            least, most = _QUATERNION_LENGTHS
+            length = tensor.double().norm(dim=1, keepdim=True)
+            good = (length >= least) & (length <= most)
+        if not bool(good.all()):
+            raise SarsplatError(complaint(name, tensor, int((~good).nonzero()[0, 0])))
+
+
+def complaint(name: str, tensor: Tensor, index: int) -> str:
+    """The sentence for one bad row."""
+    return f"{name}[{index}] is {tensor[index].tolist()}; it must be {ALLOWED[name]}"

@@ -1,0 +1,100 @@
+// api.h: the engine's C ABI. Kernels know arrays, not classes; Python mirrors these structs with ctypes (cpu.py).
+// All arrays are contiguous and row-major; float32 unless said otherwise; lengths in metres, angles nowhere.
+#pragma once
+#include <cstdint>
+
+extern "C" {
+
+struct sg_problem {
+  int32_t peak;           // 1: imaging weight without the norm (ablation)
+  int32_t views;          // V
+  int32_t gaussians;      // N
+  int32_t coefficients;   // K harmonics per Gaussian; 0 when gamma0 is given
+  int32_t rows, columns;  // image size: range, azimuth
+  const float* means;        // [N, 3]
+  const float* quaternions;  // [N, 4] wxyz
+  const float* scales;       // [N, 3]
+  const float* kappa;        // [N] two-way peak optical depth
+  const float* harmonics;    // [N, K]
+  const float* gamma0;       // [V, N] P(u) itself, or null
+  const float* frames;       // [V, 9] radar frames, row-major
+  const float* basis;        // [V, K] harmonic basis at the direction to the radar
+  const float* shift;        // [V, 2] image shift (x, r)
+  float p_min;
+  float pixel[2], center[2], response_var[2];  // spacing, image centre, system response variance: (azimuth, range)
+  float ray[2];                                // ray spacing (x, y)
+  float cell_widening, min_ray_depth, min_transmittance, image_cut;
+  float min_scale, max_depth;                  // limits the input is checked against
+};
+
+struct sg_outputs {       // forward
+  float* images;          // [V, rows, columns]
+  float* cross_sections;  // [V, N]
+  float* lit_area;        // [V, N]
+};
+
+struct sg_gradients {
+  const float* images;          // dL/dS [V, rows, columns]
+  const float* cross_sections;  // dL/dsigma [V, N], or null
+  const float* transmittance;   // dL/dT_end of all views' lattices one after the other, or null
+  float *means, *quaternions, *scales, *kappa;  // out
+  float* harmonics;             // out [N, K], or null
+  float* gamma0;                // out [V, N], or null
+  float* shift;                 // out [V, 2]
+  float* planes;                // out [V, N, 4]: dL/d(mu_C, mu_I), or null
+};
+
+struct sg_lattice {       // rays of one view: ((k0x + column + 1/2) dx, (k0y + row + 1/2) dy)
+  int64_t k0x, k0y;
+  int32_t rows, columns;
+};
+
+struct sg_statistics {    // of the last forward: for the benchmarks
+  int64_t blocks_attenuation, live_attenuation, blocks_imaging, live_imaging, lanes;
+};
+
+struct sg_adam_group {    // one parameter of a training
+  float* value;             // [rows, columns]
+  const float* gradient;
+  float *mean, *square;     // moments
+  int64_t rows;
+  int32_t columns;          // 1 to 16
+  int32_t logarithmic;      // 1: the step is one of the value's logarithm
+  float decay;              // factor on the rates
+  float rate[16], low[16], high[16];  // of each column
+};
+
+struct sg_adam_step {
+  const sg_adam_group* groups;
+  int32_t count;            // of groups
+  float beta1, beta2, epsilon;
+  float beta1_power, beta2_power;  // beta to the number of steps, this one included
+};
+
+struct sg_loss {          // of V images; see loss.h
+  int32_t views, rows, columns;
+  const float *power, *truth;  // [V, rows, columns]
+  const float* window;    // 11 weights
+  float reference, floor, ssim_weight, c1, c2;
+  float* loss;            // out: one number, the mean over the images
+  float* gradient;        // out [V, rows, columns]
+};
+
+struct sg_context;        // what backward needs; opaque
+
+enum sg_status { SG_OK = 0, SG_MEANS, SG_QUATERNIONS, SG_SCALES, SG_KAPPA, SG_SCATTERING, SG_GAMMA0, SG_SHIFT, SG_LATTICE, SG_MEMORY };
+
+}  // extern "C"
+
+struct sg_engine {        // one per instruction set
+  const char* name;
+  sg_context* (*create)();
+  void (*destroy)(sg_context*);
+  int32_t (*forward)(sg_context*, const sg_problem*, const sg_outputs*, int64_t* culprit);
+  int32_t (*backward)(sg_context*, const sg_problem*, const sg_gradients*);
+  void (*lattice)(const sg_context*, int32_t view, sg_lattice*);
+  int32_t (*trace)(const sg_context*, const sg_problem*, int32_t view, float depth, float* transmittance, float* first_return);
+  int32_t (*amplitude_loss)(sg_context*, const sg_loss*);
+  void (*adam)(const sg_adam_step*);
+  void (*statistics)(const sg_context*, const sg_problem*, sg_statistics*);
+};

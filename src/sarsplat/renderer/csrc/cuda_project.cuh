@@ -1,0 +1,128 @@
+// cuda_project.cuh: from a problem's arrays to footprints on both planes, and to the slots of their tiles.
+#pragma once
+#include "cuda_state.cuh"
+
+namespace sarsplat {
+namespace SG_ISA {
+
+// ---- input -----------------------------------------------------------------------------------------------------------
+// The first fault wins whatever the order of threads: an integer minimum.
+SG_FN void report(const State& s, int status, int64_t index) {
+  atomicMin(s.minima, (unsigned long long)status << 56 | (unsigned long long)index);
+}
+SG_FN void check(const State& s, const float* values, int count, float low, float high, int status, int64_t index) {
+  bool good = true;
+  for (int k = 0; k < count; k++) good = good && values[k] >= low && values[k] <= high;  // false for NaN
+  if (!good) report(s, status, index);
+}
+SG_FN void check_gaussian(const sg_problem& p, const State& s, int64_t i) {
+  const float far = 1e9f, strong = 1e15f;  // beyond these, float32 overflows on the way
+  const float* q = p.quaternions + 4 * i;
+  check(s, p.means + 3 * i, 3, -far, far, SG_MEANS, i);
+  check(s, q, 4, -1e15f, 1e15f, SG_QUATERNIONS, i);
+  if (!(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] >= 1e-30f)) report(s, SG_QUATERNIONS, i);
+  check(s, p.scales + 3 * i, 3, p.min_scale, 1e6f, SG_SCALES, i);
+  check(s, p.kappa + i, 1, 0.0f, p.max_depth, SG_KAPPA, i);
+  check(s, p.harmonics + p.coefficients * i, p.coefficients, -strong, strong, SG_SCATTERING, i);
+}
+
+// ---- projection ------------------------------------------------------------------------------------------------------
+SG_FN uint32_t ordered(float x) {  // floats to unsigned, order kept; -0 equals 0
+  const uint32_t bits = __float_as_uint(x + 0.0f);
+  return bits & 0x80000000u ? ~bits : bits | 0x80000000u;
+}
+
+SG_FN void write_splat(const Plane& plane, int64_t j, float x, float y, const Sym2<float>& cov, float det, float reach,
+                       float height, float extra) {
+  const Whitening<float> w = whitening(cov, det);
+  plane.splats[j] = {{x, y, w.ux, w.uy, w.vy, height}, extra};
+  plane.reach[2 * j] = reach < 0.0f ? -1.0f : reach * root(cov.xx);  // reach: in standard deviations
+  plane.reach[2 * j + 1] = reach < 0.0f ? -1.0f : reach * root(cov.yy);
+}
+
+SG_FN float gamma0_of(const sg_problem& p, const State& s, int view, int64_t i, int64_t j) {
+  if (p.gamma0) {
+    check(s, p.gamma0 + j, 1, -1e15f, 1e15f, SG_GAMMA0, j);
+    return p.gamma0[j];
+  }
+  return softplus(sum_of_harmonics(p, view, i)).value + p.p_min;
+}
+
+SG_FN void project_pair(const sg_problem& p, const State& s, int view, int64_t i, int64_t j) {
+  const PlaneUnits u = units(p);
+  float unit[4], norm;
+  const Projection<float> g = project(body(p, i, unit, norm), frame(p, view), u);
+  const float kappa = p.kappa[i] * widening_ratio(g, u);
+  const bool touching = kappa >= p.min_ray_depth;
+  const float height = natural_log((touching ? kappa : p.min_ray_depth) * kLog2e) * kLog2e;
+  const float reach = touching ? root(larger(height - least_log_tau(p), 0.0f) * (2.0f * kLn2)) : -1.0f;
+  write_splat(s.rays, j, g.mean[0] * (1.0f / u.ray[0]), g.mean[1] * (1.0f / u.ray[1]), g.cov_c, g.det_cw, reach, height, g.mean[2]);
+  densest(g, u, s.slope + 2 * j);
+  s.gamma0[j] = gamma0_of(p, s, view, i, j);
+  const float* shift = p.shift + 2 * view;
+  const float lost = 1.0f / (1.0f - expf(-0.5f * p.image_cut));  // what the cut takes away
+  write_splat(s.pixels, j, (g.mean[0] + shift[0] - p.center[0]) * (1.0f / p.pixel[0]) + 0.5f * (float)(p.columns - 1),
+              (g.mean[2] + shift[1] - p.center[1]) * (1.0f / p.pixel[1]) + 0.5f * (float)(p.rows - 1), g.cov_i, g.det_iw,
+              root(p.image_cut), 0.0f,
+              p.peak ? lost : lost / (6.2831853f * p.pixel[0] * p.pixel[1] * root(g.det_iw)));
+}
+
+constexpr float kNever = 3e38f;  // the bound of what touches no ray
+
+extern "C" __global__ void __launch_bounds__(kThreads) project_gaussians(sg_problem p, State s) {
+  int view, i;
+  const int64_t j = pair_index(p, &view, &i);
+  float lowest[4] = {kNever, kNever, kNever, kNever};
+  if (j >= 0) {
+    if (view == 0) check_gaussian(p, s, i);
+    if (i == 0) check(s, p.shift + 2 * view, 2, -1e9f, 1e9f, SG_SHIFT, view);
+    project_pair(p, s, view, i, j);
+    const Footprint g = s.rays.splats[j].g;
+    const float *reach = s.rays.reach + 2 * j;
+    if (reach[0] >= 0.0f) {
+      lowest[0] = g.x - reach[0];
+      lowest[1] = g.y - reach[1];
+      lowest[2] = -(g.x + reach[0]);
+      lowest[3] = -(g.y + reach[1]);
+    }
+  }
+  for (int k = 0; k < 4; k++) {
+    const float least = warp_min(lowest[k]);
+    if (lane() == 0 && least < kNever) atomicMin(s.minima + 1 + 4 * view + k, (unsigned long long)ordered(least));
+  }
+}
+
+// ---- tiles -----------------------------------------------------------------------------------------------------------
+SG_FN Box tiles(const Plane& plane, const Lattice& lattice, int64_t j) {
+  const Footprint g = placed(plane.splats[j].g, lattice);
+  const Box b = points(g, plane.reach + 2 * j, lattice);
+  if (empty(b)) return {{0, -1}, {0, -1}};
+  return {{b.x.first / kTile, b.x.last / kTile}, {b.y.first / kTile, b.y.last / kTile}};
+}
+
+extern "C" __global__ void __launch_bounds__(kThreads) count_tiles(sg_problem p, Plane plane) {
+  int view, i;
+  const int64_t j = pair_index(p, &view, &i);
+  if (j < 0) return;
+  const Box t = tiles(plane, plane.lattices[view], j);
+  plane.counts[j] = (int64_t)(t.x.last - t.x.first + 1) * (t.y.last - t.y.first + 1);
+}
+
+// by_depth: front to back inside a tile; otherwise, and for ties, by index, since the sort is stable
+extern "C" __global__ void __launch_bounds__(kThreads) list_tiles(sg_problem p, Plane plane, int32_t by_depth) {
+  int view, i;
+  const int64_t j = pair_index(p, &view, &i);
+  if (j < 0) return;
+  const Lattice lattice = plane.lattices[view];
+  const Box t = tiles(plane, lattice, j);
+  const int64_t depth = by_depth ? (int64_t)ordered(plane.splats[j].extra) : 0;
+  int64_t slot = plane.ends[j] - plane.counts[j];
+  for (int y = t.y.first; y <= t.y.last; y++)
+    for (int x = t.x.first; x <= t.x.last; x++, slot++) {
+      plane.keys[slot] = (int64_t)(lattice.first_tile + y * lattice.tiles_x + x) << 32 | depth;
+      plane.owners[slot] = (int32_t)j;
+    }
+}
+
+}  // namespace SG_ISA
+}  // namespace sarsplat

@@ -1,0 +1,135 @@
+// cuda_state.cuh: what one pass keeps on the device. Python mirrors these structs with ctypes (cuda.py) and owns the
+// arrays; a pair (view v, Gaussian i) has the index j = v N + i. Both planes are cut into square tiles; a (tile,
+// Gaussian) pair has a slot. Slots are numbered Gaussian by Gaussian, so that sums over a Gaussian's slots run in a fixed
+// order without atomics; `order` lists them tile by tile, front to back.
+#pragma once
+#include "api.h"
+#include "cuda_float.cuh"
+#include "gaussian_math.h"
+
+namespace sarsplat {
+namespace SG_ISA {
+
+constexpr int kTile = 16;                       // points a side
+constexpr int kThreads = kTile * kTile;         // of every block
+constexpr int kWarps = kThreads / kWarp;
+constexpr int kBatch = 64;                      // Gaussians staged in shared memory at a time
+
+// extra: z_r on rays, the weight's norm on pixels
+struct alignas(16) Splat { Footprint g; float extra; };
+
+struct Lattice {          // the rays or pixels of one view
+  float x0, y0;           // coordinates of the first
+  int32_t rows, columns;
+  int32_t tiles_x, first_tile;
+  int64_t first_point;
+};
+
+struct Plane {
+  Splat* splats;            // [V N]
+  float* reach;             // [V N, 2] half the footprint's extent, points; -1: it touches nothing
+  const Lattice* lattices;  // [V]
+  int64_t* counts;          // [V N] slots
+  const int64_t* ends;      // [V N] their running sum
+  int64_t* keys;            // [slots] tile, then depth
+  int32_t* owners;          // [slots] j
+  const int64_t* order;     // [slots] slots sorted by key
+  const int64_t* starts;    // [tiles + 1] of each tile in `order`
+};
+
+struct State {
+  unsigned long long* minima;  // [1 + 4 V] the first fault; lowest x, y, -x, -y of each view's footprints on rays
+  Plane rays, pixels;
+  float* gamma0;             // [V N] P(u)
+  float* slope;             // [V N, 2] tilt of the densest surface: z_r per ray
+  float* transmittance;     // [rays] behind everything
+  int32_t* last;            // [rays] place in its tile's list of the last Gaussian that touched the ray, -1 for none
+  float* slot_weights;      // [ray slots] sum of w
+  float* weight;            // [V N] sum of w
+  // backward
+  float* d_sigma;           // [V N] dL/dsigma
+  float* h;                 // [V N] dL/dw
+  float* slot_moments;      // [ray slots, 6]
+  float* pixel_moments;     // [V N, 6]
+  float* planes;            // [V N, 4] dL/d(mu_C, mu_I)
+};
+
+SG_FN int thread() { return (int)threadIdx.x; }
+SG_FN int lane() { return thread() % kWarp; }
+SG_FN int warp() { return thread() / kWarp; }
+
+// Kernels of one thread a pair have whole blocks for a view: block b serves view b / chunks.
+SG_FN int chunks(const sg_problem& p) { return (p.gaussians + kThreads - 1) / kThreads; }
+SG_FN int64_t pair_index(const sg_problem& p, int* view, int* gaussian) {
+  *view = blockIdx.x / chunks(p);
+  *gaussian = blockIdx.x % chunks(p) * kThreads + thread();
+  return *gaussian < p.gaussians ? (int64_t)*view * p.gaussians + *gaussian : -1;
+}
+
+// log2 of the optical depth at which a footprint ends, and q at which an imaging weight ends; base 2
+SG_FN float least_log_tau(const sg_problem& p) { return log2f(p.min_ray_depth * kLog2e); }
+SG_FN float image_cut(const sg_problem& p) { return 0.5f * kLog2e * p.image_cut; }
+
+SG_FN PlaneUnits units(const sg_problem& p) {
+  return {{p.ray[0], p.ray[1]}, {p.pixel[0], p.pixel[1]}, p.cell_widening, {p.response_var[0], p.response_var[1]}};
+}
+SG_FN ViewFrame frame(const sg_problem& p, int view) {
+  ViewFrame f;
+  for (int k = 0; k < 9; k++) f.r[k] = p.frames[9 * view + k];
+  return f;
+}
+SG_FN Body<float> body(const sg_problem& p, int64_t i, float* unit, float& norm) {
+  Body<float> b;
+  for (int k = 0; k < 3; k++) { b.mean[k] = p.means[3 * i + k]; b.scale[k] = p.scales[3 * i + k]; }
+  const float* q = p.quaternions + 4 * i;
+  rotation(q[0], q[1], q[2], q[3], b.rot, unit, norm);
+  return b;
+}
+
+SG_FN float sum_of_harmonics(const sg_problem& p, int view, int64_t i) {
+  float sum = 0.0f;
+  for (int k = 0; k < p.coefficients; k++) sum += p.harmonics[p.coefficients * i + k] * p.basis[view * p.coefficients + k];
+  return sum;
+}
+
+// inclusive range of lattice points within `reach` of `at`
+struct Range { int first, last; };
+SG_FN Range points(float at, float reach, int count) {
+  const float low = at - reach - 1e-3f, high = at + reach + 1e-3f;
+  return {low > 0.0f ? (low < (float)count ? (int)ceilf(low) : count) : 0,
+          high < (float)(count - 1) ? (high >= 0.0f ? (int)high : -1) : count - 1};
+}
+struct Box { Range x, y; };
+SG_FN bool empty(const Box& b) { return b.x.last < b.x.first || b.y.last < b.y.first; }
+SG_FN Footprint placed(Footprint g, const Lattice& lattice) {
+  g.x -= lattice.x0;
+  g.y -= lattice.y0;
+  return g;
+}
+SG_FN Box points(const Footprint& placed, const float* reach, const Lattice& lattice) {
+  return {points(placed.x, reach[0], lattice.columns), points(placed.y, reach[1], lattice.rows)};
+}
+
+// This thread's point of a tile. A warp covers 8 x 4 points: small footprints then miss most warps.
+struct Point { int x, y; bool inside; int64_t index; };
+SG_FN Point point_of_thread(const Lattice& lattice, int tile) {
+  const int in_view = tile - lattice.first_tile;
+  Point p;
+  p.x = in_view % lattice.tiles_x * kTile + warp() % 2 * 8 + lane() % 8;
+  p.y = in_view / lattice.tiles_x * kTile + warp() / 2 * 4 + lane() / 8;
+  p.inside = p.x < lattice.columns && p.y < lattice.rows;
+  p.index = lattice.first_point + (int64_t)p.y * lattice.columns + p.x;
+  return p;
+}
+SG_FN Lattice lattice_of_tile(const Lattice* lattices, int views, int tile) {
+  int low = 0, high = views - 1;  // the last view that begins at or before the tile
+  while (low < high) {
+    const int middle = (low + high + 1) / 2;
+    if (lattices[middle].first_tile <= tile) low = middle;
+    else high = middle - 1;
+  }
+  return lattices[low];
+}
+
+}  // namespace SG_ISA
+}  // namespace sarsplat

@@ -1,0 +1,147 @@
+// passes.h: the pair loops. Gaussians are walked in depth order; what a ray carries (T, where it stopped, the suffix sum)
+// lives in an image, stored as strips of four columns: kWidth / 4 rows of a strip, from any row on, are one vector. So a
+// Gaussian's blocks begin at its own first row: no tiles, fewer idle lanes.
+#pragma once
+#include "simd.h"
+#include "pair_math.h"
+
+namespace sarsplat {
+namespace SG_ISA {
+
+// A footprint, the inclusive box of rays or pixels it may touch (empty if y1 < y0), and what a loop asks of its Gaussian:
+// a line of the cache. 16 words, written by transposition.
+struct Entry {
+  Footprint g;
+  int32_t x0, x1, y0, y1;
+};
+struct alignas(64) RayEntry : Entry {
+  int32_t slot;                   // its sums of band b lie in slot + b - first_band
+  int32_t first_band, last_band;  // last < first: it reaches none
+  float h;                        // dL/dw
+  int32_t unused[2];
+};
+struct alignas(64) PixelEntry : Entry {  // height: the amplitude
+  float gamma0, norm, lit;        // P(u), of the imaging weight, A_lit: the amplitude's factors
+  float slope;                    // of P(u) over the sum of harmonics
+  int32_t unused[2];
+};
+static_assert(sizeof(RayEntry) == 64 && sizeof(PixelEntry) == 64, "an entry is a line of the cache");
+constexpr int kSums = 8;          // numbers in a row of moments: six, and two more
+SG_FN Eight sum6(const Moments<F>& m) { return sum6(m.m0, m.mu, m.mv, m.muu, m.muv, m.mvv); }
+
+constexpr int kBlockX = 4, kBlockY = kWidth / kBlockX;
+
+// A rectangle of rays or pixels as strips of four columns, with spare rows for blocks that reach beyond the last.
+struct Strips {
+  int x0, y0, columns, rows;
+  const float *x, *y;             // coordinates of a block's lanes: at strip kWidth, and at (row - y0) kBlockX
+  int count() const { return (columns + kBlockX - 1) / kBlockX; }
+  int height() const { return rows + kBlockY - 1; }
+  int64_t size() const { return (int64_t)height() * count() * kBlockX; }
+  int64_t at(int column, int row) const {
+    return ((int64_t)((column - x0) / kBlockX) * height() + (row - y0)) * kBlockX + (column - x0) % kBlockX;
+  }
+  Strips part(int first, int end) const { return {x0, first, columns, end - first, x, y + (first - y0) * kBlockX}; }
+  int64_t ruler() const { return (int64_t)count() * kWidth + height() * kBlockX; }
+  void mark(float* ruler) {       // ruler() floats
+    x = ruler;
+    y = ruler + count() * kWidth;
+    for (int i = 0; i < count() * kWidth; i++) *ruler++ = (float)(x0 + i / kWidth * kBlockX + i % kBlockX);
+    for (int i = 0; i < height() * kBlockX; i++) *ruler++ = (float)(y0 + i / kBlockX);
+  }
+};
+
+// visit(offset, index of the block's first lane) for the blocks of one Gaussian in a rectangle
+template <class Visit> SG_FN void for_blocks(const Entry& e, const Strips& s, Visit visit) {
+  const int top = e.y0 > s.y0 ? e.y0 : s.y0, bottom = e.y1 < s.y0 + s.rows ? e.y1 : s.y0 + s.rows - 1;
+  const int first = (e.x0 - s.x0) / kBlockX, last = (e.x1 - s.x0) / kBlockX;
+  const int tall = (bottom - top) / kBlockY + 1, count = bottom < top ? 0 : tall * (last - first + 1);
+  const int64_t begin = (int64_t)(top - s.y0) * kBlockX, end = begin + (int64_t)tall * kWidth;
+  const int64_t height = (int64_t)s.height() * kBlockX;
+  int64_t strip = first * height, down = begin;
+  const float* x = s.x + first * kWidth;
+  for (int k = 0; k < count; k++) {  // one loop, not one in the other: its end is guessed wrong once
+    visit(offset(e.g, load(x), load_anywhere(s.y + down)), strip + down);
+    down += kWidth;
+    const bool next = down == end;
+    down = next ? begin : down;
+    strip += next ? height : 0;
+    x += next ? kWidth : 0;
+  }
+}
+
+constexpr int kAhead = 8;  // entries in depth order lie anywhere in memory: they are asked for this early
+constexpr int32_t kNever = 0x7fffffff;
+
+// Front to back over the list of band b, whose rays are s. stop: the place in the list after which a ray is no longer
+// followed. partial: by slot.
+static void attenuate_band(const RayEntry* entries, const int32_t* list, int n, const Strips& s, int b, float min_log_tau,
+                           float min_transmittance, float* T, int32_t* stop, float* partial) {
+  const F floor = splat(min_transmittance);
+  for (int64_t strip = 0; strip < s.count(); strip++)
+    for (int64_t i = 0; i < s.height() * kBlockX; i++) {
+      const bool spare = i >= s.rows * kBlockX;  // never live
+      T[strip * s.height() * kBlockX + i] = spare ? 0.0f : 1.0f;
+      stop[strip * s.height() * kBlockX + i] = spare ? -1 : kNever;
+    }
+  for (int k = 0; k < n; k++) {
+    __builtin_prefetch(entries + list[k + kAhead < n ? k + kAhead : k]);
+    const RayEntry& e = entries[list[k]];
+    F sum_w = splat(0.0f);
+    for_blocks(e, s, [&](const Offset<F>& d, int64_t at) {
+      F t = load_anywhere(T + at);
+      const F log_tau = log_depth(e.g, d);
+      const I live = (log_tau >= min_log_tau) & (t >= floor);
+      sum_w += attenuate(log_tau, live, t);
+      store_anywhere(T + at, t);
+      const I stopped = live & (t < floor);
+      if (any(stopped)) store_anywhere(stop + at, choose(stopped, (I)(k), load_anywhere(stop + at)));
+    });
+    partial[e.slot + b - e.first_band] = sum(sum_w);
+  }
+}
+
+// T holds T_end and B the start value T_end dL/dT_end on entry; both are consumed. moments: a row by slot.
+static void attenuate_band_backward(const RayEntry* entries, const int32_t* list, int n, const Strips& s, int b,
+                                    float min_log_tau, float* T, const int32_t* stop, float* B, float* moments) {
+  const F zero = splat(0.0f);
+  for (int k = n - 1; k >= 0; k--) {
+    __builtin_prefetch(entries + list[k > kAhead ? k - kAhead : k]);
+    const RayEntry& e = entries[list[k]];
+    Moments<F> m{zero, zero, zero, zero, zero, zero};
+    for_blocks(e, s, [&](const Offset<F>& d, int64_t at) {
+      const F log_tau = log_depth(e.g, d);
+      const I live = (log_tau >= min_log_tau) & (load_anywhere(stop + at) >= k);
+      F t = load_anywhere(T + at), suffix = load_anywhere(B + at);
+      m.add(d, attenuate_backward(log_tau, live, e.h, t, suffix));
+      store_anywhere(T + at, t);
+      store_anywhere(B + at, suffix);
+    });
+    store_eight(moments + kSums * (int64_t)(e.slot + b - e.first_band), sum6(m));
+  }
+}
+
+static void image_part(const PixelEntry* entries, const int32_t* list, int n, const Strips& s, float cut, float* S) {
+  for (int64_t i = 0; i < s.size(); i++) S[i] = 0.0f;
+  for (int k = 0; k < n; k++) {
+    __builtin_prefetch(entries + list[k + kAhead < n ? k + kAhead : k]);
+    const Entry& e = entries[list[k]];
+    if (e.g.height == 0.0f) continue;
+    for_blocks(e, s, [&](const Offset<F>& d, int64_t at) {
+      store_anywhere(S + at, imaging_weight(distance(d), cut) * e.g.height + load_anywhere(S + at));
+    });
+  }
+}
+
+// a gather: every Gaussian reads the pixels it touches; spare rows of dS are zero
+SG_FN Eight image_backward(const Entry& e, const Strips& s, float cut, const float* dS) {
+  const F zero = splat(0.0f);
+  Moments<F> m{zero, zero, zero, zero, zero, zero};
+  for_blocks(e, s, [&](const Offset<F>& d, int64_t at) {
+    m.add(d, imaging_weight(distance(d), cut) * load_anywhere(dS + at));
+  });
+  return sum6(m);
+}
+
+}  // namespace SG_ISA
+}  // namespace sarsplat

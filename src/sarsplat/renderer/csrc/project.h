@@ -1,0 +1,156 @@
+// project.h: from a problem's arrays to entries on both planes.
+#pragma once
+#include "context.h"
+
+namespace sarsplat {
+namespace SG_ISA {
+namespace {
+
+// ---- input -------------------------------------------------------------------------------------------------------------
+struct Fault { int32_t status; int64_t index; };
+
+// the first value outside [low, high] (or NaN), as a multiple of `per`
+void find_outside(const float* p, int64_t first, int64_t end, int64_t per, float low, float high, int32_t status, Fault& fault) {
+  bool bad = false;
+  for (int64_t i = per * first; i < per * end; i++) bad |= !(p[i] >= low && p[i] <= high);
+  if (!bad || (fault.status && fault.status <= status)) return;
+  int64_t i = per * first;
+  while (p[i] >= low && p[i] <= high) i++;
+  fault = {status, i / per};
+}
+
+// what is wrong with the Gaussians [first, end)
+Fault check(const sg_problem& p, int64_t first, int64_t end) {
+  const int64_t n = p.gaussians;
+  const float far = 1e9f, strong = 1e15f;  // beyond these, float32 overflows on the way
+  Fault fault{SG_OK, -1};
+  find_outside(p.means, first, end, 3, -far, far, SG_MEANS, fault);
+  find_outside(p.quaternions, first, end, 4, -1e15f, 1e15f, SG_QUATERNIONS, fault);
+  find_outside(p.scales, first, end, 3, p.min_scale, 1e6f, SG_SCALES, fault);
+  find_outside(p.kappa, first, end, 1, 0.0f, p.max_depth, SG_KAPPA, fault);
+  find_outside(p.harmonics, first, end, p.coefficients, -strong, strong, SG_SCATTERING, fault);
+  for (int64_t v = 0; p.gamma0 && v < p.views; v++)
+    find_outside(p.gamma0, v * n + first, v * n + end, 1, -strong, strong, SG_GAMMA0, fault);
+  if (first == 0) find_outside(p.shift, 0, p.views, 2, -far, far, SG_SHIFT, fault);
+  for (int64_t i = first; i < end; i++) {
+    const float* q = p.quaternions + 4 * i;
+    const bool rotates = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] >= 1e-30f;
+    if (!rotates && (!fault.status || fault.status > SG_QUATERNIONS)) fault = {SG_QUATERNIONS, i};
+  }
+  return fault;
+}
+
+// the first of them: what any number of threads finds
+Fault worst(const Fault* faults, int count) {
+  Fault found{SG_OK, -1};
+  for (int i = 0; i < count; i++)
+    if (faults[i].status && (!found.status || faults[i].status < found.status)) found = faults[i];
+  return found;
+}
+
+// ---- projection --------------------------------------------------------------------------------------------------------
+SG_FN F words(I x) { return __builtin_bit_cast(F, x); }
+SG_FN I whole(F x) { return __builtin_convertvector(smaller(larger(x, splat(-2.0f * kFarthest)), splat(2.0f * kFarthest)), I); }
+
+// Inclusive boxes around footprints; empty if y1 < y0.
+struct Boxes { I x0, x1, y0, y1; };
+Boxes boxes_around(F x, F y, F reach_x, F reach_y, I touching) {
+  const float slack = 1e-3f;
+  const I top = whole(up(y - reach_y - slack));
+  const I bottom = choose(touching, whole(down(y + reach_y + slack)), top - 1);
+  return {whole(up(x - reach_x - slack)), whole(down(x + reach_x + slack)), top, bottom};
+}
+Boxes within(const Boxes& b, int columns, int rows) {
+  const I x0 = most(b.x0, (I)(0)), x1 = least(b.x1, (I)(columns - 1)), y0 = most(b.y0, (I)(0));
+  return {x0, x1, y0, choose(x0 <= x1, least(b.y1, (I)(rows - 1)), y0 - 1)};
+}
+
+I shape_of(I blocks) {
+  I shape = (I)(0);
+  for (int k = 0; k < kShapes - 1; k++) shape -= blocks > kMostBlocks[k];
+  return shape;
+}
+// The first row, then the shape. What lies outside comes last.
+I key_of(const Boxes& box, int rows) {
+  const I tall = shape_of((box.y1 - box.y0) / kBlockY + 1), wide = shape_of(box.x1 / kBlockX - box.x0 / kBlockX + 1);
+  return choose(box.y1 < box.y0, (I)(rows * kShapes * kShapes), (box.y0 * kShapes + tall) * kShapes + wide);
+}
+
+// floats to whole numbers, order kept; -0 equals 0
+I ordered(F x) {
+  const I bits = __builtin_bit_cast(I, x + 0.0f);
+  return bits ^ ((bits >> 31) | (I)(INT32_MIN));
+}
+
+// a, b, c, d: what a plane has of its own
+template <class E>
+void write_entries(E* out, int real, F x, F y, const Sym2<F>& cov, F det, F height, const Boxes& box, F a, F b, F c, F d) {
+  const Whitening<F> w = whitening(cov, det);
+  const F x0 = words(box.x0), x1 = words(box.x1), y0 = words(box.y0), y1 = words(box.y1), none = splat(0.0f);
+  turn_back({x, y, w.ux, w.uy, w.vy, height, x0, x1, y0, y1, a, b, c, d, none, none},
+            [&](int k, int part, F numbers) { if (k < real) store((float*)(out + k) + part, numbers); });
+}
+
+struct Cuts {
+  float log_tau;                  // where a footprint on rays ends
+  float deviations, lost;         // where an imaging weight ends, and one over what is left of its integral
+};
+
+void project_view(const ViewState& s, const sg_problem& p, const Cuts& cuts, int v, const Bodies& bodies, const Softplus<F>& gamma0, int64_t i,
+                  int real, Bounds& bounds) {
+  const PlaneUnits u = units(p);
+  const Projection<F> g = project(bodies.body, s.frame, u);
+  const F kappa = bodies.kappa * widening_ratio(g, u);
+  const I touching = kappa >= p.min_ray_depth;  // padding has no depth and touches nothing
+  const F height = natural_log(choose(touching, kappa, splat(p.min_ray_depth)) * kLog2e) * kLog2e;
+  const F reach = root(larger((height - cuts.log_tau) * (2.0f * kLn2), splat(0.0f)));
+  const F reach_x = reach * root(g.cov_c.xx), reach_y = reach * root(g.cov_c.yy);
+  const F x = g.mean[0] * (1.0f / u.ray[0]), y = g.mean[1] * (1.0f / u.ray[1]);  // ray k of an axis stands at k + 1/2
+  const Boxes rays = boxes_around(x - 0.5f, y - 0.5f, reach_x, reach_y, touching);
+  const F zero = splat(0.0f), beyond = splat(3e38f);
+  const F no_band = words((I)(-1));             // last_band, for the time being
+  write_entries(s.on_rays + i, real, x - 0.5f, y - 0.5f, g.cov_c, g.det_cw, height, rays, zero, zero, no_band, zero);
+  store(s.depth_keys + i, choose(touching, ordered(g.mean[2]), (I)(kNoDepth)));
+  bounds.low[0] = smaller(bounds.low[0], choose(touching, x - reach_x, beyond));
+  bounds.low[1] = smaller(bounds.low[1], choose(touching, y - reach_y, beyond));
+  bounds.high[0] = larger(bounds.high[0], choose(touching, x + reach_x, -beyond));
+  bounds.high[1] = larger(bounds.high[1], choose(touching, y + reach_y, -beyond));
+
+  const float* shift = p.shift + 2 * v;
+  const F column = (g.mean[0] + shift[0] - p.center[0]) * (1.0f / p.pixel[0]) + 0.5f * (float)(p.columns - 1);
+  const F row = (g.mean[2] + shift[1] - p.center[1]) * (1.0f / p.pixel[1]) + 0.5f * (float)(p.rows - 1);
+  const F wide = cuts.deviations * root(g.cov_i.xx), tall = cuts.deviations * root(g.cov_i.yy);
+  const Boxes pixels = within(boxes_around(column, row, wide, tall, (I)(-1)), p.columns, p.rows);
+  const F norm = p.peak ? splat(cuts.lost) : cuts.lost / (6.2831853f * p.pixel[0] * p.pixel[1] * root(g.det_iw));
+  write_entries(s.on_pixels + i, real, column, row, g.cov_i, g.det_iw, zero, pixels, gamma0.value, norm, zero, gamma0.slope);
+  store(s.pixel_keys + i, key_of(pixels, p.rows));
+}
+
+// The Gaussians [first, end) in every view.
+void project_chunk(const sg_context& c, const sg_problem& p, int chunk, int64_t first, int64_t end) {
+  const F beyond = splat(3e38f);
+  const Cuts cuts{least_log_tau(p), __builtin_sqrtf(p.image_cut), 1.0f / (1.0f - __builtin_expf(-0.5f * p.image_cut))};
+  for (int v = 0; v < p.views; v++) c.views[v].bounds[chunk] = {{beyond, beyond}, {-beyond, -beyond}};
+  for (int64_t i = first; i < end; i += kWidth) {
+    const int real = least(kWidth, (int)(end - i));
+    const Bodies bodies = read_bodies(p, i, real);
+    F harmonics[kFields];
+    if (!p.gamma0) read_rows(p.harmonics + p.coefficients * i, p.coefficients, real, harmonics);
+    for (int v = 0; v < p.views; v++) {
+      Softplus<F> gamma0;
+      if (p.gamma0) {
+        gamma0 = {load_some(p.gamma0 + v * (int64_t)p.gaussians + i, real), splat(0.0f)};
+      } else {
+        F sum = splat(0.0f);
+        for (int k = 0; k < p.coefficients; k++) sum += harmonics[k] * p.basis[v * p.coefficients + k];
+        gamma0 = softplus(sum);
+        gamma0.value += p.p_min;
+      }
+      project_view(c.views[v], p, cuts, v, bodies, gamma0, i, real, c.views[v].bounds[chunk]);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace SG_ISA
+}  // namespace sarsplat

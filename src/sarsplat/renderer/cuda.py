@@ -1,0 +1,236 @@
+"""The CUDA engine's plan: which arrays a pass needs, which kernels run over them, and what is sorted in between."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import struct
+from collections.abc import Sequence
+from ctypes import c_float, c_int32, c_int64, c_void_p
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError
+from sarsplat.renderer.cpu import FAULTS, Lattice
+
+# of csrc/cuda_state.cuh
+_THREADS, _WARPS, _TILE = 256, 8, 16
+_SPLAT_FLOATS = 8
+
+_MOST_SIDE, _MOST_RAYS = 131_068, 1 << 28
+"""Of a view's ray lattice, as on the CPU engine."""
+
+_MOST_PAIRS = 1 << 31
+
+
+def _struct(name: str, *fields: tuple[str, type]) -> type[ctypes.Structure]:
+    return type(name, (ctypes.Structure,), {"_fields_": list(fields)})
+
+
+_ViewLattice = _struct(
+    "ViewLattice",
+    *((name, c_float) for name in ("x0", "y0")),
+    *((name, c_int32) for name in ("rows", "columns", "tiles_x", "first_tile")),
+    ("first_point", c_int64),
+)
+_PLANE = ("splats", "reach", "lattices", "counts", "ends", "keys", "owners", "order", "starts")
+_Plane = _struct("Plane", *((name, c_void_p) for name in _PLANE))
+_FORWARD = ("gamma0", "slope", "transmittance", "last", "slot_weights", "weight")
+_BACKWARD = ("d_sigma", "h", "slot_moments", "pixel_moments", "planes")
+_State = _struct(
+    "State",
+    ("minima", c_void_p),
+    ("rays", _Plane),
+    ("pixels", _Plane),
+    *((name, c_void_p) for name in (*_FORWARD, *_BACKWARD)),
+)
+
+
+class Launcher(Protocol):
+    """What runs kernels: a GPU, or the tests' emulator."""
+
+    device: torch.device
+
+    def launch(self, name: str, blocks: int, threads: int, *arguments: ctypes._CData) -> None:
+        """Queue a kernel after those before it; its arguments are C values."""
+        ...
+
+
+class Pass:
+    """One forward pass and what its backward pass needs; the same interface as the CPU engine's."""
+
+    def __init__(self, launcher: Launcher) -> None:
+        self._launcher = launcher
+        self._state = _State()
+        self._arrays: dict[str, Tensor] = {}
+        self._lattices: list[tuple[int, int, int, int]] = []
+        self._rays: list[ctypes.Structure] = []
+
+    def forward(self, problem: ctypes.Structure, outputs: ctypes.Structure) -> tuple[str, int]:
+        """Run; returns what was rejected ("" for nothing) and at which index.
+
+        Raises
+        ------
+        SarsplatError
+            If there is not enough memory, here and below.
+        """
+        views, n = problem.views, problem.gaussians
+        pairs, state = views * n, self._state
+        if pairs >= _MOST_PAIRS:
+            raise SarsplatError(f"{views} views of {n} Gaussians are too many at a time; take fewer views at a time")
+        try:
+            minima = self._new("minima", 1 + 4 * views, dtype=torch.int64).fill_(-1)
+            state.minima = minima.data_ptr()
+            for name, plane in (("rays", state.rays), ("pixels", state.pixels)):
+                plane.splats = self._new(f"{name} splats", pairs, _SPLAT_FLOATS).data_ptr()
+                plane.reach = self._new(f"{name} reach", pairs, 2).data_ptr()
+            self._fill(gamma0=(pairs,), slope=(pairs, 2), weight=(pairs,))
+            self._over_pairs("project_gaussians", problem, problem, state)
+            fault, *bounds = minima.tolist()
+            if fault >= 0:
+                return FAULTS[fault >> 56], fault & (1 << 56) - 1
+            self._lattices = [_lattice(bounds[4 * v : 4 * v + 4]) for v in range(views)]
+            for v, (_, _, rows, columns) in enumerate(self._lattices):
+                if max(rows, columns) > _MOST_SIDE or rows * columns > _MOST_RAYS:
+                    return "lattice", v
+            self._rays = _cut_into_tiles(self._lattices, 0.5)
+            pixels = _cut_into_tiles([(0, 0, problem.rows, problem.columns)] * views, 0.0)
+            rays, tiles = _total(self._rays)
+            counted = (
+                self._count("rays", state.rays, self._rays, problem),
+                self._count("pixels", state.pixels, pixels, problem),
+            )
+            slots, pixel_slots = torch.stack(counted).tolist()
+            self._list("rays", state.rays, slots, tiles, problem, by_depth=True)
+            self._list("pixels", state.pixels, pixel_slots, _total(pixels)[1], problem, by_depth=False)
+            self._fill(transmittance=(rays,))
+            self._fill(torch.int32, last=(rays,))
+            self._fill(slot_weights=(slots,))
+            self._arrays["slot_weights"].zero_()  # of tiles whose rays have all stopped
+            self._launch("attenuate_tiles", tiles, problem, state)
+            self._over_pairs("illuminate", problem, problem, state, outputs)
+            self._launch("image_tiles", _total(pixels)[1], problem, state, c_void_p(outputs.images))
+        except torch.OutOfMemoryError as error:
+            raise _no_memory(self._launcher.device) from error
+        return "", -1
+
+    def backward(self, problem: ctypes.Structure, gradients: ctypes.Structure) -> None:
+        """Run the adjoint of the last forward pass."""
+        pairs, state = problem.views * problem.gaussians, self._state
+        try:
+            slots = len(self._arrays["slot_weights"])
+            self._fill(d_sigma=(pairs,), h=(pairs,), slot_moments=(slots, 6), pixel_moments=(pairs, 6))
+            self._arrays["slot_moments"].zero_()  # of tiles whose rays have all stopped
+            state.planes = gradients.planes or self._new("planes", pairs, 4).data_ptr()
+            seeds = c_void_p(gradients.images), c_void_p(gradients.cross_sections)
+            self._launch("image_backward", -(-pairs // _WARPS), problem, state, *seeds)
+            tiles = _total(self._rays)[1]
+            self._launch("attenuate_tiles_backward", tiles, problem, state, c_void_p(gradients.transmittance))
+            self._launch("differentiate", -(-problem.gaussians // _THREADS), problem, state, gradients)
+            self._launch("sum_shift", problem.views, problem, state, c_void_p(gradients.shift))
+        except torch.OutOfMemoryError as error:
+            raise _no_memory(self._launcher.device) from error
+        for name in _BACKWARD:
+            self._arrays.pop(name, None)
+
+    def lattice(self, view: int) -> ctypes.Structure:
+        """Where the rays of a view stand."""
+        return Lattice(*self._lattices[view])
+
+    def trace(self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int) -> None:
+        """Fill T_end and the first-return range of a view's rays."""
+        rays = self._rays[view]
+        self._launch(
+            "trace_tiles",
+            _tiles(rays),
+            *(problem, self._state, c_int32(rays.first_tile), c_float(depth)),
+            *(c_void_p(transmittance), c_void_p(first_return)),
+        )
+
+    def _count(
+        self, name: str, plane: ctypes.Structure, lattices: Sequence[ctypes.Structure], problem: ctypes.Structure
+    ) -> Tensor:
+        """Count the tiles of every Gaussian; returns the number of slots, still on the device."""
+        raw = torch.frombuffer(bytearray(b"".join(lattices)), dtype=torch.uint8)
+        plane.lattices = self._keep(f"{name} lattices", raw.to(self._launcher.device)).data_ptr()
+        counts = self._new(f"{name} counts", problem.views * problem.gaussians, dtype=torch.int64)
+        plane.counts = counts.data_ptr()
+        self._over_pairs("count_tiles", problem, problem, plane)
+        ends = self._keep(f"{name} ends", torch.cumsum(counts, 0))
+        plane.ends = ends.data_ptr()
+        return ends[-1] if len(ends) else counts.sum()
+
+    def _list(
+        self, name: str, plane: ctypes.Structure, slots: int, tiles: int, problem: ctypes.Structure, *, by_depth: bool
+    ) -> None:
+        """List the Gaussians of every tile."""
+        keys = self._new(f"{name} keys", slots, dtype=torch.int64)
+        plane.keys = keys.data_ptr()
+        plane.owners = self._new(f"{name} owners", slots, dtype=torch.int32).data_ptr()
+        self._over_pairs("list_tiles", problem, problem, plane, c_int32(by_depth))
+        del self._arrays[f"{name} keys"]
+        keys, order = torch.sort(keys, stable=True)
+        borders = torch.arange(tiles + 1, dtype=torch.int64, device=keys.device) << 32
+        plane.order = self._keep(f"{name} order", order).data_ptr()
+        plane.starts = self._keep(f"{name} starts", torch.searchsorted(keys, borders)).data_ptr()
+
+    def _launch(self, name: str, blocks: int, *arguments: ctypes._CData) -> None:
+        if blocks:
+            self._launcher.launch(name, blocks, _THREADS, *arguments)
+
+    def _over_pairs(self, name: str, problem: ctypes.Structure, *arguments: ctypes._CData) -> None:
+        self._launch(name, problem.views * -(-problem.gaussians // _THREADS), *arguments)
+
+    def _new(self, name: str, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
+        return self._keep(name, torch.empty(shape, dtype=dtype, device=self._launcher.device))
+
+    def _keep(self, name: str, array: Tensor) -> Tensor:
+        self._arrays[name] = array  # kernels hold its address only
+        return array
+
+    def _fill(self, dtype: torch.dtype = torch.float32, **shapes: tuple[int, ...]) -> None:
+        """New arrays of the state, by name."""
+        for name, shape in shapes.items():
+            setattr(self._state, name, self._new(name, *shape, dtype=dtype).data_ptr())
+
+
+def _no_memory(device: torch.device) -> SarsplatError:
+    return SarsplatError(
+        f"the memory of {device} does not suffice for the rendering; take fewer views at a time or coarser rays"
+    )
+
+
+def _lattice(bounds: Sequence[int]) -> tuple[int, int, int, int]:
+    """(k0x, k0y, rows, columns) of the rays that hold all footprints; `bounds` are ordered bits of x, y, −x, −y."""
+    if bounds[0] < 0:  # nothing touches a ray
+        return 0, 0, 0, 0
+    x0, y0, x1, y1 = (math.floor(_unordered(bits)) for bits in bounds)
+    return x0, y0, max(1, -y1 - y0), max(1, -x1 - x0)
+
+
+def _unordered(bits: int) -> float:
+    """The float whose bits were made to sort as an unsigned integer."""
+    bits = bits ^ 0x80000000 if bits & 0x80000000 else ~bits & 0xFFFFFFFF
+    return struct.unpack("f", struct.pack("I", bits))[0]
+
+
+def _cut_into_tiles(lattices: Sequence[tuple[int, int, int, int]], offset: float) -> list[ctypes.Structure]:
+    found, tile, point = [], 0, 0
+    for k0x, k0y, rows, columns in lattices:
+        tiles_x = -(-columns // _TILE)
+        found.append(_ViewLattice(k0x + offset, k0y + offset, rows, columns, tiles_x, tile, point))
+        tile += _tiles(found[-1])
+        point += rows * columns
+    return found
+
+
+def _tiles(lattice: ctypes.Structure) -> int:
+    return lattice.tiles_x * -(-lattice.rows // _TILE)
+
+
+def _total(lattices: Sequence[ctypes.Structure]) -> tuple[int, int]:
+    """Points and tiles of all views."""
+    last = lattices[-1]
+    return last.first_point + last.rows * last.columns, last.first_tile + _tiles(last)

@@ -1,0 +1,110 @@
+"""One NVIDIA GPU: loads the compiled engine and launches its kernels through the driver, on torch's current stream."""
+
+from __future__ import annotations
+
+import ctypes
+from ctypes import POINTER, byref, c_char_p, c_int, c_uint, c_void_p
+from functools import cache
+
+import torch
+
+from sarsplat.errors import SarsplatError
+from sarsplat.renderer.nvrtc import Nvrtc, machine_code
+
+_DRIVER = "libcuda.so.1"
+
+
+class Device:
+    """The kernels of one GPU.
+
+    Raises
+    ------
+    SarsplatError
+        If the driver, NVRTC or the device is missing.
+    """
+
+    def __init__(self, device: torch.device) -> None:
+        self.device = device
+        self._driver = _driver()
+        self._context, module = c_void_p(), c_void_p()
+        handle = c_int()
+        self._check(self._driver.cuInit(0))
+        self._check(self._driver.cuDeviceGet(byref(handle), device.index))
+        self._check(self._driver.cuDevicePrimaryCtxRetain(byref(self._context), handle))  # torch's; never released
+        self._check(self._driver.cuCtxSetCurrent(self._context))
+        major, minor = torch.cuda.get_device_capability(device)
+        code = machine_code(f"sm_{major}{minor}", Nvrtc())
+        self._check(self._driver.cuModuleLoadData(byref(module), code))
+        self._module = module
+        self._kernels: dict[str, c_void_p] = {}
+
+    def launch(self, name: str, blocks: int, threads: int, *arguments: ctypes._CData) -> None:
+        """Queue a kernel; its arguments are C values, passed as they are."""
+        with torch.cuda.device(self.device):
+            self._check(self._driver.cuCtxSetCurrent(self._context))  # threads of autograd may not have it yet
+            stream = torch.cuda.current_stream(self.device).cuda_stream
+            addresses = (c_void_p * len(arguments))(*(ctypes.addressof(argument) for argument in arguments))
+            self._check(
+                self._driver.cuLaunchKernel(self._kernel(name), blocks, 1, 1, threads, 1, 1, 0, stream, addresses, None)
+            )
+
+    def _kernel(self, name: str) -> c_void_p:
+        if name not in self._kernels:
+            kernel = c_void_p()
+            self._check(self._driver.cuModuleGetFunction(byref(kernel), self._module, name.encode()))
+            self._kernels[name] = kernel
+        return self._kernels[name]
+
+    def _check(self, status: int) -> None:
+        if status:
+            text = c_char_p()
+            self._driver.cuGetErrorString(status, byref(text))
+            raise SarsplatError(
+                f"the CUDA driver fails with error {status} ({(text.value or b'unknown').decode()}); "
+                "restart the program, update the driver, or use engine='cpu'"
+            )
+
+
+@cache
+def device(index: int) -> Device:
+    """The GPU of this number, its kernels compiled and loaded once.
+
+    Raises
+    ------
+    SarsplatError
+        If the driver, NVRTC or the device is missing.
+    """
+    return Device(torch.device("cuda", index))
+
+
+@cache
+def require_cuda() -> None:
+    """See that torch can reach a GPU.
+
+    Raises
+    ------
+    SarsplatError
+        With the reason and the remedy, if not.
+    """
+    if torch.version.cuda is None:
+        raise SarsplatError(
+            f"the CUDA engine needs a torch built for CUDA, and this is {torch.__version__}; install one, or use "
+            "engine='cpu'"
+        )
+    if not torch.cuda.is_available():
+        raise SarsplatError(
+            f"torch {torch.__version__} finds no usable NVIDIA GPU; install the driver that CUDA "
+            f"{torch.version.cuda} needs (see nvidia-smi), or use engine='cpu'"
+        )
+
+
+@cache
+def _driver() -> ctypes.CDLL:
+    try:
+        driver = ctypes.CDLL(_DRIVER)
+    except OSError as error:
+        raise SarsplatError(f"the NVIDIA driver cannot be loaded ({error}); install it, or use engine='cpu'") from error
+    driver.cuModuleLoadData.argtypes = [POINTER(c_void_p), c_char_p]
+    sizes = [c_uint] * 7  # grid, block, shared bytes
+    driver.cuLaunchKernel.argtypes = [c_void_p, *sizes, c_void_p, POINTER(c_void_p), POINTER(c_void_p)]
+    return driver

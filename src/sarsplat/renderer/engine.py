@@ -1,0 +1,301 @@
+"""The engines behind one differentiable function: gathers arrays, calls a kernel once each way, names what is wrong."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import math
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache, lru_cache, partial
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians, Harmonics
+from sarsplat.gaussians.harmonics import harmonic_basis
+from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.renderer import cpu, cuda
+from sarsplat.renderer.checks import ALLOWED, check_for_cpu, check_for_cuda, check_values, complaint
+from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
+from sarsplat.renderer.cuda_device import device, require_cuda
+from sarsplat.renderer.rendering import RayMap, Rendering
+
+
+class Pass(Protocol):
+    """What an engine does: one forward pass, and what its backward pass needs."""
+
+    def forward(self, problem: ctypes.Structure, outputs: ctypes.Structure) -> tuple[str, int]:
+        """Run; returns what was rejected ("" for nothing) and at which index."""
+        ...
+
+    def backward(self, problem: ctypes.Structure, gradients: ctypes.Structure) -> None:
+        """Run the adjoint of the last forward pass."""
+        ...
+
+    def lattice(self, view: int) -> ctypes.Structure:
+        """Where the rays of a view stand."""
+        ...
+
+    def trace(self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int) -> None:
+        """Fill T_end and the first-return range of a view's rays."""
+        ...
+
+
+_ARRAYS = ("means", "quaternions", "scales", "kappa", "harmonics", "gamma0", "shift")
+"""Inputs by their names in a problem."""
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """Everything about a call that is not differentiable."""
+
+    views: tuple[View, ...]
+    grid: ImageGrid
+    rays: RayGrid
+    p_min: float  # of harmonics
+    peak: bool
+    first_return_depth: float | None
+    new_pass: Callable[[], Pass]
+    planes: Float[Tensor, "v n 4"] | None
+
+
+@cache
+def choose_engine(dtype: torch.dtype, device_type: str) -> str:
+    """The engine that "auto" takes for these tensors; says so once."""
+    engine = device_type if dtype == torch.float32 and device_type in ("cpu", "cuda") else "reference"
+    logging.getLogger("sarsplat").info("engine='auto' is %r for %s on %s", engine, dtype, device_type)
+    return engine
+
+
+def engine_for(
+    engine: str, instruction_set: str, grid: ImageGrid, tensors: dict[str, Tensor | None]
+) -> Callable[[], Pass]:
+    """What makes the passes of the engine "cpu" or "cuda" over these tensors.
+
+    Raises
+    ------
+    SarsplatError
+        If the engine does not take them, or is not available.
+    """
+    if engine == "cpu":
+        check_for_cpu(grid, tensors)
+        return partial(cpu.Pass, instruction_set)
+    require_cuda()
+    return partial(cuda.Pass, device(check_for_cuda(tensors)))
+
+
+def render_with(
+    new_pass: Callable[[], Pass],
+    gaussians: Gaussians,
+    views: Sequence[View],
+    grid: ImageGrid,
+    *,
+    rays: RayGrid,
+    gamma0: Float[Tensor, "v n"] | None,
+    shift: Float[Tensor, "v 2"] | None,
+    gain: Float[Tensor, " v"] | None,
+    imaging_weight: str,
+    first_return_depth: float | None,
+    plane_gradients: bool,
+) -> Rendering:
+    """`sarsplat.render` on an engine's passes; arguments are documented there."""
+    check_values({"gain": gain})  # the rest is checked on the way in
+    planes = gaussians.means.new_zeros(len(views), len(gaussians), 4) if plane_gradients else None
+    law, harmonics = gaussians.scattering, None
+    if gamma0 is None and isinstance(law, Harmonics):
+        harmonics = law.parameters  # kernels evaluate these themselves
+    elif gamma0 is None:
+        gamma0 = gaussians.gamma0(_directions(tuple(views)).to(gaussians.means))
+    setting = _Setting(
+        tuple(views), grid, rays, law.p_min, imaging_weight == "peak", first_return_depth, new_pass, planes
+    )
+    shift = gaussians.means.new_zeros(len(views), 2) if shift is None else shift
+    images, cross_sections, lit_area, transmittance, first_return, lattices = _Render.apply(
+        gaussians.means,
+        gaussians.quaternions,
+        gaussians.scales,
+        gaussians.optical_depth,
+        harmonics,
+        gamma0,
+        shift,
+        setting,
+    )
+    if gain is not None:
+        # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
+        images = images * gain[:, None, None].expand(-1, 1, grid.columns)
+    ray_maps = _ray_maps(transmittance, first_return, lattices, rays) if first_return_depth is not None else None
+    return Rendering(images, cross_sections, lit_area, ray_maps, planes)
+
+
+def _ray_maps(
+    transmittance: Float[Tensor, " all_rays"],
+    first_return: Float[Tensor, " all_rays"],
+    lattices: list[tuple[int, int, int, int]],
+    rays: RayGrid,
+) -> tuple[RayMap, ...]:
+    maps, at = [], 0
+    for k0x, k0y, rows, columns in lattices:
+        part = slice(at, at + rows * columns)
+        origin = ((k0x + 0.5) * rays.spacing_m[0], (k0y + 0.5) * rays.spacing_m[1])
+        maps.append(RayMap(transmittance[part].view(rows, columns), first_return[part].view(rows, columns), origin))
+        at = part.stop
+    return tuple(maps)
+
+
+class _Render(torch.autograd.Function):
+    """One call each way for all views."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        means: Tensor,
+        quaternions: Tensor,
+        scales: Tensor,
+        kappa: Tensor,
+        harmonics: Tensor | None,
+        gamma0: Float[Tensor, "v n"] | None,
+        shift: Tensor,
+        setting: _Setting,
+    ) -> tuple[Any, ...]:
+        inputs = [t if t is None else t.contiguous() for t in (means, quaternions, scales, kappa, harmonics, gamma0)]
+        inputs.append(shift.contiguous())
+        problem, constants = _problem(inputs, setting)
+        views, n, grid = len(setting.views), means.shape[0], setting.grid
+        images = means.new_empty(views, grid.rows, grid.columns)  # never torch's default dtype or device
+        cross_sections, lit_area = means.new_empty(views, n), means.new_empty(views, n)
+        kernel = setting.new_pass()
+        outputs = cpu.Outputs(images.data_ptr(), cross_sections.data_ptr(), lit_area.data_ptr())
+        fault, index = kernel.forward(problem, outputs)
+        if fault:
+            raise SarsplatError(_explain(fault, index, inputs, setting))
+        transmittance = first_return = means.new_empty(0)
+        lattices: list[tuple[int, int, int, int]] = []
+        if setting.first_return_depth is not None:
+            transmittance, first_return, lattices = _trace(
+                kernel, problem, setting.first_return_depth, len(setting.views), means.device
+            )
+        ctx.kernel, ctx.problem, ctx.constants, ctx.setting = kernel, problem, constants, setting
+        ctx.shapes = [t if t is None else t.shape for t in inputs]
+        ctx.one_at_a_time = threading.Lock()  # the kernel lets go of Python's, and has one set of scratch memory
+        ctx.save_for_backward(*inputs)
+        ctx.mark_non_differentiable(lit_area, first_return)
+        ctx.set_materialize_grads(False)
+        return images, cross_sections, lit_area, transmittance, first_return, lattices
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
+        d_images, d_cross_sections, _, d_transmittance, *_ = grads
+        # also the check that nobody changed them in place; they need not lie where they lay in the forward pass
+        saved = ctx.saved_tensors  # asked for once: what checkpointing recomputes, it hands out once
+        inputs = [t if t is None else t.contiguous() for t in saved]
+        setting: _Setting = ctx.setting
+        for name, tensor, shape in zip(_ARRAYS, inputs, ctx.shapes, strict=True):
+            if tensor is not None and tensor.shape != shape:
+                raise SarsplatError(
+                    f"{name} were {tuple(shape)} when they were rendered and are {tuple(tensor.shape)} now; do not "
+                    "replace the data of tensors between rendering and backward"
+                )
+        if d_images is None:
+            d_images = saved[0].new_zeros(len(setting.views), setting.grid.rows, setting.grid.columns)
+        seeds = [t if t is None else t.contiguous() for t in (d_images, d_cross_sections, d_transmittance)]
+        results = [None if t is None else torch.empty_like(t) for t in inputs]
+        gradients = cpu.Gradients(*(_pointer(t) for t in (*seeds, *results, setting.planes)))
+        with ctx.one_at_a_time:
+            _point_at(ctx.problem, inputs)
+            ctx.kernel.backward(ctx.problem, gradients)
+        return (*results, None)
+
+
+def _pointer(tensor: Tensor | None) -> int | None:
+    return None if tensor is None else tensor.data_ptr()
+
+
+def _point_at(problem: ctypes.Structure, inputs: Sequence[Tensor | None]) -> None:
+    for name, tensor in zip(_ARRAYS, inputs, strict=True):
+        setattr(problem, name, _pointer(tensor))
+
+
+@lru_cache(maxsize=256)
+def _directions(views: tuple[View, ...]) -> Float[Tensor, "v 3"]:
+    """Unit vectors towards the radar, float64: a training asks for the same ones again and again."""
+    return torch.from_numpy(np.stack([view.direction for view in views]))
+
+
+@lru_cache(maxsize=4096)
+def _frame_and_basis(view: View, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Radar frame and harmonics towards the radar, float32: the same few views come again and again in a training."""
+    frame = radar_frame(view)
+    basis = harmonic_basis(torch.from_numpy(-frame[2]), degree).numpy()
+    return frame.astype(np.float32), basis.astype(np.float32)
+
+
+def _problem(inputs: Sequence[Tensor | None], setting: _Setting) -> tuple[ctypes.Structure, tuple[Tensor, ...]]:
+    """The kernel's view of a call, and the tensors it points at that must outlive it."""
+    means, harmonics = inputs[0], inputs[4]
+    assert means is not None
+    degree = 0 if harmonics is None else math.isqrt(harmonics.shape[1]) - 1
+    by_view = zip(*(_frame_and_basis(view, degree) for view in setting.views))
+    frames, basis = (torch.from_numpy(np.array(part)).to(means.device) for part in by_view)
+    grid, rays = setting.grid, setting.rays
+    problem = cpu.Problem(
+        setting.peak,
+        len(setting.views),
+        means.shape[0],
+        0 if harmonics is None else harmonics.shape[1],
+        grid.rows,
+        grid.columns,
+        frames=_pointer(frames),
+        basis=_pointer(basis),
+        p_min=setting.p_min,
+        pixel=grid.spacing_m,
+        center=grid.center_m,
+        response_var=tuple(width**2 / (8 * math.log(2)) for width in grid.resolution_m),
+        ray=rays.spacing_m,
+        cell_widening=CELL_WIDENING,
+        min_ray_depth=MIN_RAY_DEPTH,
+        min_transmittance=MIN_TRANSMITTANCE,
+        image_cut=IMAGE_CUT,
+        min_scale=MIN_SCALE * (1 - 1e-6),
+        max_depth=MAX_OPTICAL_DEPTH * (1 + 1e-6),
+    )
+    _point_at(problem, inputs)
+    return problem, (frames, basis)
+
+
+def _trace(
+    kernel: Pass, problem: ctypes.Structure, depth: float, views: int, device: torch.device
+) -> tuple[Float[Tensor, " all_rays"], Float[Tensor, " all_rays"], list[tuple[int, int, int, int]]]:
+    lattices = [kernel.lattice(v) for v in range(views)]
+    total = sum(lattice.rows * lattice.columns for lattice in lattices)
+    transmittance, first_return = torch.empty(2, total, dtype=torch.float32, device=device)
+    at = 0
+    for v, lattice in enumerate(lattices):
+        kernel.trace(problem, v, depth, transmittance[at:].data_ptr(), first_return[at:].data_ptr())
+        at += lattice.rows * lattice.columns
+    return transmittance, first_return, [(la.k0x, la.k0y, la.rows, la.columns) for la in lattices]
+
+
+def _explain(fault: str, index: int, inputs: Sequence[Tensor | None], setting: _Setting) -> str:
+    if fault == "lattice":
+        means, scales = inputs[0], inputs[2]
+        assert means is not None
+        assert scales is not None
+        return (
+            f"view {index} would need too many rays at a spacing of {setting.rays.spacing_m} m: the Gaussians reach "
+            f"{float(means.abs().max()):.4g} m from the scene centre and are up to {float(scales.max()):.4g} m wide; "
+            "remove far and wide ones or take coarser rays"
+        )
+    tensor = inputs[cpu.FAULTS.index(fault) - 1]
+    assert tensor is not None
+    if fault == "gamma0":
+        view, gaussian = divmod(index, tensor.shape[1])
+        return f"gamma0[{view}, {gaussian}] is {tensor[view, gaussian].item()}; it must be {ALLOWED[fault]}"
+    return complaint(fault, tensor, index)

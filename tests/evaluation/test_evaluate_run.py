@@ -1,0 +1,226 @@
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sarsplat.data import Dataset, write_dataset
+from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.evaluation import IMAGE_METRICS, POINT_METRICS, evaluate_run, log_correlation, nats_per_pixel, psnr_db
+from sarsplat.evaluation.lpips import WEIGHTS_VARIABLE
+from sarsplat.geometry import ImageGrid, View
+
+trimesh = pytest.importorskip("trimesh")
+
+SIZE = 64
+CUBE = trimesh.creation.box((2, 2, 2), trimesh.transformations.translation_matrix((0, 0, 1)))
+ON_THE_TOP = np.stack([*(a.ravel() for a in np.meshgrid(*[np.linspace(-1, 1, 30)] * 2)), np.full(900, 2.0)], axis=1)
+WEIGHTS = Path(__file__).resolve().parents[3] / "shared" / "data" / "weights"
+RENDERED_ONLY, SPECKLED_ONLY = IMAGE_METRICS[:4], IMAGE_METRICS[4:]
+
+
+@dataclass
+class FakeRun:
+    dataset: Dataset
+    points: np.ndarray = field(default_factory=lambda: ON_THE_TOP)
+    power: float = 1.0
+    path: Path = Path("run")
+    time_s: float = 12.5
+    seed: int = 3
+    asked: list[View] = field(default_factory=list)
+
+    def render(self, views):
+        self.asked += views
+        return np.stack([self.power * image(view.azimuth_deg) for view in views])
+
+
+def image(azimuth: float) -> np.ndarray:
+    """Smooth positive power that depends on the azimuth."""
+    x = np.arange(SIZE) / SIZE
+    return (1.5 + np.sin(6 * x[:, None] + np.radians(azimuth)) * np.cos(5 * x)).astype(np.float32)
+
+
+@pytest.fixture(autouse=True)
+def no_weights(monkeypatch):
+    monkeypatch.delenv(WEIGHTS_VARIABLE, raising=False)
+
+
+@pytest.fixture
+def make(tmp_path, monkeypatch):
+    def coarse(mesh, views):  # the same protocol with fewer rays and samples
+        return visible_surface(mesh, views, ray_spacing=0.05, samples=5000)
+
+    from sarsplat.evaluation.surface import visible_surface
+
+    monkeypatch.setattr("sarsplat.evaluation.evaluation.visible_surface", coarse)
+
+    def dataset(domain="rendered", looks=None, mesh=CUBE, scale=1.0) -> Dataset:
+        splits = ("train", "test-17", "train", "test-15", "test-17")
+        views = [(View(80.0 * k, 45), split, None) for k, split in enumerate(splits)]
+        images = np.stack([scale * image(view.azimuth_deg) for view, *_ in views]).astype(np.float32)
+        if domain == "measured" or looks:
+            images *= np.random.default_rng(0).exponential(size=images.shape).astype(np.float32) + np.float32(1e-3)
+        return write_dataset(
+            tmp_path / "dataset",
+            grid=ImageGrid(SIZE, SIZE, (0.3, 0.3), (0.3, 0.3)),
+            views=views,
+            images=images,
+            source={"looks": looks},
+            domain=domain,
+            truth_mesh=mesh,
+        )
+
+    return dataset
+
+
+def test_every_key_is_there_and_every_null_has_its_reason(make):
+    metrics = evaluate_run(FakeRun(make(), power=1.1))
+    assert list(metrics) == ["images", "points", "yardsticks", "time_s", "seed", "domain", "reasons"]
+    assert list(metrics["images"]) == ["test-17", "test-15"]
+    assert list(metrics["points"]) == ["visible", "whole"]
+    leaves = {f"images.{name}.{key}": value for name, row in metrics["images"].items() for key, value in row.items()}
+    leaves |= {f"points.{name}.{key}": value for name, row in metrics["points"].items() for key, value in row.items()}
+    assert set(leaves) == {f"images.{name}.{key}" for name in metrics["images"] for key in IMAGE_METRICS} | {
+        f"points.{name}.{key}" for name in ("visible", "whole") for key in POINT_METRICS
+    }
+    assert set(metrics["reasons"]) == {key for key, value in leaves.items() if value is None}
+    assert (metrics["time_s"], metrics["seed"]) == (12.5, 3)
+    assert json.loads(json.dumps(metrics, allow_nan=False)) == metrics
+
+
+def test_a_rendered_set_is_scored_by_protocol_r(make):
+    run = FakeRun(make(), power=1.1)
+    metrics = evaluate_run(run)
+    truth, train = run.dataset.images("test-17"), run.dataset.images("train")
+    scores = metrics["images"]["test-17"]
+    assert scores["psnr_db"] == pytest.approx(psnr_db(truth, np.float32(1.1) * truth, float(np.sqrt(train.max()))))
+    assert 0.9 < scores["ssim"] < 1
+    assert metrics["domain"]["reference_amplitude"] == pytest.approx(float(np.sqrt(train.max())))
+    assert [scores[key] for key in SPECKLED_ONLY] == [None, None]
+    assert "speckle" in metrics["reasons"]["images.test-17.nats_per_pixel"]
+    assert scores["lpips"] is None
+    assert "--lpips-weights" in metrics["reasons"]["images.test-17.lpips"]
+    assert WEIGHTS_VARIABLE in metrics["reasons"]["images.test-17.lpips"]
+
+
+def test_views_of_each_set_are_rendered_in_order(make):
+    run = FakeRun(make())
+    evaluate_run(run)
+    assert [view.azimuth_deg for view in run.asked] == [80, 320, 240]
+
+
+def test_points_are_scored_against_both_surfaces(make):
+    points = evaluate_run(FakeRun(make()))["points"]
+    assert points["visible"]["accuracy_m"] == pytest.approx(0, abs=1e-9)
+    assert points["visible"]["precision@0.3"] == 1.0
+    assert points["visible"]["count"] == points["whole"]["count"] == 900
+    # the bottom is seen from nowhere: it lowers the whole surface's recall only
+    assert points["whole"]["recall@0.3"] < points["visible"]["recall@0.3"] < 1
+    assert points["visible"]["f1@0.1"] < points["visible"]["f1@0.3"]
+
+
+def test_a_measured_set_is_scored_by_protocol_m_whatever_its_unit(make, tmp_path):
+    run = FakeRun(make(domain="measured", mesh=None, scale=50.0), power=50.0)
+    metrics = evaluate_run(run)
+    truth, mean = run.dataset.images("test-17"), run.dataset.images("train").mean(dtype=float)
+    rendered = run.render([item.view for item in run.dataset.select("test-17")])
+    scores = metrics["images"]["test-17"]
+    assert scores["nats_per_pixel"] == pytest.approx(nats_per_pixel(truth / mean, rendered / mean))
+    assert scores["nats_per_pixel"] < 2  # and not log 50 higher
+    assert scores["log_correlation"] == pytest.approx(log_correlation(truth, rendered))
+    assert [scores[key] for key in RENDERED_ONLY] == [None] * 4
+    assert all("measured" in metrics["reasons"][f"images.test-17.{key}"] for key in RENDERED_ONLY)
+    assert metrics["points"]["visible"] == dict.fromkeys(POINT_METRICS)
+    assert "no true mesh" in metrics["reasons"]["points.whole.count"]
+
+
+def test_a_speckled_rendered_set_is_scored_by_both(make):
+    scores = evaluate_run(FakeRun(make(looks=1)))["images"]["test-15"]
+    assert [key for key in IMAGE_METRICS if scores[key] is None] == ["lpips"]
+
+
+def test_black_pixels_leave_the_likelihood_null_with_the_reason(make):
+    metrics = evaluate_run(FakeRun(make(looks=1), power=0.0))
+    assert metrics["images"]["test-17"]["nats_per_pixel"] is None
+    assert "noise floor" in metrics["reasons"]["images.test-17.nats_per_pixel"]
+    assert metrics["images"]["test-17"]["psnr_db"] is not None
+
+
+def test_no_points_is_a_result_not_an_error(make):
+    metrics = evaluate_run(FakeRun(make(), points=np.empty((0, 3))))
+    assert metrics["points"]["whole"]["cd_m"] is None
+    assert "no points" in metrics["reasons"]["points.whole.cd_m"]
+
+
+def test_unsound_renderings_are_errors_not_nulls(make):
+    with pytest.raises(SarsplatError, match="non-finite"):
+        evaluate_run(FakeRun(make(), power=float("nan")))
+
+
+def test_given_but_broken_weights_are_errors(make, tmp_path, monkeypatch):
+    run = FakeRun(make())
+    with pytest.raises(SarsplatError, match="no usable LPIPS weights"):
+        evaluate_run(run, lpips_weights=tmp_path)
+    monkeypatch.setenv(WEIGHTS_VARIABLE, str(tmp_path / "absent"))
+    with pytest.raises(SarsplatError, match="absent"):
+        evaluate_run(run)
+
+
+@pytest.mark.skipif(not WEIGHTS.is_dir(), reason=f"the LPIPS weights are not in {WEIGHTS}")
+def test_weights_give_lpips(make):
+    metrics = evaluate_run(FakeRun(make(), power=1.5), lpips_weights=WEIGHTS)
+    assert 0 < metrics["images"]["test-17"]["lpips"] < 1
+    assert "images.test-17.lpips" not in metrics["reasons"]
+
+
+def test_an_unreadable_mesh_is_told(make):
+    dataset = make()
+    dataset.truth_mesh.write_bytes(b"ply\nnot a mesh")
+    with pytest.raises(SarsplatError, match=r"the true mesh cannot be used: .*truth\.ply"):
+        evaluate_run(FakeRun(dataset))
+
+
+def only_training(path: Path, mesh) -> Dataset:
+    return write_dataset(
+        path,
+        grid=ImageGrid(SIZE, SIZE, (0.3, 0.3), (0.3, 0.3)),
+        views=[(View(0, 45), "train", None)],
+        images=image(0)[None],
+        source={},
+        domain="rendered",
+        truth_mesh=mesh,
+    )
+
+
+def test_without_test_views_the_points_are_scored(tmp_path, make):  # make: coarse surfaces
+    with pytest.warns(SarsplatWarning, match="made from one view, from which no shape can be told"):
+        metrics = evaluate_run(FakeRun(only_training(tmp_path / "with mesh", CUBE)))
+    assert metrics["images"] == {}
+    assert metrics["points"]["visible"]["cd_m"] is not None
+    assert "no test images" in metrics["reasons"]["images"]
+
+
+@pytest.mark.parametrize(("mesh", "points", "told"), [(None, ON_THE_TOP, "no true mesh"), (CUBE, [], "no points")])
+def test_with_nothing_to_score_evaluation_is_refused(tmp_path, mesh, points, told):
+    with pytest.raises(SarsplatError, match=f"no test images and .*{told}"):
+        evaluate_run(FakeRun(only_training(tmp_path / "dataset", mesh), points=np.array(points)))
+
+
+@pytest.mark.parametrize("scale", [1e-45, 1e-38, 1e-30, 1e16])
+@pytest.mark.parametrize("domain", ["rendered", "measured"])
+def test_faint_and_strong_images_are_scored_without_a_warning(make, domain, scale):
+    dataset = make(domain=domain, looks=1, mesh=None, scale=scale)
+    scores = evaluate_run(FakeRun(dataset, power=scale))["images"]["test-17"]
+    assert all(np.isfinite(value) for value in scores.values() if value is not None)
+
+
+@pytest.mark.parametrize("scale", [1e-40, 1e17])
+def test_scores_do_not_depend_on_the_scale(tmp_path, scale):
+    generator = np.random.default_rng(0)
+    truth, rendered = (generator.exponential(size=(2, 64, 64)).astype(np.float32) + 1 for _ in range(2))
+    faint = [(power * np.float32(scale)).astype(np.float32) for power in (truth, rendered)]
+    assert psnr_db(*faint, float(np.sqrt(faint[0].max()))) == pytest.approx(
+        psnr_db(truth, rendered, float(np.sqrt(truth.max()))), abs=1e-3
+    )
+    assert log_correlation(*faint) == pytest.approx(log_correlation(truth, rendered), abs=1e-3)

@@ -1,0 +1,151 @@
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import pearsonr
+
+from sarsplat.errors import SarsplatError
+from sarsplat.evaluation import log_correlation, nats_per_pixel, psnr_db, psnr_target_db, ssim
+from sarsplat.evaluation.images import UndefinedScore
+
+
+def stack(*levels: float, size: int = 64) -> np.ndarray:
+    """One uniform image per level of power."""
+    return np.stack([np.full((size, size), level, np.float32) for level in levels])
+
+
+def test_psnr_compares_amplitudes_divided_by_the_training_maximum():
+    # amplitudes 3 and 2, reference 10: error .1 → 20 dB; power would give something else
+    assert psnr_db(stack(9.0), stack(4.0), 10.0) == pytest.approx(20.0, abs=1e-4)
+
+
+def test_psnr_is_averaged_in_decibels_over_images():
+    # errors .1 and .01 → 20 and 40 dB; pooling the squares would give 22.97 dB
+    assert psnr_db(stack(4.0, 4.0), stack(9.0, 4.41), 10.0) == pytest.approx(30.0, abs=1e-3)
+
+
+def test_psnr_is_not_clipped_above_the_training_maximum():
+    assert psnr_db(stack(400.0), stack(100.0), 10.0) == pytest.approx(0.0, abs=1e-4)
+
+
+def test_psnr_of_a_perfect_image_is_finite():
+    assert psnr_db(stack(1.0), stack(1.0), 1.0) == pytest.approx(-20 * math.log10(np.finfo(np.float32).eps))
+
+
+def test_target_psnr_counts_only_pixels_above_minus_30_db_of_the_set():
+    truth, rendered = np.zeros((2, 64, 64), np.float32), np.zeros((2, 64, 64), np.float32)
+    truth[0, :8, :8], rendered[0, :8, :8] = 1.0, 0.81  # error .1 on the target
+    truth[1, :2, :2], rendered[1, :2, :2] = 0.0011, 0.0  # above 0.001 of the *set's* maximum: a target pixel
+    truth[1, 4:, 4:], rendered[1, 4:, 4:] = 0.0009, 0.5  # below: not scored, however wrong
+    expected = (20.0 - 10 * math.log10(0.0011)) / 2
+    assert psnr_target_db(truth, rendered, 1.0) == pytest.approx(expected, abs=1e-3)
+    assert psnr_db(truth[:1], rendered[:1], 1.0) == pytest.approx(20.0 + 10 * math.log10(64), abs=1e-3)
+
+
+def test_target_psnr_leaves_out_images_without_a_target():
+    truth = stack(1.0, 0.0)
+    assert psnr_target_db(truth, stack(0.81, 1.0), 1.0) == pytest.approx(20.0, abs=1e-3)
+    with pytest.raises(UndefinedScore, match="black"):
+        psnr_target_db(stack(0.0), stack(1.0), 1.0)
+
+
+def test_ssim_of_constant_images_follows_the_formula():
+    # variances and covariance vanish; luminance term alone, c1 = (0.01·1)²
+    x, y, c1 = 0.5, 0.7, 1e-4
+    expected = (2 * x * y + c1) / (x * x + y * y + c1)
+    assert ssim(stack(x * x), stack(y * y), 1.0) == pytest.approx(expected, abs=1e-5)
+
+
+def test_ssim_matches_a_direct_gaussian_window():
+    from scipy.ndimage import correlate1d
+
+    generator = np.random.default_rng(0)
+    truth, rendered = generator.random((2, 1, 40, 40), dtype=np.float32)
+    window = np.exp(-0.5 * ((np.arange(11) - 5) / 1.5) ** 2)
+    window /= window.sum()
+
+    def mean(a: np.ndarray) -> np.ndarray:
+        return correlate1d(correlate1d(a, window, axis=0, mode="mirror"), window, axis=1, mode="mirror")
+
+    a, b = np.sqrt(truth[0].astype(float)), np.sqrt(rendered[0].astype(float))
+    covariance, va, vb = mean(a * b) - mean(a) * mean(b), mean(a * a) - mean(a) ** 2, mean(b * b) - mean(b) ** 2
+    score = (2 * mean(a) * mean(b) + 1e-4) * (2 * covariance + 9e-4)
+    score /= (mean(a) ** 2 + mean(b) ** 2 + 1e-4) * (va + vb + 9e-4)
+    assert ssim(truth, rendered, 1.0) == pytest.approx(score.mean(), abs=1e-4)
+
+
+def test_ssim_needs_room_for_its_window():
+    with pytest.raises(UndefinedScore, match="11×11"):
+        ssim(stack(1.0, size=10), stack(1.0, size=10), 1.0)
+
+
+def test_nats_are_log_s_plus_ratio_inside_the_margin_only():
+    truth, rendered = stack(6.0, size=128), stack(3.0, size=128)
+    for chips in (truth, rendered):
+        chips[:, :24], chips[:, 104:], chips[:, :, :24], chips[:, :, 104:] = 1e6, 1e-6, 1e6, 1e-6
+    rendered[:, 0, 0] = 0.0  # outside the margin: no matter
+    assert nats_per_pixel(truth, rendered) == pytest.approx(math.log(3) + 2, rel=1e-6)
+    truth[:, 24, 24] += 80 * 80  # the first pixel inside
+    assert nats_per_pixel(truth, rendered) == pytest.approx(math.log(3) + 2 + 1 / 3, rel=1e-6)
+
+
+def test_the_true_mean_has_the_best_likelihood():
+    generator = np.random.default_rng(1)
+    mean = np.exp(generator.normal(size=(4, 128, 128)))
+    speckled = mean * generator.exponential(size=mean.shape)
+    best = nats_per_pixel(speckled, mean)
+    assert all(nats_per_pixel(speckled, mean * factor) > best + 0.003 for factor in (0.9, 1.1))
+
+
+def test_correlation_filters_the_full_chip_then_crops():
+    generator = np.random.default_rng(2)
+    truth, rendered = generator.exponential(size=(2, 3, 60, 60))
+    expected = []
+    for a, b in zip(truth, rendered):
+        means = [
+            [np.log(image[r - 1 : r + 2, c - 1 : c + 2].mean()) for r in range(24, 36) for c in range(24, 36)]
+            for image in (a, b)
+        ]
+        expected.append(pearsonr(*means).statistic)
+    assert log_correlation(truth, rendered) == pytest.approx(np.mean(expected), abs=1e-12)
+
+
+def test_correlation_ignores_scale_and_constant_predictions_score_nothing():
+    chips = np.random.default_rng(3).exponential(size=(2, 64, 64))
+    assert log_correlation(chips, 7 * chips) == pytest.approx(1.0)
+    assert log_correlation(chips, np.ones_like(chips)) == 0.0
+
+
+def test_zero_power_has_no_likelihood():
+    chips = np.random.default_rng(4).exponential(size=(1, 64, 64))
+    holed = chips.copy()
+    holed[0, 30:34, 30:34] = 0
+    with pytest.raises(UndefinedScore, match="zero at 16 of 256"):
+        nats_per_pixel(chips, holed)
+    with pytest.raises(UndefinedScore, match="true power is zero at 4 of 256"):
+        log_correlation(holed, chips)
+
+
+def test_small_chips_have_no_inside():
+    with pytest.raises(UndefinedScore, match="48 × 48"):
+        nats_per_pixel(stack(1.0, size=48), stack(1.0, size=48))
+
+
+@pytest.mark.parametrize("score", [lambda t, r: psnr_db(t, r, 1.0), nats_per_pixel, log_correlation])
+def test_unsound_images_are_refused_not_scored(score):
+    bad = stack(1.0)
+    bad[0, 3, 3] = np.nan
+    for truth, rendered, message in (
+        (stack(1.0), bad, "rendered images hold"),
+        (-stack(1.0), stack(1.0), "true images hold"),
+        (stack(1.0), stack(1.0, 1.0), "equal"),
+        (np.empty((0, 64, 64)), np.empty((0, 64, 64)), "non-empty"),
+    ):
+        with pytest.raises(SarsplatError, match=message) as caught:
+            score(truth, rendered)
+        assert not isinstance(caught.value, UndefinedScore)
+
+
+def test_the_reference_must_be_positive():
+    with pytest.raises(SarsplatError, match=r"0\.0"):
+        psnr_db(stack(1.0), stack(1.0), 0.0)

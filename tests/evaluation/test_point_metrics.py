@@ -1,0 +1,105 @@
+import numpy as np
+import pytest
+
+from sarsplat.errors import SarsplatError
+from sarsplat.evaluation import point_metrics
+from sarsplat.evaluation.points import surface_distance, thin
+
+trimesh = pytest.importorskip("trimesh")
+
+SQUARE = np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]], dtype=float)
+
+
+def lattice(n: int, z: float = 0.0) -> np.ndarray:
+    """Points, n × n, in the middle of equal cells of the unit square."""
+    middle = (np.arange(n) + 0.5) / n
+    x, y = np.meshgrid(middle, middle)
+    return np.stack([x.ravel(), y.ravel(), np.full(n * n, z)], axis=1)
+
+
+def brute_force(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    return np.array(
+        [
+            np.linalg.norm(
+                trimesh.triangles.closest_point(triangles, np.broadcast_to(p, (len(triangles), 3))) - p, axis=1
+            ).min()
+            for p in points
+        ]
+    )
+
+
+def test_a_plane_raised_by_a_known_height():
+    height = 0.15
+    scores = point_metrics(lattice(20, height), SQUARE, lattice(20))
+    assert scores.count == 400
+    assert scores.accuracy_m == pytest.approx(height)
+    assert scores.completeness_m == pytest.approx(height)
+    assert scores.cd_m == pytest.approx(height)
+    assert scores.cd_squared_m2 == pytest.approx(height**2)
+    assert scores.f1 == {0.3: 1.0, 0.2: 1.0, 0.1: 0.0}
+
+
+def test_half_the_surface_and_a_floater():
+    # 128 points on the half x < 0.5, one floater 1 m above
+    half = lattice(16)[lattice(16)[:, 0] < 0.5]
+    points = np.concatenate([half, [[0.25, 0.25, 1.0]]])
+    scores = point_metrics(points, SQUARE, lattice(16))
+    assert scores.accuracy_m == pytest.approx(1 / 129)
+    assert scores.precision[0.3] == pytest.approx(128 / 129)
+    gaps = np.arange(1, 9) / 16  # of the columns right of the half
+    assert scores.completeness_m == pytest.approx(gaps.sum() / 16)
+    recall = 11 / 16
+    assert scores.recall[0.2] == pytest.approx(recall)
+    assert scores.f1[0.2] == pytest.approx(2 * (128 / 129) * recall / (128 / 129 + recall))
+    assert scores.cd_m == pytest.approx((scores.accuracy_m + scores.completeness_m) / 2)
+    assert scores.cd_squared_m2 == pytest.approx((1 / 129 + (gaps**2).sum() / 16) / 2)
+
+
+def test_accuracy_is_measured_to_triangles_not_to_samples():
+    scores = point_metrics(lattice(7), SQUARE, lattice(2))
+    assert scores.accuracy_m < 1e-12
+    assert scores.completeness_m > 0.01
+
+
+def test_distance_is_exact_for_any_triangles():
+    generator = np.random.default_rng(0)
+    slivers = generator.normal(size=(20, 1, 3)) * 3 + generator.normal(size=(20, 3, 3)) * [4, 0.01, 0.3]
+    small = generator.normal(size=(300, 1, 3)) * 2 + generator.normal(size=(300, 3, 3)) * 0.05
+    triangles = np.concatenate([slivers, small, [[[-9, -9, -4], [9, -9, -4], [0, 9, -4]]]])
+    points = generator.normal(size=(300, 3)) * 3
+    points[:20] = triangles[:20].mean(axis=1)
+    assert surface_distance(points, triangles) == pytest.approx(brute_force(points, triangles), abs=1e-12)
+
+
+def test_distance_from_the_middle_of_a_sphere_where_all_triangles_compete():
+    sphere = np.asarray(trimesh.creation.icosphere(subdivisions=2).triangles)
+    middle = np.array([[1e-3, 0, 0]])
+    assert surface_distance(middle, sphere) == pytest.approx(brute_force(middle, sphere), abs=1e-12)
+
+
+def test_triangles_without_area_are_left_out():
+    spike = np.array([[[5, 5, 5], [5, 5, 5], [6, 5, 5]]], dtype=float)
+    assert surface_distance(np.array([[0.5, 0.5, 2.0]]), np.concatenate([SQUARE, spike])) == pytest.approx(2.0)
+    with pytest.raises(SarsplatError, match="no triangle"):
+        surface_distance(np.zeros((1, 3)), spike)
+
+
+def test_one_point_per_voxel_is_kept_the_first():
+    points = np.array([[0.011, 0, 0], [-0.001, 0, 0], [0.001, 0, 0], [0.019, 0.019, 0.019], [0.021, 0, 0]])
+    assert np.array_equal(thin(points), points[[0, 1, 4]])
+    crowded = np.repeat(lattice(10), 5, axis=0)
+    assert point_metrics(crowded, SQUARE, lattice(5)).count == 100
+
+
+def test_no_or_bad_points_are_told():
+    for points in (np.empty((0, 3)), np.zeros((4, 2))):
+        with pytest.raises(SarsplatError, match="at least one point"):
+            point_metrics(points, SQUARE, lattice(5))
+    with pytest.raises(SarsplatError, match="not finite"):
+        point_metrics(np.array([[0, 0, np.inf]]), SQUARE, lattice(5))
+
+
+@pytest.mark.parametrize("samples", [np.empty((0, 3)), np.full((2, 3), np.inf)])
+def test_samples_of_the_truth_are_checked_too(samples):
+    with pytest.raises(SarsplatError, match="samples of the true surface"):
+        point_metrics(lattice(3), SQUARE, samples)

@@ -1,0 +1,101 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.ndimage import uniform_filter
+
+from sarsplat.data import import_mstar, read_dataset, write_dataset
+from sarsplat.evaluation import log_correlation, nats_per_pixel, nearest_chip, rotated_average, yardstick_scores
+from sarsplat.geometry import ImageGrid, View, radar_frame
+
+MSTAR = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
+GRID = ImageGrid(81, 81, (0.2, 0.21), (0.3, 0.3))
+
+
+def spots(view: View) -> np.ndarray:
+    """Broad spots fixed to the ground, imaged from a view."""
+    x, r = np.meshgrid(GRID.azimuth_m, GRID.range_m)
+    image = np.full(x.shape, 0.1)
+    for place, width in (((3.0, 1.0, 0.0), 1.0), ((-2.0, 2.0, 0.0), 0.8), ((0.0, -3.0, 0.0), 1.2)):
+        a, _, b = radar_frame(view) @ np.array(place)
+        cosine = np.cos(np.radians(view.grazing_deg))
+        image += np.exp(-0.5 * ((x - a) ** 2 + ((r - b) / cosine) ** 2) / width**2)
+    return image.astype(np.float32)
+
+
+def test_nearest_chip_is_nearest_around_the_circle_and_smoothed():
+    train = np.random.default_rng(0).exponential(size=(3, 20, 20))
+    views = [View(azimuth, 17) for azimuth in (10, 120, 240)]
+    predicted = nearest_chip(train, views, [View(355, 15), View(-130, 15)])
+    assert np.allclose(predicted, uniform_filter(train, size=(0, 5, 5))[[0, 2]])
+
+
+@pytest.mark.parametrize(("turn", "grazing"), [(20, 17), (-35, 17), (20, 40)])
+def test_turned_chips_match_the_ground_seen_from_the_other_azimuth(turn, grazing):
+    source, wanted = View(40, 17), View(40 + turn, grazing)
+    (predicted,) = rotated_average(spots(source)[None], [source], [wanted], GRID)
+    inside = np.s_[20:61, 20:61]
+    assert np.corrcoef(predicted[inside].ravel(), spots(wanted)[inside].ravel())[0, 1] > 0.995
+    unturned = uniform_filter(spots(source), 5)
+    assert np.corrcoef(unturned[inside].ravel(), spots(wanted)[inside].ravel())[0, 1] < 0.9
+
+
+def test_a_view_far_from_every_chip_takes_the_nearest():
+    train = np.stack([np.full((20, 20), float(k + 1)) for k in range(36)])
+    grid = ImageGrid(20, 20, (0.2, 0.2), (0.3, 0.3))
+    (predicted,) = rotated_average(train, [View(k, 17) for k in range(36)], [View(150, 17)], grid)
+    assert np.allclose(predicted, 36)
+
+
+def test_scores_of_a_dataset_do_not_depend_on_its_calibration(tmp_path):
+    generator = np.random.default_rng(1)
+    views = [(View(azimuth, 17), split, None) for azimuth in range(0, 360, 60) for split in ("train", "test-17")]
+    images = np.stack([spots(view) * generator.exponential(size=(81, 81)) for view, *_ in views]).astype(np.float32)
+    scores = []
+    for scale in (1, 50):
+        dataset = write_dataset(
+            tmp_path / f"{scale}",
+            grid=GRID,
+            views=views,
+            images=images * np.float32(scale),
+            source={},
+            domain="measured",
+        )
+        scores.append(yardstick_scores(read_dataset(dataset.path), {}))
+    assert list(scores[0]) == ["test-17"]
+    for name in ("nearest_chip", "rotated_average"):
+        first, second = (score["test-17"][name] for score in scores)
+        assert first == pytest.approx(second, rel=1e-4)
+        assert first["log_correlation"] > 0.5
+
+
+@pytest.mark.skipif(not MSTAR.is_dir(), reason=f"the measured chips are not in {MSTAR}")
+def test_known_yardsticks_of_the_measured_t72(tmp_path):
+    # protocol M, K = 36, 17°: the nearest chip scores .573 nats and .841
+    pytest.importorskip("PIL")
+    dataset = import_mstar(MSTAR, tmp_path / "t72", labels=MSTAR / "labels.csv", target_class="T72", train_views=36)
+    train, truth = dataset.images("train"), dataset.images("test-17")
+    train_views, views = ([item.view for item in dataset.select(name)] for name in ("train", "test-17"))
+    nearest = nearest_chip(train, train_views, views)
+    assert nats_per_pixel(truth, nearest) == pytest.approx(0.573, abs=0.002)
+    assert log_correlation(truth, nearest) == pytest.approx(0.841, abs=0.002)
+    some = slice(None, None, 8)
+    rotated = rotated_average(train, train_views, views[some], dataset.grid)
+    assert nats_per_pixel(truth[some], rotated) < nats_per_pixel(truth[some], nearest[some]) - 0.02
+
+
+def test_zeros_of_measured_power_leave_a_score_null_with_its_reason(tmp_path):
+    views = [(View(azimuth, 17), split, None) for azimuth, split in ((0, "train"), (120, "train"), (5, "test-17"))]
+    images = np.stack([spots(view) for view, *_ in views])
+    images[0, 30:40, 30:40] = 0  # training chips with nothing there predict that nothing can ever come back
+    images[2, 50, 50] = 0  # a zero of the truth alone does no harm
+    dataset = write_dataset(tmp_path / "zeros", grid=GRID, views=views, images=images, source={}, domain="measured")
+    reasons: dict[str, str] = {}
+    scores = yardstick_scores(dataset, reasons)["test-17"]
+    assert scores["nearest_chip"]["nats_per_pixel"] is None
+    assert "the predicted power is zero at 36 of" in reasons["yardsticks.test-17.nearest_chip.nats_per_pixel"]
+    images[0, 30:40, 30:40] = 0.1
+    dataset = write_dataset(tmp_path / "fine", grid=GRID, views=views, images=images, source={}, domain="measured")
+    reasons.clear()
+    assert yardstick_scores(dataset, reasons)["test-17"]["nearest_chip"]["nats_per_pixel"] is not None
+    assert not reasons

@@ -1,0 +1,157 @@
+"""Laws of scattering: what they say, what they refuse, and that every one of them goes all the way round."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from sarsplat.data import read_gaussians_ply, write_gaussians_ply
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import SCATTERINGS, Gaussians, Harmonics, NormalLobes, Scattering, join
+from sarsplat.gaussians.covariance import rotation_matrix
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.renderer import render
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def directions(count: int = 40) -> torch.Tensor:
+    return torch.nn.functional.normalize(torch.randn(count, 3, generator=generator(1), dtype=torch.float64))
+
+
+def scene(law: Scattering) -> Gaussians:
+    n, g = len(law.parameters), generator(2)
+    return Gaussians(
+        0.5 * torch.randn(n, 3, generator=g, dtype=torch.float64),
+        torch.randn(n, 4, generator=g, dtype=torch.float64),
+        0.1 + 0.2 * torch.rand(n, 3, generator=g, dtype=torch.float64),
+        0.5 + torch.rand(n, generator=g, dtype=torch.float64),
+        law,
+    )
+
+
+LAWS = {
+    "harmonics": Harmonics(torch.randn(6, 16, generator=generator()).double(), 0.05),
+    "squared cosine": NormalLobes(torch.randn(6, 2, generator=generator()).double(), 0.05),
+    "three lobes": NormalLobes(torch.randn(6, 4, generator=generator()).double(), 0.0, (2.0, 0.0, 30.0)),
+}
+
+
+def test_lobes_by_the_formula():
+    law = LAWS["three lobes"]
+    gaussians = scene(law)
+    u = directions()
+    b = torch.log1p(law.parameters.exp())
+    axes = rotation_matrix(gaussians.quaternions)
+    n = torch.stack([axes[i, :, int(gaussians.scales[i].argmin())] for i in range(6)])
+    cosine2 = (u @ n.T) ** 2
+    expected = b[:, 0] + b[:, 1] * torch.exp(2 * (cosine2 - 1)) + b[:, 2] * cosine2
+    expected = expected + b[:, 3] * torch.exp(30 * (cosine2 - 1))
+    torch.testing.assert_close(gaussians.gamma0(u), expected)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_never_below_the_least_and_the_same_from_both_sides_of_a_surface(name):
+    gaussians, u = scene(LAWS[name]), directions()
+    assert (gaussians.gamma0(u) >= LAWS[name].p_min).all()
+    if isinstance(LAWS[name], NormalLobes):
+        torch.testing.assert_close(gaussians.gamma0(u), gaussians.gamma0(-u))
+
+
+@pytest.mark.parametrize("kind", SCATTERINGS)
+def test_trainings_start_alike_in_all_directions(kind):
+    law = SCATTERINGS[kind].uniform(5, 0.5, 0.03)
+    gaussians = scene(replace(law, parameters=law.parameters.double()))
+    assert gaussians.gamma0(directions()) == pytest.approx(0.5, rel=0.02)
+    assert law.parameters.shape[1] <= 16  # what the engine's Adam takes
+    assert SCATTERINGS[kind](law.parameters, **law.settings()).settings() == law.settings()
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_gradients_reach_parameters_and_orientation(name):
+    law = LAWS[name]
+    gaussians, u = scene(law), directions(3)
+
+    def gamma0(parameters: torch.Tensor, quaternions: torch.Tensor) -> torch.Tensor:
+        return replace(law, parameters=parameters).gamma0(u, quaternions, gaussians.scales)
+
+    leaves = law.parameters.clone().requires_grad_(), gaussians.quaternions.clone().requires_grad_()
+    assert torch.autograd.gradcheck(gamma0, leaves)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_engine_and_reference_agree_on_every_law(name):
+    views, grid = [View(20.0, 40.0), View(200.0, 15.0)], ImageGrid(20, 24, (0.2, 0.2), (0.3, 0.3))
+    found = {}
+    for engine, dtype in (("reference", torch.float64), ("cpu", torch.float32)):
+        gaussians = scene(LAWS[name]).to(dtype)
+        leaves = {key: tensor.clone().requires_grad_() for key, tensor in gaussians.tensors().items()}
+        images = render(gaussians.with_tensors(**leaves), views, grid, engine=engine).images
+        loss = (images * torch.randn(images.shape, generator=generator(3))).sum()
+        found[engine] = [images.detach(), *torch.autograd.grad(loss, list(leaves.values()))]
+    for expected, mine in zip(found["reference"], found["cpu"], strict=True):
+        assert expected.norm() > 0
+        assert (mine.double() - expected).norm() <= 1e-4 * expected.norm()
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_files_keep_the_law(name, tmp_path):
+    written = scene(LAWS[name]).to(torch.float32)
+    write_gaussians_ply(tmp_path / "a.ply", written)
+    read = read_gaussians_ply(tmp_path / "a.ply")
+    assert type(read.scattering) is type(written.scattering)
+    assert read.scattering.settings() == written.scattering.settings()
+    assert torch.equal(read.scattering.parameters, written.scattering.parameters)
+
+
+def test_other_programs_see_nearly_the_same(tmp_path):
+    """Of lobes, which they do not know, the nearest harmonics."""
+    wide = NormalLobes(torch.randn(6, 2, generator=generator()), 0.0)
+    written = scene(replace(wide, parameters=wide.parameters.double())).to(torch.float32)
+    write_gaussians_ply(tmp_path / "a.ply", written)
+    data = (tmp_path / "a.ply").read_bytes()
+    (tmp_path / "b.ply").write_bytes(data.replace(b"comment sarsplat gaussians", b"comment somebody gaussians"))
+    foreign = read_gaussians_ply(tmp_path / "b.ply")
+    assert isinstance(foreign.scattering, Harmonics)
+    u = directions().float()
+    off = (foreign.gamma0(u) / written.gamma0(u) - 1).abs()
+    assert off.median() < 0.05
+
+
+def test_joining():
+    short, long = Harmonics(torch.ones(2, 4)), Harmonics(torch.ones(3, 9), 0.5)
+    both = short.joined(long)
+    assert both.parameters.shape == (5, 9)
+    assert both.parameters[0].tolist() == [1.0] * 4 + [0.0] * 5
+    assert both.p_min == 0
+    with pytest.raises(SarsplatError, match="normal-lobes and harmonics cannot be joined"):
+        join(scene(LAWS["squared cosine"]), scene(LAWS["harmonics"]))
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: NormalLobes(torch.zeros(3, 3)), r"shape \(3, 3\); for N Gaussians and 1 lobes it must be \(N, 2\)"),
+        (lambda: NormalLobes(torch.zeros(3, 2), sharpness=(math.nan,)), "sharpness .*nan.* finite and at least 0"),
+        (lambda: NormalLobes([[0.0, 0.0]]), "parameters of the scattering are a list; give a torch.Tensor"),
+        (lambda: Harmonics(torch.zeros(3, 4), math.inf), "p_min inf must be finite"),
+        (lambda: scene(LAWS["harmonics"]).with_tensors(scattering=torch.zeros(3, 4)), r"6 Gaussians it must be \(6, 4"),
+        (lambda: replace(scene(LAWS["harmonics"]), scattering=torch.zeros(6, 4)), "scattering is a Tensor; give a law"),
+    ],
+)
+def test_refusals(make, words):
+    with pytest.raises(SarsplatError, match=words):
+        make()
+
+
+def test_indexing():
+    gaussians = scene(LAWS["harmonics"])
+    assert [len(gaussians[k]) for k in (0, -1, slice(1, 3), torch.tensor([4, 4]))] == [1, 1, 2, 2]
+    assert torch.equal(gaussians[-1].means[0], gaussians.means[-1])
+    with pytest.raises(IndexError, match="no Gaussian 6 among 6"):
+        gaussians[6]

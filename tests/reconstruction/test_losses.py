@@ -1,0 +1,109 @@
+"""Losses against closed forms, their torch twin and an independent SSIM."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import loss_twin
+import pytest
+import torch
+
+from sarsplat.errors import SarsplatError
+from sarsplat.reconstruction import losses as module
+from sarsplat.reconstruction.losses import amplitude_loss, speckle_loss
+from sarsplat.renderer import cpu
+
+BUILT = cpu.INSTRUCTION_SETS[1:]
+AVAILABLE = BUILT[: BUILT.index(cpu.best_instruction_set()) + 1]
+
+
+def pair(views: int, rows: int, columns: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Power with dark places, and amplitudes that resemble it."""
+    generator = torch.Generator().manual_seed(rows)
+    power = 3.0 * torch.rand(views, rows, columns, generator=generator) ** 3
+    power[:, ::3] *= 1e-4
+    truth = (power.sqrt() / 2.0 + 0.1 * torch.randn(power.shape, generator=generator)).clamp(min=0)
+    power.clamp_(min=1e-6)  # below, float32 cannot tell on which side of a truth of 0 the softened amplitude lies
+    power[0, 0, 0], truth[0, 0, 0] = 0.0, 0.3
+    return power, truth
+
+
+# one vector and less, tails, a window that fits once, more rows than one task, tasks shorter than the window
+@pytest.mark.parametrize("shape", [(1, 11, 11), (2, 12, 29), (3, 40, 17), (1, 130, 128), (2, 33, 64)])
+@pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
+@pytest.mark.parametrize("instruction_set", AVAILABLE)
+def test_amplitude_loss_and_its_gradient_are_the_twins(shape, weight, instruction_set, monkeypatch) -> None:
+    monkeypatch.setattr(module.cpu, "Pass", partial(cpu.Pass, instruction_set))
+    power, truth = pair(*shape)
+    mine, theirs = power.clone().requires_grad_(), power.double().requires_grad_()
+    found = amplitude_loss(mine, truth, 2.0, weight)
+    expected = loss_twin.amplitude_loss(theirs, truth.double(), 2.0, weight)
+    assert float(found.detach()) == pytest.approx(float(expected.detach()), rel=1e-5)
+    (3.0 * found).backward()
+    (3.0 * expected).backward()
+    assert float(theirs.grad.norm()) > 0
+    assert float((mine.grad - theirs.grad).norm() / theirs.grad.norm()) < 1e-5
+
+
+def test_threads_change_nothing() -> None:
+    power, truth = pair(2, 100, 90)
+    usual = torch.get_num_threads()
+    found = []
+    try:
+        for threads in (1, 2, 3):
+            torch.set_num_threads(threads)
+            leaf = power.clone().requires_grad_()
+            loss = amplitude_loss(leaf, truth, 2.0, 0.2)
+            loss.backward()
+            found.append((loss.detach(), leaf.grad))
+    finally:
+        torch.set_num_threads(usual)
+    for loss, gradient in found[1:]:
+        assert torch.equal(loss, found[0][0])
+        assert torch.equal(gradient, found[0][1])
+
+
+def test_the_slope_is_finite_at_zero() -> None:
+    power = torch.zeros(1, 4, 4, requires_grad=True)
+    amplitude_loss(power, torch.ones(1, 4, 4), 5.0, 0.0).backward()
+    assert bool(torch.isfinite(power.grad).all())
+
+
+def test_a_perfect_image_costs_nothing() -> None:
+    truth = torch.rand(1, 32, 32, generator=torch.Generator().manual_seed(2))
+    power = (truth + 1e-3) ** 2 - 1e-6  # whose softened amplitude is the truth
+    assert float(amplitude_loss(power, truth, 1.0, 0.2)) == pytest.approx(0.0, abs=1e-5)
+
+
+def test_images_smaller_than_the_window() -> None:
+    with pytest.raises(SarsplatError, match=r"SSIM needs images of at least 11 × 11 pixels, and these have 10 × 40"):
+        amplitude_loss(*pair(1, 10, 40), 1.0, 0.2)
+    assert float(amplitude_loss(*pair(1, 10, 40), 1.0, 0.0)) > 0
+
+
+def test_the_twins_ssim_agrees_with_an_independent_one() -> None:
+    metrics = pytest.importorskip("torchmetrics.functional.image")
+    generator = torch.Generator().manual_seed(1)
+    a = torch.rand(2, 40, 48, generator=generator)
+    b = (a + 0.2 * torch.randn(2, 40, 48, generator=generator)).clamp(0, 1)
+    theirs = metrics.structural_similarity_index_measure(
+        a[:, None], b[:, None], gaussian_kernel=True, sigma=1.5, kernel_size=11, data_range=1.0
+    )
+    # theirs pads the border, ours leaves it out
+    assert float(loss_twin.ssim(a, b)) == pytest.approx(float(theirs), abs=0.02)
+    assert float(loss_twin.ssim(a, a)) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_speckle_likelihood_is_best_at_the_mean_intensity() -> None:
+    intensity = -torch.log(torch.rand(1, 64, 64, generator=torch.Generator().manual_seed(0))) * 3.0
+    levels = torch.linspace(1.0, 6.0, 51)
+    losses = torch.stack([speckle_loss(torch.full_like(intensity, float(level)), intensity) for level in levels])
+    assert float(levels[losses.argmin()]) == pytest.approx(float(intensity.mean()), abs=0.06)
+
+
+@pytest.mark.parametrize("wrong", [torch.ones(1, 4, 5), torch.ones(1, 4, 4, dtype=torch.float64)])
+def test_what_does_not_fit_together_is_refused(wrong) -> None:
+    with pytest.raises(
+        SarsplatError, match=r"truth is torch.float\d\d \(1, 4, .\) on cpu; the loss takes torch.float32"
+    ):
+        amplitude_loss(torch.ones(1, 4, 4), wrong, 1.0, 0.0)

@@ -1,0 +1,185 @@
+"""The trainer on a small box: it learns, resumes bit for bit, and leaves a usable run whenever it stops."""
+
+from __future__ import annotations
+
+import signal
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from sarsplat import Dataset, Run, SarsplatError, View, preset, reconstruct
+from sarsplat.errors import SarsplatWarning
+from sarsplat.reconstruction import Config, Trainer, extract_points
+from sarsplat.reconstruction.config import Densification
+from sarsplat.reconstruction.model import SceneModel
+
+BOX = (3.0, 2.0, 1.2)
+
+
+def same_results(a: Run, b: Run) -> bool:
+    return all(torch.equal(x, y) for x, y in zip(a.gaussians.tensors().values(), b.gaussians.tensors().values()))
+
+
+def test_it_learns_what_unseen_views_show(finished: Run, dataset: Dataset) -> None:
+    truth = np.sqrt(dataset.images("test"))
+    rendered = np.sqrt(finished.render([item.view for item in dataset.select("test")]))
+    error = np.linalg.norm(rendered - truth) / np.linalg.norm(truth)
+    assert error < 0.25
+    assert finished.history[-1]["loss"] < 0.3 * finished.history[0]["loss"]
+    assert finished.iteration == 60
+
+
+def test_points_lie_on_the_box(finished: Run) -> None:
+    points = finished.points
+    outside = np.maximum(np.abs(points - (0, 0, BOX[2] / 2)) - np.array(BOX) / 2, 0)
+    assert len(points) > 200
+    assert np.linalg.norm(outside, axis=1).mean() < 0.15
+
+
+def test_a_run_reads_back_as_it_was(finished: Run) -> None:
+    again = Run.load(finished.path)
+    assert again.config == finished.config
+    assert same_results(again, finished)
+    assert sorted(p.name for p in finished.path.iterdir()) == [
+        *(".lock", "checkpoints", "config.json", "gaussians.ply", "metrics.jsonl", "points.ply")
+    ]
+
+
+def test_threads_change_nothing(dataset: Dataset, config: Config, tmp_path: Path, finished: Run) -> None:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        alone = reconstruct(dataset, tmp_path / "run", config)
+    finally:
+        torch.set_num_threads(threads)
+    assert same_results(alone, finished)
+
+
+def densifying(config: Config) -> Config:
+    control = Densification(
+        start=10,
+        stop=50,
+        every=10,
+        gradient=1e-7,
+        split_above=0.07,
+        largest=0.3,
+        least_scattering=0.01,
+        most=900,
+    )
+    return replace(config, densification=control)
+
+
+@pytest.mark.parametrize("density", [False, True])
+def test_a_stopped_training_resumes_bit_for_bit(
+    dataset: Dataset, config: Config, tmp_path: Path, density: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = densifying(config) if density else config
+    whole = reconstruct(dataset, tmp_path / "whole", config)
+    if density:
+        assert len(whole.gaussians) != config.gaussians
+
+    render, stop_after = SceneModel.render, 36  # between checkpoints
+
+    def interrupted(self: SceneModel, *args: Any, **kwargs: Any) -> Any:
+        calls.append(1)
+        if len(calls) == stop_after + 1:
+            signal.raise_signal(signal.SIGINT)  # in the middle of a step, which is finished first
+        return render(self, *args, **kwargs)
+
+    calls: list[int] = []
+
+    with monkeypatch.context() as patched:
+        patched.setattr(SceneModel, "render", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            reconstruct(dataset, tmp_path / "stopped", config)
+    stopped = Run.load(tmp_path / "stopped")
+    assert stopped.iteration == stop_after + 1
+    assert stopped.render([View(10.0, 30.0)]).shape == (1, 32, 32)  # usable as it is
+    assert same_results(reconstruct(dataset, tmp_path / "stopped", config, resume=True), whole)
+
+
+def test_resuming_something_else_is_refused(dataset: Dataset, config: Config, finished: Run) -> None:
+    with pytest.raises(SarsplatError, match="other settings"):
+        reconstruct(dataset, finished.path, replace(config, seed=1), resume=True)
+    with pytest.raises(SarsplatError, match="exists"):
+        reconstruct(dataset, finished.path, config)
+    with pytest.raises(SarsplatError, match="does not exist"):
+        reconstruct(dataset, finished.path / "nowhere", config, resume=True)
+
+
+def test_a_folder_that_is_no_run_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SarsplatError, match="not a run"):
+        Run.load(tmp_path)
+    (tmp_path / "config.json").write_text("{}")
+    with pytest.raises(SarsplatError, match="not the header of a run"):
+        Run.load(tmp_path)
+
+
+def test_every_preset_survives_json() -> None:
+    import json
+
+    for name in ("default", "paper", "measured"):
+        assert Config.from_dict(json.loads(json.dumps(preset(name).as_dict()))) == preset(name)
+    with pytest.raises(SarsplatError, match="'fast' is unknown; choose one of default, paper, measured"):
+        preset("fast")
+    with pytest.raises(SarsplatError, match="does not fit this version"):
+        Config.from_dict({"preset": "default"})
+
+
+def test_measured_scenes_have_ground_noise_and_their_own_shifts(dataset: Dataset) -> None:
+    config = replace(preset("measured"), gaussians=200, iterations=5)
+    trainer = Trainer(dataset, config)
+    before = {name: tensor.detach().clone() for name, tensor in trainer.model.parameters.items()}
+    for _ in range(5):
+        assert np.isfinite(trainer.step())
+    for name in ("ground", "noise", "shift", "log_gain", "means", "scattering"):
+        assert not torch.equal(before[name], trainer.model.parameters[name]), name
+    with torch.no_grad():
+        images, _ = trainer.model.render([View(0.0, 20.0)], dataset.grid, 0)
+    floor = float(trainer.model.parameters["noise"].detach().exp()) * trainer.model.unit
+    assert float(images.min()) >= floor * (1 - 1e-6)
+
+
+def test_a_target_larger_than_its_box_is_told(dataset: Dataset, tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    config = replace(preset("measured"), gaussians=20)
+    for height, fits in ((3.1, True), (10.0, False)):
+        mesh = tmp_path / f"{height}.ply"
+        trimesh.creation.box(bounds=[[-4, -2, 0], [6, 2, height]]).export(mesh)
+        images = replace(dataset, truth_mesh=mesh)
+        with nullcontext() if fits else pytest.warns(SarsplatWarning, match=r"z 0.0 … 10.0 m\) is larger than the box"):
+            Trainer(images, config)
+    Trainer(images, replace(preset("default"), gaussians=20))  # bounded by the images: no warning
+    mesh.write_bytes(b"garbled")
+    Trainer(images, config)
+
+
+def test_points_of_no_gaussians_are_none(finished: Run, dataset: Dataset) -> None:
+    nothing = finished.gaussians[:0]
+    assert extract_points(nothing, [View(0.0, 30.0)], dataset.grid, finished.config.points).shape == (0, 3)
+
+
+def test_a_foreign_config_is_not_overwritten(dataset: Dataset, config: Config, tmp_path: Path) -> None:
+    (tmp_path / "project").mkdir()
+    (tmp_path / "project" / "config.json").write_text('{"mine": 1}')
+    with pytest.raises(SarsplatError, match="not the header of a run"):
+        reconstruct(dataset, tmp_path / "project", config, overwrite=True)
+    assert (tmp_path / "project" / "config.json").read_text() == '{"mine": 1}'
+
+
+def test_a_torn_log_is_read_up_to_the_tear(finished: Run, tmp_path: Path) -> None:
+    log = (finished.path / "metrics.jsonl").read_text().splitlines()
+    copy = replace(finished, path=tmp_path)
+    (tmp_path / "metrics.jsonl").write_text("\n".join([*log[:3], log[3][:9]]))
+    assert copy.history == finished.history[:3]
+
+
+@pytest.mark.parametrize(("field", "value"), [("iterations", 0), ("gaussians", "x"), ("seed", -1), ("p_min", None)])
+def test_configurations_are_checked(config: Config, field: str, value: object) -> None:
+    with pytest.raises(SarsplatError, match=rf"{field} .* does not do in a configuration"):
+        replace(config, **{field: value})

@@ -1,0 +1,174 @@
+"""A run goes on only with what it was begun with: another dataset, other settings or another version are refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, preset, read_dataset, reconstruct
+from sarsplat.data import load_checkpoint, save_checkpoint, write_dataset, write_power_tiff
+from sarsplat.reconstruction import Config
+
+CONFIG = replace(preset("default"), iterations=2, gaussians=50, checkpoint_every=1)
+
+
+def make_dataset(path: Path, *, spacing: float = 0.3, azimuth: float = 0.0, seed: int = 0) -> Dataset:
+    images = np.zeros((3, 16, 16), np.float32)
+    images[:, 6:10, 6:10] = np.random.default_rng(seed).uniform(0.5, 1, size=(3, 4, 4))
+    views = [(View(azimuth + 120.0 * k, 40.0), "train", None) for k in range(3)]
+    grid = ImageGrid(16, 16, (spacing, spacing), (0.4, 0.4))
+    return write_dataset(path, grid=grid, views=views, images=images, source={}, domain="rendered")
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Dataset:
+    return make_dataset(tmp_path / "dataset")
+
+
+@pytest.fixture
+def begun(dataset: Dataset, tmp_path: Path) -> Path:
+    """A run with one step to go."""
+    reconstruct(dataset, tmp_path / "run", CONFIG)
+    newest = Run.load(tmp_path / "run").checkpoint_path
+    assert newest is not None
+    newest.unlink()
+    return tmp_path / "run"
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def refused(begun: Path, dataset: Dataset, config: Config, told: str) -> None:
+    before = content(begun)
+    with pytest.raises(SarsplatError, match=told):
+        reconstruct(dataset, begun, config, resume=True)
+    assert content(begun) == before
+
+
+def test_what_it_was_begun_with_goes_on(begun: Path, dataset: Dataset) -> None:
+    assert Run.load(begun).iteration == 1
+    assert reconstruct(dataset, begun, CONFIG, resume=True).iteration == 2
+
+
+@pytest.mark.parametrize("change", [{"spacing": 0.31}, {"azimuth": 1e-6}, {"seed": 1}])
+def test_another_dataset(begun: Path, tmp_path: Path, change: dict[str, Any]) -> None:
+    refused(begun, make_dataset(tmp_path / "other", **change), CONFIG, "begun with another dataset")
+
+
+def test_a_dataset_that_was_changed_in_place(begun: Path, dataset: Dataset) -> None:
+    image = dataset.images("train")[1].copy()
+    image[0, 0] = 1e-30
+    write_power_tiff(dataset.path / dataset.views[1].image, image, "changed")
+    refused(begun, read_dataset(dataset.path), CONFIG, "begun with another dataset")
+
+
+@pytest.mark.parametrize("change", [{"seed": 1}, {"iterations": 3}, {"p_min": 0.031}, {"preset": "mine"}])
+def test_other_settings(begun: Path, dataset: Dataset, change: dict[str, Any]) -> None:
+    refused(begun, dataset, replace(CONFIG, **change), "begun with other settings")
+
+
+def newer_schema(header: dict[str, Any]) -> None:
+    header["schema_version"] += 1
+
+
+def unknown_setting(header: dict[str, Any]) -> None:
+    header["config"]["warmth"] = 1
+
+
+def missing_setting(header: dict[str, Any]) -> None:
+    del header["config"]["p_min"]
+
+
+def unknown_rate(header: dict[str, Any]) -> None:
+    header["config"]["rates"]["warmth"] = 1
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (newer_schema, "schema version 2 but this program reads 1; reconstruct it again"),
+        (unknown_setting, "does not fit this version .*warmth"),
+        (missing_setting, "does not fit this version .*p_min"),
+        (unknown_rate, "does not fit this version .*warmth"),
+    ],
+)
+def test_another_version(begun: Path, dataset: Dataset, change: Callable[[dict[str, Any]], None], told: str) -> None:
+    header = json.loads((begun / "config.json").read_text())
+    change(header)
+    (begun / "config.json").write_text(json.dumps(header))
+    refused(begun, dataset, CONFIG, told)
+
+
+def test_a_checkpoint_of_another_version(begun: Path, dataset: Dataset) -> None:
+    newest = Run.load(begun).checkpoint_path
+    assert newest is not None
+    tensors, state = load_checkpoint(newest)
+    del tensors["model/optical_depth"]
+    save_checkpoint(newest, tensors, state)
+    refused(begun, dataset, CONFIG, "does not fit this version")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"seconds": 10**400},
+        {"seconds": -1.0},
+        {"seconds": True},
+        {"iteration": 10**400},
+        {"iteration": -1},
+        {"iteration": 1.5},
+        {"iteration": None},
+    ],
+)
+def test_a_checkpoint_no_training_can_reach(begun: Path, dataset: Dataset, change: dict[str, Any]) -> None:
+    newest = Run.load(begun).checkpoint_path
+    assert newest is not None
+    tensors, state = load_checkpoint(newest)
+    save_checkpoint(newest, tensors, {**state, **change})
+    told = f"{newest.name} does not say how far the training was"
+    refused(begun, dataset, CONFIG, told)
+    for name in ("time_s", "iteration"):
+        with pytest.raises(SarsplatError, match=told):
+            getattr(Run.load(begun), name)
+
+
+LINE = {"iteration": 1, "seconds": 0.5, "loss": 0.25, "gaussians": 50}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"iteration": 1e300, "gaussians": 1e300},
+        {"iteration": 10**400},
+        {"gaussians": -1},
+        {"loss": 1e308},
+        {"loss": -1e308},
+        {"seconds": 1e11},
+    ],
+)
+def test_a_line_that_no_training_writes_ends_the_history(begun: Path, change: dict[str, Any]) -> None:
+    lines = [LINE, {**LINE, **change}, LINE]
+    (begun / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    assert Run.load(begun).history == [LINE]
+
+
+def test_a_history_that_is_too_long(begun: Path) -> None:
+    (begun / "metrics.jsonl").write_text((json.dumps(LINE) + "\n") * 70_000)
+    with pytest.raises(SarsplatError, match=r"metrics\.jsonl is longer than 4194304 bytes"):
+        _ = Run.load(begun).history
+
+
+def test_a_run_that_is_not_there(dataset: Dataset, tmp_path: Path) -> None:
+    with pytest.raises(SarsplatError, match="does not exist"):
+        reconstruct(dataset, tmp_path / "nowhere", CONFIG, resume=True)
+    shutil.copytree(dataset.path, tmp_path / "a dataset")
+    with pytest.raises(SarsplatError, match="is not a run"):
+        reconstruct(dataset, tmp_path / "a dataset", CONFIG, resume=True)

@@ -1,0 +1,52 @@
+"""One whole training with density control in a process of its own, for tests: DATASET OUT THREADS KIND [KILL_AT].
+
+With KILL_AT the process kills itself, as `kill -9` does, in the middle of the step after that many.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from sarsplat import preset, reconstruct
+from sarsplat.data import read_dataset
+from sarsplat.reconstruction import Config
+from sarsplat.reconstruction.config import Densification
+from sarsplat.reconstruction.model import SceneModel
+
+DENSITY = Densification(
+    start=10, stop=90, every=10, gradient=2.5e-4, split_above=0.09, largest=0.02, least_scattering=0.029, most=4000
+)
+
+
+def config(kind: str) -> Config:
+    """100 iterations of everything: density control and SSIM, or chips with ground, noise, shifts and gains."""
+    if kind == "measured":
+        return replace(preset("measured"), iterations=100, gaussians=1000, harmonics_every=30, checkpoint_every=50)
+    common = {"iterations": 100, "gaussians": 2500, "harmonics_every": 30, "checkpoint_every": 50}
+    return replace(preset("default"), **common, ssim_weight=0.2, densification=DENSITY)
+
+
+def main(dataset: str, out: str, threads: str, kind: str, kill_at: str = "") -> None:
+    """Train, or go on if the run is there."""
+    torch.set_num_threads(int(threads))
+    render, steps = SceneModel.render, []
+
+    def counted(*args: Any, **kwargs: Any) -> Any:
+        steps.append(1)
+        if kill_at and len(steps) > int(kill_at):
+            os.kill(os.getpid(), signal.SIGKILL)
+        return render(*args, **kwargs)
+
+    SceneModel.render = counted  # type: ignore[method-assign]
+    reconstruct(read_dataset(Path(dataset)), Path(out), config(kind), resume=Path(out).exists())
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

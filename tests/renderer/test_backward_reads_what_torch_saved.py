@@ -1,0 +1,112 @@
+"""The backward pass reads the tensors that torch hands it, not memory it remembers from the forward pass."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import torch
+from named_scenes import GRID, VIEWS, cloud
+from torch.autograd.graph import saved_tensors_hooks
+from torch.utils.checkpoint import checkpoint
+
+from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.renderer import render
+
+
+def leaves() -> list[torch.Tensor]:
+    return [tensor.clone().requires_grad_() for tensor in cloud(300, 1).tensors().values()]
+
+
+def scene(*parameters: torch.Tensor) -> Gaussians:
+    return Gaussians(*parameters[:4], scattering=Harmonics(parameters[4]))
+
+
+def images(*parameters: torch.Tensor) -> torch.Tensor:
+    return render(scene(*(tensor * 1.0 for tensor in parameters)), VIEWS, GRID, engine="cpu").images
+
+
+def gradients(rendered: torch.Tensor, parameters: list[torch.Tensor], **options: bool) -> tuple[torch.Tensor, ...]:
+    _litter = [torch.full((300, k), 7.0) for k in (1, 3, 4, 16) for _ in range(8)]  # over what was freed
+    return torch.autograd.grad(rendered.square().sum(2).sum(1).sum(0), parameters, **options)
+
+
+def equal(found: tuple[torch.Tensor, ...], expected: tuple[torch.Tensor, ...]) -> bool:
+    return all(torch.equal(mine, theirs) for mine, theirs in zip(found, expected, strict=True))
+
+
+def test_checkpointing():
+    parameters = leaves()
+    expected = gradients(images(*parameters), parameters)
+    assert equal(gradients(checkpoint(images, *parameters, use_reentrant=False), parameters), expected)
+
+
+def test_checkpointing_without_images():
+    parameters = leaves()
+
+    def sections(*parameters: torch.Tensor) -> torch.Tensor:
+        return render(scene(*(t * 1.0 for t in parameters)), VIEWS, GRID, engine="cpu").cross_sections
+
+    expected = torch.autograd.grad(sections(*parameters).square().sum(1).sum(0), parameters)
+    again = checkpoint(sections, *parameters, use_reentrant=False)
+    assert equal(torch.autograd.grad(again.square().sum(1).sum(0), parameters), expected)
+
+
+def test_saved_tensors_that_were_put_elsewhere():
+    parameters = leaves()
+    expected = gradients(images(*parameters), parameters)
+    with saved_tensors_hooks(lambda tensor: tensor.numpy().copy(), torch.from_numpy):
+        rendered = images(*parameters)
+    assert equal(gradients(rendered, parameters), expected)
+
+
+def test_backward_passes_of_one_graph_on_two_threads():
+    """Torch holds its lock during a backward pass in Python; ctypes lets go of it."""
+    parameters = [tensor.clone().requires_grad_() for tensor in cloud(3000, 3).tensors().values()]
+    rendered = render(scene(*parameters), VIEWS, GRID, engine="cpu").images
+    seeds = torch.randn(2, *rendered.shape, generator=torch.Generator().manual_seed(1))
+    expected = [torch.autograd.grad(rendered, parameters, seed, retain_graph=True) for seed in seeds]
+    right: list[bool] = []
+
+    def work(k: int) -> None:
+        for _ in range(60):
+            right.append(equal(torch.autograd.grad(rendered, parameters, seeds[k], retain_graph=True), expected[k]))
+
+    workers = [threading.Thread(target=work, args=(k,)) for k in range(2)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    assert len(right) == 120
+    assert all(right)
+
+
+PROGRAM = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import torch
+from named_scenes import GRID, VIEWS, cloud
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.renderer import render
+
+parameters = [torch.nn.Parameter(tensor) for tensor in cloud(3000, 1).tensors().values()]
+images = render(Gaussians(*parameters[:4], Harmonics(parameters[4])), VIEWS, GRID, engine="cpu").images
+for parameter in parameters:
+    parameter.data = parameter.data[:10].clone()
+try:
+    images.sum().backward()
+except SarsplatError as error:
+    print(error)
+del images
+[torch.full((k,), 1.0) for k in range(3000)]
+"""
+
+
+def test_parameters_whose_rows_went_away_between_the_passes():
+    command = [sys.executable, "-c", PROGRAM, str(Path(__file__).parent)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("means were (3000, 3) when they were rendered and are (10, 3) now")

@@ -1,0 +1,156 @@
+"""The CPU engine against the float64 reference: every output, every gradient, every instruction set."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from named_scenes import MATRIX, Scene
+
+from sarsplat.geometry import radar_frame
+from sarsplat.renderer import cpu, reference, render
+from sarsplat.renderer.reference import render_reference
+
+BUILT = cpu.INSTRUCTION_SETS[1:]
+AVAILABLE = BUILT[: BUILT.index(cpu.best_instruction_set()) + 1]
+OUTPUTS = ("images", "cross_sections", "lit_area", "transmittance", "first_return")
+DIFFERENTIABLE = ("images", "cross_sections", "transmittance")
+NOTHING_TO_SEE = {"none"}
+NO_IMAGE = {"none", "all outside"}
+
+
+def outputs_of(rendering) -> dict[str, torch.Tensor]:
+    """Every output as one tensor; rays of all views one after the other."""
+    assert rendering.ray_maps is not None
+    found = {name: getattr(rendering, name) for name in OUTPUTS[:3]}
+    return found | {name: torch.cat([getattr(m, name).flatten() for m in rendering.ray_maps]) for name in OUTPUTS[3:]}
+
+
+def loss_of(outputs: dict[str, torch.Tensor], norms: dict[str, float]) -> torch.Tensor:
+    """Random cotangents on all differentiable outputs at once, each with the same weight."""
+    generator = torch.Generator().manual_seed(99)
+    total = torch.zeros((), dtype=torch.float64)
+    for name in DIFFERENTIABLE:
+        cotangent = torch.randn(outputs[name].shape, generator=generator)
+        total = total + (outputs[name].double() * cotangent / norms[name]).sum()
+    return total
+
+
+@cache
+def judged(name: str) -> tuple[Scene, dict[str, torch.Tensor], dict[str, float], dict[str, torch.Tensor], list]:
+    """The reference's outputs, their norms and its gradients."""
+    scene = MATRIX[name]()
+    leaves = scene.leaves(torch.float64)
+    rendering = scene.call(render_reference, leaves)
+    outputs = outputs_of(rendering)
+    norms = {k: float(outputs[k].detach().norm()) or 1.0 for k in DIFFERENTIABLE}
+    loss = loss_of(outputs, norms)
+    gradients = dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)))
+    return scene, {k: t.detach() for k, t in outputs.items()}, norms, gradients, list(rendering.ray_maps)
+
+
+def relative(found: torch.Tensor, expected: torch.Tensor) -> float:
+    difference = float((found.detach().double() - expected).norm())
+    return difference / float(expected.norm()) if difference else 0.0
+
+
+def check(name: str, found: dict[str, torch.Tensor | None]) -> None:
+    """Outputs within 1e-5 and gradients within 1e-4 of the reference's."""
+    _, expected, _, expected_gradients, _ = judged(name)
+    for output, value in expected.items():
+        missing = torch.isnan(value)
+        assert torch.equal(torch.isnan(found[output]), missing), output
+        assert relative(found[output][~missing], value[~missing]) <= 1e-5, output
+        assert name in NO_IMAGE or float(value[~missing].norm()) > 0, output
+    for argument, value in expected_gradients.items():
+        if value is None or name in NOTHING_TO_SEE:
+            assert found[argument] is None or not found[argument].any(), argument
+            continue
+        assert float(value.norm()) > 0, argument
+        assert relative(found[argument], value) <= 1e-4, argument
+
+
+@pytest.mark.parametrize("instruction_set", AVAILABLE)
+@pytest.mark.parametrize("name", MATRIX)
+def test_matches_the_reference(name, instruction_set):
+    scene, _, norms, _, maps = judged(name)
+    leaves = scene.leaves(torch.float32)
+    rendering = scene.call(render, leaves, engine="cpu", instruction_set=instruction_set)
+    outputs = outputs_of(rendering)
+    for mine, theirs in zip(rendering.ray_maps, maps, strict=True):
+        assert mine.transmittance.shape == theirs.transmittance.shape
+        assert mine.transmittance.numel() == 0 or mine.origin == pytest.approx(theirs.origin)
+    gradients = torch.autograd.grad(loss_of(outputs, norms), list(leaves.values()), allow_unused=True)
+    check(name, outputs | dict(zip(leaves, gradients, strict=True)))
+
+
+@pytest.mark.parametrize("name", [name for name in MATRIX if name not in NOTHING_TO_SEE])
+def test_no_pair_lies_on_a_cut(name, monkeypatch):
+    """Cuts moved by more than float32 can err change nothing: the comparison above never hangs on a rounding."""
+    scene, expected, *_ = judged(name)
+    slack = {"MIN_RAY_DEPTH": 2e-5, "MIN_TRANSMITTANCE": 1e-5, "IMAGE_CUT": 3e-6}  # 4e-5 of the exponent on both planes
+    for cut, share in slack.items():
+        for factor in (1 - share, 1 + share):
+            with monkeypatch.context() as patch, torch.no_grad():
+                patch.setattr(reference, cut, getattr(reference, cut) * factor)
+                moved = outputs_of(scene.call(render_reference, scene.leaves(torch.float64)))
+            for output in DIFFERENTIABLE:
+                assert moved[output].shape == expected[output].shape
+                # the image's cut is in its norm too: 1 − e⁻⁸ moves by 8e-9
+                assert relative(moved[output], expected[output]) <= 1e-8, (cut, output)
+
+
+def test_forced_instruction_sets_differ_in_width():
+    """Otherwise the matrix would test one build three times."""
+    assert len({cpu.library().sg_isa_name(cpu.INSTRUCTION_SETS.index(name)) for name in AVAILABLE}) == len(AVAILABLE)
+
+
+@pytest.mark.parametrize("argument", ["means", "quaternions", "scales", "optical_depth", "scattering", "shift", "gain"])
+def test_finite_differences_of_the_engine_itself(argument):
+    """Independent of the reference; loose, because a gradient holds the cuts constant and a difference moves them."""
+    scene = MATRIX["shift and gain"]()
+    leaves = scene.leaves(torch.float32)
+    tensor = leaves[argument]
+    target = 0.5 * scene.call(render, leaves, engine="cpu").images.detach().flip(1)
+
+    def loss(value: torch.Tensor) -> torch.Tensor:
+        images = scene.call(render, leaves | {argument: value}, engine="cpu").images
+        return ((images - target).double() ** 2).sum()
+
+    (gradient,) = torch.autograd.grad(loss(tensor), [tensor])
+    size = {"means": 0.1, "scales": 0.1, "shift": 0.2}.get(argument, 1.0)  # what counts as a large change
+    generator = torch.Generator().manual_seed(1)
+    for _ in range(4):
+        random = torch.randn(tensor.shape, generator=generator) / tensor.numel() ** 0.5
+        step = 0.02 * size * (random + gradient / gradient.norm())  # so that the slope is never near zero
+        with torch.no_grad():
+            difference = float(loss(tensor + step) - loss(tensor - step)) / 2
+        assert difference == pytest.approx(float((gradient.double() * step).sum()), rel=0.02)
+
+
+def test_what_is_not_differentiable_says_so():
+    scene = MATRIX["overlap"]()
+    rendering = scene.call(render, scene.leaves(torch.float32), engine="cpu")
+    assert not rendering.lit_area.requires_grad
+    assert not rendering.ray_maps[0].first_return.requires_grad
+    leaves = scene.leaves(torch.float32)
+    images = scene.call(render, leaves, engine="cpu").images
+    (slope,) = torch.autograd.grad((images**2).sum(), [leaves["means"]], create_graph=True)
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        slope.sum().backward()
+
+
+def test_plane_gradients_add_up_to_those_of_the_means():
+    scene = MATRIX["shift and gain"]()
+    leaves = scene.leaves(torch.float32)
+    rendering = scene.call(render, leaves, engine="cpu", plane_gradients=True)
+    assert not rendering.plane_gradients.any()  # until backward
+    (rendering.images**2).sum().backward()
+    on_rays_x, on_rays_y, on_image_x, on_image_r = rendering.plane_gradients.double().unbind(-1)
+    in_radar_frame = torch.stack([on_rays_x + on_image_x, on_rays_y, on_image_r], dim=-1)
+    frames = torch.from_numpy(np.stack([radar_frame(view) for view in scene.views]))
+    assert relative(leaves["means"].grad, torch.einsum("vni,vij->nj", in_radar_frame, frames)) <= 1e-5
+    on_image = torch.stack([on_image_x, on_image_r], dim=-1).sum(1)
+    assert relative(leaves["shift"].grad, on_image) <= 1e-5

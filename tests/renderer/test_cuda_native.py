@@ -1,0 +1,73 @@
+"""The CUDA engine on a GPU, against the float64 reference; and its source in NVRTC's hands, which needs no GPU."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import pytest
+import torch
+from named_scenes import MATRIX, Scene, cloud
+from test_cpu_engine import check, judged, loss_of, outputs_of
+
+from sarsplat.errors import SarsplatError
+from sarsplat.renderer import nvrtc, render
+
+needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU")
+
+
+@pytest.mark.parametrize("architecture", ["sm_75", "sm_80", "sm_90", "sm_120"])
+def test_nvrtc_compiles_the_source(architecture):
+    try:
+        compiler = nvrtc.Nvrtc()
+    except SarsplatError as error:
+        pytest.skip(f"{error}")
+    assert compiler.compile(nvrtc.sources(), architecture)[:4] == b"\x7fELF"
+    with pytest.raises(SarsplatError, match=r"cannot compile the CUDA engine for sm_75 \(.*error.*; install a torch"):
+        compiler.compile(nvrtc.sources() | {"pair_math.h": "#error no"}, "sm_75")
+
+
+def on_gpu(scene: Scene, norms: dict[str, float]) -> dict[str, torch.Tensor]:
+    """Every output and every gradient, brought back."""
+    leaves = scene.leaves(torch.float32)
+    placed = {name: leaf.detach().cuda().requires_grad_() for name, leaf in leaves.items()}
+
+    def renderer(gaussians, *arguments, **options):
+        return render(gaussians.to("cuda"), *arguments, engine="cuda", **options)
+
+    outputs = {name: t.cpu() for name, t in outputs_of(scene.call(renderer, placed)).items()}
+    gradients = torch.autograd.grad(loss_of(outputs, norms), list(placed.values()), allow_unused=True)
+    found = {name: t if t is None else t.cpu() for name, t in zip(placed, gradients, strict=True)}
+    return {name: t.detach() for name, t in outputs.items()} | found
+
+
+@needs_gpu
+@pytest.mark.parametrize("name", MATRIX)
+def test_matches_the_reference(name):
+    scene, _, norms, _, _ = judged(name)
+    found = on_gpu(scene, norms)
+    check(name, found)
+
+
+@needs_gpu
+@pytest.mark.parametrize("name", ["many", "many views", "shift and gain"])
+def test_same_bits_from_run_to_run(name):
+    scene, _, norms, *_ = judged(name)
+    first, *others = (on_gpu(scene, norms) for _ in range(5))
+    for other in others:
+        for output, value in first.items():
+            assert value is other[output] or torch.equal(value.view(torch.int32), other[output].view(torch.int32))
+
+
+@needs_gpu
+def test_auto_takes_the_gpu():
+    scene = MATRIX["overlap"]()
+    moved = scene.gaussians.to("cuda")
+    call = partial(render, moved, scene.views, scene.grid)
+    assert torch.equal(call().images, call(engine="cuda").images)
+
+
+@needs_gpu
+def test_tensors_on_two_devices():
+    scene = MATRIX["overlap"]()
+    with pytest.raises(SarsplatError, match=r"gain is torch.float32 on cpu; the CUDA engine takes"):
+        render(cloud(10, 0).to("cuda"), scene.views, scene.grid, gain=torch.ones(3), engine="cuda")

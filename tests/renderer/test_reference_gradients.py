@@ -1,0 +1,47 @@
+"""The reference renderer's gradients against finite differences in float64, cuts off."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from named_scenes import GRADCHECK
+
+from sarsplat.renderer.reference import render_reference
+
+pytestmark = pytest.mark.parametrize("name", GRADCHECK)
+
+
+def test_every_argument_of_every_output(name):
+    scene = GRADCHECK[name]()
+    leaves = scene.leaves(torch.float64)
+
+    def outputs(*tensors):
+        rendering = scene.call(render_reference, dict(zip(leaves, tensors, strict=True)), cuts=False)
+        return (rendering.images, rendering.cross_sections, *(m.transmittance for m in rendering.ray_maps))
+
+    assert torch.autograd.gradcheck(outputs, tuple(leaves.values()), eps=1e-6, atol=1e-7, rtol=1e-5)
+
+
+def test_the_scenes_occlude_and_no_gradient_is_zero(name):
+    scene = GRADCHECK[name]()
+    leaves = scene.leaves(torch.float64)
+    rendering = scene.call(render_reference, leaves, cuts=False)
+    assert min(float(m.transmittance.detach().min()) for m in rendering.ray_maps) < 0.3
+    # whoever stands in the shadow of others loses a good part of its lit area
+    shares = []
+    for i in range(len(scene.gaussians)):
+        alone = scene.gaussians[i].to(torch.float64)
+        free = render_reference(alone, scene.views, scene.grid, rays=scene.rays, cuts=False).lit_area[:, 0]
+        shares.append(float((rendering.lit_area[:, i] / free).min()))
+    assert min(shares) < 0.7
+    for output in (rendering.images, rendering.cross_sections):
+        weights = torch.linspace(1, 2, output.numel(), dtype=output.dtype).view_as(output)
+        gradients = torch.autograd.grad(
+            (output * weights).sum(), list(leaves.values()), retain_graph=True, allow_unused=True
+        )
+        for argument, gradient in zip(leaves, gradients, strict=True):
+            if output is rendering.cross_sections and argument in ("shift", "gain"):
+                assert gradient is None  # they move and scale the image only
+            else:
+                rows = gradient.reshape(len(gradient), -1)
+                assert (rows.norm(dim=1) > 1e-6).all(), argument

@@ -1,0 +1,154 @@
+"""The CPU engine gives the same bits for any number of threads, any order of calls, and keeps no memory."""
+
+from __future__ import annotations
+
+import gc
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
+
+from sarsplat.gaussians import Gaussians
+from sarsplat.geometry import ImageGrid, RayGrid
+from sarsplat.renderer import render
+
+
+@pytest.fixture
+def threads():
+    """Sets torch's thread count; the old one comes back."""
+    before = torch.get_num_threads()
+    yield torch.set_num_threads
+    torch.set_num_threads(before)
+
+
+# more Gaussians than fit one task, more views than bands, one view cut into bands; small scenes stay on one thread
+SCENES = {
+    "many": MATRIX["many"],
+    "many views": MATRIX["many views"],
+    "one view": lambda: Scene(cloud(2500, 60, size=(6.0, 3.0, 3.0), scale=0.05), VIEWS[:1]),
+    "shift and gain": lambda: Scene(
+        cloud(900, 61, scale=0.05), shift=torch.full((3, 2), 0.1), gain=torch.tensor([1.3, 0.2, 4.0])
+    ),
+}
+WORTH_WAKING = 2048  # as engine.cpp has it
+
+
+def run(name: str) -> list[torch.Tensor]:
+    """Every output and every gradient of one forward and backward pass."""
+    scene = SCENES[name]()
+    assert len(scene.views) * (len(scene.gaussians) + scene.grid.rows * scene.grid.columns / 16) > WORTH_WAKING
+    leaves = scene.leaves(torch.float32)
+    rendering = scene.call(render, leaves, engine="cpu")
+    outputs = [rendering.images, rendering.cross_sections, *(m.transmittance for m in rendering.ray_maps)]
+    generator = torch.Generator().manual_seed(7)
+    loss = sum((output * torch.randn(output.shape, generator=generator)).sum() for output in outputs)
+    gradients = torch.autograd.grad(loss, list(leaves.values()))
+    return [*(output.detach() for output in outputs), rendering.lit_area, *gradients]
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_same_bits_for_any_number_of_threads_and_run_to_run(name, threads):
+    threads(1)
+    expected = run(name)
+    for count in (1, 2, 3):
+        threads(count)
+        for mine, theirs in zip(run(name), expected, strict=True):
+            assert torch.equal(mine, theirs)
+
+
+def leaves_of(gaussians: Gaussians) -> Gaussians:
+    return gaussians.with_tensors(**{name: t.clone().requires_grad_() for name, t in gaussians.tensors().items()})
+
+
+def gradients_of(images: torch.Tensor, scene: Gaussians, **options: bool) -> list[torch.Tensor]:
+    return list(torch.autograd.grad((images**2).sum(), list(scene.tensors().values()), **options))
+
+
+def test_backward_twice():
+    scene = leaves_of(cloud(60, 1))
+    images = render(scene, VIEWS, GRID, engine="cpu").images
+    first = gradients_of(images, scene, retain_graph=True)
+    for mine, theirs in zip(gradients_of(images, scene), first, strict=True):
+        assert torch.equal(mine, theirs)
+
+
+def test_passes_between_forward_and_backward_do_not_disturb():
+    scenes = [leaves_of(cloud(count, seed)) for count, seed in ((60, 1), (90, 2), (20, 3), (60, 4))]
+    expected = [gradients_of(render(scene, VIEWS, GRID, engine="cpu").images, scene) for scene in scenes]
+    images = [render(scene, VIEWS, GRID, engine="cpu").images for scene in scenes]  # all alive at once
+    for k in (2, 0, 3, 1):
+        for mine, theirs in zip(gradients_of(images[k], scenes[k]), expected[k], strict=True):
+            assert torch.equal(mine, theirs)
+
+
+def test_inputs_changed_in_place_are_noticed():
+    scene = leaves_of(cloud(10, 1))
+    images = render(scene, VIEWS, GRID, engine="cpu").images
+    with torch.no_grad():
+        scene.means.add_(1.0)
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        images.sum().backward()
+
+
+def resident_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads Linux's /proc")
+def test_memory_does_not_grow():
+    scenes = [leaves_of(cloud(count, count)) for count in (500, 40)]
+
+    def iterate(count: int) -> None:
+        for k in range(count):
+            scene = scenes[k % 2]
+            rendering = render(scene, VIEWS, GRID, engine="cpu", first_return_depth=1.0 if k % 3 else None)
+            if k % 5:  # now and then a forward pass is dropped without a backward one
+                gradients_of(rendering.images, scene)
+
+    iterate(60)
+    gc.collect()
+    before = resident_bytes()
+    iterate(200)
+    gc.collect()
+    assert resident_bytes() - before < 4 << 20  # one pass takes about 1 MB: a leak would be 200
+
+
+FORKED = """
+import os, sys
+sys.path.insert(0, sys.argv[1])
+import torch
+from named_scenes import GRID, VIEWS, cloud
+from sarsplat.renderer import render
+
+torch.set_num_threads(2)
+before = render(cloud(60, 1), VIEWS, GRID, engine="cpu").images
+child = os.fork()
+if not child:
+    torch.set_num_threads(1)
+    os._exit(0 if torch.equal(render(cloud(60, 1), VIEWS, GRID, engine="cpu").images, before) else 1)
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_a_forked_process_renders_too():
+    """On one thread, as torch's data loaders set it: OpenMP's threads do not survive a fork, with or without us."""
+    command = [sys.executable, "-c", FORKED, str(Path(__file__).parent)]
+    subprocess.run(command, check=True, timeout=60)
+
+
+def test_gradient_of_the_gain_of_one_large_image(threads):
+    """Summed over so many pixels that torch would share them out."""
+    scene, grid = cloud(60, 1), ImageGrid(256, 250, (0.01, 0.01), (0.1, 0.1))
+    seeds = torch.rand(20, 1, 256, 250, generator=torch.Generator().manual_seed(2))
+    found = []
+    for count in (1, 2, 3):
+        threads(count)
+        gain = torch.ones(1, requires_grad=True)
+        images = render(scene, VIEWS[:1], grid, rays=RayGrid((0.05, 0.05)), gain=gain).images
+        found.append([torch.autograd.grad(images, gain, seed, retain_graph=True)[0].item() for seed in seeds])
+    assert found[0] == found[1] == found[2]

@@ -1,0 +1,197 @@
+"""Wrong input is named, with its value and what to do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from named_scenes import GRID, VIEWS, cloud
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import MIN_SCALE, Gaussians
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.renderer import render
+from sarsplat.renderer.reference import render_reference
+
+
+def changed(name: str, index: tuple[int, ...], value: float) -> Gaussians:
+    scene = cloud(10, 0)
+    tensor = scene.tensors()[name].clone()
+    tensor[index] = value
+    return scene.with_tensors(**{name: tensor})
+
+
+@pytest.mark.parametrize(
+    ("name", "index", "value", "message"),
+    [
+        ("means", (3, 1), float("nan"), r"means\[3\] is \[.*nan.*\]; it must be finite metres"),
+        ("means", (0, 0), float("inf"), r"means\[0\] is \[inf.*\]; it must be finite metres"),
+        ("quaternions", (4,), 0.0, r"quaternions\[4\] is \[0.0, 0.0, 0.0, 0.0\]; it must be finite and not zero"),
+        ("quaternions", (4, 2), float("nan"), r"quaternions\[4\] is \[.*nan.*\]; it must be finite and not zero"),
+        (
+            "scales",
+            (9, 2),
+            MIN_SCALE / 2,
+            r"scales\[9\] is \[.*\]; it must be finite and at least MIN_SCALE = 0.0001 m",
+        ),
+        ("scales", (9, 0), float("nan"), r"scales\[9\] is \[nan.*\]; it must be finite and at least"),
+        ("optical_depth", (2,), 41.0, r"optical_depth\[2\] is 41.0; it must be between 0 and MAX_OPTICAL_DEPTH = 40"),
+        ("optical_depth", (2,), -0.1, r"optical_depth\[2\] is -0.1\d*; it must be between 0 and"),
+        ("scattering", (7, 15), float("nan"), r"scattering\[7\] is \[.*nan\]; it must be finite"),
+    ],
+)
+def test_values_out_of_range(name, index, value, message):
+    with pytest.raises(SarsplatError, match=message):
+        render(changed(name, index, value), VIEWS, GRID, engine="cpu")
+
+
+def test_limits_themselves_are_allowed():
+    scene = changed("optical_depth", (2,), 40.0)
+    scene.scales[4] = MIN_SCALE
+    assert torch.isfinite(render(scene, VIEWS, GRID, engine="cpu").images).all()
+
+
+def test_values_beside_the_gaussians():
+    scene = cloud(10, 0)
+    bad = torch.ones(3, 10)
+    bad[1, 4] = float("nan")
+    with pytest.raises(SarsplatError, match=r"gamma0\[1, 4\] is nan; it must be finite"):
+        render(scene, VIEWS, GRID, gamma0=bad, engine="cpu")
+    with pytest.raises(SarsplatError, match=r"shift\[2\] is \[0.0, inf\]; it must be finite metres"):
+        render(scene, VIEWS, GRID, shift=torch.tensor([[0.0, 0.0], [0.0, 0.0], [0.0, float("inf")]]), engine="cpu")
+
+
+@pytest.mark.parametrize("engine", ["cpu", "reference", "auto"])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"gamma0": torch.ones(2, 10)}, r"gamma0 has shape \(2, 10\); .* it must be \(3, 10\)"),
+        ({"shift": torch.ones(3)}, r"shift has shape \(3,\); .* it must be \(3, 2\)"),
+        ({"gain": torch.ones(1)}, r"gain has shape \(1,\); .* it must be \(3,\)"),
+        ({"imaging_weight": "round"}, r"imaging_weight 'round' is unknown; choose one of area, peak"),
+        ({"first_return_depth": 0.0}, r"first_return_depth 0.0 must be a positive two-way optical depth"),
+        ({"first_return_depth": float("nan")}, r"first_return_depth nan must be a positive"),
+    ],
+)
+def test_arguments(engine, options, message):
+    with pytest.raises(SarsplatError, match=message):
+        render(cloud(10, 0), VIEWS, GRID, engine=engine, **options)
+
+
+def test_engine_views_and_dtype():
+    scene = cloud(10, 0)
+    with pytest.raises(SarsplatError, match="engine 'gpu' is unknown; choose one of auto, cpu, cuda, reference"):
+        render(scene, VIEWS, GRID, engine="gpu")
+    with pytest.raises(SarsplatError, match="there are no views to render; give at least one View"):
+        render(scene, [], GRID)
+    with pytest.raises(SarsplatError, match=r"means is torch.float64 on cpu; the CPU engine takes torch.float32"):
+        render(scene.to(torch.float64), VIEWS, GRID, engine="cpu")
+    with pytest.raises(SarsplatError, match=r"gain is torch.float64 on cpu; the CPU engine takes torch.float32"):
+        render(scene, VIEWS, GRID, gain=torch.ones(3, dtype=torch.float64), engine="cpu")
+    with pytest.raises(SarsplatError, match="plane_gradients=True needs engine='cpu'"):
+        render(scene, VIEWS, GRID, plane_gradients=True, engine="reference")
+
+
+def test_far_away_gaussian():
+    with pytest.raises(
+        SarsplatError, match=r"view 0 would need too many rays .* reach 1e\+06 m .* remove far and wide ones"
+    ):
+        render(changed("means", (0, 0), 1e6), VIEWS, GRID, engine="cpu")
+    with pytest.raises(SarsplatError, match="too many rays at a spacing of"):
+        render(cloud(10, 0), VIEWS, GRID, rays=RayGrid((1e-5, 1e-5)), engine="cpu")
+
+
+@pytest.mark.parametrize(
+    ("name", "index", "value"),
+    [
+        ("means", (3, 1), float("nan")),
+        ("quaternions", (4,), 0.0),
+        ("scales", (9, 2), 0.0),
+        ("optical_depth", (2,), 41.0),
+    ],
+)
+def test_the_reference_checks_values_too(name, index, value):
+    with pytest.raises(SarsplatError, match=rf"{name}\[{index[0]}\] is .*; it must be"):
+        render(changed(name, index, value).to(torch.float64), VIEWS, GRID, engine="reference")
+
+
+def test_unknown_instruction_set():
+    with pytest.raises(
+        SarsplatError, match="instruction_set 'sse9' is unknown; choose one of auto, base, avx2, avx512"
+    ):
+        render(cloud(10, 0), VIEWS, GRID, engine="cpu", instruction_set="sse9")
+
+
+def test_image_with_too_many_rows():
+    grid = ImageGrid(80_000, 1, (0.2, 5e-5), (0.3, 0.3))
+    with pytest.raises(SarsplatError, match="an image of 80000 × 1 pixels is too large"):
+        render(cloud(2, 0), VIEWS[:1], grid, rays=RayGrid((0.1, 0.1)), engine="cpu", instruction_set="base")
+
+
+def test_engine_works_after_an_error():
+    expected = render(cloud(10, 0), VIEWS, GRID, engine="cpu").images
+    with pytest.raises(SarsplatError):
+        render(changed("means", (0, 0), 1e6), VIEWS, GRID, engine="cpu")
+    assert torch.equal(render(cloud(10, 0), VIEWS, GRID, engine="cpu").images, expected)
+
+
+def test_engine_auto_follows_the_dtype():
+    scene = cloud(10, 0)
+    assert torch.equal(render(scene, VIEWS, GRID).images, render(scene, VIEWS, GRID, engine="cpu").images)
+    double = scene.to(torch.float64)
+    assert torch.equal(render(double, VIEWS, GRID).images, render_reference(double, VIEWS, GRID).images)
+
+
+@pytest.mark.parametrize("grazing", [0.0, 90.0, -5.0, float("nan")])
+def test_grazing_angles(grazing):
+    with pytest.raises(
+        SarsplatError, match=r"grazing angle .*° lies outside \(0°, 90°\); give degrees above the horizon"
+    ):
+        View(10.0, grazing)
+
+
+def test_grids_and_azimuth():
+    with pytest.raises(SarsplatError, match="azimuth nan is not a number of degrees"):
+        View(float("nan"), 45.0)
+    with pytest.raises(SarsplatError, match="an image of 0 × 5 pixels is empty"):
+        ImageGrid(0, 5, (0.1, 0.1), (0.1, 0.1))
+    with pytest.raises(SarsplatError, match=r"pixel spacing \(0.1, -0.1\) must be positive"):
+        ImageGrid(5, 5, (0.1, -0.1), (0.1, 0.1))
+    with pytest.raises(SarsplatError, match=r"resolution \(0.1, nan\) must be positive"):
+        ImageGrid(5, 5, (0.1, 0.1), (0.1, float("nan")))
+    with pytest.raises(SarsplatError, match=r"ray spacing \(0.0, 0.1\) must be positive"):
+        RayGrid((0.0, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("name", "tensor", "message"),
+    [
+        ("means", torch.zeros(10, 2), r"means has shape \(10, 2\); for 10 Gaussians it must be \(10, 3\)"),
+        ("scales", torch.zeros(9, 3), r"scales has shape \(9, 3\); for 10 Gaussians it must be \(10, 3\)"),
+        ("optical_depth", torch.zeros(10, 1), r"optical_depth has shape \(10, 1\); .* it must be \(10,\)"),
+        ("scattering", torch.zeros(10, 5), r"scattering has shape \(10, 5\); .* K = 1, 4, 9 or 16"),
+        (
+            "scales",
+            torch.zeros(10, 3, dtype=torch.float64),
+            "scales is torch.float64 on cpu but means is torch.float32",
+        ),
+    ],
+)
+def test_gaussians_that_do_not_fit_together(name, tensor, message):
+    with pytest.raises(SarsplatError, match=message):
+        cloud(10, 0).with_tensors(**{name: tensor})
+    with pytest.raises(SarsplatError, match=r"p_min -0.1 must be finite and at least 0"):
+        replace(cloud(10, 0).scattering, p_min=-0.1)
+
+
+def test_torch_defaults_do_not_matter():
+    scene = cloud(10, 0)
+    expected = render(scene, VIEWS, GRID, first_return_depth=0.1)
+    torch.set_default_dtype(torch.float64)
+    try:
+        again = render(scene, VIEWS, GRID, first_return_depth=0.1)
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert torch.equal(again.images, expected.images)
+    assert torch.equal(again.ray_maps[0].transmittance, expected.ray_maps[0].transmittance)
