@@ -94,5 +94,4 @@ def reconstruct(
 
 def _fitting_preset(dataset: Dataset) -> str:
     """Where there is ground it must be modelled."""
-    has_ground = dataset.domain == "measured" or dataset.source.get("ground_gamma0") is not None
-    return "measured" if has_ground else "default"
+    return "measured" if dataset.ground else "default"

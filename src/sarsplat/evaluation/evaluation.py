@@ -69,7 +69,7 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dic
     -------
     dict
         The content of `metrics.json`: `images.<set>.<metric>`, `points.{visible, whole}.<metric>`, `yardsticks` (what
-        two-dimensional tricks score on measured chips), `time_s`, `seed`,
+        two-dimensional tricks score on speckled images with ground), `time_s`, `seed`,
         `domain` (what exactly was compared) and `reasons`: for every metric that is None, its dotted key and why.
         Without test images `images` is empty.
 
@@ -89,7 +89,7 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dic
     if not test_sets and (dataset.truth_mesh is None or len(run.points) == 0):
         lacks = "no true mesh" if dataset.truth_mesh is None else "the run no points"
         raise SarsplatError(
-            f"nothing can be scored: the dataset {dataset.path} has no test images and {lacks}; "
+            f"nothing can be scored: the dataset {dataset} has no test images and {lacks}; "
             "simulate it with --test-azimuth"
         )
     weights = lpips.lpips_weights(lpips_weights)
@@ -97,7 +97,7 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dic
     train = dataset.images("train")
     if not train.max() > 0:
         raise SarsplatError(
-            f"the training images of {dataset.path} are black everywhere; simulate or import them again"
+            f"the training images of {dataset} are black everywhere; simulate or import them again"
         )
     reference_amplitude, mean_power = float(np.sqrt(train.max())), float(train.mean(dtype=np.float64))
 
@@ -107,16 +107,16 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dic
     scores: dict[str, dict[str, float | None]] = {}
     for split in test_sets:
         truth = dataset.images(split)
-        rendered = run.render([entry.view for entry in dataset.select(split)])
-        table = _image_metrics(truth, rendered, reference_amplitude, mean_power, network)
+        rendered = run.render(dataset.select(split).views)
+        table = _image_metrics(truth, rendered, reference_amplitude, mean_power, dataset.score_margin, network)
         scores[split] = images.defined(table, f"images.{split}", reasons, _not_applicable(dataset))
     return {
         "images": scores,
         "points": _points(run, reasons),
-        "yardsticks": yardstick_scores(dataset, reasons) if dataset.domain == "measured" else None,
+        "yardsticks": yardstick_scores(dataset, reasons) if dataset.looks is not None and dataset.ground else None,
         "time_s": run.time_s,
         "seed": run.seed,
-        "domain": _domain(reference_amplitude, mean_power),
+        "domain": _domain(reference_amplitude, mean_power, dataset.score_margin),
         "reasons": reasons,
     }
 
@@ -126,6 +126,7 @@ def _image_metrics(
     rendered: Stack,
     reference_amplitude: float,
     mean_power: float,
+    margin: int,
     network: lpips.Lpips | None,
 ) -> dict[str, Callable[[], float]]:
     """Every image metric of one set, ready to be computed."""
@@ -143,21 +144,19 @@ def _image_metrics(
         "ssim": lambda: images.ssim(truth, rendered, reference_amplitude),
         "lpips": perceptual,
         "nats_per_pixel": lambda: images.nats_per_pixel(  # not in float32, of which faint images are no multiples
-            truth.astype(np.float64) / mean_power, rendered.astype(np.float64) / mean_power
+            truth.astype(np.float64) / mean_power, rendered.astype(np.float64) / mean_power, margin
         ),
-        "log_correlation": lambda: images.log_correlation(truth, rendered),
+        "log_correlation": lambda: images.log_correlation(truth, rendered, margin),
     }
 
 
 def _not_applicable(dataset: Dataset) -> dict[str, str]:
     """Image metrics that say nothing about this kind of dataset, and why."""
-    if dataset.domain == "measured":
-        reason = "the truth is a measured, speckled image; this score needs a noise-free one"
+    if dataset.looks is not None:
+        reason = "the truth is speckled; this score needs an image without speckle"
         return dict.fromkeys(("psnr_db", "psnr_target_db", "ssim", "lpips"), reason)
-    if not dataset.source.get("looks"):
-        reason = "the truth is free of speckle; this score needs a measured or speckled one"
-        return dict.fromkeys(("nats_per_pixel", "log_correlation"), reason)
-    return {}
+    reason = "the truth is free of speckle; this score needs a speckled one"
+    return dict.fromkeys(("nats_per_pixel", "log_correlation"), reason)
 
 
 def _points(run: EvaluatedRun, reasons: dict[str, str]) -> dict[str, dict[str, float | None]]:
@@ -167,7 +166,7 @@ def _points(run: EvaluatedRun, reasons: dict[str, str]) -> dict[str, dict[str, f
         return _no_points("the dataset has no true mesh to compare with", reasons)
     if len(points) == 0:
         return _no_points("the run reconstructed no points", reasons)
-    views = [entry.view for entry in dataset.select("train")]
+    views = dataset.select("train").views
     surface = visible_surface(read_truth_mesh(dataset.truth_mesh), views)
     if len(views) == 1:
         warn([f"{run.path} was made from one view, from which no shape can be told: its CD and F1 say nothing"])
@@ -213,14 +212,14 @@ def read_truth_mesh(path: Path) -> trimesh.Trimesh:
     return mesh
 
 
-def _domain(reference_amplitude: float, mean_power: float) -> dict[str, Any]:
+def _domain(reference_amplitude: float, mean_power: float, margin: int) -> dict[str, Any]:
     """What exactly was compared, so that the figures can be read without this file."""
     return {
         "psnr_ssim_lpips": "amplitude √β⁰ / reference_amplitude (largest of the training set), no clip, data range 1; "
         "per image, averaged; LPIPS-AlexNet v0.1 on 2·amplitude − 1, grey repeated three times",
         "target_mask": f"truth β⁰ above −{images.TARGET_DYNAMIC_DB:g} dB of the maximum of the test set",
         "nats_log_correlation": "power β⁰ / mean_power (of the training set); mean of log S + I/S; correlation of log "
-        f"3×3 means per chip, averaged; a margin of {images.CHIP_MARGIN} pixels is left out after filtering",
+        f"3×3 means per chip, averaged; a margin of {margin} pixels is left out after filtering",
         "points": f"at most one point per {VOXEL} m voxel; accuracy to triangles, completeness from 10⁶ samples; "
         "visible = first hit of a 1 cm ray of a training view",
         "reference_amplitude": reference_amplitude,

@@ -88,14 +88,14 @@ def yardstick_scores(dataset: Dataset, reasons: dict[str, str]) -> dict[str, dic
     dict
         `scores[set][yardstick]["nats_per_pixel" | "log_correlation"]`; yardsticks: `nearest_chip`, `rotated_average`.
     """
-    train, train_views = dataset.images("train").astype(np.float64), [item.view for item in dataset.select("train")]
+    train, train_views = dataset.images("train").astype(np.float64), dataset.select("train").views
     mean_power = train.mean()
     scores = {}
     for split in dataset.splits():
         if split == "train":
             continue
         truth = dataset.images(split).astype(np.float64) / mean_power
-        views = [item.view for item in dataset.select(split)]
+        views = dataset.select(split).views
         predictions = {
             "nearest_chip": nearest_chip(train / mean_power, train_views, views),
             "rotated_average": rotated_average(train / mean_power, train_views, views, dataset.grid),
@@ -103,8 +103,8 @@ def yardstick_scores(dataset: Dataset, reasons: dict[str, str]) -> dict[str, dic
         scores[split] = {
             name: defined(
                 {
-                    "nats_per_pixel": partial(nats_per_pixel, truth, predicted),
-                    "log_correlation": partial(log_correlation, truth, predicted),
+                    "nats_per_pixel": partial(nats_per_pixel, truth, predicted, dataset.score_margin),
+                    "log_correlation": partial(log_correlation, truth, predicted, dataset.score_margin),
                 },
                 f"yardsticks.{split}.{name}",
                 reasons,

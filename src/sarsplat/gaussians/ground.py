@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 
 from sarsplat.gaussians.gaussians import Gaussians
 from sarsplat.gaussians.scattering import Harmonics
+from sarsplat.geometry import ImageGrid, View
 
 _WIDTH = 0.6
 """Standard deviation in pitches: the sum of footprints then ripples by less than a thousandth."""
@@ -47,3 +49,11 @@ def ground_sheet(radius: float, pitch: float) -> Gaussians:
         torch.full((n,), _OPTICAL_DEPTH),
         Harmonics(torch.zeros(n, 1)),
     )
+
+
+def ground_radius_m(views: Sequence[View], grid: ImageGrid) -> float:
+    """Radius of the ground that images from these views show, m, with a margin for footprints and responses."""
+    across = grid.columns * grid.spacing_m[0] + 2 * abs(grid.center_m[0])
+    steepest = math.cos(math.radians(max(view.grazing_deg for view in views)))
+    along = (grid.rows * grid.spacing_m[1] + 2 * abs(grid.center_m[1])) / steepest
+    return math.hypot(across, along) / 2 + 2 * max(grid.resolution_m)

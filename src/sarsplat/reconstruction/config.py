@@ -6,8 +6,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from types import UnionType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from sarsplat.data.fields import shown
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import MIN_SCALE, SCATTERINGS
 
 
@@ -57,9 +56,6 @@ class PointExtraction:
 class Surroundings:
     """What measured chips hold besides the target."""
 
-    ground_radius: float  # m: must cover the chip at every rotation
-    target_low: tuple[float, float, float]  # box in which the target may lie, m
-    target_high: tuple[float, float, float]
     noise_floor: float  # initial additive power, in units of the training mean, as P_min and every γ⁰
     deviation_penalty: float  # nats per pixel, per m² of shift and squared log gain
 
@@ -162,7 +158,7 @@ class Config:
                 "rates": Rates(**data["rates"]),
                 "points": PointExtraction(**data["points"]),
                 "densification": Densification(**data["densification"]) if data["densification"] else None,
-                "surroundings": _surroundings(data["surroundings"]) if data["surroundings"] else None,
+                "surroundings": Surroundings(**data["surroundings"]) if data["surroundings"] else None,
                 "scale_bounds": tuple(data["scale_bounds"]),
             }
             return cls(**{**data, **nested})
@@ -170,10 +166,6 @@ class Config:
             raise SarsplatError(
                 f"the configuration does not fit this version ({shown(str(error))}); start the run again"
             ) from error
-
-
-def _surroundings(data: dict[str, Any]) -> Surroundings:
-    return Surroundings(**{**data, "target_low": tuple(data["target_low"]), "target_high": tuple(data["target_high"])})
 
 
 _DEFAULT = Config(
@@ -250,9 +242,6 @@ PRESETS: dict[str, Config] = {
             "rays", 0.7, voxel=0.1, least_height=0.5, behind=0.2, cluster_radius=0.3, cluster_size=10
         ),
         surroundings=Surroundings(
-            ground_radius=19.0,
-            target_low=(-4.5, -2.5, 0.0),
-            target_high=(6.5, 2.5, 3.0),
             noise_floor=0.05,
             deviation_penalty=0.01,
         ),

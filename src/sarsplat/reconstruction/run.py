@@ -22,13 +22,12 @@ from sarsplat.data import (
     write_json,
     write_points_ply,
 )
-from sarsplat.data.fields import shown
 from sarsplat.data.files import open_file, plain_os_errors
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import RayGrid, View
 from sarsplat.reconstruction.config import Config
-from sarsplat.reconstruction.model import SceneModel, power_unit, scene_region
+from sarsplat.reconstruction.model import SceneModel, Setting
 from sarsplat.reconstruction.points import extract_points
 
 SCHEMA = "sarsplat-run"
@@ -107,8 +106,8 @@ class Run:
         if not header.is_file():
             what = "does not exist" if not path.exists() else f"holds no {HEADER}, so it is not a run"
             raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out {path}`")
-        data = read_json(header)
-        if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+        data = read_json(header, dict[str, Any])
+        if data.get("schema") != SCHEMA:
             raise SarsplatError(
                 f"{header} is not the header of a run; give the folder that `sarsplat reconstruct` wrote"
             )
@@ -167,9 +166,9 @@ class Run:
         """The learned scene, as of the newest checkpoint."""
         tensors, _ = self.checkpoint
         learned = {name.removeprefix("model/"): t for name, t in tensors.items() if name.startswith("model/")}
-        region, unit = scene_region(self.config, self.dataset), power_unit(self.config, self.dataset)
+        setting = Setting.of(self.config, self.dataset)
         try:
-            model = SceneModel(self.config, region, unit, learned)
+            model = SceneModel(self.config, setting, learned)
             model.scene(self.config.harmonics_degree)  # shapes and values are checked where they are used
         except (KeyError, ValueError, TypeError, IndexError, RuntimeError, SarsplatError) as error:
             raise SarsplatError(
@@ -236,8 +235,8 @@ class Run:
         path = self.path / "metrics.json"
         if not path.is_file():
             return None
-        metrics = read_json(path)
-        if not isinstance(metrics, dict) or not all(isinstance(metrics.get(key), dict) for key in ("images", "points")):
+        metrics = read_json(path, dict[str, Any])
+        if not all(isinstance(metrics.get(key), dict) for key in ("images", "points")):
             raise SarsplatError(f"{path} holds no scores; write them again with `sarsplat evaluate {self.path}`")
         return metrics
 
@@ -264,7 +263,7 @@ class Run:
                 (self.path / name).unlink(missing_ok=True)
 
     def _extracted_points(self) -> np.ndarray:
-        views = [item.view for item in self.dataset.select("train")]
+        views = self.dataset.select("train").views
         points = extract_points(self.gaussians, views, self.dataset.grid, self.config.points)
         return points.astype(np.float32)  # as the file has them
 
@@ -294,6 +293,6 @@ def require_replaceable(out: Path) -> None:
     """Refuse to overwrite a folder that is not a run, of whatever version: many programs keep a `config.json`."""
     header = out / HEADER
     if header.is_file():
-        data = read_json(header)
-        if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+        data = read_json(header, dict[str, Any])
+        if data.get("schema") != SCHEMA:
             raise SarsplatError(f"{header} is not the header of a run, so it is not ours to replace; give another name")

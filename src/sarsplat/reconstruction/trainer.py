@@ -43,11 +43,11 @@ class Trainer:
     def __init__(self, dataset: Dataset, config: Config) -> None:
         self.config = config
         self.grid = dataset.grid
-        self.views = [item.view for item in dataset.select("train")]
+        self.views = dataset.select("train").views
         power = torch.from_numpy(dataset.images("train"))
         if not float(power.max()) > _FAINTEST:
             raise SarsplatError(
-                f"the training images of {dataset.path} are black everywhere (largest β⁰ {float(power.max()):.3g}); "
+                f"the training images of {dataset} are black everywhere (largest β⁰ {float(power.max()):.3g}); "
                 "simulate or import again"
             )
         self._reference = math.sqrt(float(power.max()))
@@ -106,7 +106,7 @@ class Trainer:
             }
             parameters["means"] = parameters["means"] + displacement
             parameters["scales"] = parameters["scales"] * shrink[:, None]
-        self.model = SceneModel(self.config, self.model.region, self.model.unit, parameters)
+        self.model = SceneModel(self.config, self.model.setting, parameters)
         self.model.constrain()
         self.optimiser = self.optimiser.rebuild(self.model.parameters, torch.where(kept, source, -1))
 
@@ -125,7 +125,7 @@ class Trainer:
         def part(prefix: str) -> dict[str, Tensor]:
             return {name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)}
 
-        self.model = SceneModel(self.config, self.model.region, self.model.unit, part("model/"))
+        self.model = SceneModel(self.config, self.model.setting, part("model/"))
         self.optimiser = Optimiser(self.model.parameters, self.model.bounds, self.config)
         self.optimiser.load_state(part("optimiser/"))
         self._generator.set_state(tensors["generator"])

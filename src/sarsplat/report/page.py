@@ -31,13 +31,12 @@ class Picture:
 def page(run: Run, pictures: list[Picture], training: list[Picture]) -> str:
     """The whole page as HTML: pictures come before the scores, those of the training after them."""
     metrics, dataset = run.metrics, run.dataset
-    paper = paper_beside(dataset) if dataset.domain == "rendered" else None
+    paper = paper_beside(dataset)
     tables = score_tables(metrics, paper) if metrics else []
-    target = str(dataset.source.get("target") or dataset.source.get("class") or dataset.path.name)
     here = files("sarsplat.report")
     return Template(here.joinpath("page.html").read_text("utf-8")).substitute(
         style=here.joinpath("style.css").read_text("utf-8"),
-        target=escape(target),
+        target=escape(dataset.target),
         lead=escape(_lead(run)),
         cards=_cards(run, tables),
         pictures="\n".join(_picture(picture) for picture in pictures),
@@ -52,7 +51,7 @@ def page(run: Run, pictures: list[Picture], training: list[Picture]) -> str:
 def _lead(run: Run) -> str:
     dataset = run.dataset
     train = dataset.select("train")
-    kind = "measured" if dataset.domain == "measured" else "simulated"
+    kind = "measured" if dataset.calibration == "relative" else "simulated"
     return (
         f"{counted(len(run.gaussians), 'Gaussian')} and {counted(len(run.points), 'surface point')}, reconstructed "
         f"from {counted(len(train), f'{kind} SAR image')} in {_duration(run.time_s)}."
@@ -125,9 +124,9 @@ def _facts(rows: dict[str, str]) -> str:
 
 def _dataset_facts(dataset: Dataset) -> dict[str, str]:
     grid = dataset.grid
-    quantity = "β⁰, linear power" if dataset.domain == "rendered" else "power up to one common factor, β⁰ scale unknown"
+    quantity = "β⁰, linear power" if dataset.calibration == "absolute" else "power up to one common factor, β⁰ scale unknown"
     return {
-        "folder": str(dataset.path),
+        "folder": str(dataset),
         "quantity": quantity,
         "images": ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits()),
         "pixels": f"{grid.rows} × {grid.columns} (slant range × azimuth)",

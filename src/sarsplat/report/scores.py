@@ -60,11 +60,10 @@ class ScoreTable:
 
 def paper_beside(dataset: Dataset) -> PaperRow | None:
     """The paper's row for this dataset's target, T72 where it has none; None unless the protocol is the paper's."""
-    source = dataset.source
-    if source.get("protocol") != "paper" or source.get("ground_gamma0") is not None or source.get("looks") is not None:
+    if dataset.protocol != "paper" or dataset.ground or dataset.looks is not None:
         return None
     try:
-        return paper_row(str(dataset.source.get("target")))
+        return paper_row(dataset.target)
     except SarsplatError:
         return paper_row("T72")
 
