@@ -61,7 +61,7 @@ def draw(run: Run) -> None:
     test = dataset.select("test").views
     chosen = [test.index(view) for view in SHOWN]
     truth = dataset.images("test")[chosen]
-    rendered = run.render([test[k].view for k in chosen])
+    rendered = run.render([test[k] for k in chosen])
     mesh = trimesh.load_mesh(dataset.truth_mesh, process=False)
     surface = visible_surface(mesh, dataset.select("train").views).samples[::SKIP]
 

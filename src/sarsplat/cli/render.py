@@ -61,7 +61,9 @@ def render(
                 )
                 write_power_tiff(folder / f"{_name(view)}.tif", image, description)
                 write_bytes(folder / f"{_name(view)}.png", decibel_png(image, peak))
-            write_bytes(folder / _SHEET, contact_sheet(images, views, done.dataset.grid, peak, margin=done.dataset.score_margin))
+            write_bytes(
+                folder / _SHEET, contact_sheet(images, views, done.dataset.grid, peak, margin=done.dataset.score_margin)
+            )
     console.say(
         f"PNGs: grey from −{DYNAMIC_DB:g} dB (black) to 0 dB (white) of the brightest training pixel, "
         f"β⁰ = {float(to_decibels(peak)):.1f} dB; row 0 is near range"

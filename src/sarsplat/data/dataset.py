@@ -110,7 +110,7 @@ class Dataset:
             check_power(image, f"the image {shown(entry.name)}")
             if not re.fullmatch(r"train|test[A-Za-z0-9.-]*", entry.split):
                 raise SarsplatError(
-                    f"split {shown(entry.split)} of the image {shown(entry.name)} must be \"train\" or a name that "
+                    f'split {shown(entry.split)} of the image {shown(entry.name)} must be "train" or a name that '
                     'starts with "test"'
                 )
         DatasetHeader.of(self)  # types: what is here must fit into dataset.json
@@ -125,7 +125,9 @@ class Dataset:
                 "pixels; give a smaller one, at least 0"
             )
         box = self.target_box_m
-        if box is not None and not all(-_FARTHEST_M <= low < high <= _FARTHEST_M for low, high in zip(*box, strict=True)):
+        if box is not None and not all(
+            -_FARTHEST_M <= low < high <= _FARTHEST_M for low, high in zip(*box, strict=True)
+        ):
             raise SarsplatError(f"target_box_m {box} must be a lower and an upper corner (x, y, z) in metres")
 
     @classmethod
@@ -163,7 +165,9 @@ class Dataset:
         grid = every[0].grid
         for index, image in enumerate(every):
             if image.grid != grid:
-                raise SarsplatError(f"image {index} lies on {image.grid} but the first on {grid}; give images of one grid")
+                raise SarsplatError(
+                    f"image {index} lies on {image.grid} but the first on {grid}; give images of one grid"
+                )
         digits = max(3, len(str(len(every) - 1)))
         entries = tuple(
             DatasetEntry(image.view, "train" if index < len(images) else "test", f"{index:0{digits}d}")
@@ -235,5 +239,5 @@ class Dataset:
         """SHA-256 over header and pixels, in hexadecimal: the same if the data are the same, wherever they lie."""
         header = msgspec.structs.replace(DatasetHeader.of(self), truth_mesh=None)
         digest = hashlib.sha256(msgspec.json.encode(header, order="deterministic"))
-        digest.update(np.ascontiguousarray(self.power, "<f4"))
+        digest.update(self.power.astype("<f4").tobytes())
         return digest.hexdigest()

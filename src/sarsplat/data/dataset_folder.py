@@ -115,7 +115,9 @@ def read_dataset(path: Path) -> Dataset:
     )
     with _blamed_on(path / HEADER):
         grid = ImageGrid(**msgspec.structs.asdict(header.grid))
-        entries = tuple(DatasetEntry(_view(index, item), item.split, item.name) for index, item in enumerate(header.views))
+        entries = tuple(
+            DatasetEntry(_view(index, item), item.split, item.name) for index, item in enumerate(header.views)
+        )
         files = [_inside(path, item.file) for item in header.views]
         if len({file.resolve() for file in files}) < len(files):
             raise SarsplatError("two views name the same image file; give each view its own")

@@ -276,7 +276,7 @@ def decode_json(data: bytes, path: Path, type: type[T]) -> T:
 
 
 def _what_does_not_fit(data: bytes, told: str) -> str:
-    """msgspec's "Expected `float`, got `str` - at `$.views[1].azimuth_deg`" as "views[1].azimuth_deg is 'north': …"."""
+    """Turn "Expected `float`, got `str` - at `$.views[1].azimuth_deg`" into "views[1].azimuth_deg is 'north': …"."""
     what, _, place = told.partition(" - at `$")
     place = place.removesuffix("`").removeprefix(".")
     what = "".join(letter if letter.isprintable() else "?" for letter in what[:1].lower() + what[1:])[:200]

@@ -89,7 +89,9 @@ class DatasetHeader(Strict, frozen=True):
         try:
             return msgspec.convert(msgspec.to_builtins(plain), cls)
         except (msgspec.ValidationError, TypeError, RecursionError) as error:
-            raise SarsplatError(f"the dataset does not fit into JSON: {error}; use finite numbers, text, lists, dicts") from error
+            raise SarsplatError(
+                f"the dataset does not fit into JSON: {error}; use finite numbers, text, lists, dicts"
+            ) from error
 
 
 _AS_THEY_ARE = ("target", "calibration", "looks", "ground", "score_margin", "target_box_m", "protocol", "source")

@@ -36,7 +36,8 @@ class SarImage:
     Raises
     ------
     SarsplatError
-        If it is no array of real numbers, its shape does not fit the grid, or a pixel is negative, not finite or above 10¹⁸.
+        If it is no array of real numbers, its shape does not fit the grid, or a pixel is negative, above 10¹⁸ or
+        not finite.
     """
 
     power: Real[np.ndarray, "rows columns"]

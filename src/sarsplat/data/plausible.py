@@ -148,6 +148,7 @@ def _images(dataset: Dataset) -> list[str]:
 
 def _tested_on_training(dataset: Dataset) -> list[str]:
     """Test images that are a training image, seen from the same direction, over again."""
+
     def key(entry: DatasetEntry, image: Real[np.ndarray, "rows columns"]) -> tuple[View, bytes]:
         return entry.view, image.tobytes()
 

@@ -96,9 +96,7 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dic
     network = None if weights is None else lpips.Lpips(weights)
     train = dataset.images("train")
     if not train.max() > 0:
-        raise SarsplatError(
-            f"the training images of {dataset} are black everywhere; simulate or import them again"
-        )
+        raise SarsplatError(f"the training images of {dataset} are black everywhere; simulate or import them again")
     reference_amplitude, mean_power = float(np.sqrt(train.max())), float(train.mean(dtype=np.float64))
 
     reasons: dict[str, str] = {}

@@ -71,14 +71,14 @@ class Run:
     @classmethod
     def create(cls, path: Path, dataset: Dataset, config: Config) -> Run:
         """Write `config.json` into a new folder."""
-        run = cls(Path(path), dataset.path.resolve(), dataset.fingerprint(), config)
+        run = cls(Path(path), _folder_of(dataset), dataset.fingerprint(), config)
         (run.path / "checkpoints").mkdir()
         run._write_header()
         return run
 
-    def set_dataset_path(self, dataset_path: Path) -> None:
+    def set_dataset_path(self, dataset: Dataset) -> None:
         """Note on the disk where the dataset is now, if it has moved."""
-        moved = replace(self, dataset_path=dataset_path.resolve())
+        moved = replace(self, dataset_path=_folder_of(dataset))
         if moved != self:
             moved._write_header()
 
@@ -266,6 +266,12 @@ class Run:
         views = self.dataset.select("train").views
         points = extract_points(self.gaussians, views, self.dataset.grid, self.config.points)
         return points.astype(np.float32)  # as the file has them
+
+
+def _folder_of(dataset: Dataset) -> Path:
+    if dataset.path is None:
+        raise SarsplatError(f"{dataset} has no folder that a run could refer to; write it with write_dataset first")
+    return dataset.path.resolve()
 
 
 def _log_line(record: dict[str, Any]) -> dict[str, Any]:

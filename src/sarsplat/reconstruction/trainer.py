@@ -207,7 +207,7 @@ def _resume(trainer: Trainer, run: Run, dataset: Dataset) -> float:
             f"{run.path} was begun with other settings (preset {run.config.preset}, seed {run.config.seed}, "
             f"{run.config.iterations} iterations, init {run.config.initialisation}); resume it with the same"
         )
-    run.set_dataset_path(dataset.path)
+    run.set_dataset_path(dataset)
     seconds = 0.0
     if run.checkpoint_path is not None:
         tensors, state = run.checkpoint

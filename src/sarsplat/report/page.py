@@ -124,7 +124,9 @@ def _facts(rows: dict[str, str]) -> str:
 
 def _dataset_facts(dataset: Dataset) -> dict[str, str]:
     grid = dataset.grid
-    quantity = "β⁰, linear power" if dataset.calibration == "absolute" else "power up to one common factor, β⁰ scale unknown"
+    quantity = (
+        "β⁰, linear power" if dataset.calibration == "absolute" else "power up to one common factor, β⁰ scale unknown"
+    )
     return {
         "folder": str(dataset),
         "quantity": quantity,

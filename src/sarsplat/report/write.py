@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sarsplat.data import Dataset, write_bytes
+from sarsplat.data import write_bytes
 from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.evaluation import read_truth_mesh

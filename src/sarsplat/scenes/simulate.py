@@ -97,9 +97,7 @@ def simulate_images(
     return stack
 
 
-def simulation_record(
-    *, source: Source, law: ScatteringLaw, ground_gamma0: float | None, seed: int
-) -> dict[str, Any]:
+def simulation_record(*, source: Source, law: ScatteringLaw, ground_gamma0: float | None, seed: int) -> dict[str, Any]:
     """How `simulate_images` made images with these arguments, speckle apart, as JSON for a dataset's `source`."""
     how: dict[str, Any]
     if source == "raycast":
