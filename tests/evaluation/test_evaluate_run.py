@@ -1,10 +1,12 @@
 import json
+import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from datasets import dataset_of
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.evaluation import IMAGE_METRICS, POINT_METRICS, evaluate_run, log_correlation, nats_per_pixel, psnr_db
@@ -55,21 +57,15 @@ def make(tmp_path, monkeypatch):
 
     monkeypatch.setattr("sarsplat.evaluation.evaluation.visible_surface", coarse)
 
-    def dataset(domain="rendered", looks=None, mesh=CUBE, scale=1.0) -> Dataset:
+    def dataset(looks=None, ground=False, mesh=CUBE, scale=1.0) -> Dataset:
         splits = ("train", "test-17", "train", "test-15", "test-17")
-        views = [(View(80.0 * k, 45), split, None) for k, split in enumerate(splits)]
-        images = np.stack([scale * image(view.azimuth_deg) for view, *_ in views]).astype(np.float32)
-        if domain == "measured" or looks:
+        views = [(View(80.0 * k, 45), split) for k, split in enumerate(splits)]
+        images = np.stack([scale * image(view.azimuth_deg) for view, _ in views]).astype(np.float32)
+        if looks:
             images *= np.random.default_rng(0).exponential(size=images.shape).astype(np.float32) + np.float32(1e-3)
-        return write_dataset(
-            tmp_path / "dataset",
-            grid=ImageGrid(SIZE, SIZE, (0.3, 0.3), (0.3, 0.3)),
-            views=views,
-            images=images,
-            source={"looks": looks},
-            domain=domain,
-            truth_mesh=mesh,
-        )
+        grid = ImageGrid(SIZE, SIZE, (0.3, 0.3), (0.3, 0.3))
+        made = dataset_of(grid, views, images, looks=looks, ground=ground, score_margin=24 if looks else 0)
+        return write_dataset(tmp_path / "dataset", made, truth_mesh=mesh)
 
     return dataset
 
@@ -121,30 +117,33 @@ def test_points_are_scored_against_both_surfaces(make):
 
 
 def test_a_measured_set_is_scored_by_protocol_m_whatever_its_unit(make, tmp_path):
-    run = FakeRun(make(domain="measured", mesh=None, scale=50.0), power=50.0)
+    run = FakeRun(make(looks=1, ground=True, mesh=None, scale=50.0), power=50.0)
     metrics = evaluate_run(run)
     truth, mean = run.dataset.images("test-17"), run.dataset.images("train").mean(dtype=float)
-    rendered = run.render([item.view for item in run.dataset.select("test-17")])
+    rendered = run.render(run.dataset.select("test-17").views)
     scores = metrics["images"]["test-17"]
-    assert scores["nats_per_pixel"] == pytest.approx(nats_per_pixel(truth / mean, rendered / mean))
+    assert scores["nats_per_pixel"] == pytest.approx(nats_per_pixel(truth / mean, rendered / mean, 24))
     assert scores["nats_per_pixel"] < 2  # and not log 50 higher
-    assert scores["log_correlation"] == pytest.approx(log_correlation(truth, rendered))
+    assert scores["log_correlation"] == pytest.approx(log_correlation(truth, rendered, 24))
     assert [scores[key] for key in RENDERED_ONLY] == [None] * 4
-    assert all("measured" in metrics["reasons"][f"images.test-17.{key}"] for key in RENDERED_ONLY)
+    assert all("speckled" in metrics["reasons"][f"images.test-17.{key}"] for key in RENDERED_ONLY)
     assert metrics["points"]["visible"] == dict.fromkeys(POINT_METRICS)
     assert "no true mesh" in metrics["reasons"]["points.whole.count"]
 
 
-def test_a_speckled_rendered_set_is_scored_by_both(make):
-    scores = evaluate_run(FakeRun(make(looks=1)))["images"]["test-15"]
-    assert [key for key in IMAGE_METRICS if scores[key] is None] == ["lpips"]
+def test_speckle_and_ground_decide_what_is_scored(make, tmp_path):
+    simulated = evaluate_run(FakeRun(make(looks=1)))
+    assert [key for key in IMAGE_METRICS if simulated["images"]["test-15"][key] is not None] == list(SPECKLED_ONLY)
+    assert simulated["yardsticks"] is None
+    shutil.rmtree(tmp_path / "dataset")
+    assert evaluate_run(FakeRun(make(looks=1, ground=True)))["yardsticks"] is not None
 
 
 def test_black_pixels_leave_the_likelihood_null_with_the_reason(make):
     metrics = evaluate_run(FakeRun(make(looks=1), power=0.0))
     assert metrics["images"]["test-17"]["nats_per_pixel"] is None
     assert "noise floor" in metrics["reasons"]["images.test-17.nats_per_pixel"]
-    assert metrics["images"]["test-17"]["psnr_db"] is not None
+    assert metrics["images"]["test-17"]["log_correlation"] is None
 
 
 def test_no_points_is_a_result_not_an_error(make):
@@ -182,15 +181,8 @@ def test_an_unreadable_mesh_is_told(make):
 
 
 def only_training(path: Path, mesh) -> Dataset:
-    return write_dataset(
-        path,
-        grid=ImageGrid(SIZE, SIZE, (0.3, 0.3), (0.3, 0.3)),
-        views=[(View(0, 45), "train", None)],
-        images=image(0)[None],
-        source={},
-        domain="rendered",
-        truth_mesh=mesh,
-    )
+    grid = ImageGrid(SIZE, SIZE, (0.3, 0.3), (0.3, 0.3))
+    return write_dataset(path, dataset_of(grid, [(View(0, 45), "train")], image(0)[None]), truth_mesh=mesh)
 
 
 def test_without_test_views_the_points_are_scored(tmp_path, make):  # make: coarse surfaces
@@ -208,9 +200,9 @@ def test_with_nothing_to_score_evaluation_is_refused(tmp_path, mesh, points, tol
 
 
 @pytest.mark.parametrize("scale", [1e-45, 1e-38, 1e-30, 1e16])
-@pytest.mark.parametrize("domain", ["rendered", "measured"])
-def test_faint_and_strong_images_are_scored_without_a_warning(make, domain, scale):
-    dataset = make(domain=domain, looks=1, mesh=None, scale=scale)
+@pytest.mark.parametrize("looks", [None, 1])
+def test_faint_and_strong_images_are_scored_without_a_warning(make, looks, scale):
+    dataset = make(looks=looks, ground=True, mesh=None, scale=scale)
     scores = evaluate_run(FakeRun(dataset, power=scale))["images"]["test-17"]
     assert all(np.isfinite(value) for value in scores.values() if value is not None)
 

@@ -38,8 +38,6 @@ def test_round_trip(name: str) -> None:
         ("paper", "densification.start", 10_000.5),
         ("paper", "densification.most", None),
         ("paper", "densification", [1]),
-        ("measured", "surroundings.target_low", [0.0, 1.0]),
-        ("measured", "surroundings.target_high", [0.0, 1.0, "a"]),
         ("measured", "surroundings.noise_floor", [0.1]),
         ("measured", "surroundings", 7),
         ("default", "x" * 5000, 1),

@@ -27,7 +27,7 @@ def same_results(a: Run, b: Run) -> bool:
 
 def test_it_learns_what_unseen_views_show(finished: Run, dataset: Dataset) -> None:
     truth = np.sqrt(dataset.images("test"))
-    rendered = np.sqrt(finished.render([item.view for item in dataset.select("test")]))
+    rendered = np.sqrt(finished.render(dataset.select("test").views))
     error = np.linalg.norm(rendered - truth) / np.linalg.norm(truth)
     assert error < 0.25
     assert finished.history[-1]["loss"] < 0.3 * finished.history[0]["loss"]

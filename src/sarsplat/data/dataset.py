@@ -98,7 +98,7 @@ class Dataset:
 
     def __post_init__(self) -> None:
         if not self.entries:
-            raise SarsplatError("a dataset of no images is none; give at least one")
+            raise SarsplatError("a dataset must hold images, but there are no images; give at least one")
         expected = (len(self.entries), self.grid.rows, self.grid.columns)
         if not isinstance(self.power, np.ndarray) or self.power.shape != expected or self.power.dtype != np.float32:
             raise SarsplatError(

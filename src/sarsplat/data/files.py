@@ -168,7 +168,7 @@ def encode_json(obj: Any, path: Path) -> bytes:
     """The object as indented UTF-8 JSON ending in a newline; `path` is what an error names."""
     try:
         # not by msgspec, which turns NaN into null without a word
-        text = json.dumps(obj, indent=2, ensure_ascii=False, allow_nan=False, default=msgspec.to_builtins)
+        text = json.dumps(obj, indent=2, ensure_ascii=False, allow_nan=False, default=_struct_as_dict)
         return (text + "\n").encode()
     except UnicodeEncodeError as error:  # a path whose bytes are not UTF-8 carries them as halves of surrogate pairs
         name = error.object[max(0, error.start - 60) : error.end + 60]
@@ -179,6 +179,12 @@ def encode_json(obj: Any, path: Path) -> bytes:
         raise SarsplatError(
             f"{path} cannot be written as JSON: {error}; use finite numbers, text, lists, dicts"
         ) from error
+
+
+def _struct_as_dict(value: object) -> dict[str, Any]:
+    if isinstance(value, msgspec.Struct):
+        return msgspec.structs.asdict(value)
+    raise TypeError(f"{shown(value)} is no JSON value")
 
 
 @contextmanager

@@ -131,7 +131,7 @@ def _images(dataset: Dataset) -> list[str]:
         flat = np.ptp(images, axis=(1, 2)) == 0 if images[0].size > 1 else np.zeros(len(images), dtype=bool)
         if flat.any() and not constant:
             index = int(flat.argmax())
-            first = f"{dataset.select(split).entries[index].name} is {images[index, 0, 0]:g} everywhere"
+            first = f"image {dataset.select(split).entries[index].name} is {images[index, 0, 0]:g} everywhere"
         constant += int(flat.sum())
         if split == "train" and len(images) > 1 and not flat.all() and bool((images == images[0]).all()):
             found.append(f"all {len(images)} training images are the same, pixel by pixel; check the files")

@@ -24,7 +24,7 @@ def contact_sheet(
     grid: ImageGrid,
     peak: float,
     *,
-    margin: int,
+    margin: int = 0,
 ) -> bytes:
     """All images in decibels, the same part of each with the target in it, labelled with their views, as PNG.
 

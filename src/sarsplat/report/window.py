@@ -10,7 +10,7 @@ from sarsplat.report.decibels import DYNAMIC_DB
 _MARGIN = 5  # pixels around the target
 
 
-def target_window(images: Real[np.ndarray, "v rows columns"], peak: float, margin: int) -> tuple[slice, slice]:
+def target_window(images: Real[np.ndarray, "v rows columns"], peak: float, margin: int = 0) -> tuple[slice, slice]:
     """The rows and columns worth showing: the target with a margin if all around is dark, else what is scored.
 
     Parameters
