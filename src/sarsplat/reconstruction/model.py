@@ -82,7 +82,7 @@ class SceneModel:
         parameters = {
             "means": torch.from_numpy(sample(region, n, generator)).float(),
             "quaternions": random_quaternions(n, generator),
-            "scales": torch.full((n, 3), config.initial_scale),
+            "scales": torch.full((n, 3), config.initial_scale_m),
             "optical_depth": torch.full((n,), config.initial_optical_depth),
             "scattering": _law(config, n, config.initial_scattering).parameters,
         }
@@ -177,8 +177,8 @@ class SceneModel:
             half = (high - low).norm() / 2
             centre = (low + high) / 2
             low, high = torch.minimum(low, centre - half), torch.maximum(high, centre + half)
-        scales = torch.tensor(config.scale_bounds).clamp(min=MIN_SCALE)
-        depths = torch.tensor([_LEAST_OPTICAL_DEPTH, config.most_optical_depth])
+        scales = torch.tensor(config.scale_bounds_m).clamp(min=MIN_SCALE)
+        depths = torch.tensor([_LEAST_OPTICAL_DEPTH, config.max_optical_depth])
         return {
             "means": (low - _SLACK, high + _SLACK),
             "scales": (scales[0], scales[1]),
