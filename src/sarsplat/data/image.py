@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Real
+from torch import Tensor
 
+from sarsplat.data.files import write_bytes
+from sarsplat.data.picture import open_window, picture_png
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
+
+_DYNAMIC_RANGE_DB = 40.0
 
 
 @dataclass(frozen=True)
@@ -19,6 +25,7 @@ class SarImage:
     ----------
     power : numpy.ndarray, float32 [rows, columns]
         β⁰ (or calibrated up to one common factor), linear power, ≥ 0; row 0 is near range. Amplitude is its root.
+        A torch.Tensor, such as an image of `render`, is copied to an array.
     view : View
         From where it was taken.
     grid : ImageGrid
@@ -35,6 +42,8 @@ class SarImage:
     grid: ImageGrid
 
     def __post_init__(self) -> None:
+        if isinstance(self.power, Tensor):
+            object.__setattr__(self, "power", self.power.detach().cpu().numpy())
         if not isinstance(self.power, np.ndarray) or self.power.dtype.kind not in "fiu":
             kind = self.power.dtype if isinstance(self.power, np.ndarray) else type(self.power).__name__
             raise SarsplatError(
@@ -55,8 +64,45 @@ class SarImage:
         """√β⁰."""
         return np.sqrt(self.power)
 
-    @property
-    def decibels(self) -> Float[np.ndarray, "rows columns"]:
-        """10·log10 β⁰; −inf where the power is zero."""
+    def db(self) -> Float[np.ndarray, "rows columns"]:
+        """10·log10 β⁰, dB; −inf where the power is zero."""
         with np.errstate(divide="ignore"):
             return 10 * np.log10(self.power)
+
+    def save(self, path: str | Path, *, dynamic_range_db: float = _DYNAMIC_RANGE_DB) -> None:
+        """Write a picture of it as PNG, whole or not at all: decibels in grey, axes in metres, a colour bar.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to write; it must end in `.png`, and is replaced if it exists. For numbers there are
+            `sarsplat.data.write_power_tiff` and datasets.
+        dynamic_range_db : float
+            What is this far below the brightest pixel is black, dB.
+
+        Raises
+        ------
+        SarsplatError
+            If matplotlib is not installed, the name does not end in `.png`, or the file cannot be written.
+        """
+        path = Path(path)
+        if path.suffix.lower() != ".png":
+            raise SarsplatError(f"{path} does not end in .png, the only format of pictures; give such a name")
+        write_bytes(path, picture_png(self, dynamic_range_db))
+
+    def show(self, *, dynamic_range_db: float = _DYNAMIC_RANGE_DB) -> None:
+        """Open a window with the picture, or show it in a notebook.
+
+        Raises
+        ------
+        SarsplatError
+            If matplotlib is not installed.
+        """
+        open_window(self, dynamic_range_db)
+
+    def _repr_png_(self) -> bytes | None:
+        """What a notebook shows; nothing without matplotlib."""
+        try:
+            return picture_png(self, _DYNAMIC_RANGE_DB)
+        except SarsplatError:
+            return None
