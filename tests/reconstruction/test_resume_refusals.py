@@ -35,7 +35,7 @@ def dataset(tmp_path: Path) -> Dataset:
 @pytest.fixture
 def begun(dataset: Dataset, tmp_path: Path) -> Path:
     """A run with one step to go."""
-    reconstruct(dataset, tmp_path / "run", CONFIG)
+    reconstruct(dataset, CONFIG, tmp_path / "run")
     newest = Run.load(tmp_path / "run").checkpoint_path
     assert newest is not None
     newest.unlink()
@@ -49,13 +49,13 @@ def content(folder: Path) -> dict[str, bytes]:
 def refused(begun: Path, dataset: Dataset, config: Config, told: str) -> None:
     before = content(begun)
     with pytest.raises(SarsplatError, match=told):
-        reconstruct(dataset, begun, config, resume=True)
+        reconstruct(dataset, config, begun, resume=True)
     assert content(begun) == before
 
 
 def test_what_it_was_begun_with_goes_on(begun: Path, dataset: Dataset) -> None:
     assert Run.load(begun).iteration == 1
-    assert reconstruct(dataset, begun, CONFIG, resume=True).iteration == 2
+    assert reconstruct(dataset, CONFIG, begun, resume=True).iteration == 2
 
 
 @pytest.mark.parametrize("change", [{"spacing": 0.31}, {"azimuth": 1e-6}, {"seed": 1}])
@@ -168,7 +168,7 @@ def test_a_history_that_is_too_long(begun: Path) -> None:
 
 def test_a_run_that_is_not_there(dataset: Dataset, tmp_path: Path) -> None:
     with pytest.raises(SarsplatError, match="does not exist"):
-        reconstruct(dataset, tmp_path / "nowhere", CONFIG, resume=True)
+        reconstruct(dataset, CONFIG, tmp_path / "nowhere", resume=True)
     shutil.copytree(dataset.path, tmp_path / "a dataset")
     with pytest.raises(SarsplatError, match="is not a run"):
-        reconstruct(dataset, tmp_path / "a dataset", CONFIG, resume=True)
+        reconstruct(dataset, CONFIG, tmp_path / "a dataset", resume=True)
