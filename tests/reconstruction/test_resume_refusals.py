@@ -94,7 +94,7 @@ def unknown_rate(header: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (newer_schema, "schema version 2 but this program reads 1; reconstruct it again"),
+        (newer_schema, "schema version 3 but this program reads 2; reconstruct it again"),
         (unknown_setting, "does not fit this version .*warmth"),
         (missing_setting, "does not fit this version .*p_min"),
         (unknown_rate, "does not fit this version .*warmth"),

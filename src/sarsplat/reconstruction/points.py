@@ -25,7 +25,7 @@ def extract_points(
     Parameters
     ----------
     gaussians : Gaussians
-        The target alone.
+        The target alone, on any device.
     views : sequence of View
         Views whose rays look for the surface ("rays").
     grid : ImageGrid
@@ -40,7 +40,7 @@ def extract_points(
     """
     gaussians = gaussians.detach()
     if how.method == "centres":
-        points = gaussians.means[gaussians.optical_depth >= how.optical_depth].double().numpy()
+        points = gaussians.means[gaussians.optical_depth >= how.optical_depth].double().cpu().numpy()
         points = _thin(points[points[:, 2] >= how.least_height], how.voxel)
     else:
         returns = [_FirstReturns.of(gaussians, view, grid, how.optical_depth) for view in views]
@@ -65,7 +65,7 @@ class _FirstReturns:
     def of(cls, gaussians: Gaussians, view: View, grid: ImageGrid, optical_depth: float) -> _FirstReturns:
         rays = RayGrid.for_image(grid, _RAYS_PER_PIXEL)
         (ray_map,) = render(gaussians, [view], grid, rays=rays, first_return_depth=optical_depth).ray_maps or ()
-        ranges = ray_map.first_return.double().numpy()
+        ranges = ray_map.first_return.double().cpu().numpy()
         return cls(radar_frame(view), ranges, np.array(ray_map.origin), np.array(rays.spacing_m))
 
     def points(self) -> Float64[np.ndarray, "p 3"]:

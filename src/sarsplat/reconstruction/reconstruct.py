@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
 from torch import Tensor
 
 from sarsplat.data import Dataset, new_folder, read_dataset, write_bytes
@@ -16,6 +17,7 @@ from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError
+from sarsplat.renderer.cuda_device import require_cuda
 from sarsplat.progress import Reporter, progress
 from sarsplat.reconstruction.config import Config, preset
 from sarsplat.reconstruction.run import HEADER, InMemory, LogLine, Run, log_text, require_replaceable
@@ -55,6 +57,7 @@ def reconstruct(
     preset: str | Config = "auto",
     out: str | Path | None = None,
     *,
+    device: str = "auto",
     loss: Loss | None = None,
     on_step: Watcher | None = None,
     quiet: bool = False,
@@ -73,6 +76,8 @@ def reconstruct(
     out : str or Path, optional
         Folder of the run; it appears, or replaces an earlier run, with the first checkpoint. Without it everything
         stays in memory.
+    device : {"auto", "cpu", "cuda"}
+        Where to train; "auto" is a GPU if there is one that can be used.
     loss : callable, optional
         Instead of the configuration's: `loss(rendered, truth)` is given two float32 stacks [V, rows, columns] of
         β⁰, linear power, and returns one number that torch can differentiate.
@@ -102,7 +107,7 @@ def reconstruct(
     dataset = dataset if isinstance(dataset, Dataset) else read_dataset(Path(dataset))
     config = fitting(preset, dataset)
     warn(suspicions(dataset))
-    trainer = Trainer(dataset, config, loss)
+    trainer = Trainer(dataset, config, loss, training_device(device))
     with progress(f"reconstruct ({config.preset})", config.iterations, quiet) as shown:
         training = _Training(trainer, on_step, shown)
         if out is None:
@@ -122,6 +127,26 @@ def fitting(choice: str | Config, dataset: Dataset) -> Config:
         return preset(choice)
     has_ground = dataset.domain == "measured" or dataset.source.get("ground_gamma0") is not None
     return preset("measured" if has_ground else "default")
+
+
+def training_device(name: str) -> torch.device:
+    """The device of that name; "auto" is "cuda" where it can be used.
+
+    Raises
+    ------
+    SarsplatError
+        If there is no such device, or it cannot be used.
+    """
+    if name not in ("auto", "cpu", "cuda"):
+        raise SarsplatError(f"device {name!r} is unknown; choose auto, cpu or cuda")
+    if name != "cpu":
+        try:
+            require_cuda()
+        except SarsplatError:
+            if name == "cuda":
+                raise
+            name = "cpu"
+    return torch.device("cpu" if name == "cpu" else "cuda:0")
 
 
 class _Training:

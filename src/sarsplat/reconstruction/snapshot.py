@@ -64,15 +64,15 @@ class Snapshot:
         """The tensors whose names begin with this and a slash, without it."""
         return {name.removeprefix(f"{prefix}/"): t for name, t in self.tensors.items() if name.startswith(f"{prefix}/")}
 
-    def model(self, config: Config) -> SceneModel:
-        """The learned scene.
+    def model(self, config: Config, device: torch.device | str = "cpu") -> SceneModel:
+        """The learned scene, on a device.
 
         Raises
         ------
         ValueError, KeyError, TypeError, IndexError, RuntimeError, SarsplatError
             If the tensors are not those of a model with this configuration.
         """
-        model = SceneModel(config, self._region, self.unit, self.part("model"))
+        model = SceneModel(config, self._region, self.unit, self.part("model"), device)
         model.scene(config.harmonics_degree)  # shapes and values are checked where they are used
         return model
 

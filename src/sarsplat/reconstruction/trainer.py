@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 
 import torch
+from jaxtyping import Float32
 from torch import Tensor
 
 from sarsplat.data import Dataset
@@ -27,10 +28,30 @@ _FAINTEST = 1e-30
 
 
 class Trainer:
-    """The state of a training and how it advances by one step."""
+    """The state of a training and how it advances by one step.
 
-    def __init__(self, dataset: Dataset, config: Config, loss: Loss | None = None) -> None:
+    Parameters
+    ----------
+    dataset : Dataset
+        Its training images are learned from.
+    config : Config
+        How.
+    loss : callable, optional
+        Instead of the configuration's: of rendered and true images, β⁰ in linear power, one number.
+    device : torch.device or str
+        Where everything is computed and stays; a seed starts alike on every device.
+
+    Raises
+    ------
+    SarsplatError
+        If the training images are black.
+    """
+
+    def __init__(
+        self, dataset: Dataset, config: Config, loss: Loss | None = None, device: torch.device | str = "cpu"
+    ) -> None:
         self.config = config
+        self.device = torch.device(device)
         self.grid = dataset.grid
         self.views = [item.view for item in dataset.select("train")]
         power = torch.from_numpy(dataset.images("train"))
@@ -43,28 +64,31 @@ class Trainer:
         self._reference = math.sqrt(self._brightest)
         self._loss = loss
         amplitudes = loss is None and config.loss == "amplitude"
-        self._truth = power.sqrt() / self._reference if amplitudes else power
+        self._truth = (power.sqrt() / self._reference if amplitudes else power).to(self.device)
+        self._numbers = torch.arange(len(self.views), device=self.device)
         self._rays = RayGrid.for_image(self.grid, config.rays_per_pixel)
         self._generator = torch.Generator().manual_seed(config.seed)
-        self.model = SceneModel.initial(config, dataset, self._generator)
+        self.model = SceneModel.initial(config, dataset, self._generator, self.device)
         self.optimiser = Optimiser(self.model.parameters, self.model.bounds, config)
-        self.density = DensityControl(config.densification, len(self.model)) if config.densification else None
+        self.density = (
+            DensityControl(config.densification, len(self.model), self.device) if config.densification else None
+        )
         self.iteration = 0
         self._queue: list[int] = []
 
-    def step(self) -> Tensor:
-        """One step of Adam on a few views; returns the loss, a single number."""
-        chips = self._next_views()
+    def step(self) -> Float32[Tensor, ""]:
+        """One step of Adam on a few views; returns the loss, still on the device: nothing waits for a GPU."""
+        chosen = self._next_views()
         gather = self.density is not None and self.density.wanted(self.iteration)
         images, rendering = self.model.render(
-            [self.views[i] for i in chips],
+            [self.views[i] for i in chosen],
             self.grid,
             self.model.degree(self.iteration),
             rays=self._rays,
-            chips=chips,
+            chips=torch.stack([self._numbers[i] for i in chosen]),
             plane_gradients=gather,
         )
-        truth = torch.stack([self._truth[i] for i in chips])  # much faster than an index
+        truth = torch.stack([self._truth[i] for i in chosen])  # much faster than an index
         if self._loss is not None:
             loss = self._loss(images, truth)
         elif self.config.loss == "amplitude":
@@ -100,7 +124,7 @@ class Trainer:
             }
             parameters["means"] = parameters["means"] + displacement
             parameters["scales"] = parameters["scales"] * shrink[:, None]
-        self.model = SceneModel(self.config, self.model.region, self.model.unit, parameters)
+        self.model = SceneModel(self.config, self.model.region, self.model.unit, parameters, self.device)
         self.model.constrain()
         self.optimiser = self.optimiser.rebuild(self.model.parameters, torch.where(kept, source, -1))
 
@@ -129,13 +153,13 @@ class Trainer:
 
     def restore(self, snapshot: Snapshot) -> None:
         """Undo `snapshot`."""
-        self.model = snapshot.model(self.config)
+        self.model = snapshot.model(self.config, self.device)
         self.optimiser = Optimiser(self.model.parameters, self.model.bounds, self.config)
         self.optimiser.load_state(snapshot.part("optimiser"))
         self._generator.set_state(snapshot.tensors["generator"])
         if self.density:
             density = snapshot.part("density")
-            self.density.gradient, self.density.seen = density["gradient"], density["seen"]
+            self.density.gradient, self.density.seen = (density[name].to(self.device) for name in ("gradient", "seen"))
         self.iteration, self._queue = snapshot.iteration, list(snapshot.queue)
         if not all(0 <= k < len(self.views) for k in self._queue):
             raise ValueError("it queues views that are not there")
