@@ -27,7 +27,7 @@ def test_it_learns_what_unseen_views_show(finished: Run, dataset: Dataset) -> No
     rendered = np.sqrt(finished.render([item.view for item in dataset.select("test")]))
     error = np.linalg.norm(rendered - truth) / np.linalg.norm(truth)
     assert error < 0.25
-    assert finished.history[-1]["loss"] < 0.3 * finished.history[0]["loss"]
+    assert finished.history[-1].loss < 0.3 * finished.history[0].loss
     assert finished.iteration == 60
 
 

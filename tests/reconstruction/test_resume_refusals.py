@@ -15,6 +15,7 @@ import pytest
 from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, preset, read_dataset, reconstruct
 from sarsplat.data import load_checkpoint, save_checkpoint, write_dataset, write_power_tiff
 from sarsplat.reconstruction import Config
+from sarsplat.reconstruction.run import LogLine
 
 CONFIG = replace(preset("default"), iterations=2, gaussians=50, checkpoint_every=1)
 
@@ -157,7 +158,7 @@ LINE = {"iteration": 1, "seconds": 0.5, "loss": 0.25, "gaussians": 50}
 def test_a_line_that_no_training_writes_ends_the_history(begun: Path, change: dict[str, Any]) -> None:
     lines = [LINE, {**LINE, **change}, LINE]
     (begun / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-    assert Run.load(begun).history == [LINE]
+    assert Run.load(begun).history == [LogLine(**LINE)]
 
 
 def test_a_history_that_is_too_long(begun: Path) -> None:

@@ -59,6 +59,7 @@ def make_run(folder: Path, dataset: Dataset, metrics: dict[str, Any] | None, **c
     rng = np.random.default_rng(0)
     fields = {
         "path": run,
+        "folder": run,
         "dataset": dataset,
         "config": preset("measured" if dataset.domain == "measured" else "default"),
         "metrics": metrics,

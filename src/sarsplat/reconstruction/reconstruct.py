@@ -17,12 +17,12 @@ from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError
-from sarsplat.renderer.cuda_device import require_cuda
 from sarsplat.progress import Reporter, progress
 from sarsplat.reconstruction.config import Config, preset
 from sarsplat.reconstruction.run import HEADER, InMemory, LogLine, Run, log_text, require_replaceable
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.reconstruction.trainer import Loss, Trainer
+from sarsplat.renderer.cuda_device import require_cuda
 
 _LINES_PER_RUN = 200
 """About how many lines `metrics.jsonl` gets."""
