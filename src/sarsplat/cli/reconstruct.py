@@ -59,8 +59,8 @@ def reconstruct(
     from sarsplat.data import read_dataset
     from sarsplat.reconstruction import Run
     from sarsplat.reconstruction import reconstruct as train
-    from sarsplat.reconstruction.reconstruct import fitting
     from sarsplat.reconstruction.run import HEADER
+    from sarsplat.reconstruction.training import fitting
 
     if resume and overwrite:
         raise SarsplatError("--resume goes on with the run and --overwrite throws it away; give one of them")

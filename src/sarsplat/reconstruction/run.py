@@ -216,10 +216,8 @@ class Run:
         dataset, fingerprint = data.get("dataset"), data.get("dataset_fingerprint")
         if not isinstance(dataset, str | None) or not isinstance(fingerprint, str):
             raise SarsplatError(f"{header} does not name its dataset; reconstruct it again")
-        config = data.get("config")
-        if not isinstance(config, dict):
-            raise SarsplatError(f"{header} holds no configuration; reconstruct it again")
-        return cls(Config.from_dict(config), fingerprint, path, None if dataset is None else Path(dataset))
+        config = Config.from_dict(data.get("config"), str(header))
+        return cls(config, fingerprint, path, None if dataset is None else Path(dataset))
 
     @classmethod
     def create(cls, path: Path, dataset: Dataset, config: Config) -> Run:

@@ -18,7 +18,8 @@ from sarsplat.data.folders import only_writer
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError
 from sarsplat.progress import Reporter, progress
-from sarsplat.reconstruction.config import Config, preset
+from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.presets import preset
 from sarsplat.reconstruction.run import HEADER, InMemory, LogLine, Run, log_text, require_replaceable
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.reconstruction.trainer import Loss, Trainer
