@@ -23,7 +23,14 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "renderer"))
 from emulated_cuda import Emulator, compile_emulator, render_on
 
 DENSITY = Densification(
-    start=4, stop=100, every=4, gradient=1e-4, split_above=0.07, largest=0.3, least_scattering=0.01, most=300
+    start=4,
+    stop=100,
+    every=4,
+    gradient=1e-4,
+    split_above_m=0.07,
+    max_extent=0.3,
+    min_scattering=0.01,
+    max_gaussians=300,
 )
 
 

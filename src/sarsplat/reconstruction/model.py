@@ -97,7 +97,7 @@ class SceneModel:
         parameters = {
             "means": torch.from_numpy(sample(region, n, generator)).float(),
             "quaternions": random_quaternions(n, generator),
-            "scales": torch.full((n, 3), config.initial_scale),
+            "scales": torch.full((n, 3), config.initial_scale_m),
             "optical_depth": torch.full((n,), config.initial_optical_depth),
             "scattering": _law(config, n, config.initial_scattering).parameters,
         }
@@ -193,8 +193,8 @@ class SceneModel:
             half = (high - low).norm() / 2
             centre = (low + high) / 2
             low, high = torch.minimum(low, centre - half), torch.maximum(high, centre + half)
-        scales = torch.tensor(config.scale_bounds, device=self.device).clamp(min=MIN_SCALE)
-        depths = torch.tensor([_LEAST_OPTICAL_DEPTH, config.most_optical_depth], device=self.device)
+        scales = torch.tensor(config.scale_bounds_m, device=self.device).clamp(min=MIN_SCALE)
+        depths = torch.tensor([_LEAST_OPTICAL_DEPTH, config.max_optical_depth], device=self.device)
         return {
             "means": (low - _SLACK, high + _SLACK),
             "scales": (scales[0], scales[1]),
