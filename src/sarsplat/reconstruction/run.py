@@ -77,11 +77,11 @@ class Run:
         run._write_header()
         return run
 
-    def set_dataset_path(self, dataset_path: Path) -> None:
-        """Note on the disk where the dataset is now, if it has moved."""
-        moved = replace(self, dataset_path=dataset_path.resolve())
-        if moved != self:
-            moved._write_header()
+    def update(self, dataset_path: Path, config: Config) -> None:
+        """Note on the disk where the dataset is now, and how the training goes on, if either has changed."""
+        changed = replace(self, dataset_path=dataset_path.resolve(), config=config)
+        if changed != self:
+            changed._write_header()
 
     def _write_header(self) -> None:
         header = {

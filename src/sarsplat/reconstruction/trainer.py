@@ -21,7 +21,7 @@ from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import RayGrid
 from sarsplat.progress import Reporter, progress
-from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.config import Config, refuse_other_settings
 from sarsplat.reconstruction.density import DensityControl
 from sarsplat.reconstruction.interrupt import interrupts_held_back
 from sarsplat.reconstruction.losses import amplitude_loss, speckle_loss
@@ -170,7 +170,9 @@ def reconstruct(dataset: Dataset, out: Path, config: Config, *, resume: bool = F
     config : Config
         How; see `PRESETS`.
     resume : bool
-        Go on from the newest checkpoint in `out`, exactly as if the training had never stopped.
+        Go on from the newest checkpoint in `out`, exactly as if the training had never stopped. The settings must be
+        those the run was begun with, but `iterations` and `checkpoint_every` may change: more iterations extend a run,
+        also a finished one.
     overwrite : bool
         Replace an existing run.
 
@@ -224,12 +226,13 @@ def _resume(trainer: Trainer, run: Run, dataset: Dataset) -> float:
     """Bring trainer and run to the newest checkpoint; returns the seconds trained until then."""
     if run.fingerprint != dataset.fingerprint():
         raise SarsplatError(f"{run.path} was begun with another dataset ({run.dataset_path}); resume it with that one")
-    if run.config != trainer.config:
+    refuse_other_settings(run.path, run.config, trainer.config)
+    if run.checkpoint_path is not None and run.iteration > trainer.config.iterations:
         raise SarsplatError(
-            f"{run.path} was begun with other settings (preset {run.config.preset}, seed {run.config.seed}, "
-            f"{run.config.iterations} iterations, init {run.config.initialisation}); resume it with the same"
+            f"{run.path} has done {run.iteration} iterations already, more than {trainer.config.iterations}; "
+            "resume it with as many or more"
         )
-    run.set_dataset_path(dataset.path)
+    run.update(dataset.path, trainer.config)
     seconds = 0.0
     if run.checkpoint_path is not None:
         tensors, state = run.checkpoint
