@@ -160,10 +160,11 @@ class SceneModel:
             # deviations from the mean chip: an unseen view is rendered as the mean one
             shift = (p["shift"] - p["shift"].mean(0))[chips]
             gain = torch.softmax(p["log_gain"], dim=0)[chips] * len(p["log_gain"])  # of mean 1
-        rendering = render(
-            self.scene(degree), views, grid, rays=rays, shift=shift, gain=gain, plane_gradients=plane_gradients
-        )
+        rendering = render(self.scene(degree), views, grid, rays=rays, shift=shift, plane_gradients=plane_gradients)
         images = rendering.images
+        if gain is not None:  # not by `render`, which would look at its values, and a GPU would be waited for
+            # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
+            images = images * gain[:, None, None].expand(-1, 1, grid.columns)
         if self.config.surroundings:
             images = images + p["noise"].exp().expand(grid.columns)  # so that its gradient is summed column by column
         return images if self.unit == 1 else images * self.unit, rendering
