@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.gaussians import Gaussians
 from sarsplat.gaussians.scattering import Harmonics
 from sarsplat.geometry import ImageGrid, View
@@ -19,6 +20,7 @@ _OPTICAL_DEPTH = 3.0
 """Two-way, at a Gaussian's peak; overlapping, the sheet has 2π·0.6²·3 = 6.8 at any grazing angle."""
 
 _THICKNESS = 0.01  # m
+_LARGEST = 2500  # pitches
 
 
 def ground_sheet(radius: float, pitch: float) -> Gaussians:
@@ -35,7 +37,17 @@ def ground_sheet(radius: float, pitch: float) -> Gaussians:
     -------
     Gaussians
         float32, with harmonics of zero.
+
+    Raises
+    ------
+    SarsplatError
+        If the disc is wider than 2 × 2500 pitches.
     """
+    if not radius <= _LARGEST * pitch:
+        raise SarsplatError(
+            f"a ground of {radius:.6g} m radius needs too many Gaussians {pitch:g} m apart; its radius may be at most "
+            f"{_LARGEST * pitch:g} m, so use smaller images"
+        )
     half = math.ceil(radius / pitch)
     steps = (np.arange(-half, half) + 0.5) * pitch
     x, y = (axis.ravel() for axis in np.meshgrid(steps, steps))

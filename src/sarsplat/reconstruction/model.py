@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
@@ -46,29 +46,30 @@ class Setting:
     ----------
     region : Region
         The space the target may occupy.
-    ground_radius_m : float or None
-        Radius of the ground that the images show; None where no ground is modelled.
     unit : float
         Power that counts as 1: every γ⁰, the noise floor and P_min are in this unit. β⁰ itself, or with surroundings,
         calibrated or not, the training set's mean.
+    ground_radius_m : float
+        Radius of the ground that the images show, m; used with surroundings only.
     """
 
     region: Region
-    ground_radius_m: float | None
     unit: float
+    ground_radius_m: float
 
     @classmethod
     def of(cls, config: Config, dataset: Dataset) -> Setting:
         """The setting of a configuration on a dataset."""
         train = dataset.select("train")
+        radius = ground_radius_m(train.views, train.grid)
         if not config.surroundings:
-            return cls(bounded_region(train.power, train.views, train.grid), None, 1.0)
+            return cls(bounded_region(train.power, train.views, train.grid), 1.0, radius)
         box = Region.box(*(dataset.target_box_m or _central_box_m(train)))
-        return cls(box, ground_radius_m(train.views, train.grid), float(train.power.mean(dtype=np.float64)))
+        return cls(box, float(train.power.mean(dtype=np.float64)), radius)
 
 
 def _central_box_m(dataset: Dataset) -> Box:
-    """The middle half of the scene in each direction, half as high as it is wide, m."""
+    """The middle half of the scene in x and y, half as high as it is wide, m."""
     grid = dataset.grid
     flattest = math.cos(math.radians(min(view.grazing_deg for view in dataset.views)))
     half = min(grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1] / flattest) / 4
@@ -86,12 +87,21 @@ class SceneModel:
         What the dataset fixes.
     parameters : dict of str to Tensor
         See `PER_GAUSSIAN`; with `config.surroundings` also `ground`, `noise`, `shift` [V, 2] and `log_gain` [V].
+    device : torch.device or str
+        Where the parameters are copied to, and rendered.
     """
 
-    def __init__(self, config: Config, setting: Setting, parameters: dict[str, Tensor]) -> None:
+    def __init__(
+        self,
+        config: Config,
+        setting: Setting,
+        parameters: dict[str, Tensor],
+        device: torch.device | str = "cpu",
+    ) -> None:
         self.config = config
         self.setting = setting
         self.unit = setting.unit
+        self.device = torch.device(device)
         n = len(parameters["means"])
         self._law = _law(config, 1, 0.0)
         columns = self._law.parameters.shape[1:]
@@ -101,15 +111,20 @@ class SceneModel:
             if parameters[name].dtype != torch.float32 or len(parameters[name]) != n:
                 raise ValueError(f"{name} is {parameters[name].dtype} {list(parameters[name].shape)}")
         self.parameters = {
-            name: tensor.detach().clone(memory_format=torch.contiguous_format).requires_grad_()
+            name: tensor.detach().to(device, copy=True, memory_format=torch.contiguous_format).requires_grad_()
             for name, tensor in parameters.items()
         }
-        radius = setting.ground_radius_m
-        self._ground = None if radius is None else ground_sheet(radius, _GROUND_PITCH)
+        sheet = ground_sheet(setting.ground_radius_m, _GROUND_PITCH) if config.surroundings else None
+        self._ground = None if sheet is None else sheet.to(self.device)
 
     @classmethod
-    def initial(cls, config: Config, dataset: Dataset, generator: torch.Generator) -> SceneModel:
-        """The state training starts from; warns if a given region leaves out a part of the true target."""
+    def initial(
+        cls, config: Config, dataset: Dataset, generator: torch.Generator, device: torch.device | str = "cpu"
+    ) -> SceneModel:
+        """The state training starts from; warns if a given region leaves out a part of the true target.
+
+        `generator` is one of the CPU: a seed starts alike on every device.
+        """
         setting, train = Setting.of(config, dataset), dataset.select("train")
         if config.surroundings:
             warn(_cut_off(setting.region, dataset))
@@ -118,7 +133,7 @@ class SceneModel:
         parameters = {
             "means": torch.from_numpy(sample(setting.region, n, generator)).float(),
             "quaternions": random_quaternions(n, generator),
-            "scales": torch.full((n, 3), config.initial_scale),
+            "scales": torch.full((n, 3), config.initial_scale_m),
             "optical_depth": torch.full((n,), config.initial_optical_depth),
             "scattering": _law(config, n, config.initial_scattering).parameters,
         }
@@ -132,7 +147,7 @@ class SceneModel:
                 "shift": torch.zeros(len(train), 2),
                 "log_gain": torch.zeros(len(train)),
             }
-        return cls(config, setting, parameters)
+        return cls(config, setting, parameters, device)
 
     def __len__(self) -> int:
         return self.parameters["means"].shape[0]
@@ -165,7 +180,7 @@ class SceneModel:
         degree: int,
         *,
         rays: RayGrid | None = None,
-        chips: Sequence[int] | None = None,
+        chips: Int64[Tensor, " v"] | None = None,
         plane_gradients: bool = False,
     ) -> tuple[Float[Tensor, "v {grid.rows} {grid.columns}"], Rendering]:
         """Power images [V, rows, columns] with noise floor, and the rendering behind them.
@@ -179,12 +194,13 @@ class SceneModel:
             grid = self._widened(grid)
         if self.config.surroundings and chips is not None:
             # deviations from the mean chip: an unseen view is rendered as the mean one
-            shift = (p["shift"] - p["shift"].mean(0))[list(chips)]
-            gain = torch.softmax(p["log_gain"], dim=0)[list(chips)] * len(p["log_gain"])  # of mean 1
-        rendering = render(
-            self.scene(degree), views, grid, rays=rays, shift=shift, gain=gain, plane_gradients=plane_gradients
-        )
+            shift = (p["shift"] - p["shift"].mean(0))[chips]
+            gain = torch.softmax(p["log_gain"], dim=0)[chips] * len(p["log_gain"])  # of mean 1
+        rendering = render(self.scene(degree), views, grid, rays=rays, shift=shift, plane_gradients=plane_gradients)
         images = rendering.images
+        if gain is not None:  # not by `render`, which would look at its values, and a GPU would be waited for
+            # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
+            images = images * gain[:, None, None].expand(-1, 1, grid.columns)
         if self.config.surroundings:
             images = images + p["noise"].exp().expand(grid.columns)  # so that its gradient is summed column by column
         return images if self.unit == 1 else images * self.unit, rendering
@@ -208,13 +224,14 @@ class SceneModel:
     def bounds(self) -> dict[str, tuple[Tensor, Tensor]]:
         """Least and largest values of parameters that have any, by name; one number, or one for each column."""
         config = self.config
-        low, high = (torch.from_numpy(corner).float() for corner in (self.setting.region.low, self.setting.region.high))
+        region = self.setting.region
+        low, high = (torch.from_numpy(corner).float().to(self.device) for corner in (region.low, region.high))
         if config.initialisation == "hemisphere":  # the shell reaches beyond the region
             half = (high - low).norm() / 2
             centre = (low + high) / 2
             low, high = torch.minimum(low, centre - half), torch.maximum(high, centre + half)
-        scales = torch.tensor(config.scale_bounds).clamp(min=MIN_SCALE)
-        depths = torch.tensor([_LEAST_OPTICAL_DEPTH, config.most_optical_depth])
+        scales = torch.tensor(config.scale_bounds_m, device=self.device).clamp(min=MIN_SCALE)
+        depths = torch.tensor([_LEAST_OPTICAL_DEPTH, config.max_optical_depth], device=self.device)
         return {
             "means": (low - _SLACK, high + _SLACK),
             "scales": (scales[0], scales[1]),

@@ -19,12 +19,7 @@ _MOST_COLUMNS = 8
 
 
 def contact_sheet(
-    images: Real[np.ndarray, "v {grid.rows} {grid.columns}"],
-    views: Sequence[View],
-    grid: ImageGrid,
-    peak: float,
-    *,
-    margin: int = 0,
+    images: Real[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid, peak: float
 ) -> bytes:
     """All images in decibels, the same part of each with the target in it, labelled with their views, as PNG.
 
@@ -36,8 +31,6 @@ def contact_sheet(
         From where, and where the pixels lie.
     peak : float
         The power shown white.
-    margin : int
-        Pixels on each side that are not scored: not shown where there is ground all around.
 
     Raises
     ------
@@ -48,7 +41,7 @@ def contact_sheet(
         raise SarsplatError("there are no images to put on a contact sheet; give at least one")
     columns = min(len(views), _MOST_COLUMNS, max(3, math.ceil(math.sqrt(len(views)))))
     lines = math.ceil(len(views) / columns)
-    window = target_window(images, peak, margin)
+    window = target_window(images, peak)
     shown = images[(slice(None), *window)]
     aspect = (shown.shape[1] * grid.spacing_m[1]) / (shown.shape[2] * grid.spacing_m[0])
     width, height = max(columns * _SIDE, 3.6), lines * (_SIDE * aspect + 0.22) + 0.66
