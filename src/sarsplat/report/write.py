@@ -11,6 +11,7 @@ from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.evaluation import read_truth_mesh
 from sarsplat.reconstruction import Run
+from sarsplat.reconstruction.losses import LOSSES
 from sarsplat.report.cloud import points_figure
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.page import Picture, page
@@ -118,11 +119,7 @@ def _curves(run: Run) -> list[Picture]:
     history = run.history
     if not history:
         return []
-    name = (
-        "negative log-likelihood of the speckle"
-        if run.config.loss == "speckle"
-        else "difference of amplitudes (largest = 1)"
-    )
-    label = "nats per pixel" if run.config.loss == "speckle" else "loss"
+    known = LOSSES.get(run.config.loss)
+    name, unit = (known.title, known.unit) if known else (f"function {run.config.loss}", "loss")
     text = f"The loss is the {name}, averaged over the training views."
-    return [Picture("curves.png", "Training", text, curves_figure(history, label))]
+    return [Picture("curves.png", "Training", text, curves_figure(history, unit))]
