@@ -245,7 +245,7 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
     ),
     Metric(
         "nats_per_pixel",
-        *("negative log-likelihood", "nats per pixel", 3, "less"),
+        *("negative log-likelihood", "nats/pixel", 3, "less"),
         "negative log-likelihood of single-look speckle: mean of log S + I/S, I and S in units of mean_power; "
         "the margin is left out",
         _nats_per_pixel,

@@ -88,7 +88,7 @@ def _notes(metrics: dict[str, Any], tables: list[ScoreTable]) -> list[str]:
     for key, reason in metrics["reasons"].items():
         label = next((metric.label for metric in METRICS if key.endswith(f".{metric.key}")), key)
         missing.setdefault(reason, []).append(label)
-    notes = [f"{', '.join(dict.fromkeys(labels))}: {reason}" for reason, labels in missing.items()]
+    notes = [f"{'; '.join(dict.fromkeys(labels))}: {reason}" for reason, labels in missing.items()]
     shown = {row.metric.key: row.metric.label for table in tables for row in table.rows}
     notes += [f"{label}: {metrics['definitions'][key]}" for key, label in shown.items()]
     return [*notes, ", ".join(f"{name} = {value:.6g}" for name, value in metrics["normalisation"].items())]
