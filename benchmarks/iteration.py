@@ -14,9 +14,9 @@ import torch
 from clock import TURN, Clock, ratio, spread
 from recipes import COUNT, halfway
 
-from sarsplat.reconstruction.config import preset
 from sarsplat.reconstruction.losses import amplitude_loss
 from sarsplat.reconstruction.optimiser import Optimiser
+from sarsplat.reconstruction.presets import preset
 from sarsplat.renderer import cpu
 from sarsplat.scenes import paper_grid, paper_views
 

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from sarsplat.reconstruction import fused
-from sarsplat.reconstruction.config import preset
 from sarsplat.reconstruction.optimiser import Optimiser, decay, learning_rate
+from sarsplat.reconstruction.presets import preset
 from sarsplat.renderer import cpu
 
 BUILT = cpu.INSTRUCTION_SETS[1:]

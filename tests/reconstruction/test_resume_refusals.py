@@ -15,6 +15,7 @@ import pytest
 from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, preset, read_dataset, reconstruct
 from sarsplat.data import load_checkpoint, save_checkpoint, write_dataset, write_power_tiff
 from sarsplat.reconstruction import Config
+from sarsplat.reconstruction.run import LogLine
 
 CONFIG = replace(preset("default"), iterations=2, gaussians=50, checkpoint_every=1)
 
@@ -35,7 +36,7 @@ def dataset(tmp_path: Path) -> Dataset:
 @pytest.fixture
 def begun(dataset: Dataset, tmp_path: Path) -> Path:
     """A run with one step to go."""
-    reconstruct(dataset, tmp_path / "run", CONFIG)
+    reconstruct(dataset, CONFIG, tmp_path / "run")
     newest = Run.load(tmp_path / "run").checkpoint_path
     assert newest is not None
     newest.unlink()
@@ -49,13 +50,13 @@ def content(folder: Path) -> dict[str, bytes]:
 def refused(begun: Path, dataset: Dataset, config: Config, told: str) -> None:
     before = content(begun)
     with pytest.raises(SarsplatError, match=told):
-        reconstruct(dataset, begun, config, resume=True)
+        reconstruct(dataset, config, begun, resume=True)
     assert content(begun) == before
 
 
 def test_what_it_was_begun_with_goes_on(begun: Path, dataset: Dataset) -> None:
     assert Run.load(begun).iteration == 1
-    assert reconstruct(dataset, begun, CONFIG, resume=True).iteration == 2
+    assert reconstruct(dataset, CONFIG, begun, resume=True).iteration == 2
 
 
 @pytest.mark.parametrize("change", [{"spacing": 0.31}, {"azimuth": 1e-6}, {"seed": 1}])
@@ -94,10 +95,10 @@ def unknown_rate(header: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (newer_schema, "schema version 2 but this program reads 1; reconstruct it again"),
-        (unknown_setting, "does not fit this version .*warmth"),
-        (missing_setting, "does not fit this version .*p_min"),
-        (unknown_rate, "does not fit this version .*warmth"),
+        (newer_schema, "schema version 3 but this program reads 2; reconstruct it again"),
+        (unknown_setting, "config.json: the setting 'warmth' is unknown"),
+        (missing_setting, "the setting p_min is missing"),
+        (unknown_rate, "config.json: the setting 'rates.warmth' is unknown"),
     ],
 )
 def test_another_version(begun: Path, dataset: Dataset, change: Callable[[dict[str, Any]], None], told: str) -> None:
@@ -157,7 +158,7 @@ LINE = {"iteration": 1, "seconds": 0.5, "loss": 0.25, "gaussians": 50}
 def test_a_line_that_no_training_writes_ends_the_history(begun: Path, change: dict[str, Any]) -> None:
     lines = [LINE, {**LINE, **change}, LINE]
     (begun / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-    assert Run.load(begun).history == [LINE]
+    assert Run.load(begun).history == [LogLine(**LINE)]
 
 
 def test_a_history_that_is_too_long(begun: Path) -> None:
@@ -168,7 +169,7 @@ def test_a_history_that_is_too_long(begun: Path) -> None:
 
 def test_a_run_that_is_not_there(dataset: Dataset, tmp_path: Path) -> None:
     with pytest.raises(SarsplatError, match="does not exist"):
-        reconstruct(dataset, tmp_path / "nowhere", CONFIG, resume=True)
+        reconstruct(dataset, CONFIG, tmp_path / "nowhere", resume=True)
     shutil.copytree(dataset.path, tmp_path / "a dataset")
     with pytest.raises(SarsplatError, match="is not a run"):
-        reconstruct(dataset, tmp_path / "a dataset", CONFIG, resume=True)
+        reconstruct(dataset, CONFIG, tmp_path / "a dataset", resume=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +23,14 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "renderer"))
 from emulated_cuda import Emulator, compile_emulator, render_on
 
 DENSITY = Densification(
-    start=4, stop=100, every=4, gradient=1e-4, split_above=0.07, largest=0.3, least_scattering=0.01, most=300
+    start=4,
+    stop=100,
+    every=4,
+    gradient=1e-4,
+    split_above_m=0.07,
+    max_extent=0.3,
+    min_scattering=0.01,
+    max_gaussians=300,
 )
 
 
@@ -103,3 +111,29 @@ def test_the_cuda_engines_source_learns_as_the_cpus(
         assert len(usual.model) != 200
     if name == "amplitude":
         assert float(found[-10:].mean()) < 0.7 * float(found[:10].mean())
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_a_step_waits_for_the_device_twice(
+    name: str, dataset: Dataset, library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For where the rays stand, and how many places the tiles need: on a GPU each look at a number is such a wait."""
+    looks = []
+
+    def counted(method: str) -> Callable[..., Any]:
+        usual = getattr(Tensor, method)
+
+        def look(self: Tensor, *arguments: Any) -> Any:
+            looks.append(method)
+            return usual(self, *arguments)
+
+        return look
+
+    monkeypatch.setattr(model, "render", partial(render_on, Emulator(library)))
+    monkeypatch.setattr(fused, "takes", lambda tensors: False)
+    trainer = Trainer(dataset, CONFIGS[name])
+    trainer.step()  # which draws the order of the views, on the CPU
+    for method in ("tolist", "item", "numpy", "cpu", "nonzero", "__bool__", "__float__", "__int__", "__index__"):
+        monkeypatch.setattr(Tensor, method, counted(method))
+    trainer.step()
+    assert looks == ["tolist", "tolist"]

@@ -15,13 +15,19 @@ from typing import Any
 import torch
 
 from sarsplat import preset, reconstruct
-from sarsplat.data import read_dataset
 from sarsplat.reconstruction import Config
 from sarsplat.reconstruction.config import Densification
 from sarsplat.reconstruction.model import SceneModel
 
 DENSITY = Densification(
-    start=10, stop=90, every=10, gradient=2.5e-4, split_above=0.09, largest=0.02, least_scattering=0.029, most=4000
+    start=10,
+    stop=90,
+    every=10,
+    gradient=2.5e-4,
+    split_above_m=0.09,
+    max_extent=0.02,
+    min_scattering=0.029,
+    max_gaussians=4000,
 )
 
 
@@ -45,7 +51,7 @@ def main(dataset: str, out: str, threads: str, kind: str, kill_at: str = "") -> 
         return render(*args, **kwargs)
 
     SceneModel.render = counted  # type: ignore[method-assign]
-    reconstruct(read_dataset(Path(dataset)), Path(out), config(kind), resume=Path(out).exists())
+    reconstruct(dataset, config(kind), out, resume=Path(out).exists())
 
 
 if __name__ == "__main__":

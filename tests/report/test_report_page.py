@@ -15,6 +15,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import IMAGE_METRICS, METRICS, POINT_METRICS, Scores
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction import preset
+from sarsplat.reconstruction.run import LogLine
 from sarsplat.report import write_report
 from sarsplat.report.scores import score_tables
 
@@ -56,6 +57,7 @@ def make_run(folder: Path, dataset: Dataset, metrics: dict[str, Any] | None, **c
     rng = np.random.default_rng(0)
     fields = {
         "path": run,
+        "folder": run,
         "dataset": dataset,
         "config": preset("measured" if dataset.domain == "measured" else "default"),
         "metrics": metrics,
@@ -64,7 +66,7 @@ def make_run(folder: Path, dataset: Dataset, metrics: dict[str, Any] | None, **c
         "time_s": 12.5,
         "seed": 7,
         "iteration": 20,
-        "history": [{"iteration": k, "seconds": k, "loss": 1 / k, "gaussians": 1234} for k in (1, 10, 20)],
+        "history": [LogLine(k, float(k), 1 / k, 1234) for k in (1, 10, 20)],
         "render": lambda views: np.full((len(views), 32, 32), 0.5, dtype=np.float32),
     }
     return SimpleNamespace(**{**fields, **changes})

@@ -76,17 +76,17 @@ class DensityControl:
         # the part that is the same in all directions: what a law without its details says in any of them
         plain = replace(gaussians, scattering=gaussians.scattering.detailed(0))
         scattering = plain.gamma0(gaussians.means.new_tensor([[0.0, 0.0, 1.0]]))[0]
-        pruned = (scattering * -torch.expm1(-gaussians.optical_depth) < c.least_scattering) | (
-            size > c.largest * illuminated_range
+        pruned = (scattering * -torch.expm1(-gaussians.optical_depth) < c.min_scattering) | (
+            size > c.max_extent * illuminated_range
         )
         grows = (self.gradient / self.seen.clamp(min=1) > c.gradient) & ~pruned
-        room = max(0, c.most - n)
+        room = max(0, c.max_gaussians - n)
         if int(grows.sum()) > room:  # the strongest first
             strongest = torch.where(grows, self.gradient / self.seen.clamp(min=1), 0.0).argsort(
                 descending=True, stable=True
             )
             grows = torch.zeros_like(grows).index_fill(0, strongest[:room], True)
-        split = grows & (size > c.split_above)
+        split = grows & (size > c.split_above_m)
         stay = (~pruned & ~split).nonzero()[:, 0]
         clones = (grows & ~split).nonzero()[:, 0]
         parts = split.nonzero()[:, 0].repeat(2)

@@ -97,7 +97,7 @@ class SceneModel:
         parameters = {
             "means": torch.from_numpy(sample(region, n, generator)).float(),
             "quaternions": random_quaternions(n, generator),
-            "scales": torch.full((n, 3), config.initial_scale),
+            "scales": torch.full((n, 3), config.initial_scale_m),
             "optical_depth": torch.full((n,), config.initial_optical_depth),
             "scattering": _law(config, n, config.initial_scattering).parameters,
         }
@@ -160,10 +160,11 @@ class SceneModel:
             # deviations from the mean chip: an unseen view is rendered as the mean one
             shift = (p["shift"] - p["shift"].mean(0))[chips]
             gain = torch.softmax(p["log_gain"], dim=0)[chips] * len(p["log_gain"])  # of mean 1
-        rendering = render(
-            self.scene(degree), views, grid, rays=rays, shift=shift, gain=gain, plane_gradients=plane_gradients
-        )
+        rendering = render(self.scene(degree), views, grid, rays=rays, shift=shift, plane_gradients=plane_gradients)
         images = rendering.images
+        if gain is not None:  # not by `render`, which would look at its values, and a GPU would be waited for
+            # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
+            images = images * gain[:, None, None].expand(-1, 1, grid.columns)
         if self.config.surroundings:
             images = images + p["noise"].exp().expand(grid.columns)  # so that its gradient is summed column by column
         return images if self.unit == 1 else images * self.unit, rendering
@@ -192,8 +193,8 @@ class SceneModel:
             half = (high - low).norm() / 2
             centre = (low + high) / 2
             low, high = torch.minimum(low, centre - half), torch.maximum(high, centre + half)
-        scales = torch.tensor(config.scale_bounds, device=self.device).clamp(min=MIN_SCALE)
-        depths = torch.tensor([_LEAST_OPTICAL_DEPTH, config.most_optical_depth], device=self.device)
+        scales = torch.tensor(config.scale_bounds_m, device=self.device).clamp(min=MIN_SCALE)
+        depths = torch.tensor([_LEAST_OPTICAL_DEPTH, config.max_optical_depth], device=self.device)
         return {
             "means": (low - _SLACK, high + _SLACK),
             "scales": (scales[0], scales[1]),

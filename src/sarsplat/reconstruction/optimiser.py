@@ -22,6 +22,8 @@ def learning_rate(name: str, column: int, config: Config) -> float:
         return config.rates.directional_scattering
     if name in LOGARITHMIC:
         return getattr(config.rates, f"log_{name}")
+    if name == "means":
+        return config.rates.means_m
     return getattr(config.rates, name if name in PER_GAUSSIAN else "nuisance")
 
 
@@ -29,7 +31,7 @@ def decay(name: str, iteration: int, config: Config) -> float:
     """Factor on a parameter's rates: of means it falls exponentially throughout, else tenfold over the second half."""
     done = iteration / config.iterations
     if name == "means":
-        return (config.rates.means_end / config.rates.means) ** done
+        return (config.rates.means_end_m / config.rates.means_m) ** done
     return 0.1 ** max(0.0, 2 * done - 1)
 
 

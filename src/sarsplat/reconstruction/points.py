@@ -41,15 +41,15 @@ def extract_points(
     gaussians = gaussians.detach()
     if how.method == "centres":
         points = gaussians.means[gaussians.optical_depth >= how.optical_depth].double().cpu().numpy()
-        points = _thin(points[points[:, 2] >= how.least_height], how.voxel)
+        points = _thin(points[points[:, 2] >= how.min_height_m], how.voxel_m)
     else:
         returns = [_FirstReturns.of(gaussians, view, grid, how.optical_depth) for view in views]
         points = np.concatenate([found.points() for found in returns])
-        points = _thin(points[points[:, 2] >= how.least_height], how.voxel)
+        points = _thin(points[points[:, 2] >= how.min_height_m], how.voxel_m)
         # haze that one view takes for a surface is looked through by others
-        through = sum((found.behind(points, how.behind).astype(int) for found in returns), np.zeros(len(points), int))
+        through = sum((found.behind(points, how.behind_m).astype(int) for found in returns), np.zeros(len(points), int))
         points = points[through < how.seen_through]
-    return points if how.cluster_radius is None else _cluster(points, how.cluster_radius, how.cluster_size)
+    return points if how.cluster_radius_m is None else _cluster(points, how.cluster_radius_m, how.cluster_size)
 
 
 @dataclass(frozen=True)

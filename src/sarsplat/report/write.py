@@ -41,9 +41,9 @@ def write_report(run: Run) -> Path:
         If the run's dataset is missing, `RUN/report` is a link, a file cannot be written or another process is writing
         the run.
     """
-    refuse_linked_report(run.path)
-    folder = run.path / _FOLDER
-    with only_writer(run.path):
+    refuse_linked_report(run.folder)
+    folder = run.folder / _FOLDER
+    with only_writer(run.folder):
         with plain_os_errors("write", folder):
             folder.mkdir(exist_ok=True)
         pictures, training = [_views(run), _points(run)], _curves(run)
@@ -53,7 +53,7 @@ def write_report(run: Run) -> Path:
             html = page(run, pictures, training)
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise SarsplatError(
-                f"{run.path / 'metrics.json'} does not hold all scores ({error!r}); write it again with "
+                f"{run.folder / 'metrics.json'} does not hold all scores ({error!r}); write it again with "
                 f"`sarsplat evaluate {run.path}`"
             ) from error
         write_bytes(folder / "index.html", html.encode())
