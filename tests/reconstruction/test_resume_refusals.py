@@ -15,6 +15,7 @@ import pytest
 from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, preset, read_dataset, reconstruct
 from sarsplat.data import load_checkpoint, save_checkpoint, write_dataset, write_power_tiff
 from sarsplat.reconstruction import Config
+from sarsplat.reconstruction.config import Densification, Rates
 from sarsplat.reconstruction.run import LogLine
 
 CONFIG = replace(preset("default"), iterations=2, gaussians=50, checkpoint_every=1)
@@ -71,9 +72,35 @@ def test_a_dataset_that_was_changed_in_place(begun: Path, dataset: Dataset) -> N
     refused(begun, read_dataset(dataset.path), CONFIG, "begun with another dataset")
 
 
-@pytest.mark.parametrize("change", [{"seed": 1}, {"iterations": 3}, {"p_min": 0.031}, {"preset": "mine"}])
-def test_other_settings(begun: Path, dataset: Dataset, change: dict[str, Any]) -> None:
-    refused(begun, dataset, replace(CONFIG, **change), "begun with other settings")
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"seed": 1}, "begun with seed 0, not 1; resume it with the same settings"),
+        ({"p_min": 0.031}, "begun with p_min 0.03, not 0.031"),
+        ({"preset": "mine"}, "begun with preset 'default', not 'mine'"),
+        ({"rates": Rates(means_m=0.1)}, r"begun with rates\.means_m 0.02, not 0.1"),
+        ({"densification": Densification()}, "begun with densification None, not "),
+        ({"iterations": 3, "seed": 1}, "begun with seed 0, not 1"),
+    ],
+)
+def test_other_settings(begun: Path, dataset: Dataset, change: dict[str, Any], told: str) -> None:
+    refused(begun, dataset, replace(CONFIG, **change), told)
+
+
+def test_fewer_iterations_than_are_done(dataset: Dataset, tmp_path: Path) -> None:
+    reconstruct(dataset, CONFIG, tmp_path / "run")
+    told = "has done 2 iterations already, more than 1"
+    refused(tmp_path / "run", dataset, replace(CONFIG, iterations=1), told)
+
+
+@pytest.mark.parametrize("done", [1, 2])
+def test_more_iterations_extend_a_run(begun: Path, dataset: Dataset, done: int) -> None:
+    if done == 2:
+        reconstruct(dataset, CONFIG, begun, resume=True)
+    run = reconstruct(dataset, replace(CONFIG, iterations=4, checkpoint_every=3), begun, resume=True)
+    assert run.iteration == 4
+    assert (Run.load(begun).config.iterations, Run.load(begun).config.checkpoint_every) == (4, 3)
+    assert [line.iteration for line in run.history] == [1, 2, 3, 4]
 
 
 def newer_schema(header: dict[str, Any]) -> None:

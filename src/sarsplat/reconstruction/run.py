@@ -239,12 +239,13 @@ class Run:
         }
         write_json(self.folder / HEADER, header)
 
-    def moved_to(self, dataset: Dataset) -> Run:
-        """The same run with its dataset where it is now, noted on the disk."""
-        moved = replace(self, dataset_path=None if dataset.path is None else dataset.path.resolve())
-        if moved != self:
-            moved.write_header()
-        return moved
+    def taken_up(self, dataset: Dataset, config: Config) -> Run:
+        """The same run with its dataset where it is now, and settings as it goes on; noted on the disk."""
+        where = None if dataset.path is None else dataset.path.resolve()
+        changed = replace(self, dataset_path=where, config=config)
+        if changed != self:
+            changed.write_header()
+        return changed
 
     @property
     def folder(self) -> Path:

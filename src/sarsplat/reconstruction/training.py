@@ -18,7 +18,7 @@ from sarsplat.data.folders import only_writer
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError
 from sarsplat.progress import Reporter, progress
-from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.config import Config, refuse_other_settings
 from sarsplat.reconstruction.presets import preset
 from sarsplat.reconstruction.run import HEADER, InMemory, LogLine, Run, log_text, require_replaceable
 from sarsplat.reconstruction.snapshot import Snapshot
@@ -88,8 +88,9 @@ def reconstruct(
     quiet : bool
         Show no progress.
     resume : bool
-        Go on from the newest checkpoint in `out`, exactly as if the training had never stopped. A configuration with
-        more iterations makes it longer.
+        Go on from the newest checkpoint in `out`, exactly as if the training had never stopped. The settings must be
+        those the run was begun with, but `iterations` and `checkpoint_every` may change: more iterations extend a run,
+        also a finished one.
     overwrite : bool
         Replace an existing run.
 
@@ -247,12 +248,13 @@ def _take_up(training: _Training, run: Run, dataset: Dataset) -> None:
     config = training.trainer.config
     if run.fingerprint != dataset.fingerprint():
         raise SarsplatError(f"{run.path} was begun with another dataset ({run.dataset_path}); resume it with that one")
-    if run.config != config:
+    refuse_other_settings(run.folder, run.config, config)
+    if run.checkpoint_path is not None and run.iteration > config.iterations:
         raise SarsplatError(
-            f"{run.path} was begun with other settings (preset {run.config.preset}, seed {run.config.seed}, "
-            f"{run.config.iterations} iterations, init {run.config.initialisation}); resume it with the same"
+            f"{run.path} has done {run.iteration} iterations already, more than {config.iterations}; resume it with as "
+            "many or more"
         )
-    run = run.moved_to(dataset)
+    run = run.taken_up(dataset, config)
     if run.checkpoint_path is not None:
         snapshot = run.snapshot
         try:
