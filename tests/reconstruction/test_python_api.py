@@ -130,7 +130,7 @@ def test_quiet_is_quiet(dataset: Dataset, short: Config, capsys: pytest.CaptureF
     ("options", "words"),
     [
         ({"device": "tpu"}, "device 'tpu' is unknown; choose auto, cpu or cuda"),
-        ({"device": "cuda"}, "use engine='cpu'|install"),
+        ({"device": "cuda"}, "install .*, or use the CPU"),
         ({"preset": "defualt"}, "preset 'defualt' is unknown"),
     ],
 )
