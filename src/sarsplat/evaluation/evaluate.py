@@ -43,7 +43,8 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dic
     dict
         The content of `metrics.json`: `images.<set>.<metric>`, `points.{visible, whole}.<metric>`, `yardsticks` (what
         two-dimensional tricks score on speckled images with ground), `time_s`, `seed`, `normalisation` (what images
-        were divided by), `definitions` (of every metric) and `reasons`: for every metric that is None, its dotted key and why.
+        were divided by), `definitions` (of every metric) and `reasons`: for every metric that is None, its dotted key
+        and why.
         Without test images `images` is empty.
 
     Raises
