@@ -115,7 +115,8 @@ def made_up() -> dict[str, dict]:
     return {"machine": {**machine, "quick": False}, "parts": parts}
 
 
-PAPER = {"iterations": 30_000, "training_s": 100.0, "psnr_db": 50.0, "chamfer_m": 0.2, "f1": 0.75}
+SCORES = {"psnr_db": 50.0, "lpips": None, "cd_m": 0.2, "f1@0.3": 0.75, "f1@0.1": 0.5}
+PAPER = {"iterations": 30_000, "training_s": 100.0, "scores": SCORES}
 DEVICE = {
     "device": "Wheel",
     "workloads": {
@@ -151,7 +152,7 @@ def test_the_section_says_what_was_measured(generator):
     results["parts"]["paper"] = PAPER
     text = generator.section(results, [])
     assert "| 4.0 × ↑ | the paper's training on an RTX 3060 Ti" in text
-    assert "PSNR 50.00 dB (35.91), Chamfer distance 0.200 m (0.187), F1 at 0.3 m 0.750 (0.925)" in text
+    assert "PSNR 50.00 dB (35.91), CD 0.200 m (0.187), F1@0.3 0.750 (0.925); the" in text
 
 
 def test_every_ratio_stands_beside_its_times(generator):
