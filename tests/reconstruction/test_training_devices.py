@@ -137,3 +137,14 @@ def test_a_step_waits_for_the_device_twice(
         monkeypatch.setattr(Tensor, method, counted(method))
     trainer.step()
     assert looks == ["tolist", "tolist"]
+
+
+@pytest.mark.parametrize("name", ["density", "measured"])
+def test_a_snapshot_goes_on_on_another_device(name: str, dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(model, "render", render_nothing)
+    trainer, other = Trainer(dataset, CONFIGS[name]), Trainer(dataset, CONFIGS[name], device="meta")
+    trainer.step()
+    other.restore(trainer.snapshot(0.0))
+    assert other.step().device.type == "meta"
+    assert {tensor.device.type for tensor in other.model.parameters.values()} == {"meta"}
+    assert other.iteration == 2

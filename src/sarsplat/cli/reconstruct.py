@@ -31,6 +31,7 @@ def reconstruct(
     init: Initialisation = None,
     seed: OptionalCount = None,
     iterations: OptionalCount = None,
+    device: Literal["auto", "cpu", "cuda"] = "auto",
     resume: bool = False,
     overwrite: bool = False,
 ) -> None:
@@ -51,6 +52,8 @@ def reconstruct(
         Seed of everything random; 0 unless given.
     iterations
         Number of training steps instead of the preset's.
+    device
+        Where to train; auto is a GPU if there is one that can be used.
     resume
         Go on with the run in --out, with the settings it was begun with; DATASET may have been moved.
     overwrite
@@ -84,7 +87,7 @@ def reconstruct(
 
     try:
         with interrupts_held_back() as interrupted:
-            run = train(images, config, out, on_step=stop_if_asked, resume=resume, overwrite=overwrite)
+            run = train(images, config, out, device=device, on_step=stop_if_asked, resume=resume, overwrite=overwrite)
     except KeyboardInterrupt as interrupt:
         if interrupt.args or not (out / "config.json").is_file():
             raise

@@ -179,7 +179,7 @@ class Config(Record):
     initialisation : str
         Start in the box that the images bound ("box"), or on the paper's hemisphere ("hemisphere").
     loss : str
-        "amplitude": L1 and SSIM of amplitudes; "speckle": likelihood of single-look speckle.
+        "amplitude": L1 and SSIM of amplitudes; "speckle": likelihood of single-look speckle; or another of `LOSSES`.
     ssim_weight : float
         Share of SSIM in the loss on amplitudes.
     scattering : str
@@ -226,7 +226,7 @@ class Config(Record):
     views_per_step: Count = 8
     gaussians: Count = 15_000
     initialisation: Literal["box", "hemisphere"] = "box"
-    loss: Literal["amplitude", "speckle"] = "amplitude"
+    loss: str = "amplitude"
     ssim_weight: NotNegative = 0.0
     scattering: ScatteringName = "harmonics"
     p_min: NotNegative = 0.03
