@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sarsplat.data import (
         Dataset,
-        DatasetView,
+        DatasetEntry,
         PhoenixChip,
         SarImage,
         import_mstar,
@@ -55,7 +55,7 @@ _HOME = {
         *("simulate_raycast", "target_mesh"),
     ),
     "data": (
-        *("Dataset", "DatasetView", "PhoenixChip", "SarImage", "import_mstar", "read_dataset", "read_gaussians_ply"),
+        *("Dataset", "DatasetEntry", "PhoenixChip", "SarImage", "import_mstar", "read_dataset", "read_gaussians_ply"),
         *("read_phoenix", "read_points_ply", "write_dataset", "write_gaussians_ply", "write_points_ply"),
     ),
     "reconstruction": ("PRESETS", "Config", "Run", "Trainer", "extract_points", "preset", "reconstruct"),
@@ -70,7 +70,7 @@ __all__ = [
     "PRESETS",
     "Config",
     "Dataset",
-    "DatasetView",
+    "DatasetEntry",
     "Gaussians",
     "Harmonics",
     "ImageGrid",
