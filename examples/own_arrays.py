@@ -11,7 +11,7 @@ from sarsplat import Dataset, ImageGrid, SarImage, View, preset, reconstruct, si
 
 grid = ImageGrid(rows=64, columns=64, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
 views = [View(azimuth, grazing) for grazing in (30.0, 60.0) for azimuth in range(0, 360, 60)]
-arrays = [image.power for image in simulate_images(target_mesh("btr70"), views, grid)]
+arrays = simulate_images(target_mesh("btr70"), views, grid)
 
 images = [SarImage(power, view, grid) for power, view in zip(arrays, views)]
 images[0].save("first-image.png")  # decibels, axes in metres; in a notebook, `images[0]` alone shows it

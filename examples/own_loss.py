@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import torch
 
-from sarsplat import Dataset, ImageGrid, View, preset, reconstruct, simulate_images, target_mesh
+from sarsplat import Dataset, ImageGrid, SarImage, View, preset, reconstruct, simulate_images, target_mesh
 
 FLOOR = 1e-3  # β⁰, linear power: what is darker counts as equally dark
 
@@ -16,7 +16,8 @@ def decibels(rendered: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
 
 grid = ImageGrid(rows=64, columns=64, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
 views = [View(azimuth, 45.0) for azimuth in range(0, 360, 45)]
-dataset = Dataset.from_images(simulate_images(target_mesh("t72"), views, grid))
+arrays = simulate_images(target_mesh("t72"), views, grid)
+dataset = Dataset.from_images([SarImage(power, view, grid) for power, view in zip(arrays, views)])
 settings = replace(preset("default"), iterations=120, gaussians=3000)
 
 for loss in (None, decibels):  # None: the preset's own
