@@ -30,7 +30,7 @@ SSIM_WINDOW = 11
 SSIM_SIGMA = 1.5
 C1, C2 = 0.01**2, 0.03**2
 
-_OFFSETS = torch.arange(SSIM_WINDOW, dtype=torch.float64) - SSIM_WINDOW // 2
+_OFFSETS = torch.arange(SSIM_WINDOW, dtype=torch.float64, device="cpu") - SSIM_WINDOW // 2
 _WINDOW = torch.softmax(-(_OFFSETS**2) / (2 * SSIM_SIGMA**2), dim=0)
 
 
@@ -106,7 +106,7 @@ def _blurred(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, "v fewer_
 @lru_cache(maxsize=16)
 def _window_matrix(size: int, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "{size} {size-10}"]:
     """A window in every column, each one further down."""
-    matrix = torch.zeros(size, size - SSIM_WINDOW + 1, dtype=torch.float64)
+    matrix = torch.zeros(size, size - SSIM_WINDOW + 1, dtype=torch.float64, device="cpu")
     for k, weight in enumerate(_WINDOW.tolist()):
         matrix.diagonal(-k).fill_(weight)
     return matrix.to(device, dtype)

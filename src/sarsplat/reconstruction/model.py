@@ -130,11 +130,14 @@ class SceneModel:
             warn(_cut_off(setting.region, dataset))
         sample = hemisphere_shell if config.initialisation == "hemisphere" else Region.sample
         n = config.gaussians
+        means = torch.from_numpy(
+            sample(setting.region, n, generator)
+        ).float()  # on the CPU, as all that is made like it
         parameters = {
-            "means": torch.from_numpy(sample(setting.region, n, generator)).float(),
+            "means": means,
             "quaternions": random_quaternions(n, generator),
-            "scales": torch.full((n, 3), config.initial_scale_m),
-            "optical_depth": torch.full((n,), config.initial_optical_depth),
+            "scales": means.new_full((n, 3), config.initial_scale_m),
+            "optical_depth": means.new_full((n,), config.initial_optical_depth),
             "scattering": _law(config, n, config.initial_scattering).parameters,
         }
         if config.surroundings:
@@ -143,9 +146,9 @@ class SceneModel:
             level = float(np.median(train.power)) / setting.unit / math.log(2) / mean_tangent
             parameters |= {
                 "ground": _law(config, 1, level).parameters[0],
-                "noise": torch.tensor([math.log(config.surroundings.noise_floor)]),
-                "shift": torch.zeros(len(train), 2),
-                "log_gain": torch.zeros(len(train)),
+                "noise": means.new_tensor([math.log(config.surroundings.noise_floor)]),
+                "shift": means.new_zeros(len(train), 2),
+                "log_gain": means.new_zeros(len(train)),
             }
         return cls(config, setting, parameters, device)
 

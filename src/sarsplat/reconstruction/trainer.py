@@ -96,7 +96,7 @@ class Trainer:
         """Every view once in a random order, then again."""
         count = min(self.config.views_per_step, len(self.views))
         while len(self._queue) < count:
-            self._queue += torch.randperm(len(self.views), generator=self._generator).tolist()
+            self._queue += torch.randperm(len(self.views), generator=self._generator, device="cpu").tolist()
         chosen, self._queue = self._queue[:count], self._queue[count:]
         return chosen
 
