@@ -114,7 +114,7 @@ def test_a_loss_of_ones_own(dataset: Dataset, config: Config) -> None:
     assert run.config.loss == "squares"
     assert shapes == {((8, 32, 32), (8, 32, 32))}
     assert run.history[-1].loss < 0.5 * run.history[0].loss
-    rendered = run.render([item.view for item in dataset.select("train")])
+    rendered = run.render(dataset.select("train").views)
     assert (
         np.square(rendered - dataset.images("train")).mean() < 0.5 * run.history[0].loss
     )  # β⁰ it was, and no other unit
