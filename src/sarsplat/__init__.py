@@ -42,6 +42,7 @@ if TYPE_CHECKING:
         simulate_raycast,
         target_mesh,
     )
+    from sarsplat.scenes.simulate import simulate_images
 
 __version__ = "0.1.0"
 
@@ -54,6 +55,7 @@ _HOME = {
         *("ScatteringLaw", "add_speckle", "load_mesh", "mstar_grid", "mstar_views", "paper_grid", "paper_views"),
         *("simulate_raycast", "target_mesh"),
     ),
+    "scenes.simulate": ("simulate_images",),
     "data": (
         *("Dataset", "DatasetEntry", "PhoenixChip", "SarImage", "import_mstar", "read_dataset", "read_gaussians_ply"),
         *("read_phoenix", "read_points_ply", "write_dataset", "write_gaussians_ply", "write_points_ply"),
@@ -105,6 +107,7 @@ __all__ = [
     "read_points_ply",
     "reconstruct",
     "render",
+    "simulate_images",
     "simulate_raycast",
     "target_mesh",
     "visible_surface",
