@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from sarsplat.cli import main
+from sarsplat.evaluation import IMAGE_METRICS, POINT_METRICS, RUN_METRICS
 from sarsplat.scenes import target_mesh
 
 ROOT = Path(__file__).parents[1]
@@ -23,10 +24,10 @@ def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
 
 
-def run_python(*arguments: str) -> str:
+def run_python(*arguments: str, folder: Path | None = None) -> str:
     """Standard output of a fresh interpreter in which every warning is an error."""
     command = [sys.executable, "-W", "error", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120, cwd=folder)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -58,6 +59,27 @@ def test_readme_example_is_the_example_script():
 @pytest.mark.parametrize("script", EXAMPLES, ids=lambda path: path.name)
 def test_example_compiles(script):
     compile(script.read_text(encoding="utf-8"), str(script), "exec")
+
+
+def test_own_arrays(tmp_path):
+    printed = run_python(str(ROOT / "examples" / "own_arrays.py"), folder=tmp_path)
+    count, height = re.findall(r"(\d+) points; heights up to ([\d.]+) m", printed)[0]
+    assert int(count) > 1000
+    assert 1.5 < float(height) < 4  # a vehicle's
+    assert {path.name for path in tmp_path.iterdir()} == {"first-image.png", "unseen-view.png"}
+
+
+def test_own_loss(tmp_path):
+    printed = run_python(str(ROOT / "examples" / "own_loss.py"), folder=tmp_path)
+    preset_s, own = (float(value) for value in re.findall(r"([\d.]+) dB off", printed))
+    assert own < preset_s
+
+
+def test_watch_training(tmp_path):
+    printed = run_python(str(ROOT / "examples" / "watch_training.py"), folder=tmp_path)
+    losses = [float(value) for value in re.findall(r"loss ([\d.]+)", printed)]
+    assert losses == sorted(losses, reverse=True)
+    assert len(list(tmp_path.glob("step-*.png"))) == len(losses) > 1
 
 
 @pytest.mark.slow
@@ -117,13 +139,24 @@ def test_results_table_comes_from_metrics_and_leaves_gaps_open():
     metrics = {
         "images": {"test": {"psnr_db": 50.13, "psnr_target_db": 33.0, "ssim": 0.999, "lpips": None}},
         "points": {"visible": {"cd_m": 0.08, "f1@0.3": 0.97, "f1@0.1": 0.7}},
+        "yardsticks": None,
         "time_s": 83.2,
     }
     table = module.table(metrics)
     assert "| 50.13 | 35.91 |" in table
     assert "| LPIPS (↓) | – | 0.0165 |" in table
-    assert "1 min 23 s" in table
+    assert "| training time (s, ↓) | 83 | 400 |" in table
+    assert "| F1 at 0.1 m, visible surface (↑) | 0.700 | – |" in table
     assert module.BLOCK.search((ROOT / "README.md").read_text(encoding="utf-8"))
+
+
+def test_documented_metrics_are_those_of_the_registry():
+    text = (ROOT / "docs" / "datasets-and-runs.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(images\.<set>|points\.<surface>)\.(.*?)` \| (.*) \|$", text, re.MULTILINE)
+    expected = [("images.<set>", metric.key, metric.definition) for metric in IMAGE_METRICS]
+    expected += [("points.<surface>", metric.key, metric.definition) for metric in POINT_METRICS]
+    assert rows == expected
+    assert re.findall(r"^\| `(\w+)` \| (.*) \|$", text, re.MULTILINE).count(("time_s", RUN_METRICS[0].definition)) == 1
 
 
 @pytest.mark.slow

@@ -89,7 +89,7 @@ WORDS = {
     "simulate --out": "--out lacks its value; give 1",
     "simulate --out new --pixels many": "--pixels 'many' is no whole number; give one",
     "simulate --out new --spacing wide": "--spacing 'wide' is no number; give one",
-    "reconstruct full --out new --iteratons 5": "--iteratons is no option of sarsplat reconstruct; did you mean --itera",
+    "reconstruct full --out new --iteratons 5": "--iteratons is no option of sarsplat reconstruct; did you mean --",
     "reconstruct full --out new --xyz": "--xyz is no option of sarsplat reconstruct; sarsplat reconstruct --help lists",
     "reconstruct full --out new --rates.mean-m 5": "--rates.mean-m is no option of sarsplat reconstruct; did you mean",
     "reconstruct full --out new --preset defualt": "--preset 'defualt' is unknown; did you mean default?",

@@ -48,7 +48,7 @@ def import_mstar(
         Replace an existing dataset.
     """
     from sarsplat.data import import_mstar as read_chips
-    from sarsplat.data.dataset import HEADER
+    from sarsplat.data.dataset_folder import HEADER
     from sarsplat.errors import counted
 
     refuse_existing(out, overwrite, marker=HEADER)
@@ -66,7 +66,7 @@ def import_mstar(
         )
     counts = ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits())
     console.finish(
-        f"{out}: {counted(len(dataset.views), 'chip')} of {target_class} ({counts}); relative power, mean 1 over the "
+        f"{out}: {counted(len(dataset), 'chip')} of {target_class} ({counts}); relative power, mean 1 over the "
         "training set",
         f"sarsplat reconstruct {shlex.quote(str(out))} --out {shlex.quote(f'{out}-run')}",
     )

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -146,7 +146,7 @@ def _base(options: Options, images: Dataset) -> Config:
     if options.config is not None:
         if options.preset != "auto":
             raise SarsplatError(f"--config and --preset {options.preset} are both settings to begin with; give one")
-        return Config.from_dict(read_json(options.config), str(options.config))
+        return Config.from_dict(read_json(options.config, dict[str, Any]), str(options.config))
     if not options.resume:
         return fitting(options.preset, images)
     begun = Run.load(options.out).config
