@@ -14,9 +14,9 @@ import torch
 from clock import TURN, Clock, ratio, spread
 from recipes import COUNT, halfway
 
-from sarsplat.reconstruction.config import preset
 from sarsplat.reconstruction.losses import amplitude_loss
 from sarsplat.reconstruction.optimiser import Optimiser
+from sarsplat.reconstruction.presets import preset
 from sarsplat.renderer import cpu
 from sarsplat.scenes import paper_grid, paper_views
 
@@ -40,7 +40,7 @@ def training(count: int, views_per_step: int, clock: Clock) -> Callable[[int], N
 
     def iterate(k: int) -> None:
         chosen = [(k * views_per_step + i) % len(views) for i in range(views_per_step)]
-        images, _ = model.render([views[i] for i in chosen], grid, 3, chips=chosen)
+        images, _ = model.render([views[i] for i in chosen], grid, 3, chips=torch.tensor(chosen))
         images.backward(loss(images, torch.stack([truth[i] for i in chosen])))
         step(0)
 

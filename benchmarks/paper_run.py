@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sarsplat.evaluation import paper_row
-from sarsplat.reconstruction.config import preset
+from sarsplat.reconstruction.presets import preset
 
 CODE = "import sys, sarsplat.cli; sys.exit(sarsplat.cli.main())"
 

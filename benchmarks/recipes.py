@@ -8,8 +8,8 @@ import torch
 from scene import Scene
 
 from sarsplat.gaussians.initialise import Region, random_quaternions
-from sarsplat.reconstruction.config import preset
 from sarsplat.reconstruction.model import SceneModel
+from sarsplat.reconstruction.presets import preset
 from sarsplat.scenes import paper_grid, paper_views
 
 COUNT = 15_000

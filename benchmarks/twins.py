@@ -1,9 +1,7 @@
-"""Loss and Adam, each one call of the engine, against the torch that they replace."""
+"""Loss and Adam, each one call of the engine on the CPU, against the torch that they replace."""
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -11,19 +9,15 @@ from clock import in_turn, ratio, spread
 from recipes import COUNT, halfway
 from torch import Tensor
 
-from sarsplat.reconstruction.config import preset
-from sarsplat.reconstruction.losses import amplitude_loss
+from sarsplat.reconstruction.losses import amplitude_loss, plain_amplitude_loss
 from sarsplat.reconstruction.optimiser import Optimiser
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "reconstruction"))
-
-import loss_twin
+from sarsplat.reconstruction.presets import preset
 
 SSIM_WEIGHT = preset("paper").ssim_weight
 
 
 def losses(views: int, ssim_weight: float) -> dict[str, Any]:
-    """L1 with or without SSIM, and its gradient, the engine's and the twin's."""
+    """L1 with or without SSIM, and its gradient, the engine's and plain torch's."""
     generator = torch.Generator().manual_seed(2)
     power = (torch.rand(views, 128, 128, generator=generator) ** 2).requires_grad_()
     truth = torch.rand(views, 128, 128, generator=generator)
@@ -32,12 +26,12 @@ def losses(views: int, ssim_weight: float) -> dict[str, Any]:
         return torch.autograd.grad(loss(power, truth, 1.0, ssim_weight), power)[0]
 
     programs = {
-        "torch": lambda: gradient(loss_twin.amplitude_loss),
+        "torch": lambda: gradient(plain_amplitude_loss),
         "engine": lambda: gradient(amplitude_loss),
     }
     theirs, mine = (program() for program in programs.values())
     if not float((mine - theirs).norm() / theirs.norm()) < 1e-4:
-        raise SystemExit("the engine's loss is not its twin's; the comparison is void")
+        raise SystemExit("the engine's loss is not plain torch's; the comparison is void")
     return programs
 
 

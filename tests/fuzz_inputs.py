@@ -35,7 +35,7 @@ from sarsplat.data import (
 from sarsplat.data.mstar_chips import read_chips
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.reconstruction.config import PRESETS
+from sarsplat.reconstruction.presets import PRESETS
 from sarsplat.reconstruction.run import Run
 from sarsplat.scenes import load_mesh
 

@@ -18,3 +18,9 @@ class SarsplatWarning(UserWarning):
 def counted(number: int, noun: str) -> str:
     """A number with its noun: `1 chip`, `2 chips`, `1,200 chips`."""
     return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"
+
+
+def shown(value: object) -> str:
+    """The value as an error may quote it, whatever a stranger wrote there: printable and not too long."""
+    text = repr(value)
+    return text if len(text) <= 120 else text[:119] + "…"

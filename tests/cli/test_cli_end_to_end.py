@@ -128,7 +128,7 @@ def test_ctrl_c_says_how_to_go_on(
 
     step, calls = Trainer.step, []
 
-    def interrupted(trainer: Trainer) -> float:
+    def interrupted(trainer: Trainer) -> object:
         calls.append(1)
         if len(calls) == 3:
             signal.raise_signal(signal.SIGINT)  # the step is finished first

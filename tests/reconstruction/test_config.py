@@ -2,57 +2,153 @@
 
 from __future__ import annotations
 
-from typing import Any
+import json
+import math
+import pydoc
+from dataclasses import fields, replace
+from typing import Any, get_args
 
 import pytest
 
-from sarsplat.errors import SarsplatError
-from sarsplat.reconstruction.config import PRESETS, Config
+from sarsplat import Config, SarsplatError
+from sarsplat.gaussians import MIN_SCALE, SCATTERINGS
+from sarsplat.reconstruction.config import (
+    Densification,
+    PointExtraction,
+    Rates,
+    ScatteringName,
+    Surroundings,
+)
+from sarsplat.reconstruction.presets import PRESETS, preset
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_round_trip(name: str) -> None:
-    assert Config.from_dict(PRESETS[name].as_dict()) == PRESETS[name]
+def test_round_trip_through_json(name: str) -> None:
+    assert PRESETS[name].preset == name
+    assert Config.from_dict(json.loads(json.dumps(PRESETS[name].as_dict()))) == PRESETS[name]
 
 
-@pytest.mark.parametrize(
-    ("preset", "path", "value"),
-    [
-        ("default", "iterations", 0),
-        ("default", "iterations", 2.5),
-        ("default", "iterations", True),
-        ("default", "seed", -1),
-        ("default", "preset", 3),
-        ("default", "loss", "l2"),
-        ("default", "initialisation", ["box"]),
-        ("default", "p_min", "0.03"),
-        ("default", "initial_scale", None),
-        ("default", "scale_bounds", [0.01]),
-        ("default", "scale_bounds", [0.3, 0.01]),
-        ("default", "scale_bounds", [1e-9, 0.3]),
-        ("default", "scale_bounds", [0.01, "0.3"]),
-        ("default", "rates.means", None),
-        ("default", "rates.scattering", {}),
-        ("default", "points.method", "best"),
-        ("default", "points.voxel", "fine"),
-        ("paper", "densification.start", 10_000.5),
-        ("paper", "densification.most", None),
-        ("paper", "densification", [1]),
-        ("measured", "surroundings.target_low", [0.0, 1.0]),
-        ("measured", "surroundings.target_high", [0.0, 1.0, "a"]),
-        ("measured", "surroundings.noise_floor", [0.1]),
-        ("measured", "surroundings", 7),
-        ("default", "x" * 5000, 1),
-        ("default", "loss", "x" * 5000),
-    ],
-)
-def test_wrong_values_are_refused_in_a_short_sentence(preset: str, path: str, value: Any) -> None:
-    data = PRESETS[preset].as_dict()
+def changed(path: str, value: Any) -> dict[str, Any]:
+    """A whole configuration with one setting changed."""
+    data = replace(PRESETS["paper"], surroundings=Surroundings()).as_dict()
     *groups, name = path.split(".")
     record = data
     for group in groups:
         record = record[group]
     record[name] = value
-    with pytest.raises(SarsplatError, match=r"does not do in a configuration|does not fit this version") as refusal:
+    return data
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "allowed"),
+    [
+        ("iterations", 0, "a whole number from 1 to 1e+08"),
+        ("iterations", 2.5, "a whole number"),
+        ("iterations", True, "a whole number"),
+        ("iterations", 10**400, "a whole number"),
+        ("seed", -1, "a whole number from 0"),
+        ("preset", 3, "a text"),
+        ("loss", "l2", "one of amplitude, speckle"),
+        ("scattering", "waves", "one of harmonics, normal-lobes"),
+        ("initialisation", ["box"], "one of box, hemisphere"),
+        ("harmonics_degree", 4, "from 0 to 3"),
+        ("p_min", "0.03", "a number from 0"),
+        ("p_min", math.nan, "a number from 0"),
+        ("ssim_weight", math.inf, "a number from 0"),
+        ("initial_scale_m", None, "a number"),
+        ("initial_scale_m", 1e300, "a number from 1e-06 to 1e+06"),
+        ("initial_scale_m", 10**400, "a number from 1e-06 to 1e+06"),
+        ("scale_bounds_m", [0.01], "2 values, each a number"),
+        ("scale_bounds_m", [0.3, 0.01], "the smaller one first"),
+        ("scale_bounds_m", [1e-9, 0.3], "2 values, each a number from 0.0001"),
+        ("scale_bounds_m", [0.01, "0.3"], "2 values"),
+        ("rates.means_m", None, "a number"),
+        ("rates.means_m", 0, "a number from 1e-06"),
+        ("rates.scattering", {}, "a number"),
+        ("rates.scattering", -1e-9, "a number from 0"),
+        ("rates", None, "a record of means_m, means_end_m"),
+        ("points.method", "best", "one of rays, centres"),
+        ("points.voxel_m", "fine", "a number"),
+        ("points.cluster_radius_m", 0, "a number from 1e-06 to 1e+06 or nothing"),
+        ("densification.start", 10_000.5, "a whole number"),
+        ("densification.max_gaussians", None, "a whole number"),
+        ("densification", [1], "a record of start, stop"),
+        ("surroundings.noise_floor", [0.1], "a number"),
+        ("surroundings", 7, "or nothing"),
+        ("loss", "x" * 5000, "one of amplitude, speckle"),
+    ],
+)
+def test_wrong_values_are_refused_in_a_short_sentence(path: str, value: Any, allowed: str) -> None:
+    with pytest.raises(SarsplatError) as refusal:
+        Config.from_dict(changed(path, value), "my.json")
+    told = str(refusal.value)
+    assert told.startswith(f"my.json: {path} is ")
+    assert allowed in told
+    assert len(told) < 400
+    assert "\n" not in told
+
+
+@pytest.mark.parametrize(
+    ("path", "told"),
+    [
+        ("warmth", "the setting 'warmth' is unknown"),
+        ("iteratons", "the setting 'iteratons' is unknown; there is iterations"),
+        ("rates.mean_m", "the setting 'rates.mean_m' is unknown; there is rates.means_m"),
+        ("densification.most", "the setting 'densification.most' is unknown"),
+        ("x" * 5000, "is unknown"),
+    ],
+)
+def test_unknown_settings_are_refused(path: str, told: str) -> None:
+    with pytest.raises(SarsplatError) as refusal:
+        Config.from_dict(changed(path, 1))
+    assert told in str(refusal.value)
+    assert len(str(refusal.value)) < 600
+
+
+@pytest.mark.parametrize("path", ["p_min", "rates.means_m", "densification.every"])
+def test_missing_settings_are_refused(path: str) -> None:
+    data = changed(path, 1)
+    *groups, name = path.split(".")
+    record = data[groups[0]] if groups else data
+    del record[name]
+    with pytest.raises(SarsplatError, match=f"the setting {path} is missing"):
         Config.from_dict(data)
-    assert len(str(refusal.value)) < 400
+
+
+@pytest.mark.parametrize("data", [None, 3, [], "text"])
+def test_what_is_no_record_at_all(data: object) -> None:
+    with pytest.raises(SarsplatError, match="no record of settings"):
+        Config.from_dict(data)
+
+
+def test_records_made_in_python_are_checked_too() -> None:
+    with pytest.raises(SarsplatError, match=r"^rates\.means_m is nan; it must be a number from 1e-06 to 1e\+06$"):
+        Rates(means_m=math.nan)
+    with pytest.raises(SarsplatError, match=r"^iterations is 0; it must be a whole number"):
+        replace(preset("default"), iterations=0)
+    with pytest.raises(SarsplatError, match=r"^scattering is 'waves'; it must be one of harmonics, normal-lobes$"):
+        Config(scattering="waves")  # type: ignore[arg-type]
+    whole = Config(p_min=0, scale_bounds_m=[1, 2])  # type: ignore[arg-type]
+    assert (whole.p_min, whole.scale_bounds_m) == (0.0, (1.0, 2.0))
+    assert isinstance(whole.p_min, float)
+
+
+def test_names_and_limits_that_live_where_torch_is_needed_are_the_same_here() -> None:
+    assert get_args(ScatteringName) == tuple(SCATTERINGS)
+    assert Config(scale_bounds_m=(MIN_SCALE, MIN_SCALE)).scale_bounds_m == (MIN_SCALE, MIN_SCALE)
+    with pytest.raises(SarsplatError, match="scale_bounds_m"):
+        Config(scale_bounds_m=(0.99 * MIN_SCALE, 1.0))
+
+
+@pytest.mark.parametrize("record", [Config, Rates, Densification, PointExtraction, Surroundings])
+def test_every_field_is_explained_in_help(record: type[Config]) -> None:
+    shown = pydoc.plain(pydoc.render_doc(record))
+    for field in fields(record):
+        assert f"{field.name} : " in shown, field.name
+
+
+def test_unknown_presets_are_refused() -> None:
+    with pytest.raises(SarsplatError, match="'fast' is unknown; choose one of default, paper, measured"):
+        preset("fast")
+    with pytest.raises(SarsplatError, match="'defualt' is unknown; did you mean default"):
+        preset("defualt")

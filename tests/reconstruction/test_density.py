@@ -12,7 +12,7 @@ from sarsplat.reconstruction.density import DensityControl
 from sarsplat.reconstruction.optimiser import Optimiser, decay, learning_rate
 
 CONTROL = Densification(
-    start=10, stop=100, every=10, gradient=1.0, split_above=0.1, largest=0.3, least_scattering=0.01, most=10
+    start=10, stop=100, every=10, gradient=1.0, split_above_m=0.1, max_extent=0.3, min_scattering=0.01, max_gaussians=10
 )
 
 
@@ -43,7 +43,7 @@ def test_small_ones_are_cloned_large_ones_split_and_dark_or_huge_ones_pruned() -
 
 
 def test_room_is_given_to_the_steepest() -> None:
-    density = DensityControl(replace(CONTROL, most=6), 5)
+    density = DensityControl(replace(CONTROL, max_gaussians=6), 5)
     density.gradient, density.seen = torch.tensor([8.0, 4.0, 6.0, 0.0, 0.0]), torch.full((5,), 2.0)
     source, *_ = density.decide(five(), 10.0, torch.Generator().manual_seed(0))
     assert source.tolist() == [0, 1, 2, 0]
@@ -75,7 +75,7 @@ def test_rates_decay_as_documented() -> None:
     ]
     assert learning_rate("scales", 2, config) == rates.log_scales
     assert learning_rate("shift", 0, config) == rates.nuisance
-    assert learning_rate("means", 0, config) == rates.means
+    assert learning_rate("means", 0, config) == rates.means_m
     assert decay("means", 0, config) == decay("scattering", last // 2, config) == 1.0
-    assert abs(rates.means * decay("means", last, config) - rates.means_end) < 1e-12
+    assert abs(rates.means_m * decay("means", last, config) - rates.means_end_m) < 1e-12
     assert abs(decay("shift", last, config) - 0.1) < 1e-12

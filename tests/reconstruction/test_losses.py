@@ -1,16 +1,20 @@
-"""Losses against closed forms, their torch twin and an independent SSIM."""
+"""Losses against closed forms and an independent SSIM; the engine's and plain torch's against float64."""
 
 from __future__ import annotations
 
 from functools import partial
 
-import loss_twin
 import pytest
 import torch
 
 from sarsplat.errors import SarsplatError
-from sarsplat.reconstruction import losses as module
-from sarsplat.reconstruction.losses import amplitude_loss, speckle_loss
+from sarsplat.reconstruction import fused
+from sarsplat.reconstruction.losses import (
+    amplitude_loss,
+    plain_amplitude_loss,
+    speckle_loss,
+    structural_similarity,
+)
 from sarsplat.renderer import cpu
 
 BUILT = cpu.INSTRUCTION_SETS[1:]
@@ -31,13 +35,16 @@ def pair(views: int, rows: int, columns: int) -> tuple[torch.Tensor, torch.Tenso
 # one vector and less, tails, a window that fits once, more rows than one task, tasks shorter than the window
 @pytest.mark.parametrize("shape", [(1, 11, 11), (2, 12, 29), (3, 40, 17), (1, 130, 128), (2, 33, 64)])
 @pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
-@pytest.mark.parametrize("instruction_set", AVAILABLE)
-def test_amplitude_loss_and_its_gradient_are_the_twins(shape, weight, instruction_set, monkeypatch) -> None:
-    monkeypatch.setattr(module.cpu, "Pass", partial(cpu.Pass, instruction_set))
+@pytest.mark.parametrize("how", [*AVAILABLE, "plain"])
+def test_amplitude_loss_and_its_gradient_are_those_of_float64(shape, weight, how, monkeypatch) -> None:
+    if how == "plain":
+        monkeypatch.setattr(fused, "takes", lambda tensors: False)
+    else:
+        monkeypatch.setattr(fused.cpu, "Pass", partial(cpu.Pass, how))
     power, truth = pair(*shape)
     mine, theirs = power.clone().requires_grad_(), power.double().requires_grad_()
     found = amplitude_loss(mine, truth, 2.0, weight)
-    expected = loss_twin.amplitude_loss(theirs, truth.double(), 2.0, weight)
+    expected = plain_amplitude_loss(theirs, truth.double(), 2.0, weight)
     assert float(found.detach()) == pytest.approx(float(expected.detach()), rel=1e-5)
     (3.0 * found).backward()
     (3.0 * expected).backward()
@@ -81,7 +88,13 @@ def test_images_smaller_than_the_window() -> None:
     assert float(amplitude_loss(*pair(1, 10, 40), 1.0, 0.0)) > 0
 
 
-def test_the_twins_ssim_agrees_with_an_independent_one() -> None:
+def test_it_takes_float64_as_it_is() -> None:
+    power, truth = (tensor[:1, :12, :13].double() for tensor in pair(1, 40, 40))
+    power = power.clamp(min=0.1).requires_grad_()  # the root is too steep near 0 for finite differences
+    assert torch.autograd.gradcheck(lambda power: amplitude_loss(power, truth, 2.0, 0.3), power)
+
+
+def test_ssim_agrees_with_an_independent_one() -> None:
     metrics = pytest.importorskip("torchmetrics.functional.image")
     generator = torch.Generator().manual_seed(1)
     a = torch.rand(2, 40, 48, generator=generator)
@@ -90,8 +103,8 @@ def test_the_twins_ssim_agrees_with_an_independent_one() -> None:
         a[:, None], b[:, None], gaussian_kernel=True, sigma=1.5, kernel_size=11, data_range=1.0
     )
     # theirs pads the border, ours leaves it out
-    assert float(loss_twin.ssim(a, b)) == pytest.approx(float(theirs), abs=0.02)
-    assert float(loss_twin.ssim(a, a)) == pytest.approx(1.0, abs=1e-5)
+    assert float(structural_similarity(a, b)) == pytest.approx(float(theirs), abs=0.02)
+    assert float(structural_similarity(a, a)) == pytest.approx(1.0, abs=1e-5)
 
 
 def test_speckle_likelihood_is_best_at_the_mean_intensity() -> None:
@@ -104,6 +117,6 @@ def test_speckle_likelihood_is_best_at_the_mean_intensity() -> None:
 @pytest.mark.parametrize("wrong", [torch.ones(1, 4, 5), torch.ones(1, 4, 4, dtype=torch.float64)])
 def test_what_does_not_fit_together_is_refused(wrong) -> None:
     with pytest.raises(
-        SarsplatError, match=r"truth is torch.float\d\d \(1, 4, .\) on cpu; the loss takes torch.float32"
+        SarsplatError, match=r"truth is torch.float\d\d \(1, 4, .\) on cpu; it must be torch.float32 \(1, 4, 4\) on cpu"
     ):
         amplitude_loss(torch.ones(1, 4, 4), wrong, 1.0, 0.0)

@@ -1,4 +1,4 @@
-"""The engine's Adam against torch's, step for step."""
+"""The engine's Adam and the one in plain torch against torch's own, step for step."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from sarsplat.reconstruction import optimiser as module
-from sarsplat.reconstruction.config import preset
+from sarsplat.reconstruction import fused
 from sarsplat.reconstruction.optimiser import Optimiser, decay, learning_rate
+from sarsplat.reconstruction.presets import preset
 from sarsplat.renderer import cpu
 
 BUILT = cpu.INSTRUCTION_SETS[1:]
@@ -30,7 +30,7 @@ def leaves() -> dict[str, torch.Tensor]:
     return {name: tensor.requires_grad_() for name, tensor in leaves.items()}
 
 
-def test_a_gradient_that_is_not_a_number_does_not_become_a_bound(instruction_set: str) -> None:
+def test_a_gradient_that_is_not_a_number_does_not_become_a_bound(how: str) -> None:
     mine = leaves()
     optimiser = Optimiser(mine, BOUNDS, preset("default"))
     for name, tensor in mine.items():
@@ -39,7 +39,7 @@ def test_a_gradient_that_is_not_a_number_does_not_become_a_bound(instruction_set
     assert all(mine[name].isnan().all() for name in BOUNDS)  # the next rendering says so
 
 
-def test_every_step_is_torchs(instruction_set: str) -> None:
+def test_every_step_is_torchs(how: str) -> None:
     config = preset("default")
     mine = leaves()
     optimiser = Optimiser(mine, BOUNDS, config)
@@ -84,7 +84,7 @@ def test_every_step_is_torchs(instruction_set: str) -> None:
             assert float((found - expected).norm() / expected.norm()) < 3e-6
 
 
-def test_no_step_leaves_the_positive_numbers(instruction_set: str) -> None:
+def test_no_step_leaves_the_positive_numbers(how: str) -> None:
     config = preset("default")
     wild = replace(config, rates=replace(config.rates, log_scales=1e4))
     parameters = {"scales": torch.full((5, 3), 0.1, requires_grad=True)}
@@ -97,15 +97,18 @@ def test_no_step_leaves_the_positive_numbers(instruction_set: str) -> None:
         assert bool((parameters["scales"] == end).all())
 
 
-@pytest.fixture(params=AVAILABLE)
-def instruction_set(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Each that this processor has."""
+@pytest.fixture(params=[*AVAILABLE, "plain"])
+def how(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The engine with each instruction set that this processor has, and without it."""
     adam = cpu.adam
-    monkeypatch.setattr(module.cpu, "adam", lambda *arguments: adam(*arguments, instruction_set=request.param))
+    if request.param == "plain":
+        monkeypatch.setattr(fused, "takes", lambda tensors: False)
+    else:
+        monkeypatch.setattr(fused.cpu, "adam", lambda *arguments: adam(*arguments, instruction_set=request.param))
     return request.param
 
 
-def test_values_changed_behind_a_backward_pass_are_noticed() -> None:
+def test_values_changed_behind_a_backward_pass_are_noticed(how: str) -> None:
     parameters = {"means": torch.ones(4, 3, requires_grad=True)}
     optimiser = Optimiser(parameters, {}, preset("default"))
     square = (parameters["means"] ** 2).sum()
@@ -141,7 +144,7 @@ def test_threads_change_nothing() -> None:
             assert torch.equal(parameters[name], found[0][name])
 
 
-def test_state_comes_back() -> None:
+def test_state_comes_back(how: str) -> None:
     def trained(optimiser: Optimiser, parameters: dict[str, torch.Tensor], first: int, last: int) -> None:
         for iteration in range(first, last):
             for tensor in parameters.values():

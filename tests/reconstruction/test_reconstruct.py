@@ -66,10 +66,10 @@ def densifying(config: Config) -> Config:
         stop=50,
         every=10,
         gradient=1e-7,
-        split_above=0.07,
-        largest=0.3,
-        least_scattering=0.01,
-        most=900,
+        split_above_m=0.07,
+        max_extent=0.3,
+        min_scattering=0.01,
+        max_gaussians=900,
     )
     return replace(config, densification=control)
 
@@ -120,23 +120,12 @@ def test_a_folder_that_is_no_run_is_named(tmp_path: Path) -> None:
         Run.load(tmp_path)
 
 
-def test_every_preset_survives_json() -> None:
-    import json
-
-    for name in ("default", "paper", "measured"):
-        assert Config.from_dict(json.loads(json.dumps(preset(name).as_dict()))) == preset(name)
-    with pytest.raises(SarsplatError, match="'fast' is unknown; choose one of default, paper, measured"):
-        preset("fast")
-    with pytest.raises(SarsplatError, match="does not fit this version"):
-        Config.from_dict({"preset": "default"})
-
-
 def test_measured_scenes_have_ground_noise_and_their_own_shifts(dataset: Dataset) -> None:
     config = replace(preset("measured"), gaussians=200, iterations=5)
     trainer = Trainer(dataset, config)
     before = {name: tensor.detach().clone() for name, tensor in trainer.model.parameters.items()}
     for _ in range(5):
-        assert np.isfinite(trainer.step())
+        assert bool(trainer.step().isfinite())
     for name in ("ground", "noise", "shift", "log_gain", "means", "scattering"):
         assert not torch.equal(before[name], trainer.model.parameters[name]), name
     with torch.no_grad():
@@ -181,5 +170,5 @@ def test_a_torn_log_is_read_up_to_the_tear(finished: Run, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(("field", "value"), [("iterations", 0), ("gaussians", "x"), ("seed", -1), ("p_min", None)])
 def test_configurations_are_checked(config: Config, field: str, value: object) -> None:
-    with pytest.raises(SarsplatError, match=rf"{field} .* does not do in a configuration"):
+    with pytest.raises(SarsplatError, match=rf"{field} is .*; it must be"):
         replace(config, **{field: value})

@@ -95,9 +95,9 @@ def unknown_rate(header: dict[str, Any]) -> None:
     ("change", "told"),
     [
         (newer_schema, "schema version 2 but this program reads 1; reconstruct it again"),
-        (unknown_setting, "does not fit this version .*warmth"),
-        (missing_setting, "does not fit this version .*p_min"),
-        (unknown_rate, "does not fit this version .*warmth"),
+        (unknown_setting, "config.json: the setting 'warmth' is unknown"),
+        (missing_setting, "the setting p_min is missing"),
+        (unknown_rate, "config.json: the setting 'rates.warmth' is unknown"),
     ],
 )
 def test_another_version(begun: Path, dataset: Dataset, change: Callable[[dict[str, Any]], None], told: str) -> None:

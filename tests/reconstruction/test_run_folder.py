@@ -29,7 +29,7 @@ def stop_at(monkeypatch: pytest.MonkeyPatch) -> Any:
     step = Trainer.step
 
     def arrange(iteration: int, error: BaseException) -> None:
-        def stopping(trainer: Trainer) -> float:
+        def stopping(trainer: Trainer) -> torch.Tensor:
             if trainer.iteration == iteration:
                 raise error
             return step(trainer)
@@ -89,7 +89,7 @@ def test_ctrl_c_before_the_first_checkpoint_keeps_an_old_run_and_makes_a_new_one
 
     step = Trainer.step
 
-    def interrupting(trainer: Trainer) -> float:
+    def interrupting(trainer: Trainer) -> torch.Tensor:
         if trainer.iteration == 2:
             signal.raise_signal(signal.SIGINT)
         return step(trainer)
@@ -122,7 +122,7 @@ def test_it_is_locked_from_its_first_moment_to_its_last(
 ) -> None:
     out, step, refused = tmp_path / "run", Trainer.step, []
 
-    def probing(trainer: Trainer) -> float:
+    def probing(trainer: Trainer) -> torch.Tensor:
         if trainer.iteration == 30:
             with pytest.raises(SarsplatError, match="in use"), only_writer(out):
                 pass

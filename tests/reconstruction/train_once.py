@@ -21,7 +21,14 @@ from sarsplat.reconstruction.config import Densification
 from sarsplat.reconstruction.model import SceneModel
 
 DENSITY = Densification(
-    start=10, stop=90, every=10, gradient=2.5e-4, split_above=0.09, largest=0.02, least_scattering=0.029, most=4000
+    start=10,
+    stop=90,
+    every=10,
+    gradient=2.5e-4,
+    split_above_m=0.09,
+    max_extent=0.02,
+    min_scattering=0.029,
+    max_gaussians=4000,
 )
 
 

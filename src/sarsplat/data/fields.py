@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 
 
 class Fields:
@@ -89,9 +89,3 @@ class Fields:
 def _is_number(value: object) -> bool:
     # The bound keeps float() from overflowing on an integer of hundreds of digits.
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
-
-
-def shown(value: object) -> str:
-    """The value as an error may quote it, whatever a stranger wrote there: printable and not too long."""
-    text = repr(value)
-    return text if len(text) <= 120 else text[:119] + "…"

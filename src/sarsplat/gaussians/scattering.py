@@ -24,9 +24,9 @@ _LEAST_EXCESS = 1e-3
 class Scattering(ABC):
     """γ⁰(u) of N Gaussians: backscatter per area projected along the line of sight, dimensionless, never negative.
 
-    To add a law, derive from this class, name its `kind`, and add it to `SCATTERINGS` (sarsplat/gaussians/__init__.py).
-    Everything else, from training to files, finds it there. Settings of a law that are not learned are further fields;
-    they must be what JSON can hold.
+    To add a law, derive from this class, name its `kind`, add it to `SCATTERINGS` (sarsplat/gaussians/__init__.py), and
+    its name to `ScatteringName` (sarsplat/reconstruction/config.py). Everything else finds it there. Settings of a law
+    that are not learned are further fields; they must be what JSON can hold.
 
     Parameters
     ----------

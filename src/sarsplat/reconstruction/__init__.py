@@ -1,8 +1,24 @@
-"""From SAR images to Gaussians and a point cloud."""
+"""From SAR images to Gaussians and a point cloud. What needs torch is loaded when first used."""
 
-from sarsplat.reconstruction.config import PRESETS, Config, preset
-from sarsplat.reconstruction.points import extract_points
-from sarsplat.reconstruction.run import Run
-from sarsplat.reconstruction.trainer import Trainer, reconstruct
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.presets import PRESETS, preset
+
+if TYPE_CHECKING:
+    from sarsplat.reconstruction.points import extract_points
+    from sarsplat.reconstruction.run import Run
+    from sarsplat.reconstruction.trainer import Trainer, reconstruct
+
+_MODULE_OF = {"extract_points": "points", "Run": "run", "Trainer": "trainer", "reconstruct": "trainer"}
 
 __all__ = ["PRESETS", "Config", "Run", "Trainer", "extract_points", "preset", "reconstruct"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

@@ -1,274 +1,250 @@
-"""How a reconstruction is done: one frozen record, and the presets as data."""
+"""How a reconstruction is done: one frozen record of settings; needs no torch."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields, replace
-from types import UnionType
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
 
-from sarsplat.data.fields import shown
-from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import MIN_SCALE, SCATTERINGS
+from msgspec import Meta
 
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.reconstruction.record import Record
 
-@dataclass(frozen=True)
-class Rates:
-    """Adam's learning rates; `means` decays exponentially to `means_end`, the others tenfold over the second half."""
+Count = Annotated[int, Meta(ge=1, le=100_000_000)]
+Iteration = Annotated[int, Meta(ge=0, le=100_000_000)]
+Degree = Annotated[int, Meta(ge=0, le=3)]
+Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+Positive = Annotated[float, Meta(ge=1e-6, le=1e6)]
+NotNegative = Annotated[float, Meta(ge=0, le=1e6)]
+Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Scale = Annotated[float, Meta(ge=1e-4, le=1e6)]
+"""From `sarsplat.gaussians.MIN_SCALE`, which is not imported because that would load torch; a test compares them."""
 
-    means: float = 0.02  # m
-    means_end: float = 0.001  # m
-    quaternions: float = 0.01
-    log_scales: float = 0.02
-    log_optical_depth: float = 0.05
-    scattering: float = 0.05  # what is the same in all directions
-    directional_scattering: float = 0.01
-    nuisance: float = 0.01  # ground, noise floor, shifts (m) and log gains
-
-
-@dataclass(frozen=True)
-class Densification:
-    """Density control of 3D Gaussian splatting, with the paper's thresholds."""
-
-    start: int
-    stop: int
-    every: int
-    gradient: float  # mean |∂L/∂μ| on the planes, per half image width (normalised device coordinates, as 3DGS)
-    split_above: float  # m: a larger Gaussian is split, a smaller one cloned
-    largest: float  # share of the illuminated range beyond which a Gaussian is pruned
-    least_scattering: float  # P·(1 − e^−κ) below which a Gaussian is pruned
-    most: int  # Gaussians
+ScatteringName = Literal["harmonics", "normal-lobes"]
+"""The laws of `sarsplat.gaussians.SCATTERINGS`, not imported for the same reason."""
 
 
 @dataclass(frozen=True)
-class PointExtraction:
-    """How a point cloud is drawn from Gaussians."""
+class Rates(Record):
+    """Learning rates of Adam.
 
-    method: Literal["rays", "centres"]
-    optical_depth: float  # two-way depth at which a ray has returned ("rays"), or least κ of a centre ("centres")
-    voxel: float  # m: one point in each
-    least_height: float = 0.0  # m above the ground: lower points are the ground, or below it
-    seen_through: int = 3  # a point is dropped when this many views have their return behind it ("rays") …
-    behind: float = 0.1  # … by more than this, m
-    cluster_radius: float | None = None  # DBSCAN ε, m, of which the largest cluster is kept; None: no clean-up
-    cluster_size: int = 10
+    Those of the means decay exponentially, the others tenfold over the second half of the training.
 
+    Parameters
+    ----------
+    means_m : float
+        Centres at the start, m per step.
+    means_end_m : float
+        Centres at the end, m per step.
+    quaternions : float
+        Orientations.
+    log_scales : float
+        Logarithms of the standard deviations.
+    log_optical_depth : float
+        Logarithms of the optical depths.
+    scattering : float
+        What scatters the same in all directions.
+    directional_scattering : float
+        What scatters differently in different directions.
+    nuisance : float
+        Ground, noise floor, shifts (m) and logarithms of the gains of measured chips.
+    """
 
-@dataclass(frozen=True)
-class Surroundings:
-    """What measured chips hold besides the target."""
+    _section: ClassVar[str] = "rates."
 
-    ground_radius: float  # m: must cover the chip at every rotation
-    target_low: tuple[float, float, float]  # box in which the target may lie, m
-    target_high: tuple[float, float, float]
-    noise_floor: float  # initial additive power, in units of the training mean, as P_min and every γ⁰
-    deviation_penalty: float  # nats per pixel, per m² of shift and squared log gain
-
-
-_MOST = 100_000_000
-
-
-def _require(fits: bool, name: str, value: object, allowed: str) -> None:
-    if not fits:
-        raise SarsplatError(f"{name} {shown(value)} does not do in a configuration; it must be {allowed}")
-
-
-def _require_types(record: object) -> None:
-    """Every field of a dataclass is of the type that it is declared with; a whole number will do for a float."""
-    for name, declared in get_type_hints(type(record)).items():
-        value = getattr(record, name)
-        described = str(getattr(declared, "__name__", declared)) if not get_args(declared) else str(declared)
-        _require(_is(value, declared), name, value, described.replace("typing.", ""))
-
-
-def _is(value: object, declared: Any) -> bool:
-    inner = get_args(declared)
-    if get_origin(declared) is Literal:
-        return value in inner
-    if get_origin(declared) is UnionType:
-        return any(_is(value, choice) for choice in inner)
-    if get_origin(declared) is tuple:
-        return isinstance(value, tuple) and len(value) == len(inner) and all(map(_is, value, inner))
-    if declared in (int, float):
-        return isinstance(value, int | declared) and not isinstance(value, bool) and abs(value) < 1e300
-    return isinstance(value, declared)
+    means_m: Positive = 0.02
+    means_end_m: Positive = 0.001
+    quaternions: NotNegative = 0.01
+    log_scales: NotNegative = 0.02
+    log_optical_depth: NotNegative = 0.05
+    scattering: NotNegative = 0.05
+    directional_scattering: NotNegative = 0.01
+    nuisance: NotNegative = 0.01
 
 
 @dataclass(frozen=True)
-class Config:
-    """Everything a reconstruction depends on, besides the dataset."""
+class Densification(Record):
+    """Density control of 3D Gaussian splatting: Gaussians are split, cloned and pruned; the paper's thresholds.
 
-    preset: str
-    iterations: int
-    views_per_step: int
-    gaussians: int
-    initialisation: Literal["box", "hemisphere"]
-    loss: Literal["amplitude", "speckle"]
-    ssim_weight: float
-    scattering: str  # a law of `SCATTERINGS`
-    p_min: float  # γ⁰
-    initial_scale: float  # m
-    initial_optical_depth: float
-    initial_scattering: float  # γ⁰
-    scale_bounds: tuple[float, float]  # m
-    most_optical_depth: float
-    harmonics_degree: int
-    harmonics_every: int  # iterations between degrees
-    rays_per_pixel: float
-    rates: Rates
-    points: PointExtraction
-    densification: Densification | None = None
-    surroundings: Surroundings | None = None
-    checkpoint_every: int = 500
-    seed: int = 0
+    Parameters
+    ----------
+    start : int
+        First iteration.
+    stop : int
+        Last iteration.
+    every : int
+        Iterations between two rounds.
+    gradient : float
+        Gaussians with a larger mean |∂L/∂μ| on the planes grow; per half image width (normalised device coordinates).
+    split_above_m : float
+        A larger Gaussian that grows is split, a smaller one cloned, m.
+    max_extent : float
+        Larger Gaussians are pruned; as a share of the illuminated range.
+    min_scattering : float
+        Gaussians with a smaller P·(1 − e^−κ) are pruned.
+    max_gaussians : int
+        Never more Gaussians than this.
+    """
 
-    def __post_init__(self) -> None:
-        for record in (self, self.rates, self.points, self.densification, self.surroundings):
-            if record is not None:
-                _require_types(record)
-        for name in ("iterations", "views_per_step", "gaussians", "harmonics_every", "checkpoint_every"):
-            _require(1 <= (value := getattr(self, name)) <= _MOST, name, value, "1 or more")
-        _require(self.scattering in SCATTERINGS, "scattering", self.scattering, f"one of {', '.join(SCATTERINGS)}")
-        _require(0 <= self.seed < 2**63, "seed", self.seed, "0 or more, below 2^63")
-        _require(self.harmonics_degree in (0, 1, 2, 3), "harmonics_degree", self.harmonics_degree, "0 to 3")
-        for name in ("rays_per_pixel", "initial_scale", "initial_optical_depth", "most_optical_depth"):
-            value = getattr(self, name)
-            _require(0 < value < 1e6, name, value, "a positive number")
-        for name in ("p_min", "ssim_weight", "initial_scattering"):
-            value = getattr(self, name)
-            _require(0 <= value < 1e6, name, value, "a number of at least 0")
-        low, high = self.scale_bounds
-        _require(
-            MIN_SCALE <= low <= high <= 1e6, "scale_bounds", self.scale_bounds, f"a rising pair from {MIN_SCALE:g} m"
-        )
+    _section: ClassVar[str] = "densification."
 
-    def as_dict(self) -> dict[str, Any]:
-        """Plain JSON data."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> Config:
-        """Undo `as_dict`.
-
-        Raises
-        ------
-        SarsplatError
-            If a field is missing or unknown.
-        """
-        try:
-            known = {f.name for f in fields(cls)}
-            if set(data) != known:
-                raise TypeError(f"fields {sorted(set(data) ^ known)} missing or unknown")
-            nested = {
-                "rates": Rates(**data["rates"]),
-                "points": PointExtraction(**data["points"]),
-                "densification": Densification(**data["densification"]) if data["densification"] else None,
-                "surroundings": _surroundings(data["surroundings"]) if data["surroundings"] else None,
-                "scale_bounds": tuple(data["scale_bounds"]),
-            }
-            return cls(**{**data, **nested})
-        except (TypeError, KeyError, AttributeError) as error:
-            raise SarsplatError(
-                f"the configuration does not fit this version ({shown(str(error))}); start the run again"
-            ) from error
+    start: Iteration = 10_000
+    stop: Iteration = 25_000
+    every: Count = 500
+    gradient: NotNegative = 0.003
+    split_above_m: NotNegative = 0.1
+    max_extent: NotNegative = 0.3
+    min_scattering: NotNegative = 0.005
+    max_gaussians: Count = 60_000
 
 
-def _surroundings(data: dict[str, Any]) -> Surroundings:
-    return Surroundings(**{**data, "target_low": tuple(data["target_low"]), "target_high": tuple(data["target_high"])})
+@dataclass(frozen=True)
+class PointExtraction(Record):
+    """How a point cloud is drawn from the Gaussians.
+
+    Parameters
+    ----------
+    method : str
+        "rays": where rays of the training views return; "centres": centres of Gaussians.
+    optical_depth : float
+        Two-way depth at which a ray has returned ("rays"), or smallest κ of a centre ("centres").
+    voxel_m : float
+        One point in each voxel of this side, m.
+    min_height_m : float
+        Lower points are taken for the ground and left out, m.
+    seen_through : int
+        A point is dropped when this many views have their return behind it ("rays") …
+    behind_m : float
+        … by more than this, m.
+    cluster_radius_m : float or None
+        Only the largest cluster (DBSCAN with this ε, m) is kept; None: all of them.
+    cluster_size : int
+        Neighbours that a point inside a cluster has at least.
+    """
+
+    _section: ClassVar[str] = "points."
+
+    method: Literal["rays", "centres"] = "rays"
+    optical_depth: NotNegative = 0.6
+    voxel_m: Positive = 0.05
+    min_height_m: Number = 0.0
+    seen_through: Count = 3
+    behind_m: NotNegative = 0.1
+    cluster_radius_m: Positive | None = None
+    cluster_size: Count = 10
 
 
-_DEFAULT = Config(
-    preset="default",
-    iterations=1000,
-    views_per_step=8,
-    gaussians=15_000,
-    initialisation="box",
-    loss="amplitude",
-    ssim_weight=0.0,
-    scattering="harmonics",
-    p_min=0.03,
-    initial_scale=0.08,
-    initial_optical_depth=0.1,
-    initial_scattering=0.5,
-    scale_bounds=(0.01, 0.3),
-    most_optical_depth=10.0,
-    harmonics_degree=3,
-    harmonics_every=200,
-    rays_per_pixel=2.0,
-    rates=Rates(),
-    points=PointExtraction("rays", optical_depth=0.6, voxel=0.05),
-)
+@dataclass(frozen=True)
+class Surroundings(Record):
+    """What images of a target on the ground hold besides it: ground, noise floor, shift and gain of each chip.
 
-PRESETS: dict[str, Config] = {
-    # what measures best on noise-free images
-    "default": _DEFAULT,
-    # the paper's training, as far as it is stated (docs/paper-map.md)
-    "paper": replace(
-        _DEFAULT,
-        preset="paper",
-        iterations=30_000,
-        views_per_step=1,
-        initialisation="hemisphere",
-        ssim_weight=0.2,
-        p_min=0.0,
-        harmonics_every=2500,
-        rates=Rates(
-            means=0.01,
-            means_end=0.0005,
-            log_scales=0.005,
-            quaternions=0.001,
-            scattering=0.01,
-            directional_scattering=0.0005,
-        ),
-        densification=Densification(
-            start=10_000,
-            stop=25_000,
-            every=500,
-            gradient=0.003,
-            split_above=0.1,
-            largest=0.3,
-            least_scattering=0.005,
-            most=60_000,
-        ),
-        points=PointExtraction("centres", optical_depth=0.01, voxel=0.02),
-        checkpoint_every=2500,
-    ),
-    # real chips: ground, noise floor, shift and gain of each chip, speckle likelihood. Large Gaussians average speckle;
-    # glints are 20 dB above the ground, so the harmonics must travel far.
-    "measured": replace(
-        _DEFAULT,
-        preset="measured",
-        iterations=600,
-        gaussians=12_000,
-        loss="speckle",
-        p_min=0.2,
-        initial_scale=0.25,
-        initial_scattering=1.0,
-        scale_bounds=(0.2, 0.7),
-        harmonics_every=50,
-        rates=Rates(means=0.05, scattering=0.4, directional_scattering=0.4),
-        points=PointExtraction(
-            "rays", 0.7, voxel=0.1, least_height=0.5, behind=0.2, cluster_radius=0.3, cluster_size=10
-        ),
-        surroundings=Surroundings(
-            ground_radius=19.0,
-            target_low=(-4.5, -2.5, 0.0),
-            target_high=(6.5, 2.5, 3.0),
-            noise_floor=0.05,
-            deviation_penalty=0.01,
-        ),
-    ),
-}
-"""Known presets by name."""
+    Parameters
+    ----------
+    ground_radius : float
+        Radius of the ground, m; must cover the image at every rotation.
+    target_low : tuple of float
+        Lower corner of the box in which the target may lie, m.
+    target_high : tuple of float
+        Upper corner, m.
+    noise_floor : float
+        Additive power at the start, in units of the training mean, as `p_min` and every γ⁰.
+    deviation_penalty : float
+        Nats per pixel, per m² of shift and squared logarithm of the gain.
+    """
+
+    _section: ClassVar[str] = "surroundings."
+
+    ground_radius: Positive = 19.0
+    target_low: tuple[Number, Number, Number] = (-4.5, -2.5, 0.0)
+    target_high: tuple[Number, Number, Number] = (6.5, 2.5, 3.0)
+    noise_floor: Positive = 0.05
+    deviation_penalty: NotNegative = 0.01
 
 
-def preset(name: str) -> Config:
-    """The preset of that name.
+@dataclass(frozen=True)
+class Config(Record):
+    """Everything a reconstruction depends on, besides the dataset; the defaults are the preset `default`.
+
+    Parameters
+    ----------
+    preset : str
+        Name of the preset these settings began as; decides nothing.
+    iterations : int
+        Training steps.
+    views_per_step : int
+        Images compared in one step.
+    gaussians : int
+        Gaussians at the start.
+    initialisation : str
+        Start in the box that the images bound ("box"), or on the paper's hemisphere ("hemisphere").
+    loss : str
+        "amplitude": L1 and SSIM of amplitudes; "speckle": likelihood of single-look speckle.
+    ssim_weight : float
+        Share of SSIM in the loss on amplitudes.
+    scattering : str
+        Law of scattering: "harmonics" or "normal-lobes".
+    p_min : float
+        Smallest γ⁰ that a Gaussian may have.
+    initial_scale_m : float
+        Standard deviation of a Gaussian at the start, m.
+    initial_optical_depth : float
+        Two-way peak optical depth of a Gaussian at the start.
+    initial_scattering : float
+        γ⁰ of a Gaussian at the start.
+    scale_bounds_m : tuple of float
+        Smallest and largest standard deviation that a Gaussian may have, m.
+    max_optical_depth : float
+        Largest two-way peak optical depth that a Gaussian may have.
+    harmonics_degree : int
+        Highest degree of the spherical harmonics.
+    harmonics_every : int
+        Iterations after which the next degree joins in.
+    rays_per_pixel : float
+        Rays per pixel spacing: accuracy of the images, and time.
+    rates : Rates
+        Learning rates.
+    points : PointExtraction
+        How the point cloud is drawn.
+    densification : Densification or None
+        Density control; None: the number of Gaussians stays.
+    surroundings : Surroundings or None
+        Ground and noise; None: images of nothing but the target.
+    checkpoint_every : int
+        Iterations between two checkpoints.
+    seed : int
+        Seed of everything random.
 
     Raises
     ------
     SarsplatError
-        If there is none.
+        If a value is of another type, or outside its range.
     """
-    if name not in PRESETS:
-        raise SarsplatError(f"preset {name!r} is unknown; choose one of {', '.join(PRESETS)}")
-    return PRESETS[name]
+
+    preset: str = "default"
+    iterations: Count = 1000
+    views_per_step: Count = 8
+    gaussians: Count = 15_000
+    initialisation: Literal["box", "hemisphere"] = "box"
+    loss: Literal["amplitude", "speckle"] = "amplitude"
+    ssim_weight: NotNegative = 0.0
+    scattering: ScatteringName = "harmonics"
+    p_min: NotNegative = 0.03
+    initial_scale_m: Positive = 0.08
+    initial_optical_depth: Positive = 0.1
+    initial_scattering: NotNegative = 0.5
+    scale_bounds_m: tuple[Scale, Scale] = (0.01, 0.3)
+    max_optical_depth: Positive = 10.0
+    harmonics_degree: Degree = 3
+    harmonics_every: Count = 200
+    rays_per_pixel: Positive = 2.0
+    rates: Rates = Rates()
+    points: PointExtraction = PointExtraction()
+    densification: Densification | None = None
+    surroundings: Surroundings | None = None
+    checkpoint_every: Count = 500
+    seed: Seed = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.scale_bounds_m[0] > self.scale_bounds_m[1]:
+            raise SarsplatError(f"scale_bounds_m is {shown(self.scale_bounds_m)}; give the smaller one first")

@@ -20,10 +20,10 @@ _SPLIT_SHRINK = 1.6
 class DensityControl:
     """Gathers gradients on the planes and, every so often, decides which Gaussians come and go."""
 
-    def __init__(self, config: Densification, count: int) -> None:
+    def __init__(self, config: Densification, count: int, device: torch.device | str = "cpu") -> None:
         self._config = config
-        self.gradient = torch.zeros(count)  # sums over the views that lit a Gaussian
-        self.seen = torch.zeros(count)
+        self.gradient = torch.zeros(count, device=device)  # sums over the views that lit a Gaussian
+        self.seen = torch.zeros(count, device=device)
 
     def wanted(self, iteration: int) -> bool:
         """Whether gradients of this iteration count."""
@@ -57,7 +57,7 @@ class DensityControl:
         illuminated_range : float
             Extent of the image in range, m.
         generator : torch.Generator
-            Places the parts of split Gaussians.
+            Of the CPU; places the parts of split Gaussians.
 
         Returns
         -------
@@ -71,32 +71,32 @@ class DensityControl:
             Factor on its standard deviations.
         """
         c = self._config
-        n = len(gaussians)
+        n, device = len(gaussians), gaussians.means.device
         size = gaussians.scales.max(dim=1).values
         # the part that is the same in all directions: what a law without its details says in any of them
         plain = replace(gaussians, scattering=gaussians.scattering.detailed(0))
         scattering = plain.gamma0(gaussians.means.new_tensor([[0.0, 0.0, 1.0]]))[0]
-        pruned = (scattering * -torch.expm1(-gaussians.optical_depth) < c.least_scattering) | (
-            size > c.largest * illuminated_range
+        pruned = (scattering * -torch.expm1(-gaussians.optical_depth) < c.min_scattering) | (
+            size > c.max_extent * illuminated_range
         )
         grows = (self.gradient / self.seen.clamp(min=1) > c.gradient) & ~pruned
-        room = max(0, c.most - n)
+        room = max(0, c.max_gaussians - n)
         if int(grows.sum()) > room:  # the strongest first
             strongest = torch.where(grows, self.gradient / self.seen.clamp(min=1), 0.0).argsort(
                 descending=True, stable=True
             )
             grows = torch.zeros_like(grows).index_fill(0, strongest[:room], True)
-        split = grows & (size > c.split_above)
+        split = grows & (size > c.split_above_m)
         stay = (~pruned & ~split).nonzero()[:, 0]
         clones = (grows & ~split).nonzero()[:, 0]
         parts = split.nonzero()[:, 0].repeat(2)
-        offset = torch.randn(len(parts), 3, generator=generator) * gaussians.scales[parts]
+        offset = torch.randn(len(parts), 3, generator=generator).to(device) * gaussians.scales[parts]
         offset = (rotation_matrix(gaussians.quaternions[parts]) @ offset[:, :, None])[:, :, 0]
         source = torch.cat([stay, clones, parts])
-        kept = torch.arange(len(source)) < len(stay)
-        displacement = torch.zeros(len(source), 3)
+        kept = torch.arange(len(source), device=device) < len(stay)
+        displacement = torch.zeros(len(source), 3, device=device)
         displacement[len(stay) + len(clones) :] = offset
-        shrink = torch.ones(len(source))
+        shrink = torch.ones(len(source), device=device)
         shrink[len(stay) + len(clones) :] = 1 / _SPLIT_SHRINK
-        self.gradient, self.seen = torch.zeros(len(source)), torch.zeros(len(source))
+        self.gradient, self.seen = torch.zeros(2, len(source), device=device)
         return source, kept, displacement, shrink

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
+from functools import lru_cache
 
 import torch
-from jaxtyping import Float, Float32
+from jaxtyping import Float
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from sarsplat.errors import SarsplatError
-from sarsplat.renderer import cpu
+from sarsplat.reconstruction import fused
 
 FLOOR = 1e-3
 """Amplitudes are softened below this share of the reference: the root has no slope at zero."""
@@ -20,26 +18,26 @@ SSIM_WINDOW = 11
 SSIM_SIGMA = 1.5
 C1, C2 = 0.01**2, 0.03**2
 
-_WINDOW = torch.tensor(
-    [math.exp(-((k - SSIM_WINDOW // 2) ** 2) / (2 * SSIM_SIGMA**2)) for k in range(SSIM_WINDOW)], dtype=torch.float64
-)
-_WEIGHTS = (_WINDOW / _WINDOW.sum()).float()
+_OFFSETS = torch.arange(SSIM_WINDOW, dtype=torch.float64) - SSIM_WINDOW // 2
+_WINDOW = torch.softmax(-(_OFFSETS**2) / (2 * SSIM_SIGMA**2), dim=0)
 
 
 def amplitude_loss(
-    power: Float32[Tensor, "v rows columns"],
-    truth: Float32[Tensor, "v rows columns"],
+    power: Float[Tensor, "v rows columns"],
+    truth: Float[Tensor, "v rows columns"],
     reference: float,
     ssim_weight: float,
-) -> Float32[Tensor, ""]:
-    """(1 − λ)·L1 + λ·(1 − SSIM) on amplitude, √(power / reference² + ε²) − ε; value and gradient in one engine call.
+) -> Float[Tensor, ""]:
+    """(1 − λ)·L1 + λ·(1 − SSIM) on amplitude, √(power / reference² + ε²) − ε.
+
+    float32 on the CPU is one call of the engine, anything else plain torch.
 
     Parameters
     ----------
     power : Tensor [V, rows, columns]
         Rendered β⁰; differentiable.
     truth : Tensor [V, rows, columns]
-        True amplitude, already divided by the reference.
+        True amplitude, already divided by the reference; of the same dtype and on the same device.
     reference : float
         Amplitude that counts as 1: the largest of the training set.
     ssim_weight : float
@@ -50,36 +48,56 @@ def amplitude_loss(
     SarsplatError
         If the two do not fit together, or SSIM is asked for and the images are smaller than its window.
     """
-    for name, tensor in (("power", power), ("truth", truth)):  # the engine reads their memory as such
-        if tensor.shape != power.shape or tensor.dtype != torch.float32 or tensor.device.type != "cpu":
-            raise SarsplatError(
-                f"{name} is {tensor.dtype} {tuple(tensor.shape)} on {tensor.device}; the loss takes torch.float32 on "
-                f"the CPU, both of shape {tuple(power.shape)}"
-            )
+    if truth.shape != power.shape or truth.dtype != power.dtype or truth.device != power.device:
+        raise SarsplatError(
+            f"truth is {truth.dtype} {tuple(truth.shape)} on {truth.device}; it must be {power.dtype} "
+            f"{tuple(power.shape)} on {power.device}, as the power that it is compared with"
+        )
     if ssim_weight > 0 and min(power.shape[1:]) < SSIM_WINDOW:
         raise SarsplatError(
             f"SSIM needs images of at least {SSIM_WINDOW} × {SSIM_WINDOW} pixels, and these have "
             f"{power.shape[1]} × {power.shape[2]}; take larger ones or a preset without SSIM"
         )
-    return _AmplitudeLoss.apply(power, truth, reference, ssim_weight)
+    if fused.takes((power, truth)):
+        return fused.AmplitudeLoss.apply(power, truth, _WINDOW.float(), reference, FLOOR, ssim_weight, C1, C2)
+    return plain_amplitude_loss(power, truth, reference, ssim_weight)
 
 
-class _AmplitudeLoss(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, power: Tensor, truth: Tensor, reference: float, ssim_weight: float) -> Tensor:
-        power, truth = power.contiguous(), truth.contiguous()
-        value, gradient = power.new_empty(()), torch.empty_like(power)
-        pointers = (tensor.data_ptr() for tensor in (power, truth, _WEIGHTS))
-        numbers = (reference, FLOOR, ssim_weight, C1, C2)
-        cpu.Pass().amplitude_loss(cpu.Loss(*power.shape, *pointers, *numbers, value.data_ptr(), gradient.data_ptr()))
-        ctx.save_for_backward(gradient)
-        return value
+def plain_amplitude_loss(
+    power: Float[Tensor, "v rows columns"],
+    truth: Float[Tensor, "v rows columns"],
+    reference: float,
+    ssim_weight: float,
+) -> Float[Tensor, ""]:
+    """`amplitude_loss` in plain torch, for any device and floating dtype."""
+    rendered = (power / reference**2 + FLOOR**2).sqrt() - FLOOR
+    absolute = _mean((rendered - truth).abs())
+    if ssim_weight == 0:
+        return absolute
+    return (1 - ssim_weight) * absolute + ssim_weight * (1 - structural_similarity(rendered, truth))
 
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
-        (gradient,) = ctx.saved_tensors
-        return gradient * slope, None, None, None
+
+def structural_similarity(a: Float[Tensor, "v rows columns"], b: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
+    """Mean SSIM of images in [0, 1] where the window fits whole."""
+    mean_a, mean_b, aa, bb, ab = (_blurred(maps) for maps in (a, b, a * a, b * b, a * b))
+    var_a, var_b, cov = aa - mean_a**2, bb - mean_b**2, ab - mean_a * mean_b
+    similarity = (2 * mean_a * mean_b + C1) * (2 * cov + C2)
+    return _mean(similarity / ((mean_a**2 + mean_b**2 + C1) * (var_a + var_b + C2)))
+
+
+def _blurred(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, "v fewer_rows fewer_columns"]:
+    """Seen through the window. Matrix products, because a GPU's convolutions would round to TF32."""
+    rows, columns = (_window_matrix(size, images.dtype, images.device) for size in images.shape[1:])
+    return rows.T @ (images @ columns)
+
+
+@lru_cache(maxsize=16)
+def _window_matrix(size: int, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "{size} {size-10}"]:
+    """A window in every column, each one further down."""
+    matrix = torch.zeros(size, size - SSIM_WINDOW + 1, dtype=torch.float64)
+    for k, weight in enumerate(_WINDOW.tolist()):
+        matrix.diagonal(-k).fill_(weight)
+    return matrix.to(device, dtype)
 
 
 def speckle_loss(

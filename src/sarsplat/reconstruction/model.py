@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
@@ -50,12 +50,22 @@ class SceneModel:
         Power that counts as 1: every γ⁰, the noise floor and P_min are in this unit (`power_unit`).
     parameters : dict of str to Tensor
         See `PER_GAUSSIAN`; with `config.surroundings` also `ground`, `noise`, `shift` [V, 2] and `log_gain` [V].
+    device : torch.device or str
+        Where the parameters are copied to, and rendered.
     """
 
-    def __init__(self, config: Config, region: Region, unit: float, parameters: dict[str, Tensor]) -> None:
+    def __init__(
+        self,
+        config: Config,
+        region: Region,
+        unit: float,
+        parameters: dict[str, Tensor],
+        device: torch.device | str = "cpu",
+    ) -> None:
         self.config = config
         self.region = region
         self.unit = unit
+        self.device = torch.device(device)
         n = len(parameters["means"])
         self._law = _law(config, 1, 0.0)
         columns = self._law.parameters.shape[1:]
@@ -65,15 +75,20 @@ class SceneModel:
             if parameters[name].dtype != torch.float32 or len(parameters[name]) != n:
                 raise ValueError(f"{name} is {parameters[name].dtype} {list(parameters[name].shape)}")
         self.parameters = {
-            name: tensor.detach().clone(memory_format=torch.contiguous_format).requires_grad_()
+            name: tensor.detach().to(device, copy=True, memory_format=torch.contiguous_format).requires_grad_()
             for name, tensor in parameters.items()
         }
         around = config.surroundings
-        self._ground = ground_sheet(around.ground_radius, _GROUND_PITCH) if around else None
+        self._ground = ground_sheet(around.ground_radius, _GROUND_PITCH).to(self.device) if around else None
 
     @classmethod
-    def initial(cls, config: Config, dataset: Dataset, generator: torch.Generator) -> SceneModel:
-        """The state training starts from; warns if a given region leaves out a part of the true target."""
+    def initial(
+        cls, config: Config, dataset: Dataset, generator: torch.Generator, device: torch.device | str = "cpu"
+    ) -> SceneModel:
+        """The state training starts from; warns if a given region leaves out a part of the true target.
+
+        `generator` is one of the CPU: a seed starts alike on every device.
+        """
         region, unit = scene_region(config, dataset), power_unit(config, dataset)
         if config.surroundings:
             warn(_cut_off(region, dataset))
@@ -82,7 +97,7 @@ class SceneModel:
         parameters = {
             "means": torch.from_numpy(sample(region, n, generator)).float(),
             "quaternions": random_quaternions(n, generator),
-            "scales": torch.full((n, 3), config.initial_scale),
+            "scales": torch.full((n, 3), config.initial_scale_m),
             "optical_depth": torch.full((n,), config.initial_optical_depth),
             "scattering": _law(config, n, config.initial_scattering).parameters,
         }
@@ -96,7 +111,7 @@ class SceneModel:
                 "shift": torch.zeros(views, 2),
                 "log_gain": torch.zeros(views),
             }
-        return cls(config, region, unit, parameters)
+        return cls(config, region, unit, parameters, device)
 
     def __len__(self) -> int:
         return self.parameters["means"].shape[0]
@@ -129,7 +144,7 @@ class SceneModel:
         degree: int,
         *,
         rays: RayGrid | None = None,
-        chips: Sequence[int] | None = None,
+        chips: Int64[Tensor, " v"] | None = None,
         plane_gradients: bool = False,
     ) -> tuple[Float[Tensor, "v {grid.rows} {grid.columns}"], Rendering]:
         """Power images [V, rows, columns] with noise floor, and the rendering behind them.
@@ -143,8 +158,8 @@ class SceneModel:
             grid = self._widened(grid)
         if self.config.surroundings and chips is not None:
             # deviations from the mean chip: an unseen view is rendered as the mean one
-            shift = (p["shift"] - p["shift"].mean(0))[list(chips)]
-            gain = torch.softmax(p["log_gain"], dim=0)[list(chips)] * len(p["log_gain"])  # of mean 1
+            shift = (p["shift"] - p["shift"].mean(0))[chips]
+            gain = torch.softmax(p["log_gain"], dim=0)[chips] * len(p["log_gain"])  # of mean 1
         rendering = render(
             self.scene(degree), views, grid, rays=rays, shift=shift, gain=gain, plane_gradients=plane_gradients
         )
@@ -172,13 +187,13 @@ class SceneModel:
     def bounds(self) -> dict[str, tuple[Tensor, Tensor]]:
         """Least and largest values of parameters that have any, by name; one number, or one for each column."""
         config = self.config
-        low, high = (torch.from_numpy(corner).float() for corner in (self.region.low, self.region.high))
+        low, high = (torch.from_numpy(corner).float().to(self.device) for corner in (self.region.low, self.region.high))
         if config.initialisation == "hemisphere":  # the shell reaches beyond the region
             half = (high - low).norm() / 2
             centre = (low + high) / 2
             low, high = torch.minimum(low, centre - half), torch.maximum(high, centre + half)
-        scales = torch.tensor(config.scale_bounds).clamp(min=MIN_SCALE)
-        depths = torch.tensor([_LEAST_OPTICAL_DEPTH, config.most_optical_depth])
+        scales = torch.tensor(config.scale_bounds_m, device=self.device).clamp(min=MIN_SCALE)
+        depths = torch.tensor([_LEAST_OPTICAL_DEPTH, config.max_optical_depth], device=self.device)
         return {
             "means": (low - _SLACK, high + _SLACK),
             "scales": (scales[0], scales[1]),

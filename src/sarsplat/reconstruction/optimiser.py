@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 from jaxtyping import Int64
 from torch import Tensor
 
+from sarsplat.reconstruction import adam, fused
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.model import LOGARITHMIC, PER_GAUSSIAN
-from sarsplat.renderer import cpu
 
-_BETA1, _BETA2, _EPSILON = 0.9, 0.99, 1e-15
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 _UNBOUNDED = (torch.tensor(-torch.inf), torch.tensor(torch.inf))
 
@@ -21,6 +22,8 @@ def learning_rate(name: str, column: int, config: Config) -> float:
         return config.rates.directional_scattering
     if name in LOGARITHMIC:
         return getattr(config.rates, f"log_{name}")
+    if name == "means":
+        return config.rates.means_m
     return getattr(config.rates, name if name in PER_GAUSSIAN else "nuisance")
 
 
@@ -28,17 +31,20 @@ def decay(name: str, iteration: int, config: Config) -> float:
     """Factor on a parameter's rates: of means it falls exponentially throughout, else tenfold over the second half."""
     done = iteration / config.iterations
     if name == "means":
-        return (config.rates.means_end / config.rates.means) ** done
+        return (config.rates.means_end_m / config.rates.means_m) ** done
     return 0.1 ** max(0.0, 2 * done - 1)
 
 
 class Optimiser:
-    """One Adam for all parameters, in one call of the engine; its moments are saved, restored and re-indexed with them.
+    """Adam for all parameters of a training; its moments are saved, restored and re-indexed with them.
+
+    On the CPU a step is one call of the engine, elsewhere it is plain torch.
 
     Parameters
     ----------
     parameters : dict of str to Tensor
-        Leaves, float32 and contiguous, of at most 16 columns; stepped in place, some of them by their logarithm.
+        Leaves, float32, contiguous and on one device, of at most 16 columns; stepped in place, some of them by their
+        logarithm.
     bounds : dict of str to (Tensor, Tensor)
         Range that a parameter is brought back into after each step: two numbers, or two for each column.
     config : Config
@@ -53,32 +59,27 @@ class Optimiser:
             for name, tensor in parameters.items()
             for moment in _MOMENTS
         }
-        self._groups = (cpu.AdamGroup * len(parameters))()  # as the engine sees them
-        for group, (name, tensor) in zip(self._groups, parameters.items()):
-            group.value = tensor.data_ptr()
-            group.mean, group.square = (self._moments[f"{name}/{moment}"].data_ptr() for moment in _MOMENTS)
-            group.rows, group.columns = len(tensor), tensor[0].numel()
-            group.logarithmic = name in LOGARITHMIC
-            group.rate[: group.columns] = [learning_rate(name, column, config) for column in range(group.columns)]
-            low, high = bounds.get(name, _UNBOUNDED)
-            group.low[: group.columns] = low.expand(group.columns).tolist()
-            group.high[: group.columns] = high.expand(group.columns).tolist()
+        tensors = [self._stepped(name, tensor) for name, tensor in parameters.items()]
+        self._adam = fused.Adam(tensors).step if fused.takes(parameters.values()) else partial(adam.step, tensors)
+
+    def _stepped(self, name: str, tensor: Tensor) -> adam.Stepped:
+        mean, square = (self._moments[f"{name}/{moment}"] for moment in _MOMENTS)
+        columns = tensor[0].numel()
+        rates = tensor.new_tensor([learning_rate(name, column, self._config) for column in range(columns)])
+        bounds = self._bounds.get(name, _UNBOUNDED)
+        low, high = (bound.to(tensor).expand(columns) for bound in bounds)
+        return adam.Stepped(tensor, mean, square, rates, low, high, name in LOGARITHMIC)
 
     def step(self, iteration: int) -> None:
         """One update, with the rates of this iteration; gradients are cleared."""
         self._steps += 1
-        gradients = []  # kept alive until the call is over
-        for group, (name, tensor) in zip(self._groups, self._parameters.items()):
+        gradients = []
+        for name, tensor in self._parameters.items():
             if tensor.grad is None:
                 raise ValueError(f"{name} has no gradient")
-            gradients.append(tensor.grad.contiguous())
-            group.gradient = gradients[-1].data_ptr()
-            group.decay = decay(name, iteration, self._config)
+            gradients.append(tensor.grad)
             tensor.grad = None
-        powers = _BETA1**self._steps, _BETA2**self._steps
-        cpu.adam(cpu.AdamStep(self._groups, len(self._groups), _BETA1, _BETA2, _EPSILON, *powers))
-        # the engine wrote behind torch's back: whoever kept the old values for a backward pass is told
-        torch.autograd.graph.increment_version(list(self._parameters.values()))
+        self._adam(gradients, [decay(name, iteration, self._config) for name in self._parameters], self._steps)
 
     def rebuild(self, parameters: dict[str, Tensor], source: Int64[Tensor, " n"]) -> Optimiser:
         """The optimiser of parameters whose rows changed.

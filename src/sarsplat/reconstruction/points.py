@@ -25,7 +25,7 @@ def extract_points(
     Parameters
     ----------
     gaussians : Gaussians
-        The target alone.
+        The target alone, on any device.
     views : sequence of View
         Views whose rays look for the surface ("rays").
     grid : ImageGrid
@@ -40,16 +40,16 @@ def extract_points(
     """
     gaussians = gaussians.detach()
     if how.method == "centres":
-        points = gaussians.means[gaussians.optical_depth >= how.optical_depth].double().numpy()
-        points = _thin(points[points[:, 2] >= how.least_height], how.voxel)
+        points = gaussians.means[gaussians.optical_depth >= how.optical_depth].double().cpu().numpy()
+        points = _thin(points[points[:, 2] >= how.min_height_m], how.voxel_m)
     else:
         returns = [_FirstReturns.of(gaussians, view, grid, how.optical_depth) for view in views]
         points = np.concatenate([found.points() for found in returns])
-        points = _thin(points[points[:, 2] >= how.least_height], how.voxel)
+        points = _thin(points[points[:, 2] >= how.min_height_m], how.voxel_m)
         # haze that one view takes for a surface is looked through by others
-        through = sum((found.behind(points, how.behind).astype(int) for found in returns), np.zeros(len(points), int))
+        through = sum((found.behind(points, how.behind_m).astype(int) for found in returns), np.zeros(len(points), int))
         points = points[through < how.seen_through]
-    return points if how.cluster_radius is None else _cluster(points, how.cluster_radius, how.cluster_size)
+    return points if how.cluster_radius_m is None else _cluster(points, how.cluster_radius_m, how.cluster_size)
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class _FirstReturns:
     def of(cls, gaussians: Gaussians, view: View, grid: ImageGrid, optical_depth: float) -> _FirstReturns:
         rays = RayGrid.for_image(grid, _RAYS_PER_PIXEL)
         (ray_map,) = render(gaussians, [view], grid, rays=rays, first_return_depth=optical_depth).ray_maps or ()
-        ranges = ray_map.first_return.double().numpy()
+        ranges = ray_map.first_return.double().cpu().numpy()
         return cls(radar_frame(view), ranges, np.array(ray_map.origin), np.array(rays.spacing_m))
 
     def points(self) -> Float64[np.ndarray, "p 3"]:

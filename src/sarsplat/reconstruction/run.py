@@ -119,10 +119,8 @@ class Run:
             )
         if not isinstance(data.get("dataset"), str) or not isinstance(data.get("dataset_fingerprint"), str):
             raise SarsplatError(f"{header} does not name its dataset; reconstruct it again")
-        config = data.get("config")
-        if not isinstance(config, dict):
-            raise SarsplatError(f"{header} holds no configuration; reconstruct it again")
-        return cls(path, Path(data["dataset"]), data["dataset_fingerprint"], Config.from_dict(config))
+        config = Config.from_dict(data.get("config"), str(header))
+        return cls(path, Path(data["dataset"]), data["dataset_fingerprint"], config)
 
     @cached_property
     def dataset(self) -> Dataset:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from jaxtyping import Float32
 from torch import Tensor
 
 from sarsplat.data import Dataset, new_folder, save_checkpoint, write_bytes
@@ -38,10 +39,26 @@ _FAINTEST = 1e-30
 
 
 class Trainer:
-    """The state of a training and how it advances by one step."""
+    """The state of a training and how it advances by one step.
 
-    def __init__(self, dataset: Dataset, config: Config) -> None:
+    Parameters
+    ----------
+    dataset : Dataset
+        Its training images are learned from.
+    config : Config
+        How.
+    device : torch.device or str
+        Where everything is computed and stays; a seed starts alike on every device.
+
+    Raises
+    ------
+    SarsplatError
+        If the training images are black.
+    """
+
+    def __init__(self, dataset: Dataset, config: Config, device: torch.device | str = "cpu") -> None:
         self.config = config
+        self.device = torch.device(device)
         self.grid = dataset.grid
         self.views = [item.view for item in dataset.select("train")]
         power = torch.from_numpy(dataset.images("train"))
@@ -51,28 +68,31 @@ class Trainer:
                 "simulate or import again"
             )
         self._reference = math.sqrt(float(power.max()))
-        self._truth = power.sqrt() / self._reference if config.loss == "amplitude" else power
+        self._truth = (power.sqrt() / self._reference if config.loss == "amplitude" else power).to(self.device)
+        self._numbers = torch.arange(len(self.views), device=self.device)
         self._rays = RayGrid.for_image(self.grid, config.rays_per_pixel)
         self._generator = torch.Generator().manual_seed(config.seed)
-        self.model = SceneModel.initial(config, dataset, self._generator)
+        self.model = SceneModel.initial(config, dataset, self._generator, self.device)
         self.optimiser = Optimiser(self.model.parameters, self.model.bounds, config)
-        self.density = DensityControl(config.densification, len(self.model)) if config.densification else None
+        self.density = (
+            DensityControl(config.densification, len(self.model), self.device) if config.densification else None
+        )
         self.iteration = 0
         self._queue: list[int] = []
 
-    def step(self) -> float:
-        """One step of Adam on a few views; returns the loss."""
-        chips = self._next_views()
+    def step(self) -> Float32[Tensor, ""]:
+        """One step of Adam on a few views; returns the loss, still on the device: nothing waits for a GPU."""
+        chosen = self._next_views()
         gather = self.density is not None and self.density.wanted(self.iteration)
         images, rendering = self.model.render(
-            [self.views[i] for i in chips],
+            [self.views[i] for i in chosen],
             self.grid,
             self.model.degree(self.iteration),
             rays=self._rays,
-            chips=chips,
+            chips=torch.stack([self._numbers[i] for i in chosen]),
             plane_gradients=gather,
         )
-        truth = torch.stack([self._truth[i] for i in chips])  # much faster than an index
+        truth = torch.stack([self._truth[i] for i in chosen])  # much faster than an index
         if self.config.loss == "amplitude":
             loss = amplitude_loss(images, truth, self._reference, self.config.ssim_weight)
         else:
@@ -85,7 +105,7 @@ class Trainer:
         self.iteration += 1
         if self.density is not None and self.density.due(self.iteration):
             self._densify(self.density)
-        return float(loss.detach())
+        return loss.detach()
 
     def _next_views(self) -> list[int]:
         """Every view once in a random order, then again."""
@@ -106,12 +126,12 @@ class Trainer:
             }
             parameters["means"] = parameters["means"] + displacement
             parameters["scales"] = parameters["scales"] * shrink[:, None]
-        self.model = SceneModel(self.config, self.model.region, self.model.unit, parameters)
+        self.model = SceneModel(self.config, self.model.region, self.model.unit, parameters, self.device)
         self.model.constrain()
         self.optimiser = self.optimiser.rebuild(self.model.parameters, torch.where(kept, source, -1))
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Everything the next step depends on: tensors, and JSON."""
+        """Everything the next step depends on: tensors, on whatever device they are, and JSON."""
         tensors = {f"model/{name}": tensor.detach() for name, tensor in self.model.parameters.items()}
         tensors |= {f"optimiser/{name}": tensor for name, tensor in self.optimiser.state().items()}
         tensors["generator"] = self._generator.get_state()
@@ -120,17 +140,19 @@ class Trainer:
         return tensors, {"iteration": self.iteration, "queue": self._queue}
 
     def load_state(self, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
-        """Undo `state`."""
+        """Undo `state`, of a training on any device."""
 
         def part(prefix: str) -> dict[str, Tensor]:
             return {name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)}
 
-        self.model = SceneModel(self.config, self.model.region, self.model.unit, part("model/"))
+        self.model = SceneModel(self.config, self.model.region, self.model.unit, part("model/"), self.device)
         self.optimiser = Optimiser(self.model.parameters, self.model.bounds, self.config)
         self.optimiser.load_state(part("optimiser/"))
         self._generator.set_state(tensors["generator"])
         if self.density:
-            self.density.gradient, self.density.seen = tensors["density/gradient"], tensors["density/seen"]
+            self.density.gradient, self.density.seen = (
+                tensors[f"density/{name}"].to(self.device) for name in ("gradient", "seen")
+            )
         self.iteration, self._queue = int(state["iteration"]), [int(k) for k in state["queue"]]
         if not all(0 <= k < len(self.views) for k in self._queue):
             raise ValueError("it queues views that are not there")
@@ -236,13 +258,13 @@ def _train(
     """Step until so many iterations are done or Ctrl-C came; log, show and save on the way, and save at the end."""
     config = trainer.config
     every = max(1, config.iterations // _LINES_PER_RUN)
-    total, count = 0.0, 0
+    total, count = torch.zeros((), dtype=torch.float64, device=trainer.device), 0
     stop = trainer.iteration >= iterations or interrupted()
     while not stop:
         total, count = total + trainer.step(), count + 1
         stop = trainer.iteration >= iterations or interrupted()
         if trainer.iteration % every == 0 or trainer.iteration == config.iterations:
-            loss = total / count
+            loss = float(total) / count
             _require_finite(loss, trainer.iteration)
             line = {
                 "iteration": trainer.iteration,
@@ -253,7 +275,7 @@ def _train(
             with plain_os_errors("write", run.log_path), run.log_path.open("a") as file:
                 file.write(json.dumps(line) + "\n")
             shown.update(trainer.iteration, f"loss {loss:.3g}  {len(trainer.model)} Gaussians")
-            total, count = 0.0, 0
+            total, count = torch.zeros_like(total), 0
         if stop or trainer.iteration % config.checkpoint_every == 0:
             _save(trainer, run, time.monotonic() - begun)
 

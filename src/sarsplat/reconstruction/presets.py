@@ -1,0 +1,68 @@
+"""Presets: settings that go together, as data."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.reconstruction.config import Config, Densification, PointExtraction, Rates, Surroundings
+
+PRESETS: dict[str, Config] = {
+    # what measures best on noise-free images
+    "default": Config(),
+    # the paper's training, as far as it is stated (docs/paper-map.md)
+    "paper": Config(
+        preset="paper",
+        iterations=30_000,
+        views_per_step=1,
+        initialisation="hemisphere",
+        ssim_weight=0.2,
+        p_min=0.0,
+        harmonics_every=2500,
+        rates=Rates(
+            means_m=0.01,
+            means_end_m=0.0005,
+            log_scales=0.005,
+            quaternions=0.001,
+            scattering=0.01,
+            directional_scattering=0.0005,
+        ),
+        densification=Densification(),
+        points=PointExtraction("centres", optical_depth=0.01, voxel_m=0.02),
+        checkpoint_every=2500,
+    ),
+    # real chips: ground, noise floor, shift and gain of each chip, speckle likelihood. Large Gaussians average speckle;
+    # glints are 20 dB above the ground, so the harmonics must travel far.
+    "measured": Config(
+        preset="measured",
+        iterations=600,
+        gaussians=12_000,
+        loss="speckle",
+        p_min=0.2,
+        initial_scale_m=0.25,
+        initial_scattering=1.0,
+        scale_bounds_m=(0.2, 0.7),
+        harmonics_every=50,
+        rates=Rates(means_m=0.05, scattering=0.4, directional_scattering=0.4),
+        points=PointExtraction(
+            "rays", optical_depth=0.7, voxel_m=0.1, min_height_m=0.5, behind_m=0.2, cluster_radius_m=0.3
+        ),
+        surroundings=Surroundings(),
+    ),
+}
+"""Known presets by name."""
+
+
+def preset(name: str) -> Config:
+    """The preset of that name.
+
+    Raises
+    ------
+    SarsplatError
+        If there is none.
+    """
+    if name not in PRESETS:
+        near = get_close_matches(name, PRESETS, 1)
+        hint = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(PRESETS)}"
+        raise SarsplatError(f"preset {shown(name)} is unknown; {hint}")
+    return PRESETS[name]

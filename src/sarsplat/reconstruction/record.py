@@ -1,0 +1,108 @@
+"""Frozen records of settings that check every value against the type of its field, however they are made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from difflib import get_close_matches
+from types import UnionType
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+
+from sarsplat.errors import SarsplatError, shown
+
+
+@dataclass(frozen=True)
+class Record:
+    """Base of the records: `msgspec` holds each value against the annotation of its field, ranges included.
+
+    A whole number becomes a float and a list a tuple where the field is one.
+
+    Raises
+    ------
+    SarsplatError
+        If a value is of another type, or outside the range that the field allows.
+    """
+
+    _section: ClassVar[str] = ""
+    """What stands before the names of its fields in errors, such as ``rates.``."""
+
+    def __post_init__(self) -> None:
+        for name, hint in _hints(type(self)).items():
+            value = getattr(self, name)
+            try:
+                object.__setattr__(self, name, msgspec.convert(value, hint))
+            except msgspec.ValidationError as error:
+                raise SarsplatError(f"{self._section}{name} is {shown(value)}; it must be {_allowed(hint)}") from error
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain JSON data."""
+        return msgspec.to_builtins(self)
+
+    @classmethod
+    def from_dict(cls, data: object, source: str = "the configuration") -> Self:
+        """Undo `as_dict`.
+
+        Parameters
+        ----------
+        data : object
+            What the JSON holds.
+        source : str
+            What to call it in errors, e.g. the path of a file.
+
+        Raises
+        ------
+        SarsplatError
+            If a field is missing, unknown or not what it must be.
+        """
+        try:
+            return _read(data, cls)
+        except SarsplatError as error:
+            raise SarsplatError(f"{source}: {error}") from error
+
+
+R = TypeVar("R", bound=Record)
+
+
+def _hints(record: type) -> dict[str, Any]:
+    hints = get_type_hints(record, include_extras=True)
+    return {field.name: hints[field.name] for field in fields(record)}
+
+
+def _choices(hint: Any) -> tuple[Any, ...]:
+    """The parts of a union; else the type alone."""
+    return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+
+
+def _read(data: object, record: type[R]) -> R:
+    if not isinstance(data, dict):
+        raise SarsplatError(f"{shown(data)} is no record of settings; give an object with {', '.join(_hints(record))}")
+    hints, section = _hints(record), record._section
+    if unknown := next((name for name in data if name not in hints), None):
+        near = get_close_matches(str(unknown), hints, 1) or list(hints)
+        raise SarsplatError(
+            f"the setting {shown(f'{section}{unknown}')} is unknown; there is {section}{', '.join(near)}"
+        )
+    if missing := next((name for name in hints if name not in data), None):
+        raise SarsplatError(f"the setting {section}{missing} is missing; add it")
+    inner = {
+        name: choice
+        for name, hint in hints.items()
+        for choice in _choices(hint)
+        if isinstance(choice, type) and issubclass(choice, Record)
+    }
+    return record(**{k: _read(v, inner[k]) if k in inner and isinstance(v, dict) else v for k, v in data.items()})
+
+
+def _allowed(hint: Any) -> str:
+    """What a type allows, in words."""
+    if get_origin(hint) is Annotated:
+        kind, limits = get_args(hint)
+        return f"a {'whole ' if kind is int else ''}number from {limits.ge:g} to {limits.le:g}"
+    if get_origin(hint) is Literal:
+        return f"one of {', '.join(get_args(hint))}"
+    if get_origin(hint) is tuple:
+        return f"{len(get_args(hint))} values, each {_allowed(get_args(hint)[0])}"
+    if len(_choices(hint)) > 1:
+        return " or ".join("nothing" if choice is type(None) else _allowed(choice) for choice in _choices(hint))
+    return "a text" if hint is str else f"a record of {', '.join(_hints(hint))}"

@@ -1,0 +1,112 @@
+"""Training away from the CPU: nothing of a step leaves the device, and the CUDA engine's source learns as the CPU's."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from sarsplat import Dataset, ImageGrid, View, preset
+from sarsplat.gaussians import Gaussians
+from sarsplat.reconstruction import Config, Trainer, fused, model
+from sarsplat.reconstruction.config import Densification
+from sarsplat.renderer import Rendering
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "renderer"))
+from emulated_cuda import Emulator, compile_emulator, render_on
+
+DENSITY = Densification(
+    start=4,
+    stop=100,
+    every=4,
+    gradient=1e-4,
+    split_above_m=0.07,
+    max_extent=0.3,
+    min_scattering=0.01,
+    max_gaussians=300,
+)
+
+
+def small(**changes: Any) -> Config:
+    return replace(preset("default"), iterations=50, gaussians=200, harmonics_every=10, views_per_step=2, **changes)
+
+
+def measured() -> Config:
+    chips = preset("measured")
+    assert chips.surroundings is not None
+    around = replace(chips.surroundings, ground_radius=3.0)
+    return replace(chips, iterations=50, gaussians=100, harmonics_every=2, views_per_step=2, surroundings=around)
+
+
+CONFIGS = {
+    "amplitude": small(),
+    "ssim": small(ssim_weight=0.2),
+    "density": small(densification=DENSITY),
+    "measured": measured(),
+}
+
+
+def render_nothing(
+    gaussians: Gaussians,
+    views: list[View],
+    grid: ImageGrid,
+    *,
+    shift: Tensor | None = None,
+    gain: Tensor | None = None,
+    **_: Any,
+) -> Rendering:
+    """As far as shapes, devices and autograd are concerned, a renderer for the device that has no memory."""
+    count, device = (len(views), len(gaussians)), gaussians.means.device
+    level = sum(tensor.sum() for tensor in gaussians.tensors().values())
+    images = level.expand(len(views), grid.rows, grid.columns)
+    if shift is not None and gain is not None:
+        images = images * gain[:, None, None] + shift.sum(1)[:, None, None]
+    cross_sections, lit_area = torch.ones(2, *count, device=device)
+    return Rendering(images, cross_sections, lit_area, plane_gradients=torch.ones(*count, 4, device=device))
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_a_step_neither_leaves_the_device_nor_waits_for_it(
+    name: str, dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On "meta", whose tensors hold nothing, any look at a number is an error, and so is a tensor from elsewhere."""
+    monkeypatch.setattr(model, "render", render_nothing)
+    trainer = Trainer(dataset, CONFIGS[name], device="meta")
+    for _ in range(3):
+        assert trainer.step().device.type == "meta"
+    assert {tensor.device.type for tensor in trainer.model.parameters.values()} == {"meta"}
+
+
+@pytest.fixture(scope="module")
+def library(request: pytest.FixtureRequest) -> Path:
+    pytest.importorskip("ziglang", reason="the emulator is compiled with ziglang")
+    return compile_emulator(Path(request.config.cache.mkdir("cuda-emulator")))
+
+
+def train(dataset: Dataset, config: Config, steps: int) -> tuple[Tensor, Trainer]:
+    """The loss of every step."""
+    trainer = Trainer(dataset, config)
+    return torch.stack([trainer.step() for _ in range(steps)]), trainer
+
+
+@pytest.mark.parametrize(("name", "steps"), [("amplitude", 50), ("ssim", 10), ("density", 10), ("measured", 10)])
+def test_the_cuda_engines_source_learns_as_the_cpus(
+    name: str, steps: int, dataset: Dataset, library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its kernels are emulated; loss and Adam are plain torch."""
+    expected, usual = train(dataset, CONFIGS[name], steps)
+    monkeypatch.setattr(model, "render", partial(render_on, Emulator(library)))
+    monkeypatch.setattr(fused, "takes", lambda tensors: False)
+    found, other = train(dataset, CONFIGS[name], steps)
+    assert torch.allclose(found, expected, rtol=1e-3)
+    assert len(other.model) == len(usual.model)
+    if name == "density":
+        assert len(usual.model) != 200
+    if name == "amplitude":
+        assert float(found[-10:].mean()) < 0.7 * float(found[:10].mean())
