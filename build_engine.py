@@ -59,7 +59,7 @@ def compile_engine(sources: Path, library: Path, machine: str) -> None:
         jobs = [
             (name, "engine.cpp", [*flags, f"-DSG_ISA={name}", f"-DSG_WIDTH={width}"]) for name, width, flags in levels
         ]
-        jobs += [(name, f"{name}.cpp", []) for name in ("dispatch", "parallel")]
+        jobs += [(name, f"{name}.cpp", []) for name in ("dispatch", "layout", "parallel")]
 
         def compile_one(job: tuple[str, str, list[str]]) -> None:
             name, source, flags = job

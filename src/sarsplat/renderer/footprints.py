@@ -77,6 +77,8 @@ class Projection:
         Slope of the range of the densest point against (x_r, y_r), for first returns. Not differentiable.
     pixels : Footprints
         On the imaging plane (x_r, z_r), widened by the system's response and shifted; differentiable.
+    gamma0 : Tensor [V, N]
+        γ⁰ towards the radar, by the scattering law of the Gaussians; differentiable.
 
     Raises
     ------
@@ -89,16 +91,21 @@ class Projection:
     range_m: Float[Tensor, "v n"]
     tilt: Float[Tensor, "v n 2"]
     pixels: Footprints
+    gamma0: Float[Tensor, "v n"]
 
     def __post_init__(self) -> None:
         for name in ("rays", "pixels"):
             if not isinstance(getattr(self, name), Footprints):
                 raise SarsplatError(f"{name} is a {type(getattr(self, name)).__name__}; give Footprints")
         v, n = _sizes(self.optical_depth)
-        _check_fields(self, {"optical_depth": (v, n), "range_m": (v, n), "tilt": (v, n, 2)})
+        _check_fields(self, {"optical_depth": (v, n), "range_m": (v, n), "tilt": (v, n, 2), "gamma0": (v, n)})
         for name in ("rays", "pixels"):
             centers = getattr(self, name).centers
-            if _sizes(centers) != (v, n) or centers.dtype != self.range_m.dtype or centers.device != self.range_m.device:
+            if (
+                _sizes(centers) != (v, n)
+                or centers.dtype != self.range_m.dtype
+                or centers.device != self.range_m.device
+            ):
                 raise SarsplatError(
                     f"{name}.centers is {tuple(centers.shape)} of {centers.dtype} on {centers.device}, which does not "
                     f"fit an optical_depth of {(v, n)}, {self.range_m.dtype} on {self.range_m.device}"

@@ -50,10 +50,7 @@ def render_reference(
     rays = rays or RayGrid.for_image(grid)
     projection = project_reference(gaussians, views, grid, rays=rays, shift=shift)
     attenuation = attenuate_reference(projection, rays, first_return_depth=first_return_depth, cuts=cuts)
-    if gamma0 is None:
-        u = torch.from_numpy(np.stack([view.direction for view in views])).to(gaussians.means)
-        gamma0 = gaussians.gamma0(u)  # P(u), §2
-    cross_sections = gamma0 * attenuation.lit_area  # σ = P A_c Σ w
+    cross_sections = (projection.gamma0 if gamma0 is None else gamma0) * attenuation.lit_area  # σ = P A_c Σ w
     amplitudes = cross_sections[..., None]
     images = splat_reference(projection.pixels, amplitudes, grid, imaging_weight=imaging_weight, cuts=cuts)[:, 0]
     return Rendering(
@@ -90,7 +87,8 @@ def project_reference(
         u, v = _whitened(cov[..., :2, 2], roots)
         a, b, c = roots.unbind(-1)
         tilt = torch.stack([a * u, b * u + c * v], dim=-1)
-    return Projection(Footprints(mean[..., :2], roots), kappa, mean[..., 2].detach(), tilt.detach(), pixels)
+        gamma0 = gaussians.gamma0(-frames[:, 0, 2])  # P(u), §2
+    return Projection(Footprints(mean[..., :2], roots), kappa, mean[..., 2].detach(), tilt.detach(), pixels, gamma0)
 
 
 def attenuate_reference(

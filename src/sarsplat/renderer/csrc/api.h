@@ -89,6 +89,7 @@ struct sg_projection {
   float* tilt;            // [V, N, 2] slope of the range of the densest point; no gradient
   float* pixel_centers;   // [V, N, 2] on the imaging plane
   float* pixel_roots;     // [V, N, 3]
+  float* gamma0;          // [V, N] P(u); not touched without harmonics
 };
 
 struct sg_channels {      // what is splatted

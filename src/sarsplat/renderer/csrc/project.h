@@ -148,6 +148,20 @@ void project_view(const ViewState& s, const sg_problem& p, const Cuts& cuts, int
   place_on_pixels(s, p, cuts, on_pixels, zero, gamma0.value, norm, zero, gamma0.slope, i, real);
 }
 
+// P(u) of kWidth Gaussians in a view, and its slope over the sum of harmonics; `harmonics`: read unless gamma0 is given.
+SG_FN Softplus<F> scatter(const sg_problem& p, int v, int64_t i, int real, const F* harmonics) {
+  Softplus<F> gamma0;
+  if (p.gamma0) {
+    gamma0 = {load_some(p.gamma0 + v * (int64_t)p.gaussians + i, real), splat(0.0f)};
+  } else {
+    F sum = splat(0.0f);
+    for (int k = 0; k < p.coefficients; k++) sum += harmonics[k] * p.basis[v * p.coefficients + k];
+    gamma0 = softplus(sum);
+    gamma0.value += p.p_min;
+  }
+  return gamma0;
+}
+
 // The Gaussians [first, end) in every view.
 void project_chunk(const sg_context& c, const sg_problem& p, int chunk, int64_t first, int64_t end) {
   const F beyond = splat(3e38f);
@@ -159,16 +173,7 @@ void project_chunk(const sg_context& c, const sg_problem& p, int chunk, int64_t 
     F harmonics[kFields];
     if (!p.gamma0) read_rows(p.harmonics + p.coefficients * i, p.coefficients, real, harmonics);
     for (int v = 0; v < p.views; v++) {
-      Softplus<F> gamma0;
-      if (p.gamma0) {
-        gamma0 = {load_some(p.gamma0 + v * (int64_t)p.gaussians + i, real), splat(0.0f)};
-      } else {
-        F sum = splat(0.0f);
-        for (int k = 0; k < p.coefficients; k++) sum += harmonics[k] * p.basis[v * p.coefficients + k];
-        gamma0 = softplus(sum);
-        gamma0.value += p.p_min;
-      }
-      project_view(c.views[v], p, cuts, v, bodies, gamma0, i, real, c.views[v].bounds[chunk]);
+      project_view(c.views[v], p, cuts, v, bodies, scatter(p, v, i, real, harmonics), i, real, c.views[v].bounds[chunk]);
     }
   }
 }

@@ -29,6 +29,8 @@ void write_projections(const sg_problem& p, const sg_projection& out, int64_t fi
   for (int64_t i = first; i < end; i += kWidth) {
     const int real = least(kWidth, (int)(end - i));
     const Bodies bodies = read_bodies(p, i, real);
+    F harmonics[kFields];
+    if (p.coefficients) read_rows(p.harmonics + p.coefficients * i, p.coefficients, real, harmonics);
     for (int v = 0; v < p.views; v++) {
       const int64_t at = v * (int64_t)p.gaussians + i;
       const Projection<F> g = project(bodies.body, frame_of(p, v), u);
@@ -42,6 +44,7 @@ void write_projections(const sg_problem& p, const sg_projection& out, int64_t fi
       write_pair(slope[0] * (1.0f / u.ray[0]), slope[1] * (1.0f / u.ray[1]), real, out.tilt + 2 * at);
       write_pair(g.mean[0] + shift[0], g.mean[2] + shift[1], real, out.pixel_centers + 2 * at);
       write_roots(whitening(g.cov_i, g.det_iw), u.pixel, real, out.pixel_roots + 3 * at);
+      if (p.coefficients) store_some(out.gamma0 + at, scatter(p, v, i, real, harmonics).value, real);
     }
   }
 }
@@ -64,6 +67,9 @@ void differentiate_projections(const sg_problem& p, const sg_projection& seeds, 
     const int real = least(kWidth, (int)(end - i));
     const Bodies bodies = read_bodies(p, i, real);
     BodyGradient<F> total = no_gradient();
+    F harmonics[kFields], d_harmonics[kFields];
+    if (p.coefficients) read_rows(p.harmonics + p.coefficients * i, p.coefficients, real, harmonics);
+    for (F& x : d_harmonics) x = zero;
     for (int v = 0; v < p.views; v++) {
       const int64_t at = v * (int64_t)p.gaussians + i;
       const ViewFrame f = frame_of(p, v);
@@ -79,8 +85,13 @@ void differentiate_projections(const sg_problem& p, const sg_projection& seeds, 
       total.kappa += ratio * d_depth;
       shift_sums[2 * v] += sum(planes[2]);
       shift_sums[2 * v + 1] += sum(planes[3]);
+      if (p.coefficients) {
+        const F d_sum = load_some(seeds.gamma0 + at, real) * scatter(p, v, i, real, harmonics).slope;
+        for (int k = 0; k < p.coefficients; k++) d_harmonics[k] += d_sum * p.basis[v * p.coefficients + k];
+      }
     }
     write_gradients(bodies, total, total.kappa, g, i, real);
+    if (p.coefficients) write_rows(d_harmonics, p.coefficients, real, g.harmonics + p.coefficients * i);
   }
 }
 
