@@ -3,6 +3,8 @@
 # make figures pictures in figures/ and their tables: buildings, vehicles, splat against ray cast
 # make bench   speed and memory against plain torch and the floor; fills the README's performance section (3 minutes)
 # make fuzz    hostile files for every reader; make sanitize  the engine under ASan and UBSan (needs Debian's clang-19)
+# make wheels  a wheel for every platform in dist/ (four minutes the first time)
+# make check-wheel  what is in them; this machine's is installed into an empty environment and tried there
 # make lint    style and types
 # make clean   remove everything that was made here, the environment included
 #
@@ -14,13 +16,14 @@ SHELL := bash
 BIN := .venv/bin
 READY := .venv/.installed
 DEMO := demo
+TARGETS := linux-x86_64 linux-aarch64 macos-arm64 windows-x86_64
 
 # Says what is done, does it, and says how long it took.
 define step
 @printf '\n==> %s\n' "$(1)"; begun=$$SECONDS; $(2) && printf '    (%s s)\n' $$((SECONDS - begun))
 endef
 
-.PHONY: demo setup test test-slow figures bench fuzz sanitize lint readme clean
+.PHONY: demo setup test test-slow figures bench fuzz sanitize wheels check-wheel lint readme clean
 
 demo: setup
 	$(call step,simulate: a T-72-like target by ray casting (24 training views and 48 test views),\
@@ -44,6 +47,15 @@ fuzz: setup
 sanitize: setup
 	$(BIN)/python tests/sanitize.py
 
+# Each with an engine for its platform; `make wheels TARGETS=linux-x86_64` makes one of them.
+wheels: setup
+	rm -rf dist
+	$(call step,wheels: $(TARGETS),\
+	  for target in $(TARGETS); do SARSPLAT_TARGET=$$target $(BIN)/python -m hatchling build -t wheel || exit 1; done)
+
+check-wheel: wheels
+	$(call step,install the wheel into an empty environment and try it,$(BIN)/python tests/wheel.py)
+
 # Also the tables of docs/forward-model.md and docs/images/buildings.png.
 figures: setup
 	$(call step,buildings: both forward models against the closed form,$(BIN)/python docs/draw_buildings.py)
@@ -65,7 +77,7 @@ readme: setup
 	$(BIN)/python docs/readme_results.py $(DEMO)/run
 
 clean:
-	rm -rf .venv $(DEMO) figures build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis src/sarsplat/renderer/_engine.so
+	rm -rf .venv $(DEMO) figures build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis src/sarsplat/renderer/_engine.*
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 setup: $(READY)

@@ -1,80 +1,136 @@
-"""Hatchling hook: builds the CPU engine with the `ziglang` wheel, so that no system compiler is needed."""
+"""Hatchling hook: builds the CPU engine with the `ziglang` wheel, which needs no system compiler and builds for others.
+
+`SARSPLAT_TARGET` names the platform of a wheel, one of `TARGETS`; without it, it is this machine's. Run as a script, it
+builds the engine of this machine into the source tree.
+"""
 
 from __future__ import annotations
 
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+ROOT = Path(__file__).parent
+RENDERER = ROOT / "src" / "sarsplat" / "renderer"
 
 # fp-contract: fused multiply-adds are wanted; nothing else may be reordered, or results would depend on the compiler
 FLAGS = [
     *("-std=c++17", "-O3", "-g0", "-fPIC", "-fvisibility=hidden", "-fno-exceptions", "-fno-rtti", "-fno-sanitize=all"),
     *("-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast", "-Wall", "-Wextra", "-Wno-psabi"),
 ]
-# name, lanes of a vector, flags
+BASE = ("base", 4, ())  # name, lanes of a vector, flags
 X86 = (
-    ("base", 4, ()),
+    BASE,
     ("avx2", 8, ("-mcpu=x86_64_v3",)),
     ("avx512", 16, ("-mcpu=x86_64_v4", "-mprefer-vector-width=512")),
 )
 
 
+class Target(NamedTuple):
+    """A platform that has an engine."""
+
+    triple: str
+    """What the compiler calls it."""
+    tag: str
+    """What the name of a wheel calls it."""
+    levels: tuple[tuple[str, int, tuple[str, ...]], ...]
+    library: str = "_engine.so"
+    link: tuple[str, ...] = ()
+
+
+TARGETS = {
+    "linux-x86_64": Target("x86_64-linux-gnu.2.28", "manylinux_2_28_x86_64", X86),
+    "linux-aarch64": Target("aarch64-linux-gnu.2.28", "manylinux_2_28_aarch64", (BASE,)),
+    # its own name is written into a library of macOS, and would be the path of a temporary folder
+    "macos-arm64": Target(
+        "aarch64-macos.11.0", "macosx_11_0_arm64", (BASE,), link=("-Wl,-install_name,@rpath/_engine.so",)
+    ),
+    "windows-x86_64": Target("x86_64-windows-gnu", "win_amd64", X86, library="_engine.dll"),
+}
+
+
+def host() -> str | None:
+    """The name of this machine's platform, or None if it has no engine."""
+    system = {"darwin": "macos", "win32": "windows"}.get(sys.platform, sys.platform)
+    machine = {"AMD64": "x86_64"}.get(platform.machine(), platform.machine())
+    name = f"{system}-{machine}"
+    return name if name in TARGETS else None
+
+
 class EngineBuildHook(BuildHookInterface):
-    """Compiles `renderer/csrc` into `renderer/_engine.so`; up to date builds are kept."""
+    """Adds the engine to a wheel, or to the source tree if the installation is editable."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        package = Path(self.root) / "src" / "sarsplat" / "renderer"
-        machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
-        library = package / "_engine.so"
-        sources = [*(package / "csrc").glob("*.cpp"), *(package / "csrc").glob("*.h")]  # the rest is CUDA's
-        newest = max(path.stat().st_mtime for path in [*sources, Path(__file__)])
-        if not library.exists() or library.stat().st_mtime < newest:
-            self.app.display_info("sarsplat: compiling the CPU engine (about a minute the first time)")
-            compile_engine(package / "csrc", library, machine)
+        name = os.environ.get("SARSPLAT_TARGET") or host()
+        if name is None:
+            self.app.display_warning(
+                f"sarsplat: there is no CPU engine for {sys.platform} on {platform.machine()}; engine='reference' works"
+            )
+            return
+        if name not in TARGETS:
+            self.app.abort(f"SARSPLAT_TARGET is {name!r}; it has to be one of {', '.join(TARGETS)}")
+        target = TARGETS[name]
+        library = engine(name)
+        if version == "editable":
+            put(library, RENDERER / target.library)
+        else:
+            build_data["force_include"][str(library)] = f"sarsplat/renderer/{target.library}"
         build_data["pure_python"] = False
-        build_data["tag"] = f"py3-none-{_platform_tag(machine)}"
+        build_data["tag"] = f"py3-none-{target.tag}"
 
 
-def _platform_tag(machine: str) -> str:
-    if sys.platform == "linux":
-        return f"manylinux_2_28_{machine}"
-    if sys.platform == "darwin":
-        return f"macosx_11_0_{'arm64' if machine == 'aarch64' else machine}"
-    return "win_amd64"
+def engine(name: str) -> Path:
+    """The engine of a target, compiled unless it is up to date."""
+    library = ROOT / "build" / name / TARGETS[name].library
+    sources = [*(RENDERER / "csrc").glob("*.cpp"), *(RENDERER / "csrc").glob("*.h")]  # the rest is CUDA's
+    newest = max(path.stat().st_mtime for path in [*sources, Path(__file__)])
+    if not library.exists() or library.stat().st_mtime < newest:
+        print(f"sarsplat: compiling the CPU engine for {name} (about a minute the first time)", flush=True)
+        compile_engine(TARGETS[name], library)
+    return library
 
 
-def compile_engine(sources: Path, library: Path, machine: str) -> None:
-    """Compile every instruction set of `machine` and link one shared library with a plain C ABI."""
-    system = {"linux": "linux-gnu.2.28", "darwin": "macos.11.0"}.get(sys.platform, "windows-gnu")
-    compiler = [sys.executable, "-m", "ziglang", "c++", "-target", f"{machine}-{system}", *FLAGS]
-    levels = X86 if machine == "x86_64" else (("base", 4, ()),)
+def compile_engine(target: Target, library: Path) -> None:
+    """Compile every instruction set of a target and link one shared library with a plain C ABI."""
+    compiler = [sys.executable, "-m", "ziglang", "c++", "-target", target.triple, *FLAGS]
     with tempfile.TemporaryDirectory() as folder:
         jobs = [
-            (name, "engine.cpp", [*flags, f"-DSG_ISA={name}", f"-DSG_WIDTH={width}"]) for name, width, flags in levels
+            (name, "engine.cpp", [*flags, f"-DSG_ISA={name}", f"-DSG_WIDTH={width}"])
+            for name, width, flags in target.levels
         ]
         jobs += [(name, f"{name}.cpp", []) for name in ("dispatch", "layout", "parallel")]
 
         def compile_one(job: tuple[str, str, list[str]]) -> None:
             name, source, flags = job
-            subprocess.check_call([*compiler, *flags, "-c", str(sources / source), "-o", f"{folder}/{name}.o"])
+            subprocess.check_call(
+                [*compiler, *flags, "-c", str(RENDERER / "csrc" / source), "-o", f"{folder}/{name}.o"]
+            )
 
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             list(pool.map(compile_one, jobs))
         objects = sorted(str(path) for path in Path(folder).glob("*.o"))
-        linked = Path(folder) / "engine.so"
-        subprocess.check_call([*compiler, "-shared", "-s", *objects, "-o", str(linked)])
-        temporary = library.with_suffix(".tmp")
-        temporary.write_bytes(linked.read_bytes())
-        temporary.replace(library)
+        linked = Path(folder) / target.library
+        subprocess.check_call([*compiler, "-shared", "-s", *target.link, *objects, "-o", str(linked)])
+        put(linked, library)
+
+
+def put(source: Path, destination: Path) -> None:
+    """Copy in one step, so that no process loads half a library."""
+    destination.parent.mkdir(parents=True, exist_ok=True)
+    temporary = destination.with_suffix(".tmp")
+    shutil.copyfile(source, temporary)
+    temporary.replace(destination)
 
 
 if __name__ == "__main__":
-    render = Path(__file__).parent / "src" / "sarsplat" / "renderer"
-    compile_engine(render / "csrc", render / "_engine.so", platform.machine())
+    if (this := host()) is None:
+        sys.exit(f"there is no CPU engine for {sys.platform} on {platform.machine()}")
+    put(engine(this), RENDERER / TARGETS[this].library)

@@ -17,7 +17,7 @@ import trimesh
 from matplotlib.axes import Axes
 
 from sarsplat import Run, View
-from sarsplat.evaluation import paper_row, visible_surface
+from sarsplat.evaluation import POINT_METRICS, comparison, paper_scores, summary_metrics, visible_surface
 
 HERE = Path(__file__).parent
 README, PICTURE = HERE.parent / "README.md", HERE / "images" / "demo.png"
@@ -30,29 +30,18 @@ SKIP = 20  # one in so many of a million samples of the true surface
 
 
 def table(metrics: dict[str, Any]) -> str:
-    """The scores as Markdown."""
-    images, points, paper = metrics["images"]["test"], metrics["points"]["visible"], paper_row("T72")
-
-    def minutes(seconds: float) -> str:
-        return f"{round(seconds) // 60} min {round(seconds) % 60:02d} s"
-
-    rows = (
-        ("PSNR, whole image (dB, ↑)", images["psnr_db"], ".2f", paper.psnr_db),
-        ("PSNR, target only (dB, ↑)", images["psnr_target_db"], ".2f", None),
-        ("SSIM (↑)", images["ssim"], ".4f", paper.ssim),
-        ("LPIPS (↓)", images["lpips"], ".4f", paper.lpips),
-        ("Chamfer distance, visible surface (m, ↓)", points["cd_m"], ".3f", paper.cd_m),
-        ("F1 at 0.3 m, visible surface (↑)", points["f1@0.3"], ".3f", paper.f1),
-        ("F1 at 0.1 m, visible surface (↑)", points["f1@0.1"], ".3f", None),
-    )
-    cells = [
-        (name, *("–" if value is None else format(value, how) for value in (ours, theirs)))
-        for name, ours, how, theirs in rows
+    """The scores of a run with one test set, as Markdown."""
+    methods = comparison(metrics, paper_scores("T72"))
+    lines = [
+        f"| | sarsplat, `make demo`, {os.cpu_count()} CPU cores | SAR-GS paper, T72, RTX 3060 Ti |",
+        "|---|---:|---:|",
     ]
-    ours = f"{minutes(metrics['time_s'])} on {os.cpu_count()} CPU cores"
-    cells.append(("training time", ours, f"{minutes(paper.time_s)} on an RTX 3060 Ti"))
-    head = ["| | sarsplat, `make demo` | SAR-GS paper, T72 |", "|---|---:|---:|"]
-    return "\n".join([*head, *(f"| {' | '.join(row)} |" for row in cells)]) + "\n"
+    for metric in summary_metrics(methods):
+        name = f"{metric.label}, visible surface" if metric in POINT_METRICS else metric.label
+        measure = ", ".join(filter(None, (metric.unit, metric.arrow)))
+        values = " | ".join(metric.text(method.values.get(metric.key)) for method in methods)
+        lines.append(f"| {name} ({measure}) | {values} |")
+    return "\n".join(lines) + "\n"
 
 
 def draw(run: Run) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from sarsplat.cli import main
+from sarsplat.evaluation import IMAGE_METRICS, POINT_METRICS, RUN_METRICS
 from sarsplat.scenes import target_mesh
 
 ROOT = Path(__file__).parents[1]
@@ -117,13 +118,24 @@ def test_results_table_comes_from_metrics_and_leaves_gaps_open():
     metrics = {
         "images": {"test": {"psnr_db": 50.13, "psnr_target_db": 33.0, "ssim": 0.999, "lpips": None}},
         "points": {"visible": {"cd_m": 0.08, "f1@0.3": 0.97, "f1@0.1": 0.7}},
+        "yardsticks": None,
         "time_s": 83.2,
     }
     table = module.table(metrics)
     assert "| 50.13 | 35.91 |" in table
     assert "| LPIPS (↓) | – | 0.0165 |" in table
-    assert "1 min 23 s" in table
+    assert "| training time (s, ↓) | 83 | 400 |" in table
+    assert "| F1 at 0.1 m, visible surface (↑) | 0.700 | – |" in table
     assert module.BLOCK.search((ROOT / "README.md").read_text(encoding="utf-8"))
+
+
+def test_documented_metrics_are_those_of_the_registry():
+    text = (ROOT / "docs" / "datasets-and-runs.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(images\.<set>|points\.<surface>)\.(.*?)` \| (.*) \|$", text, re.MULTILINE)
+    expected = [("images.<set>", metric.key, metric.definition) for metric in IMAGE_METRICS]
+    expected += [("points.<surface>", metric.key, metric.definition) for metric in POINT_METRICS]
+    assert rows == expected
+    assert re.findall(r"^\| `(\w+)` \| (.*) \|$", text, re.MULTILINE).count(("time_s", RUN_METRICS[0].definition)) == 1
 
 
 @pytest.mark.slow

@@ -15,8 +15,8 @@ _SECONDS_BETWEEN_LINES = 5.0
 class Reporter:
     """Told of every step; shows what fits the terminal."""
 
-    def __init__(self, total: int, bar: Progress | None, description: str) -> None:
-        self._total, self._bar, self._description = total, bar, description
+    def __init__(self, total: int, bar: Progress | None, description: str, quiet: bool = False) -> None:
+        self._total, self._bar, self._description, self._quiet = total, bar, description, quiet
         self._task = bar.add_task(description, total=total, status="") if bar else None
         self._begun = self._last = time.monotonic()
         self._first = 0
@@ -32,7 +32,7 @@ class Reporter:
             self._bar.update(self._task, completed=done, status=status)
             return
         now = time.monotonic()
-        if now - self._last < _SECONDS_BETWEEN_LINES and done < self._total:
+        if self._quiet or (now - self._last < _SECONDS_BETWEEN_LINES and done < self._total):
             return
         self._last = now
         left = (now - self._begun) / max(done - self._first, 1) * (self._total - done)
@@ -40,11 +40,11 @@ class Reporter:
 
 
 @contextmanager
-def progress(description: str, total: int) -> Iterator[Reporter]:
-    """Show progress of `total` steps while the block runs."""
+def progress(description: str, total: int, quiet: bool = False) -> Iterator[Reporter]:
+    """Show progress of `total` steps while the block runs, unless it is to be quiet."""
     console = Console()
-    if not console.is_terminal:
-        yield Reporter(total, None, description)
+    if quiet or not console.is_terminal:
+        yield Reporter(total, None, description, quiet)
         return
     columns = (
         TextColumn("{task.description}"),

@@ -6,8 +6,17 @@ import numpy as np
 import pytest
 
 from sarsplat.data import Dataset, write_dataset
+from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError, SarsplatWarning
-from sarsplat.evaluation import IMAGE_METRICS, POINT_METRICS, evaluate_run, log_correlation, nats_per_pixel, psnr_db
+from sarsplat.evaluation import (
+    IMAGE_METRICS,
+    METRICS,
+    POINT_METRICS,
+    evaluate_run,
+    log_correlation,
+    nats_per_pixel,
+    psnr_db,
+)
 from sarsplat.evaluation.lpips import WEIGHTS_VARIABLE
 from sarsplat.geometry import ImageGrid, View
 
@@ -17,7 +26,8 @@ SIZE = 64
 CUBE = trimesh.creation.box((2, 2, 2), trimesh.transformations.translation_matrix((0, 0, 1)))
 ON_THE_TOP = np.stack([*(a.ravel() for a in np.meshgrid(*[np.linspace(-1, 1, 30)] * 2)), np.full(900, 2.0)], axis=1)
 WEIGHTS = Path(__file__).resolve().parents[3] / "shared" / "data" / "weights"
-RENDERED_ONLY, SPECKLED_ONLY = IMAGE_METRICS[:4], IMAGE_METRICS[4:]
+IMAGE_KEYS, POINT_KEYS = ([metric.key for metric in metrics] for metrics in (IMAGE_METRICS, POINT_METRICS))
+NOISE_FREE_ONLY, SPECKLED_ONLY = IMAGE_KEYS[:4], IMAGE_KEYS[4:]
 
 
 @dataclass
@@ -25,7 +35,7 @@ class FakeRun:
     dataset: Dataset
     points: np.ndarray = field(default_factory=lambda: ON_THE_TOP)
     power: float = 1.0
-    path: Path = Path("run")
+    path: Path | None = None
     time_s: float = 12.5
     seed: int = 3
     asked: list[View] = field(default_factory=list)
@@ -53,7 +63,7 @@ def make(tmp_path, monkeypatch):
 
     from sarsplat.evaluation.surface import visible_surface
 
-    monkeypatch.setattr("sarsplat.evaluation.evaluation.visible_surface", coarse)
+    monkeypatch.setattr("sarsplat.evaluation.evaluate.visible_surface", coarse)
 
     def dataset(domain="rendered", looks=None, mesh=CUBE, scale=1.0) -> Dataset:
         splits = ("train", "test-17", "train", "test-15", "test-17")
@@ -76,13 +86,16 @@ def make(tmp_path, monkeypatch):
 
 def test_every_key_is_there_and_every_null_has_its_reason(make):
     metrics = evaluate_run(FakeRun(make(), power=1.1))
-    assert list(metrics) == ["images", "points", "yardsticks", "time_s", "seed", "domain", "reasons"]
+    assert list(metrics) == [
+        *("images", "points", "yardsticks", "time_s", "seed", "normalisation", "definitions", "reasons"),
+    ]
+    assert list(metrics["definitions"]) == [metric.key for metric in METRICS]
     assert list(metrics["images"]) == ["test-17", "test-15"]
     assert list(metrics["points"]) == ["visible", "whole"]
     leaves = {f"images.{name}.{key}": value for name, row in metrics["images"].items() for key, value in row.items()}
     leaves |= {f"points.{name}.{key}": value for name, row in metrics["points"].items() for key, value in row.items()}
-    assert set(leaves) == {f"images.{name}.{key}" for name in metrics["images"] for key in IMAGE_METRICS} | {
-        f"points.{name}.{key}" for name in ("visible", "whole") for key in POINT_METRICS
+    assert set(leaves) == {f"images.{name}.{key}" for name in metrics["images"] for key in IMAGE_KEYS} | {
+        f"points.{name}.{key}" for name in ("visible", "whole") for key in POINT_KEYS
     }
     assert set(metrics["reasons"]) == {key for key, value in leaves.items() if value is None}
     assert (metrics["time_s"], metrics["seed"]) == (12.5, 3)
@@ -96,7 +109,7 @@ def test_a_rendered_set_is_scored_by_protocol_r(make):
     scores = metrics["images"]["test-17"]
     assert scores["psnr_db"] == pytest.approx(psnr_db(truth, np.float32(1.1) * truth, float(np.sqrt(train.max()))))
     assert 0.9 < scores["ssim"] < 1
-    assert metrics["domain"]["reference_amplitude"] == pytest.approx(float(np.sqrt(train.max())))
+    assert metrics["normalisation"]["reference_amplitude"] == pytest.approx(float(np.sqrt(train.max())))
     assert [scores[key] for key in SPECKLED_ONLY] == [None, None]
     assert "speckle" in metrics["reasons"]["images.test-17.nats_per_pixel"]
     assert scores["lpips"] is None
@@ -129,22 +142,34 @@ def test_a_measured_set_is_scored_by_protocol_m_whatever_its_unit(make, tmp_path
     assert scores["nats_per_pixel"] == pytest.approx(nats_per_pixel(truth / mean, rendered / mean))
     assert scores["nats_per_pixel"] < 2  # and not log 50 higher
     assert scores["log_correlation"] == pytest.approx(log_correlation(truth, rendered))
-    assert [scores[key] for key in RENDERED_ONLY] == [None] * 4
-    assert all("measured" in metrics["reasons"][f"images.test-17.{key}"] for key in RENDERED_ONLY)
-    assert metrics["points"]["visible"] == dict.fromkeys(POINT_METRICS)
+    assert [scores[key] for key in NOISE_FREE_ONLY] == [None] * 4
+    assert all("speckled" in metrics["reasons"][f"images.test-17.{key}"] for key in NOISE_FREE_ONLY)
+    assert metrics["points"]["visible"] == dict.fromkeys(POINT_KEYS)
     assert "no true mesh" in metrics["reasons"]["points.whole.count"]
 
 
-def test_a_speckled_rendered_set_is_scored_by_both(make):
+def test_a_speckled_simulation_is_scored_as_speckled_images_are(make):
     scores = evaluate_run(FakeRun(make(looks=1)))["images"]["test-15"]
-    assert [key for key in IMAGE_METRICS if scores[key] is None] == ["lpips"]
+    assert [key for key in IMAGE_KEYS if scores[key] is None] == NOISE_FREE_ONLY
+
+
+def test_what_is_returned_is_written_into_the_run(make, tmp_path):
+    run = FakeRun(make(), path=tmp_path / "run")
+    run.path.mkdir()
+    metrics = evaluate_run(run)
+    assert json.loads((run.path / "metrics.json").read_text()) == metrics
+    with pytest.raises(SarsplatError, match="non-finite"):
+        evaluate_run(FakeRun(run.dataset, path=run.path, power=float("nan")))
+    assert json.loads((run.path / "metrics.json").read_text()) == metrics
+    with only_writer(run.path), pytest.raises(SarsplatError, match="in use"):
+        evaluate_run(run)
 
 
 def test_black_pixels_leave_the_likelihood_null_with_the_reason(make):
     metrics = evaluate_run(FakeRun(make(looks=1), power=0.0))
     assert metrics["images"]["test-17"]["nats_per_pixel"] is None
     assert "noise floor" in metrics["reasons"]["images.test-17.nats_per_pixel"]
-    assert metrics["images"]["test-17"]["psnr_db"] is not None
+    assert metrics["images"]["test-17"]["log_correlation"] is None
 
 
 def test_no_points_is_a_result_not_an_error(make):

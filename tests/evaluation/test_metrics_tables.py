@@ -1,24 +1,40 @@
 import io
 import itertools
+from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
 
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluation import IMAGE_METRICS, POINT_METRICS, metrics_table, paper_row
+from sarsplat.evaluation import (
+    IMAGE_METRICS,
+    METRICS,
+    POINT_METRICS,
+    comparison,
+    metrics_table,
+    paper_beside,
+    paper_scores,
+)
+
+IMAGE_KEYS, POINT_KEYS = ([metric.key for metric in metrics] for metrics in (IMAGE_METRICS, POINT_METRICS))
 
 
-def metrics(**images):
+def metrics(yardsticks=None, **images):
     """Metrics of a run in which everything not named is null."""
     return {
-        "images": {name: {**dict.fromkeys(IMAGE_METRICS), **scores} for name, scores in images.items()},
+        "images": {name: {**dict.fromkeys(IMAGE_KEYS), **scores} for name, scores in images.items()},
         "points": {
-            "visible": {**dict.fromkeys(POINT_METRICS), "cd_m": 0.0741, "f1@0.3": 0.9834},
-            "whole": dict.fromkeys(POINT_METRICS),
+            "visible": {**dict.fromkeys(POINT_KEYS), "cd_m": 0.0741, "f1@0.3": 0.9834, "f1@0.1": 0.7654},
+            "whole": dict.fromkeys(POINT_KEYS),
         },
+        "yardsticks": yardsticks,
         "time_s": 61.7,
         "seed": 0,
     }
+
+
+def table(metrics, paper=None):
+    return metrics_table(comparison(metrics, paper))
 
 
 def rows(table) -> list[list[str]]:
@@ -26,61 +42,82 @@ def rows(table) -> list[list[str]]:
     return [list(row) for row in itertools.zip_longest(*cells)]
 
 
-def test_rendered_sets_stand_above_the_paper():
-    table = metrics_table(
-        metrics(test={"psnr_db": 53.712, "psnr_target_db": 36.0, "ssim": 0.99951}), paper=paper_row("T72")
-    )
-    assert [str(column.header) for column in table.columns][1:] == [
-        *("PSNR dB", "target dB", "SSIM", "LPIPS", "CD m", "F1@0.3", "time"),
+def test_keys_and_headings_are_unique_and_every_metric_has_a_definition():
+    for name in ("key", "title", "definition"):
+        assert len({getattr(metric, name) for metric in METRICS}) == len(METRICS), name
+    headings = [metric.heading for metric in METRICS if metric.short]
+    assert len(set(headings)) == len(headings) > 5
+
+
+def test_values_are_written_and_compared_as_their_metric_says():
+    psnr, lpips = (next(metric for metric in METRICS if metric.key == key) for key in ("psnr_db", "lpips"))
+    assert (psnr.text(1.006), psnr.text(None), lpips.text(0.5)) == ("1.01", "–", "0.5000")
+    assert (psnr.best([1.0, None, 2.0]), lpips.best([1.0, None, 2.0]), psnr.best([1.0, None])) == (2.0, 1.0, None)
+    assert (psnr.arrow, lpips.arrow) == ("↑", "↓")
+
+
+def test_noise_free_sets_stand_above_the_paper():
+    ours = metrics(test={"psnr_db": 53.712, "psnr_target_db": 36.0, "ssim": 0.99951})
+    shown = table(ours, paper_scores("T72"))
+    assert [str(column.header) for column in shown.columns][1:] == [
+        *("PSNR dB", "target dB", "SSIM", "LPIPS", "CD m", "F1@0.3", "F1@0.1", "time s"),
     ]
-    assert rows(table) == [
-        ["ours, test", "53.71", "36.00", "0.9995", "–", "0.074", "0.983", "1:02"],
-        ["paper, T72", "35.91", "–", "0.9943", "0.0165", "0.187", "0.925", "6:40"],
+    assert rows(shown) == [
+        ["ours, test", "53.71", "36.00", "0.9995", "–", "0.074", "0.983", "0.765", "62"],
+        ["paper, T72", "35.91", "–", "0.9943", "0.0165", "0.187", "0.925", "–", "400"],
     ]
-    assert "not the same experiment" in str(table.caption)
 
 
 def test_another_row_of_the_paper():
-    table = metrics_table(metrics(test={"psnr_db": 40.0}), paper=paper_row("kraz"))
-    assert rows(table)[-1] == ["paper, KRAZ", "37.33", "0.9969", "0.0109", "0.207", "0.862", "6:16"]
-    assert paper_row("Btr70").f1 == 0.846
+    shown = table(metrics(test={"psnr_db": 40.0}), paper_scores("kraz"))
+    assert rows(shown)[-1] == ["paper, KRAZ", "37.33", "0.9969", "0.0109", "0.207", "0.862", "–", "376"]
+    assert paper_scores("Btr70").values["f1@0.3"] == 0.846
+
+
+def test_the_paper_is_quoted_by_keys_that_exist():
+    assert set(paper_scores("T72").values) < {metric.key for metric in METRICS}
 
 
 def test_unknown_rows_are_told():
     with pytest.raises(SarsplatError, match=r"'bmp2'.*T72, BTR70, KRAZ"):
-        paper_row("bmp2")
+        paper_scores("bmp2")
+
+
+def test_the_row_of_the_paper_is_that_of_the_target():
+    def beside(domain="rendered", **source):
+        found = paper_beside(SimpleNamespace(domain=domain, source={"protocol": "paper", **source}))
+        return found and found.name
+
+    assert beside(target="BTR70") == "paper, BTR70"
+    assert beside() == "paper, T72"
+    for other in ({"protocol": None}, {"looks": 1.0}, {"ground_gamma0": 0.1}, {"domain": "measured"}):
+        assert beside(**other) is None
 
 
 def test_measured_sets_stand_beside_the_yardsticks():
     sets = {"test-17": {"nats_per_pixel": 0.55, "log_correlation": 0.86}, "test-15": {"nats_per_pixel": 0.5}}
     yardsticks = {"test-17": {"nearest_chip": {"nats_per_pixel": 0.573, "log_correlation": 0.841}}}
-    measured = metrics(**sets)
-    measured["points"]["visible"] = dict.fromkeys(POINT_METRICS)
-    assert rows(metrics_table(measured, yardsticks=yardsticks)) == [
-        ["ours, test-17", "0.550", "0.860", "1:02"],
+    measured = metrics(yardsticks, **sets)
+    measured["points"]["visible"] = dict.fromkeys(POINT_KEYS)
+    assert rows(table(measured)) == [
+        ["ours, test-17", "0.550", "0.860", "62"],
         ["nearest chip, test-17", "0.573", "0.841", "–"],
-        ["ours, test-15", "0.500", "–", "1:02"],
+        ["ours, test-15", "0.500", "–", "62"],
     ]
-
-
-def test_speckled_simulations_have_both_kinds_of_scores():
-    speckled = {"psnr_db": 40.0, "nats_per_pixel": 0.5123, "log_correlation": 0.91}
-    table = metrics_table(metrics(test=speckled))
-    assert [str(column.header) for column in table.columns][1:] == [
-        *("PSNR dB", "nats per pixel", "log corr.", "CD m", "F1@0.3", "time"),
-    ]
-    assert rows(table) == [["ours, test", "40.00", "0.512", "0.910", "0.074", "0.983", "1:02"]]
 
 
 def test_without_test_views_the_points_have_their_row():
-    assert rows(metrics_table(metrics())) == [["ours", "0.074", "0.983", "1:02"]]
+    assert rows(table(metrics())) == [["ours", "0.074", "0.983", "0.765", "62"]]
 
 
-def test_the_table_fits_a_terminal():
-    every = {name: 53.712 if name.startswith("psnr") else 0.98765 for name in IMAGE_METRICS}
+@pytest.mark.parametrize("speckled", [False, True])
+def test_the_table_fits_a_terminal(speckled):
+    some = IMAGE_METRICS[4:] if speckled else IMAGE_METRICS[:4]
+    every = {metric.key: 53.712 if metric.unit == "dB" else 0.98765 for metric in some}
     console = Console(file=io.StringIO(), width=80)
-    console.print(metrics_table(metrics(test=every)))
+    console.print(table(metrics(**{"test-17": every})))
     printed = console.file.getvalue()
-    for figure in ("53.71", "0.9877", "0.988", "0.074", "0.983", "1:02", "ours, test"):
+    figures = ("0.988", "0.988") if speckled else ("53.71", "0.9877")
+    for figure in (*figures, "0.074", "0.983", "0.765", "62", "ours, test-17"):
         assert figure in printed
     assert "…" not in printed

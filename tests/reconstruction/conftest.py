@@ -37,4 +37,4 @@ def config() -> Config:
 
 @pytest.fixture(scope="session")
 def finished(dataset: Dataset, config: Config, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    return reconstruct(dataset, tmp_path_factory.mktemp("run") / "run", config)
+    return reconstruct(dataset, config, tmp_path_factory.mktemp("run") / "run")

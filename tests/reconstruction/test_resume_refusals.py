@@ -15,6 +15,8 @@ import pytest
 from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, preset, read_dataset, reconstruct
 from sarsplat.data import load_checkpoint, save_checkpoint, write_dataset, write_power_tiff
 from sarsplat.reconstruction import Config
+from sarsplat.reconstruction.config import Densification, Rates
+from sarsplat.reconstruction.run import LogLine
 
 CONFIG = replace(preset("default"), iterations=2, gaussians=50, checkpoint_every=1)
 
@@ -35,7 +37,7 @@ def dataset(tmp_path: Path) -> Dataset:
 @pytest.fixture
 def begun(dataset: Dataset, tmp_path: Path) -> Path:
     """A run with one step to go."""
-    reconstruct(dataset, tmp_path / "run", CONFIG)
+    reconstruct(dataset, CONFIG, tmp_path / "run")
     newest = Run.load(tmp_path / "run").checkpoint_path
     assert newest is not None
     newest.unlink()
@@ -49,13 +51,13 @@ def content(folder: Path) -> dict[str, bytes]:
 def refused(begun: Path, dataset: Dataset, config: Config, told: str) -> None:
     before = content(begun)
     with pytest.raises(SarsplatError, match=told):
-        reconstruct(dataset, begun, config, resume=True)
+        reconstruct(dataset, config, begun, resume=True)
     assert content(begun) == before
 
 
 def test_what_it_was_begun_with_goes_on(begun: Path, dataset: Dataset) -> None:
     assert Run.load(begun).iteration == 1
-    assert reconstruct(dataset, begun, CONFIG, resume=True).iteration == 2
+    assert reconstruct(dataset, CONFIG, begun, resume=True).iteration == 2
 
 
 @pytest.mark.parametrize("change", [{"spacing": 0.31}, {"azimuth": 1e-6}, {"seed": 1}])
@@ -70,9 +72,35 @@ def test_a_dataset_that_was_changed_in_place(begun: Path, dataset: Dataset) -> N
     refused(begun, read_dataset(dataset.path), CONFIG, "begun with another dataset")
 
 
-@pytest.mark.parametrize("change", [{"seed": 1}, {"iterations": 3}, {"p_min": 0.031}, {"preset": "mine"}])
-def test_other_settings(begun: Path, dataset: Dataset, change: dict[str, Any]) -> None:
-    refused(begun, dataset, replace(CONFIG, **change), "begun with other settings")
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"seed": 1}, "begun with seed 0, not 1; resume it with the same settings"),
+        ({"p_min": 0.031}, "begun with p_min 0.03, not 0.031"),
+        ({"preset": "mine"}, "begun with preset 'default', not 'mine'"),
+        ({"rates": Rates(means_m=0.1)}, r"begun with rates\.means_m 0.02, not 0.1"),
+        ({"densification": Densification()}, "begun with densification None, not "),
+        ({"iterations": 3, "seed": 1}, "begun with seed 0, not 1"),
+    ],
+)
+def test_other_settings(begun: Path, dataset: Dataset, change: dict[str, Any], told: str) -> None:
+    refused(begun, dataset, replace(CONFIG, **change), told)
+
+
+def test_fewer_iterations_than_are_done(dataset: Dataset, tmp_path: Path) -> None:
+    reconstruct(dataset, CONFIG, tmp_path / "run")
+    told = "has done 2 iterations already, more than 1"
+    refused(tmp_path / "run", dataset, replace(CONFIG, iterations=1), told)
+
+
+@pytest.mark.parametrize("done", [1, 2])
+def test_more_iterations_extend_a_run(begun: Path, dataset: Dataset, done: int) -> None:
+    if done == 2:
+        reconstruct(dataset, CONFIG, begun, resume=True)
+    run = reconstruct(dataset, replace(CONFIG, iterations=4, checkpoint_every=3), begun, resume=True)
+    assert run.iteration == 4
+    assert (Run.load(begun).config.iterations, Run.load(begun).config.checkpoint_every) == (4, 3)
+    assert [line.iteration for line in run.history] == [1, 2, 3, 4]
 
 
 def newer_schema(header: dict[str, Any]) -> None:
@@ -94,7 +122,7 @@ def unknown_rate(header: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (newer_schema, "schema version 2 but this program reads 1; reconstruct it again"),
+        (newer_schema, "schema version 3 but this program reads 2; reconstruct it again"),
         (unknown_setting, "config.json: the setting 'warmth' is unknown"),
         (missing_setting, "the setting p_min is missing"),
         (unknown_rate, "config.json: the setting 'rates.warmth' is unknown"),
@@ -157,7 +185,7 @@ LINE = {"iteration": 1, "seconds": 0.5, "loss": 0.25, "gaussians": 50}
 def test_a_line_that_no_training_writes_ends_the_history(begun: Path, change: dict[str, Any]) -> None:
     lines = [LINE, {**LINE, **change}, LINE]
     (begun / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-    assert Run.load(begun).history == [LINE]
+    assert Run.load(begun).history == [LogLine(**LINE)]
 
 
 def test_a_history_that_is_too_long(begun: Path) -> None:
@@ -168,7 +196,7 @@ def test_a_history_that_is_too_long(begun: Path) -> None:
 
 def test_a_run_that_is_not_there(dataset: Dataset, tmp_path: Path) -> None:
     with pytest.raises(SarsplatError, match="does not exist"):
-        reconstruct(dataset, tmp_path / "nowhere", CONFIG, resume=True)
+        reconstruct(dataset, CONFIG, tmp_path / "nowhere", resume=True)
     shutil.copytree(dataset.path, tmp_path / "a dataset")
     with pytest.raises(SarsplatError, match="is not a run"):
-        reconstruct(dataset, tmp_path / "a dataset", CONFIG, resume=True)
+        reconstruct(dataset, CONFIG, tmp_path / "a dataset", resume=True)

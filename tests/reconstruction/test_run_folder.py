@@ -16,7 +16,7 @@ import torch
 from sarsplat import Dataset, Run, SarsplatError, reconstruct
 from sarsplat.data import read_dataset
 from sarsplat.data.folders import only_writer
-from sarsplat.reconstruction import Config, Trainer
+from sarsplat.reconstruction import Config, Step, Trainer
 
 
 class Killed(BaseException):
@@ -45,14 +45,14 @@ def test_results_are_never_older_than_the_checkpoint(
     out = tmp_path / "run"
     stop_at(25, ValueError())
     with pytest.raises(ValueError):
-        reconstruct(dataset, out, config)
+        reconstruct(dataset, config, out)
     assert (out / "points.ply").is_file()  # as of iteration 20
     (out / "metrics.json").write_text("{}")
     early = Run.load(out).points
     stop_at(45, Killed())
     with monkeypatch.context() as patched, pytest.raises(Killed):
         patched.setattr(Run, "write_results", lambda run: None)
-        reconstruct(dataset, out, config, resume=True)
+        reconstruct(dataset, config, out, resume=True)
     killed = Run.load(out)
     assert killed.iteration == 40
     assert sorted(path.name for path in out.iterdir()) == [".lock", "checkpoints", "config.json", "metrics.jsonl"]
@@ -61,7 +61,7 @@ def test_results_are_never_older_than_the_checkpoint(
     killed.write_results()
     assert np.array_equal(Run.load(out).points, fresh)  # the file holds the same
     monkeypatch.undo()
-    assert np.array_equal(reconstruct(dataset, out, config, resume=True).points, finished.points)
+    assert np.array_equal(reconstruct(dataset, config, out, resume=True).points, finished.points)
 
 
 @pytest.mark.parametrize("error", [ValueError(), Killed()])
@@ -72,12 +72,12 @@ def test_an_old_run_is_kept_until_the_first_checkpoint(
     shutil.copytree(finished.path, out)
     stop_at(19, error)
     with pytest.raises(type(error)):
-        reconstruct(dataset, out, replace(config, seed=1), overwrite=True)
+        reconstruct(dataset, replace(config, seed=1), out, overwrite=True)
     assert Run.load(out).seed == 0
     assert np.array_equal(Run.load(out).points, finished.points)
     stop_at(20, error)
     with pytest.raises(type(error)):
-        reconstruct(dataset, out, replace(config, seed=1), overwrite=True)
+        reconstruct(dataset, replace(config, seed=1), out, overwrite=True)
     assert (Run.load(out).seed, Run.load(out).iteration) == (1, 20)
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
@@ -85,22 +85,16 @@ def test_an_old_run_is_kept_until_the_first_checkpoint(
 def test_ctrl_c_before_the_first_checkpoint_keeps_an_old_run_and_makes_a_new_one(
     dataset: Dataset, config: Config, tmp_path: Path, finished: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import signal
+    def stop(step: Step) -> None:
+        if step.iteration == 3:
+            raise KeyboardInterrupt
 
-    step = Trainer.step
-
-    def interrupting(trainer: Trainer) -> torch.Tensor:
-        if trainer.iteration == 2:
-            signal.raise_signal(signal.SIGINT)
-        return step(trainer)
-
-    monkeypatch.setattr(Trainer, "step", interrupting)
     shutil.copytree(finished.path, tmp_path / "old")
     with pytest.raises(KeyboardInterrupt, match="old is still as it was"):
-        reconstruct(dataset, tmp_path / "old", replace(config, seed=1), overwrite=True)
+        reconstruct(dataset, replace(config, seed=1), tmp_path / "old", on_step=stop, overwrite=True)
     assert (Run.load(tmp_path / "old").seed, Run.load(tmp_path / "old").iteration) == (0, 60)
     with pytest.raises(KeyboardInterrupt):
-        reconstruct(dataset, tmp_path / "new", config)
+        reconstruct(dataset, config, tmp_path / "new", on_step=stop)
     assert Run.load(tmp_path / "new").iteration == 3
     assert (tmp_path / "new" / "points.ply").is_file()
 
@@ -112,9 +106,9 @@ def test_one_process_writes(dataset: Dataset, config: Config, tmp_path: Path, fi
     with only_writer(out):
         for how in ({"resume": True}, {"overwrite": True}):
             with pytest.raises(SarsplatError, match="run is in use by another process; wait"):
-                reconstruct(dataset, out, config, **how)
+                reconstruct(dataset, config, out, **how)
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == before
-    reconstruct(dataset, out, config, resume=True)
+    reconstruct(dataset, config, out, resume=True)
 
 
 def test_it_is_locked_from_its_first_moment_to_its_last(
@@ -130,7 +124,7 @@ def test_it_is_locked_from_its_first_moment_to_its_last(
         return step(trainer)
 
     monkeypatch.setattr(Trainer, "step", probing)
-    reconstruct(dataset, out, replace(config, iterations=40))
+    reconstruct(dataset, replace(config, iterations=40), out)
     assert refused == [out]
     with only_writer(out):
         pass
@@ -144,7 +138,7 @@ def test_a_dataset_may_move(dataset: Dataset, config: Config, tmp_path: Path, fi
     (out / "config.json").write_text(json.dumps({**header, "dataset": str(tmp_path / "gone")}))
     with pytest.raises(SarsplatError, match=r"no longer at .*/gone; say where it is with .* --resume"):
         _ = Run.load(out).dataset
-    again = reconstruct(read_dataset(moved), out, config, resume=True)
+    again = reconstruct(read_dataset(moved), config, out, resume=True)
     assert again.dataset_path == moved
     assert Run.load(out).dataset.fingerprint() == dataset.fingerprint()
     assert torch.equal(again.gaussians.means, finished.gaussians.means)
@@ -159,7 +153,7 @@ def test_a_run_of_another_version_can_be_overwritten(
     (out / "config.json").write_text(json.dumps({**header, "schema_version": 0}))
     with pytest.raises(SarsplatError, match="reconstruct it again"):
         Run.load(out)
-    assert reconstruct(dataset, out, config, overwrite=True).iteration == 60
+    assert reconstruct(dataset, config, out, overwrite=True).iteration == 60
 
 
 def test_a_full_disk_is_told_in_one_sentence(
@@ -168,11 +162,11 @@ def test_a_full_disk_is_told_in_one_sentence(
     real = Path.open
 
     def full(self: Path, mode: str = "r", *args: Any, **kwargs: Any) -> Any:
-        if self.name == "metrics.jsonl" and mode == "a":
+        if self.name == "metrics.jsonl" and mode == "ab":
             raise OSError(errno.ENOSPC, "No space left on device")
         return real(self, mode, *args, **kwargs)
 
     monkeypatch.setattr(Path, "open", full)
     with pytest.raises(SarsplatError, match=r"cannot write .*metrics\.jsonl: the disk is full"):
-        reconstruct(dataset, tmp_path / "run", config)
-    assert list(tmp_path.iterdir()) == []
+        reconstruct(dataset, config, tmp_path / "run")
+    assert Run.load(tmp_path / "run").iteration == 1  # what there was room for

@@ -47,7 +47,7 @@ def test_threads_change_nothing(dataset: Dataset, kind: str) -> None:
         trainer, states = Trainer(dataset, config(kind)), {}
         for step in range(_STEPS):
             trainer.step()
-            states |= {f"{step}/{name}": tensor.clone() for name, tensor in trainer.state()[0].items()}
+            states |= {f"{step}/{name}": tensor.clone() for name, tensor in trainer.snapshot(0.0).tensors.items()}
         return states
 
     usual = torch.get_num_threads()

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from sarsplat import Dataset, ImageGrid, View, preset
+from sarsplat import Dataset, ImageGrid, Run, View, preset
 from sarsplat.gaussians import Gaussians
-from sarsplat.reconstruction import Config, Trainer, fused, model
+from sarsplat.reconstruction import Config, Trainer, extract_points, fused, model, points
 from sarsplat.reconstruction.config import Densification
 from sarsplat.renderer import Rendering
 
@@ -83,6 +85,29 @@ def test_a_step_neither_leaves_the_device_nor_waits_for_it(
     assert {tensor.device.type for tensor in trainer.model.parameters.values()} == {"meta"}
 
 
+@pytest.mark.parametrize("name", CONFIGS)
+def test_every_tensor_is_made_on_the_trainings_device(name: str, dataset: Dataset) -> None:
+    """Also by density control and between trainings: whatever is made without naming one lands on the default device,
+    and meets a tensor that lies elsewhere.
+    """
+
+    def trained() -> tuple[Trainer, np.ndarray]:
+        trainer = Trainer(dataset, CONFIGS[name], device="cpu")
+        for _ in range(5):
+            trainer.step()
+        trainer.restore(trainer.snapshot(0.0))
+        for _ in range(5):
+            trainer.step()
+        return trainer, extract_points(trainer.gaussians, trainer.views[:2], trainer.grid, CONFIGS[name].points)
+
+    usual, points = trained()
+    with torch.device("meta"):
+        found, found_points = trained()
+    for key, tensor in usual.model.parameters.items():
+        assert torch.equal(found.model.parameters[key], tensor), key
+    assert np.array_equal(found_points, points)
+
+
 @pytest.fixture(scope="module")
 def library(request: pytest.FixtureRequest) -> Path:
     pytest.importorskip("ziglang", reason="the emulator is compiled with ziglang")
@@ -110,3 +135,52 @@ def test_the_cuda_engines_source_learns_as_the_cpus(
         assert len(usual.model) != 200
     if name == "amplitude":
         assert float(found[-10:].mean()) < 0.7 * float(found[:10].mean())
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_a_step_waits_for_the_device_twice(
+    name: str, dataset: Dataset, library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For where the rays stand, and how many places the tiles need: on a GPU each look at a number is such a wait."""
+    looks = []
+
+    def counted(method: str) -> Callable[..., Any]:
+        usual = getattr(Tensor, method)
+
+        def look(self: Tensor, *arguments: Any) -> Any:
+            looks.append(method)
+            return usual(self, *arguments)
+
+        return look
+
+    monkeypatch.setattr(model, "render", partial(render_on, Emulator(library)))
+    monkeypatch.setattr(fused, "takes", lambda tensors: False)
+    trainer = Trainer(dataset, CONFIGS[name])
+    trainer.step()  # which draws the order of the views, on the CPU
+    for method in ("tolist", "item", "numpy", "cpu", "nonzero", "__bool__", "__float__", "__int__", "__index__"):
+        monkeypatch.setattr(Tensor, method, counted(method))
+    trainer.step()
+    assert looks == ["tolist", "tolist"]
+
+
+@pytest.mark.parametrize("name", ["density", "measured"])
+def test_a_snapshot_goes_on_on_another_device(name: str, dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(model, "render", render_nothing)
+    trainer, other = Trainer(dataset, CONFIGS[name]), Trainer(dataset, CONFIGS[name], device="meta")
+    trainer.step()
+    other.restore(trainer.snapshot(0.0))
+    assert other.step().device.type == "meta"
+    assert {tensor.device.type for tensor in other.model.parameters.values()} == {"meta"}
+    assert other.iteration == 2
+
+
+def test_points_of_the_cuda_engines_source_are_the_cpus(
+    finished: Run, dataset: Dataset, library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    views = [item.view for item in dataset.select("train")[:2]]
+    how = finished.config.points
+    expected = extract_points(finished.gaussians, views, dataset.grid, how)
+    monkeypatch.setattr(points, "render", partial(render_on, Emulator(library)))
+    found = extract_points(finished.gaussians, views, dataset.grid, how)
+    assert len(found) == len(expected) > 100
+    assert np.abs(found - expected).max() < 1e-3

@@ -15,7 +15,6 @@ from typing import Any
 import torch
 
 from sarsplat import preset, reconstruct
-from sarsplat.data import read_dataset
 from sarsplat.reconstruction import Config
 from sarsplat.reconstruction.config import Densification
 from sarsplat.reconstruction.model import SceneModel
@@ -52,7 +51,7 @@ def main(dataset: str, out: str, threads: str, kind: str, kill_at: str = "") -> 
         return render(*args, **kwargs)
 
     SceneModel.render = counted  # type: ignore[method-assign]
-    reconstruct(read_dataset(Path(dataset)), Path(out), config(kind), resume=Path(out).exists())
+    reconstruct(dataset, config(kind), out, resume=Path(out).exists())
 
 
 if __name__ == "__main__":

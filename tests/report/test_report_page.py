@@ -11,17 +11,16 @@ import pytest
 import trimesh
 
 from sarsplat.data import Dataset, write_dataset
+from sarsplat.errors import SarsplatError
+from sarsplat.evaluation import IMAGE_METRICS, METRICS, POINT_METRICS, Scores
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction import preset
-from sarsplat.report import paper_beside, write_report
+from sarsplat.reconstruction.run import LogLine
+from sarsplat.report import write_report
 from sarsplat.report.scores import score_tables
 
 GRID = ImageGrid(32, 32, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
-IMAGE_SCORES = ("psnr_db", "psnr_target_db", "ssim", "lpips", "nats_per_pixel", "log_correlation")
-POINT_SCORES = (
-    *("accuracy_m", "completeness_m", "cd_m", "cd_squared_m2", "precision@0.3", "recall@0.3"),
-    *("f1@0.3", "f1@0.2", "f1@0.1", "count"),
-)
+IMAGE_KEYS, POINT_KEYS = ([metric.key for metric in metrics] for metrics in (IMAGE_METRICS, POINT_METRICS))
 
 
 @pytest.fixture(autouse=True)
@@ -58,6 +57,7 @@ def make_run(folder: Path, dataset: Dataset, metrics: dict[str, Any] | None, **c
     rng = np.random.default_rng(0)
     fields = {
         "path": run,
+        "folder": run,
         "dataset": dataset,
         "config": preset("measured" if dataset.domain == "measured" else "default"),
         "metrics": metrics,
@@ -66,19 +66,21 @@ def make_run(folder: Path, dataset: Dataset, metrics: dict[str, Any] | None, **c
         "time_s": 12.5,
         "seed": 7,
         "iteration": 20,
-        "history": [{"iteration": k, "seconds": k, "loss": 1 / k, "gaussians": 1234} for k in (1, 10, 20)],
+        "history": [LogLine(k, float(k), 1 / k, 1234) for k in (1, 10, 20)],
         "render": lambda views: np.full((len(views), 32, 32), 0.5, dtype=np.float32),
     }
     return SimpleNamespace(**{**fields, **changes})
 
 
 def make_metrics(**scores: float) -> dict[str, Any]:
-    points = {name: None if name not in ("cd_m", "f1@0.3") else 0.0625 for name in POINT_SCORES}
+    points = {name: None if name not in ("cd_m", "f1@0.3") else 0.0625 for name in POINT_KEYS}
     return {
-        "images": {"test": {**dict.fromkeys(IMAGE_SCORES), **scores}},
+        "images": {"test": {**dict.fromkeys(IMAGE_KEYS), **scores}},
         "points": {"visible": points, "whole": points},
-        "domain": {"psnr_ssim_lpips": "what was compared"},
-        "reasons": {"images.test.lpips": "no weights here"},
+        "yardsticks": None,
+        "normalisation": {"reference_amplitude": 2.5, "mean_power": 0.125},
+        "definitions": {metric.key: metric.definition for metric in METRICS},
+        "reasons": {"images.test.lpips": "no weights here", "points.whole.f1@0.3": "no points"},
     }
 
 
@@ -99,15 +101,32 @@ def test_the_page_stands_alone(tmp_path: Path) -> None:
 def test_the_page_says_what_matters(tmp_path: Path) -> None:
     run = make_run(tmp_path, make_dataset(tmp_path), make_metrics(psnr_db=51.23, ssim=0.999))
     text = words_of(write_report(run))
-    expected = ("1,234 Gaussians", "51.23", "35.91", "0.062", "0.187", "no weights here", "what was compared")
-    for words in (*expected, "12.5 s", "5 of 5 test views", "floor 0.1, lobe 0.9", "<dt>seed</dt><dd>7</dd>"):
+    expected = (
+        "1,234 Gaussians",
+        "51.23",
+        "35.91",
+        "0.062",
+        "0.187",
+        "LPIPS: no weights here",
+        "F1 at 0.3 m: no points",
+    )
+    for words in (
+        *expected,
+        "12.5 s",
+        "5 of 5 test views",
+        "floor 0.1, lobe 0.9",
+        "<dt>seed</dt><dd>7</dd>",
+        "mean_power = 0.125",
+    ):
         assert words in text, words
     assert '<td class="best">51.23</td>' in text
+    assert f"<li>SSIM: {METRICS[2].definition}</li>" in text
+    assert METRICS[3].definition not in text  # LPIPS was not computed
 
 
 def test_the_figures_of_the_paper_stand_with_a_caution(tmp_path: Path) -> None:
     dataset = make_dataset(tmp_path)
-    told = "The paper&#x27;s figures are not the same experiment"
+    told = "The paper&#39;s figures are not the same experiment"
     assert told in words_of(write_report(make_run(tmp_path, dataset, make_metrics())))
     elsewhere = replace(dataset, source={"target": "t72", "protocol": None})
     (tmp_path / "other").mkdir()
@@ -115,20 +134,20 @@ def test_the_figures_of_the_paper_stand_with_a_caution(tmp_path: Path) -> None:
 
 
 def test_names_from_files_cannot_become_markup(tmp_path: Path) -> None:
-    hostile = "<script>alert(1)</script>$style"
+    hostile = "<script>alert(1)</script>{{ 7 * 7 }}{% raw %}"
     text = words_of(write_report(make_run(tmp_path, make_dataset(tmp_path, target=hostile), None)))
     assert "<script>" not in text
-    assert "&lt;script&gt;alert(1)&lt;/script&gt;$style" in text
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;{{ 7 * 7 }}{% raw %}" in text
 
 
 def test_a_measured_run_is_compared_with_the_yardsticks(tmp_path: Path) -> None:
     metrics = make_metrics(nats_per_pixel=0.5, log_correlation=0.8)
     metrics["yardsticks"] = {"test": {"nearest_chip": {"nats_per_pixel": 0.6, "log_correlation": 0.85}}}
-    metrics["points"] = {part: dict.fromkeys(POINT_SCORES) for part in ("visible", "whole")}
+    metrics["points"] = {part: dict.fromkeys(POINT_KEYS) for part in ("visible", "whole")}
     text = words_of(write_report(make_run(tmp_path, make_dataset(tmp_path, measured=True, mesh=False), metrics)))
     assert "nearest chip" in text
-    assert '<td class="best">0.500</td><td class="">0.600</td>' in text
-    assert '<td class="">0.800</td><td class="best">0.850</td>' in text
+    assert '<td class="best">0.500</td><td>0.600</td>' in text
+    assert '<td>0.800</td><td class="best">0.850</td>' in text
     assert "paper, T72" not in text
     assert "3×3 means" in text
 
@@ -150,15 +169,25 @@ def test_a_report_is_replaced(tmp_path: Path) -> None:
 
 
 def test_scores_that_do_not_apply_have_no_row() -> None:
-    images, points = score_tables(make_metrics(psnr_db=50.0), None)
-    assert [row.name for row in images.rows] == ["PSNR, whole image, dB"]
-    assert [row.name for row in points.rows] == ["Chamfer distance, m", "F1 at 0.3 m"]
+    images, points = score_tables(make_metrics(psnr_db=50.0))
+    assert [row.metric.title for row in images.rows] == ["PSNR, whole image, dB"]
+    assert [row.metric.title for row in points.rows] == ["Chamfer distance, m", "F1 at 0.3 m"]
 
 
-def test_the_row_of_the_paper_is_that_of_the_target() -> None:
-    for source, target in (({"target": "BTR70"}, "BTR70"), ({}, "T72")):
-        row = paper_beside(SimpleNamespace(source={"protocol": "paper", **source}))  # type: ignore[arg-type]
-        assert row is not None
-        assert row.target == target
-    for other in ({"protocol": None}, {"protocol": "paper", "looks": 1.0}, {"protocol": "paper", "ground_gamma0": 0.1}):
-        assert paper_beside(SimpleNamespace(source=other)) is None  # type: ignore[arg-type]
+def test_every_method_has_its_column_and_the_best_of_all_is_marked() -> None:
+    others = [Scores("one", {"psnr_db": 40.0, "cd_m": 0.05}), Scores("two", {"psnr_db": 55.0})]
+    images, points = score_tables(make_metrics(psnr_db=50.0), others)
+    assert [column.name for column in points.columns] == ["ours, visible surface", "whole surface", "one", "two"]
+    assert [(cell.text, cell.best) for cell in images.rows[0].cells] == [
+        *(("50.00", False), ("40.00", False), ("55.00", True)),
+    ]
+    assert [(cell.text, cell.best) for cell in points.rows[0].cells] == [
+        *(("0.062", False), ("0.062", False), ("0.050", True), ("–", False)),
+    ]
+
+
+@pytest.mark.parametrize("damage", [{"reasons": None}, {"points": {}}, {"images": {"test": {"psnr_db": "high"}}}])
+def test_scores_of_another_make_are_refused_in_one_sentence(tmp_path: Path, damage: dict[str, Any]) -> None:
+    run = make_run(tmp_path, make_dataset(tmp_path), {**make_metrics(psnr_db=50.0), **damage})
+    with pytest.raises(SarsplatError, match="does not hold all scores"):
+        write_report(run)

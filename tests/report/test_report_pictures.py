@@ -8,7 +8,7 @@ from PIL import Image
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.reconstruction import run as run_module
+from sarsplat.reconstruction.run import LogLine
 from sarsplat.report import contact_sheet, decibel_png
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.decibels import to_decibels
@@ -31,8 +31,7 @@ def test_grey_levels_of_the_png() -> None:
 @pytest.mark.parametrize("losses", [(-1e30, 1e30), (1e-320, 1e30), (0.0, 0.0), (1e30, 1e30)])
 @pytest.mark.parametrize("counts", [(0, 0), (0, 10**9), (10**9, 10**9)])
 def test_curves_of_whatever_a_history_may_hold(losses: tuple[float, float], counts: tuple[int, int]) -> None:
-    lines = [{"iteration": n, "seconds": 0.0, "loss": x, "gaussians": n} for x, n in zip(losses, counts, strict=True)]
-    history = [run_module._log_line(line) for line in lines]
+    history = [LogLine(n, 0.0, loss, n) for loss, n in zip(losses, counts, strict=True)]
     assert curves_figure(history, "loss").startswith(b"\x89PNG")
 
 

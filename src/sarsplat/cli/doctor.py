@@ -30,12 +30,17 @@ def _core() -> dict[str, str]:
 
 
 def _cpu_engine() -> str:
-    from sarsplat.renderer.cpu import best_instruction_set
+    import torch
+
+    from sarsplat.renderer.cpu import best_instruction_set, torch_pool
 
     try:
-        return f"loaded, instruction set {best_instruction_set()}"
+        loaded = f"loaded, instruction set {best_instruction_set()}"
     except SarsplatError as error:
         return str(error)
+    if torch_pool() is None:
+        return f"{loaded}, on one thread, because PyTorch {torch.__version__} has no torch_parallel_for"
+    return f"{loaded}, on the threads of PyTorch"
 
 
 def _cuda_engine() -> str:

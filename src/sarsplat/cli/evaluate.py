@@ -16,20 +16,17 @@ def evaluate(run: RunFolder, *, lpips_weights: OptionalFolder = None) -> None:
     lpips_weights
         Folder of the LPIPS weights; else the one named in SARSPLAT_LPIPS_WEIGHTS; without it LPIPS is left out.
     """
-    from sarsplat.data import write_json
-    from sarsplat.data.folders import only_writer
-    from sarsplat.evaluation import evaluate_run, metrics_table
+    from sarsplat.evaluation import NOT_THE_SAME_EXPERIMENT, comparison, evaluate_run, metrics_table, paper_beside
     from sarsplat.reconstruction import Run
-    from sarsplat.report import paper_beside, write_report
+    from sarsplat.report import write_report
     from sarsplat.report.write import refuse_linked_report
 
     done = Run.load(run)
     refuse_linked_report(run)
-    with only_writer(run):
-        with console.busy(f"evaluating {run}"):
-            metrics = evaluate_run(done, lpips_weights=lpips_weights)
-        write_json(run / "metrics.json", metrics)
-        with console.busy("writing the report"):
-            page = write_report(done)
-    console.show(metrics_table(metrics, paper=paper_beside(done.dataset), yardsticks=metrics["yardsticks"]))
+    with console.busy(f"evaluating {run}"):
+        metrics = evaluate_run(done, lpips_weights=lpips_weights)
+    with console.busy("writing the report"):
+        page = write_report(done)
+    paper = paper_beside(done.dataset)
+    console.show(metrics_table(comparison(metrics, paper), NOT_THE_SAME_EXPERIMENT if paper else None))
     console.finish(f"{run / 'metrics.json'} and {page}", f"open {page} in a browser")

@@ -8,7 +8,7 @@ EXTRAS: dict[str, dict[str, str]] = {
     "simulate": {"trimesh": "trimesh", "embreex": "embreex"},
     "mstar": {"PIL": "pillow"},
     "evaluate": {"torchmetrics": "torchmetrics", "sklearn": "scikit-learn", "trimesh": "trimesh", "embreex": "embreex"},
-    "report": {"matplotlib": "matplotlib"},
+    "report": {"matplotlib": "matplotlib", "jinja2": "jinja2"},
 }
 """Extra → modules it brings → names of their distributions."""
 

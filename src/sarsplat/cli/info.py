@@ -103,22 +103,18 @@ def _grid(grid: ImageGrid) -> dict[str, str]:
 
 
 def _run(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.data import read_gaussians_ply
     from sarsplat.reconstruction import Run
 
     run = Run.load(path)
-    whole = run.dataset_path.exists()  # without its dataset the results in its folder are what there is
-    gaussians, points = path / "gaussians.ply", path / "points.ply"
-    lost = "unknown without the dataset"
+    where = run.dataset_path
+    dataset = "images in memory" if where is None else str(where) if where.exists() else f"{where} (no longer there)"
     rows = {
-        "dataset": str(run.dataset_path) if whole else f"{run.dataset_path} (no longer there)",
+        "dataset": dataset,
         "preset": f"{run.config.preset}, start {run.config.initialisation}, seed {run.seed}",
         "iterations": f"{run.iteration} of {run.config.iterations}",
         "time": f"{run.time_s:.1f} s",
-        "Gaussians": str(len(run.gaussians if whole else read_gaussians_ply(gaussians)))
-        if whole or gaussians.is_file()
-        else lost,
-        "points": _extent(run.points) if whole or points.is_file() else lost,
+        "Gaussians": str(len(run.gaussians)),
+        "points": _extent(run.points),
         "scores": "metrics.json" if run.metrics else "none yet; sarsplat evaluate makes them",
         "report": "report/index.html" if (path / "report" / "index.html").is_file() else "none yet",
     }

@@ -11,10 +11,11 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import Folder, OptionalCount, OptionalName, refuse_existing
+from sarsplat.cli.interrupt import interrupts_held_back
 from sarsplat.errors import SarsplatError
 
 if TYPE_CHECKING:
-    from sarsplat.data import Dataset
+    from sarsplat.reconstruction import Step
 
 Initialisation = Annotated[
     Literal["box", "hemisphere"] | None,
@@ -30,6 +31,7 @@ def reconstruct(
     init: Initialisation = None,
     seed: OptionalCount = None,
     iterations: OptionalCount = None,
+    device: Literal["auto", "cpu", "cuda"] = "auto",
     resume: bool = False,
     overwrite: bool = False,
 ) -> None:
@@ -50,6 +52,8 @@ def reconstruct(
         Seed of everything random; 0 unless given.
     iterations
         Number of training steps instead of the preset's.
+    device
+        Where to train; auto is a GPU if there is one that can be used.
     resume
         Go on with the run in --out, with the settings it was begun with; DATASET may have been moved.
     overwrite
@@ -57,9 +61,9 @@ def reconstruct(
     """
     from sarsplat.data import read_dataset
     from sarsplat.reconstruction import Run
-    from sarsplat.reconstruction import preset as named_preset
     from sarsplat.reconstruction import reconstruct as train
     from sarsplat.reconstruction.run import HEADER
+    from sarsplat.reconstruction.training import fitting
 
     if resume and overwrite:
         raise SarsplatError("--resume goes on with the run and --overwrite throws it away; give one of them")
@@ -69,15 +73,21 @@ def reconstruct(
         if preset is not None and preset != config.preset:
             raise SarsplatError(f"{out} was begun with preset {config.preset!r}, not {preset!r}; leave --preset out")
     else:
-        config = named_preset(preset or _fitting_preset(images))
+        config = fitting(preset or "auto", images)
         refuse_existing(out, overwrite, marker=HEADER)
     chosen: dict[str, Any] = {"initialisation": init, "seed": seed, "iterations": iterations}
     if iterations is not None and iterations < 1:
         raise SarsplatError(f"--iterations {iterations} must be at least 1")
     config = dataclasses.replace(config, **{name: value for name, value in chosen.items() if value is not None})
     place = shlex.quote(str(out))
+
+    def stop_if_asked(step: Step) -> None:
+        if interrupted():
+            raise KeyboardInterrupt
+
     try:
-        run = train(images, out, config, resume=resume, overwrite=overwrite)
+        with interrupts_held_back() as interrupted:
+            run = train(images, config, out, device=device, on_step=stop_if_asked, resume=resume, overwrite=overwrite)
     except KeyboardInterrupt as interrupt:
         if interrupt.args or not (out / "config.json").is_file():
             raise
@@ -90,9 +100,3 @@ def reconstruct(
         f"(preset {config.preset}, seed {run.seed})",
         f"sarsplat evaluate {place}",
     )
-
-
-def _fitting_preset(dataset: Dataset) -> str:
-    """Where there is ground it must be modelled."""
-    has_ground = dataset.domain == "measured" or dataset.source.get("ground_gamma0") is not None
-    return "measured" if has_ground else "default"

@@ -50,7 +50,7 @@ def render(
         raise SarsplatError("two of the views are the same to a millionth of a degree; give each once")
     done = Run.load(run)
     refuse_existing(out, overwrite, marker=_SHEET)
-    peak = float(done.dataset.images("train").max())
+    peak = done.brightest
     with console.busy(f"rendering {counted(len(views), 'view')}"):
         images = done.render(views)
         with new_folder(out, overwrite, marker=_SHEET) as folder:
@@ -61,7 +61,7 @@ def render(
                 )
                 write_power_tiff(folder / f"{_name(view)}.tif", image, description)
                 write_bytes(folder / f"{_name(view)}.png", decibel_png(image, peak))
-            write_bytes(folder / _SHEET, contact_sheet(images, views, done.dataset.grid, peak))
+            write_bytes(folder / _SHEET, contact_sheet(images, views, done.grid, peak))
     console.say(
         f"PNGs: grey from −{DYNAMIC_DB:g} dB (black) to 0 dB (white) of the brightest training pixel, "
         f"β⁰ = {float(to_decibels(peak)):.1f} dB; row 0 is near range"

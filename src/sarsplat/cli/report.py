@@ -14,12 +14,11 @@ def report(run: RunFolder) -> None:
     run
         Folder that `sarsplat reconstruct` made.
     """
-    from sarsplat.data.folders import only_writer
     from sarsplat.reconstruction import Run
     from sarsplat.report import write_report
 
     done = Run.load(run)
-    with only_writer(run), console.busy(f"writing the report of {run}"):
+    with console.busy(f"writing the report of {run}"):
         page = write_report(done)
     evaluated = done.metrics is not None
     console.finish(

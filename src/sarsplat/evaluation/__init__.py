@@ -1,32 +1,42 @@
 """Scores: images against unseen views, points against the true surface, and what both are to be compared with."""
 
-from sarsplat.evaluation.evaluation import IMAGE_METRICS, POINT_METRICS, evaluate_run
+from sarsplat.evaluation.evaluate import evaluate_run
 from sarsplat.evaluation.images import log_correlation, nats_per_pixel, psnr_db, psnr_target_db, ssim
 from sarsplat.evaluation.lpips import Lpips, lpips
+from sarsplat.evaluation.metrics import IMAGE_METRICS, METRICS, POINT_METRICS, RUN_METRICS, Metric
+from sarsplat.evaluation.paper import NOT_THE_SAME_EXPERIMENT, paper_beside, paper_scores
 from sarsplat.evaluation.points import PointMetrics, point_metrics
-from sarsplat.evaluation.surface import VisibleSurface, visible_surface
-from sarsplat.evaluation.tables import PaperRow, metrics_table, paper_row
+from sarsplat.evaluation.surface import VisibleSurface, read_truth_mesh, visible_surface
+from sarsplat.evaluation.tables import Scores, comparison, metrics_table, summary_metrics
 from sarsplat.evaluation.yardsticks import nearest_chip, rotated_average, yardstick_scores
 
 __all__ = [
     "IMAGE_METRICS",
+    "METRICS",
+    "NOT_THE_SAME_EXPERIMENT",
     "POINT_METRICS",
+    "RUN_METRICS",
     "Lpips",
-    "PaperRow",
+    "Metric",
     "PointMetrics",
+    "Scores",
     "VisibleSurface",
+    "comparison",
     "evaluate_run",
     "log_correlation",
     "lpips",
     "metrics_table",
     "nats_per_pixel",
     "nearest_chip",
-    "paper_row",
+    "paper_beside",
+    "paper_scores",
     "point_metrics",
     "psnr_db",
     "psnr_target_db",
+    "read_truth_mesh",
     "rotated_average",
     "ssim",
+    "summary_metrics",
     "visible_surface",
     "yardstick_scores",
 ]

@@ -10,7 +10,6 @@ clipping; the peak of PSNR and the data range of SSIM are 1. The scores of proto
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from typing import cast
 
 import numpy as np
@@ -34,34 +33,6 @@ _SMALLEST_MSE = float(np.finfo(np.float32).eps) ** 2  # 138 dB: float32 images c
 
 class UndefinedScore(SarsplatError):
     """The images are sound, but this score does not exist for them."""
-
-
-def defined(
-    metrics: Mapping[str, Callable[[], float]], prefix: str, reasons: dict[str, str], excluded: Mapping[str, str]
-) -> dict[str, float | None]:
-    """Value of every metric; None, with the reason noted, where it does not apply or does not exist.
-
-    Parameters
-    ----------
-    metrics : mapping of str to callable
-        How each is computed.
-    prefix : str
-        What stands before a metric's name in `reasons`, with a dot.
-    reasons : dict of str to str
-        Filled in: dotted name of each metric that is None, and why.
-    excluded : mapping of str to str
-        Metrics that do not apply, and why; they are not computed.
-    """
-    values: dict[str, float | None] = {}
-    for name, compute in metrics.items():
-        reason = excluded.get(name)
-        try:
-            values[name] = compute() if reason is None else None
-        except UndefinedScore as undefined:
-            values[name], reason = None, str(undefined)
-        if reason is not None:
-            reasons[f"{prefix}.{name}"] = reason
-    return values
 
 
 def normalised_amplitude(power: Stack, reference_amplitude: float) -> Stack:

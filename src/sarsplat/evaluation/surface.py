@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,7 @@ from jaxtyping import Bool, Float, Float32, Float64
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View, radar_frame
+from sarsplat.scenes.mesh_files import read_mesh
 
 if TYPE_CHECKING:
     import trimesh
@@ -41,6 +43,23 @@ class VisibleSurface:
     all_triangles: Float64[np.ndarray, "all 3 3"]
     samples: Float32[np.ndarray, "s 3"]
     samples_whole: Float32[np.ndarray, "w 3"]
+
+
+def read_truth_mesh(path: Path) -> trimesh.Trimesh:
+    """The true mesh of a dataset, exactly as it was written.
+
+    Raises
+    ------
+    SarsplatError
+        If it cannot be read, or has no faces, or holds vertices that are not there or not finite.
+    """
+    try:
+        mesh = read_mesh(path)
+    except SarsplatError as error:
+        raise SarsplatError(f"the true mesh cannot be used: {error}; restore it or simulate again") from error
+    if not np.isfinite(mesh.vertices).all():
+        raise SarsplatError(f"the true mesh {path} holds vertices that are not finite; restore it or simulate again")
+    return mesh
 
 
 def visible_surface(

@@ -1,144 +1,90 @@
-"""Scores as a table in the terminal, beside what they are to be compared with."""
+"""Scores side by side, and as a table in the terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from rich import box
 from rich.table import Table
 
-from sarsplat.errors import SarsplatError
+from sarsplat.evaluation.metrics import METRICS, Metric
 
 
 @dataclass(frozen=True)
-class PaperRow:
-    """Published scores of one rendered target (SAR-GS, Tables I and II).
+class Scores:
+    """What one method reached.
 
     Attributes
     ----------
-    target : str
-    psnr_db, ssim, lpips : float
-        Of whole images.
-    cd_m, f1 : float
-        Chamfer distance, and F1 at a threshold the paper does not state.
-    time_s : float
-        Training time, s.
+    name : str
+        The method, and on what: heading of its column or row.
+    values : mapping of str to float or None
+        By key of the metric; what is absent or None is not known.
+    ranked : bool
+        Whether it competes for the best value in a table.
     """
 
-    target: str
-    psnr_db: float
-    ssim: float
-    lpips: float
-    cd_m: float
-    f1: float
-    time_s: float
+    name: str
+    values: Mapping[str, float | None]
+    ranked: bool = True
 
 
-_PAPER = {
-    row.target.lower(): row
-    for row in (
-        PaperRow("T72", psnr_db=35.91, ssim=0.9943, lpips=0.0165, cd_m=0.187, f1=0.925, time_s=400),
-        PaperRow("BTR70", psnr_db=34.35, ssim=0.9928, lpips=0.0176, cd_m=0.228, f1=0.846, time_s=358),
-        PaperRow("KRAZ", psnr_db=37.33, ssim=0.9969, lpips=0.0109, cd_m=0.207, f1=0.862, time_s=376),
-    )
-}
-
-
-def paper_row(target_name: str) -> PaperRow:
-    """Published scores of a rendered target.
-
-    Parameters
-    ----------
-    target_name : str
-        T72, BTR70 or KRAZ, in any case.
-
-    Raises
-    ------
-    SarsplatError
-        If the paper has no such row.
-    """
-    try:
-        return _PAPER[target_name.lower()]
-    except KeyError:
-        names = ", ".join(row.target for row in _PAPER.values())
-        raise SarsplatError(f"the paper has no row for {target_name!r}; it has {names}") from None
-
-
-NOT_THE_SAME_EXPERIMENT = (
-    "The paper's figures are not the same experiment: its targets and images are not published, its truth is rendered "
-    "by its own method, and its F1 threshold and Chamfer distance are not defined."
-)
-"""What must stand wherever the paper's figures stand beside others."""
-
-
-def _decimals(count: int) -> Callable[[float | None], str]:
-    return lambda value: "–" if value is None else f"{value:.{count}f}"
-
-
-def _duration(seconds: float | None) -> str:
-    """Minutes and seconds, as the paper gives them."""
-    return "–" if seconds is None else f"{round(seconds) // 60}:{round(seconds) % 60:02d}"
-
-
-_COLUMNS: tuple[tuple[str, str, Callable[[float | None], str]], ...] = (
-    ("psnr_db", "PSNR dB", _decimals(2)),
-    ("psnr_target_db", "target dB", _decimals(2)),
-    ("ssim", "SSIM", _decimals(4)),
-    ("lpips", "LPIPS", _decimals(4)),
-    ("nats_per_pixel", "nats per pixel", _decimals(3)),
-    ("log_correlation", "log corr.", _decimals(3)),
-    ("cd_m", "CD m", _decimals(3)),
-    ("f1@0.3", "F1@0.3", _decimals(3)),
-    ("time_s", "time", _duration),
-)
-"""Key of a score, its heading, and how it is written."""
-
-
-def metrics_table(
-    metrics: Mapping[str, Any],
-    *,
-    paper: PaperRow | None = None,
-    yardsticks: Mapping[str, Mapping[str, Mapping[str, float | None]]] | None = None,
-) -> Table:
-    """The headline scores: ours, one row per test set, and below them what they compare with.
+def comparison(metrics: Mapping[str, Any], paper: Scores | None = None) -> list[Scores]:
+    """Ours on each test set with the baselines of that set, then the paper.
 
     Parameters
     ----------
     metrics : mapping
         What `evaluate_run` returned, or `metrics.json`.
-    paper : PaperRow, optional
-        The paper's figures, where the protocol is the paper's.
-    yardsticks : mapping, optional
-        What `yardstick_scores` returned, for a measured set.
+    paper : Scores, optional
+        The paper's figures, where they compare.
 
     Returns
     -------
-    rich.table.Table
-        A column for every score that any row has: PSNR, SSIM and LPIPS of noise-free truth, likelihood and correlation
-        of speckled truth, CD and F1 of a known surface, and time. "–" stands for what does not apply.
-        Below the paper's row, what it means.
+    list of Scores
+        Ours hold the scores of the images, of the points against the visible surface, and of the training.
     """
-    points = {key: metrics["points"]["visible"][key] for key in ("cd_m", "f1@0.3")}
-    common = {**points, "time_s": metrics["time_s"]}
-    rows: list[tuple[str, Mapping[str, float | None]]] = []
-    for split, scores in metrics["images"].items():
-        rows.append((f"ours, {split}", {**scores, **common}))
-        beside = (yardsticks or {}).get(split, {})
-        rows += [(f"{name.replace('_', ' ')}, {split}", scores) for name, scores in beside.items()]
-    if not rows:
-        rows.append(("ours", common))
-    if paper is not None:
-        rows.append((f"paper, {paper.target}", {**vars(paper), "f1@0.3": paper.f1}))
-    shown = [column for column in _COLUMNS if any(scores.get(column[0]) is not None for _, scores in rows)]
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    common = {**metrics["points"]["visible"], "time_s": metrics["time_s"]}
+    found = []
+    for split, values in metrics["images"].items():
+        found.append(Scores(f"ours, {split}", {**values, **common}))
+        found += [Scores(f"{scores.name}, {split}", scores.values) for scores in yardsticks(metrics, split)]
+    return (found or [Scores("ours", common)]) + ([paper] if paper else [])
+
+
+def yardsticks(metrics: Mapping[str, Any], split: str) -> list[Scores]:
+    """Scores of the two-dimensional tricks on one test set."""
+    found = (metrics["yardsticks"] or {}).get(split, {})
+    return [Scores(name.replace("_", " "), values) for name, values in found.items()]
+
+
+def summary_metrics(scores: list[Scores]) -> list[Metric[Any]]:
+    """The metrics of a summary: those with a short name that any of the methods has."""
+    return [
+        metric
+        for metric in METRICS
+        if metric.short and any(method.values.get(metric.key) is not None for method in scores)
+    ]
+
+
+def metrics_table(scores: list[Scores], caption: str | None = None) -> Table:
+    """A line for every method, a column for every metric of the summary; "–" stands for what is not known.
+
+    Parameters
+    ----------
+    scores : list of Scores
+        What `comparison` returned.
+    caption : str, optional
+        What must be said about them, below the table.
+    """
+    shown = summary_metrics(scores)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, caption=caption, caption_justify="left")
     table.add_column("", no_wrap=True)
-    for key, heading, text in shown:
-        words = [*heading.split(), *(text(scores.get(key)) for _, scores in rows)]
-        table.add_column(heading, justify="right", min_width=max(map(len, words)))  # headings may wrap
-    for name, scores in rows:
-        table.add_row(name, *(text(scores.get(key)) for key, _, text in shown))
-    if paper is not None:
-        table.caption, table.caption_justify = NOT_THE_SAME_EXPERIMENT, "left"
+    for metric in shown:
+        words = [*metric.heading.split(), *(metric.text(method.values.get(metric.key)) for method in scores)]
+        table.add_column(metric.heading, justify="right", min_width=max(map(len, words)))  # headings may wrap
+    for method in scores:
+        table.add_row(method.name, *(metric.text(method.values.get(metric.key)) for metric in shown))
     return table

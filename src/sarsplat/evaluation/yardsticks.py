@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Float64, Real
 from scipy.ndimage import correlate, map_coordinates
 
 from sarsplat.data import Dataset
-from sarsplat.evaluation.images import defined, log_correlation, nats_per_pixel
+from sarsplat.evaluation.metrics import IMAGE_METRICS, ImagePair, compute_all
 from sarsplat.geometry import ImageGrid, View
 
 _KERNEL = 0.4
@@ -86,32 +85,26 @@ def yardstick_scores(dataset: Dataset, reasons: dict[str, str]) -> dict[str, dic
     Returns
     -------
     dict
-        `scores[set][yardstick]["nats_per_pixel" | "log_correlation"]`; yardsticks: `nearest_chip`, `rotated_average`.
+        `scores[set][yardstick][metric]`, of the metrics that apply to speckled images; yardsticks: `nearest_chip`,
+        `rotated_average`.
     """
     train, train_views = dataset.images("train").astype(np.float64), [item.view for item in dataset.select("train")]
-    mean_power = train.mean()
-    scores = {}
+    applicable = [metric for metric in IMAGE_METRICS if metric.requires.met(dataset)]
+    reference_amplitude, mean_power = float(np.sqrt(train.max())), float(train.mean())
+    scores: dict[str, dict[str, dict[str, float | None]]] = {}
     for split in dataset.splits():
         if split == "train":
             continue
-        truth = dataset.images(split).astype(np.float64) / mean_power
         views = [item.view for item in dataset.select(split)]
         predictions = {
-            "nearest_chip": nearest_chip(train / mean_power, train_views, views),
-            "rotated_average": rotated_average(train / mean_power, train_views, views, dataset.grid),
+            "nearest_chip": nearest_chip(train, train_views, views),
+            "rotated_average": rotated_average(train, train_views, views, dataset.grid),
         }
-        scores[split] = {
-            name: defined(
-                {
-                    "nats_per_pixel": partial(nats_per_pixel, truth, predicted),
-                    "log_correlation": partial(log_correlation, truth, predicted),
-                },
-                f"yardsticks.{split}.{name}",
-                reasons,
-                {},
-            )
-            for name, predicted in predictions.items()
-        }
+        scores[split] = {}
+        for name, predicted in predictions.items():
+            pair = ImagePair(dataset.images(split), predicted, reference_amplitude, mean_power)
+            prefix = f"yardsticks.{split}.{name}."
+            scores[split][name] = compute_all(applicable, dataset, pair, prefix, reasons)
     return scores
 
 

@@ -42,8 +42,8 @@ def ground_sheet(radius: float, pitch: float) -> Gaussians:
     n = len(means)
     return Gaussians(
         means,
-        torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
-        torch.tensor([_WIDTH * pitch, _WIDTH * pitch, _THICKNESS]).repeat(n, 1),
-        torch.full((n,), _OPTICAL_DEPTH),
-        Harmonics(torch.zeros(n, 1)),
+        means.new_tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
+        means.new_tensor([_WIDTH * pitch, _WIDTH * pitch, _THICKNESS]).repeat(n, 1),
+        means.new_full((n,), _OPTICAL_DEPTH),
+        Harmonics(means.new_zeros(n, 1)),
     )

@@ -11,11 +11,18 @@ from sarsplat.reconstruction.presets import PRESETS, preset
 if TYPE_CHECKING:
     from sarsplat.reconstruction.points import extract_points
     from sarsplat.reconstruction.run import Run
-    from sarsplat.reconstruction.trainer import Trainer, reconstruct
+    from sarsplat.reconstruction.trainer import Trainer
+    from sarsplat.reconstruction.training import Step, reconstruct
 
-_MODULE_OF = {"extract_points": "points", "Run": "run", "Trainer": "trainer", "reconstruct": "trainer"}
+_MODULE_OF = {
+    "extract_points": "points",
+    "Run": "run",
+    "Step": "training",
+    "Trainer": "trainer",
+    "reconstruct": "training",
+}
 
-__all__ = ["PRESETS", "Config", "Run", "Trainer", "extract_points", "preset", "reconstruct"]
+__all__ = ["PRESETS", "Config", "Run", "Step", "Trainer", "extract_points", "preset", "reconstruct"]
 
 
 def __getattr__(name: str) -> Any:

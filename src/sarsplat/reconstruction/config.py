@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from msgspec import Meta
@@ -178,7 +179,7 @@ class Config(Record):
     initialisation : str
         Start in the box that the images bound ("box"), or on the paper's hemisphere ("hemisphere").
     loss : str
-        "amplitude": L1 and SSIM of amplitudes; "speckle": likelihood of single-look speckle.
+        "amplitude": L1 and SSIM of amplitudes; "speckle": likelihood of single-look speckle; or another of `LOSSES`.
     ssim_weight : float
         Share of SSIM in the loss on amplitudes.
     scattering : str
@@ -225,7 +226,7 @@ class Config(Record):
     views_per_step: Count = 8
     gaussians: Count = 15_000
     initialisation: Literal["box", "hemisphere"] = "box"
-    loss: Literal["amplitude", "speckle"] = "amplitude"
+    loss: str = "amplitude"
     ssim_weight: NotNegative = 0.0
     scattering: ScatteringName = "harmonics"
     p_min: NotNegative = 0.03
@@ -248,3 +249,22 @@ class Config(Record):
         super().__post_init__()
         if self.scale_bounds_m[0] > self.scale_bounds_m[1]:
             raise SarsplatError(f"scale_bounds_m is {shown(self.scale_bounds_m)}; give the smaller one first")
+
+
+_MAY_CHANGE = ("iterations", "checkpoint_every")
+
+
+def refuse_other_settings(run: Path, begun: Config, wanted: Config) -> None:
+    """Let a run go on with the settings it was begun with only; how long it goes on may change.
+
+    Raises
+    ------
+    SarsplatError
+        If another setting differs; it is named, with both values.
+    """
+    for name, before, after in begun.changes(wanted):
+        if name not in _MAY_CHANGE:
+            raise SarsplatError(
+                f"{run} was begun with {name} {shown(before)}, not {shown(after)}; resume it with the same settings, "
+                f"of which only {' and '.join(_MAY_CHANGE)} may change"
+            )

@@ -94,11 +94,12 @@ class SceneModel:
             warn(_cut_off(region, dataset))
         sample = hemisphere_shell if config.initialisation == "hemisphere" else Region.sample
         n, views = config.gaussians, len(dataset.select("train"))
+        means = torch.from_numpy(sample(region, n, generator)).float()  # on the CPU, as all that is made like it
         parameters = {
-            "means": torch.from_numpy(sample(region, n, generator)).float(),
+            "means": means,
             "quaternions": random_quaternions(n, generator),
-            "scales": torch.full((n, 3), config.initial_scale_m),
-            "optical_depth": torch.full((n,), config.initial_optical_depth),
+            "scales": means.new_full((n, 3), config.initial_scale_m),
+            "optical_depth": means.new_full((n,), config.initial_optical_depth),
             "scattering": _law(config, n, config.initial_scattering).parameters,
         }
         if config.surroundings:
@@ -107,9 +108,9 @@ class SceneModel:
             level = float(np.median(dataset.images("train"))) / unit / math.log(2) / mean_tangent
             parameters |= {
                 "ground": _law(config, 1, level).parameters[0],
-                "noise": torch.tensor([math.log(config.surroundings.noise_floor)]),
-                "shift": torch.zeros(views, 2),
-                "log_gain": torch.zeros(views),
+                "noise": means.new_tensor([math.log(config.surroundings.noise_floor)]),
+                "shift": means.new_zeros(views, 2),
+                "log_gain": means.new_zeros(views),
             }
         return cls(config, region, unit, parameters, device)
 
@@ -160,10 +161,11 @@ class SceneModel:
             # deviations from the mean chip: an unseen view is rendered as the mean one
             shift = (p["shift"] - p["shift"].mean(0))[chips]
             gain = torch.softmax(p["log_gain"], dim=0)[chips] * len(p["log_gain"])  # of mean 1
-        rendering = render(
-            self.scene(degree), views, grid, rays=rays, shift=shift, gain=gain, plane_gradients=plane_gradients
-        )
+        rendering = render(self.scene(degree), views, grid, rays=rays, shift=shift, plane_gradients=plane_gradients)
         images = rendering.images
+        if gain is not None:  # not by `render`, which would look at its values, and a GPU would be waited for
+            # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
+            images = images * gain[:, None, None].expand(-1, 1, grid.columns)
         if self.config.surroundings:
             images = images + p["noise"].exp().expand(grid.columns)  # so that its gradient is summed column by column
         return images if self.unit == 1 else images * self.unit, rendering

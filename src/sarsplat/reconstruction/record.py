@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from types import UnionType
@@ -38,6 +39,15 @@ class Record:
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON data."""
         return msgspec.to_builtins(self)
+
+    def changes(self, other: Self) -> Iterator[tuple[str, Any, Any]]:
+        """What differs: dotted names, such as ``rates.means_m``, with the value here and there."""
+        for name in _hints(type(self)):
+            here, there = getattr(self, name), getattr(other, name)
+            if isinstance(here, Record) and isinstance(there, Record):
+                yield from here.changes(there)
+            elif here != there:
+                yield f"{self._section}{name}", here, there
 
     @classmethod
     def from_dict(cls, data: object, source: str = "the configuration") -> Self:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import sys
 from ctypes import POINTER, c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
@@ -25,8 +26,10 @@ from sarsplat.renderer.structs import (
     check_layouts,
 )
 
-LIBRARY = Path(__file__).with_name("_engine.so")
+LIBRARY = Path(__file__).with_name("_engine.dll" if sys.platform == "win32" else "_engine.so")
 """The compiled engine."""
+
+_TORCH = {"win32": "torch_cpu.dll", "darwin": "libtorch_cpu.dylib"}.get(sys.platform, "libtorch_cpu.so")
 
 _INPUTS = ("means", "quaternions", "scales", "optical_depth", "scattering", "gamma0", "shift")
 _FOOTPRINTS = ("centers", "roots", "optical_depth", "range_m", "tilt", "amplitudes")
@@ -38,7 +41,7 @@ _NO_MEMORY = "the memory of this machine does not suffice for the rendering; tak
 
 @cache
 def library() -> ctypes.CDLL:
-    """The compiled engine, its threads borrowed from torch.
+    """The compiled engine, its threads borrowed from torch; on one thread where torch does not lend them.
 
     Raises
     ------
@@ -80,9 +83,19 @@ def library() -> ctypes.CDLL:
     lib.sg_adam.argtypes = [c_int32, POINTER(AdamStep)]
     lib.sg_adam.restype = None
     lib.sg_isa_name.restype = ctypes.c_char_p
-    torch_pool = ctypes.CDLL(str(next((Path(torch.__file__).parent / "lib").glob("libtorch_cpu.*")))).torch_parallel_for
-    lib.sg_use_torch(ctypes.cast(torch_pool, c_void_p))
+    lib.sg_use_torch.argtypes = [c_void_p]
+    lib.sg_use_torch.restype = None
+    lib.sg_use_torch(torch_pool())
     return lib
+
+
+def torch_pool() -> c_void_p | None:
+    """The function that runs a loop on torch's threads, or None where this torch has none."""
+    try:
+        function = ctypes.CDLL(str(Path(torch.__file__).parent / "lib" / _TORCH)).torch_parallel_for
+    except (OSError, AttributeError):
+        return None
+    return ctypes.cast(function, c_void_p)
 
 
 def best_instruction_set() -> str:

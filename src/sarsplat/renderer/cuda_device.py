@@ -61,7 +61,7 @@ class Device:
             self._driver.cuGetErrorString(status, byref(text))
             raise SarsplatError(
                 f"the CUDA driver fails with error {status} ({(text.value or b'unknown').decode()}); "
-                "restart the program, update the driver, or use engine='cpu'"
+                "restart the program, update the driver, or use the CPU"
             )
 
 
@@ -89,12 +89,12 @@ def require_cuda() -> None:
     if torch.version.cuda is None:
         raise SarsplatError(
             f"the CUDA engine needs a torch built for CUDA, and this is {torch.__version__}; install one, or use "
-            "engine='cpu'"
+            "the CPU"
         )
     if not torch.cuda.is_available():
         raise SarsplatError(
             f"torch {torch.__version__} finds no usable NVIDIA GPU; install the driver that CUDA "
-            f"{torch.version.cuda} needs (see nvidia-smi), or use engine='cpu'"
+            f"{torch.version.cuda} needs (see nvidia-smi), or use the CPU"
         )
 
 
@@ -103,7 +103,7 @@ def _driver() -> ctypes.CDLL:
     try:
         driver = ctypes.CDLL(_DRIVER)
     except OSError as error:
-        raise SarsplatError(f"the NVIDIA driver cannot be loaded ({error}); install it, or use engine='cpu'") from error
+        raise SarsplatError(f"the NVIDIA driver cannot be loaded ({error}); install it, or use the CPU") from error
     driver.cuModuleLoadData.argtypes = [POINTER(c_void_p), c_char_p]
     sizes = [c_uint] * 7  # grid, block, shared bytes
     driver.cuLaunchKernel.argtypes = [c_void_p, *sizes, c_void_p, POINTER(c_void_p), POINTER(c_void_p)]

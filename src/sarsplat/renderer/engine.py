@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import cache, lru_cache, partial
 from typing import Any, Protocol
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -146,7 +145,7 @@ def render_with(
     if gamma0 is None and isinstance(law, Harmonics):
         harmonics = law.parameters  # kernels evaluate these themselves
     elif gamma0 is None:
-        gamma0 = gaussians.gamma0(directions_to(tuple(views)).to(gaussians.means))
+        gamma0 = gaussians.gamma0(directions_to(views, gaussians.means))
     setting = _Setting(
         tuple(views), grid, rays, law.p_min, imaging_weight == "peak", first_return_depth, new_pass, planes
     )
@@ -271,18 +270,24 @@ def point_at(problem: ctypes.Structure, inputs: Sequence[Tensor | None]) -> None
         setattr(problem, name, pointer(tensor))
 
 
-@lru_cache(maxsize=256)
-def directions_to(views: tuple[View, ...]) -> Float[Tensor, "v 3"]:
-    """Unit vectors towards the radar, float64: a training asks for the same ones again and again."""
-    return torch.from_numpy(np.stack([view.direction for view in views]))
+def directions_to(views: Sequence[View], like: Tensor) -> Float[Tensor, "v 3"]:
+    """Unit vectors towards the radar, of the dtype and on the device of `like`."""
+    return torch.stack([_direction(view, like.dtype, like.device) for view in views])
+
+
+# A training asks for the same few views again and again, and a GPU should not be sent them each time.
+@lru_cache(maxsize=4096)
+def _direction(view: View, dtype: torch.dtype, device: torch.device) -> Float[Tensor, " 3"]:
+    """The unit vector towards the radar."""
+    return torch.from_numpy(view.direction).to(device, dtype)
 
 
 @lru_cache(maxsize=4096)
-def _frame_and_basis(view: View, degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Radar frame and harmonics towards the radar, float32: the same few views come again and again in a training."""
-    frame = radar_frame(view)
-    basis = harmonic_basis(torch.from_numpy(-frame[2]), degree).numpy()
-    return frame.astype(np.float32), basis.astype(np.float32)
+def _frame_and_basis(view: View, degree: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Radar frame [3, 3] and harmonics towards the radar, float32."""
+    frame = torch.from_numpy(radar_frame(view))
+    basis = harmonic_basis(-frame[2], degree)
+    return frame.float().to(device), basis.float().to(device)
 
 
 def problem_of(
@@ -297,8 +302,8 @@ def problem_of(
     means, harmonics = inputs[0], inputs[4]
     assert means is not None
     degree = 0 if harmonics is None else math.isqrt(harmonics.shape[1]) - 1
-    by_view = zip(*(_frame_and_basis(view, degree) for view in views))
-    frames, basis = (torch.from_numpy(np.array(part)).to(means.device) for part in by_view)
+    by_view = zip(*(_frame_and_basis(view, degree, means.device) for view in views))
+    frames, basis = (torch.stack(part) for part in by_view)
     problem = new_problem(len(views), len(means), grid=grid, rays=rays, peak=peak)
     problem.coefficients = 0 if harmonics is None else harmonics.shape[1]
     problem.frames, problem.basis, problem.p_min = pointer(frames), pointer(basis), p_min

@@ -33,7 +33,7 @@ typedef unsigned int uint32_t;
 typedef long long int64_t;
 """
 
-_REMEDY = "install a torch built for CUDA, which brings it along, or use engine='cpu'"
+_REMEDY = "install a torch built for CUDA, which brings it along, or use the CPU"
 
 
 class Compiler(Protocol):
@@ -141,7 +141,7 @@ class Nvrtc:
                 raise SarsplatError(
                     f"NVRTC {self.version} cannot compile the CUDA engine for {architecture} "
                     f"({log or self._reason(status)}); install a torch whose CUDA knows this device, "
-                    "or use engine='cpu'"
+                    "or use the CPU"
                 )
             return self._text(program, "CUBIN")
         finally:

@@ -54,7 +54,7 @@ def project_with(
         *(tuple(views), grid, rays, law.p_min, new_pass),
     )
     if harmonics is None:
-        gamma0 = g.gamma0(directions_to(tuple(views)).to(g.means))
+        gamma0 = g.gamma0(directions_to(views, g.means))
     return Projection(
         Footprints(ray_centers, ray_roots), depth, range_m, tilt, Footprints(pixel_centers, pixel_roots), gamma0
     )

@@ -1,8 +1,7 @@
 """What a run looks like: pictures, scores and settings on one page that needs no network."""
 
 from sarsplat.report.decibels import decibel_png
-from sarsplat.report.scores import paper_beside
 from sarsplat.report.sheet import contact_sheet
 from sarsplat.report.write import write_report
 
-__all__ = ["contact_sheet", "decibel_png", "paper_beside", "write_report"]
+__all__ = ["contact_sheet", "decibel_png", "write_report"]

@@ -2,34 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
+from sarsplat.reconstruction.run import LogLine
 from sarsplat.report.canvas import BLUE, FAINT, ORANGE, dress, new_figure, to_png
 
 
-def curves_figure(history: Sequence[Mapping[str, Any]], loss_name: str) -> bytes:
+def curves_figure(history: Sequence[LogLine], loss_name: str) -> bytes:
     """Loss and number of Gaussians against the iteration, as PNG.
 
     Parameters
     ----------
-    history : sequence of mapping
+    history : sequence of LogLine
         Lines of `metrics.jsonl`, at least one.
     loss_name : str
         What the loss is, with its unit; it gets a logarithmic axis if it falls far.
     """
-    iteration = [line["iteration"] for line in history]
-    loss = [line["loss"] for line in history]
+    iteration = [line.iteration for line in history]
+    loss = [line.loss for line in history]
     figure = new_figure(11, 3.2)
     left, right = figure.subplots(1, 2, width_ratios=(2, 1))
     left.plot(iteration, loss, color=BLUE, linewidth=1.4)
     if min(loss) > 0 and max(loss) > 5 * min(loss):
         left.set_yscale("log")
     left.set(xlabel="iteration", ylabel=loss_name, title=f"Loss: {loss[0]:.3g} → {loss[-1]:.3g}")
-    right.plot(iteration, [line["gaussians"] for line in history], color=ORANGE, linewidth=1.4)
+    right.plot(iteration, [line.gaussians for line in history], color=ORANGE, linewidth=1.4)
     right.set_ylim(bottom=0)
     right.yaxis.set_major_formatter("{x:,.0f}")
-    right.set(xlabel="iteration", title=f"Gaussians: {history[-1]['gaussians']:,}")
+    right.set(xlabel="iteration", title=f"Gaussians: {history[-1].gaussians:,}")
     for axes in (left, right):
         dress(axes)
         axes.set_xlim(0, max(1, *iteration))

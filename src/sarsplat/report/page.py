@@ -5,17 +5,14 @@ from __future__ import annotations
 import base64
 import json
 from dataclasses import dataclass
-from html import escape
 from importlib.metadata import PackageNotFoundError, version
-from importlib.resources import files
-from string import Template
 from typing import Any
 
 from sarsplat.data import Dataset
 from sarsplat.errors import counted
-from sarsplat.evaluation.tables import NOT_THE_SAME_EXPERIMENT
+from sarsplat.evaluation import METRICS, NOT_THE_SAME_EXPERIMENT, paper_beside
 from sarsplat.reconstruction import Run
-from sarsplat.report.scores import ScoreTable, paper_beside, score_tables
+from sarsplat.report.scores import Row, ScoreTable, score_tables
 
 
 @dataclass(frozen=True)
@@ -27,25 +24,39 @@ class Picture:
     text: str
     png: bytes
 
+    @property
+    def data(self) -> str:
+        """The PNG as an address that holds it."""
+        return f"data:image/png;base64,{base64.b64encode(self.png).decode()}"
+
 
 def page(run: Run, pictures: list[Picture], training: list[Picture]) -> str:
     """The whole page as HTML: pictures come before the scores, those of the training after them."""
+    import jinja2
+
     metrics, dataset = run.metrics, run.dataset
-    paper = paper_beside(dataset) if dataset.domain == "rendered" else None
-    tables = score_tables(metrics, paper) if metrics else []
-    target = str(dataset.source.get("target") or dataset.source.get("class") or dataset.path.name)
-    here = files("sarsplat.report")
-    return Template(here.joinpath("page.html").read_text("utf-8")).substitute(
-        style=here.joinpath("style.css").read_text("utf-8"),
-        target=escape(target),
-        lead=escape(_lead(run)),
-        cards=_cards(run, tables),
-        pictures="\n".join(_picture(picture) for picture in pictures),
-        training="\n".join(_picture(picture) for picture in training),
-        scores=_scores(tables, metrics, NOT_THE_SAME_EXPERIMENT if paper else ""),
-        dataset=_facts(_dataset_facts(dataset)),
-        run=_facts(_run_facts(run)),
-        configuration=escape(json.dumps(run.config.as_dict(), indent=2)),
+    paper = paper_beside(dataset)
+    tables = score_tables(metrics, [paper] if paper else []) if metrics else []
+    templates = jinja2.Environment(
+        loader=jinja2.PackageLoader("sarsplat.report", ""),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return templates.get_template("page.html.j2").render(
+        target=str(dataset.source.get("target") or dataset.source.get("class") or dataset.path.name),
+        lead=_lead(run),
+        headlines=[_card(table, row) for table in tables for row in table.rows if row.metric.place == "headline"],
+        pictures=pictures,
+        evaluated=metrics is not None,
+        caution=NOT_THE_SAME_EXPERIMENT if paper else None,
+        tables=tables,
+        notes=_notes(metrics, tables) if metrics else [],
+        training=training,
+        dataset=_dataset_facts(dataset),
+        run=_run_facts(run),
+        configuration=json.dumps(run.config.as_dict(), indent=2),
     )
 
 
@@ -59,68 +70,28 @@ def _lead(run: Run) -> str:
     )
 
 
-def _cards(run: Run, tables: list[ScoreTable]) -> str:
-    """The headlines of each table, large."""
-    rows = [(table, row) for table in tables for row in table.rows if row.headline]
-    if not rows:
-        return '<p class="note">Not evaluated yet: <code>sarsplat evaluate</code> adds the scores.</p>'
-    cards = []
-    for table, row in rows:
-        beside = [
-            f"{column} {cell.text}"
-            for column, cell in zip(table.columns[1:], row.cells[1:], strict=True)
-            if cell.text != "–" and not column.startswith("whole")
-        ]
-        small = escape(" · ".join(beside)) or "&nbsp;"
-        cards.append(
-            f'<div class="card"><div class="name">{escape(row.name)}</div><div class="value">{row.cells[0].text}</div>'
-            f'<div class="beside">{small}</div><div class="set">{escape(table.title.lower())}</div></div>'
-        )
-    return f'<div class="cards">{"".join(cards)}</div>'
+def _card(table: ScoreTable, row: Row) -> dict[str, Any]:
+    """A headline: our value, and below it those it competes with."""
+    ours, *others = row.cells
+    known = [cell for cell in others if cell.column.ranked and cell.column.values.get(row.metric.key) is not None]
+    return {
+        "name": row.metric.title,
+        "value": ours.text,
+        "others": [f"{cell.column.name} {cell.text}" for cell in known],
+        "table": table.title.lower(),
+    }
 
 
-def _picture(picture: Picture) -> str:
-    data = base64.b64encode(picture.png).decode()
-    return (
-        f"<section><h2>{escape(picture.title)}</h2><p>{escape(picture.text)}</p>"
-        f'<img src="data:image/png;base64,{data}" alt="{escape(picture.title)}"></section>'
-    )
-
-
-def _scores(tables: list[ScoreTable], metrics: dict[str, Any] | None, caution: str) -> str:
-    if metrics is None:
-        return ""
-    parts = [f'<p class="note">{escape(caution)}</p>'] if caution else []
-    parts += [_table(table) for table in tables]
+def _notes(metrics: dict[str, Any], tables: list[ScoreTable]) -> list[str]:
+    """What was left out and why, what was computed, and what images were divided by."""
     missing: dict[str, list[str]] = {}
-    for key, reason in metrics.get("reasons", {}).items():
-        missing.setdefault(reason, []).append(key.rpartition(".")[2])
-    notes = [f"{', '.join(dict.fromkeys(names))}: {reason}" for reason, names in missing.items()]
-    notes += [str(text) for text in metrics.get("domain", {}).values() if isinstance(text, str)]
-    items = "".join(f"<li>{escape(note)}</li>" for note in notes)
-    explained = (
-        f"<details><summary>What exactly was compared, and what was left out</summary><ul>{items}</ul></details>"
-    )
-    return f"<section><h2>Scores</h2>{''.join(parts)}{explained}</section>"
-
-
-def _table(table: ScoreTable) -> str:
-    head = "".join(f"<th>{escape(column)}</th>" for column in table.columns)
-    body = "".join(
-        f'<tr><th>{escape(row.name)} <span class="sense">{"↑" if row.more else "↓"}</span></th>'
-        + "".join(f'<td class="{"best" if cell.best else ""}">{cell.text}</td>' for cell in row.cells)
-        + "</tr>"
-        for row in table.rows
-    )
-    return (
-        f'<div class="scroll"><table><thead><tr><th>{escape(table.title)}</th>{head}</tr></thead>'
-        f"<tbody>{body}</tbody></table></div>"
-    )
-
-
-def _facts(rows: dict[str, str]) -> str:
-    items = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in rows.items())
-    return f"<dl>{items}</dl>"
+    for key, reason in metrics["reasons"].items():
+        label = next((metric.label for metric in METRICS if key.endswith(f".{metric.key}")), key)
+        missing.setdefault(reason, []).append(label)
+    notes = [f"{'; '.join(dict.fromkeys(labels))}: {reason}" for reason, labels in missing.items()]
+    shown = {row.metric.key: row.metric.label for table in tables for row in table.rows}
+    notes += [f"{label}: {metrics['definitions'][key]}" for key, label in shown.items()]
+    return [*notes, ", ".join(f"{name} = {value:.6g}" for name, value in metrics["normalisation"].items())]
 
 
 def _dataset_facts(dataset: Dataset) -> dict[str, str]:

@@ -8,9 +8,11 @@ import numpy as np
 
 from sarsplat.data import Dataset, write_bytes
 from sarsplat.data.files import plain_os_errors
+from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluation.evaluation import read_truth_mesh
+from sarsplat.evaluation import read_truth_mesh
 from sarsplat.reconstruction import Run
+from sarsplat.reconstruction.losses import LOSSES
 from sarsplat.report.cloud import points_figure
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.page import Picture, page
@@ -37,23 +39,25 @@ def write_report(run: Run) -> Path:
     Raises
     ------
     SarsplatError
-        If the run's dataset is missing, `RUN/report` is a link or a file cannot be written.
+        If the run's dataset is missing, `RUN/report` is a link, a file cannot be written or another process is writing
+        the run.
     """
-    refuse_linked_report(run.path)
-    folder = run.path / _FOLDER
-    with plain_os_errors("write", folder):
-        folder.mkdir(exist_ok=True)
-    pictures, training = [_views(run), _points(run)], _curves(run)
-    for picture in (*pictures, *training):
-        write_bytes(folder / picture.file, picture.png)
-    try:
-        html = page(run, pictures, training)
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise SarsplatError(
-            f"{run.path / 'metrics.json'} does not hold all scores ({error!r}); write it again with "
-            f"`sarsplat evaluate {run.path}`"
-        ) from error
-    write_bytes(folder / "index.html", html.encode())
+    refuse_linked_report(run.folder)
+    folder = run.folder / _FOLDER
+    with only_writer(run.folder):
+        with plain_os_errors("write", folder):
+            folder.mkdir(exist_ok=True)
+        pictures, training = [_views(run), _points(run)], _curves(run)
+        for picture in (*pictures, *training):
+            write_bytes(folder / picture.file, picture.png)
+        try:
+            html = page(run, pictures, training)
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
+            raise SarsplatError(
+                f"{run.folder / 'metrics.json'} does not hold all scores ({error!r}); write it again with "
+                f"`sarsplat evaluate {run.path}`"
+            ) from error
+        write_bytes(folder / "index.html", html.encode())
     return folder / "index.html"
 
 
@@ -118,11 +122,7 @@ def _curves(run: Run) -> list[Picture]:
     history = run.history
     if not history:
         return []
-    name = (
-        "negative log-likelihood of the speckle"
-        if run.config.loss == "speckle"
-        else "difference of amplitudes (largest = 1)"
-    )
-    label = "nats per pixel" if run.config.loss == "speckle" else "loss"
+    known = LOSSES.get(run.config.loss)
+    name, unit = (known.title, known.unit) if known else (f"function {run.config.loss}", "loss")
     text = f"The loss is the {name}, averaged over the training views."
-    return [Picture("curves.png", "Training", text, curves_figure(history, label))]
+    return [Picture("curves.png", "Training", text, curves_figure(history, unit))]

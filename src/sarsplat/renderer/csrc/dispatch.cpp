@@ -2,8 +2,7 @@
 #include <cstring>
 
 #include "api.h"
-
-#define SG_EXPORT extern "C" __attribute__((visibility("default")))
+#include "export.h"
 
 extern "C" const sg_engine sg_engine_base;
 #if defined(__x86_64__)

@@ -3,6 +3,7 @@
 #include <cstring>
 
 #include "api.h"
+#include "export.h"
 
 namespace {
 
@@ -34,7 +35,7 @@ const Layout kLayouts[] = {
 }  // namespace
 
 // Null for a structure that is not in api.h.
-extern "C" __attribute__((visibility("default"))) const int32_t* sg_layout(const char* name) {
+SG_EXPORT const int32_t* sg_layout(const char* name) {
   for (const Layout& layout : kLayouts)
     if (!std::strcmp(layout.name, name)) return layout.numbers;
   return nullptr;

@@ -10,14 +10,16 @@
 #include <cstdint>
 #include <thread>
 
+#include "export.h"
+
 typedef int32_t (*torch_parallel_for_t)(int64_t, int64_t, int64_t, void (*)(int64_t, int64_t, void*), void*);
 static torch_parallel_for_t torch_parallel_for = nullptr;
 static std::atomic<int> threads{1};
 
-extern "C" __attribute__((visibility("default"))) void sg_use_torch(void* function) {
+SG_EXPORT void sg_use_torch(void* function) {
   torch_parallel_for = (torch_parallel_for_t)function;
 }
-extern "C" __attribute__((visibility("default"))) void sg_set_threads(int n) { threads.store(n, std::memory_order_relaxed); }
+SG_EXPORT void sg_set_threads(int n) { threads.store(n, std::memory_order_relaxed); }
 
 namespace {
 

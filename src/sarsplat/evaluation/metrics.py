@@ -1,0 +1,347 @@
+"""Every metric, once: its name, unit, direction and definition, where it applies and how it is computed.
+
+The evaluation, `metrics.json`, the table in the terminal, the report's page, the README and the documentation take what
+they say about a metric from here. To add one, write its function and add an entry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, Literal, Protocol, TypeVar
+
+import numpy as np
+from jaxtyping import Float
+
+from sarsplat.data import Dataset
+from sarsplat.evaluation import images, lpips
+from sarsplat.evaluation.images import Stack, UndefinedScore
+from sarsplat.evaluation.points import THRESHOLDS, VOXEL, PointMetrics
+from sarsplat.geometry import View
+
+
+class EvaluatedRun(Protocol):
+    """What evaluation reads of a finished run."""
+
+    @property
+    def path(self) -> Path | None:
+        """Its folder; None if it is in memory only."""
+
+    @property
+    def dataset(self) -> Dataset: ...
+
+    @property
+    def points(self) -> Float[np.ndarray, "p 3"]:
+        """Reconstructed points, world frame, m, float [P, 3]."""
+
+    @property
+    def time_s(self) -> float: ...
+
+    @property
+    def seed(self) -> int: ...
+
+    def render(self, views: Sequence[View], /) -> Stack:
+        """β⁰ power of unseen views, float32 [V, rows, columns]."""
+
+
+@dataclass(frozen=True)
+class ImagePair:
+    """Images of one test set, true and rendered, with what their scores refer to.
+
+    Attributes
+    ----------
+    truth, rendered : numpy.ndarray, float [V, rows, columns]
+        β⁰, linear power.
+    reference_amplitude : float
+        Largest amplitude √β⁰ of the training set.
+    mean_power : float
+        Mean β⁰ of the training set.
+    network : Lpips, optional
+        The network that LPIPS needs.
+    """
+
+    truth: Stack
+    rendered: Stack
+    reference_amplitude: float
+    mean_power: float
+    network: lpips.Lpips | None = None
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """What a dataset must have for a metric to apply: whether it has, and the reason to give where it has not."""
+
+    met: Callable[[Dataset], bool]
+    otherwise: str
+
+
+def _speckled(dataset: Dataset) -> bool:
+    return dataset.domain == "measured" or bool(dataset.source.get("looks"))
+
+
+NOTHING = Requirement(lambda dataset: True, "")
+NOISE_FREE = Requirement(
+    lambda dataset: not _speckled(dataset), "the true images are speckled; this metric needs noise-free ones"
+)
+SPECKLED = Requirement(_speckled, "the true images are noise-free; this metric needs speckled ones")
+KNOWN_SURFACE = Requirement(
+    lambda dataset: dataset.truth_mesh is not None, "the dataset has no true mesh to compare with"
+)
+
+Measured = TypeVar("Measured")
+
+
+@dataclass(frozen=True)
+class Metric(Generic[Measured]):
+    """One metric.
+
+    Attributes
+    ----------
+    key : str
+        Its name in `metrics.json`.
+    label : str
+        Its name for readers, without the unit.
+    unit : str
+        Its unit; empty if it has none.
+    decimals : int
+        How many are printed.
+    better : {"more", "less"} or None
+        Which of two values is the better one; None if neither is.
+    definition : str
+        What exactly is computed, in one line.
+    compute : callable
+        Its value; raises `UndefinedScore` where it has none.
+    requires : Requirement
+        To which datasets it applies.
+    short : str
+        Heading of its column in the terminal, without the unit; empty if it has no column there and in the README.
+    place : {"headline", "table", "file"}
+        In the report: large at the top and in the table, in the table only, or not at all.
+    """
+
+    key: str
+    label: str
+    unit: str
+    decimals: int
+    better: Literal["more", "less"] | None
+    definition: str
+    compute: Callable[[Measured], float]
+    requires: Requirement = NOTHING
+    short: str = ""
+    place: Literal["headline", "table", "file"] = "table"
+
+    @property
+    def title(self) -> str:
+        """Label and unit: `Chamfer distance, m`."""
+        return f"{self.label}, {self.unit}" if self.unit else self.label
+
+    @property
+    def heading(self) -> str:
+        """Short name and unit: `CD m`."""
+        return f"{self.short} {self.unit}".strip()
+
+    @property
+    def arrow(self) -> str:
+        """↑ if more is better, ↓ if less is."""
+        return {"more": "↑", "less": "↓", None: ""}[self.better]
+
+    def text(self, value: float | None) -> str:
+        """The value with the metric's decimals; a dash for None."""
+        return "–" if value is None else f"{value:.{self.decimals}f}"
+
+    def best(self, values: Sequence[float | None]) -> float | None:
+        """The best of several values; None if there is nothing to compare."""
+        known = [value for value in values if value is not None]
+        if self.better is None or len(known) < 2:
+            return None
+        return max(known) if self.better == "more" else min(known)
+
+
+def compute_all(
+    metrics: Sequence[Metric[Measured]],
+    dataset: Dataset,
+    measured: Measured | UndefinedScore,
+    prefix: str,
+    reasons: dict[str, str],
+) -> dict[str, float | None]:
+    """Value of every metric; None, with the reason noted, where it does not apply or has no value.
+
+    Parameters
+    ----------
+    metrics : sequence of Metric
+        What to compute.
+    dataset : Dataset
+        Decides which of them apply.
+    measured : Measured or UndefinedScore
+        What they are computed from, or why there is nothing.
+    prefix : str
+        What stands before a metric's key in `reasons`: empty, or ending in a dot.
+    reasons : dict of str to str
+        Filled in: dotted key of each metric that is None, and why.
+    """
+    values: dict[str, float | None] = {}
+    for metric in metrics:
+        try:
+            if not metric.requires.met(dataset):
+                raise UndefinedScore(metric.requires.otherwise)
+            if isinstance(measured, UndefinedScore):
+                raise measured
+            values[metric.key] = metric.compute(measured)
+        except UndefinedScore as undefined:
+            values[metric.key] = None
+            reasons[prefix + metric.key] = str(undefined)
+    return values
+
+
+def _lpips(pair: ImagePair) -> float:
+    if pair.network is None:
+        raise UndefinedScore(
+            f"no LPIPS weights: pass their folder with --lpips-weights or name it in {lpips.WEIGHTS_VARIABLE}"
+        )
+    return lpips.lpips(pair.truth, pair.rendered, pair.reference_amplitude, pair.network)
+
+
+def _nats_per_pixel(pair: ImagePair) -> float:
+    # divided in float64: in float32 faint images are no multiples of each other
+    truth, rendered = (power.astype(np.float64) / pair.mean_power for power in (pair.truth, pair.rendered))
+    return images.nats_per_pixel(truth, rendered)
+
+
+IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
+    Metric(
+        "psnr_db",
+        *("PSNR, whole image", "dB", 2, "more"),
+        "peak signal-to-noise ratio of the amplitude √β⁰ / reference_amplitude, no clip, peak 1; mean over images",
+        lambda pair: images.psnr_db(pair.truth, pair.rendered, pair.reference_amplitude),
+        requires=NOISE_FREE,
+        short="PSNR",
+        place="headline",
+    ),
+    Metric(
+        "psnr_target_db",
+        *("PSNR on the target", "dB", 2, "more"),
+        f"the same over pixels whose true β⁰ is above −{images.TARGET_DYNAMIC_DB:g} dB of the test set's maximum",
+        lambda pair: images.psnr_target_db(pair.truth, pair.rendered, pair.reference_amplitude),
+        requires=NOISE_FREE,
+        short="target",
+        place="headline",
+    ),
+    Metric(
+        "ssim",
+        *("SSIM", "", 4, "more"),
+        "structural similarity of the same amplitudes: Gaussian window 11×11, σ 1.5, data range 1; mean over images",
+        lambda pair: images.ssim(pair.truth, pair.rendered, pair.reference_amplitude),
+        requires=NOISE_FREE,
+        short="SSIM",
+    ),
+    Metric(
+        "lpips",
+        *("LPIPS", "", 4, "less"),
+        "LPIPS-AlexNet v0.1 of 2·amplitude − 1, grey repeated three times; mean over images",
+        _lpips,
+        requires=NOISE_FREE,
+        short="LPIPS",
+    ),
+    Metric(
+        "nats_per_pixel",
+        *("negative log-likelihood", "nats/pixel", 3, "less"),
+        "negative log-likelihood of single-look speckle: mean of log S + I/S, I and S in units of mean_power; "
+        "the margin is left out",
+        _nats_per_pixel,
+        requires=SPECKLED,
+        short="NLL",
+        place="headline",
+    ),
+    Metric(
+        "log_correlation",
+        *("correlation of log power", "", 3, "more"),
+        "correlation of the logarithms of 3×3 means; the margin is left out after filtering; mean over images",
+        lambda pair: images.log_correlation(pair.truth, pair.rendered),
+        requires=SPECKLED,
+        short="log corr.",
+        place="headline",
+    ),
+)
+
+POINT_METRICS: tuple[Metric[PointMetrics], ...] = (
+    Metric(
+        "cd_m",
+        *("Chamfer distance", "m", 3, "less"),
+        "mean of accuracy_m and completeness_m",
+        lambda points: points.cd_m,
+        requires=KNOWN_SURFACE,
+        short="CD",
+        place="headline",
+    ),
+    Metric(
+        "cd_squared_m2",
+        *("Chamfer distance, squared", "m²", 4, "less"),
+        "the same of squared distances",
+        lambda points: points.cd_squared_m2,
+        requires=KNOWN_SURFACE,
+        place="file",
+    ),
+    Metric(
+        "accuracy_m",
+        *("accuracy (points → truth)", "m", 3, "less"),
+        f"mean distance from the reconstructed points, one per {VOXEL:g} m voxel, to the true triangles",
+        lambda points: points.accuracy_m,
+        requires=KNOWN_SURFACE,
+    ),
+    Metric(
+        "completeness_m",
+        *("completeness (truth → points)", "m", 3, "less"),
+        "mean distance from a million samples of the true surface to the nearest reconstructed point",
+        lambda points: points.completeness_m,
+        requires=KNOWN_SURFACE,
+    ),
+    Metric(
+        "precision@0.3",
+        *("precision at 0.3 m", "", 3, "more"),
+        "share of the reconstructed points at most 0.3 m from the true surface",
+        lambda points: points.precision[0.3],
+        requires=KNOWN_SURFACE,
+        place="file",
+    ),
+    Metric(
+        "recall@0.3",
+        *("recall at 0.3 m", "", 3, "more"),
+        "share of the samples of the true surface at most 0.3 m from a reconstructed point",
+        lambda points: points.recall[0.3],
+        requires=KNOWN_SURFACE,
+        place="file",
+    ),
+    *(
+        Metric[PointMetrics](
+            f"f1@{threshold}",
+            *(f"F1 at {threshold} m", "", 3, "more"),
+            f"harmonic mean of precision and recall at {threshold} m",
+            lambda points, threshold=threshold: points.f1[threshold],  # type: ignore[misc]
+            requires=KNOWN_SURFACE,
+            short="" if threshold == 0.2 else f"F1@{threshold}",
+            place="headline" if threshold == 0.3 else "table",
+        )
+        for threshold in THRESHOLDS
+    ),
+    Metric(
+        "count",
+        *("points compared", "", 0, None),
+        "number of reconstructed points that were compared",
+        lambda points: points.count,
+        requires=KNOWN_SURFACE,
+        place="file",
+    ),
+)
+
+RUN_METRICS: tuple[Metric[EvaluatedRun], ...] = (
+    Metric(
+        "time_s",
+        *("training time", "s", 0, "less"),
+        "training time by the clock",
+        lambda run: run.time_s,
+        short="time",
+    ),
+)
+
+METRICS: tuple[Metric[Any], ...] = (*IMAGE_METRICS, *POINT_METRICS, *RUN_METRICS)

@@ -1,0 +1,8 @@
+// export.h: what Python may call; everything else stays inside the library.
+#pragma once
+
+#if defined(_WIN32)
+#define SG_EXPORT extern "C" __declspec(dllexport)
+#else
+#define SG_EXPORT extern "C" __attribute__((visibility("default")))
+#endif

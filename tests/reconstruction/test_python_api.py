@@ -1,0 +1,150 @@
+"""What researchers bend: trainings in memory, watched, with a loss of their own, and runs whose images are gone."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from sarsplat import Dataset, Run, SarsplatError, View, preset, reconstruct
+from sarsplat.data import read_dataset
+from sarsplat.reconstruction import Config, Step, Trainer
+
+SHORT = {"iterations": 6, "gaussians": 80, "checkpoint_every": 4}
+
+
+@pytest.fixture
+def short(config: Config) -> Config:
+    return replace(config, **SHORT)
+
+
+def test_a_run_in_memory_is_the_same_as_one_on_the_disk(dataset: Dataset, config: Config, finished: Run) -> None:
+    held = reconstruct(dataset, config, quiet=True)
+    assert held.path is None
+    assert torch.equal(held.gaussians.means, finished.gaussians.means)
+    assert np.array_equal(held.points, finished.points)
+    views = [View(10.0, 30.0), View(200.0, 50.0)]
+    assert np.array_equal(held.render(views), finished.render(views))
+    assert [line.loss for line in held.history] == [line.loss for line in finished.history]
+    assert (held.iteration, held.metrics, held.dataset) == (60, None, dataset)
+    with pytest.raises(SarsplatError, match="in memory and has no folder; give"):
+        held.write_results()
+    with pytest.raises(SarsplatError, match="neither resumed nor overwritten"):
+        reconstruct(dataset, config, resume=True)
+
+
+def test_a_run_needs_its_dataset_for_nothing_but_the_images(
+    dataset: Dataset, short: Config, tmp_path: Path, finished: Run
+) -> None:
+    shutil.copytree(dataset.path, tmp_path / "dataset")
+    made = reconstruct(str(tmp_path / "dataset"), short, str(tmp_path / "run"), quiet=True)
+    expected = made.gaussians.tensors(), made.points, made.render([View(10.0, 30.0)])
+    shutil.rmtree(tmp_path / "dataset")
+    (tmp_path / "run" / "points.ply").unlink()
+    alone = Run.load(str(tmp_path / "run"))
+    assert all(torch.equal(tensor, alone.gaussians.tensors()[name]) for name, tensor in expected[0].items())
+    assert np.array_equal(alone.points, expected[1])
+    assert np.array_equal(alone.render([View(10.0, 30.0)]), expected[2])
+    assert alone.grid == dataset.grid
+    assert alone.brightest == dataset.images("train").max()
+    with pytest.raises(SarsplatError, match="needs the dataset it was made from, which is no longer at"):
+        _ = alone.dataset
+
+
+def test_every_step_is_told(dataset: Dataset, short: Config) -> None:
+    told: list[Step] = []
+    run = reconstruct(dataset, short, on_step=told.append, quiet=True)
+    assert [step.iteration for step in told] == [1, 2, 3, 4, 5, 6]
+    assert all(step.loss.shape == () and step.loss > 0 for step in told)
+    assert torch.equal(told[-1].trainer.gaussians.means, run.gaussians.means)
+
+
+def test_a_watcher_stops_between_two_steps_and_nothing_is_lost(dataset: Dataset, short: Config, tmp_path: Path) -> None:
+    def enough(step: Step) -> None:
+        if step.iteration == 5:
+            raise ValueError("enough")
+
+    with pytest.raises(ValueError, match="enough"):
+        reconstruct(dataset, short, tmp_path / "run", on_step=enough, quiet=True)
+    assert Run.load(tmp_path / "run").iteration == 5
+    resumed = reconstruct(dataset, short, tmp_path / "run", resume=True, quiet=True)
+    whole = reconstruct(dataset, short, quiet=True)
+    assert torch.equal(resumed.gaussians.means, whole.gaussians.means)
+
+
+def test_ctrl_c_within_a_step_saves_nothing_that_is_half_done(
+    dataset: Dataset, short: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    step = Trainer.step
+
+    def interrupted(trainer: Trainer) -> torch.Tensor:
+        loss = step(trainer)
+        if trainer.iteration == 6:
+            raise KeyboardInterrupt
+        return loss
+
+    monkeypatch.setattr(Trainer, "step", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct(dataset, short, tmp_path / "run", quiet=True)
+    assert Run.load(tmp_path / "run").iteration == 4  # the last checkpoint
+
+
+def test_no_signal_handler_is_touched(dataset: Dataset, short: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+    import signal
+
+    def touched(*arguments: object) -> None:
+        raise AssertionError(arguments)
+
+    monkeypatch.setattr(signal, "signal", touched)
+    reconstruct(dataset, short, quiet=True)
+
+
+def test_a_loss_of_ones_own(dataset: Dataset, config: Config) -> None:
+    shapes = set()
+
+    def squares(rendered: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+        shapes.add((rendered.shape, truth.shape))
+        return (rendered - truth).square().mean()
+
+    run = reconstruct(dataset, replace(config, iterations=40), loss=squares, quiet=True)
+    assert run.config.loss == "squares"
+    assert shapes == {((8, 32, 32), (8, 32, 32))}
+    assert run.history[-1].loss < 0.5 * run.history[0].loss
+    rendered = run.render([item.view for item in dataset.select("train")])
+    assert (
+        np.square(rendered - dataset.images("train")).mean() < 0.5 * run.history[0].loss
+    )  # β⁰ it was, and no other unit
+
+
+def test_quiet_is_quiet(dataset: Dataset, short: Config, capsys: pytest.CaptureFixture[str]) -> None:
+    reconstruct(dataset, short, quiet=True)
+    assert capsys.readouterr() == ("", "")
+    reconstruct(dataset, short)
+    assert "reconstruct (default): 6/6" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"device": "tpu"}, "device 'tpu' is unknown; choose auto, cpu or cuda"),
+        ({"preset": replace(preset("default"), loss="amplitud")}, "loss 'amplitud' is unknown; did you mean amplitude"),
+        ({"device": "cuda"}, "install .*, or use the CPU"),
+        ({"preset": "defualt"}, "preset 'defualt' is unknown"),
+    ],
+)
+def test_refusals(dataset: Dataset, options: dict[str, str], words: str) -> None:
+    if options.get("device") == "cuda" and torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    with pytest.raises(SarsplatError, match=words):
+        reconstruct(dataset, **{"preset": "default", **options})
+
+
+def test_images_of_a_folder_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(SarsplatError, match="does not exist; make one"):
+        reconstruct(tmp_path / "nowhere")
+    with pytest.raises(SarsplatError, match="does not exist; make one"):
+        read_dataset(str(tmp_path / "nowhere"))
