@@ -80,6 +80,9 @@ struct sg_loss {          // of V images; see loss.h
   float* gradient;        // out [V, rows, columns]
 };
 
+// What footprints in arrays may be (checks.py): metres, roots in 1/m, and everything else.
+constexpr float kFar = 2e9f, kFlattest = 1e-8f, kSteepest = 1e8f, kStrong = 1e15f;
+
 // Footprints of V views of N Gaussians: what `project` makes and the other steps read; backward, the gradients of them.
 struct sg_projection {
   float* ray_centers;     // [V, N, 2] on the computation plane

@@ -125,6 +125,40 @@ template <class F> SG_FN Moments<F> second_moments(const Whitening<F>& w, const 
   return m;
 }
 
+// ---- footprints in arrays: metres, and roots to base e -----------------------------------------------------------------
+constexpr float kRootUnit = 0.84932180f;  // sqrt(log2(e) / 2): what roots to base 2 are longer by
+
+// On a plane: where (still in metres), of which shape, and its standard deviations along both axes, in cells or pixels.
+template <class F> struct Placed { F x, y; Whitening<F> w; F deviation_x, deviation_y; };
+template <class F> SG_FN Placed<F> placed_from(const F* center, const F* roots, const float* spacing) {
+  const float x = spacing[0] * kRootUnit, y = spacing[1] * kRootUnit;
+  const F narrowing = roots[1] / roots[2];
+  return {center[0], center[1], {roots[0] * x, roots[1] * y, roots[2] * y},
+          root(narrowing * narrowing + 1.0f) / (roots[0] * spacing[0]), 1.0f / (roots[2] * spacing[1])};
+}
+template <class F> SG_FN void roots_in_metres(const Whitening<F>& w, const float* spacing, F* roots) {
+  const float x = 1.0f / (spacing[0] * kRootUnit), y = 1.0f / (spacing[1] * kRootUnit);
+  roots[0] = w.ux * x;
+  roots[1] = w.uy * y;
+  roots[2] = w.vy * y;
+}
+// from moments to the gradients of centre and roots
+template <class F> SG_FN void footprint_gradient(const Whitening<F>& w, const float* spacing, const Moments<F>& m, F* d_center, F* d_roots) {
+  d_center[0] = w.x(m.mu, m.mv) * (2.0f * kLn2 / spacing[0]);
+  d_center[1] = w.y(m.mu, m.mv) * (2.0f * kLn2 / spacing[1]);
+  root_gradient(w, m, d_roots);
+  const float x = spacing[0] * kRootUnit, y = spacing[1] * kRootUnit;
+  d_roots[0] *= x;
+  d_roots[1] *= y;
+  d_roots[2] *= y;
+}
+// from the gradient of roots to that of the widened covariance, in cells or pixels; m0: see covariance_gradient
+template <class F> SG_FN Sym2<F> from_root_gradient(const Whitening<F>& w, const float* spacing, const F* d_roots, F m0) {
+  const float x = 1.0f / (spacing[0] * kRootUnit), y = 1.0f / (spacing[1] * kRootUnit);
+  const F in_cells[3] = {d_roots[0] * x, d_roots[1] * y, d_roots[2] * y};
+  return covariance_gradient(w, second_moments(w, in_cells), m0);
+}
+
 // One view's share of the gradients. planes: dL/d(mu_C, mu_I), per metre; gc, gi: of the widened covariances, in cells and
 // pixels; m0 = kappa' dL/dkappa'.
 template <class F>

@@ -99,10 +99,8 @@ Cuts cuts_of(const sg_problem& p) {
   return {least_log_tau(p), __builtin_sqrtf(p.image_cut), 1.0f / (1.0f - __builtin_expf(-0.5f * p.image_cut))};
 }
 
-// A footprint on a plane in cells or pixels: where, of which shape, and its standard deviations along both axes.
-struct Placed { F x, y; Whitening<F> w; F deviation_x, deviation_y; };
-
-void place_on_rays(const ViewState& s, const sg_problem& p, const Cuts& cuts, const Placed& at, F kappa, F range, int64_t i, int real,
+// at: in cells, and in pixels below
+void place_on_rays(const ViewState& s, const sg_problem& p, const Cuts& cuts, const Placed<F>& at, F kappa, F range, int64_t i, int real,
                    Bounds& bounds) {
   const I touching = kappa >= p.min_ray_depth;  // padding has no depth and touches nothing
   const F height = natural_log(choose(touching, kappa, splat(p.min_ray_depth)) * kLog2e) * kLog2e;
@@ -124,7 +122,7 @@ F pixel_x(const sg_problem& p, F x_m) { return (x_m - p.center[0]) * (1.0f / p.p
 F pixel_y(const sg_problem& p, F r_m) { return (r_m - p.center[1]) * (1.0f / p.pixel[1]) + 0.5f * (float)(p.rows - 1); }
 
 // a, b, c, d: what the loops want of a Gaussian besides
-void place_on_pixels(const ViewState& s, const sg_problem& p, const Cuts& cuts, const Placed& at, F height, F a, F b, F c, F d, int64_t i,
+void place_on_pixels(const ViewState& s, const sg_problem& p, const Cuts& cuts, const Placed<F>& at, F height, F a, F b, F c, F d, int64_t i,
                      int real) {
   const F wide = cuts.deviations * at.deviation_x, tall = cuts.deviations * at.deviation_y;
   const Boxes pixels = within(boxes_around(at.x, at.y, wide, tall, (I)(-1)), p.columns, p.rows);
@@ -136,12 +134,12 @@ void project_view(const ViewState& s, const sg_problem& p, const Cuts& cuts, int
                   int real, Bounds& bounds) {
   const PlaneUnits u = units(p);
   const Projection<F> g = project(bodies.body, s.frame, u);
-  const Placed on_rays{g.mean[0] * (1.0f / u.ray[0]), g.mean[1] * (1.0f / u.ray[1]), whitening(g.cov_c, g.det_cw), root(g.cov_c.xx),
+  const Placed<F> on_rays{g.mean[0] * (1.0f / u.ray[0]), g.mean[1] * (1.0f / u.ray[1]), whitening(g.cov_c, g.det_cw), root(g.cov_c.xx),
                        root(g.cov_c.yy)};
   place_on_rays(s, p, cuts, on_rays, bodies.kappa * widening_ratio(g, u), g.mean[2], i, real, bounds);
 
   const float* shift = p.shift + 2 * v;
-  const Placed on_pixels{pixel_x(p, g.mean[0] + shift[0]), pixel_y(p, g.mean[2] + shift[1]), whitening(g.cov_i, g.det_iw),
+  const Placed<F> on_pixels{pixel_x(p, g.mean[0] + shift[0]), pixel_y(p, g.mean[2] + shift[1]), whitening(g.cov_i, g.det_iw),
                          root(g.cov_i.xx), root(g.cov_i.yy)};
   const F norm = p.peak ? splat(cuts.lost) : cuts.lost / (6.2831853f * p.pixel[0] * p.pixel[1] * root(g.det_iw));
   const F zero = splat(0.0f);

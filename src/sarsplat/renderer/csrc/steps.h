@@ -11,16 +11,14 @@ namespace sarsplat {
 namespace SG_ISA {
 namespace {
 
-constexpr float kRootUnit = 0.84932180f;  // sqrt(log2(e) / 2): roots are to base e in arrays, to base 2 in the loops
-
 // ---- project ------------------------------------------------------------------------------------------------------------
 void write_pair(F x, F y, int real, float* rows) {
   const F columns[2] = {x, y};
   write_few<2>(columns, real, rows);
 }
 void write_roots(const Whitening<F>& w, const float* spacing, int real, float* rows) {
-  const float x = 1.0f / (spacing[0] * kRootUnit), y = 1.0f / (spacing[1] * kRootUnit);
-  const F columns[3] = {w.ux * x, w.uy * y, w.vy * y};
+  F columns[3];
+  roots_in_metres(w, spacing, columns);
   write_few<3>(columns, real, rows);
 }
 
@@ -49,13 +47,10 @@ void write_projections(const sg_problem& p, const sg_projection& out, int64_t fi
   }
 }
 
-// From the gradients of roots, in metres, to that of the widened covariance, in cells or pixels.
-Sym2<F> from_roots(const Whitening<F>& w, const float* spacing, const float* d_roots, int real, F m0) {
-  F d[3];
-  read_few<3>(d_roots, real, d);
-  const float x = 1.0f / (spacing[0] * kRootUnit), y = 1.0f / (spacing[1] * kRootUnit);
-  const F in_cells[3] = {d[0] * x, d[1] * y, d[2] * y};
-  return covariance_gradient(w, second_moments(w, in_cells), m0);
+Sym2<F> read_root_gradient(const Whitening<F>& w, const float* spacing, const float* d_roots, int real, F m0) {
+  F columns[3];
+  read_few<3>(d_roots, real, columns);
+  return from_root_gradient(w, spacing, columns, m0);
 }
 
 void differentiate_projections(const sg_problem& p, const sg_projection& seeds, const sg_gradients& g, int64_t first, int64_t end,
@@ -79,8 +74,8 @@ void differentiate_projections(const sg_problem& p, const sg_projection& seeds, 
       F planes[4];
       read_few<2>(seeds.ray_centers + 2 * at, real, planes);
       read_few<2>(seeds.pixel_centers + 2 * at, real, planes + 2);
-      const Sym2<F> gc = from_roots(whitening(proj.cov_c, proj.det_cw), u.ray, seeds.ray_roots + 3 * at, real, m0);
-      const Sym2<F> gi = from_roots(whitening(proj.cov_i, proj.det_iw), u.pixel, seeds.pixel_roots + 3 * at, real, zero);
+      const Sym2<F> gc = read_root_gradient(whitening(proj.cov_c, proj.det_cw), u.ray, seeds.ray_roots + 3 * at, real, m0);
+      const Sym2<F> gi = read_root_gradient(whitening(proj.cov_i, proj.det_iw), u.pixel, seeds.pixel_roots + 3 * at, real, zero);
       spread(proj, f, u, planes, gc, gi, m0, total);
       total.kappa += ratio * d_depth;
       shift_sums[2 * v] += sum(planes[2]);
@@ -132,10 +127,6 @@ int32_t project_step_backward(sg_context* context, const sg_problem* problem, co
 }
 
 // ---- what attenuate and splat have in common ---------------------------------------------------------------------------
-constexpr float kFar = 2e9f;                             // m: a centre and its shift
-constexpr float kFlattest = 1e-8f, kSteepest = 1e8f;     // 1/m: roots of what is wider than the world or thinner than any cell
-constexpr float kStrong = 1e15f;
-
 // What is wrong with the rows [first, end) of footprints. Two of the three roots must be positive.
 void check_footprints(const float* centers, const float* roots, int64_t first, int64_t end, Fault& fault) {
   find_outside(centers, first, end, 2, -kFar, kFar, SG_CENTERS, fault);
@@ -144,26 +135,21 @@ void check_footprints(const float* centers, const float* roots, int64_t first, i
     if (!(roots[3 * i] >= kFlattest && roots[3 * i + 2] >= kFlattest) && (!fault.status || fault.status > SG_ROOTS)) fault = {SG_ROOTS, i};
 }
 
-Placed read_footprints(const float* centers, const float* roots, int64_t at, int real, const float* spacing) {
-  F center[2], root[3];
+Placed<F> read_footprints(const float* centers, const float* roots, int64_t at, int real, const float* spacing) {
+  F center[2], columns[3];
   read_few<2>(centers + 2 * at, real, center);
-  read_few<3>(roots + 3 * at, real, root);
-  for (int k = real; k < kWidth; k++) root[0][k] = root[2][k] = 1.0f;  // the rest are harmless
-  const float x = spacing[0] * kRootUnit, y = spacing[1] * kRootUnit;
-  const F narrowing = root[1] / root[2];
-  return {center[0], center[1], {root[0] * x, root[1] * y, root[2] * y},
-          sarsplat::SG_ISA::root(narrowing * narrowing + 1.0f) / (root[0] * spacing[0]), 1.0f / (root[2] * spacing[1])};
+  read_few<3>(roots + 3 * at, real, columns);
+  for (int k = real; k < kWidth; k++) columns[0][k] = columns[2][k] = 1.0f;  // the rest are harmless
+  return placed_from(center, columns, spacing);
 }
 
-// From moments, the second ones with the norm's share in them, to the gradients of centres and roots.
+// The moments hold the norm's share already.
 void write_footprint_gradients(const Whitening<F>& w, const float* spacing, const Moments<F>& m, int real, int64_t at, float* d_centers,
                                float* d_roots) {
-  write_pair(w.x(m.mu, m.mv) * (2.0f * kLn2 / spacing[0]), w.y(m.mu, m.mv) * (2.0f * kLn2 / spacing[1]), real, d_centers + 2 * at);
-  F d[3];
-  root_gradient(w, m, d);
-  const float x = spacing[0] * kRootUnit, y = spacing[1] * kRootUnit;
-  const F in_metres[3] = {d[0] * x, d[1] * y, d[2] * y};
-  write_few<3>(in_metres, real, d_roots + 3 * at);
+  F center[2], columns[3];
+  footprint_gradient(w, spacing, m, center, columns);
+  write_few<2>(center, real, d_centers + 2 * at);
+  write_few<3>(columns, real, d_roots + 3 * at);
 }
 
 // The factors of kWidth entries; those beyond the last are harmless.
@@ -193,7 +179,7 @@ Fault place_rays(const sg_context& c, const sg_problem& p, const sg_projection& 
   Bounds& bounds = c.views[v].bounds[first / kChunk] = {{beyond, beyond}, {-beyond, -beyond}};
   for (int64_t i = first; i < end; i += kWidth) {
     const int real = least(kWidth, (int)(end - i));
-    Placed at = read_footprints(in.ray_centers, in.ray_roots, base + i, real, p.ray);
+    Placed<F> at = read_footprints(in.ray_centers, in.ray_roots, base + i, real, p.ray);
     at.x *= 1.0f / p.ray[0];
     at.y *= 1.0f / p.ray[1];
     place_on_rays(c.views[v], p, cuts, at, load_some(in.optical_depth + base + i, real), load_some(in.range + base + i, real), i, real, bounds);
@@ -291,7 +277,7 @@ Fault place_pixels(const sg_context& c, const sg_problem& p, const sg_projection
   const F zero = splat(0.0f);
   for (int64_t i = first; i < end; i += kWidth) {
     const int real = least(kWidth, (int)(end - i));
-    Placed at = read_footprints(in.pixel_centers, in.pixel_roots, base + i, real, p.pixel);
+    Placed<F> at = read_footprints(in.pixel_centers, in.pixel_roots, base + i, real, p.pixel);
     at.x = pixel_x(p, at.x);
     at.y = pixel_y(p, at.y);
     // sqrt(det Sigma') = 1 / (a c), m^2
