@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sarsplat.data import (
         Dataset,
-        DatasetView,
+        DatasetEntry,
         PhoenixChip,
         SarImage,
         import_mstar,
@@ -52,6 +52,7 @@ if TYPE_CHECKING:
         simulate_raycast,
         target_mesh,
     )
+    from sarsplat.scenes.simulate import simulate_images
 
 __version__ = "0.1.0"
 
@@ -67,8 +68,9 @@ _HOME = {
         *("ScatteringLaw", "add_speckle", "load_mesh", "mstar_grid", "mstar_views", "paper_grid", "paper_views"),
         *("simulate_raycast", "target_mesh"),
     ),
+    "scenes.simulate": ("simulate_images",),
     "data": (
-        *("Dataset", "DatasetView", "PhoenixChip", "SarImage", "import_mstar", "read_dataset", "read_gaussians_ply"),
+        *("Dataset", "DatasetEntry", "PhoenixChip", "SarImage", "import_mstar", "read_dataset", "read_gaussians_ply"),
         *("read_phoenix", "read_points_ply", "write_dataset", "write_gaussians_ply", "write_points_ply"),
     ),
     "reconstruction": ("PRESETS", "Config", "Run", "Trainer", "extract_points", "preset", "reconstruct"),
@@ -84,7 +86,7 @@ __all__ = [
     "Attenuation",
     "Config",
     "Dataset",
-    "DatasetView",
+    "DatasetEntry",
     "Footprints",
     "Gaussians",
     "Harmonics",
@@ -123,6 +125,7 @@ __all__ = [
     "read_points_ply",
     "reconstruct",
     "render",
+    "simulate_images",
     "simulate_raycast",
     "splat",
     "target_mesh",

@@ -39,18 +39,11 @@ def small(**changes: Any) -> Config:
     return replace(preset("default"), iterations=50, gaussians=200, harmonics_every=10, views_per_step=2, **changes)
 
 
-def measured() -> Config:
-    chips = preset("measured")
-    assert chips.surroundings is not None
-    around = replace(chips.surroundings, ground_radius=3.0)
-    return replace(chips, iterations=50, gaussians=100, harmonics_every=2, views_per_step=2, surroundings=around)
-
-
 CONFIGS = {
     "amplitude": small(),
     "ssim": small(ssim_weight=0.2),
     "density": small(densification=DENSITY),
-    "measured": measured(),
+    "measured": replace(preset("measured"), iterations=50, gaussians=100, harmonics_every=2, views_per_step=2),
 }
 
 

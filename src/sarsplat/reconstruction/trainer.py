@@ -47,11 +47,11 @@ class Trainer:
         self.config = config
         self.device = torch.device(device)
         self.grid = dataset.grid
-        self.views = [item.view for item in dataset.select("train")]
+        self.views = dataset.select("train").views
         power = torch.from_numpy(dataset.images("train"))
         if not float(power.max()) > _FAINTEST:
             raise SarsplatError(
-                f"the training images of {dataset.path} are black everywhere (largest β⁰ {float(power.max()):.3g}); "
+                f"the training images of {dataset} are black everywhere (largest β⁰ {float(power.max()):.3g}); "
                 "simulate or import again"
             )
         self._brightest = float(power.max())
@@ -111,7 +111,7 @@ class Trainer:
             }
             parameters["means"] = parameters["means"] + displacement
             parameters["scales"] = parameters["scales"] * shrink[:, None]
-        self.model = SceneModel(self.config, self.model.region, self.model.unit, parameters, self.device)
+        self.model = SceneModel(self.config, self.model.setting, parameters, self.device)
         self.model.constrain()
         self.optimiser = self.optimiser.rebuild(self.model.parameters, torch.where(kept, source, -1))
 
@@ -124,7 +124,7 @@ class Trainer:
         """Everything the next step depends on, as it is now; `seconds` is how long the training took until here."""
         tensors = {f"model/{name}": tensor.detach() for name, tensor in self.model.parameters.items()}
         tensors |= {f"optimiser/{name}": tensor for name, tensor in self.optimiser.state().items()}
-        tensors |= {"generator": self._generator.get_state(), **region_tensors(self.model.region)}
+        tensors |= {"generator": self._generator.get_state(), **region_tensors(self.model.setting.region)}
         if self.density:
             tensors |= {"density/gradient": self.density.gradient, "density/seen": self.density.seen}
         return Snapshot(

@@ -131,8 +131,7 @@ def fitting(choice: str | Config, dataset: Dataset) -> Config:
         return choice
     if choice != "auto":
         return preset(choice)
-    has_ground = dataset.domain == "measured" or dataset.source.get("ground_gamma0") is not None
-    return preset("measured" if has_ground else "default")
+    return preset("measured" if dataset.ground else "default")
 
 
 def training_device(name: str) -> torch.device:
