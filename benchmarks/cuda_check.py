@@ -1,9 +1,10 @@
 """Proof and pace of the CUDA engine, to run where a GPU is.
 
 The scenes of the tests against the float64 reference, twice for equal bits; milliseconds per view for 15,000 Gaussians
-with 24 views at a time, kernel by kernel, and of a whole training step; a million Gaussians on 2048 × 2048 pixels;
-the share of the device's own rate; gsplat beside it where it is installed. Results go to
-`benchmarks/results/cuda-<device>.json`. Needs pytest besides the package, and no compiler. Never run on a GPU yet.
+with 24 views at a time, kernel by kernel; a million Gaussians on 2048 × 2048 pixels; the share of the device's own
+rate; gsplat beside it where it is installed; the demo trained on the GPU, with time and scores, and what a step takes
+(`cuda_training.py`, which needs the extras). Results go to `benchmarks/results/cuda-<device>.json`. Needs pytest
+besides the package, and no compiler. Never run on a GPU yet.
 """
 
 from __future__ import annotations
@@ -165,21 +166,24 @@ def pace(scene: Scene, repeats: int, peak: float) -> dict[str, Any]:
     }
 
 
-def training_step(scene: Scene, repeats: int) -> dict[str, Any]:
-    """Seconds per view of render, L1 on amplitude as in the default preset, backward, and torch's fused Adam."""
-    leaves = on_device(scene)
-    with torch.no_grad():
-        truth = render(leaves, scene.views, scene.grid, engine="cuda").images.sqrt() * 0.9
-    adam = torch.optim.Adam(list(leaves.tensors().values()), lr=1e-7, fused=True)  # nothing may leave its bounds
-
-    def step() -> None:
-        images = render(leaves, scene.views, scene.grid, engine="cuda").images
-        ((images + 1e-6).sqrt() - truth).abs().mean().backward()
-        adam.step()
-        adam.zero_grad()
-
-    seconds = timed({"step": step}, repeats, len(scene.views))["step"]
-    return {"view_s": seconds, "of_the_aim": seconds["median"] / STEP_AIM_S}
+def training() -> dict[str, Any] | None:
+    """`cuda_training`, or None where the package is without its extras."""
+    try:
+        import cuda_training
+    except ImportError as error:
+        print(f"no training: {error}; install the whole package with pip install 'sarsplat[all]'")
+        return None
+    found = cuda_training.measure()
+    for place, scores in found["demo"].items():
+        print(f"demo on {place}: " + ", ".join(f"{name} {value:.4g}" for name, value in scores.items()))
+    for name, step in found["steps"].items():
+        view_s = step["step_s"]["median"] / step["views"]
+        print(
+            f"step of preset {name}: {1e3 * view_s:.3f} ms a view, {view_s / STEP_AIM_S:.2f} × the aim; "
+            f"the CPU waits {step['waits']} times"
+        )
+        print(step["profile"])
+    return found
 
 
 def beside_gsplat(scene: Scene, repeats: int) -> dict[str, Any] | None:
@@ -244,11 +248,9 @@ def main(folder: Path = RESULTS) -> None:
         )
         for kernel, ms in found["kernel_ms_per_view"].items():
             print(f"    {kernel:26} {ms:.4f} ms")
-    scene, repeats = workload("training"), REPEATS["training"]
-    step = results["training_step"] = training_step(scene, repeats)
-    print(f"training step: {1e3 * step['view_s']['median']:.3f} ms a view, {step['of_the_aim']:.2f} × the aim")
-    beside = results["gsplat"] = beside_gsplat(scene, repeats)
+    beside = results["gsplat"] = beside_gsplat(workload("training"), REPEATS["training"])
     print(f"gsplat / engine: {beside['gsplat / engine']:.2f}" if beside else "gsplat is not installed")
+    results["training"] = training()
     path = folder / f"cuda-{re.sub('[^a-z0-9]+', '-', name.lower())}.json"
     save(path, results)
     print(path)

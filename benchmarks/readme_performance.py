@@ -183,8 +183,9 @@ def cuda_table(devices: list[dict[str, Any]]) -> str:
             rows.append(
                 (share, f"{found['device']}, forward and backward: {scene}, {views}", ms(work["view_s"]["median"]))
             )
-        step, beside = found["training_step"], found["gsplat"]
-        rows.append(("", "the first as a training step, L1 and Adam included", ms(step["view_s"]["median"])))
+        trained, beside = found["training"], found["gsplat"]
+        for name, step in trained["steps"].items() if trained else ():
+            rows.append(("", f"a training step, preset {name}", ms(step["step_s"]["median"] / step["views"])))
         if beside:
             rivals = " / ".join(ms(beside["view_s"][who]["median"]) for who in ("gsplat", "engine"))
             rows.append((f"{beside['gsplat / engine']:.2f} ×", "gsplat, orthographic / engine, the first", rivals))

@@ -8,7 +8,7 @@ import torch
 from scene import Scene
 
 from sarsplat.gaussians.initialise import Region, random_quaternions
-from sarsplat.reconstruction.model import SceneModel
+from sarsplat.reconstruction.model import SceneModel, Setting
 from sarsplat.reconstruction.presets import preset
 from sarsplat.scenes import paper_grid, paper_views
 
@@ -35,7 +35,7 @@ def halfway(count: int = COUNT) -> SceneModel:
             dim=1,
         ),
     }
-    return SceneModel(preset("default"), region, 1.0, parameters)
+    return SceneModel(preset("default"), Setting(region, 1.0, 0.0), parameters)
 
 
 def training_view(count: int = COUNT) -> Scene:

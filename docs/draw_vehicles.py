@@ -108,8 +108,8 @@ def measured_chips() -> tuple[list[View], np.ndarray, np.ndarray]:
         dataset = import_mstar(
             CHIPS, Path(folder) / "t72", labels=CHIPS / "labels.csv", target_class="T72", train_views=COUNT
         )
-        views = [item.view for item in dataset.select("train")]
-        others = np.array([item.view.azimuth_deg for item in dataset.select("test-17")])
+        views = dataset.select("train").views
+        others = np.array([view.azimuth_deg for view in dataset.select("test-17").views])
         nearest = [np.abs((others - view.azimuth_deg + 180) % 360 - 180).argmin() for view in views]
         return views, dataset.images("train"), dataset.images("test-17")[nearest]
 

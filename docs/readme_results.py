@@ -47,12 +47,12 @@ def table(metrics: dict[str, Any]) -> str:
 def draw(run: Run) -> None:
     """True and reconstructed: three unseen views, and the surface from two sides."""
     dataset = run.dataset
-    test = dataset.select("test")
-    chosen = [next(k for k, item in enumerate(test) if item.view == view) for view in SHOWN]
+    test = dataset.select("test").views
+    chosen = [test.index(view) for view in SHOWN]
     truth = dataset.images("test")[chosen]
-    rendered = run.render([test[k].view for k in chosen])
+    rendered = run.render([test[k] for k in chosen])
     mesh = trimesh.load_mesh(dataset.truth_mesh, process=False)
-    surface = visible_surface(mesh, [item.view for item in dataset.select("train")]).samples[::SKIP]
+    surface = visible_surface(mesh, dataset.select("train").views).samples[::SKIP]
 
     figure, axes = plt.subplots(2, 5, figsize=(15, 4.6), width_ratios=(1, 1, 1, 1.45, 1.45), layout="constrained")
     peak = float(dataset.images("train").max())

@@ -19,6 +19,7 @@ import torch
 import trimesh
 from PIL import Image
 
+from datasets import dataset_of
 from fuzz_mutations import NUMBERS, Mutation, spoil_bytes, spoil_json
 from sarsplat.data import (
     load_checkpoint,
@@ -108,12 +109,10 @@ def _read_phoenix(folder: Path) -> object:
 
 def prepare_dataset(folder: Path) -> None:
     """A dataset of four views in the folder `set`."""
-    views = [(View(10.0 * k, 20.0), "train" if k else "test-17", None if k else 5.0) for k in range(4)]
+    views = [(View(10.0 * k, 20.0), "train" if k else "test-17") for k in range(4)]
     truth = trimesh.creation.box((3.0, 2.0, 1.0))
     images = np.stack([IMAGE] * 4)
-    write_dataset(
-        folder / "set", grid=GRID, views=views, images=images, source={"kind": "é"}, domain="rendered", truth_mesh=truth
-    )
+    write_dataset(folder / "set", dataset_of(GRID, views, images, source={"kind": "é"}), truth_mesh=truth)
 
 
 def _dataset_header() -> list[bytes]:
@@ -265,7 +264,7 @@ def _run(folder: Path) -> None:
 
 def _run_config() -> list[bytes]:
     config = PRESETS["measured"]
-    head = {"schema": "sarsplat-run", "schema_version": 1, "dataset": "/nowhere", "dataset_fingerprint": "0" * 64}
+    head = {"schema": "sarsplat-run", "schema_version": 2, "dataset": "/nowhere", "dataset_fingerprint": "0" * 64}
     return [json.dumps({**head, "config": asdict(config)}).encode()]
 
 

@@ -122,7 +122,7 @@ DEVICE = {
     "workloads": {
         "training": {"gaussians": 15_000, "side": 128, "views": 24, "share_of_peak": 0.123, "view_s": spread(0.0001)}
     },
-    "training_step": {"view_s": spread(0.00015)},
+    "training": {"steps": {"default": {"views": 8, "step_s": spread(0.0012)}}},
     "gsplat": {"gsplat / engine": 1.1, "view_s": {"gsplat": spread(0.00011), "engine": spread(0.0001)}},
 }
 
@@ -162,9 +162,10 @@ def test_every_ratio_stands_beside_its_times(generator):
 
 
 def test_the_section_has_a_table_of_every_gpu(generator):
-    text = generator.section(made_up(), [DEVICE, {**DEVICE, "device": "Lever", "gsplat": None}])
+    text = generator.section(made_up(), [DEVICE, {**DEVICE, "device": "Lever", "gsplat": None, "training": None}])
     assert "not run" not in text
     assert "| 12.3 % | Wheel, forward and backward: 15,000 Gaussians, 128 × 128 pixels, 24 views | 0.1 ms |" in text
+    assert "| a training step, preset default | 0.15 ms |" in text
     assert text.count("gsplat") == 1
     assert "Lever" in text
 
@@ -247,6 +248,18 @@ def test_the_whole_training_is_measured(generator):
     assert "20 iterations" in generator.section(results, [])
 
 
+@pytest.mark.slow
+def test_the_training_on_a_gpu_is_measured_on_the_cpu_too(generator):
+    import cuda_training
+
+    found = cuda_training.measure("cpu", quick=True)
+    assert found["demo"]["cpu"]["psnr_db"] > 10
+    assert found["demo"]["cpu"]["training_s"] > 0
+    for name, views in (("default", 8), ("paper", 1)):
+        assert found["steps"][name]["views"] == views
+        assert "_Render" in found["steps"][name]["profile"]
+
+
 def test_what_runs_on_a_gpu_box_needs_torch_numpy_and_pytest_only():
     own = {path.stem for path in BENCHMARKS.glob("*.py")} | {path.stem for path in (ROOT / "tests").rglob("*.py")}
     for name in ON_A_GPU_BOX:
@@ -255,5 +268,5 @@ def test_what_runs_on_a_gpu_box_needs_torch_numpy_and_pytest_only():
         found |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
         assert not {module for module in found if module.startswith("sarsplat.") and module.split(".")[1] == "scenes"}
         first = {module.split(".")[0] for module in found} - set(sys.stdlib_module_names) - {"torch", "numpy", "gsplat"}
-        assert first & {path.stem for path in BENCHMARKS.glob("*.py")} <= set(ON_A_GPU_BOX), name
+        assert first & {path.stem for path in BENCHMARKS.glob("*.py")} <= {*ON_A_GPU_BOX, "cuda_training"}, name
         assert first - own <= {"sarsplat"}, name

@@ -24,10 +24,10 @@ def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
 
 
-def run_python(*arguments: str) -> str:
+def run_python(*arguments: str, folder: Path | None = None) -> str:
     """Standard output of a fresh interpreter in which every warning is an error."""
     command = [sys.executable, "-W", "error", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120, cwd=folder)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -59,6 +59,27 @@ def test_readme_example_is_the_example_script():
 @pytest.mark.parametrize("script", EXAMPLES, ids=lambda path: path.name)
 def test_example_compiles(script):
     compile(script.read_text(encoding="utf-8"), str(script), "exec")
+
+
+def test_own_arrays(tmp_path):
+    printed = run_python(str(ROOT / "examples" / "own_arrays.py"), folder=tmp_path)
+    count, height = re.findall(r"(\d+) points; heights up to ([\d.]+) m", printed)[0]
+    assert int(count) > 1000
+    assert 1.5 < float(height) < 4  # a vehicle's
+    assert {path.name for path in tmp_path.iterdir()} == {"first-image.png", "unseen-view.png"}
+
+
+def test_own_loss(tmp_path):
+    printed = run_python(str(ROOT / "examples" / "own_loss.py"), folder=tmp_path)
+    preset_s, own = (float(value) for value in re.findall(r"([\d.]+) dB off", printed))
+    assert own < preset_s
+
+
+def test_watch_training(tmp_path):
+    printed = run_python(str(ROOT / "examples" / "watch_training.py"), folder=tmp_path)
+    losses = [float(value) for value in re.findall(r"loss ([\d.]+)", printed)]
+    assert losses == sorted(losses, reverse=True)
+    assert len(list(tmp_path.glob("step-*.png"))) == len(losses) > 1
 
 
 @pytest.mark.slow

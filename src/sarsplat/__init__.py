@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sarsplat.data import (
         Dataset,
-        DatasetView,
+        DatasetEntry,
         PhoenixChip,
         SarImage,
         import_mstar,
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
         simulate_raycast,
         target_mesh,
     )
+    from sarsplat.scenes.simulate import simulate_images
 
 __version__ = "0.1.0"
 
@@ -54,8 +55,9 @@ _HOME = {
         *("ScatteringLaw", "add_speckle", "load_mesh", "mstar_grid", "mstar_views", "paper_grid", "paper_views"),
         *("simulate_raycast", "target_mesh"),
     ),
+    "scenes.simulate": ("simulate_images",),
     "data": (
-        *("Dataset", "DatasetView", "PhoenixChip", "SarImage", "import_mstar", "read_dataset", "read_gaussians_ply"),
+        *("Dataset", "DatasetEntry", "PhoenixChip", "SarImage", "import_mstar", "read_dataset", "read_gaussians_ply"),
         *("read_phoenix", "read_points_ply", "write_dataset", "write_gaussians_ply", "write_points_ply"),
     ),
     "reconstruction": ("PRESETS", "Config", "Run", "Trainer", "extract_points", "preset", "reconstruct"),
@@ -70,7 +72,7 @@ __all__ = [
     "PRESETS",
     "Config",
     "Dataset",
-    "DatasetView",
+    "DatasetEntry",
     "Gaussians",
     "Harmonics",
     "ImageGrid",
@@ -105,6 +107,7 @@ __all__ = [
     "read_points_ply",
     "reconstruct",
     "render",
+    "simulate_images",
     "simulate_raycast",
     "target_mesh",
     "visible_surface",

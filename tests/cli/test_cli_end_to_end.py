@@ -40,16 +40,16 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_simulate_writes_the_views_that_were_asked_for(workshop: Path) -> None:
     dataset = read_dataset(workshop / "dataset")
-    train = {(item.view.azimuth_deg, item.view.grazing_deg) for item in dataset.select("train")}
-    test = {(item.view.azimuth_deg, item.view.grazing_deg) for item in dataset.select("test")}
+    train = {(view.azimuth_deg, view.grazing_deg) for view in dataset.select("train").views}
+    test = {(view.azimuth_deg, view.grazing_deg) for view in dataset.select("test").views}
     assert train == {(azimuth, grazing) for azimuth in (0, 90, 180, 270) for grazing in (30, 60)}
     assert test == {(azimuth, grazing) for azimuth in (45, 135, 225, 315) for grazing in (30, 60)}
     assert (dataset.grid.rows, dataset.grid.spacing_m) == (32, (0.3, 0.3))
     assert dataset.truth_mesh is not None
     assert dataset.source["kind"] == "raycast"
-    assert dataset.source["target"] == "box.obj"
+    assert dataset.target == "box.obj"
     assert dataset.source["law"] == {"floor": 0.1, "lobe": 0.9}
-    assert dataset.source["protocol"] is None
+    assert dataset.protocol is None
 
 
 def test_evaluate_writes_every_score(workshop: Path) -> None:

@@ -61,4 +61,4 @@ def test_radians_are_simulated_as_the_degrees_they_are_called(
     assert main([*command, "--out", str(tmp_path / "out")]) == 0
     (line, *_) = capsys.readouterr().err.splitlines()
     assert line.startswith("warning: the azimuths (0° to 4.71°) and grazing angles (0.3° to 0.3°) look like radians")
-    assert [item.view.azimuth_deg for item in read_dataset(tmp_path / "out").views] == [0, 1.57, 3.14, 4.71]
+    assert [view.azimuth_deg for view in read_dataset(tmp_path / "out").views] == [0, 1.57, 3.14, 4.71]

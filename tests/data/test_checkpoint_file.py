@@ -84,8 +84,8 @@ def test_other_files(tmp_path):
         (None, "not a checkpoint of a run"),
         ({**schema, "version": "9"}, "version '9'"),
         ({**schema, "version": "1"}, "not valid JSON"),
-        ({**schema, "version": "1", "state": "[1]"}, "no object"),
-        ({**schema, "version": "1", "state": "[" * 100_000}, "nested too deeply"),
+        ({**schema, "version": "1", "state": "[1]"}, "expected `object`, got `array`"),
+        ({**schema, "version": "1", "state": '{"a":' * 100_000}, "nested too deeply"),
     ]:
         safetensors.torch.save_file({"x": torch.ones(1)}, path, metadata=metadata)
         with pytest.raises(SarsplatError, match=words):

@@ -1,30 +1,32 @@
-"""Datasets: what is written comes back, and nothing wrong is believed."""
+"""Datasets: what is written comes back, in memory as on the disk, and nothing wrong is believed."""
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import tifffile
 
-from sarsplat.data import Dataset, read_dataset, read_power_tiff, write_dataset
+from datasets import dataset_of
+from sarsplat.data import Dataset, SarImage, read_dataset, read_power_tiff, write_dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 
 GRID = ImageGrid(6, 5, (0.2, 0.3), (0.25, 0.35), (1.0, -2.0))
 VIEWS = [
-    (View(0.1, 15.0), "train", None),
-    (View(-45.0, 30.0), "test-17", 45.5),
-    (View(400.0, 75.0), "train", None),
-    (View(90.0, 17.09375), "test", 270.0),
+    (View(0.1, 15.0), "train"),
+    (View(-45.0, 30.0), "test-17"),
+    (View(400.0, 75.0), "train"),
+    (View(90.0, 17.09375), "test"),
 ]
 IMAGES = np.random.default_rng(1).gamma(1.0, size=(4, 6, 5)).astype(np.float32)
 
 
-def make(path: Path, **changes) -> Dataset:
-    arguments = {"grid": GRID, "views": VIEWS, "images": IMAGES, "source": {"kind": "made up"}, "domain": "rendered"}
-    return write_dataset(path, **{**arguments, **changes})
+def make(path: Path, *, grid=GRID, views=VIEWS, images=IMAGES, truth_mesh=None, overwrite=False, **fields) -> Dataset:
+    fields = {"source": {"kind": "made up"}, **fields}
+    return write_dataset(path, dataset_of(grid, views, images, **fields), truth_mesh=truth_mesh, overwrite=overwrite)
 
 
 @pytest.fixture
@@ -32,20 +34,81 @@ def dataset(tmp_path):
     return make(tmp_path / "set")
 
 
-def test_round_trip(dataset):
+def test_round_trip(tmp_path):
+    fields = {
+        "target": "t72",
+        "calibration": "relative",
+        "looks": 3,
+        "ground": True,
+        "score_margin": 2,
+        "target_box_m": ((-1, -2.5, 0), (4, 5, 6)),
+        "protocol": "mstar",
+        "source": {"kind": "made up", "list": (1, 2.5, None)},
+    }
+    dataset = make(tmp_path / "set", **fields)
+    again = read_dataset(tmp_path / "set")
+    for read in (dataset, again):
+        assert {name: getattr(read, name) for name in fields} == {**fields, "source": read.source}
+        assert (read.path, read.truth_mesh, read.grid) == (tmp_path / "set", None, GRID)
+        np.testing.assert_array_equal(read.power, IMAGES)
+    assert again.source == {"kind": "made up", "list": [1, 2.5, None]}
+    assert again.entries == dataset.entries
+    assert again.power.dtype == np.float32
+
+
+def test_sets_of_a_dataset(dataset):
+    assert dataset.splits() == ("train", "test-17", "test")
+    assert dataset.views == tuple(view for view, _ in VIEWS)
+    train = dataset.select("train")
+    assert [view.azimuth_deg for view in train.views] == [0.1, 400.0]
+    assert [entry.name for entry in train.entries] == ["000", "002"]
+    np.testing.assert_array_equal(train.power, IMAGES[[0, 2]])
+    np.testing.assert_array_equal(dataset.images("train"), IMAGES[[0, 2]])
+    np.testing.assert_array_equal(dataset.images("test"), IMAGES[3:])
+    assert repr(dataset) == "<Dataset of unnamed: 2 train, 1 test-17, 1 test; 6 × 5 pixels>"
+    for ask in (dataset.images, dataset.select):
+        with pytest.raises(SarsplatError, match="no set 'test-15'; it has train, test-17, test"):
+            ask("test-15")
+
+
+def test_a_dataset_is_a_sequence_of_images(dataset):
+    assert len(dataset) == len(list(dataset)) == 4
+    image = dataset[-1]
+    assert (image.view, image.grid) == (VIEWS[3][0], GRID)
+    np.testing.assert_array_equal(image.power, IMAGES[3])
+    with pytest.raises(IndexError):
+        dataset[4]
+
+
+def test_a_dataset_in_memory_is_the_one_it_becomes_on_the_disk(tmp_path):
+    images = [SarImage(power.astype(np.float64), view, GRID) for power, (view, _) in zip(IMAGES, VIEWS)]
+    dataset = Dataset.from_images(images[:3], test=images[3:], target="a", looks=1, source={"x": (1, 2)})
+    assert [(entry.split, entry.name) for entry in dataset.entries] == [
+        *(("train", "000"), ("train", "001"), ("train", "002"), ("test", "003"))
+    ]
+    assert (dataset.path, str(dataset)) == (None, "the dataset of a in memory")
+    written = write_dataset(tmp_path / "set", dataset)
+    np.testing.assert_array_equal(read_dataset(tmp_path / "set").power, dataset.power)
+    assert dataset.fingerprint() == written.fingerprint() == read_dataset(tmp_path / "set").fingerprint()
+
+
+def test_images_of_two_grids_are_no_dataset():
+    one, other = (SarImage(IMAGES[0], VIEWS[0][0], grid) for grid in (GRID, replace(GRID, center_m=(0, 0))))
+    with pytest.raises(SarsplatError, match=r"image 1 lies on .* but the first on"):
+        Dataset.from_images([one, other])
+    with pytest.raises(SarsplatError, match="no training images"):
+        Dataset.from_images([], test=[one])
+
+
+def test_each_image_is_read_once(dataset, monkeypatch):
+    opened = []
+    monkeypatch.setattr(
+        "sarsplat.data.dataset_folder.read_power_tiff",
+        lambda path, shape: opened.append(path.name) or read_power_tiff(path, shape),
+    )
     again = read_dataset(dataset.path)
-    assert again == dataset
-    assert again.grid == GRID
-    assert again.source == {"kind": "made up"}
-    assert again.domain == "rendered"
-    assert again.truth_mesh is None
-    assert [(v.view, v.split, v.target_az_deg) for v in again.views] == VIEWS
-    assert again.splits() == ("train", "test-17", "test")
-    assert [v.view.azimuth_deg for v in again.select("train")] == [0.1, 400.0]
-    np.testing.assert_array_equal(again.images("train"), IMAGES[[0, 2]])
-    assert again.images("test").dtype == np.float32
-    with pytest.raises(SarsplatError, match="no set 'test-15'; it has train, test-17, test"):
-        again.images("test-15")
+    again.images("train"), again.fingerprint(), again.select("test").power, again[0]
+    assert opened == ["000.tif", "001.tif", "002.tif", "003.tif"]
 
 
 def test_tiffs_say_what_they_are(dataset):
@@ -70,6 +133,7 @@ def test_fingerprint_follows_header_and_pixels_not_place(dataset, tmp_path):
     touched[3, 5, 4] *= 1.0001
     assert make(tmp_path / "a", images=touched).fingerprint() != first
     assert make(tmp_path / "b", source={"kind": "other"}).fingerprint() != first
+    assert make(tmp_path / "c", looks=1).fingerprint() != first
 
 
 def test_truth_mesh(tmp_path):
@@ -79,6 +143,8 @@ def test_truth_mesh(tmp_path):
     dataset = make(tmp_path / "set", truth_mesh=box)
     assert dataset.truth_mesh == tmp_path / "set" / "truth.ply"
     assert trimesh.load_mesh(dataset.truth_mesh).volume == pytest.approx(6.0)
+    copied = write_dataset(tmp_path / "copy", dataset)
+    assert copied.truth_mesh.read_bytes() == dataset.truth_mesh.read_bytes()
     dataset.truth_mesh.unlink()
     with pytest.raises(SarsplatError, match=r"lacks its mesh 'truth\.ply'"):
         read_dataset(dataset.path)
@@ -89,13 +155,20 @@ def test_truth_mesh(tmp_path):
     [
         ({"images": IMAGES[:3]}, "of shape"),
         ({"images": IMAGES.astype(np.float64)}, "float64"),
-        ({"images": np.where(IMAGES[2, 3, 4] == IMAGES, np.nan, IMAGES)}, r"holds nan at \(2, 3, 4\)"),
+        ({"images": np.where(IMAGES[2, 3, 4] == IMAGES, np.nan, IMAGES)}, r"image '002' holds nan at \(3, 4\)"),
         ({"images": -IMAGES}, "finite and ≥ 0"),
-        ({"views": [(v, "test", a) for v, _, a in VIEWS]}, "nothing to learn from"),
-        ({"views": [(v, "validation", a) for v, _, a in VIEWS]}, "'validation'"),
+        ({"views": [(v, "test") for v, _ in VIEWS]}, "nothing to learn from"),
+        ({"views": [(v, "validation") for v, _ in VIEWS]}, "'validation'"),
         ({"source": {"x": float("nan")}}, "JSON"),
         ({"source": ["x"]}, "source"),
-        ({"domain": "dreamt"}, "'dreamt'"),
+        ({"source": {"x": object()}}, "JSON"),
+        ({"calibration": "dreamt"}, "'dreamt'"),
+        ({"looks": 0}, "looks 0 must be a positive number"),
+        ({"looks": "one"}, "looks"),
+        ({"score_margin": 3}, "score_margin 3 leaves nothing of images of 6 × 5 pixels"),
+        ({"score_margin": -1}, "score_margin -1"),
+        ({"target_box_m": ((0, 0, 0), (1, 1, 0))}, "target_box_m"),
+        ({"target_box_m": ((0, 0), (1, 1))}, "target_box_m"),
     ],
 )
 def test_wrong_input_writes_nothing(tmp_path, changes, words):
@@ -108,7 +181,8 @@ def test_overwrite(dataset):
     with pytest.raises(SarsplatError, match="--overwrite"):
         make(dataset.path)
     make(dataset.path, images=IMAGES * 2, overwrite=True)
-    np.testing.assert_array_equal(dataset.images("test"), IMAGES[[3]] * 2)
+    np.testing.assert_array_equal(read_dataset(dataset.path).power, IMAGES * 2)
+    np.testing.assert_array_equal(dataset.power, IMAGES)
 
 
 def test_missing_empty_and_other_folders(tmp_path, dataset):
@@ -139,32 +213,40 @@ def change(header: dict, place: str, value: object) -> None:
 @pytest.mark.parametrize(
     ("place", "value", "words"),
     [
-        ("schema", "other", "schema is not"),
-        ("schema_version", 2, "schema_version is 2"),
-        ("quantity", "sigma0", "quantity"),
+        ("schema", "other", "its schema is 'other', not 'sarsplat-dataset'"),
+        ("schema_version", 1, "its schema_version is 1 but this program reads 2; simulate or import it again"),
+        ("quantity", "sigma0", "quantity is 'sigma0'"),
         ("unit", "decibels", "unit"),
-        ("domain", None, "domain"),
-        ("grid", [], "grid is"),
-        ("grid.rows", 6.0, "grid.rows is 6.0"),
+        ("calibration", None, "calibration"),
+        ("looks", -1.0, "looks -1.0"),
+        ("looks", True, "looks is True"),
+        ("ground", 1, "ground is 1: expected `bool`"),
+        ("score_margin", 1.5, "score_margin is 1.5"),
+        ("target_box_m", [[0, 0, 0]], "target_box_m"),
+        ("protocol", 3, "protocol is 3"),
+        ("domain", "rendered", "unknown field `domain`"),
+        ("grid", [], r"grid is \[\]: expected `object`"),
+        ("grid.rows", 6.0, "grid.rows is 6.0: expected `int`, got `float`"),
         ("grid.rows", True, "grid.rows"),
         ("grid.rows", -1, "empty"),
-        ("grid.rows", 7, "shape"),
+        ("grid.rows", 7, "shape|too few"),
         ("grid.rows", 10**9, "too large"),
         ("grid.rows", 5, "shape"),
-        ("grid.spacing_m", [0.1], "pair"),
+        ("grid.spacing_m", [0.1], "grid.spacing_m is .* length 2"),
         ("grid.spacing_m", [0.1, 0], "positive"),
-        ("grid.center_m", [0, 10**400], "pair"),
-        ("grid.resolution_m", KeyError, "lacks the field 'resolution_m'"),
-        ("grid.tilt", 1, "unknown field 'tilt'"),
-        ("source", "somewhere", "object"),
+        ("grid.center_m", [0, 10**400], r"grid.center_m\[1\] is 1000.*: number out of range"),
+        ("grid.resolution_m", KeyError, "grid: object missing required field `resolution_m`"),
+        ("grid.tilt", 1, "grid: object contains unknown field `tilt`"),
+        ("grid.\x1b[2J", 1, "unknown field `.\\[2J`"),
+        ("source", "somewhere", "source is 'somewhere'"),
         ("truth_mesh", 3, "truth_mesh"),
         ("truth_mesh", "../x.ply", "does not lie inside"),
-        ("views", {}, "a list"),
-        ("views", [], "nothing to learn"),
-        ("views.0", 7, r"views\[0\] is 7"),
+        ("views", {}, "views: expected `array`"),
+        ("views", [], "no images"),
+        ("views.0", 7, r"views\[0\] is 7: expected `object`"),
         ("views.1.grazing_deg", 90, r"views\[1\]: grazing angle 90"),
-        ("views.1.azimuth_deg", "north", r"views\[1\].azimuth_deg is 'north'"),
-        ("views.1.target_az_deg", False, "target_az_deg"),
+        ("views.1.azimuth_deg", "north", r"views\[1\].azimuth_deg is 'north': expected `float`, got `str`"),
+        ("views.1.name", None, "name"),
         ("views.1.split", "TEST", "split"),
         ("views.1.file", "../images/001.tif", "does not lie inside"),
         ("views.1.file", "/etc/passwd", "does not lie inside"),

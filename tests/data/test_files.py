@@ -3,6 +3,7 @@
 import errno
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -104,11 +105,11 @@ def test_json_round_trip_and_refusals(tmp_path):
     path = tmp_path / "a.json"
     value = {"φ": [1, 2.5, None, True], "nested": {"x": "ü"}}
     write_json(path, value)
-    assert read_json(path) == value
+    assert read_json(path, Any) == value
     for bad in (float("nan"), float("inf"), object(), {1, 2}):
         with pytest.raises(SarsplatError, match="cannot be written as JSON"):
             write_json(path, bad)
-    assert read_json(path) == value
+    assert read_json(path, Any) == value
 
 
 @pytest.mark.parametrize(
@@ -117,10 +118,10 @@ def test_json_round_trip_and_refusals(tmp_path):
         (b"{", "not valid JSON"),
         (b"", "not valid JSON"),
         (b"\xff\xfe", "not valid JSON"),
-        (b'{"a": NaN}', "NaN"),
-        (b'{"a": -Infinity}', "Infinity"),
-        (b'{"a": 1e999}', "too large"),
-        (b'{"a": ' + b"9" * 5000 + b"}", "not valid JSON"),
+        (b'{"a": NaN}', "not valid JSON"),
+        (b'{"a": -Infinity}', "not valid JSON"),
+        (b'{"a": 1e999}', "number out of range"),
+        (b'{"a": ' + b"9" * 5000 + b"}", "integer value out of range"),
         (b"[" * 200_000, "nested too deeply"),
     ],
 )
@@ -128,12 +129,12 @@ def test_bad_json(tmp_path, content, words):
     path = tmp_path / "a.json"
     path.write_bytes(content)
     with pytest.raises(SarsplatError, match=words) as caught:
-        read_json(path)
+        read_json(path, Any)
     assert str(path) in str(caught.value)
 
 
 def test_missing_json_and_folder_for_json(tmp_path):
     with pytest.raises(SarsplatError, match="does not exist"):
-        read_json(tmp_path / "a.json")
+        read_json(tmp_path / "a.json", Any)
     with pytest.raises(SarsplatError, match="is a folder"):
-        read_json(tmp_path)
+        read_json(tmp_path, Any)

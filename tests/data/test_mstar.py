@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 from test_phoenix import phoenix_bytes
 
-from sarsplat.data import import_mstar
+from sarsplat.data import Dataset, import_mstar, read_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
@@ -51,23 +51,32 @@ def run(chips: Path, train_views: int = 4, target_class: str = "T72", **options)
     return import_mstar(chips, chips.parent / "out", target_class=target_class, train_views=train_views, **options)
 
 
+def target_az(dataset: Dataset) -> list[float]:
+    """The published azimuths of its chips."""
+    published = {chip["name"]: chip["target_az_deg"] for chip in dataset.source["chips"]}
+    return [published[entry.name] for entry in dataset.entries]
+
+
 def test_splits_angles_and_order(chips):
     dataset = run(chips)
     assert dataset.splits() == ("train", "test-17", "test-15")
     train = dataset.select("train")
-    assert [view.target_az_deg for view in train] == [359.5, 89, 181, 269]  # 89 and 91 tie; the earlier name wins
-    assert [view.view.azimuth_deg for view in train] == [0.5, 271, 179, 91]
-    assert [view.target_az_deg for view in dataset.select("test-17")] == [1, 44, 91, 330]
-    assert [view.view.grazing_deg for view in dataset.select("test-15")] == [15.1, 15.1]
-    assert dataset.domain == "measured"
-    assert dataset.source["chips"][:2] == ["T72/chip007.jpeg", "T72/chip002.jpeg"]
+    assert target_az(train) == [359.5, 89, 181, 269]  # 89 and 91 tie; the earlier name wins
+    assert [view.azimuth_deg for view in train.views] == [0.5, 271, 179, 91]
+    assert target_az(dataset.select("test-17")) == [1, 44, 91, 330]
+    assert [view.grazing_deg for view in dataset.select("test-15").views] == [15.1, 15.1]
+    assert (dataset.target, dataset.calibration, dataset.looks, dataset.ground) == ("T72", "relative", 1.0, True)
+    assert dataset.score_margin == 3
+    assert dataset.target_box_m == ((-4.5, -2.5, 0.0), (6.5, 2.5, 3.0))
+    assert [entry.name for entry in train.entries[:2]] == ["T72/chip007.jpeg", "T72/chip002.jpeg"]
+    assert read_dataset(dataset.path).fingerprint() == dataset.fingerprint()
     assert "max(DN, least_dn)^2" in dataset.source["calibration"]
     assert (dataset.grid.spacing_m, dataset.grid.resolution_m) == ((0.203125, 0.202148), (0.3229, 0.3013))
 
 
 def test_training_chips_are_distinct_and_limited(chips):
     dataset = run(chips, train_views=8)
-    assert sorted(view.target_az_deg for view in dataset.select("train")) == sorted(row[3] for row in ROWS[:8])
+    assert sorted(target_az(dataset.select("train"))) == sorted(row[3] for row in ROWS[:8])
     for count in (0, 9):
         with pytest.raises(
             SarsplatError, match=f"{count} training views are asked for, but the chips at 17° allow 1 to 8"
@@ -93,7 +102,7 @@ def test_mirrored_flips_columns_and_azimuth(chips):
     plain, mirrored = run(chips), import_mirrored(chips)
     np.testing.assert_array_equal(mirrored.images("train"), plain.images("train")[:, :, ::-1])
     for a, b in zip(plain.views, mirrored.views):
-        assert (a.view.azimuth_deg + b.view.azimuth_deg) % 360 == 0
+        assert (a.azimuth_deg + b.azimuth_deg) % 360 == 0
     assert mirrored.source["mirrored"] is True
 
 
@@ -129,13 +138,13 @@ def test_labels_with_empty_fields_are_counted_once(chips):
     ) as caught:
         dataset = run(chips)
     assert len(caught) == 1
-    assert len(dataset.views) == 8
+    assert len(dataset) == 8
 
 
 def test_a_chip_without_a_class_has_no_label(chips):
     rewrite(chips / "labels.csv", lambda rows: [*rows[:2], [rows[2][0], "", *rows[2][2:]], *rows[3:]])
     with pytest.warns(SarsplatWarning, match="has no label for 1 JPEG in"):
-        assert len(run(chips).views) == 9
+        assert len(run(chips)) == 9
 
 
 @pytest.mark.parametrize("spelling", ["T72/chip002.jpeg", "T72/./chip002.jpeg"])
@@ -143,7 +152,7 @@ def test_a_chip_that_is_listed_twice_is_taken_once(chips, spelling):
     rewrite(chips / "labels.csv", lambda rows: [*rows, [spelling, *rows[3][1:]], rows[4]])
     with pytest.warns(SarsplatWarning, match="repeats 2 labels; each chip is taken once"):
         dataset = run(chips)
-    assert sorted(dataset.source["chips"]) == [f"T72/chip{index:03d}.jpeg" for index in range(10)]
+    assert sorted(entry.name for entry in dataset.entries) == [f"T72/chip{index:03d}.jpeg" for index in range(10)]
 
 
 def test_two_labels_of_one_chip_are_refused(chips):
@@ -170,7 +179,7 @@ def test_mixed_spacings_are_refused(originals):
 def test_a_path_too_long_for_any_file_is_a_label_without_a_chip(chips):
     rewrite(chips / "labels.csv", lambda rows: [*rows, ["T72/" + "a" * 5000, *rows[1][1:]]])
     with pytest.warns(SarsplatWarning, match="lacks 1 of 11 T72 chips in"):
-        assert len(run(chips).views) == 10
+        assert len(run(chips)) == 10
 
 
 def test_labels_without_chips_are_counted_once(chips):
@@ -268,8 +277,8 @@ def originals(tmp_path):
 
 def test_phoenix_originals(originals, chips):
     dataset = run(originals, labels=None)
-    assert [view.target_az_deg for view in dataset.select("train")] == [2, 92, 178, 275]
-    assert [view.view.azimuth_deg for view in dataset.select("test-17")] == [60]
+    assert target_az(dataset.select("train")) == [2, 92, 178, 275]
+    assert [view.azimuth_deg for view in dataset.select("test-17").views] == [60]
     assert dataset.source["format"] == "phoenix"
     from_jpeg = import_mstar(
         chips, chips.parent / "jpeg", labels=chips / "labels.csv", target_class="T72", train_views=4
@@ -312,5 +321,5 @@ def test_measured_t72(tmp_path):
 def test_measured_originals(tmp_path):
     with pytest.warns(SarsplatWarning, match="3 vehicles|azimuth out"):
         dataset = import_mstar(MEASURED / "phoenix", tmp_path / "a", labels=None, target_class="BMP2", train_views=2)
-    assert len(dataset.views) == 3
+    assert len(dataset) == 3
     assert dataset.grid.resolution_m == (0.3229, 0.3013)

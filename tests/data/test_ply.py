@@ -184,7 +184,7 @@ def test_points_are_no_gaussians_and_versions_are_checked(tmp_path):
         (b"scattering {", b"scattered {", "one law of scattering"),
         (b"harmonics", b"harmonica", "states the scattering .*harmonica.*; known are harmonics, normal-lobes"),
         (b'"p_min": 0.05', b'"p_min": 1e99e', "not valid JSON"),
-        (b'"p_min": 0.05', b'"p_min": 1e+999', r"the header of .*p\.ply is not valid JSON \(1e\+999 is too large"),
+        (b'"p_min": 0.05', b'"p_min": 1e+999', r"the header of .*p\.ply: .*number out of range"),
         (b'"p_min": 0.05', b'"p_min": -0.5', "p_min -0.5 must be finite"),
         (b'"p_min": 0.05', b'"p_min": "x"', "is none"),
         (b'"p_min": 0.05', b'"gloss": 0.5', "is none .*gloss"),

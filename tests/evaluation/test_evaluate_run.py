@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets import dataset_of
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError, SarsplatWarning
@@ -65,21 +66,15 @@ def make(tmp_path, monkeypatch):
 
     monkeypatch.setattr("sarsplat.evaluation.evaluate.visible_surface", coarse)
 
-    def dataset(domain="rendered", looks=None, mesh=CUBE, scale=1.0) -> Dataset:
+    def dataset(looks=None, ground=False, mesh=CUBE, scale=1.0) -> Dataset:
         splits = ("train", "test-17", "train", "test-15", "test-17")
-        views = [(View(80.0 * k, 45), split, None) for k, split in enumerate(splits)]
-        images = np.stack([scale * image(view.azimuth_deg) for view, *_ in views]).astype(np.float32)
-        if domain == "measured" or looks:
+        views = [(View(80.0 * k, 45), split) for k, split in enumerate(splits)]
+        images = np.stack([scale * image(view.azimuth_deg) for view, _ in views]).astype(np.float32)
+        if looks:
             images *= np.random.default_rng(0).exponential(size=images.shape).astype(np.float32) + np.float32(1e-3)
-        return write_dataset(
-            tmp_path / "dataset",
-            grid=ImageGrid(SIZE, SIZE, (0.3, 0.3), (0.3, 0.3)),
-            views=views,
-            images=images,
-            source={"looks": looks},
-            domain=domain,
-            truth_mesh=mesh,
-        )
+        grid = ImageGrid(SIZE, SIZE, (0.3, 0.3), (0.3, 0.3))
+        made = dataset_of(grid, views, images, looks=looks, ground=ground, score_margin=24 if looks else 0)
+        return write_dataset(tmp_path / "dataset", made, truth_mesh=mesh)
 
     return dataset
 
@@ -134,14 +129,14 @@ def test_points_are_scored_against_both_surfaces(make):
 
 
 def test_a_measured_set_is_scored_by_protocol_m_whatever_its_unit(make, tmp_path):
-    run = FakeRun(make(domain="measured", mesh=None, scale=50.0), power=50.0)
+    run = FakeRun(make(looks=1, ground=True, mesh=None, scale=50.0), power=50.0)
     metrics = evaluate_run(run)
     truth, mean = run.dataset.images("test-17"), run.dataset.images("train").mean(dtype=float)
-    rendered = run.render([item.view for item in run.dataset.select("test-17")])
+    rendered = run.render(run.dataset.select("test-17").views)
     scores = metrics["images"]["test-17"]
-    assert scores["nats_per_pixel"] == pytest.approx(nats_per_pixel(truth / mean, rendered / mean))
+    assert scores["nats_per_pixel"] == pytest.approx(nats_per_pixel(truth / mean, rendered / mean, 24))
     assert scores["nats_per_pixel"] < 2  # and not log 50 higher
-    assert scores["log_correlation"] == pytest.approx(log_correlation(truth, rendered))
+    assert scores["log_correlation"] == pytest.approx(log_correlation(truth, rendered, 24))
     assert [scores[key] for key in NOISE_FREE_ONLY] == [None] * 4
     assert all("speckled" in metrics["reasons"][f"images.test-17.{key}"] for key in NOISE_FREE_ONLY)
     assert metrics["points"]["visible"] == dict.fromkeys(POINT_KEYS)
@@ -149,8 +144,13 @@ def test_a_measured_set_is_scored_by_protocol_m_whatever_its_unit(make, tmp_path
 
 
 def test_a_speckled_simulation_is_scored_as_speckled_images_are(make):
-    scores = evaluate_run(FakeRun(make(looks=1)))["images"]["test-15"]
-    assert [key for key in IMAGE_KEYS if scores[key] is None] == NOISE_FREE_ONLY
+    metrics = evaluate_run(FakeRun(make(looks=1)))
+    assert [key for key in IMAGE_KEYS if metrics["images"]["test-15"][key] is None] == NOISE_FREE_ONLY
+    assert metrics["yardsticks"] is None
+
+
+def test_speckled_images_with_ground_stand_beside_the_yardsticks(make):
+    assert list(evaluate_run(FakeRun(make(looks=1, ground=True)))["yardsticks"]) == ["test-17", "test-15"]
 
 
 def test_what_is_returned_is_written_into_the_run(make, tmp_path):
@@ -207,15 +207,8 @@ def test_an_unreadable_mesh_is_told(make):
 
 
 def only_training(path: Path, mesh) -> Dataset:
-    return write_dataset(
-        path,
-        grid=ImageGrid(SIZE, SIZE, (0.3, 0.3), (0.3, 0.3)),
-        views=[(View(0, 45), "train", None)],
-        images=image(0)[None],
-        source={},
-        domain="rendered",
-        truth_mesh=mesh,
-    )
+    grid = ImageGrid(SIZE, SIZE, (0.3, 0.3), (0.3, 0.3))
+    return write_dataset(path, dataset_of(grid, [(View(0, 45), "train")], image(0)[None]), truth_mesh=mesh)
 
 
 def test_without_test_views_the_points_are_scored(tmp_path, make):  # make: coarse surfaces
@@ -233,9 +226,9 @@ def test_with_nothing_to_score_evaluation_is_refused(tmp_path, mesh, points, tol
 
 
 @pytest.mark.parametrize("scale", [1e-45, 1e-38, 1e-30, 1e16])
-@pytest.mark.parametrize("domain", ["rendered", "measured"])
-def test_faint_and_strong_images_are_scored_without_a_warning(make, domain, scale):
-    dataset = make(domain=domain, looks=1, mesh=None, scale=scale)
+@pytest.mark.parametrize("looks", [None, 1])
+def test_faint_and_strong_images_are_scored_without_a_warning(make, looks, scale):
+    dataset = make(looks=looks, ground=True, mesh=None, scale=scale)
     scores = evaluate_run(FakeRun(dataset, power=scale))["images"]["test-17"]
     assert all(np.isfinite(value) for value in scores.values() if value is not None)
 

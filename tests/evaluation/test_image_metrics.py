@@ -84,9 +84,9 @@ def test_nats_are_log_s_plus_ratio_inside_the_margin_only():
     for chips in (truth, rendered):
         chips[:, :24], chips[:, 104:], chips[:, :, :24], chips[:, :, 104:] = 1e6, 1e-6, 1e6, 1e-6
     rendered[:, 0, 0] = 0.0  # outside the margin: no matter
-    assert nats_per_pixel(truth, rendered) == pytest.approx(math.log(3) + 2, rel=1e-6)
+    assert nats_per_pixel(truth, rendered, 24) == pytest.approx(math.log(3) + 2, rel=1e-6)
     truth[:, 24, 24] += 80 * 80  # the first pixel inside
-    assert nats_per_pixel(truth, rendered) == pytest.approx(math.log(3) + 2 + 1 / 3, rel=1e-6)
+    assert nats_per_pixel(truth, rendered, 24) == pytest.approx(math.log(3) + 2 + 1 / 3, rel=1e-6)
 
 
 def test_the_true_mean_has_the_best_likelihood():
@@ -107,7 +107,7 @@ def test_correlation_filters_the_full_chip_then_crops():
             for image in (a, b)
         ]
         expected.append(pearsonr(*means).statistic)
-    assert log_correlation(truth, rendered) == pytest.approx(np.mean(expected), abs=1e-12)
+    assert log_correlation(truth, rendered, 24) == pytest.approx(np.mean(expected), abs=1e-12)
 
 
 def test_correlation_ignores_scale_and_constant_predictions_score_nothing():
@@ -121,14 +121,14 @@ def test_zero_power_has_no_likelihood():
     holed = chips.copy()
     holed[0, 30:34, 30:34] = 0
     with pytest.raises(UndefinedScore, match="zero at 16 of 256"):
-        nats_per_pixel(chips, holed)
+        nats_per_pixel(chips, holed, 24)
     with pytest.raises(UndefinedScore, match="true power is zero at 4 of 256"):
-        log_correlation(holed, chips)
+        log_correlation(holed, chips, 24)
 
 
 def test_small_chips_have_no_inside():
     with pytest.raises(UndefinedScore, match="48 × 48"):
-        nats_per_pixel(stack(1.0, size=48), stack(1.0, size=48))
+        nats_per_pixel(stack(1.0, size=48), stack(1.0, size=48), 24)
 
 
 @pytest.mark.parametrize("score", [lambda t, r: psnr_db(t, r, 1.0), nats_per_pixel, log_correlation])

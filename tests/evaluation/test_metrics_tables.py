@@ -84,13 +84,13 @@ def test_unknown_rows_are_told():
 
 
 def test_the_row_of_the_paper_is_that_of_the_target():
-    def beside(domain="rendered", **source):
-        found = paper_beside(SimpleNamespace(domain=domain, source={"protocol": "paper", **source}))
+    def beside(target="unnamed", protocol="paper", looks=None, ground=False):
+        found = paper_beside(SimpleNamespace(target=target, protocol=protocol, looks=looks, ground=ground))
         return found and found.name
 
     assert beside(target="BTR70") == "paper, BTR70"
     assert beside() == "paper, T72"
-    for other in ({"protocol": None}, {"looks": 1.0}, {"ground_gamma0": 0.1}, {"domain": "measured"}):
+    for other in ({"protocol": None}, {"looks": 1.0}, {"ground": True}):
         assert beside(**other) is None
 
 

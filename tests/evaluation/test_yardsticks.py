@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import uniform_filter
 
-from sarsplat.data import import_mstar, read_dataset, write_dataset
+from datasets import dataset_of
+from sarsplat.data import import_mstar
 from sarsplat.evaluation import log_correlation, nats_per_pixel, nearest_chip, rotated_average, yardstick_scores
 from sarsplat.geometry import ImageGrid, View, radar_frame
 
@@ -47,21 +48,14 @@ def test_a_view_far_from_every_chip_takes_the_nearest():
     assert np.allclose(predicted, 36)
 
 
-def test_scores_of_a_dataset_do_not_depend_on_its_calibration(tmp_path):
+def test_scores_of_a_dataset_do_not_depend_on_its_calibration():
     generator = np.random.default_rng(1)
-    views = [(View(azimuth, 17), split, None) for azimuth in range(0, 360, 60) for split in ("train", "test-17")]
-    images = np.stack([spots(view) * generator.exponential(size=(81, 81)) for view, *_ in views]).astype(np.float32)
+    views = [(View(azimuth, 17), split) for azimuth in range(0, 360, 60) for split in ("train", "test-17")]
+    images = np.stack([spots(view) * generator.exponential(size=(81, 81)) for view, _ in views]).astype(np.float32)
     scores = []
     for scale in (1, 50):
-        dataset = write_dataset(
-            tmp_path / f"{scale}",
-            grid=GRID,
-            views=views,
-            images=images * np.float32(scale),
-            source={},
-            domain="measured",
-        )
-        scores.append(yardstick_scores(read_dataset(dataset.path), {}))
+        dataset = dataset_of(GRID, views, images * np.float32(scale), looks=1.0, ground=True, score_margin=24)
+        scores.append(yardstick_scores(dataset, {}))
     assert list(scores[0]) == ["test-17"]
     for name in ("nearest_chip", "rotated_average"):
         first, second = (score["test-17"][name] for score in scores)
@@ -75,27 +69,27 @@ def test_known_yardsticks_of_the_measured_t72(tmp_path):
     pytest.importorskip("PIL")
     dataset = import_mstar(MSTAR, tmp_path / "t72", labels=MSTAR / "labels.csv", target_class="T72", train_views=36)
     train, truth = dataset.images("train"), dataset.images("test-17")
-    train_views, views = ([item.view for item in dataset.select(name)] for name in ("train", "test-17"))
+    train_views, views = (dataset.select(name).views for name in ("train", "test-17"))
     nearest = nearest_chip(train, train_views, views)
-    assert nats_per_pixel(truth, nearest) == pytest.approx(0.573, abs=0.002)
-    assert log_correlation(truth, nearest) == pytest.approx(0.841, abs=0.002)
+    assert nats_per_pixel(truth, nearest, 24) == pytest.approx(0.573, abs=0.002)
+    assert log_correlation(truth, nearest, 24) == pytest.approx(0.841, abs=0.002)
     some = slice(None, None, 8)
     rotated = rotated_average(train, train_views, views[some], dataset.grid)
-    assert nats_per_pixel(truth[some], rotated) < nats_per_pixel(truth[some], nearest[some]) - 0.02
+    assert nats_per_pixel(truth[some], rotated, 24) < nats_per_pixel(truth[some], nearest[some], 24) - 0.02
 
 
-def test_zeros_of_measured_power_leave_a_score_null_with_its_reason(tmp_path):
-    views = [(View(azimuth, 17), split, None) for azimuth, split in ((0, "train"), (120, "train"), (5, "test-17"))]
-    images = np.stack([spots(view) for view, *_ in views])
+def test_zeros_of_measured_power_leave_a_score_null_with_its_reason():
+    views = [(View(azimuth, 17), split) for azimuth, split in ((0, "train"), (120, "train"), (5, "test-17"))]
+    images = np.stack([spots(view) for view, _ in views])
     images[0, 30:40, 30:40] = 0  # training chips with nothing there predict that nothing can ever come back
     images[2, 50, 50] = 0  # a zero of the truth alone does no harm
-    dataset = write_dataset(tmp_path / "zeros", grid=GRID, views=views, images=images, source={}, domain="measured")
+    dataset = dataset_of(GRID, views, images, looks=1.0, ground=True, score_margin=24)
     reasons: dict[str, str] = {}
     scores = yardstick_scores(dataset, reasons)["test-17"]
     assert scores["nearest_chip"]["nats_per_pixel"] is None
     assert "the predicted power is zero at 36 of" in reasons["yardsticks.test-17.nearest_chip.nats_per_pixel"]
     images[0, 30:40, 30:40] = 0.1
-    dataset = write_dataset(tmp_path / "fine", grid=GRID, views=views, images=images, source={}, domain="measured")
+    dataset = dataset_of(GRID, views, images, looks=1.0, ground=True, score_margin=24)
     reasons.clear()
     assert yardstick_scores(dataset, reasons)["test-17"]["nearest_chip"]["nats_per_pixel"] is not None
     assert not reasons

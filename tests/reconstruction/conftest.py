@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from datasets import dataset_of
 from sarsplat import Dataset, ImageGrid, Run, ScatteringLaw, View, preset, reconstruct, simulate_raycast
 from sarsplat.data import write_dataset
 from sarsplat.reconstruction import Config
@@ -21,13 +22,11 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     pytest.importorskip("embreex")
     mesh = trimesh.creation.box(BOX)
     mesh.apply_translation([0, 0, BOX[2] / 2])
-    views = [(View(azimuth, grazing), "train", None) for azimuth in range(0, 360, 60) for grazing in (20.0, 50.0)]
-    views += [(View(azimuth, 35.0), "test", None) for azimuth in (30, 200)]
-    images = np.stack([simulate_raycast(mesh, view, GRID, ScatteringLaw()) for view, _, _ in views])
+    views = [(View(azimuth, grazing), "train") for azimuth in range(0, 360, 60) for grazing in (20.0, 50.0)]
+    views += [(View(azimuth, 35.0), "test") for azimuth in (30, 200)]
+    images = np.stack([simulate_raycast(mesh, view, GRID, ScatteringLaw()) for view, _ in views])
     path = tmp_path_factory.mktemp("box") / "dataset"
-    return write_dataset(
-        path, grid=GRID, views=views, images=images, source={"kind": "raycast"}, domain="rendered", truth_mesh=mesh
-    )
+    return write_dataset(path, dataset_of(GRID, views, images, source={"kind": "raycast"}), truth_mesh=mesh)
 
 
 @pytest.fixture(scope="session")

@@ -48,7 +48,7 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("iterations", 10**400, "a whole number"),
         ("seed", -1, "a whole number from 0"),
         ("preset", 3, "a text"),
-        ("loss", "l2", "one of amplitude, speckle"),
+        ("initialisation", "cube", "one of box, hemisphere"),
         ("scattering", "waves", "one of harmonics, normal-lobes"),
         ("initialisation", ["box"], "one of box, hemisphere"),
         ("harmonics_degree", 4, "from 0 to 3"),
@@ -75,7 +75,7 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("densification", [1], "a record of start, stop"),
         ("surroundings.noise_floor", [0.1], "a number"),
         ("surroundings", 7, "or nothing"),
-        ("loss", "x" * 5000, "one of amplitude, speckle"),
+        ("initialisation", "x" * 5000, "one of box, hemisphere"),
     ],
 )
 def test_wrong_values_are_refused_in_a_short_sentence(path: str, value: Any, allowed: str) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from sarsplat import Dataset, Run, SarsplatError, View, reconstruct
+from sarsplat import Dataset, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.data import read_dataset
 from sarsplat.reconstruction import Config, Step, Trainer
 
@@ -111,9 +111,10 @@ def test_a_loss_of_ones_own(dataset: Dataset, config: Config) -> None:
         return (rendered - truth).square().mean()
 
     run = reconstruct(dataset, replace(config, iterations=40), loss=squares, quiet=True)
+    assert run.config.loss == "squares"
     assert shapes == {((8, 32, 32), (8, 32, 32))}
     assert run.history[-1].loss < 0.5 * run.history[0].loss
-    rendered = run.render([item.view for item in dataset.select("train")])
+    rendered = run.render(dataset.select("train").views)
     assert (
         np.square(rendered - dataset.images("train")).mean() < 0.5 * run.history[0].loss
     )  # β⁰ it was, and no other unit
@@ -130,6 +131,7 @@ def test_quiet_is_quiet(dataset: Dataset, short: Config, capsys: pytest.CaptureF
     ("options", "words"),
     [
         ({"device": "tpu"}, "device 'tpu' is unknown; choose auto, cpu or cuda"),
+        ({"preset": replace(preset("default"), loss="amplitud")}, "loss 'amplitud' is unknown; did you mean amplitude"),
         ({"device": "cuda"}, "install .*, or use the CPU"),
         ({"preset": "defualt"}, "preset 'defualt' is unknown"),
     ],

@@ -14,6 +14,7 @@ from sarsplat import Dataset, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.errors import SarsplatWarning
 from sarsplat.reconstruction import Config, Step, Trainer, extract_points
 from sarsplat.reconstruction.config import Densification
+from sarsplat.reconstruction.model import Setting
 
 BOX = (3.0, 2.0, 1.2)
 
@@ -24,7 +25,7 @@ def same_results(a: Run, b: Run) -> bool:
 
 def test_it_learns_what_unseen_views_show(finished: Run, dataset: Dataset) -> None:
     truth = np.sqrt(dataset.images("test"))
-    rendered = np.sqrt(finished.render([item.view for item in dataset.select("test")]))
+    rendered = np.sqrt(finished.render(dataset.select("test").views))
     error = np.linalg.norm(rendered - truth) / np.linalg.norm(truth)
     assert error < 0.25
     assert finished.history[-1].loss < 0.3 * finished.history[0].loss
@@ -129,7 +130,7 @@ def test_a_target_larger_than_its_box_is_told(dataset: Dataset, tmp_path: Path) 
     for height, fits in ((3.1, True), (10.0, False)):
         mesh = tmp_path / f"{height}.ply"
         trimesh.creation.box(bounds=[[-4, -2, 0], [6, 2, height]]).export(mesh)
-        images = replace(dataset, truth_mesh=mesh)
+        images = replace(dataset, truth_mesh=mesh, target_box_m=((-4.5, -2.5, 0.0), (6.5, 2.5, 3.0)))
         with nullcontext() if fits else pytest.warns(SarsplatWarning, match=r"z 0.0 … 10.0 m\) is larger than the box"):
             Trainer(images, config)
     Trainer(images, replace(preset("default"), gaussians=20))  # bounded by the images: no warning
@@ -161,3 +162,14 @@ def test_a_torn_log_is_read_up_to_the_tear(finished: Run, tmp_path: Path) -> Non
 def test_configurations_are_checked(config: Config, field: str, value: object) -> None:
     with pytest.raises(SarsplatError, match=rf"{field} is .*; it must be"):
         replace(config, **{field: value})
+
+
+def test_without_a_given_box_the_target_is_looked_for_in_the_middle_of_the_scene(dataset: Dataset) -> None:
+    config = replace(preset("measured"), gaussians=20)
+    assert dataset.target_box_m is None
+    region = Setting.of(config, dataset).region
+    half = 32 * 0.3 / 4
+    np.testing.assert_allclose([region.low, region.high], [[-half, -half, 0], [half, half, half]])
+    given = replace(dataset, target_box_m=((-1.0, -2.0, 0.0), (3.0, 4.0, 5.0)))
+    assert Setting.of(config, given).region.high.tolist() == [3.0, 4.0, 5.0]
+    assert Setting.of(preset("default"), given).region.high.tolist() != [3.0, 4.0, 5.0]  # there the images say it

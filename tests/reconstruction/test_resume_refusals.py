@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from datasets import dataset_of
 from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, preset, read_dataset, reconstruct
 from sarsplat.data import load_checkpoint, save_checkpoint, write_dataset, write_power_tiff
 from sarsplat.reconstruction import Config
@@ -24,9 +25,9 @@ CONFIG = replace(preset("default"), iterations=2, gaussians=50, checkpoint_every
 def make_dataset(path: Path, *, spacing: float = 0.3, azimuth: float = 0.0, seed: int = 0) -> Dataset:
     images = np.zeros((3, 16, 16), np.float32)
     images[:, 6:10, 6:10] = np.random.default_rng(seed).uniform(0.5, 1, size=(3, 4, 4))
-    views = [(View(azimuth + 120.0 * k, 40.0), "train", None) for k in range(3)]
+    views = [(View(azimuth + 120.0 * k, 40.0), "train") for k in range(3)]
     grid = ImageGrid(16, 16, (spacing, spacing), (0.4, 0.4))
-    return write_dataset(path, grid=grid, views=views, images=images, source={}, domain="rendered")
+    return write_dataset(path, dataset_of(grid, views, images))
 
 
 @pytest.fixture
@@ -68,7 +69,7 @@ def test_another_dataset(begun: Path, tmp_path: Path, change: dict[str, Any]) ->
 def test_a_dataset_that_was_changed_in_place(begun: Path, dataset: Dataset) -> None:
     image = dataset.images("train")[1].copy()
     image[0, 0] = 1e-30
-    write_power_tiff(dataset.path / dataset.views[1].image, image, "changed")
+    write_power_tiff(dataset.path / "images/001.tif", image, "changed")
     refused(begun, read_dataset(dataset.path), CONFIG, "begun with another dataset")
 
 

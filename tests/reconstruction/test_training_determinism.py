@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+from datasets import dataset_of
 from sarsplat import Dataset, ImageGrid, Run, ScatteringLaw, View, simulate_raycast
 from sarsplat.data import load_checkpoint, write_dataset
 from sarsplat.reconstruction import Trainer
@@ -33,11 +34,11 @@ _STEPS = 11  # one of them with density control
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     mesh = trimesh.creation.box((3.0, 2.0, 1.2))
     mesh.apply_translation([0, 0, 0.6])
-    views = [(View(azimuth, 40.0), "train", None) for azimuth in range(0, 360, 40)]
-    images = np.stack([simulate_raycast(mesh, view, GRID, ScatteringLaw()) for view, _, _ in views])
+    views = [(View(azimuth, 40.0), "train") for azimuth in range(0, 360, 40)]
+    images = np.stack([simulate_raycast(mesh, view, GRID, ScatteringLaw()) for view, _ in views])
     images += 0.02 * np.random.default_rng(0).exponential(size=images.shape).astype(np.float32)  # no two pixels alike
     path = tmp_path_factory.mktemp("box") / "dataset"
-    return write_dataset(path, grid=GRID, views=views, images=images, source={}, domain="rendered")
+    return write_dataset(path, dataset_of(GRID, views, images))
 
 
 @pytest.mark.parametrize("kind", KINDS)

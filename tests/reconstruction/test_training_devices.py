@@ -9,13 +9,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from sarsplat import Dataset, ImageGrid, View, preset
+from sarsplat import Dataset, ImageGrid, Run, View, preset
 from sarsplat.gaussians import Gaussians
-from sarsplat.reconstruction import Config, Trainer, fused, model
+from sarsplat.reconstruction import Config, Trainer, extract_points, fused, model, points
 from sarsplat.reconstruction.config import Densification
 from sarsplat.renderer import Rendering
 
@@ -38,18 +39,11 @@ def small(**changes: Any) -> Config:
     return replace(preset("default"), iterations=50, gaussians=200, harmonics_every=10, views_per_step=2, **changes)
 
 
-def measured() -> Config:
-    chips = preset("measured")
-    assert chips.surroundings is not None
-    around = replace(chips.surroundings, ground_radius=3.0)
-    return replace(chips, iterations=50, gaussians=100, harmonics_every=2, views_per_step=2, surroundings=around)
-
-
 CONFIGS = {
     "amplitude": small(),
     "ssim": small(ssim_weight=0.2),
     "density": small(densification=DENSITY),
-    "measured": measured(),
+    "measured": replace(preset("measured"), iterations=50, gaussians=100, harmonics_every=2, views_per_step=2),
 }
 
 
@@ -82,6 +76,29 @@ def test_a_step_neither_leaves_the_device_nor_waits_for_it(
     for _ in range(3):
         assert trainer.step().device.type == "meta"
     assert {tensor.device.type for tensor in trainer.model.parameters.values()} == {"meta"}
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_every_tensor_is_made_on_the_trainings_device(name: str, dataset: Dataset) -> None:
+    """Also by density control and between trainings: whatever is made without naming one lands on the default device,
+    and meets a tensor that lies elsewhere.
+    """
+
+    def trained() -> tuple[Trainer, np.ndarray]:
+        trainer = Trainer(dataset, CONFIGS[name], device="cpu")
+        for _ in range(5):
+            trainer.step()
+        trainer.restore(trainer.snapshot(0.0))
+        for _ in range(5):
+            trainer.step()
+        return trainer, extract_points(trainer.gaussians, trainer.views[:2], trainer.grid, CONFIGS[name].points)
+
+    usual, points = trained()
+    with torch.device("meta"):
+        found, found_points = trained()
+    for key, tensor in usual.model.parameters.items():
+        assert torch.equal(found.model.parameters[key], tensor), key
+    assert np.array_equal(found_points, points)
 
 
 @pytest.fixture(scope="module")
@@ -148,3 +165,15 @@ def test_a_snapshot_goes_on_on_another_device(name: str, dataset: Dataset, monke
     assert other.step().device.type == "meta"
     assert {tensor.device.type for tensor in other.model.parameters.values()} == {"meta"}
     assert other.iteration == 2
+
+
+def test_points_of_the_cuda_engines_source_are_the_cpus(
+    finished: Run, dataset: Dataset, library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    views = [item.view for item in dataset.select("train")[:2]]
+    how = finished.config.points
+    expected = extract_points(finished.gaussians, views, dataset.grid, how)
+    monkeypatch.setattr(points, "render", partial(render_on, Emulator(library)))
+    found = extract_points(finished.gaussians, views, dataset.grid, how)
+    assert len(found) == len(expected) > 100
+    assert np.abs(found - expected).max() < 1e-3

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from datasets import dataset_of
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import IMAGE_METRICS, METRICS, POINT_METRICS, Scores
@@ -39,16 +40,11 @@ def make_dataset(
 ) -> Dataset:
     power = np.full((2 + tests, 32, 32), 1.0 if measured else 0.0, dtype=np.float32)
     power[:, 12:20, 10:22] = 5.0
-    views = [(View(10.0 * k, 30.0), "train" if k < 2 else "test", None) for k in range(2 + tests)]
-    return write_dataset(
-        folder / "dataset",
-        grid=GRID,
-        views=views,
-        images=power,
-        source={"target": target, "protocol": "paper", "law": {"floor": 0.1, "lobe": 0.9}},
-        domain="measured" if measured else "rendered",
-        truth_mesh=trimesh.creation.box() if mesh else None,
-    )
+    views = [(View(10.0 * k, 30.0), "train" if k < 2 else "test") for k in range(2 + tests)]
+    fields = {"calibration": "relative", "looks": 1.0, "ground": True} if measured else {"protocol": "paper"}
+    source = {"law": {"floor": 0.1, "lobe": 0.9}}
+    dataset = dataset_of(GRID, views, power, target=target, source=source, **fields)
+    return write_dataset(folder / "dataset", dataset, truth_mesh=trimesh.creation.box() if mesh else None)
 
 
 def make_run(folder: Path, dataset: Dataset, metrics: dict[str, Any] | None, **changes: Any) -> Any:
@@ -59,7 +55,7 @@ def make_run(folder: Path, dataset: Dataset, metrics: dict[str, Any] | None, **c
         "path": run,
         "folder": run,
         "dataset": dataset,
-        "config": preset("measured" if dataset.domain == "measured" else "default"),
+        "config": preset("measured" if dataset.ground else "default"),
         "metrics": metrics,
         "gaussians": range(1234),
         "points": rng.uniform(-0.5, 0.5, (200, 3)),
@@ -128,7 +124,7 @@ def test_the_figures_of_the_paper_stand_with_a_caution(tmp_path: Path) -> None:
     dataset = make_dataset(tmp_path)
     told = "The paper&#39;s figures are not the same experiment"
     assert told in words_of(write_report(make_run(tmp_path, dataset, make_metrics())))
-    elsewhere = replace(dataset, source={"target": "t72", "protocol": None})
+    elsewhere = replace(dataset, protocol=None)
     (tmp_path / "other").mkdir()
     assert told not in words_of(write_report(make_run(tmp_path / "other", elsewhere, make_metrics())))
 

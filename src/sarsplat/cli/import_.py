@@ -51,7 +51,7 @@ def import_(
         Replace an existing dataset.
     """
     from sarsplat.data import import_mstar
-    from sarsplat.data.dataset import HEADER
+    from sarsplat.data.dataset_folder import HEADER
     from sarsplat.errors import counted
 
     refuse_existing(out, overwrite, marker=HEADER)
@@ -69,7 +69,7 @@ def import_(
         )
     counts = ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits())
     console.finish(
-        f"{out}: {counted(len(dataset.views), 'chip')} of {target_class} ({counts}); relative power, mean 1 over the "
+        f"{out}: {counted(len(dataset), 'chip')} of {target_class} ({counts}); relative power, mean 1 over the "
         "training set",
         f"sarsplat reconstruct {shlex.quote(str(out))} --out {shlex.quote(f'{out}-run')}",
     )

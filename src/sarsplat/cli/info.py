@@ -77,14 +77,21 @@ def _dataset(path: Path) -> tuple[str, dict[str, str]]:
     for text in suspicions(dataset):
         console.warn(text)
     rows = {
-        "domain": dataset.domain,
+        "target": dataset.target,
+        "calibration": _CALIBRATIONS[dataset.calibration],
+        "speckle": "none" if dataset.looks is None else f"{dataset.looks:g} looks",
+        "ground": "shown" if dataset.ground else "not shown",
+        "protocol": dataset.protocol or "none",
         "quantity": "β⁰, linear power, float32; row 0 near range",
         **_grid(dataset.grid),
         **{f"set {split}": _set(dataset.images(split)) for split in dataset.splits()},
         "truth": dataset.truth_mesh.name if dataset.truth_mesh else "no mesh",
         **{f"source.{name}": str(value) for name, value in dataset.source.items() if value and name != "chips"},
     }
-    return f"a dataset of {counted(len(dataset.views), 'image')}", rows
+    return f"a dataset of {counted(len(dataset), 'image')}", rows
+
+
+_CALIBRATIONS = {"absolute": "absolute", "relative": "relative: β⁰ up to one common factor"}
 
 
 def _set(images: np.ndarray) -> str:

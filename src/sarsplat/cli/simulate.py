@@ -93,8 +93,8 @@ def simulate(
     overwrite
         Replace an existing dataset.
     """
-    from sarsplat.data import write_dataset
-    from sarsplat.data.dataset import HEADER
+    from sarsplat.data import Dataset, DatasetEntry, write_dataset
+    from sarsplat.data.dataset_folder import HEADER
     from sarsplat.data.plausible import suspicions, warn
     from sarsplat.progress import progress
     from sarsplat.scenes import ScatteringLaw, load_mesh, target_mesh
@@ -116,26 +116,23 @@ def simulate(
         "source": source,
         "law": ScatteringLaw(*law),
         "ground_gamma0": ground,
-        "looks": looks,
         "seed": seed,
     }
     with progress(f"simulate {name}", len(views)) as shown:
-        images = simulate_images(surface, [view for view, _ in views], grid, **how, progress=shown.update)
-    record = {
-        "target": name,
-        "protocol": None if azimuth else protocol,
-        **simulation_record(**how),
-    }
-    dataset = write_dataset(
-        out,
-        grid=grid,
-        views=[(view, split, None) for view, split in views],
-        images=images,
-        source=record,
-        domain="rendered",
-        truth_mesh=surface,
-        overwrite=overwrite,
+        images = simulate_images(surface, [view for view, _ in views], grid, **how, looks=looks, progress=shown.update)
+    digits = max(3, len(str(len(views) - 1)))
+    entries = tuple(DatasetEntry(view, split, f"{index:0{digits}d}") for index, (view, split) in enumerate(views))
+    dataset = Dataset(
+        grid,
+        entries,
+        images,
+        target=name,
+        looks=looks,
+        ground=ground is not None,
+        protocol=None if azimuth else protocol,
+        source=simulation_record(**how),
     )
+    dataset = write_dataset(out, dataset, truth_mesh=surface, overwrite=overwrite)
     warn(suspicions(dataset))
     counts = ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits())
     run = shlex.quote(f"{out}-run")

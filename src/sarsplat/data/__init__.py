@@ -1,8 +1,9 @@
 """Files in and out: datasets, measured chips, Gaussians and points, checkpoints."""
 
 from sarsplat.data.checkpoint import load_checkpoint, save_checkpoint
-from sarsplat.data.dataset import Dataset, DatasetView, read_dataset, write_dataset
-from sarsplat.data.files import read_json, write_bytes, write_json
+from sarsplat.data.dataset import Dataset, DatasetEntry
+from sarsplat.data.dataset_folder import read_dataset, write_dataset
+from sarsplat.data.files import read_json, read_versioned_json, write_bytes, write_json
 from sarsplat.data.folders import new_folder
 from sarsplat.data.image import SarImage
 from sarsplat.data.mstar import import_mstar
@@ -12,7 +13,7 @@ from sarsplat.data.tiff import read_power_tiff, write_power_tiff
 
 __all__ = [
     "Dataset",
-    "DatasetView",
+    "DatasetEntry",
     "PhoenixChip",
     "SarImage",
     "import_mstar",
@@ -24,6 +25,7 @@ __all__ = [
     "read_phoenix",
     "read_points_ply",
     "read_power_tiff",
+    "read_versioned_json",
     "save_checkpoint",
     "write_bytes",
     "write_dataset",

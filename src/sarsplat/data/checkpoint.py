@@ -13,9 +13,8 @@ import safetensors
 import safetensors.torch
 from torch import Tensor
 
-from sarsplat.data.fields import shown
 from sarsplat.data.files import decode_json, encode_json, open_file, plain_os_errors, write_bytes
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 
 _SCHEMA = "sarsplat-checkpoint"
 _VERSION = "1"
@@ -78,10 +77,7 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
             f"{path} is a checkpoint of version {shown(metadata.get('version'))} but this program reads {_VERSION!r}; "
             "start the run again"
         )
-    state = decode_json(metadata.get("state", "").encode(), Path(f"the state in {path}"))
-    if not isinstance(state, dict):
-        raise SarsplatError(f"the state in {path} is no object of named fields; {_REMEDY}")
-    return tensors, state
+    return tensors, decode_json(metadata.get("state", "").encode(), Path(f"the state in {path}"), dict[str, Any])
 
 
 def _check_header(path: Path) -> None:

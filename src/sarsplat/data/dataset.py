@@ -1,40 +1,31 @@
-"""A dataset: a folder of SAR images of one target, with their views and how they came about."""
+"""A dataset: SAR images of one target on one grid, their views, and what must be known to use them."""
 
 from __future__ import annotations
 
 import hashlib
-import json
+import math
+import operator
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
 
+import msgspec
 import numpy as np
-from jaxtyping import Float32, Real
+from jaxtyping import Real
 
-from sarsplat.data.fields import Fields, shown
-from sarsplat.data.files import plain_os_errors, read_json, write_bytes, write_json
-from sarsplat.data.folders import new_folder
-from sarsplat.data.tiff import check_power, read_power_tiff, write_power_tiff
-from sarsplat.errors import SarsplatError
+from sarsplat.data.header import Box, Calibration, DatasetHeader
+from sarsplat.data.image import SarImage, check_power
+from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import ImageGrid, View
 
-if TYPE_CHECKING:
-    import trimesh
-
-SCHEMA = "sarsplat-dataset"
-SCHEMA_VERSION = 1
-HEADER = "dataset.json"
-_MESH = "truth.ply"
-_MAKE_ONE = "make one with `sarsplat simulate` or `sarsplat import mstar`"
-
-Domain = Literal["rendered", "measured"]
+_FARTHEST_M = 1e6
 
 
 @dataclass(frozen=True)
-class DatasetView:
-    """One image of a dataset.
+class DatasetEntry:
+    """What is known of one image of a dataset.
 
     Parameters
     ----------
@@ -42,294 +33,211 @@ class DatasetView:
         From where it was taken.
     split : str
         "train", or a test set: a name that starts with "test".
-    image : str
-        Path of its TIFF, relative to the dataset's folder.
-    target_az_deg : float or None
-        The azimuth the source gave it, in the source's own convention, degrees; None if there was none.
+    name : str
+        What to call it, e.g. the measured chip's path.
     """
 
     view: View
     split: str
-    image: str
-    target_az_deg: float | None = None
+    name: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Dataset:
-    """Images of one target on one grid, on the disk.
+    """Images of one target on one grid, in memory.
 
     Parameters
     ----------
-    path : Path
-        Its folder.
     grid : ImageGrid
         Where the pixels of every image lie.
-    views : tuple of DatasetView
-        Its images, in the order of the header.
-    source : dict
-        Where the images come from and what was assumed (JSON).
-    domain : {"rendered", "measured"}
-        Whether they were computed, on the absolute scale of β⁰, or measured, here up to one common factor.
+    entries : tuple of DatasetEntry
+        One for each image.
+    power : numpy.ndarray, float32 [V, rows, columns]
+        β⁰, linear power, ≥ 0, row 0 near range; not to be written to.
+    target : str
+        What the images show.
+    calibration : {"absolute", "relative"}
+        Whether the power is β⁰ itself, or β⁰ up to one common unknown factor.
+    looks : float or None
+        Number of looks of the speckle in the images; None if there is none.
+    ground : bool
+        Whether the images show the ground around the target.
+    score_margin : int
+        Pixels left out on each side of an image when speckled images are scored.
+    target_box_m : pair of (x, y, z) or None
+        Corners of the box the target lies in, world frame, m; None to derive it from the images.
+    protocol : str or None
+        Experiment whose views and grid these are, "paper" or "mstar".
     truth_mesh : Path or None
-        Triangle mesh of the target, if it is known; target frame, m.
+        Triangle mesh of the target (PLY), if it is known; target frame, m.
+    source : dict
+        Where the images come from, for people to read (JSON); decides nothing.
+    path : Path or None
+        Its folder; None for a dataset that is in memory only.
+
+    Raises
+    ------
+    SarsplatError
+        If shapes do not fit, a pixel is negative, absurdly large or not finite, or a field is out of range.
     """
 
-    path: Path
     grid: ImageGrid
-    views: tuple[DatasetView, ...]
-    source: dict[str, Any]
-    domain: Domain
+    entries: tuple[DatasetEntry, ...]
+    power: Real[np.ndarray, "v rows columns"]
+    _: KW_ONLY
+    target: str = "unnamed"
+    calibration: Calibration = "absolute"
+    looks: float | None = None
+    ground: bool = False
+    score_margin: int = 0
+    target_box_m: Box | None = None
+    protocol: str | None = None
     truth_mesh: Path | None = None
+    source: dict[str, Any] = field(default_factory=dict)
+    path: Path | None = None
+
+    def __post_init__(self) -> None:
+        if not self.entries:
+            raise SarsplatError("a dataset must hold images, but there are no images; give at least one")
+        expected = (len(self.entries), self.grid.rows, self.grid.columns)
+        if not isinstance(self.power, np.ndarray) or self.power.shape != expected or self.power.dtype != np.float32:
+            raise SarsplatError(
+                f"the images are {getattr(self.power, 'dtype', type(self.power).__name__)} of shape "
+                f"{np.shape(self.power)}; "
+                f"for {counted(len(self.entries), 'view')} they must be float32 {expected}"
+            )
+        for entry, image in zip(self.entries, self.power):
+            check_power(image, f"the image {shown(entry.name)}")
+            if not re.fullmatch(r"train|test[A-Za-z0-9.-]*", entry.split):
+                raise SarsplatError(
+                    f'split {shown(entry.split)} of the image {shown(entry.name)} must be "train" or a name that '
+                    'starts with "test"'
+                )
+        DatasetHeader.of(self)  # types: what is here must fit into dataset.json
+        self._check_fields()
+
+    def _check_fields(self) -> None:
+        if self.looks is not None and not (math.isfinite(self.looks) and self.looks > 0):
+            raise SarsplatError(f"looks {self.looks} must be a positive number, or none for images without speckle")
+        if not 0 <= 2 * self.score_margin < min(self.grid.rows, self.grid.columns):
+            raise SarsplatError(
+                f"score_margin {self.score_margin} leaves nothing of images of {self.grid.rows} × {self.grid.columns} "
+                "pixels; give a smaller one, at least 0"
+            )
+        box = self.target_box_m
+        if box is not None and not all(
+            -_FARTHEST_M <= low < high <= _FARTHEST_M for low, high in zip(*box, strict=True)
+        ):
+            raise SarsplatError(f"target_box_m {box} must be a lower and an upper corner (x, y, z) in metres")
+
+    @classmethod
+    def from_images(
+        cls,
+        images: Sequence[SarImage],
+        *,
+        test: Sequence[SarImage] = (),
+        target: str = "unnamed",
+        calibration: Calibration = "absolute",
+        looks: float | None = None,
+        ground: bool = False,
+        score_margin: int = 0,
+        target_box_m: Box | None = None,
+        truth_mesh: Path | None = None,
+        source: dict[str, Any] | None = None,
+    ) -> Dataset:
+        """A dataset in memory: `images` to train on, and those of `test` to score with.
+
+        Parameters
+        ----------
+        images, test : sequence of SarImage
+            All on the same grid.
+        target, calibration, looks, ground, score_margin, target_box_m, truth_mesh, source
+            See `Dataset`.
+
+        Raises
+        ------
+        SarsplatError
+            If there are no training images, grids differ, or a field is out of range.
+        """
+        every = [*images, *test]
+        if not images:
+            raise SarsplatError("there are no training images; give at least one")
+        grid = every[0].grid
+        for index, image in enumerate(every):
+            if image.grid != grid:
+                raise SarsplatError(
+                    f"image {index} lies on {image.grid} but the first on {grid}; give images of one grid"
+                )
+        digits = max(3, len(str(len(every) - 1)))
+        entries = tuple(
+            DatasetEntry(image.view, "train" if index < len(images) else "test", f"{index:0{digits}d}")
+            for index, image in enumerate(every)
+        )
+        return cls(
+            grid,
+            entries,
+            np.stack([image.power for image in every]).astype(np.float32, copy=False),
+            target=target,
+            calibration=calibration,
+            looks=looks,
+            ground=ground,
+            score_margin=score_margin,
+            target_box_m=target_box_m,
+            truth_mesh=truth_mesh,
+            source=source or {},
+        )
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def __getitem__(self, index: int) -> SarImage:
+        index = operator.index(index)
+        return SarImage(self.power[index], self.entries[index].view, self.grid)
+
+    def __str__(self) -> str:
+        return f"the dataset of {self.target} in memory" if self.path is None else str(self.path)
+
+    def __repr__(self) -> str:
+        sets = ", ".join(f"{len(self.images(split))} {split}" for split in self.splits())
+        return f"<Dataset of {self.target}: {sets}; {self.grid.rows} × {self.grid.columns} pixels>"
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """From where each image was taken."""
+        return tuple(entry.view for entry in self.entries)
 
     def splits(self) -> tuple[str, ...]:
-        """Names of the sets it holds, in the order of the header."""
-        return tuple(dict.fromkeys(item.split for item in self.views))
+        """Names of the sets it holds, in order of first appearance."""
+        return tuple(dict.fromkeys(entry.split for entry in self.entries))
 
-    def select(self, split: str) -> tuple[DatasetView, ...]:
-        """The views of one set.
+    def select(self, split: str) -> Dataset:
+        """The dataset of one set alone, in memory.
 
         Raises
         ------
         SarsplatError
             If there is no such set.
         """
-        chosen = tuple(item for item in self.views if item.split == split)
-        if not chosen:
-            raise SarsplatError(f"{self.path} has no set {split!r}; it has {', '.join(self.splits())}")
-        return chosen
+        entries = tuple(entry for entry in self.entries if entry.split == split)
+        return replace(self, power=self.images(split), entries=entries, path=None)
 
-    def images(self, split: str) -> Float32[np.ndarray, "v {self.grid.rows} {self.grid.columns}"]:
-        """β⁰ of one set, linear power, float32 [V, rows, columns], row 0 near range; read from the disk."""
-        shape = (self.grid.rows, self.grid.columns)
-        return np.stack([read_power_tiff(self.path / item.image, shape) for item in self.select(split)])
+    def images(self, split: str) -> Real[np.ndarray, "v {self.grid.rows} {self.grid.columns}"]:
+        """β⁰ of one set, linear power, float32 [V, rows, columns], row 0 near range; not to be written to.
+
+        Raises
+        ------
+        SarsplatError
+            If there is no such set.
+        """
+        chosen = [index for index, entry in enumerate(self.entries) if entry.split == split]
+        if not chosen:
+            raise SarsplatError(f"{self} has no set {split!r}; it has {', '.join(self.splits())}")
+        together = chosen[-1] - chosen[0] + 1 == len(chosen)
+        return self.power[chosen[0] : chosen[-1] + 1] if together else self.power[chosen]
 
     def fingerprint(self) -> str:
-        """SHA-256 over the header and every pixel, in hexadecimal: the same iff the data are the same."""
-        digest = hashlib.sha256(json.dumps(_header(self), sort_keys=True).encode())
-        shape = (self.grid.rows, self.grid.columns)
-        for item in self.views:
-            digest.update(read_power_tiff(self.path / item.image, shape).astype("<f4").tobytes())
+        """SHA-256 over header and pixels, in hexadecimal: the same if the data are the same, wherever they lie."""
+        header = msgspec.structs.replace(DatasetHeader.of(self), truth_mesh=None)
+        digest = hashlib.sha256(msgspec.json.encode(header, order="deterministic"))
+        digest.update(self.power.astype("<f4").tobytes())
         return digest.hexdigest()
-
-
-def write_dataset(
-    path: Path,
-    *,
-    grid: ImageGrid,
-    views: Sequence[tuple[View, str, float | None]],
-    images: Real[np.ndarray, "v rows columns"],
-    source: dict[str, Any],
-    domain: Domain,
-    truth_mesh: trimesh.Trimesh | None = None,
-    overwrite: bool = False,
-) -> Dataset:
-    """Write a dataset, whole or not at all.
-
-    Parameters
-    ----------
-    path : Path
-        Folder to make.
-    grid : ImageGrid
-        Where the pixels lie.
-    views : sequence of (View, split, target_az_deg or None)
-        One for each image; at least one in the split "train".
-    images : numpy.ndarray, float32 [V, rows, columns]
-        β⁰, linear power, ≥ 0, row 0 near range.
-    source : dict
-        Where the images come from and what was assumed; anything JSON can hold.
-    domain : {"rendered", "measured"}
-        See `Dataset`.
-    truth_mesh : trimesh.Trimesh, optional
-        The target, m, in the target's frame.
-    overwrite : bool
-        Whether an existing dataset may be replaced.
-
-    Returns
-    -------
-    Dataset
-        As read back from the disk.
-
-    Raises
-    ------
-    SarsplatError
-        If shapes, splits or pixels are wrong, the folder exists, or it cannot be written.
-    """
-    expected = (len(views), grid.rows, grid.columns)
-    if images.shape != expected or images.dtype != np.float32:
-        raise SarsplatError(
-            f"the images are {images.dtype} of shape {images.shape}; "
-            f"for {len(views)} views they must be float32 {expected}"
-        )
-    check_power(images, "the array of images")
-    digits = max(3, len(str(len(views) - 1)))
-    items = tuple(
-        DatasetView(view, split, f"images/{index:0{digits}d}.tif", target_az_deg)
-        for index, (view, split, target_az_deg) in enumerate(views)
-    )
-    with new_folder(path, overwrite, marker=HEADER) as folder:
-        mesh_path = None if truth_mesh is None else folder / _MESH
-        dataset = Dataset(folder, grid, items, source, domain, mesh_path)
-        write_json(folder / HEADER, _header(dataset))
-        _parse(folder, read_json(folder / HEADER))  # what we write obeys what we demand of others
-        if truth_mesh is not None:
-            from trimesh.exchange.ply import export_ply
-
-            write_bytes(folder / _MESH, export_ply(truth_mesh))
-        with plain_os_errors("write", folder):
-            (folder / "images").mkdir()
-        for item, image in zip(items, images):
-            write_power_tiff(folder / item.image, image, _describe(item, grid))
-    return read_dataset(path)
-
-
-def _describe(item: DatasetView, grid: ImageGrid) -> str:
-    return (
-        f"SAR image, beta0 in linear power; row 0 is near range, columns grow along the flight direction; "
-        f"azimuth {item.view.azimuth_deg:.6g} deg, grazing {item.view.grazing_deg:.6g} deg; "
-        f"pixel spacing {grid.spacing_m[0]:.6g} m (azimuth) x {grid.spacing_m[1]:.6g} m (slant range); set {item.split}"
-    )
-
-
-def _header(dataset: Dataset) -> dict[str, Any]:
-    """What dataset.json holds."""
-    grid = dataset.grid
-    return {
-        "schema": SCHEMA,
-        "schema_version": SCHEMA_VERSION,
-        "quantity": "beta0",
-        "unit": "linear power",
-        "domain": dataset.domain,
-        "grid": {
-            "rows": grid.rows,
-            "columns": grid.columns,
-            "spacing_m": list(grid.spacing_m),
-            "resolution_m": list(grid.resolution_m),
-            "center_m": list(grid.center_m),
-        },
-        "source": dataset.source,
-        "truth_mesh": None if dataset.truth_mesh is None else dataset.truth_mesh.name,
-        "views": [
-            {
-                "file": item.image,
-                "azimuth_deg": item.view.azimuth_deg,
-                "grazing_deg": item.view.grazing_deg,
-                "split": item.split,
-                "target_az_deg": item.target_az_deg,
-            }
-            for item in dataset.views
-        ],
-    }
-
-
-def read_dataset(path: Path) -> Dataset:
-    """Read a dataset's header and check everything in the folder against it, each pixel included.
-
-    Parameters
-    ----------
-    path : Path
-        The dataset's folder; nothing in it is trusted.
-
-    Returns
-    -------
-    Dataset
-        Its images stay on the disk until asked for.
-
-    Raises
-    ------
-    SarsplatError
-        If the folder is missing, empty or no dataset, a field is missing, unknown or out of range, a path leaves the
-        folder, an image is missing, damaged or of another shape or type, or there is nothing to train on.
-    """
-    path = Path(path)
-    _look_like_dataset(path)
-    value = read_json(path / HEADER)
-    try:
-        dataset = _parse(path, value)
-    except SarsplatError as error:
-        raise SarsplatError(f"{path / HEADER}: {error}") from error
-    for item in dataset.views:
-        read_power_tiff(path / item.image, (dataset.grid.rows, dataset.grid.columns))
-    with plain_os_errors("read", path):  # a name may be longer than the system has names
-        lacking = dataset.truth_mesh is not None and not dataset.truth_mesh.is_file()
-    if dataset.truth_mesh is not None and lacking:
-        raise SarsplatError(f"{path} lacks its mesh {shown(dataset.truth_mesh.name)}; {_MAKE_ONE}")
-    return dataset
-
-
-def _look_like_dataset(path: Path) -> None:
-    with plain_os_errors("read", path):
-        if not path.exists():
-            raise SarsplatError(f"{path} does not exist; {_MAKE_ONE}")
-        if not path.is_dir():
-            raise SarsplatError(f"{path} is a file, but a dataset is a folder that holds {HEADER}; give the folder")
-        names = {entry.name for entry in path.iterdir()}
-    if HEADER in names:
-        return
-    if not names:
-        raise SarsplatError(f"{path} is empty; {_MAKE_ONE}")
-    looks = " (it looks like a run; give the dataset it was made from)" if "metrics.jsonl" in names else ""
-    raise SarsplatError(f"{path} is not a dataset: there is no {HEADER} in it{looks}; {_MAKE_ONE}")
-
-
-def _parse(path: Path, value: object) -> Dataset:
-    """The header as a Dataset; strict."""
-    if not isinstance(value, dict) or value.get("schema") != SCHEMA:
-        raise SarsplatError(f"this is not a dataset's header: its schema is not {SCHEMA!r}; {_MAKE_ONE}")
-    if value.get("schema_version") != SCHEMA_VERSION:
-        raise SarsplatError(
-            f"schema_version is {shown(value.get('schema_version'))} but this program reads {SCHEMA_VERSION}; "
-            f"{_MAKE_ONE}"
-        )
-    fields = Fields(
-        value,
-        "the header",
-        ("schema", "schema_version", "quantity", "unit", "domain", "grid", "source", "truth_mesh", "views"),
-    )
-    fields.text("quantity", "beta0")
-    fields.text("unit", "linear power")
-    mesh = None if fields.get("truth_mesh") is None else _inside(path, fields.text("truth_mesh"))
-    views = tuple(_parse_view(path, item, f"views[{index}]") for index, item in enumerate(fields.items("views")))
-    if not any(item.split == "train" for item in views):
-        raise SarsplatError('there is no view in the split "train", so there is nothing to learn from; mark some')
-    if len({(path / item.image).resolve() for item in views}) < len(views):
-        raise SarsplatError("two views name the same image file; give each view its own")
-    domain: Domain = "rendered" if fields.text("domain", "rendered", "measured") == "rendered" else "measured"
-    return Dataset(path, _parse_grid(fields.get("grid")), views, fields.mapping("source"), domain, mesh)
-
-
-def _parse_grid(value: object) -> ImageGrid:
-    fields = Fields(value, "grid", ("rows", "columns", "spacing_m", "resolution_m", "center_m"))
-    return ImageGrid(
-        rows=fields.integer("rows"),
-        columns=fields.integer("columns"),
-        spacing_m=fields.pair("spacing_m"),
-        resolution_m=fields.pair("resolution_m"),
-        center_m=fields.pair("center_m"),
-    )
-
-
-def _parse_view(path: Path, value: object, where: str) -> DatasetView:
-    fields = Fields(value, where, ("file", "azimuth_deg", "grazing_deg", "split", "target_az_deg"))
-    split, image = fields.text("split"), fields.text("file")
-    if not re.fullmatch(r"train|test[A-Za-z0-9.-]*", split):
-        raise SarsplatError(f'{where}.split is {shown(split)} but must be "train" or a name that starts with "test"')
-    _inside(path, image)
-    try:
-        view = View(fields.number("azimuth_deg"), fields.number("grazing_deg"))
-    except SarsplatError as error:
-        raise SarsplatError(f"{where}: {error}") from error
-    return DatasetView(view, split, image, fields.number_or_null("target_az_deg"))
-
-
-def _inside(folder: Path, name: str) -> Path:
-    """`folder / name`, which must not lead out of the folder, not even by a link."""
-    path = folder / name
-    try:
-        inside = name.isprintable() and path.resolve().is_relative_to(folder.resolve())
-    except (OSError, RuntimeError):  # a name the system cannot hold, or a loop of links
-        inside = False
-    if not name or not inside:
-        raise SarsplatError(
-            f"the file {shown(name)} does not lie inside the dataset's folder; use a plain relative path in it"
-        )
-    return path

@@ -5,15 +5,19 @@ from __future__ import annotations
 import errno
 import fcntl
 import json
-import math
 import os
+import re
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
-from sarsplat.errors import SarsplatError
+import msgspec
+
+from sarsplat.errors import SarsplatError, shown
+
+T = TypeVar("T")
 
 _REASONS = {
     errno.ENOSPC: "the disk is full; free some space",
@@ -163,7 +167,9 @@ def write_json(path: Path, obj: Any) -> None:
 def encode_json(obj: Any, path: Path) -> bytes:
     """The object as indented UTF-8 JSON ending in a newline; `path` is what an error names."""
     try:
-        return (json.dumps(obj, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
+        # not by msgspec, which turns NaN into null without a word
+        text = json.dumps(obj, indent=2, ensure_ascii=False, allow_nan=False, default=_struct_as_dict)
+        return (text + "\n").encode()
     except UnicodeEncodeError as error:  # a path whose bytes are not UTF-8 carries them as halves of surrogate pairs
         name = error.object[max(0, error.start - 60) : error.end + 60]
         raise SarsplatError(
@@ -173,6 +179,12 @@ def encode_json(obj: Any, path: Path) -> bytes:
         raise SarsplatError(
             f"{path} cannot be written as JSON: {error}; use finite numbers, text, lists, dicts"
         ) from error
+
+
+def _struct_as_dict(value: object) -> dict[str, Any]:
+    if isinstance(value, msgspec.Struct):
+        return msgspec.structs.asdict(value)
+    raise TypeError(f"{shown(value)} is no JSON value")
 
 
 @contextmanager
@@ -196,27 +208,63 @@ def open_file(path: Path) -> Iterator[BinaryIO]:
             raise SarsplatError(f"cannot read {path}: it does not fit into memory; give a smaller file") from error
 
 
-def read_json(path: Path) -> Any:
+def read_json(path: Path, type: type[T]) -> T:
     """Read a JSON file that may be missing, garbled or hostile.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    type : type
+        What it must hold, in msgspec's sense: a `msgspec.Struct`, a dataclass, `dict[str, Any]` …
 
     Returns
     -------
-    dict, list, str, int, float, bool or None
-        The value; every number in it is finite, no object names a field twice, and all text can be written as UTF-8.
+    T
+        The value; every number in it is finite and all text can be written as UTF-8.
 
     Raises
     ------
     SarsplatError
-        If the file is missing, is not UTF-8 JSON, holds NaN or an infinity, or is nested too deeply or too densely.
+        If the file is missing, is not UTF-8 JSON, holds NaN or an infinity, is nested too deeply or too densely, or a
+        field is missing, unknown or of another type.
     """
+    return decode_json(_read_text(path), Path(path), type)
+
+
+def read_versioned_json(path: Path, type: type[T], *, schema: str, version: int, remedy: str) -> T:
+    """Read a JSON file as `read_json` does, once its fields `schema` and `schema_version` are those wanted.
+
+    Raises
+    ------
+    SarsplatError
+        As `read_json`, or if it is of another schema or version; `remedy` says what to do then.
+    """
+    data = _read_text(path)
+    kind = decode_json(data, Path(path), _Kind)
+    if kind.schema != schema:
+        raise SarsplatError(f"{path}: its schema is {shown(kind.schema)}, not {schema!r}; {remedy}")
+    if kind.schema_version != version:
+        raise SarsplatError(
+            f"{path}: its schema_version is {shown(kind.schema_version)} but this program reads {version}; {remedy}"
+        )
+    return decode_json(data, Path(path), type)
+
+
+class _Kind(msgspec.Struct):
+    schema: Any = None
+    schema_version: Any = None
+
+
+def _read_text(path: Path) -> bytes:
     with open_file(path) as file:
         if file.seek(0, os.SEEK_END) > _LARGEST_JSON:
             raise SarsplatError(f"{path} is larger than {_LARGEST_JSON} bytes, so it is no file of ours; make it again")
         file.seek(0)
-        return decode_json(file.read(), Path(path))
+        return file.read()
 
 
-def decode_json(data: bytes, path: Path) -> Any:
+def decode_json(data: bytes, path: Path, type: type[T]) -> T:
     """The value of JSON text, read as `read_json` does; `path` is what an error names."""
     values = sum(data.count(mark) for mark in (b",", b"[", b"{"))
     if values * _BYTES_PER_VALUE > 4 * len(data) + _FREE_BYTES:
@@ -224,32 +272,26 @@ def decode_json(data: bytes, path: Path) -> Any:
             f"{path} packs {values} values into {len(data)} bytes, more than files of ours; make it again"
         )
     try:
-        value = json.loads(
-            data.decode(), parse_constant=_refuse_constant, parse_float=_finite, object_pairs_hook=_no_field_twice
-        )
-        if b"\\u" in data:
-            json.dumps(value, ensure_ascii=False).encode()  # fails on half a surrogate pair
-        return value
+        return msgspec.json.decode(data, type=type)
+    except msgspec.ValidationError as error:
+        raise SarsplatError(f"{path}: {_what_does_not_fit(data, str(error))}; correct it or make it again") from error
     except RecursionError as error:
         raise SarsplatError(f"{path} is nested too deeply to be a file of ours; make it again") from error
-    except ValueError as error:  # JSONDecodeError and UnicodeDecodeError among them
-        raise SarsplatError(f"{path} is not valid JSON ({error}); make it again") from error
+    except ValueError as error:  # msgspec.DecodeError and UnicodeDecodeError among them
+        raise SarsplatError(f"{path} is not valid JSON ({shown(str(error))}); make it again") from error
 
 
-def _no_field_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    fields = dict(pairs)
-    if len(fields) < len(pairs):
-        names = [name for name, _ in pairs]
-        raise ValueError(f"an object names {max(names, key=names.count)[:40]!r} twice")
-    return fields
-
-
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name} is not a number JSON allows")
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(f"{text} is too large")
-    return value
+def _what_does_not_fit(data: bytes, told: str) -> str:
+    """Turn "Expected `float`, got `str` - at `$.views[1].azimuth_deg`" into "views[1].azimuth_deg is 'north': …"."""
+    what, _, place = told.partition(" - at `$")
+    place = place.removesuffix("`").removeprefix(".")
+    what = "".join(letter if letter.isprintable() else "?" for letter in what[:1].lower() + what[1:])[:200]
+    if not place:
+        return what
+    try:
+        value = msgspec.json.decode(data)
+        for key in re.findall(r"\w+", place):
+            value = value[int(key) if isinstance(value, list) else key]
+    except (ValueError, LookupError, TypeError):  # such as a number of hundreds of digits, or a key of any letters
+        return f"{place}: {what}"
+    return f"{place}: {what}" if isinstance(value, dict) else f"{place} is {shown(value)}: {what}"

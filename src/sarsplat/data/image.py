@@ -16,6 +16,8 @@ from sarsplat.geometry import ImageGrid, View
 
 _DYNAMIC_RANGE_DB = 40.0
 
+_LARGEST_POWER = 1e18  # 180 dB: beyond any calibration, and its square still fits into float32
+
 
 @dataclass(frozen=True)
 class SarImage:
@@ -34,7 +36,8 @@ class SarImage:
     Raises
     ------
     SarsplatError
-        If it is no array of real numbers, its shape does not fit the grid, or a pixel is negative or not finite.
+        If it is no array of real numbers, its shape does not fit the grid, or a pixel is negative, above 10¹⁸ or
+        not finite.
     """
 
     power: Real[np.ndarray, "rows columns"]
@@ -52,12 +55,7 @@ class SarImage:
         expected = (self.grid.rows, self.grid.columns)
         if self.power.shape != expected:
             raise SarsplatError(f"the image has shape {self.power.shape} but its grid has {expected} (range × azimuth)")
-        bad = ~(np.isfinite(self.power) & (self.power >= 0))
-        if bad.any():
-            row, column = np.argwhere(bad)[0]
-            raise SarsplatError(
-                f"the image holds {self.power[row, column]} at row {row}, column {column}; power must be finite and ≥ 0"
-            )
+        check_power(self.power, "the image")
 
     @property
     def amplitude(self) -> Float[np.ndarray, "rows columns"]:
@@ -106,3 +104,13 @@ class SarImage:
             return picture_png(self, _DYNAMIC_RANGE_DB)
         except SarsplatError:
             return None
+
+
+def check_power(power: Real[np.ndarray, "*shape"], name: str) -> None:
+    """Raise SarsplatError if a pixel is negative, absurdly large or not finite; `name` is what to call the image."""
+    if power.size == 0 or (power.min() >= 0 and power.max() <= _LARGEST_POWER):  # false if there is any NaN
+        return
+    place = tuple(int(i) for i in np.argwhere(~((power >= 0) & (power <= _LARGEST_POWER)))[0])
+    raise SarsplatError(
+        f"{name} holds {power[place]:.6g} at {place}; power must be finite and ≥ 0, at most {_LARGEST_POWER:g}"
+    )

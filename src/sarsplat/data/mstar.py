@@ -22,11 +22,16 @@ import numpy as np
 from jaxtyping import Real
 from scipy.optimize import linear_sum_assignment
 
-from sarsplat.data.dataset import Dataset, write_dataset
+from sarsplat.data.dataset import Dataset, DatasetEntry
+from sarsplat.data.dataset_folder import write_dataset
+from sarsplat.data.header import Box
 from sarsplat.data.mstar_chips import JPEG_DN_PER_MAGNITUDE, Chip, read_chips
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import ImageGrid, View
+
+_TARGET_BOX_M: Box = ((-4.5, -2.5, 0.0), (6.5, 2.5, 3.0))
+"""The vehicles fit into this box around the chip's centre; the nose points to +x, the room in front is a barrel's."""
 
 LEAST_DN = 2.0
 """Digital numbers are raised to this: below it lies nothing but quantisation, and zero has no logarithm."""
@@ -71,8 +76,8 @@ def import_mstar(
     Returns
     -------
     Dataset
-        Domain `measured`; power with mean 1 over the training views; `source` says what was assumed, and which chip
-        each view is.
+        Of relative calibration, single look, with ground; power with mean 1 over the training views. Each image bears
+        the name of its chip; `source` says what was assumed.
 
     Raises
     ------
@@ -99,19 +104,14 @@ def import_mstar(
     power = np.maximum(dn, np.float32(LEAST_DN)) ** 2
     scale = float(power[: len(train)].mean(dtype=np.float64))
     sign = 1 if mirrored else -1
-    views = [
-        (
-            _view(sign, chip),
-            "train" if index < len(train) else f"test-{chip.depression}",
-            chip.target_az_deg,
-        )
+    entries = tuple(
+        DatasetEntry(_view(sign, chip), "train" if index < len(train) else f"test-{chip.depression}", chip.name)
         for index, chip in enumerate(ordered)
-    ]
+    )
     source: dict[str, Any] = {
         "kind": "mstar",
         "sensor": "X-band 9.6 GHz, HH, spotlight",
         "format": "phoenix" if labels is None else "jpeg",
-        "class": target_class,
         "serials": sorted({chip.serial for chip in ordered}),
         "train_views": train_views,
         "train_depression_deg": train_depression,
@@ -126,17 +126,21 @@ def import_mstar(
         "dn_per_magnitude": JPEG_DN_PER_MAGNITUDE,
         "mean_dn_squared": scale,
         "cut_to_common_size": any(chip.dn.shape != (grid.rows, grid.columns) for chip in ordered),
-        "chips": [chip.name for chip in ordered],
+        "chips": [{"name": chip.name, "target_az_deg": chip.target_az_deg} for chip in ordered],
     }
-    dataset = write_dataset(
-        out,
-        grid=grid,
-        views=views,
-        images=np.ascontiguousarray(power / np.float32(scale)),
+    dataset = Dataset(
+        grid,
+        entries,
+        np.ascontiguousarray(power / np.float32(scale)),
+        target=target_class,
+        calibration="relative",
+        looks=1.0,
+        ground=True,
+        score_margin=round(3 / 16 * min(grid.rows, grid.columns)),
+        target_box_m=_TARGET_BOX_M,
         source=source,
-        domain="measured",
-        overwrite=overwrite,
     )
+    dataset = write_dataset(out, dataset, overwrite=overwrite)
     warn(suspicions(dataset))
     return dataset
 

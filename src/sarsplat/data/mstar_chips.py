@@ -15,10 +15,9 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from jaxtyping import Real
 
-from sarsplat.data.fields import shown
 from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.data.phoenix import is_phoenix, read_phoenix
-from sarsplat.errors import SarsplatError, SarsplatWarning, counted
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 
 JPEG_DN_PER_MAGNITUDE = 523.6
 """Digital number of the published JPEGs per unit of Phoenix magnitude (they saturate at DN 255, magnitude 0.487)."""

@@ -14,9 +14,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from sarsplat.data.fields import shown
 from sarsplat.data.files import open_file
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 
 _MAGIC = b"[PhoenixHeaderVer"
 _END = "[EndofPhoenixHeader]"

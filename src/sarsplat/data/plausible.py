@@ -11,8 +11,9 @@ import warnings
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from jaxtyping import Real
 
-from sarsplat.data.dataset import Dataset
+from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.errors import SarsplatWarning, counted
 from sarsplat.geometry import View
 
@@ -28,7 +29,7 @@ def suspicions(dataset: Dataset) -> list[str]:
     Parameters
     ----------
     dataset : Dataset
-        Its images are read from the disk.
+        Its views and images are looked at.
 
     Returns
     -------
@@ -37,8 +38,7 @@ def suspicions(dataset: Dataset) -> list[str]:
         view, views that are all the same, or that leave out more than half of the circle; images that are constant or
         all the same; test images that are training images; zeros in measured power. Empty if nothing is odd.
     """
-    train = dataset.select("train")
-    views = [item.view for item in train]
+    views = dataset.select("train").views
     return [*suspicious_angles(views), *_coverage(views), *_images(dataset), *_tested_on_training(dataset)]
 
 
@@ -131,31 +131,31 @@ def _images(dataset: Dataset) -> list[str]:
         flat = np.ptp(images, axis=(1, 2)) == 0 if images[0].size > 1 else np.zeros(len(images), dtype=bool)
         if flat.any() and not constant:
             index = int(flat.argmax())
-            first = f"{dataset.select(split)[index].image} is {images[index, 0, 0]:g} everywhere"
+            first = f"image {dataset.select(split).entries[index].name} is {images[index, 0, 0]:g} everywhere"
         constant += int(flat.sum())
         if split == "train" and len(images) > 1 and not flat.all() and bool((images == images[0]).all()):
             found.append(f"all {len(images)} training images are the same, pixel by pixel; check the files")
-        zeros = int(np.count_nonzero(images == 0)) if dataset.domain == "measured" else 0
+        zeros = int(np.count_nonzero(images == 0)) if dataset.calibration == "relative" else 0
         if zeros and not flat.all():
             found.append(
                 f"{counted(zeros, 'pixel')} of {images.size} in set {split} are zero, which measured power never is; "
                 "raise them to the least power that the sensor resolves"
             )
     if constant:
-        found.append(f"{constant} of {counted(len(dataset.views), 'image')} are constant ({first}); check the files")
+        found.append(f"{constant} of {counted(len(dataset), 'image')} are constant ({first}); check the files")
     return found
 
 
 def _tested_on_training(dataset: Dataset) -> list[str]:
     """Test images that are a training image, seen from the same direction, over again."""
-    train = zip(dataset.select("train"), dataset.images("train"), strict=True)
-    trained = {(item.view, image.tobytes()): item.image for item, image in train}
-    found = []
-    for split in dataset.splits():
-        if split != "train":
-            for item, image in zip(dataset.select(split), dataset.images(split), strict=True):
-                same = trained.get((item.view, image.tobytes()))
-                found += [] if same is None else [(item.image, same)]
+
+    def key(entry: DatasetEntry, image: Real[np.ndarray, "rows columns"]) -> tuple[View, bytes]:
+        return entry.view, image.tobytes()
+
+    both = list(zip(dataset.entries, dataset.power, strict=True))
+    trained = {key(entry, image): entry.name for entry, image in both if entry.split == "train"}
+    tested = [(entry, image) for entry, image in both if entry.split != "train"]
+    found = [(entry.name, trained[key(entry, image)]) for entry, image in tested if key(entry, image) in trained]
     if not found:
         return []
     return [

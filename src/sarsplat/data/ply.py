@@ -21,6 +21,7 @@ import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -28,9 +29,8 @@ from jaxtyping import Float, Float32, Real
 from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
 
-from sarsplat.data.fields import shown
 from sarsplat.data.files import decode_json, open_file, write_bytes
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, SCATTERINGS, Gaussians, Harmonics, Scattering
 from sarsplat.gaussians.harmonics import harmonic_basis
 
@@ -240,8 +240,8 @@ def _law(path: Path, comments: list[str], parameters: Tensor) -> Scattering:
     stated = [line.removeprefix(_LAW) for line in comments if line.startswith(_LAW)]
     if len(stated) != 1:
         raise SarsplatError(f"{path} does not state one law of scattering in its header; make it again")
-    law = decode_json(stated[0].encode(), Path(f"the header of {path}"))
-    if not isinstance(law, dict) or law.get("kind") not in SCATTERINGS:
+    law = decode_json(stated[0].encode(), Path(f"the header of {path}"), dict[str, Any])
+    if law.get("kind") not in SCATTERINGS:
         raise SarsplatError(f"{path} states the scattering {shown(law)}; known are {', '.join(SCATTERINGS)}")
     try:
         return SCATTERINGS[law.pop("kind")](parameters, **law)

@@ -10,11 +10,10 @@ import numpy as np
 import tifffile
 from jaxtyping import Float32, Real
 
-from sarsplat.data.fields import shown
 from sarsplat.data.files import open_file, write_bytes
-from sarsplat.errors import SarsplatError
+from sarsplat.data.image import check_power
+from sarsplat.errors import SarsplatError, shown
 
-_LARGEST_POWER = 1e18  # 180 dB: beyond any calibration, and its square still fits into float32
 _LONGEST_HEADER = 1 << 20  # bytes of a TIFF that are not pixels: tags, descriptions
 
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what is wrong with a file is said by our own errors
@@ -85,13 +84,3 @@ def read_power_tiff(path: Path, shape: tuple[int, int]) -> Float32[np.ndarray, "
         )
     check_power(power, str(path))
     return np.asarray(power, dtype=np.float32)
-
-
-def check_power(power: Real[np.ndarray, "*shape"], name: str) -> None:
-    """Raise SarsplatError if a pixel is negative, absurdly large or not finite; `name` is what to call the image."""
-    bad = ~((power >= 0) & (power <= _LARGEST_POWER))  # also catches NaN
-    if bad.any():
-        place = tuple(int(i) for i in np.argwhere(bad)[0])
-        raise SarsplatError(
-            f"{name} holds {power[place]:.6g} at {place}; power must be finite and ≥ 0, at most {_LARGEST_POWER:g}"
-        )

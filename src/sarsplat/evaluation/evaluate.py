@@ -42,8 +42,9 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dic
     -------
     dict
         The content of `metrics.json`: `images.<set>.<metric>`, `points.{visible, whole}.<metric>`, `yardsticks` (what
-        two-dimensional tricks score on measured chips), `time_s`, `seed`, `normalisation` (what images were divided
-        by), `definitions` (of every metric) and `reasons`: for every metric that is None, its dotted key and why.
+        two-dimensional tricks score on speckled images with ground), `time_s`, `seed`, `normalisation` (what images
+        were divided by), `definitions` (of every metric) and `reasons`: for every metric that is None, its dotted key
+        and why.
         Without test images `images` is empty.
 
     Raises
@@ -71,16 +72,14 @@ def _evaluate(run: EvaluatedRun, weights_dir: Path | None) -> dict[str, Any]:
     if not test_sets and (dataset.truth_mesh is None or len(run.points) == 0):
         lacks = "no true mesh" if dataset.truth_mesh is None else "the run no points"
         raise SarsplatError(
-            f"nothing can be scored: the dataset {dataset.path} has no test images and {lacks}; "
+            f"nothing can be scored: the dataset {dataset} has no test images and {lacks}; "
             "simulate it with --test-azimuth"
         )
     weights = lpips_weights(weights_dir)
     network = None if weights is None else Lpips(weights)
     train = dataset.images("train")
     if not train.max() > 0:
-        raise SarsplatError(
-            f"the training images of {dataset.path} are black everywhere; simulate or import them again"
-        )
+        raise SarsplatError(f"the training images of {dataset} are black everywhere; simulate or import them again")
     normalisation = {
         "reference_amplitude": float(np.sqrt(train.max())),
         "mean_power": float(train.mean(dtype=np.float64)),
@@ -91,13 +90,13 @@ def _evaluate(run: EvaluatedRun, weights_dir: Path | None) -> dict[str, Any]:
         reasons["images"] = "the dataset has no test images, so nothing is unseen; simulate it with --test-azimuth"
     images: dict[str, dict[str, float | None]] = {}
     for split in test_sets:
-        rendered = run.render([entry.view for entry in dataset.select(split)])
-        pair = ImagePair(dataset.images(split), rendered, **normalisation, network=network)
+        rendered = run.render(dataset.select(split).views)
+        pair = ImagePair(dataset.images(split), rendered, **normalisation, margin=dataset.score_margin, network=network)
         images[split] = compute_all(IMAGE_METRICS, dataset, pair, f"images.{split}.", reasons)
     return {
         "images": images,
         "points": _points(run, reasons),
-        "yardsticks": yardstick_scores(dataset, reasons) if dataset.domain == "measured" else None,
+        "yardsticks": yardstick_scores(dataset, reasons) if dataset.looks is not None and dataset.ground else None,
         **compute_all(RUN_METRICS, dataset, run, "", reasons),
         "seed": run.seed,
         "normalisation": normalisation,
@@ -113,7 +112,7 @@ def _points(run: EvaluatedRun, reasons: dict[str, str]) -> dict[str, dict[str, f
     if dataset.truth_mesh is None or len(points) == 0:
         measured = dict.fromkeys(("visible", "whole"), UndefinedScore("the run reconstructed no points"))
     else:
-        views = [entry.view for entry in dataset.select("train")]
+        views = dataset.select("train").views
         surface = visible_surface(read_truth_mesh(dataset.truth_mesh), views)
         if len(views) == 1:
             warn([f"{run.path} was made from one view, from which no shape can be told: its CD and F1 say nothing"])

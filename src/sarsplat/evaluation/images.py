@@ -25,9 +25,6 @@ Stack = Real[np.ndarray, "v rows columns"]
 TARGET_DYNAMIC_DB = 30.0
 """The target's mask: truth β⁰ within this many dB of the evaluated set's maximum."""
 
-CHIP_MARGIN = 24
-"""Pixels left out on each side of a measured chip: rows and columns 24:104 of 128 are scored."""
-
 _SMALLEST_MSE = float(np.finfo(np.float32).eps) ** 2  # 138 dB: float32 images cannot be told apart any better
 
 
@@ -114,7 +111,7 @@ def ssim(truth: Stack, rendered: Stack, reference_amplitude: float) -> float:
     return float(cast(torch.Tensor, score))  # a tuple only when the full image is asked for
 
 
-def nats_per_pixel(truth: Stack, rendered: Stack) -> float:
+def nats_per_pixel(truth: Stack, rendered: Stack, margin: int = 0) -> float:
     """Single-look speckle likelihood: mean of log S + I/S; lower is better.
 
     Parameters
@@ -123,11 +120,13 @@ def nats_per_pixel(truth: Stack, rendered: Stack) -> float:
         Measured power I, speckle and all, divided by the mean power of the training set.
     rendered : numpy.ndarray, float [V, rows, columns]
         Predicted mean power S > 0 in the same unit.
+    margin : int
+        Pixels left out on each side.
 
     Returns
     -------
     float
-        Nats per pixel: the negative log-likelihood of I exponentially distributed with mean S, inside the chip margin.
+        Nats per pixel: the negative log-likelihood of I exponentially distributed with mean S, inside the margin.
 
     Raises
     ------
@@ -135,12 +134,12 @@ def nats_per_pixel(truth: Stack, rendered: Stack) -> float:
         If S is zero inside the margin (the likelihood of any return is then zero), or nothing is left inside it.
     """
     _check(truth, rendered)
-    measured, predicted = _inside(truth.astype(np.float64)), _inside(rendered.astype(np.float64))
+    measured, predicted = _inside(truth.astype(np.float64), margin), _inside(rendered.astype(np.float64), margin)
     _check_positive(predicted, "predicted")
     return float(np.mean(np.log(predicted) + measured / predicted))
 
 
-def log_correlation(truth: Stack, rendered: Stack) -> float:
+def log_correlation(truth: Stack, rendered: Stack, margin: int = 0) -> float:
     """Pearson correlation of the logarithms of 3×3 means of truth and rendered power, per chip, averaged.
 
     The means are taken on the full chip, then the margin is cut off. A constant image explains nothing and counts as 0.
@@ -155,7 +154,7 @@ def log_correlation(truth: Stack, rendered: Stack) -> float:
     logs = []
     for power, name in ((truth, "true"), (rendered, "predicted")):
         # not uniform_filter: its running sums leave rounding residues where the mean is zero
-        smooth = _inside(correlate(power.astype(np.float64), np.full((1, 3, 3), 1 / 9)))
+        smooth = _inside(correlate(power.astype(np.float64), np.full((1, 3, 3), 1 / 9)), margin)
         _check_positive(smooth, name)
         log = np.log(smooth).reshape(len(smooth), -1)
         logs.append(log - log.mean(axis=1, keepdims=True))
@@ -168,14 +167,14 @@ def _mean_psnr(mse: Float[np.ndarray, " v"]) -> float:
     return float(np.mean(-10 * np.log10(np.maximum(mse, _SMALLEST_MSE))))
 
 
-def _inside(power: Stack) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
+def _inside(power: Stack, margin: int) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
     rows, columns = power.shape[1:]
-    if min(rows, columns) <= 2 * CHIP_MARGIN:
+    if min(rows, columns) <= 2 * margin:
         raise UndefinedScore(
-            f"a chip of {rows} × {columns} pixels has nothing left inside the margin of {CHIP_MARGIN} pixels; "
-            f"use chips larger than {2 * CHIP_MARGIN} pixels"
+            f"a chip of {rows} × {columns} pixels has nothing left inside the margin of {margin} pixels; "
+            f"use chips larger than {2 * margin} pixels"
         )
-    return power[:, CHIP_MARGIN : rows - CHIP_MARGIN, CHIP_MARGIN : columns - CHIP_MARGIN]
+    return power[:, margin : rows - margin, margin : columns - margin]
 
 
 def _check(truth: Stack, rendered: Stack) -> None:

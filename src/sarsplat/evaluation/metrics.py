@@ -57,6 +57,8 @@ class ImagePair:
         Largest amplitude √β⁰ of the training set.
     mean_power : float
         Mean β⁰ of the training set.
+    margin : int
+        Pixels left out on each side where speckled images are scored.
     network : Lpips, optional
         The network that LPIPS needs.
     """
@@ -65,6 +67,7 @@ class ImagePair:
     rendered: Stack
     reference_amplitude: float
     mean_power: float
+    margin: int
     network: lpips.Lpips | None = None
 
 
@@ -77,7 +80,7 @@ class Requirement:
 
 
 def _speckled(dataset: Dataset) -> bool:
-    return dataset.domain == "measured" or bool(dataset.source.get("looks"))
+    return dataset.looks is not None
 
 
 NOTHING = Requirement(lambda dataset: True, "")
@@ -205,7 +208,7 @@ def _lpips(pair: ImagePair) -> float:
 def _nats_per_pixel(pair: ImagePair) -> float:
     # divided in float64: in float32 faint images are no multiples of each other
     truth, rendered = (power.astype(np.float64) / pair.mean_power for power in (pair.truth, pair.rendered))
-    return images.nats_per_pixel(truth, rendered)
+    return images.nats_per_pixel(truth, rendered, pair.margin)
 
 
 IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
@@ -257,7 +260,7 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
         "log_correlation",
         *("correlation of log power", "", 3, "more"),
         "correlation of the logarithms of 3×3 means; the margin is left out after filtering; mean over images",
-        lambda pair: images.log_correlation(pair.truth, pair.rendered),
+        lambda pair: images.log_correlation(pair.truth, pair.rendered, pair.margin),
         requires=SPECKLED,
         short="log corr.",
         place="headline",

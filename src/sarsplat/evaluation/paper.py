@@ -43,9 +43,6 @@ def paper_beside(dataset: Dataset) -> Scores | None:
 
     None unless the views are the paper's and the images show the target alone, without speckle, as the paper's do.
     """
-    source = dataset.source
-    alone = dataset.domain == "rendered" and source.get("ground_gamma0") is None and source.get("looks") is None
-    if source.get("protocol") != "paper" or not alone:
+    if dataset.protocol != "paper" or dataset.ground or dataset.looks is not None:
         return None
-    target = str(source.get("target"))
-    return paper_scores(target if target.upper() in _PUBLISHED else "T72")
+    return paper_scores(dataset.target if dataset.target.upper() in _PUBLISHED else "T72")

@@ -88,21 +88,21 @@ def yardstick_scores(dataset: Dataset, reasons: dict[str, str]) -> dict[str, dic
         `scores[set][yardstick][metric]`, of the metrics that apply to speckled images; yardsticks: `nearest_chip`,
         `rotated_average`.
     """
-    train, train_views = dataset.images("train").astype(np.float64), [item.view for item in dataset.select("train")]
+    train, train_views = dataset.images("train").astype(np.float64), dataset.select("train").views
     applicable = [metric for metric in IMAGE_METRICS if metric.requires.met(dataset)]
     reference_amplitude, mean_power = float(np.sqrt(train.max())), float(train.mean())
     scores: dict[str, dict[str, dict[str, float | None]]] = {}
     for split in dataset.splits():
         if split == "train":
             continue
-        views = [item.view for item in dataset.select(split)]
+        views = dataset.select(split).views
         predictions = {
             "nearest_chip": nearest_chip(train, train_views, views),
             "rotated_average": rotated_average(train, train_views, views, dataset.grid),
         }
         scores[split] = {}
         for name, predicted in predictions.items():
-            pair = ImagePair(dataset.images(split), predicted, reference_amplitude, mean_power)
+            pair = ImagePair(dataset.images(split), predicted, reference_amplitude, mean_power, dataset.score_margin)
             prefix = f"yardsticks.{split}.{name}."
             scores[split][name] = compute_all(applicable, dataset, pair, prefix, reasons)
     return scores

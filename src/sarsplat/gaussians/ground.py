@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 
+from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.gaussians import Gaussians
 from sarsplat.gaussians.scattering import Harmonics
+from sarsplat.geometry import ImageGrid, View
 
 _WIDTH = 0.6
 """Standard deviation in pitches: the sum of footprints then ripples by less than a thousandth."""
@@ -17,6 +20,7 @@ _OPTICAL_DEPTH = 3.0
 """Two-way, at a Gaussian's peak; overlapping, the sheet has 2π·0.6²·3 = 6.8 at any grazing angle."""
 
 _THICKNESS = 0.01  # m
+_LARGEST = 2500  # pitches
 
 
 def ground_sheet(radius: float, pitch: float) -> Gaussians:
@@ -33,7 +37,17 @@ def ground_sheet(radius: float, pitch: float) -> Gaussians:
     -------
     Gaussians
         float32, with harmonics of zero.
+
+    Raises
+    ------
+    SarsplatError
+        If the disc is wider than 2 × 2500 pitches.
     """
+    if not radius <= _LARGEST * pitch:
+        raise SarsplatError(
+            f"a ground of {radius:.6g} m radius needs too many Gaussians {pitch:g} m apart; its radius may be at most "
+            f"{_LARGEST * pitch:g} m, so use smaller images"
+        )
     half = math.ceil(radius / pitch)
     steps = (np.arange(-half, half) + 0.5) * pitch
     x, y = (axis.ravel() for axis in np.meshgrid(steps, steps))
@@ -42,8 +56,16 @@ def ground_sheet(radius: float, pitch: float) -> Gaussians:
     n = len(means)
     return Gaussians(
         means,
-        torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
-        torch.tensor([_WIDTH * pitch, _WIDTH * pitch, _THICKNESS]).repeat(n, 1),
-        torch.full((n,), _OPTICAL_DEPTH),
-        Harmonics(torch.zeros(n, 1)),
+        means.new_tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
+        means.new_tensor([_WIDTH * pitch, _WIDTH * pitch, _THICKNESS]).repeat(n, 1),
+        means.new_full((n,), _OPTICAL_DEPTH),
+        Harmonics(means.new_zeros(n, 1)),
     )
+
+
+def ground_radius_m(views: Sequence[View], grid: ImageGrid) -> float:
+    """Radius of the ground that images from these views show, m, with a margin for footprints and responses."""
+    across = grid.columns * grid.spacing_m[0] + 2 * abs(grid.center_m[0])
+    steepest = math.cos(math.radians(max(view.grazing_deg for view in views)))
+    along = (grid.rows * grid.spacing_m[1] + 2 * abs(grid.center_m[1])) / steepest
+    return math.hypot(across, along) / 2 + 2 * max(grid.resolution_m)

@@ -34,7 +34,7 @@ class Region:
         """Uniform points inside, float64 [count, 3]."""
         kept: list[np.ndarray] = []
         while sum(map(len, kept)) < count:
-            unit = torch.rand(4 * count, 3, generator=generator, dtype=torch.float64).numpy()
+            unit = torch.rand(4 * count, 3, generator=generator, device="cpu", dtype=torch.float64).numpy()
             points = self.low + (self.high - self.low) * unit
             kept.append(points[(points @ self.normals.T <= self.offsets).all(axis=1)])
         return np.concatenate(kept)[:count]
@@ -98,7 +98,7 @@ def hemisphere_shell(region: Region, count: int, generator: torch.Generator) -> 
     """Points spread evenly over a half sphere around a region, float64 [count, 3] (the paper's start)."""
     centre = (region.low + region.high) / 2 * (1, 1, 0)
     radius = float(np.linalg.norm((region.high - region.low)[:2])) / 2
-    unit = torch.rand(count, 2, generator=generator, dtype=torch.float64).numpy()
+    unit = torch.rand(count, 2, generator=generator, device="cpu", dtype=torch.float64).numpy()
     z, angle = unit[:, 0], 2 * np.pi * unit[:, 1]
     ring = np.sqrt(1 - z**2)
     return centre + radius * np.column_stack([ring * np.cos(angle), ring * np.sin(angle), z])
@@ -106,4 +106,4 @@ def hemisphere_shell(region: Region, count: int, generator: torch.Generator) -> 
 
 def random_quaternions(count: int, generator: torch.Generator) -> Float32[Tensor, "{count} 4"]:
     """Uniformly distributed orientations, float32 [count, 4]."""
-    return torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1)
+    return torch.nn.functional.normalize(torch.randn(count, 4, generator=generator, device="cpu"), dim=1)

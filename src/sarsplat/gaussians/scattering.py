@@ -75,7 +75,7 @@ class Scattering(ABC):
     @classmethod
     @abstractmethod
     def uniform(cls, count: int, gamma0: float, p_min: float) -> Self:
-        """The same γ⁰ for all Gaussians and in all directions: where a training starts; float32."""
+        """The same γ⁰ for all Gaussians and in all directions: where a training starts; float32, on the CPU."""
 
     def detailed(self, degree: int) -> Self:
         """The law with no more detail than `degree`, 0 to 3: a training adds it by and by; most laws have none."""
@@ -126,7 +126,7 @@ class Harmonics(Scattering):
     @classmethod
     def uniform(cls, count: int, gamma0: float, p_min: float) -> Self:
         """See `Scattering.uniform`; of degree 3."""
-        parameters = torch.zeros(count, len(CONSTANTS))
+        parameters = torch.zeros(count, len(CONSTANTS), device="cpu")
         parameters[:, 0] = _softplus_inverse(gamma0 - p_min) / CONSTANTS[0]
         return cls(parameters, p_min)
 
@@ -198,7 +198,7 @@ class NormalLobes(Scattering):
     def uniform(cls, count: int, gamma0: float, p_min: float) -> Self:
         """See `Scattering.uniform`; one lobe, the squared cosine, of a hundredth of b₀."""
         b0 = max(gamma0 - p_min, _LEAST_EXCESS)
-        raw = torch.tensor([_softplus_inverse(b0), _softplus_inverse(b0 / 100)])
+        raw = torch.tensor([_softplus_inverse(b0), _softplus_inverse(b0 / 100)], device="cpu")
         return cls(raw.repeat(count, 1), p_min)
 
 

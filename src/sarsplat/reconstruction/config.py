@@ -141,12 +141,6 @@ class Surroundings(Record):
 
     Parameters
     ----------
-    ground_radius : float
-        Radius of the ground, m; must cover the image at every rotation.
-    target_low : tuple of float
-        Lower corner of the box in which the target may lie, m.
-    target_high : tuple of float
-        Upper corner, m.
     noise_floor : float
         Additive power at the start, in units of the training mean, as `p_min` and every γ⁰.
     deviation_penalty : float
@@ -155,9 +149,6 @@ class Surroundings(Record):
 
     _section: ClassVar[str] = "surroundings."
 
-    ground_radius: Positive = 19.0
-    target_low: tuple[Number, Number, Number] = (-4.5, -2.5, 0.0)
-    target_high: tuple[Number, Number, Number] = (6.5, 2.5, 3.0)
     noise_floor: Positive = 0.05
     deviation_penalty: NotNegative = 0.01
 
@@ -179,7 +170,7 @@ class Config(Record):
     initialisation : str
         Start in the box that the images bound ("box"), or on the paper's hemisphere ("hemisphere").
     loss : str
-        "amplitude": L1 and SSIM of amplitudes; "speckle": likelihood of single-look speckle.
+        "amplitude": L1 and SSIM of amplitudes; "speckle": likelihood of single-look speckle; or another of `LOSSES`.
     ssim_weight : float
         Share of SSIM in the loss on amplitudes.
     scattering : str
@@ -226,7 +217,7 @@ class Config(Record):
     views_per_step: Count = 8
     gaussians: Count = 15_000
     initialisation: Literal["box", "hemisphere"] = "box"
-    loss: Literal["amplitude", "speckle"] = "amplitude"
+    loss: str = "amplitude"
     ssim_weight: NotNegative = 0.0
     scattering: ScatteringName = "harmonics"
     p_min: NotNegative = 0.03

@@ -90,7 +90,7 @@ class DensityControl:
         stay = (~pruned & ~split).nonzero()[:, 0]
         clones = (grows & ~split).nonzero()[:, 0]
         parts = split.nonzero()[:, 0].repeat(2)
-        offset = torch.randn(len(parts), 3, generator=generator).to(device) * gaussians.scales[parts]
+        offset = torch.randn(len(parts), 3, generator=generator, device="cpu").to(device) * gaussians.scales[parts]
         offset = (rotation_matrix(gaussians.quaternions[parts]) @ offset[:, :, None])[:, :, 0]
         source = torch.cat([stay, clones, parts])
         kept = torch.arange(len(source), device=device) < len(stay)

@@ -1,15 +1,27 @@
-"""What training minimises. Images are β⁰, linear power; amplitude is its root."""
+"""What training minimises. Images are β⁰, linear power; amplitude is its root.
+
+To add a loss, write a function that makes it from the configuration and the images' scale, and name it in `LOSSES`.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import lru_cache
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.reconstruction import fused
+from sarsplat.reconstruction.config import Config
+
+Loss = Callable[[Tensor, Tensor], Tensor]
+"""Of rendered and true images, float32 [V, rows, columns], β⁰ in linear power; one number."""
+
 
 FLOOR = 1e-3
 """Amplitudes are softened below this share of the reference: the root has no slope at zero."""
@@ -18,7 +30,7 @@ SSIM_WINDOW = 11
 SSIM_SIGMA = 1.5
 C1, C2 = 0.01**2, 0.03**2
 
-_OFFSETS = torch.arange(SSIM_WINDOW, dtype=torch.float64) - SSIM_WINDOW // 2
+_OFFSETS = torch.arange(SSIM_WINDOW, dtype=torch.float64, device="cpu") - SSIM_WINDOW // 2
 _WINDOW = torch.softmax(-(_OFFSETS**2) / (2 * SSIM_SIGMA**2), dim=0)
 
 
@@ -94,7 +106,7 @@ def _blurred(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, "v fewer_
 @lru_cache(maxsize=16)
 def _window_matrix(size: int, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "{size} {size-10}"]:
     """A window in every column, each one further down."""
-    matrix = torch.zeros(size, size - SSIM_WINDOW + 1, dtype=torch.float64)
+    matrix = torch.zeros(size, size - SSIM_WINDOW + 1, dtype=torch.float64, device="cpu")
     for k, weight in enumerate(_WINDOW.tolist()):
         matrix.diagonal(-k).fill_(weight)
     return matrix.to(device, dtype)
@@ -118,3 +130,59 @@ def speckle_loss(
 def _mean(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
     """One dimension after the other: torch splits a sum to one number by threads, and its bits would depend on them."""
     return images.mean(2).mean(1).mean(0)
+
+
+@dataclass(frozen=True)
+class ImageScale:
+    """How bright the training images are, in linear power.
+
+    Parameters
+    ----------
+    brightest : float
+        Largest β⁰.
+    unit : float
+        Power that counts as 1 in the model: their mean where the ground shows, else 1.
+    """
+
+    brightest: float
+    unit: float
+
+
+def _amplitude(config: Config, scale: ImageScale) -> Loss:
+    reference = math.sqrt(scale.brightest)
+    return lambda rendered, truth: amplitude_loss(rendered, truth.sqrt() / reference, reference, config.ssim_weight)
+
+
+def _speckle(config: Config, scale: ImageScale) -> Loss:
+    return lambda rendered, truth: speckle_loss(rendered / scale.unit, truth / scale.unit)
+
+
+@dataclass(frozen=True)
+class NamedLoss:
+    """A loss that configurations can name: what makes it, and how reports call it and its unit."""
+
+    make: Callable[[Config, ImageScale], Loss]
+    title: str
+    unit: str
+
+
+LOSSES = {
+    "amplitude": NamedLoss(_amplitude, "difference of amplitudes (largest = 1)", "loss"),
+    "speckle": NamedLoss(_speckle, "negative log-likelihood of the speckle", "nats per pixel"),
+}
+"""Losses by their names in configurations."""
+
+
+def named_loss(config: Config, scale: ImageScale) -> Loss:
+    """The loss that a configuration names.
+
+    Raises
+    ------
+    SarsplatError
+        If there is none of that name.
+    """
+    if config.loss not in LOSSES:
+        near = get_close_matches(config.loss, LOSSES, 1)
+        hint = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(LOSSES)}"
+        raise SarsplatError(f"loss {shown(config.loss)} is unknown; {hint}")
+    return LOSSES[config.loss].make(config, scale)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,10 +13,11 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
+from sarsplat.data.header import Box
 from sarsplat.data.plausible import warn
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MIN_SCALE, SCATTERINGS, Gaussians, Scattering, join
-from sarsplat.gaussians.ground import ground_sheet
+from sarsplat.gaussians.ground import ground_radius_m, ground_sheet
 from sarsplat.gaussians.initialise import Region, bounded_region, hemisphere_shell, random_quaternions
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruction.config import Config
@@ -37,6 +38,44 @@ _GROUND_PITCH = 0.4
 """Of the ground's Gaussians, m."""
 
 
+@dataclass(frozen=True)
+class Setting:
+    """What the dataset fixes about the learned scene.
+
+    Parameters
+    ----------
+    region : Region
+        The space the target may occupy.
+    unit : float
+        Power that counts as 1: every γ⁰, the noise floor and P_min are in this unit. β⁰ itself, or with surroundings,
+        calibrated or not, the training set's mean.
+    ground_radius_m : float
+        Radius of the ground that the images show, m; used with surroundings only.
+    """
+
+    region: Region
+    unit: float
+    ground_radius_m: float
+
+    @classmethod
+    def of(cls, config: Config, dataset: Dataset) -> Setting:
+        """The setting of a configuration on a dataset."""
+        train = dataset.select("train")
+        radius = ground_radius_m(train.views, train.grid)
+        if not config.surroundings:
+            return cls(bounded_region(train.power, train.views, train.grid), 1.0, radius)
+        box = Region.box(*(dataset.target_box_m or _central_box_m(train)))
+        return cls(box, float(train.power.mean(dtype=np.float64)), radius)
+
+
+def _central_box_m(dataset: Dataset) -> Box:
+    """The middle half of the scene in x and y, half as high as it is wide, m."""
+    grid = dataset.grid
+    flattest = math.cos(math.radians(min(view.grazing_deg for view in dataset.views)))
+    half = min(grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1] / flattest) / 4
+    return (-half, -half, 0.0), (half, half, half)
+
+
 class SceneModel:
     """Learned tensors and how they make a scene.
 
@@ -44,10 +83,8 @@ class SceneModel:
     ----------
     config : Config
         The reconstruction's configuration.
-    region : Region
-        The space the target may occupy.
-    unit : float
-        Power that counts as 1: every γ⁰, the noise floor and P_min are in this unit (`power_unit`).
+    setting : Setting
+        What the dataset fixes.
     parameters : dict of str to Tensor
         See `PER_GAUSSIAN`; with `config.surroundings` also `ground`, `noise`, `shift` [V, 2] and `log_gain` [V].
     device : torch.device or str
@@ -57,14 +94,13 @@ class SceneModel:
     def __init__(
         self,
         config: Config,
-        region: Region,
-        unit: float,
+        setting: Setting,
         parameters: dict[str, Tensor],
         device: torch.device | str = "cpu",
     ) -> None:
         self.config = config
-        self.region = region
-        self.unit = unit
+        self.setting = setting
+        self.unit = setting.unit
         self.device = torch.device(device)
         n = len(parameters["means"])
         self._law = _law(config, 1, 0.0)
@@ -78,8 +114,8 @@ class SceneModel:
             name: tensor.detach().to(device, copy=True, memory_format=torch.contiguous_format).requires_grad_()
             for name, tensor in parameters.items()
         }
-        around = config.surroundings
-        self._ground = ground_sheet(around.ground_radius, _GROUND_PITCH).to(self.device) if around else None
+        sheet = ground_sheet(setting.ground_radius_m, _GROUND_PITCH) if config.surroundings else None
+        self._ground = None if sheet is None else sheet.to(self.device)
 
     @classmethod
     def initial(
@@ -89,29 +125,32 @@ class SceneModel:
 
         `generator` is one of the CPU: a seed starts alike on every device.
         """
-        region, unit = scene_region(config, dataset), power_unit(config, dataset)
+        setting, train = Setting.of(config, dataset), dataset.select("train")
         if config.surroundings:
-            warn(_cut_off(region, dataset))
+            warn(_cut_off(setting.region, dataset))
         sample = hemisphere_shell if config.initialisation == "hemisphere" else Region.sample
-        n, views = config.gaussians, len(dataset.select("train"))
+        n = config.gaussians
+        means = torch.from_numpy(
+            sample(setting.region, n, generator)
+        ).float()  # on the CPU, as all that is made like it
         parameters = {
-            "means": torch.from_numpy(sample(region, n, generator)).float(),
+            "means": means,
             "quaternions": random_quaternions(n, generator),
-            "scales": torch.full((n, 3), config.initial_scale_m),
-            "optical_depth": torch.full((n,), config.initial_optical_depth),
+            "scales": means.new_full((n, 3), config.initial_scale_m),
+            "optical_depth": means.new_full((n,), config.initial_optical_depth),
             "scattering": _law(config, n, config.initial_scattering).parameters,
         }
         if config.surroundings:
-            mean_tangent = float(np.mean([math.tan(math.radians(v.view.grazing_deg)) for v in dataset.select("train")]))
+            mean_tangent = float(np.mean([math.tan(math.radians(view.grazing_deg)) for view in train.views]))
             # γ⁰ of single-look clutter, from its median
-            level = float(np.median(dataset.images("train"))) / unit / math.log(2) / mean_tangent
+            level = float(np.median(train.power)) / setting.unit / math.log(2) / mean_tangent
             parameters |= {
                 "ground": _law(config, 1, level).parameters[0],
-                "noise": torch.tensor([math.log(config.surroundings.noise_floor)]),
-                "shift": torch.zeros(views, 2),
-                "log_gain": torch.zeros(views),
+                "noise": means.new_tensor([math.log(config.surroundings.noise_floor)]),
+                "shift": means.new_zeros(len(train), 2),
+                "log_gain": means.new_zeros(len(train)),
             }
-        return cls(config, region, unit, parameters, device)
+        return cls(config, setting, parameters, device)
 
     def __len__(self) -> int:
         return self.parameters["means"].shape[0]
@@ -188,7 +227,8 @@ class SceneModel:
     def bounds(self) -> dict[str, tuple[Tensor, Tensor]]:
         """Least and largest values of parameters that have any, by name; one number, or one for each column."""
         config = self.config
-        low, high = (torch.from_numpy(corner).float().to(self.device) for corner in (self.region.low, self.region.high))
+        region = self.setting.region
+        low, high = (torch.from_numpy(corner).float().to(self.device) for corner in (region.low, region.high))
         if config.initialisation == "hemisphere":  # the shell reaches beyond the region
             half = (high - low).norm() / 2
             centre = (low + high) / 2
@@ -213,14 +253,6 @@ def _law(config: Config, count: int, gamma0: float) -> Scattering:
     return SCATTERINGS[config.scattering].uniform(count, gamma0, config.p_min).detailed(config.harmonics_degree)
 
 
-def scene_region(config: Config, dataset: Dataset) -> Region:
-    """The space the target may occupy: bounded by the images, or given for measured chips full of ground."""
-    if config.surroundings:
-        return Region.box(config.surroundings.target_low, config.surroundings.target_high)
-    views = [item.view for item in dataset.select("train")]
-    return bounded_region(dataset.images("train"), views, dataset.grid)
-
-
 def _cut_off(region: Region, dataset: Dataset) -> list[str]:
     """What of the true target lies outside; a list of one sentence, or empty."""
     if dataset.truth_mesh is None:
@@ -237,12 +269,7 @@ def _cut_off(region: Region, dataset: Dataset) -> list[str]:
         return ", ".join(f"{name} {a:.1f} … {b:.1f}" for name, a, b in zip("xyz", low, high, strict=True))
 
     return [
-        f"the target ({spans(low, high)} m) is larger than the box that the configuration gives it "
-        f"({spans(region.low, region.high)} m) and will be cut off; simulate it without ground for the preset default, "
-        "or widen surroundings.target_low and target_high of the configuration in Python"
+        f"the target ({spans(low, high)} m) is larger than the box it is looked for in "
+        f"({spans(region.low, region.high)} m) and will be cut off; widen target_box_m in the dataset, or simulate "
+        "without ground for the preset default"
     ]
-
-
-def power_unit(config: Config, dataset: Dataset) -> float:
-    """Power that counts as 1: β⁰ itself, or for chips with surroundings, calibrated or not, the training set's mean."""
-    return float(dataset.images("train").mean(dtype=np.float64)) if config.surroundings else 1.0

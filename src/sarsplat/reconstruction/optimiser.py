@@ -13,7 +13,7 @@ from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.model import LOGARITHMIC, PER_GAUSSIAN
 
 _MOMENTS = ("exp_avg", "exp_avg_sq")
-_UNBOUNDED = (torch.tensor(-torch.inf), torch.tensor(torch.inf))
+_UNBOUNDED = tuple(torch.tensor(bound, device="cpu") for bound in (-torch.inf, torch.inf))
 
 
 def learning_rate(name: str, column: int, config: Config) -> float:
@@ -102,7 +102,7 @@ class Optimiser:
 
     def state(self) -> dict[str, Tensor]:
         """Moments by `parameter/moment`, and how many steps they are of."""
-        return self._moments | {"step": torch.tensor(float(self._steps))}
+        return self._moments | {"step": torch.tensor(float(self._steps), device="cpu")}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Undo `state`."""

@@ -22,9 +22,8 @@ from sarsplat.data import (
     write_json,
     write_points_ply,
 )
-from sarsplat.data.fields import shown
 from sarsplat.data.files import open_file, plain_os_errors
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruction.config import Config
@@ -203,8 +202,8 @@ class Run:
         if not header.is_file():
             what = "does not exist" if not path.exists() else f"holds no {HEADER}, so it is not a run"
             raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out {path}`")
-        data = read_json(header)
-        if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+        data = read_json(header, dict[str, Any])
+        if data.get("schema") != SCHEMA:
             raise SarsplatError(
                 f"{header} is not the header of a run; give the folder that `sarsplat reconstruct` wrote"
             )
@@ -297,8 +296,8 @@ class Run:
         path = None if self.path is None else self.path / "metrics.json"
         if path is None or not path.is_file():
             return None
-        metrics = read_json(path)
-        if not isinstance(metrics, dict) or not all(isinstance(metrics.get(key), dict) for key in ("images", "points")):
+        metrics = read_json(path, dict[str, Any])
+        if not all(isinstance(metrics.get(key), dict) for key in ("images", "points")):
             raise SarsplatError(f"{path} holds no scores; write them again with `sarsplat evaluate {self.path}`")
         return metrics
 
@@ -323,6 +322,6 @@ def require_replaceable(out: Path) -> None:
     """Refuse to overwrite a folder that is not a run, of whatever version: many programs keep a `config.json`."""
     header = out / HEADER
     if header.is_file():
-        data = read_json(header)
-        if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+        data = read_json(header, dict[str, Any])
+        if data.get("schema") != SCHEMA:
             raise SarsplatError(f"{header} is not the header of a run, so it is not ours to replace; give another name")

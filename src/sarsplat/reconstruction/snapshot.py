@@ -12,12 +12,12 @@ import torch
 from torch import Tensor
 
 from sarsplat.data import load_checkpoint, save_checkpoint
-from sarsplat.data.fields import shown
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.gaussians.ground import ground_radius_m
 from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction.config import Config
-from sarsplat.reconstruction.model import SceneModel
+from sarsplat.reconstruction.model import SceneModel, Setting
 
 # What files may say of a training: far more than any does, and what sums and pictures of them can bear.
 _Count = Annotated[int, msgspec.Meta(ge=0, le=10**9)]
@@ -72,7 +72,8 @@ class Snapshot:
         ValueError, KeyError, TypeError, IndexError, RuntimeError, SarsplatError
             If the tensors are not those of a model with this configuration.
         """
-        model = SceneModel(config, self._region, self.unit, self.part("model"), device)
+        setting = Setting(self._region, self.unit, ground_radius_m(self.views, self.grid))
+        model = SceneModel(config, setting, self.part("model"), device)
         model.scene(config.harmonics_degree)  # shapes and values are checked where they are used
         return model
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-
 import torch
 from jaxtyping import Float32
 from torch import Tensor
@@ -15,13 +12,10 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import RayGrid
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.density import DensityControl
-from sarsplat.reconstruction.losses import amplitude_loss, speckle_loss
+from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss
 from sarsplat.reconstruction.model import PER_GAUSSIAN, SceneModel
 from sarsplat.reconstruction.optimiser import Optimiser
 from sarsplat.reconstruction.snapshot import Snapshot, region_tensors
-
-Loss = Callable[[Tensor, Tensor], Tensor]
-"""Of rendered and true images [V, rows, columns], β⁰ in linear power; one number."""
 
 _FAINTEST = 1e-30
 """Largest β⁰ below which images count as black: squares and reciprocals of it would leave float32."""
@@ -53,18 +47,15 @@ class Trainer:
         self.config = config
         self.device = torch.device(device)
         self.grid = dataset.grid
-        self.views = [item.view for item in dataset.select("train")]
+        self.views = dataset.select("train").views
         power = torch.from_numpy(dataset.images("train"))
         if not float(power.max()) > _FAINTEST:
             raise SarsplatError(
-                f"the training images of {dataset.path} are black everywhere (largest β⁰ {float(power.max()):.3g}); "
+                f"the training images of {dataset} are black everywhere (largest β⁰ {float(power.max()):.3g}); "
                 "simulate or import again"
             )
         self._brightest = float(power.max())
-        self._reference = math.sqrt(self._brightest)
-        self._loss = loss
-        amplitudes = loss is None and config.loss == "amplitude"
-        self._truth = (power.sqrt() / self._reference if amplitudes else power).to(self.device)
+        self._truth = power.to(self.device)
         self._numbers = torch.arange(len(self.views), device=self.device)
         self._rays = RayGrid.for_image(self.grid, config.rays_per_pixel)
         self._generator = torch.Generator().manual_seed(config.seed)
@@ -73,6 +64,7 @@ class Trainer:
         self.density = (
             DensityControl(config.densification, len(self.model), self.device) if config.densification else None
         )
+        self._loss = loss or named_loss(config, ImageScale(self._brightest, self.model.unit))
         self.iteration = 0
         self._queue: list[int] = []
 
@@ -89,12 +81,7 @@ class Trainer:
             plane_gradients=gather,
         )
         truth = torch.stack([self._truth[i] for i in chosen])  # much faster than an index
-        if self._loss is not None:
-            loss = self._loss(images, truth)
-        elif self.config.loss == "amplitude":
-            loss = amplitude_loss(images, truth, self._reference, self.config.ssim_weight)
-        else:
-            loss = speckle_loss(images / self.model.unit, truth / self.model.unit)
+        loss = self._loss(images, truth)
         penalty = self.model.penalty()
         (loss if penalty is None else loss + penalty).backward()
         if gather and self.density is not None:
@@ -109,7 +96,7 @@ class Trainer:
         """Every view once in a random order, then again."""
         count = min(self.config.views_per_step, len(self.views))
         while len(self._queue) < count:
-            self._queue += torch.randperm(len(self.views), generator=self._generator).tolist()
+            self._queue += torch.randperm(len(self.views), generator=self._generator, device="cpu").tolist()
         chosen, self._queue = self._queue[:count], self._queue[count:]
         return chosen
 
@@ -124,7 +111,7 @@ class Trainer:
             }
             parameters["means"] = parameters["means"] + displacement
             parameters["scales"] = parameters["scales"] * shrink[:, None]
-        self.model = SceneModel(self.config, self.model.region, self.model.unit, parameters, self.device)
+        self.model = SceneModel(self.config, self.model.setting, parameters, self.device)
         self.model.constrain()
         self.optimiser = self.optimiser.rebuild(self.model.parameters, torch.where(kept, source, -1))
 
@@ -137,7 +124,7 @@ class Trainer:
         """Everything the next step depends on, as it is now; `seconds` is how long the training took until here."""
         tensors = {f"model/{name}": tensor.detach() for name, tensor in self.model.parameters.items()}
         tensors |= {f"optimiser/{name}": tensor for name, tensor in self.optimiser.state().items()}
-        tensors |= {"generator": self._generator.get_state(), **region_tensors(self.model.region)}
+        tensors |= {"generator": self._generator.get_state(), **region_tensors(self.model.setting.region)}
         if self.density:
             tensors |= {"density/gradient": self.density.gradient, "density/seen": self.density.seen}
         return Snapshot(

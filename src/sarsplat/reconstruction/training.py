@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -19,10 +19,11 @@ from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError
 from sarsplat.progress import Reporter, progress
 from sarsplat.reconstruction.config import Config, refuse_other_settings
+from sarsplat.reconstruction.losses import Loss
 from sarsplat.reconstruction.presets import preset
 from sarsplat.reconstruction.run import HEADER, InMemory, LogLine, Run, log_text, require_replaceable
 from sarsplat.reconstruction.snapshot import Snapshot
-from sarsplat.reconstruction.trainer import Loss, Trainer
+from sarsplat.reconstruction.trainer import Trainer
 from sarsplat.renderer.cuda_device import require_cuda
 
 _LINES_PER_RUN = 200
@@ -81,7 +82,8 @@ def reconstruct(
         Where to train; "auto" is a GPU if there is one that can be used.
     loss : callable, optional
         Instead of the configuration's: `loss(rendered, truth)` is given two float32 stacks [V, rows, columns] of
-        β⁰, linear power, and returns one number that torch can differentiate.
+        β⁰, linear power, and returns one number that torch can differentiate. The run's configuration has its name; to
+        resume, give it again.
     on_step : callable, optional
         Told of every step (`Step`). An exception it raises ends the training between two steps: what has been learned
         so far is saved.
@@ -108,6 +110,8 @@ def reconstruct(
     """
     dataset = dataset if isinstance(dataset, Dataset) else read_dataset(Path(dataset))
     config = fitting(preset, dataset)
+    if loss is not None:
+        config = replace(config, loss=getattr(loss, "__name__", type(loss).__name__))
     warn(suspicions(dataset))
     trainer = Trainer(dataset, config, loss, training_device(device))
     with progress(f"reconstruct ({config.preset})", config.iterations, quiet) as shown:
@@ -127,8 +131,7 @@ def fitting(choice: str | Config, dataset: Dataset) -> Config:
         return choice
     if choice != "auto":
         return preset(choice)
-    has_ground = dataset.domain == "measured" or dataset.source.get("ground_gamma0") is not None
-    return preset("measured" if has_ground else "default")
+    return preset("measured" if dataset.ground else "default")
 
 
 def training_device(name: str) -> torch.device:

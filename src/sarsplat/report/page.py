@@ -45,7 +45,7 @@ def page(run: Run, pictures: list[Picture], training: list[Picture]) -> str:
         lstrip_blocks=True,
     )
     return templates.get_template("page.html.j2").render(
-        target=str(dataset.source.get("target") or dataset.source.get("class") or dataset.path.name),
+        target=dataset.target,
         lead=_lead(run),
         headlines=[_card(table, row) for table in tables for row in table.rows if row.metric.place == "headline"],
         pictures=pictures,
@@ -63,7 +63,7 @@ def page(run: Run, pictures: list[Picture], training: list[Picture]) -> str:
 def _lead(run: Run) -> str:
     dataset = run.dataset
     train = dataset.select("train")
-    kind = "measured" if dataset.domain == "measured" else "simulated"
+    kind = "measured" if dataset.calibration == "relative" else "simulated"
     return (
         f"{counted(len(run.gaussians), 'Gaussian')} and {counted(len(run.points), 'surface point')}, reconstructed "
         f"from {counted(len(train), f'{kind} SAR image')} in {_duration(run.time_s)}."
@@ -96,9 +96,11 @@ def _notes(metrics: dict[str, Any], tables: list[ScoreTable]) -> list[str]:
 
 def _dataset_facts(dataset: Dataset) -> dict[str, str]:
     grid = dataset.grid
-    quantity = "β⁰, linear power" if dataset.domain == "rendered" else "power up to one common factor, β⁰ scale unknown"
+    quantity = (
+        "β⁰, linear power" if dataset.calibration == "absolute" else "power up to one common factor, β⁰ scale unknown"
+    )
     return {
-        "folder": str(dataset.path),
+        "folder": str(dataset),
         "quantity": quantity,
         "images": ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits()),
         "pixels": f"{grid.rows} × {grid.columns} (slant range × azimuth)",

@@ -42,6 +42,7 @@ def views_figure(
     peak: float,
     *,
     speckled: bool,
+    margin: int,
 ) -> bytes:
     """Truth | rendered | difference of every view, as PNG.
 
@@ -55,9 +56,11 @@ def views_figure(
         The power shown white: the largest of the training set.
     speckled : bool
         Whether the truth is speckled: the difference is then that of 3×3 means.
+    margin : int
+        Pixels on each side that are not scored.
     """
     most = _MOST_DB[speckled]
-    rows, columns = target_window(np.maximum(truth, rendered), peak)
+    rows, columns = target_window(np.maximum(truth, rendered), peak, margin)
     extent = (
         grid.azimuth_m[columns][0] - grid.spacing_m[0] / 2,
         grid.azimuth_m[columns][-1] + grid.spacing_m[0] / 2,

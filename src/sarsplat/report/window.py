@@ -8,11 +8,10 @@ from jaxtyping import Real
 from sarsplat.report.decibels import DYNAMIC_DB
 
 _MARGIN = 5  # pixels around the target
-_CHIP_MARGIN = 24  # of measured chips: the part that is scored is shown
 
 
-def target_window(images: Real[np.ndarray, "v rows columns"], peak: float) -> tuple[slice, slice]:
-    """The rows and columns worth showing: the target with a margin if all around is dark, else the chip's middle.
+def target_window(images: Real[np.ndarray, "v rows columns"], peak: float, margin: int = 0) -> tuple[slice, slice]:
+    """The rows and columns worth showing: the target with a margin if all around is dark, else what is scored.
 
     Parameters
     ----------
@@ -20,11 +19,12 @@ def target_window(images: Real[np.ndarray, "v rows columns"], peak: float) -> tu
         β⁰, linear power; all that is to be shown side by side.
     peak : float
         The power shown white: what is `DYNAMIC_DB` below it is dark.
+    margin : int
+        Pixels on each side that are not scored.
     """
     size = images.shape[1:]
     bright = images.max(axis=0) > peak * 10 ** (-DYNAMIC_DB / 10)
     if not bright.any() or bright.mean() > 0.5:
-        margin = _CHIP_MARGIN if min(size) > 3 * _CHIP_MARGIN else 0
         return slice(margin, size[0] - margin), slice(margin, size[1] - margin)
     spans = [np.flatnonzero(bright.any(axis=1 - axis))[[0, -1]] for axis in (0, 1)]
     side = max(int(span[1] - span[0]) for span in spans) + 1 + 2 * _MARGIN

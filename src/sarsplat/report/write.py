@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from sarsplat.data import Dataset, write_bytes
+from sarsplat.data import write_bytes
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import read_truth_mesh
 from sarsplat.reconstruction import Run
+from sarsplat.reconstruction.losses import LOSSES
 from sarsplat.report.cloud import points_figure
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.page import Picture, page
@@ -73,22 +74,21 @@ def refuse_linked_report(run: Path) -> None:
         raise SarsplatError(f"{folder} is a link, but a report is written inside its run only; remove the link")
 
 
-def is_speckled(dataset: Dataset) -> bool:
-    """Whether its images carry speckle."""
-    return dataset.domain == "measured" or bool(dataset.source.get("looks"))
-
-
 def _views(run: Run) -> Picture:
     dataset = run.dataset
     splits = [split for split in dataset.splits() if split != "train"] or ["train"]
-    items = [(item, split, index) for split in splits for index, item in enumerate(dataset.select(split))]
+    items = [index for index, entry in enumerate(dataset.entries) if entry.split in splits]
     chosen = [items[index] for index in evenly(len(items), _VIEWS)]
-    stacks = {split: dataset.images(split) for split in {split for _, split, _ in chosen}}
-    truth = np.stack([stacks[split][index] for _, split, index in chosen])
-    views = [item.view for item, _, _ in chosen]
-    speckled = is_speckled(dataset)
+    truth, views = dataset.power[chosen], [dataset.views[index] for index in chosen]
+    speckled = dataset.looks is not None
     png = views_figure(
-        truth, run.render(views), views, dataset.grid, float(dataset.images("train").max()), speckled=speckled
+        truth,
+        run.render(views),
+        views,
+        dataset.grid,
+        float(dataset.images("train").max()),
+        speckled=speckled,
+        margin=dataset.score_margin,
     )
     unseen = (
         f"{len(chosen)} of {len(items)} test views, evenly chosen; none of them was trained on."
@@ -121,11 +121,7 @@ def _curves(run: Run) -> list[Picture]:
     history = run.history
     if not history:
         return []
-    name = (
-        "negative log-likelihood of the speckle"
-        if run.config.loss == "speckle"
-        else "difference of amplitudes (largest = 1)"
-    )
-    label = "nats per pixel" if run.config.loss == "speckle" else "loss"
+    known = LOSSES.get(run.config.loss)
+    name, unit = (known.title, known.unit) if known else (f"function {run.config.loss}", "loss")
     text = f"The loss is the {name}, averaged over the training views."
-    return [Picture("curves.png", "Training", text, curves_figure(history, label))]
+    return [Picture("curves.png", "Training", text, curves_figure(history, unit))]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,7 +11,7 @@ from jaxtyping import Float, Float32, Float64, Real
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import join
-from sarsplat.gaussians.ground import ground_sheet
+from sarsplat.gaussians.ground import ground_radius_m, ground_sheet
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import render
 from sarsplat.scenes.raycast import simulate_raycast
@@ -98,10 +97,8 @@ def simulate_images(
     return stack
 
 
-def simulation_record(
-    *, source: Source, law: ScatteringLaw, ground_gamma0: float | None, looks: float | None, seed: int
-) -> dict[str, Any]:
-    """How `simulate_images` made images with these arguments, as JSON for a dataset's `source`."""
+def simulation_record(*, source: Source, law: ScatteringLaw, ground_gamma0: float | None, seed: int) -> dict[str, Any]:
+    """How `simulate_images` made images with these arguments, speckle apart, as JSON for a dataset's `source`."""
     how: dict[str, Any]
     if source == "raycast":
         how = {"ray_spacing_m": _RAY_SPACING, "nodes_per_pixel": _OVERSAMPLE}
@@ -116,7 +113,6 @@ def simulation_record(
         "law": law.as_dict(),
         "law_formula": "gamma0(i) = floor + lobe*cos(i)^2, two-sided; i = angle between facet normal and radar",
         "ground_gamma0": ground_gamma0,
-        "looks": looks,
         "seed": seed,
         **how,
     }
@@ -155,7 +151,7 @@ def _splat(
     gaussians, faces = surface_gaussians(mesh, pixel / _PIECES_PER_PIXEL)
     target = len(gaussians)
     if ground_gamma0 is not None:
-        gaussians = join(gaussians, ground_sheet(_ground_radius(views, grid), pixel / _GROUND_PER_PIXEL))
+        gaussians = join(gaussians, ground_sheet(ground_radius_m(views, grid), pixel / _GROUND_PER_PIXEL))
     rays = RayGrid.for_image(grid, _RAYS_PER_PIXEL)
     for view in views:
         gamma0 = torch.full((1, len(gaussians)), ground_gamma0 or 0.0)
@@ -163,11 +159,3 @@ def _splat(
         gamma0[:, :target] = torch.from_numpy(of_faces[:, faces])
         with torch.no_grad():
             yield render(gaussians, [view], grid, rays=rays, gamma0=gamma0).images[0].numpy()
-
-
-def _ground_radius(views: Sequence[View], grid: ImageGrid) -> float:
-    """Of the ground that the images show, m, with a margin for footprints and responses."""
-    across = grid.columns * grid.spacing_m[0] + 2 * abs(grid.center_m[0])
-    steepest = math.cos(math.radians(max(view.grazing_deg for view in views)))
-    along = (grid.rows * grid.spacing_m[1] + 2 * abs(grid.center_m[1])) / steepest
-    return math.hypot(across, along) / 2 + 2 * max(grid.resolution_m)

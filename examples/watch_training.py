@@ -1,0 +1,43 @@
+"""Watch a training: a picture of one view every so often, and an end to it when it is good enough."""
+
+from dataclasses import replace
+
+from sarsplat import (
+    Dataset,
+    ImageGrid,
+    RayGrid,
+    SarImage,
+    View,
+    preset,
+    reconstruct,
+    render,
+    simulate_images,
+    target_mesh,
+)
+from sarsplat.reconstruction import Step
+
+grid = ImageGrid(rows=64, columns=64, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
+views = [View(azimuth, 45.0) for azimuth in range(0, 360, 45)]
+arrays = simulate_images(target_mesh("t72"), views, grid)
+dataset = Dataset.from_images([SarImage(power, view, grid) for power, view in zip(arrays, views)])
+watched = View(20.0, 45.0)  # nobody trains on it
+
+
+class GoodEnough(Exception):
+    """Ends the training."""
+
+
+def watch(step: Step) -> None:
+    """Called after every step, between two of them."""
+    if step.iteration % 40 == 0:
+        image = render(step.trainer.gaussians, [watched], grid, rays=RayGrid.for_image(grid, 4)).images[0]
+        SarImage(image, watched, grid).save(f"step-{step.iteration:04d}.png")
+        print(f"{step.iteration:4d}  loss {float(step.loss):.5f}")
+        if step.loss < 0.001:
+            raise GoodEnough
+
+
+try:
+    reconstruct(dataset, replace(preset("default"), iterations=240, gaussians=3000), on_step=watch, quiet=True)
+except GoodEnough:
+    print("good enough")

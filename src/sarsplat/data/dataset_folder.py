@@ -1,0 +1,190 @@
+"""A dataset as a folder: `dataset.json`, one float32 TIFF for each image, and the target's mesh where it is known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+
+from sarsplat.data.dataset import Dataset, DatasetEntry
+from sarsplat.data.files import open_file, plain_os_errors, read_versioned_json, write_bytes, write_json
+from sarsplat.data.folders import new_folder
+from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, DatasetHeader, ViewHeader
+from sarsplat.data.tiff import read_power_tiff, write_power_tiff
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry import ImageGrid, View
+
+if TYPE_CHECKING:
+    import trimesh
+
+HEADER = "dataset.json"
+_MESH = "truth.ply"
+_MAKE_ONE = "make one with `sarsplat simulate` or `sarsplat import mstar`"
+
+
+def write_dataset(
+    path: Path, dataset: Dataset, *, truth_mesh: trimesh.Trimesh | None = None, overwrite: bool = False
+) -> Dataset:
+    """Write a dataset, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        Folder to make.
+    dataset : Dataset
+        With at least one image in the split "train".
+    truth_mesh : trimesh.Trimesh, optional
+        The target, m, in the target's frame; unless given, the file that `dataset.truth_mesh` names is copied.
+    overwrite : bool
+        Whether an existing dataset may be replaced.
+
+    Returns
+    -------
+    Dataset
+        The same with its place on the disk.
+
+    Raises
+    ------
+    SarsplatError
+        If there is nothing to train on, the folder exists, or it cannot be written.
+    """
+    path = Path(path)
+    _require_training(dataset)
+    mesh = _mesh_bytes(dataset, truth_mesh)
+    written = replace(dataset, path=path, truth_mesh=None if mesh is None else path / _MESH)
+    header = DatasetHeader.of(written)
+    with new_folder(path, overwrite, marker=HEADER) as folder:
+        write_json(folder / HEADER, header)
+        if mesh is not None:
+            write_bytes(folder / _MESH, mesh)
+        with plain_os_errors("write", folder):
+            (folder / "images").mkdir()
+        for item, image in zip(header.views, dataset.power):
+            description = (
+                f"SAR image, beta0 in linear power ({dataset.calibration} scale); row 0 is near range, columns grow "
+                f"along the flight direction; azimuth {item.azimuth_deg:.6g} deg, grazing {item.grazing_deg:.6g} deg; "
+                f"pixel spacing {dataset.grid.spacing_m[0]:.6g} m (azimuth) x {dataset.grid.spacing_m[1]:.6g} m "
+                f"(slant range); set {item.split}"
+            )
+            write_power_tiff(folder / item.file, image, description)
+    return written
+
+
+def _require_training(dataset: Dataset) -> None:
+    if "train" not in dataset.splits():
+        raise SarsplatError('there is no view in the split "train", so there is nothing to learn from; mark some')
+
+
+def _mesh_bytes(dataset: Dataset, mesh: trimesh.Trimesh | None) -> bytes | None:
+    if mesh is not None:
+        from trimesh.exchange.ply import export_ply
+
+        return export_ply(mesh)
+    if dataset.truth_mesh is None:
+        return None
+    with open_file(dataset.truth_mesh) as file:
+        data = file.read()
+    if not data.startswith(b"ply"):
+        raise SarsplatError(f"{dataset.truth_mesh} is not a PLY file; load the mesh and pass it as truth_mesh")
+    return data
+
+
+def read_dataset(path: Path) -> Dataset:
+    """Read a dataset into memory and check everything in its folder, each pixel included.
+
+    Parameters
+    ----------
+    path : Path
+        The dataset's folder; nothing in it is trusted.
+
+    Raises
+    ------
+    SarsplatError
+        If the folder is missing, empty or no dataset, a field is missing, unknown or out of range, a path leaves the
+        folder, an image is missing, damaged or of another shape or type, or there is nothing to train on.
+    """
+    path = Path(path)
+    _require_dataset(path)
+    header = read_versioned_json(
+        path / HEADER, DatasetHeader, schema=SCHEMA, version=SCHEMA_VERSION, remedy="simulate or import it again"
+    )
+    with _blamed_on(path / HEADER):
+        grid = ImageGrid(**msgspec.structs.asdict(header.grid))
+        entries = tuple(
+            DatasetEntry(_view(index, item), item.split, item.name) for index, item in enumerate(header.views)
+        )
+        files = [_inside(path, item.file) for item in header.views]
+        if len({file.resolve() for file in files}) < len(files):
+            raise SarsplatError("two views name the same image file; give each view its own")
+        mesh = None if header.truth_mesh is None else _inside(path, header.truth_mesh)
+    with plain_os_errors("read", path):  # a name may be longer than the system has names
+        if mesh is not None and not mesh.is_file():
+            raise SarsplatError(f"{path} lacks its mesh {shown(mesh.name)}; {_MAKE_ONE}")
+    images = [read_power_tiff(file, (grid.rows, grid.columns)) for file in files]
+    with _blamed_on(path / HEADER):
+        dataset = Dataset(
+            grid,
+            entries,
+            np.stack(images) if images else np.empty((0, grid.rows, grid.columns), np.float32),
+            target=header.target,
+            calibration=header.calibration,
+            looks=header.looks,
+            ground=header.ground,
+            score_margin=header.score_margin,
+            target_box_m=header.target_box_m,
+            protocol=header.protocol,
+            truth_mesh=mesh,
+            source=header.source,
+            path=path,
+        )
+        _require_training(dataset)
+    return dataset
+
+
+def _require_dataset(path: Path) -> None:
+    with plain_os_errors("read", path):
+        if not path.exists():
+            raise SarsplatError(f"{path} does not exist; {_MAKE_ONE}")
+        if not path.is_dir():
+            raise SarsplatError(f"{path} is a file, but a dataset is a folder that holds {HEADER}; give the folder")
+        names = {entry.name for entry in path.iterdir()}
+    if HEADER in names:
+        return
+    if not names:
+        raise SarsplatError(f"{path} is empty; {_MAKE_ONE}")
+    looks = " (it looks like a run; give the dataset it was made from)" if "metrics.jsonl" in names else ""
+    raise SarsplatError(f"{path} is not a dataset: there is no {HEADER} in it{looks}; {_MAKE_ONE}")
+
+
+@contextmanager
+def _blamed_on(header: Path) -> Iterator[None]:
+    try:
+        yield
+    except SarsplatError as error:
+        raise SarsplatError(f"{header}: {error}") from error
+
+
+def _view(index: int, item: ViewHeader) -> View:
+    try:
+        return View(item.azimuth_deg, item.grazing_deg)
+    except SarsplatError as error:
+        raise SarsplatError(f"views[{index}]: {error}") from error
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """`folder / name`, which must not lead out of the folder, not even by a link."""
+    path = folder / name
+    try:
+        inside = name.isprintable() and path.resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError):  # a name the system cannot hold, or a loop of links
+        inside = False
+    if not name or not inside:
+        raise SarsplatError(
+            f"the file {shown(name)} does not lie inside the dataset's folder; use a plain relative path in it"
+        )
+    return path

@@ -1,0 +1,97 @@
+"""What `dataset.json` holds, field by field; msgspec reads and writes it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal
+
+import msgspec
+
+from sarsplat.errors import SarsplatError
+
+if TYPE_CHECKING:
+    from sarsplat.data.dataset import Dataset
+
+SCHEMA = "sarsplat-dataset"
+SCHEMA_VERSION = 2
+
+Calibration = Literal["absolute", "relative"]
+Pair = tuple[float, float]
+Point = tuple[float, float, float]
+Box = tuple[Point, Point]
+
+
+class Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A JSON object: every field there, none unknown, each of its type."""
+
+
+class GridHeader(Strict, frozen=True):
+    """`ImageGrid` in JSON."""
+
+    rows: int
+    columns: int
+    spacing_m: Pair
+    resolution_m: Pair
+    center_m: Pair
+
+
+class ViewHeader(Strict, frozen=True):
+    """One image: its file, and `DatasetEntry`."""
+
+    file: str
+    azimuth_deg: float
+    grazing_deg: float
+    split: str
+    name: str
+
+
+class DatasetHeader(Strict, frozen=True):
+    """`Dataset` without its pixels."""
+
+    schema: str
+    schema_version: int
+    quantity: Literal["beta0"]
+    unit: Literal["linear power"]
+    target: str
+    calibration: Calibration
+    looks: float | None
+    ground: bool
+    score_margin: int
+    target_box_m: Box | None
+    protocol: str | None
+    truth_mesh: str | None
+    grid: GridHeader
+    source: dict[str, Any]
+    views: tuple[ViewHeader, ...]
+
+    @classmethod
+    def of(cls, dataset: Dataset) -> DatasetHeader:
+        """The header of a dataset, each number of the type it will be read back as.
+
+        Raises
+        ------
+        SarsplatError
+            If a field is of another type, or `source` does not fit into JSON.
+        """
+        digits = max(3, len(str(len(dataset) - 1)))
+        plain = {
+            "schema": SCHEMA,
+            "schema_version": SCHEMA_VERSION,
+            "quantity": "beta0",
+            "unit": "linear power",
+            **{name: getattr(dataset, name) for name in _AS_THEY_ARE},
+            "truth_mesh": None if dataset.truth_mesh is None else dataset.truth_mesh.name,
+            "grid": vars(dataset.grid),
+            "views": [
+                {"file": f"images/{index:0{digits}d}.tif", **vars(entry.view), "split": entry.split, "name": entry.name}
+                for index, entry in enumerate(dataset.entries)
+            ],
+        }
+        try:
+            return msgspec.convert(msgspec.to_builtins(plain), cls)
+        except (msgspec.ValidationError, TypeError, RecursionError) as error:
+            raise SarsplatError(
+                f"the dataset does not fit into JSON: {error}; use finite numbers, text, lists, dicts"
+            ) from error
+
+
+_AS_THEY_ARE = ("target", "calibration", "looks", "ground", "score_margin", "target_box_m", "protocol", "source")
