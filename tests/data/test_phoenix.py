@@ -53,6 +53,17 @@ def test_reads_magnitudes_and_header(path):
     assert chip.resolution_m == (0.3229, 0.3013)
 
 
+def test_a_chip_is_an_image(path):
+    path.write_bytes(phoenix_bytes())
+    image = read_phoenix(path).image
+    np.testing.assert_array_equal(image.power, MAGNITUDE[::-1, ::-1] ** 2)  # row 0 near range
+    assert (image.view.azimuth_deg, image.view.grazing_deg) == (pytest.approx(349.209343), 17.09375)
+    assert image.grid.spacing_m == (0.203125, 0.202148)
+    path.write_bytes(phoenix_bytes(RadarPosition="left"))
+    with pytest.raises(SarsplatError, match="RadarPosition= 'left'; only 'bottom'"):
+        _ = read_phoenix(path).image
+
+
 @pytest.mark.parametrize(
     ("data", "words"),
     [

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 import torch
 
-from sarsplat import Dataset, Run, SarsplatError, View, preset, reconstruct
-from sarsplat.data import read_dataset
+from sarsplat import Dataset, Run, SarsplatError, View, evaluate_run, preset, reconstruct
+from sarsplat.data import read_dataset, read_gaussians_ply
+from sarsplat.gaussians import SCATTERINGS
 from sarsplat.reconstruction import Config, Step, Trainer
 
 SHORT = {"iterations": 6, "gaussians": 80, "checkpoint_every": 4}
@@ -118,6 +119,38 @@ def test_a_loss_of_ones_own(dataset: Dataset, config: Config) -> None:
     assert (
         np.square(rendered - dataset.images("train")).mean() < 0.5 * run.history[0].loss
     )  # β⁰ it was, and no other unit
+
+
+@pytest.mark.parametrize("surroundings", [False, True])
+@pytest.mark.parametrize("law", SCATTERINGS)
+def test_every_law_of_scattering_is_learned_kept_and_resumed(
+    law: str, surroundings: bool, dataset: Dataset, config: Config, tmp_path: Path
+) -> None:
+    around = preset("measured").surroundings if surroundings else None
+    config = replace(config, scattering=law, surroundings=around, iterations=30, checkpoint_every=20)
+    whole = reconstruct(dataset, config, quiet=True)
+
+    def stop(step: Step) -> None:
+        if step.iteration == 20:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct(dataset, config, tmp_path / "run", on_step=stop, quiet=True)
+    resumed = reconstruct(dataset, config, tmp_path / "run", resume=True, quiet=True)
+    assert resumed.gaussians.scattering.kind == law
+    assert torch.equal(resumed.gaussians.scattering.parameters, whole.gaussians.scattering.parameters)
+    assert resumed.gaussians.scattering.parameters.std(dim=0).min() > 0  # every column was learned
+    written = read_gaussians_ply(tmp_path / "run" / "gaussians.ply")
+    assert written.scattering.kind == law
+    assert torch.equal(written.scattering.parameters, whole.gaussians.scattering.parameters)
+
+
+def test_scores_of_a_run_in_memory(dataset: Dataset, config: Config) -> None:
+    run = reconstruct(dataset, replace(config, iterations=20), quiet=True)
+    scores = evaluate_run(run)
+    assert scores["images"]["test"]["psnr_db"] > 15
+    assert scores["points"]["visible"]["cd_m"] < 1
+    assert run.metrics is None  # nothing was written
 
 
 def test_quiet_is_quiet(dataset: Dataset, short: Config, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,9 @@ import numpy as np
 from jaxtyping import Float32
 
 from sarsplat.data.files import open_file
+from sarsplat.data.image import SarImage
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry import ImageGrid, View
 
 _MAGIC = b"[PhoenixHeaderVer"
 _END = "[EndofPhoenixHeader]"
@@ -84,6 +86,26 @@ class PhoenixChip:
     def resolution_m(self) -> tuple[float, float]:
         """3 dB width of the response (cross-range, slant range), m."""
         return _number(self.path, self.header, "CrossRange3dBWidth"), _number(self.path, self.header, "Range3dBWidth")
+
+    @property
+    def image(self) -> SarImage:
+        """The chip as an image: magnitude², β⁰ up to a factor, turned by 180° so that row 0 is near range.
+
+        Its azimuth is −TargetAz (see `sarsplat.data.mstar`).
+
+        Raises
+        ------
+        SarsplatError
+            If the radar is not at the bottom of the array.
+        """
+        if self.radar_position != "bottom":
+            raise SarsplatError(
+                f"{self.path} has RadarPosition= {self.radar_position!r}; only 'bottom' is understood, so leave it out"
+            )
+        rows, columns = self.magnitude.shape
+        view = View(-self.target_az_deg % 360, self.measured_depression_deg)
+        grid = ImageGrid(rows, columns, self.spacing_m, self.resolution_m)
+        return SarImage(np.square(self.magnitude[::-1, ::-1]), view, grid)
 
 
 def is_phoenix(path: Path) -> bool:
