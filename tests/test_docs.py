@@ -141,7 +141,7 @@ def test_results_table_comes_from_metrics_and_leaves_gaps_open():
     metrics = {
         "images": {"test": {"psnr_db": 50.13, "psnr_target_db": 33.0, "ssim": 0.999, "lpips": None}},
         "points": {"visible": {"cd_m": 0.08, "f1@0.3": 0.97, "f1@0.1": 0.7}},
-        "yardsticks": None,
+        "baselines": None,
         "time_s": 83.2,
     }
     table = module.table(metrics)

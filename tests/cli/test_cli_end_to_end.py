@@ -57,7 +57,7 @@ def test_evaluate_writes_every_score(workshop: Path) -> None:
     assert metrics["images"]["test"]["psnr_db"] > 10
     assert metrics["images"]["test"]["lpips"] is None
     assert metrics["points"]["visible"]["cd_m"] > 0
-    assert metrics["yardsticks"] is None
+    assert metrics["baselines"] is None
     assert metrics["seed"] == 0
 
 
