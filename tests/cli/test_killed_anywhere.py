@@ -213,7 +213,7 @@ def test_scores_and_report(workshop: Workshop, name: str) -> None:
             shutil.copytree("run5", run)
         workshop.killed(f"{name} scored", limit, value)
         found = tree(run) or {}
-        unfinished = {key for key in found if Path(key).name.endswith(".tmp")}
+        unfinished = {key for key in found if Path(key).name.endswith((".tmp", ".lock"))}
         assert before.keys() <= found.keys()
         assert {key: found[key] for key in found.keys() - unfinished}.items() <= after.items(), (limit, value)
         workshop.done("info scored")
