@@ -106,7 +106,7 @@ def compile_engine(target: Target, library: Path) -> None:
             (name, "engine.cpp", [*flags, f"-DSG_ISA={name}", f"-DSG_WIDTH={width}"])
             for name, width, flags in target.levels
         ]
-        jobs += [(name, f"{name}.cpp", []) for name in ("dispatch", "parallel")]
+        jobs += [(name, f"{name}.cpp", []) for name in ("dispatch", "layout", "parallel")]
 
         def compile_one(job: tuple[str, str, list[str]]) -> None:
             name, source, flags = job

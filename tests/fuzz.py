@@ -23,7 +23,7 @@ from pathlib import Path
 
 _MOST_SECONDS = 1.0
 _FREE_BYTES = 64 << 20
-_INSTRUMENTED = ["sarsplat.data", "sarsplat.reconstruction.run", "sarsplat.scenes", "tifffile", "plyfile", "trimesh"]
+_INSTRUMENTED = ["sarsplat.data", "sarsplat.reconstruction.run", "sarsplat.scenes", "tifffile", "trimesh"]
 
 
 @dataclass

@@ -84,7 +84,7 @@ def test_importing_the_renderer_loads_nothing_more():
         text=True,
         check=True,
     ).stdout.split()
-    heavy = {"scipy", "safetensors", "plyfile", "tifffile", "rich", "tyro", "trimesh", "matplotlib", "PIL", "sklearn"}
+    heavy = {"scipy", "safetensors", "tifffile", "rich", "tyro", "trimesh", "matplotlib", "PIL", "sklearn"}
     assert not {module.split(".")[0] for module in loaded} & heavy
     assert not [
         m

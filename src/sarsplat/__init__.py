@@ -29,7 +29,17 @@ if TYPE_CHECKING:
     from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians, Harmonics, NormalLobes, Scattering
     from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
     from sarsplat.reconstruction import PRESETS, Config, Run, Trainer, extract_points, preset, reconstruct
-    from sarsplat.renderer import RayMap, Rendering, render
+    from sarsplat.renderer import (
+        Attenuation,
+        Footprints,
+        Projection,
+        RayMap,
+        Rendering,
+        attenuate,
+        project,
+        render,
+        splat,
+    )
     from sarsplat.report import write_report
     from sarsplat.scenes import (
         ScatteringLaw,
@@ -50,7 +60,10 @@ _HOME = {
     "errors": ("SarsplatError", "SarsplatWarning"),
     "geometry": ("ImageGrid", "RayGrid", "View", "radar_frame"),
     "gaussians": ("MAX_OPTICAL_DEPTH", "MIN_SCALE", "Gaussians", "Harmonics", "NormalLobes", "Scattering"),
-    "renderer": ("RayMap", "Rendering", "render"),
+    "renderer": (
+        *("Attenuation", "Footprints", "Projection", "RayMap", "Rendering"),
+        *("attenuate", "project", "render", "splat"),
+    ),
     "scenes": (
         *("ScatteringLaw", "add_speckle", "load_mesh", "mstar_grid", "mstar_views", "paper_grid", "paper_views"),
         *("simulate_raycast", "target_mesh"),
@@ -70,14 +83,17 @@ __all__ = [
     "MAX_OPTICAL_DEPTH",
     "MIN_SCALE",
     "PRESETS",
+    "Attenuation",
     "Config",
     "Dataset",
     "DatasetEntry",
+    "Footprints",
     "Gaussians",
     "Harmonics",
     "ImageGrid",
     "NormalLobes",
     "PhoenixChip",
+    "Projection",
     "RayGrid",
     "RayMap",
     "Rendering",
@@ -90,6 +106,7 @@ __all__ = [
     "Trainer",
     "View",
     "add_speckle",
+    "attenuate",
     "evaluate_run",
     "extract_points",
     "import_mstar",
@@ -100,6 +117,7 @@ __all__ = [
     "paper_views",
     "point_metrics",
     "preset",
+    "project",
     "radar_frame",
     "read_dataset",
     "read_gaussians_ply",
@@ -109,6 +127,7 @@ __all__ = [
     "render",
     "simulate_images",
     "simulate_raycast",
+    "splat",
     "target_mesh",
     "visible_surface",
     "write_dataset",

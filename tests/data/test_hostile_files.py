@@ -255,13 +255,13 @@ def test_phoenix_magnitudes_whose_square_overflows(tmp_path):
 @pytest.mark.parametrize(
     "lines",
     [
-        b"comment end_header\nelement more 900000000000\nproperty double q\n",  # plyfile reads on
-        b"comment \x0belement none 0\nproperty double q\n",  # plyfile sees one line, splitlines two
+        b"comment end_header\nelement more 900000000000\nproperty double q\n",
+        b"comment \x0belement none 0\nproperty double q\n",  # splitlines sees two lines
         b"comment \x85element none 0\nproperty double q\n",
         b"element none 0\relement more 900000000000\nproperty double q\n",
     ],
 )
-def test_ply_headers_that_two_parsers_read_differently(tmp_path, lines):
+def test_ply_headers_that_promise_more_than_there_is(tmp_path, lines):
     path = tmp_path / "p.ply"
     head = b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
     head += b"property float z\n"

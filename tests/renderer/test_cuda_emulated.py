@@ -5,11 +5,13 @@ from __future__ import annotations
 import logging
 import math
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import step_cases
 import torch
 from emulated_cuda import SCHEDULES, Emulator, compile_emulator, render_on
 from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
@@ -17,9 +19,10 @@ from test_cpu_engine import check, judged, loss_of, outputs_of, relative
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import RayGrid
-from sarsplat.renderer import cuda, cuda_device, nvrtc, render
+from sarsplat.renderer import Footprints, cuda, cuda_device, nvrtc, project, render
 from sarsplat.renderer.checks import check_for_cuda
 from sarsplat.renderer.engine import choose_engine
+from sarsplat.renderer.step_functions import attenuate_with, project_with, splat_with
 
 
 @pytest.fixture(scope="session")
@@ -64,6 +67,62 @@ def test_matches_the_reference_in_every_schedule(name, library):
         assert ours.transmittance.numel() == 0 or ours.origin == pytest.approx(theirs.origin)
 
 
+@pytest.mark.parametrize("name", MATRIX)
+@pytest.mark.parametrize("step", step_cases.STEPS)
+def test_every_step_matches_its_twin_in_every_schedule(step, name, library):
+    found = step_cases.found_by(partial(cuda.Pass, Emulator(library)), step, name)
+    step_cases.check(step, name, found)
+    for schedule in ("backwards", "shuffled"):
+        again = step_cases.found_by(partial(cuda.Pass, Emulator(library, schedule)), step, name)
+        assert same_bits(again, found), schedule
+
+
+@pytest.mark.parametrize("channels", [1, 4, 5, 9])
+def test_channels_are_single_splats(channels, library):
+    new_pass, generator = partial(cuda.Pass, Emulator(library)), torch.Generator().manual_seed(channels)
+    pixels = project(cloud(40, 1), VIEWS, GRID).pixels
+
+    def run(amplitudes, seeds):
+        leaves = [t.detach().clone().requires_grad_() for t in (pixels.centers, pixels.roots, amplitudes)]
+        images = splat_with(new_pass, Footprints(*leaves[:2]), leaves[2], GRID, imaging_weight="area")
+        return [images.detach().double(), *(g.double() for g in torch.autograd.grad(images, leaves, seeds))]
+
+    amplitudes = torch.randn(3, 40, channels, generator=generator)
+    seeds = torch.randn(3, channels, GRID.rows, GRID.columns, generator=generator)
+    images, d_centers, d_roots, d_amplitudes = run(amplitudes, seeds)
+    single = [run(amplitudes[..., c : c + 1], seeds[:, c : c + 1]) for c in range(channels)]
+    assert relative(images, torch.cat([each[0] for each in single], dim=1)) <= 1e-6
+    assert relative(d_centers, sum(each[1] for each in single)) <= 1e-5
+    assert relative(d_roots, sum(each[2] for each in single)) <= 1e-5
+    assert relative(d_amplitudes, torch.cat([each[3] for each in single], dim=2)) <= 1e-6
+
+
+def test_steps_refuse_bad_values(library):
+    new_pass, p = partial(cuda.Pass, Emulator(library)), project(cloud(10, 0), VIEWS, GRID)
+    rays = RayGrid.for_image(GRID)
+
+    def bad(tensor: torch.Tensor, index: tuple[int, ...], value: float) -> torch.Tensor:
+        changed = tensor.clone()
+        changed[index] = value
+        return changed
+
+    wrong = replace(p, rays=replace(p.rays, roots=bad(p.rays.roots, (2, 3, 0), 0.0)))
+    with pytest.raises(SarsplatError, match=r"rays.roots\[2, 3\] is \[0.0.*; it must be .* at least 1e-8"):
+        attenuate_with(new_pass, wrong, rays, first_return_depth=None)
+    with pytest.raises(SarsplatError, match=r"range_m\[1, 0\] is nan; it must be finite metres"):
+        attenuate_with(new_pass, replace(p, range_m=bad(p.range_m, (1, 0), math.nan)), rays, first_return_depth=None)
+    far = replace(p, rays=replace(p.rays, centers=bad(p.rays.centers, (1, 0, 0), 1e6)))
+    with pytest.raises(SarsplatError, match=r"view 1 would need too many rays .* reach 1e\+06 m"):
+        attenuate_with(new_pass, far, rays, first_return_depth=None)
+    with pytest.raises(SarsplatError, match=r"amplitudes\[0, 9\] is \[inf\]; it must be finite"):
+        splat_with(new_pass, p.pixels, bad(torch.ones(3, 10, 1), (0, 9, 0), math.inf), GRID, imaging_weight="area")
+    with pytest.raises(SarsplatError, match=r"means\[4\] is \[nan.*\]; it must be finite metres"):
+        scene = cloud(10, 0)
+        project_with(
+            new_pass, replace(scene, means=bad(scene.means, (4, 0), math.nan)), VIEWS, GRID, rays=rays, shift=None
+        )
+
+
 def test_plane_gradients_and_a_second_backward(emulated):
     scene = MATRIX["shift and gain"]()
     found = {}
@@ -91,7 +150,7 @@ def test_a_loss_on_the_cross_sections_alone(emulated):
 @pytest.mark.parametrize(
     "name", ["overlap", "partly outside", "larger than the image", "one pixel", "many views", "none"]
 )
-def test_memory_is_written_before_it_is_read_and_never_beyond_its_end(name, emulated, monkeypatch):
+def test_memory_is_written_before_it_is_read_and_never_beyond_its_end(name, emulated, library, monkeypatch):
     scene, _, norms, *_ = judged(name)
     expected = everything(scene, emulated, norms)
     guarded, margin = [], 1024
@@ -101,8 +160,11 @@ def test_memory_is_written_before_it_is_read_and_never_beyond_its_end(name, emul
         guarded.append(whole)
         return self._keep(key, whole[margin:-margin].view(dtype).view(shape))
 
+    steps = {step: step_cases.found_by(partial(cuda.Pass, Emulator(library)), step, name) for step in step_cases.STEPS}
     monkeypatch.setattr(cuda.Pass, "_new", new)
     assert same_bits(everything(scene, emulated, norms), expected)
+    for step, once in steps.items():
+        assert same_bits(step_cases.found_by(partial(cuda.Pass, Emulator(library)), step, name), once), step
     assert len(guarded) > 20
     for whole in guarded:
         assert bool((whole[:margin] == 255).all() and (whole[-margin:] == 255).all())
@@ -291,6 +353,9 @@ def test_the_launcher_hands_everything_to_the_driver(gpu, library):
     scene, _, norms, *_ = judged("shift and gain")
     expected = everything(scene, partial(render_on, Emulator(library)), norms)
     assert same_bits(everything(scene, partial(render_on, gpu), norms), expected)
+    for step in step_cases.STEPS:
+        first = step_cases.found_by(partial(cuda.Pass, Emulator(library)), step, "shift and gain")
+        assert same_bits(step_cases.found_by(partial(cuda.Pass, gpu), step, "shift and gain"), first), step
 
 
 def test_the_driver_refuses(gpu, monkeypatch):

@@ -15,10 +15,8 @@ f_dc and f_rest are the harmonics of degree 3 that come nearest to it.
 
 from __future__ import annotations
 
-import io
 import json
 import math
-import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -26,10 +24,10 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float, Float32, Real
-from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
 
-from sarsplat.data.files import decode_json, open_file, write_bytes
+from sarsplat.data.files import decode_json
+from sarsplat.data.ply_table import read_ply, write_ply
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, SCATTERINGS, Gaussians, Harmonics, Scattering
 from sarsplat.gaussians.harmonics import harmonic_basis
@@ -39,14 +37,7 @@ _LAW = "scattering "
 _ODD = [1, 2, 3, 9, 10, 11, 12, 13, 14, 15]  # harmonics of degree 1 and 3
 _FARTHEST = 1e9  # m from the origin, of points: squares of it stay finite
 _LEAST_LOGIT = -30.0  # stands for an opacity of zero, whose logit is −∞
-_LONGEST_HEADER = 65_536
 _DIRECTIONS = 200  # in which a law is compared with harmonics
-_BYTES = {
-    **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
-    **dict.fromkeys(("short", "ushort", "int16", "uint16"), 2),
-    **dict.fromkeys(("int", "uint", "int32", "uint32", "float", "float32"), 4),
-    **dict.fromkeys(("double", "float64"), 8),
-}
 
 
 def write_gaussians_ply(path: Path, gaussians: Gaussians, comments: Iterable[str] = ()) -> None:
@@ -86,7 +77,7 @@ def write_gaussians_ply(path: Path, gaussians: Gaussians, comments: Iterable[str
         **_columns((f"scattering_{k}" for k in range(values["scattering"].shape[1])), values["scattering"]),
     }
     law = {"kind": gaussians.scattering.kind, **gaussians.scattering.settings()}
-    _write(path, columns, [_VERSION, _LAW + json.dumps(law), *comments])
+    write_ply(path, columns, [_VERSION, _LAW + json.dumps(law), *comments])
 
 
 def read_gaussians_ply(path: Path) -> Gaussians:
@@ -104,7 +95,7 @@ def read_gaussians_ply(path: Path) -> Gaussians:
     SarsplatError
         If the file is missing, damaged, truncated, no 3DGS file, or holds values outside their range.
     """
-    columns, comments = _read(Path(path))
+    columns, comments = read_ply(Path(path))
     ours = _VERSION in comments
     foreign = next((line for line in comments if line.startswith("sarsplat gaussians") and not ours), None)
     if foreign is not None:
@@ -173,7 +164,7 @@ def write_points_ply(path: Path, points: Real[np.ndarray, "p 3"], /, **columns: 
     for name, column in table.items():
         if not np.isfinite(column).all():
             raise SarsplatError(f"the column {name!r} of the points holds NaN or an infinity; leave such points out")
-    _write(path, table, ["sarsplat points 1"])
+    write_ply(path, table, ["sarsplat points 1"])
 
 
 def read_points_ply(path: Path) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]]:
@@ -191,7 +182,7 @@ def read_points_ply(path: Path) -> tuple[Float32[np.ndarray, "p 3"], dict[str, R
     SarsplatError
         If the file is missing, damaged or truncated, has no x, y, z, or a point is farther than 10⁹ m from the origin.
     """
-    columns, _ = _read(Path(path))
+    columns, _ = read_ply(Path(path))
     points = _stack(path, columns, ["x", "y", "z"])
     if (farthest := np.abs(points).max(initial=0)) > _FARTHEST:
         raise SarsplatError(f"{path} holds a point {farthest:.3g} m from the origin; make it again, in metres")
@@ -263,60 +254,3 @@ def _as_harmonics(gaussians: Gaussians) -> Float[np.ndarray, "n k"]:
         excess = (gaussians.to("cpu").to(torch.float64).gamma0(u) - law.p_min).clamp(min=1e-6)
     raw = torch.log(torch.expm1(excess))  # softplus undone
     return torch.linalg.lstsq(harmonic_basis(u, 3), raw).solution.T.numpy().astype(np.float32)
-
-
-def _write(path: Path, columns: dict[str, np.ndarray], comments: list[str]) -> None:
-    count = len(next(iter(columns.values())))
-    table = np.empty(count, dtype=[(name, "<f4") for name in columns])
-    for name, column in columns.items():
-        table[name] = column
-    # PLY comments are single lines of ASCII.
-    lines = [line.encode("ascii", "backslashreplace").decode() for text in comments for line in text.splitlines()]
-    buffer = io.BytesIO()
-    PlyData([PlyElement.describe(table, "vertex")], byte_order="<", comments=lines).write(buffer)
-    write_bytes(Path(path), buffer.getvalue())
-
-
-def _read(path: Path) -> tuple[dict[str, np.ndarray], list[str]]:
-    """The vertex columns, float32 [P], and the header's comments."""
-    try:
-        with open_file(path) as file:
-            start = file.read(_LONGEST_HEADER)
-            _check_size(path, start, file.seek(0, 2))
-            file.seek(0)
-            ply = PlyData.read(file)  # mapped into memory: without, plyfile reads row by row
-        table = ply["vertex"].data
-        with np.errstate(over="ignore"):
-            return {name: table[name].astype(np.float32) for name in table.dtype.names}, list(ply.comments)
-    except (PlyParseError, ValueError, KeyError, TypeError) as error:
-        raise SarsplatError(f"{path} is a damaged PLY ({shown(str(error))}); make it again") from error
-
-
-def _check_size(path: Path, start: bytes, length: int) -> None:
-    """Believe the header's counts only if the file, of `length` bytes, is as long: plyfile allocates by them.
-
-    It must see the same lines as we do here, so the header may hold nothing but printable ASCII.
-    """
-    header, end, _ = start.partition(b"\nend_header\n")
-    if not header.startswith(b"ply\n") or not end:
-        raise SarsplatError(f"{path} is not a PLY file; give one made by `sarsplat export` or a 3DGS program")
-    if not re.fullmatch(rb"[\n\t -~]*", header):
-        raise SarsplatError(f"{path} has a PLY header that is not plain ASCII text with LF line ends; make it again")
-    size, count = len(header) + len(end), 0
-    for words in (line.split() for line in header.decode("ascii").split("\n")):
-        match words:
-            case ["format", kind, *_] if kind != "binary_little_endian":
-                raise SarsplatError(f"{path} is a PLY in {kind[:30]} format; only binary_little_endian is read")
-            case ["element", _, number] if re.fullmatch(r"[0-9]{1,12}", number):
-                count = int(number)
-            case ["element", *_]:
-                raise SarsplatError(f"{path} has a garbled element in its PLY header; make it again")
-            case ["property", kind, _] if kind in _BYTES:
-                size += count * _BYTES[kind]
-            case ["property", *_]:
-                raise SarsplatError(
-                    f"{path} has properties {' '.join(words)[:40]!r}: it is a mesh, not points or Gaussians"
-                )
-    if size != length:
-        state = "is truncated" if length < size else "is too long"
-        raise SarsplatError(f"{path} {state}: {length} bytes where its header asks for {size}; make it again")

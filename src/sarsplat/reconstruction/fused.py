@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from sarsplat.reconstruction.adam import BETA1, BETA2, EPSILON, Stepped
-from sarsplat.renderer import cpu
+from sarsplat.renderer import cpu, structs
 
 
 def takes(tensors: Iterable[Tensor]) -> bool:
@@ -27,7 +27,9 @@ class AmplitudeLoss(torch.autograd.Function):
         power, truth = power.contiguous(), truth.contiguous()
         value, gradient = power.new_empty(()), torch.empty_like(power)
         pointers = (tensor.data_ptr() for tensor in (power, truth, window))
-        cpu.Pass().amplitude_loss(cpu.Loss(*power.shape, *pointers, *numbers, value.data_ptr(), gradient.data_ptr()))
+        cpu.Pass().amplitude_loss(
+            structs.Loss(*power.shape, *pointers, *numbers, value.data_ptr(), gradient.data_ptr())
+        )
         ctx.save_for_backward(gradient)
         return value
 
@@ -44,7 +46,7 @@ class Adam:
 
     def __init__(self, tensors: Sequence[Stepped]) -> None:
         self._tensors = tensors  # kept alive: the engine has their addresses only
-        self._groups = (cpu.AdamGroup * len(tensors))()
+        self._groups = (structs.AdamGroup * len(tensors))()
         for group, tensor in zip(self._groups, tensors):
             group.value, group.mean, group.square = (t.data_ptr() for t in (tensor.value, tensor.mean, tensor.square))
             columns = len(tensor.rates)
@@ -60,6 +62,6 @@ class Adam:
         for group, gradient, decay in zip(self._groups, gradients, decays, strict=True):
             group.gradient, group.decay = gradient.data_ptr(), decay
         powers = BETA1**count, BETA2**count
-        cpu.adam(cpu.AdamStep(self._groups, len(self._groups), BETA1, BETA2, EPSILON, *powers))
+        cpu.adam(structs.AdamStep(self._groups, len(self._groups), BETA1, BETA2, EPSILON, *powers))
         # the engine wrote behind torch's back: whoever kept the old values for a backward pass is told
         torch.autograd.graph.increment_version([tensor.value for tensor in self._tensors])

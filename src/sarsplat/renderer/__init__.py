@@ -12,10 +12,23 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.checks import ENGINES, check_for_reference, check_options, check_shapes, check_values
 from sarsplat.renderer.engine import choose_engine, engine_for, render_with
+from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
 from sarsplat.renderer.reference import render_reference
 from sarsplat.renderer.rendering import RayMap, Rendering
+from sarsplat.renderer.steps import attenuate, project, splat
 
-__all__ = ["ENGINES", "RayMap", "Rendering", "render"]
+__all__ = [
+    "ENGINES",
+    "Attenuation",
+    "Footprints",
+    "Projection",
+    "RayMap",
+    "Rendering",
+    "attenuate",
+    "project",
+    "render",
+    "splat",
+]
 
 
 def render(
@@ -90,7 +103,12 @@ def render(
     """
     rays = rays or RayGrid.for_image(grid)
     views = views if isinstance(views, View) else tuple(views)
-    check_options(imaging_weight, first_return_depth, engine, instruction_set)
+    check_options(
+        imaging_weight=imaging_weight,
+        first_return_depth=first_return_depth,
+        engine=engine,
+        instruction_set=instruction_set,
+    )
     check_shapes(gaussians, views, gamma0, shift, gain)
     if engine == "auto":
         engine = choose_engine(gaussians.means.dtype, gaussians.means.device.type)
@@ -111,7 +129,7 @@ def render(
         )
     if plane_gradients:
         raise SarsplatError("plane_gradients=True needs engine='cpu' or 'cuda'; the reference has autograd instead")
-    check_for_reference(gaussians.means.dtype)
+    check_for_reference("means", gaussians.means.dtype)
     check_values(tensors)
     return render_reference(
         gaussians,

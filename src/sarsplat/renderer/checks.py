@@ -32,8 +32,24 @@ ALLOWED = {
     "gamma0": f"finite, at most {_STRONG:g}",
     "shift": f"finite metres, at most {_FAR:g}",
     "gain": f"finite, at most {_STRONG:g}",
+    "centers": f"finite metres, at most {2 * _FAR:g}",
+    "roots": "finite, at most 1e8 per metre, and the first and the last of the three at least 1e-8 per metre",
+    "range_m": f"finite metres, at most {2 * _FAR:g}",
+    "tilt": f"finite, at most {_STRONG:g}",
+    "amplitudes": f"finite, at most {_STRONG:g}",
 }
 """What each tensor must be."""
+
+_FLATTEST, _STEEPEST = 1e-8, 1e8
+_STEP_LIMITS = {
+    "centers": (-2 * _FAR, 2 * _FAR),  # a mean and a shift
+    "roots": (-_STEEPEST, _STEEPEST),
+    "optical_depth": (0.0, MAX_OPTICAL_DEPTH * (1 + 1e-6)),
+    "range_m": (-2 * _FAR, 2 * _FAR),
+    "tilt": (-_STRONG, _STRONG),
+    "amplitudes": (-_STRONG, _STRONG),
+}
+"""Of footprints and amplitudes; the CPU engine has the same."""
 
 _MOST_PIXELS = 32_767
 """Of an image's side, on the CPU engine; 4,096 is the largest that was measured."""
@@ -70,7 +86,13 @@ def check_shapes(
             )
 
 
-def check_options(imaging_weight: str, first_return_depth: float | None, engine: str, instruction_set: str) -> None:
+def check_options(
+    *,
+    imaging_weight: str = "area",
+    first_return_depth: float | None = None,
+    engine: str = "auto",
+    instruction_set: str = "auto",
+) -> None:
     """Words and numbers that are not among the choices."""
     choices = {
         "engine": (engine, ENGINES),
@@ -84,9 +106,9 @@ def check_options(imaging_weight: str, first_return_depth: float | None, engine:
         raise SarsplatError(f"first_return_depth {first_return_depth} must be a positive two-way optical depth")
 
 
-def check_for_cpu(grid: ImageGrid, tensors: dict[str, Tensor | None]) -> None:
+def check_for_cpu(grid: ImageGrid | None, tensors: dict[str, Tensor | None]) -> None:
     """What the CPU engine does not take."""
-    if max(grid.rows, grid.columns) > _MOST_PIXELS:
+    if grid is not None and max(grid.rows, grid.columns) > _MOST_PIXELS:
         raise SarsplatError(
             f"an image of {grid.rows} × {grid.columns} pixels is too large for the CPU engine; "
             f"render parts of at most {_MOST_PIXELS} pixels a side by moving the grid's center"
@@ -101,7 +123,7 @@ def check_for_cpu(grid: ImageGrid, tensors: dict[str, Tensor | None]) -> None:
 
 def check_for_cuda(tensors: dict[str, Tensor | None]) -> int:
     """What the CUDA engine does not take; returns the number of the GPU."""
-    where = tensors["means"].device  # type: ignore[union-attr]
+    first, where = next((name, tensor.device) for name, tensor in tensors.items() if tensor is not None)
     for name, tensor in tensors.items():
         if tensor is not None and (tensor.dtype != torch.float32 or tensor.device.type != "cuda"):
             raise SarsplatError(
@@ -109,14 +131,14 @@ def check_for_cuda(tensors: dict[str, Tensor | None]) -> int:
                 "(move it with .to('cuda'), or use engine='cpu')"
             )
         if tensor is not None and tensor.device != where:
-            raise SarsplatError(f"{name} is on {tensor.device} but means is on {where}; put them on one GPU")
+            raise SarsplatError(f"{name} is on {tensor.device} but {first} is on {where}; put them on one GPU")
     return where.index
 
 
-def check_for_reference(dtype: torch.dtype) -> None:
+def check_for_reference(name: str, dtype: torch.dtype) -> None:
     """What the reference does not take."""
     if dtype not in (torch.float32, torch.float64):
-        raise SarsplatError(f"means is {dtype}, too coarse for the reference; use torch.float64 or torch.float32")
+        raise SarsplatError(f"{name} is {dtype}, too coarse for the reference; use torch.float64 or torch.float32")
 
 
 def check_values(tensors: dict[str, Tensor | None]) -> None:
@@ -137,6 +159,28 @@ def check_values(tensors: dict[str, Tensor | None]) -> None:
             raise SarsplatError(complaint(name, tensor, int((~good).nonzero()[0, 0])))
 
 
+def check_step_values(tensors: dict[str, Tensor | None]) -> None:
+    """Values of footprints [V, N, ...] out of range, named with their index."""
+    for name, tensor in tensors.items():
+        if tensor is None:
+            continue
+        kind = name.rpartition(".")[2]
+        low, high = _STEP_LIMITS[kind]
+        good = (tensor >= low) & (tensor <= high)
+        if kind == "roots":
+            good &= tensor[..., [0, 0, 2]] >= _FLATTEST  # a and c
+        good = good.reshape(*tensor.shape[:2], -1).all(-1).flatten()
+        if not bool(good.all()):
+            raise SarsplatError(complaint_by_view(name, tensor, int((~good).nonzero()[0])))
+
+
 def complaint(name: str, tensor: Tensor, index: int) -> str:
     """The sentence for one bad row."""
     return f"{name}[{index}] is {tensor[index].tolist()}; it must be {ALLOWED[name]}"
+
+
+def complaint_by_view(name: str, tensor: Tensor, index: int) -> str:
+    """The sentence for one bad row of a tensor [V, N, ...], counted over both."""
+    view, gaussian = divmod(index, tensor.shape[1])
+    allowed = ALLOWED[name.rpartition(".")[2]]
+    return f"{name}[{view}, {gaussian}] is {tensor[view, gaussian].tolist()}; it must be {allowed}"

@@ -1,4 +1,4 @@
-"""A thin loader of the CPU engine: ctypes mirrors of `csrc/api.h`, and nothing of Gaussians or views."""
+"""A thin loader of the CPU engine; it knows arrays, and nothing of Gaussians or views."""
 
 from __future__ import annotations
 
@@ -7,11 +7,24 @@ import sys
 from ctypes import POINTER, c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from sarsplat.errors import SarsplatError
 from sarsplat.renderer.checks import INSTRUCTION_SETS
+from sarsplat.renderer.structs import (
+    AdamStep,
+    Channels,
+    Gradients,
+    Lattice,
+    Loss,
+    Outputs,
+    Problem,
+    Projection,
+    Statistics,
+    check_layouts,
+)
 
 LIBRARY = Path(__file__).with_name("_engine.dll" if sys.platform == "win32" else "_engine.so")
 """The compiled engine."""
@@ -19,65 +32,11 @@ LIBRARY = Path(__file__).with_name("_engine.dll" if sys.platform == "win32" else
 _TORCH = {"win32": "torch_cpu.dll", "darwin": "libtorch_cpu.dylib"}.get(sys.platform, "libtorch_cpu.so")
 
 _INPUTS = ("means", "quaternions", "scales", "optical_depth", "scattering", "gamma0", "shift")
-FAULTS = ("", *_INPUTS, "lattice", "memory")
+_FOOTPRINTS = ("centers", "roots", "optical_depth", "range_m", "tilt", "amplitudes")
+FAULTS = ("", *_INPUTS, "lattice", "memory", *_FOOTPRINTS)
 """What a pass can reject, by status code."""
 
 _NO_MEMORY = "the memory of this machine does not suffice for the rendering; take fewer views at a time or coarser rays"
-
-
-def _struct(name: str, *fields: tuple[str, type]) -> type[ctypes.Structure]:
-    return type(name, (ctypes.Structure,), {"_fields_": list(fields)})
-
-
-_PAIR = c_float * 2
-Problem = _struct(
-    "Problem",
-    *((name, c_int32) for name in ("peak", "views", "gaussians", "coefficients", "rows", "columns")),
-    *((name, c_void_p) for name in ("means", "quaternions", "scales", "kappa", "harmonics", "gamma0")),
-    *((name, c_void_p) for name in ("frames", "basis", "shift")),
-    ("p_min", c_float),
-    *((name, _PAIR) for name in ("pixel", "center", "response_var", "ray")),
-    *((name, c_float) for name in ("cell_widening", "min_ray_depth", "min_transmittance", "image_cut")),
-    *((name, c_float) for name in ("min_scale", "max_depth")),
-)
-Outputs = _struct("Outputs", *((name, c_void_p) for name in ("images", "cross_sections", "lit_area")))
-Gradients = _struct(
-    "Gradients",
-    *((name, c_void_p) for name in ("images", "cross_sections", "transmittance")),
-    *((name, c_void_p) for name in ("means", "quaternions", "scales", "kappa", "harmonics", "gamma0")),
-    *((name, c_void_p) for name in ("shift", "planes")),
-)
-Lattice = _struct("Lattice", ("k0x", c_int64), ("k0y", c_int64), ("rows", c_int32), ("columns", c_int32))
-Statistics = _struct(
-    "Statistics",
-    *((f"{what}_{plane}", c_int64) for plane in ("attenuation", "imaging") for what in ("blocks", "live")),
-    ("lanes", c_int64),
-)
-
-
-Loss = _struct(
-    "Loss",
-    *((name, c_int32) for name in ("views", "rows", "columns")),
-    *((name, c_void_p) for name in ("power", "truth", "window")),
-    *((name, c_float) for name in ("reference", "floor", "ssim_weight", "c1", "c2")),
-    *((name, c_void_p) for name in ("loss", "gradient")),
-)
-_COLUMNS = c_float * 16
-AdamGroup = _struct(
-    "AdamGroup",
-    *((name, c_void_p) for name in ("value", "gradient", "mean", "square")),
-    ("rows", c_int64),
-    ("columns", c_int32),
-    ("logarithmic", c_int32),
-    ("decay", c_float),
-    *((name, _COLUMNS) for name in ("rate", "low", "high")),
-)
-AdamStep = _struct(
-    "AdamStep",
-    ("groups", POINTER(AdamGroup)),
-    ("count", c_int32),
-    *((name, c_float) for name in ("beta1", "beta2", "epsilon", "beta1_power", "beta2_power")),
-)
 
 
 @cache
@@ -95,6 +54,7 @@ def library() -> ctypes.CDLL:
         raise SarsplatError(
             f"the CPU engine cannot be loaded ({error}); reinstall with `pip install .`, or use engine='reference'"
         ) from error
+    check_layouts(lib)
     lib.sg_create.restype = c_void_p
     lib.sg_create.argtypes = [c_int32]
     lib.sg_destroy.argtypes = [c_void_p]
@@ -102,6 +62,22 @@ def library() -> ctypes.CDLL:
     lib.sg_backward.argtypes = [c_void_p, POINTER(Problem), POINTER(Gradients)]
     lib.sg_get_lattice.argtypes = [c_void_p, c_int32, POINTER(Lattice)]
     lib.sg_trace.argtypes = [c_void_p, POINTER(Problem), c_int32, c_float, c_void_p, c_void_p]
+    lib.sg_project.argtypes = [c_void_p, POINTER(Problem), POINTER(Projection), POINTER(c_int64)]
+    lib.sg_project_backward.argtypes = [c_void_p, POINTER(Problem), POINTER(Projection), POINTER(Gradients)]
+    lib.sg_attenuate.argtypes = [c_void_p, POINTER(Problem), POINTER(Projection), c_void_p, POINTER(c_int64)]
+    lib.sg_attenuate_backward.argtypes = [c_void_p, POINTER(Problem), c_void_p, c_void_p, POINTER(Projection)]
+    lib.sg_trace_step.argtypes = [
+        *(c_void_p, POINTER(Problem), POINTER(Projection)),
+        *(c_int32, c_float, c_void_p, c_void_p),
+    ]
+    lib.sg_splat.argtypes = [
+        *(c_void_p, POINTER(Problem), POINTER(Projection), POINTER(Channels)),
+        *(c_void_p, POINTER(c_int64)),
+    ]
+    lib.sg_splat_backward.argtypes = [
+        *(c_void_p, POINTER(Problem), POINTER(Channels)),
+        *(c_void_p, POINTER(Projection), c_void_p),
+    ]
     lib.sg_get_statistics.argtypes = [c_void_p, POINTER(Problem), POINTER(Statistics)]
     lib.sg_amplitude_loss.argtypes = [c_void_p, POINTER(Loss)]
     lib.sg_adam.argtypes = [c_int32, POINTER(AdamStep)]
@@ -173,11 +149,7 @@ class Pass:
         SarsplatError
             If there is not enough memory, here and below.
         """
-        culprit = c_int64(-1)
-        self._library.sg_set_threads(torch.get_num_threads())
-        status = self._library.sg_forward(self._handle, problem, outputs, culprit)
-        _require_memory(status)
-        return FAULTS[status], culprit.value
+        return self._run(self._library.sg_forward, problem, outputs)
 
     def backward(self, problem: ctypes.Structure, gradients: ctypes.Structure) -> None:
         """Run the adjoint of the last forward pass."""
@@ -199,6 +171,71 @@ class Pass:
         """Fill T_end and the first-return range of a view's rays."""
         status = self._library.sg_trace(self._handle, problem, view, depth, transmittance, first_return)
         _require_memory(status)
+
+    def project(self, problem: ctypes.Structure, out: ctypes.Structure) -> tuple[str, int]:
+        """Gaussians to footprints, alone; returns as `forward` does."""
+        return self._run(self._library.sg_project, problem, out)
+
+    def project_backward(self, problem: ctypes.Structure, seeds: ctypes.Structure, gradients: ctypes.Structure) -> None:
+        """The adjoint of `project`, which keeps nothing: of any problem."""
+        self._library.sg_set_threads(torch.get_num_threads())
+        _require_memory(self._library.sg_project_backward(self._handle, problem, seeds, gradients))
+
+    def attenuate(self, problem: ctypes.Structure, footprints: ctypes.Structure, lit_area: int) -> tuple[str, int]:
+        """Footprints on rays to lit areas, alone; returns as `forward` does."""
+        return self._run(self._library.sg_attenuate, problem, footprints, lit_area)
+
+    def attenuate_backward(
+        self,
+        problem: ctypes.Structure,
+        d_lit_area: int | None,
+        d_transmittance: int | None,
+        gradients: ctypes.Structure,
+    ) -> None:
+        """The adjoint of the last `attenuate`."""
+        self._library.sg_set_threads(torch.get_num_threads())
+        arguments = problem, d_lit_area, d_transmittance, gradients
+        _require_memory(self._library.sg_attenuate_backward(self._handle, *arguments))
+
+    def trace_step(
+        self,
+        problem: ctypes.Structure,
+        footprints: ctypes.Structure,
+        view: int,
+        depth: float,
+        transmittance: int,
+        first_return: int,
+    ) -> None:
+        """As `trace`, after `attenuate`."""
+        arguments = problem, footprints, view, depth, transmittance, first_return
+        _require_memory(self._library.sg_trace_step(self._handle, *arguments))
+
+    def splat(
+        self, problem: ctypes.Structure, footprints: ctypes.Structure, channels: ctypes.Structure, images: int
+    ) -> tuple[str, int]:
+        """Amplitudes to images, alone; returns as `forward` does."""
+        return self._run(self._library.sg_splat, problem, footprints, channels, images)
+
+    def splat_backward(
+        self,
+        problem: ctypes.Structure,
+        channels: ctypes.Structure,
+        d_images: int,
+        gradients: ctypes.Structure,
+        d_amplitudes: int,
+    ) -> None:
+        """The adjoint of the last `splat`."""
+        self._library.sg_set_threads(torch.get_num_threads())
+        arguments = problem, channels, d_images, gradients, d_amplitudes
+        _require_memory(self._library.sg_splat_backward(self._handle, *arguments))
+
+    def _run(self, function: Any, *arguments: object) -> tuple[str, int]:
+        """A step forward: its status, and the index of what it rejects."""
+        culprit = c_int64(-1)
+        self._library.sg_set_threads(torch.get_num_threads())
+        status = function(self._handle, *arguments, culprit)
+        _require_memory(status)
+        return FAULTS[status], culprit.value
 
     def statistics(self, problem: ctypes.Structure) -> ctypes.Structure:
         """Visited blocks and live lanes of the last forward pass."""

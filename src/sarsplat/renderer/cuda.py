@@ -13,11 +13,14 @@ import torch
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.renderer.cpu import FAULTS, Lattice
+from sarsplat.renderer.cpu import FAULTS
+from sarsplat.renderer.structs import Lattice
 
 # of csrc/cuda_state.cuh
 _THREADS, _WARPS, _TILE = 256, 8, 16
 _SPLAT_FLOATS = 8
+_TOGETHER = 4
+"""Channels to a launch, of csrc/cuda_steps.cuh."""
 
 _MOST_SIDE, _MOST_RAYS = 131_068, 1 << 28
 """Of a view's ray lattice, as on the CPU engine."""
@@ -65,6 +68,7 @@ class Pass:
         self._launcher = launcher
         self._state = _State()
         self._arrays: dict[str, Tensor] = {}
+        self._pairs = 0
         self._lattices: list[tuple[int, int, int, int]] = []
         self._rays: list[ctypes.Structure] = []
 
@@ -76,40 +80,18 @@ class Pass:
         SarsplatError
             If there is not enough memory, here and below.
         """
-        views, n = problem.views, problem.gaussians
-        pairs, state = views * n, self._state
-        if pairs >= _MOST_PAIRS:
-            raise SarsplatError(f"{views} views of {n} Gaussians are too many at a time; take fewer views at a time")
+        state = self._state
         try:
-            minima = self._new("minima", 1 + 4 * views, dtype=torch.int64).fill_(-1)
-            state.minima = minima.data_ptr()
-            for name, plane in (("rays", state.rays), ("pixels", state.pixels)):
-                plane.splats = self._new(f"{name} splats", pairs, _SPLAT_FLOATS).data_ptr()
-                plane.reach = self._new(f"{name} reach", pairs, 2).data_ptr()
-            self._fill(gamma0=(pairs,), slope=(pairs, 2), weight=(pairs,))
+            bounds = self._begin(problem)
+            self._new_plane("rays", state.rays, problem)
+            self._new_plane("pixels", state.pixels, problem)
+            self._fill(gamma0=(self._pairs,), slope=(self._pairs, 2), weight=(self._pairs,))
             self._over_pairs("project_gaussians", problem, problem, state)
-            fault, *bounds = minima.tolist()
-            if fault >= 0:
-                return FAULTS[fault >> 56], fault & (1 << 56) - 1
-            self._lattices = [_lattice(bounds[4 * v : 4 * v + 4]) for v in range(views)]
-            for v, (_, _, rows, columns) in enumerate(self._lattices):
-                if max(rows, columns) > _MOST_SIDE or rows * columns > _MOST_RAYS:
-                    return "lattice", v
-            self._rays = _cut_into_tiles(self._lattices, 0.5)
-            pixels = _cut_into_tiles([(0, 0, problem.rows, problem.columns)] * views, 0.0)
-            rays, tiles = _total(self._rays)
-            counted = (
-                self._count("rays", state.rays, self._rays, problem),
-                self._count("pixels", state.pixels, pixels, problem),
-            )
-            slots, pixel_slots = torch.stack(counted).tolist()
-            self._list("rays", state.rays, slots, tiles, problem, by_depth=True)
-            self._list("pixels", state.pixels, pixel_slots, _total(pixels)[1], problem, by_depth=False)
-            self._fill(transmittance=(rays,))
-            self._fill(torch.int32, last=(rays,))
-            self._fill(slot_weights=(slots,))
-            self._arrays["slot_weights"].zero_()  # of tiles whose rays have all stopped
-            self._launch("attenuate_tiles", tiles, problem, state)
+            if (fault := self._place_lattices(bounds)) is not None:
+                return fault
+            pixels = self._pixels(problem)
+            self._arrange(problem, {"rays": self._rays, "pixels": pixels})
+            self._attenuate(problem)
             self._over_pairs("illuminate", problem, problem, state, outputs)
             self._launch("image_tiles", _total(pixels)[1], problem, state, c_void_p(outputs.images))
         except torch.OutOfMemoryError as error:
@@ -148,6 +130,159 @@ class Pass:
             *(problem, self._state, c_int32(rays.first_tile), c_float(depth)),
             *(c_void_p(transmittance), c_void_p(first_return)),
         )
+
+    # ---- one step alone
+    def project(self, problem: ctypes.Structure, out: ctypes.Structure) -> tuple[str, int]:
+        """Gaussians to footprints, alone; returns as `forward` does."""
+        try:
+            faults = self._begin(problem)
+            self._over_pairs("write_projections", problem, problem, self._state, out)
+        except torch.OutOfMemoryError as error:
+            raise _no_memory(self._launcher.device) from error
+        return _fault(faults.tolist()[0])
+
+    def project_backward(self, problem: ctypes.Structure, seeds: ctypes.Structure, gradients: ctypes.Structure) -> None:
+        """The adjoint of `project`, which keeps nothing: of any problem."""
+        try:
+            self._fill(planes=(problem.views * problem.gaussians, 4))
+        except torch.OutOfMemoryError as error:
+            raise _no_memory(self._launcher.device) from error
+        blocks = -(-problem.gaussians // _THREADS)
+        self._launch("differentiate_projections", blocks, problem, self._state, seeds, gradients)
+        self._launch("sum_shift", problem.views, problem, self._state, c_void_p(gradients.shift))
+        del self._arrays["planes"]
+
+    def attenuate(self, problem: ctypes.Structure, footprints: ctypes.Structure, lit_area: int) -> tuple[str, int]:
+        """Footprints on rays to lit areas, alone; returns as `forward` does."""
+        try:
+            bounds = self._begin(problem)
+            self._new_plane("rays", self._state.rays, problem)
+            self._fill(slope=(self._pairs, 2))
+            self._over_pairs("place_rays", problem, problem, self._state, footprints)
+            if (fault := self._place_lattices(bounds)) is not None:
+                return fault
+            self._arrange(problem, {"rays": self._rays})
+            self._attenuate(problem)
+            self._over_pairs("write_lit_areas", problem, problem, self._state, c_void_p(lit_area))
+        except torch.OutOfMemoryError as error:
+            raise _no_memory(self._launcher.device) from error
+        return "", -1
+
+    def attenuate_backward(
+        self,
+        problem: ctypes.Structure,
+        d_lit_area: int | None,
+        d_transmittance: int | None,
+        gradients: ctypes.Structure,
+    ) -> None:
+        """The adjoint of the last `attenuate`."""
+        try:
+            self._fill(h=(self._pairs,), slot_moments=(len(self._arrays["slot_weights"]), 6))
+        except torch.OutOfMemoryError as error:
+            raise _no_memory(self._launcher.device) from error
+        self._arrays["slot_moments"].zero_()  # of tiles whose rays have all stopped
+        self._over_pairs("seed_weights", problem, problem, self._state, c_void_p(d_lit_area))
+        tiles = _total(self._rays)[1]
+        self._launch("attenuate_tiles_backward", tiles, problem, self._state, c_void_p(d_transmittance))
+        self._over_pairs("write_ray_gradients", problem, problem, self._state, gradients)
+        for name in ("h", "slot_moments"):
+            del self._arrays[name]
+
+    def trace_step(
+        self,
+        problem: ctypes.Structure,
+        footprints: ctypes.Structure,
+        view: int,
+        depth: float,
+        transmittance: int,
+        first_return: int,
+    ) -> None:
+        """As `trace`, after `attenuate`, which has read the footprints."""
+        self.trace(problem, view, depth, transmittance, first_return)
+
+    def splat(
+        self, problem: ctypes.Structure, footprints: ctypes.Structure, channels: ctypes.Structure, images: int
+    ) -> tuple[str, int]:
+        """Amplitudes to images, alone; returns as `forward` does."""
+        try:
+            faults = self._begin(problem)
+            self._new_plane("pixels", self._state.pixels, problem)
+            self._over_pairs("place_pixels", problem, problem, self._state, footprints, channels)
+            if (status := faults.tolist()[0]) >= 0:
+                return _fault(status)
+            pixels = self._pixels(problem)
+            self._arrange(problem, {"pixels": pixels})
+        except torch.OutOfMemoryError as error:
+            raise _no_memory(self._launcher.device) from error
+        for first in range(0, channels.count, _TOGETHER):
+            arguments = channels, c_int32(first), c_void_p(images)
+            self._launch("image_channels", _total(pixels)[1], problem, self._state, *arguments)
+        return "", -1
+
+    def splat_backward(
+        self,
+        problem: ctypes.Structure,
+        channels: ctypes.Structure,
+        d_images: int,
+        gradients: ctypes.Structure,
+        d_amplitudes: int,
+    ) -> None:
+        """The adjoint of the last `splat`."""
+        try:
+            self._fill(pixel_moments=(self._pairs, 6))
+        except torch.OutOfMemoryError as error:
+            raise _no_memory(self._launcher.device) from error
+        for first in range(0, channels.count, _TOGETHER):
+            arguments = channels, c_int32(first), c_void_p(d_images), c_void_p(d_amplitudes)
+            self._launch("image_channels_backward", -(-self._pairs // _WARPS), problem, self._state, *arguments)
+        self._over_pairs("write_pixel_gradients", problem, problem, self._state, gradients)
+        del self._arrays["pixel_moments"]
+
+    # ---- what they are made of
+    def _begin(self, problem: ctypes.Structure) -> Tensor:
+        """The first fault, and the bounds of the footprints on rays: none yet."""
+        views, n = problem.views, problem.gaussians
+        self._pairs = views * n
+        if self._pairs >= _MOST_PAIRS:
+            raise SarsplatError(f"{views} views of {n} Gaussians are too many at a time; take fewer views at a time")
+        minima = self._new("minima", 1 + 4 * views, dtype=torch.int64).fill_(-1)
+        self._state.minima = minima.data_ptr()
+        return minima
+
+    def _new_plane(self, name: str, plane: ctypes.Structure, problem: ctypes.Structure) -> None:
+        plane.splats = self._new(f"{name} splats", self._pairs, _SPLAT_FLOATS).data_ptr()
+        plane.reach = self._new(f"{name} reach", self._pairs, 2).data_ptr()
+
+    def _place_lattices(self, minima: Tensor) -> tuple[str, int] | None:
+        """Rays that hold all footprints; or what was rejected."""
+        fault, *bounds = minima.tolist()
+        if fault >= 0:
+            return _fault(fault)
+        self._lattices = [_lattice(bounds[k : k + 4]) for k in range(0, len(bounds), 4)]
+        for v, (_, _, rows, columns) in enumerate(self._lattices):
+            if max(rows, columns) > _MOST_SIDE or rows * columns > _MOST_RAYS:
+                return "lattice", v
+        self._rays = _cut_into_tiles(self._lattices, 0.5)
+        return None
+
+    def _pixels(self, problem: ctypes.Structure) -> list[ctypes.Structure]:
+        return _cut_into_tiles([(0, 0, problem.rows, problem.columns)] * problem.views, 0.0)
+
+    def _arrange(self, problem: ctypes.Structure, planes: dict[str, list[ctypes.Structure]]) -> None:
+        """List the Gaussians of every tile of these planes: on rays front to back."""
+        counted = [self._count(name, getattr(self._state, name), tiles, problem) for name, tiles in planes.items()]
+        for (name, tiles), slots in zip(planes.items(), torch.stack(counted).tolist(), strict=True):
+            plane = getattr(self._state, name)
+            self._list(name, plane, slots, _total(tiles)[1], problem, by_depth=name == "rays")
+
+    def _attenuate(self, problem: ctypes.Structure) -> None:
+        """Pass A, once the rays are arranged."""
+        rays, tiles = _total(self._rays)
+        self._fill(transmittance=(rays,))
+        self._fill(torch.int32, last=(rays,))
+        self._fill(slot_weights=(len(self._arrays["rays owners"]),))
+        self._arrays["slot_weights"].zero_()  # of tiles whose rays have all stopped
+        self._launch("attenuate_tiles", tiles, problem, self._state)
 
     def _count(
         self, name: str, plane: ctypes.Structure, lattices: Sequence[ctypes.Structure], problem: ctypes.Structure
@@ -200,6 +335,11 @@ def _no_memory(device: torch.device) -> SarsplatError:
     return SarsplatError(
         f"the memory of {device} does not suffice for the rendering; take fewer views at a time or coarser rays"
     )
+
+
+def _fault(code: int) -> tuple[str, int]:
+    """What was rejected, and at which index, from the smallest number that a kernel reported; -1 for nothing."""
+    return ("", -1) if code < 0 else (FAULTS[code >> 56], code & (1 << 56) - 1)
 
 
 def _lattice(bounds: Sequence[int]) -> tuple[int, int, int, int]:

@@ -20,8 +20,8 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians, Harmonics
 from sarsplat.gaussians.harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
-from sarsplat.renderer import cpu, cuda
-from sarsplat.renderer.checks import ALLOWED, check_for_cpu, check_for_cuda, check_values, complaint
+from sarsplat.renderer import cpu, cuda, structs
+from sarsplat.renderer.checks import check_for_cpu, check_for_cuda, check_values, complaint, complaint_by_view
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
 from sarsplat.renderer.cuda_device import device, require_cuda
 from sarsplat.renderer.rendering import RayMap, Rendering
@@ -46,8 +46,42 @@ class Pass(Protocol):
         """Fill T_end and the first-return range of a view's rays."""
         ...
 
+    # one step alone each (structs.Projection between them), and its adjoint
+    def project(self, problem: ctypes.Structure, out: ctypes.Structure) -> tuple[str, int]: ...
+    def project_backward(
+        self, problem: ctypes.Structure, seeds: ctypes.Structure, gradients: ctypes.Structure
+    ) -> None: ...
+    def attenuate(self, problem: ctypes.Structure, footprints: ctypes.Structure, lit_area: int) -> tuple[str, int]: ...
+    def attenuate_backward(
+        self,
+        problem: ctypes.Structure,
+        d_lit_area: int | None,
+        d_transmittance: int | None,
+        gradients: ctypes.Structure,
+    ) -> None: ...
+    def trace_step(
+        self,
+        problem: ctypes.Structure,
+        footprints: ctypes.Structure,
+        view: int,
+        depth: float,
+        transmittance: int,
+        first_return: int,
+    ) -> None: ...
+    def splat(
+        self, problem: ctypes.Structure, footprints: ctypes.Structure, channels: ctypes.Structure, images: int
+    ) -> tuple[str, int]: ...
+    def splat_backward(
+        self,
+        problem: ctypes.Structure,
+        channels: ctypes.Structure,
+        d_images: int,
+        gradients: ctypes.Structure,
+        d_amplitudes: int,
+    ) -> None: ...
 
-_ARRAYS = ("means", "quaternions", "scales", "kappa", "harmonics", "gamma0", "shift")
+
+ARRAYS = ("means", "quaternions", "scales", "kappa", "harmonics", "gamma0", "shift")
 """Inputs by their names in a problem."""
 
 
@@ -74,9 +108,9 @@ def choose_engine(dtype: torch.dtype, device_type: str) -> str:
 
 
 def engine_for(
-    engine: str, instruction_set: str, grid: ImageGrid, tensors: dict[str, Tensor | None]
+    engine: str, instruction_set: str, grid: ImageGrid | None, tensors: dict[str, Tensor | None]
 ) -> Callable[[], Pass]:
-    """What makes the passes of the engine "cpu" or "cuda" over these tensors.
+    """What makes the passes of the engine "cpu" or "cuda" over these tensors, and onto this grid if there is one.
 
     Raises
     ------
@@ -111,8 +145,7 @@ def render_with(
     if gamma0 is None and isinstance(law, Harmonics):
         harmonics = law.parameters  # kernels evaluate these themselves
     elif gamma0 is None:
-        means = gaussians.means
-        gamma0 = gaussians.gamma0(torch.stack([_direction(view, means.dtype, means.device) for view in views]))
+        gamma0 = gaussians.gamma0(directions_to(views, gaussians.means))
     setting = _Setting(
         tuple(views), grid, rays, law.p_min, imaging_weight == "peak", first_return_depth, new_pass, planes
     )
@@ -130,11 +163,11 @@ def render_with(
     if gain is not None:
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
         images = images * gain[:, None, None].expand(-1, 1, grid.columns)
-    ray_maps = _ray_maps(transmittance, first_return, lattices, rays) if first_return_depth is not None else None
+    ray_maps = ray_maps_of(transmittance, first_return, lattices, rays) if first_return_depth is not None else None
     return Rendering(images, cross_sections, lit_area, ray_maps, planes)
 
 
-def _ray_maps(
+def ray_maps_of(
     transmittance: Float[Tensor, " all_rays"],
     first_return: Float[Tensor, " all_rays"],
     lattices: list[tuple[int, int, int, int]],
@@ -166,23 +199,23 @@ class _Render(torch.autograd.Function):
     ) -> tuple[Any, ...]:
         inputs = [t if t is None else t.contiguous() for t in (means, quaternions, scales, kappa, harmonics, gamma0)]
         inputs.append(shift.contiguous())
-        problem, constants = _problem(inputs, setting)
+        problem, constants = problem_of(inputs, setting.views, setting.grid, setting.rays, setting.p_min, setting.peak)
         views, n, grid = len(setting.views), means.shape[0], setting.grid
         images = means.new_empty(views, grid.rows, grid.columns)  # never torch's default dtype or device
         cross_sections, lit_area = means.new_empty(views, n), means.new_empty(views, n)
         kernel = setting.new_pass()
-        outputs = cpu.Outputs(images.data_ptr(), cross_sections.data_ptr(), lit_area.data_ptr())
+        outputs = structs.Outputs(images.data_ptr(), cross_sections.data_ptr(), lit_area.data_ptr())
         fault, index = kernel.forward(problem, outputs)
         if fault:
-            raise SarsplatError(_explain(fault, index, inputs, setting))
+            raise SarsplatError(explain(fault, index, inputs, setting.rays))
         transmittance = first_return = means.new_empty(0)
         lattices: list[tuple[int, int, int, int]] = []
         if setting.first_return_depth is not None:
-            transmittance, first_return, lattices = _trace(
-                kernel, problem, setting.first_return_depth, len(setting.views), means.device
+            transmittance, first_return, lattices = trace_all(
+                kernel, partial(kernel.trace, problem), setting.first_return_depth, len(setting.views), means.device
             )
         ctx.kernel, ctx.problem, ctx.constants, ctx.setting = kernel, problem, constants, setting
-        ctx.shapes = [t if t is None else t.shape for t in inputs]
+        ctx.names, ctx.shapes = ARRAYS, [t if t is None else t.shape for t in inputs]
         ctx.one_at_a_time = threading.Lock()  # the kernel lets go of Python's, and has one set of scratch memory
         ctx.save_for_backward(*inputs)
         ctx.mark_non_differentiable(lit_area, first_return)
@@ -193,34 +226,53 @@ class _Render(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         d_images, d_cross_sections, _, d_transmittance, *_ = grads
-        # also the check that nobody changed them in place; they need not lie where they lay in the forward pass
-        saved = ctx.saved_tensors  # asked for once: what checkpointing recomputes, it hands out once
-        inputs = [t if t is None else t.contiguous() for t in saved]
+        inputs = saved_inputs(ctx)
         setting: _Setting = ctx.setting
-        for name, tensor, shape in zip(_ARRAYS, inputs, ctx.shapes, strict=True):
-            if tensor is not None and tensor.shape != shape:
-                raise SarsplatError(
-                    f"{name} were {tuple(shape)} when they were rendered and are {tuple(tensor.shape)} now; do not "
-                    "replace the data of tensors between rendering and backward"
-                )
         if d_images is None:
-            d_images = saved[0].new_zeros(len(setting.views), setting.grid.rows, setting.grid.columns)
+            d_images = inputs[0].new_zeros(len(setting.views), setting.grid.rows, setting.grid.columns)
         seeds = [t if t is None else t.contiguous() for t in (d_images, d_cross_sections, d_transmittance)]
         results = [None if t is None else torch.empty_like(t) for t in inputs]
-        gradients = cpu.Gradients(*(_pointer(t) for t in (*seeds, *results, setting.planes)))
+        gradients = structs.Gradients(*(pointer(t) for t in (*seeds, *results, setting.planes)))
         with ctx.one_at_a_time:
-            _point_at(ctx.problem, inputs)
+            point_at(ctx.problem, inputs)
             ctx.kernel.backward(ctx.problem, gradients)
         return (*results, None)
 
 
-def _pointer(tensor: Tensor | None) -> int | None:
+def saved_inputs(ctx: Any) -> list[Any]:
+    """The tensors that a forward pass saved, of the shapes they had.
+
+    Also the check that nobody changed them in place; they need not lie where they lay in the forward pass.
+
+    Raises
+    ------
+    SarsplatError
+        If one has another shape now.
+    """
+    saved = ctx.saved_tensors  # asked for once: what checkpointing recomputes, it hands out once
+    inputs = [t if t is None else t.contiguous() for t in saved]
+    for name, tensor, shape in zip(ctx.names, inputs, ctx.shapes, strict=True):
+        if tensor is not None and tensor.shape != shape:
+            raise SarsplatError(
+                f"{name} were {tuple(shape)} when they were rendered and are {tuple(tensor.shape)} now; do not "
+                "replace the data of tensors between rendering and backward"
+            )
+    return inputs
+
+
+def pointer(tensor: Tensor | None) -> int | None:
     return None if tensor is None else tensor.data_ptr()
 
 
-def _point_at(problem: ctypes.Structure, inputs: Sequence[Tensor | None]) -> None:
-    for name, tensor in zip(_ARRAYS, inputs, strict=True):
-        setattr(problem, name, _pointer(tensor))
+def point_at(problem: ctypes.Structure, inputs: Sequence[Tensor | None]) -> None:
+    """Let a problem read these, in the order of `ARRAYS`."""
+    for name, tensor in zip(ARRAYS, inputs, strict=True):
+        setattr(problem, name, pointer(tensor))
+
+
+def directions_to(views: Sequence[View], like: Tensor) -> Float[Tensor, "v 3"]:
+    """Unit vectors towards the radar, of the dtype and on the device of `like`."""
+    return torch.stack([_direction(view, like.dtype, like.device) for view in views])
 
 
 # A training asks for the same few views again and again, and a GPU should not be sent them each time.
@@ -238,27 +290,35 @@ def _frame_and_basis(view: View, degree: int, device: torch.device) -> tuple[Ten
     return frame.float().to(device), basis.float().to(device)
 
 
-def _problem(inputs: Sequence[Tensor | None], setting: _Setting) -> tuple[ctypes.Structure, tuple[Tensor, ...]]:
+def problem_of(
+    inputs: Sequence[Tensor | None],
+    views: Sequence[View],
+    grid: ImageGrid,
+    rays: RayGrid,
+    p_min: float,
+    peak: bool = False,
+) -> tuple[ctypes.Structure, tuple[Tensor, ...]]:
     """The kernel's view of a call, and the tensors it points at that must outlive it."""
     means, harmonics = inputs[0], inputs[4]
     assert means is not None
     degree = 0 if harmonics is None else math.isqrt(harmonics.shape[1]) - 1
-    frames, basis = map(torch.stack, zip(*(_frame_and_basis(view, degree, means.device) for view in setting.views)))
-    grid, rays = setting.grid, setting.rays
-    problem = cpu.Problem(
-        setting.peak,
-        len(setting.views),
-        means.shape[0],
-        0 if harmonics is None else harmonics.shape[1],
-        grid.rows,
-        grid.columns,
-        frames=_pointer(frames),
-        basis=_pointer(basis),
-        p_min=setting.p_min,
-        pixel=grid.spacing_m,
-        center=grid.center_m,
-        response_var=tuple(width**2 / (8 * math.log(2)) for width in grid.resolution_m),
-        ray=rays.spacing_m,
+    by_view = zip(*(_frame_and_basis(view, degree, means.device) for view in views))
+    frames, basis = (torch.stack(part) for part in by_view)
+    problem = new_problem(len(views), len(means), grid=grid, rays=rays, peak=peak)
+    problem.coefficients = 0 if harmonics is None else harmonics.shape[1]
+    problem.frames, problem.basis, problem.p_min = pointer(frames), pointer(basis), p_min
+    point_at(problem, inputs)
+    return problem, (frames, basis)
+
+
+def new_problem(
+    views: int, gaussians: int, *, grid: ImageGrid | None = None, rays: RayGrid | None = None, peak: bool = False
+) -> ctypes.Structure:
+    """The kernel's view of a call, without its arrays; a step alone needs the grid of its plane only."""
+    problem = structs.Problem(
+        peak,
+        views,
+        gaussians,
         cell_widening=CELL_WIDENING,
         min_ray_depth=MIN_RAY_DEPTH,
         min_transmittance=MIN_TRANSMITTANCE,
@@ -266,36 +326,46 @@ def _problem(inputs: Sequence[Tensor | None], setting: _Setting) -> tuple[ctypes
         min_scale=MIN_SCALE * (1 - 1e-6),
         max_depth=MAX_OPTICAL_DEPTH * (1 + 1e-6),
     )
-    _point_at(problem, inputs)
-    return problem, (frames, basis)
+    if grid is not None:
+        problem.rows, problem.columns = grid.rows, grid.columns
+        problem.pixel, problem.center = grid.spacing_m, grid.center_m
+        problem.response_var = tuple(width**2 / (8 * math.log(2)) for width in grid.resolution_m)
+    if rays is not None:
+        problem.ray = rays.spacing_m
+    return problem
 
 
-def _trace(
-    kernel: Pass, problem: ctypes.Structure, depth: float, views: int, device: torch.device
+def trace_all(
+    kernel: Pass, trace: Callable[[int, float, int, int], None], depth: float, views: int, device: torch.device
 ) -> tuple[Float[Tensor, " all_rays"], Float[Tensor, " all_rays"], list[tuple[int, int, int, int]]]:
+    """T_end and first returns of the rays of all views, and (k0x, k0y, rows, columns) of their lattices."""
     lattices = [kernel.lattice(v) for v in range(views)]
     total = sum(lattice.rows * lattice.columns for lattice in lattices)
     transmittance, first_return = torch.empty(2, total, dtype=torch.float32, device=device)
     at = 0
     for v, lattice in enumerate(lattices):
-        kernel.trace(problem, v, depth, transmittance[at:].data_ptr(), first_return[at:].data_ptr())
+        trace(v, depth, transmittance[at:].data_ptr(), first_return[at:].data_ptr())
         at += lattice.rows * lattice.columns
     return transmittance, first_return, [(la.k0x, la.k0y, la.rows, la.columns) for la in lattices]
 
 
-def _explain(fault: str, index: int, inputs: Sequence[Tensor | None], setting: _Setting) -> str:
+def too_many_rays(view: int, rays: RayGrid, reach_m: float, width_m: float) -> str:
+    """The sentence for a lattice that would be too large."""
+    return (
+        f"view {view} would need too many rays at a spacing of {rays.spacing_m} m: the Gaussians reach {reach_m:.4g} m "
+        f"from the scene centre and are up to {width_m:.4g} m wide; remove far and wide ones or take coarser rays"
+    )
+
+
+def explain(fault: str, index: int, inputs: Sequence[Tensor | None], rays: RayGrid) -> str:
+    """The sentence for what a pass over the arrays of `ARRAYS` rejected."""
     if fault == "lattice":
         means, scales = inputs[0], inputs[2]
         assert means is not None
         assert scales is not None
-        return (
-            f"view {index} would need too many rays at a spacing of {setting.rays.spacing_m} m: the Gaussians reach "
-            f"{float(means.abs().max()):.4g} m from the scene centre and are up to {float(scales.max()):.4g} m wide; "
-            "remove far and wide ones or take coarser rays"
-        )
+        return too_many_rays(index, rays, float(means.abs().max()), float(scales.max()))
     tensor = inputs[cpu.FAULTS.index(fault) - 1]
     assert tensor is not None
     if fault == "gamma0":
-        view, gaussian = divmod(index, tensor.shape[1])
-        return f"gamma0[{view}, {gaussian}] is {tensor[view, gaussian].item()}; it must be {ALLOWED[fault]}"
+        return complaint_by_view(fault, tensor, index)
     return complaint(fault, tensor, index)

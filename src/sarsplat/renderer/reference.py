@@ -1,7 +1,7 @@
 """The reference renderer: plain torch, any dtype, equation by equation. It is the judge, not the engine.
 
-Dense: every Gaussian meets every ray and every pixel, so it is meant for small scenes. Numbers in comments are
-sections of the model (docs/conventions.md).
+The three steps one by one, and their composition. Dense: every Gaussian meets every ray and every pixel, so it is meant
+for small scenes. Numbers in comments are sections of the model (docs/conventions.md).
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -18,6 +19,7 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.covariance import covariance
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
+from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
 from sarsplat.renderer.rendering import RayMap, Rendering
 
 _UNCUT_RADIUS = 9.0
@@ -46,61 +48,123 @@ def render_reference(
     is documented at `sarsplat.render`.
     """
     rays = rays or RayGrid.for_image(grid)
-    means = gaussians.means
-    images, cross_sections, lit_areas, ray_maps = [], [], [], []
-    with torch.autocast(means.device.type, enabled=False):  # a judge does not round to 16 bits
-        sigma_world = covariance(gaussians.quaternions, gaussians.scales)
-        for v, view in enumerate(views):
-            frame = torch.as_tensor(radar_frame(view), dtype=means.dtype, device=means.device)
-            mean_r = means @ frame.T  # §1: x_r = R_r x_w
-            cov_r = frame @ sigma_world @ frame.T
-            scattered = gaussians.gamma0(-frame[2:])[0] if gamma0 is None else gamma0[v]  # P(u), §2
-            weight, transmittance, ray_map = _attenuate(
-                mean_r, cov_r, gaussians.optical_depth, rays, cuts, first_return_depth
-            )
-            lit_area = rays.cell_area * weight
-            cross_section = scattered * lit_area  # σ = P A_c Σ w
-            offset = shift[v] if shift is not None else means.new_zeros(2)
-            image = _image(mean_r, cov_r, cross_section, offset, grid, imaging_weight, cuts)
-            images.append(image if gain is None else image * gain[v])
-            cross_sections.append(cross_section)
-            lit_areas.append(lit_area.detach())
-            if ray_map is not None:
-                ray_maps.append(RayMap(transmittance, *ray_map))
+    projection = project_reference(gaussians, views, grid, rays=rays, shift=shift)
+    attenuation = attenuate_reference(projection, rays, first_return_depth=first_return_depth, cuts=cuts)
+    cross_sections = (projection.gamma0 if gamma0 is None else gamma0) * attenuation.lit_area  # σ = P A_c Σ w
+    amplitudes = cross_sections[..., None]
+    images = splat_reference(projection.pixels, amplitudes, grid, imaging_weight=imaging_weight, cuts=cuts)[:, 0]
     return Rendering(
-        torch.stack(images),
-        torch.stack(cross_sections),
-        torch.stack(lit_areas),
-        tuple(ray_maps) if first_return_depth is not None else None,
+        images if gain is None else images * gain[:, None, None],
+        cross_sections,
+        attenuation.lit_area.detach(),
+        attenuation.ray_maps,
     )
 
 
-def _attenuate(
-    mean_r: Float[Tensor, "n 3"],
-    cov_r: Float[Tensor, "n 3 3"],
+def project_reference(
+    gaussians: Gaussians,
+    views: Sequence[View],
+    grid: ImageGrid,
+    *,
+    rays: RayGrid | None = None,
+    shift: Float[Tensor, "v 2"] | None = None,
+) -> Projection:
+    """Project as `sarsplat.project` does."""
+    means = gaussians.means
+    spacing = means.new_tensor((rays or RayGrid.for_image(grid)).spacing_m)
+    response = means.new_tensor(grid.resolution_m) ** 2 / (8 * math.log(2))
+    with torch.autocast(means.device.type, enabled=False):  # a judge does not round to 16 bits
+        frames = torch.from_numpy(np.stack([radar_frame(view) for view in views])).to(means)[:, None]
+        mean = (frames @ means[..., None])[..., 0]  # §1: x_r = R_r x_w, [V, N, 3]
+        cov = frames @ covariance(gaussians.quaternions, gaussians.scales) @ frames.mT  # [V, N, 3, 3]
+        cov_c, cov_i = cov[..., :2, :2], cov[..., ::2, ::2]  # §3: the (x, y) and the (x, z) block
+        widened = cov_c + CELL_WIDENING * torch.diag(spacing**2)  # Σ_C'
+        roots = _roots(widened)
+        kappa = gaussians.optical_depth * (torch.linalg.det(cov_c) / torch.linalg.det(widened)).sqrt()  # κ'
+        centers = mean[..., ::2] if shift is None else mean[..., ::2] + shift[:, None]
+        pixels = Footprints(centers, _roots(cov_i + torch.diag(response)))  # Σ_I'
+        # Σ_C'⁻¹ (Σ_xz, Σ_yz) = Lᵀ L (Σ_xz, Σ_yz)
+        u, v = _whitened(cov[..., :2, 2], roots)
+        a, b, c = roots.unbind(-1)
+        tilt = torch.stack([a * u, b * u + c * v], dim=-1)
+        gamma0 = gaussians.gamma0(-frames[:, 0, 2])  # P(u), §2
+    return Projection(Footprints(mean[..., :2], roots), kappa, mean[..., 2].detach(), tilt.detach(), pixels, gamma0)
+
+
+def attenuate_reference(
+    projection: Projection, rays: RayGrid, *, first_return_depth: float | None = None, cuts: bool = True
+) -> Attenuation:
+    """Attenuate as `sarsplat.attenuate` does; `cuts` as at `render_reference`."""
+    p = projection
+    with torch.autocast(p.optical_depth.device.type, enabled=False):
+        found = [
+            _attenuate_view(*view, rays, cuts, first_return_depth)
+            for view in zip(p.rays.centers, p.rays.roots, p.optical_depth, p.range_m, p.tilt, strict=True)
+        ]
+        lit_area = rays.cell_area * torch.stack([weight for weight, _ in found])
+    return Attenuation(lit_area, None if first_return_depth is None else tuple(ray_map for _, ray_map in found))
+
+
+def splat_reference(
+    footprints: Footprints,
+    amplitudes: Float[Tensor, "v n c"],
+    grid: ImageGrid,
+    *,
+    imaging_weight: str = "area",
+    cuts: bool = True,
+) -> Float[Tensor, "v c {grid.rows} {grid.columns}"]:
+    """Splat as `sarsplat.splat` does; `cuts` as at `render_reference`."""
+    x, r = (torch.from_numpy(axis).to(amplitudes) for axis in (grid.azimuth_m, grid.range_m))
+    pixel = torch.stack(torch.meshgrid(x, r, indexing="xy"), dim=-1)  # [rows, columns, 2]
+    images = []
+    with torch.autocast(amplitudes.device.type, enabled=False):
+        for centers, roots, amplitude in zip(footprints.centers, footprints.roots, amplitudes, strict=True):
+            u, v = _whitened(pixel - centers[:, None, None], roots[:, None, None])
+            q = u**2 + v**2
+            weight = torch.exp(-0.5 * q)
+            if cuts:
+                weight = torch.where(q <= IMAGE_CUT, weight, torch.zeros_like(weight)) / (1 - math.exp(-IMAGE_CUT / 2))
+            if imaging_weight == "area":
+                weight = weight * (roots[:, 0] * roots[:, 2] / (2 * math.pi))[:, None, None]  # 1/(2π √det Σ_I')
+            images.append(torch.einsum("nc,nyx->cyx", amplitude, weight))
+    return torch.stack(images)
+
+
+def _roots(cov: Float[Tensor, "v n 2 2"]) -> Float[Tensor, "v n 3"]:
+    """(a, b, c) of the factor L = (a b; 0 c) of the inverse covariance LᵀL."""
+    xx, xy, yy = cov[..., 0, 0], cov[..., 0, 1], cov[..., 1, 1]
+    a = (yy / (xx * yy - xy**2)).sqrt()
+    return torch.stack([a, -xy / yy * a, yy.rsqrt()], dim=-1)
+
+
+def _whitened(d: Float[Tensor, "*n 2"], roots: Float[Tensor, "*m 3"]) -> tuple[Tensor, Tensor]:
+    """L d."""
+    return roots[..., 0] * d[..., 0] + roots[..., 1] * d[..., 1], roots[..., 2] * d[..., 1]
+
+
+def _attenuate_view(
+    centers: Float[Tensor, "n 2"],
+    roots: Float[Tensor, "n 3"],
     kappa: Float[Tensor, " n"],
+    range_m: Float[Tensor, " n"],
+    tilt: Float[Tensor, "n 2"],
     rays: RayGrid,
     cuts: bool,
     first_return_depth: float | None,
-) -> tuple[
-    Float[Tensor, " n"],
-    Float[Tensor, "rows columns"],
-    tuple[Float[Tensor, "rows columns"], tuple[float, float]] | None,
-]:
-    """Pass A (§3): Σ_ρ w per Gaussian [N], T_end per ray [rows, columns], and the first-return map on request."""
-    spacing = torch.tensor(rays.spacing_m, dtype=mean_r.dtype, device=mean_r.device)
-    mean_c, cov_c = mean_r[:, :2], cov_r[:, :2, :2]
-    widened = cov_c + CELL_WIDENING * torch.diag(spacing**2)  # Σ_C'
-    kappa_ray = kappa * (torch.linalg.det(cov_c) / torch.linalg.det(widened)).sqrt()  # κ'
-    limit = 2 * torch.log(kappa_ray.detach() / MIN_RAY_DEPTH) if cuts else torch.full_like(kappa, _UNCUT_RADIUS**2)
+) -> tuple[Float[Tensor, " n"], RayMap]:
+    """Pass A (§3) of one view: Σ_ρ w per Gaussian [N], and what the rays met."""
+    spacing = torch.tensor(rays.spacing_m, dtype=kappa.dtype, device=kappa.device)
+    limit = 2 * torch.log(kappa.detach() / MIN_RAY_DEPTH) if cuts else torch.full_like(kappa, _UNCUT_RADIUS**2)
     touched = limit >= 0
     if not bool(touched.any()):
-        empty = mean_r.new_ones(0, 0)
-        return 0 * kappa, empty, (empty, (0.0, 0.0)) if first_return_depth is not None else None
+        empty = kappa.new_ones(0, 0)
+        return 0 * kappa, RayMap(empty, empty, (0.0, 0.0))
 
-    radius = (limit.clamp(min=0)[:, None] * torch.diagonal(widened.detach(), dim1=1, dim2=2)).sqrt()
-    low = torch.floor((mean_c.detach() - radius)[touched].amin(0) / spacing).tolist()
-    high = torch.ceil((mean_c.detach() + radius)[touched].amax(0) / spacing).tolist()
+    a, b, c = roots.detach().unbind(-1)
+    deviations = torch.stack([(1 + (b / c) ** 2).sqrt() / a, 1 / c], dim=-1)  # roots of Σ' on its diagonal
+    radius = limit.clamp(min=0).sqrt()[:, None] * deviations
+    low = torch.floor((centers.detach() - radius)[touched].amin(0) / spacing).tolist()
+    high = torch.ceil((centers.detach() + radius)[touched].amax(0) / spacing).tolist()
     pairs = len(kappa) * max(high[0] - low[0], 1) * max(high[1] - low[1], 1)
     if not pairs <= _MOST_PAIRS:  # also catches what overflowed
         raise SarsplatError(
@@ -108,15 +172,15 @@ def _attenuate(
             f"Gaussians and rays, of which it takes {_MOST_PAIRS:.3g}; remove far and wide Gaussians, take coarser "
             "rays, or use engine='cpu'"
         )
-    x = (torch.arange(low[0], high[0], dtype=mean_r.dtype) + 0.5).to(spacing.device) * spacing[0]
-    y = (torch.arange(low[1], high[1], dtype=mean_r.dtype) + 0.5).to(spacing.device) * spacing[1]
+    x = (torch.arange(low[0], high[0], dtype=kappa.dtype) + 0.5).to(spacing.device) * spacing[0]
+    y = (torch.arange(low[1], high[1], dtype=kappa.dtype) + 0.5).to(spacing.device) * spacing[1]
     rho = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1)  # ray positions [rows, columns, 2]
 
-    order = torch.sort(mean_r[:, 2].detach(), stable=True).indices  # front to back; ties by index
-    d = rho - mean_c[order][:, None, None, :]
-    inverse = torch.linalg.inv(widened)[order]
-    q = torch.einsum("nyxi,nij,nyxj->nyx", d, inverse, d)
-    tau = kappa_ray[order][:, None, None] * torch.exp(-0.5 * q)
+    order = torch.sort(range_m.detach(), stable=True).indices  # front to back; ties by index
+    d = rho - centers[order][:, None, None]
+    u, v = _whitened(d, roots[order][:, None, None])
+    q = u**2 + v**2
+    tau = kappa[order][:, None, None] * torch.exp(-0.5 * q)
     if cuts:
         tau = torch.where(q <= limit[order][:, None, None], tau, torch.zeros_like(tau))
     before = torch.exp(-(torch.cumsum(tau, dim=0) - tau))  # T_i
@@ -124,39 +188,12 @@ def _attenuate(
         tau = torch.where(before >= MIN_TRANSMITTANCE, tau, torch.zeros_like(tau))
     weight = before * -torch.expm1(-tau)
     transmittance = torch.exp(-tau.sum(0))
-
-    ray_map = None
+    found = torch.full_like(transmittance, math.nan)
     if first_return_depth is not None:
         # the range of each Gaussian's densest point on the ray, at the Gaussian where the depth is first reached
-        slope = torch.einsum("nij,nj->ni", inverse, cov_r[order][:, :2, 2])
-        peak = mean_r[order][:, 2, None, None] + torch.einsum("nyxi,ni->nyx", d, slope)
+        peak = range_m[order][:, None, None] + torch.einsum("nyxi,ni->nyx", d, tilt[order])
         reached = torch.cumsum(tau, dim=0) >= first_return_depth
         first = reached.to(torch.uint8).argmax(dim=0)
-        found = torch.gather(peak, 0, first[None])[0]
-        found = torch.where(reached.any(0), found, torch.full_like(found, math.nan))
-        ray_map = (found.detach(), (float(x[0]), float(y[0])))
-    return torch.zeros_like(kappa).index_copy(0, order, weight.sum((1, 2))), transmittance, ray_map
-
-
-def _image(
-    mean_r: Float[Tensor, "n 3"],
-    cov_r: Float[Tensor, "n 3 3"],
-    cross_section: Float[Tensor, " n"],
-    shift: Float[Tensor, " 2"],
-    grid: ImageGrid,
-    imaging_weight: str,
-    cuts: bool,
-) -> Float[Tensor, "{grid.rows} {grid.columns}"]:
-    """Pass B (§3): β⁰ [rows, columns] of one view, before the gain."""
-    response = mean_r.new_tensor(grid.resolution_m) ** 2 / (8 * math.log(2))
-    cov_i = cov_r[:, [0, 2]][:, :, [0, 2]] + torch.diag(response)  # Σ_I'
-    x, r = (torch.from_numpy(axis).to(mean_r) for axis in (grid.azimuth_m, grid.range_m))
-    pixel = torch.stack(torch.meshgrid(x, r, indexing="xy"), dim=-1)  # [rows, columns, 2]
-    e = pixel - (mean_r[:, [0, 2]] + shift)[:, None, None, :]
-    q = torch.einsum("nyxi,nij,nyxj->nyx", e, torch.linalg.inv(cov_i), e)
-    splat = torch.exp(-0.5 * q)
-    if cuts:
-        splat = torch.where(q <= IMAGE_CUT, splat, torch.zeros_like(splat)) / (1 - math.exp(-IMAGE_CUT / 2))
-    if imaging_weight == "area":
-        splat = splat / (2 * math.pi * torch.linalg.det(cov_i).sqrt())[:, None, None]
-    return torch.einsum("n,nyx->yx", cross_section, splat)
+        found = torch.where(reached.any(0), torch.gather(peak, 0, first[None])[0], found).detach()
+    ray_map = RayMap(transmittance, found, (float(x[0]), float(y[0])))
+    return torch.zeros_like(kappa).index_copy(0, order, weight.sum((1, 2))), ray_map

@@ -91,7 +91,7 @@ def _notes(metrics: dict[str, Any], tables: list[ScoreTable]) -> list[str]:
     notes = [f"{'; '.join(dict.fromkeys(labels))}: {reason}" for reason, labels in missing.items()]
     shown = {row.metric.key: row.metric.label for table in tables for row in table.rows}
     notes += [f"{label}: {metrics['definitions'][key]}" for key, label in shown.items()]
-    return [*notes, ", ".join(f"{name} = {value:.6g}" for name, value in metrics["normalisation"].items())]
+    return [*notes, ", ".join(f"{name} = {value:.6g}" for name, value in metrics["parameters"].items())]
 
 
 def _dataset_facts(dataset: Dataset) -> dict[str, str]:

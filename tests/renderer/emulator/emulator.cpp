@@ -95,6 +95,10 @@ const Named kernels[] = {
     KERNEL(project_gaussians), KERNEL(count_tiles), KERNEL(list_tiles), KERNEL(attenuate_tiles), KERNEL(illuminate),
     KERNEL(image_tiles), KERNEL(trace_tiles), KERNEL(image_backward), KERNEL(attenuate_tiles_backward),
     KERNEL(differentiate), KERNEL(sum_shift),
+    KERNEL(write_projections), KERNEL(differentiate_projections), KERNEL(place_rays),
+    KERNEL(write_lit_areas), KERNEL(seed_weights), KERNEL(write_ray_gradients),
+    KERNEL(place_pixels), KERNEL(image_channels), KERNEL(image_channels_backward),
+    KERNEL(write_pixel_gradients),
 };
 
 }  // namespace

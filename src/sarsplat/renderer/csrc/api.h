@@ -80,9 +80,30 @@ struct sg_loss {          // of V images; see loss.h
   float* gradient;        // out [V, rows, columns]
 };
 
+// What footprints in arrays may be (checks.py): metres, roots in 1/m, and everything else.
+constexpr float kFar = 2e9f, kFlattest = 1e-8f, kSteepest = 1e8f, kStrong = 1e15f;
+
+// Footprints of V views of N Gaussians: what `project` makes and the other steps read; backward, the gradients of them.
+struct sg_projection {
+  float* ray_centers;     // [V, N, 2] on the computation plane
+  float* ray_roots;       // [V, N, 3] 1/m: (a, b, c), the factor L = (a b; 0 c) of the inverse covariance L^T L
+  float* optical_depth;   // [V, N] of a ray through the centre
+  float* range;           // [V, N]; no gradient
+  float* tilt;            // [V, N, 2] slope of the range of the densest point; no gradient
+  float* pixel_centers;   // [V, N, 2] on the imaging plane
+  float* pixel_roots;     // [V, N, 3]
+  float* gamma0;          // [V, N] P(u); not touched without harmonics
+};
+
+struct sg_channels {      // what is splatted
+  int32_t count;          // C
+  const float* amplitudes;  // [V, N, C], m^2
+};
+
 struct sg_context;        // what backward needs; opaque
 
-enum sg_status { SG_OK = 0, SG_MEANS, SG_QUATERNIONS, SG_SCALES, SG_KAPPA, SG_SCATTERING, SG_GAMMA0, SG_SHIFT, SG_LATTICE, SG_MEMORY };
+enum sg_status { SG_OK = 0, SG_MEANS, SG_QUATERNIONS, SG_SCALES, SG_KAPPA, SG_SCATTERING, SG_GAMMA0, SG_SHIFT, SG_LATTICE, SG_MEMORY,
+                 SG_CENTERS, SG_ROOTS, SG_DEPTH, SG_RANGE, SG_TILT, SG_AMPLITUDES };
 
 }  // extern "C"
 
@@ -97,4 +118,12 @@ struct sg_engine {        // one per instruction set
   int32_t (*amplitude_loss)(sg_context*, const sg_loss*);
   void (*adam)(const sg_adam_step*);
   void (*statistics)(const sg_context*, const sg_problem*, sg_statistics*);
+  // one step alone each: of the problem's arrays, `project` alone reads any
+  int32_t (*project)(const sg_problem*, const sg_projection* out, int64_t* culprit);
+  int32_t (*project_backward)(sg_context*, const sg_problem*, const sg_projection* seeds, const sg_gradients*);
+  int32_t (*attenuate)(sg_context*, const sg_problem*, const sg_projection*, float* lit_area, int64_t* culprit);
+  int32_t (*attenuate_backward)(sg_context*, const sg_problem*, const float* d_lit_area, const float* d_transmittance, const sg_projection* out);
+  int32_t (*trace_step)(const sg_context*, const sg_problem*, const sg_projection*, int32_t view, float depth, float* transmittance, float* first_return);
+  int32_t (*splat)(sg_context*, const sg_problem*, const sg_projection*, const sg_channels*, float* images, int64_t* culprit);
+  int32_t (*splat_backward)(sg_context*, const sg_problem*, const sg_channels*, const float* d_images, const sg_projection* out, float* d_amplitudes);
 };

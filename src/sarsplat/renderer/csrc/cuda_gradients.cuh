@@ -19,6 +19,17 @@ SG_FN Moments<float> pixel_moments(const State& s, int64_t j, float amplitude) {
   return {m[0] * amplitude, m[1] * amplitude, m[2] * amplitude, m[3] * amplitude, m[4] * amplitude, m[5] * amplitude};
 }
 
+SG_FN void write_gradients(const sg_problem& p, int64_t i, const Body<float>& b, const float* unit, float norm,
+                           const BodyGradient<float>& total, float d_kappa, const float* d_harmonics, const sg_gradients& g) {
+  float d_scale[3], d_quaternion[4];
+  finish(b, unit, norm, total, d_scale, d_quaternion);
+  for (int k = 0; k < 3; k++) { g.means[3 * i + k] = total.mean[k]; g.scales[3 * i + k] = d_scale[k]; }
+  for (int k = 0; k < 4; k++) g.quaternions[4 * i + k] = d_quaternion[k];
+  g.kappa[i] = d_kappa;
+  for (int k = 0; k < kMostCoefficients; k++)
+    if (k < p.coefficients) g.harmonics[p.coefficients * i + k] = d_harmonics[k];
+}
+
 extern "C" __global__ void __launch_bounds__(kThreads) differentiate(sg_problem p, State s, sg_gradients g) {
   const int64_t n = p.gaussians, i = (int64_t)blockIdx.x * kThreads + thread();
   if (i >= n) return;
@@ -44,13 +55,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) differentiate(sg_problem 
     for (int k = 0; k < 4; k++) s.planes[4 * j + k] = planes[k];
     if (g.gamma0) g.gamma0[j] = d_gamma0;
   }
-  float d_scale[3], d_quaternion[4];
-  finish(b, unit, norm, total, d_scale, d_quaternion);
-  for (int k = 0; k < 3; k++) { g.means[3 * i + k] = total.mean[k]; g.scales[3 * i + k] = d_scale[k]; }
-  for (int k = 0; k < 4; k++) g.quaternions[4 * i + k] = d_quaternion[k];
-  g.kappa[i] = p.kappa[i] > 0.0f ? total.kappa / p.kappa[i] : 0.0f;
-  for (int k = 0; k < kMostCoefficients; k++)
-    if (k < p.coefficients) g.harmonics[p.coefficients * i + k] = d_harmonics[k];
+  write_gradients(p, i, b, unit, norm, total, p.kappa[i] > 0.0f ? total.kappa / p.kappa[i] : 0.0f, d_harmonics, g);
 }
 
 // A block is a view: dL/dshift, the sum of dL/dmu_I.

@@ -10,8 +10,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) illuminate(sg_problem p, 
   int view, i;
   const int64_t j = pair_index(p, &view, &i);
   if (j < 0) return;
-  float w = 0.0f;
-  for (int64_t slot = s.rays.ends[j] - s.rays.counts[j]; slot < s.rays.ends[j]; slot++) w += s.slot_weights[slot];
+  const float w = sum_of_weights(s, j);
   const float lit = w * (p.ray[0] * p.ray[1]), sigma = s.gamma0[j] * lit;
   s.weight[j] = w;
   out.lit_area[j] = lit;

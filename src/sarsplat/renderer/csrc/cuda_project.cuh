@@ -32,12 +32,24 @@ SG_FN uint32_t ordered(float x) {  // floats to unsigned, order kept; -0 equals 
   return bits & 0x80000000u ? ~bits : bits | 0x80000000u;
 }
 
-SG_FN void write_splat(const Plane& plane, int64_t j, float x, float y, const Sym2<float>& cov, float det, float reach,
-                       float height, float extra) {
-  const Whitening<float> w = whitening(cov, det);
-  plane.splats[j] = {{x, y, w.ux, w.uy, w.vy, height}, extra};
-  plane.reach[2 * j] = reach < 0.0f ? -1.0f : reach * root(cov.xx);  // reach: in standard deviations
-  plane.reach[2 * j + 1] = reach < 0.0f ? -1.0f : reach * root(cov.yy);
+// at: in cells or pixels; reach: in standard deviations
+SG_FN void write_splat(const Plane& plane, int64_t j, const Placed<float>& at, float reach, float height, float extra) {
+  plane.splats[j] = {{at.x, at.y, at.w.ux, at.w.uy, at.w.vy, height}, extra};
+  plane.reach[2 * j] = reach < 0.0f ? -1.0f : reach * at.deviation_x;
+  plane.reach[2 * j + 1] = reach < 0.0f ? -1.0f : reach * at.deviation_y;
+}
+SG_FN Placed<float> placed_at(float x, float y, const Sym2<float>& cov, float det) {
+  return {x, y, whitening(cov, det), root(cov.xx), root(cov.yy)};
+}
+SG_FN float pixel_x(const sg_problem& p, float x_m) { return (x_m - p.center[0]) * (1.0f / p.pixel[0]) + 0.5f * (float)(p.columns - 1); }
+SG_FN float pixel_y(const sg_problem& p, float r_m) { return (r_m - p.center[1]) * (1.0f / p.pixel[1]) + 0.5f * (float)(p.rows - 1); }
+SG_FN float lost_to_cut(const sg_problem& p) { return 1.0f / (1.0f - expf(-0.5f * p.image_cut)); }
+
+SG_FN void place_on_rays(const sg_problem& p, const State& s, int64_t j, const Placed<float>& at, float kappa, float range) {
+  const bool touching = kappa >= p.min_ray_depth;
+  const float height = natural_log((touching ? kappa : p.min_ray_depth) * kLog2e) * kLog2e;
+  const float reach = touching ? root(larger(height - least_log_tau(p), 0.0f) * (2.0f * kLn2)) : -1.0f;
+  write_splat(s.rays, j, at, reach, height, range);
 }
 
 SG_FN float gamma0_of(const sg_problem& p, const State& s, int view, int64_t i, int64_t j) {
@@ -52,31 +64,23 @@ SG_FN void project_pair(const sg_problem& p, const State& s, int view, int64_t i
   const PlaneUnits u = units(p);
   float unit[4], norm;
   const Projection<float> g = project(body(p, i, unit, norm), frame(p, view), u);
-  const float kappa = p.kappa[i] * widening_ratio(g, u);
-  const bool touching = kappa >= p.min_ray_depth;
-  const float height = natural_log((touching ? kappa : p.min_ray_depth) * kLog2e) * kLog2e;
-  const float reach = touching ? root(larger(height - least_log_tau(p), 0.0f) * (2.0f * kLn2)) : -1.0f;
-  write_splat(s.rays, j, g.mean[0] * (1.0f / u.ray[0]), g.mean[1] * (1.0f / u.ray[1]), g.cov_c, g.det_cw, reach, height, g.mean[2]);
+  const Placed<float> on_rays = placed_at(g.mean[0] * (1.0f / u.ray[0]), g.mean[1] * (1.0f / u.ray[1]), g.cov_c, g.det_cw);
+  place_on_rays(p, s, j, on_rays, p.kappa[i] * widening_ratio(g, u), g.mean[2]);
   densest(g, u, s.slope + 2 * j);
   s.gamma0[j] = gamma0_of(p, s, view, i, j);
   const float* shift = p.shift + 2 * view;
-  const float lost = 1.0f / (1.0f - expf(-0.5f * p.image_cut));  // what the cut takes away
-  write_splat(s.pixels, j, (g.mean[0] + shift[0] - p.center[0]) * (1.0f / p.pixel[0]) + 0.5f * (float)(p.columns - 1),
-              (g.mean[2] + shift[1] - p.center[1]) * (1.0f / p.pixel[1]) + 0.5f * (float)(p.rows - 1), g.cov_i, g.det_iw,
+  const float lost = lost_to_cut(p);
+  write_splat(s.pixels, j, placed_at(pixel_x(p, g.mean[0] + shift[0]), pixel_y(p, g.mean[2] + shift[1]), g.cov_i, g.det_iw),
               root(p.image_cut), 0.0f,
               p.peak ? lost : lost / (6.2831853f * p.pixel[0] * p.pixel[1] * root(g.det_iw)));
 }
 
 constexpr float kNever = 3e38f;  // the bound of what touches no ray
 
-extern "C" __global__ void __launch_bounds__(kThreads) project_gaussians(sg_problem p, State s) {
-  int view, i;
-  const int64_t j = pair_index(p, &view, &i);
+// All threads of a block, which serves one view: the lattice has to hold this thread's footprint, if j >= 0.
+SG_FN void bound_rays(const State& s, int view, int64_t j) {
   float lowest[4] = {kNever, kNever, kNever, kNever};
   if (j >= 0) {
-    if (view == 0) check_gaussian(p, s, i);
-    if (i == 0) check(s, p.shift + 2 * view, 2, -1e9f, 1e9f, SG_SHIFT, view);
-    project_pair(p, s, view, i, j);
     const Footprint g = s.rays.splats[j].g;
     const float *reach = s.rays.reach + 2 * j;
     if (reach[0] >= 0.0f) {
@@ -90,6 +94,17 @@ extern "C" __global__ void __launch_bounds__(kThreads) project_gaussians(sg_prob
     const float least = warp_min(lowest[k]);
     if (lane() == 0 && least < kNever) atomicMin(s.minima + 1 + 4 * view + k, (unsigned long long)ordered(least));
   }
+}
+
+extern "C" __global__ void __launch_bounds__(kThreads) project_gaussians(sg_problem p, State s) {
+  int view, i;
+  const int64_t j = pair_index(p, &view, &i);
+  if (j >= 0) {
+    if (view == 0) check_gaussian(p, s, i);
+    if (i == 0) check(s, p.shift + 2 * view, 2, -1e9f, 1e9f, SG_SHIFT, view);
+    project_pair(p, s, view, i, j);
+  }
+  bound_rays(s, view, j);
 }
 
 // ---- tiles -----------------------------------------------------------------------------------------------------------

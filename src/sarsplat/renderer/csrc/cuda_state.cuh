@@ -92,6 +92,12 @@ SG_FN float sum_of_harmonics(const sg_problem& p, int view, int64_t i) {
   return sum;
 }
 
+SG_FN float sum_of_weights(const State& s, int64_t j) {
+  float w = 0.0f;
+  for (int64_t slot = s.rays.ends[j] - s.rays.counts[j]; slot < s.rays.ends[j]; slot++) w += s.slot_weights[slot];
+  return w;
+}
+
 // inclusive range of lattice points within `reach` of `at`
 struct Range { int first, last; };
 SG_FN Range points(float at, float reach, int count) {

@@ -12,21 +12,18 @@
 #include "loss.h"
 #include "parallel.h"
 #include "project.h"
+#include "steps.h"
 
 namespace sarsplat {
 namespace SG_ISA {
 namespace {
-
-int64_t chunk_end(int64_t chunk, int64_t limit) { return (chunk + 1) * kChunk < limit ? (chunk + 1) * kChunk : limit; }
-int chunks_of(int64_t n) { return most(1, (int)((n + kChunk - 1) / kChunk)); }
-int tasks_of(int count, int each) { return (count + each - 1) / each; }
 
 int32_t forward_stages(sg_context& c, const sg_problem& p, const sg_outputs& out, int64_t* culprit) {
   Arena& arena = c.arena;
   arena.reset();
   auto out_of_memory = [&] { arena.give_back(); return SG_MEMORY; };
   const int V = p.views, n = p.gaussians, chunks = chunks_of(n);
-  const int parts = c.parts = most(1, least(kMostParts, kTasks / most(V, 1)));
+  const int parts = c.parts = parts_of(p);
   c.image = {0, 0, p.columns, p.rows, nullptr, nullptr};
   c.views = arena.take<ViewState>(V);
   float* ruler = arena.take<float>(c.image.ruler());
@@ -35,8 +32,9 @@ int32_t forward_stages(sg_context& c, const sg_problem& p, const sg_outputs& out
   c.image.mark(ruler);
   for (int v = 0; v < V; v++) {
     ViewState& s = c.views[v];
-    for (int k = 0; k < 9; k++) s.frame.r[k] = p.frames[9 * v + k];
-    s.take_per_gaussian(arena, n, chunks, parts);
+    s.frame = frame_of(p, v);
+    s.take_on_rays(arena, n, chunks, parts);
+    s.take_on_pixels(arena, n, p.rows);
   }
   if (arena.failed()) return out_of_memory();
 
@@ -46,11 +44,7 @@ int32_t forward_stages(sg_context& c, const sg_problem& p, const sg_outputs& out
     if (faults[i].status == SG_OK) project_chunk(c, p, i, first, end);
   });
   if (const Fault fault = worst(faults, chunks); fault.status) { *culprit = fault.index; return fault.status; }
-  for (int v = 0; v < V; v++) {
-    if (!place_lattice(c.views[v], chunks)) { *culprit = v; return SG_LATTICE; }
-    c.views[v].take_per_ray(arena, p.rows, parts);
-  }
-  if (arena.failed()) return out_of_memory();
+  if (const int32_t status = place_lattices(c, p, culprit)) return status == SG_MEMORY ? out_of_memory() : status;
   parallel(3 * V, [&](int i) {
     ViewState& s = c.views[i % V];
     if (i / V == 0) sort_by_depth(s, n);
@@ -58,7 +52,7 @@ int32_t forward_stages(sg_context& c, const sg_problem& p, const sg_outputs& out
     else cut_pixels(s, c.image, n, parts);
   });
   c.kept = arena.mark();
-  for (int v = 0; v < V; v++) c.views[v].take_images(arena);
+  for (int v = 0; v < V; v++) c.views[v].take_images(arena, 1);
   if (arena.failed()) return out_of_memory();
 
   parallel(V * parts, [&](int i) {
@@ -78,7 +72,7 @@ int32_t forward_stages(sg_context& c, const sg_problem& p, const sg_outputs& out
   const int groups = tasks_of(p.rows, kRowsPerTask);
   parallel(V * groups, [&](int i) {
     const int v = i / groups, first = i % groups * kRowsPerTask;
-    add_parts(c.views[v], first, least(p.rows, first + kRowsPerTask), p.columns, out.images + (int64_t)v * p.rows * p.columns);
+    add_parts(c.views[v], 0, first, least(p.rows, first + kRowsPerTask), p.columns, out.images + (int64_t)v * p.rows * p.columns);
   });
   arena.release(c.kept);
   return SG_OK;
@@ -91,13 +85,8 @@ int32_t backward_stages(sg_context& c, const sg_problem& p, const sg_gradients& 
   Backward* scratch = arena.take<Backward>(V);
   float* shift_sums = arena.take<float>((int64_t)chunks * 2 * V);
   if (arena.failed()) return out_of_memory();
-  int64_t rays = 0;  // of the views before this one
-  for (int v = 0; v < V; v++) {
-    const ViewState& s = c.views[v];
-    scratch[v].take(arena, s, n, parts, c.image);
-    scratch[v].from = g.transmittance ? g.transmittance + rays : nullptr;
-    rays += (int64_t)s.rays.rows * s.rays.columns;
-  }
+  take_backward_rays(c, p, g.transmittance, scratch);
+  for (int v = 0; v < V; v++) scratch[v].take_on_pixels(arena, n, c.image, 1);
   if (arena.failed()) return out_of_memory();
 
   const int groups = tasks_of(c.image.count(), kStripsPerTask);
@@ -117,16 +106,10 @@ int32_t backward_stages(sg_context& c, const sg_problem& p, const sg_gradients& 
   parallel(chunks, [&](int i) {
     differentiate(c, p, g, scratch, (int64_t)i * kChunk, chunk_end(i, n), shift_sums + (int64_t)i * 2 * V);
   });
-  for (int k = 0; k < 2 * V; k++) {
-    g.shift[k] = 0.0f;
-    for (int i = 0; i < chunks; i++) g.shift[k] += shift_sums[(int64_t)i * 2 * V + k];
-  }
+  add_shifts(V, chunks, shift_sums, g.shift);
   arena.release(c.kept);
   return SG_OK;
 }
-
-// Below, one thread is done before another has come: about 1.3 times as fast with 300 to 1,800 Gaussians.
-bool worth_waking(const sg_problem& p) { return (int64_t)p.views * (p.gaussians + (int64_t)p.rows * p.columns / 16) > 2048; }
 
 int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs* out, int64_t* culprit) {
   int32_t status = SG_OK;
@@ -152,4 +135,6 @@ void destroy(sg_context* c) { delete c; }
 #define SG_TEXT_(a) #a
 #define SG_TEXT(a) SG_TEXT_(a)
 extern "C" const sg_engine SG_JOIN(sg_engine_, SG_ISA);
-const sg_engine SG_JOIN(sg_engine_, SG_ISA) = {SG_TEXT(SG_ISA), create, destroy, forward, backward, lattice, trace, amplitude_loss, adam, statistics};
+const sg_engine SG_JOIN(sg_engine_, SG_ISA) = {SG_TEXT(SG_ISA), create, destroy, forward, backward, lattice, trace, amplitude_loss, adam, statistics,
+                                             project_step, project_step_backward, attenuate_step, attenuate_step_backward,
+                                             trace_step, splat_step, splat_step_backward};

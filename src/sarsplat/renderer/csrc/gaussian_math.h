@@ -109,17 +109,61 @@ template <class F> SG_FN Sym2<F> covariance_gradient(const Whitening<F>& w, cons
   return {uu * w.ux * ux, along * ux, (along * w.uy + across * w.vy) * kLn2};
 }
 
-// One view's moments: a = kappa' sum F{1, w, ww}, b = sigma sum dL/dS b{1, w, ww} with w = (u, v). planes: dL/d(mu_C, mu_I), per metre.
+// The gradient of L itself, of which G is another form, and back: -2 ln 2 M = (dL/dL) L^T, whatever the units of L are.
+// m: of the plane's moments, the second ones.
+template <class F> SG_FN void root_gradient(const Whitening<F>& w, const Moments<F>& m, F* d_roots) {
+  d_roots[1] = m.muv * (-2.0f * kLn2) / w.vy;
+  d_roots[0] = (m.muu * (-2.0f * kLn2) - w.uy * d_roots[1]) / w.ux;
+  d_roots[2] = m.mvv * (-2.0f * kLn2) / w.vy;
+}
+template <class F> SG_FN Moments<F> second_moments(const Whitening<F>& w, const F* d_roots) {
+  const float half = -0.5f / kLn2;
+  Moments<F> m{};
+  m.muu = (w.ux * d_roots[0] + w.uy * d_roots[1]) * half;
+  m.muv = w.vy * d_roots[1] * half;
+  m.mvv = w.vy * d_roots[2] * half;
+  return m;
+}
+
+// ---- footprints in arrays: metres, and roots to base e -----------------------------------------------------------------
+constexpr float kRootUnit = 0.84932180f;  // sqrt(log2(e) / 2): what roots to base 2 are longer by
+
+// On a plane: where (still in metres), of which shape, and its standard deviations along both axes, in cells or pixels.
+template <class F> struct Placed { F x, y; Whitening<F> w; F deviation_x, deviation_y; };
+template <class F> SG_FN Placed<F> placed_from(const F* center, const F* roots, const float* spacing) {
+  const float x = spacing[0] * kRootUnit, y = spacing[1] * kRootUnit;
+  const F narrowing = roots[1] / roots[2];
+  return {center[0], center[1], {roots[0] * x, roots[1] * y, roots[2] * y},
+          root(narrowing * narrowing + 1.0f) / (roots[0] * spacing[0]), 1.0f / (roots[2] * spacing[1])};
+}
+template <class F> SG_FN void roots_in_metres(const Whitening<F>& w, const float* spacing, F* roots) {
+  const float x = 1.0f / (spacing[0] * kRootUnit), y = 1.0f / (spacing[1] * kRootUnit);
+  roots[0] = w.ux * x;
+  roots[1] = w.uy * y;
+  roots[2] = w.vy * y;
+}
+// from moments to the gradients of centre and roots
+template <class F> SG_FN void footprint_gradient(const Whitening<F>& w, const float* spacing, const Moments<F>& m, F* d_center, F* d_roots) {
+  d_center[0] = w.x(m.mu, m.mv) * (2.0f * kLn2 / spacing[0]);
+  d_center[1] = w.y(m.mu, m.mv) * (2.0f * kLn2 / spacing[1]);
+  root_gradient(w, m, d_roots);
+  const float x = spacing[0] * kRootUnit, y = spacing[1] * kRootUnit;
+  d_roots[0] *= x;
+  d_roots[1] *= y;
+  d_roots[2] *= y;
+}
+// from the gradient of roots to that of the widened covariance, in cells or pixels; m0: see covariance_gradient
+template <class F> SG_FN Sym2<F> from_root_gradient(const Whitening<F>& w, const float* spacing, const F* d_roots, F m0) {
+  const float x = 1.0f / (spacing[0] * kRootUnit), y = 1.0f / (spacing[1] * kRootUnit);
+  const F in_cells[3] = {d_roots[0] * x, d_roots[1] * y, d_roots[2] * y};
+  return covariance_gradient(w, second_moments(w, in_cells), m0);
+}
+
+// One view's share of the gradients. planes: dL/d(mu_C, mu_I), per metre; gc, gi: of the widened covariances, in cells and
+// pixels; m0 = kappa' dL/dkappa'.
 template <class F>
-SG_FN void accumulate(const Projection<F>& p, const ViewFrame& f, const PlaneUnits& u, const Moments<F>& a,
-                      const Moments<F>& b, bool peak, BodyGradient<F>& out, F* planes) {
-  const Whitening<F> wc = whitening(p.cov_c, p.det_cw), wi = whitening(p.cov_i, p.det_iw);
-  planes[0] = wc.x(a.mu, a.mv) * (2.0f * kLn2 / u.ray[0]);
-  planes[1] = wc.y(a.mu, a.mv) * (2.0f * kLn2 / u.ray[1]);
-  planes[2] = wi.x(b.mu, b.mv) * (2.0f * kLn2 / u.pixel[0]);
-  planes[3] = wi.y(b.mu, b.mv) * (2.0f * kLn2 / u.pixel[1]);
-  const Sym2<F> gc = covariance_gradient(wc, a, a.m0);
-  const Sym2<F> gi = covariance_gradient(wi, b, peak ? b.m0 * 0.0f : b.m0);
+SG_FN void spread(const Projection<F>& p, const ViewFrame& f, const PlaneUnits& u, const F* planes, const Sym2<F>& gc,
+                  const Sym2<F>& gi, F m0, BodyGradient<F>& out) {
   // the radar frame's full gradient: (x, y) from plane C, (x, z) from plane I, per m^2
   const F gxx = gc.xx * (1.0f / (u.ray[0] * u.ray[0])) + gi.xx * (1.0f / (u.pixel[0] * u.pixel[0]));
   const F gxy = gc.xy * (1.0f / (u.ray[0] * u.ray[1])), gyy = gc.yy * (1.0f / (u.ray[1] * u.ray[1]));
@@ -132,13 +176,27 @@ SG_FN void accumulate(const Projection<F>& p, const ViewFrame& f, const PlaneUni
     const F z = gxz * f.r[j] + gzz * f.r[6 + j];
     for (int k = j; k < 3; k++, n++) out.g[n] += x * f.r[k] + y * f.r[3 + k] + z * f.r[6 + k];
   }
-  F share[3], term[3];                  // a.m0 times d ln sqrt(det Sigma_C), det Sigma_C being the sum of three terms
+  F share[3], term[3];                  // m0 times d ln sqrt(det Sigma_C), det Sigma_C being the sum of three terms
   for (int k = 0; k < 3; k++) {
-    share[k] = p.minor[k] * p.axis[2][k] / p.det_c * a.m0;
+    share[k] = p.minor[k] * p.axis[2][k] / p.det_c * m0;
     term[k] = share[k] * p.axis[2][k];
     for (int j = 0; j < 3; j++) out.rot[3 * j + k] += share[k] * f.r[6 + j];
   }
   for (int k = 0; k < 3; k++) out.scale[k] += term[(k + 1) % 3] + term[(k + 2) % 3];  // divided by s_k at the end
+}
+
+// One view's moments: a = kappa' sum F{1, w, ww}, b = sigma sum dL/dS b{1, w, ww} with w = (u, v). planes: dL/d(mu_C, mu_I), per metre.
+template <class F>
+SG_FN void accumulate(const Projection<F>& p, const ViewFrame& f, const PlaneUnits& u, const Moments<F>& a,
+                      const Moments<F>& b, bool peak, BodyGradient<F>& out, F* planes) {
+  const Whitening<F> wc = whitening(p.cov_c, p.det_cw), wi = whitening(p.cov_i, p.det_iw);
+  planes[0] = wc.x(a.mu, a.mv) * (2.0f * kLn2 / u.ray[0]);
+  planes[1] = wc.y(a.mu, a.mv) * (2.0f * kLn2 / u.ray[1]);
+  planes[2] = wi.x(b.mu, b.mv) * (2.0f * kLn2 / u.pixel[0]);
+  planes[3] = wi.y(b.mu, b.mv) * (2.0f * kLn2 / u.pixel[1]);
+  const Sym2<F> gc = covariance_gradient(wc, a, a.m0);
+  const Sym2<F> gi = covariance_gradient(wi, b, peak ? b.m0 * 0.0f : b.m0);
+  spread(p, f, u, planes, gc, gi, a.m0, out);
 }
 
 // From the accumulated sums to dL/ds and dL/dq.

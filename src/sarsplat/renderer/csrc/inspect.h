@@ -17,10 +17,12 @@ void read_row(const Strips& s, int y, const float* strips, float* row) {
     std::memcpy(row + x, strips + s.at(s.x0 + x, y), sizeof(float) * least(kBlockX, s.columns - x));
 }
 
+// Where the Gaussian of one lane is densest on a ray: range + slope (dx, dy), by ray cells.
+struct Surface { F range, slope[2]; int64_t lane; };
+
 // T_end and the range at which the two-way optical depth reaches `depth`, ray by ray; NaN where it never does
-int32_t trace(const sg_context* context, const sg_problem* p, int32_t view, float depth, float* transmittance, float* first_return) {
-  const sg_context& c = *context;
-  const ViewState& s = c.views[view];
+template <class SurfaceOf>
+SG_FN int32_t trace_rays(const ViewState& s, const sg_problem* p, float depth, float* transmittance, float* first_return, SurfaceOf surface_of) {
   const Strips& lattice = s.rays;
   const int64_t rays = (int64_t)lattice.rows * lattice.columns;
   for (int b = 0; b < s.ray_parts; b++) {
@@ -31,15 +33,12 @@ int32_t trace(const sg_context* context, const sg_problem* p, int32_t view, floa
   float* sum_tau = (float*)std::malloc(sizeof(float) * (rays + 1));
   if (!sum_tau) return SG_MEMORY;
   for (int64_t i = 0; i < rays; i++) { sum_tau[i] = 0.0f; first_return[i] = __builtin_nanf(""); }
-  const PlaneUnits u = units(*p);
   const float stop = -__builtin_logf(p->min_transmittance), faintest = least_log_tau(*p);
   for (int k = 0; k < s.touching; k++) {
     const int32_t id = s.front_to_back[k];
     const Entry& e = s.on_rays[id];
-    const int64_t group = id / kWidth * kWidth, lane = id % kWidth;
-    const Projection<F> g = project(read_bodies(*p, group, least(kWidth, (int)(p->gaussians - group))).body, s.frame, u);
-    F slope[2];
-    densest(g, u, slope);
+    const Surface surface = surface_of(id);
+    const int64_t lane = surface.lane;
     for (int y = e.y0; y <= e.y1; y++)
       for (int x = e.x0; x <= e.x1; x++) {
         const float dx = (float)x - e.g.x, dy = (float)y - e.g.y;
@@ -49,11 +48,23 @@ int32_t trace(const sg_context* context, const sg_problem* p, int32_t view, floa
         if (!(log_tau >= faintest) || d > stop) continue;
         const float before = d;
         d += kLn2 * __builtin_exp2f(log_tau);
-        if (before < depth && d >= depth) first_return[at] = g.mean[2][lane] + slope[0][lane] * dx + slope[1][lane] * dy;
+        if (before < depth && d >= depth) first_return[at] = surface.range[lane] + surface.slope[0][lane] * dx + surface.slope[1][lane] * dy;
       }
   }
   std::free(sum_tau);
   return SG_OK;
+}
+
+int32_t trace(const sg_context* c, const sg_problem* p, int32_t view, float depth, float* transmittance, float* first_return) {
+  const ViewState& s = c->views[view];
+  const PlaneUnits u = units(*p);
+  return trace_rays(s, p, depth, transmittance, first_return, [&](int32_t id) __attribute__((always_inline)) {
+    const int64_t group = id / kWidth * kWidth, lane = id % kWidth;
+    const Projection<F> g = project(read_bodies(*p, group, least(kWidth, (int)(p->gaussians - group))).body, s.frame, u);
+    Surface surface{g.mean[2], {}, lane};
+    densest(g, u, surface.slope);
+    return surface;
+  });
 }
 
 void statistics(const sg_context* c, const sg_problem* p, sg_statistics* out) {

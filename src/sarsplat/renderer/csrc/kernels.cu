@@ -9,3 +9,4 @@
 #include "cuda_rays.cuh"
 #include "cuda_pixels.cuh"
 #include "cuda_gradients.cuh"
+#include "cuda_steps.cuh"

@@ -7,6 +7,14 @@ namespace SG_ISA {
 namespace {
 
 // ---- computation plane -------------------------------------------------------------------------------------------------
+int32_t place_lattices(sg_context& c, const sg_problem& p, int64_t* culprit) {
+  for (int v = 0; v < p.views; v++) {
+    if (!place_lattice(c.views[v], chunks_of(p.gaussians))) { *culprit = v; return SG_LATTICE; }
+    c.views[v].take_per_ray(c.arena, c.parts);
+  }
+  return c.arena.failed() ? SG_MEMORY : SG_OK;
+}
+
 void attenuate_rays(ViewState& s, const sg_problem& p, int b) {
   Part& band = s.ray_bands[b];
   band.first = b * p.gaussians;
@@ -15,14 +23,18 @@ void attenuate_rays(ViewState& s, const sg_problem& p, int b) {
                  s.T + band.start, s.stop + band.start, s.partial);
 }
 
+float sum_of_weights(const ViewState& s, int64_t i) {
+  const RayEntry& ray = s.on_rays[i];
+  float w = 0.0f;
+  for (int slot = ray.slot; slot <= ray.slot + ray.last_band - ray.first_band; slot++) w += s.partial[slot];
+  return w;
+}
+
 // From the sums of w to cross-sections, and to the amplitudes of the imaging plane.
 void illuminate(const ViewState& s, float cell_area, int64_t first, int64_t end, float* lit_area, float* cross_sections) {
   for (int64_t i = first; i < end; i++) {
-    const RayEntry& ray = s.on_rays[i];
     PixelEntry& pixel = s.on_pixels[i];
-    float w = 0.0f;
-    for (int slot = ray.slot; slot <= ray.slot + ray.last_band - ray.first_band; slot++) w += s.partial[slot];
-    lit_area[i] = pixel.lit = w * cell_area;
+    lit_area[i] = pixel.lit = sum_of_weights(s, i) * cell_area;
     cross_sections[i] = pixel.gamma0 * pixel.lit;
     pixel.g.height = cross_sections[i] * pixel.norm;
   }
@@ -33,14 +45,27 @@ struct Backward {                 // scratch of one backward pass, per view: row
   float* pixel_moments;           // by id; times the amplitude, then dL/dP(u) and the slope of P(u)
   float *T, *B, *dS;
   const float* from;              // dL/dT_end of the view's rays, or null
-  void take(Arena& arena, const ViewState& s, int64_t n, int parts, const Strips& image) {
+  void take_on_rays(Arena& arena, const ViewState& s, int64_t n, int parts) {
     ray_moments = arena.take<float>(kSums * n * s.ray_parts);
-    pixel_moments = arena.take<float>(kSums * n);
     T = arena.take<float>(size_in_bands(s.rays, parts));
     B = arena.take<float>(size_in_bands(s.rays, parts));
-    dS = arena.take<float>(image.size());
+  }
+  void take_on_pixels(Arena& arena, int64_t n, const Strips& image, int channels) {
+    pixel_moments = arena.take<float>(kSums * n);
+    dS = arena.take<float>(channels * image.size());
   }
 };
+
+// The scratch of all views. d_transmittance: of their lattices one after the other, or null.
+void take_backward_rays(sg_context& c, const sg_problem& p, const float* d_transmittance, Backward* scratch) {
+  int64_t rays = 0;               // of the views before this one
+  for (int v = 0; v < p.views; v++) {
+    const ViewState& s = c.views[v];
+    scratch[v].take_on_rays(c.arena, s, p.gaussians, c.parts);
+    scratch[v].from = d_transmittance ? d_transmittance + rays : nullptr;
+    rays += (int64_t)s.rays.rows * s.rays.columns;
+  }
+}
 
 void attenuate_rays_backward(const ViewState& s, const sg_problem& p, int b, const Backward& scratch) {
   const Part& band = s.ray_bands[b];
@@ -57,15 +82,15 @@ void attenuate_rays_backward(const ViewState& s, const sg_problem& p, int b, con
 }
 
 // ---- imaging plane -----------------------------------------------------------------------------------------------------
-// Rows of an image: what its parts hold, in their order.
-void add_parts(const ViewState& s, int first, int end, int columns, float* image) {
+// Rows of an image, the `channel`th of a view: what its parts hold, in their order.
+void add_parts(const ViewState& s, int channel, int first, int end, int columns, float* image) {
   std::memset(image + (int64_t)first * columns, 0, sizeof(float) * (end - first) * columns);
   for (int b = 0; b < s.pixel_parts; b++) {
     const Part& part = s.pixel_groups[b];
     const Strips& r = part.strips;
     const int top = most(first, r.y0), bottom = least(end, r.y0 + r.rows);
     for (int x = 0; x < columns && top < bottom; x += kBlockX) {
-      const float* from = part.memory + r.at(x, top);
+      const float* from = part.memory + channel * r.size() + r.at(x, top);
       float* to = image + (int64_t)top * columns + x;
       const int some = least(kBlockX, columns - x);
       for (int y = top; y < bottom; y++, from += kBlockX, to += columns)

@@ -84,8 +84,7 @@ I ordered(F x) {
 
 // a, b, c, d: what a plane has of its own
 template <class E>
-void write_entries(E* out, int real, F x, F y, const Sym2<F>& cov, F det, F height, const Boxes& box, F a, F b, F c, F d) {
-  const Whitening<F> w = whitening(cov, det);
+void write_entries(E* out, int real, F x, F y, const Whitening<F>& w, F height, const Boxes& box, F a, F b, F c, F d) {
   const F x0 = words(box.x0), x1 = words(box.x1), y0 = words(box.y0), y1 = words(box.y1), none = splat(0.0f);
   turn_back({x, y, w.ux, w.uy, w.vy, height, x0, x1, y0, y1, a, b, c, d, none, none},
             [&](int k, int part, F numbers) { if (k < real) store((float*)(out + k) + part, numbers); });
@@ -96,40 +95,75 @@ struct Cuts {
   float deviations, lost;         // where an imaging weight ends, and one over what is left of its integral
 };
 
-void project_view(const ViewState& s, const sg_problem& p, const Cuts& cuts, int v, const Bodies& bodies, const Softplus<F>& gamma0, int64_t i,
-                  int real, Bounds& bounds) {
-  const PlaneUnits u = units(p);
-  const Projection<F> g = project(bodies.body, s.frame, u);
-  const F kappa = bodies.kappa * widening_ratio(g, u);
+Cuts cuts_of(const sg_problem& p) {
+  return {least_log_tau(p), __builtin_sqrtf(p.image_cut), 1.0f / (1.0f - __builtin_expf(-0.5f * p.image_cut))};
+}
+
+// at: in cells, and in pixels below
+void place_on_rays(const ViewState& s, const sg_problem& p, const Cuts& cuts, const Placed<F>& at, F kappa, F range, int64_t i, int real,
+                   Bounds& bounds) {
   const I touching = kappa >= p.min_ray_depth;  // padding has no depth and touches nothing
   const F height = natural_log(choose(touching, kappa, splat(p.min_ray_depth)) * kLog2e) * kLog2e;
   const F reach = root(larger((height - cuts.log_tau) * (2.0f * kLn2), splat(0.0f)));
-  const F reach_x = reach * root(g.cov_c.xx), reach_y = reach * root(g.cov_c.yy);
-  const F x = g.mean[0] * (1.0f / u.ray[0]), y = g.mean[1] * (1.0f / u.ray[1]);  // ray k of an axis stands at k + 1/2
+  const F reach_x = reach * at.deviation_x, reach_y = reach * at.deviation_y;
+  const F x = at.x, y = at.y;                   // ray k of an axis stands at k + 1/2
   const Boxes rays = boxes_around(x - 0.5f, y - 0.5f, reach_x, reach_y, touching);
   const F zero = splat(0.0f), beyond = splat(3e38f);
   const F no_band = words((I)(-1));             // last_band, for the time being
-  write_entries(s.on_rays + i, real, x - 0.5f, y - 0.5f, g.cov_c, g.det_cw, height, rays, zero, zero, no_band, zero);
-  store(s.depth_keys + i, choose(touching, ordered(g.mean[2]), (I)(kNoDepth)));
+  write_entries(s.on_rays + i, real, x - 0.5f, y - 0.5f, at.w, height, rays, zero, zero, no_band, zero);
+  store(s.depth_keys + i, choose(touching, ordered(range), (I)(kNoDepth)));
   bounds.low[0] = smaller(bounds.low[0], choose(touching, x - reach_x, beyond));
   bounds.low[1] = smaller(bounds.low[1], choose(touching, y - reach_y, beyond));
   bounds.high[0] = larger(bounds.high[0], choose(touching, x + reach_x, -beyond));
   bounds.high[1] = larger(bounds.high[1], choose(touching, y + reach_y, -beyond));
+}
+
+F pixel_x(const sg_problem& p, F x_m) { return (x_m - p.center[0]) * (1.0f / p.pixel[0]) + 0.5f * (float)(p.columns - 1); }
+F pixel_y(const sg_problem& p, F r_m) { return (r_m - p.center[1]) * (1.0f / p.pixel[1]) + 0.5f * (float)(p.rows - 1); }
+
+// a, b, c, d: what the loops want of a Gaussian besides
+void place_on_pixels(const ViewState& s, const sg_problem& p, const Cuts& cuts, const Placed<F>& at, F height, F a, F b, F c, F d, int64_t i,
+                     int real) {
+  const F wide = cuts.deviations * at.deviation_x, tall = cuts.deviations * at.deviation_y;
+  const Boxes pixels = within(boxes_around(at.x, at.y, wide, tall, (I)(-1)), p.columns, p.rows);
+  write_entries(s.on_pixels + i, real, at.x, at.y, at.w, height, pixels, a, b, c, d);
+  store(s.pixel_keys + i, key_of(pixels, p.rows));
+}
+
+void project_view(const ViewState& s, const sg_problem& p, const Cuts& cuts, int v, const Bodies& bodies, const Softplus<F>& gamma0, int64_t i,
+                  int real, Bounds& bounds) {
+  const PlaneUnits u = units(p);
+  const Projection<F> g = project(bodies.body, s.frame, u);
+  const Placed<F> on_rays{g.mean[0] * (1.0f / u.ray[0]), g.mean[1] * (1.0f / u.ray[1]), whitening(g.cov_c, g.det_cw), root(g.cov_c.xx),
+                       root(g.cov_c.yy)};
+  place_on_rays(s, p, cuts, on_rays, bodies.kappa * widening_ratio(g, u), g.mean[2], i, real, bounds);
 
   const float* shift = p.shift + 2 * v;
-  const F column = (g.mean[0] + shift[0] - p.center[0]) * (1.0f / p.pixel[0]) + 0.5f * (float)(p.columns - 1);
-  const F row = (g.mean[2] + shift[1] - p.center[1]) * (1.0f / p.pixel[1]) + 0.5f * (float)(p.rows - 1);
-  const F wide = cuts.deviations * root(g.cov_i.xx), tall = cuts.deviations * root(g.cov_i.yy);
-  const Boxes pixels = within(boxes_around(column, row, wide, tall, (I)(-1)), p.columns, p.rows);
+  const Placed<F> on_pixels{pixel_x(p, g.mean[0] + shift[0]), pixel_y(p, g.mean[2] + shift[1]), whitening(g.cov_i, g.det_iw),
+                         root(g.cov_i.xx), root(g.cov_i.yy)};
   const F norm = p.peak ? splat(cuts.lost) : cuts.lost / (6.2831853f * p.pixel[0] * p.pixel[1] * root(g.det_iw));
-  write_entries(s.on_pixels + i, real, column, row, g.cov_i, g.det_iw, zero, pixels, gamma0.value, norm, zero, gamma0.slope);
-  store(s.pixel_keys + i, key_of(pixels, p.rows));
+  const F zero = splat(0.0f);
+  place_on_pixels(s, p, cuts, on_pixels, zero, gamma0.value, norm, zero, gamma0.slope, i, real);
+}
+
+// P(u) of kWidth Gaussians in a view, and its slope over the sum of harmonics; `harmonics`: read unless gamma0 is given.
+SG_FN Softplus<F> scatter(const sg_problem& p, int v, int64_t i, int real, const F* harmonics) {
+  Softplus<F> gamma0;
+  if (p.gamma0) {
+    gamma0 = {load_some(p.gamma0 + v * (int64_t)p.gaussians + i, real), splat(0.0f)};
+  } else {
+    F sum = splat(0.0f);
+    for (int k = 0; k < p.coefficients; k++) sum += harmonics[k] * p.basis[v * p.coefficients + k];
+    gamma0 = softplus(sum);
+    gamma0.value += p.p_min;
+  }
+  return gamma0;
 }
 
 // The Gaussians [first, end) in every view.
 void project_chunk(const sg_context& c, const sg_problem& p, int chunk, int64_t first, int64_t end) {
   const F beyond = splat(3e38f);
-  const Cuts cuts{least_log_tau(p), __builtin_sqrtf(p.image_cut), 1.0f / (1.0f - __builtin_expf(-0.5f * p.image_cut))};
+  const Cuts cuts = cuts_of(p);
   for (int v = 0; v < p.views; v++) c.views[v].bounds[chunk] = {{beyond, beyond}, {-beyond, -beyond}};
   for (int64_t i = first; i < end; i += kWidth) {
     const int real = least(kWidth, (int)(end - i));
@@ -137,16 +171,7 @@ void project_chunk(const sg_context& c, const sg_problem& p, int chunk, int64_t 
     F harmonics[kFields];
     if (!p.gamma0) read_rows(p.harmonics + p.coefficients * i, p.coefficients, real, harmonics);
     for (int v = 0; v < p.views; v++) {
-      Softplus<F> gamma0;
-      if (p.gamma0) {
-        gamma0 = {load_some(p.gamma0 + v * (int64_t)p.gaussians + i, real), splat(0.0f)};
-      } else {
-        F sum = splat(0.0f);
-        for (int k = 0; k < p.coefficients; k++) sum += harmonics[k] * p.basis[v * p.coefficients + k];
-        gamma0 = softplus(sum);
-        gamma0.value += p.p_min;
-      }
-      project_view(c.views[v], p, cuts, v, bodies, gamma0, i, real, c.views[v].bounds[chunk]);
+      project_view(c.views[v], p, cuts, v, bodies, scatter(p, v, i, real, harmonics), i, real, c.views[v].bounds[chunk]);
     }
   }
 }

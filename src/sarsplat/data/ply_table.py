@@ -1,0 +1,141 @@
+"""A PLY file of scalars per vertex, binary little endian: columns in, columns out; meshes are read elsewhere.
+
+The files come from strangers: the counts in a header are believed only if the file is as long as they say.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, Real
+
+from sarsplat.data.files import open_file, write_bytes
+from sarsplat.errors import SarsplatError, shown
+
+_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "<i2"),
+    **dict.fromkeys(("ushort", "uint16"), "<u2"),
+    **dict.fromkeys(("int", "int32"), "<i4"),
+    **dict.fromkeys(("uint", "uint32"), "<u4"),
+    **dict.fromkeys(("float", "float32"), "<f4"),
+    **dict.fromkeys(("double", "float64"), "<f8"),
+}
+_FORMAT = "format binary_little_endian 1.0"
+_LONGEST_HEADER = 65_536
+
+
+def write_ply(path: Path, columns: Mapping[str, Real[np.ndarray, " n"]], comments: Sequence[str]) -> None:
+    """Write vertices, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        File to write; an existing one is replaced.
+    columns : mapping of str to numpy.ndarray [N]
+        Each property by name; stored as float32.
+    comments : sequence of str
+        For the header, where they are split into lines of ASCII.
+
+    Raises
+    ------
+    SarsplatError
+        If the file cannot be written.
+    """
+    table = np.empty(len(next(iter(columns.values()))), dtype=[(name, "<f4") for name in columns])
+    for name, column in columns.items():
+        table[name] = column
+    lines = [line.encode("ascii", "backslashreplace").decode() for text in comments for line in text.splitlines()]
+    header = [
+        *("ply", _FORMAT, *(f"comment {line}" for line in lines)),
+        *(f"element vertex {len(table)}", *(f"property float {name}" for name in columns), "end_header"),
+    ]
+    write_bytes(Path(path), "\n".join(header).encode("ascii") + b"\n" + table.tobytes())
+
+
+def read_ply(path: Path) -> tuple[dict[str, Float32[np.ndarray, " n"]], list[str]]:
+    """Read vertices.
+
+    Returns
+    -------
+    columns : dict of str to numpy.ndarray, float32 [N]
+        Each property by name.
+    comments : list of str
+        Those of the header.
+
+    Raises
+    ------
+    SarsplatError
+        If the file is missing, damaged, truncated, of another format, or a mesh.
+    """
+    with open_file(path) as file:
+        data = file.read(_LONGEST_HEADER)
+        head, end, _ = data.partition(b"\nend_header\n")
+        size = file.seek(0, 2)
+        if not head.startswith(b"ply\n") or not end:
+            raise SarsplatError(f"{path} is not a PLY file; give one made by `sarsplat export` or a 3DGS program")
+        if not re.fullmatch(rb"[\n\t -~]*", head):
+            raise SarsplatError(
+                f"{path} has a PLY header that is not plain ASCII text with LF line ends; make it again"
+            )
+        vertices = _vertices(path, head.decode("ascii").split("\n")[1:], len(head) + len(end), size)
+        file.seek(vertices.offset)
+        content = file.read(vertices.count * vertices.dtype.itemsize)
+    table = np.ndarray(vertices.count, vertices.dtype, content)
+    with np.errstate(over="ignore"):
+        return {name: table[name].astype(np.float32) for name in vertices.dtype.names or ()}, vertices.comments
+
+
+@dataclass(frozen=True)
+class _Vertices:
+    """Where the vertices lie in a file, and what its comments say."""
+
+    offset: int
+    count: int
+    dtype: np.dtype
+    comments: list[str]
+
+
+def _vertices(path: Path, header: list[str], offset: int, size: int) -> _Vertices:
+    """What the lines of a header say of a file of `size` bytes, in which the data begin at `offset`."""
+    elements = _elements(path, header)
+    comments = [line.removeprefix("comment").strip() for line in header if line.split()[:1] == ["comment"]]
+    names = [name for name, _, _ in elements]
+    if names.count("vertex") != 1:
+        raise SarsplatError(f"{path} has the elements {shown(names)} in its PLY header, not one of vertices")
+    sizes = [count * sum(np.dtype(kind).itemsize for _, kind in properties) for _, count, properties in elements]
+    if size != offset + sum(sizes):
+        state = "is truncated" if size < offset + sum(sizes) else "is too long"
+        raise SarsplatError(
+            f"{path} {state}: {size} bytes where its header asks for {offset + sum(sizes)}; make it again"
+        )
+    place = names.index("vertex")
+    _, count, properties = elements[place]
+    if len({name for name, _ in properties}) < len(properties):
+        raise SarsplatError(f"{path} has two vertex properties of one name in its PLY header; make it again")
+    return _Vertices(offset + sum(sizes[:place]), count if properties else 0, np.dtype(properties), comments)
+
+
+def _elements(path: Path, header: list[str]) -> list[tuple[str, int, list[tuple[str, str]]]]:
+    """Name, count and properties (name, numpy type) of each element."""
+    elements: list[tuple[str, int, list[tuple[str, str]]]] = []
+    if header[:1] != [_FORMAT]:
+        raise SarsplatError(f"{path} is a PLY of {shown(header[:1])}; only {_FORMAT!r} is read")
+    for line in header[1:]:
+        match line.split():
+            case ["comment" | "obj_info", *_]:
+                pass
+            case ["element", name, number] if re.fullmatch(r"[0-9]{1,12}", number):
+                elements.append((name, int(number), []))
+            case ["property", kind, name] if kind in _TYPES and elements:
+                elements[-1][2].append((name, _TYPES[kind]))
+            case ["property", *_]:
+                raise SarsplatError(f"{path} has {shown(line)} in its header: it is a mesh, not points or Gaussians")
+            case _:
+                raise SarsplatError(f"{path} has {shown(line)} in its PLY header, which is garbled; make it again")
+    return elements

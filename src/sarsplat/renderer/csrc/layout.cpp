@@ -1,0 +1,42 @@
+// layout.cpp: where the fields of api.h's structures lie, so that Python can compare its mirrors (structs.py).
+#include <cstddef>
+#include <cstring>
+
+#include "api.h"
+#include "export.h"
+
+namespace {
+
+struct Layout { const char* name; int32_t numbers[32]; };  // the size, the offset of every field, -1
+
+#define AT(field) offsetof(S, field)
+#define LAYOUT(type, ...) [] { typedef type S; return Layout{#type, {sizeof(S), __VA_ARGS__, -1}}; }()
+
+const Layout kLayouts[] = {
+    LAYOUT(sg_problem, AT(peak), AT(views), AT(gaussians), AT(coefficients), AT(rows), AT(columns), AT(means), AT(quaternions),
+           AT(scales), AT(kappa), AT(harmonics), AT(gamma0), AT(frames), AT(basis), AT(shift), AT(p_min), AT(pixel), AT(center),
+           AT(response_var), AT(ray), AT(cell_widening), AT(min_ray_depth), AT(min_transmittance), AT(image_cut), AT(min_scale),
+           AT(max_depth)),
+    LAYOUT(sg_outputs, AT(images), AT(cross_sections), AT(lit_area)),
+    LAYOUT(sg_gradients, AT(images), AT(cross_sections), AT(transmittance), AT(means), AT(quaternions), AT(scales), AT(kappa),
+           AT(harmonics), AT(gamma0), AT(shift), AT(planes)),
+    LAYOUT(sg_projection, AT(ray_centers), AT(ray_roots), AT(optical_depth), AT(range), AT(tilt), AT(pixel_centers), AT(pixel_roots),
+           AT(gamma0)),
+    LAYOUT(sg_channels, AT(count), AT(amplitudes)),
+    LAYOUT(sg_lattice, AT(k0x), AT(k0y), AT(rows), AT(columns)),
+    LAYOUT(sg_statistics, AT(blocks_attenuation), AT(live_attenuation), AT(blocks_imaging), AT(live_imaging), AT(lanes)),
+    LAYOUT(sg_loss, AT(views), AT(rows), AT(columns), AT(power), AT(truth), AT(window), AT(reference), AT(floor), AT(ssim_weight),
+           AT(c1), AT(c2), AT(loss), AT(gradient)),
+    LAYOUT(sg_adam_group, AT(value), AT(gradient), AT(mean), AT(square), AT(rows), AT(columns), AT(logarithmic), AT(decay), AT(rate),
+           AT(low), AT(high)),
+    LAYOUT(sg_adam_step, AT(groups), AT(count), AT(beta1), AT(beta2), AT(epsilon), AT(beta1_power), AT(beta2_power)),
+};
+
+}  // namespace
+
+// Null for a structure that is not in api.h.
+SG_EXPORT const int32_t* sg_layout(const char* name) {
+  for (const Layout& layout : kLayouts)
+    if (!std::strcmp(layout.name, name)) return layout.numbers;
+  return nullptr;
+}

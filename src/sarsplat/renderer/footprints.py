@@ -1,0 +1,129 @@
+"""What the steps of a rendering hand on: footprints of Gaussians on the two planes, and the area that each lights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from jaxtyping import Float
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError
+from sarsplat.renderer.rendering import RayMap
+
+
+def _check_fields(owner: object, shapes: dict[str, tuple[int, ...]]) -> None:
+    """Each field a floating tensor of its shape, of one dtype and on one device."""
+    first = next(iter(shapes))
+    for name, shape in shapes.items():
+        tensor, like = getattr(owner, name), getattr(owner, first)
+        if not isinstance(tensor, Tensor):
+            raise SarsplatError(f"{name} is a {type(tensor).__name__}; give a torch.Tensor")
+        if tuple(tensor.shape) != shape:
+            raise SarsplatError(
+                f"{name} has shape {tuple(tensor.shape)}; for {shape[0]} views of {shape[1]} Gaussians it must be "
+                f"{shape}"
+            )
+        if not tensor.is_floating_point() or tensor.dtype != like.dtype or tensor.device != like.device:
+            raise SarsplatError(
+                f"{name} is {tensor.dtype} on {tensor.device} but {first} is {like.dtype} on {like.device}; use one "
+                "floating dtype and one device for all tensors"
+            )
+
+
+def _sizes(tensor: Tensor) -> tuple[int, int]:
+    """V and N of a tensor that should begin with them."""
+    return (tensor.shape[0], tensor.shape[1]) if isinstance(tensor, Tensor) and tensor.ndim > 1 else (0, 0)
+
+
+@dataclass(frozen=True)
+class Footprints:
+    """N Gaussians seen in V views on one plane: each is exp(−½|L d|²) at the displacement d from its centre.
+
+    Parameters
+    ----------
+    centers : Tensor [V, N, 2]
+        Positions on the plane, m.
+    roots : Tensor [V, N, 3]
+        (a, b, c), 1/m, of the triangular factor L = (a b; 0 c) of the inverse covariance, LᵀL = Σ'⁻¹; a and c are
+        positive. A factor, because the covariance of a needle loses the digits that its inverse needs.
+
+    Raises
+    ------
+    SarsplatError
+        If shapes, dtypes or devices do not fit together.
+    """
+
+    centers: Float[Tensor, "v n 2"]
+    roots: Float[Tensor, "v n 3"]
+
+    def __post_init__(self) -> None:
+        v, n = _sizes(self.centers)
+        _check_fields(self, {"centers": (v, n, 2), "roots": (v, n, 3)})
+
+
+@dataclass(frozen=True)
+class Projection:
+    """N Gaussians seen in V views, on both planes; what `project` returns.
+
+    Parameters
+    ----------
+    rays : Footprints
+        On the computation plane (x_r, y_r), widened by the cell of a ray; differentiable.
+    optical_depth : Tensor [V, N]
+        κ': two-way optical depth on a ray through the centre of a widened footprint; differentiable.
+    range_m : Tensor [V, N]
+        Range z_r of the centres, m: the order along the rays. Not differentiable.
+    tilt : Tensor [V, N, 2]
+        Slope of the range of the densest point against (x_r, y_r), for first returns. Not differentiable.
+    pixels : Footprints
+        On the imaging plane (x_r, z_r), widened by the system's response and shifted; differentiable.
+    gamma0 : Tensor [V, N]
+        γ⁰ towards the radar, by the scattering law of the Gaussians; differentiable.
+
+    Raises
+    ------
+    SarsplatError
+        If shapes, dtypes or devices do not fit together.
+    """
+
+    rays: Footprints
+    optical_depth: Float[Tensor, "v n"]
+    range_m: Float[Tensor, "v n"]
+    tilt: Float[Tensor, "v n 2"]
+    pixels: Footprints
+    gamma0: Float[Tensor, "v n"]
+
+    def __post_init__(self) -> None:
+        for name in ("rays", "pixels"):
+            if not isinstance(getattr(self, name), Footprints):
+                raise SarsplatError(f"{name} is a {type(getattr(self, name)).__name__}; give Footprints")
+        v, n = _sizes(self.optical_depth)
+        _check_fields(self, {"optical_depth": (v, n), "range_m": (v, n), "tilt": (v, n, 2), "gamma0": (v, n)})
+        for name in ("rays", "pixels"):
+            centers = getattr(self, name).centers
+            if (
+                _sizes(centers) != (v, n)
+                or centers.dtype != self.range_m.dtype
+                or centers.device != self.range_m.device
+            ):
+                raise SarsplatError(
+                    f"{name}.centers is {tuple(centers.shape)} of {centers.dtype} on {centers.device}, which does not "
+                    f"fit an optical_depth of {(v, n)}, {self.range_m.dtype} on {self.range_m.device}"
+                )
+
+
+@dataclass(frozen=True)
+class Attenuation:
+    """How much of each Gaussian the radar sees; what `attenuate` returns.
+
+    Parameters
+    ----------
+    lit_area : Tensor [V, N]
+        A_c Σ_ρ w, m²: the area across the line of sight over which a Gaussian is seen; differentiable. Times γ⁰ it is
+        the radar cross-section.
+    ray_maps : tuple of RayMap, one per view, or None
+        On request (`first_return_depth`).
+    """
+
+    lit_area: Float[Tensor, "v n"]
+    ray_maps: tuple[RayMap, ...] | None = None

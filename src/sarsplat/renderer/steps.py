@@ -1,0 +1,212 @@
+"""The steps of a rendering, one by one and each differentiable: project, attenuate, splat."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from jaxtyping import Float
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.renderer.checks import (
+    check_for_reference,
+    check_options,
+    check_shapes,
+    check_step_values,
+    check_values,
+)
+from sarsplat.renderer.engine import choose_engine, engine_for
+from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
+from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
+from sarsplat.renderer.step_functions import attenuate_with, project_with, splat_with
+
+
+def project(
+    gaussians: Gaussians,
+    views: Sequence[View],
+    grid: ImageGrid,
+    *,
+    rays: RayGrid | None = None,
+    shift: Float[Tensor, "v 2"] | None = None,
+    engine: str = "auto",
+) -> Projection:
+    """Footprints of Gaussians on the computation plane and on the imaging plane of several views, and their γ⁰.
+
+    The first of three steps that together do what `render` does, with the values in between in the open; `render` is
+    the faster::
+
+        projection = project(gaussians, views, grid)
+        lit_area = attenuate(projection, RayGrid.for_image(grid)).lit_area
+        cross_sections = projection.gamma0 * lit_area  # [V, N], m²
+        images = splat(projection.pixels, cross_sections[..., None], grid)  # [V, 1, rows, columns]
+
+    Differentiable with respect to `means`, `quaternions`, `scales`, `optical_depth`, the
+    parameters of `scattering`, and `shift`.
+
+    Parameters
+    ----------
+    gaussians : Gaussians
+        The scene, N Gaussians.
+    views : sequence of View
+        V views, at least one.
+    grid : ImageGrid
+        Its response widens the footprints on the imaging plane.
+    rays : RayGrid, optional
+        Their cell widens the footprints on the computation plane; two to a pixel spacing unless given.
+    shift : Tensor [V, 2], optional
+        Displacement (azimuth, range) of each image, m.
+    engine : {"auto", "cpu", "cuda", "reference"}
+        As at `render`.
+
+    Returns
+    -------
+    Projection
+        Footprints in metres.
+
+    Raises
+    ------
+    SarsplatError
+        If shapes or dtypes do not fit, a value is out of range, an option is unknown, or the engine is not available.
+    """
+    rays = rays or RayGrid.for_image(grid)
+    views = views if isinstance(views, View) else tuple(views)
+    check_options(engine=engine)
+    check_shapes(gaussians, views, None, shift, None)
+    tensors = {**gaussians.tensors(), "shift": shift}
+    if (engine := _chosen(engine, gaussians.means)) != "reference":
+        new_pass = engine_for(engine, "auto", grid, tensors)
+        return project_with(new_pass, gaussians, views, grid, rays=rays, shift=shift)
+    check_for_reference("means", gaussians.means.dtype)
+    check_values(tensors)
+    return project_reference(gaussians, views, grid, rays=rays, shift=shift)
+
+
+def attenuate(
+    projection: Projection, rays: RayGrid, *, first_return_depth: float | None = None, engine: str = "auto"
+) -> Attenuation:
+    """Send rays through the footprints of the computation plane, front to back: how much of each the radar sees.
+
+    Differentiable with respect to the centres, the roots and the optical depths; footprint cuts, depth order and the
+    early stop are held constant.
+
+    Parameters
+    ----------
+    projection : Projection
+        What `project` returned; its `pixels` are not used.
+    rays : RayGrid
+        Where rays stand; the same as for `project`, which widened the footprints by their cell.
+    first_return_depth : float, optional
+        Two-way optical depth at which a ray counts as returned; asks for `Attenuation.ray_maps`.
+    engine : {"auto", "cpu", "cuda", "reference"}
+        As at `render`.
+
+    Returns
+    -------
+    Attenuation
+        Lit areas, m².
+
+    Raises
+    ------
+    SarsplatError
+        If a value is out of range, an option is unknown, or the engine is not available.
+    """
+    check_options(first_return_depth=first_return_depth, engine=engine)
+    p = projection
+    if not isinstance(p, Projection):
+        raise SarsplatError(f"projection is a {type(p).__name__}; give what sarsplat.project returned")
+    if not isinstance(rays, RayGrid):
+        raise SarsplatError(f"rays is a {type(rays).__name__}; give the RayGrid that the projection was made with")
+    tensors: dict[str, Tensor | None] = {
+        "rays.centers": p.rays.centers,
+        "rays.roots": p.rays.roots,
+        "optical_depth": p.optical_depth,
+        "range_m": p.range_m,
+        "tilt": p.tilt,
+    }
+    _check_batch("rays.centers", p.rays.centers)
+    if (engine := _chosen(engine, p.optical_depth)) != "reference":
+        new_pass = engine_for(engine, "auto", None, tensors)
+        return attenuate_with(new_pass, p, rays, first_return_depth=first_return_depth)
+    check_for_reference("optical_depth", p.optical_depth.dtype)
+    check_step_values(tensors)
+    return attenuate_reference(p, rays, first_return_depth=first_return_depth)
+
+
+def splat(
+    footprints: Footprints,
+    amplitudes: Float[Tensor, "v n c"],
+    grid: ImageGrid,
+    *,
+    imaging_weight: str = "area",
+    engine: str = "auto",
+) -> Float[Tensor, "v c {grid.rows} {grid.columns}"]:
+    """Add footprints to images, each with as many amplitudes as there are channels: linear in them, in any order.
+
+    Differentiable with respect to the centres, the roots and the amplitudes; footprint cuts are held constant.
+    Channels share the work on a footprint: polarisations, looks or features cost little more than one image.
+
+    Parameters
+    ----------
+    footprints : Footprints
+        On the imaging plane: `Projection.pixels`, N Gaussians in V views.
+    amplitudes : Tensor [V, N, C]
+        What each Gaussian holds in each view and channel: its cross-section, m², for an image of β⁰. Any sign.
+    grid : ImageGrid
+        Pixels; the same as for `project`, which widened the footprints by its response.
+    imaging_weight : {"area", "peak"}
+        "area" divides by the footprint's area, so that amplitudes are conserved; "peak" does not, for ablations only.
+    engine : {"auto", "cpu", "cuda", "reference"}
+        As at `render`.
+
+    Returns
+    -------
+    Tensor [V, C, rows, columns]
+        The images.
+
+    Raises
+    ------
+    SarsplatError
+        If shapes or dtypes do not fit, a value is out of range, an option is unknown, or the engine is not available.
+    """
+    check_options(imaging_weight=imaging_weight, engine=engine)
+    if not isinstance(footprints, Footprints):
+        raise SarsplatError(f"footprints is a {type(footprints).__name__}; give Projection.pixels")
+    if not isinstance(amplitudes, Tensor):
+        raise SarsplatError(f"amplitudes is a {type(amplitudes).__name__}; give a torch.Tensor")
+    v, n, _ = footprints.centers.shape
+    if amplitudes.ndim != 3 or tuple(amplitudes.shape[:2]) != (v, n) or amplitudes.shape[2] < 1:
+        raise SarsplatError(
+            f"amplitudes has shape {tuple(amplitudes.shape)}; for {v} views of {n} Gaussians it must be ({v}, {n}, C) "
+            "with at least one channel"
+        )
+    centers = footprints.centers
+    if amplitudes.dtype != centers.dtype or amplitudes.device != centers.device:
+        raise SarsplatError(
+            f"amplitudes is {amplitudes.dtype} on {amplitudes.device} but footprints.centers is {centers.dtype} on "
+            f"{centers.device}; use one floating dtype and one device for all tensors"
+        )
+    tensors: dict[str, Tensor | None] = {
+        "footprints.centers": centers,
+        "footprints.roots": footprints.roots,
+        "amplitudes": amplitudes,
+    }
+    _check_batch("footprints.centers", centers)
+    if (engine := _chosen(engine, amplitudes)) != "reference":
+        new_pass = engine_for(engine, "auto", grid, tensors)
+        return splat_with(new_pass, footprints, amplitudes, grid, imaging_weight=imaging_weight)
+    check_for_reference("amplitudes", amplitudes.dtype)
+    check_step_values(tensors)
+    return splat_reference(footprints, amplitudes, grid, imaging_weight=imaging_weight)
+
+
+def _chosen(engine: str, tensor: Tensor) -> str:
+    return choose_engine(tensor.dtype, tensor.device.type) if engine == "auto" else engine
+
+
+def _check_batch(name: str, tensor: Tensor) -> None:
+    if tensor.is_meta:
+        raise SarsplatError(f"{name} lies on torch's meta device, which holds no values; make it on the CPU")
+    if tensor.shape[0] < 1:
+        raise SarsplatError(f"{name} has shape {tuple(tensor.shape)}, which is no view; give at least one")

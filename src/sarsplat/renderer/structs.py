@@ -1,0 +1,97 @@
+"""ctypes mirrors of the structures in `csrc/api.h`, and the check that they are the compiled engine's."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from ctypes import POINTER, c_char_p, c_float, c_int32, c_int64, c_void_p
+
+from sarsplat.errors import SarsplatError
+
+
+def _struct(name: str, *fields: tuple[str, type]) -> type[ctypes.Structure]:
+    return type(name, (ctypes.Structure,), {"_fields_": list(fields)})
+
+
+_PAIR = c_float * 2
+Problem = _struct(
+    "sg_problem",
+    *((name, c_int32) for name in ("peak", "views", "gaussians", "coefficients", "rows", "columns")),
+    *((name, c_void_p) for name in ("means", "quaternions", "scales", "kappa", "harmonics", "gamma0")),
+    *((name, c_void_p) for name in ("frames", "basis", "shift")),
+    ("p_min", c_float),
+    *((name, _PAIR) for name in ("pixel", "center", "response_var", "ray")),
+    *((name, c_float) for name in ("cell_widening", "min_ray_depth", "min_transmittance", "image_cut")),
+    *((name, c_float) for name in ("min_scale", "max_depth")),
+)
+Outputs = _struct("sg_outputs", *((name, c_void_p) for name in ("images", "cross_sections", "lit_area")))
+Gradients = _struct(
+    "sg_gradients",
+    *((name, c_void_p) for name in ("images", "cross_sections", "transmittance")),
+    *((name, c_void_p) for name in ("means", "quaternions", "scales", "kappa", "harmonics", "gamma0")),
+    *((name, c_void_p) for name in ("shift", "planes")),
+)
+Projection = _struct(
+    "sg_projection",
+    *((name, c_void_p) for name in ("ray_centers", "ray_roots", "optical_depth", "range", "tilt")),
+    *((name, c_void_p) for name in ("pixel_centers", "pixel_roots", "gamma0")),
+)
+Channels = _struct("sg_channels", ("count", c_int32), ("amplitudes", c_void_p))
+Lattice = _struct("sg_lattice", ("k0x", c_int64), ("k0y", c_int64), ("rows", c_int32), ("columns", c_int32))
+Statistics = _struct(
+    "sg_statistics",
+    *((f"{what}_{plane}", c_int64) for plane in ("attenuation", "imaging") for what in ("blocks", "live")),
+    ("lanes", c_int64),
+)
+Loss = _struct(
+    "sg_loss",
+    *((name, c_int32) for name in ("views", "rows", "columns")),
+    *((name, c_void_p) for name in ("power", "truth", "window")),
+    *((name, c_float) for name in ("reference", "floor", "ssim_weight", "c1", "c2")),
+    *((name, c_void_p) for name in ("loss", "gradient")),
+)
+_COLUMNS = c_float * 16
+AdamGroup = _struct(
+    "sg_adam_group",
+    *((name, c_void_p) for name in ("value", "gradient", "mean", "square")),
+    ("rows", c_int64),
+    ("columns", c_int32),
+    ("logarithmic", c_int32),
+    ("decay", c_float),
+    *((name, _COLUMNS) for name in ("rate", "low", "high")),
+)
+AdamStep = _struct(
+    "sg_adam_step",
+    ("groups", POINTER(AdamGroup)),
+    ("count", c_int32),
+    *((name, c_float) for name in ("beta1", "beta2", "epsilon", "beta1_power", "beta2_power")),
+)
+MIRRORS = (Problem, Outputs, Gradients, Projection, Channels, Lattice, Statistics, Loss, AdamGroup, AdamStep)
+"""Every structure that Python and the engine share."""
+
+
+def _compiled(library: ctypes.CDLL, name: str, count: int) -> list[int] | None:
+    try:
+        layout = library.sg_layout
+    except AttributeError:  # of a time before there were layouts
+        return None
+    layout.restype, layout.argtypes = POINTER(c_int32), [c_char_p]
+    numbers = layout(name.encode())
+    return numbers[:count] if numbers else None
+
+
+def check_layouts(library: ctypes.CDLL, mirrors: Sequence[type[ctypes.Structure]] = MIRRORS) -> None:
+    """Compare every structure's size and the offsets of its fields with what the engine was compiled with.
+
+    Raises
+    ------
+    SarsplatError
+        If one differs: the engine was built from other sources than this Python code.
+    """
+    for mirror in mirrors:
+        numbers = [ctypes.sizeof(mirror), *(getattr(mirror, field[0]).offset for field in mirror._fields_), -1]
+        if _compiled(library, mirror.__name__, len(numbers)) != numbers:
+            raise SarsplatError(
+                f"the compiled CPU engine has another layout of {mirror.__name__} than this version of sarsplat; "
+                "reinstall with `pip install .`"
+            )

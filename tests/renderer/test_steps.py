@@ -1,0 +1,377 @@
+"""The public steps project, attenuate and splat: against their twins, against `render`, and on their own."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import replace
+from functools import partial
+
+import pytest
+import torch
+from named_scenes import GRADCHECK, GRID, MATRIX, VIEWS, Scene, cloud
+from step_cases import STEPS, check, found_by, judged
+from test_cpu_engine import AVAILABLE, relative
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians, Harmonics, NormalLobes
+from sarsplat.geometry import ImageGrid, RayGrid
+from sarsplat.renderer import Footprints, Projection, attenuate, cpu, project, render, splat, structs
+from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
+
+RAYS = RayGrid.for_image(GRID)
+
+
+@pytest.mark.parametrize("instruction_set", AVAILABLE)
+@pytest.mark.parametrize("name", MATRIX)
+@pytest.mark.parametrize("step", STEPS)
+def test_matches_its_twin(step, name, instruction_set):
+    check(step, name, found_by(partial(cpu.Pass, instruction_set), step, name))
+
+
+def test_the_scenes_have_something_to_compare():
+    for step in STEPS:
+        for name in set(MATRIX) - {"none", "all outside"}:
+            expected, _ = judged(step, name)
+            gradients = [key for key in expected if key.startswith("d ")]
+            assert len(gradients) == {"project": 6, "attenuate": 3, "splat": 3}[step]
+            assert all(float(expected[key].norm()) > 0 for key in gradients), (step, name)
+
+
+# ---- the chain is the fused pass -------------------------------------------------------------------------------------
+def chained(scene: Scene, leaves: dict[str, Tensor], **engine: str) -> dict[str, Tensor]:
+    """What `render` returns, step by step."""
+    fields = scene.gaussians.tensors()
+    gaussians = scene.gaussians.with_tensors(**{name: leaves.get(name, tensor) for name, tensor in fields.items()})
+    rays = scene.rays or RayGrid.for_image(scene.grid)
+    p = project(gaussians, scene.views, scene.grid, rays=rays, shift=leaves.get("shift"), **engine)
+    lit = attenuate(p, rays, first_return_depth=scene.first_return_depth, **engine)
+    cross_sections = leaves.get("gamma0", p.gamma0) * lit.lit_area
+    images = splat(p.pixels, cross_sections[..., None], scene.grid, imaging_weight=scene.imaging_weight, **engine)[:, 0]
+    if "gain" in leaves:
+        images = images * leaves["gain"][:, None, None]
+    return collected(images, cross_sections, lit.lit_area, lit.ray_maps)
+
+
+def fused(scene: Scene, leaves: dict[str, Tensor], **engine: str) -> dict[str, Tensor]:
+    r = scene.call(render, leaves, **engine)
+    return collected(r.images, r.cross_sections, r.lit_area, r.ray_maps)
+
+
+def collected(images, cross_sections, lit_area, ray_maps) -> dict[str, Tensor]:
+    maps = {
+        part: torch.cat([getattr(m, part).flatten() for m in ray_maps]) for part in ("transmittance", "first_return")
+    }
+    return {"images": images, "cross_sections": cross_sections, "lit_area": lit_area} | maps
+
+
+def with_gradients(outputs: dict[str, Tensor], leaves: dict[str, Tensor]) -> dict[str, Tensor]:
+    generator, loss = torch.Generator().manual_seed(5), torch.zeros(())
+    for name in ("images", "cross_sections", "transmittance"):
+        norm = float(outputs[name].detach().norm()) or 1.0
+        loss = loss + (outputs[name] * torch.randn(outputs[name].shape, generator=generator)).sum() / norm
+    gradients = torch.autograd.grad(loss, list(leaves.values()))
+    return {name: t.detach().nan_to_num() for name, t in outputs.items()} | dict(zip(leaves, gradients, strict=True))
+
+
+@pytest.mark.parametrize("name", MATRIX)
+def test_the_chain_is_the_fused_pass(name):
+    scene = MATRIX[name]()
+    found, expected = (
+        with_gradients(run(scene, leaves, engine="cpu"), leaves)
+        for run in (chained, fused)
+        for leaves in [scene.leaves(torch.float32)]
+    )
+    for key, value in expected.items():
+        assert found[key].shape == value.shape, key
+        assert relative(found[key], value.double()) <= (1e-6 if key in ("images", "cross_sections") else 3e-6), key
+
+
+def test_another_scattering_law():
+    gaussians = replace(
+        cloud(30, 2), scattering=NormalLobes(torch.randn(30, 2, generator=torch.Generator().manual_seed(1)))
+    )
+    scene = Scene(gaussians)
+    found, expected = (
+        with_gradients(run(scene, leaves), leaves)
+        for run in (chained, fused)
+        for leaves in [scene.leaves(torch.float32)]
+    )
+    for key, value in expected.items():
+        assert relative(found[key], value.double()) <= 3e-6, key
+
+
+@pytest.mark.parametrize("law", [Harmonics, NormalLobes])
+def test_the_reference_by_steps(law):
+    single = replace(cloud(20, 1), scattering=law(torch.randn(20, 1 if law is Harmonics else 2)))
+    scene = Scene(single.to(torch.float64))
+    leaves = scene.leaves(torch.float64)
+    found, expected = chained(scene, leaves), fused(scene, leaves)
+    for key, value in expected.items():
+        assert torch.equal(found[key].nan_to_num(), value.nan_to_num()), key
+
+
+# ---- finite differences of the twins ---------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", GRADCHECK)
+def test_finite_differences_of_every_twin(name):
+    scene = GRADCHECK[name]()
+    g = scene.gaussians.to(torch.float64)
+    shift = scene.shift.double()
+    gradcheck = partial(torch.autograd.gradcheck, eps=1e-6, atol=1e-7, rtol=1e-5)
+
+    def footprints(*tensors):
+        p = project_reference(g.with_tensors(**dict(zip(g.tensors(), tensors))), scene.views, scene.grid,
+                              rays=scene.rays, shift=tensors[-1])  # fmt: skip
+        return p.rays.centers, p.rays.roots, p.optical_depth, p.pixels.centers, p.pixels.roots, p.gamma0
+
+    assert gradcheck(footprints, tuple(t.clone().requires_grad_() for t in (*g.tensors().values(), shift)))
+    p = project_reference(g, scene.views, scene.grid, rays=scene.rays, shift=shift)
+
+    def seen(centers, roots, depth):
+        made = replace(p, rays=Footprints(centers, roots), optical_depth=depth)
+        found = attenuate_reference(made, scene.rays, first_return_depth=0.5, cuts=False)
+        return found.lit_area, *(ray_map.transmittance for ray_map in found.ray_maps)
+
+    assert gradcheck(seen, tuple(t.clone().requires_grad_() for t in (p.rays.centers, p.rays.roots, p.optical_depth)))
+    amplitudes = torch.randn(2, len(g), 2, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
+
+    def images(centers, roots, amplitudes):
+        made = Footprints(centers, roots)
+        return splat_reference(made, amplitudes, scene.grid, imaging_weight=scene.imaging_weight, cuts=False)
+
+    assert gradcheck(images, tuple(t.clone().requires_grad_() for t in (p.pixels.centers, p.pixels.roots, amplitudes)))
+
+
+# ---- channels --------------------------------------------------------------------------------------------------------
+def splat_with_gradients(footprints: Footprints, amplitudes: Tensor, seeds: Tensor, grid=GRID) -> list[Tensor]:
+    leaves = [t.detach().clone().requires_grad_() for t in (footprints.centers, footprints.roots, amplitudes)]
+    images = splat(Footprints(*leaves[:2]), leaves[2], grid, engine="cpu")
+    return [images.detach(), *torch.autograd.grad(images, leaves, seeds)]
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 4, 5, 9])
+def test_channels_are_single_splats(channels):
+    pixels = project(cloud(60, 1), VIEWS, GRID).pixels
+    generator = torch.Generator().manual_seed(channels)
+    amplitudes = torch.randn(3, 60, channels, generator=generator)
+    seeds = torch.randn(3, channels, GRID.rows, GRID.columns, generator=generator)
+    images, d_centers, d_roots, d_amplitudes = splat_with_gradients(pixels, amplitudes, seeds)
+    singles = [splat_with_gradients(pixels, amplitudes[..., c : c + 1], seeds[:, c : c + 1]) for c in range(channels)]
+    assert torch.equal(images, torch.cat([single[0] for single in singles], dim=1))
+    assert relative(d_amplitudes, torch.cat([single[3] for single in singles], dim=2).double()) <= 1e-6
+    assert relative(d_centers, sum(single[1].double() for single in singles)) <= 1e-5
+    assert relative(d_roots, sum(single[2].double() for single in singles)) <= 1e-5
+
+
+def test_splat_is_linear_in_the_amplitudes():
+    pixels = project(cloud(60, 1), VIEWS, GRID).pixels
+    first, second = torch.randn(2, 3, 60, 2, generator=torch.Generator().manual_seed(1))
+    both = splat(pixels, 2.0 * first - 3.0 * second, GRID)
+    assert relative(both, (2.0 * splat(pixels, first, GRID) - 3.0 * splat(pixels, second, GRID)).double()) <= 1e-5
+
+
+def test_a_dark_gaussian_has_a_gradient():
+    pixels = project(cloud(5, 1), VIEWS, GRID).pixels
+    amplitudes = torch.zeros(3, 5, 1, requires_grad=True)
+    splat(pixels, amplitudes, GRID).sum().backward()
+    assert (amplitudes.grad > 0).all()
+
+
+# ---- on their own ----------------------------------------------------------------------------------------------------
+@pytest.fixture
+def threads():
+    """Sets torch's thread count; the old one comes back."""
+    before = torch.get_num_threads()
+    yield torch.set_num_threads
+    torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize("step", STEPS)
+@pytest.mark.parametrize("name", ["many", "many views"])
+def test_same_bits_for_any_number_of_threads(name, step, threads):
+    threads(1)
+    expected = found_by(cpu.Pass, step, name)
+    for count in (2, 3, 7):
+        threads(count)
+        found = found_by(cpu.Pass, step, name)
+        for key, value in expected.items():
+            assert torch.equal(found[key].nan_to_num(), value.nan_to_num()), (count, key)
+
+
+def test_no_gaussians():
+    p = project(cloud(0, 0), VIEWS, GRID)
+    assert p.rays.roots.shape == p.pixels.roots.shape == (3, 0, 3)
+    found = attenuate(p, RAYS, first_return_depth=1.0)
+    assert found.lit_area.shape == (3, 0)
+    assert found.ray_maps[0].transmittance.shape == (0, 0)
+    amplitudes = torch.zeros(3, 0, 2, requires_grad=True)
+    images = splat(p.pixels, amplitudes, GRID)
+    assert images.shape == (3, 2, GRID.rows, GRID.columns)
+    assert not images.any()
+    images.sum().backward()
+    assert amplitudes.grad.shape == (3, 0, 2)
+
+
+def test_gradients_of_gradients_are_refused():
+    g = cloud(10, 1)
+    g.means.requires_grad_()
+    p = project(g, VIEWS, GRID)
+    lit = attenuate(p, RAYS).lit_area
+    images = splat(p.pixels, lit[..., None], GRID)
+    for output, leaf in ((p.rays.roots, g.means), (lit, p.rays.roots), (images, p.pixels.roots)):
+        (slope,) = torch.autograd.grad((output**2).sum(), [leaf], create_graph=True)
+        with pytest.raises(RuntimeError, match="once_differentiable"):
+            slope.sum().backward()
+
+
+def test_steps_between_forward_and_backward_do_not_disturb():
+    pixels = project(cloud(60, 1), VIEWS, GRID).pixels
+    amplitudes = torch.rand(3, 60, 1, requires_grad=True)
+    images = splat(pixels, amplitudes, GRID)
+    expected = torch.autograd.grad(images.square().sum(), amplitudes, retain_graph=True)[0]
+    for seed in range(4):
+        attenuate(project(cloud(90, seed), VIEWS, GRID), RAYS)
+        splat(project(cloud(90, seed), VIEWS, GRID).pixels, torch.rand(3, 90, 2), GRID)
+    assert torch.equal(torch.autograd.grad(images.square().sum(), amplitudes)[0], expected)
+
+
+# ---- refusals --------------------------------------------------------------------------------------------------------
+def bad(tensor: Tensor, index: tuple[int, ...], value: float) -> Tensor:
+    changed = tensor.detach().clone()
+    changed[index] = value
+    return changed
+
+
+@pytest.mark.parametrize("engine", ["cpu", "reference"])
+def test_values_out_of_range(engine):
+    p = project(cloud(10, 0), VIEWS, GRID)
+    nan = float("nan")
+    cases = {
+        r"rays.centers\[1, 4\] is \[.*nan.*\]; it must be finite metres": replace(
+            p, rays=replace(p.rays, centers=bad(p.rays.centers, (1, 4, 0), nan))
+        ),
+        r"rays.roots\[2, 0\] is \[.*\]; it must be .* at least 1e-8": replace(
+            p, rays=replace(p.rays, roots=bad(p.rays.roots, (2, 0, 2), 0.0))
+        ),
+        r"rays.roots\[0, 9\] is \[.*inf.*\]; it must be": replace(
+            p, rays=replace(p.rays, roots=bad(p.rays.roots, (0, 9, 1), float("-inf")))
+        ),
+        r"optical_depth\[1, 1\] is 41.0; it must be between 0": replace(
+            p, optical_depth=bad(p.optical_depth, (1, 1), 41.0)
+        ),
+        r"range_m\[0, 3\] is nan; it must be finite metres": replace(p, range_m=bad(p.range_m, (0, 3), nan)),
+        r"tilt\[0, 3\] is \[.*nan.*\]; it must be finite": replace(p, tilt=bad(p.tilt, (0, 3, 1), nan)),
+    }
+    for message, projection in cases.items():
+        with pytest.raises(SarsplatError, match=message):
+            attenuate(projection, RAYS, engine=engine)
+    amplitudes = torch.ones(3, 10, 2)
+    with pytest.raises(SarsplatError, match=r"amplitudes\[2, 7\] is \[1.0, inf\]; it must be finite"):
+        splat(p.pixels, bad(amplitudes, (2, 7, 1), float("inf")), GRID, engine=engine)
+    with pytest.raises(SarsplatError, match=r"footprints.roots\[0, 0\] is \[nan.*\]; it must be finite"):
+        splat(replace(p.pixels, roots=bad(p.pixels.roots, (0, 0, 0), nan)), amplitudes, GRID, engine=engine)
+    g = cloud(10, 0)
+    with pytest.raises(SarsplatError, match=r"means\[3\] is \[nan.*\]; it must be finite metres"):
+        project(replace(g, means=bad(g.means, (3, 0), nan)), VIEWS, GRID, engine=engine)
+    with pytest.raises(SarsplatError, match=r"scattering\[3\] is \[nan.*\]; it must be finite"):
+        project(g.with_tensors(scattering=bad(g.scattering.parameters, (3, 0), nan)), VIEWS, GRID, engine=engine)
+
+
+def test_shapes_dtypes_and_options():
+    p, amplitudes = project(cloud(10, 0), VIEWS, GRID), torch.ones(3, 10, 1)
+    with pytest.raises(SarsplatError, match=r"roots has shape \(3, 9, 3\); for 3 views of 10 Gaussians it must be"):
+        Footprints(p.rays.centers, p.rays.roots[:, :9])
+    with pytest.raises(SarsplatError, match=r"tilt has shape \(3, 10\); for 3 views of 10 Gaussians it must be"):
+        replace(p, tilt=p.range_m)
+    with pytest.raises(
+        SarsplatError, match=r"pixels.centers is \(2, 10, 2\) .* does not fit an optical_depth of \(3, 10\)"
+    ):
+        replace(p, pixels=Footprints(p.pixels.centers[:2], p.pixels.roots[:2]))
+    with pytest.raises(SarsplatError, match=r"roots is torch.float64 on cpu but centers is torch.float32 on cpu"):
+        replace(p.rays, roots=p.rays.roots.double())
+    with pytest.raises(SarsplatError, match=r"amplitudes has shape \(3, 10\); .* it must be \(3, 10, C\)"):
+        splat(p.pixels, amplitudes[..., 0], GRID)
+    with pytest.raises(SarsplatError, match=r"amplitudes has shape \(3, 10, 0\); .* at least one channel"):
+        splat(p.pixels, amplitudes[..., :0], GRID)
+    with pytest.raises(
+        SarsplatError, match=r"amplitudes is torch.float64 on cpu but footprints.centers is torch.float32"
+    ):
+        splat(p.pixels, amplitudes.double(), GRID)
+    with pytest.raises(SarsplatError, match=r"footprints is a Projection; give Projection.pixels"):
+        splat(p, amplitudes, GRID)
+    with pytest.raises(SarsplatError, match=r"projection is a Footprints; give what sarsplat.project returned"):
+        attenuate(p.rays, RAYS)
+    with pytest.raises(SarsplatError, match="rays is a ImageGrid; give the RayGrid"):
+        attenuate(p, GRID)
+    with pytest.raises(SarsplatError, match="imaging_weight 'round' is unknown"):
+        splat(p.pixels, amplitudes, GRID, imaging_weight="round")
+    with pytest.raises(SarsplatError, match="first_return_depth 0 must be a positive"):
+        attenuate(p, RAYS, first_return_depth=0)
+    with pytest.raises(SarsplatError, match="engine 'gpu' is unknown"):
+        project(cloud(10, 0), VIEWS, GRID, engine="gpu")
+    with pytest.raises(SarsplatError, match="there are no views to render"):
+        project(cloud(10, 0), [], GRID)
+    with pytest.raises(SarsplatError, match=r"shift has shape \(3,\); .* it must be \(3, 2\)"):
+        project(cloud(10, 0), VIEWS, GRID, shift=torch.zeros(3))
+    with pytest.raises(SarsplatError, match=r"shape \(0, 10, 2\), which is no view"):
+        splat(Footprints(p.pixels.centers[:0], p.pixels.roots[:0]), amplitudes[:0], GRID)
+    with pytest.raises(SarsplatError, match=r"means is torch.float64 on cpu; the CPU engine takes torch.float32"):
+        project(cloud(10, 0).to(torch.float64), VIEWS, GRID, engine="cpu")
+
+
+def test_grids_that_are_too_large():
+    far = cloud(10, 0)
+    p = project(replace(far, means=bad(far.means, (0, 0), 1e6)), VIEWS, GRID)
+    with pytest.raises(SarsplatError, match=r"view 0 would need too many rays .* remove far and wide ones"):
+        attenuate(p, RAYS, engine="cpu")
+    with pytest.raises(SarsplatError, match=r"reference would need too many rays"):
+        attenuate(p, RAYS, engine="reference")
+    wide = ImageGrid(80_000, 1, (0.2, 5e-5), (0.3, 0.3))
+    with pytest.raises(SarsplatError, match="an image of 80000 × 1 pixels is too large"):
+        splat(p.pixels, torch.ones(3, 10, 1), wide, engine="cpu")
+
+
+def test_a_projection_is_made_of_footprints():
+    p = project(cloud(10, 0), VIEWS, GRID)
+    with pytest.raises(SarsplatError, match="rays is a Tensor; give Footprints"):
+        Projection(p.rays.centers, p.optical_depth, p.range_m, p.tilt, p.pixels, p.gamma0)
+    with pytest.raises(SarsplatError, match=r"optical_depth is a list; give a torch.Tensor"):
+        replace(p, optical_depth=[1.0])
+
+
+def test_tensors_changed_before_backward():
+    g: Gaussians = cloud(10, 1)
+    g.means.requires_grad_()
+    p = project(g, VIEWS, GRID)
+    with torch.no_grad():
+        g.scales.mul_(2.0)
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        p.rays.roots.sum().backward()
+
+
+# ---- the structures that Python and the engine share -----------------------------------------------------------------
+_LONG, _SHORT = ctypes.c_int64, ctypes.c_int32
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        [("k0x", _LONG), ("k0y", _LONG), ("rows", _SHORT), ("columns", _LONG)],
+        [("columns", _SHORT), ("rows", _SHORT), ("k0x", _LONG), ("k0y", _LONG)],
+        [("k0x", _LONG), ("k0y", _LONG), ("rows_and_columns", _LONG)],
+        [("k0x", _LONG), ("k0y", _LONG), ("rows", _SHORT), ("columns", _SHORT), ("more", _LONG)],
+    ],
+)
+def test_a_structure_that_is_not_the_engines(fields):
+    structs.check_layouts(cpu.library())
+    wrong = type("sg_lattice", (ctypes.Structure,), {"_fields_": fields})
+    with pytest.raises(
+        SarsplatError, match="has another layout of sg_lattice than this version of sarsplat; reinstall"
+    ):
+        structs.check_layouts(cpu.library(), [structs.Problem, wrong])
+
+
+def test_a_structure_that_the_engine_does_not_know():
+    unknown = type("sg_nothing", (ctypes.Structure,), {"_fields_": [("x", ctypes.c_int32)]})
+    with pytest.raises(SarsplatError, match="another layout of sg_nothing"):
+        structs.check_layouts(cpu.library(), [unknown])
