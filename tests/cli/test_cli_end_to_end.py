@@ -57,7 +57,7 @@ def test_evaluate_writes_every_score(workshop: Path) -> None:
     assert metrics["images"]["test"]["psnr_db"] > 10
     assert metrics["images"]["test"]["lpips"] is None
     assert metrics["points"]["visible"]["cd_m"] > 0
-    assert metrics["yardsticks"] is None
+    assert metrics["baselines"] is None
     assert metrics["seed"] == 0
 
 
@@ -114,7 +114,8 @@ def test_resume_keeps_the_settings_of_the_run(
     workshop: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run, dataset = str(tmp_path / "run"), str(workshop / "dataset")
-    assert main(["reconstruct", dataset, "--out", run, "--iterations", "2", "--init", "hemisphere", "--seed", "7"]) == 0
+    flags = ["--iterations", "2", "--initialisation", "hemisphere", "--seed", "7"]
+    assert main(["reconstruct", dataset, "--out", run, *flags]) == 0
     assert main(["reconstruct", dataset, "--out", run, "--resume"]) == 0
     assert "seed 7" in capsys.readouterr().out
     assert main(["reconstruct", dataset, "--out", run, "--resume", "--preset", "paper"]) == 2

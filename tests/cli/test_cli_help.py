@@ -1,9 +1,20 @@
 """Help must be instant."""
 
+import os
+import re
 import subprocess
 import sys
+from dataclasses import fields
+from typing import get_args
 
 import pytest
+
+from sarsplat.cli import main
+from sarsplat.cli.reconstruct import PresetName
+from sarsplat.cli.simulate import TargetName
+from sarsplat.reconstruction.config import Config, Densification, Surroundings
+from sarsplat.reconstruction.presets import PRESETS
+from sarsplat.scenes import TARGETS
 
 PROGRAM = """
 import sys, time
@@ -16,17 +27,64 @@ except SystemExit as end:
 """
 
 
-@pytest.mark.parametrize("command", [["--help"], ["simulate", "--help"], ["render", "--help"]])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["--help"],
+        ["simulate", "--help"],
+        ["reconstruct", "--help"],
+        ["import", "mstar", "--help"],
+        ["render", "--help"],
+    ],
+)
 def test_help_is_fast_and_imports_nothing_heavy(command: list[str]) -> None:
     shown = subprocess.run([sys.executable, "-c", PROGRAM, *command], capture_output=True, text=True, check=True).stdout
     last = shown.splitlines()[-1]
     assert "code=0 heavy=[]" in last
     assert float(last.rpartition("=")[2]) < 0.5
-    assert "usage: sarsplat" in shown
+    assert f"usage: {' '.join(['sarsplat', *command[:-1]])} [-h]" in shown
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
-    from sarsplat.cli import main
-
     assert main(["--version"]) == 0
     assert capsys.readouterr().out.startswith("sarsplat ")
+
+
+def test_the_package_is_a_program() -> None:
+    done = subprocess.run([sys.executable, "-m", "sarsplat", "import", "mstar"], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr == "error: CHIPS is missing; sarsplat import mstar --help says what it is\n"
+
+
+def test_help_shows_every_setting(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+    with pytest.raises(SystemExit):
+        main(["reconstruct", "--help"])
+    shown = re.sub(r"[│\s]+", " ", capsys.readouterr().out)
+    whole = Config(densification=Densification(), surroundings=Surroundings())
+    for record, prefix in (
+        (whole, ""),
+        *((getattr(whole, part), f"{part}.") for part in ("rates", "points", "densification", "surroundings")),
+    ):
+        for field in fields(record):
+            if isinstance(getattr(record, field.name), int | float):
+                flag = f"--{prefix}{field.name}".replace("_", "-")
+                assert re.search(rf"{re.escape(flag)} ((?!--).)*\(default: {getattr(record, field.name)}\)", shown), (
+                    flag
+                )
+    for part in ("rates", "points", "densification", "surroundings"):
+        assert f"{part} options" in shown
+
+
+def test_names_that_are_repeated_for_the_sake_of_speed() -> None:
+    assert get_args(PresetName) == ("auto", *PRESETS)
+    assert get_args(TargetName) == tuple(TARGETS)
+
+
+def test_a_reader_that_leaves_is_no_mistake() -> None:
+    read, write = os.pipe()
+    os.close(read)
+    command = [sys.executable, "-m", "sarsplat", "reconstruct", "--help"]
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (141, "")

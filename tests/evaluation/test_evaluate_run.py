@@ -82,7 +82,7 @@ def make(tmp_path, monkeypatch):
 def test_every_key_is_there_and_every_null_has_its_reason(make):
     metrics = evaluate_run(FakeRun(make(), power=1.1))
     assert list(metrics) == [
-        *("images", "points", "yardsticks", "time_s", "seed", "normalisation", "definitions", "reasons"),
+        *("images", "points", "baselines", "time_s", "seed", "definitions", "parameters", "reasons"),
     ]
     assert list(metrics["definitions"]) == [metric.key for metric in METRICS]
     assert list(metrics["images"]) == ["test-17", "test-15"]
@@ -104,7 +104,7 @@ def test_a_rendered_set_is_scored_by_protocol_r(make):
     scores = metrics["images"]["test-17"]
     assert scores["psnr_db"] == pytest.approx(psnr_db(truth, np.float32(1.1) * truth, float(np.sqrt(train.max()))))
     assert 0.9 < scores["ssim"] < 1
-    assert metrics["normalisation"]["reference_amplitude"] == pytest.approx(float(np.sqrt(train.max())))
+    assert metrics["parameters"]["reference_amplitude"] == pytest.approx(float(np.sqrt(train.max())))
     assert [scores[key] for key in SPECKLED_ONLY] == [None, None]
     assert "speckle" in metrics["reasons"]["images.test-17.nats_per_pixel"]
     assert scores["lpips"] is None
@@ -146,11 +146,11 @@ def test_a_measured_set_is_scored_by_protocol_m_whatever_its_unit(make, tmp_path
 def test_a_speckled_simulation_is_scored_as_speckled_images_are(make):
     metrics = evaluate_run(FakeRun(make(looks=1)))
     assert [key for key in IMAGE_KEYS if metrics["images"]["test-15"][key] is None] == NOISE_FREE_ONLY
-    assert metrics["yardsticks"] is None
+    assert metrics["baselines"] is None
 
 
-def test_speckled_images_with_ground_stand_beside_the_yardsticks(make):
-    assert list(evaluate_run(FakeRun(make(looks=1, ground=True)))["yardsticks"]) == ["test-17", "test-15"]
+def test_speckled_images_with_ground_stand_beside_the_baselines(make):
+    assert list(evaluate_run(FakeRun(make(looks=1, ground=True)))["baselines"]) == ["test-17", "test-15"]
 
 
 def test_what_is_returned_is_written_into_the_run(make, tmp_path):

@@ -19,7 +19,7 @@ from sarsplat.evaluation import (
 IMAGE_KEYS, POINT_KEYS = ([metric.key for metric in metrics] for metrics in (IMAGE_METRICS, POINT_METRICS))
 
 
-def metrics(yardsticks=None, **images):
+def metrics(baselines=None, **images):
     """Metrics of a run in which everything not named is null."""
     return {
         "images": {name: {**dict.fromkeys(IMAGE_KEYS), **scores} for name, scores in images.items()},
@@ -27,7 +27,7 @@ def metrics(yardsticks=None, **images):
             "visible": {**dict.fromkeys(POINT_KEYS), "cd_m": 0.0741, "f1@0.3": 0.9834, "f1@0.1": 0.7654},
             "whole": dict.fromkeys(POINT_KEYS),
         },
-        "yardsticks": yardsticks,
+        "baselines": baselines,
         "time_s": 61.7,
         "seed": 0,
     }
@@ -94,10 +94,10 @@ def test_the_row_of_the_paper_is_that_of_the_target():
         assert beside(**other) is None
 
 
-def test_measured_sets_stand_beside_the_yardsticks():
+def test_measured_sets_stand_beside_the_baselines():
     sets = {"test-17": {"nats_per_pixel": 0.55, "log_correlation": 0.86}, "test-15": {"nats_per_pixel": 0.5}}
-    yardsticks = {"test-17": {"nearest_chip": {"nats_per_pixel": 0.573, "log_correlation": 0.841}}}
-    measured = metrics(yardsticks, **sets)
+    baselines = {"test-17": {"nearest_chip": {"nats_per_pixel": 0.573, "log_correlation": 0.841}}}
+    measured = metrics(baselines, **sets)
     measured["points"]["visible"] = dict.fromkeys(POINT_KEYS)
     assert rows(table(measured)) == [
         ["ours, test-17", "0.550", "0.860", "62"],

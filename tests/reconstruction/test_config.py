@@ -91,9 +91,9 @@ def test_wrong_values_are_refused_in_a_short_sentence(path: str, value: Any, all
 @pytest.mark.parametrize(
     ("path", "told"),
     [
-        ("warmth", "the setting 'warmth' is unknown"),
-        ("iteratons", "the setting 'iteratons' is unknown; there is iterations"),
-        ("rates.mean_m", "the setting 'rates.mean_m' is unknown; there is rates.means_m"),
+        ("warmth", "the setting 'warmth' is unknown; remove it"),
+        ("iteratons", "the setting 'iteratons' is unknown; did you mean iterations?"),
+        ("rates.mean_m", "the setting 'rates.mean_m' is unknown; did you mean rates.means_m?"),
         ("densification.most", "the setting 'densification.most' is unknown"),
         ("x" * 5000, "is unknown"),
     ],

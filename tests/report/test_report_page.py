@@ -73,8 +73,8 @@ def make_metrics(**scores: float) -> dict[str, Any]:
     return {
         "images": {"test": {**dict.fromkeys(IMAGE_KEYS), **scores}},
         "points": {"visible": points, "whole": points},
-        "yardsticks": None,
-        "normalisation": {"reference_amplitude": 2.5, "mean_power": 0.125},
+        "baselines": None,
+        "parameters": {"reference_amplitude": 2.5, "mean_power": 0.125, "score_margin": 0},
         "definitions": {metric.key: metric.definition for metric in METRICS},
         "reasons": {"images.test.lpips": "no weights here", "points.whole.f1@0.3": "no points"},
     }
@@ -136,9 +136,9 @@ def test_names_from_files_cannot_become_markup(tmp_path: Path) -> None:
     assert "&lt;script&gt;alert(1)&lt;/script&gt;{{ 7 * 7 }}{% raw %}" in text
 
 
-def test_a_measured_run_is_compared_with_the_yardsticks(tmp_path: Path) -> None:
+def test_a_measured_run_is_compared_with_the_baselines(tmp_path: Path) -> None:
     metrics = make_metrics(nats_per_pixel=0.5, log_correlation=0.8)
-    metrics["yardsticks"] = {"test": {"nearest_chip": {"nats_per_pixel": 0.6, "log_correlation": 0.85}}}
+    metrics["baselines"] = {"test": {"nearest_chip": {"nats_per_pixel": 0.6, "log_correlation": 0.85}}}
     metrics["points"] = {part: dict.fromkeys(POINT_KEYS) for part in ("visible", "whole")}
     text = words_of(write_report(make_run(tmp_path, make_dataset(tmp_path, measured=True, mesh=False), metrics)))
     assert "nearest chip" in text

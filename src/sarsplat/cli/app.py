@@ -1,4 +1,4 @@
-"""Which commands there are, and how every one of them ends."""
+"""How every command ends: what is said, and the exit code."""
 
 from __future__ import annotations
 
@@ -6,38 +6,14 @@ import io
 import os
 import sys
 import warnings
-from collections.abc import Callable
-from typing import Any, TextIO
-
-import tyro
+from typing import TextIO
 
 from sarsplat.cli import console, extras
-from sarsplat.cli.doctor import doctor
-from sarsplat.cli.evaluate import evaluate
-from sarsplat.cli.export import export
-from sarsplat.cli.import_ import import_
-from sarsplat.cli.info import info
-from sarsplat.cli.reconstruct import reconstruct
-from sarsplat.cli.render import render
-from sarsplat.cli.report import report
-from sarsplat.cli.simulate import simulate
+from sarsplat.cli.parser import parse
 from sarsplat.errors import SarsplatError, SarsplatWarning
 
-_COMMANDS: dict[str, Callable[..., Any]] = {
-    "simulate": simulate,
-    "import": import_,
-    "reconstruct": reconstruct,
-    "evaluate": evaluate,
-    "report": report,
-    "render": render,
-    "export": export,
-    "info": info,
-    "doctor": doctor,
-}
-
-_DESCRIPTION = "From SAR images to a 3D target and back: simulate or import → reconstruct → evaluate → look."
-
 _MISUSED = 2
+_READER_LEFT = 141  # as shells have it
 
 
 def run(words: list[str]) -> int:
@@ -57,9 +33,7 @@ def run(words: list[str]) -> int:
         warnings.simplefilter("default", SarsplatWarning)
         warnings.showwarning = _show_warning
         try:
-            tyro.extras.subcommand_cli_from_dict(
-                _COMMANDS, prog="sarsplat", description=_DESCRIPTION, args=words, config=(tyro.conf.FlagCreatePairsOff,)
-            )
+            parse(words)()
         except SarsplatError as error:
             console.complain(str(error))
             return _MISUSED
@@ -69,6 +43,9 @@ def run(words: list[str]) -> int:
                 raise
             console.complain(f"this needs {error.name}, which is not installed; {extras.install_command(extra)}")
             return _MISUSED
+        except BrokenPipeError:  # whoever read what we print has had enough, as `head` has
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what Python flushes at its end
+            return _READER_LEFT
         except OSError as error:  # what no command foresaw: no permission to look, a name too long
             from sarsplat.data.files import plain_reason
 

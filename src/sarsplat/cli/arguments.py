@@ -15,6 +15,9 @@ from sarsplat.errors import SarsplatError
 if TYPE_CHECKING:
     from sarsplat.geometry import View
 
+MARKERS = (tyro.conf.FlagCreatePairsOff,)
+"""How tyro makes options of parameters everywhere."""
+
 RunFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
 Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 File = Annotated[Path, tyro.conf.arg(metavar="FILE")]

@@ -1,41 +1,48 @@
-"""`sarsplat reconstruct`: a dataset in, a run out."""
+"""`sarsplat reconstruct`: a dataset in, a run out; every setting is a flag."""
 
 from __future__ import annotations
 
-import dataclasses
+import json
 import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import Folder, OptionalCount, OptionalName, refuse_existing
+from sarsplat.cli.arguments import MARKERS, Folder, OptionalFile, refuse_existing
 from sarsplat.cli.interrupt import interrupts_held_back
 from sarsplat.errors import SarsplatError
+from sarsplat.reconstruction.config import Config, Densification, Surroundings
 
 if TYPE_CHECKING:
+    from sarsplat.data import Dataset
     from sarsplat.reconstruction import Step
 
-Initialisation = Annotated[
-    Literal["box", "hemisphere"] | None,
-    tyro.conf.arg(metavar="{box,hemisphere}", help_behavior_hint="(optional)"),
-]
+PresetName = Literal["auto", "default", "paper", "measured"]
+_PARTS = {"densification": Densification, "surroundings": Surroundings}
+"""Parts of the settings that may be absent."""
 
 
-def reconstruct(
-    dataset: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")],
-    *,
-    out: Folder,
-    preset: OptionalName = None,
-    init: Initialisation = None,
-    seed: OptionalCount = None,
-    iterations: OptionalCount = None,
-    device: Literal["auto", "cpu", "cuda"] = "auto",
-    resume: bool = False,
-    overwrite: bool = False,
-) -> None:
-    """Reconstruct Gaussians and points from the training images of a dataset.
+def _switch(part: str) -> object:
+    return tyro.conf.arg(name=part, metavar="{on,off}", help_behavior_hint="(default: as the preset)")
+
+
+@dataclass(frozen=True)
+class Settings(Config):
+    """Settings as flags: parts that may be absent are always here, so that their flags are."""
+
+    preset: Annotated[str, tyro.conf.Fixed, tyro.conf.Suppress] = "default"
+    densification: Densification = field(default_factory=Densification)
+    surroundings: Surroundings = field(default_factory=Surroundings)
+
+
+@dataclass(frozen=True)
+class Options:
+    """What `sarsplat reconstruct` is told.
 
     Parameters
     ----------
@@ -44,41 +51,61 @@ def reconstruct(
     out
         Run to make; it appears with its first checkpoint. What has been learned so far is kept there on Ctrl-C.
     preset
-        default (measures best), paper (the paper's training) or measured (ground, noise floor, speckle); measured
-        if the images show ground and default otherwise, unless given.
-    init
-        Start in the box the images bound, or on the paper's hemisphere, instead of the preset's choice.
-    seed
-        Seed of everything random; 0 unless given.
-    iterations
-        Number of training steps instead of the preset's.
+        Settings to begin with, which the options below override: default (measures best; these defaults are shown),
+        paper (the paper's training), measured (ground, noise floor, speckle), or auto: measured if the images show
+        ground, else default.
+    config
+        Settings to begin with, instead of a preset: a file that --print-config made.
+    print_config
+        Print the settings as JSON and stop.
     device
-        Where to train; auto is a GPU if there is one that can be used.
+        Where to train; auto: on a GPU if there is one that can be used.
     resume
-        Go on with the run in --out, with the settings it was begun with; DATASET may have been moved.
+        Go on with the run in --out, with the settings it was begun with; DATASET may have been moved. A larger
+        --iterations extends the run.
     overwrite
         Replace an existing run, which is kept until the new one has its first checkpoint.
+    densify
+        Density control; any of its flags below switches it on.
+    surround
+        Model of ground and noise; any of its flags below switches it on.
+    settings
+        Settings.
     """
+
+    dataset: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")]
+    out: Folder
+    preset: PresetName = "auto"
+    config: OptionalFile = None
+    print_config: bool = False
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    resume: bool = False
+    overwrite: bool = False
+    densify: Annotated[Literal["on", "off"] | None, _switch("densification")] = None
+    surround: Annotated[Literal["on", "off"] | None, _switch("surroundings")] = None
+    settings: Annotated[Settings, tyro.conf.arg(name="")] = Settings()
+
+
+def reconstruct(
+    options: Annotated[Options, tyro.conf.arg(name="")],
+    words: Annotated[tuple[str, ...], tyro.conf.Fixed, tyro.conf.Suppress] = (),
+) -> None:
+    """Reconstruct Gaussians and points from the training images of a dataset."""
     from sarsplat.data import read_dataset
-    from sarsplat.reconstruction import Run
     from sarsplat.reconstruction import reconstruct as train
     from sarsplat.reconstruction.run import HEADER
-    from sarsplat.reconstruction.training import fitting
 
-    if resume and overwrite:
+    dataset, out = options.dataset, options.out
+    if options.resume and options.overwrite:
         raise SarsplatError("--resume goes on with the run and --overwrite throws it away; give one of them")
     images = read_dataset(dataset)
-    if resume:
-        config = Run.load(out).config
-        if preset is not None and preset != config.preset:
-            raise SarsplatError(f"{out} was begun with preset {config.preset!r}, not {preset!r}; leave --preset out")
-    else:
-        config = fitting(preset or "auto", images)
-        refuse_existing(out, overwrite, marker=HEADER)
-    chosen: dict[str, Any] = {"initialisation": init, "seed": seed, "iterations": iterations}
-    if iterations is not None and iterations < 1:
-        raise SarsplatError(f"--iterations {iterations} must be at least 1")
-    config = dataclasses.replace(config, **{name: value for name, value in chosen.items() if value is not None})
+    config = _overridden(_base(options, images), options, words)
+    if options.print_config:
+        json.dump(config.as_dict(), sys.stdout, indent=2)
+        sys.stdout.write("\n")
+        return
+    if not options.resume:
+        refuse_existing(out, options.overwrite, marker=HEADER)
     place = shlex.quote(str(out))
 
     def stop_if_asked(step: Step) -> None:
@@ -87,9 +114,17 @@ def reconstruct(
 
     try:
         with interrupts_held_back() as interrupted:
-            run = train(images, config, out, device=device, on_step=stop_if_asked, resume=resume, overwrite=overwrite)
+            run = train(
+                images,
+                config,
+                out,
+                device=options.device,
+                on_step=stop_if_asked,
+                resume=options.resume,
+                overwrite=options.overwrite,
+            )
     except KeyboardInterrupt as interrupt:
-        if interrupt.args or not (out / "config.json").is_file():
+        if interrupt.args or not (out / HEADER).is_file():
             raise
         raise KeyboardInterrupt(
             f"stopped by Ctrl-C; {out} holds what was learned so far: go on with "
@@ -100,3 +135,39 @@ def reconstruct(
         f"(preset {config.preset}, seed {run.seed})",
         f"sarsplat evaluate {place}",
     )
+
+
+def _base(options: Options, images: Dataset) -> Config:
+    """What the flags of settings override."""
+    from sarsplat.data import read_json
+    from sarsplat.reconstruction import Run
+    from sarsplat.reconstruction.training import fitting
+
+    if options.config is not None:
+        if options.preset != "auto":
+            raise SarsplatError(f"--config and --preset {options.preset} are both settings to begin with; give one")
+        return Config.from_dict(read_json(options.config, dict[str, Any]), str(options.config))
+    if not options.resume:
+        return fitting(options.preset, images)
+    begun = Run.load(options.out).config
+    if options.preset not in ("auto", begun.preset):
+        raise SarsplatError(
+            f"{options.out} was begun with preset {begun.preset!r}, not {options.preset!r}; leave --preset out"
+        )
+    return begun
+
+
+def _overridden(base: Config, options: Options, words: Sequence[str]) -> Config:
+    """The words read once more, on the settings that they override."""
+    values = {field.name: getattr(base, field.name) for field in fields(Config)}
+    present = {part: values[part] or record() for part, record in _PARTS.items()}
+    defaults = Options(options.dataset, options.out, settings=Settings(**{**values, **present}))
+    settings = tyro.cli(Options, args=words, default=defaults, config=MARKERS).settings
+    changed = {name: getattr(settings, name) for name in values}
+    for part, switch in (("densification", options.densify), ("surroundings", options.surround)):
+        flag = next((word for word in words if word.startswith(f"--{part}.")), None)
+        if switch == "off" and flag is not None:
+            raise SarsplatError(f"{flag} has no effect with --{part} off; leave one of them out")
+        if switch == "off" or (switch is None and flag is None and values[part] is None):
+            changed[part] = None
+    return Config(**changed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import tyro
 
@@ -15,7 +15,6 @@ from sarsplat.cli.arguments import (
     Metres,
     OptionalCount,
     OptionalFile,
-    OptionalName,
     OptionalNumber,
     refuse_existing,
     views_from,
@@ -25,13 +24,19 @@ from sarsplat.errors import SarsplatError, counted
 if TYPE_CHECKING:
     from sarsplat.geometry import ImageGrid, View
 
+TargetName = Literal["t72", "btr70", "2s1", "kraz", "building-a", "building-b", "building-c"]
+"""The targets of `sarsplat.scenes`, which is not imported here because it is slow to load; a test compares them."""
+
+Target = Annotated[
+    TargetName | None, tyro.conf.arg(metavar=f"{{{','.join(get_args(TargetName))}}}", help_behavior_hint="(optional)")
+]
 Law = Annotated[tuple[float, float], tyro.conf.arg(metavar="FLOOR LOBE")]
 
 
 def simulate(
     *,
     out: Folder,
-    target: OptionalName = None,
+    target: Target = None,
     mesh: OptionalFile = None,
     protocol: Literal["paper", "mstar"] = "paper",
     azimuth: Angles = (),
@@ -57,7 +62,7 @@ def simulate(
     out
         Dataset to make.
     target
-        A built-in target: t72, btr70, 2s1, kraz, or one of the paper's buildings: building-a, building-b, building-c.
+        A built-in target: a vehicle, or one of the paper's buildings.
     mesh
         Any mesh instead: metres, +x nose, +y left, +z up, ground at z = 0.
     protocol

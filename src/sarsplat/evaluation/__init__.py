@@ -1,5 +1,6 @@
 """Scores: images against unseen views, points against the true surface, and what both are to be compared with."""
 
+from sarsplat.evaluation.baselines import baseline_scores, nearest_chip, rotated_average
 from sarsplat.evaluation.evaluate import evaluate_run
 from sarsplat.evaluation.images import log_correlation, nats_per_pixel, psnr_db, psnr_target_db, ssim
 from sarsplat.evaluation.lpips import Lpips, lpips
@@ -8,7 +9,6 @@ from sarsplat.evaluation.paper import NOT_THE_SAME_EXPERIMENT, paper_beside, pap
 from sarsplat.evaluation.points import PointMetrics, point_metrics
 from sarsplat.evaluation.surface import VisibleSurface, read_truth_mesh, visible_surface
 from sarsplat.evaluation.tables import Scores, comparison, metrics_table, summary_metrics
-from sarsplat.evaluation.yardsticks import nearest_chip, rotated_average, yardstick_scores
 
 __all__ = [
     "IMAGE_METRICS",
@@ -21,6 +21,7 @@ __all__ = [
     "PointMetrics",
     "Scores",
     "VisibleSurface",
+    "baseline_scores",
     "comparison",
     "evaluate_run",
     "log_correlation",
@@ -38,5 +39,4 @@ __all__ = [
     "ssim",
     "summary_metrics",
     "visible_surface",
-    "yardstick_scores",
 ]

@@ -6,12 +6,11 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sarsplat.data import write_json
 from sarsplat.data.folders import only_writer
 from sarsplat.data.plausible import warn
 from sarsplat.errors import SarsplatError
+from sarsplat.evaluation.baselines import baseline_scores
 from sarsplat.evaluation.images import UndefinedScore
 from sarsplat.evaluation.lpips import Lpips, lpips_weights
 from sarsplat.evaluation.metrics import (
@@ -22,10 +21,10 @@ from sarsplat.evaluation.metrics import (
     EvaluatedRun,
     ImagePair,
     compute_all,
+    image_parameters,
 )
 from sarsplat.evaluation.points import PointMetrics, point_metrics
 from sarsplat.evaluation.surface import read_truth_mesh, visible_surface
-from sarsplat.evaluation.yardsticks import yardstick_scores
 
 
 def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dict[str, Any]:
@@ -41,11 +40,10 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dic
     Returns
     -------
     dict
-        The content of `metrics.json`: `images.<set>.<metric>`, `points.{visible, whole}.<metric>`, `yardsticks` (what
-        two-dimensional tricks score on speckled images with ground), `time_s`, `seed`, `normalisation` (what images
-        were divided by), `definitions` (of every metric) and `reasons`: for every metric that is None, its dotted key
-        and why.
-        Without test images `images` is empty.
+        The content of `metrics.json`: `images.<set>.<metric>`, `points.{visible, whole}.<metric>`, `baselines` (what
+        methods without a third dimension score on speckled images with ground), `time_s`, `seed`, `definitions` (of
+        every metric), `parameters` (what they refer to) and `reasons`: for every metric that is None, its dotted key
+        and why. Without test images `images` is empty.
 
     Raises
     ------
@@ -72,18 +70,13 @@ def _evaluate(run: EvaluatedRun, weights_dir: Path | None) -> dict[str, Any]:
     if not test_sets and (dataset.truth_mesh is None or len(run.points) == 0):
         lacks = "no true mesh" if dataset.truth_mesh is None else "the run no points"
         raise SarsplatError(
-            f"nothing can be scored: the dataset {dataset} has no test images and {lacks}; "
-            "simulate it with --test-azimuth"
+            f"nothing can be scored: {dataset} has no test images and {lacks}; simulate it with --test-azimuth"
         )
     weights = lpips_weights(weights_dir)
     network = None if weights is None else Lpips(weights)
-    train = dataset.images("train")
-    if not train.max() > 0:
+    parameters = image_parameters(dataset)
+    if not parameters["reference_amplitude"] > 0:
         raise SarsplatError(f"the training images of {dataset} are black everywhere; simulate or import them again")
-    normalisation = {
-        "reference_amplitude": float(np.sqrt(train.max())),
-        "mean_power": float(train.mean(dtype=np.float64)),
-    }
 
     reasons: dict[str, str] = {}
     if not test_sets:
@@ -91,16 +84,16 @@ def _evaluate(run: EvaluatedRun, weights_dir: Path | None) -> dict[str, Any]:
     images: dict[str, dict[str, float | None]] = {}
     for split in test_sets:
         rendered = run.render(dataset.select(split).views)
-        pair = ImagePair(dataset.images(split), rendered, **normalisation, margin=dataset.score_margin, network=network)
+        pair = ImagePair(dataset.images(split), rendered, **parameters, network=network)
         images[split] = compute_all(IMAGE_METRICS, dataset, pair, f"images.{split}.", reasons)
     return {
         "images": images,
         "points": _points(run, reasons),
-        "yardsticks": yardstick_scores(dataset, reasons) if dataset.looks is not None and dataset.ground else None,
+        "baselines": baseline_scores(dataset, reasons) if dataset.looks is not None and dataset.ground else None,
         **compute_all(RUN_METRICS, dataset, run, "", reasons),
         "seed": run.seed,
-        "normalisation": normalisation,
         "definitions": {metric.key: metric.definition for metric in METRICS},
+        "parameters": parameters,
         "reasons": reasons,
     }
 
@@ -115,7 +108,8 @@ def _points(run: EvaluatedRun, reasons: dict[str, str]) -> dict[str, dict[str, f
         views = dataset.select("train").views
         surface = visible_surface(read_truth_mesh(dataset.truth_mesh), views)
         if len(views) == 1:
-            warn([f"{run.path} was made from one view, from which no shape can be told: its CD and F1 say nothing"])
+            name = run.path or "the run"
+            warn([f"{name} was made from one view, from which no shape can be told: its CD and F1 say nothing"])
         measured = {
             "visible": point_metrics(points, surface.triangles, surface.samples),
             "whole": point_metrics(points, surface.all_triangles, surface.samples_whole),

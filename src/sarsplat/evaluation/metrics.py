@@ -57,7 +57,7 @@ class ImagePair:
         Largest amplitude √β⁰ of the training set.
     mean_power : float
         Mean β⁰ of the training set.
-    margin : int
+    score_margin : int
         Pixels left out on each side where speckled images are scored.
     network : Lpips, optional
         The network that LPIPS needs.
@@ -67,8 +67,18 @@ class ImagePair:
     rendered: Stack
     reference_amplitude: float
     mean_power: float
-    margin: int
+    score_margin: int
     network: lpips.Lpips | None = None
+
+
+def image_parameters(dataset: Dataset) -> dict[str, Any]:
+    """What the definitions of image metrics refer to: attributes of `ImagePair` that a dataset decides."""
+    train = dataset.images("train")
+    return {
+        "reference_amplitude": float(np.sqrt(train.max())),
+        "mean_power": float(train.mean(dtype=np.float64)),
+        "score_margin": dataset.score_margin,
+    }
 
 
 @dataclass(frozen=True)
@@ -208,7 +218,7 @@ def _lpips(pair: ImagePair) -> float:
 def _nats_per_pixel(pair: ImagePair) -> float:
     # divided in float64: in float32 faint images are no multiples of each other
     truth, rendered = (power.astype(np.float64) / pair.mean_power for power in (pair.truth, pair.rendered))
-    return images.nats_per_pixel(truth, rendered, pair.margin)
+    return images.nats_per_pixel(truth, rendered, pair.score_margin)
 
 
 IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
@@ -249,8 +259,8 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
     Metric(
         "nats_per_pixel",
         *("negative log-likelihood", "nats/pixel", 3, "less"),
-        "negative log-likelihood of single-look speckle: mean of log S + I/S, I and S in units of mean_power; "
-        "the margin is left out",
+        "negative log-likelihood of single-look speckle: mean of log S + I/S, I and S in units of mean_power, "
+        "without score_margin pixels on each side",
         _nats_per_pixel,
         requires=SPECKLED,
         short="NLL",
@@ -259,8 +269,8 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
     Metric(
         "log_correlation",
         *("correlation of log power", "", 3, "more"),
-        "correlation of the logarithms of 3×3 means; the margin is left out after filtering; mean over images",
-        lambda pair: images.log_correlation(pair.truth, pair.rendered, pair.margin),
+        "correlation of the logarithms of 3×3 means, then without score_margin pixels on each side; mean over images",
+        lambda pair: images.log_correlation(pair.truth, pair.rendered, pair.score_margin),
         requires=SPECKLED,
         short="log corr.",
         place="headline",
@@ -271,7 +281,7 @@ POINT_METRICS: tuple[Metric[PointMetrics], ...] = (
     Metric(
         "cd_m",
         *("Chamfer distance", "m", 3, "less"),
-        "mean of accuracy_m and completeness_m",
+        "mean of accuracy and completeness",
         lambda points: points.cd_m,
         requires=KNOWN_SURFACE,
         short="CD",

@@ -50,13 +50,13 @@ def comparison(metrics: Mapping[str, Any], paper: Scores | None = None) -> list[
     found = []
     for split, values in metrics["images"].items():
         found.append(Scores(f"ours, {split}", {**values, **common}))
-        found += [Scores(f"{scores.name}, {split}", scores.values) for scores in yardsticks(metrics, split)]
-    return (found or [Scores("ours", common)]) + ([paper] if paper else [])
+        found += [Scores(f"{scores.name}, {split}", scores.values) for scores in baselines(metrics, split)]
+    return [*(found or [Scores("ours", common)]), *([paper] if paper else [])]
 
 
-def yardsticks(metrics: Mapping[str, Any], split: str) -> list[Scores]:
-    """Scores of the two-dimensional tricks on one test set."""
-    found = (metrics["yardsticks"] or {}).get(split, {})
+def baselines(metrics: Mapping[str, Any], split: str) -> list[Scores]:
+    """Scores of the baselines on one test set."""
+    found = (metrics["baselines"] or {}).get(split, {})
     return [Scores(name.replace("_", " "), values) for name, values in found.items()]
 
 

@@ -89,10 +89,9 @@ def _read(data: object, record: type[R]) -> R:
         raise SarsplatError(f"{shown(data)} is no record of settings; give an object with {', '.join(_hints(record))}")
     hints, section = _hints(record), record._section
     if unknown := next((name for name in data if name not in hints), None):
-        near = get_close_matches(str(unknown), hints, 1) or list(hints)
-        raise SarsplatError(
-            f"the setting {shown(f'{section}{unknown}')} is unknown; there is {section}{', '.join(near)}"
-        )
+        near = get_close_matches(str(unknown), hints, 1)
+        meant = f"did you mean {section}{near[0]}?" if near else "remove it"
+        raise SarsplatError(f"the setting {shown(f'{section}{unknown}')} is unknown; {meant}")
     if missing := next((name for name in hints if name not in data), None):
         raise SarsplatError(f"the setting {section}{missing} is missing; add it")
     inner = {

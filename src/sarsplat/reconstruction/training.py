@@ -200,7 +200,7 @@ class _Training:
                 self._on_step(Step(trainer.iteration, loss, trainer))
 
     def _line(self, losses: list[Tensor]) -> LogLine:
-        loss = sum(map(float, losses)) / len(losses)
+        loss = sum(torch.stack(losses).tolist()) / len(losses)  # one wait for the device
         if not math.isfinite(loss):
             raise SarsplatError(
                 f"the loss became {loss} at iteration {self.trainer.iteration}; lower the rates (checkpoints are from "

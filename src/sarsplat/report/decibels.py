@@ -13,8 +13,8 @@ DYNAMIC_DB = 40.0
 
 def to_decibels(power: np.ndarray | float, peak: float = 1.0) -> np.ndarray:
     """10·log10(power / peak), dB; powers below float32's smallest count as that, so that nothing is −inf."""
-    least = float(np.finfo(np.float32).tiny)
-    return 10 * np.log10(np.maximum(np.asarray(power, dtype=np.float64) / peak, least))
+    smallest = float(np.finfo(np.float32).tiny)
+    return 10 * np.log10(np.maximum(np.asarray(power, dtype=np.float64) / peak, smallest))
 
 
 def decibel_png(power: Real[np.ndarray, "rows columns"], peak: float) -> bytes:

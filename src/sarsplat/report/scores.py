@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sarsplat.evaluation import IMAGE_METRICS, POINT_METRICS, Metric, Scores
-from sarsplat.evaluation.tables import yardsticks
+from sarsplat.evaluation.tables import baselines
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> l
     """
     tables = [
         score_table(
-            f"Unseen views: {split}", IMAGE_METRICS, [Scores("ours", values), *yardsticks(metrics, split), *others]
+            f"Unseen views: {split}", IMAGE_METRICS, [Scores("ours", values), *baselines(metrics, split), *others]
         )
         for split, values in metrics["images"].items()
     ]

@@ -1,4 +1,4 @@
-"""What two-dimensional tricks achieve on measured chips: a reconstruction must do better than these (protocol M)."""
+"""Baselines without a third dimension for measured chips: a reconstruction should do better than these."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from jaxtyping import Float, Float64, Real
 from scipy.ndimage import correlate, map_coordinates
 
 from sarsplat.data import Dataset
-from sarsplat.evaluation.metrics import IMAGE_METRICS, ImagePair, compute_all
+from sarsplat.evaluation.metrics import IMAGE_METRICS, ImagePair, compute_all, image_parameters
 from sarsplat.geometry import ImageGrid, View
 
 _KERNEL = 0.4
 """Width σ of the azimuth kernel of `rotated_average`, in mean spacings 360°/K of the training chips.
 
 This width and the 5×5 mean were chosen among a few on the scored chips of the T72 themselves (K = 8 and 36), which
-favours the yardstick, not a reconstruction measured by it. The likelihood is flat around it: within 0.003 nats from
+favours the baseline, not a reconstruction measured by it. The likelihood is flat around it: within 0.003 nats from
 0.36 to 0.44 (K = 8) and from 0.4 to 0.6 (K = 36).
 """
 
@@ -72,25 +72,25 @@ def rotated_average(
     return predicted
 
 
-def yardstick_scores(dataset: Dataset, reasons: dict[str, str]) -> dict[str, dict[str, dict[str, float | None]]]:
-    """Scores of both yardsticks on every test set.
+def baseline_scores(dataset: Dataset, reasons: dict[str, str]) -> dict[str, dict[str, dict[str, float | None]]]:
+    """Scores of both baselines on every test set.
 
     Parameters
     ----------
     dataset : Dataset
         Measured chips.
     reasons : dict of str to str
-        Filled in: for every score that does not exist, `yardsticks.<set>.<yardstick>.<score>` and why.
+        Filled in: for every score that does not exist, `baselines.<set>.<baseline>.<score>` and why.
 
     Returns
     -------
     dict
-        `scores[set][yardstick][metric]`, of the metrics that apply to speckled images; yardsticks: `nearest_chip`,
+        `scores[set][baseline][metric]`, of the metrics that apply to speckled images; baselines: `nearest_chip`,
         `rotated_average`.
     """
     train, train_views = dataset.images("train").astype(np.float64), dataset.select("train").views
     applicable = [metric for metric in IMAGE_METRICS if metric.requires.met(dataset)]
-    reference_amplitude, mean_power = float(np.sqrt(train.max())), float(train.mean())
+    parameters = image_parameters(dataset)
     scores: dict[str, dict[str, dict[str, float | None]]] = {}
     for split in dataset.splits():
         if split == "train":
@@ -102,8 +102,8 @@ def yardstick_scores(dataset: Dataset, reasons: dict[str, str]) -> dict[str, dic
         }
         scores[split] = {}
         for name, predicted in predictions.items():
-            pair = ImagePair(dataset.images(split), predicted, reference_amplitude, mean_power, dataset.score_margin)
-            prefix = f"yardsticks.{split}.{name}."
+            pair = ImagePair(dataset.images(split), predicted, **parameters)
+            prefix = f"baselines.{split}.{name}."
             scores[split][name] = compute_all(applicable, dataset, pair, prefix, reasons)
     return scores
 

@@ -6,7 +6,7 @@ from scipy.ndimage import uniform_filter
 
 from datasets import dataset_of
 from sarsplat.data import import_mstar
-from sarsplat.evaluation import log_correlation, nats_per_pixel, nearest_chip, rotated_average, yardstick_scores
+from sarsplat.evaluation import baseline_scores, log_correlation, nats_per_pixel, nearest_chip, rotated_average
 from sarsplat.geometry import ImageGrid, View, radar_frame
 
 MSTAR = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
@@ -55,7 +55,7 @@ def test_scores_of_a_dataset_do_not_depend_on_its_calibration():
     scores = []
     for scale in (1, 50):
         dataset = dataset_of(GRID, views, images * np.float32(scale), looks=1.0, ground=True, score_margin=24)
-        scores.append(yardstick_scores(dataset, {}))
+        scores.append(baseline_scores(dataset, {}))
     assert list(scores[0]) == ["test-17"]
     for name in ("nearest_chip", "rotated_average"):
         first, second = (score["test-17"][name] for score in scores)
@@ -64,7 +64,7 @@ def test_scores_of_a_dataset_do_not_depend_on_its_calibration():
 
 
 @pytest.mark.skipif(not MSTAR.is_dir(), reason=f"the measured chips are not in {MSTAR}")
-def test_known_yardsticks_of_the_measured_t72(tmp_path):
+def test_known_baselines_of_the_measured_t72(tmp_path):
     # protocol M, K = 36, 17°: the nearest chip scores .573 nats and .841
     pytest.importorskip("PIL")
     dataset = import_mstar(MSTAR, tmp_path / "t72", labels=MSTAR / "labels.csv", target_class="T72", train_views=36)
@@ -85,11 +85,11 @@ def test_zeros_of_measured_power_leave_a_score_null_with_its_reason():
     images[2, 50, 50] = 0  # a zero of the truth alone does no harm
     dataset = dataset_of(GRID, views, images, looks=1.0, ground=True, score_margin=24)
     reasons: dict[str, str] = {}
-    scores = yardstick_scores(dataset, reasons)["test-17"]
+    scores = baseline_scores(dataset, reasons)["test-17"]
     assert scores["nearest_chip"]["nats_per_pixel"] is None
-    assert "the predicted power is zero at 36 of" in reasons["yardsticks.test-17.nearest_chip.nats_per_pixel"]
+    assert "the predicted power is zero at 36 of" in reasons["baselines.test-17.nearest_chip.nats_per_pixel"]
     images[0, 30:40, 30:40] = 0.1
     dataset = dataset_of(GRID, views, images, looks=1.0, ground=True, score_margin=24)
     reasons.clear()
-    assert yardstick_scores(dataset, reasons)["test-17"]["nearest_chip"]["nats_per_pixel"] is not None
+    assert baseline_scores(dataset, reasons)["test-17"]["nearest_chip"]["nats_per_pixel"] is not None
     assert not reasons

@@ -1,10 +1,10 @@
-"""`sarsplat import`: measured chips in, a dataset out."""
+"""`sarsplat import mstar`: measured chips in, a dataset out."""
 
 from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
@@ -12,8 +12,7 @@ from sarsplat.cli import console
 from sarsplat.cli.arguments import Folder, OptionalFile, OptionalName, refuse_existing
 
 
-def import_(
-    format: Annotated[Literal["mstar"], tyro.conf.Positional],
+def import_mstar(
     chips: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CHIPS")],
     *,
     out: Folder,
@@ -25,12 +24,10 @@ def import_(
     mirrored: bool = False,
     overwrite: bool = False,
 ) -> None:
-    """Import measured chips (MSTAR): a dataset to reconstruct from.
+    """Import MSTAR chips, JPEGs with a table of labels or original Phoenix files.
 
     Parameters
     ----------
-    format
-        Kind of chips: mstar (JPEGs with a table of labels, or original Phoenix files).
     chips
         Folder of the chips.
     out
@@ -50,13 +47,13 @@ def import_(
     overwrite
         Replace an existing dataset.
     """
-    from sarsplat.data import import_mstar
+    from sarsplat.data import import_mstar as read_chips
     from sarsplat.data.dataset_folder import HEADER
     from sarsplat.errors import counted
 
     refuse_existing(out, overwrite, marker=HEADER)
     with console.busy(f"reading chips from {chips}"):
-        dataset = import_mstar(
+        dataset = read_chips(
             chips,
             out,
             labels=labels,
