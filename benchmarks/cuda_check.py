@@ -180,7 +180,7 @@ def training() -> dict[str, Any] | None:
         view_s = step["step_s"]["median"] / step["views"]
         print(
             f"step of preset {name}: {1e3 * view_s:.3f} ms a view, {view_s / STEP_AIM_S:.2f} × the aim; "
-            f"the CPU waits {step['waits']} times"
+            f"the CPU waits {step['waits']} times; {'the same' if step['same_bits'] else 'OTHER'} bits the second time"
         )
         print(step["profile"])
     return found

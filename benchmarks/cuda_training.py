@@ -53,11 +53,16 @@ def trained(dataset: str, run: str, device: str, quick: bool) -> dict[str, float
 
 
 def step(dataset: Dataset, name: str, device: str, repeats: int) -> dict[str, Any]:
-    """Seconds of a step until the device is done, how often it waits on the way, and what torch spends its time on."""
+    """Seconds of a step until the device is done, how often it waits on the way, and what torch spends its time on.
+
+    Also whether a second training learned the same bits.
+    """
     config = replace(preset(name), harmonics_every=1)  # all degrees in use, as for most of a training
-    trainer = Trainer(dataset, config, device=device)
+    trainer, again = Trainer(dataset, config, device=device), Trainer(dataset, config, device=device)
     for _ in range(min(WARM_UP, repeats)):
         trainer.step()
+        again.step()
+    same = all(torch.equal(again.model.parameters[key], tensor) for key, tensor in trainer.model.parameters.items())
     seconds = in_turn({name: finished(trainer.step, device)}, repeats)[name]
     with profile() as profiled:
         for _ in range(min(WARM_UP, repeats)):
@@ -66,6 +71,7 @@ def step(dataset: Dataset, name: str, device: str, repeats: int) -> dict[str, An
     order = "self_cpu_time_total" if device == "cpu" else "self_cuda_time_total"
     return {
         "views": config.views_per_step,
+        "same_bits": same,
         "step_s": spread(seconds),
         "waits": waits(trainer.step) if device != "cpu" else 0,
         "profile": profiled.key_averages().table(sort_by=order, row_limit=20, max_name_column_width=40),

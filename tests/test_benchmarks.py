@@ -257,6 +257,7 @@ def test_the_training_on_a_gpu_is_measured_on_the_cpu_too(generator):
     assert found["demo"]["cpu"]["training_s"] > 0
     for name, views in (("default", 8), ("paper", 1)):
         assert found["steps"][name]["views"] == views
+        assert found["steps"][name]["same_bits"]
         assert "_Render" in found["steps"][name]["profile"]
 
 

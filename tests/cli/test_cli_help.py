@@ -1,5 +1,6 @@
 """Help must be instant."""
 
+import os
 import re
 import subprocess
 import sys
@@ -78,3 +79,12 @@ def test_help_shows_every_setting(capsys: pytest.CaptureFixture[str], monkeypatc
 def test_names_that_are_repeated_for_the_sake_of_speed() -> None:
     assert get_args(PresetName) == ("auto", *PRESETS)
     assert get_args(TargetName) == tuple(TARGETS)
+
+
+def test_a_reader_that_leaves_is_no_mistake() -> None:
+    read, write = os.pipe()
+    os.close(read)
+    command = [sys.executable, "-m", "sarsplat", "reconstruct", "--help"]
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (141, "")

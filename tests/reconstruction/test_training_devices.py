@@ -170,7 +170,7 @@ def test_a_snapshot_goes_on_on_another_device(name: str, dataset: Dataset, monke
 def test_points_of_the_cuda_engines_source_are_the_cpus(
     finished: Run, dataset: Dataset, library: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    views = [item.view for item in dataset.select("train")[:2]]
+    views = dataset.select("train").views[:2]
     how = finished.config.points
     expected = extract_points(finished.gaussians, views, dataset.grid, how)
     monkeypatch.setattr(points, "render", partial(render_on, Emulator(library)))

@@ -13,6 +13,7 @@ from sarsplat.cli.parser import parse
 from sarsplat.errors import SarsplatError, SarsplatWarning
 
 _MISUSED = 2
+_READER_LEFT = 141  # as shells have it
 
 
 def run(words: list[str]) -> int:
@@ -42,6 +43,9 @@ def run(words: list[str]) -> int:
                 raise
             console.complain(f"this needs {error.name}, which is not installed; {extras.install_command(extra)}")
             return _MISUSED
+        except BrokenPipeError:  # whoever read what we print has had enough, as `head` has
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what Python flushes at its end
+            return _READER_LEFT
         except OSError as error:  # what no command foresaw: no permission to look, a name too long
             from sarsplat.data.files import plain_reason
 

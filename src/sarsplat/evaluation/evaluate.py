@@ -70,8 +70,7 @@ def _evaluate(run: EvaluatedRun, weights_dir: Path | None) -> dict[str, Any]:
     if not test_sets and (dataset.truth_mesh is None or len(run.points) == 0):
         lacks = "no true mesh" if dataset.truth_mesh is None else "the run no points"
         raise SarsplatError(
-            f"nothing can be scored: the dataset {dataset} has no test images and {lacks}; "
-            "simulate it with --test-azimuth"
+            f"nothing can be scored: {dataset} has no test images and {lacks}; simulate it with --test-azimuth"
         )
     weights = lpips_weights(weights_dir)
     network = None if weights is None else Lpips(weights)

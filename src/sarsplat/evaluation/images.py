@@ -23,7 +23,7 @@ Stack = Real[np.ndarray, "v rows columns"]
 """Images of V views; equal sizes within one call."""
 
 TARGET_DYNAMIC_DB = 30.0
-"""The target's mask: truth β⁰ within this many dB of the evaluated set's maximum."""
+"""The target's mask: truth β⁰ at most this many dB below the evaluated set's maximum."""
 
 _SMALLEST_MSE = float(np.finfo(np.float32).eps) ** 2  # 138 dB: float32 images cannot be told apart any better
 
@@ -191,7 +191,11 @@ def _check(truth: Stack, rendered: Stack) -> None:
 def _check_positive(power: Stack, name: str) -> None:
     zeros = int(np.count_nonzero(power <= 0))
     if zeros:
-        remedy = "raise the dataset's zeros to its least power" if name == "true" else "add a noise floor"
+        remedy = (
+            "raise zeros to the smallest power, or simulate with --ground"
+            if name == "true"
+            else "reconstruct with a noise floor (preset measured)"
+        )
         raise UndefinedScore(
             f"the {name} power is zero at {zeros} of {power.size} scored pixels, where its logarithm does not exist; "
             f"{remedy}"

@@ -281,7 +281,7 @@ POINT_METRICS: tuple[Metric[PointMetrics], ...] = (
     Metric(
         "cd_m",
         *("Chamfer distance", "m", 3, "less"),
-        "mean of accuracy_m and completeness_m",
+        "mean of accuracy and completeness",
         lambda points: points.cd_m,
         requires=KNOWN_SURFACE,
         short="CD",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+from collections import Counter
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -62,11 +63,11 @@ def page(run: Run, pictures: list[Picture], training: list[Picture]) -> str:
 
 def _lead(run: Run) -> str:
     dataset = run.dataset
-    train = dataset.select("train")
+    train = sum(entry.split == "train" for entry in dataset.entries)
     kind = "measured" if dataset.calibration == "relative" else "simulated"
     return (
         f"{counted(len(run.gaussians), 'Gaussian')} and {counted(len(run.points), 'surface point')}, reconstructed "
-        f"from {counted(len(train), f'{kind} SAR image')} in {_duration(run.time_s)}."
+        f"from {counted(train, f'{kind} SAR image')} in {_duration(run.time_s)}."
     )
 
 
@@ -99,10 +100,13 @@ def _dataset_facts(dataset: Dataset) -> dict[str, str]:
     quantity = (
         "β⁰, linear power" if dataset.calibration == "absolute" else "power up to one common factor, β⁰ scale unknown"
     )
+    sets = [entry.split for entry in dataset.entries]
     return {
         "folder": str(dataset),
         "quantity": quantity,
-        "images": ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits()),
+        "images": ", ".join(f"{count} {split}" for split, count in Counter(sets).items()),
+        "speckle": "none" if dataset.looks is None else f"{dataset.looks:g} looks",
+        "ground": "shown" if dataset.ground else "none",
         "pixels": f"{grid.rows} × {grid.columns} (slant range × azimuth)",
         "spacing": f"{grid.spacing_m[0]:g} m in azimuth, {grid.spacing_m[1]:g} m in slant range",
         "resolution": f"{grid.resolution_m[0]:g} m, {grid.resolution_m[1]:g} m (3 dB)",
