@@ -37,7 +37,7 @@ def tree(path: Path) -> Tree:
         return {"": path.read_bytes()}
     if not path.exists():
         return None
-    files = sorted(file for file in path.rglob("*") if file.is_file() and file.name != ".lock")
+    files = sorted(file for file in path.rglob("*") if file.is_file())
     return {str(file.relative_to(path)): file.read_bytes() for file in files}
 
 
@@ -47,7 +47,7 @@ def results(run: Path) -> Tree:
 
 
 def leftovers(folder: Path) -> list[str]:
-    return [path.name for pattern in (".*.tmp", ".*.tmpdir") for path in folder.rglob(pattern)]
+    return [path.name for pattern in (".*.tmp", ".*.tmpdir", ".*.lock") for path in folder.rglob(pattern)]
 
 
 class Workshop:
@@ -160,6 +160,7 @@ def test_resuming(workshop: Workshop) -> None:
     while not begun.exists() or (begun / "points.ply").exists():  # a run killed half-way
         shutil.rmtree(begun, ignore_errors=True)
         workshop.killed("reconstruct dataset --out begun --seed 5", "KILL_BEFORE", 60)
+    (workshop.folder / ".begun.lock").unlink(missing_ok=True)
     shutil.copytree(begun, out)
     moments = workshop.moments(command)
     for turn, (limit, value) in enumerate(moments):
@@ -212,7 +213,7 @@ def test_scores_and_report(workshop: Workshop, name: str) -> None:
             shutil.copytree("run5", run)
         workshop.killed(f"{name} scored", limit, value)
         found = tree(run) or {}
-        unfinished = {key for key in found if Path(key).name.endswith(".tmp")}
+        unfinished = {key for key in found if Path(key).name.endswith((".tmp", ".lock"))}
         assert before.keys() <= found.keys()
         assert {key: found[key] for key in found.keys() - unfinished}.items() <= after.items(), (limit, value)
         workshop.done("info scored")

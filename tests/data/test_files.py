@@ -2,11 +2,14 @@
 
 import errno
 import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from elsewhere import elsewhere
 from sarsplat.data.files import locked, plain_os_errors, read_json, write_bytes, write_json
 from sarsplat.errors import SarsplatError
 
@@ -36,21 +39,51 @@ def test_write_bytes_takes_over_what_a_killed_process_left(tmp_path):
 
 def test_write_bytes_refuses_while_another_writes(tmp_path):
     path = tmp_path / "a.bin"
-    with locked(tmp_path / ".a.bin.tmp", path), pytest.raises(SarsplatError, match="in use by another process"):
+    with elsewhere(locked(path)), pytest.raises(SarsplatError, match=r"a\.bin is in use by another process"):
         write_bytes(path, b"new")
-    assert not path.exists()
+    assert names(tmp_path) == []
+    write_bytes(path, b"new")
+    assert names(tmp_path) == ["a.bin"]
 
 
-def test_a_lock_follows_the_file_and_is_not_fooled_by_its_successor(tmp_path):
-    first, moved = tmp_path / "lock", tmp_path / "moved"
-    with locked(first, first):
-        first.rename(moved)
-        with pytest.raises(SarsplatError, match="in use"), locked(moved, moved):
+def test_who_holds_a_lock_may_come_again(tmp_path):
+    path = tmp_path / "a"
+    (tmp_path / "link").symlink_to(path)
+    with locked(path):
+        with locked(tmp_path / "link"):
+            write_bytes(path, b"mine")
+        with pytest.raises(SarsplatError, match="in use"), elsewhere(locked(path)):
             pass
-        with locked(first, first):  # another file by now
-            pass
-    with locked(moved, moved):
+        assert (tmp_path / ".a.lock").exists()
+    with elsewhere(locked(path)):
         pass
+    assert names(tmp_path) == ["a", "link"]
+
+
+def test_a_killed_process_leaves_no_stale_lock(tmp_path):
+    script = "import os, sys; from pathlib import Path; from sarsplat.data.files import locked\n"
+    script += "with locked(Path(sys.argv[1])): os.kill(os.getpid(), 9)"
+    assert subprocess.run([sys.executable, "-c", script, str(tmp_path / "a")], check=False).returncode == -9
+    assert names(tmp_path) == [".a.lock"]
+    write_bytes(tmp_path / "a", b"new")
+    assert names(tmp_path) == ["a"]
+
+
+def test_what_is_no_lock_is_left_alone(tmp_path):
+    place = tmp_path / ".a.lock"
+    for make in (lambda: place.write_text("mine"), lambda: os.mkfifo(place), lambda: place.symlink_to("x")):
+        make()
+        with pytest.raises(SarsplatError, match="is no lock of ours; remove it"):
+            write_bytes(tmp_path / "a", b"")
+        assert names(tmp_path) == [".a.lock"]
+        place.unlink()
+
+
+def test_a_link_under_the_temporary_name_is_not_followed(tmp_path):
+    (tmp_path / "other").write_text("other")
+    (tmp_path / ".a.tmp").symlink_to("other")
+    write_bytes(tmp_path / "a", b"new")
+    assert ((tmp_path / "other").read_text(), (tmp_path / "a").read_text()) == ("other", "new")
 
 
 def test_devices_and_pipes_are_never_replaced(tmp_path):

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from elsewhere import elsewhere
 from sarsplat.data import folders
 from sarsplat.data.folders import new_folder, only_writer, refuse_existing
 from sarsplat.errors import SarsplatError
@@ -99,11 +100,11 @@ def test_an_exchange_that_fails_for_another_reason_says_why(tmp_path):
 
 def test_what_a_killed_process_left_is_cleared_or_put_back(tmp_path):
     out, left = tmp_path / "out", tmp_path / ".out.tmpdir"
-    make(left, ".lock", "new/half", "old/config.json")
+    make(left, "new/half", "old/config.json")
     with pytest.raises(SarsplatError, match="exists"), new_folder(out, False, marker=RUN):
         pass  # killed between two renames: the old folder is back
     assert names(out) == [RUN]
-    make(left, ".lock", "new/half", "old/config.json")
+    make(left, "new/half", "old/config.json")
     with new_folder(out, True, marker=RUN) as folder:
         assert names(folder) == []
         make(folder, RUN, "points.ply")
@@ -115,42 +116,42 @@ def test_what_another_process_is_using_is_left_alone(tmp_path):
     out = tmp_path / "out"
     with new_folder(out, False, marker=RUN) as folder:
         make(folder, RUN)
-        with pytest.raises(SarsplatError, match="out is in use by another"), new_folder(out, False, marker=RUN):
-            pytest.fail("must not get here")
-        with only_writer(folder):
-            assert (folder / RUN).exists()
-    with only_writer(out), pytest.raises(SarsplatError, match="out is in use"), new_folder(out, True, marker=RUN):
+        for another in (new_folder(out, False, marker=RUN), only_writer(out)):
+            with pytest.raises(SarsplatError, match="out is in use by another"), elsewhere(another):
+                pass
+    replacing = new_folder(out, True, marker=RUN)
+    with elsewhere(only_writer(out)), pytest.raises(SarsplatError, match="out is in use"), replacing:
         pytest.fail("must not get here")
-    assert names(out) == [".lock", RUN]
+    assert names(out) == [RUN]
     assert names(tmp_path) == ["out"]
 
 
-def test_one_writer_at_a_time_under_every_name(tmp_path):
-    out = tmp_path / "out"
-    with new_folder(out, False, marker=RUN) as folder:
-        writing = only_writer(folder)
-        writing.__enter__()
-    with pytest.raises(SarsplatError, match="in use"), only_writer(out):
-        pass
-    writing.__exit__(None, None, None)
+def test_who_writes_a_folder_may_replace_it_and_go_on(tmp_path):
+    out = tmp_path / "deep" / "out"
     with only_writer(out):
+        with new_folder(out, False, marker=RUN) as folder:
+            make(folder, RUN)
+        with pytest.raises(SarsplatError, match="in use"), elsewhere(only_writer(out)):
+            pass
+        assert names(out) == [RUN]
+    with elsewhere(only_writer(out)):
         pass
+    assert names(out.parent) == ["out"]
 
 
 def test_the_only_writer_removes_what_a_killed_one_left(tmp_path):
-    make(tmp_path, "config.json", ".points.ply.tmp", "checkpoints/.00000007.safetensors.tmp")
+    left = (".points.ply.tmp", "checkpoints/.00000007.safetensors.tmp", "report/.index.html.lock")
+    make(tmp_path, "config.json", *left)
     with only_writer(tmp_path):
-        assert sorted(p.name for p in tmp_path.rglob("*") if p.is_file()) == [".lock", "config.json"]
+        assert sorted(p.name for p in tmp_path.rglob("*") if p.is_file()) == ["config.json"]
 
 
 def test_the_only_writer_clears_what_an_overwriting_killed_one_left_beside(tmp_path):
-    make(tmp_path, "out/config.json", ".out.tmpdir/.lock", ".out.tmpdir/new/config.json")
+    make(tmp_path, "out/config.json", ".out.tmpdir/new/config.json")
+    (tmp_path / ".out.lock").touch()
     with only_writer(tmp_path / "out"):
-        assert names(tmp_path) == ["out"]
-    with new_folder(tmp_path / "out", True, marker=RUN) as folder:
-        make(folder, RUN)
-        with only_writer(folder):
-            assert names(tmp_path) == [".out.tmpdir", "out"]  # in use
+        assert names(tmp_path) == [".out.lock", "out"]
+    assert names(tmp_path) == ["out"]
 
 
 def test_the_only_writer_spares_what_is_not_of_a_run(tmp_path):
@@ -187,42 +188,7 @@ def test_a_temporary_folder_of_others_is_left_alone(tmp_path, kind):
     assert sorted(tmp_path.rglob("*")) == before
     make(out, RUN)
     with only_writer(out):
-        assert sorted({*tmp_path.rglob("*")} - {out, out / RUN, out / ".lock"}) == before
-
-
-def test_a_writer_that_comes_while_another_leaves_keeps_its_work(tmp_path, monkeypatch):
-    out, unlink, next_one = tmp_path / "out", Path.unlink, new_folder(tmp_path / "out", True, marker=DATASET)
-    building: list[Path] = []
-
-    def watched(self: Path, missing_ok: bool = False) -> None:
-        unlink(self, missing_ok)
-        if self.name == ".lock" and not building:
-            building.append(next_one.__enter__())
-            make(building[0], DATASET)
-
-    monkeypatch.setattr(Path, "unlink", watched)
-    with new_folder(out, False, marker=DATASET) as folder:
-        make(folder, DATASET, "truth.ply")
-    make(building[0], "images/0.tif")
-    next_one.__exit__(None, None, None)
-    assert names(out) == [DATASET, "images"]
-    assert names(tmp_path) == ["out"]
-
-
-def test_a_temporary_folder_that_goes_while_we_come_is_made_anew(tmp_path, monkeypatch):
-    mkdir, calls = Path.mkdir, []
-
-    def gone_again(self: Path, *how: object, **more: object) -> None:
-        if self.name == ".out.tmpdir" and not calls:
-            calls.append(self)
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
-        mkdir(self, *how, **more)
-
-    monkeypatch.setattr(Path, "mkdir", gone_again)
-    with new_folder(tmp_path / "out", False, marker=RUN) as folder:
-        make(folder, RUN)
-    assert calls
-    assert names(tmp_path) == ["out"]
+        assert sorted({*tmp_path.rglob("*")} - {out, out / RUN, tmp_path / ".out.lock"}) == before
 
 
 @pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC])
@@ -261,8 +227,12 @@ def test_overwrite_spares_the_work_place_and_folders_of_others(tmp_path, monkeyp
     [
         (DATASET, ["truth.ply", "images/000.tif"], "run/config.json"),
         (DATASET, ["images/.000.tif.tmp"], "images/deeper/000.tif"),
-        (RUN, ["metrics.jsonl", "checkpoints/00000500.safetensors", "report/views.png", ".lock"], "notes.txt"),
-        (RUN, ["metrics.json", ".points.ply.tmp", "report/index.html"], "checkpoints/best.safetensors"),
+        (RUN, ["metrics.jsonl", "checkpoints/00000500.safetensors", "report/views.png"], "notes.txt"),
+        (
+            RUN,
+            [".points.ply.tmp", ".points.ply.lock", "report/index.html"],
+            "checkpoints/best.safetensors",
+        ),
         (SHEET, ["az000_gr45.tif", "az352.5_gr07.png"], "holiday.png"),
     ],
 )

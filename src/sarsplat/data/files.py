@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import json
 import os
 import re
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 import msgspec
+from filelock import FileLock, Timeout
 
 from sarsplat.errors import SarsplatError, shown
 
@@ -60,7 +60,9 @@ def plain_reason(error: OSError) -> str:
 
 
 def sync(path: Path) -> None:
-    """Flush one file or folder to the disk."""
+    """Flush one file or folder to the disk; not on Windows, which opens no folders."""
+    if os.name != "posix":
+        return
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -69,50 +71,39 @@ def sync(path: Path) -> None:
 
 
 @contextmanager
-def locked(path: Path, user: Path) -> Iterator[int]:
-    """Hold a file, made if need be, that no other process can hold at the same time.
+def locked(path: Path) -> Iterator[None]:
+    """Be the only one who writes a file or folder while the block runs: hold the file `.NAME.lock` beside it.
 
-    The system lets go of it when the process ends, however it ends: there are no stale locks.
+    Who holds it may come again. The system lets go of it when the process ends, however it ends: what is left then is
+    an empty file, which the next one removes.
 
     Parameters
     ----------
     path : Path
-        The file; it may be renamed while it is held.
-    user : Path
-        What the lock stands for: named in the error.
-
-    Yields
-    ------
-    int
-        Descriptor of the open file.
+        What is written; it need not exist yet.
 
     Raises
     ------
     SarsplatError
-        If another process holds it, or it is no ordinary file.
+        If another process or thread holds it, or something that is no lock has that name.
     """
-    while True:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
-        try:
-            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-                raise SarsplatError(f"{path} is no ordinary file; remove it")
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                raise SarsplatError(f"{user} is in use by another process; wait until that has ended") from error
-            if not _is_at(descriptor, path):
-                continue  # its last holder renamed or removed it before we had it
-            yield descriptor
-            return
-        finally:
-            os.close(descriptor)
-
-
-def _is_at(descriptor: int, path: Path) -> bool:
+    path = Path(os.path.realpath(path))  # unlike resolve() it bears a link to itself
+    place = path.with_name(f".{path.name}.lock")
+    place.parent.stat()  # the lock would make missing folders
+    if os.path.lexists(place) and (not stat.S_ISREG(place.lstat().st_mode) or place.stat().st_size > 0):
+        raise SarsplatError(f"{place} is no lock of ours; remove it, or give another name than {path.name}")
+    lock = FileLock(place, is_singleton=True)
     try:
-        return os.path.samestat(os.fstat(descriptor), path.lstat())
-    except FileNotFoundError:
-        return False
+        lock.acquire(blocking=False)
+    except Timeout as error:
+        raise SarsplatError(f"{path} is in use by another process; wait until that has ended") from error
+    try:
+        yield
+    finally:
+        if lock.lock_counter == 1:
+            with suppress(OSError):  # Windows removes it when it lets go
+                place.unlink()
+        lock.release()
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -140,12 +131,13 @@ def write_bytes(path: Path, data: bytes) -> None:
         if os.path.lexists(path) and not path.is_file():
             raise SarsplatError(f"cannot write {path}: it is a device, a pipe or a broken link; give another path")
         temporary = path.with_name(f".{path.name}.tmp")
-        with locked(temporary, path) as descriptor:
+        with locked(path):
+            temporary.unlink(missing_ok=True)
             try:
-                os.ftruncate(descriptor, 0)
-                with open(descriptor, "wb", closefd=False) as file:
+                with temporary.open("xb") as file:  # a new file: it follows no link
                     file.write(data)
-                os.fsync(descriptor)
+                    file.flush()
+                    os.fsync(file.fileno())
                 temporary.replace(path)
             except BaseException:
                 temporary.unlink(missing_ok=True)

@@ -8,8 +8,9 @@ import os
 import re
 import shutil
 import stat
+import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from sarsplat.data.files import locked, plain_os_errors, sync
@@ -18,36 +19,39 @@ from sarsplat.errors import SarsplatError
 _LAYOUTS = {
     "dataset.json": r"dataset\.json|truth\.ply|images/[^/]+\.tif",
     "config.json": (
-        r"config\.json|metrics\.jsonl?|gaussians\.ply|points\.ply|\.lock|checkpoints/\d+\.safetensors|"
+        r"config\.json|metrics\.jsonl?|gaussians\.ply|points\.ply|checkpoints/\d+\.safetensors|"
         r"report/(index\.html|[^/]+\.png)"
     ),
     "contact-sheet.png": r"contact-sheet\.png|az[\d.]+_gr[\d.]+\.(tif|png)",
 }
 """The kinds of folder we make, by the file that marks them, and what may be in them."""
 
-_LOCK, _BUILT, _RETIRED = ".lock", "new", "old"
+_BUILT, _RETIRED = "new", "old"
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of Linux's renameat2
 
 
 @contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
-    """Be the only process that writes into a run while the block runs, under whatever name its folder gets meanwhile.
+    """Be the only process that writes a run while the block runs, be it there yet or not (see `locked`).
 
-    What a killed process left is removed: temporary files of a run in it, and our temporary folder beside it.
+    What a killed process left is removed: temporary files and locks in the run, and our temporary folder beside it.
 
     Raises
     ------
     SarsplatError
-        If another process is writing into it, or it cannot be written.
+        If another process is writing it, or it cannot be written.
     """
-    with plain_os_errors("write", folder), locked(folder / _LOCK, folder):
-        for stray in folder.rglob(".*.tmp"):
-            if stray.is_file() and not stray.is_symlink() and _belongs(stray.relative_to(folder), "config.json"):
-                stray.unlink()
-        if _temporary_name(folder.resolve()).exists():
-            with suppress(SarsplatError, OSError), _workshop(folder.resolve()):  # it may be in use, or not ours
-                pass
-        yield
+    with plain_os_errors("write", folder):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with locked(folder):
+            for stray in (*folder.rglob(".*.tmp"), *folder.rglob(".*.lock")):
+                if stray.is_file() and not stray.is_symlink() and _belongs(stray.relative_to(folder), "config.json"):
+                    stray.unlink()
+            path = Path(os.path.realpath(folder))
+            if _temporary_name(path).exists():
+                with suppress(SarsplatError), _workshop(path):  # it may not be ours
+                    pass
+            yield
 
 
 @contextmanager
@@ -84,25 +88,23 @@ def new_folder(path: Path, overwrite: bool, *, marker: str) -> Iterator[Path]:
     for the same path puts it back.
     """
     path = Path(os.path.realpath(path))  # unlike resolve() it bears a link to itself
-    with plain_os_errors("write", path), ExitStack() as held:
+    with plain_os_errors("write", path):
         refuse_existing(path, overwrite, marker=marker)
         path.parent.mkdir(parents=True, exist_ok=True)
-        built, retired = held.enter_context(_workshop(path))
-        _refuse_existing(path, overwrite, marker)  # it may have been put back
-        if (path / _LOCK).exists():
-            held.enter_context(only_writer(path))
-        built.mkdir()
-        yield built
-        for folder, _, names in os.walk(built):
-            for name in names:
-                sync(Path(folder, name))
-            sync(Path(folder))
-        _refuse_existing(path, overwrite, marker)  # it may have appeared meanwhile
-        if not path.exists():
-            built.replace(path)
-        elif not _exchange(built, path):
-            _replace_in_two_steps(built, path, retired)
-        sync(path.parent)
+        with locked(path), _workshop(path) as (built, retired):
+            _refuse_existing(path, overwrite, marker)  # it may have been put back
+            built.mkdir()
+            yield built
+            for folder, _, names in os.walk(built):
+                for name in names:
+                    sync(Path(folder, name))
+                sync(Path(folder))
+            _refuse_existing(path, overwrite, marker)  # it may have appeared meanwhile
+            if not path.exists():
+                built.replace(path)
+            elif not _exchange(built, path):
+                _replace_in_two_steps(built, path, retired)
+            sync(path.parent)
 
 
 def refuse_existing(path: Path, overwrite: bool, *, marker: str) -> None:
@@ -126,32 +128,27 @@ def _temporary_name(path: Path) -> Path:
 
 @contextmanager
 def _workshop(path: Path) -> Iterator[tuple[Path, Path]]:
-    """Two free names in a temporary folder beside `path`, which is ours alone and removed at the end."""
+    """Two free names in a temporary folder beside `path`, removed at the end; for whoever holds the lock of `path`."""
     folder = _temporary_name(path)
     built, retired = folder / _BUILT, folder / _RETIRED
-    with ExitStack() as held:
-        while True:
-            with suppress(FileExistsError):
-                folder.mkdir()
-            try:
-                _refuse_foreign_workshop(folder)
-                held.enter_context(locked(folder / _LOCK, path))
-                break
-            except FileNotFoundError:
-                continue  # its last owner has just removed it
-        if retired.exists() and not path.exists():
-            retired.replace(path)
-        try:
-            for left in (built, retired):
-                shutil.rmtree(left, ignore_errors=True)
-            yield built, retired
-        finally:
-            for left in (built, retired):
-                shutil.rmtree(left, ignore_errors=True)
-            # From here on the next process may lock and build in it, so only an empty folder may go.
-            with suppress(OSError):
-                (folder / _LOCK).unlink()
-                folder.rmdir()
+    with suppress(FileExistsError):
+        folder.mkdir()
+    _refuse_foreign_workshop(folder)
+    if retired.exists() and not path.exists():
+        retired.replace(path)
+    _clear(folder)
+    folder.mkdir(exist_ok=True)
+    try:
+        yield built, retired
+    finally:
+        _clear(folder)
+
+
+def _clear(workshop: Path) -> None:
+    for left in (_BUILT, _RETIRED):
+        shutil.rmtree(workshop / left, ignore_errors=True)
+    with suppress(OSError):
+        workshop.rmdir()
 
 
 def _refuse_foreign_workshop(folder: Path) -> None:
@@ -160,7 +157,7 @@ def _refuse_foreign_workshop(folder: Path) -> None:
         raise SarsplatError(f"{folder} is not the temporary folder we make there; move it or give another name")
     with os.scandir(folder) as entries:
         for entry in entries:
-            if entry.name not in (_LOCK, _BUILT, _RETIRED) or entry.is_symlink():
+            if entry.name not in (_BUILT, _RETIRED) or entry.is_symlink():
                 raise SarsplatError(
                     f"{folder} holds {entry.name}, which is not ours to delete; move it or give another name"
                 )
@@ -168,7 +165,7 @@ def _refuse_foreign_workshop(folder: Path) -> None:
 
 def _exchange(one: Path, other: Path) -> bool:
     """Let two names trade places in one step; False where the system or the file system cannot."""
-    renameat2 = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    renameat2 = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None) if sys.platform == "linux" else None
     if renameat2 is None:
         return False
     if renameat2(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) == 0:
@@ -218,6 +215,6 @@ def _foreign(path: Path, marker: str) -> Path | None:
 
 
 def _belongs(relative: Path, marker: str) -> bool:
-    """Whether a file is part of a kind of folder, be it under the temporary name that a killed process left."""
-    finished = relative.with_name(re.sub(r"^\.(.+)\.tmp$", r"\1", relative.name))
+    """Whether a file is part of a kind of folder, be it under a temporary name that a killed process left."""
+    finished = relative.with_name(re.sub(r"^\.(.+)\.(tmp|lock)$", r"\1", relative.name))
     return re.fullmatch(_LAYOUTS[marker], finished.as_posix()) is not None

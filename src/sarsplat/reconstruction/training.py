@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from torch import Tensor
 
 from sarsplat.data import Dataset, new_folder, read_dataset, write_bytes
 from sarsplat.data.files import plain_os_errors
-from sarsplat.data.folders import only_writer
+from sarsplat.data.folders import only_writer, refuse_existing
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError
 from sarsplat.progress import Reporter, progress
@@ -213,16 +212,17 @@ def _on_the_disk(training: _Training, dataset: Dataset, out: Path, resume: bool,
     """Train with a folder from which the training can be taken up at any time."""
     config = training.trainer.config
     stopped: BaseException | None = None
-    with ExitStack() as held:
+    if resume:
+        begun = Run.load(out)
+    else:
+        if overwrite:
+            require_replaceable(out)
+        refuse_existing(out, overwrite, marker=HEADER)
+    with only_writer(out):
         if resume:
-            run = Run.load(out)
-            held.enter_context(only_writer(out))
-            _take_up(training, run, dataset)
+            _take_up(training, begun, dataset)
         else:
-            if overwrite:
-                require_replaceable(out)
             with new_folder(out, overwrite, marker=HEADER) as folder:
-                held.enter_context(only_writer(folder))  # to the end, also under its final name
                 run = Run.create(folder, dataset, config)
                 try:
                     _train(training, run, min(config.checkpoint_every, config.iterations))
