@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 import tomllib
@@ -173,6 +174,13 @@ def test_the_extras_in_the_code_are_those_of_the_package():
     optional = tomllib.loads((PACKAGE.parents[1] / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     for extra, modules in EXTRAS.items():
         assert {requirement.partition(">")[0] for requirement in optional[extra]} == set(modules.values())
+
+
+def test_no_requirement_is_declared_twice():
+    project = tomllib.loads((PACKAGE.parents[1] / "pyproject.toml").read_text())["project"]
+    for lines in (project["dependencies"], *project["optional-dependencies"].values()):
+        names = [re.split(r"[>=\[; ]", line)[0] for line in lines]
+        assert len(set(names)) == len(names), names
 
 
 def test_core_dependencies_are_declared_and_used():
