@@ -162,7 +162,7 @@ def test_the_section_says_what_was_measured(generator):
 
 def test_every_ratio_stands_beside_its_times(generator):
     rows = generator.ratio_table(made_up()["parts"] | {"paper": PAPER}).splitlines()[2:]
-    assert len(rows) == 8
+    assert len(rows) == 9
     assert all(row.count("|") == 4 and " s / " in row.replace("ms", "s") for row in rows)
 
 
