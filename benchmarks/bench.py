@@ -25,6 +25,7 @@ import floor
 import growth
 import iteration
 import paper_run
+import steps
 import torch
 import twins
 from results import machine, save
@@ -41,6 +42,7 @@ PARTS: dict[str, tuple[ModuleType, str]] = {
     "floor": (floor, "2 s"),
     "naive": (against_naive, "7 s"),
     "twins": (twins, "8 s"),
+    "steps": (steps, "10 s"),
     "degenerate": (degenerate, "7 s"),
     "growth": (growth, "1 minute"),
     "paper": (paper_run, "2 minutes"),

@@ -54,6 +54,7 @@ def ratio_table(parts: dict[str, Any]) -> str:
             row(GOOD_HIGH, found, f"PyTorch / engine: {name}", *rivals)
             for name, found, *rivals in against_twins(parts["twins"])
         ),
+        *(row(GOOD_LOW, found, name, *parts["steps"]["rivals_s"][name]) for name, found in step_ratios(parts).items()),
         row(
             GOOD_LOW,
             floor["ratios"]["engine / floor of visited blocks"],
@@ -90,6 +91,11 @@ def ratio_table(parts: dict[str, Any]) -> str:
     if "paper" in parts:
         rows.append(paper_training(parts["paper"]))
     return markdown(("ratio (10 … 90 %)", "A / B", "time of A / time of B"), rows)
+
+
+def step_ratios(parts: dict[str, Any]) -> dict[str, dict]:
+    """The public steps against `render`, and four channels against one; none in results that are older than they."""
+    return parts["steps"]["ratios"] if "steps" in parts else {}
 
 
 def against_twins(twins: dict[str, Any]) -> list[tuple[str, dict, dict, dict]]:

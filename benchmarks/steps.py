@@ -47,16 +47,20 @@ def splatting(scene: Scene, channels: int) -> Callable[[], object]:
 
 def measure(quick: bool) -> dict[str, Any]:
     """The chain's time over the fused pass's, and four channels' over one's."""
-    count, repeats = (1000, 3) if quick else (COUNT, 40)
-    one = training_view(count)
-    several = Scene(halfway(count).target(3), tuple(view for view, _ in paper_views()[24:32]), paper_grid())
-    found: dict[str, Any] = {"ratios": {}, "times": {}}
-    for name, scene in (("one view", one), ("8 views", several)):
-        samples = in_turn({"steps": chain(scene), "fused": lambda scene=scene: scene.step()}, repeats)
-        found["ratios"][f"project, attenuate, splat / render, {name}"] = ratio(samples["steps"], samples["fused"])
-        found["times"] |= {f"{who}, {name}": spread(seconds) for who, seconds in samples.items()}
-        kinds = {f"C = {channels}": splatting(scene, channels) for channels in (CHANNELS, 1)}
-        samples = in_turn(kinds, repeats)
-        found["ratios"][f"splat of {CHANNELS} channels / one, {name}"] = ratio(*samples.values())
-        found["times"] |= {f"splat, {who}, {name}": spread(seconds) for who, seconds in samples.items()}
+    count, repeats = (1000, 3) if quick else (COUNT, 60)
+    views = tuple(view for view, _ in paper_views()[24:32])
+    scenes = {"one view": training_view(count), "8 views": Scene(halfway(count).target(3), views, paper_grid())}
+    found: dict[str, Any] = {"ratios": {}, "times": {}, "rivals_s": {}}
+    for load, scene in scenes.items():
+        rivals = {
+            f"`project`, `attenuate`, `splat` / `render`: {load}": {"chain": chain(scene), "render": scene.step},
+            f"`splat` of {CHANNELS} channels / one: {load}": {
+                f"C = {channels}": splatting(scene, channels) for channels in (CHANNELS, 1)
+            },
+        }
+        for name, programs in rivals.items():
+            samples = in_turn(programs, repeats)
+            found["ratios"][name] = ratio(*samples.values())
+            found["rivals_s"][name] = [spread(seconds) for seconds in samples.values()]
+            found["times"] |= {f"{who}, {load}": spread(seconds) for who, seconds in samples.items()}
     return found

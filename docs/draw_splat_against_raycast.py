@@ -37,9 +37,9 @@ def psnr(truth: np.ndarray, image: np.ndarray) -> float:
     return -10 * math.log10(np.mean((image - truth)[mask] ** 2) / truth.max() ** 2)
 
 
-def raycast(spacing: float, phase: tuple[float, float] = (0.5, 0.5)) -> list[np.ndarray]:
+def raycast(spacing: float, offset: tuple[float, float] = (0.5, 0.5)) -> list[np.ndarray]:
     """β⁰ of every view by ray casting."""
-    return [simulate_raycast(MESH, view, GRID, LAW, ray_spacing=spacing, ray_phase=phase) for view in VIEWS]
+    return [simulate_raycast(MESH, view, GRID, LAW, ray_spacing=spacing, ray_offset=offset) for view in VIEWS]
 
 
 def splat(gaussians: Gaussians, faces: np.ndarray, spacing: float, farther: float = 0.0) -> np.ndarray:
@@ -102,7 +102,7 @@ def tables(
     kinds: list[tuple[int, float]],
     changed: list[tuple[str, np.ndarray]],
     excess: np.ndarray,
-    phases: np.ndarray,
+    offsets: np.ndarray,
 ) -> str:
     """All scores as Markdown."""
     views = " | ".join(f"φ {view.azimuth_deg:.0f}°, θ {view.grazing_deg:.0f}°" for view in VIEWS)
@@ -119,7 +119,7 @@ def tables(
         f"| pieces up to {size:g} m, rays {1000 * spacing:g} mm | {views} | mean |",
         "|---|---:|---:|---:|---:|---:|",
     ]
-    rows = [*changed, ("the ray caster against itself: another phase of its rays", phases)]
+    rows = [*changed, ("the ray caster against itself: another offset of its rays", offsets)]
     lines += [f"| {name} | {' | '.join(f'{v:.1f}' for v in found)} | {found.mean():.1f} |" for name, found in rows]
     cells = " | ".join(f"{value:+.1f} %" for value in (*excess, excess.mean()))
     lines.append(f"| *sum of the image as it is, too much by* | {cells} |")
@@ -148,10 +148,10 @@ def main() -> None:
     """Measure, draw, and fill the tables."""
     FIGURES.mkdir(exist_ok=True)
     truth = raycast(TRUTH_RAYS)
-    phases = scores(truth, raycast(TRUTH_RAYS, (0.1, 0.3)))
+    offsets = scores(truth, raycast(TRUTH_RAYS, (0.1, 0.3)))
     table, kinds = sweep(truth)
     draw(table, kinds)
-    text = tables(table, kinds, *changes(truth), phases)
+    text = tables(table, kinds, *changes(truth), offsets)
     print(text)
     fill_block(PAGE, "splat", text)
 

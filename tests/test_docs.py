@@ -172,14 +172,9 @@ def test_readme_commands_work_in_the_order_shown(tmp_path):
     for command in commands(ROOT / "README.md"):
         if "mstar" in command and not chips.is_dir():
             continue
-        words = [
-            sys.executable,
-            "-c",
-            "import sys, sarsplat.cli; sys.exit(sarsplat.cli.main())",
-            *shlex.split(command)[1:],
-        ]
-        done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=900)
+        line = f"{shlex.quote(sys.executable)} -m {command}"
+        done = subprocess.run(line, shell=True, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=900)
         assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
-        assert done.stdout or done.stderr, command
+        assert done.stdout or done.stderr or ">" in command, command
     for made in ("t72-run/report/index.html", "t72-run/metrics.json", "sweep/contact-sheet.png", "t72.ply"):
         assert (tmp_path / made).stat().st_size > 0, made

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 import tomllib
@@ -133,10 +134,53 @@ def test_everything_imports_and_renders_with_the_core_dependencies_alone(tmp_pat
     assert not list(tmp_path.iterdir())
 
 
+AS_ON_WINDOWS = """
+import importlib, os, pkgutil, signal, sys
+
+def import_all():
+    for info in pkgutil.walk_packages(importlib.import_module("sarsplat").__path__, "sarsplat."):
+        if not info.name.endswith("._engine"):
+            importlib.import_module(info.name)
+
+import_all()  # other packages know their platform and are in memory from here on
+for name in [name for name in sys.modules if name.partition(".")[0] == "sarsplat"]:
+    del sys.modules[name]
+for name in ("fcntl", "grp", "posix", "pty", "pwd", "resource", "termios", "tty"):
+    sys.modules[name] = None
+for name in sys.argv[1].split(","):
+    delattr(signal if name.startswith("SIG") else os, name)
+import_all()
+"""
+UNIX_NAMES = (
+    *("O_CLOEXEC", "O_DIRECTORY", "O_NOFOLLOW", "O_NONBLOCK", "O_SYNC", "chown", "fdatasync", "fork", "getloadavg"),
+    *("geteuid", "getpgid", "getuid", "killpg", "mkfifo", "nice", "sched_getaffinity", "setsid", "statvfs", "sysconf"),
+    *("uname", "SIGALRM", "SIGHUP", "SIGKILL", "SIGTSTP", "SIGUSR1", "SIGWINCH"),
+)
+"""Of `os` and `signal`: what Windows lacks."""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="takes from Linux what Windows lacks")
+def test_everything_imports_without_what_windows_lacks():
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", AS_ON_WINDOWS, ",".join(UNIX_NAMES)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
 def test_the_extras_in_the_code_are_those_of_the_package():
     optional = tomllib.loads((PACKAGE.parents[1] / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     for extra, modules in EXTRAS.items():
         assert {requirement.partition(">")[0] for requirement in optional[extra]} == set(modules.values())
+
+
+def test_no_requirement_is_declared_twice():
+    project = tomllib.loads((PACKAGE.parents[1] / "pyproject.toml").read_text())["project"]
+    for lines in (project["dependencies"], *project["optional-dependencies"].values()):
+        names = [re.split(r"[>=\[; ]", line)[0] for line in lines]
+        assert len(set(names)) == len(names), names
 
 
 def test_core_dependencies_are_declared_and_used():

@@ -21,7 +21,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import RayGrid
 from sarsplat.renderer import Footprints, cuda, cuda_device, nvrtc, project, render
 from sarsplat.renderer.checks import check_for_cuda
-from sarsplat.renderer.engine import choose_engine
+from sarsplat.renderer.engines import _fitting
 from sarsplat.renderer.step_functions import attenuate_with, project_with, splat_with
 
 
@@ -273,12 +273,12 @@ def test_tensors_that_the_engine_does_not_take():
 
 
 def test_auto_takes_the_gpu_and_says_so_once(caplog):
-    choose_engine.cache_clear()
+    _fitting.cache_clear()
     with caplog.at_level(logging.INFO, "sarsplat"):
         for _ in range(2):
-            assert choose_engine(torch.float32, "cuda") == "cuda"
-            assert choose_engine(torch.float64, "cuda") == "reference"
-            assert choose_engine(torch.float32, "mps") == "reference"
+            assert _fitting(torch.float32, "cuda") == "cuda"
+            assert _fitting(torch.float64, "cuda") == "reference"
+            assert _fitting(torch.float32, "mps") == "reference"
     assert caplog.messages.count("engine='auto' is 'cuda' for torch.float32 on cuda") == 1
 
 

@@ -140,10 +140,10 @@ def test_orientation_of_the_image(t72):
 
 
 @pytest.mark.parametrize("view", [View(0, 15), View(45, 45), View(330, 75), View(90, 75)])
-def test_two_ray_phases_agree_to_65_db(t72, view):
+def test_two_ray_offsets_agree_to_65_db(t72, view):
     amplitudes = [
-        np.sqrt(simulate_raycast(t72, view, paper_grid(), ScatteringLaw(), ray_phase=phase).astype(np.float64))
-        for phase in ((0.5, 0.5), (0.0, 0.0), (0.2, 0.7))
+        np.sqrt(simulate_raycast(t72, view, paper_grid(), ScatteringLaw(), ray_offset=offset).astype(np.float64))
+        for offset in ((0.5, 0.5), (0.0, 0.0), (0.2, 0.7))
     ]
     for other in amplitudes[1:]:
         error = np.mean((other - amplitudes[0]) ** 2) / amplitudes[0].max() ** 2
@@ -179,7 +179,7 @@ def test_target_beside_the_image_leaves_it_empty():
     [
         ({"ray_spacing": 0.0}, "ray_spacing"),
         ({"ray_spacing": math.nan}, "ray_spacing"),
-        ({"ray_phase": (math.nan, 0.0)}, "ray_phase"),
+        ({"ray_offset": (math.nan, 0.0)}, "ray_offset"),
         ({"oversample": 0}, "oversample"),
         ({"oversample": 2.5}, "oversample"),
         ({"oversample": 1}, "too coarse"),

@@ -10,10 +10,11 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.renderer.checks import ENGINES, check_for_reference, check_options, check_shapes, check_values
-from sarsplat.renderer.engine import choose_engine, engine_for, render_with
+from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
+from sarsplat.renderer.engines import ENGINES, chosen_engine
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
 from sarsplat.renderer.reference import render_reference
+from sarsplat.renderer.render_function import render_with
 from sarsplat.renderer.rendering import RayMap, Rendering
 from sarsplat.renderer.steps import attenuate, project, splat
 
@@ -106,16 +107,14 @@ def render(
     check_options(
         imaging_weight=imaging_weight,
         first_return_depth=first_return_depth,
-        engine=engine,
         instruction_set=instruction_set,
     )
     check_shapes(gaussians, views, gamma0, shift, gain)
-    if engine == "auto":
-        engine = choose_engine(gaussians.means.dtype, gaussians.means.device.type)
+    engine = chosen_engine(engine, gaussians.means)
     tensors = {**gaussians.tensors(), "gamma0": gamma0, "shift": shift, "gain": gain}
-    if engine in ("cpu", "cuda"):
+    if engine in ENGINES:
         return render_with(
-            engine_for(engine, instruction_set, grid, tensors),
+            ENGINES[engine].prepare(tensors, grid, instruction_set),
             gaussians,
             views,
             grid,
@@ -128,7 +127,9 @@ def render(
             plane_gradients=plane_gradients,
         )
     if plane_gradients:
-        raise SarsplatError("plane_gradients=True needs engine='cpu' or 'cuda'; the reference has autograd instead")
+        raise SarsplatError(
+            f"plane_gradients=True needs another engine ({', '.join(ENGINES)}); the reference has autograd instead"
+        )
     check_for_reference("means", gaussians.means.dtype)
     check_values(tensors)
     return render_reference(

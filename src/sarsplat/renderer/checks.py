@@ -11,7 +11,6 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
 from sarsplat.geometry import ImageGrid, View
 
-ENGINES = ("auto", "cpu", "cuda", "reference")
 INSTRUCTION_SETS = ("auto", "base", "avx2", "avx512")
 
 MAX_SCALE = 1e6
@@ -90,12 +89,10 @@ def check_options(
     *,
     imaging_weight: str = "area",
     first_return_depth: float | None = None,
-    engine: str = "auto",
     instruction_set: str = "auto",
 ) -> None:
     """Words and numbers that are not among the choices."""
     choices = {
-        "engine": (engine, ENGINES),
         "imaging_weight": (imaging_weight, ("area", "peak")),
         "instruction_set": (instruction_set, INSTRUCTION_SETS),
     }

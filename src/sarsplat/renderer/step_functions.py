@@ -17,7 +17,8 @@ from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import structs
 from sarsplat.renderer.checks import complaint_by_view
-from sarsplat.renderer.engine import (
+from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
+from sarsplat.renderer.render_function import (
     ARRAYS,
     Pass,
     directions_to,
@@ -31,7 +32,6 @@ from sarsplat.renderer.engine import (
     too_many_rays,
     trace_all,
 )
-from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
 
 _WIDTHS = (2, 3, None, None, 2, 2, 3, None)  # of the tensors [V, N, …] of a projection, as in structs.Projection
 

@@ -17,7 +17,7 @@ from sarsplat.renderer.checks import (
     check_step_values,
     check_values,
 )
-from sarsplat.renderer.engine import choose_engine, engine_for
+from sarsplat.renderer.engines import ENGINES, chosen_engine
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
 from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
 from sarsplat.renderer.step_functions import attenuate_with, project_with, splat_with
@@ -72,11 +72,10 @@ def project(
     """
     rays = rays or RayGrid.for_image(grid)
     views = views if isinstance(views, View) else tuple(views)
-    check_options(engine=engine)
     check_shapes(gaussians, views, None, shift, None)
     tensors = {**gaussians.tensors(), "shift": shift}
-    if (engine := _chosen(engine, gaussians.means)) != "reference":
-        new_pass = engine_for(engine, "auto", grid, tensors)
+    if (engine := chosen_engine(engine, gaussians.means)) in ENGINES:
+        new_pass = ENGINES[engine].prepare(tensors, grid, "auto")
         return project_with(new_pass, gaussians, views, grid, rays=rays, shift=shift)
     check_for_reference("means", gaussians.means.dtype)
     check_values(tensors)
@@ -112,7 +111,7 @@ def attenuate(
     SarsplatError
         If a value is out of range, an option is unknown, or the engine is not available.
     """
-    check_options(first_return_depth=first_return_depth, engine=engine)
+    check_options(first_return_depth=first_return_depth)
     p = projection
     if not isinstance(p, Projection):
         raise SarsplatError(f"projection is a {type(p).__name__}; give what sarsplat.project returned")
@@ -126,8 +125,8 @@ def attenuate(
         "tilt": p.tilt,
     }
     _check_batch("rays.centers", p.rays.centers)
-    if (engine := _chosen(engine, p.optical_depth)) != "reference":
-        new_pass = engine_for(engine, "auto", None, tensors)
+    if (engine := chosen_engine(engine, p.optical_depth)) in ENGINES:
+        new_pass = ENGINES[engine].prepare(tensors, None, "auto")
         return attenuate_with(new_pass, p, rays, first_return_depth=first_return_depth)
     check_for_reference("optical_depth", p.optical_depth.dtype)
     check_step_values(tensors)
@@ -170,7 +169,7 @@ def splat(
     SarsplatError
         If shapes or dtypes do not fit, a value is out of range, an option is unknown, or the engine is not available.
     """
-    check_options(imaging_weight=imaging_weight, engine=engine)
+    check_options(imaging_weight=imaging_weight)
     if not isinstance(footprints, Footprints):
         raise SarsplatError(f"footprints is a {type(footprints).__name__}; give Projection.pixels")
     if not isinstance(amplitudes, Tensor):
@@ -193,16 +192,12 @@ def splat(
         "amplitudes": amplitudes,
     }
     _check_batch("footprints.centers", centers)
-    if (engine := _chosen(engine, amplitudes)) != "reference":
-        new_pass = engine_for(engine, "auto", grid, tensors)
+    if (engine := chosen_engine(engine, amplitudes)) in ENGINES:
+        new_pass = ENGINES[engine].prepare(tensors, grid, "auto")
         return splat_with(new_pass, footprints, amplitudes, grid, imaging_weight=imaging_weight)
     check_for_reference("amplitudes", amplitudes.dtype)
     check_step_values(tensors)
     return splat_reference(footprints, amplitudes, grid, imaging_weight=imaging_weight)
-
-
-def _chosen(engine: str, tensor: Tensor) -> str:
-    return choose_engine(tensor.dtype, tensor.device.type) if engine == "auto" else engine
 
 
 def _check_batch(name: str, tensor: Tensor) -> None:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import trimesh
 
 # The ray lattice is turned by the golden angle of the plane, tan⁻¹((√5 − 1)/2): its lines then lie along no edge of a
-# vehicle seen from a round azimuth. Along such an edge a whole row of rays would cross at once when the phase moves.
+# vehicle seen from a round azimuth. Along such an edge a whole row of rays would cross at once when the offset changes.
 _LATTICE_TILT = math.atan((math.sqrt(5) - 1) / 2)
 
 _RAYS_PER_BATCH = 1 << 20
@@ -73,7 +73,7 @@ def simulate_raycast(
     reflectivity: Real[np.ndarray, " faces"] | None = None,
     ground_gamma0: float | None = None,
     ray_spacing: float = 0.02,
-    ray_phase: tuple[float, float] = (0.5, 0.5),
+    ray_offset: tuple[float, float] = (0.5, 0.5),
     oversample: int = 9,
 ) -> Float[np.ndarray, "{grid.rows} {grid.columns}"]:
     """SAR image of a mesh, by ray casting.
@@ -93,8 +93,8 @@ def simulate_raycast(
         ground is not seen.
     ray_spacing : float
         Spacing δ of the square ray lattice, m.
-    ray_phase : (float, float)
-        Offset of the lattice along its two axes, in spacings. Two phases tell how far the rays have converged.
+    ray_offset : (float, float)
+        Offset of the lattice along its two axes, in spacings. Two offsets tell how far the rays have converged.
     oversample : int
         Histogram nodes per pixel and axis; pixel centres are nodes. A hit is shared between the four nodes around it.
 
@@ -108,13 +108,13 @@ def simulate_raycast(
     SarsplatError
         If the mesh has no faces or is not finite, or a setting is out of range.
     """
-    _check(mesh, ground_gamma0, ray_spacing, ray_phase)
+    _check(mesh, ground_gamma0, ray_spacing, ray_offset)
     facets = _Facets.of(mesh, view)
     gamma0 = check_reflectivity(reflectivity, len(mesh.faces)) * law.gamma0(facets.cos_incidence)
     cell_area = ray_spacing**2
     deposit = Deposit(grid, oversample)
     theta = math.radians(view.grazing_deg)
-    for position, face in _first_hits(facets, deposit.azimuth_reach, ray_spacing, ray_phase):
+    for position, face in _first_hits(facets, deposit.azimuth_reach, ray_spacing, ray_offset):
         x, y = position.T
         z = facets.depth(face, position)
         if ground_gamma0 is None:
@@ -134,7 +134,7 @@ def simulate_raycast(
 
 
 def _check(
-    mesh: trimesh.Trimesh, ground_gamma0: float | None, ray_spacing: float, ray_phase: tuple[float, float]
+    mesh: trimesh.Trimesh, ground_gamma0: float | None, ray_spacing: float, ray_offset: tuple[float, float]
 ) -> None:
     if len(mesh.faces) == 0:
         raise SarsplatError("the mesh has 0 faces, so there is nothing to image; give a mesh with triangles")
@@ -145,12 +145,12 @@ def _check(
     check_ground(ground_gamma0)
     if not (math.isfinite(ray_spacing) and ray_spacing > 0):
         raise SarsplatError(f"ray_spacing {ray_spacing} must be positive and finite, in metres")
-    if not np.isfinite(ray_phase).all():
-        raise SarsplatError(f"ray_phase {ray_phase} must be two finite numbers, in ray spacings")
+    if not np.isfinite(ray_offset).all():
+        raise SarsplatError(f"ray_offset {ray_offset} must be two finite numbers, in ray spacings")
 
 
 def _first_hits(
-    facets: _Facets, azimuth_reach: tuple[float, float], spacing: float, phase: tuple[float, float]
+    facets: _Facets, azimuth_reach: tuple[float, float], spacing: float, offset: tuple[float, float]
 ) -> Iterator[tuple[Float64[np.ndarray, "k 2"], Int32[np.ndarray, " k"]]]:
     """Batches of rays that hit the mesh: positions (x_r, y_r) float64 [K, 2] and first-hit faces [K]."""
     lower, upper = facets.vertices.min(axis=0), facets.vertices.max(axis=0)
@@ -166,7 +166,7 @@ def _first_hits(
             "is it in millimetres? Scale it to metres, or take a smaller one"
         )
     z_start = lower[2] - center[2] - max(1.0, spacing)
-    for position in _lattice(x_range, (lower[1], upper[1]), spacing, phase):
+    for position in _lattice(x_range, (lower[1], upper[1]), spacing, offset):
         origins = np.empty((len(position), 3), dtype=np.float32)
         origins[:, :2] = position - center[:2]
         origins[:, 2] = z_start
@@ -189,7 +189,7 @@ def _intersector(vertices: Float64[np.ndarray, "v 3"], faces: Int32[np.ndarray, 
 
 
 def _lattice(
-    x: tuple[float, float], y: tuple[float, float], spacing: float, phase: tuple[float, float]
+    x: tuple[float, float], y: tuple[float, float], spacing: float, offset: tuple[float, float]
 ) -> Iterator[Float64[np.ndarray, "k 2"]]:
     """Points of the tilted square lattice within a rectangle, in batches, float64 [K, 2]."""
     turn = np.array(
@@ -198,12 +198,12 @@ def _lattice(
             [math.sin(_LATTICE_TILT), math.cos(_LATTICE_TILT)],
         ]
     )
-    corners = np.array([(a, b) for a in x for b in y]) @ turn / spacing - phase
+    corners = np.array([(a, b) for a in x for b in y]) @ turn / spacing - offset
     first, last = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int)
-    along = np.arange(first[0], last[0] + 1) + phase[0]
+    along = np.arange(first[0], last[0] + 1) + offset[0]
     lines_per_batch = max(1, _RAYS_PER_BATCH // len(along))
     for start in range(first[1], last[1] + 1, lines_per_batch):
-        across = np.arange(start, min(start + lines_per_batch, last[1] + 1)) + phase[1]
+        across = np.arange(start, min(start + lines_per_batch, last[1] + 1)) + offset[1]
         u, v = np.meshgrid(along, across)
         position = spacing * np.column_stack([u.ravel(), v.ravel()]) @ turn.T
         inside = ((position >= (x[0], y[0])) & (position <= (x[1], y[1]))).all(axis=1)

@@ -73,7 +73,7 @@ void image_channels_backward(const ViewState& s, const Part& part, const Strips&
       float heights[C];
       read_heights<C>(e, a, id, heights);
       Moments<F> m{zero, zero, zero, zero, zero, zero};
-      F sums[6] = {zero, zero, zero, zero, zero, zero};
+      F sums[kTogether] = {zero, zero, zero, zero};
       for_blocks(e, image, [&](const Offset<F>& d, int64_t at) {
         const F weight = imaging_weight(distance(d), cut);
         F along = zero;
@@ -84,9 +84,15 @@ void image_channels_backward(const ViewState& s, const Part& part, const Strips&
         }
         m.add(d, weight * along);
       });
-      found = sum6(m);
-      const Eight each = sum6(sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]);
-      for (int c = 0; c < C; c++) d_amplitude[c] = each[c] * e.g.height;
+      // the sixth sum follows from those of the channels
+      const Eight first_four = sum6(m.mu, m.mv, sums[0], sums[1], sums[2], sums[3]);
+      found = sum6(zero, zero, zero, m.muu, m.muv, m.mvv);
+      found[1] = first_four[0];
+      found[2] = first_four[1];
+      for (int c = 0; c < C; c++) {
+        found[0] += heights[c] * first_four[2 + c];
+        d_amplitude[c] = first_four[2 + c] * e.g.height;
+      }
     }
     float* row = moments + kSums * (int64_t)id;
     store_eight(row, first ? found : found + load_eight(row));

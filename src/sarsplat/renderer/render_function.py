@@ -1,15 +1,14 @@
-"""The engines behind one differentiable function: gathers arrays, calls a kernel once each way, names what is wrong."""
+"""A whole rendering as one differentiable function: one call of an engine each way, and what is wrong by name."""
 
 from __future__ import annotations
 
 import ctypes
-import logging
 import math
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache, partial
-from typing import Any, Protocol
+from functools import lru_cache, partial
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -20,66 +19,12 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians, Harmonics
 from sarsplat.gaussians.harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
-from sarsplat.renderer import cpu, cuda, structs
-from sarsplat.renderer.checks import check_for_cpu, check_for_cuda, check_values, complaint, complaint_by_view
+from sarsplat.renderer import structs
+from sarsplat.renderer.checks import check_values, complaint, complaint_by_view
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
-from sarsplat.renderer.cuda_device import device, require_cuda
+from sarsplat.renderer.cpu import FAULTS
+from sarsplat.renderer.engines import Pass
 from sarsplat.renderer.rendering import RayMap, Rendering
-
-
-class Pass(Protocol):
-    """What an engine does: one forward pass, and what its backward pass needs."""
-
-    def forward(self, problem: ctypes.Structure, outputs: ctypes.Structure) -> tuple[str, int]:
-        """Run; returns what was rejected ("" for nothing) and at which index."""
-        ...
-
-    def backward(self, problem: ctypes.Structure, gradients: ctypes.Structure) -> None:
-        """Run the adjoint of the last forward pass."""
-        ...
-
-    def lattice(self, view: int) -> ctypes.Structure:
-        """Where the rays of a view stand."""
-        ...
-
-    def trace(self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int) -> None:
-        """Fill T_end and the first-return range of a view's rays."""
-        ...
-
-    # one step alone each (structs.Projection between them), and its adjoint
-    def project(self, problem: ctypes.Structure, out: ctypes.Structure) -> tuple[str, int]: ...
-    def project_backward(
-        self, problem: ctypes.Structure, seeds: ctypes.Structure, gradients: ctypes.Structure
-    ) -> None: ...
-    def attenuate(self, problem: ctypes.Structure, footprints: ctypes.Structure, lit_area: int) -> tuple[str, int]: ...
-    def attenuate_backward(
-        self,
-        problem: ctypes.Structure,
-        d_lit_area: int | None,
-        d_transmittance: int | None,
-        gradients: ctypes.Structure,
-    ) -> None: ...
-    def trace_step(
-        self,
-        problem: ctypes.Structure,
-        footprints: ctypes.Structure,
-        view: int,
-        depth: float,
-        transmittance: int,
-        first_return: int,
-    ) -> None: ...
-    def splat(
-        self, problem: ctypes.Structure, footprints: ctypes.Structure, channels: ctypes.Structure, images: int
-    ) -> tuple[str, int]: ...
-    def splat_backward(
-        self,
-        problem: ctypes.Structure,
-        channels: ctypes.Structure,
-        d_images: int,
-        gradients: ctypes.Structure,
-        d_amplitudes: int,
-    ) -> None: ...
-
 
 ARRAYS = ("means", "quaternions", "scales", "kappa", "harmonics", "gamma0", "shift")
 """Inputs by their names in a problem."""
@@ -97,31 +42,6 @@ class _Setting:
     first_return_depth: float | None
     new_pass: Callable[[], Pass]
     planes: Float[Tensor, "v n 4"] | None
-
-
-@cache
-def choose_engine(dtype: torch.dtype, device_type: str) -> str:
-    """The engine that "auto" takes for these tensors; says so once."""
-    engine = device_type if dtype == torch.float32 and device_type in ("cpu", "cuda") else "reference"
-    logging.getLogger("sarsplat").info("engine='auto' is %r for %s on %s", engine, dtype, device_type)
-    return engine
-
-
-def engine_for(
-    engine: str, instruction_set: str, grid: ImageGrid | None, tensors: dict[str, Tensor | None]
-) -> Callable[[], Pass]:
-    """What makes the passes of the engine "cpu" or "cuda" over these tensors, and onto this grid if there is one.
-
-    Raises
-    ------
-    SarsplatError
-        If the engine does not take them, or is not available.
-    """
-    if engine == "cpu":
-        check_for_cpu(grid, tensors)
-        return partial(cpu.Pass, instruction_set)
-    require_cuda()
-    return partial(cuda.Pass, device(check_for_cuda(tensors)))
 
 
 def render_with(
@@ -364,7 +284,7 @@ def explain(fault: str, index: int, inputs: Sequence[Tensor | None], rays: RayGr
         assert means is not None
         assert scales is not None
         return too_many_rays(index, rays, float(means.abs().max()), float(scales.max()))
-    tensor = inputs[cpu.FAULTS.index(fault) - 1]
+    tensor = inputs[FAULTS.index(fault) - 1]
     assert tensor is not None
     if fault == "gamma0":
         return complaint_by_view(fault, tensor, index)
