@@ -64,7 +64,7 @@ class Metrics(TypedDict):
     baselines: dict[str, dict[str, _Scores]] | None
     time_s: float | None
     seed: int
-    normalisation: dict[str, float]
+    parameters: dict[str, float]
     definitions: dict[str, str]
     reasons: dict[str, str]
 
