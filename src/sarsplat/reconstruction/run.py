@@ -105,6 +105,8 @@ class Run:
         The dataset it was made from, if that is a folder.
     memory : InMemory or None
         What it holds if it has no folder.
+    device : str
+        Where it renders and extracts points, "cpu" or "cuda"; results come back as arrays either way.
     """
 
     config: Config
@@ -112,6 +114,7 @@ class Run:
     path: Path | None = None
     dataset_path: Path | None = None
     memory: InMemory | None = None
+    device: str = "cpu"
 
     # ---- what was learned -------------------------------------------------------------------------------------------
     @cached_property
@@ -127,7 +130,7 @@ class Run:
     def model(self) -> SceneModel:
         """The learned scene."""
         try:
-            return self.snapshot.model(self.config)
+            return self.snapshot.model(self.config, self.device)
         except (KeyError, ValueError, TypeError, IndexError, RuntimeError, SarsplatError) as error:
             raise SarsplatError(
                 f"{self.checkpoint_path} does not hold a whole model ({shown(str(error))}); "
@@ -216,8 +219,8 @@ class Run:
 
     # ---- its folder -------------------------------------------------------------------------------------------------
     @classmethod
-    def load(cls, path: str | Path) -> Run:
-        """Read a run's folder.
+    def load(cls, path: str | Path, device: str = "cpu") -> Run:
+        """Read a run's folder; see `Run` for the device.
 
         Raises
         ------
@@ -233,7 +236,8 @@ class Run:
             header, _Header, schema=SCHEMA, version=SCHEMA_VERSION, remedy="give a run, or reconstruct it again"
         )
         config = Config.from_dict(data.config, str(header))
-        return cls(config, data.dataset_fingerprint, path, None if data.dataset is None else Path(data.dataset))
+        where = None if data.dataset is None else Path(data.dataset)
+        return cls(config, data.dataset_fingerprint, path, where, device=device)
 
     @classmethod
     def create(cls, path: Path, dataset: Dataset, config: Config) -> Run:
