@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypedDict
 
 import msgspec
 import numpy as np
@@ -18,6 +18,7 @@ from sarsplat.data import (
     read_dataset,
     read_json,
     read_points_ply,
+    read_versioned_json,
     write_gaussians_ply,
     write_json,
     write_points_ply,
@@ -52,6 +53,32 @@ class LogLine(msgspec.Struct, frozen=True):
     gaussians: Annotated[int, msgspec.Meta(ge=0, le=10**9)]
 
 
+_Scores = dict[str, float | None]
+
+
+class Metrics(TypedDict):
+    """What `metrics.json` holds: scores by test set, surface or baseline, and by metric."""
+
+    images: dict[str, _Scores]
+    points: dict[str, _Scores]
+    baselines: dict[str, dict[str, _Scores]] | None
+    time_s: float | None
+    seed: int
+    parameters: dict[str, float]
+    definitions: dict[str, str]
+    reasons: dict[str, str]
+
+
+class _Header(msgspec.Struct, forbid_unknown_fields=True):
+    """What `config.json` holds."""
+
+    schema: str
+    schema_version: int
+    dataset: str | None
+    dataset_fingerprint: str
+    config: dict[str, Any]
+
+
 @dataclass(frozen=True)
 class InMemory:
     """What a run without a folder holds itself."""
@@ -78,6 +105,8 @@ class Run:
         The dataset it was made from, if that is a folder.
     memory : InMemory or None
         What it holds if it has no folder.
+    device : str
+        Where it renders and extracts points, "cpu" or "cuda"; results come back as arrays either way.
     """
 
     config: Config
@@ -85,6 +114,7 @@ class Run:
     path: Path | None = None
     dataset_path: Path | None = None
     memory: InMemory | None = None
+    device: str = "cpu"
 
     # ---- what was learned -------------------------------------------------------------------------------------------
     @cached_property
@@ -100,7 +130,7 @@ class Run:
     def model(self) -> SceneModel:
         """The learned scene."""
         try:
-            return self.snapshot.model(self.config)
+            return self.snapshot.model(self.config, self.device)
         except (KeyError, ValueError, TypeError, IndexError, RuntimeError, SarsplatError) as error:
             raise SarsplatError(
                 f"{self.checkpoint_path} does not hold a whole model ({shown(str(error))}); "
@@ -189,8 +219,8 @@ class Run:
 
     # ---- its folder -------------------------------------------------------------------------------------------------
     @classmethod
-    def load(cls, path: str | Path) -> Run:
-        """Read a run's folder.
+    def load(cls, path: str | Path, device: str = "cpu") -> Run:
+        """Read a run's folder; see `Run` for the device.
 
         Raises
         ------
@@ -202,21 +232,12 @@ class Run:
         if not header.is_file():
             what = "does not exist" if not path.exists() else f"holds no {HEADER}, so it is not a run"
             raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out {path}`")
-        data = read_json(header, dict[str, Any])
-        if data.get("schema") != SCHEMA:
-            raise SarsplatError(
-                f"{header} is not the header of a run; give the folder that `sarsplat reconstruct` wrote"
-            )
-        if data.get("schema_version") != SCHEMA_VERSION:
-            raise SarsplatError(
-                f"{path} has schema version {shown(data.get('schema_version'))} "
-                f"but this program reads {SCHEMA_VERSION}; reconstruct it again"
-            )
-        dataset, fingerprint = data.get("dataset"), data.get("dataset_fingerprint")
-        if not isinstance(dataset, str | None) or not isinstance(fingerprint, str):
-            raise SarsplatError(f"{header} does not name its dataset; reconstruct it again")
-        config = Config.from_dict(data.get("config"), str(header))
-        return cls(config, fingerprint, path, None if dataset is None else Path(dataset))
+        data = read_versioned_json(
+            header, _Header, schema=SCHEMA, version=SCHEMA_VERSION, remedy="give a run, or reconstruct it again"
+        )
+        config = Config.from_dict(data.config, str(header))
+        where = None if data.dataset is None else Path(data.dataset)
+        return cls(config, data.dataset_fingerprint, path, where, device=device)
 
     @classmethod
     def create(cls, path: Path, dataset: Dataset, config: Config) -> Run:
@@ -229,13 +250,8 @@ class Run:
 
     def write_header(self) -> None:
         """Write `config.json`."""
-        header = {
-            "schema": SCHEMA,
-            "schema_version": SCHEMA_VERSION,
-            "dataset": None if self.dataset_path is None else str(self.dataset_path),
-            "dataset_fingerprint": self.fingerprint,
-            "config": self.config.as_dict(),
-        }
+        where = None if self.dataset_path is None else str(self.dataset_path)
+        header = _Header(SCHEMA, SCHEMA_VERSION, where, self.fingerprint, self.config.as_dict())
         write_json(self.folder / HEADER, header)
 
     def taken_up(self, dataset: Dataset, config: Config) -> Run:
@@ -291,15 +307,10 @@ class Run:
         return history
 
     @property
-    def metrics(self) -> dict[str, Any] | None:
+    def metrics(self) -> Metrics | None:
         """What `sarsplat evaluate` found, if it was asked."""
         path = None if self.path is None else self.path / "metrics.json"
-        if path is None or not path.is_file():
-            return None
-        metrics = read_json(path, dict[str, Any])
-        if not all(isinstance(metrics.get(key), dict) for key in ("images", "points")):
-            raise SarsplatError(f"{path} holds no scores; write them again with `sarsplat evaluate {self.path}`")
-        return metrics
+        return None if path is None or not path.is_file() else read_json(path, Metrics)
 
     def write_results(self) -> None:
         """Write `gaussians.ply` and `points.ply`."""
