@@ -15,7 +15,7 @@ from test_cpu_engine import relative
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
-from sarsplat.geometry import RayGrid
+from sarsplat.geometry import ImageGrid, RayGrid
 from sarsplat.renderer import Bounds, cuda, render
 
 
@@ -91,24 +91,45 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("name", BROKEN)
-def test_what_breaks_them_is_told_and_no_memory_is_harmed(name, library, monkeypatch):
-    change, message = BROKEN[name]
-    guarded, margin = [], 1024
+@pytest.fixture
+def guarded(monkeypatch):
+    """Arrays with a margin on both sides that nobody may write to."""
+    arrays, margin = [], 1024
 
     def new(self: cuda.Pass, key: str, *shape: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
         whole = torch.full((math.prod(shape) * dtype.itemsize + 2 * margin,), 255, dtype=torch.uint8)  # NaN, or -1
-        guarded.append(whole)
+        arrays.append(whole)
         return self._keep(key, whole[margin:-margin].view(dtype).view(shape))
 
     monkeypatch.setattr(cuda.Pass, "_new", new)
+    yield
+    assert len(arrays) > 20
+    for whole in arrays:
+        assert bool((whole[:margin] == 255).all() and (whole[-margin:] == 255).all())
+
+
+@pytest.mark.usefixtures("guarded")
+@pytest.mark.parametrize("name", BROKEN)
+def test_what_breaks_them_is_told_and_no_memory_is_harmed(name, library):
+    change, message = BROKEN[name]
     bounds, emulated = bounds_of(cloud(40, 0)), partial(render_on, Emulator(library))
     everything(Scene(changed(*change)), emulated, bounds=bounds)  # as if nothing were wrong
     everything(Scene(changed("means", (7, 2), math.inf)), emulated, bounds=bounds)
     with pytest.raises(SarsplatError, match=message):  # still the first
         bounds.check()
-    for whole in guarded:
-        assert bool((whole[:margin] == 255).all() and (whole[-margin:] == 255).all())
+
+
+@pytest.mark.usefixtures("guarded")
+@pytest.mark.parametrize("change", [("scales", 8.0), ("means", math.nan)])
+def test_a_footprint_of_more_tiles_than_there_is_room_for(change, library):
+    """A single Gaussian in a wide image, so that there is no room of others to take."""
+    name, value = change
+    scene = Scene(cloud(1, 13), VIEWS[:1], ImageGrid(300, 300, (0.2, 0.2), (0.3, 0.3)))
+    bounds = bounds_of(scene.gaussians)
+    worse = scene.gaussians.with_tensors(**{name: torch.full_like(scene.gaussians.tensors()[name], value)})
+    everything(replace(scene, gaussians=worse), partial(render_on, Emulator(library)), bounds=bounds)
+    with pytest.raises(SarsplatError):
+        bounds.check()
 
 
 def test_a_bad_gamma0_is_told(library):
