@@ -41,7 +41,7 @@ def test_existing_folder_needs_overwrite_but_an_empty_one_does_not(tmp_path):
     out.mkdir()
     with new_folder(out, False, marker=DATASET) as folder:
         make(folder, DATASET, "truth.ply")
-    with pytest.raises(SarsplatError, match="exists; give another name"), new_folder(out, False, marker=DATASET):
+    with pytest.raises(SarsplatError, match="exists; choose another name"), new_folder(out, False, marker=DATASET):
         pytest.fail("must not get here")
     with new_folder(out, True, marker=DATASET) as folder:
         make(folder, DATASET)

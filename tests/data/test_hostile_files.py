@@ -300,7 +300,7 @@ def triangle(**changes: object) -> bytes:
         ({"nodes": [{"children": [*range(90)], "mesh": 0}] * 90, "scenes": [{"nodes": [*range(90)]}]}, "unfolds"),
         ({"bufferViews": [{"buffer": 0, "byteLength": 10**9}]}, "unfolds"),
         ({"buffers": [{"byteLength": 36, "uri": "pipe"}]}, "cannot be read"),
-        ({"accessors": [{"bufferView": 0, "componentType": 5126, "count": -3, "type": "VEC3"}]}, "no count"),
+        ({"accessors": [{"bufferView": 0, "componentType": 5126, "count": -3, "type": "VEC3"}]}, "not a count"),
         ({"meshes": []}, "garbled scene"),
         ({"extras": "x" * (1 << 20)}, "bytes of JSON"),
     ],
@@ -374,7 +374,7 @@ def test_text_that_is_not_utf8(tmp_path):
     ("name", "text", "words"),
     [
         ("a.zip", "PK", "known format"),
-        ("a.stl", "\0" * 80 + "\x07\0\0\0" + "\0" * 100, "says that it has 7 faces, 434 bytes, but has 184"),
+        ("a.stl", "\0" * 80 + "\x07\0\0\0" + "\0" * 100, "declares 7 faces .434 bytes. but has 184 bytes"),
         ("a.stl", "solid\nendsolid\n" * 2000, "2000 solids"),
         ("a.obj", "v 0 0 0\nv 2 0 0\nv 2 2 0\nf -3 -2 -1\n", "backwards"),
         ("a.obj", "v 0 0 0\nv 2 0 0\nv 2 2 0\nf 1 2 9\n", "cannot be read"),

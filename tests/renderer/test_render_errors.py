@@ -95,7 +95,7 @@ def test_engine_views_and_dtype():
 
 def test_far_away_gaussian():
     with pytest.raises(
-        SarsplatError, match=r"view 0 would need too many rays .* reach 1e\+06 m .* remove far and wide ones"
+        SarsplatError, match=r"view 0 would need too many rays .* reach 1e\+06 m .* remove distant or wide ones"
     ):
         render(changed("means", (0, 0), 1e6), VIEWS, GRID, engine="cpu")
     with pytest.raises(SarsplatError, match="too many rays at a spacing of"):

@@ -322,7 +322,7 @@ def test_shapes_dtypes_and_options():
 def test_grids_that_are_too_large():
     far = cloud(10, 0)
     p = project(replace(far, means=bad(far.means, (0, 0), 1e6)), VIEWS, GRID)
-    with pytest.raises(SarsplatError, match=r"view 0 would need too many rays .* remove far and wide ones"):
+    with pytest.raises(SarsplatError, match=r"view 0 would need too many rays .* remove distant or wide ones"):
         attenuate(p, RAYS, engine="cpu")
     with pytest.raises(SarsplatError, match=r"reference would need too many rays"):
         attenuate(p, RAYS, engine="reference")
