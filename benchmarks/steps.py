@@ -23,7 +23,7 @@ def chain(scene: Scene) -> Callable[[], object]:
         g = scene.leaves
         projection = project(g, scene.views, scene.grid, rays=scene.rays, engine="cpu")
         cross_sections = projection.gamma0 * attenuate(projection, scene.rays, engine="cpu").lit_area
-        images = splat(projection.pixels, cross_sections[..., None], scene.grid, engine="cpu")[:, 0]
+        images = splat(projection.pixels, cross_sections[..., None], scene.grid, engine="cpu").squeeze(1)
         return [images.detach(), *scene.gradients(images)]
 
     return step

@@ -56,6 +56,11 @@ def test_a_run_needs_its_dataset_for_nothing_but_the_images(
         _ = alone.dataset
 
 
+def test_a_run_renders_where_it_is_told_to(finished: Run) -> None:
+    assert Run.load(finished.folder, device="meta").gaussians.means.device.type == "meta"
+    assert Run.load(finished.folder).gaussians.means.device.type == "cpu"
+
+
 def test_every_step_is_told(dataset: Dataset, short: Config) -> None:
     told: list[Step] = []
     run = reconstruct(dataset, short, on_step=told.append, quiet=True)

@@ -78,6 +78,8 @@ class Run:
         The dataset it was made from, if that is a folder.
     memory : InMemory or None
         What it holds if it has no folder.
+    device : str
+        Where it renders and extracts points, "cpu" or "cuda"; results come back as arrays either way.
     """
 
     config: Config
@@ -85,6 +87,7 @@ class Run:
     path: Path | None = None
     dataset_path: Path | None = None
     memory: InMemory | None = None
+    device: str = "cpu"
 
     # ---- what was learned -------------------------------------------------------------------------------------------
     @cached_property
@@ -100,7 +103,7 @@ class Run:
     def model(self) -> SceneModel:
         """The learned scene."""
         try:
-            return self.snapshot.model(self.config)
+            return self.snapshot.model(self.config, self.device)
         except (KeyError, ValueError, TypeError, IndexError, RuntimeError, SarsplatError) as error:
             raise SarsplatError(
                 f"{self.checkpoint_path} does not hold a whole model ({shown(str(error))}); "
@@ -189,8 +192,8 @@ class Run:
 
     # ---- its folder -------------------------------------------------------------------------------------------------
     @classmethod
-    def load(cls, path: str | Path) -> Run:
-        """Read a run's folder.
+    def load(cls, path: str | Path, device: str = "cpu") -> Run:
+        """Read a run's folder; see `Run` for the device.
 
         Raises
         ------
@@ -216,7 +219,8 @@ class Run:
         if not isinstance(dataset, str | None) or not isinstance(fingerprint, str):
             raise SarsplatError(f"{header} does not name its dataset; reconstruct it again")
         config = Config.from_dict(data.get("config"), str(header))
-        return cls(config, fingerprint, path, None if dataset is None else Path(dataset))
+        where = None if dataset is None else Path(dataset)
+        return cls(config, fingerprint, path, where, device=device)
 
     @classmethod
     def create(cls, path: Path, dataset: Dataset, config: Config) -> Run:
