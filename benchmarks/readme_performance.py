@@ -137,8 +137,9 @@ def other_table(parts: dict[str, Any]) -> str:
         ),
         (
             f"{largest['process_bytes'] / 2**30:.2f} GiB",
-            f"peak memory of the whole process: {largest['gaussians']:,} Gaussians on {largest['side']} × {largest['side']} "
-            f"pixels, forward and backward together; {ms(largest['seconds']['median'])}",
+            f"peak memory of the whole process: {largest['gaussians']:,} Gaussians, "
+            f"{largest['side']} × {largest['side']} pixels, forward and backward together:"
+            f" {ms(largest['seconds']['median'])}",
         ),
         (
             f"{each['gaussian']:.0f} B, {each['pixel']:.0f} B",

@@ -107,7 +107,9 @@ def test_a_printed_configuration_is_read_back(capsys: pytest.CaptureFixture[str]
     (tmp_path / "mine.json").write_text(json.dumps(first))
     assert printed(f"--config {tmp_path / 'mine.json'}", capsys) == first
     assert printed(f"--config {tmp_path / 'mine.json'} --gaussians 31", capsys) == {**first, "gaussians": 31}
-    assert "give one" in refused(f"reconstruct plain --out new --config {tmp_path}/mine.json --preset paper", capsys)
+    assert "give only one" in refused(
+        f"reconstruct plain --out new --config {tmp_path}/mine.json --preset paper", capsys
+    )
 
 
 @pytest.mark.parametrize(

@@ -242,7 +242,7 @@ def change(header: dict, place: str, value: object) -> None:
         ("truth_mesh", 3, "truth_mesh"),
         ("truth_mesh", "../x.ply", "is not inside"),
         ("views", {}, "views: expected `array`"),
-        ("views", [], "no images"),
+        ("views", [], "a dataset needs images"),
         ("views.0", 7, r"views\[0\] is 7: expected `object`"),
         ("views.1.grazing_deg", 90, r"views\[1\]: grazing angle 90"),
         ("views.1.azimuth_deg", "north", r"views\[1\].azimuth_deg is 'north': expected `float`, got `str`"),

@@ -163,7 +163,7 @@ def test_two_labels_of_one_chip_are_refused(chips):
 def test_labels_may_not_lead_out_of_the_folder(chips, path):
     shutil.copy(chips / "T72" / "chip000.jpeg", chips.parent / "outside.jpeg")
     rewrite(chips / "labels.csv", lambda rows: [*rows, [path, *rows[1][1:]]])
-    with pytest.raises(SarsplatError, match=r"line 13: .* leads out of the folder of chips|not a readable CSV"):
+    with pytest.raises(SarsplatError, match=r"line 13: .* points outside the folder of chips|not a readable CSV"):
         run(chips)
     assert not (chips.parent / "out").exists()
 
@@ -195,7 +195,7 @@ def test_several_vehicles(chips):
         run(chips)
     with pytest.warns(SarsplatWarning, match="one training view"):
         assert run(chips, serial="812", train_views=1, overwrite=True).source["serials"] == ["812"]
-    with pytest.raises(SarsplatError, match="no T72 with the serial '9'; there are 132, 812"):
+    with pytest.raises(SarsplatError, match="no T72 with the serial '9'; choose one of 132, 812"):
         run(chips, serial="9", overwrite=True)
 
 

@@ -78,7 +78,7 @@ def test_a_chip_is_an_image(path):
         (phoenix_bytes(NumberOfRows="0"), "NumberOfRows"),
         (phoenix_bytes(NumberOfRows="-4"), "NumberOfRows"),
         (phoenix_bytes(NumberOfColumns=""), "no readable NumberOfColumns"),
-        (phoenix_bytes(native_header_length="512"), "a scene and no chip"),
+        (phoenix_bytes(native_header_length="512"), "a scene and not a float32 chip"),
         (phoenix_bytes().replace(b"Length= 00", b"Length= 99"), "declares a header of 99"),
         (phoenix_bytes().replace(b"Length= 00", b"Length= -1"), "declares a header of 0"),
         (phoenix_bytes().replace(b"[EndofPhoenixHeader]", b"[EndOfPhoenixHeader]"), "no .EndofPhoenixHeader"),

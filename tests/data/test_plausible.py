@@ -61,7 +61,7 @@ HONEST = {
 @pytest.mark.parametrize("name", RADIANS)
 def test_radians_are_suspected(name: str) -> None:
     (told,) = suspicious_angles(RADIANS[name])
-    assert "look like radians; give degrees" in told
+    assert "look like radians; if they are, multiply" in told
 
 
 @pytest.mark.parametrize("name", HONEST)
@@ -172,7 +172,7 @@ def test_warnings_have_one_category_and_are_not_repeated() -> None:
 @pytest.mark.parametrize(
     ("train", "images", "told"),
     [
-        ([], np.zeros((0, 8, 8), np.float32), "no images"),
+        ([], np.zeros((0, 8, 8), np.float32), "a dataset needs images"),
         (AROUND, np.full((3, 8, 8), np.nan, np.float32), "power must be finite"),
         (AROUND, np.full((3, 8, 8), np.inf, np.float32), "power must be finite"),
         (AROUND, np.full((3, 8, 8), -1.0, np.float32), "power must be finite and ≥ 0"),

@@ -200,8 +200,8 @@ def test_points_are_no_gaussians_and_versions_are_checked(tmp_path):
         (b'"p_min": 0.05', b'"p_min": 1e99e', "not valid JSON"),
         (b'"p_min": 0.05', b'"p_min": 1e+999', r"the header of .*p\.ply: .*number out of range"),
         (b'"p_min": 0.05', b'"p_min": -0.5', "p_min -0.5 must be finite"),
-        (b'"p_min": 0.05', b'"p_min": "x"', "is none"),
-        (b'"p_min": 0.05', b'"gloss": 0.5', "is none .*gloss"),
+        (b'"p_min": 0.05', b'"p_min": "x"', "has an invalid scattering law"),
+        (b'"p_min": 0.05', b'"gloss": 0.5', "has an invalid scattering law .*gloss"),
     ]:
         path.write_bytes(data.replace(old, new))
         with pytest.raises(SarsplatError, match=words):

@@ -142,7 +142,7 @@ def test_a_checkpoint_of_another_version(begun: Path, dataset: Dataset) -> None:
     tensors, state = load_checkpoint(newest)
     del tensors["model/optical_depth"]
     save_checkpoint(newest, tensors, state)
-    refused(begun, dataset, CONFIG, "does not fit this version")
+    refused(begun, dataset, CONFIG, "does not match this version")
 
 
 @pytest.mark.parametrize(

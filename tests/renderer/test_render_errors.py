@@ -146,7 +146,7 @@ def test_engine_auto_follows_the_dtype():
 @pytest.mark.parametrize("grazing", [0.0, 90.0, -5.0, float("nan")])
 def test_grazing_angles(grazing):
     with pytest.raises(
-        SarsplatError, match=r"grazing angle .*° lies outside \(0°, 90°\); give degrees above the horizon"
+        SarsplatError, match=r"grazing angle .*° is outside \(0°, 90°\); give degrees above the horizon"
     ):
         View(10.0, grazing)
 

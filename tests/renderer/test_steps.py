@@ -313,7 +313,7 @@ def test_shapes_dtypes_and_options():
         project(cloud(10, 0), [], GRID)
     with pytest.raises(SarsplatError, match=r"shift has shape \(3,\); .* it must be \(3, 2\)"):
         project(cloud(10, 0), VIEWS, GRID, shift=torch.zeros(3))
-    with pytest.raises(SarsplatError, match=r"shape \(0, 10, 2\), which is no view"):
+    with pytest.raises(SarsplatError, match=r"shape \(0, 10, 2\), which has no views"):
         splat(Footprints(p.pixels.centers[:0], p.pixels.roots[:0]), amplitudes[:0], GRID)
     with pytest.raises(SarsplatError, match=r"means is torch.float64 on cpu; the CPU engine takes torch.float32"):
         project(cloud(10, 0).to(torch.float64), VIEWS, GRID, engine="cpu")
