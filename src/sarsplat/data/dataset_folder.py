@@ -28,13 +28,13 @@ _MAKE_ONE = "make one with `sarsplat simulate` or `sarsplat import mstar`"
 
 
 def write_dataset(
-    path: Path, dataset: Dataset, *, truth_mesh: trimesh.Trimesh | None = None, overwrite: bool = False
+    path: str | Path, dataset: Dataset, *, truth_mesh: trimesh.Trimesh | None = None, overwrite: bool = False
 ) -> Dataset:
     """Write a dataset, whole or not at all.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
         Folder to make.
     dataset : Dataset
         With at least one image in the split "train".
@@ -94,12 +94,12 @@ def _mesh_bytes(dataset: Dataset, mesh: trimesh.Trimesh | None) -> bytes | None:
     return data
 
 
-def read_dataset(path: Path) -> Dataset:
+def read_dataset(path: str | Path) -> Dataset:
     """Read a dataset into memory and check everything in its folder, each pixel included.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
         The dataset's folder; nothing in it is trusted.
 
     Raises

@@ -38,10 +38,10 @@ LEAST_DN = 2.0
 
 
 def import_mstar(
-    chips: Path,
-    out: Path,
+    chips: str | Path,
+    out: str | Path,
     *,
-    labels: Path | None,
+    labels: str | Path | None,
     target_class: str,
     train_views: int,
     train_depression: int = 17,

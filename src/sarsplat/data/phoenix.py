@@ -32,7 +32,7 @@ class PhoenixChip:
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
         The file, for error messages.
     header : dict of str to str
         Every `Key= value` of the header, stripped.
@@ -118,12 +118,12 @@ def _begins(start: bytes) -> bool:
     return start.removeprefix(b"\n").startswith(_MAGIC)  # the originals start with an empty line
 
 
-def read_phoenix(path: Path) -> PhoenixChip:
+def read_phoenix(path: str | Path) -> PhoenixChip:
     """Read one Phoenix file.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
         The file; its suffix (.000, .015, …) is a serial, not an angle.
 
     Returns

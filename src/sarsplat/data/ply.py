@@ -40,12 +40,12 @@ _LEAST_LOGIT = -30.0  # stands for an opacity of zero, whose logit is −∞
 _DIRECTIONS = 200  # in which a law is compared with harmonics
 
 
-def write_gaussians_ply(path: Path, gaussians: Gaussians, comments: Iterable[str] = ()) -> None:
+def write_gaussians_ply(path: str | Path, gaussians: Gaussians, comments: Iterable[str] = ()) -> None:
     """Write Gaussians, whole or not at all.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
         File to write; an existing one is replaced.
     gaussians : Gaussians
         Stored as float32.
@@ -77,10 +77,10 @@ def write_gaussians_ply(path: Path, gaussians: Gaussians, comments: Iterable[str
         **_columns((f"scattering_{k}" for k in range(values["scattering"].shape[1])), values["scattering"]),
     }
     law = {"kind": gaussians.scattering.kind, **gaussians.scattering.settings()}
-    write_ply(path, columns, [_VERSION, _LAW + json.dumps(law), *comments])
+    write_ply(Path(path), columns, [_VERSION, _LAW + json.dumps(law), *comments])
 
 
-def read_gaussians_ply(path: Path) -> Gaussians:
+def read_gaussians_ply(path: str | Path) -> Gaussians:
     """Read Gaussians: our own files exactly, those of other 3DGS programs as well as they translate.
 
     Of a foreign file, κ = −ln(1 − opacity) and the harmonics are the mean over the three colours; p_min is 0.
@@ -95,7 +95,8 @@ def read_gaussians_ply(path: Path) -> Gaussians:
     SarsplatError
         If the file is missing, damaged, truncated, no 3DGS file, or holds values outside their range.
     """
-    columns, comments = read_ply(Path(path))
+    path = Path(path)
+    columns, comments = read_ply(path)
     ours = _VERSION in comments
     foreign = next((line for line in comments if line.startswith("sarsplat gaussians") and not ours), None)
     if foreign is not None:
@@ -135,12 +136,12 @@ def _of_3dgs(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray
     return {"scales": scales, "optical_depth": depth.astype(np.float32), "scattering": _flip_odd(harmonics)}
 
 
-def write_points_ply(path: Path, points: Real[np.ndarray, "p 3"], /, **columns: np.ndarray) -> None:
+def write_points_ply(path: str | Path, points: Real[np.ndarray, "p 3"], /, **columns: np.ndarray) -> None:
     """Write points with any number of named scalars each, whole or not at all.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
         File to write; an existing one is replaced.
     points : numpy.ndarray [P, 3]
         Positions, m; stored as float32.
@@ -164,10 +165,10 @@ def write_points_ply(path: Path, points: Real[np.ndarray, "p 3"], /, **columns: 
     for name, column in table.items():
         if not np.isfinite(column).all():
             raise SarsplatError(f"the column {name!r} of the points contains NaN or an infinity; remove those points")
-    write_ply(path, table, ["sarsplat points 1"])
+    write_ply(Path(path), table, ["sarsplat points 1"])
 
 
-def read_points_ply(path: Path) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]]:
+def read_points_ply(path: str | Path) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]]:
     """Read points.
 
     Returns
@@ -182,7 +183,8 @@ def read_points_ply(path: Path) -> tuple[Float32[np.ndarray, "p 3"], dict[str, R
     SarsplatError
         If the file is missing, damaged or truncated, has no x, y, z, or a point is farther than 10⁹ m from the origin.
     """
-    columns, _ = read_ply(Path(path))
+    path = Path(path)
+    columns, _ = read_ply(path)
     points = _stack(path, columns, ["x", "y", "z"])
     if (farthest := np.abs(points).max(initial=0)) > _FARTHEST:
         raise SarsplatError(f"{path} holds a point {farthest:.3g} m from the origin; create it again, in metres")

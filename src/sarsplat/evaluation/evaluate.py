@@ -27,7 +27,7 @@ from sarsplat.evaluation.points import PointMetrics, point_metrics
 from sarsplat.evaluation.surface import read_truth_mesh, visible_surface
 
 
-def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dict[str, Any]:
+def evaluate_run(run: EvaluatedRun, *, lpips_weights: str | Path | None = None) -> dict[str, Any]:
     """Score a run on every test set of its dataset, and its points against the true surface; write `metrics.json`.
 
     Parameters
@@ -58,7 +58,7 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: Path | None = None) -> dic
         If points of a run from one training view are scored.
     """
     with nullcontext() if run.path is None else only_writer(run.path):
-        metrics = _evaluate(run, lpips_weights)
+        metrics = _evaluate(run, None if lpips_weights is None else Path(lpips_weights))
         if run.path is not None:
             write_json(run.path / "metrics.json", metrics)
     return metrics
