@@ -106,7 +106,7 @@ def test_a_folder_that_is_no_run_is_named(tmp_path: Path) -> None:
     with pytest.raises(SarsplatError, match="not a run"):
         Run.load(tmp_path)
     (tmp_path / "config.json").write_text("{}")
-    with pytest.raises(SarsplatError, match="not the header of a run"):
+    with pytest.raises(SarsplatError, match="its schema is None, not 'sarsplat-run'; give a run"):
         Run.load(tmp_path)
 
 

@@ -123,7 +123,7 @@ def unknown_rate(header: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (newer_schema, "schema version 3 but this program reads 2; reconstruct it again"),
+        (newer_schema, "schema_version is 3 but this program reads 2; give a run, or reconstruct it again"),
         (unknown_setting, "config.json: the setting 'warmth' is unknown"),
         (missing_setting, "the setting p_min is missing"),
         (unknown_rate, "config.json: the setting 'rates.warmth' is unknown"),

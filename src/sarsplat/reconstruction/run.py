@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypedDict
 
 import msgspec
 import numpy as np
@@ -18,6 +18,7 @@ from sarsplat.data import (
     read_dataset,
     read_json,
     read_points_ply,
+    read_versioned_json,
     write_gaussians_ply,
     write_json,
     write_points_ply,
@@ -50,6 +51,32 @@ class LogLine(msgspec.Struct, frozen=True):
     seconds: Annotated[float, msgspec.Meta(ge=0, le=1e10)]
     loss: Annotated[float, msgspec.Meta(ge=-1e30, le=1e30)]
     gaussians: Annotated[int, msgspec.Meta(ge=0, le=10**9)]
+
+
+_Scores = dict[str, float | None]
+
+
+class Metrics(TypedDict):
+    """What `metrics.json` holds: scores by test set, surface or baseline, and by metric."""
+
+    images: dict[str, _Scores]
+    points: dict[str, _Scores]
+    baselines: dict[str, dict[str, _Scores]] | None
+    time_s: float | None
+    seed: int
+    parameters: dict[str, float]
+    definitions: dict[str, str]
+    reasons: dict[str, str]
+
+
+class _Header(msgspec.Struct, forbid_unknown_fields=True):
+    """What `config.json` holds."""
+
+    schema: str
+    schema_version: int
+    dataset: str | None
+    dataset_fingerprint: str
+    config: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -205,22 +232,12 @@ class Run:
         if not header.is_file():
             what = "does not exist" if not path.exists() else f"holds no {HEADER}, so it is not a run"
             raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out {path}`")
-        data = read_json(header, dict[str, Any])
-        if data.get("schema") != SCHEMA:
-            raise SarsplatError(
-                f"{header} is not the header of a run; give the folder that `sarsplat reconstruct` wrote"
-            )
-        if data.get("schema_version") != SCHEMA_VERSION:
-            raise SarsplatError(
-                f"{path} has schema version {shown(data.get('schema_version'))} "
-                f"but this program reads {SCHEMA_VERSION}; reconstruct it again"
-            )
-        dataset, fingerprint = data.get("dataset"), data.get("dataset_fingerprint")
-        if not isinstance(dataset, str | None) or not isinstance(fingerprint, str):
-            raise SarsplatError(f"{header} does not name its dataset; reconstruct it again")
-        config = Config.from_dict(data.get("config"), str(header))
-        where = None if dataset is None else Path(dataset)
-        return cls(config, fingerprint, path, where, device=device)
+        data = read_versioned_json(
+            header, _Header, schema=SCHEMA, version=SCHEMA_VERSION, remedy="give a run, or reconstruct it again"
+        )
+        config = Config.from_dict(data.config, str(header))
+        where = None if data.dataset is None else Path(data.dataset)
+        return cls(config, data.dataset_fingerprint, path, where, device=device)
 
     @classmethod
     def create(cls, path: Path, dataset: Dataset, config: Config) -> Run:
@@ -233,13 +250,8 @@ class Run:
 
     def write_header(self) -> None:
         """Write `config.json`."""
-        header = {
-            "schema": SCHEMA,
-            "schema_version": SCHEMA_VERSION,
-            "dataset": None if self.dataset_path is None else str(self.dataset_path),
-            "dataset_fingerprint": self.fingerprint,
-            "config": self.config.as_dict(),
-        }
+        where = None if self.dataset_path is None else str(self.dataset_path)
+        header = _Header(SCHEMA, SCHEMA_VERSION, where, self.fingerprint, self.config.as_dict())
         write_json(self.folder / HEADER, header)
 
     def taken_up(self, dataset: Dataset, config: Config) -> Run:
@@ -295,15 +307,10 @@ class Run:
         return history
 
     @property
-    def metrics(self) -> dict[str, Any] | None:
+    def metrics(self) -> Metrics | None:
         """What `sarsplat evaluate` found, if it was asked."""
         path = None if self.path is None else self.path / "metrics.json"
-        if path is None or not path.is_file():
-            return None
-        metrics = read_json(path, dict[str, Any])
-        if not all(isinstance(metrics.get(key), dict) for key in ("images", "points")):
-            raise SarsplatError(f"{path} holds no scores; write them again with `sarsplat evaluate {self.path}`")
-        return metrics
+        return None if path is None or not path.is_file() else read_json(path, Metrics)
 
     def write_results(self) -> None:
         """Write `gaussians.ply` and `points.ply`."""

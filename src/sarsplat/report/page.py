@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -83,7 +84,7 @@ def _card(table: ScoreTable, row: Row) -> dict[str, Any]:
     }
 
 
-def _notes(metrics: dict[str, Any], tables: list[ScoreTable]) -> list[str]:
+def _notes(metrics: Mapping[str, Any], tables: list[ScoreTable]) -> list[str]:
     """What was left out and why, what was computed, and what images were divided by."""
     missing: dict[str, list[str]] = {}
     for key, reason in metrics["reasons"].items():
