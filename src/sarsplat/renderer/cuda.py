@@ -244,7 +244,7 @@ class Pass:
         views, n = problem.views, problem.gaussians
         self._pairs = views * n
         if self._pairs >= _MOST_PAIRS:
-            raise SarsplatError(f"{views} views of {n} Gaussians are too many at a time; take fewer views at a time")
+            raise SarsplatError(f"{views} views of {n} Gaussians are too many at once; render fewer views at a time")
         minima = self._new("minima", 1 + 4 * views, dtype=torch.int64).fill_(-1)
         self._state.minima = minima.data_ptr()
         return minima
@@ -333,7 +333,7 @@ class Pass:
 
 def _no_memory(device: torch.device) -> SarsplatError:
     return SarsplatError(
-        f"the memory of {device} does not suffice for the rendering; take fewer views at a time or coarser rays"
+        f"the memory of {device} is not enough for the rendering; render fewer views at a time or use coarser rays"
     )
 
 
