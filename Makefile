@@ -1,12 +1,12 @@
-# make demo    the whole way once: simulate, reconstruct, evaluate, report
+# make demo    the whole workflow once: simulate, reconstruct, evaluate, report
 # make test    the test suite without the slow tests; make test-slow runs those
-# make figures pictures in figures/ and their tables: buildings, vehicles, splat against ray cast
+# make figures pictures in figures/ with their tables: buildings, vehicles, splatting against ray casting
 # make bench   speed and memory against plain torch and the floor; fills the README's performance section (3 minutes)
-# make fuzz    hostile files for every reader; make sanitize  the engine under ASan and UBSan (needs Debian's clang-19)
+# make fuzz    malformed files for every reader; make sanitize  the engine under ASan and UBSan (needs Debian's clang-19)
 # make wheels  a wheel for every platform in dist/ (four minutes the first time)
-# make check-wheel  what is in them; this machine's is installed into an empty environment and tried there
+# make check-wheel  their contents; this machine's wheel is installed into an empty environment and tested there
 # make lint    style and types
-# make clean   remove everything that was made here, the environment included
+# make clean   remove everything created here, including the environment
 #
 # Needs Python 3.11 or newer, make and git; no compiler. Choose another interpreter with `make PYTHON=python3.12 demo`.
 
@@ -34,7 +34,7 @@ demo: setup
 	  $(BIN)/sarsplat evaluate $(DEMO)/run)
 
 test: setup
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
 
 test-slow: setup
 	$(BIN)/python -m pytest -m slow
@@ -63,7 +63,7 @@ figures: setup
 	$(call step,vehicles beside measured chips,$(BIN)/python docs/draw_vehicles.py)
 
 bench: setup
-	$(call step,bench: speed and memory of every part (minutes; leave the machine alone),\
+	$(call step,bench: speed and memory of every part (takes minutes; keep the machine idle),\
 	  $(BIN)/python benchmarks/bench.py --out benchmarks/results)
 	$(call step,README: the performance section from benchmarks/results,$(BIN)/python benchmarks/readme_performance.py)
 

@@ -65,7 +65,7 @@ def ratio_table(parts: dict[str, Any]) -> str:
         row(
             GOOD_LOW,
             floor["ratios"]["engine less the same Gaussians unseen / floor of visited blocks"],
-            "forward and backward less what the same Gaussians cost out of sight / the floor",
+            "forward and backward, minus the cost of the same Gaussians out of view / the floor",
             floor["times"]["engine less the same Gaussians unseen"],
             bound,
         ),
@@ -115,7 +115,7 @@ def paper_training(paper: dict[str, Any]) -> tuple[str, str, str]:
     )
     what = (
         f"the paper's training on an RTX 3060 Ti / `--preset paper` on these cores, {paper['iterations']:,} "
-        f"iterations; one run. Scores, ours (the paper's): {scores}; the truths differ, as said above"
+        f"iterations; one run. Scores, ours (the paper's): {scores}; the true images differ, as explained above"
     )
     ratio = theirs["time_s"] / paper["training_s"]
     return f"{ratio:.1f} × {GOOD_HIGH}", what, f"{theirs['time_s']:.0f} s / {paper['training_s']:.0f} s"
@@ -137,21 +137,22 @@ def other_table(parts: dict[str, Any]) -> str:
         ),
         (
             f"{largest['process_bytes'] / 2**30:.2f} GiB",
-            f"whole process at its peak: {largest['gaussians']:,} Gaussians on {largest['side']} × {largest['side']} "
-            f"pixels, forward and backward together; {ms(largest['seconds']['median'])}",
+            f"peak memory of the whole process: {largest['gaussians']:,} Gaussians, "
+            f"{largest['side']} × {largest['side']} pixels, forward and backward together:"
+            f" {ms(largest['seconds']['median'])}",
         ),
         (
             f"{each['gaussian']:.0f} B, {each['pixel']:.0f} B",
-            "of memory at the peak for a Gaussian, and for a pixel with its four rays; gradients included",
+            "peak memory per Gaussian, and per pixel with its four rays, gradients included",
         ),
         (
             f"{100 * live['live lanes, attenuation']:.0f} %, {100 * live['live lanes, imaging']:.0f} %",
-            "live lanes: pairs that count among those of the visited blocks, on the computation and the imaging plane",
+            "live lanes: share of contributing pairs in the visited blocks, on the computation and the imaging plane",
         ),
-        (f"{floor['rate_flop_s'] / 1e9:.0f} GFlop/s", "rate at which these cores multiply float32 matrices"),
+        (f"{floor['rate_flop_s'] / 1e9:.0f} GFlop/s", "float32 matrix multiplication rate of these cores"),
         *((found, name) for name, found in parts["determinism"]["ratios"].items()),
     ]
-    return markdown(("value", "of what"), rows)
+    return markdown(("value", "quantity"), rows)
 
 
 def how(machine: dict[str, Any]) -> str:
@@ -159,18 +160,18 @@ def how(machine: dict[str, Any]) -> str:
     text = (
         f"Measured by `make bench` on {machine['processor']}, {machine['cores']} cores, {machine['threads']} threads, "
         f"{machine['instruction_set']}, PyTorch {machine['torch']}, {machine['date']}, with `OMP_WAIT_POLICY=PASSIVE` "
-        f"as the command line sets it; the machine's load before the run was {machine['load']:.1f}. Unless said "
-        f"otherwise: forward and backward together, one view of {COUNT:,} Gaussians as they are halfway through the "
-        "reconstruction of a T-72 (synthetic, same distributions), 128 × 128 pixels, two rays to a pixel spacing "
-        "(four to a pixel), the default.",
-        f"↑ means that more is better, ↓ that less is. Rivals run in turns of {TURN} calls in one process, the first "
-        "of which, with cold caches and sleeping threads, does not count. A ratio is that of the medians; beside it "
-        "stand the 10th and 90th percentile of the ratios of neighbours in time. What the ordinary scene would cost is "
-        "computed from its time per visited block, and the spread is then A's. The engine's time differs between rows "
-        "because each rival leaves the caches in another state: only a row's ratio is meant.",
+        f"as the command line sets it; the machine's load before the run was {machine['load']:.1f}. Unless stated "
+        f"otherwise, a time is that of forward and backward together, for one view of {COUNT:,} Gaussians as they are "
+        "halfway through the reconstruction of a T-72 (synthetic, same distributions), with 128 × 128 pixels and the "
+        "default of two rays per pixel spacing (four per pixel).",
+        f"↑ means that higher is better, ↓ that lower is. A and B take turns of {TURN} calls each in one process; the "
+        "first call of a turn, with cold caches and sleeping threads, is discarded. A ratio is that of the medians, "
+        "followed by the 10th and 90th percentiles of the ratios of adjacent turns. The cost of the ordinary scene is "
+        "computed from its time per visited block, and the spread is then that of A. The engine's time differs "
+        "between rows because the caches are in a different state each time, so compare only within a row.",
         "Plain PyTorch is [benchmarks/naive_torch.py](benchmarks/naive_torch.py) (pair lists, autograd). The floor is "
-        "the multiplications and additions of all blocks of Gaussian–ray and Gaussian–pixel pairs that the loops "
-        "visit, dead lanes included, at the rate at which these cores multiply float32 matrices in the same minute.",
+        "the time for the multiplications and additions of all visited blocks of Gaussian–ray and Gaussian–pixel "
+        "pairs, dead lanes included, at the float32 matrix multiplication rate of these cores in the same minute.",
     )
     return "\n\n".join(textwrap.fill(paragraph, 120, break_on_hyphens=False) for paragraph in text) + "\n"
 

@@ -34,11 +34,11 @@ def test_every_azimuth_at_every_elevation_once() -> None:
 
 @pytest.mark.parametrize("word", ["1e308", "-4000", "0:1e308:1e305"])
 def test_azimuths_beyond_ten_turns_are_refused(word: str) -> None:
-    with pytest.raises(SarsplatError, match="not a number of degrees within ±3600"):
+    with pytest.raises(SarsplatError, match="not a number of degrees between ±3600"):
         views_from([word], ["30"], [])
 
 
 def test_radians_are_told() -> None:
-    with pytest.warns(SarsplatWarning, match="look like radians; give degrees"):
+    with pytest.warns(SarsplatWarning, match="look like radians; if they are, multiply"):
         assert len(views_from(["0:6.28:0.26"], [], ["0.26", "0.78"])) == 50
     assert len(views_from(["0:3:1"], ["17"], [])) == 3  # honest: told nothing

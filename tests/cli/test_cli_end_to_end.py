@@ -120,7 +120,7 @@ def test_resume_keeps_the_settings_of_the_run(
     assert main(["reconstruct", dataset, "--out", run, "--resume"]) == 0
     assert "seed 7" in capsys.readouterr().out
     assert main(["reconstruct", dataset, "--out", run, "--resume", "--preset", "paper"]) == 2
-    assert "was begun with preset 'default'" in capsys.readouterr().err
+    assert "was started with preset 'default'" in capsys.readouterr().err
 
 
 def test_ctrl_c_says_how_to_go_on(
@@ -172,9 +172,9 @@ def test_export_replaces_nothing_but_its_like(
     export = ["export", str(workshop / "run"), "--overwrite", "--out"]
     config = workshop / "run" / "config.json"
     before = config.read_bytes()
-    assert "lies inside the run" in refusal([*export, str(config)], capsys)
+    assert "is inside the run" in refusal([*export, str(config)], capsys)
     (tmp_path / "inside").symlink_to(workshop / "run")
-    assert "lies inside the run" in refusal([*export, str(tmp_path / "inside" / "new.ply")], capsys)
+    assert "is inside the run" in refusal([*export, str(tmp_path / "inside" / "new.ply")], capsys)
     assert config.read_bytes() == before
     (tmp_path / "thesis.tex").write_text("\\documentclass")
     assert "not a PLY file" in refusal([*export, str(tmp_path / "thesis.tex")], capsys)
@@ -213,7 +213,7 @@ def test_overwrite_is_refused_before_the_work(
     monkeypatch.setattr(Run, "render", work)
     (workshop / "pictures").mkdir(exist_ok=True)
     (workshop / "pictures" / "holiday.png").write_text("")
-    assert "give another name" in refusal([*command.split(), "--overwrite", "--out", out], capsys)
+    assert "choose another name" in refusal([*command.split(), "--overwrite", "--out", out], capsys)
 
 
 @pytest.mark.parametrize("command", ["report", "evaluate"])
@@ -270,7 +270,7 @@ def test_info_on_rendered_images(workshop: Path, tmp_path: Path, capsys: pytest.
     assert "az000_gr30 … az045_gr30" in said
     for path in out.glob("*.tif"):
         path.unlink()
-    assert "has lost its images" in refusal(["info", str(out)], capsys)
+    assert "no longer contains its images" in refusal(["info", str(out)], capsys)
 
 
 def test_info_on_a_run_whose_dataset_has_moved(
@@ -296,7 +296,7 @@ def test_info_on_a_run_whose_dataset_has_moved(
 @pytest.mark.parametrize("part", ["run/config.json", "run/report", "run/report/index.html", "dataset/dataset.json"])
 def test_info_points_from_a_part_to_the_whole(workshop: Path, part: str, capsys: pytest.CaptureFixture[str]) -> None:
     whole = workshop / part.partition("/")[0]
-    assert f"is a part of the {whole.name} {whole}; give that folder" in refusal(["info", str(workshop / part)], capsys)
+    assert f"is part of the {whole.name} {whole}; give that folder" in refusal(["info", str(workshop / part)], capsys)
 
 
 def test_doctor_names_the_gpu(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

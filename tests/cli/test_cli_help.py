@@ -53,7 +53,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 def test_the_package_is_a_program() -> None:
     done = subprocess.run([sys.executable, "-m", "sarsplat", "import", "mstar"], capture_output=True, text=True)
     assert done.returncode == 2
-    assert done.stderr == "error: CHIPS is missing; sarsplat import mstar --help says what it is\n"
+    assert done.stderr == "error: CHIPS is missing; see sarsplat import mstar --help\n"
 
 
 def test_help_shows_every_setting(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

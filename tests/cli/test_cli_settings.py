@@ -116,7 +116,9 @@ def test_a_printed_configuration_is_read_back(capsys: pytest.CaptureFixture[str]
     (tmp_path / "mine.json").write_text(json.dumps(first))
     assert printed(f"--config {tmp_path / 'mine.json'}", capsys) == first
     assert printed(f"--config {tmp_path / 'mine.json'} --gaussians 31", capsys) == {**first, "gaussians": 31}
-    assert "give one" in refused(f"reconstruct plain --out new --config {tmp_path}/mine.json --preset paper", capsys)
+    assert "give only one" in refused(
+        f"reconstruct plain --out new --config {tmp_path}/mine.json --preset paper", capsys
+    )
 
 
 @pytest.mark.parametrize(
@@ -146,8 +148,8 @@ def test_a_run_is_resumed_and_extended_with_its_own_settings(
     assert main(f"{resume} --iterations 4 --seed 7 --preset default".split()) == 0
     extended = Run.load(run)
     assert (extended.iteration, extended.config.iterations, extended.config.gaussians) == (4, 4, 40)
-    assert "begun with seed 7, not 8" in refused(f"{resume} --iterations 5 --seed 8", capsys)
-    assert "begun with rates.means_m 0.02, not 0.5" in refused(f"{resume} --rates.means-m 0.5", capsys)
-    assert "begun with preset 'default', not 'paper'" in refused(f"{resume} --preset paper", capsys)
-    assert "has done 4 iterations already, more than 3" in refused(f"{resume} --iterations 3", capsys)
+    assert "started with seed 7, not 8" in refused(f"{resume} --iterations 5 --seed 8", capsys)
+    assert "started with rates.means_m 0.02, not 0.5" in refused(f"{resume} --rates.means-m 0.5", capsys)
+    assert "started with preset 'default', not 'paper'" in refused(f"{resume} --preset paper", capsys)
+    assert "has already done 4 iterations, more than 3" in refused(f"{resume} --iterations 3", capsys)
     assert Run.load(run).config == extended.config

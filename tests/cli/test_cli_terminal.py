@@ -59,4 +59,6 @@ def test_when_memory_runs_out(tmp_path: Path) -> None:
 def test_views_that_would_have_one_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["render", "run", "--azimuth", "30", "30.0000001", "--grazing", "40", "--out", str(tmp_path / "out")]
     assert main(command) == 2
-    assert "two of the views are the same to a millionth of a degree" in " ".join(capsys.readouterr().err.split())
+    assert "two of the views are the same to within a millionth of a degree" in " ".join(
+        capsys.readouterr().err.split()
+    )

@@ -81,7 +81,7 @@ def test_other_files(tmp_path):
         load_checkpoint(tmp_path)
     schema = {"schema": "sarsplat-checkpoint"}
     for metadata, words in [
-        (None, "not a checkpoint of a run"),
+        (None, "not a run's checkpoint"),
         ({**schema, "version": "9"}, "version '9'"),
         ({**schema, "version": "1"}, "not valid JSON"),
         ({**schema, "version": "1", "state": "[1]"}, "expected `object`, got `array`"),

@@ -94,7 +94,7 @@ def test_a_dataset_in_memory_is_the_one_it_becomes_on_the_disk(tmp_path):
 
 def test_images_of_two_grids_are_no_dataset():
     one, other = (SarImage(IMAGES[0], VIEWS[0][0], grid) for grid in (GRID, replace(GRID, center_m=(0, 0))))
-    with pytest.raises(SarsplatError, match=r"image 1 lies on .* but the first on"):
+    with pytest.raises(SarsplatError, match=r"image 1 is on .* but the first image is on"):
         Dataset.from_images([one, other])
     with pytest.raises(SarsplatError, match="no training images"):
         Dataset.from_images([], test=[one])
@@ -146,7 +146,7 @@ def test_truth_mesh(tmp_path):
     copied = write_dataset(tmp_path / "copy", dataset)
     assert copied.truth_mesh.read_bytes() == dataset.truth_mesh.read_bytes()
     dataset.truth_mesh.unlink()
-    with pytest.raises(SarsplatError, match=r"lacks its mesh 'truth\.ply'"):
+    with pytest.raises(SarsplatError, match=r"is missing its mesh 'truth\.ply'"):
         read_dataset(dataset.path)
 
 
@@ -157,7 +157,7 @@ def test_truth_mesh(tmp_path):
         ({"images": IMAGES.astype(np.float64)}, "float64"),
         ({"images": np.where(IMAGES[2, 3, 4] == IMAGES, np.nan, IMAGES)}, r"image '002' holds nan at \(3, 4\)"),
         ({"images": -IMAGES}, "finite and ≥ 0"),
-        ({"views": [(v, "test") for v, _ in VIEWS]}, "nothing to learn from"),
+        ({"views": [(v, "test") for v, _ in VIEWS]}, "nothing to train on"),
         ({"views": [(v, "validation") for v, _ in VIEWS]}, "'validation'"),
         ({"source": {"x": float("nan")}}, "JSON"),
         ({"source": ["x"]}, "source"),
@@ -165,7 +165,7 @@ def test_truth_mesh(tmp_path):
         ({"calibration": "dreamt"}, "'dreamt'"),
         ({"looks": 0}, "looks 0 must be a positive number"),
         ({"looks": "one"}, "looks"),
-        ({"score_margin": 3}, "score_margin 3 leaves nothing of images of 6 × 5 pixels"),
+        ({"score_margin": 3}, "score_margin 3 does not suit images of 6 × 5 pixels"),
         ({"score_margin": -1}, "score_margin -1"),
         ({"target_box_m": ((0, 0, 0), (1, 1, 0))}, "target_box_m"),
         ({"target_box_m": ((0, 0), (1, 1))}, "target_box_m"),
@@ -240,19 +240,19 @@ def change(header: dict, place: str, value: object) -> None:
         ("grid.\x1b[2J", 1, "unknown field `.\\[2J`"),
         ("source", "somewhere", "source is 'somewhere'"),
         ("truth_mesh", 3, "truth_mesh"),
-        ("truth_mesh", "../x.ply", "does not lie inside"),
+        ("truth_mesh", "../x.ply", "is not inside"),
         ("views", {}, "views: expected `array`"),
-        ("views", [], "no images"),
+        ("views", [], "a dataset needs images"),
         ("views.0", 7, r"views\[0\] is 7: expected `object`"),
         ("views.1.grazing_deg", 90, r"views\[1\]: grazing angle 90"),
         ("views.1.azimuth_deg", "north", r"views\[1\].azimuth_deg is 'north': expected `float`, got `str`"),
         ("views.1.name", None, "name"),
         ("views.1.split", "TEST", "split"),
-        ("views.1.file", "../images/001.tif", "does not lie inside"),
-        ("views.1.file", "/etc/passwd", "does not lie inside"),
-        ("views.1.file", "images/a\0b.tif", "does not lie inside"),
-        ("views.1.file", "", "does not lie inside"),
-        ("views.1.file", "images/\x1b[2J.tif", "does not lie inside"),
+        ("views.1.file", "../images/001.tif", "is not inside"),
+        ("views.1.file", "/etc/passwd", "is not inside"),
+        ("views.1.file", "images/a\0b.tif", "is not inside"),
+        ("views.1.file", "", "is not inside"),
+        ("views.1.file", "images/\x1b[2J.tif", "is not inside"),
         ("views.1.file", "images/000.tif", "same image"),
         ("views.1.file", "images/none.tif", "does not exist"),
         ("views.1.file", "images", "is a folder"),
@@ -271,7 +271,7 @@ def test_links_out_of_the_folder_are_refused(dataset, tmp_path):
     image = dataset.path / "images" / "000.tif"
     image.rename(tmp_path / "elsewhere.tif")
     image.symlink_to(tmp_path / "elsewhere.tif")
-    with pytest.raises(SarsplatError, match="does not lie inside"):
+    with pytest.raises(SarsplatError, match="is not inside"):
         read_dataset(dataset.path)
 
 

@@ -73,7 +73,7 @@ def test_what_is_no_lock_is_left_alone(tmp_path):
     place = tmp_path / ".a.lock"
     for make in (lambda: place.write_text("mine"), lambda: os.mkfifo(place), lambda: place.symlink_to("x")):
         make()
-        with pytest.raises(SarsplatError, match="is no lock of ours; remove it"):
+        with pytest.raises(SarsplatError, match="is not a sarsplat lock file; remove it"):
             write_bytes(tmp_path / "a", b"")
         assert names(tmp_path) == [".a.lock"]
         place.unlink()

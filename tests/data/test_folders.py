@@ -41,7 +41,7 @@ def test_existing_folder_needs_overwrite_but_an_empty_one_does_not(tmp_path):
     out.mkdir()
     with new_folder(out, False, marker=DATASET) as folder:
         make(folder, DATASET, "truth.ply")
-    with pytest.raises(SarsplatError, match="exists; give another name"), new_folder(out, False, marker=DATASET):
+    with pytest.raises(SarsplatError, match="exists; choose another name"), new_folder(out, False, marker=DATASET):
         pytest.fail("must not get here")
     with new_folder(out, True, marker=DATASET) as folder:
         make(folder, DATASET)
@@ -180,7 +180,7 @@ def test_a_temporary_folder_of_others_is_left_alone(tmp_path, kind):
         temporary.mkdir()
         (temporary / "old").symlink_to(outside)
     before = sorted(tmp_path.rglob("*"))
-    told = r"\.out\.tmpdir (is not the temporary folder|holds (mine|old), which is not ours)"
+    told = r"\.out\.tmpdir (is in the way|holds (mine|old), which sarsplat did not create)"
     with pytest.raises(SarsplatError, match=told):
         refuse_existing(out, False, marker=RUN)
     with pytest.raises(SarsplatError, match=told), new_folder(out, False, marker=RUN):
@@ -213,7 +213,7 @@ def test_files_in_the_way(tmp_path):
 def test_overwrite_spares_the_work_place_and_folders_of_others(tmp_path, monkeypatch):
     out = tmp_path / "out"
     make(out, "inside/thesis.tex")
-    with pytest.raises(SarsplatError, match=r"holds no dataset\.json"), new_folder(out, True, marker=DATASET):
+    with pytest.raises(SarsplatError, match=r"contains no dataset\.json"), new_folder(out, True, marker=DATASET):
         pass
     monkeypatch.chdir(out / "inside")
     for path in (Path(), Path(".."), out):

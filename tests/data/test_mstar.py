@@ -78,13 +78,11 @@ def test_training_chips_are_distinct_and_limited(chips):
     dataset = run(chips, train_views=8)
     assert sorted(target_az(dataset.select("train"))) == sorted(row[3] for row in ROWS[:8])
     for count in (0, 9):
-        with pytest.raises(
-            SarsplatError, match=f"{count} training views are asked for, but the chips at 17° allow 1 to 8"
-        ):
+        with pytest.raises(SarsplatError, match=f"{count} training views were requested, but there are 8 chips at 17°"):
             run(chips, train_views=count, overwrite=True)
-    with pytest.raises(SarsplatError, match="no chip at the training depression of 30°; there are chips at 15°, 17°"):
+    with pytest.raises(SarsplatError, match="no chips at the training depression of 30°; choose one of 15°, 17°"):
         run(chips, train_depression=30, overwrite=True)
-    with pytest.warns(SarsplatWarning, match="leave 270° of azimuth out, from 350° clockwise to 260°"):
+    with pytest.warns(SarsplatWarning, match="leave a gap of 270° in azimuth, from 350° clockwise to 260°"):
         assert run(chips, train_views=2, train_depression=15, overwrite=True).splits() == ("train", "test-17")
 
 
@@ -165,7 +163,7 @@ def test_two_labels_of_one_chip_are_refused(chips):
 def test_labels_may_not_lead_out_of_the_folder(chips, path):
     shutil.copy(chips / "T72" / "chip000.jpeg", chips.parent / "outside.jpeg")
     rewrite(chips / "labels.csv", lambda rows: [*rows, [path, *rows[1][1:]]])
-    with pytest.raises(SarsplatError, match=r"line 13: .* leads out of the folder of chips|not a readable CSV"):
+    with pytest.raises(SarsplatError, match=r"line 13: .* points outside the folder of chips|not a readable CSV"):
         run(chips)
     assert not (chips.parent / "out").exists()
 
@@ -187,7 +185,7 @@ def test_labels_without_chips_are_counted_once(chips):
     with pytest.warns(SarsplatWarning, match="lacks 1 of 10 T72 chips in"):
         run(chips)
     shutil.rmtree(chips / "T72")
-    with pytest.raises(SarsplatError, match="holds none of 10 T72 chips in"):
+    with pytest.raises(SarsplatError, match="contains none of 10 T72 chips in"):
         run(chips, overwrite=True)
 
 
@@ -197,7 +195,7 @@ def test_several_vehicles(chips):
         run(chips)
     with pytest.warns(SarsplatWarning, match="one training view"):
         assert run(chips, serial="812", train_views=1, overwrite=True).source["serials"] == ["812"]
-    with pytest.raises(SarsplatError, match="no T72 with the serial '9'; there are 132, 812"):
+    with pytest.raises(SarsplatError, match="no T72 with the serial '9'; choose one of 132, 812"):
         run(chips, serial="9", overwrite=True)
 
 
@@ -222,8 +220,8 @@ def test_wrong_folders(tmp_path, chips):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", "lacks the column 'path'"),
-        (b"path,class\nT72/chip000.jpeg,T72\n", "lacks the column 'serial'"),
+        (b"", "is missing the column 'path'"),
+        (b"path,class\nT72/chip000.jpeg,T72\n", "is missing the column 'serial'"),
         (",".join(COLUMNS).encode(), "has no rows"),
         (b"\xff\xfe\x00", "not a readable CSV"),
         (
@@ -257,7 +255,7 @@ def test_damaged_jpegs_are_named(chips):
 
 def test_different_sizes_are_cut(chips):
     Image.fromarray(np.pad(LOWER_LEFT, ((2, 3), (1, 1)))).save(chips / "T72" / "chip001.jpeg", quality=100)
-    with pytest.warns(SarsplatWarning, match="2 sizes; all are cut centrally to 16 × 16"):
+    with pytest.warns(SarsplatWarning, match="2 sizes; all are cropped around the centre to 16 × 16"):
         dataset = run(chips)
     assert dataset.source["cut_to_common_size"] is True
     np.testing.assert_allclose(dataset.images("test-17")[1][:8, 8:], dataset.images("train")[0][:8, 8:], rtol=0.1)
@@ -319,7 +317,7 @@ def test_measured_t72(tmp_path):
 
 @needs_measured
 def test_measured_originals(tmp_path):
-    with pytest.warns(SarsplatWarning, match="3 vehicles|azimuth out"):
+    with pytest.warns(SarsplatWarning, match="3 vehicles|in azimuth"):
         dataset = import_mstar(MEASURED / "phoenix", tmp_path / "a", labels=None, target_class="BMP2", train_views=2)
     assert len(dataset) == 3
     assert dataset.grid.resolution_m == (0.3229, 0.3013)

@@ -61,7 +61,7 @@ HONEST = {
 @pytest.mark.parametrize("name", RADIANS)
 def test_radians_are_suspected(name: str) -> None:
     (told,) = suspicious_angles(RADIANS[name])
-    assert "look like radians; give degrees" in told
+    assert "look like radians; if they are, multiply" in told
 
 
 @pytest.mark.parametrize("name", HONEST)
@@ -102,7 +102,7 @@ def test_nothing_is_odd_about_a_sound_dataset() -> None:
         ([View(30, 40)], "one training view (azimuth 30°)"),
         ([View(30, 40)] * 4, "all 4 training views are the same (azimuth 30°, grazing 40°)"),
         ([View(30, 40), View(390, 40)], "all 2 training views are the same"),
-        ([View(350, 40), View(10, 40), View(90, 40)], "leave 260° of azimuth out, from 90° clockwise to 350°"),
+        ([View(350, 40), View(10, 40), View(90, 40)], "leave a gap of 260° in azimuth, from 90° clockwise to 350°"),
         ([View(a / 100, 0.3) for a in range(0, 628, 26)], "look like radians"),
     ],
 )
@@ -114,13 +114,13 @@ def test_from_above_no_side_is_left_out() -> None:
     above = views(range(0, 90, 10), [89.9])
     assert suspicions(make(above)) == []
     (told,) = suspicions(make([*above, *views([20, 40], [30])]))
-    assert "leave 340° of azimuth out, from 40° clockwise to 20°" in told
+    assert "leave a gap of 340° in azimuth, from 40° clockwise to 20°" in told
 
 
 @pytest.mark.parametrize(("azimuths", "asked"), [(np.arange(0, 6.28, 0.26), True), (range(0, 60, 5), False)])
 def test_what_may_be_degrees_or_radians_is_asked(azimuths, asked: bool) -> None:
     (told,) = suspicions(make(views(azimuths, [30])))
-    assert ("add views from there (or are the azimuths radians?)" in told) is asked
+    assert ("add views there (or are the azimuths radians?)" in told) is asked
 
 
 @pytest.mark.parametrize("azimuths", [(0, 180), (0, 90, 270), (-90, 0, 90), (0, 120, 240)])
@@ -172,7 +172,7 @@ def test_warnings_have_one_category_and_are_not_repeated() -> None:
 @pytest.mark.parametrize(
     ("train", "images", "told"),
     [
-        ([], np.zeros((0, 8, 8), np.float32), "no images"),
+        ([], np.zeros((0, 8, 8), np.float32), "a dataset needs images"),
         (AROUND, np.full((3, 8, 8), np.nan, np.float32), "power must be finite"),
         (AROUND, np.full((3, 8, 8), np.inf, np.float32), "power must be finite"),
         (AROUND, np.full((3, 8, 8), -1.0, np.float32), "power must be finite and ≥ 0"),

@@ -165,8 +165,8 @@ def test_wrong_points_are_not_written(tmp_path):
         (b"end_header", b"end_headed", "not a PLY file"),
         (b"binary_little_endian", b"ascii", "only 'format binary_little_endian 1.0' is read"),
         (b"float power", b"list uchar int power", "it is a mesh"),
-        (b"float x", b"float q", "lacks the vertex property 'x'"),
-        (b"float y", b"float x", "two vertex properties of one name"),
+        (b"float x", b"float q", "is missing the vertex property 'x'"),
+        (b"float y", b"float x", "two vertex properties with the same name"),
         (b"element vertex", b"element corner", "not one of vertices"),
     ],
 )
@@ -183,7 +183,7 @@ def test_damaged_headers(tmp_path, old, new, words):
 def test_points_are_no_gaussians_and_versions_are_checked(tmp_path):
     path = tmp_path / "p.ply"
     points(path)
-    with pytest.raises(SarsplatError, match="lacks the vertex property 'rot_0'"):
+    with pytest.raises(SarsplatError, match="is missing the vertex property 'rot_0'"):
         read_gaussians_ply(path)
     with pytest.raises(SarsplatError, match="does not exist"):
         read_gaussians_ply(tmp_path / "none.ply")
@@ -191,13 +191,17 @@ def test_points_are_no_gaussians_and_versions_are_checked(tmp_path):
     data = path.read_bytes()
     for old, new, words in [
         (b"gaussians 2", b"gaussians 3", "'sarsplat gaussians 3'"),
-        (b"scattering {", b"scattered {", "one law of scattering"),
-        (b"harmonics", b"harmonica", "states the scattering .*harmonica.*; known are harmonics, normal-lobes"),
+        (b"scattering {", b"scattered {", "one scattering law"),
+        (
+            b"harmonics",
+            b"harmonica",
+            "has the unknown scattering law .*harmonica.*; choose one of harmonics, normal-lobes",
+        ),
         (b'"p_min": 0.05', b'"p_min": 1e99e', "not valid JSON"),
         (b'"p_min": 0.05', b'"p_min": 1e+999', r"the header of .*p\.ply: .*number out of range"),
         (b'"p_min": 0.05', b'"p_min": -0.5', "p_min -0.5 must be finite"),
-        (b'"p_min": 0.05', b'"p_min": "x"', "is none"),
-        (b'"p_min": 0.05', b'"gloss": 0.5', "is none .*gloss"),
+        (b'"p_min": 0.05', b'"p_min": "x"', "has an invalid scattering law"),
+        (b'"p_min": 0.05', b'"gloss": 0.5', "has an invalid scattering law .*gloss"),
     ]:
         path.write_bytes(data.replace(old, new))
         with pytest.raises(SarsplatError, match=words):

@@ -68,7 +68,7 @@ def test_dark_image_and_contradictory_images():
         bounded_region(images, VIEWS, GRID)
     images = np.zeros((len(VIEWS), GRID.rows, GRID.columns), np.float32)
     images[:, 60, 2] = 1.0  # at the left edge from every side
-    with pytest.raises(SarsplatError, match="no space is left that could explain the bright pixels"):
+    with pytest.raises(SarsplatError, match="no region of space could explain the bright pixels"):
         bounded_region(images, VIEWS, GRID)
 
 

@@ -47,7 +47,7 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("iterations", True, "a whole number"),
         ("iterations", 10**400, "a whole number"),
         ("seed", -1, "a whole number from 0"),
-        ("preset", 3, "a text"),
+        ("preset", 3, "text"),
         ("initialisation", "cube", "one of box, hemisphere"),
         ("scattering", "waves", "one of harmonics, normal-lobes"),
         ("initialisation", ["box"], "one of box, hemisphere"),
@@ -66,13 +66,13 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("rates.means_m", 0, "a number from 1e-06"),
         ("rates.scattering", {}, "a number"),
         ("rates.scattering", -1e-9, "a number from 0"),
-        ("rates", None, "a record of means_m, means_end_m"),
+        ("rates", None, "an object with means_m, means_end_m"),
         ("points.method", "best", "one of rays, centres"),
         ("points.voxel_m", "fine", "a number"),
         ("points.cluster_radius_m", 0, "a number from 1e-06 to 1e+06 or nothing"),
         ("densification.start", 10_000.5, "a whole number"),
         ("densification.max_gaussians", None, "a whole number"),
-        ("densification", [1], "a record of start, stop"),
+        ("densification", [1], "an object with start, stop"),
         ("surroundings.noise_floor", [0.1], "a number"),
         ("surroundings", 7, "or nothing"),
         ("initialisation", "x" * 5000, "one of box, hemisphere"),
@@ -117,7 +117,7 @@ def test_missing_settings_are_refused(path: str) -> None:
 
 @pytest.mark.parametrize("data", [None, 3, [], "text"])
 def test_what_is_no_record_at_all(data: object) -> None:
-    with pytest.raises(SarsplatError, match="no record of settings"):
+    with pytest.raises(SarsplatError, match="not a set of settings"):
         Config.from_dict(data)
 
 

@@ -52,7 +52,7 @@ def test_a_run_needs_its_dataset_for_nothing_but_the_images(
     assert np.array_equal(alone.render([View(10.0, 30.0)]), expected[2])
     assert alone.grid == dataset.grid
     assert alone.brightest == dataset.images("train").max()
-    with pytest.raises(SarsplatError, match="needs the dataset it was made from, which is no longer at"):
+    with pytest.raises(SarsplatError, match="needs its dataset, which is no longer at"):
         _ = alone.dataset
 
 

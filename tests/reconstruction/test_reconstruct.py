@@ -94,7 +94,7 @@ def test_a_stopped_training_resumes_bit_for_bit(
 
 
 def test_resuming_something_else_is_refused(dataset: Dataset, config: Config, finished: Run) -> None:
-    with pytest.raises(SarsplatError, match="begun with seed"):
+    with pytest.raises(SarsplatError, match="started with seed"):
         reconstruct(dataset, replace(config, seed=1), finished.path, resume=True)
     with pytest.raises(SarsplatError, match="exists"):
         reconstruct(dataset, config, finished.path)

@@ -1,4 +1,4 @@
-"""A run goes on only with what it was begun with: another dataset, other settings or another version are refused."""
+"""A run goes on only with what it was started with: another dataset, other settings or another version are refused."""
 
 from __future__ import annotations
 
@@ -63,25 +63,25 @@ def test_what_it_was_begun_with_goes_on(begun: Path, dataset: Dataset) -> None:
 
 @pytest.mark.parametrize("change", [{"spacing": 0.31}, {"azimuth": 1e-6}, {"seed": 1}])
 def test_another_dataset(begun: Path, tmp_path: Path, change: dict[str, Any]) -> None:
-    refused(begun, make_dataset(tmp_path / "other", **change), CONFIG, "begun with another dataset")
+    refused(begun, make_dataset(tmp_path / "other", **change), CONFIG, "started with another dataset")
 
 
 def test_a_dataset_that_was_changed_in_place(begun: Path, dataset: Dataset) -> None:
     image = dataset.images("train")[1].copy()
     image[0, 0] = 1e-30
     write_power_tiff(dataset.path / "images/001.tif", image, "changed")
-    refused(begun, read_dataset(dataset.path), CONFIG, "begun with another dataset")
+    refused(begun, read_dataset(dataset.path), CONFIG, "started with another dataset")
 
 
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"seed": 1}, "begun with seed 0, not 1; resume it with the same settings"),
-        ({"p_min": 0.031}, "begun with p_min 0.03, not 0.031"),
-        ({"preset": "mine"}, "begun with preset 'default', not 'mine'"),
-        ({"rates": Rates(means_m=0.1)}, r"begun with rates\.means_m 0.02, not 0.1"),
-        ({"densification": Densification()}, "begun with densification None, not "),
-        ({"iterations": 3, "seed": 1}, "begun with seed 0, not 1"),
+        ({"seed": 1}, "started with seed 0, not 1; resume it with the same settings"),
+        ({"p_min": 0.031}, "started with p_min 0.03, not 0.031"),
+        ({"preset": "mine"}, "started with preset 'default', not 'mine'"),
+        ({"rates": Rates(means_m=0.1)}, r"started with rates\.means_m 0.02, not 0.1"),
+        ({"densification": Densification()}, "started with densification None, not "),
+        ({"iterations": 3, "seed": 1}, "started with seed 0, not 1"),
     ],
 )
 def test_other_settings(begun: Path, dataset: Dataset, change: dict[str, Any], told: str) -> None:
@@ -90,7 +90,7 @@ def test_other_settings(begun: Path, dataset: Dataset, change: dict[str, Any], t
 
 def test_fewer_iterations_than_are_done(dataset: Dataset, tmp_path: Path) -> None:
     reconstruct(dataset, CONFIG, tmp_path / "run")
-    told = "has done 2 iterations already, more than 1"
+    told = "has already done 2 iterations, more than 1"
     refused(tmp_path / "run", dataset, replace(CONFIG, iterations=1), told)
 
 
@@ -142,7 +142,7 @@ def test_a_checkpoint_of_another_version(begun: Path, dataset: Dataset) -> None:
     tensors, state = load_checkpoint(newest)
     del tensors["model/optical_depth"]
     save_checkpoint(newest, tensors, state)
-    refused(begun, dataset, CONFIG, "does not fit this version")
+    refused(begun, dataset, CONFIG, "does not match this version")
 
 
 @pytest.mark.parametrize(
@@ -162,7 +162,7 @@ def test_a_checkpoint_no_training_can_reach(begun: Path, dataset: Dataset, chang
     assert newest is not None
     tensors, state = load_checkpoint(newest)
     save_checkpoint(newest, tensors, {**state, **change})
-    told = f"{newest.name} does not say how far the training was"
+    told = f"{newest.name} does not record how far the training had got"
     refused(begun, dataset, CONFIG, told)
     for name in ("time_s", "iteration"):
         with pytest.raises(SarsplatError, match=told):

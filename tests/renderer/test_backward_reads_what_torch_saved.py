@@ -109,4 +109,4 @@ def test_parameters_whose_rows_went_away_between_the_passes():
     command = [sys.executable, "-c", PROGRAM, str(Path(__file__).parent)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("means were (3000, 3) when they were rendered and are (10, 3) now")
+    assert done.stdout.startswith("means had shape (3000, 3) when rendered and now have shape (10, 3)")

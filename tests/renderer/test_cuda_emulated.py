@@ -214,7 +214,7 @@ def test_a_divided_warp_shows(tmp_path):
         ("scales", (9, 2), 5e-5, r"scales\[9\] is \[.*\]; it must be finite and at least MIN_SCALE"),
         ("optical_depth", (2,), 41.0, r"optical_depth\[2\] is 41.0; it must be between 0 and MAX_OPTICAL_DEPTH"),
         ("scattering", (7, 15), float("inf"), r"scattering\[7\] is \[.*inf\]; it must be finite"),
-        ("means", (0, 0), 1e6, r"view 0 would need too many rays .* reach 1e\+06 m .* remove far and wide ones"),
+        ("means", (0, 0), 1e6, r"view 0 would need too many rays .* reach 1e\+06 m .* remove distant or wide ones"),
     ],
 )
 def test_values_out_of_range(name, index, value, message, emulated):
@@ -359,8 +359,8 @@ def test_the_launcher_hands_everything_to_the_driver(gpu, library):
 
 
 def test_the_driver_refuses(gpu, monkeypatch):
-    with pytest.raises(SarsplatError, match=r"driver fails with error 500 \(said the emulated driver\); restart"):
+    with pytest.raises(SarsplatError, match=r"driver failed with error 500 \(said the emulated driver\); restart"):
         gpu.launch("no such kernel", 1, 32)
     monkeypatch.setattr(torch.cuda, "current_stream", lambda device: SimpleNamespace(cuda_stream=0))
-    with pytest.raises(SarsplatError, match="driver fails with error 1 "):
+    with pytest.raises(SarsplatError, match="driver failed with error 1 "):
         gpu.launch("sum_shift", 1, 256)

@@ -67,5 +67,5 @@ def test_out_of_memory(which):
     done = subprocess.run(arguments, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     sentence, same = done.stdout.splitlines()
-    assert sentence.startswith("the memory of this machine does not suffice for the rendering; take fewer views")
+    assert sentence.startswith("there is not enough memory for the rendering; render fewer views")
     assert same == "True"

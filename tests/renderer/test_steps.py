@@ -313,7 +313,7 @@ def test_shapes_dtypes_and_options():
         project(cloud(10, 0), [], GRID)
     with pytest.raises(SarsplatError, match=r"shift has shape \(3,\); .* it must be \(3, 2\)"):
         project(cloud(10, 0), VIEWS, GRID, shift=torch.zeros(3))
-    with pytest.raises(SarsplatError, match=r"shape \(0, 10, 2\), which is no view"):
+    with pytest.raises(SarsplatError, match=r"shape \(0, 10, 2\), which has no views"):
         splat(Footprints(p.pixels.centers[:0], p.pixels.roots[:0]), amplitudes[:0], GRID)
     with pytest.raises(SarsplatError, match=r"means is torch.float64 on cpu; the CPU engine takes torch.float32"):
         project(cloud(10, 0).to(torch.float64), VIEWS, GRID, engine="cpu")
@@ -322,7 +322,7 @@ def test_shapes_dtypes_and_options():
 def test_grids_that_are_too_large():
     far = cloud(10, 0)
     p = project(replace(far, means=bad(far.means, (0, 0), 1e6)), VIEWS, GRID)
-    with pytest.raises(SarsplatError, match=r"view 0 would need too many rays .* remove far and wide ones"):
+    with pytest.raises(SarsplatError, match=r"view 0 would need too many rays .* remove distant or wide ones"):
         attenuate(p, RAYS, engine="cpu")
     with pytest.raises(SarsplatError, match=r"reference would need too many rays"):
         attenuate(p, RAYS, engine="reference")

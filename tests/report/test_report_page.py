@@ -185,5 +185,5 @@ def test_every_method_has_its_column_and_the_best_of_all_is_marked() -> None:
 @pytest.mark.parametrize("damage", [{"reasons": None}, {"points": {}}, {"images": {"test": {"psnr_db": "high"}}}])
 def test_scores_of_another_make_are_refused_in_one_sentence(tmp_path: Path, damage: dict[str, Any]) -> None:
     run = make_run(tmp_path, make_dataset(tmp_path), {**make_metrics(psnr_db=50.0), **damage})
-    with pytest.raises(SarsplatError, match="does not hold all scores"):
+    with pytest.raises(SarsplatError, match="does not contain all scores"):
         write_report(run)

@@ -78,5 +78,5 @@ def test_the_record_is_json_and_says_the_law(source: str) -> None:
 def test_a_mesh_in_millimetres_is_refused(box: trimesh.Trimesh) -> None:
     giant = box.copy()
     giant.apply_scale(1000.0)
-    with pytest.raises(SarsplatError, match="is it in millimetres"):
+    with pytest.raises(SarsplatError, match="if it is in millimetres"):
         simulate_images(giant, VIEWS, GRID, source="raycast")

@@ -80,5 +80,5 @@ def test_impossible_requests_are_refused():
         surface_gaussians(trimesh.creation.box((1, 1, 1)), 0)
     with pytest.raises(SarsplatError, match="cannot be covered"):
         surface_gaussians(trimesh.Trimesh(), 0.1)
-    with pytest.raises(SarsplatError, match="is it in millimetres"):
+    with pytest.raises(SarsplatError, match="if it is in millimetres"):
         surface_gaussians(trimesh.creation.box((7000, 3600, 2000)), 0.1)

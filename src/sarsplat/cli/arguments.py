@@ -55,9 +55,7 @@ def angles(texts: Sequence[str], name: str) -> list[float]:
         start, stop, step = numbers
         steps = (stop - start) / step - 1e-9
         if not 0 < steps <= _MOST_ANGLES:  # also catches what overflowed
-            raise SarsplatError(
-                f"--{name} {text!r} is start:stop:step of {max(steps, 0):.0f} angles; give 1 to {_MOST_ANGLES}"
-            )
+            raise SarsplatError(f"--{name} {text!r} is a range of {max(steps, 0):.0f} angles; give 1 to {_MOST_ANGLES}")
         values += [start + step * k for k in range(math.ceil(steps))]
     return values
 
@@ -83,7 +81,8 @@ def views_from(
     if bool(grazing) == bool(incidence):
         problem = "both were given" if grazing else "neither was given"
         raise SarsplatError(
-            f"{problem}: --{prefix}grazing and --{prefix}incidence say the same thing two ways; give one of them"
+            f"{problem}: --{prefix}grazing and --{prefix}incidence are two ways to give the same angle; "
+            "give exactly one of them"
         )
     if not azimuth:
         raise SarsplatError(f"--{prefix}azimuth is missing; give degrees or a range, such as 0:360:15")
@@ -121,4 +120,4 @@ def refuse_existing(path: Path, overwrite: bool, *, marker: str | None = None) -
         return
     if overwrite or not os.path.lexists(path) or (path.is_dir() and not any(path.iterdir())):
         return
-    raise SarsplatError(f"{path} exists; give another name or --overwrite")
+    raise SarsplatError(f"{path} already exists; choose another name or pass --overwrite")

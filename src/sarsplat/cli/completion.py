@@ -37,12 +37,12 @@ complete -o default -F _sarsplat sarsplat
 
 
 def completion(shell: Annotated[Literal["bash", "zsh"], tyro.conf.Positional]) -> None:
-    """Print a script that makes a shell complete commands, options, presets, targets and paths.
+    """Print a shell script that completes commands, options, presets, targets and paths.
 
     Parameters
     ----------
     shell
-        For which shell.
+        The shell to complete in.
     """
     from sarsplat.cli.parser import options
 

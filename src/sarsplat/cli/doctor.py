@@ -12,7 +12,7 @@ from sarsplat.errors import SarsplatError
 
 
 def doctor() -> None:
-    """Say which version, engines, extras and weights this installation has, and how to get what it lacks."""
+    """Show which version, engines, extras and weights are installed, and how to get what is missing."""
     console.facts(f"sarsplat {extras.installed_version('sarsplat') or '(running from source)'}", _core())
     console.facts("engines", {"reference": "plain torch, any dtype", "cpu": _cpu_engine(), "cuda": _cuda_engine()})
     console.facts("extras", {extra: _extra(extra) for extra in extras.EXTRAS})
@@ -60,7 +60,7 @@ def _extra(extra: str) -> str:
     modules = extras.EXTRAS[extra]
     missing = [name for module, name in modules.items() if find_spec(module) is None]
     if missing:
-        return f"lacks {', '.join(missing)}; {extras.install_command(extra)}"
+        return f"missing {', '.join(missing)}; {extras.install_command(extra)}"
     return ", ".join(f"{name} {extras.installed_version(name)}" for name in modules.values())
 
 
@@ -69,7 +69,7 @@ def _lpips_weights() -> str:
 
     folder: Path | None = lpips_weights(None)
     if folder is None:
-        return f"no; name their folder in {WEIGHTS_VARIABLE} or with --lpips-weights (LPIPS is left out without)"
+        return f"no; set {WEIGHTS_VARIABLE} to their folder or use --lpips-weights (without them LPIPS is skipped)"
     try:
         Lpips(folder)
     except SarsplatError as error:

@@ -7,14 +7,14 @@ from sarsplat.cli.arguments import OptionalFolder, RunFolder
 
 
 def evaluate(run: RunFolder, *, lpips_weights: OptionalFolder = None) -> None:
-    """Score a run on unseen views and against the true surface; refreshes its report.
+    """Score a run on unseen views and against the true surface, and write its report.
 
     Parameters
     ----------
     run
-        Folder that `sarsplat reconstruct` made.
+        Folder written by `sarsplat reconstruct`.
     lpips_weights
-        Folder of the LPIPS weights; else the one named in SARSPLAT_LPIPS_WEIGHTS; without it LPIPS is left out.
+        Folder of the LPIPS weights (default: SARSPLAT_LPIPS_WEIGHTS); without weights, LPIPS is skipped.
     """
     from sarsplat.evaluation import NOT_THE_SAME_EXPERIMENT, comparison, evaluate_run, metrics_table, paper_beside
     from sarsplat.reconstruction import Run

@@ -23,11 +23,11 @@ def export(
     Parameters
     ----------
     run
-        Folder that `sarsplat reconstruct` made.
+        Folder written by `sarsplat reconstruct`.
     out
-        File to make.
+        File to write.
     format
-        ply: Gaussians, as 3D Gaussian splatting programs read them; points: the reconstructed surface points, metres.
+        ply: Gaussians, in the layout of 3D Gaussian splatting; points: the reconstructed surface points, metres.
     overwrite
         Replace an existing PLY file.
     """
@@ -51,8 +51,10 @@ def _refuse_others(out: Path, run: Path) -> None:
     from sarsplat.data.files import open_file
 
     if Path(os.path.realpath(out)).is_relative_to(run.resolve()):
-        raise SarsplatError(f"{out} lies inside the run; give a path outside of {run}")
+        raise SarsplatError(f"{out} is inside the run; choose a path outside {run}")
     if out.exists():
         with open_file(out) as file:
             if file.read(3) != b"ply":
-                raise SarsplatError(f"{out} is not a PLY file, so it is not ours to replace; give another name")
+                raise SarsplatError(
+                    f"{out} exists and is not a PLY file, so it will not be replaced; choose another name"
+                )

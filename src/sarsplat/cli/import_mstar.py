@@ -24,26 +24,26 @@ def import_mstar(
     mirrored: bool = False,
     overwrite: bool = False,
 ) -> None:
-    """Import MSTAR chips, JPEGs with a table of labels or original Phoenix files.
+    """Import MSTAR chips: JPEGs with a table of labels, or original Phoenix files.
 
     Parameters
     ----------
     chips
         Folder of the chips.
     out
-        Dataset to make.
+        Dataset folder to write.
     target_class
-        Vehicle, e.g. T72.
+        Vehicle class, e.g. T72.
     train_views
-        Training chips: those nearest to k·360°/K. All others are test chips, one set per depression.
+        Number of training chips, nearest to azimuths k·360°/K; the others are test chips, one set per depression angle.
     labels
-        Table (CSV) of the JPEGs; without it, Phoenix files are looked for.
+        Table (CSV) that labels JPEG chips; without it, Phoenix files are read.
     train_depression
-        Depression of the training chips, degrees.
+        Depression angle of the training chips, degrees.
     serial
-        Only this vehicle of the class.
+        Import only the vehicle with this serial number.
     mirrored
-        Take the published chips for mirror images.
+        Treat the published chips as mirror images.
     overwrite
         Replace an existing dataset.
     """

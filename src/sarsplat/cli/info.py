@@ -19,12 +19,12 @@ _UNDERSTOOD = "a dataset, a run, rendered images, a PLY of Gaussians or points, 
 
 
 def info(path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]) -> None:
-    """Say what a file or folder is: dataset, run, PLY, Phoenix chip, TIFF or mesh; with sizes and units.
+    """Describe a file or folder (dataset, run, PLY, Phoenix chip, TIFF or mesh) with its sizes and units.
 
     Parameters
     ----------
     path
-        File or folder to look at.
+        File or folder to describe.
     """
     if not path.exists():
         raise SarsplatError(f"{path} does not exist; give {_UNDERSTOOD}")
@@ -48,7 +48,7 @@ def _refuse_part(path: Path) -> None:
     for folder in path.absolute().parents[:2]:
         for header, whole in (("dataset.json", "dataset"), ("config.json", "run")):
             if (folder / header).is_file():
-                raise SarsplatError(f"{path} is a part of the {whole} {folder}; give that folder")
+                raise SarsplatError(f"{path} is part of the {whole} {folder}; give that folder instead")
 
 
 def _file(path: Path) -> tuple[str, dict[str, str]]:
@@ -62,10 +62,10 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
         case ".ply":
             return _ply(path)
         case ".png" | ".jpg" | ".jpeg":
-            raise SarsplatError(f"{path} is a picture, which carries no units; chips are read by `sarsplat import`")
+            raise SarsplatError(f"{path} is a picture without units; to read measured chips, use `sarsplat import`")
         case ".json" | ".jsonl" | ".safetensors" | ".html" | ".csv" | ".txt" | ".md":
             _refuse_part(path)
-            raise SarsplatError(f"{path} is none of what this command knows; give {_UNDERSTOOD}")
+            raise SarsplatError(f"{path} is not a file that this command recognises; give {_UNDERSTOOD}")
     return _mesh(path)
 
 
@@ -122,7 +122,7 @@ def _run(path: Path) -> tuple[str, dict[str, str]]:
         "time": f"{run.time_s:.1f} s",
         "Gaussians": str(len(run.gaussians)),
         "points": _extent(run.points),
-        "scores": "metrics.json" if run.metrics else "none yet; sarsplat evaluate makes them",
+        "scores": "metrics.json" if run.metrics else "none yet; run sarsplat evaluate",
         "report": "report/index.html" if (path / "report" / "index.html").is_file() else "none yet",
     }
     return "a run", rows
@@ -131,7 +131,9 @@ def _run(path: Path) -> tuple[str, dict[str, str]]:
 def _renderings(path: Path) -> tuple[str, dict[str, str]]:
     images = sorted(path.glob("az*_gr*.tif"))
     if not images:
-        raise SarsplatError(f"{path} has lost its images; make it again with `sarsplat render RUN --out {path}`")
+        raise SarsplatError(
+            f"{path} no longer contains its images; render them again with `sarsplat render RUN --out {path}`"
+        )
     rows = {"images": f"{images[0].stem} … {images[-1].stem}, degrees", "pixels": _tiff(images[0])[1]["pixels"]}
     return f"{counted(len(images), 'rendered image')}, β⁰ in linear power (TIFF) and decibels (PNG)", rows
 
@@ -152,7 +154,7 @@ def _phoenix(path: Path) -> tuple[str, dict[str, str]]:
         "vehicle": f"{chip.target_type}, serial {chip.serial}",
         "depression": f"{chip.measured_depression_deg:g}° (planned {chip.desired_depression_deg:g}°)",
         "TargetAz": f"{chip.target_az_deg:g}°; azimuth here {-chip.target_az_deg % 360:g}°",
-        "pixels": f"{chip.magnitude.shape[0]} × {chip.magnitude.shape[1]}, linear magnitude, phase left out",
+        "pixels": f"{chip.magnitude.shape[0]} × {chip.magnitude.shape[1]}, linear magnitude, phase not read",
         "spacing": f"{chip.spacing_m[0]:g} m in cross-range, {chip.spacing_m[1]:g} m in slant range",
         "resolution": f"{chip.resolution_m[0]:g} m, {chip.resolution_m[1]:g} m (3 dB)",
         "radar at the": chip.radar_position,
@@ -172,7 +174,7 @@ def _tiff(path: Path) -> tuple[str, dict[str, str]]:
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
         raise SarsplatError(f"{path} is not a readable TIFF ({error}); give {_UNDERSTOOD}") from error
     if len(shape) != 2:
-        raise SarsplatError(f"{path} is a TIFF of shape {shape}; power images have rows and columns only")
+        raise SarsplatError(f"{path} is a TIFF of shape {shape}; give a power image, which has only rows and columns")
     power = read_power_tiff(path, (shape[0], shape[1]))
     rows = {
         "pixels": f"{shape[0]} rows × {shape[1]} columns, float32",
@@ -214,6 +216,6 @@ def _mesh(path: Path) -> tuple[str, dict[str, str]]:
         "faces": str(len(mesh.faces)),
         "surface": f"{mesh.area:.1f} m²",
         "closed": "yes" if mesh.is_watertight else "no (fine for ray casting)",
-        "unit": "taken as metres; +x nose, +y left, +z up, ground at z = 0",
+        "unit": "assumed to be metres; +x nose, +y left, +z up, ground at z = 0",
     }
     return "a mesh", rows

@@ -34,20 +34,20 @@ def explained(words: Sequence[str], told: str, level: Level) -> str:
         flag, _, value = word.partition("=")
         flag = flag.replace("_", "-")
         if word.startswith("--") and flag not in options:
-            return f"{flag} is no option of {program}; {_meant(flag, options) or f'{program} --help lists them'}"
+            return f"{flag} is not an option of {program}; {_meant(flag, options) or f'{program} --help lists them'}"
         value = value or next(iter(rest[index + 1 : index + 2]), "")
         choices = _choices(options.get(flag))
         if choices and value not in choices:
             meant = _meant(value, choices) or f"choose one of {', '.join(choices)}"
-            return f"{flag} {value!r} is unknown; {meant}" if value else f"{flag} lacks its value; {meant}"
+            return f"{flag} {value!r} is unknown; {meant}" if value else f"{flag} needs a value; {meant}"
     return _plain(program, told)
 
 
 def _no_command(program: str, rest: Sequence[str], commands: Iterable[str]) -> str:
-    listed = f"there are {', '.join(commands)}"
+    listed = f"choose one of {', '.join(commands)}"
     if not rest:
         return f"{program} needs a command; {listed}"
-    return f"{rest[0]!r} is no command of {program}; {_meant(rest[0], commands) or listed}"
+    return f"{rest[0]!r} is not a command of {program}; {_meant(rest[0], commands) or listed}"
 
 
 def _choices(option: Level | None) -> list[str]:
@@ -64,13 +64,13 @@ def _plain(program: str, told: str) -> str:
     inside = "\n".join(line.strip("│| ") for line in told.splitlines()[1:])
     text = " ".join(re.split(r"^[─╰╯+-]{3,}$", inside.lstrip("-\n"), maxsplit=1, flags=re.MULTILINE)[0].split())
     if missing := re.match(r"Missing from .*?: (\S+)( \S+)?", text):
-        return f"{missing[1]} is missing; {program} --help says what it is"
+        return f"{missing[1]} is missing; see {program} --help"
     if wrong := re.match(r"Error parsing (\S+): .*?(string to float|for int\(\)).*?: ('[^']*')", text):
-        return f"{wrong[1]} {wrong[3]} is no {'number' if 'float' in wrong[2] else 'whole number'}; give one"
+        return f"{wrong[1]} {wrong[3]} is not a {'number' if 'float' in wrong[2] else 'whole number'}; give one"
     if wrong := re.match(r"Error parsing (\S+): .*arguments \[(.*)\] into", text):
-        return f"{wrong[1]} cannot be {wrong[2]}; {program} --help says what it is"
+        return f"{wrong[1]} does not accept {wrong[2]}; see {program} --help"
     if short := re.match(r"Missing value for argument '(.*?)'\. Expected (\d+) values", text):
-        return f"{short[1]} lacks its value{'' if short[2] == '1' else 's'}; give {short[2]}"
+        return f"{short[1]} needs {'a value' if short[2] == '1' else 'more values'}; give {short[2]}"
     if extra := re.match(r"Unrecognized options: (.*)", text):
-        return f"{extra[1]!r} is more than {program} takes; leave it out"
-    return f"{text or 'the words do not parse'}; see {program} --help"
+        return f"{extra[1]!r} is one argument too many for {program}; remove it"
+    return f"{text or 'the arguments cannot be read'}; see {program} --help"

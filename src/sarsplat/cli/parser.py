@@ -39,10 +39,10 @@ COMMANDS: dict[str, Callable[..., None] | dict[str, Callable[..., None]]] = {
     "completion": completion,
 }
 
-_GROUPS = {"import": "Import measured chips: a dataset to reconstruct from."}
+_GROUPS = {"import": "Import measured chips as a dataset."}
 """What the commands that have commands of their own are for."""
 
-_DESCRIPTION = "From SAR images to a 3D target and back: simulate or import → reconstruct → evaluate → look."
+_DESCRIPTION = "From SAR images to a 3D target and back: simulate or import → reconstruct → evaluate → render."
 
 
 def parse(words: Sequence[str]) -> Callable[[], None]:

@@ -42,33 +42,33 @@ class Settings(Config):
 
 @dataclass(frozen=True)
 class Options:
-    """What `sarsplat reconstruct` is told.
+    """Options of `sarsplat reconstruct`.
 
     Parameters
     ----------
     dataset
-        Folder that `sarsplat simulate` or `sarsplat import` made.
+        Folder written by `sarsplat simulate` or `sarsplat import`.
     out
-        Run to make; it appears with its first checkpoint. What has been learned so far is kept there on Ctrl-C.
+        Run folder to write; it appears with the first checkpoint. Ctrl-C keeps the progress so far.
     preset
-        Settings to begin with, which the options below override: default (measures best; these defaults are shown),
-        paper (the paper's training), measured (ground, noise floor, speckle), or auto: measured if the images show
-        ground, else default.
+        Starting settings, which the options below override: default (the best in our measurements; its values are
+        shown), paper (the paper's training), measured (ground, noise floor, speckle), or auto: measured if the images
+        show ground, otherwise default.
     config
-        Settings to begin with, instead of a preset: a file that --print-config made.
+        Starting settings from a file written by --print-config, instead of a preset.
     print_config
-        Print the settings as JSON and stop.
+        Print the settings as JSON and exit.
     device
-        Where to train; auto: on a GPU if there is one that can be used.
+        Where to train; auto uses a GPU if a usable one is present.
     resume
-        Go on with the run in --out, with the settings it was begun with; DATASET may have been moved. A larger
-        --iterations extends the run.
+        Continue the run in --out with the settings it was started with; DATASET may have moved. A larger --iterations
+        extends the run.
     overwrite
         Replace an existing run, which is kept until the new one has its first checkpoint.
     densify
-        Density control; any of its flags below switches it on.
+        Density control; any of its options below switches it on.
     surround
-        Model of ground and noise; any of its flags below switches it on.
+        Model of ground and noise; any of its options below switches it on.
     settings
         Settings.
     """
@@ -97,7 +97,7 @@ def reconstruct(
 
     dataset, out = options.dataset, options.out
     if options.resume and options.overwrite:
-        raise SarsplatError("--resume goes on with the run and --overwrite throws it away; give one of them")
+        raise SarsplatError("--resume continues the run and --overwrite discards it; give only one of them")
     images = read_dataset(dataset)
     config = _overridden(_base(options, images), options, words)
     if options.print_config:
@@ -127,7 +127,7 @@ def reconstruct(
         if interrupt.args or not (out / HEADER).is_file():
             raise
         raise KeyboardInterrupt(
-            f"stopped by Ctrl-C; {out} holds what was learned so far: go on with "
+            f"stopped by Ctrl-C; {out} keeps the progress so far; continue with "
             f"`sarsplat reconstruct {shlex.quote(str(dataset))} --out {place} --resume`"
         ) from None
     console.finish(
@@ -145,14 +145,16 @@ def _base(options: Options, images: Dataset) -> Config:
 
     if options.config is not None:
         if options.preset != "auto":
-            raise SarsplatError(f"--config and --preset {options.preset} are both settings to begin with; give one")
+            raise SarsplatError(
+                f"--config and --preset {options.preset} both choose the starting settings; give only one of them"
+            )
         return Config.from_dict(read_json(options.config, dict[str, Any]), str(options.config))
     if not options.resume:
         return fitting(options.preset, images)
     begun = Run.load(options.out).config
     if options.preset not in ("auto", begun.preset):
         raise SarsplatError(
-            f"{options.out} was begun with preset {begun.preset!r}, not {options.preset!r}; leave --preset out"
+            f"{options.out} was started with preset {begun.preset!r}, not {options.preset!r}; omit --preset"
         )
     return begun
 
@@ -167,7 +169,7 @@ def _overridden(base: Config, options: Options, words: Sequence[str]) -> Config:
     for part, switch in (("densification", options.densify), ("surroundings", options.surround)):
         flag = next((word for word in words if word.startswith(f"--{part}.")), None)
         if switch == "off" and flag is not None:
-            raise SarsplatError(f"{flag} has no effect with --{part} off; leave one of them out")
+            raise SarsplatError(f"{flag} has no effect with --{part} off; omit one of them")
         if switch == "off" or (switch is None and flag is None and values[part] is None):
             changed[part] = None
     return Config(**changed)

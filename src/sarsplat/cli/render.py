@@ -28,17 +28,18 @@ def render(
     Parameters
     ----------
     run
-        Folder that `sarsplat reconstruct` made.
+        Folder written by `sarsplat reconstruct`.
     out
-        Folder to make.
+        Folder to write.
     azimuth
-        Azimuths, degrees or start:stop:step (stop left out), e.g. 30 or 0:360:15; every one at every grazing angle.
+        Azimuths: degrees or start:stop:step (stop excluded), e.g. 30 or 0:360:15; each is combined with every grazing
+        angle.
     grazing
-        Grazing angles, degrees in (0, 90).
+        Grazing angles, degrees, between 0 and 90.
     incidence
-        The same as incidence angles, 90° − grazing.
+        Incidence angles (90° − grazing), instead of grazing angles.
     overwrite
-        Replace an existing folder of such images.
+        Replace an existing folder of rendered images.
     """
     from sarsplat.data import new_folder, write_bytes, write_power_tiff
     from sarsplat.reconstruction import Run
@@ -47,7 +48,7 @@ def render(
 
     views = views_from(azimuth, grazing, incidence)
     if len({_name(view) for view in views}) < len(views):
-        raise SarsplatError("two of the views are the same to a millionth of a degree; give each once")
+        raise SarsplatError("two of the views are the same to within a millionth of a degree; give each view once")
     done = Run.load(run)
     refuse_existing(out, overwrite, marker=_SHEET)
     peak = done.brightest
@@ -63,7 +64,7 @@ def render(
                 write_bytes(folder / f"{_name(view)}.png", decibel_png(image, peak))
             write_bytes(folder / _SHEET, contact_sheet(images, views, done.grid, peak))
     console.say(
-        f"PNGs: grey from −{DYNAMIC_DB:g} dB (black) to 0 dB (white) of the brightest training pixel, "
+        f"PNGs: grey from −{DYNAMIC_DB:g} dB (black) to 0 dB (white), where 0 dB is the brightest training pixel, "
         f"β⁰ = {float(to_decibels(peak)):.1f} dB; row 0 is near range"
     )
     console.finish(f"{out}: {counted(len(views), 'image')} as TIFF and PNG, and {_SHEET}", f"look at {out / _SHEET}")

@@ -7,12 +7,12 @@ from sarsplat.cli.arguments import RunFolder
 
 
 def report(run: RunFolder) -> None:
-    """Write a run's report: pictures, scores and settings on one page that needs no network.
+    """Write a run's report: pictures, scores and settings on one page that works offline.
 
     Parameters
     ----------
     run
-        Folder that `sarsplat reconstruct` made.
+        Folder written by `sarsplat reconstruct`.
     """
     from sarsplat.reconstruction import Run
     from sarsplat.report import write_report

@@ -60,46 +60,47 @@ def simulate(
     seed: int = 0,
     overwrite: bool = False,
 ) -> None:
-    """Simulate SAR images of a target: a dataset to reconstruct from.
+    """Simulate SAR images of a target as a dataset.
 
     Parameters
     ----------
     out
-        Dataset to make.
+        Dataset folder to write.
     target
         A built-in target: a vehicle, or one of the paper's buildings.
     mesh
-        Any mesh instead: metres, +x nose, +y left, +z up, ground at z = 0.
+        A mesh file instead: metres, +x nose, +y left, +z up, ground at z = 0.
     protocol
-        Views and pixels: 24 + 48 views at incidence 15, 45, 75° (paper), or 36 + 72 at 17 and 15° grazing (mstar).
+        Views and pixels: 24 training + 48 test views at 15, 45, 75° incidence (paper), or 36 + 72 at 17 and 15° grazing
+        (mstar).
     azimuth
-        Own training azimuths instead of the protocol's views: degrees or start:stop:step (stop left out): 0:360:15.
+        Training azimuths, instead of the protocol's: degrees or start:stop:step (stop excluded), e.g. 0:360:15.
     grazing
-        Own grazing angles, degrees in (0, 90).
+        Training grazing angles, degrees, between 0 and 90.
     incidence
-        The same as incidence angles, 90° − grazing.
+        Incidence angles (90° − grazing), instead of grazing angles.
     test_azimuth
-        Azimuths of unseen test views; those of the training unless given. What is trained on is left out.
+        Azimuths of the test views (default: those of the training views); training views are excluded.
     test_grazing
-        Grazing angles of the test views; those of the training unless given.
+        Grazing angles of the test views (default: those of the training views).
     test_incidence
-        The same as incidence angles.
+        Incidence angles of the test views, instead of grazing angles.
     source
-        Ray casting (independent of the renderer), or our own forward model on Gaussians that cover the surface.
+        Ray casting, which is independent of the renderer, or the renderer itself, on Gaussians that cover the surface.
     law
-        γ⁰ (linear) of the target's surface: floor + lobe·cos² of the angle between its normal and the radar.
+        γ⁰ (linear) of the target's surface: FLOOR + LOBE·cos² of the angle between its normal and the radar.
     ground
-        γ⁰ (linear) of a flat ground; none unless given.
+        γ⁰ (linear) of flat ground (default: no ground).
     looks
-        Looks of multiplicative speckle, 1 = single look; none unless given.
+        Looks of multiplicative speckle; 1 is single look (default: no speckle).
     pixels
-        Rows and columns instead of the protocol's 128.
+        Rows and columns of an image (default: the protocol's 128).
     spacing
-        Pixel spacing in azimuth and slant range instead of the protocol's.
+        Pixel spacing in azimuth and slant range (default: the protocol's).
     resolution
-        3 dB width in both instead of the protocol's (with --spacing: that spacing).
+        3 dB width in azimuth and slant range (default: the spacing, or the protocol's).
     seed
-        Seed of everything random.
+        Random seed.
     overwrite
         Replace an existing dataset.
     """
@@ -120,8 +121,8 @@ def simulate(
     elif target is not None and mesh is None:
         surface, name = target_mesh(target), target
     else:
-        problem = "both" if target else "neither"
-        raise SarsplatError(f"{problem} of --target and --mesh was given; give one, e.g. --target t72")
+        problem = "both --target and --mesh were" if target else "neither --target nor --mesh was"
+        raise SarsplatError(f"{problem} given; give exactly one of them, e.g. --target t72")
     how: dict[str, Any] = {
         "source": source,
         "law": ScatteringLaw(*law),
@@ -174,7 +175,7 @@ def _with_test_views(
     """The same training views, and unseen ones."""
     if not azimuth:
         raise SarsplatError(
-            "test views were given, but the training views are the protocol's, which has its own; give --azimuth too"
+            "test views were given, but the protocol sets both training and test views; give --azimuth as well"
         )
     if not test_grazing and not test_incidence:
         test_grazing, test_incidence = grazing, incidence
@@ -182,7 +183,7 @@ def _with_test_views(
     test = views_from(test_azimuth or azimuth, test_grazing, test_incidence, prefix="test-")
     unseen = [view for view in test if view not in trained]
     if not unseen:
-        raise SarsplatError(f"all {len(test)} test views are training views too; give others with --test-azimuth")
+        raise SarsplatError(f"all {len(test)} test views are also training views; choose others with --test-azimuth")
     return [*views, *((view, "test") for view in unseen)]
 
 

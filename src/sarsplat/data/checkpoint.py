@@ -71,7 +71,7 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     except safetensors.SafetensorError as error:
         raise SarsplatError(f"{path} is a damaged checkpoint ({shown(str(error))}); {_REMEDY}") from error
     if metadata.get("schema") != _SCHEMA:
-        raise SarsplatError(f"{path} holds tensors but is not a checkpoint of a run; give one from RUN/checkpoints")
+        raise SarsplatError(f"{path} contains tensors but is not a run's checkpoint; give one from RUN/checkpoints")
     if metadata.get("version") != _VERSION:
         raise SarsplatError(
             f"{path} is a checkpoint of version {shown(metadata.get('version'))} but this program reads {_VERSION!r}; "

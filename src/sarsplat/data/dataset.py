@@ -98,7 +98,7 @@ class Dataset:
 
     def __post_init__(self) -> None:
         if not self.entries:
-            raise SarsplatError("a dataset must hold images, but there are no images; give at least one")
+            raise SarsplatError("a dataset needs images, but there are none; give at least one")
         expected = (len(self.entries), self.grid.rows, self.grid.columns)
         if not isinstance(self.power, np.ndarray) or self.power.shape != expected or self.power.dtype != np.float32:
             raise SarsplatError(
@@ -118,11 +118,11 @@ class Dataset:
 
     def _check_fields(self) -> None:
         if self.looks is not None and not (math.isfinite(self.looks) and self.looks > 0):
-            raise SarsplatError(f"looks {self.looks} must be a positive number, or none for images without speckle")
+            raise SarsplatError(f"looks {self.looks} must be a positive number, or None for images without speckle")
         if not 0 <= 2 * self.score_margin < min(self.grid.rows, self.grid.columns):
             raise SarsplatError(
-                f"score_margin {self.score_margin} leaves nothing of images of {self.grid.rows} × {self.grid.columns} "
-                "pixels; give a smaller one, at least 0"
+                f"score_margin {self.score_margin} does not suit images of {self.grid.rows} × {self.grid.columns} "
+                "pixels; give 0 or more pixels, less than half a side"
             )
         box = self.target_box_m
         if box is not None and not all(
@@ -166,7 +166,7 @@ class Dataset:
         for index, image in enumerate(every):
             if image.grid != grid:
                 raise SarsplatError(
-                    f"image {index} lies on {image.grid} but the first on {grid}; give images of one grid"
+                    f"image {index} is on {image.grid} but the first image is on {grid}; give images with the same grid"
                 )
         digits = max(3, len(str(len(every) - 1)))
         entries = tuple(

@@ -77,7 +77,7 @@ def write_dataset(
 
 def _require_training(dataset: Dataset) -> None:
     if "train" not in dataset.splits():
-        raise SarsplatError('there is no view in the split "train", so there is nothing to learn from; mark some')
+        raise SarsplatError('no view is in the split "train", so there is nothing to train on; assign at least one')
 
 
 def _mesh_bytes(dataset: Dataset, mesh: trimesh.Trimesh | None) -> bytes | None:
@@ -124,7 +124,7 @@ def read_dataset(path: str | Path) -> Dataset:
         mesh = None if header.truth_mesh is None else _inside(path, header.truth_mesh)
     with plain_os_errors("read", path):  # a name may be longer than the system has names
         if mesh is not None and not mesh.is_file():
-            raise SarsplatError(f"{path} lacks its mesh {shown(mesh.name)}; {_MAKE_ONE}")
+            raise SarsplatError(f"{path} is missing its mesh {shown(mesh.name)}; {_MAKE_ONE}")
     images = [read_power_tiff(file, (grid.rows, grid.columns)) for file in files]
     with _blamed_on(path / HEADER):
         dataset = Dataset(
@@ -184,7 +184,5 @@ def _inside(folder: Path, name: str) -> Path:
     except (OSError, RuntimeError):  # a name the system cannot hold, or a loop of links
         inside = False
     if not name or not inside:
-        raise SarsplatError(
-            f"the file {shown(name)} does not lie inside the dataset's folder; use a plain relative path in it"
-        )
+        raise SarsplatError(f"the file {shown(name)} is not inside the dataset's folder; use a plain relative path")
     return path

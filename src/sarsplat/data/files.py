@@ -91,12 +91,12 @@ def locked(path: Path) -> Iterator[None]:
     place = path.with_name(f".{path.name}.lock")
     place.parent.stat()  # the lock would make missing folders
     if os.path.lexists(place) and (not stat.S_ISREG(place.lstat().st_mode) or place.stat().st_size > 0):
-        raise SarsplatError(f"{place} is no lock of ours; remove it, or give another name than {path.name}")
+        raise SarsplatError(f"{place} is not a sarsplat lock file; remove it or choose a name other than {path.name}")
     lock = FileLock(place, is_singleton=True)
     try:
         lock.acquire(blocking=False)
     except Timeout as error:
-        raise SarsplatError(f"{path} is in use by another process; wait until that has ended") from error
+        raise SarsplatError(f"{path} is in use by another process; wait until it has finished") from error
     try:
         yield
     finally:
@@ -176,7 +176,7 @@ def encode_json(obj: Any, path: Path) -> bytes:
 def _struct_as_dict(value: object) -> dict[str, Any]:
     if isinstance(value, msgspec.Struct):
         return msgspec.structs.asdict(value)
-    raise TypeError(f"{shown(value)} is no JSON value")
+    raise TypeError(f"{shown(value)} is not a JSON value")
 
 
 @contextmanager
@@ -251,7 +251,9 @@ class _Kind(msgspec.Struct):
 def _read_text(path: Path) -> bytes:
     with open_file(path) as file:
         if file.seek(0, os.SEEK_END) > _LARGEST_JSON:
-            raise SarsplatError(f"{path} is larger than {_LARGEST_JSON} bytes, so it is no file of ours; make it again")
+            raise SarsplatError(
+                f"{path} is larger than {_LARGEST_JSON} bytes, so sarsplat did not write it; create it again"
+            )
         file.seek(0)
         return file.read()
 
@@ -261,16 +263,16 @@ def decode_json(data: bytes, path: Path, type: type[T]) -> T:
     values = sum(data.count(mark) for mark in (b",", b"[", b"{"))
     if values * _BYTES_PER_VALUE > 4 * len(data) + _FREE_BYTES:
         raise SarsplatError(
-            f"{path} packs {values} values into {len(data)} bytes, more than files of ours; make it again"
+            f"{path} packs {values} values into {len(data)} bytes, more than sarsplat ever writes; create it again"
         )
     try:
         return msgspec.json.decode(data, type=type)
     except msgspec.ValidationError as error:
-        raise SarsplatError(f"{path}: {_what_does_not_fit(data, str(error))}; correct it or make it again") from error
+        raise SarsplatError(f"{path}: {_what_does_not_fit(data, str(error))}; correct it or create it again") from error
     except RecursionError as error:
-        raise SarsplatError(f"{path} is nested too deeply to be a file of ours; make it again") from error
+        raise SarsplatError(f"{path} is nested too deeply to be a sarsplat file; create it again") from error
     except ValueError as error:  # msgspec.DecodeError and UnicodeDecodeError among them
-        raise SarsplatError(f"{path} is not valid JSON ({shown(str(error))}); make it again") from error
+        raise SarsplatError(f"{path} is not valid JSON ({shown(str(error))}); create it again") from error
 
 
 def _what_does_not_fit(data: bytes, told: str) -> str:

@@ -154,12 +154,14 @@ def _clear(workshop: Path) -> None:
 def _refuse_foreign_workshop(folder: Path) -> None:
     """Refuse a temporary folder that we have not made; FileNotFoundError if there is none."""
     if not stat.S_ISDIR(folder.lstat().st_mode):
-        raise SarsplatError(f"{folder} is not the temporary folder we make there; move it or give another name")
+        raise SarsplatError(
+            f"{folder} is in the way but is not a temporary folder of sarsplat's; move it or choose another name"
+        )
     with os.scandir(folder) as entries:
         for entry in entries:
             if entry.name not in (_BUILT, _RETIRED) or entry.is_symlink():
                 raise SarsplatError(
-                    f"{folder} holds {entry.name}, which is not ours to delete; move it or give another name"
+                    f"{folder} holds {entry.name}, which sarsplat did not create; move it or choose another name"
                 )
 
 
@@ -189,18 +191,22 @@ def _refuse_existing(path: Path, overwrite: bool, marker: str) -> None:
     if not os.path.lexists(path):
         return
     if not path.is_dir():
-        raise SarsplatError(f"{path} is a file, not a folder; give another name")
+        raise SarsplatError(f"{path} is a file, not a folder; choose another name")
     if not any(path.iterdir()):
         return
     if not overwrite:
-        raise SarsplatError(f"{path} exists; give another name or --overwrite")
+        raise SarsplatError(f"{path} already exists; choose another name or pass --overwrite")
     # Replacing a folder deletes everything in it, so a slip such as `--out . --overwrite` must not cost a day's work.
     if Path.cwd().is_relative_to(path) or Path.home().resolve().is_relative_to(path):
-        raise SarsplatError(f"{path} holds the current or the home folder and is never replaced; give another name")
+        raise SarsplatError(
+            f"{path} contains the current folder or your home folder, so it is never replaced; choose another name"
+        )
     if not (path / marker).is_file():
-        raise SarsplatError(f"{path} holds no {marker}, so it is not ours to replace; give another name")
+        raise SarsplatError(f"{path} contains no {marker}, so it will not be replaced; choose another name")
     if (foreign := _foreign(path, marker)) is not None:
-        raise SarsplatError(f"{path} also holds {foreign}, which is not ours to delete; move it or give another name")
+        raise SarsplatError(
+            f"{path} also holds {foreign}, which sarsplat did not create; move it or choose another name"
+        )
 
 
 def _foreign(path: Path, marker: str) -> Path | None:

@@ -50,7 +50,7 @@ class SarImage:
         if not isinstance(self.power, np.ndarray) or self.power.dtype.kind not in "fiu":
             kind = self.power.dtype if isinstance(self.power, np.ndarray) else type(self.power).__name__
             raise SarsplatError(
-                f"the image is of {kind}; give power as an array of real numbers (of complex ones, |x|²)"
+                f"the image is of type {kind}; give power as an array of real numbers (for complex data, |x|²)"
             )
         expected = (self.grid.rows, self.grid.columns)
         if self.power.shape != expected:
@@ -85,7 +85,9 @@ class SarImage:
         """
         path = Path(path)
         if path.suffix.lower() != ".png":
-            raise SarsplatError(f"{path} does not end in .png, the only format of pictures; give such a name")
+            raise SarsplatError(
+                f"{path} does not end in .png, the only supported picture format; choose a name that does"
+            )
         write_bytes(path, picture_png(self, dynamic_range_db))
 
     def show(self, *, dynamic_range_db: float = _DYNAMIC_RANGE_DB) -> None:

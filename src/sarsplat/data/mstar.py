@@ -158,12 +158,12 @@ def _one_vehicle(chips: list[Chip], target_class: str, serial: str | None) -> li
         chips = [chip for chip in chips if chip.serial == serial]
         if not chips:
             raise SarsplatError(
-                f"there is no {target_class} with the serial {serial!r}; there are {', '.join(serials)}"
+                f"there is no {target_class} with the serial {serial!r}; choose one of {', '.join(serials)}"
             )
     elif len(serials) > 1:
         warnings.warn(
-            f"the {target_class} chips show {len(serials)} vehicles (serials {', '.join(serials)}), taken as one; "
-            "name one serial to keep them apart",
+            f"the {target_class} chips show {len(serials)} vehicles (serials {', '.join(serials)}), treated as one; "
+            "choose one serial to keep them apart",
             SarsplatWarning,
             stacklevel=3,
         )
@@ -175,11 +175,11 @@ def _training_chips(chips: list[Chip], count: int, depression: int) -> list[Chip
     at_depression = sorted((chip for chip in chips if chip.depression == depression), key=lambda chip: chip.name)
     if not at_depression:
         there = ", ".join(f"{value}°" for value in sorted({chip.depression for chip in chips}))
-        raise SarsplatError(f"there is no chip at the training depression of {depression}°; there are chips at {there}")
+        raise SarsplatError(f"there are no chips at the training depression of {depression}°; choose one of {there}")
     if not 1 <= count <= len(at_depression):
         raise SarsplatError(
-            f"{count} training views are asked for, but the chips at {depression}° allow 1 to {len(at_depression)}; "
-            "ask for so many"
+            f"{count} training views were requested, but there are {len(at_depression)} chips at {depression}°; "
+            "request between 1 and that many"
         )
     wanted = np.arange(count) * 360 / count
     azimuths = np.array([chip.target_az_deg for chip in at_depression])
@@ -204,7 +204,7 @@ def _common_grid(chips: list[Chip]) -> ImageGrid:
         rows = min(shape[0] for shape in shapes) // 2 * 2
         columns = min(shape[1] for shape in shapes) // 2 * 2
         warnings.warn(
-            f"the chips have {len(shapes)} sizes; all are cut centrally to {rows} × {columns}",
+            f"the chips have {len(shapes)} sizes; all are cropped around the centre to {rows} × {columns}",
             SarsplatWarning,
             stacklevel=3,
         )

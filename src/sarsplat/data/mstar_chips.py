@@ -123,8 +123,8 @@ def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_clas
         raise SarsplatError(f"there is no Phoenix file in {folder}; {remedy}")
     if has_jpegs:
         warnings.warn(
-            f"{folder} holds JPEG chips too, which are left out; name the table of their labels with --labels to take "
-            "them instead of the Phoenix files",
+            f"{folder} also contains JPEG chips, which are ignored; to use them instead of the Phoenix files, "
+            "give the table of their labels with --labels",
             SarsplatWarning,
             stacklevel=2,
         )
@@ -134,7 +134,7 @@ def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_clas
     for chip in chosen:
         if chip.radar_position != "bottom":
             raise SarsplatError(
-                f"{chip.path} has RadarPosition= {chip.radar_position!r}; only 'bottom' is understood, so leave it out"
+                f"{chip.path} has RadarPosition= {chip.radar_position!r}; only 'bottom' is supported, so remove it"
             )
     return [
         Chip(
@@ -161,13 +161,13 @@ def _jpeg_chips(folder: Path, jpegs: list[Path], labels: Path, target_class: str
     present = [(line, row) for line, row in rows if os.path.isfile(folder / row["path"])]  # noqa: PTH113
     if not present:
         raise SarsplatError(
-            f"{folder} holds none of {chips_of_class} in {labels} "
-            f"(the first is {shown(rows[0][1]['path'])}); give the folder its paths are relative to"
+            f"{folder} contains none of {chips_of_class} in {labels} "
+            f"(the first is {shown(rows[0][1]['path'])}); give the folder that its paths are relative to"
         )
     if len(present) < len(rows):
-        _warn(f"{folder} lacks {len(rows) - len(present)} of {chips_of_class} in {labels}; the others are taken")
+        _warn(f"{folder} lacks {len(rows) - len(present)} of {chips_of_class} in {labels}; the others are used")
     if unlabelled := len(set(jpegs) - {folder / row["path"] for _, row in table if row["class"].strip()}):
-        _warn(f"{labels} has no label for {counted(unlabelled, 'JPEG')} in {folder}; add labels, or go on without")
+        _warn(f"{labels} has no label for {counted(unlabelled, 'JPEG')} in {folder}; add them if you need these chips")
     present = _once(labels, _complete(labels, present))
     return [
         Chip(
@@ -198,7 +198,7 @@ def _complete(labels: Path, rows: _Rows) -> _Rows:
         what = f"{labels} has empty fields for {len(rows) - len(whole)} of {counted(len(rows), 'chip')}"
         if not whole:
             raise SarsplatError(f"{what} (line {line}: {missing} is empty); fill them in")
-        _warn(f"{what} (the first: {missing} in line {line}), left out; fill them in, or go on without")
+        _warn(f"{what} (the first: {missing} in line {line}), which are ignored; fill them in if you need them")
     return whole
 
 
@@ -209,7 +209,7 @@ def _once(labels: Path, rows: _Rows) -> _Rows:
         other_line, other = first.setdefault(Path(row["path"]), (line, row))
         if any(row[name] != other[name] for name in _COLUMNS[1:]):
             raise SarsplatError(
-                f"{labels} gives {shown(row['path'])} two labels, in lines {other_line} and {line}; take one out"
+                f"{labels} gives {shown(row['path'])} two labels, in lines {other_line} and {line}; remove one"
             )
     if repeated := len(rows) - len(first):
         _warn(f"{labels} repeats {counted(repeated, 'label')}; each chip is taken once")
@@ -224,20 +224,20 @@ def _read_labels(path: Path) -> _Rows:
         reader = csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), restval="")
         missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
         if missing:
-            raise SarsplatError(f"{path} lacks the column {missing[0]!r}; it needs {', '.join(_COLUMNS)}")
+            raise SarsplatError(f"{path} is missing the column {missing[0]!r}; it needs {', '.join(_COLUMNS)}")
         rows = [(reader.line_num, row) for row in itertools.islice(reader, _MOST_LABELS + 1)]
     except (UnicodeDecodeError, csv.Error) as error:
         raise SarsplatError(f"{path} is not a readable CSV table ({error}); give the table of labels") from error
     if len(rows) > _MOST_LABELS:
-        raise SarsplatError(f"{path} has more than {_MOST_LABELS} rows; give the table of labels, in parts if need be")
+        raise SarsplatError(f"{path} has more than {_MOST_LABELS} rows; split the table of labels into smaller ones")
     if not rows:
         raise SarsplatError(f"{path} has no rows; give the table of labels")
     for line, row in rows:
         inside = PurePosixPath(row["path"])
         if inside.is_absolute() or ".." in inside.parts or "\0" in row["path"]:
             raise SarsplatError(
-                f"{path}, line {line}: the path {shown(row['path'])} leads out of the folder of chips; "
-                "give paths relative to it"
+                f"{path}, line {line}: the path {shown(row['path'])} points outside the folder of chips; "
+                "use paths relative to it"
             )
     return rows
 
@@ -269,6 +269,6 @@ def read_jpeg(path: Path) -> Real[np.ndarray, "rows columns"]:
                 )
             return np.asarray(image, dtype=np.float32)
         except UnidentifiedImageError as error:
-            raise SarsplatError(f"{path} is not a JPEG image; fetch it again") from error
+            raise SarsplatError(f"{path} is not a JPEG image; download it again") from error
         except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:  # what Pillow says of damage
-            raise SarsplatError(f"{path} is a truncated or damaged JPEG ({error}); fetch it again") from error
+            raise SarsplatError(f"{path} is a truncated or damaged JPEG ({error}); download it again") from error

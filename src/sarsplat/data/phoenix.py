@@ -32,7 +32,7 @@ class PhoenixChip:
 
     Parameters
     ----------
-    path : str or Path
+    path : Path
         The file, for error messages.
     header : dict of str to str
         Every `Key= value` of the header, stripped.
@@ -100,7 +100,7 @@ class PhoenixChip:
         """
         if self.radar_position != "bottom":
             raise SarsplatError(
-                f"{self.path} has RadarPosition= {self.radar_position!r}; only 'bottom' is understood, so leave it out"
+                f"{self.path} has RadarPosition= {self.radar_position!r}; only 'bottom' is supported, so remove it"
             )
         rows, columns = self.magnitude.shape
         view = View(-self.target_az_deg % 360, self.measured_depression_deg)
@@ -148,14 +148,14 @@ def read_phoenix(path: str | Path) -> PhoenixChip:
         if header.get("native_header_length") != "0":
             raise SarsplatError(
                 f"{path} has a native header of {shown(header.get('native_header_length'))} bytes, "
-                "so it is a scene and no chip of float32; give target chips"
+                "so it is a scene and not a float32 chip; give target chips"
             )
         expected = length + 8 * rows * columns
         if size != expected:
             state = "is truncated" if size < expected else "is too long"
             raise SarsplatError(
                 f"{path} {state}: {size} bytes where its header ({rows} × {columns} pixels) asks for {expected}; "
-                "fetch it again"
+                "download it again"
             )
         file.seek(length)
         data = file.read(4 * rows * columns)
@@ -165,7 +165,7 @@ def read_phoenix(path: str | Path) -> PhoenixChip:
         row, column = np.argwhere(bad)[0]
         raise SarsplatError(
             f"{path} holds the magnitude {magnitude[row, column]:.6g} at row {row}, column {column}; "
-            f"magnitudes lie between 0 and {_LARGEST:g}, so fetch it again"
+            f"magnitudes must be between 0 and {_LARGEST:g}, so download it again"
         )
     return PhoenixChip(path, header, magnitude)
 
@@ -178,26 +178,26 @@ def _parse_header(path: Path, start: bytes) -> tuple[int, dict[str, str]]:
     length = int(stated[1]) if stated else 0
     if not 0 < length <= len(start):
         raise SarsplatError(
-            f"{path} states a header of {length} bytes but {len(start)} were there to read "
-            f"(at most {_LONGEST_HEADER}); fetch it again"
+            f"{path} declares a header of {length} bytes but only {len(start)} could be read "
+            f"(at most {_LONGEST_HEADER}); download it again"
         )
     try:
         lines = start[:length].decode("ascii").splitlines()
     except UnicodeDecodeError as error:
-        raise SarsplatError(f"{path} has a header that is not ASCII text ({error}); fetch it again") from error
+        raise SarsplatError(f"{path} has a header that is not ASCII text ({error}); download it again") from error
     if _END not in lines:
-        raise SarsplatError(f"{path} has no {_END} within the {length} bytes of its header; fetch it again")
+        raise SarsplatError(f"{path} has no {_END} within the {length} bytes of its header; download it again")
     header: dict[str, str] = {}
     for key, value in (line.split("=", 1) for line in lines if "=" in line):
         if header.setdefault(key.strip(), value.strip()) != value.strip():
-            raise SarsplatError(f"{path} states {key.strip()[:40]!r} twice and differently; fetch it again")
+            raise SarsplatError(f"{path} gives {key.strip()[:40]!r} twice with different values; download it again")
     return length, header
 
 
 def _text(path: Path, header: dict[str, str], key: str) -> str:
     value = header.get(key, "")
     if not value.isprintable() or not value:
-        raise SarsplatError(f"{path} has no readable {key} in its header; fetch it again")
+        raise SarsplatError(f"{path} has no readable {key} in its header; download it again")
     return value
 
 
@@ -209,7 +209,7 @@ def _number(path: Path, header: dict[str, str], key: str) -> float:
         value = math.nan
     if not abs(value) <= _LARGEST:  # also catches NaN
         raise SarsplatError(
-            f"{path} has {key}= {text[:40]!r} in its header, which is no number that could be right; fetch it again"
+            f"{path} has {key}= {text[:40]!r} in its header, which is not a plausible number; download it again"
         )
     return value
 

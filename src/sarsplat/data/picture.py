@@ -51,7 +51,9 @@ def _matplotlib_needed() -> Iterator[None]:
 def _draw(image: SarImage, figure: Figure, dynamic_range_db: float) -> None:
     """White is the brightest pixel, black is `dynamic_range_db` below it and everything darker."""
     if not 0 < dynamic_range_db < np.inf:
-        raise SarsplatError(f"a dynamic range of {dynamic_range_db} dB has no greys; give a positive one, such as 40")
+        raise SarsplatError(
+            f"a dynamic range of {dynamic_range_db} dB cannot be drawn; give a positive one, such as 40"
+        )
     grid = image.grid
     half_azimuth, half_range = grid.spacing_m[0] / 2, grid.spacing_m[1] / 2
     extent = (

@@ -56,7 +56,7 @@ def suspicious_angles(views: Sequence[View]) -> list[str]:
     if not suspect:
         return []
     names = " and ".join(f"{name} ({values[0]:.4g}° to {values[-1]:.4g}°)" for name, values in suspect)
-    return [f"the {names} look like radians; give degrees, 57.2958 times as many, if they are"]
+    return [f"the {names} look like radians; if they are, multiply them by 57.2958 to get degrees"]
 
 
 def warn(texts: Iterable[str]) -> None:
@@ -98,14 +98,14 @@ def _coverage(views: Sequence[View]) -> list[str]:
     first = views[0]
     if len(views) == 1:
         return [
-            f"there is one training view (azimuth {first.azimuth_deg:g}°), from which no shape can be told; add views "
+            f"there is one training view (azimuth {first.azimuth_deg:g}°), which cannot determine the shape; add views "
             "from other azimuths"
         ]
     cosines = np.array([view.direction for view in views]) @ first.direction
     if cosines.min() > math.cos(math.radians(_SAME_DIRECTION_DEG)):
         return [
             f"all {len(views)} training views are the same (azimuth {first.azimuth_deg:g}°, grazing "
-            f"{first.grazing_deg:g}°), from which no shape can be told; check their angles"
+            f"{first.grazing_deg:g}°), which cannot determine the shape; check their angles"
         ]
     given = np.array([view.azimuth_deg for view in views if view.grazing_deg < _FROM_ABOVE_DEG])
     if len(given) == 0:
@@ -117,8 +117,8 @@ def _coverage(views: Sequence[View]) -> list[str]:
         return []
     question = " (or are the azimuths radians?)" if _within_a_turn(given) else ""
     return [
-        f"the training views leave {gaps[widest]:.4g}° of azimuth out, from {azimuths[widest]:.4g}° clockwise to "
-        f"{(azimuths[widest] + gaps[widest]) % 360:.4g}°, where the shape is a guess; add views from there{question}"
+        f"the training views leave a gap of {gaps[widest]:.4g}° in azimuth, from {azimuths[widest]:.4g}° clockwise to "
+        f"{(azimuths[widest] + gaps[widest]) % 360:.4g}°, where the shape is a guess; add views there{question}"
     ]
 
 
@@ -139,7 +139,7 @@ def _images(dataset: Dataset) -> list[str]:
         if zeros and not flat.all():
             found.append(
                 f"{counted(zeros, 'pixel')} of {images.size} in set {split} are zero, which measured power never is; "
-                "raise them to the least power that the sensor resolves"
+                "raise them to the smallest power that the sensor resolves"
             )
     if constant:
         found.append(f"{constant} of {counted(len(dataset), 'image')} are constant ({first}); check the files")
@@ -160,5 +160,5 @@ def _tested_on_training(dataset: Dataset) -> list[str]:
         return []
     return [
         f"{counted(len(found), 'test image')} can be found among the training images ({found[0][0]} is {found[0][1]}), "
-        "which scores nothing but memory; leave them out of one set"
+        "so their scores only measure memorisation; remove them from one set"
     ]

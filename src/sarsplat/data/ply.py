@@ -164,7 +164,7 @@ def write_points_ply(path: str | Path, points: Real[np.ndarray, "p 3"], /, **col
     table = {**_columns(("x", "y", "z"), points), **columns}
     for name, column in table.items():
         if not np.isfinite(column).all():
-            raise SarsplatError(f"the column {name!r} of the points holds NaN or an infinity; leave such points out")
+            raise SarsplatError(f"the column {name!r} of the points contains NaN or an infinity; remove those points")
     write_ply(Path(path), table, ["sarsplat points 1"])
 
 
@@ -187,7 +187,7 @@ def read_points_ply(path: str | Path) -> tuple[Float32[np.ndarray, "p 3"], dict[
     columns, _ = read_ply(path)
     points = _stack(path, columns, ["x", "y", "z"])
     if (farthest := np.abs(points).max(initial=0)) > _FARTHEST:
-        raise SarsplatError(f"{path} holds a point {farthest:.3g} m from the origin; make it again, in metres")
+        raise SarsplatError(f"{path} holds a point {farthest:.3g} m from the origin; create it again, in metres")
     return points, {name: column for name, column in columns.items() if name not in ("x", "y", "z")}
 
 
@@ -199,9 +199,9 @@ def _stack(path: Path, columns: dict[str, np.ndarray], names: list[str]) -> Floa
     """The named columns side by side, float32 [P, len(names)]."""
     for name in names:
         if name not in columns:
-            raise SarsplatError(f"{path} lacks the vertex property {name!r}; it is not a PLY of the kind asked for")
+            raise SarsplatError(f"{path} is missing the vertex property {name!r}; give a PLY file of the right kind")
         if not np.isfinite(columns[name]).all():
-            raise SarsplatError(f"{path} holds NaN or an infinity in {name!r}; make it again")
+            raise SarsplatError(f"{path} holds NaN or an infinity in {name!r}; create it again")
     rows = len(next(iter(columns.values()), ()))
     return np.stack([columns[name] for name in names], axis=1) if names else np.empty((rows, 0), np.float32)
 
@@ -216,30 +216,32 @@ def _flip_odd(harmonics: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
 def _check_gaussians(values: dict[str, np.ndarray], name: str) -> None:
     for key, value in values.items():
         if not np.isfinite(value).all():
-            raise SarsplatError(f"{name} hold NaN or an infinity in {key}; leave such Gaussians out")
+            raise SarsplatError(f"{name} contain NaN or an infinity in {key}; remove those Gaussians")
     scales, depth = values["scales"], values["optical_depth"]
     if (scales < np.float32(MIN_SCALE)).any():
-        raise SarsplatError(f"{name} hold a scale of {scales.min()} m; the least is {MIN_SCALE} m")
+        raise SarsplatError(f"{name} contain a scale of {scales.min()} m; the minimum is {MIN_SCALE} m")
     if ((depth < 0) | (depth > MAX_OPTICAL_DEPTH)).any():
         raise SarsplatError(
-            f"{name} hold optical depths from {depth.min()} to {depth.max()}; allowed is 0 to {MAX_OPTICAL_DEPTH}"
+            f"{name} contain optical depths from {depth.min()} to {depth.max()}; the range is 0 to {MAX_OPTICAL_DEPTH}"
         )
     if (np.abs(values["quaternions"]).max(axis=1, initial=0) == 0).any():
-        raise SarsplatError(f"{name} hold a quaternion of zeros; give each Gaussian an orientation")
+        raise SarsplatError(f"{name} contain a quaternion of zeros; give each Gaussian an orientation")
 
 
 def _law(path: Path, comments: list[str], parameters: Tensor) -> Scattering:
     """The law of scattering that the header states, with these parameters."""
     stated = [line.removeprefix(_LAW) for line in comments if line.startswith(_LAW)]
     if len(stated) != 1:
-        raise SarsplatError(f"{path} does not state one law of scattering in its header; make it again")
+        raise SarsplatError(f"{path} does not give exactly one scattering law in its header; create it again")
     law = decode_json(stated[0].encode(), Path(f"the header of {path}"), dict[str, Any])
     if law.get("kind") not in SCATTERINGS:
-        raise SarsplatError(f"{path} states the scattering {shown(law)}; known are {', '.join(SCATTERINGS)}")
+        raise SarsplatError(
+            f"{path} has the unknown scattering law {shown(law)}; choose one of {', '.join(SCATTERINGS)}"
+        )
     try:
         return SCATTERINGS[law.pop("kind")](parameters, **law)
     except (TypeError, SarsplatError) as error:
-        raise SarsplatError(f"{path} states a scattering that is none ({shown(str(error))}); make it again") from error
+        raise SarsplatError(f"{path} has an invalid scattering law ({shown(str(error))}); create it again") from error
 
 
 def _as_harmonics(gaussians: Gaussians) -> Float[np.ndarray, "n k"]:

@@ -81,7 +81,7 @@ def read_ply(path: Path) -> tuple[dict[str, Float32[np.ndarray, " n"]], list[str
             raise SarsplatError(f"{path} is not a PLY file; give one made by `sarsplat export` or a 3DGS program")
         if not re.fullmatch(rb"[\n\t -~]*", head):
             raise SarsplatError(
-                f"{path} has a PLY header that is not plain ASCII text with LF line ends; make it again"
+                f"{path} has a PLY header that is not plain ASCII text with LF line ends; create it again"
             )
         vertices = _vertices(path, head.decode("ascii").split("\n")[1:], len(head) + len(end), size)
         file.seek(vertices.offset)
@@ -112,12 +112,12 @@ def _vertices(path: Path, header: list[str], offset: int, size: int) -> _Vertice
     if size != offset + sum(sizes):
         state = "is truncated" if size < offset + sum(sizes) else "is too long"
         raise SarsplatError(
-            f"{path} {state}: {size} bytes where its header asks for {offset + sum(sizes)}; make it again"
+            f"{path} {state}: {size} bytes where its header asks for {offset + sum(sizes)}; create it again"
         )
     place = names.index("vertex")
     _, count, properties = elements[place]
     if len({name for name, _ in properties}) < len(properties):
-        raise SarsplatError(f"{path} has two vertex properties of one name in its PLY header; make it again")
+        raise SarsplatError(f"{path} has two vertex properties with the same name in its PLY header; create it again")
     return _Vertices(offset + sum(sizes[:place]), count if properties else 0, np.dtype(properties), comments)
 
 
@@ -137,5 +137,5 @@ def _elements(path: Path, header: list[str]) -> list[tuple[str, int, list[tuple[
             case ["property", *_]:
                 raise SarsplatError(f"{path} has {shown(line)} in its header: it is a mesh, not points or Gaussians")
             case _:
-                raise SarsplatError(f"{path} has {shown(line)} in its PLY header, which is garbled; make it again")
+                raise SarsplatError(f"{path} has {shown(line)} in its PLY header, which is garbled; create it again")
     return elements

@@ -66,7 +66,7 @@ def read_power_tiff(path: Path, shape: tuple[int, int]) -> Float32[np.ndarray, "
         if not least <= size <= least + _LONGEST_HEADER:
             raise SarsplatError(
                 f"{path} has {size} bytes, too {'few' if size < least else 'many'} for {shape[0]} × {shape[1]} float32 "
-                "pixels; it is truncated, compressed or of another size: make the dataset again"
+                "pixels; it is truncated, compressed or of another size: create the dataset again"
             )
         file.seek(0)
         data = file.read()
@@ -76,7 +76,7 @@ def read_power_tiff(path: Path, shape: tuple[int, int]) -> Float32[np.ndarray, "
             found = (page.shape, page.dtype, page.compression, tiff.pages.is_multipage)
             power = page.asarray() if found == (shape, np.float32, tifffile.COMPRESSION.NONE, False) else None
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
-        raise SarsplatError(f"{path} is not a readable TIFF ({shown(str(error))}); make the dataset again") from error
+        raise SarsplatError(f"{path} is not a readable TIFF ({shown(str(error))}); create the dataset again") from error
     if power is None:
         raise SarsplatError(
             f"{path} holds {found[1]} pixels of shape {shown(found[0])}, compression {found[2]!r:.30}, on "

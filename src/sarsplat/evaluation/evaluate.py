@@ -109,7 +109,7 @@ def _points(run: EvaluatedRun, reasons: dict[str, str]) -> dict[str, dict[str, f
         surface = visible_surface(read_truth_mesh(dataset.truth_mesh), views)
         if len(views) == 1:
             name = run.path or "the run"
-            warn([f"{name} was made from one view, from which no shape can be told: its CD and F1 say nothing"])
+            warn([f"{name} was made from one view, which cannot determine the shape, so its CD and F1 mean nothing"])
         measured = {
             "visible": point_metrics(points, surface.triangles, surface.samples),
             "whole": point_metrics(points, surface.all_triangles, surface.samples_whole),

@@ -209,9 +209,7 @@ def compute_all(
 
 def _lpips(pair: ImagePair) -> float:
     if pair.network is None:
-        raise UndefinedScore(
-            f"no LPIPS weights: pass their folder with --lpips-weights or name it in {lpips.WEIGHTS_VARIABLE}"
-        )
+        raise UndefinedScore(f"no LPIPS weights: give their folder with --lpips-weights or in {lpips.WEIGHTS_VARIABLE}")
     return lpips.lpips(pair.truth, pair.rendered, pair.reference_amplitude, pair.network)
 
 

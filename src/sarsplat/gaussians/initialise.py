@@ -87,8 +87,8 @@ def bounded_region(
     corners = [linprog(sign * axis, a, b, bounds=[(-reach, reach)] * 3) for axis in np.eye(3) for sign in (1, -1)]
     if not all(corner.success for corner in corners):
         raise SarsplatError(
-            "no space is left that could explain the bright pixels of all views; check the azimuths' sense and the "
-            "image orientation (row 0 = near range), or start from --init hemisphere"
+            "no region of space could explain the bright pixels of all views; check the sense of the azimuths and the "
+            "image orientation (row 0 = near range), or use --initialisation hemisphere"
         )
     extremes = np.array([corner.fun for corner in corners]).reshape(3, 2)
     return Region(a, b, extremes[:, 0], -extremes[:, 1])

@@ -54,12 +54,12 @@ class ImageGrid:
 
     def __post_init__(self) -> None:
         if not isinstance(self.rows, int) or not isinstance(self.columns, int):
-            raise SarsplatError(f"an image of {self.rows} × {self.columns} pixels cannot be; give whole numbers")
+            raise SarsplatError(f"an image of {self.rows} × {self.columns} pixels is not possible; give whole numbers")
         if self.rows < 1 or self.columns < 1:
             raise SarsplatError(f"an image of {self.rows} × {self.columns} pixels is empty; give at least 1 × 1")
         if max(self.rows, self.columns) > _MOST_PIXELS:
             raise SarsplatError(
-                f"an image of {self.rows} × {self.columns} pixels is too large; give at most {_MOST_PIXELS} a side"
+                f"an image of {self.rows} × {self.columns} pixels is too large; give at most {_MOST_PIXELS} per side"
             )
         _pair("image centre", self.center_m)
         if not all(isinstance(value, Real) and abs(value) <= _MOST_LENGTH for value in self.center_m):

@@ -44,12 +44,12 @@ class View:
             object.__setattr__(self, field, float(value))  # numpy's numbers do not fit into JSON
         if not abs(self.azimuth_deg) <= _MOST_AZIMUTH:  # also catches NaN; of 1e308° nobody knows the direction
             raise SarsplatError(
-                f"azimuth {self.azimuth_deg} is not a number of degrees within ±{_MOST_AZIMUTH}; "
+                f"azimuth {self.azimuth_deg} is not a number of degrees between ±{_MOST_AZIMUTH}; "
                 "give degrees, such as 0 to 360"
             )
         if not 0.0 < self.grazing_deg < 90.0:  # also catches NaN
             raise SarsplatError(
-                f"grazing angle {self.grazing_deg}° lies outside (0°, 90°); "
+                f"grazing angle {self.grazing_deg}° is outside (0°, 90°); "
                 "give degrees above the horizon (grazing = 90° − incidence)"
             )
 

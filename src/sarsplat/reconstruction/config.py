@@ -44,9 +44,9 @@ class Rates(Record):
     log_optical_depth : float
         Logarithms of the optical depths.
     scattering : float
-        What scatters the same in all directions.
+        Isotropic part of the scattering.
     directional_scattering : float
-        What scatters differently in different directions.
+        Directional part of the scattering.
     nuisance : float
         Ground, noise floor, shifts (m) and logarithms of the gains of measured chips.
     """
@@ -65,7 +65,7 @@ class Rates(Record):
 
 @dataclass(frozen=True)
 class Densification(Record):
-    """Density control of 3D Gaussian splatting: Gaussians are split, cloned and pruned; the paper's thresholds.
+    """Density control of 3D Gaussian splatting (splitting, cloning, pruning) with the paper's thresholds.
 
     Parameters
     ----------
@@ -76,15 +76,15 @@ class Densification(Record):
     every : int
         Iterations between two rounds.
     gradient : float
-        Gaussians with a larger mean |∂L/∂μ| on the planes grow; per half image width (normalised device coordinates).
+        Gaussians with a larger mean |∂L/∂μ| on the planes, per half image width, are split or cloned.
     split_above_m : float
-        A larger Gaussian that grows is split, a smaller one cloned, m.
+        Larger Gaussians are split, smaller ones cloned, m.
     max_extent : float
-        Larger Gaussians are pruned; as a share of the illuminated range.
+        Larger Gaussians are pruned, as a fraction of the illuminated range.
     min_scattering : float
         Gaussians with a smaller P·(1 − e^−κ) are pruned.
     max_gaussians : int
-        Never more Gaussians than this.
+        Maximum number of Gaussians.
     """
 
     _section: ClassVar[str] = "densification."
@@ -101,26 +101,26 @@ class Densification(Record):
 
 @dataclass(frozen=True)
 class PointExtraction(Record):
-    """How a point cloud is drawn from the Gaussians.
+    """How a point cloud is extracted from the Gaussians.
 
     Parameters
     ----------
     method : str
-        "rays": where rays of the training views return; "centres": centres of Gaussians.
+        "rays": first returns of the training views' rays; "centres": centres of the Gaussians.
     optical_depth : float
-        Two-way depth at which a ray has returned ("rays"), or smallest κ of a centre ("centres").
+        Two-way optical depth of a first return ("rays"), or smallest κ of a Gaussian ("centres").
     voxel_m : float
-        One point in each voxel of this side, m.
+        Keep one point in each voxel of this side, m.
     min_height_m : float
-        Lower points are taken for the ground and left out, m.
+        Lower points are treated as ground and removed, m.
     seen_through : int
-        A point is dropped when this many views have their return behind it ("rays") …
+        Remove a point if this many views have their first return behind it ("rays") …
     behind_m : float
-        … by more than this, m.
+        … by more than this distance, m.
     cluster_radius_m : float or None
-        Only the largest cluster (DBSCAN with this ε, m) is kept; None: all of them.
+        Keep only the largest cluster (DBSCAN with this ε, m); None: keep all points.
     cluster_size : int
-        Neighbours that a point inside a cluster has at least.
+        Minimum number of neighbours of a point inside a cluster.
     """
 
     _section: ClassVar[str] = "points."
@@ -137,14 +137,14 @@ class PointExtraction(Record):
 
 @dataclass(frozen=True)
 class Surroundings(Record):
-    """What images of a target on the ground hold besides it: ground, noise floor, shift and gain of each chip.
+    """What else is modelled in images of a target on the ground: ground, noise floor, shift and gain of each chip.
 
     Parameters
     ----------
     noise_floor : float
-        Additive power at the start, in units of the training mean, as `p_min` and every γ⁰.
+        Additive power at the start, in units of the training mean, like `p_min` and every γ⁰.
     deviation_penalty : float
-        Nats per pixel, per m² of shift and squared logarithm of the gain.
+        Penalty on shift and gain: nats per pixel, per m² of shift and per squared logarithm of the gain.
     """
 
     _section: ClassVar[str] = "surroundings."
@@ -160,23 +160,23 @@ class Config(Record):
     Parameters
     ----------
     preset : str
-        Name of the preset these settings began as; decides nothing.
+        Name of the preset these settings were derived from; for information only.
     iterations : int
         Training steps.
     views_per_step : int
-        Images compared in one step.
+        Images used in one step.
     gaussians : int
         Gaussians at the start.
     initialisation : str
-        Start in the box that the images bound ("box"), or on the paper's hemisphere ("hemisphere").
+        Start inside the box derived from the images ("box"), or on the paper's hemisphere ("hemisphere").
     loss : str
         "amplitude": L1 and SSIM of amplitudes; "speckle": likelihood of single-look speckle; or another of `LOSSES`.
     ssim_weight : float
-        Share of SSIM in the loss on amplitudes.
+        Weight of SSIM in the loss on amplitudes; L1 has the rest.
     scattering : str
-        Law of scattering: "harmonics" or "normal-lobes".
+        Scattering law: "harmonics" or "normal-lobes".
     p_min : float
-        Smallest γ⁰ that a Gaussian may have.
+        Smallest γ⁰ of a Gaussian.
     initial_scale_m : float
         Standard deviation of a Gaussian at the start, m.
     initial_optical_depth : float
@@ -184,32 +184,32 @@ class Config(Record):
     initial_scattering : float
         γ⁰ of a Gaussian at the start.
     scale_bounds_m : tuple of float
-        Smallest and largest standard deviation that a Gaussian may have, m.
+        Smallest and largest standard deviation of a Gaussian, m.
     max_optical_depth : float
-        Largest two-way peak optical depth that a Gaussian may have.
+        Largest two-way peak optical depth of a Gaussian.
     harmonics_degree : int
         Highest degree of the spherical harmonics.
     harmonics_every : int
-        Iterations after which the next degree joins in.
+        Iterations after which the next degree is added.
     rays_per_pixel : float
-        Rays per pixel spacing: accuracy of the images, and time.
+        Rays per pixel spacing; more are more accurate and slower.
     rates : Rates
         Learning rates.
     points : PointExtraction
-        How the point cloud is drawn.
+        How the point cloud is extracted.
     densification : Densification or None
-        Density control; None: the number of Gaussians stays.
+        Density control; None: the number of Gaussians is fixed.
     surroundings : Surroundings or None
-        Ground and noise; None: images of nothing but the target.
+        Ground and noise; None: the images show only the target.
     checkpoint_every : int
         Iterations between two checkpoints.
     seed : int
-        Seed of everything random.
+        Random seed.
 
     Raises
     ------
     SarsplatError
-        If a value is of another type, or outside its range.
+        If a value has the wrong type or is outside its range.
     """
 
     preset: str = "default"
@@ -246,7 +246,7 @@ _MAY_CHANGE = ("iterations", "checkpoint_every")
 
 
 def refuse_other_settings(run: Path, begun: Config, wanted: Config) -> None:
-    """Let a run go on with the settings it was begun with only; how long it goes on may change.
+    """Refuse to resume a run with settings other than its own; only how long it trains may change.
 
     Raises
     ------
@@ -256,6 +256,6 @@ def refuse_other_settings(run: Path, begun: Config, wanted: Config) -> None:
     for name, before, after in begun.changes(wanted):
         if name not in _MAY_CHANGE:
             raise SarsplatError(
-                f"{run} was begun with {name} {shown(before)}, not {shown(after)}; resume it with the same settings, "
-                f"of which only {' and '.join(_MAY_CHANGE)} may change"
+                f"{run} was started with {name} {shown(before)}, not {shown(after)}; resume it with the same settings, "
+                f"except {' and '.join(_MAY_CHANGE)}, which may change"
             )

@@ -68,7 +68,7 @@ def amplitude_loss(
     if ssim_weight > 0 and min(power.shape[1:]) < SSIM_WINDOW:
         raise SarsplatError(
             f"SSIM needs images of at least {SSIM_WINDOW} × {SSIM_WINDOW} pixels, and these have "
-            f"{power.shape[1]} × {power.shape[2]}; take larger ones or a preset without SSIM"
+            f"{power.shape[1]} × {power.shape[2]}; use larger ones or a preset without SSIM"
         )
     if fused.takes((power, truth)):
         return fused.AmplitudeLoss.apply(power, truth, _WINDOW.float(), reference, FLOOR, ssim_weight, C1, C2)

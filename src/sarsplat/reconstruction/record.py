@@ -86,7 +86,7 @@ def _choices(hint: Any) -> tuple[Any, ...]:
 
 def _read(data: object, record: type[R]) -> R:
     if not isinstance(data, dict):
-        raise SarsplatError(f"{shown(data)} is no record of settings; give an object with {', '.join(_hints(record))}")
+        raise SarsplatError(f"{shown(data)} is not a set of settings; give an object with {', '.join(_hints(record))}")
     hints, section = _hints(record), record._section
     if unknown := next((name for name in data if name not in hints), None):
         near = get_close_matches(str(unknown), hints, 1)
@@ -114,4 +114,4 @@ def _allowed(hint: Any) -> str:
         return f"{len(get_args(hint))} values, each {_allowed(get_args(hint)[0])}"
     if len(_choices(hint)) > 1:
         return " or ".join("nothing" if choice is type(None) else _allowed(choice) for choice in _choices(hint))
-    return "a text" if hint is str else f"a record of {', '.join(_hints(hint))}"
+    return "text" if hint is str else f"an object with {', '.join(_hints(hint))}"

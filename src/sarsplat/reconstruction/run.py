@@ -206,7 +206,7 @@ class Run:
             raise SarsplatError(f"{self.path} was made from images in memory, which are gone; reconstruct a dataset")
         if not self.dataset_path.exists():
             raise SarsplatError(
-                f"{self.path} needs the dataset it was made from, which is no longer at {self.dataset_path}; "
+                f"{self.path} needs its dataset, which is no longer at {self.dataset_path}; "
                 f"say where it is with `sarsplat reconstruct DATASET --out {self.path} --resume`"
             )
         dataset = read_dataset(self.dataset_path)
@@ -272,7 +272,7 @@ class Run:
             If it is in memory only.
         """
         if self.path is None:
-            raise SarsplatError("this run is in memory and has no folder; give reconstruct() an `out`")
+            raise SarsplatError("this run is in memory and has no folder; pass `out` to reconstruct()")
         return self.path
 
     @property
@@ -297,7 +297,7 @@ class Run:
         with open_file(path) as file:
             data = file.read(_LONGEST_LOG + 1)
         if len(data) > _LONGEST_LOG:
-            raise SarsplatError(f"{path} is longer than {_LONGEST_LOG} bytes, which no training writes; remove it")
+            raise SarsplatError(f"{path} is longer than {_LONGEST_LOG} bytes, which no training produces; remove it")
         history: list[LogLine] = []
         for line in data.splitlines():
             try:
@@ -335,4 +335,4 @@ def require_replaceable(out: Path) -> None:
     if header.is_file():
         data = read_json(header, dict[str, Any])
         if data.get("schema") != SCHEMA:
-            raise SarsplatError(f"{header} is not the header of a run, so it is not ours to replace; give another name")
+            raise SarsplatError(f"{header} is not the header of a run, so it will not be replaced; choose another name")

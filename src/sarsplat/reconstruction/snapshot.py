@@ -121,7 +121,7 @@ class Snapshot:
             )
         except (msgspec.ValidationError, SarsplatError) as error:
             raise SarsplatError(
-                f"{path} does not say how far the training was ({shown(str(error))}); "
+                f"{path} does not record how far the training had got ({shown(str(error))}); "
                 "reconstruct it again with --overwrite"
             ) from error
 

@@ -90,8 +90,8 @@ def reconstruct(
         Show no progress.
     resume : bool
         Go on from the newest checkpoint in `out`, exactly as if the training had never stopped. The settings must be
-        those the run was begun with, but `iterations` and `checkpoint_every` may change: more iterations extend a run,
-        also a finished one.
+        those the run was started with, except `iterations` and `checkpoint_every`: more iterations extend a run, even
+        a finished one.
     overwrite : bool
         Replace an existing run.
 
@@ -105,7 +105,7 @@ def reconstruct(
     ------
     SarsplatError
         If `out` exists (to resume: does not), another process is writing it, or dataset or configuration are not those
-        the run was begun with.
+        the run was started with.
     """
     dataset = dataset if isinstance(dataset, Dataset) else read_dataset(Path(dataset))
     config = fitting(preset, dataset)
@@ -117,7 +117,7 @@ def reconstruct(
         training = _Training(trainer, on_step, shown)
         if out is None:
             if resume or overwrite:
-                raise SarsplatError("a run in memory can be neither resumed nor overwritten; give `out` a folder")
+                raise SarsplatError("a run in memory can be neither resumed nor overwritten; pass a folder as `out`")
             training.go_on_to(config.iterations)
             held = InMemory(dataset, trainer.snapshot(training.seconds), tuple(training.history))
             return Run(config, dataset.fingerprint(), memory=held)
@@ -184,16 +184,20 @@ class _Training:
         while trainer.iteration < iterations:
             self.between_steps = False
             loss = trainer.step()
-            self.between_steps = True
             losses.append(loss)
-            if trainer.iteration % every == 0 or trainer.iteration == config.iterations:
+            logs = trainer.iteration % every == 0 or trainer.iteration == config.iterations
+            saves = save is not None and trainer.iteration % config.checkpoint_every == 0
+            if logs or saves:
+                trainer.check()  # as a part of the step: what is wrong is not saved
+            self.between_steps = True
+            if logs:
                 line = self._line(losses)
                 losses = []
                 self.history.append(line)
                 self._shown.update(line.iteration, f"loss {line.loss:.3g}  {line.gaussians} Gaussians")
                 if log is not None:
                     log(line)
-            if save is not None and trainer.iteration % config.checkpoint_every == 0:
+            if save is not None and saves:
                 save()
             if self._on_step is not None:
                 self._on_step(Step(trainer.iteration, loss, trainer))
@@ -202,8 +206,8 @@ class _Training:
         loss = sum(torch.stack(losses).tolist()) / len(losses)  # one wait for the device
         if not math.isfinite(loss):
             raise SarsplatError(
-                f"the loss became {loss} at iteration {self.trainer.iteration}; lower the rates (checkpoints are from "
-                "before)"
+                f"the loss became {loss} at iteration {self.trainer.iteration}; lower the learning rates (the last "
+                "checkpoint is from before)"
             )
         return LogLine(self.trainer.iteration, round(self.seconds, 3), loss, len(self.trainer.model))
 
@@ -250,12 +254,14 @@ def _take_up(training: _Training, run: Run, dataset: Dataset) -> None:
     """Bring the training to a run's newest checkpoint."""
     config = training.trainer.config
     if run.fingerprint != dataset.fingerprint():
-        raise SarsplatError(f"{run.path} was begun with another dataset ({run.dataset_path}); resume it with that one")
+        raise SarsplatError(
+            f"{run.path} was started with another dataset ({run.dataset_path}); resume it with that one"
+        )
     refuse_other_settings(run.folder, run.config, config)
     if run.checkpoint_path is not None and run.iteration > config.iterations:
         raise SarsplatError(
-            f"{run.path} has done {run.iteration} iterations already, more than {config.iterations}; resume it with as "
-            "many or more"
+            f"{run.path} has already done {run.iteration} iterations, more than {config.iterations}; resume it with at "
+            f"least {run.iteration}"
         )
     run = run.taken_up(dataset, config)
     if run.checkpoint_path is not None:
@@ -264,7 +270,7 @@ def _take_up(training: _Training, run: Run, dataset: Dataset) -> None:
             training.start_from(snapshot, run.history)
         except (KeyError, TypeError, ValueError, RuntimeError, OverflowError) as error:
             raise SarsplatError(
-                f"{run.checkpoint_path} does not fit this version ({error}); start again with --overwrite"
+                f"{run.checkpoint_path} does not match this version ({error}); start again with --overwrite"
             ) from error
     if training.trainer.iteration < config.iterations:
         run.remove_results()

@@ -71,7 +71,7 @@ def check_shapes(
         raise SarsplatError("there are no views to render; give at least one View")
     for name, tensor in {"means": gaussians.means, "gamma0": gamma0, "shift": shift, "gain": gain}.items():
         if tensor is not None and tensor.is_meta:
-            raise SarsplatError(f"{name} lies on torch's meta device, which holds no values; make it on the CPU")
+            raise SarsplatError(f"{name} is on torch's meta device, which holds no values; make it on the CPU")
     expected = {
         "gamma0": (gamma0, (len(views), len(gaussians))),
         "shift": (shift, (len(views), 2)),
@@ -108,7 +108,7 @@ def check_for_cpu(grid: ImageGrid | None, tensors: dict[str, Tensor | None]) -> 
     if grid is not None and max(grid.rows, grid.columns) > _MOST_PIXELS:
         raise SarsplatError(
             f"an image of {grid.rows} × {grid.columns} pixels is too large for the CPU engine; "
-            f"render parts of at most {_MOST_PIXELS} pixels a side by moving the grid's center"
+            f"render parts of at most {_MOST_PIXELS} pixels per side by moving the grid's center"
         )
     for name, tensor in tensors.items():
         if tensor is not None and (tensor.dtype != torch.float32 or tensor.device.type != "cpu"):
@@ -135,7 +135,9 @@ def check_for_cuda(tensors: dict[str, Tensor | None]) -> int:
 def check_for_reference(name: str, dtype: torch.dtype) -> None:
     """What the reference does not take."""
     if dtype not in (torch.float32, torch.float64):
-        raise SarsplatError(f"{name} is {dtype}, too coarse for the reference; use torch.float64 or torch.float32")
+        raise SarsplatError(
+            f"{name} is {dtype}, not precise enough for the reference; use torch.float64 or torch.float32"
+        )
 
 
 def check_values(tensors: dict[str, Tensor | None]) -> None:

@@ -36,7 +36,7 @@ _FOOTPRINTS = ("centers", "roots", "optical_depth", "range_m", "tilt", "amplitud
 FAULTS = ("", *_INPUTS, "lattice", "memory", *_FOOTPRINTS)
 """What a pass can reject, by status code."""
 
-_NO_MEMORY = "the memory of this machine does not suffice for the rendering; take fewer views at a time or coarser rays"
+_NO_MEMORY = "there is not enough memory for the rendering; render fewer views at a time or use coarser rays"
 
 
 @cache
@@ -125,7 +125,7 @@ class Pass:
         self._library = library()
         if self._isa > self._library.sg_best_isa():
             raise SarsplatError(
-                f"instruction_set {instruction_set!r} is more than this processor has; use 'auto' or at most "
+                f"instruction_set {instruction_set!r} is not supported by this processor; use 'auto' or at most "
                 f"{best_instruction_set()!r}"
             )
         idle = self._idle.setdefault(self._isa, [])

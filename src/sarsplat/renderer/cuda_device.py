@@ -60,7 +60,7 @@ class Device:
             text = c_char_p()
             self._driver.cuGetErrorString(status, byref(text))
             raise SarsplatError(
-                f"the CUDA driver fails with error {status} ({(text.value or b'unknown').decode()}); "
+                f"the CUDA driver failed with error {status} ({(text.value or b'unknown').decode()}); "
                 "restart the program, update the driver, or use the CPU"
             )
 

@@ -159,7 +159,7 @@ class Nvrtc:
 
     def _check(self, status: int) -> None:
         if status:
-            raise SarsplatError(f"NVRTC fails ({self._reason(status)}); {_REMEDY}")
+            raise SarsplatError(f"NVRTC failed ({self._reason(status)}); {_REMEDY}")
 
 
 def _candidates() -> list[Path]:

@@ -169,7 +169,7 @@ def _attenuate_view(
     if not pairs <= _MOST_PAIRS:  # also catches what overflowed
         raise SarsplatError(
             f"the reference would need too many rays at a spacing of {rays.spacing_m} m: {pairs:.3g} pairs of "
-            f"Gaussians and rays, of which it takes {_MOST_PAIRS:.3g}; remove far and wide Gaussians, take coarser "
+            f"Gaussians and rays, where {_MOST_PAIRS:.3g} is the limit; remove distant or wide Gaussians, use coarser "
             "rays, or use engine='cpu'"
         )
     x = (torch.arange(low[0], high[0], dtype=kappa.dtype) + 0.5).to(spacing.device) * spacing[0]

@@ -174,7 +174,7 @@ def saved_inputs(ctx: Any) -> list[Any]:
     for name, tensor, shape in zip(ctx.names, inputs, ctx.shapes, strict=True):
         if tensor is not None and tensor.shape != shape:
             raise SarsplatError(
-                f"{name} were {tuple(shape)} when they were rendered and are {tuple(tensor.shape)} now; do not "
+                f"{name} had shape {tuple(shape)} when rendered and now have shape {tuple(tensor.shape)};  do not "
                 "replace the data of tensors between rendering and backward"
             )
     return inputs
@@ -273,7 +273,7 @@ def too_many_rays(view: int, rays: RayGrid, reach_m: float, width_m: float) -> s
     """The sentence for a lattice that would be too large."""
     return (
         f"view {view} would need too many rays at a spacing of {rays.spacing_m} m: the Gaussians reach {reach_m:.4g} m "
-        f"from the scene centre and are up to {width_m:.4g} m wide; remove far and wide ones or take coarser rays"
+        f"from the scene centre and are up to {width_m:.4g} m wide; remove distant or wide ones, or use coarser rays"
     )
 
 

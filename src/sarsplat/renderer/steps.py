@@ -202,6 +202,6 @@ def splat(
 
 def _check_batch(name: str, tensor: Tensor) -> None:
     if tensor.is_meta:
-        raise SarsplatError(f"{name} lies on torch's meta device, which holds no values; make it on the CPU")
+        raise SarsplatError(f"{name} is on torch's meta device, which holds no values; make it on the CPU")
     if tensor.shape[0] < 1:
-        raise SarsplatError(f"{name} has shape {tuple(tensor.shape)}, which is no view; give at least one")
+        raise SarsplatError(f"{name} has shape {tuple(tensor.shape)}, which has no views; give at least one")

@@ -54,7 +54,7 @@ def write_report(run: Run) -> Path:
             html = page(run, pictures, training)
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise SarsplatError(
-                f"{run.folder / 'metrics.json'} does not hold all scores ({error!r}); write it again with "
+                f"{run.folder / 'metrics.json'} does not contain all scores ({error!r}); write it again with "
                 f"`sarsplat evaluate {run.path}`"
             ) from error
         write_bytes(folder / "index.html", html.encode())
@@ -71,7 +71,7 @@ def refuse_linked_report(run: Path) -> None:
     """
     folder = run / _FOLDER
     if folder.is_symlink():
-        raise SarsplatError(f"{folder} is a link, but a report is written inside its run only; remove the link")
+        raise SarsplatError(f"{folder} is a link, but a report is only written inside its run; remove the link")
 
 
 def _views(run: Run) -> Picture:

@@ -88,7 +88,7 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     if len(faces) == 0:
         raise SarsplatError(f"'{path}' holds no faces, only {len(vertices)} vertices; give a triangle mesh")
     if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or faces.min() < 0 or faces.max() >= len(vertices):
-        raise SarsplatError(f"'{path}' has faces whose vertices are not there; repair the mesh")
+        raise SarsplatError(f"'{path}' has faces that refer to missing vertices; repair the mesh")
     if (far := np.abs(vertices[np.isfinite(vertices)])).size and far.max() > _FARTHEST:
         raise SarsplatError(f"'{path}' has a vertex {far.max():.3g} m from the origin; repair it or scale it to metres")
     return mesh
@@ -107,14 +107,14 @@ def _plain_text(path: Path, kind: str, data: bytes) -> bytes:
     if kind == ".stl" and b"\0" in data:
         faces = int.from_bytes(data[80:84], "little")
         raise SarsplatError(
-            f"'{path}' says that it has {faces} faces, {84 + 50 * faces} bytes, but has {len(data)}; export it again"
+            f"'{path}' declares {faces} faces ({84 + 50 * faces} bytes) but has {len(data)} bytes; export it again"
         )
     data = data.decode("utf-8", "replace").encode()
     if kind == ".stl" and (solids := data.lower().count(b"endsolid")) > _MOST_SOLIDS:
         raise SarsplatError(f"'{path}' holds {solids} solids, each a mesh; export it as one plain mesh")
     if kind == ".obj":
         if re.search(rb"^f[^\n]*[ \t]-", data, flags=re.MULTILINE):
-            raise SarsplatError(f"'{path}' counts the vertices of its faces backwards; export it with absolute numbers")
+            raise SarsplatError(f"'{path}' uses relative vertex numbers in its faces; export it with absolute ones")
         return data.replace(b"usemtl", b"#")  # each change of material would be a mesh, for milliseconds
     if kind == ".off":
         return re.sub(rb"(?:[\n-\r\x1c-\x1e]|#[^\n]*)(?:[\s\x1c-\x1e]+|#[^\n]*)*+", b"\n", data)
@@ -138,7 +138,7 @@ def _check_glb(path: Path, data: bytes) -> None:
         raise SarsplatError(f"'{path}' has a garbled scene ({repr(error)[:200]}); export it again") from error
     if numbers > 2 * len(data) + _FREE_NUMBERS or parts > _MOST_PARTS:
         raise SarsplatError(
-            f"'{path}' unfolds {len(data)} bytes to {numbers} numbers in {parts} parts; export it as one plain mesh"
+            f"'{path}' expands {len(data)} bytes to {numbers} numbers in {parts} parts; export it as one plain mesh"
         )
 
 
@@ -164,5 +164,5 @@ def _unfolded(scene: dict[str, Any]) -> tuple[int, int]:
 
 def _natural(value: object) -> int:
     if not isinstance(value, int) or value < 0:
-        raise ValueError(f"{value!r:.40} is no count")
+        raise ValueError(f"{value!r:.40} is not a count")
     return value

@@ -162,8 +162,8 @@ def _first_hits(
     rays = (x_range[1] - x_range[0]) * (upper[1] - lower[1]) / spacing**2
     if rays > _MOST_RAYS:
         raise SarsplatError(
-            f"the mesh spans {upper[1] - lower[1]:.4g} m of elevation, which takes {rays:.2g} rays {spacing} m apart; "
-            "is it in millimetres? Scale it to metres, or take a smaller one"
+            f"the mesh spans {upper[1] - lower[1]:.4g} m of elevation, which needs {rays:.2g} rays {spacing} m apart; "
+            "if it is in millimetres, scale it to metres; otherwise use a smaller one"
         )
     z_start = lower[2] - center[2] - max(1.0, spacing)
     for position in _lattice(x_range, (lower[1], upper[1]), spacing, offset):

@@ -66,8 +66,8 @@ def surface_gaussians(
     fewest = mesh.area / (size**2 / 4)
     if fewest > _MOST_GAUSSIANS:
         raise SarsplatError(
-            f"the mesh has a surface of {mesh.area:.2g} m², which takes {fewest:.2g} Gaussians or more; "
-            "is it in millimetres? Scale it to metres, or take a smaller one"
+            f"the mesh has a surface of {mesh.area:.2g} m², which needs at least {fewest:.2g} Gaussians; "
+            "if it is in millimetres, scale it to metres; otherwise use a smaller one"
         )
     pieces, faces = _bisected(np.asarray(mesh.triangles, dtype=np.float64), size)
     centers = pieces.mean(axis=1)
