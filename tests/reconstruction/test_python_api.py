@@ -69,6 +69,14 @@ def test_every_step_is_told(dataset: Dataset, short: Config) -> None:
     assert torch.equal(told[-1].trainer.gaussians.means, run.gaussians.means)
 
 
+def test_a_watcher_ends_the_training_and_has_a_run(dataset: Dataset, short: Config, tmp_path: Path) -> None:
+    for out in (None, tmp_path / "run"):
+        run = reconstruct(dataset, short, out, on_step=lambda step: step.iteration == 3, quiet=True)
+        assert run.iteration == 3
+        assert len(run.gaussians) == short.gaussians
+    assert reconstruct(dataset, out=tmp_path / "run", resume=True, quiet=True).iteration == short.iterations
+
+
 def test_a_watcher_stops_between_two_steps_and_nothing_is_lost(dataset: Dataset, short: Config, tmp_path: Path) -> None:
     def enough(step: Step) -> None:
         if step.iteration == 5:
