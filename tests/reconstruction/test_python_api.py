@@ -194,3 +194,15 @@ def test_images_of_a_folder_that_is_none(tmp_path: Path) -> None:
         reconstruct(tmp_path / "nowhere")
     with pytest.raises(SarsplatError, match="does not exist; make one"):
         read_dataset(str(tmp_path / "nowhere"))
+
+
+def test_a_loss_that_is_no_number_any_more_is_not_saved(dataset: Dataset, short: Config, tmp_path: Path) -> None:
+    def breaks(rendered: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+        calls.append(1)
+        loss = (rendered - truth).square().mean()
+        return loss * float("nan") if len(calls) == 6 else loss
+
+    calls: list[int] = []
+    with pytest.raises(SarsplatError, match="the loss became nan at iteration 6"):
+        reconstruct(dataset, short, tmp_path / "run", loss=breaks, quiet=True)
+    assert Run.load(tmp_path / "run").iteration == 4

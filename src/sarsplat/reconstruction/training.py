@@ -191,9 +191,9 @@ class _Training:
             saves = save is not None and trainer.iteration % config.checkpoint_every == 0
             if logs or saves:
                 trainer.check()  # as a part of the step: what is wrong is not saved
+            line = self._line(losses) if logs else None
             self.between_steps = True
-            if logs:
-                line = self._line(losses)
+            if line is not None:
                 losses = []
                 self.history.append(line)
                 self._shown.update(line.iteration, f"loss {line.loss:.3g}  {line.gaussians} Gaussians")
