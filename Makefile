@@ -34,7 +34,7 @@ demo: setup
 	  $(BIN)/sarsplat evaluate $(DEMO)/run)
 
 test: setup
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
 
 test-slow: setup
 	$(BIN)/python -m pytest -m slow

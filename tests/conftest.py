@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 # before torch is loaded: threads that spin while they wait stall everyone on a shared machine
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -18,6 +19,18 @@ shapes.watch()
 # `make sanitize` runs the renderer's tests on an engine of its own making
 if (engine := os.environ.get("SARSPLAT_TEST_ENGINE")) is not None:
     cpu.LIBRARY = Path(engine)
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """One of several processes tells the first what it counted."""
+    if (output := getattr(session.config, "workeroutput", None)) is not None:
+        output["shapes"] = dict(shapes.EXECUTED)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any, error: object) -> None:
+    """The first process adds it up."""
+    shapes.EXECUTED.update(getattr(node, "workeroutput", {}).get("shapes", {}))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

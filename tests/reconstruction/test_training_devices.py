@@ -14,9 +14,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from sarsplat import Dataset, ImageGrid, Run, View, preset
+from sarsplat import Dataset, ImageGrid, Run, View, preset, reconstruct
+from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
-from sarsplat.reconstruction import Config, Trainer, extract_points, fused, model, points
+from sarsplat.reconstruction import Config, Step, Trainer, extract_points, fused, model, points
 from sarsplat.reconstruction.config import Densification
 from sarsplat.renderer import Rendering
 
@@ -122,7 +123,7 @@ def test_the_cuda_engines_source_learns_as_the_cpus(
     monkeypatch.setattr(model, "render", partial(render_on, Emulator(library)))
     monkeypatch.setattr(fused, "takes", lambda tensors: False)
     found, other = train(dataset, CONFIGS[name], steps)
-    assert torch.allclose(found, expected, rtol=1e-3)
+    assert torch.allclose(found, expected, rtol=1e-3, atol=2e-4 * float(expected.abs().max()))  # some cross zero
     assert len(other.model) == len(usual.model)
     if name == "density":
         assert len(usual.model) != 200
@@ -131,10 +132,10 @@ def test_the_cuda_engines_source_learns_as_the_cpus(
 
 
 @pytest.mark.parametrize("name", CONFIGS)
-def test_a_step_waits_for_the_device_twice(
+def test_a_step_of_the_cuda_engine_never_looks_at_a_number(
     name: str, dataset: Dataset, library: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """For where the rays stand, and how many places the tiles need: on a GPU each look at a number is such a wait."""
+    """On a GPU each look is a wait for the device; the model's bounds say what would have to be asked."""
     looks = []
 
     def counted(method: str) -> Callable[..., Any]:
@@ -153,7 +154,25 @@ def test_a_step_waits_for_the_device_twice(
     for method in ("tolist", "item", "numpy", "cpu", "nonzero", "__bool__", "__float__", "__int__", "__index__"):
         monkeypatch.setattr(Tensor, method, counted(method))
     trainer.step()
-    assert looks == ["tolist", "tolist"]
+    assert looks == []
+    trainer.check()
+    assert looks == ["__int__"]
+
+
+def test_what_goes_wrong_is_told_when_the_log_is_written_and_never_saved(
+    dataset: Dataset, library: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(model, "render", partial(render_on, Emulator(library)))
+    monkeypatch.setattr(fused, "takes", lambda tensors: False)
+
+    def move_out(step: Step) -> None:
+        if step.iteration == 3:
+            step.trainer.model.parameters["means"].data[5, 0] = 500.0
+
+    # what is logged every step is told at once
+    with pytest.raises(SarsplatError, match="a Gaussian has left its bounds"):
+        reconstruct(dataset, replace(small(), checkpoint_every=2), tmp_path / "run", on_step=move_out, quiet=True)
+    assert Run.load(tmp_path / "run").iteration == 2
 
 
 @pytest.mark.parametrize("name", ["density", "measured"])

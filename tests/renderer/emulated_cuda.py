@@ -16,7 +16,7 @@ from torch import Tensor
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.renderer import Rendering, cuda, nvrtc
+from sarsplat.renderer import Bounds, Rendering, cuda, nvrtc
 from sarsplat.renderer.render_function import render_with
 
 HERE = Path(__file__).with_name("emulator")
@@ -79,14 +79,17 @@ def render_on(
     imaging_weight: str = "area",
     first_return_depth: float | None = None,
     plane_gradients: bool = False,
+    bounds: Bounds | None = None,
 ) -> Rendering:
     """`sarsplat.render` with engine="cuda", as this launcher runs it."""
+    rays = rays or RayGrid.for_image(grid)
+    capacity = None if bounds is None else bounds.capacity(len(gaussians), views, grid, rays)
     return render_with(
-        partial(cuda.Pass, launcher),
+        partial(cuda.Pass, launcher, capacity),
         gaussians,
         views,
         grid,
-        rays=rays or RayGrid.for_image(grid),
+        rays=rays,
         gamma0=gamma0,
         shift=shift,
         gain=gain,

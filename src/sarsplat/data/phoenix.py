@@ -32,7 +32,7 @@ class PhoenixChip:
 
     Parameters
     ----------
-    path : str or Path
+    path : Path
         The file, for error messages.
     header : dict of str to str
         Every `Key= value` of the header, stripped.

@@ -21,7 +21,7 @@ from sarsplat.gaussians.ground import ground_radius_m, ground_sheet
 from sarsplat.gaussians.initialise import Region, bounded_region, hemisphere_shell, random_quaternions
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruction.config import Config
-from sarsplat.renderer import Rendering, render
+from sarsplat.renderer import Bounds, Rendering, render
 from sarsplat.scenes.mesh_files import read_mesh
 
 PER_GAUSSIAN = ("means", "quaternions", "scales", "optical_depth", "scattering")
@@ -114,7 +114,7 @@ class SceneModel:
             name: tensor.detach().to(device, copy=True, memory_format=torch.contiguous_format).requires_grad_()
             for name, tensor in parameters.items()
         }
-        sheet = ground_sheet(setting.ground_radius_m, _GROUND_PITCH) if config.surroundings else None
+        sheet = _ground(config, setting)
         self._ground = None if sheet is None else sheet.to(self.device)
 
     @classmethod
@@ -185,11 +185,13 @@ class SceneModel:
         rays: RayGrid | None = None,
         chips: Int64[Tensor, " v"] | None = None,
         plane_gradients: bool = False,
+        bounds: Bounds | None = None,
     ) -> tuple[Float[Tensor, "v {grid.rows} {grid.columns}"], Rendering]:
         """Power images [V, rows, columns] with noise floor, and the rendering behind them.
 
         `chips` are the indices of training views, whose own shift and gain then apply. Of an unseen chip only the
         distribution of its shift is known: its expected image is seen through a response widened by that spread.
+        `bounds` are those of `render`.
         """
         p = self.parameters
         shift = gain = None
@@ -199,7 +201,9 @@ class SceneModel:
             # deviations from the mean chip: an unseen view is rendered as the mean one
             shift = (p["shift"] - p["shift"].mean(0))[chips]
             gain = torch.softmax(p["log_gain"], dim=0)[chips] * len(p["log_gain"])  # of mean 1
-        rendering = render(self.scene(degree), views, grid, rays=rays, shift=shift, plane_gradients=plane_gradients)
+        rendering = render(
+            self.scene(degree), views, grid, rays=rays, shift=shift, plane_gradients=plane_gradients, bounds=bounds
+        )
         images = rendering.images
         if gain is not None:  # not by `render`, which would look at its values, and a GPU would be waited for
             # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
@@ -227,25 +231,48 @@ class SceneModel:
     def bounds(self) -> dict[str, tuple[Tensor, Tensor]]:
         """Smallest and largest values of parameters that have any, by name; one number, or one for each column."""
         config = self.config
-        region = self.setting.region
-        low, high = (torch.from_numpy(corner).float().to(self.device) for corner in (region.low, region.high))
-        if config.initialisation == "hemisphere":  # the shell reaches beyond the region
-            half = (high - low).norm() / 2
-            centre = (low + high) / 2
-            low, high = torch.minimum(low, centre - half), torch.maximum(high, centre + half)
+        low, high = (corner.to(self.device) for corner in self._box())
         scales = torch.tensor(config.scale_bounds_m, device=self.device).clamp(min=MIN_SCALE)
         depths = torch.tensor([_MIN_OPTICAL_DEPTH, config.max_optical_depth], device=self.device)
         return {
-            "means": (low - _SLACK, high + _SLACK),
+            "means": (low, high),
             "scales": (scales[0], scales[1]),
             "optical_depth": (depths[0], depths[1]),
         }
+
+    def _box(self) -> tuple[Tensor, Tensor]:
+        """Corners [3] of where the target's centres may be, m, on the CPU."""
+        region = self.setting.region
+        low, high = (torch.from_numpy(corner).float() for corner in (region.low, region.high))
+        if self.config.initialisation == "hemisphere":  # the shell reaches beyond the region
+            half = (high - low).norm() / 2
+            centre = (low + high) / 2
+            low, high = torch.minimum(low, centre - half), torch.maximum(high, centre + half)
+        return low - _SLACK, high + _SLACK
+
+    def scene_bounds(self) -> Bounds:
+        """What target and ground keep as long as parameters are brought into `bounds`, and when training begins."""
+        config = self.config
+        low, high = self._box()
+        scale_m = max(*config.scale_bounds_m, config.initial_scale_m, MIN_SCALE)
+        optical_depth = max(config.max_optical_depth, config.initial_optical_depth)
+        if (ground := _ground(config, self.setting)) is not None:
+            low = torch.minimum(low, ground.means.amin(0))
+            high = torch.maximum(high, ground.means.amax(0))
+            scale_m = max(scale_m, float(ground.scales.max()))
+            optical_depth = max(optical_depth, float(ground.optical_depth.max()))
+        return Bounds((*low.tolist(),), (*high.tolist(),), scale_m, optical_depth, self.device)
 
     @torch.no_grad()
     def constrain(self) -> None:
         """Bring every parameter into its bounds."""
         for name, (low, high) in self.bounds.items():
             self.parameters[name].clamp_(low, high)
+
+
+def _ground(config: Config, setting: Setting) -> Gaussians | None:
+    """The ground, where there is one, on the CPU."""
+    return ground_sheet(setting.ground_radius_m, _GROUND_PITCH) if config.surroundings else None
 
 
 def _law(config: Config, count: int, gamma0: float) -> Scattering:

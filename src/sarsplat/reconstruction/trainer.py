@@ -60,6 +60,7 @@ class Trainer:
         self._rays = RayGrid.for_image(self.grid, config.rays_per_pixel)
         self._generator = torch.Generator().manual_seed(config.seed)
         self.model = SceneModel.initial(config, dataset, self._generator, self.device)
+        self._bounds = self.model.scene_bounds()  # which density control does not change
         self.optimiser = Optimiser(self.model.parameters, self.model.bounds, config)
         self.density = (
             DensityControl(config.densification, len(self.model), self.device) if config.densification else None
@@ -69,7 +70,10 @@ class Trainer:
         self._queue: list[int] = []
 
     def step(self) -> Float32[Tensor, ""]:
-        """One step of Adam on a few views; returns the loss, still on the device: nothing waits for a GPU."""
+        """One step of Adam on a few views; returns the loss, still on the device: nothing waits for a GPU.
+
+        What it was given out of range on a GPU, `check` tells.
+        """
         chosen = self._next_views()
         gather = self.density is not None and self.density.wanted(self.iteration)
         images, rendering = self.model.render(
@@ -79,6 +83,7 @@ class Trainer:
             rays=self._rays,
             chips=torch.stack([self._numbers[i] for i in chosen]),
             plane_gradients=gather,
+            bounds=self._bounds,
         )
         truth = torch.stack([self._truth[i] for i in chosen])  # much faster than an index
         loss = self._loss(images, truth)
@@ -92,6 +97,16 @@ class Trainer:
             self._densify(self.density)
         return loss.detach()
 
+    def check(self) -> None:
+        """Wait for the device, and see that every step so far was given what it can render.
+
+        Raises
+        ------
+        SarsplatError
+            If not.
+        """
+        self._bounds.check()
+
     def _next_views(self) -> list[int]:
         """Every view once in a random order, then again."""
         count = min(self.config.views_per_step, len(self.views))
@@ -101,6 +116,7 @@ class Trainer:
         return chosen
 
     def _densify(self, density: DensityControl) -> None:
+        self.check()
         with torch.no_grad():
             gaussians = self.model.target(self.model.degree(self.iteration))
             extent = self.grid.rows * self.grid.spacing_m[1]
@@ -121,7 +137,14 @@ class Trainer:
         return self.model.target(self.model.degree(self.iteration)).detach()
 
     def snapshot(self, seconds: float) -> Snapshot:
-        """Everything the next step depends on, as it is now; `seconds` is how long the training took until here."""
+        """Everything the next step depends on, as it is now; `seconds` is how long the training took until here.
+
+        Raises
+        ------
+        SarsplatError
+            If a step was given what it cannot render.
+        """
+        self.check()
         tensors = {f"model/{name}": tensor.detach() for name, tensor in self.model.parameters.items()}
         tensors |= {f"optimiser/{name}": tensor for name, tensor in self.optimiser.state().items()}
         tensors |= {"generator": self._generator.get_state(), **region_tensors(self.model.setting.region)}
@@ -141,6 +164,7 @@ class Trainer:
     def restore(self, snapshot: Snapshot) -> None:
         """Undo `snapshot`."""
         self.model = snapshot.model(self.config, self.device)
+        self._bounds = self.model.scene_bounds()
         self.optimiser = Optimiser(self.model.parameters, self.model.bounds, self.config)
         self.optimiser.load_state(snapshot.part("optimiser"))
         self._generator.set_state(snapshot.tensors["generator"])

@@ -184,16 +184,20 @@ class _Training:
         while trainer.iteration < iterations:
             self.between_steps = False
             loss = trainer.step()
-            self.between_steps = True
             losses.append(loss)
-            if trainer.iteration % every == 0 or trainer.iteration == config.iterations:
+            logs = trainer.iteration % every == 0 or trainer.iteration == config.iterations
+            saves = save is not None and trainer.iteration % config.checkpoint_every == 0
+            if logs or saves:
+                trainer.check()  # as a part of the step: what is wrong is not saved
+            self.between_steps = True
+            if logs:
                 line = self._line(losses)
                 losses = []
                 self.history.append(line)
                 self._shown.update(line.iteration, f"loss {line.loss:.3g}  {line.gaussians} Gaussians")
                 if log is not None:
                     log(line)
-            if save is not None and trainer.iteration % config.checkpoint_every == 0:
+            if save is not None and saves:
                 save()
             if self._on_step is not None:
                 self._on_step(Step(trainer.iteration, loss, trainer))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from jaxtyping import Float
 from torch import Tensor
@@ -10,6 +11,7 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.renderer.bounds import Bounds
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
 from sarsplat.renderer.engines import ENGINES, chosen_engine
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
@@ -21,6 +23,7 @@ from sarsplat.renderer.steps import attenuate, project, splat
 __all__ = [
     "ENGINES",
     "Attenuation",
+    "Bounds",
     "Footprints",
     "Projection",
     "RayMap",
@@ -44,6 +47,7 @@ def render(
     imaging_weight: str = "area",
     first_return_depth: float | None = None,
     plane_gradients: bool = False,
+    bounds: Bounds | None = None,
     engine: str = "auto",
     instruction_set: str = "auto",
 ) -> Rendering:
@@ -76,6 +80,10 @@ def render(
         Two-way optical depth at which a ray counts as returned; asks for `Rendering.ray_maps`.
     plane_gradients : bool
         Ask for `Rendering.plane_gradients` (CPU and CUDA engines).
+    bounds : Bounds, optional
+        Limits that the Gaussians keep. With them the CUDA engine waits for nothing, and reports a value out of range,
+        and a Gaussian that breaks them, not here but in `bounds.check()`; its arrays are as large as the limits ask
+        for, so narrow ones are faster. The other engines need none, and check as ever.
     engine : {"auto", "cpu", "cuda", "reference"}
         "auto" is the CPU engine for float32 on the CPU, the CUDA engine for float32 on a GPU, and the reference
         otherwise; the first time, the logger "sarsplat" says which it took.
@@ -113,8 +121,15 @@ def render(
     engine = chosen_engine(engine, gaussians.means)
     tensors = {**gaussians.tensors(), "gamma0": gamma0, "shift": shift, "gain": gain}
     if engine in ENGINES:
+        new_pass = ENGINES[engine].prepare(tensors, grid, instruction_set)
+        if bounds is not None and engine == "cuda":
+            if bounds.broken.device != gaussians.means.device:
+                raise SarsplatError(
+                    f"bounds are on {bounds.broken.device} but means is on {gaussians.means.device}; make them there"
+                )
+            new_pass = partial(new_pass, capacity=bounds.capacity(len(gaussians), views, grid, rays))
         return render_with(
-            ENGINES[engine].prepare(tensors, grid, instruction_set),
+            new_pass,
             gaussians,
             views,
             grid,

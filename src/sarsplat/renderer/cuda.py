@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import ctypes
-import math
-import struct
 from collections.abc import Sequence
-from ctypes import c_float, c_int32, c_int64, c_void_p
+from ctypes import c_float, c_int32, c_void_p
 from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
+from sarsplat.renderer.bounds import LEFT_BOUNDS, Capacity
 from sarsplat.renderer.cpu import FAULTS
-from sarsplat.renderer.structs import Lattice
+from sarsplat.renderer.cuda_lattices import cut_into_tiles, ordered_bits, smallest_lattice, tiles_of, total
+from sarsplat.renderer.structs import Lattice, structure
 
 # of csrc/cuda_state.cuh
-_THREADS, _WARPS, _TILE = 256, 8, 16
+_THREADS, _WARPS = 256, 8
 _SPLAT_FLOATS = 8
 _TOGETHER = 4
 """Channels to a launch, of csrc/cuda_steps.cuh."""
@@ -27,22 +27,14 @@ _MAX_SIDE, _MAX_RAYS = 131_068, 1 << 28
 
 _MAX_PAIRS = 1 << 31
 
+_NOTHING = (1 << 63) - 1
+"""The largest key, and the largest minimum."""
 
-def _struct(name: str, *fields: tuple[str, type]) -> type[ctypes.Structure]:
-    return type(name, (ctypes.Structure,), {"_fields_": list(fields)})
-
-
-_ViewLattice = _struct(
-    "ViewLattice",
-    *((name, c_float) for name in ("x0", "y0")),
-    *((name, c_int32) for name in ("rows", "columns", "tiles_x", "first_tile")),
-    ("first_point", c_int64),
-)
 _PLANE = ("splats", "reach", "lattices", "counts", "ends", "keys", "owners", "order", "starts")
-_Plane = _struct("Plane", *((name, c_void_p) for name in _PLANE))
+_Plane = structure("Plane", *((name, c_void_p) for name in _PLANE))
 _FORWARD = ("gamma0", "slope", "transmittance", "last", "slot_weights", "weight")
 _BACKWARD = ("d_sigma", "h", "slot_moments", "pixel_moments", "planes")
-_State = _struct(
+_State = structure(
     "State",
     ("minima", c_void_p),
     ("rays", _Plane),
@@ -62,10 +54,13 @@ class Launcher(Protocol):
 
 
 class Pass:
-    """One forward pass and what its backward pass needs; the same interface as the CPU engine's."""
+    """One forward pass and what its backward pass needs; the same interface as the CPU engine's.
 
-    def __init__(self, launcher: Launcher) -> None:
-        self._launcher = launcher
+    With a capacity `forward` waits for nothing and rejects nothing: what goes wrong, `Capacity.broken` says later.
+    """
+
+    def __init__(self, launcher: Launcher, capacity: Capacity | None = None) -> None:
+        self._launcher, self._capacity = launcher, capacity
         self._state = _State()
         self._arrays: dict[str, Tensor] = {}
         self._pairs = 0
@@ -91,9 +86,11 @@ class Pass:
                 return fault
             pixels = self._pixels(problem)
             self._arrange(problem, {"rays": self._rays, "pixels": pixels})
+            if self._capacity is not None:
+                self._report(self._capacity, bounds)
             self._attenuate(problem)
             self._over_pairs("illuminate", problem, problem, state, outputs)
-            self._launch("image_tiles", _total(pixels)[1], problem, state, c_void_p(outputs.images))
+            self._launch("image_tiles", total(pixels)[1], problem, state, c_void_p(outputs.images))
         except torch.OutOfMemoryError as error:
             raise _no_memory(self._launcher.device) from error
         return "", -1
@@ -108,7 +105,7 @@ class Pass:
             state.planes = gradients.planes or self._new("planes", pairs, 4).data_ptr()
             seeds = c_void_p(gradients.images), c_void_p(gradients.cross_sections)
             self._launch("image_backward", -(-pairs // _WARPS), problem, state, *seeds)
-            tiles = _total(self._rays)[1]
+            tiles = total(self._rays)[1]
             self._launch("attenuate_tiles_backward", tiles, problem, state, c_void_p(gradients.transmittance))
             self._launch("differentiate", -(-problem.gaussians // _THREADS), problem, state, gradients)
             self._launch("sum_shift", problem.views, problem, state, c_void_p(gradients.shift))
@@ -126,7 +123,7 @@ class Pass:
         rays = self._rays[view]
         self._launch(
             "trace_tiles",
-            _tiles(rays),
+            tiles_of(rays),
             *(problem, self._state, c_int32(rays.first_tile), c_float(depth)),
             *(c_void_p(transmittance), c_void_p(first_return)),
         )
@@ -182,7 +179,7 @@ class Pass:
             raise _no_memory(self._launcher.device) from error
         self._arrays["slot_moments"].zero_()  # of tiles whose rays have all stopped
         self._over_pairs("seed_weights", problem, problem, self._state, c_void_p(d_lit_area))
-        tiles = _total(self._rays)[1]
+        tiles = total(self._rays)[1]
         self._launch("attenuate_tiles_backward", tiles, problem, self._state, c_void_p(d_transmittance))
         self._over_pairs("write_ray_gradients", problem, problem, self._state, gradients)
         for name in ("h", "slot_moments"):
@@ -216,7 +213,7 @@ class Pass:
             raise _no_memory(self._launcher.device) from error
         for first in range(0, channels.count, _TOGETHER):
             arguments = channels, c_int32(first), c_void_p(images)
-            self._launch("image_channels", _total(pixels)[1], problem, self._state, *arguments)
+            self._launch("image_channels", total(pixels)[1], problem, self._state, *arguments)
         return "", -1
 
     def splat_backward(
@@ -255,29 +252,48 @@ class Pass:
 
     def _place_lattices(self, minima: Tensor) -> tuple[str, int] | None:
         """Rays that hold all footprints; or what was rejected."""
-        fault, *bounds = minima.tolist()
-        if fault >= 0:
-            return _fault(fault)
-        self._lattices = [_lattice(bounds[k : k + 4]) for k in range(0, len(bounds), 4)]
-        for v, (_, _, rows, columns) in enumerate(self._lattices):
-            if max(rows, columns) > _MAX_SIDE or rows * columns > _MAX_RAYS:
-                return "lattice", v
-        self._rays = _cut_into_tiles(self._lattices, 0.5)
+        if self._capacity is not None:
+            self._lattices = list(self._capacity.lattices)
+        else:
+            fault, *bounds = minima.tolist()
+            if fault >= 0:
+                return _fault(fault)
+            self._lattices = [smallest_lattice(bounds[k : k + 4]) for k in range(0, len(bounds), 4)]
+            for v, (_, _, rows, columns) in enumerate(self._lattices):
+                if max(rows, columns) > _MAX_SIDE or rows * columns > _MAX_RAYS:
+                    return "lattice", v
+        self._rays = cut_into_tiles(self._lattices, 0.5)
         return None
 
+    def _report(self, capacity: Capacity, minima: Tensor) -> None:
+        """Note the first fault, or that the capacity was not enough; all of it on the device."""
+        limits = [
+            ordered_bits(edge)
+            for k0x, k0y, rows, columns in self._lattices
+            for edge in (k0x, k0y, -(k0x + columns), -(k0y + rows))
+        ]
+        beyond = (minima[1:] & _NOTHING) < self._send("limits", torch.tensor(limits, dtype=torch.int64, device="cpu"))
+        left = torch.cat([beyond, *(self._arrays[f"{name} clipped"] for name in capacity.tiles)]).any()
+        fault = minima[0].masked_fill((minima[0] < 0) & left, LEFT_BOUNDS)
+        capacity.broken.copy_(torch.where(capacity.broken < 0, fault, capacity.broken))
+
     def _pixels(self, problem: ctypes.Structure) -> list[ctypes.Structure]:
-        return _cut_into_tiles([(0, 0, problem.rows, problem.columns)] * problem.views, 0.0)
+        return cut_into_tiles([(0, 0, problem.rows, problem.columns)] * problem.views, 0.0)
 
     def _arrange(self, problem: ctypes.Structure, planes: dict[str, list[ctypes.Structure]]) -> None:
         """List the Gaussians of every tile of these planes: on rays front to back."""
         counted = [self._count(name, getattr(self._state, name), tiles, problem) for name, tiles in planes.items()]
-        for (name, tiles), slots in zip(planes.items(), torch.stack(counted).tolist(), strict=True):
+        if self._capacity is not None:
+            numbers = [self._pairs * self._capacity.tiles[name] for name in planes]
+        else:
+            numbers = torch.stack(counted).tolist()
+        for (name, tiles), slots in zip(planes.items(), numbers, strict=True):
             plane = getattr(self._state, name)
-            self._list(name, plane, slots, _total(tiles)[1], problem, by_depth=name == "rays")
+            self._list(name, plane, slots, total(tiles)[1], problem, by_depth=name == "rays")
 
     def _attenuate(self, problem: ctypes.Structure) -> None:
         """Pass A, once the rays are arranged."""
-        rays, tiles = _total(self._rays)
+        rays, tiles = total(self._rays)
         self._fill(transmittance=(rays,))
         self._fill(torch.int32, last=(rays,))
         self._fill(slot_weights=(len(self._arrays["rays owners"]),))
@@ -289,10 +305,14 @@ class Pass:
     ) -> Tensor:
         """Count the tiles of every Gaussian; returns the number of slots, still on the device."""
         raw = torch.frombuffer(bytearray(b"".join(lattices)), dtype=torch.uint8)
-        plane.lattices = self._keep(f"{name} lattices", raw.to(self._launcher.device)).data_ptr()
+        plane.lattices = self._send(f"{name} lattices", raw).data_ptr()
         counts = self._new(f"{name} counts", problem.views * problem.gaussians, dtype=torch.int64)
         plane.counts = counts.data_ptr()
         self._over_pairs("count_tiles", problem, problem, plane)
+        if self._capacity is not None:
+            most = self._capacity.tiles[name]
+            self._keep(f"{name} clipped", counts > most)
+            counts.clamp_(max=most)
         ends = self._keep(f"{name} ends", torch.cumsum(counts, 0))
         plane.ends = ends.data_ptr()
         return ends[-1] if len(ends) else counts.sum()
@@ -301,7 +321,7 @@ class Pass:
         self, name: str, plane: ctypes.Structure, slots: int, tiles: int, problem: ctypes.Structure, *, by_depth: bool
     ) -> None:
         """List the Gaussians of every tile."""
-        keys = self._new(f"{name} keys", slots, dtype=torch.int64)
+        keys = self._new(f"{name} keys", slots, dtype=torch.int64).fill_(_NOTHING)  # what is not used comes last
         plane.keys = keys.data_ptr()
         plane.owners = self._new(f"{name} owners", slots, dtype=torch.int32).data_ptr()
         self._over_pairs("list_tiles", problem, problem, plane, c_int32(by_depth))
@@ -325,6 +345,12 @@ class Pass:
         self._arrays[name] = array  # kernels hold its address only
         return array
 
+    def _send(self, name: str, array: Tensor) -> Tensor:
+        """An array of the CPU's, on the device; from pinned memory, for the CPU waits for any other copy."""
+        device = self._launcher.device
+        pinned = array.pin_memory() if device.type == "cuda" else array
+        return self._keep(name, pinned.to(device, non_blocking=True))
+
     def _fill(self, dtype: torch.dtype = torch.float32, **shapes: tuple[int, ...]) -> None:
         """New arrays of the state, by name."""
         for name, shape in shapes.items():
@@ -340,37 +366,3 @@ def _no_memory(device: torch.device) -> SarsplatError:
 def _fault(code: int) -> tuple[str, int]:
     """What was rejected, and at which index, from the smallest number that a kernel reported; -1 for nothing."""
     return ("", -1) if code < 0 else (FAULTS[code >> 56], code & (1 << 56) - 1)
-
-
-def _lattice(bounds: Sequence[int]) -> tuple[int, int, int, int]:
-    """(k0x, k0y, rows, columns) of the rays that hold all footprints; `bounds` are ordered bits of x, y, −x, −y."""
-    if bounds[0] < 0:  # nothing touches a ray
-        return 0, 0, 0, 0
-    x0, y0, x1, y1 = (math.floor(_unordered(bits)) for bits in bounds)
-    return x0, y0, max(1, -y1 - y0), max(1, -x1 - x0)
-
-
-def _unordered(bits: int) -> float:
-    """The float whose bits were made to sort as an unsigned integer."""
-    bits = bits ^ 0x80000000 if bits & 0x80000000 else ~bits & 0xFFFFFFFF
-    return struct.unpack("f", struct.pack("I", bits))[0]
-
-
-def _cut_into_tiles(lattices: Sequence[tuple[int, int, int, int]], offset: float) -> list[ctypes.Structure]:
-    found, tile, point = [], 0, 0
-    for k0x, k0y, rows, columns in lattices:
-        tiles_x = -(-columns // _TILE)
-        found.append(_ViewLattice(k0x + offset, k0y + offset, rows, columns, tiles_x, tile, point))
-        tile += _tiles(found[-1])
-        point += rows * columns
-    return found
-
-
-def _tiles(lattice: ctypes.Structure) -> int:
-    return lattice.tiles_x * -(-lattice.rows // _TILE)
-
-
-def _total(lattices: Sequence[ctypes.Structure]) -> tuple[int, int]:
-    """Points and tiles of all views."""
-    last = lattices[-1]
-    return last.first_point + last.rows * last.columns, last.first_tile + _tiles(last)

@@ -86,11 +86,11 @@ class Engine:
         "auto" means this engine for float32 tensors on such a device.
     prepare : callable
         Given the tensors, the image grid (None where there is no image) and an instruction set, it returns what makes
-        passes over them; a `SarsplatError` says why not.
+        passes over them (CUDA's of a `Capacity`, too); a `SarsplatError` says why not.
     """
 
     device_type: str
-    prepare: Callable[[Tensors, ImageGrid | None, str], Callable[[], Pass]]
+    prepare: Callable[[Tensors, ImageGrid | None, str], Callable[..., Pass]]
 
 
 def _on_cpu(tensors: Tensors, grid: ImageGrid | None, instruction_set: str) -> Callable[[], Pass]:
@@ -98,7 +98,7 @@ def _on_cpu(tensors: Tensors, grid: ImageGrid | None, instruction_set: str) -> C
     return partial(cpu.Pass, instruction_set)
 
 
-def _on_cuda(tensors: Tensors, grid: ImageGrid | None, instruction_set: str) -> Callable[[], Pass]:
+def _on_cuda(tensors: Tensors, grid: ImageGrid | None, instruction_set: str) -> Callable[..., Pass]:
     require_cuda()
     return partial(cuda.Pass, device(check_for_cuda(tensors)))
 

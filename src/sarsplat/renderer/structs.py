@@ -9,12 +9,13 @@ from ctypes import POINTER, c_char_p, c_float, c_int32, c_int64, c_void_p
 from sarsplat.errors import SarsplatError
 
 
-def _struct(name: str, *fields: tuple[str, type]) -> type[ctypes.Structure]:
+def structure(name: str, *fields: tuple[str, type]) -> type[ctypes.Structure]:
+    """A C structure of these fields."""
     return type(name, (ctypes.Structure,), {"_fields_": list(fields)})
 
 
 _PAIR = c_float * 2
-Problem = _struct(
+Problem = structure(
     "sg_problem",
     *((name, c_int32) for name in ("peak", "views", "gaussians", "coefficients", "rows", "columns")),
     *((name, c_void_p) for name in ("means", "quaternions", "scales", "kappa", "harmonics", "gamma0")),
@@ -24,26 +25,26 @@ Problem = _struct(
     *((name, c_float) for name in ("cell_widening", "min_ray_depth", "min_transmittance", "image_cut")),
     *((name, c_float) for name in ("min_scale", "max_depth")),
 )
-Outputs = _struct("sg_outputs", *((name, c_void_p) for name in ("images", "cross_sections", "lit_area")))
-Gradients = _struct(
+Outputs = structure("sg_outputs", *((name, c_void_p) for name in ("images", "cross_sections", "lit_area")))
+Gradients = structure(
     "sg_gradients",
     *((name, c_void_p) for name in ("images", "cross_sections", "transmittance")),
     *((name, c_void_p) for name in ("means", "quaternions", "scales", "kappa", "harmonics", "gamma0")),
     *((name, c_void_p) for name in ("shift", "planes")),
 )
-Projection = _struct(
+Projection = structure(
     "sg_projection",
     *((name, c_void_p) for name in ("ray_centers", "ray_roots", "optical_depth", "range", "tilt")),
     *((name, c_void_p) for name in ("pixel_centers", "pixel_roots", "gamma0")),
 )
-Channels = _struct("sg_channels", ("count", c_int32), ("amplitudes", c_void_p))
-Lattice = _struct("sg_lattice", ("k0x", c_int64), ("k0y", c_int64), ("rows", c_int32), ("columns", c_int32))
-Statistics = _struct(
+Channels = structure("sg_channels", ("count", c_int32), ("amplitudes", c_void_p))
+Lattice = structure("sg_lattice", ("k0x", c_int64), ("k0y", c_int64), ("rows", c_int32), ("columns", c_int32))
+Statistics = structure(
     "sg_statistics",
     *((f"{what}_{plane}", c_int64) for plane in ("attenuation", "imaging") for what in ("blocks", "live")),
     ("lanes", c_int64),
 )
-Loss = _struct(
+Loss = structure(
     "sg_loss",
     *((name, c_int32) for name in ("views", "rows", "columns")),
     *((name, c_void_p) for name in ("power", "truth", "window")),
@@ -51,7 +52,7 @@ Loss = _struct(
     *((name, c_void_p) for name in ("loss", "gradient")),
 )
 _COLUMNS = c_float * 16
-AdamGroup = _struct(
+AdamGroup = structure(
     "sg_adam_group",
     *((name, c_void_p) for name in ("value", "gradient", "mean", "square")),
     ("rows", c_int64),
@@ -60,7 +61,7 @@ AdamGroup = _struct(
     ("decay", c_float),
     *((name, _COLUMNS) for name in ("rate", "low", "high")),
 )
-AdamStep = _struct(
+AdamStep = structure(
     "sg_adam_step",
     ("groups", POINTER(AdamGroup)),
     ("count", c_int32),

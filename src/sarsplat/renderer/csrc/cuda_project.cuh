@@ -123,7 +123,8 @@ extern "C" __global__ void __launch_bounds__(kThreads) count_tiles(sg_problem p,
   plane.counts[j] = (int64_t)(t.x.last - t.x.first + 1) * (t.y.last - t.y.first + 1);
 }
 
-// by_depth: front to back inside a tile; otherwise, and for ties, by index, since the sort is stable
+// by_depth: front to back inside a tile; otherwise, and for ties, by index, since the sort is stable. A footprint whose
+// count was clipped (cuda.py) has no more slots than that.
 extern "C" __global__ void __launch_bounds__(kThreads) list_tiles(sg_problem p, Plane plane, int32_t by_depth) {
   int view, i;
   const int64_t j = pair_index(p, &view, &i);
@@ -131,9 +132,10 @@ extern "C" __global__ void __launch_bounds__(kThreads) list_tiles(sg_problem p, 
   const Lattice lattice = plane.lattices[view];
   const Box t = tiles(plane, lattice, j);
   const int64_t depth = by_depth ? (int64_t)ordered(plane.splats[j].extra) : 0;
-  int64_t slot = plane.ends[j] - plane.counts[j];
+  const int64_t end = plane.ends[j];
+  int64_t slot = end - plane.counts[j];
   for (int y = t.y.first; y <= t.y.last; y++)
-    for (int x = t.x.first; x <= t.x.last; x++, slot++) {
+    for (int x = t.x.first; x <= t.x.last && slot < end; x++, slot++) {
       plane.keys[slot] = (int64_t)(lattice.first_tile + y * lattice.tiles_x + x) << 32 | depth;
       plane.owners[slot] = (int32_t)j;
     }

@@ -1,0 +1,59 @@
+"""Where the rays and pixels of the views stand, as the CUDA kernels want it, and how they are cut into tiles."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import struct
+from collections.abc import Sequence
+from ctypes import c_float, c_int32, c_int64
+
+from sarsplat.renderer.bounds import TILE
+from sarsplat.renderer.structs import structure
+
+ViewLattice = structure(
+    "ViewLattice",
+    *((name, c_float) for name in ("x0", "y0")),
+    *((name, c_int32) for name in ("rows", "columns", "tiles_x", "first_tile")),
+    ("first_point", c_int64),
+)
+
+
+def smallest_lattice(bounds: Sequence[int]) -> tuple[int, int, int, int]:
+    """(k0x, k0y, rows, columns) of the rays that hold all footprints; `bounds` are ordered bits of x, y, −x, −y."""
+    if bounds[0] < 0:  # nothing touches a ray
+        return 0, 0, 0, 0
+    x0, y0, x1, y1 = (math.floor(_unordered(bits)) for bits in bounds)
+    return x0, y0, max(1, -y1 - y0), max(1, -x1 - x0)
+
+
+def _unordered(bits: int) -> float:
+    """The float whose bits were made to sort as an unsigned integer."""
+    bits = bits ^ 0x80000000 if bits & 0x80000000 else ~bits & 0xFFFFFFFF
+    return struct.unpack("f", struct.pack("I", bits))[0]
+
+
+def ordered_bits(value: float) -> int:
+    """The bits of a float32, made to sort as an unsigned integer."""
+    bits = struct.unpack("I", struct.pack("f", value + 0.0))[0]
+    return ~bits & 0xFFFFFFFF if bits & 0x80000000 else bits | 0x80000000
+
+
+def cut_into_tiles(lattices: Sequence[tuple[int, int, int, int]], offset: float) -> list[ctypes.Structure]:
+    found, tile, point = [], 0, 0
+    for k0x, k0y, rows, columns in lattices:
+        tiles_x = -(-columns // TILE)
+        found.append(ViewLattice(k0x + offset, k0y + offset, rows, columns, tiles_x, tile, point))
+        tile += tiles_of(found[-1])
+        point += rows * columns
+    return found
+
+
+def tiles_of(lattice: ctypes.Structure) -> int:
+    return lattice.tiles_x * -(-lattice.rows // TILE)
+
+
+def total(lattices: Sequence[ctypes.Structure]) -> tuple[int, int]:
+    """Points and tiles of all views."""
+    last = lattices[-1]
+    return last.first_point + last.rows * last.columns, last.first_tile + tiles_of(last)

@@ -1,0 +1,162 @@
+"""A CUDA rendering with bounds: the same as without, no wait for the device, and what breaks them is told."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pytest
+import torch
+from emulated_cuda import SCHEDULES, Emulator, compile_emulator, render_on
+from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
+from test_cpu_engine import relative
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians
+from sarsplat.geometry import ImageGrid, RayGrid
+from sarsplat.renderer import Bounds, cuda, render
+
+
+@pytest.fixture(scope="module")
+def library(request: pytest.FixtureRequest) -> Path:
+    pytest.importorskip("ziglang", reason="the emulator is compiled with ziglang")
+    return compile_emulator(Path(request.config.cache.mkdir("cuda-emulator")))
+
+
+def bounds_of(gaussians: Gaussians) -> Bounds:
+    """The narrowest ones."""
+    if len(gaussians) == 0:
+        return Bounds((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.1, 1.0)
+    low, high = gaussians.means.amin(0), gaussians.means.amax(0)
+    scale_m, depth = float(gaussians.scales.max()), float(gaussians.optical_depth.max())
+    return Bounds((*low.tolist(),), (*high.tolist(),), scale_m, depth)
+
+
+def everything(scene: Scene, renderer, **options) -> dict[str, torch.Tensor]:
+    """Images, cross-sections and every gradient, by name."""
+    leaves = scene.leaves(torch.float32)
+    rendering = scene.call(renderer, leaves, **options)
+    generator = torch.Generator().manual_seed(7)
+    outputs = {"images": rendering.images, "cross_sections": rendering.cross_sections}
+    loss = sum((t * torch.randn(t.shape, generator=generator)).sum() for t in outputs.values())
+    gradients = torch.autograd.grad(loss, list(leaves.values()))
+    return {name: t.detach() for name, t in outputs.items()} | dict(zip(leaves, gradients, strict=True))
+
+
+@pytest.mark.parametrize("name", MATRIX)
+def test_the_same_as_without_in_every_schedule(name, library):
+    scene = MATRIX[name]()
+    expected = everything(scene, partial(render_on, Emulator(library)))
+    bounds, first = bounds_of(scene.gaussians), None
+    for schedule in SCHEDULES:
+        found = everything(scene, partial(render_on, Emulator(library, schedule)), bounds=bounds)
+        bounds.check()
+        first = first or found
+        for output, value in expected.items():
+            assert torch.equal(found[output], first[output]), (schedule, output)
+            assert relative(found[output], value.double()) <= 5e-6, output  # images: 3e-7
+
+
+def test_the_lattice_holds_every_ray_that_is_touched_and_few_more(library):
+    scene, emulated = MATRIX["oblong rays"](), partial(render_on, Emulator(library))
+    without, bounded = (
+        [m.transmittance.detach() for m in scene.call(emulated, scene.leaves(torch.float32), bounds=bounds).ray_maps]
+        for bounds in (None, bounds_of(scene.gaussians))
+    )
+    for tight, wide in zip(without, bounded, strict=True):
+        assert float((1 - wide).sum()) == pytest.approx(float((1 - tight).sum()), rel=1e-5)
+        assert wide.numel() < 4 * tight.numel()
+
+
+def changed(name: str, index: tuple[int, ...], value: float) -> Gaussians:
+    scene = cloud(40, 0)
+    tensor = scene.tensors()[name].clone()
+    tensor[index] = value
+    return scene.with_tensors(**{name: tensor})
+
+
+BROKEN = {
+    "moved out": (("means", (3, 0), 40.0), "a Gaussian has left its bounds, Bounds.low_m"),
+    "moved out of the other side": (("means", (3, 1), -40.0), "a Gaussian has left its bounds"),
+    "too large": (("scales", (39,), 8.0), "a Gaussian has left its bounds"),
+    "NaN": (
+        ("means", (39, 1), math.nan),
+        r"^means\[39\] was out of range when it was rendered; it must be finite metres",
+    ),
+    "too dense": (("optical_depth", (2,), 41.0), r"^optical_depth\[2\] was out of range"),
+    "no size": (("scales", (9, 2), math.nan), r"^scales\[9\] was out of range"),
+    "no direction": (("quaternions", (6,), 0.0), r"^quaternions\[6\] was out of range"),
+}
+
+
+@pytest.fixture
+def guarded(monkeypatch):
+    """Arrays with a margin on both sides that nobody may write to."""
+    arrays, margin = [], 1024
+
+    def new(self: cuda.Pass, key: str, *shape: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+        whole = torch.full((math.prod(shape) * dtype.itemsize + 2 * margin,), 255, dtype=torch.uint8)  # NaN, or -1
+        arrays.append(whole)
+        return self._keep(key, whole[margin:-margin].view(dtype).view(shape))
+
+    monkeypatch.setattr(cuda.Pass, "_new", new)
+    yield
+    assert len(arrays) > 20
+    for whole in arrays:
+        assert bool((whole[:margin] == 255).all() and (whole[-margin:] == 255).all())
+
+
+@pytest.mark.usefixtures("guarded")
+@pytest.mark.parametrize("name", BROKEN)
+def test_what_breaks_them_is_told_and_no_memory_is_harmed(name, library):
+    change, message = BROKEN[name]
+    bounds, emulated = bounds_of(cloud(40, 0)), partial(render_on, Emulator(library))
+    everything(Scene(changed(*change)), emulated, bounds=bounds)  # as if nothing were wrong
+    everything(Scene(changed("means", (7, 2), math.inf)), emulated, bounds=bounds)
+    with pytest.raises(SarsplatError, match=message):  # still the first
+        bounds.check()
+
+
+@pytest.mark.usefixtures("guarded")
+@pytest.mark.parametrize("change", [("scales", 8.0), ("means", math.nan)])
+def test_a_footprint_of_more_tiles_than_there_is_room_for(change, library):
+    """A single Gaussian in a wide image, so that there is no room of others to take."""
+    name, value = change
+    scene = Scene(cloud(1, 13), VIEWS[:1], ImageGrid(300, 300, (0.2, 0.2), (0.3, 0.3)))
+    bounds = bounds_of(scene.gaussians)
+    worse = scene.gaussians.with_tensors(**{name: torch.full_like(scene.gaussians.tensors()[name], value)})
+    everything(replace(scene, gaussians=worse), partial(render_on, Emulator(library)), bounds=bounds)
+    with pytest.raises(SarsplatError):
+        bounds.check()
+
+
+def test_a_bad_gamma0_is_told(library):
+    gamma0 = torch.ones(3, 10)
+    gamma0[1, 4] = math.nan
+    bounds = bounds_of(cloud(10, 0))
+    render_on(Emulator(library), cloud(10, 0), VIEWS, GRID, gamma0=gamma0, bounds=bounds)
+    with pytest.raises(SarsplatError, match=r"gamma0.flatten\(\)\[14\] was out of range"):
+        bounds.check()
+
+
+def test_bounds_that_would_take_too_much_memory_are_not_allocated(library):
+    scene, bounds = MATRIX["overlap"](), Bounds((-1e5, -1e5, 0.0), (1e5, 1e5, 1.0), 100.0, 10.0)
+    assert bounds.capacity(60, VIEWS, GRID, RayGrid.for_image(GRID)) is None
+    found, expected = (everything(scene, partial(render_on, Emulator(library)), bounds=b) for b in (bounds, None))
+    assert all(torch.equal(found[name], value) for name, value in expected.items())
+
+
+def test_the_cpu_engine_needs_none():
+    scene = MATRIX["overlap"]()
+    bounds = replace(bounds_of(scene.gaussians), scale_m=0.0)
+    found, expected = (everything(scene, partial(render, engine="cpu"), bounds=b) for b in (bounds, None))
+    assert all(torch.equal(found[name], value) for name, value in expected.items())
+    bounds.check()
+
+
+@pytest.mark.parametrize(("low_x", "scale_m"), [(1.0, 0.1), (math.nan, 0.1), (0.0, -1.0), (-math.inf, 0.1)])
+def test_bounds_that_hold_nothing(low_x, scale_m):
+    with pytest.raises(SarsplatError, match=r"^Bounds\(.*\) hold no Gaussian; give finite corners"):
+        Bounds((low_x, 0.0, 0.0), (0.0, 0.0, 0.0), scale_m, 1.0)
