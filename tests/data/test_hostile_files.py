@@ -187,6 +187,12 @@ def test_json(tmp_path, text, words):
     assert read_json(path, Any) == ["😀 😀"]
 
 
+def test_a_wrong_field_before_one_that_is_nested_too_deeply(tmp_path):
+    (tmp_path / "a.json").write_text('{"a": 1, "b": ' + "[" * 100_000)
+    with pytest.raises(SarsplatError, match="expected `str`, got `int`"):
+        read_json(tmp_path / "a.json", dict[str, str])
+
+
 @pytest.fixture
 def dataset(tmp_path):
     prepare_dataset(tmp_path)

@@ -32,7 +32,7 @@ def test_a_run_in_memory_is_the_same_as_one_on_the_disk(dataset: Dataset, config
     assert np.array_equal(held.render(views), finished.render(views))
     assert [line.loss for line in held.history] == [line.loss for line in finished.history]
     assert (held.iteration, held.metrics, held.dataset) == (60, None, dataset)
-    with pytest.raises(SarsplatError, match="in memory and has no folder; give"):
+    with pytest.raises(SarsplatError, match="in memory and has no folder; pass `out`"):
         held.write_results()
     with pytest.raises(SarsplatError, match="neither resumed nor overwritten"):
         reconstruct(dataset, config, resume=True)

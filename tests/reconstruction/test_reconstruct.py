@@ -169,7 +169,7 @@ def test_without_a_given_box_the_target_is_looked_for_in_the_middle_of_the_scene
     assert dataset.target_box_m is None
     region = Setting.of(config, dataset).region
     half = 32 * 0.3 / 4
-    np.testing.assert_allclose([region.low, region.high], [[-half, -half, 0], [half, half, half]])
+    np.testing.assert_allclose([region.low, region.high], [[-half, -half, 0], [half, half, half / 2]])
     given = replace(dataset, target_box_m=((-1.0, -2.0, 0.0), (3.0, 4.0, 5.0)))
     assert Setting.of(config, given).region.high.tolist() == [3.0, 4.0, 5.0]
     assert Setting.of(preset("default"), given).region.high.tolist() != [3.0, 4.0, 5.0]  # there the images say it

@@ -22,6 +22,9 @@ from sarsplat.cli.arguments import (
 from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
+    import trimesh
+
+    from sarsplat.data.header import Box
     from sarsplat.geometry import ImageGrid, View
 
 TargetName = Literal["t72", "btr70", "2s1", "kraz", "building-a", "building-b", "building-c"]
@@ -30,6 +33,8 @@ TargetName = Literal["t72", "btr70", "2s1", "kraz", "building-a", "building-b", 
 Target = Annotated[
     TargetName | None, tyro.conf.arg(metavar=f"{{{','.join(get_args(TargetName))}}}", help_behavior_hint="(optional)")
 ]
+_TARGET_MARGIN_M = 1.0
+
 Law = Annotated[tuple[float, float], tyro.conf.arg(metavar="FLOOR LOBE")]
 
 
@@ -135,6 +140,7 @@ def simulate(
         target=name,
         looks=looks,
         ground=ground is not None,
+        target_box_m=None if ground is None else _box_around(surface),
         protocol=None if azimuth else protocol,
         source=simulation_record(**how),
     )
@@ -179,6 +185,13 @@ def _with_test_views(
     if not unseen:
         raise SarsplatError(f"all {len(test)} test views are also training views; choose others with --test-azimuth")
     return [*views, *((view, "test") for view in unseen)]
+
+
+def _box_around(mesh: trimesh.Trimesh) -> Box:
+    """Where the target is looked for among the ground: its own box with a margin to all sides but below, m."""
+    (x, y, _), (x1, y1, z1) = mesh.bounds.tolist()
+    margin = _TARGET_MARGIN_M
+    return (x - margin, y - margin, 0.0), (x1 + margin, y1 + margin, max(z1, 0.0) + margin)
 
 
 def _grid(protocol: str, pixels: int | None, spacing: float | None, resolution: float | None) -> ImageGrid:

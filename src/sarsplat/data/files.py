@@ -286,6 +286,6 @@ def _what_does_not_fit(data: bytes, told: str) -> str:
         value = msgspec.json.decode(data)
         for key in re.findall(r"\w+", place):
             value = value[int(key) if isinstance(value, list) else key]
-    except (ValueError, LookupError, TypeError):  # such as a number of hundreds of digits, or a key of any letters
+    except (ValueError, LookupError, TypeError, RecursionError):  # such as 1e999, or a key of any letters
         return f"{place}: {what}"
     return f"{place}: {what}" if isinstance(value, dict) else f"{place} is {shown(value)}: {what}"

@@ -69,11 +69,15 @@ class Setting:
 
 
 def _central_box_m(dataset: Dataset) -> Box:
-    """The middle half of the scene in x and y, half as high as it is wide, m."""
+    """The middle half of the scene in x and y, a quarter as high as it is wide, m.
+
+    Flat, because views of one grazing angle hardly tell height from distance: on 160 × 160 pixels a T-72 had a CD of
+    5.3 m in a box half as high as wide, 0.23 m in one of 3/16, and 0.13 m in a box 1 m larger than itself.
+    """
     grid = dataset.grid
     flattest = math.cos(math.radians(min(view.grazing_deg for view in dataset.views)))
     half = min(grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1] / flattest) / 4
-    return (-half, -half, 0.0), (half, half, half)
+    return (-half, -half, 0.0), (half, half, half / 2)
 
 
 class SceneModel:
