@@ -19,7 +19,7 @@ from sarsplat.geometry import View
 def loads(quick: bool) -> dict[str, Scene]:
     """Footprints that cover everything, and Gaussians that nothing but their shape tells apart."""
     count = 30 if quick else 150
-    wide = field(count, 64, sigma=40.0)
+    wide = field(count, 64, std_pixels=40.0)
     wide = replace(wide, gaussians=replace(wide.gaussians, optical_depth=wide.gaussians.optical_depth * 0.1))
     together = training_view(5000)
     centre = together.gaussians.means.mean(0, keepdim=True)

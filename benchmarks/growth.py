@@ -1,7 +1,7 @@
 """How time and memory grow with Gaussians and with pixels; footprints (in pixels) and density are fixed.
 
 Each size runs in a process of its own, so that its peak of memory is its own:
-`python benchmarks/growth.py GAUSSIANS SIDE SIGMA SECONDS THREADS` is one. It prints what it found, as JSON.
+`python benchmarks/growth.py GAUSSIANS SIDE STD_PIXELS SECONDS THREADS` is one. It prints what it found, as JSON.
 """
 
 from __future__ import annotations
@@ -120,6 +120,6 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    gaussians, side, sigma, budget, threads = sys.argv[1:]
+    gaussians, side, std_pixels, budget, threads = sys.argv[1:]
     torch.set_num_threads(int(threads))
-    print(json.dumps(one((int(gaussians), int(side), float(sigma)), float(budget))))
+    print(json.dumps(one((int(gaussians), int(side), float(std_pixels)), float(budget))))

@@ -15,8 +15,8 @@ from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH,
 
 def render_naive(gaussians: Gaussians, views: list[View], grid: ImageGrid, rays: RayGrid) -> Tensor:
     """β⁰ [V, rows, columns]; agrees with `sarsplat.render` to float32."""
-    sigma = covariance(gaussians.quaternions, gaussians.scales)
-    return torch.stack([_view(gaussians, sigma, view, grid, rays) for view in views])
+    covariances = covariance(gaussians.quaternions, gaussians.scales)
+    return torch.stack([_view(gaussians, covariances, view, grid, rays) for view in views])
 
 
 @torch.no_grad()
@@ -35,11 +35,11 @@ def count_pairs(gaussians: Gaussians, view: View, grid: ImageGrid, rays: RayGrid
     return found
 
 
-def _view(gaussians: Gaussians, sigma: Tensor, view: View, grid: ImageGrid, rays: RayGrid) -> Tensor:
+def _view(gaussians: Gaussians, covariances: Tensor, view: View, grid: ImageGrid, rays: RayGrid) -> Tensor:
     frame = torch.from_numpy(radar_frame(view)).float()
     mean = gaussians.means @ frame.T
     order = torch.argsort(mean[:, 2].detach(), stable=True)  # from here on Gaussians are front to back
-    mean, cov = mean[order], (frame @ sigma @ frame.T)[order]
+    mean, cov = mean[order], (frame @ covariances @ frame.T)[order]
     gamma0 = gaussians.gamma0(-frame[2:])[0][order]
 
     kappa, who, where, q = _ray_pairs(mean, cov, gaussians.optical_depth[order], rays)
@@ -100,9 +100,9 @@ def _pairs(center: Tensor, cov: Tensor, limit: Tensor, columns: int, rows: int) 
         width = torch.where((limit >= 0)[:, None], last - first + 1, 0).clamp(min=0)
         count = width.prod(1)
         who = torch.repeat_interleave(torch.arange(len(center)), count)
-        within = torch.arange(len(who)) - torch.repeat_interleave(torch.cumsum(count, 0) - count, count)
-        x = first[who, 0] + within % width[who, 0]
-        y = first[who, 1] + within // width[who, 0]
+        offset = torch.arange(len(who)) - torch.repeat_interleave(torch.cumsum(count, 0) - count, count)
+        x = first[who, 0] + offset % width[who, 0]
+        y = first[who, 1] + offset // width[who, 0]
         inside = _distance(center, cov, who, x, y) <= limit[who]
         who, x, y = who[inside], x[inside], y[inside]
     return who, y * columns + x, _distance(center, cov, who, x, y)

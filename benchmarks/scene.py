@@ -55,8 +55,8 @@ class Scene:
         return [images.detach(), *self.gradients(images)]
 
 
-def field(count: int, side: int, sigma: float) -> Scene:
-    """A square image evenly filled with Gaussians, of standard deviation `sigma` in pixels; float32 throughout."""
+def field(count: int, side: int, std_pixels: float) -> Scene:
+    """A square image evenly filled with Gaussians, of standard deviation `std_pixels` in pixels; float32 throughout."""
     generator, pixel = torch.Generator().manual_seed(count), 0.3
     width = side * pixel
     extent = torch.tensor([width, width / math.cos(math.radians(_OBLIQUE.grazing_deg)), 2.0])
@@ -67,7 +67,7 @@ def field(count: int, side: int, sigma: float) -> Scene:
     gaussians = Gaussians(  # changed in place: what setting up leaves behind must not hide what rendering takes
         means=torch.rand(count, 3, generator=generator).sub_(0.5).mul_(extent),
         quaternions=normal(count, 4),
-        scales=normal(count, 3).mul_(0.4).exp_().mul_(sigma * pixel),
+        scales=normal(count, 3).mul_(0.4).exp_().mul_(std_pixels * pixel),
         optical_depth=torch.rand(count, generator=generator).mul_(math.log(40.0)).exp_().mul_(0.05),
         scattering=Harmonics(normal(count, 16), p_min=0.05),
     )

@@ -110,9 +110,9 @@ def tables(
         f"| pieces up to (m) | Gaussians | median s (mm) | {' | '.join(f'rays {1000 * r:g} mm' for r in RAYS)} |",
         f"|---:|---:|---:|{'---:|' * len(RAYS)}",
     ]
-    for size, (count, sigma), row in zip(SIZES, kinds, table.mean(axis=2), strict=True):
+    for size, (count, std), row in zip(SIZES, kinds, table.mean(axis=2), strict=True):
         cells = " | ".join(f"{value:.1f}" for value in row)
-        lines.append(f"| {size:g} | {count:,} | {1000 * sigma:.1f} | {cells} |")
+        lines.append(f"| {size:g} | {count:,} | {1000 * std:.1f} | {cells} |")
     size, spacing = STUDIED
     lines += [
         "",
@@ -133,8 +133,8 @@ def draw(table: np.ndarray, kinds: list[tuple[int, float]]) -> None:
     for k, spacing in enumerate(RAYS):
         colour = plt.get_cmap("viridis")(k / len(RAYS))
         ax.semilogx(counts, table[:, k].mean(axis=1), "o-", color=colour, label=f"rays {1000 * spacing:g} mm apart")
-    for (count, sigma), top in zip(kinds, table.mean(axis=2).max(axis=1), strict=True):
-        ax.annotate(f"s ≈ {1000 * sigma:.0f} mm", (count, top), (-4, 7), textcoords="offset points", ha="right")
+    for (count, std), top in zip(kinds, table.mean(axis=2).max(axis=1), strict=True):
+        ax.annotate(f"s ≈ {1000 * std:.0f} mm", (count, top), (-4, 7), textcoords="offset points", ha="right")
     ax.axhline(45, color="#c0392b", lw=0.8, ls="--")
     ax.set(xlabel="Gaussians on the surface of the T-72", ylabel="PSNR of amplitude inside the target (dB)")
     ax.set(xlim=(9e3, 3.9e6), ylim=(26, 53))

@@ -23,21 +23,15 @@ dataset = Dataset.from_images([SarImage(power, view, grid) for power, view in zi
 watched = View(20.0, 45.0)  # nobody trains on it
 
 
-class GoodEnough(Exception):
-    """Ends the training."""
-
-
-def watch(step: Step) -> None:
-    """Called after every step, between two of them."""
+def watch(step: Step) -> bool:
+    """Called after every step; True ends the training."""
     if step.iteration % 40 == 0:
         image = render(step.trainer.gaussians, [watched], grid, rays=RayGrid.for_image(grid, 4)).images[0]
         SarImage(image, watched, grid).save(f"step-{step.iteration:04d}.png")
         print(f"{step.iteration:4d}  loss {float(step.loss):.5f}")
-        if step.loss < 0.001:
-            raise GoodEnough
+        return bool(step.loss < 0.001)
+    return False
 
 
-try:
-    reconstruct(dataset, replace(preset("default"), iterations=240, gaussians=3000), on_step=watch, quiet=True)
-except GoodEnough:
-    print("good enough")
+run = reconstruct(dataset, replace(preset("default"), iterations=240, gaussians=3000), on_step=watch, quiet=True)
+print(f"{run.iteration} of {run.config.iterations} steps, {len(run.points)} points")

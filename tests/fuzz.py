@@ -21,7 +21,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-_MOST_SECONDS = 1.0
+_MAX_SECONDS = 1.0
 _FREE_BYTES = 64 << 20
 _INSTRUMENTED = ["sarsplat.data", "sarsplat.reconstruction.run", "sarsplat.scenes", "tifffile", "trimesh"]
 
@@ -35,7 +35,7 @@ class Tally:
     accepted: int = 0
     failed: int = 0
     slowest_s: float = 0.0
-    most_mib: float = 0.0
+    max_mib: float = 0.0
 
 
 def main() -> int:
@@ -64,7 +64,7 @@ def main() -> int:
         total = Tally(
             *(getattr(total, key) + getattr(tally, key) for key in ("tried", "refused", "accepted", "failed")),
             max(total.slowest_s, tally.slowest_s),
-            max(total.most_mib, tally.most_mib),
+            max(total.max_mib, tally.max_mib),
         )
     show("all", total)
     return int(total.failed > 0)
@@ -73,7 +73,7 @@ def main() -> int:
 def show(name: str, tally: Tally) -> None:
     print(
         f"{name:<15}{tally.tried:>8}{tally.refused:>9}{tally.accepted:>9}{tally.failed:>9}"
-        f"{tally.slowest_s:>8.2f} s{tally.most_mib:>9.1f} MiB",
+        f"{tally.slowest_s:>8.2f} s{tally.max_mib:>9.1f} MiB",
         flush=True,
     )
 
@@ -134,7 +134,7 @@ def work(name: str, inputs: int, seed: int, keep: Path) -> None:
             rng = random.Random(number)
             return reader.spoil(rng.choice((data, rng.choice(seeds))), rng)[:most]
 
-        options = [f"-runs={inputs}", f"-seed={seed + 1}", f"-max_len={fuzz_inputs.MOST_BYTES}", "-rss_limit_mb=0"]
+        options = [f"-runs={inputs}", f"-seed={seed + 1}", f"-max_len={fuzz_inputs.MAX_BYTES}", "-rss_limit_mb=0"]
         atheris.Setup([__file__, *options, str(corpus)], one, custom_mutator=spoil)
         atheris.Fuzz()
 
@@ -158,8 +158,8 @@ def judge(reader: object, folder: Path, data: bytes, tally: Tally) -> str | None
             faults += sentence_faults(str(error))
         except Exception as error:
             faults.append(f"{type(error).__name__}: {error!s:.300}")
-    tally.slowest_s, tally.most_mib = max(tally.slowest_s, cost.seconds), max(tally.most_mib, cost.bytes / 2**20)
-    if cost.seconds > _MOST_SECONDS:
+    tally.slowest_s, tally.max_mib = max(tally.slowest_s, cost.seconds), max(tally.max_mib, cost.bytes / 2**20)
+    if cost.seconds > _MAX_SECONDS:
         faults.append(f"took {cost.seconds:.2f} s")
     if cost.bytes > 4 * len(data) + _FREE_BYTES:
         faults.append(f"took {cost.bytes / 2**20:.0f} MiB for {len(data)} bytes")

@@ -59,10 +59,10 @@ class Reader:
         """The file, changed in one to four places."""
         for _ in range(rng.choice((1, 1, 1, 2, 4))):
             data = rng.choice((*self.mutations * 2, spoil_bytes))(data, rng)
-        return data[:MOST_BYTES]
+        return data[:MAX_BYTES]
 
 
-MOST_BYTES = 1 << 17
+MAX_BYTES = 1 << 17
 
 # ---- Phoenix ----
 
@@ -87,7 +87,7 @@ def _phoenix_fits(data: bytes, rng: random.Random) -> bytes:
     data = re.sub(rb"NumberOfColumns= \d+", b"NumberOfColumns= %d" % columns, data, count=1)
     head, end, _ = data.partition(b"[EndofPhoenixHeader]\n")
     head = re.sub(rb"PhoenixHeaderLength= \d+", b"PhoenixHeaderLength= %05d" % len(head + end), head)
-    return (head + end + bytes(8 * rows * columns))[:MOST_BYTES]
+    return (head + end + bytes(8 * rows * columns))[:MAX_BYTES]
 
 
 def _read_phoenix(folder: Path) -> object:
@@ -214,7 +214,7 @@ def _ply_fits(data: bytes, rng: random.Random) -> bytes:
             count = int(words[2])
         if len(words) == 3 and words[0] == b"property":
             size += count * sizes.get(words[1], 0)
-    if size > MOST_BYTES:
+    if size > MAX_BYTES:
         return data
     fill = rng.choice((b"\0", b"\xff", b"\x3f"))
     return b"\n".join(lines) + end + (body + fill * size)[:size]

@@ -70,7 +70,7 @@ def test_splits_angles_and_order(chips):
     assert dataset.target_box_m == ((-4.5, -2.5, 0.0), (6.5, 2.5, 3.0))
     assert [entry.name for entry in train.entries[:2]] == ["T72/chip007.jpeg", "T72/chip002.jpeg"]
     assert read_dataset(dataset.path).fingerprint() == dataset.fingerprint()
-    assert "max(DN, least_dn)^2" in dataset.source["calibration"]
+    assert "max(DN, min_dn)^2" in dataset.source["calibration"]
     assert (dataset.grid.spacing_m, dataset.grid.resolution_m) == ((0.203125, 0.202148), (0.3229, 0.3013))
 
 

@@ -23,9 +23,9 @@ def test_covariance_has_the_scales_along_the_gaussians_axes():
     generator = torch.Generator().manual_seed(1)
     q = torch.randn(50, 4, dtype=torch.float64, generator=generator)
     s = torch.rand(50, 3, dtype=torch.float64, generator=generator) + 0.1
-    sigma, axes = covariance(q, s), rotation_matrix(q)
-    assert torch.equal(sigma, sigma.transpose(1, 2))
-    assert torch.allclose(sigma @ axes, axes * (s**2)[:, None, :], atol=1e-12)
+    matrix, axes = covariance(q, s), rotation_matrix(q)
+    assert torch.equal(matrix, matrix.transpose(1, 2))
+    assert torch.allclose(matrix @ axes, axes * (s**2)[:, None, :], atol=1e-12)
 
 
 def test_gaussians_select_detach_and_convert():

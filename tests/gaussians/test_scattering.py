@@ -36,6 +36,13 @@ def scene(law: Scattering) -> Gaussians:
 
 
 LAWS = {
+    **{
+        f"{kind}, as trainings start": replace(
+            start := law.uniform(6, 0.5, 0.05),
+            parameters=(start.parameters + 0.1 * torch.randn(start.parameters.shape, generator=generator())).double(),
+        )
+        for kind, law in SCATTERINGS.items()
+    },
     "harmonics": Harmonics(torch.randn(6, 16, generator=generator()).double(), 0.05),
     "squared cosine": NormalLobes(torch.randn(6, 2, generator=generator()).double(), 0.05),
     "three lobes": NormalLobes(torch.randn(6, 4, generator=generator()).double(), 0.0, (2.0, 0.0, 30.0)),

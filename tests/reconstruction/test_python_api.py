@@ -32,7 +32,7 @@ def test_a_run_in_memory_is_the_same_as_one_on_the_disk(dataset: Dataset, config
     assert np.array_equal(held.render(views), finished.render(views))
     assert [line.loss for line in held.history] == [line.loss for line in finished.history]
     assert (held.iteration, held.metrics, held.dataset) == (60, None, dataset)
-    with pytest.raises(SarsplatError, match="in memory and has no folder; give"):
+    with pytest.raises(SarsplatError, match="in memory and has no folder; pass `out`"):
         held.write_results()
     with pytest.raises(SarsplatError, match="neither resumed nor overwritten"):
         reconstruct(dataset, config, resume=True)
@@ -67,6 +67,14 @@ def test_every_step_is_told(dataset: Dataset, short: Config) -> None:
     assert [step.iteration for step in told] == [1, 2, 3, 4, 5, 6]
     assert all(step.loss.shape == () and step.loss > 0 for step in told)
     assert torch.equal(told[-1].trainer.gaussians.means, run.gaussians.means)
+
+
+def test_a_watcher_ends_the_training_and_has_a_run(dataset: Dataset, short: Config, tmp_path: Path) -> None:
+    for out in (None, tmp_path / "run"):
+        run = reconstruct(dataset, short, out, on_step=lambda step: step.iteration == 3, quiet=True)
+        assert run.iteration == 3
+        assert len(run.gaussians) == short.gaussians
+    assert reconstruct(dataset, out=tmp_path / "run", resume=True, quiet=True).iteration == short.iterations
 
 
 def test_a_watcher_stops_between_two_steps_and_nothing_is_lost(dataset: Dataset, short: Config, tmp_path: Path) -> None:
@@ -186,3 +194,15 @@ def test_images_of_a_folder_that_is_none(tmp_path: Path) -> None:
         reconstruct(tmp_path / "nowhere")
     with pytest.raises(SarsplatError, match="does not exist; make one"):
         read_dataset(str(tmp_path / "nowhere"))
+
+
+def test_a_loss_that_is_no_number_any_more_is_not_saved(dataset: Dataset, short: Config, tmp_path: Path) -> None:
+    def breaks(rendered: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+        calls.append(1)
+        loss = (rendered - truth).square().mean()
+        return loss * float("nan") if len(calls) == 6 else loss
+
+    calls: list[int] = []
+    with pytest.raises(SarsplatError, match="the loss became nan at iteration 6"):
+        reconstruct(dataset, short, tmp_path / "run", loss=breaks, quiet=True)
+    assert Run.load(tmp_path / "run").iteration == 4

@@ -123,7 +123,9 @@ def test_the_cuda_engines_source_learns_as_the_cpus(
     monkeypatch.setattr(model, "render", partial(render_on, Emulator(library)))
     monkeypatch.setattr(fused, "takes", lambda tensors: False)
     found, other = train(dataset, CONFIGS[name], steps)
-    assert torch.allclose(found, expected, rtol=1e-3, atol=2e-4 * float(expected.abs().max()))  # some cross zero
+    # nats have no zero of their own, and cross it: what counts is how far they have come
+    far = 1e-3 * float(expected.max() - expected.min()) if name == "measured" else 0.0
+    assert torch.allclose(found, expected, rtol=1e-3, atol=far)
     assert len(other.model) == len(usual.model)
     if name == "density":
         assert len(usual.model) != 200

@@ -15,9 +15,9 @@ from sarsplat.renderer import render
 
 @pytest.mark.parametrize("engine", ["auto", "cpu", "reference"])
 def test_tensors_without_values_are_refused(engine):
-    with pytest.raises(SarsplatError, match="means lies on torch's meta device, which holds no values"):
+    with pytest.raises(SarsplatError, match="means is on torch's meta device, which holds no values"):
         render(cloud(10, 0).to("meta"), VIEWS, GRID, engine=engine)
-    with pytest.raises(SarsplatError, match="gain lies on torch's meta device"):
+    with pytest.raises(SarsplatError, match="gain is on torch's meta device"):
         render(cloud(10, 0), VIEWS, GRID, gain=torch.ones(len(VIEWS), device="meta"), engine=engine)
 
 

@@ -16,7 +16,7 @@ from sarsplat.renderer import cpu, render
 
 BUILT = cpu.INSTRUCTION_SETS[1:]
 ENGINES = [("cpu", name) for name in BUILT[: BUILT.index(cpu.best_instruction_set()) + 1]] + [("reference", "auto")]
-TINY, LEAST_NORMAL, LARGEST = 1e-45, 1.1754944e-38, 3.4028234e38
+TINY, MIN_NORMAL, LARGEST = 1e-45, 1.1754944e-38, 3.4028234e38
 
 
 def _random(seed: int, *shape: int) -> torch.Tensor:
@@ -58,7 +58,7 @@ def test_what_is_not_finite_is_refused_by_name(argument, value, engine, instruct
 
 @pytest.mark.parametrize(("engine", "instruction_set"), ENGINES)
 @pytest.mark.parametrize("argument", [name for name in ARGUMENTS if name != "scales"])
-@pytest.mark.parametrize("value", [TINY, LEAST_NORMAL, -0.0])
+@pytest.mark.parametrize("value", [TINY, MIN_NORMAL, -0.0])
 def test_denormals_are_zeros(argument, value, engine, instruction_set):
     """What lies below the least normal number changes nothing, in values or gradients."""
     found = run(*with_value(argument, 7, value, engine), engine, instruction_set)
@@ -75,7 +75,7 @@ def test_denormals_are_zeros(argument, value, engine, instruction_set):
     index=st.integers(0, 200),
     value=st.one_of(
         st.floats(width=32),
-        st.sampled_from([0.0, TINY, LEAST_NORMAL, MIN_SCALE, 40.0, 1e9, 1e15, LARGEST, -LARGEST, 1e-20, 1e20]),
+        st.sampled_from([0.0, TINY, MIN_NORMAL, MIN_SCALE, 40.0, 1e9, 1e15, LARGEST, -LARGEST, 1e-20, 1e20]),
     ),
 )
 def test_any_number_is_refused_by_name_or_gives_finite_results(engine, instruction_set, argument, index, value):

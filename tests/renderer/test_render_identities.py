@@ -181,8 +181,8 @@ def test_behind_a_wall(engine, kappa):
     if kappa == 30.0:
         assert float(behind) == 0.0  # past the early stop
     else:
-        least = kappa * math.exp(-0.5 * (0.6 / 3.0) ** 2)  # optical depth of the wall in front of any part of it
-        assert math.exp(-kappa) * float(free) <= float(behind) <= math.exp(-least) * float(free)
+        thinnest = kappa * math.exp(-0.5 * (0.6 / 3.0) ** 2)  # optical depth of the wall in front of any part of it
+        assert math.exp(-kappa) * float(free) <= float(behind) <= math.exp(-thinnest) * float(free)
 
 
 # ---- 4. symmetries ---------------------------------------------------------------------------------------------------

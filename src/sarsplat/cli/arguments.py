@@ -30,7 +30,7 @@ Metres = Annotated[float | None, tyro.conf.arg(metavar="METRES", help_behavior_h
 Angles = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DEG …", help_behavior_hint="")]
 """Numbers or ranges start:stop:step, degrees; see `angles`."""
 
-_MOST_ANGLES = 10_000
+_MAX_ANGLES = 10_000
 
 
 def angles(texts: Sequence[str], name: str) -> list[float]:
@@ -54,8 +54,8 @@ def angles(texts: Sequence[str], name: str) -> list[float]:
             raise SarsplatError(f"--{name} {text!r} is neither degrees, such as 30, nor a range, such as 0:360:15")
         start, stop, step = numbers
         steps = (stop - start) / step - 1e-9
-        if not 0 < steps <= _MOST_ANGLES:  # also catches what overflowed
-            raise SarsplatError(f"--{name} {text!r} is a range of {max(steps, 0):.0f} angles; give 1 to {_MOST_ANGLES}")
+        if not 0 < steps <= _MAX_ANGLES:  # also catches what overflowed
+            raise SarsplatError(f"--{name} {text!r} is a range of {max(steps, 0):.0f} angles; give 1 to {_MAX_ANGLES}")
         values += [start + step * k for k in range(math.ceil(steps))]
     return values
 

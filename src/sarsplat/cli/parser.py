@@ -8,16 +8,18 @@ import re
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from functools import partial, wraps
+from importlib import import_module
+from pkgutil import iter_modules
 from typing import Any
 
 import tyro
 
+from sarsplat import cli
 from sarsplat.cli.arguments import MARKERS
 from sarsplat.cli.completion import completion
 from sarsplat.cli.doctor import doctor
 from sarsplat.cli.evaluate import evaluate
 from sarsplat.cli.export import export
-from sarsplat.cli.import_mstar import import_mstar
 from sarsplat.cli.info import info
 from sarsplat.cli.mistakes import Level, explained
 from sarsplat.cli.reconstruct import reconstruct
@@ -26,9 +28,16 @@ from sarsplat.cli.report import report
 from sarsplat.cli.simulate import simulate
 from sarsplat.errors import SarsplatError
 
+
+def _importers() -> dict[str, Callable[..., None]]:
+    """`import NAME` is the function `import_NAME` of the module of that name in this folder."""
+    found = sorted(info.name for info in iter_modules(cli.__path__) if info.name.startswith("import_"))
+    return {name.removeprefix("import_"): getattr(import_module(f"{cli.__name__}.{name}"), name) for name in found}
+
+
 COMMANDS: dict[str, Callable[..., None] | dict[str, Callable[..., None]]] = {
     "simulate": simulate,
-    "import": {"mstar": import_mstar},
+    "import": _importers(),
     "reconstruct": reconstruct,
     "evaluate": evaluate,
     "report": report,

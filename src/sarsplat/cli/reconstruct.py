@@ -148,7 +148,8 @@ def _base(options: Options, images: Dataset) -> Config:
             raise SarsplatError(
                 f"--config and --preset {options.preset} both choose the starting settings; give only one of them"
             )
-        return Config.from_dict(read_json(options.config, dict[str, Any]), str(options.config))
+        settings = read_json(options.config, dict[str, Any])
+        return Config.from_dict(settings.get("config", settings), str(options.config))  # a run keeps its own there
     if not options.resume:
         return fitting(options.preset, images)
     begun = Run.load(options.out).config

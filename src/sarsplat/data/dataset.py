@@ -162,6 +162,9 @@ class Dataset:
         every = [*images, *test]
         if not images:
             raise SarsplatError("there are no training images; give at least one")
+        for image in every:
+            if not isinstance(image, SarImage):
+                raise SarsplatError(f"images holds a {type(image).__name__}; make each a SarImage(power, view, grid)")
         grid = every[0].grid
         for index, image in enumerate(every):
             if image.grid != grid:
@@ -191,7 +194,12 @@ class Dataset:
         return len(self.entries)
 
     def __getitem__(self, index: int) -> SarImage:
-        index = operator.index(index)
+        try:
+            index = operator.index(index)
+        except TypeError as error:
+            raise SarsplatError(
+                f"{shown(index)} is no index of one image; give a whole number, or take a set with select('train')"
+            ) from error
         return SarImage(self.power[index], self.entries[index].view, self.grid)
 
     def __str__(self) -> str:

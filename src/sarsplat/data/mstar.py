@@ -33,7 +33,7 @@ from sarsplat.geometry import ImageGrid, View
 _TARGET_BOX_M: Box = ((-4.5, -2.5, 0.0), (6.5, 2.5, 3.0))
 """The vehicles fit into this box around the chip's centre; the nose points to +x, the room in front is a barrel's."""
 
-LEAST_DN = 2.0
+MIN_DN = 2.0
 """Digital numbers are raised to this: below it lies nothing but quantisation, and zero has no logarithm."""
 
 
@@ -101,7 +101,7 @@ def import_mstar(
     grid = _common_grid(ordered)
     dn = np.stack([_central(chip.dn, grid) for chip in ordered])
     dn = dn[:, ::-1, :] if mirrored else dn[:, ::-1, ::-1]  # turned by 180°; mirroring undoes the flip of the columns
-    power = np.maximum(dn, np.float32(LEAST_DN)) ** 2
+    power = np.maximum(dn, np.float32(MIN_DN)) ** 2
     scale = float(power[: len(train)].mean(dtype=np.float64))
     sign = 1 if mirrored else -1
     entries = tuple(
@@ -119,10 +119,10 @@ def import_mstar(
         "azimuth": f"azimuth = {'+' if mirrored else '-'}TargetAz; grazing = measured depression",
         "orientation": f"published array turned by 180 degrees{', then columns flipped' if mirrored else ''}",
         "calibration": (
-            "none: power = max(DN, least_dn)^2 / mean_dn_squared, the mean over all pixels of the training chips; "
+            "none: power = max(DN, min_dn)^2 / mean_dn_squared, the mean over all pixels of the training chips; "
             "DN = the 8-bit value of the JPEG, or dn_per_magnitude x the Phoenix magnitude"
         ),
-        "least_dn": LEAST_DN,
+        "min_dn": MIN_DN,
         "dn_per_magnitude": JPEG_DN_PER_MAGNITUDE,
         "mean_dn_squared": scale,
         "cut_to_common_size": any(chip.dn.shape != (grid.rows, grid.columns) for chip in ordered),

@@ -24,8 +24,8 @@ JPEG_DN_PER_MAGNITUDE = 523.6
 
 _ANGLES = ("desired_depression_deg", "measured_depression_deg", "target_az_deg")
 _COLUMNS = ("path", "class", "serial", *_ANGLES)
-_MOST_PIXELS_A_SIDE = 4096
-_MOST_LABELS = 100_000
+_MAX_PIXELS_PER_SIDE = 4096
+_MAX_LABELS = 100_000
 
 
 @dataclass(frozen=True)
@@ -225,11 +225,11 @@ def _read_labels(path: Path) -> _Rows:
         missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
         if missing:
             raise SarsplatError(f"{path} is missing the column {missing[0]!r}; it needs {', '.join(_COLUMNS)}")
-        rows = [(reader.line_num, row) for row in itertools.islice(reader, _MOST_LABELS + 1)]
+        rows = [(reader.line_num, row) for row in itertools.islice(reader, _MAX_LABELS + 1)]
     except (UnicodeDecodeError, csv.Error) as error:
         raise SarsplatError(f"{path} is not a readable CSV table ({error}); give the table of labels") from error
-    if len(rows) > _MOST_LABELS:
-        raise SarsplatError(f"{path} has more than {_MOST_LABELS} rows; split the table of labels into smaller ones")
+    if len(rows) > _MAX_LABELS:
+        raise SarsplatError(f"{path} has more than {_MAX_LABELS} rows; split the table of labels into smaller ones")
     if not rows:
         raise SarsplatError(f"{path} has no rows; give the table of labels")
     for line, row in rows:
@@ -263,7 +263,7 @@ def read_jpeg(path: Path) -> Real[np.ndarray, "rows columns"]:
     with data:
         try:
             image = Image.open(data, formats=("JPEG",))
-            if image.mode != "L" or max(image.size) > _MOST_PIXELS_A_SIDE:
+            if image.mode != "L" or max(image.size) > _MAX_PIXELS_PER_SIDE:
                 raise SarsplatError(
                     f"{path} is a {image.mode} image of {image.size[0]} × {image.size[1]} pixels; chips are 8-bit grey"
                 )

@@ -22,7 +22,7 @@ from sarsplat.geometry import ImageGrid, View
 _MAGIC = b"[PhoenixHeaderVer"
 _END = "[EndofPhoenixHeader]"
 _LONGEST_HEADER = 65_536
-_MOST_PIXELS_A_SIDE = 4096
+_MAX_PIXELS_PER_SIDE = 4096
 _LARGEST = 1e9  # no magnitude and no number of a header comes near it, and its square still fits into float32
 
 
@@ -143,8 +143,8 @@ def read_phoenix(path: str | Path) -> PhoenixChip:
         file.seek(0)
         start = file.read(_LONGEST_HEADER)
         length, header = _parse_header(path, start)
-        rows = _whole(path, header, "NumberOfRows", _MOST_PIXELS_A_SIDE)
-        columns = _whole(path, header, "NumberOfColumns", _MOST_PIXELS_A_SIDE)
+        rows = _whole(path, header, "NumberOfRows", _MAX_PIXELS_PER_SIDE)
+        columns = _whole(path, header, "NumberOfColumns", _MAX_PIXELS_PER_SIDE)
         if header.get("native_header_length") != "0":
             raise SarsplatError(
                 f"{path} has a native header of {shown(header.get('native_header_length'))} bytes, "
@@ -214,9 +214,9 @@ def _number(path: Path, header: dict[str, str], key: str) -> float:
     return value
 
 
-def _whole(path: Path, header: dict[str, str], key: str, most: int) -> int:
+def _whole(path: Path, header: dict[str, str], key: str, maximum: int) -> int:
     text = _text(path, header, key)
     value = int(text) if re.fullmatch(r"[0-9]{1,9}", text) else 0
-    if not 1 <= value <= most:
-        raise SarsplatError(f"{path} has {key}= {text[:40]!r} in its header; it must be 1 to {most}")
+    if not 1 <= value <= maximum:
+        raise SarsplatError(f"{path} has {key}= {text[:40]!r} in its header; it must be 1 to {maximum}")
     return value

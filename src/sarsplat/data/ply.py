@@ -36,7 +36,7 @@ _VERSION = "sarsplat gaussians 2"
 _LAW = "scattering "
 _ODD = [1, 2, 3, 9, 10, 11, 12, 13, 14, 15]  # harmonics of degree 1 and 3
 _FARTHEST = 1e9  # m from the origin, of points: squares of it stay finite
-_LEAST_LOGIT = -30.0  # stands for an opacity of zero, whose logit is −∞
+_MIN_LOGIT = -30.0  # stands for an opacity of zero, whose logit is −∞
 _DIRECTIONS = 200  # in which a law is compared with harmonics
 
 
@@ -61,7 +61,7 @@ def write_gaussians_ply(path: str | Path, gaussians: Gaussians, comments: Iterab
     _check_gaussians(values, "the Gaussians")
     depth = values["optical_depth"].astype(np.float64)
     with np.errstate(divide="ignore"):
-        opacity = np.maximum(np.log(np.expm1(depth)), _LEAST_LOGIT)  # logit(1 − e^{−κ}) = ln(e^κ − 1)
+        opacity = np.maximum(np.log(np.expm1(depth)), _MIN_LOGIT)  # logit(1 − e^{−κ}) = ln(e^κ − 1)
     seen = _flip_odd(_as_harmonics(gaussians))
     rest = np.tile(seen[:, 1:], (1, 3))
     columns = {

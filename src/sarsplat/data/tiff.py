@@ -60,13 +60,13 @@ def read_power_tiff(path: Path, shape: tuple[int, int]) -> Float32[np.ndarray, "
         If the file is missing, damaged, truncated, compressed, of another shape or type, or holds NaN, an infinity or
         negative power.
     """
-    path, least = Path(path), 4 * shape[0] * shape[1]
+    path, pixel_bytes = Path(path), 4 * shape[0] * shape[1]
     with open_file(path) as file:
         size = file.seek(0, 2)
-        if not least <= size <= least + _LONGEST_HEADER:
+        if not pixel_bytes <= size <= pixel_bytes + _LONGEST_HEADER:
             raise SarsplatError(
-                f"{path} has {size} bytes, too {'few' if size < least else 'many'} for {shape[0]} × {shape[1]} float32 "
-                "pixels; it is truncated, compressed or of another size: create the dataset again"
+                f"{path} has {size} bytes, too {'few' if size < pixel_bytes else 'many'} for {shape[0]} × {shape[1]} "
+                "float32 pixels; it is truncated, compressed or of another size: create the dataset again"
             )
         file.seek(0)
         data = file.read()

@@ -241,7 +241,8 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
     Metric(
         "ssim",
         *("SSIM", "", 4, "more"),
-        "structural similarity of the same amplitudes: Gaussian window 11×11, σ 1.5, data range 1; mean over images",
+        "structural similarity of the same amplitudes: 11×11 Gaussian window of standard deviation 1.5, data range 1; "
+        "mean over images",
         lambda pair: images.ssim(pair.truth, pair.rendered, pair.reference_amplitude),
         requires=NOISE_FREE,
         short="SSIM",

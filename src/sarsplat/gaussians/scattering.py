@@ -16,7 +16,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.gaussians.harmonics import CONSTANTS, harmonic_basis
 
-_LEAST_EXCESS = 1e-3
+_MIN_EXCESS = 1e-3
 """γ⁰ above p_min that a law starts with at least: softplus never reaches zero."""
 
 
@@ -34,7 +34,7 @@ class Scattering(ABC):
         What is learned, a row for each Gaussian; at most 16 columns. The first speaks for all directions, the others
         of differences between them: they have learning rates of their own.
     p_min : float
-        Least scattering P_min ≥ 0 (γ⁰). Above zero it forbids black absorbers.
+        Minimum scattering P_min ≥ 0 (γ⁰). Above zero it forbids black absorbers.
 
     Raises
     ------
@@ -157,7 +157,7 @@ class NormalLobes(Scattering):
     parameters : Tensor [N, 1 + J]
         softplus of them is b₀, the same in all directions, and b_1 … b_J.
     p_min : float
-        Least scattering P_min ≥ 0 (γ⁰).
+        Minimum scattering P_min ≥ 0 (γ⁰).
     sharpness : tuple of J numbers
         κ_j ≥ 0, fixed. Zero would only repeat b₀, so it stands for the squared cosine (n·u)².
     """
@@ -197,10 +197,10 @@ class NormalLobes(Scattering):
     @classmethod
     def uniform(cls, count: int, gamma0: float, p_min: float) -> Self:
         """See `Scattering.uniform`; one lobe, the squared cosine, of a hundredth of b₀."""
-        b0 = max(gamma0 - p_min, _LEAST_EXCESS)
+        b0 = max(gamma0 - p_min, _MIN_EXCESS)
         raw = torch.tensor([_softplus_inverse(b0), _softplus_inverse(b0 / 100)], device="cpu")
         return cls(raw.repeat(count, 1), p_min)
 
 
 def _softplus_inverse(value: float) -> float:
-    return math.log(math.expm1(max(value, _LEAST_EXCESS)))
+    return math.log(math.expm1(max(value, _MIN_EXCESS)))

@@ -10,8 +10,8 @@ from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError
 
-_LEAST_LENGTH, _MOST_LENGTH = 1e-6, 1e6  # m: beyond these, float32 squares go wrong long before physics does
-_MOST_PIXELS = 1 << 17
+_MIN_LENGTH, _MAX_LENGTH = 1e-6, 1e6  # m: beyond these, float32 squares go wrong long before physics does
+_MAX_PIXELS = 1 << 17
 
 
 def _pair(name: str, values: tuple[float, ...]) -> None:
@@ -22,9 +22,9 @@ def _pair(name: str, values: tuple[float, ...]) -> None:
 def _positive(name: str, values: tuple[float, ...]) -> None:
     _pair(name, values)
     for value in values:
-        if not isinstance(value, Real) or not _LEAST_LENGTH <= value <= _MOST_LENGTH:  # also catches NaN
+        if not isinstance(value, Real) or not _MIN_LENGTH <= value <= _MAX_LENGTH:  # also catches NaN
             raise SarsplatError(
-                f"{name} {values} must be positive and finite, in metres ({_LEAST_LENGTH:g} to {_MOST_LENGTH:g})"
+                f"{name} {values} must be positive and finite, in metres ({_MIN_LENGTH:g} to {_MAX_LENGTH:g})"
             )
 
 
@@ -57,12 +57,12 @@ class ImageGrid:
             raise SarsplatError(f"an image of {self.rows} × {self.columns} pixels is not possible; give whole numbers")
         if self.rows < 1 or self.columns < 1:
             raise SarsplatError(f"an image of {self.rows} × {self.columns} pixels is empty; give at least 1 × 1")
-        if max(self.rows, self.columns) > _MOST_PIXELS:
+        if max(self.rows, self.columns) > _MAX_PIXELS:
             raise SarsplatError(
-                f"an image of {self.rows} × {self.columns} pixels is too large; give at most {_MOST_PIXELS} per side"
+                f"an image of {self.rows} × {self.columns} pixels is too large; give at most {_MAX_PIXELS} per side"
             )
         _pair("image centre", self.center_m)
-        if not all(isinstance(value, Real) and abs(value) <= _MOST_LENGTH for value in self.center_m):
+        if not all(isinstance(value, Real) and abs(value) <= _MAX_LENGTH for value in self.center_m):
             raise SarsplatError(f"image centre {self.center_m} must be a pair of finite metres")
         _positive("pixel spacing", self.spacing_m)
         _positive("resolution", self.resolution_m)

@@ -11,7 +11,7 @@ from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError
 
-_MOST_AZIMUTH = 3600  # degrees: ten turns
+_MAX_AZIMUTH = 3600  # degrees: ten turns
 
 
 @dataclass(frozen=True)
@@ -42,9 +42,9 @@ class View:
             if not isinstance(value, Real):
                 raise SarsplatError(f"{name} {value!r} is not a number; give degrees")
             object.__setattr__(self, field, float(value))  # numpy's numbers do not fit into JSON
-        if not abs(self.azimuth_deg) <= _MOST_AZIMUTH:  # also catches NaN; of 1e308° nobody knows the direction
+        if not abs(self.azimuth_deg) <= _MAX_AZIMUTH:  # also catches NaN; of 1e308° nobody knows the direction
             raise SarsplatError(
-                f"azimuth {self.azimuth_deg} is not a number of degrees between ±{_MOST_AZIMUTH}; "
+                f"azimuth {self.azimuth_deg} is not a number of degrees between ±{_MAX_AZIMUTH}; "
                 "give degrees, such as 0 to 360"
             )
         if not 0.0 < self.grazing_deg < 90.0:  # also catches NaN

@@ -55,12 +55,12 @@ def step(tensors: Sequence[Stepped], gradients: Sequence[Tensor], decays: Sequen
         How many updates this one makes, from 1: moments that began at zero are corrected for it.
     """
     rate, spread = 1 / (1 - BETA1**count), 1 / math.sqrt(1 - BETA2**count)
-    most = math.log(_LARGEST_FACTOR)
+    max_log_factor = math.log(_LARGEST_FACTOR)
     for tensor, gradient, decay in zip(tensors, gradients, decays, strict=True):
         slope = gradient * tensor.value if tensor.logarithmic else gradient
         tensor.mean.lerp_(slope, 1 - BETA1)
         tensor.square.mul_(BETA2).addcmul_(slope, slope, value=1 - BETA2)
         down = tensor.mean / (tensor.square.sqrt() * spread + EPSILON) * (tensor.rates * (decay * rate))
         value = tensor.value
-        moved = value * (-down).clamp(-most, most).exp() if tensor.logarithmic else value - down
+        moved = value * (-down).clamp(-max_log_factor, max_log_factor).exp() if tensor.logarithmic else value - down
         value.copy_(moved.clamp(tensor.low, tensor.high))  # NaN stays NaN: the next rendering says so

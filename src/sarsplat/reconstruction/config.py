@@ -17,6 +17,9 @@ Degree = Annotated[int, Meta(ge=0, le=3)]
 Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Positive = Annotated[float, Meta(ge=1e-6, le=1e6)]
 NotNegative = Annotated[float, Meta(ge=0, le=1e6)]
+OpticalDepth = Annotated[float, Meta(ge=1e-3, le=40)]
+"""Up to `sarsplat.gaussians.MAX_OPTICAL_DEPTH`."""
+
 Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Scale = Annotated[float, Meta(ge=1e-4, le=1e6)]
 """From `sarsplat.gaussians.MIN_SCALE`, which is not imported because that would load torch; a test compares them."""
@@ -222,10 +225,10 @@ class Config(Record):
     scattering: ScatteringName = "harmonics"
     p_min: NotNegative = 0.03
     initial_scale_m: Positive = 0.08
-    initial_optical_depth: Positive = 0.1
+    initial_optical_depth: OpticalDepth = 0.1
     initial_scattering: NotNegative = 0.5
     scale_bounds_m: tuple[Scale, Scale] = (0.01, 0.3)
-    max_optical_depth: Positive = 10.0
+    max_optical_depth: OpticalDepth = 10.0
     harmonics_degree: Degree = 3
     harmonics_every: Count = 200
     rays_per_pixel: Positive = 2.0

@@ -27,11 +27,11 @@ FLOOR = 1e-3
 """Amplitudes are softened below this share of the reference: the root has no slope at zero."""
 
 SSIM_WINDOW = 11
-SSIM_SIGMA = 1.5
+SSIM_STD = 1.5
 C1, C2 = 0.01**2, 0.03**2
 
 _OFFSETS = torch.arange(SSIM_WINDOW, dtype=torch.float64, device="cpu") - SSIM_WINDOW // 2
-_WINDOW = torch.softmax(-(_OFFSETS**2) / (2 * SSIM_SIGMA**2), dim=0)
+_WINDOW = torch.softmax(-(_OFFSETS**2) / (2 * SSIM_STD**2), dim=0)
 
 
 def amplitude_loss(

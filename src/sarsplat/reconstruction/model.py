@@ -30,7 +30,7 @@ PER_GAUSSIAN = ("means", "quaternions", "scales", "optical_depth", "scattering")
 LOGARITHMIC = ("scales", "optical_depth")
 """Positive ones, which move by factors: what is stepped is their logarithm."""
 
-_LEAST_OPTICAL_DEPTH = 1e-3
+_MIN_OPTICAL_DEPTH = 1e-3
 _SLACK = 0.2
 """Centres are kept within the region's box and this margin, m."""
 
@@ -233,11 +233,11 @@ class SceneModel:
 
     @cached_property
     def bounds(self) -> dict[str, tuple[Tensor, Tensor]]:
-        """Least and largest values of parameters that have any, by name; one number, or one for each column."""
+        """Smallest and largest values of parameters that have any, by name; one number, or one for each column."""
         config = self.config
         low, high = (corner.to(self.device) for corner in self._box())
         scales = torch.tensor(config.scale_bounds_m, device=self.device).clamp(min=MIN_SCALE)
-        depths = torch.tensor([_LEAST_OPTICAL_DEPTH, config.max_optical_depth], device=self.device)
+        depths = torch.tensor([_MIN_OPTICAL_DEPTH, config.max_optical_depth], device=self.device)
         return {
             "means": (low, high),
             "scales": (scales[0], scales[1]),

@@ -73,7 +73,7 @@ def reconstruct(
         The images, or the folder that holds them.
     preset : str or Config
         How: a name in `PRESETS`, a configuration of your own, or "auto": "measured" where the images show ground,
-        "default" elsewhere.
+        "default" elsewhere. To resume, "auto" is what the run was begun with.
     out : str or Path, optional
         Folder of the run; it appears, or replaces an earlier run, with the first checkpoint. Without it everything
         stays in memory.
@@ -84,8 +84,8 @@ def reconstruct(
         β⁰, linear power, and returns one number that torch can differentiate. The run's configuration has its name; to
         resume, give it again.
     on_step : callable, optional
-        Told of every step (`Step`). An exception it raises ends the training between two steps: what has been learned
-        so far is saved.
+        Called after every step (`Step`). If it returns True, the training ends there, and the run is what has been
+        learned so far. An exception ends it too; what has been learned is then kept in `out`.
     quiet : bool
         Show no progress.
     resume : bool
@@ -108,7 +108,8 @@ def reconstruct(
         the run was started with.
     """
     dataset = dataset if isinstance(dataset, Dataset) else read_dataset(Path(dataset))
-    config = fitting(preset, dataset)
+    begun = Run.load(out).config if resume and preset == "auto" and out is not None else None
+    config = begun or fitting(preset, dataset)
     if loss is not None:
         config = replace(config, loss=getattr(loss, "__name__", type(loss).__name__))
     warn(suspicions(dataset))
@@ -160,6 +161,7 @@ class _Training:
         self.trainer, self._on_step, self._shown = trainer, on_step, shown
         self.history: list[LogLine] = []
         self.between_steps = True
+        self.ended = False  # by whoever watches
         self._begun = time.monotonic()
 
     @property
@@ -189,9 +191,9 @@ class _Training:
             saves = save is not None and trainer.iteration % config.checkpoint_every == 0
             if logs or saves:
                 trainer.check()  # as a part of the step: what is wrong is not saved
+            line = self._line(losses) if logs else None
             self.between_steps = True
-            if logs:
-                line = self._line(losses)
+            if line is not None:
                 losses = []
                 self.history.append(line)
                 self._shown.update(line.iteration, f"loss {line.loss:.3g}  {line.gaussians} Gaussians")
@@ -199,8 +201,9 @@ class _Training:
                     log(line)
             if save is not None and saves:
                 save()
-            if self._on_step is not None:
-                self._on_step(Step(trainer.iteration, loss, trainer))
+            if self._on_step is not None and self._on_step(Step(trainer.iteration, loss, trainer)) is True:
+                self.ended = True
+                return
 
     def _line(self, losses: list[Tensor]) -> LogLine:
         loss = sum(torch.stack(losses).tolist()) / len(losses)  # one wait for the device
@@ -239,7 +242,7 @@ def _on_the_disk(training: _Training, dataset: Dataset, out: Path, resume: bool,
                         ) from error
                     stopped = error
         try:
-            if stopped is None:
+            if stopped is None and not training.ended:
                 _train(training, Run.load(out), config.iterations)
         finally:  # the run is usable as far as it has come
             finished = Run.load(out)

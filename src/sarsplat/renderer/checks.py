@@ -19,7 +19,7 @@ MAX_SCALE = 1e6
 _QUATERNION_LENGTHS = (1e-15, 1e15)
 
 _FAR, _STRONG = 1e9, 1e15  # beyond these, float32 overflows on the way
-_MOST = {"means": _FAR, "shift": _FAR, "scattering": _STRONG, "gamma0": _STRONG, "gain": _STRONG}
+_MAX_ABS = {"means": _FAR, "shift": _FAR, "scattering": _STRONG, "gamma0": _STRONG, "gain": _STRONG}
 
 _POSITIVE = "optimise logarithms, or clamp"
 ALLOWED = {
@@ -50,7 +50,7 @@ _STEP_LIMITS = {
 }
 """Of footprints and amplitudes; the CPU engine has the same."""
 
-_MOST_PIXELS = 32_767
+_MAX_PIXELS = 32_767
 """Of an image's side, on the CPU engine; 4,096 is the largest that was measured."""
 
 
@@ -105,10 +105,10 @@ def check_options(
 
 def check_for_cpu(grid: ImageGrid | None, tensors: dict[str, Tensor | None]) -> None:
     """What the CPU engine does not take."""
-    if grid is not None and max(grid.rows, grid.columns) > _MOST_PIXELS:
+    if grid is not None and max(grid.rows, grid.columns) > _MAX_PIXELS:
         raise SarsplatError(
             f"an image of {grid.rows} × {grid.columns} pixels is too large for the CPU engine; "
-            f"render parts of at most {_MOST_PIXELS} pixels per side by moving the grid's center"
+            f"render parts of at most {_MAX_PIXELS} pixels per side by moving the grid's center"
         )
     for name, tensor in tensors.items():
         if tensor is not None and (tensor.dtype != torch.float32 or tensor.device.type != "cpu"):
@@ -145,15 +145,15 @@ def check_values(tensors: dict[str, Tensor | None]) -> None:
     for name, tensor in tensors.items():
         if tensor is None:
             continue
-        good = tensor.abs() <= _MOST.get(name, float("inf"))
+        good = tensor.abs() <= _MAX_ABS.get(name, float("inf"))
         if name == "scales":
             good = (tensor >= MIN_SCALE * (1 - 1e-6)) & (tensor <= MAX_SCALE)
         elif name == "optical_depth":
             good = (tensor >= 0) & (tensor <= MAX_OPTICAL_DEPTH * (1 + 1e-6))
         elif name == "quaternions":
-            least, most = _QUATERNION_LENGTHS
+            shortest, longest = _QUATERNION_LENGTHS
             length = tensor.double().norm(dim=1, keepdim=True)
-            good = (length >= least) & (length <= most)
+            good = (length >= shortest) & (length <= longest)
         if not bool(good.all()):
             raise SarsplatError(complaint(name, tensor, int((~good).nonzero()[0, 0])))
 

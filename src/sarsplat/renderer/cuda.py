@@ -22,10 +22,10 @@ _SPLAT_FLOATS = 8
 _TOGETHER = 4
 """Channels to a launch, of csrc/cuda_steps.cuh."""
 
-_MOST_SIDE, _MOST_RAYS = 131_068, 1 << 28
+_MAX_SIDE, _MAX_RAYS = 131_068, 1 << 28
 """Of a view's ray lattice, as on the CPU engine."""
 
-_MOST_PAIRS = 1 << 31
+_MAX_PAIRS = 1 << 31
 
 _NOTHING = (1 << 63) - 1
 """The largest key, and the largest minimum."""
@@ -240,7 +240,7 @@ class Pass:
         """The first fault, and the bounds of the footprints on rays: none yet."""
         views, n = problem.views, problem.gaussians
         self._pairs = views * n
-        if self._pairs >= _MOST_PAIRS:
+        if self._pairs >= _MAX_PAIRS:
             raise SarsplatError(f"{views} views of {n} Gaussians are too many at once; render fewer views at a time")
         minima = self._new("minima", 1 + 4 * views, dtype=torch.int64).fill_(-1)
         self._state.minima = minima.data_ptr()
@@ -260,7 +260,7 @@ class Pass:
                 return _fault(fault)
             self._lattices = [smallest_lattice(bounds[k : k + 4]) for k in range(0, len(bounds), 4)]
             for v, (_, _, rows, columns) in enumerate(self._lattices):
-                if max(rows, columns) > _MOST_SIDE or rows * columns > _MOST_RAYS:
+                if max(rows, columns) > _MAX_SIDE or rows * columns > _MAX_RAYS:
                     return "lattice", v
         self._rays = cut_into_tiles(self._lattices, 0.5)
         return None

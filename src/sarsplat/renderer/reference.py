@@ -25,7 +25,7 @@ from sarsplat.renderer.rendering import RayMap, Rendering
 _UNCUT_RADIUS = 9.0
 """Without cuts the lattice reaches this many standard deviations: e⁻⁴⁰ is below float64's resolution."""
 
-_MOST_PAIRS = 1 << 26
+_MAX_PAIRS = 1 << 26
 """Of Gaussians and rays in one view; in float64 they take about 5 GB and 10 s."""
 
 
@@ -166,10 +166,10 @@ def _attenuate_view(
     low = torch.floor((centers.detach() - radius)[touched].amin(0) / spacing).tolist()
     high = torch.ceil((centers.detach() + radius)[touched].amax(0) / spacing).tolist()
     pairs = len(kappa) * max(high[0] - low[0], 1) * max(high[1] - low[1], 1)
-    if not pairs <= _MOST_PAIRS:  # also catches what overflowed
+    if not pairs <= _MAX_PAIRS:  # also catches what overflowed
         raise SarsplatError(
             f"the reference would need too many rays at a spacing of {rays.spacing_m} m: {pairs:.3g} pairs of "
-            f"Gaussians and rays, where {_MOST_PAIRS:.3g} is the limit; remove distant or wide Gaussians, use coarser "
+            f"Gaussians and rays, where {_MAX_PAIRS:.3g} is the limit; remove distant or wide Gaussians, use coarser "
             "rays, or use engine='cpu'"
         )
     x = (torch.arange(low[0], high[0], dtype=kappa.dtype) + 0.5).to(spacing.device) * spacing[0]

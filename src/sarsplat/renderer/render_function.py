@@ -111,13 +111,15 @@ class _Render(torch.autograd.Function):
         means: Tensor,
         quaternions: Tensor,
         scales: Tensor,
-        kappa: Tensor,
+        optical_depth: Tensor,
         harmonics: Tensor | None,
         gamma0: Float[Tensor, "v n"] | None,
         shift: Tensor,
         setting: _Setting,
     ) -> tuple[Any, ...]:
-        inputs = [t if t is None else t.contiguous() for t in (means, quaternions, scales, kappa, harmonics, gamma0)]
+        inputs = [
+            t if t is None else t.contiguous() for t in (means, quaternions, scales, optical_depth, harmonics, gamma0)
+        ]
         inputs.append(shift.contiguous())
         problem, constants = problem_of(inputs, setting.views, setting.grid, setting.rays, setting.p_min, setting.peak)
         views, n, grid = len(setting.views), means.shape[0], setting.grid

@@ -15,7 +15,7 @@ from sarsplat.report.decibels import DYNAMIC_DB, to_decibels
 from sarsplat.report.window import target_window
 
 _SIDE = 1.6  # inches
-_MOST_COLUMNS = 8
+_MAX_COLUMNS = 8
 
 
 def contact_sheet(
@@ -39,7 +39,7 @@ def contact_sheet(
     """
     if len(images) == 0:
         raise SarsplatError("there are no images to put on a contact sheet; give at least one")
-    columns = min(len(views), _MOST_COLUMNS, max(3, math.ceil(math.sqrt(len(views)))))
+    columns = min(len(views), _MAX_COLUMNS, max(3, math.ceil(math.sqrt(len(views)))))
     lines = math.ceil(len(views) / columns)
     window = target_window(images, peak)
     shown = images[(slice(None), *window)]

@@ -17,7 +17,7 @@ from sarsplat.report.window import target_window
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap
 
-_MOST_DB = {False: 6.0, True: 10.0}  # larger differences look alike; by whether there is speckle
+_MAX_DB = {False: 6.0, True: 10.0}  # larger differences look alike; by whether there is speckle
 _BESIDE = 2  # views side by side
 
 # Inches: one panel; a block of three with its axis labels; title of a view; heading; foot with the colour bars.
@@ -59,7 +59,7 @@ def views_figure(
     margin : int
         Pixels on each side that are not scored.
     """
-    most = _MOST_DB[speckled]
+    max_db = _MAX_DB[speckled]
     rows, columns = target_window(np.maximum(truth, rendered), peak, margin)
     extent = (
         grid.azimuth_m[columns][0] - grid.spacing_m[0] / 2,
@@ -93,7 +93,7 @@ def views_figure(
         for line, index in enumerate(range(number, len(views), beside)):
             difference = _difference_db(truth[index], rendered[index], peak, speckled)
             pictures = (to_decibels(truth[index], peak), to_decibels(rendered[index], peak), difference)
-            styles = (("gray", -DYNAMIC_DB, 0), ("gray", -DYNAMIC_DB, 0), (_differences(), -most, most))
+            styles = (("gray", -DYNAMIC_DB, 0), ("gray", -DYNAMIC_DB, 0), (_differences(), -max_db, max_db))
             for axes, picture, (colours, low, high) in zip(panels[line], pictures, styles, strict=True):
                 axes.set_axis_on()
                 dress(axes)
@@ -106,7 +106,7 @@ def views_figure(
     means = " (3×3 means)" if speckled else ""
     bars = (
         (0.12, ramp("grey", "black", "white"), (-DYNAMIC_DB, 0.0), "power, dB of the brightest training pixel"),
-        (0.62, _differences(), (-most, most), f"rendered over truth, dB{means}"),
+        (0.62, _differences(), (-max_db, max_db), f"rendered over truth, dB{means}"),
     )
     for x, colours, limits, label in bars:
         colour_bar(figure, figure.add_axes((x, 0.42 / height, 0.26, 0.09 / height)), colours, limits, label)

@@ -129,11 +129,11 @@ class Building:
         numpy.ndarray, float64 [K]
         """
         cos = math.cos(math.radians(grazing_deg))
-        sigma = resolution / math.sqrt(8 * math.log(2))
+        std_m = resolution / math.sqrt(8 * math.log(2))
         return sum(
             (
                 region.beta0
-                * (ndtr((slant_range - region.start * cos) / sigma) - ndtr((slant_range - region.stop * cos) / sigma))
+                * (ndtr((slant_range - region.start * cos) / std_m) - ndtr((slant_range - region.stop * cos) / std_m))
                 for region in self.regions(grazing_deg, gamma0)
             ),
             start=np.zeros(len(slant_range)),

@@ -28,8 +28,8 @@ _LARGEST_FILE = 1 << 28  # bytes
 _LONGEST_TEXT = {".obj": 1 << 25, ".stl": 1 << 25, ".off": 1 << 24, ".ply": 1 << 24}
 _FREE_NUMBERS = 100_000  # that a .glb file of any size may unfold to
 _LONGEST_SCENE = 1 << 20  # bytes of JSON in a .glb file
-_MOST_PARTS = 2_000  # nodes and primitives of a glTF scene: trimesh takes about a tenth of a millisecond for each
-_MOST_SOLIDS = 1_000  # in an ASCII .stl file: half a millisecond for each
+_MAX_PARTS = 2_000  # nodes and primitives of a glTF scene: trimesh takes about a tenth of a millisecond for each
+_MAX_SOLIDS = 1_000  # in an ASCII .stl file: half a millisecond for each
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
 logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # what is wrong with a file is said by our own errors
@@ -110,7 +110,7 @@ def _plain_text(path: Path, kind: str, data: bytes) -> bytes:
             f"'{path}' declares {faces} faces ({84 + 50 * faces} bytes) but has {len(data)} bytes; export it again"
         )
     data = data.decode("utf-8", "replace").encode()
-    if kind == ".stl" and (solids := data.lower().count(b"endsolid")) > _MOST_SOLIDS:
+    if kind == ".stl" and (solids := data.lower().count(b"endsolid")) > _MAX_SOLIDS:
         raise SarsplatError(f"'{path}' holds {solids} solids, each a mesh; export it as one plain mesh")
     if kind == ".obj":
         if re.search(rb"^f[^\n]*[ \t]-", data, flags=re.MULTILINE):
@@ -136,7 +136,7 @@ def _check_glb(path: Path, data: bytes) -> None:
         numbers, parts = _unfolded(json.loads(data[20 : 20 + length].decode()))
     except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
         raise SarsplatError(f"'{path}' has a garbled scene ({repr(error)[:200]}); export it again") from error
-    if numbers > 2 * len(data) + _FREE_NUMBERS or parts > _MOST_PARTS:
+    if numbers > 2 * len(data) + _FREE_NUMBERS or parts > _MAX_PARTS:
         raise SarsplatError(
             f"'{path}' expands {len(data)} bytes to {numbers} numbers in {parts} parts; export it as one plain mesh"
         )

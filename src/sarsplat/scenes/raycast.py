@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _LATTICE_TILT = math.atan((math.sqrt(5) - 1) / 2)
 
 _RAYS_PER_BATCH = 1 << 20
-_MOST_RAYS = 1e8  # a minute a view
+_MAX_RAYS = 1e8  # a minute a view
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ def _first_hits(
     if x_range[0] > x_range[1]:
         return
     rays = (x_range[1] - x_range[0]) * (upper[1] - lower[1]) / spacing**2
-    if rays > _MOST_RAYS:
+    if rays > _MAX_RAYS:
         raise SarsplatError(
             f"the mesh spans {upper[1] - lower[1]:.4g} m of elevation, which needs {rays:.2g} rays {spacing} m apart; "
             "if it is in millimetres, scale it to metres; otherwise use a smaller one"

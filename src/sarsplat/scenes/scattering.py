@@ -10,7 +10,7 @@ from jaxtyping import Float, Float64, Real
 
 from sarsplat.errors import SarsplatError
 
-_MOST_GAMMA0 = 1e6
+_MAX_GAMMA0 = 1e6
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class ScatteringLaw:
 
 def check_ground(gamma0: float | None) -> None:
     """Refuse a ground that is not a γ⁰."""
-    if gamma0 is not None and not 0 <= gamma0 <= _MOST_GAMMA0:
+    if gamma0 is not None and not 0 <= gamma0 <= _MAX_GAMMA0:
         raise SarsplatError(f"ground_gamma0 {gamma0} must be finite and at least 0 (linear γ⁰, not decibels)")
 
 
@@ -65,6 +65,6 @@ def check_reflectivity(
     factors = np.asarray(reflectivity, dtype=np.float64)
     if factors.shape != (faces,):
         raise SarsplatError(f"reflectivity has shape {factors.shape}; give one factor for each of the {faces} faces")
-    if not ((factors >= 0) & (factors <= _MOST_GAMMA0)).all():  # also catches NaN
+    if not ((factors >= 0) & (factors <= _MAX_GAMMA0)).all():  # also catches NaN
         raise SarsplatError("reflectivity holds a factor that is negative or not finite; give linear factors on γ⁰")
     return factors

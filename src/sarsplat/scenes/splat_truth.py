@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _WIDENING, _SHEET_DEPTH = 1.2, 7.0
 
 _THICKNESS = 1e-3  # m
-_MOST_GAUSSIANS = 1e7
+_MAX_GAUSSIANS = 1e7
 
 
 def surface_gaussians(
@@ -64,7 +64,7 @@ def surface_gaussians(
     if not mesh.area > 0:
         raise SarsplatError(f"the mesh has a surface of {mesh.area} m², so it cannot be covered with Gaussians")
     fewest = mesh.area / (size**2 / 4)
-    if fewest > _MOST_GAUSSIANS:
+    if fewest > _MAX_GAUSSIANS:
         raise SarsplatError(
             f"the mesh has a surface of {mesh.area:.2g} m², which needs at least {fewest:.2g} Gaussians; "
             "if it is in millimetres, scale it to metres; otherwise use a smaller one"

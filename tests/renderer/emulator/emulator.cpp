@@ -18,15 +18,15 @@ Index thread, block;
 
 namespace {
 
-constexpr int kWarp = 32, kMostThreads = 1024, kStack = 128 << 10;
+constexpr int kWarp = 32, kMaxThreads = 1024, kStack = 128 << 10;
 
 enum Waiting { NOT, FOR_WARP, FOR_BLOCK, DONE };
 struct Fiber { jmp_buf at; ucontext_t born; std::vector<char> stack; Waiting waiting = DONE; bool started = false; };
 // Two rounds are enough: nobody is more than one collective ahead of the slowest in its group.
-struct Group { int arrived = 0, round = 0; Collective what = BLOCK; uint32_t values[2][kMostThreads]; };
+struct Group { int arrived = 0, round = 0; Collective what = BLOCK; uint32_t values[2][kMaxThreads]; };
 
-Fiber fibers[kMostThreads];
-Group whole, warps[kMostThreads / kWarp];
+Fiber fibers[kMaxThreads];
+Group whole, warps[kMaxThreads / kWarp];
 jmp_buf scheduler;
 ucontext_t main_context;
 int current, threads;

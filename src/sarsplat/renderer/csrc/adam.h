@@ -9,10 +9,10 @@ namespace SG_ISA {
 namespace {
 
 constexpr int kRows = 1024;  // per task; a multiple of every kWidth
-constexpr int kMostColumns = 16;
+constexpr int kMaxColumns = 16;
 
 // NaN stays NaN: the next forward pass says so
-SG_FN F within(F x, F low, F high) { return choose(x < low, low, choose(x > high, high, x)); }
+SG_FN F clamp(F x, F low, F high) { return choose(x < low, low, choose(x > high, high, x)); }
 
 int adam_tasks(const sg_adam_group& g) { return (int)((g.rows + kRows - 1) / kRows); }
 
@@ -25,7 +25,7 @@ void adam(const sg_adam_step* adam) {
     const sg_adam_group* group = adam->groups;
     for (; task >= adam_tasks(*group); group++) task -= adam_tasks(*group);
     const sg_adam_group& g = *group;
-    alignas(64) float low[kMostColumns * kWidth], high[kMostColumns * kWidth], rates[kMostColumns * kWidth];
+    alignas(64) float low[kMaxColumns * kWidth], high[kMaxColumns * kWidth], rates[kMaxColumns * kWidth];
     for (int k = 0, column = 0; k < g.columns * kWidth; k++, column = column + 1 < g.columns ? column + 1 : 0) {
       low[k] = g.low[column]; high[k] = g.high[column]; rates[k] = g.rate[column] * g.decay * rate;
     }
@@ -38,10 +38,10 @@ void adam(const sg_adam_step* adam) {
       mean += (gradient - mean) * mean_share;
       square = square * adam->beta2 + gradient * gradient * square_share;
       const F down = mean / (root(square) * spread + adam->epsilon) * load(rates + k);
-      value = g.logarithmic ? value * power2(within(down * -1.44269504f, splat(-99.0f), splat(99.0f))) : value - down;
+      value = g.logarithmic ? value * power2(clamp(down * -1.44269504f, splat(-99.0f), splat(99.0f))) : value - down;
       store_some(g.mean + i, mean, some);
       store_some(g.square + i, square, some);
-      store_some(g.value + i, within(value, load(low + k), load(high + k)), some);
+      store_some(g.value + i, clamp(value, load(low + k), load(high + k)), some);
     }
   });
 }

@@ -7,25 +7,25 @@ namespace SG_ISA {
 namespace {
 
 // ---- lattice and depth order -------------------------------------------------------------------------------------------
-float least_of(F x) { float m = x[0]; for (int k = 1; k < kWidth; k++) m = x[k] < m ? x[k] : m; return m; }
+float lane_min(F x) { float m = x[0]; for (int k = 1; k < kWidth; k++) m = x[k] < m ? x[k] : m; return m; }
 
 bool place_lattice(ViewState& s, int chunks) {
   double low[2], count[2];
   s.rays = {0, 0, 0, 0, nullptr, nullptr};
   for (int axis = 0; axis < 2; axis++) {
-    F least = splat(3e38f), most = -least;
+    F lowest = splat(3e38f), highest = -lowest;
     for (int i = 0; i < chunks; i++) {
-      least = smaller(least, s.bounds[i].low[axis]);
-      most = larger(most, s.bounds[i].high[axis]);
+      lowest = smaller(lowest, s.bounds[i].low[axis]);
+      highest = larger(highest, s.bounds[i].high[axis]);
     }
-    const float first = least_of(least), last = -least_of(-most);
+    const float first = lane_min(lowest), last = -lane_min(-highest);
     if (!(first <= last)) return true;  // nothing touches a ray
     if (!(first > -kFarthest && last < kFarthest)) return false;
     low[axis] = __builtin_floor(first);
     count[axis] = __builtin_ceil(last) - low[axis];
   }
-  if (!(count[0] * count[1] <= (double)kMostRays)) return false;
-  s.rays = {(int)low[0], (int)low[1], most(1, (int)count[0]), most(1, (int)count[1]), nullptr, nullptr};
+  if (!(count[0] * count[1] <= (double)kMaxRays)) return false;
+  s.rays = {(int)low[0], (int)low[1], larger(1, (int)count[0]), larger(1, (int)count[1]), nullptr, nullptr};
   return true;
 }
 
@@ -54,13 +54,13 @@ void cut_rays(ViewState& s, int n, int parts) {
   int64_t* work = s.row_work;     // that begins in a row, less what ended
   const Strips& all = s.rays;
   s.ray_parts = 1;
-  while (2 * s.ray_parts <= least(parts, all.rows / kRowsPerBand)) s.ray_parts *= 2;  // they divide among threads
+  while (2 * s.ray_parts <= smaller(parts, all.rows / kRowsPerBand)) s.ray_parts *= 2;  // they divide among threads
   for (int y = 0; y <= all.rows; y++) work[y] = 0;
   for (int i = 0; i < n; i++) {
     RayEntry& e = s.on_rays[i];
     if (e.y1 < e.y0) continue;
-    e.x0 = most(e.x0, all.x0); e.x1 = least(e.x1, all.x0 + all.columns - 1);
-    e.y0 = most(e.y0, all.y0); e.y1 = least(e.y1, all.y0 + all.rows - 1);
+    e.x0 = larger(e.x0, all.x0); e.x1 = smaller(e.x1, all.x0 + all.columns - 1);
+    e.y0 = larger(e.y0, all.y0); e.y1 = smaller(e.y1, all.y0 + all.rows - 1);
     if (e.x1 < e.x0) e.y1 = e.y0 - 1;
     if (e.y1 < e.y0) continue;
     const int wide = (e.x1 - all.x0) / kBlockX - (e.x0 - all.x0) / kBlockX + 1;
@@ -110,8 +110,8 @@ void cut_pixels(ViewState& s, const Strips& image, int n, int parts) {
   const int keys = image.rows * kShapes * kShapes + 1;
   for (int k = 0; k < keys; k++) counts[k] = 0;
   for (int i = 0; i < n; i++) counts[s.pixel_keys[i]]++;
-  auto tall = [&](int key) { return least(kMostBlocks[key / kShapes % kShapes], (image.rows - 1) / kBlockY + 1); };
-  auto wide = [&](int key) { return least(kMostBlocks[key % kShapes], image.count()); };
+  auto tall = [&](int key) { return smaller(kMaxBlocks[key / kShapes % kShapes], (image.rows - 1) / kBlockY + 1); };
+  auto wide = [&](int key) { return smaller(kMaxBlocks[key % kShapes], image.count()); };
   auto work = [&](int key) { return 2 + (int64_t)tall(key) * wide(key); };
   int64_t total = 0, done = 0;
   for (int k = 0; k < keys; k++) total += counts[k] * work(k);
@@ -120,8 +120,8 @@ void cut_pixels(ViewState& s, const Strips& image, int n, int parts) {
   int at = 0;
   for (int k = 0; k < keys; k++) {
     const int64_t each = work(k);
-    const int first_row = least(k / kShapes / kShapes, image.rows - 1);
-    const int last_row = least(first_row + tall(k) * kBlockY, image.rows) - 1;
+    const int first_row = smaller(k / kShapes / kShapes, image.rows - 1);
+    const int last_row = smaller(first_row + tall(k) * kBlockY, image.rows) - 1;
     for (int left = counts[k]; left > 0;) {
       if (!part || done * parts >= total * s.pixel_parts) {  // never after the last part: there done < total
         part = s.pixel_groups + s.pixel_parts++;
@@ -130,7 +130,7 @@ void cut_pixels(ViewState& s, const Strips& image, int n, int parts) {
       const int64_t room = (total * s.pixel_parts / parts - done) / each + 1;
       const int here = room < 1 ? 1 : room < left ? (int)room : left;  // no room: one alone was more than a part
       part->end = at += here;
-      part->strips.rows = most(part->strips.rows, last_row - part->strips.y0 + 1);
+      part->strips.rows = larger(part->strips.rows, last_row - part->strips.y0 + 1);
       done += here * each;
       left -= here;
     }

@@ -15,7 +15,7 @@ struct Amplitudes { const float* first; int64_t stride; };
 // visit(c, std::integral_constant of how many) for the channels in groups
 template <class Visit> void for_channels(int channels, Visit visit) {
   for (int c = 0; c < channels; c += kTogether) {
-    switch (least(kTogether, channels - c)) {
+    switch (smaller(kTogether, channels - c)) {
       case 1: visit(c, std::integral_constant<int, 1>()); break;
       case 2: visit(c, std::integral_constant<int, 2>()); break;
       case 3: visit(c, std::integral_constant<int, 3>()); break;
@@ -39,7 +39,7 @@ template <int C> void image_channels(const ViewState& s, const Part& part, const
   const int64_t size = strips.size();
   std::memset(S, 0, sizeof(float) * C * size);
   for (int k = part.first; k < part.end; k++) {
-    const int32_t ahead = s.pixel_list[least(k + kAhead, part.end - 1)], id = s.pixel_list[k];
+    const int32_t ahead = s.pixel_list[smaller(k + kAhead, part.end - 1)], id = s.pixel_list[k];
     __builtin_prefetch(s.on_pixels + ahead);
     __builtin_prefetch(a.first + a.stride * ahead);
     const Entry& e = s.on_pixels[id];
@@ -59,7 +59,7 @@ void image_channels_backward(const ViewState& s, const Part& part, const Strips&
   const int64_t size = image.size();
   const F zero = splat(0.0f);
   for (int k = part.first; k < part.end; k++) {
-    const int32_t ahead = s.pixel_list[least(k + kAhead, part.end - 1)], id = s.pixel_list[k];
+    const int32_t ahead = s.pixel_list[smaller(k + kAhead, part.end - 1)], id = s.pixel_list[k];
     __builtin_prefetch(s.on_pixels + ahead);
     __builtin_prefetch(a.first + a.stride * ahead);
     const Entry& e = s.on_pixels[id];

@@ -13,27 +13,23 @@ namespace SG_ISA {
 namespace {
 
 constexpr int kChunk = 1024;      // Gaussians per task; a multiple of every kWidth
-constexpr int kTasks = 16;        // pair-loop tasks wanted over all views, at most kMostParts of them per view
-constexpr int kMostParts = 8;
+constexpr int kTasks = 16;        // pair-loop tasks wanted over all views, at most kMaxParts of them per view
+constexpr int kMaxParts = 8;
 constexpr int kRowsPerTask = 16, kStripsPerTask = 8;  // of images
 constexpr int kShapes = 8;        // of footprints that are told apart in either direction: so many blocks at most
-constexpr int kMostBlocks[kShapes] = {1, 2, 3, 4, 8, 16, 64, 1 << 15};
+constexpr int kMaxBlocks[kShapes] = {1, 2, 3, 4, 8, 16, 64, 1 << 15};
 constexpr int kRowsPerBand = 12;  // at least, on average: a Gaussian on a border is visited twice
 constexpr float kFarthest = 1 << 24;  // ray cells or pixels from the origin: whole numbers in float32
 constexpr int32_t kNoDepth = -1;      // as an unsigned key it comes last
-constexpr int64_t kMostRays = int64_t(1) << 28;
+constexpr int64_t kMaxRays = int64_t(1) << 28;
 
-int least(int a, int b) { return a < b ? a : b; }
-int most(int a, int b) { return a > b ? a : b; }
-I least(I a, I b) { return __builtin_elementwise_min(a, b); }
-I most(I a, I b) { return __builtin_elementwise_max(a, b); }
 int64_t padded(int64_t n) { return (n + kWidth - 1) / kWidth * kWidth; }
 
 // Tasks of a pass; Gaussians go by the chunk.
 int64_t chunk_end(int64_t chunk, int64_t limit) { return (chunk + 1) * kChunk < limit ? (chunk + 1) * kChunk : limit; }
-int chunks_of(int64_t n) { return most(1, (int)((n + kChunk - 1) / kChunk)); }
+int chunks_of(int64_t n) { return larger(1, (int)((n + kChunk - 1) / kChunk)); }
 int tasks_of(int count, int each) { return (count + each - 1) / each; }
-int parts_of(const sg_problem& p) { return most(1, least(kMostParts, kTasks / most(p.views, 1))); }
+int parts_of(const sg_problem& p) { return larger(1, smaller(kMaxParts, kTasks / larger(p.views, 1))); }
 
 // Below, one thread is done before another has come: about 1.3 times as fast with 300 to 1,800 Gaussians.
 bool worth_waking(const sg_problem& p) { return (int64_t)p.views * (p.gaussians + (int64_t)p.rows * p.columns / 16) > 2048; }
@@ -67,7 +63,7 @@ struct ViewState {
   Bounds* bounds;                 // by chunk, of the footprints
   Strips rays;                    // the lattice
   int ray_parts;
-  Part ray_bands[kMostParts];     // of rows
+  Part ray_bands[kMaxParts];     // of rows
   int touching;                   // how many Gaussians touch a ray
   int32_t *front_to_back, *ray_list;  // their ids; those of every band
   float* T;                       // by band
@@ -75,7 +71,7 @@ struct ViewState {
   float* partial;                 // sums of w by slot
   // imaging plane
   int pixel_parts;
-  Part pixel_groups[kMostParts];  // every Gaussian is in one of them
+  Part pixel_groups[kMaxParts];  // every Gaussian is in one of them
   int32_t* pixel_list;            // ids
   // scratch
   uint64_t* sorting[2];
@@ -148,7 +144,7 @@ Bodies read_bodies(const sg_problem& p, int64_t i, int real) {
 }
 
 // log2 of the optical depth at which a footprint ends, and q at which an imaging weight ends; base 2
-float least_log_tau(const sg_problem& p) { return __builtin_log2f(p.min_ray_depth * kLog2e); }
+float min_log_tau(const sg_problem& p) { return __builtin_log2f(p.min_ray_depth * kLog2e); }
 float image_cut(const sg_problem& p) { return 0.5f * kLog2e * p.image_cut; }
 
 ViewFrame frame_of(const sg_problem& p, int v) {

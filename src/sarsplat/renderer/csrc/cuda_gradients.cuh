@@ -6,7 +6,7 @@
 namespace sarsplat {
 namespace SG_ISA {
 
-constexpr int kMostCoefficients = 16;
+constexpr int kMaxCoefficients = 16;
 
 SG_FN Moments<float> ray_moments(const State& s, int64_t j) {
   float sums[6] = {};
@@ -26,7 +26,7 @@ SG_FN void write_gradients(const sg_problem& p, int64_t i, const Body<float>& b,
   for (int k = 0; k < 3; k++) { g.means[3 * i + k] = total.mean[k]; g.scales[3 * i + k] = d_scale[k]; }
   for (int k = 0; k < 4; k++) g.quaternions[4 * i + k] = d_quaternion[k];
   g.kappa[i] = d_kappa;
-  for (int k = 0; k < kMostCoefficients; k++)
+  for (int k = 0; k < kMaxCoefficients; k++)
     if (k < p.coefficients) g.harmonics[p.coefficients * i + k] = d_harmonics[k];
 }
 
@@ -37,7 +37,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) differentiate(sg_problem 
   float unit[4], norm;
   const Body<float> b = body(p, i, unit, norm);
   BodyGradient<float> total{};
-  float d_harmonics[kMostCoefficients] = {};
+  float d_harmonics[kMaxCoefficients] = {};
   for (int v = 0; v < p.views; v++) {
     const int64_t j = v * n + i;
     float planes[4] = {}, d_gamma0 = 0.0f;
@@ -49,7 +49,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) differentiate(sg_problem 
       total.kappa += rays.m0;
       d_gamma0 = s.d_sigma[j] * lit;
       const float d_sum = p.gamma0 ? 0.0f : d_gamma0 * softplus(sum_of_harmonics(p, v, i)).slope;
-      for (int k = 0; k < kMostCoefficients; k++)
+      for (int k = 0; k < kMaxCoefficients; k++)
         if (k < p.coefficients) d_harmonics[k] += d_sum * p.basis[v * p.coefficients + k];
     }
     for (int k = 0; k < 4; k++) s.planes[4 * j + k] = planes[k];

@@ -48,7 +48,7 @@ SG_FN float lost_to_cut(const sg_problem& p) { return 1.0f / (1.0f - expf(-0.5f 
 SG_FN void place_on_rays(const sg_problem& p, const State& s, int64_t j, const Placed<float>& at, float kappa, float range) {
   const bool touching = kappa >= p.min_ray_depth;
   const float height = natural_log((touching ? kappa : p.min_ray_depth) * kLog2e) * kLog2e;
-  const float reach = touching ? root(larger(height - least_log_tau(p), 0.0f) * (2.0f * kLn2)) : -1.0f;
+  const float reach = touching ? root(larger(height - min_log_tau(p), 0.0f) * (2.0f * kLn2)) : -1.0f;
   write_splat(s.rays, j, at, reach, height, range);
 }
 
@@ -91,8 +91,8 @@ SG_FN void bound_rays(const State& s, int view, int64_t j) {
     }
   }
   for (int k = 0; k < 4; k++) {
-    const float least = warp_min(lowest[k]);
-    if (lane() == 0 && least < kNever) atomicMin(s.minima + 1 + 4 * view + k, (unsigned long long)ordered(least));
+    const float minimum = warp_min(lowest[k]);
+    if (lane() == 0 && minimum < kNever) atomicMin(s.minima + 1 + 4 * view + k, (unsigned long long)ordered(minimum));
   }
 }
 

@@ -14,7 +14,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) attenuate_tiles(sg_proble
   const Point ray = point_of_thread(lattice, blockIdx.x);
   const int64_t first = s.rays.starts[blockIdx.x];
   const int count = (int)(s.rays.starts[blockIdx.x + 1] - first);
-  const float least = least_log_tau(p);
+  const float faintest = min_log_tau(p);
   float T = ray.inside ? 1.0f : 0.0f;
   int last = -1;
   for (int begin = 0; begin < count; begin += kBatch) {
@@ -31,7 +31,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) attenuate_tiles(sg_proble
       const Footprint& g = splats[k].g;
       const Offset<float> d = offset(g, (float)ray.x, (float)ray.y);
       const float log_tau = log_depth(g, d);
-      const bool live = log_tau >= least && T >= p.min_transmittance;
+      const bool live = log_tau >= faintest && T >= p.min_transmittance;
       float w = 0.0f;
       if (__any_sync(kWholeWarp, live)) {
         w = warp_sum(attenuate(log_tau, live, T));
@@ -61,7 +61,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) attenuate_tiles_backward(
   const Point ray = point_of_thread(lattice, blockIdx.x);
   const int64_t first = s.rays.starts[blockIdx.x];
   const int count = (int)(s.rays.starts[blockIdx.x + 1] - first);
-  const float least = least_log_tau(p);
+  const float faintest = min_log_tau(p);
   float T = ray.inside ? s.transmittance[ray.index] : 0.0f;
   float B = ray.inside && from ? T * from[ray.index] : 0.0f;
   const int last = ray.inside ? s.last[ray.index] : -1;
@@ -82,7 +82,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) attenuate_tiles_backward(
       const Footprint& g = splats[k].g;
       const Offset<float> d = offset(g, (float)ray.x, (float)ray.y);
       const float log_tau = log_depth(g, d);
-      const bool live = log_tau >= least && last >= begin + k;
+      const bool live = log_tau >= faintest && last >= begin + k;
       float sum = 0.0f;
       if (__any_sync(kWholeWarp, live)) {
         Moments<float> m{};
@@ -115,7 +115,7 @@ trace_tiles(sg_problem p, State s, int32_t first_tile, float depth, float* trans
     const Splat& splat = s.rays.splats[j];
     const Footprint g = placed(splat.g, lattice);
     const float log_tau = log_depth(g, offset(g, (float)ray.x, (float)ray.y));
-    if (!(log_tau >= least_log_tau(p))) continue;
+    if (!(log_tau >= min_log_tau(p))) continue;
     const float before = sum_tau;
     sum_tau += kLn2 * power2(log_tau);
     if (before < depth && sum_tau >= depth)

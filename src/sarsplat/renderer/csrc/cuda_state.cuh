@@ -67,7 +67,7 @@ SG_FN int64_t pair_index(const sg_problem& p, int* view, int* gaussian) {
 }
 
 // log2 of the optical depth at which a footprint ends, and q at which an imaging weight ends; base 2
-SG_FN float least_log_tau(const sg_problem& p) { return log2f(p.min_ray_depth * kLog2e); }
+SG_FN float min_log_tau(const sg_problem& p) { return log2f(p.min_ray_depth * kLog2e); }
 SG_FN float image_cut(const sg_problem& p) { return 0.5f * kLog2e * p.image_cut; }
 
 SG_FN PlaneUnits units(const sg_problem& p) {

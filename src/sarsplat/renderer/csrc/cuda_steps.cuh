@@ -39,7 +39,7 @@ differentiate_projections(sg_problem p, State s, sg_projection seeds, sg_gradien
   float unit[4], norm;
   const Body<float> b = body(p, i, unit, norm);
   BodyGradient<float> total{};
-  float d_harmonics[kMostCoefficients] = {};
+  float d_harmonics[kMaxCoefficients] = {};
   for (int v = 0; v < p.views; v++) {
     const int64_t j = v * n + i;
     const ViewFrame f = frame(p, v);
@@ -52,7 +52,7 @@ differentiate_projections(sg_problem p, State s, sg_projection seeds, sg_gradien
     spread(proj, f, u, planes, gc, gi, m0, total);
     total.kappa += ratio * d_depth;
     const float d_sum = p.coefficients ? seeds.gamma0[j] * softplus(sum_of_harmonics(p, v, i)).slope : 0.0f;
-    for (int k = 0; k < kMostCoefficients; k++)
+    for (int k = 0; k < kMaxCoefficients; k++)
       if (k < p.coefficients) d_harmonics[k] += d_sum * p.basis[v * p.coefficients + k];
   }
   write_gradients(p, i, b, unit, norm, total, total.kappa, d_harmonics, g);

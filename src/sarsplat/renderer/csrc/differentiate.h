@@ -68,7 +68,7 @@ void differentiate(const sg_context& c, const sg_problem& p, const sg_gradients&
   const int64_t n = p.gaussians;
   for (int k = 0; k < 2 * p.views; k++) shift_sums[k] = 0.0f;
   for (int64_t i = first; i < end; i += kWidth) {
-    const int real = least(kWidth, (int)(n - i));
+    const int real = smaller(kWidth, (int)(n - i));
     const Bodies bodies = read_bodies(p, i, real);
     const Body<F>& b = bodies.body;
     const F zero = splat(0.0f), kappa = bodies.kappa;

@@ -72,7 +72,7 @@ int32_t forward_stages(sg_context& c, const sg_problem& p, const sg_outputs& out
   const int groups = tasks_of(p.rows, kRowsPerTask);
   parallel(V * groups, [&](int i) {
     const int v = i / groups, first = i % groups * kRowsPerTask;
-    add_parts(c.views[v], 0, first, least(p.rows, first + kRowsPerTask), p.columns, out.images + (int64_t)v * p.rows * p.columns);
+    add_parts(c.views[v], 0, first, smaller(p.rows, first + kRowsPerTask), p.columns, out.images + (int64_t)v * p.rows * p.columns);
   });
   arena.release(c.kept);
   return SG_OK;
@@ -92,7 +92,7 @@ int32_t backward_stages(sg_context& c, const sg_problem& p, const sg_gradients& 
   const int groups = tasks_of(c.image.count(), kStripsPerTask);
   parallel(V * groups, [&](int i) {
     const int64_t v = i / groups, first = i % groups * kStripsPerTask;
-    write_strips(c.image, first, least(c.image.count(), first + kStripsPerTask), g.images + v * p.rows * p.columns, scratch[v].dS);
+    write_strips(c.image, first, smaller(c.image.count(), first + kStripsPerTask), g.images + v * p.rows * p.columns, scratch[v].dS);
   });
   parallel(V * parts, [&](int i) {
     const int64_t v = i / parts;

@@ -14,7 +14,7 @@ void lattice(const sg_context* c, int32_t view, sg_lattice* out) {
 // One row of rays in strips to a row of numbers.
 void read_row(const Strips& s, int y, const float* strips, float* row) {
   for (int x = 0; x < s.columns; x += kBlockX)
-    std::memcpy(row + x, strips + s.at(s.x0 + x, y), sizeof(float) * least(kBlockX, s.columns - x));
+    std::memcpy(row + x, strips + s.at(s.x0 + x, y), sizeof(float) * smaller(kBlockX, s.columns - x));
 }
 
 // Where the Gaussian of one lane is densest on a ray: range + slope (dx, dy), by ray cells.
@@ -33,7 +33,7 @@ SG_FN int32_t trace_rays(const ViewState& s, const sg_problem* p, float depth, f
   float* sum_tau = (float*)std::malloc(sizeof(float) * (rays + 1));
   if (!sum_tau) return SG_MEMORY;
   for (int64_t i = 0; i < rays; i++) { sum_tau[i] = 0.0f; first_return[i] = __builtin_nanf(""); }
-  const float stop = -__builtin_logf(p->min_transmittance), faintest = least_log_tau(*p);
+  const float stop = -__builtin_logf(p->min_transmittance), faintest = min_log_tau(*p);
   for (int k = 0; k < s.touching; k++) {
     const int32_t id = s.front_to_back[k];
     const Entry& e = s.on_rays[id];
@@ -60,7 +60,7 @@ int32_t trace(const sg_context* c, const sg_problem* p, int32_t view, float dept
   const PlaneUnits u = units(*p);
   return trace_rays(s, p, depth, transmittance, first_return, [&](int32_t id) __attribute__((always_inline)) {
     const int64_t group = id / kWidth * kWidth, lane = id % kWidth;
-    const Projection<F> g = project(read_bodies(*p, group, least(kWidth, (int)(p->gaussians - group))).body, s.frame, u);
+    const Projection<F> g = project(read_bodies(*p, group, smaller(kWidth, (int)(p->gaussians - group))).body, s.frame, u);
     Surface surface{g.mean[2], {}, lane};
     densest(g, u, surface.slope);
     return surface;
@@ -78,7 +78,7 @@ void statistics(const sg_context* c, const sg_problem* p, sg_statistics* out) {
         for_blocks(e, band.strips, [&](const Offset<F>& d, int64_t at) {
           out->blocks_attenuation++;
           const I followed = load_anywhere(s.stop + band.start + at) >= k;
-          out->live_attenuation += __builtin_popcount(bits((log_depth(e.g, d) >= least_log_tau(*p)) & followed));
+          out->live_attenuation += __builtin_popcount(bits((log_depth(e.g, d) >= min_log_tau(*p)) & followed));
         });
       }
     }

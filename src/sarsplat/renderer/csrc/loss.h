@@ -66,12 +66,12 @@ int32_t amplitude_loss(sg_context* context, const sg_loss* loss) {
   parallel(V * tasks, [&](int task) {
     LossTask& s = all[task];
     const int64_t image = (int64_t)(task / tasks) * R * C;
-    const int begin = task % tasks * rows, end = least(R, begin + rows);
+    const int begin = task % tasks * rows, end = smaller(R, begin + rows);
     const int first = begin - reach;  // the first window that contains one of the rows; some lie beyond the edges
     auto row = [&](float* p, int y) { return p + (y - first) * stride + kPad; };
     F w[kReach / 2 + 1];
     for (int k = 0; k <= kReach / 2; k++) w[k] = splat(l.window[k]);
-    for (int y = most(0, first); y < least(R, end + reach); y++)
+    for (int y = larger(0, first); y < smaller(R, end + reach); y++)
       for (int x = 0; x < C; x += kWidth) {
         const int64_t at = image + (int64_t)y * C + x;
         store(row(s.a, y) + x, root(load_some(l.power + at, C - x) * scale + floor2) - l.floor);
@@ -88,7 +88,7 @@ int32_t amplitude_loss(sg_context* context, const sg_loss* loss) {
       for (int x = 0; x < C; x += kWidth) {
         F sums[5] = {splat(0.0f), splat(0.0f), splat(0.0f), splat(0.0f), splat(0.0f)};
         for (int k = 0; k < kTaps; k++) {
-          const F a = load(row(s.a, y + k) + x), t = load(row(s.truth, y + k) + x), wa = a * w[least(k, kReach - k)], wt = t * w[least(k, kReach - k)];
+          const F a = load(row(s.a, y + k) + x), t = load(row(s.truth, y + k) + x), wa = a * w[smaller(k, kReach - k)], wt = t * w[smaller(k, kReach - k)];
           sums[0] += wa; sums[1] += wt; sums[2] += wa * a; sums[3] += wt * t; sums[4] += wa * t;
         }
         for (int q = 0; q < 5; q++) store(s.blurred[q] + kPad + x, sums[q]);

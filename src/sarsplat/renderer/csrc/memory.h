@@ -71,7 +71,7 @@ class Arena {
  private:
   struct Chunk { void* raw; char* start; int64_t bytes; };
   bool grow(int64_t bytes) {
-    if (count_ == kMost) return false;  // 64 chunks, each at least twice the one before
+    if (count_ == kMaxChunks) return false;  // 64 chunks, each at least twice the one before
     const int64_t twice = count_ ? 2 * chunks_[count_ - 1].bytes : int64_t(1) << 22;
     int64_t size = bytes > twice ? bytes : twice;
     void* raw = std::malloc(size + 64);
@@ -81,8 +81,8 @@ class Arena {
     forbid(chunks_[count_++].start, size);
     return true;
   }
-  static constexpr int kMost = 64;
-  Chunk chunks_[kMost] = {};
+  static constexpr int kMaxChunks = 64;
+  Chunk chunks_[kMaxChunks] = {};
   int count_ = 0, current_ = 0;
   int64_t used_ = 0;
   bool failed_ = false;

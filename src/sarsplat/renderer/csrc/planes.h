@@ -19,7 +19,7 @@ void attenuate_rays(ViewState& s, const sg_problem& p, int b) {
   Part& band = s.ray_bands[b];
   band.first = b * p.gaussians;
   band.end = band.first + list_band(s, b, s.ray_list + band.first);
-  attenuate_band(s.on_rays, s.ray_list + band.first, band.count(), band.strips, b, least_log_tau(p), p.min_transmittance,
+  attenuate_band(s.on_rays, s.ray_list + band.first, band.count(), band.strips, b, min_log_tau(p), p.min_transmittance,
                  s.T + band.start, s.stop + band.start, s.partial);
 }
 
@@ -77,7 +77,7 @@ void attenuate_rays_backward(const ViewState& s, const sg_problem& p, int b, con
       const int64_t at = rays.at(rays.x0 + x, y);
       B[at] = T[at] * scratch.from[(int64_t)(y - s.rays.y0) * rays.columns + x];
     }
-  attenuate_band_backward(s.on_rays, s.ray_list + band.first, band.count(), rays, b, least_log_tau(p), T, s.stop + band.start, B,
+  attenuate_band_backward(s.on_rays, s.ray_list + band.first, band.count(), rays, b, min_log_tau(p), T, s.stop + band.start, B,
                           scratch.ray_moments);
 }
 
@@ -88,11 +88,11 @@ void add_parts(const ViewState& s, int channel, int first, int end, int columns,
   for (int b = 0; b < s.pixel_parts; b++) {
     const Part& part = s.pixel_groups[b];
     const Strips& r = part.strips;
-    const int top = most(first, r.y0), bottom = least(end, r.y0 + r.rows);
+    const int top = larger(first, r.y0), bottom = smaller(end, r.y0 + r.rows);
     for (int x = 0; x < columns && top < bottom; x += kBlockX) {
       const float* from = part.memory + channel * r.size() + r.at(x, top);
       float* to = image + (int64_t)top * columns + x;
-      const int some = least(kBlockX, columns - x);
+      const int some = smaller(kBlockX, columns - x);
       for (int y = top; y < bottom; y++, from += kBlockX, to += columns)
         for (int k = 0; k < some; k++) to[k] += from[k];
     }
@@ -103,7 +103,7 @@ void add_parts(const ViewState& s, int channel, int first, int end, int columns,
 void write_strips(const Strips& s, int first, int end, const float* image, float* strips) {
   for (int i = first; i < end; i++) {
     float* strip = strips + (int64_t)i * s.height() * kBlockX;
-    const int x = i * kBlockX, some = least(kBlockX, s.columns - x);
+    const int x = i * kBlockX, some = smaller(kBlockX, s.columns - x);
     std::memset(strip, 0, sizeof(float) * s.height() * kBlockX);
     for (int y = 0; y < s.rows; y++) std::memcpy(strip + y * kBlockX, image + (int64_t)y * s.columns + x, sizeof(float) * some);
   }
@@ -115,7 +115,7 @@ void image_part_backward(const ViewState& s, const sg_problem& p, const Strips& 
   const Part& part = s.pixel_groups[b];
   for (int k = part.first; k < part.end; k++) {
     const int32_t id = s.pixel_list[k];
-    __builtin_prefetch(s.on_pixels + s.pixel_list[least(k + kAhead, part.end - 1)]);
+    __builtin_prefetch(s.on_pixels + s.pixel_list[smaller(k + kAhead, part.end - 1)]);
     const PixelEntry& e = s.on_pixels[id];
     Eight moments = e.lit == 0.0f ? (Eight)(0.0f) : image_backward(e, image, image_cut(p), scratch.dS);
     const float d_sigma = moments[0] * e.norm + (d_cross_sections ? d_cross_sections[id] : 0.0f);

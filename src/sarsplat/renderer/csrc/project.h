@@ -60,14 +60,14 @@ Boxes boxes_around(F x, F y, F reach_x, F reach_y, I touching) {
   const I bottom = choose(touching, whole(down(y + reach_y + slack)), top - 1);
   return {whole(up(x - reach_x - slack)), whole(down(x + reach_x + slack)), top, bottom};
 }
-Boxes within(const Boxes& b, int columns, int rows) {
-  const I x0 = most(b.x0, (I)(0)), x1 = least(b.x1, (I)(columns - 1)), y0 = most(b.y0, (I)(0));
-  return {x0, x1, y0, choose(x0 <= x1, least(b.y1, (I)(rows - 1)), y0 - 1)};
+Boxes clip(const Boxes& b, int columns, int rows) {
+  const I x0 = larger(b.x0, (I)(0)), x1 = smaller(b.x1, (I)(columns - 1)), y0 = larger(b.y0, (I)(0));
+  return {x0, x1, y0, choose(x0 <= x1, smaller(b.y1, (I)(rows - 1)), y0 - 1)};
 }
 
 I shape_of(I blocks) {
   I shape = (I)(0);
-  for (int k = 0; k < kShapes - 1; k++) shape -= blocks > kMostBlocks[k];
+  for (int k = 0; k < kShapes - 1; k++) shape -= blocks > kMaxBlocks[k];
   return shape;
 }
 // The first row, then the shape. What lies outside comes last.
@@ -96,7 +96,7 @@ struct Cuts {
 };
 
 Cuts cuts_of(const sg_problem& p) {
-  return {least_log_tau(p), __builtin_sqrtf(p.image_cut), 1.0f / (1.0f - __builtin_expf(-0.5f * p.image_cut))};
+  return {min_log_tau(p), __builtin_sqrtf(p.image_cut), 1.0f / (1.0f - __builtin_expf(-0.5f * p.image_cut))};
 }
 
 // at: in cells, and in pixels below
@@ -125,7 +125,7 @@ F pixel_y(const sg_problem& p, F r_m) { return (r_m - p.center[1]) * (1.0f / p.p
 void place_on_pixels(const ViewState& s, const sg_problem& p, const Cuts& cuts, const Placed<F>& at, F height, F a, F b, F c, F d, int64_t i,
                      int real) {
   const F wide = cuts.deviations * at.deviation_x, tall = cuts.deviations * at.deviation_y;
-  const Boxes pixels = within(boxes_around(at.x, at.y, wide, tall, (I)(-1)), p.columns, p.rows);
+  const Boxes pixels = clip(boxes_around(at.x, at.y, wide, tall, (I)(-1)), p.columns, p.rows);
   write_entries(s.on_pixels + i, real, at.x, at.y, at.w, height, pixels, a, b, c, d);
   store(s.pixel_keys + i, key_of(pixels, p.rows));
 }
@@ -166,7 +166,7 @@ void project_chunk(const sg_context& c, const sg_problem& p, int chunk, int64_t 
   const Cuts cuts = cuts_of(p);
   for (int v = 0; v < p.views; v++) c.views[v].bounds[chunk] = {{beyond, beyond}, {-beyond, -beyond}};
   for (int64_t i = first; i < end; i += kWidth) {
-    const int real = least(kWidth, (int)(end - i));
+    const int real = smaller(kWidth, (int)(end - i));
     const Bodies bodies = read_bodies(p, i, real);
     F harmonics[kFields];
     if (!p.gamma0) read_rows(p.harmonics + p.coefficients * i, p.coefficients, real, harmonics);

@@ -24,6 +24,10 @@ SG_FN F root(F x) { return __builtin_elementwise_sqrt(x); }
 SG_FN F absolute(F x) { return __builtin_elementwise_abs(x); }
 SG_FN F larger(F a, F b) { return __builtin_elementwise_max(a, b); }
 SG_FN F smaller(F a, F b) { return __builtin_elementwise_min(a, b); }
+SG_FN I larger(I a, I b) { return __builtin_elementwise_max(a, b); }
+SG_FN I smaller(I a, I b) { return __builtin_elementwise_min(a, b); }
+SG_FN int larger(int a, int b) { return a > b ? a : b; }
+SG_FN int smaller(int a, int b) { return a < b ? a : b; }
 SG_FN F up(F x) { return __builtin_elementwise_ceil(x); }
 SG_FN F down(F x) { return __builtin_elementwise_floor(x); }
 

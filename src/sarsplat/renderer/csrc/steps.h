@@ -25,7 +25,7 @@ void write_roots(const Whitening<F>& w, const float* spacing, int real, float* r
 void write_projections(const sg_problem& p, const sg_projection& out, int64_t first, int64_t end) {
   const PlaneUnits u = units(p);
   for (int64_t i = first; i < end; i += kWidth) {
-    const int real = least(kWidth, (int)(end - i));
+    const int real = smaller(kWidth, (int)(end - i));
     const Bodies bodies = read_bodies(p, i, real);
     F harmonics[kFields];
     if (p.coefficients) read_rows(p.harmonics + p.coefficients * i, p.coefficients, real, harmonics);
@@ -59,7 +59,7 @@ void differentiate_projections(const sg_problem& p, const sg_projection& seeds, 
   const F zero = splat(0.0f);
   for (int k = 0; k < 2 * p.views; k++) shift_sums[k] = 0.0f;
   for (int64_t i = first; i < end; i += kWidth) {
-    const int real = least(kWidth, (int)(end - i));
+    const int real = smaller(kWidth, (int)(end - i));
     const Bodies bodies = read_bodies(p, i, real);
     BodyGradient<F> total = no_gradient();
     F harmonics[kFields], d_harmonics[kFields];
@@ -178,7 +178,7 @@ Fault place_rays(const sg_context& c, const sg_problem& p, const sg_projection& 
   const F beyond = splat(3e38f);
   Bounds& bounds = c.views[v].bounds[first / kChunk] = {{beyond, beyond}, {-beyond, -beyond}};
   for (int64_t i = first; i < end; i += kWidth) {
-    const int real = least(kWidth, (int)(end - i));
+    const int real = smaller(kWidth, (int)(end - i));
     Placed<F> at = read_footprints(in.ray_centers, in.ray_roots, base + i, real, p.ray);
     at.x *= 1.0f / p.ray[0];
     at.y *= 1.0f / p.ray[1];
@@ -232,7 +232,7 @@ int32_t attenuate_backward_stages(sg_context& c, const sg_problem& p, const floa
   over_chunks(p, [&](int v, int64_t first, int64_t end) {
     const ViewState& s = c.views[v];
     for (int64_t i = first; i < end; i += kWidth) {
-      const int real = least(kWidth, (int)(end - i));
+      const int real = smaller(kWidth, (int)(end - i));
       const int64_t at = v * (int64_t)n + i;
       F sums[kFields], depth = splat(1.0f);
       gather(real, [&](int k) { return ray_row(s, scratch[v], i + k); }, [](int) { return (Eight)(0.0f); }, sums);
@@ -276,7 +276,7 @@ Fault place_pixels(const sg_context& c, const sg_problem& p, const sg_projection
   const Cuts cuts = cuts_of(p);
   const F zero = splat(0.0f);
   for (int64_t i = first; i < end; i += kWidth) {
-    const int real = least(kWidth, (int)(end - i));
+    const int real = smaller(kWidth, (int)(end - i));
     Placed<F> at = read_footprints(in.pixel_centers, in.pixel_roots, base + i, real, p.pixel);
     at.x = pixel_x(p, at.x);
     at.y = pixel_y(p, at.y);
@@ -320,7 +320,7 @@ int32_t splat_stages(sg_context& c, const sg_problem& p, const sg_projection& in
   parallel(V * a.count * groups, [&](int i) {
     const int64_t image = i / groups;
     const int first = i % groups * kRowsPerTask;
-    add_parts(c.views[image / a.count], (int)(image % a.count), first, least(p.rows, first + kRowsPerTask), p.columns,
+    add_parts(c.views[image / a.count], (int)(image % a.count), first, smaller(p.rows, first + kRowsPerTask), p.columns,
               images + image * p.rows * p.columns);
   });
   arena.release(c.kept);
@@ -338,7 +338,7 @@ int32_t splat_backward_stages(sg_context& c, const sg_problem& p, const sg_chann
   const int groups = tasks_of(c.image.count(), kStripsPerTask);
   parallel(V * a.count * groups, [&](int i) {
     const int64_t image = i / groups, first = i % groups * kStripsPerTask;
-    write_strips(c.image, first, least(c.image.count(), first + kStripsPerTask), d_images + image * p.rows * p.columns,
+    write_strips(c.image, first, smaller(c.image.count(), first + kStripsPerTask), d_images + image * p.rows * p.columns,
                  scratch[image / a.count].dS + image % a.count * size);
   });
   parallel(V * parts, [&](int i) {
@@ -353,7 +353,7 @@ int32_t splat_backward_stages(sg_context& c, const sg_problem& p, const sg_chann
   });
   over_chunks(p, [&](int v, int64_t first, int64_t end) {
     for (int64_t i = first; i < end; i += kWidth) {
-      const int real = least(kWidth, (int)(end - i));
+      const int real = smaller(kWidth, (int)(end - i));
       F sums[kFields];
       gather(real, [&](int k) { return pixel_row(scratch[v], i + k); }, [](int) { return (Eight)(0.0f); }, sums);
       Moments<F> m = moments_of(sums);
