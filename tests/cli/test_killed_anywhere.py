@@ -173,6 +173,8 @@ def test_resuming(workshop: Workshop) -> None:
             workshop.done(command)
             assert results(out) == results(workshop.folder / "run5"), (limit, value)
             assert leftovers(workshop.folder) == []
+    workshop.done(command)
+    assert leftovers(workshop.folder) == []
 
 
 def test_overwriting_a_run(workshop: Workshop) -> None:

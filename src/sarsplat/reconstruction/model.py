@@ -72,7 +72,7 @@ def _central_box_m(dataset: Dataset) -> Box:
     """The middle half of the scene in x and y, a quarter as high as it is wide, m.
 
     Flat, because views of one grazing angle hardly tell height from distance: on 160 × 160 pixels a T-72 had a CD of
-    5.3 m in a box half as high as wide, 0.23 m in one of 3/16, and 0.13 m in a box 1 m larger than itself.
+    5.3 m in a box half as high as wide, 0.21 m in this one, and 0.13 m in a box 1 m larger than itself.
     """
     grid = dataset.grid
     flattest = math.cos(math.radians(min(view.grazing_deg for view in dataset.views)))
