@@ -166,6 +166,19 @@ def test_scores_of_a_run_in_memory(dataset: Dataset, config: Config) -> None:
     assert run.metrics is None  # nothing was written
 
 
+@pytest.mark.parametrize(
+    ("loss", "words"),
+    [
+        (lambda a, b: (a - b).square(), r"returned \(8, 32, 32\) of torch.float32; it must return one number"),
+        (lambda a, b: (a - b).square().mean().detach(), r"returned \(\) of"),
+        (lambda a, b: 0.5, "returned float"),
+    ],
+)
+def test_losses_that_are_none(dataset: Dataset, short: Config, loss: object, words: str) -> None:
+    with pytest.raises(SarsplatError, match=words):
+        reconstruct(dataset, short, loss=loss, quiet=True)
+
+
 def test_quiet_is_quiet(dataset: Dataset, short: Config, capsys: pytest.CaptureFixture[str]) -> None:
     reconstruct(dataset, short, quiet=True)
     assert capsys.readouterr() == ("", "")

@@ -234,7 +234,7 @@ def _law(path: Path, comments: list[str], parameters: Tensor) -> Scattering:
     if len(stated) != 1:
         raise SarsplatError(f"{path} does not give exactly one scattering law in its header; create it again")
     law = decode_json(stated[0].encode(), Path(f"the header of {path}"), dict[str, Any])
-    if law.get("kind") not in SCATTERINGS:
+    if not isinstance(law.get("kind"), str) or law["kind"] not in SCATTERINGS:
         raise SarsplatError(
             f"{path} has the unknown scattering law {shown(law)}; choose one of {', '.join(SCATTERINGS)}"
         )

@@ -66,6 +66,8 @@ class ImageGrid:
             raise SarsplatError(f"image centre {self.center_m} must be a pair of finite metres")
         _positive("pixel spacing", self.spacing_m)
         _positive("resolution", self.resolution_m)
+        for name in ("spacing_m", "resolution_m", "center_m"):  # numpy's numbers do not fit into JSON
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
 
     @property
     def azimuth_m(self) -> Float64[np.ndarray, " {self.columns}"]:

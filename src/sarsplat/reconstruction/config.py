@@ -224,7 +224,7 @@ class Config(Record):
     ssim_weight: NotNegative = 0.0
     scattering: ScatteringName = "harmonics"
     p_min: NotNegative = 0.03
-    initial_scale_m: Positive = 0.08
+    initial_scale_m: Scale = 0.08
     initial_optical_depth: OpticalDepth = 0.1
     initial_scattering: NotNegative = 0.5
     scale_bounds_m: tuple[Scale, Scale] = (0.01, 0.3)

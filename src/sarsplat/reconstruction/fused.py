@@ -7,10 +7,10 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from sarsplat.reconstruction.adam import BETA1, BETA2, EPSILON, Stepped
 from sarsplat.renderer import cpu, structs
+from sarsplat.renderer.once import differentiable_once
 
 
 def takes(tensors: Iterable[Tensor]) -> bool:
@@ -34,7 +34,7 @@ class AmplitudeLoss(torch.autograd.Function):
         return value
 
     @staticmethod
-    @once_differentiable
+    @differentiable_once
     def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
         """Only `power` has a gradient."""
         (gradient,) = ctx.saved_tensors

@@ -154,6 +154,10 @@ def _amplitude(config: Config, scale: ImageScale) -> Loss:
 
 
 def _speckle(config: Config, scale: ImageScale) -> Loss:
+    if config.surroundings is None:
+        raise SarsplatError(
+            "loss 'speckle' needs the noise floor of the surroundings; switch them on, or take loss 'amplitude'"
+        )
     return lambda rendered, truth: speckle_loss(rendered / scale.unit, truth / scale.unit)
 
 

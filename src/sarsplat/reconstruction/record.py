@@ -88,7 +88,7 @@ def _read(data: object, record: type[R]) -> R:
     if not isinstance(data, dict):
         raise SarsplatError(f"{shown(data)} is not a set of settings; give an object with {', '.join(_hints(record))}")
     hints, section = _hints(record), record._section
-    if unknown := next((name for name in data if name not in hints), None):
+    if (unknown := next((name for name in data if name not in hints), None)) is not None:
         near = get_close_matches(str(unknown), hints, 1)
         meant = f"did you mean {section}{near[0]}?" if near else "remove it"
         raise SarsplatError(f"the setting {shown(f'{section}{unknown}')} is unknown; {meant}")

@@ -87,6 +87,12 @@ class Trainer:
         )
         truth = torch.stack([self._truth[i] for i in chosen])  # much faster than an index
         loss = self._loss(images, truth)
+        if not isinstance(loss, Tensor) or loss.ndim != 0 or not loss.requires_grad:
+            what = f"{tuple(loss.shape)} of {loss.dtype}" if isinstance(loss, Tensor) else type(loss).__name__
+            raise SarsplatError(
+                f"the loss returned {what}; it must return one number, a tensor of shape () computed from the rendered "
+                "images by torch"
+            )
         penalty = self.model.penalty()
         (loss if penalty is None else loss + penalty).backward()
         if gather and self.density is not None:

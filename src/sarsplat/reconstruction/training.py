@@ -119,9 +119,10 @@ def reconstruct(
         if out is None:
             if resume or overwrite:
                 raise SarsplatError("a run in memory can be neither resumed nor overwritten; pass a folder as `out`")
+            fingerprint = dataset.fingerprint()  # before the work, in case it has none
             training.go_on_to(config.iterations)
             held = InMemory(dataset, trainer.snapshot(training.seconds), tuple(training.history))
-            return Run(config, dataset.fingerprint(), memory=held)
+            return Run(config, fingerprint, memory=held)
         return _on_the_disk(training, dataset, Path(out), resume, overwrite)
 
 
@@ -237,6 +238,8 @@ def _on_the_disk(training: _Training, dataset: Dataset, out: Path, resume: bool,
                     if run.checkpoint_path is None:
                         raise
                     if (out / HEADER).is_file():
+                        if not isinstance(error, KeyboardInterrupt):
+                            raise
                         raise KeyboardInterrupt(
                             f"stopped before the first checkpoint; {out} is still as it was"
                         ) from error

@@ -13,7 +13,6 @@ from typing import Any
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians, Harmonics
@@ -24,6 +23,7 @@ from sarsplat.renderer.checks import check_values, complaint, complaint_by_view
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
 from sarsplat.renderer.cpu import FAULTS
 from sarsplat.renderer.engines import Pass
+from sarsplat.renderer.once import differentiable_once
 from sarsplat.renderer.rendering import RayMap, Rendering
 
 ARRAYS = ("means", "quaternions", "scales", "kappa", "harmonics", "gamma0", "shift")
@@ -145,7 +145,7 @@ class _Render(torch.autograd.Function):
         return images, cross_sections, lit_area, transmittance, first_return, lattices
 
     @staticmethod
-    @once_differentiable
+    @differentiable_once
     def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         d_images, d_cross_sections, _, d_transmittance, *_ = grads
         inputs = saved_inputs(ctx)

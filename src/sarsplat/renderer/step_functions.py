@@ -10,7 +10,6 @@ from typing import Any
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, Harmonics
@@ -18,6 +17,7 @@ from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import structs
 from sarsplat.renderer.checks import complaint_by_view
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
+from sarsplat.renderer.once import differentiable_once
 from sarsplat.renderer.render_function import (
     ARRAYS,
     Pass,
@@ -118,7 +118,7 @@ class _Project(torch.autograd.Function):
         return tuple(outputs)
 
     @staticmethod
-    @once_differentiable
+    @differentiable_once
     def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         inputs = saved_inputs(ctx)
         seeds = [
@@ -176,9 +176,11 @@ class _Attenuate(torch.autograd.Function):
         return lit_area, transmittance, first_return, lattices
 
     @staticmethod
-    @once_differentiable
+    @differentiable_once
     def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
-        like = next(grad for grad in grads if grad is not None)
+        like = next((grad for grad in grads if grad is not None), None)
+        if like is None:
+            return (None,) * 8
         seeds = [grad if grad is None else grad.contiguous() for grad in grads[:2]]
         centers, roots, depth = (_by_view(like, ctx.problem, width) for width in (2, 3, None))
         with ctx.one_at_a_time:
@@ -221,7 +223,7 @@ class _Splat(torch.autograd.Function):
         return images
 
     @staticmethod
-    @once_differentiable
+    @differentiable_once
     def backward(ctx: Any, d_images: Tensor) -> tuple[Tensor | None, ...]:
         (amplitudes,) = saved_inputs(ctx)
         views, n, channels = amplitudes.shape
