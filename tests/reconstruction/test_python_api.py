@@ -134,6 +134,16 @@ def test_a_loss_of_ones_own(dataset: Dataset, config: Config) -> None:
     )  # β⁰ it was, and no other unit
 
 
+def test_a_loss_of_ones_own_does_not_pass_for_a_known_one(dataset: Dataset, config: Config, tmp_path: Path) -> None:
+    def amplitude(rendered: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+        return (rendered - truth).abs().mean()
+
+    run = reconstruct(dataset, replace(config, iterations=2), tmp_path / "run", loss=amplitude, quiet=True)
+    assert run.config.loss == "own amplitude"
+    with pytest.raises(SarsplatError, match="loss 'own amplitude' is unknown"):
+        reconstruct(dataset, out=tmp_path / "run", resume=True, quiet=True)
+
+
 @pytest.mark.parametrize("surroundings", [False, True])
 @pytest.mark.parametrize("law", SCATTERINGS)
 def test_every_law_of_scattering_is_learned_kept_and_resumed(

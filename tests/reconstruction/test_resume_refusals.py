@@ -145,6 +145,14 @@ def test_a_checkpoint_of_another_version(begun: Path, dataset: Dataset) -> None:
     refused(begun, dataset, CONFIG, "does not match this version")
 
 
+def test_a_checkpoint_whose_gaussians_are_gone(begun: Path, dataset: Dataset) -> None:
+    newest = Run.load(begun).checkpoint_path
+    assert newest is not None
+    tensors, state = load_checkpoint(newest)
+    save_checkpoint(newest, {**tensors, "model/means": tensors["model/means"][:0].clone()}, state)
+    refused(begun, dataset, CONFIG, "does not match this version")
+
+
 @pytest.mark.parametrize(
     "change",
     [

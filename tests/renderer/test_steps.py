@@ -198,14 +198,15 @@ def test_same_bits_for_any_number_of_threads(name, step, threads):
             assert torch.equal(found[key].nan_to_num(), value.nan_to_num()), (count, key)
 
 
-def test_no_gaussians():
-    p = project(cloud(0, 0), VIEWS, GRID)
+@pytest.mark.parametrize("engine", ["cpu", "reference"])
+def test_no_gaussians(engine):
+    p = project(cloud(0, 0), VIEWS, GRID, engine=engine)
     assert p.rays.roots.shape == p.pixels.roots.shape == (3, 0, 3)
-    found = attenuate(p, RAYS, first_return_depth=1.0)
+    found = attenuate(p, RAYS, first_return_depth=1.0, engine=engine)
     assert found.lit_area.shape == (3, 0)
     assert found.ray_maps[0].transmittance.shape == (0, 0)
     amplitudes = torch.zeros(3, 0, 2, requires_grad=True)
-    images = splat(p.pixels, amplitudes, GRID)
+    images = splat(p.pixels, amplitudes, GRID, engine=engine)
     assert images.shape == (3, 2, GRID.rows, GRID.columns)
     assert not images.any()
     images.sum().backward()

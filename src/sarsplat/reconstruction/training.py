@@ -18,7 +18,7 @@ from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError
 from sarsplat.progress import Reporter, progress
 from sarsplat.reconstruction.config import Config, refuse_other_settings
-from sarsplat.reconstruction.losses import Loss
+from sarsplat.reconstruction.losses import LOSSES, Loss
 from sarsplat.reconstruction.presets import preset
 from sarsplat.reconstruction.run import HEADER, InMemory, LogLine, Run, log_text, require_replaceable
 from sarsplat.reconstruction.snapshot import Snapshot
@@ -111,7 +111,8 @@ def reconstruct(
     begun = Run.load(out).config if resume and preset == "auto" and out is not None else None
     config = begun or fitting(preset, dataset)
     if loss is not None:
-        config = replace(config, loss=getattr(loss, "__name__", type(loss).__name__))
+        name = getattr(loss, "__name__", type(loss).__name__)
+        config = replace(config, loss=f"own {name}" if name in LOSSES else name)
     warn(suspicions(dataset))
     trainer = Trainer(dataset, config, loss, training_device(device))
     with progress(f"reconstruct ({config.preset})", config.iterations, quiet) as shown:
@@ -274,7 +275,7 @@ def _take_up(training: _Training, run: Run, dataset: Dataset) -> None:
         snapshot = run.snapshot
         try:
             training.start_from(snapshot, run.history)
-        except (KeyError, TypeError, ValueError, RuntimeError, OverflowError) as error:
+        except (LookupError, TypeError, ValueError, RuntimeError, OverflowError) as error:
             raise SarsplatError(
                 f"{run.checkpoint_path} does not match this version ({error}); start again with --overwrite"
             ) from error

@@ -122,7 +122,7 @@ def render(
     tensors = {**gaussians.tensors(), "gamma0": gamma0, "shift": shift, "gain": gain}
     if engine in ENGINES:
         new_pass = ENGINES[engine].prepare(tensors, grid, instruction_set)
-        if bounds is not None and engine == "cuda":
+        if bounds is not None and ENGINES[engine].takes_bounds:
             if bounds.broken.device != gaussians.means.device:
                 raise SarsplatError(
                     f"bounds are on {bounds.broken.device} but means is on {gaussians.means.device}; make them there"

@@ -161,7 +161,7 @@ def check_values(tensors: dict[str, Tensor | None]) -> None:
 def check_step_values(tensors: dict[str, Tensor | None]) -> None:
     """Values of footprints [V, N, ...] out of range, named with their index."""
     for name, tensor in tensors.items():
-        if tensor is None:
+        if tensor is None or not tensor.numel():
             continue
         kind = name.rpartition(".")[2]
         low, high = _STEP_LIMITS[kind]

@@ -86,11 +86,14 @@ class Engine:
         "auto" means this engine for float32 tensors on such a device.
     prepare : callable
         Given the tensors, the image grid (None where there is no image) and an instruction set, it returns what makes
-        passes over them (CUDA's of a `Capacity`, too); a `SarsplatError` says why not.
+        passes over them; a `SarsplatError` says why not.
+    takes_bounds : bool
+        Its passes can be made with a `Capacity`, and then wait for nothing.
     """
 
     device_type: str
     prepare: Callable[[Tensors, ImageGrid | None, str], Callable[..., Pass]]
+    takes_bounds: bool = False
 
 
 def _on_cpu(tensors: Tensors, grid: ImageGrid | None, instruction_set: str) -> Callable[[], Pass]:
@@ -103,7 +106,7 @@ def _on_cuda(tensors: Tensors, grid: ImageGrid | None, instruction_set: str) -> 
     return partial(cuda.Pass, device(check_for_cuda(tensors)))
 
 
-ENGINES = {"cpu": Engine("cpu", _on_cpu), "cuda": Engine("cuda", _on_cuda)}
+ENGINES = {"cpu": Engine("cpu", _on_cpu), "cuda": Engine("cuda", _on_cuda, takes_bounds=True)}
 """Engines by name. Beside them there are "reference", which is plain torch, and "auto", which chooses."""
 
 

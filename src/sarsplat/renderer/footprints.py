@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -59,6 +60,12 @@ class Footprints:
     def __post_init__(self) -> None:
         v, n = _sizes(self.centers)
         _check_fields(self, {"centers": (v, n, 2), "roots": (v, n, 3)})
+
+
+def deviations(roots: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 2"]:
+    """Standard deviations along the two axes of the plane, m: the roots of the diagonal of Σ'."""
+    a, b, c = roots.unbind(-1)
+    return torch.stack([(1 + (b / c) ** 2).sqrt() / a, 1 / c], dim=-1)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.covariance import covariance
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
-from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
+from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, deviations
 from sarsplat.renderer.rendering import RayMap, Rendering
 
 _UNCUT_RADIUS = 9.0
@@ -160,9 +160,7 @@ def _attenuate_view(
         empty = kappa.new_ones(0, 0)
         return 0 * kappa, RayMap(empty, empty, (0.0, 0.0))
 
-    a, b, c = roots.detach().unbind(-1)
-    deviations = torch.stack([(1 + (b / c) ** 2).sqrt() / a, 1 / c], dim=-1)  # roots of Σ' on its diagonal
-    radius = limit.clamp(min=0).sqrt()[:, None] * deviations
+    radius = limit.clamp(min=0).sqrt()[:, None] * deviations(roots.detach())
     low = torch.floor((centers.detach() - radius)[touched].amin(0) / spacing).tolist()
     high = torch.ceil((centers.detach() + radius)[touched].amax(0) / spacing).tolist()
     pairs = len(kappa) * max(high[0] - low[0], 1) * max(high[1] - low[1], 1)

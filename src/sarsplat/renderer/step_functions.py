@@ -16,7 +16,7 @@ from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import structs
 from sarsplat.renderer.checks import complaint_by_view
-from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
+from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, deviations
 from sarsplat.renderer.once import differentiable_once
 from sarsplat.renderer.render_function import (
     ARRAYS,
@@ -158,8 +158,8 @@ class _Attenuate(torch.autograd.Function):
         kernel = new_pass()
         fault, index = kernel.attenuate(problem, footprints, lit_area.data_ptr())
         if fault == "lattice":
-            reach = float(centers.detach()[index].abs().max())
-            raise SarsplatError(too_many_rays(index, rays, reach, float(1 / roots.detach()[index].abs().min())))
+            reach, width = centers.detach()[index].abs().max(), deviations(roots.detach()[index]).max()
+            raise SarsplatError(too_many_rays(index, rays, float(reach), float(width)))
         if fault:
             names = ("rays.centers", "rays.roots", "optical_depth", "range_m", "tilt")
             found = {name.rpartition(".")[2]: (name, tensor) for name, tensor in zip(names, inputs, strict=True)}
