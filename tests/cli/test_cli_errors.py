@@ -83,7 +83,7 @@ WORDS = {
     "simulate --target t27 --out new": "--target 't27' is unknown; did you mean t72?",
     "simulate --target=zeppelin --out new": "--target 'zeppelin' is unknown; choose one of ",
     "simulate --target t72 --out new --source magic": "--source 'magic' is unknown; choose one of raycast, splat",
-    "simulate --target t72 --out new --law 1": "--law needs more values; give 2",
+    "simulate --target t72 --out new --law 1": "--law does not accept '1'; see sarsplat simulate --help",
     "simulate --target t72 --out new --law 1 a": "--law does not accept '1', 'a'",
     "simulate --target t72": "--out is missing; see sarsplat simulate --help",
     "simulate --out": "--out needs a value; give 1",

@@ -35,7 +35,7 @@ Target = Annotated[
 ]
 _TARGET_MARGIN_M = 1.0
 
-Law = Annotated[tuple[float, float], tyro.conf.arg(metavar="FLOOR LOBE")]
+Law = Annotated[tuple[float, float] | tuple[float, float, float], tyro.conf.arg(metavar="FLOOR LOBE [EXPONENT]")]
 
 
 def simulate(
@@ -88,7 +88,8 @@ def simulate(
     source
         Ray casting, which is independent of the renderer, or the renderer itself, on Gaussians that cover the surface.
     law
-        γ⁰ (linear) of the target's surface: FLOOR + LOBE·cos² of the angle between its normal and the radar.
+        γ⁰ (linear) of the target's surface: FLOOR + LOBE·|cos i|^EXPONENT (default: 2), with i the angle between its
+        normal and the radar. Constant: 1 0. Lambert: 0 1 1.
     ground
         γ⁰ (linear) of flat ground (default: no ground).
     looks

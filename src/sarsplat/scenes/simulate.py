@@ -111,7 +111,7 @@ def simulation_record(*, source: Source, law: ScatteringLaw, ground_gamma0: floa
     return {
         "kind": source,
         "law": law.as_dict(),
-        "law_formula": "gamma0(i) = floor + lobe*cos(i)^2, two-sided; i = angle between facet normal and radar",
+        "law_formula": "gamma0(i) = floor + lobe*|cos(i)|^exponent; i = angle between facet normal and radar",
         "ground_gamma0": ground_gamma0,
         "seed": seed,
         **how,
