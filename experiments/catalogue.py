@@ -220,6 +220,8 @@ _HARDER = (
     Row("speckle, single look", _everywhere(looks=1), "auto", random=True),
     Row("ground, γ⁰ = 0.05", _everywhere(ground=0.05), "auto"),
     Row("γ⁰ constant", _everywhere(law=(1.0, 0.0)), "auto"),
+    Row("γ⁰ = cos i (Lambert)", _everywhere(law=(0.0, 1.0, 1.0)), "auto"),
+    Row("γ⁰ = 0.1 + 0.9 cos⁸ i", _everywhere(law=(0.1, 0.9, 8.0)), "auto"),
 )
 
 _TIMES = (

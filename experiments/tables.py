@@ -15,7 +15,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the command line does,
 from catalogue import EXPERIMENTS, Experiment
 from code_version import code_version
 from runner import Runner
-from write import write
+from write import write, write_index
 
 from sarsplat.errors import SarsplatError
 
@@ -56,6 +56,7 @@ def run(chosen: list[Experiment], runner: Runner, out: Path, only_write: bool) -
         if not only_write:
             runner.run(experiment.name, list(experiment.every_cell()), experiment.alone)
         write(experiment, runner.work, out, runner.code)
+        write_index(out, experiment.quick)
     print(f"tables: {out}")
     for failure in runner.failed:
         print(f"failed: {failure}", file=sys.stderr)

@@ -43,7 +43,21 @@ def write(experiment: Experiment, work: Path, out: Path, code: str) -> None:
     _write(out / f"{experiment.name}-runs.csv", _csv(_run_rows(experiment, work, code)))
     draw(experiment, known, out / f"{experiment.name}.png")
     _write(out / f"{experiment.name}.md", page(experiment, known, code))
-    _write(out / "README.md", _index(out, experiment.quick))
+
+
+def write_index(out: Path, quick: bool) -> None:
+    """Write the first page: every experiment with what its page says, or that there is none yet."""
+    out.mkdir(parents=True, exist_ok=True)
+    parts = ["# Results\n\n", _QUICK if quick else "", "Written by `make tables`; do not edit.\n"]
+    for experiment in EXPERIMENTS:
+        path = out / f"{experiment.name}.md"
+        if path.is_file():
+            said = [text for text in path.read_text(encoding="utf-8").splitlines() if text.startswith(_FOUND)]
+            parts.append(f"\n## [{experiment.title}]({path.name})\n")
+            parts += [f"\n{text.removeprefix(_FOUND)}\n" for text in said]
+        else:
+            parts.append(f"\n## {experiment.title}\n\nNot run yet: `make tables ONLY={experiment.name}`.\n")
+    _write(out / "README.md", "".join(parts))
 
 
 def page(experiment: Experiment, known: list[Line], code: str) -> str:
@@ -144,18 +158,6 @@ def _csv(rows: Iterable[Mapping[str, Any]]) -> str:
     writer.writeheader()
     writer.writerows(found)
     return file.getvalue()
-
-
-def _index(out: Path, quick: bool) -> str:
-    """What there is, with what each page says."""
-    parts = ["# Results\n\n", _QUICK if quick else "", "Written by `make tables`; do not edit.\n"]
-    for experiment in EXPERIMENTS:
-        path = out / f"{experiment.name}.md"
-        if path.is_file():
-            said = [text for text in path.read_text(encoding="utf-8").splitlines() if text.startswith(_FOUND)]
-            parts.append(f"\n## [{experiment.title}]({path.name})\n")
-            parts += [f"\n{text.removeprefix(_FOUND)}\n" for text in said]
-    return "".join(parts)
 
 
 def _write(path: Path, text: str) -> None:

@@ -151,7 +151,7 @@ def test_a_row_is_the_mean_over_targets_and_spreads_over_seeds(made, tmp_path):
     assert "| both | 2 | 0.300 ± 0.141 | 0.900 ± 0.000 |" in text
 
 
-def test_what_is_missing_is_a_dash(made, tmp_path):
+def test_what_is_missing_is_a_dash(made, tmp_path, monkeypatch):
     paper = {"cd_m": 0.187}
     table = experiment(made, row(made, "done", paper=paper), row(made, "open", changes={"gaussians": 5}, paper=paper))
     made.write.write(table, tmp_path / "work", tmp_path / "out", "code")
@@ -164,6 +164,11 @@ def test_what_is_missing_is_a_dash(made, tmp_path):
     assert "**Found.** Better than the paper's figure, or equal, in 1 of 1 comparisons." in text
     assert (tmp_path / "out" / "made-up.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "out" / "made-up.csv").read_text().splitlines()[1] == ",done,,cd_m,0.05,,1,0.187"
+    monkeypatch.setattr(made.write, "EXPERIMENTS", (table, replace(table, name="other", title="Other")))
+    made.write.write_index(tmp_path / "out", quick=False)
+    index = (tmp_path / "out" / "README.md").read_text()
+    assert "[Made up](made-up.md)\n\nBetter than the paper's figure, or equal, in 1 of 1 comparisons." in index
+    assert "## Other\n\nNot run yet" in index
     runs = (tmp_path / "out" / "made-up-runs.csv").read_text().splitlines()
     assert [line.split(",")[1:4] for line in runs[1:]] == [["done", "0", "--target t72"]]
 
@@ -281,6 +286,7 @@ def test_a_whole_cell(made, tmp_path, monkeypatch):
 def test_quick_tables_do_not_reach_the_results(made, tmp_path, monkeypatch, capsys):
     written = []
     monkeypatch.setattr(made.tables, "write", lambda found, work, out, code: written.append((found.quick, out)))
+    monkeypatch.setattr(made.tables, "write_index", lambda out, quick: None)
     for words in (["--quick"], []):
         monkeypatch.setattr(sys, "argv", ["tables.py", "--write", "--only", "loss", "--work", str(tmp_path), *words])
         assert made.tables.main() == 0
