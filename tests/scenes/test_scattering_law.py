@@ -5,6 +5,9 @@ import pytest
 
 from sarsplat.errors import SarsplatError
 from sarsplat.scenes import ScatteringLaw
+from sarsplat.scenes.scattering import part_reflectivity
+
+trimesh = pytest.importorskip("trimesh")
 
 
 def test_law_is_floor_plus_lobe_and_two_sided():
@@ -38,6 +41,21 @@ def test_law_can_be_recorded_and_restored():
 
 def test_a_record_from_before_there_were_exponents_means_the_squared_cosine():
     assert ScatteringLaw(**{"floor": 0.1, "lobe": 0.9}) == ScatteringLaw(0.1, 0.9, 2.0)
+
+
+def test_the_parts_of_a_mesh_differ_in_reflectivity():
+    parts = [trimesh.creation.box((1, 1, 1)).apply_translation((2 * k, 0, 0)) for k in range(300)]
+    mesh = trimesh.util.concatenate(parts)
+    mesh.unmerge_vertices()  # as an STL file has them
+    factors = part_reflectivity(mesh, 3.0, seed=1).reshape(300, 12)
+    assert (factors == factors[:, :1]).all()
+    decibels = 10 * np.log10(factors[:, 0])
+    assert decibels.std() == pytest.approx(3.0, rel=0.1)
+    assert decibels.mean() == pytest.approx(0.0, abs=0.5)
+    assert (part_reflectivity(mesh, 3.0, seed=2) != factors.ravel()).all()
+    assert (part_reflectivity(mesh, 0.0, seed=1) == 1.0).all()
+    with pytest.raises(SarsplatError, match="-1 dB"):
+        part_reflectivity(mesh, -1, seed=1)
 
 
 @pytest.mark.parametrize("coefficients", [{"floor": -0.1}, {"lobe": math.nan}, {"lobe": math.inf}, {"exponent": -1.0}])

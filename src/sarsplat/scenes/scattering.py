@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Float64, Real
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from sarsplat.errors import SarsplatError
+from sarsplat.scenes._random import generator
+
+if TYPE_CHECKING:
+    import trimesh
 
 _MAX_GAMMA0 = 1e6
+_MAX_SPREAD_DB = 30.0
 
 
 @dataclass(frozen=True)
@@ -54,6 +62,38 @@ class ScatteringLaw:
     def as_dict(self) -> dict[str, float]:
         """The coefficients by name, to be recorded with a dataset; `ScatteringLaw(**d)` restores the law."""
         return asdict(self)
+
+
+def part_reflectivity(mesh: trimesh.Trimesh, spread_db: float, seed: int) -> Float64[np.ndarray, " faces"]:
+    """A factor on the law's γ⁰ for every connected part of a mesh, log-normally distributed around 1.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        Faces that share a corner belong to the same part.
+    spread_db : float
+        Standard deviation of the factors, dB.
+    seed : int
+        Of the factors.
+
+    Returns
+    -------
+    numpy.ndarray, float64 [F]
+        For each face the factor of its part: `reflectivity` of the simulators.
+
+    Raises
+    ------
+    SarsplatError
+        If the spread is negative or larger than 30 dB, or the seed is negative.
+    """
+    if not 0 <= spread_db <= _MAX_SPREAD_DB:
+        raise SarsplatError(f"the reflectivity's spread {spread_db} dB must be between 0 and {_MAX_SPREAD_DB:g} dB")
+    corners = np.unique(mesh.vertices, axis=0, return_inverse=True)[1].reshape(-1)[mesh.faces]
+    first, others = np.repeat(corners[:, :1], 2, axis=1).ravel(), corners[:, 1:].ravel()
+    edges = coo_matrix((np.ones(len(first), dtype=bool), (first, others)), shape=(corners.max() + 1,) * 2)
+    count, part = connected_components(edges, directed=False)
+    factors = 10 ** (spread_db / 10 * generator(seed, "reflectivity").standard_normal(count))
+    return factors[part[corners[:, 0]]]
 
 
 def check_ground(gamma0: float | None) -> None:
