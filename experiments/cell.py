@@ -19,9 +19,10 @@ from code_version import code_version
 from filelock import FileLock
 
 from sarsplat.errors import SarsplatError
+from sarsplat.reconstruction import Config, preset
 
 if TYPE_CHECKING:
-    from sarsplat import Config, Dataset
+    from sarsplat import Dataset
 
 _QUICK_ITERATIONS = 60
 
@@ -54,13 +55,15 @@ class Cell:
     quick: bool = False
 
     def path(self, work: Path, code: str) -> Path:
-        """Where its scores are kept: another recipe, other settings or other code are another file."""
-        return work / "cells" / f"{_digest({**asdict(self), 'code': code})}.json"
+        """Where its scores are kept: another recipe, other settings or other code are another file.
+
+        The same settings are the same file, whatever changes led to them.
+        """
+        settings = self.changes if self.preset == "auto" else self.config(preset(self.preset)).as_dict()
+        return work / "cells" / f"{_digest({**asdict(self), 'changes': settings, 'code': code})}.json"
 
     def config(self, base: Config) -> Config:
         """The preset with the changes and the seed."""
-        from sarsplat import Config
-
         settings = base.as_dict()
         for name, value in {**self.changes, "seed": self.seed}.items():
             *sections, last = name.split(".")
