@@ -55,7 +55,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[SimpleNamespace]:
 
 
 def experiment(made: SimpleNamespace, *rows: object, **fields: object):
-    common = {"name": "made-up", "title": "Made up", "about": "Nothing was done.", "columns": ("cd_m", "f1@0.3")}
+    common = {"name": "made-up", "title": "Made up", "about": "Nothing was done.", "tables": (("cd_m", "f1@0.3"),)}
     return made.catalogue.Experiment(**{**common, "rows": rows, **fields})
 
 
@@ -183,12 +183,12 @@ def test_what_is_missing_is_a_dash(made, tmp_path, monkeypatch):
     [
         ((0.3, 0.2, 0.1), "falls with the Gaussians (r = -1.00); in the paper it falls (r = -1.00): as ours."),
         ((0.1, 0.2, 0.3), "in the paper it falls (r = -1.00): **our trend differs from the paper's**."),
-        ((0.2, 0.1, 0.2), "shows no trend beyond chance"),
+        ((0.2, 0.1, 0.2), "it falls (r = -1.00): **the paper's trend is not seen in ours**."),
     ],
 )
 def test_trends_are_compared_with_the_papers(made, tmp_path, ours, said):
     rows = [row(made, f"{x}", changes={"gaussians": x}, x=x, paper={"cd_m": 1 - x / 100}) for x in (10, 20, 30)]
-    table = experiment(made, *rows, axis="Gaussians", judged=("cd_m",), columns=("cd_m",))
+    table = experiment(made, *rows, axis="Gaussians", judged=("cd_m",), tables=(("cd_m",),))
     for line, value in zip(rows, ours):
         for seed in table.seeds:
             finish(made, tmp_path, table.cells(line, seed)[0], value + 1e-4 * seed)
@@ -197,14 +197,15 @@ def test_trends_are_compared_with_the_papers(made, tmp_path, ours, said):
 
 
 def test_rows_without_the_papers_figures_are_held_against_the_first(made, tmp_path):
-    rows = [row(made, name, changes={"gaussians": k}) for k, name in enumerate(("clean", "same", "worse"), 1)]
+    rows = [row(made, name, changes={"gaussians": k}) for k, name in enumerate(("clean", "alike", "hard"), 1)]
     table = experiment(made, *rows, judged=("cd_m",))
     for line, value in zip(rows, (0.1, 0.101, 0.5)):
         for seed in table.seeds:
             finish(made, tmp_path, table.cells(line, seed)[0], value + 0.01 * seed)
     (found,) = made.finding.findings(table, made.summary.lines(table, tmp_path, "code"))
     assert found == (
-        "Chamfer distance, m, from 0.110 (clean) to 0.111 (same, within the spread of the seeds), 0.510 (worse)."
+        "Chamfer distance, m, 0.110 for clean; worse: hard (0.510); "
+        "no different beyond the spread of the seeds: alike (0.111)."
     )
 
 
