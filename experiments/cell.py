@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import sys
 import time
 from collections.abc import Mapping
@@ -19,9 +20,10 @@ from code_version import code_version
 from filelock import FileLock
 
 from sarsplat.errors import SarsplatError
+from sarsplat.reconstruction import Config, preset
 
 if TYPE_CHECKING:
-    from sarsplat import Config, Dataset
+    from sarsplat import Dataset, ImageGrid
 
 _QUICK_ITERATIONS = 60
 
@@ -54,13 +56,15 @@ class Cell:
     quick: bool = False
 
     def path(self, work: Path, code: str) -> Path:
-        """Where its scores are kept: another recipe, other settings or other code are another file."""
-        return work / "cells" / f"{_digest({**asdict(self), 'code': code})}.json"
+        """Where its scores are kept: another recipe, other settings or other code are another file.
+
+        The same settings are the same file, whatever changes led to them.
+        """
+        settings = self.changes if self.preset == "auto" else self.config(preset(self.preset)).as_dict()
+        return work / "cells" / f"{_digest({**asdict(self), 'changes': settings, 'code': code})}.json"
 
     def config(self, base: Config) -> Config:
         """The preset with the changes and the seed."""
-        from sarsplat import Config
-
         settings = base.as_dict()
         for name, value in {**self.changes, "seed": self.seed}.items():
             *sections, last = name.split(".")
@@ -120,9 +124,14 @@ def run(cell: Cell, work: Path) -> Path:
         raise SarsplatError("the package's sources changed while a cell was running; run it again")
     path.parent.mkdir(parents=True, exist_ok=True)
     kept = {name: metrics[name] for name in ("images", "points", "time_s", "reasons")}
-    settings, took = config.as_dict(), time.monotonic() - begun
-    write_json(path, {"code": code, "cell": asdict(cell), "config": settings, **kept, "took_s": round(took, 1)})
+    made = {"code": code, "cell": asdict(cell), "config": config.as_dict(), "cell_m": _cell_m(dataset.grid)}
+    write_json(path, {**made, **kept, "took_s": round(time.monotonic() - begun, 1)})
     return path
+
+
+def _cell_m(grid: ImageGrid) -> float:
+    """Side of a resolution cell, m: the geometric mean over both axes."""
+    return math.sqrt(math.prod(map(max, grid.resolution_m, grid.spacing_m)))
 
 
 def _dataset(options: Mapping[str, Any], work: Path, code: str) -> Dataset:

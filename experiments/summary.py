@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import statistics
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,12 @@ from cell import Cell
 from sarsplat.evaluation.metrics import METRICS, Metric
 
 METRIC: dict[str, Metric[Any]] = {metric.key: metric for metric in METRICS}
+METRIC |= {
+    "cd_cells": replace(METRIC["cd_m"], key="cd_cells", unit="cells"),
+    "f1@cell": replace(METRIC["f1@0.3"], key="f1@cell", label="F1 at a cell"),
+    "f1@third": replace(METRIC["f1@0.1"], key="f1@third", label="F1 at a third of a cell"),
+}
+"""By key: those of the evaluation, and the points' scores in resolution cells, to compare targets of any size."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +76,14 @@ def scores(finished: Mapping[str, Any]) -> dict[str, float]:
     images: dict[str, float | None] = {}
     for found in finished["images"].values():
         images.update({key: value for key, value in found.items() if value is not None})
-    known = {**images, **finished["points"]["visible"], "time_s": finished["time_s"]}
+    points = finished["points"]["visible"]
+    cd_m, f1 = points["cd_m"], sorted((float(key[3:]), value) for key, value in points.items() if key.startswith("f1@"))
+    cells = {
+        "cd_cells": None if cd_m is None else cd_m / finished["cell_m"],
+        "f1@cell": f1[-1][1],
+        "f1@third": f1[0][1],
+    }
+    known = {**images, **points, **cells, "time_s": finished["time_s"]}
     return {key: float(value) for key, value in known.items() if value is not None}
 
 

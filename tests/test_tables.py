@@ -67,9 +67,9 @@ def finish(made: SimpleNamespace, work: Path, cell: object, cd_m: float, f1: flo
     """Leave what the cell would."""
     path = cell.path(work, "code")
     path.parent.mkdir(parents=True, exist_ok=True)
-    points = {"visible": {"cd_m": cd_m, "f1@0.3": f1}}
+    points = {"visible": {"cd_m": cd_m, "f1@0.3": f1, "f1@0.1": 0.5}}
     content = {"images": {"test": {"psnr_db": 40.0}}, "points": points, "time_s": 1.0, "took_s": 2.0}
-    path.write_text(json.dumps({**content, "config": {"preset": "default"}}))
+    path.write_text(json.dumps({**content, "config": {"preset": "default"}, "cell_m": 0.5}))
 
 
 def test_every_experiment_can_be_run_and_reported(made):
@@ -77,7 +77,7 @@ def test_every_experiment_can_be_run_and_reported(made):
     every = made.catalogue.EXPERIMENTS
     assert len({found.name for found in every}) == len(every)
     for found in every:
-        assert set(found.judged) <= set(found.columns) <= keys
+        assert set(found.judged) <= set(found.columns) <= set(made.summary.METRIC)
         assert len({(line.group, line.label) for line in found.rows}) == len(found.rows)
         for line in found.rows:
             assert set(line.paper) <= keys
@@ -118,7 +118,8 @@ def test_a_cell_is_known_by_its_recipe_and_its_code(made, tmp_path):
     others = [replace(cell, **changed) for changed in ({"seed": 2}, {"preset": "paper"}, {"quick": True})]
     paths = {cell.path(tmp_path, "a"), cell.path(tmp_path, "b"), *(other.path(tmp_path, "a") for other in others)}
     assert len(paths) == 5
-    assert cell.path(tmp_path, "a") == replace(cell).path(tmp_path, "a")
+    same = replace(cell, changes={"initialisation": preset("default").initialisation})
+    assert cell.path(tmp_path, "a") == same.path(tmp_path, "a")
 
 
 def test_code_is_what_it_does_and_not_its_words(made, tmp_path):
@@ -147,6 +148,10 @@ def test_a_row_is_the_mean_over_targets_and_spreads_over_seeds(made, tmp_path):
     assert line.seeds == 2
     assert line.found["cd_m"].mean == pytest.approx(0.3)
     assert line.found["cd_m"].sd == pytest.approx(0.2 / 2**0.5)
+    assert made.summary.scores(made.summary.read(table.cells(table.rows[0], 0)[0], tmp_path, "code")) == {
+        **{"psnr_db": 40.0, "cd_m": 0.1, "f1@0.3": 0.9, "f1@0.1": 0.5, "time_s": 1.0},
+        **{"cd_cells": 0.2, "f1@cell": 0.9, "f1@third": 0.5},
+    }
     text = made.write.page(table, [line], "code")
     assert "| both | 2 | 0.300 ± 0.141 | 0.900 ± 0.000 |" in text
 
