@@ -2,6 +2,8 @@
 # make test    the test suite without the slow tests; make test-slow runs those
 # make figures pictures in figures/ with their tables: buildings, vehicles, splatting against ray casting
 # make bench   speed and memory against plain torch and the floor; fills the README's performance section (3 minutes)
+# make tables  every experiment, beside the paper's tables, to docs/results (hours; resumable); QUICK=1 tries it in
+#              minutes, ONLY="density loss" runs some
 # make fuzz    malformed files for every reader; make sanitize  the engine under ASan and UBSan (needs Debian's clang-19)
 # make wheels  a wheel for every platform in dist/ (four minutes the first time)
 # make check-wheel  their contents; this machine's wheel is installed into an empty environment and tested there
@@ -23,7 +25,7 @@ define step
 @printf '\n==> %s\n' "$(1)"; begun=$$SECONDS; $(2) && printf '    (%s s)\n' $$((SECONDS - begun))
 endef
 
-.PHONY: demo setup test test-slow figures bench fuzz sanitize wheels check-wheel lint readme clean
+.PHONY: demo setup test test-slow figures bench tables fuzz sanitize wheels check-wheel lint readme clean
 
 demo: setup
 	$(call step,simulate: a T-72-like target by ray casting (24 training views and 48 test views),\
@@ -66,6 +68,10 @@ bench: setup
 	$(call step,bench: speed and memory of every part (takes minutes; keep the machine idle),\
 	  $(BIN)/python benchmarks/bench.py --out benchmarks/results)
 	$(call step,README: the performance section from benchmarks/results,$(BIN)/python benchmarks/readme_performance.py)
+
+# Finished cells stay in runs/tables: end it at any time and start it again.
+tables: setup
+	$(BIN)/python experiments/tables.py $(if $(QUICK),--quick) $(if $(ONLY),--only $(ONLY))
 
 lint: setup
 	$(BIN)/ruff check

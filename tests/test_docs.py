@@ -17,7 +17,7 @@ from sarsplat.evaluation import IMAGE_METRICS, POINT_METRICS, RUN_METRICS
 from sarsplat.scenes import target_mesh
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 

@@ -49,7 +49,7 @@ def test_simulate_writes_the_views_that_were_asked_for(workshop: Path) -> None:
     assert dataset.truth_mesh is not None
     assert dataset.source["kind"] == "raycast"
     assert dataset.target == "box.obj"
-    assert dataset.source["law"] == {"floor": 0.1, "lobe": 0.9}
+    assert dataset.source["law"] == {"floor": 0.1, "lobe": 0.9, "exponent": 2.0}
     assert dataset.protocol is None
 
 

@@ -83,7 +83,7 @@ WORDS = {
     "simulate --target t27 --out new": "--target 't27' is unknown; did you mean t72?",
     "simulate --target=zeppelin --out new": "--target 'zeppelin' is unknown; choose one of ",
     "simulate --target t72 --out new --source magic": "--source 'magic' is unknown; choose one of raycast, splat",
-    "simulate --target t72 --out new --law 1": "--law needs more values; give 2",
+    "simulate --target t72 --out new --law 1": "--law does not accept '1'; see sarsplat simulate --help",
     "simulate --target t72 --out new --law 1 a": "--law does not accept '1', 'a'",
     "simulate --target t72": "--out is missing; see sarsplat simulate --help",
     "simulate --out": "--out needs a value; give 1",
@@ -135,12 +135,10 @@ def test_a_missing_extra_names_the_command_to_get_it(
 def test_a_warning_is_one_plain_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import warnings
 
-    import trimesh
-
-    trimesh.creation.box(extents=(2000.0, 1000.0, 500.0)).export(tmp_path / "millimetres.stl")
+    (tmp_path / "flat.obj").write_text("v 0 0 0\nv 2 0 0\nv 2 2 0\nf 1 2 3\nf 1 1 2\n")
     with warnings.catch_warnings():
         warnings.simplefilter("always")
-        assert main(["info", str(tmp_path / "millimetres.stl")]) == 0
+        assert main(["info", str(tmp_path / "flat.obj")]) == 0
     assert capsys.readouterr().err.startswith("warning: ")
 
 

@@ -67,14 +67,16 @@ def make(tmp_path, monkeypatch):
 
     monkeypatch.setattr("sarsplat.evaluation.evaluate.visible_surface", coarse)
 
-    def dataset(looks=None, ground=False, mesh=CUBE, scale=1.0) -> Dataset:
+    def dataset(looks=None, ground=False, mesh=CUBE, scale=1.0, clean_tests=False) -> Dataset:
         splits = ("train", "test-17", "train", "test-15", "test-17")
         views = [(View(80.0 * k, 45), split) for k, split in enumerate(splits)]
         images = np.stack([scale * image(view.azimuth_deg) for view, _ in views]).astype(np.float32)
         if looks:
-            images *= np.random.default_rng(0).exponential(size=images.shape).astype(np.float32) + np.float32(1e-3)
+            speckle = np.random.default_rng(0).exponential(size=images.shape).astype(np.float32) + np.float32(1e-3)
+            images *= np.where(np.array([clean_tests and s != "train" for s in splits])[:, None, None], 1, speckle)
         grid = ImageGrid(SIZE, SIZE, (0.3, 0.3), (0.3, 0.3))
-        made = dataset_of(grid, views, images, looks=looks, ground=ground, score_margin=24 if looks else 0)
+        fields = {"looks": looks, "clean_tests": clean_tests, "ground": ground, "score_margin": 24 if looks else 0}
+        made = dataset_of(grid, views, images, **fields)
         return write_dataset(tmp_path / "dataset", made, truth_mesh=mesh)
 
     return dataset
@@ -147,6 +149,18 @@ def test_a_measured_set_is_scored_by_protocol_m_whatever_its_unit(make, tmp_path
 def test_a_speckled_simulation_is_scored_as_speckled_images_are(make):
     metrics = evaluate_run(FakeRun(make(looks=1)))
     assert [key for key in IMAGE_KEYS if metrics["images"]["test-15"][key] is None] == NOISE_FREE_ONLY
+    assert metrics["baselines"] is None
+
+
+def test_clean_test_images_are_scored_as_such_though_the_training_was_speckled(make):
+    run = FakeRun(make(looks=1, ground=True, clean_tests=True), power=1.1)
+    metrics = evaluate_run(run)
+    scores, truth = metrics["images"]["test-17"], run.dataset.images("test-17")
+    assert [scores[key] for key in SPECKLED_ONLY] == [None, None]
+    brightest = max(run.dataset.images(split).max() for split in ("test-17", "test-15"))
+    assert metrics["parameters"]["reference_amplitude"] == pytest.approx(float(np.sqrt(brightest)))
+    assert brightest < run.dataset.images("train").max()  # a peak of the speckle, which nothing is to be measured by
+    assert scores["psnr_db"] == pytest.approx(psnr_db(truth, np.float32(1.1) * truth, float(np.sqrt(brightest))))
     assert metrics["baselines"] is None
 
 

@@ -134,7 +134,7 @@ def test_the_command_line_makes_the_paper_s_building(tmp_path, capsys):
     words = "--target building-a --azimuth 0 --grazing 45 --law 0.5 0 --ground 0.5 --pixels 64"
     assert main(["simulate", *words.split(), "--out", str(tmp_path / "a")]) == 0
     dataset = read_dataset(tmp_path / "a")
-    assert dataset.source["law"] == {"floor": 0.5, "lobe": 0.0}
+    assert dataset.source["law"] == {"floor": 0.5, "lobe": 0.0, "exponent": 2.0}
     ground_range = dataset.grid.range_m / math.cos(math.radians(45.0))
     layover = np.abs(ground_range + 8.0) < 1.0
     assert dataset.images("train")[0][layover, 30:34] == pytest.approx(1.5, rel=1e-3)

@@ -1,5 +1,6 @@
 """Mesh files: clean, dirty, foreign."""
 
+import math
 import warnings
 from pathlib import Path
 
@@ -7,7 +8,9 @@ import numpy as np
 import pytest
 
 from sarsplat.errors import SarsplatError, SarsplatWarning
-from sarsplat.scenes import load_mesh, target_mesh
+from sarsplat.geometry import ImageGrid
+from sarsplat.scenes import load_mesh, paper_grid, target_mesh
+from sarsplat.scenes.meshes import scaled, suspicious_size
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -65,12 +68,24 @@ def test_our_own_truth_is_read_without_warning(tmp_path):
     assert len(mesh.faces) > 1000
 
 
-@pytest.mark.parametrize("scale", [1000.0, 0.01])
-def test_other_units_are_suspected(tmp_path, scale):
-    path = tmp_path / "unit.stl"
-    trimesh.creation.box((7 * scale, 3 * scale, 2 * scale)).export(path)
-    with pytest.warns(SarsplatWarning, match="metre"):
-        load_mesh(path)
+@pytest.mark.parametrize("scale", [1000.0, 39.4, 0.01])
+def test_other_units_are_suspected(scale):
+    (told,) = suspicious_size(trimesh.creation.box((7 * scale, 3 * scale, 2 * scale)), paper_grid())
+    assert "give --scale" in told
+    back = scaled(trimesh.creation.box((7 * scale, 3 * scale, 2 * scale)), 1 / scale)
+    assert suspicious_size(back, paper_grid()) == []
+
+
+@pytest.mark.parametrize("size", [0.02, 0.5, 128.0])
+def test_a_target_of_any_size_is_fine_if_its_images_are(size):
+    grid = ImageGrid(128, 128, (size / 60, size / 60), (size / 50, size / 50))
+    assert suspicious_size(trimesh.creation.box((size, size / 3, size / 4)), grid) == []
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, math.nan, math.inf])
+def test_an_impossible_scale_is_refused(factor):
+    with pytest.raises(SarsplatError, match="scale"):
+        scaled(trimesh.creation.box((1, 1, 1)), factor)
 
 
 @pytest.mark.parametrize(

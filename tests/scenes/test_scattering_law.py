@@ -5,6 +5,9 @@ import pytest
 
 from sarsplat.errors import SarsplatError
 from sarsplat.scenes import ScatteringLaw
+from sarsplat.scenes.scattering import part_reflectivity
+
+trimesh = pytest.importorskip("trimesh")
 
 
 def test_law_is_floor_plus_lobe_and_two_sided():
@@ -13,13 +16,49 @@ def test_law_is_floor_plus_lobe_and_two_sided():
     np.testing.assert_allclose(law.gamma0(cosines), [1.0, 1.0, 0.325, 0.325, 0.1])
 
 
+@pytest.mark.parametrize(
+    ("law", "expected"),
+    [
+        (ScatteringLaw(0.3, 0.0), [0.3, 0.3, 0.3]),
+        (ScatteringLaw(0.0, 2.0, 1.0), [2.0, 1.0, 0.0]),  # Lambert: σ⁰ = γ⁰·cos i ∝ cos²i
+        (ScatteringLaw(0.1, 2.56, 8), [2.66, 0.11, 0.1]),
+    ],
+)
+def test_other_laws(law, expected):
+    np.testing.assert_allclose(law.gamma0(np.array([1.0, -0.5, 0.0])), expected)
+
+
+def test_the_default_law_has_the_bits_it_always_had():
+    cosines = np.random.default_rng(0).uniform(-1, 1, 1000)
+    assert (ScatteringLaw().gamma0(cosines) == 0.1 + 0.9 * np.square(cosines)).all()
+
+
 def test_law_can_be_recorded_and_restored():
-    law = ScatteringLaw(0.02, 3.0)
-    assert law.as_dict() == {"floor": 0.02, "lobe": 3.0}
+    law = ScatteringLaw(0.02, 3.0, 5.0)
+    assert law.as_dict() == {"floor": 0.02, "lobe": 3.0, "exponent": 5.0}
     assert ScatteringLaw(**law.as_dict()) == law
 
 
-@pytest.mark.parametrize("coefficients", [{"floor": -0.1}, {"lobe": math.nan}, {"lobe": math.inf}])
+def test_a_record_from_before_there_were_exponents_means_the_squared_cosine():
+    assert ScatteringLaw(**{"floor": 0.1, "lobe": 0.9}) == ScatteringLaw(0.1, 0.9, 2.0)
+
+
+def test_the_parts_of_a_mesh_differ_in_reflectivity():
+    parts = [trimesh.creation.box((1, 1, 1)).apply_translation((2 * k, 0, 0)) for k in range(300)]
+    mesh = trimesh.util.concatenate(parts)
+    mesh.unmerge_vertices()  # as an STL file has them
+    factors = part_reflectivity(mesh, 3.0, seed=1).reshape(300, 12)
+    assert (factors == factors[:, :1]).all()
+    decibels = 10 * np.log10(factors[:, 0])
+    assert decibels.std() == pytest.approx(3.0, rel=0.1)
+    assert decibels.mean() == pytest.approx(0.0, abs=0.5)
+    assert (part_reflectivity(mesh, 3.0, seed=2) != factors.ravel()).all()
+    assert (part_reflectivity(mesh, 0.0, seed=1) == 1.0).all()
+    with pytest.raises(SarsplatError, match="-1 dB"):
+        part_reflectivity(mesh, -1, seed=1)
+
+
+@pytest.mark.parametrize("coefficients", [{"floor": -0.1}, {"lobe": math.nan}, {"lobe": math.inf}, {"exponent": -1.0}])
 def test_impossible_coefficients_are_refused(coefficients):
     with pytest.raises(SarsplatError, match=next(iter(coefficients))):
         ScatteringLaw(**coefficients)

@@ -1,6 +1,7 @@
 """Images by either source of truth."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,9 @@ import trimesh
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.scenes import ScatteringLaw
+from sarsplat.scenes import ScatteringLaw, paper_grid
+from sarsplat.scenes.meshes import scaled
+from sarsplat.scenes.raycast import default_ray_spacing
 from sarsplat.scenes.simulate import simulate_images, simulation_record
 
 GRID = ImageGrid(36, 36, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
@@ -55,13 +58,41 @@ def test_speckle_keeps_the_mean_and_depends_on_the_seed(box: trimesh.Trimesh) ->
     assert ratio.var() == pytest.approx(0.25, abs=0.08)
 
 
+def test_images_may_be_spared_the_speckle(box: trimesh.Trimesh) -> None:
+    plain, speckled = (simulate_images(box, VIEWS, GRID, looks=looks, seed=1) for looks in (None, 4))
+    spared = simulate_images(box, VIEWS, GRID, looks=4, clean=[1], seed=1)
+    np.testing.assert_array_equal(spared[0], speckled[0])
+    np.testing.assert_array_equal(spared[1], plain[1])
+
+
 def test_progress_counts_images(box: trimesh.Trimesh) -> None:
     told: list[int] = []
     simulate_images(box, VIEWS, GRID, progress=told.append)
     assert told == [1, 2]
 
 
+def test_a_scene_twenty_times_as_large_has_the_same_images(box: trimesh.Trimesh) -> None:
+    """β⁰ has no length in it, and pieces and rays follow from the pixels."""
+    grid = ImageGrid(36, 36, spacing_m=(6.0, 6.0), resolution_m=(6.0, 6.0))
+    for source in ("raycast", "splat"):
+        small = simulate_images(box, VIEWS, GRID, source=source)  # type: ignore[arg-type]
+        large = simulate_images(scaled(box, 20.0), VIEWS, grid, source=source)  # type: ignore[arg-type]
+        np.testing.assert_allclose(large, small, rtol=1e-3, atol=1e-4 * small.max())
+
+
+def test_rays_follow_from_the_resolution_but_miss_no_small_target(box: trimesh.Trimesh) -> None:
+    assert default_ray_spacing(box, paper_grid()) == 0.02
+    assert default_ray_spacing(scaled(box, 0.01), paper_grid()) == pytest.approx(0.0006)
+    speck = scaled(box, 0.003)  # 18 mm × 11 mm × 6 mm, in cells of 0.3 m
+    wide = replace(GRID, resolution_m=(0.6, 0.6))  # at resolution = spacing the pixel lattice would ripple
+    image = simulate_images(speck, VIEWS[:1], wide, law=ScatteringLaw(1.0, 0.0))[0]
+    area = np.abs(speck.face_normals @ VIEWS[0].direction) @ speck.area_faces / 2  # projected, of a convex body
+    assert image.sum() * 0.3**2 == pytest.approx(area, rel=0.02)
+
+
 def test_what_cannot_be_simulated_is_refused(box: trimesh.Trimesh) -> None:
+    with pytest.raises(SarsplatError, match="leave it out"):
+        simulate_images(box, VIEWS, GRID, source="splat", ray_spacing=0.1)
     with pytest.raises(SarsplatError, match="'magic' is unknown"):
         simulate_images(box, VIEWS, GRID, source="magic")  # type: ignore[arg-type]
 
@@ -69,7 +100,7 @@ def test_what_cannot_be_simulated_is_refused(box: trimesh.Trimesh) -> None:
 @pytest.mark.parametrize("source", ["raycast", "splat"])
 def test_the_record_is_json_and_says_the_law(source: str) -> None:
     law = ScatteringLaw(0.2, 0.5)
-    record = simulation_record(source=source, law=law, ground_gamma0=None, seed=3)  # type: ignore[arg-type]
+    record = simulation_record(source=source, law=law, ground_gamma0=None, ray_spacing=0.02, seed=3)  # type: ignore[arg-type]
     assert json.loads(json.dumps(record)) == record
     assert ScatteringLaw(**record["law"]) == law
     assert (record["kind"], record["seed"]) == (source, 3)

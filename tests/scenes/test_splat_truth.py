@@ -31,12 +31,12 @@ def test_every_face_is_covered_in_proportion_to_its_area():
 
 def test_gaussians_keep_the_centre_and_lie_in_the_face():
     mesh = target_mesh("t72")
-    gaussians, faces = surface_gaussians(mesh, 0.15)
+    gaussians, faces = surface_gaussians(mesh, 0.1)
     weight = depths_and_areas(gaussians)
     np.testing.assert_allclose(np.average(gaussians.means, axis=0, weights=weight), mesh.centroid, atol=5e-3)
     offset = ((gaussians.means.double().numpy() - mesh.triangles_center[faces]) * mesh.face_normals[faces]).sum(1)
     assert np.abs(offset).max() < 1e-5
-    assert float(gaussians.scales.max()) <= 0.29 * 0.15
+    assert float(gaussians.scales.max()) <= 0.29 * 0.1
     normals = rotation_matrix(gaussians.quaternions.double())[:, :, 0].numpy()
     wide = gaussians.scales[:, 1].numpy() > 2e-3  # thinner than that, a needle has no plane
     cosine = np.abs((normals * mesh.face_normals[faces]).sum(1))[wide]

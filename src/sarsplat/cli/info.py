@@ -79,7 +79,7 @@ def _dataset(path: Path) -> tuple[str, dict[str, str]]:
     rows = {
         "target": dataset.target,
         "calibration": _CALIBRATIONS[dataset.calibration],
-        "speckle": "none" if dataset.looks is None else f"{dataset.looks:g} looks",
+        "speckle": dataset.speckle,
         "ground": "shown" if dataset.ground else "not shown",
         "protocol": dataset.protocol or "none",
         "quantity": "β⁰, linear power, float32; row 0 near range",

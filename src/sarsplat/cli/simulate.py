@@ -17,15 +17,15 @@ from sarsplat.cli.arguments import (
     OptionalFile,
     OptionalNumber,
     refuse_existing,
-    views_from,
 )
+from sarsplat.cli.simulated_views import simulated_views
 from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
     import trimesh
 
     from sarsplat.data.header import Box
-    from sarsplat.geometry import ImageGrid, View
+    from sarsplat.geometry import ImageGrid
 
 TargetName = Literal["t72", "btr70", "2s1", "kraz", "building-a", "building-b", "building-c"]
 """The targets of `sarsplat.scenes`, which is not imported here because it is slow to load; a test compares them."""
@@ -33,9 +33,10 @@ TargetName = Literal["t72", "btr70", "2s1", "kraz", "building-a", "building-b", 
 Target = Annotated[
     TargetName | None, tyro.conf.arg(metavar=f"{{{','.join(get_args(TargetName))}}}", help_behavior_hint="(optional)")
 ]
-_TARGET_MARGIN_M = 1.0
+_TARGET_MARGIN = 10 / 3  # resolution widths
 
-Law = Annotated[tuple[float, float], tyro.conf.arg(metavar="FLOOR LOBE")]
+Decibels = Annotated[float, tyro.conf.arg(metavar="DB")]
+Law = Annotated[tuple[float, float] | tuple[float, float, float], tyro.conf.arg(metavar="FLOOR LOBE [EXPONENT]")]
 
 
 def simulate(
@@ -43,20 +44,26 @@ def simulate(
     out: Folder,
     target: Target = None,
     mesh: OptionalFile = None,
+    scale: float = 1.0,
     protocol: Literal["paper", "mstar"] = "paper",
     azimuth: Angles = (),
     grazing: Angles = (),
     incidence: Angles = (),
+    random_views: OptionalCount = None,
+    test_protocol: bool = False,
     test_azimuth: Angles = (),
     test_grazing: Angles = (),
     test_incidence: Angles = (),
     source: Literal["raycast", "splat"] = "raycast",
     law: Law = (0.1, 0.9),
+    reflectivity: Decibels = 0.0,
     ground: OptionalNumber = None,
     looks: OptionalNumber = None,
+    clean_tests: bool = False,
     pixels: OptionalCount = None,
     spacing: Metres = None,
     resolution: Metres = None,
+    ray_spacing: Metres = None,
     seed: int = 0,
     overwrite: bool = False,
 ) -> None:
@@ -70,6 +77,8 @@ def simulate(
         A built-in target: a vehicle, or one of the paper's buildings.
     mesh
         A mesh file instead: metres, +x nose, +y left, +z up, ground at z = 0.
+    scale
+        Factor on the target's size, such as 0.001 for a mesh in millimetres.
     protocol
         Views and pixels: 24 training + 48 test views at 15, 45, 75° incidence (paper), or 36 + 72 at 17 and 15° grazing
         (mstar).
@@ -79,6 +88,11 @@ def simulate(
         Training grazing angles, degrees, between 0 and 90.
     incidence
         Incidence angles (90° − grazing), instead of grazing angles.
+    random_views
+        Number of random training views instead, between the lowest and the highest of the grazing angles (default: the
+        protocol's).
+    test_protocol
+        Test on the protocol's test views, with training views of your own.
     test_azimuth
         Azimuths of the test views (default: those of the training views); training views are excluded.
     test_grazing
@@ -88,19 +102,26 @@ def simulate(
     source
         Ray casting, which is independent of the renderer, or the renderer itself, on Gaussians that cover the surface.
     law
-        γ⁰ (linear) of the target's surface: FLOOR + LOBE·cos² of the angle between its normal and the radar.
+        γ⁰ (linear) of the target's surface: FLOOR + LOBE·|cos i|^EXPONENT (default: 2), with i the angle between its
+        normal and the radar. Constant: 1 0. Lambert: 0 1 1.
+    reflectivity
+        Draw a factor on γ⁰ for every connected part of the mesh, log-normally, with this standard deviation.
     ground
         γ⁰ (linear) of flat ground (default: no ground).
     looks
         Looks of multiplicative speckle; 1 is single look (default: no speckle).
+    clean_tests
+        Speckle the training images only, so that the test images are scored as noise-free ones.
     pixels
         Rows and columns of an image (default: the protocol's 128).
     spacing
         Pixel spacing in azimuth and slant range (default: the protocol's).
     resolution
         3 dB width in azimuth and slant range (default: the spacing, or the protocol's).
+    ray_spacing
+        Distance of the rays in ray casting (default: a fifteenth of the resolution).
     seed
-        Random seed.
+        Random seed of speckle, reflectivity and views.
     overwrite
         Replace an existing dataset.
     """
@@ -108,12 +129,17 @@ def simulate(
     from sarsplat.data.dataset_folder import HEADER
     from sarsplat.data.plausible import suspicions, warn
     from sarsplat.progress import progress
-    from sarsplat.scenes import ScatteringLaw, load_mesh, target_mesh
+    from sarsplat.scenes import ScatteringLaw, load_mesh, mstar_views, paper_views, target_mesh
+    from sarsplat.scenes.meshes import scaled, suspicious_size
+    from sarsplat.scenes.raycast import default_ray_spacing
+    from sarsplat.scenes.scattering import part_reflectivity
     from sarsplat.scenes.simulate import simulate_images, simulation_record
 
-    views, test_options = _views(protocol, azimuth, grazing, incidence), (test_azimuth, test_grazing, test_incidence)
-    if any(test_options):
-        views = _with_test_views(views, azimuth, grazing, incidence, *test_options)
+    if clean_tests and looks is None:
+        raise SarsplatError("--clean-tests keeps speckle out of the test images, but there is none; give --looks too")
+    theirs = paper_views() if protocol == "paper" else mstar_views()
+    own, test = (azimuth, grazing, incidence), (test_azimuth, test_grazing, test_incidence)
+    views = simulated_views(theirs, own, random_views, seed, test, test_protocol)
     grid = _grid(protocol, pixels, spacing, resolution)
     refuse_existing(out, overwrite, marker=HEADER)
     if mesh is not None and target is None:
@@ -123,14 +149,29 @@ def simulate(
     else:
         problem = "both --target and --mesh were" if target else "neither --target nor --mesh was"
         raise SarsplatError(f"{problem} given; give exactly one of them, e.g. --target t72")
+    surface = scaled(surface, scale)
+    warn(suspicious_size(surface, grid))
+    if ray_spacing is None and source == "raycast":
+        ray_spacing = default_ray_spacing(surface, grid)
     how: dict[str, Any] = {
         "source": source,
         "law": ScatteringLaw(*law),
         "ground_gamma0": ground,
+        "ray_spacing": ray_spacing,
         "seed": seed,
     }
+    factors = part_reflectivity(surface, reflectivity, seed)
     with progress(f"simulate {name}", len(views)) as shown:
-        images = simulate_images(surface, [view for view, _ in views], grid, **how, looks=looks, progress=shown.update)
+        images = simulate_images(
+            surface,
+            [view for view, _ in views],
+            grid,
+            **how,
+            reflectivity=factors,
+            looks=looks,
+            clean=[index for index, (_, split) in enumerate(views) if clean_tests and split != "train"],
+            progress=shown.update,
+        )
     digits = max(3, len(str(len(views) - 1)))
     entries = tuple(DatasetEntry(view, split, f"{index:0{digits}d}") for index, (view, split) in enumerate(views))
     dataset = Dataset(
@@ -139,10 +180,11 @@ def simulate(
         images,
         target=name,
         looks=looks,
+        clean_tests=clean_tests,
         ground=ground is not None,
-        target_box_m=None if ground is None else _box_around(surface),
-        protocol=None if azimuth else protocol,
-        source=simulation_record(**how),
+        target_box_m=None if ground is None else _box_around(surface, max(grid.resolution_m)),
+        protocol=protocol if views == theirs and grid == _grid(protocol) else None,
+        source={**simulation_record(**how), "reflectivity_db": reflectivity, "scale": scale},
     )
     dataset = write_dataset(out, dataset, truth_mesh=surface, overwrite=overwrite)
     warn(suspicions(dataset))
@@ -154,47 +196,16 @@ def simulate(
     )
 
 
-def _views(protocol: str, azimuth: Angles, grazing: Angles, incidence: Angles) -> list[tuple[View, str]]:
-    """The protocol's views, or the user's own, all for training."""
-    from sarsplat.scenes import mstar_views, paper_views
-
-    if azimuth or grazing or incidence:
-        return [(view, "train") for view in views_from(azimuth, grazing, incidence)]
-    return paper_views() if protocol == "paper" else mstar_views()
-
-
-def _with_test_views(
-    views: list[tuple[View, str]],
-    azimuth: Angles,
-    grazing: Angles,
-    incidence: Angles,
-    test_azimuth: Angles,
-    test_grazing: Angles,
-    test_incidence: Angles,
-) -> list[tuple[View, str]]:
-    """The same training views, and unseen ones."""
-    if not azimuth:
-        raise SarsplatError(
-            "test views were given, but the protocol sets both training and test views; give --azimuth as well"
-        )
-    if not test_grazing and not test_incidence:
-        test_grazing, test_incidence = grazing, incidence
-    trained = {view for view, _ in views}
-    test = views_from(test_azimuth or azimuth, test_grazing, test_incidence, prefix="test-")
-    unseen = [view for view in test if view not in trained]
-    if not unseen:
-        raise SarsplatError(f"all {len(test)} test views are also training views; choose others with --test-azimuth")
-    return [*views, *((view, "test") for view in unseen)]
-
-
-def _box_around(mesh: trimesh.Trimesh) -> Box:
+def _box_around(mesh: trimesh.Trimesh, resolution_m: float) -> Box:
     """Where the target is looked for among the ground: its own box with a margin to all sides but below, m."""
     (x, y, _), (x1, y1, z1) = mesh.bounds.tolist()
-    margin = _TARGET_MARGIN_M
+    margin = _TARGET_MARGIN * resolution_m
     return (x - margin, y - margin, 0.0), (x1 + margin, y1 + margin, max(z1, 0.0) + margin)
 
 
-def _grid(protocol: str, pixels: int | None, spacing: float | None, resolution: float | None) -> ImageGrid:
+def _grid(
+    protocol: str, pixels: int | None = None, spacing: float | None = None, resolution: float | None = None
+) -> ImageGrid:
     from sarsplat.scenes import mstar_grid, paper_grid
 
     grid = paper_grid() if protocol == "paper" else mstar_grid()

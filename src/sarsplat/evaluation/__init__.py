@@ -5,7 +5,13 @@ from sarsplat.evaluation.evaluate import evaluate_run
 from sarsplat.evaluation.images import log_correlation, nats_per_pixel, psnr_db, psnr_target_db, ssim
 from sarsplat.evaluation.lpips import Lpips, lpips
 from sarsplat.evaluation.metrics import IMAGE_METRICS, METRICS, POINT_METRICS, RUN_METRICS, Metric
-from sarsplat.evaluation.paper import NOT_THE_SAME_EXPERIMENT, paper_beside, paper_scores
+from sarsplat.evaluation.paper import (
+    NOT_THE_SAME_EXPERIMENT,
+    PAPER_DENSIFICATION,
+    PAPER_DENSITY,
+    paper_beside,
+    paper_scores,
+)
 from sarsplat.evaluation.points import PointMetrics, point_metrics
 from sarsplat.evaluation.surface import VisibleSurface, read_truth_mesh, visible_surface
 from sarsplat.evaluation.tables import Scores, comparison, metrics_table, summary_metrics
@@ -14,6 +20,8 @@ __all__ = [
     "IMAGE_METRICS",
     "METRICS",
     "NOT_THE_SAME_EXPERIMENT",
+    "PAPER_DENSIFICATION",
+    "PAPER_DENSITY",
     "POINT_METRICS",
     "RUN_METRICS",
     "Lpips",

@@ -79,17 +79,18 @@ def _evaluate(run: EvaluatedRun, weights_dir: Path | None) -> dict[str, Any]:
         raise SarsplatError(f"the training images of {dataset} are black everywhere; simulate or import them again")
 
     reasons: dict[str, str] = {}
+    speckled_tests = dataset.looks is not None and not dataset.clean_tests
     if not test_sets:
         reasons["images"] = "the dataset has no test images, so nothing is unseen; simulate it with --test-azimuth"
     images: dict[str, dict[str, float | None]] = {}
     for split in test_sets:
-        rendered = run.render(dataset.select(split).views)
-        pair = ImagePair(dataset.images(split), rendered, **parameters, network=network)
-        images[split] = compute_all(IMAGE_METRICS, dataset, pair, f"images.{split}.", reasons)
+        tested = dataset.select(split)
+        pair = ImagePair(tested.power, run.render(tested.views), **parameters, network=network)
+        images[split] = compute_all(IMAGE_METRICS, tested, pair, f"images.{split}.", reasons)
     return {
         "images": images,
         "points": _points(run, reasons),
-        "baselines": baseline_scores(dataset, reasons) if dataset.looks is not None and dataset.ground else None,
+        "baselines": baseline_scores(dataset, reasons) if speckled_tests and dataset.ground else None,
         **compute_all(RUN_METRICS, dataset, run, "", reasons),
         "seed": run.seed,
         "definitions": {metric.key: metric.definition for metric in METRICS},

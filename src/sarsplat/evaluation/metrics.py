@@ -54,7 +54,7 @@ class ImagePair:
     truth, rendered : numpy.ndarray, float [V, rows, columns]
         β⁰, linear power.
     reference_amplitude : float
-        Largest amplitude √β⁰ of the training set.
+        Largest amplitude √β⁰ of the training set, or of the test images if these alone are without speckle.
     mean_power : float
         Mean β⁰ of the training set.
     score_margin : int
@@ -74,8 +74,11 @@ class ImagePair:
 def image_parameters(dataset: Dataset) -> dict[str, Any]:
     """What the definitions of image metrics refer to: attributes of `ImagePair` that a dataset decides."""
     train = dataset.images("train")
+    tests = [dataset.images(split) for split in dataset.splits() if split != "train"]
+    # speckle's peaks are several times as bright as the target, which would flatter every score of clean test images
+    clean = tests if dataset.clean_tests and tests else [train]
     return {
-        "reference_amplitude": float(np.sqrt(train.max())),
+        "reference_amplitude": float(np.sqrt(max(images.max() for images in clean))),
         "mean_power": float(train.mean(dtype=np.float64)),
         "score_margin": dataset.score_margin,
     }

@@ -106,7 +106,7 @@ def _dataset_facts(dataset: Dataset) -> dict[str, str]:
         "folder": str(dataset),
         "quantity": quantity,
         "images": ", ".join(f"{count} {split}" for split, count in Counter(sets).items()),
-        "speckle": "none" if dataset.looks is None else f"{dataset.looks:g} looks",
+        "speckle": dataset.speckle,
         "ground": "shown" if dataset.ground else "none",
         "pixels": f"{grid.rows} × {grid.columns} (slant range × azimuth)",
         "spacing": f"{grid.spacing_m[0]:g} m in azimuth, {grid.spacing_m[1]:g} m in slant range",

@@ -80,7 +80,7 @@ def _views(run: Run) -> Picture:
     items = [index for index, entry in enumerate(dataset.entries) if entry.split in splits]
     chosen = [items[index] for index in evenly(len(items), _VIEWS)]
     truth, views = dataset.power[chosen], [dataset.views[index] for index in chosen]
-    speckled = dataset.looks is not None
+    speckled = dataset.select(splits[0]).looks is not None
     png = views_figure(
         truth,
         run.render(views),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import warnings
 from pathlib import Path
@@ -11,13 +12,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.geometry import ImageGrid
 from sarsplat.scenes.mesh_files import read_mesh
 
 if TYPE_CHECKING:
     import trimesh
 
-_LARGEST_TARGET = 200.0  # m; beyond it, a vehicle given in millimetres is likelier
-_SMALLEST_TARGET = 0.5  # m; below it, one given in kilometres
+# The sizes of a target that is imaged as it is meant to be, in image sides and in resolution widths. A vehicle that is
+# given in inches, centimetres or millimetres is farther out, and so is one in kilometres.
+_LARGEST_TARGET, _SMALLEST_TARGET = 5.0, 2.0
 
 
 def load_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
@@ -30,7 +33,7 @@ def load_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
     Parameters
     ----------
     path : path
-        File, in metres, +x nose, +y left, +z up, ground at z = 0.
+        File, +x nose, +y left, +z up, ground at z = 0; its coordinates are taken for metres.
 
     Returns
     -------
@@ -45,7 +48,7 @@ def load_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
     Warns
     -----
     SarsplatWarning
-        If faces were dropped, or the extent suggests that the file is not in metres.
+        If faces were dropped.
     """
     path = Path(path)
     mesh = read_mesh(path)
@@ -62,14 +65,33 @@ def load_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
         )
     mesh.update_faces(usable & _first_of_equals(vertices, faces))
     mesh.remove_unreferenced_vertices()
-    extent = float(mesh.extents.max())
-    if not _SMALLEST_TARGET <= extent <= _LARGEST_TARGET:
-        warnings.warn(
-            f"'{path}' is {extent:.3g} m long if its unit is the metre; scale it if it is in another unit",
-            SarsplatWarning,
-            stacklevel=2,
-        )
     return mesh
+
+
+def scaled(mesh: trimesh.Trimesh, factor: float) -> trimesh.Trimesh:
+    """The mesh with every coordinate multiplied by a factor.
+
+    Raises
+    ------
+    SarsplatError
+        If the factor is not positive and finite.
+    """
+    if not (math.isfinite(factor) and factor > 0):
+        raise SarsplatError(f"scale {factor} must be positive and finite; 0.001 makes metres of millimetres")
+    return mesh.copy().apply_scale(factor)
+
+
+def suspicious_size(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
+    """Whether a mesh is far larger than its images, or hardly larger than a resolution cell; one sentence, or none."""
+    extent = float(mesh.extents.max())
+    side = max(grid.rows * grid.spacing_m[1], grid.columns * grid.spacing_m[0])
+    cell = max(grid.resolution_m)
+    if _SMALLEST_TARGET * cell <= extent <= _LARGEST_TARGET * side:
+        return []
+    return [
+        f"the target is {extent:.3g} m long, but the images are {side:.3g} m wide with a resolution of {cell:.3g} m; "
+        "if the mesh is not in metres, give --scale, otherwise --spacing"
+    ]
 
 
 def _have_area(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
+from sarsplat.errors import SarsplatError, counted
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.scenes._random import generator
+
+_MAX_VIEWS = 10_000
 
 
 def paper_views() -> list[tuple[View, str]]:
@@ -32,6 +38,33 @@ def mstar_views() -> list[tuple[View, str]]:
         (View(float(azimuth), grazing), split)
         for split, first, grazing in (("train", 0, 17.0), ("test-17", 5, 17.0), ("test-15", 5, 15.0))
         for azimuth in range(first, 360, 10)
+    ]
+
+
+def random_views(count: int, lowest_deg: float, highest_deg: float, seed: int) -> list[View]:
+    """Directions that are evenly distributed over the part of the sky between two grazing angles.
+
+    Parameters
+    ----------
+    count : int
+        How many.
+    lowest_deg, highest_deg : float
+        Grazing angles, degrees.
+    seed : int
+        Of the directions.
+
+    Raises
+    ------
+    SarsplatError
+        If it is not a number of views from 1 to 10,000, or the seed is negative.
+    """
+    if not 1 <= count <= _MAX_VIEWS:
+        raise SarsplatError(f"{counted(count, 'random view')} cannot be drawn; give 1 to {_MAX_VIEWS}")
+    low, high = (math.sin(math.radians(angle)) for angle in (lowest_deg, highest_deg))
+    azimuths, heights = generator(seed, "views").random((2, count))
+    return [
+        View(round(360 * azimuth, 3), round(math.degrees(math.asin(low + (high - low) * height)), 3))
+        for azimuth, height in zip(azimuths, heights)
     ]
 
 

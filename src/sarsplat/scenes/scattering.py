@@ -4,21 +4,31 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Float64, Real
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from sarsplat.errors import SarsplatError
+from sarsplat.scenes._random import generator
+
+if TYPE_CHECKING:
+    import trimesh
 
 _MAX_GAMMA0 = 1e6
+_MAX_SPREAD_DB = 30.0
 
 
 @dataclass(frozen=True)
 class ScatteringLaw:
-    """γ⁰(i) = floor + lobe·cos²i, with i the angle between a facet's normal and the direction to the radar.
+    """γ⁰(i) = floor + lobe·|cos i|^exponent, with i the angle between a facet's normal and the direction to the radar.
 
-    Two-sided: a facet scatters alike from both sides (|cos i|), because the normals of real meshes cannot be trusted.
-    γ⁰ is the cross-section per unit area projected along the line of sight, dimensionless and linear.
+    Two-sided: a facet scatters alike from both sides, because the normals of real meshes cannot be trusted. γ⁰ is the
+    cross-section per unit area projected along the line of sight, dimensionless and linear; per unit area of the facet
+    itself it would be σ⁰ = γ⁰·cos i. So Lambert's law, σ⁰ ∝ cos²i, has the exponent 1 and no floor, and a constant γ⁰
+    has no lobe.
 
     Parameters
     ----------
@@ -26,6 +36,8 @@ class ScatteringLaw:
         γ⁰ at grazing incidence on the facet, ≥ 0.
     lobe : float
         What normal incidence adds to it, ≥ 0.
+    exponent : float
+        How narrow the lobe is, ≥ 0; −3 dB at i = arccos(2^(−1/exponent)): 60° for 1, 45° for 2, 24° for 8.
 
     Raises
     ------
@@ -35,19 +47,53 @@ class ScatteringLaw:
 
     floor: float = 0.1
     lobe: float = 0.9
+    exponent: float = 2.0
 
     def __post_init__(self) -> None:
         for name, value in self.as_dict().items():
             if not (math.isfinite(value) and value >= 0):
-                raise SarsplatError(f"the scattering law's {name} {value} must be finite and at least 0 (linear γ⁰)")
+                unit = "" if name == "exponent" else " (linear γ⁰)"
+                raise SarsplatError(f"the scattering law's {name} {value} must be finite and at least 0{unit}")
 
     def gamma0(self, cos_incidence: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
         """γ⁰ for the cosine of the incidence angle, of either sign; same shape and dtype."""
-        return self.floor + self.lobe * np.square(cos_incidence)
+        return self.floor + self.lobe * np.abs(cos_incidence) ** self.exponent
 
     def as_dict(self) -> dict[str, float]:
         """The coefficients by name, to be recorded with a dataset; `ScatteringLaw(**d)` restores the law."""
         return asdict(self)
+
+
+def part_reflectivity(mesh: trimesh.Trimesh, spread_db: float, seed: int) -> Float64[np.ndarray, " faces"]:
+    """A factor on the law's γ⁰ for every connected part of a mesh, log-normally distributed around 1.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        Faces that share a corner belong to the same part.
+    spread_db : float
+        Standard deviation of the factors, dB.
+    seed : int
+        Of the factors.
+
+    Returns
+    -------
+    numpy.ndarray, float64 [F]
+        For each face the factor of its part: `reflectivity` of the simulators.
+
+    Raises
+    ------
+    SarsplatError
+        If the spread is negative or larger than 30 dB, or the seed is negative.
+    """
+    if not 0 <= spread_db <= _MAX_SPREAD_DB:
+        raise SarsplatError(f"the reflectivity's spread {spread_db} dB must be between 0 and {_MAX_SPREAD_DB:g} dB")
+    corners = np.unique(mesh.vertices, axis=0, return_inverse=True)[1].reshape(-1)[mesh.faces]
+    first, others = np.repeat(corners[:, :1], 2, axis=1).ravel(), corners[:, 1:].ravel()
+    edges = coo_matrix((np.ones(len(first), dtype=bool), (first, others)), shape=(corners.max() + 1,) * 2)
+    count, part = connected_components(edges, directed=False)
+    factors = 10 ** (spread_db / 10 * generator(seed, "reflectivity").standard_normal(count))
+    return factors[part[corners[:, 0]]]
 
 
 def check_ground(gamma0: float | None) -> None:

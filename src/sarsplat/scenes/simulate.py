@@ -14,6 +14,7 @@ from sarsplat.gaussians import join
 from sarsplat.gaussians.ground import ground_radius_m, ground_sheet
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import render
+from sarsplat.scenes._random import generator
 from sarsplat.scenes.raycast import simulate_raycast
 from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflectivity
 from sarsplat.scenes.speckle import add_speckle
@@ -24,8 +25,8 @@ if TYPE_CHECKING:
 
 Source = Literal["raycast", "splat"]
 
-# Protocol R: rays of the ray caster (m), and of the splat truth the Gaussians and rays that go to a pixel spacing.
-_RAY_SPACING, _OVERSAMPLE = 0.02, 9
+# Protocol R: the ray caster's nodes, and of the splat truth the Gaussians and rays, that go to a pixel spacing.
+_OVERSAMPLE = 9
 _PIECES_PER_PIXEL, _GROUND_PER_PIXEL, _RAYS_PER_PIXEL = 3.0, 2.0, 15.0
 
 
@@ -38,7 +39,9 @@ def simulate_images(
     law: ScatteringLaw | None = None,
     reflectivity: Real[np.ndarray, " faces"] | None = None,
     ground_gamma0: float | None = None,
+    ray_spacing: float | None = None,
     looks: float | None = None,
+    clean: Sequence[int] = (),
     seed: int = 0,
     progress: Callable[[int], object] | None = None,
 ) -> Float32[np.ndarray, "v {grid.rows} {grid.columns}"]:
@@ -59,8 +62,12 @@ def simulate_images(
         Factor on the law's γ⁰ for each face; 1 unless given.
     ground_gamma0 : float, optional
         γ⁰ (linear) of a flat ground at z = 0; none unless given.
+    ray_spacing : float, optional
+        Spacing of the rays in ray casting, m; `default_ray_spacing` unless given.
     looks : float, optional
         Number of looks of the speckle; none unless given.
+    clean : sequence of int
+        Indices of views whose images get no speckle nevertheless; that of the others stays the same.
     seed : int
         Seed of the speckle.
     progress : callable, optional
@@ -79,17 +86,22 @@ def simulate_images(
     law = law or ScatteringLaw()
     reflectivity = check_reflectivity(reflectivity, len(mesh.faces))
     check_ground(ground_gamma0)
-    if seed < 0:
-        raise SarsplatError(f"seed {seed} must be at least 0")
+    speckle = generator(seed, "speckle")
     if source == "raycast":
-        images = _raycast(mesh, views, grid, law, reflectivity, ground_gamma0)
+        images = _raycast(mesh, views, grid, law, reflectivity, ground_gamma0, ray_spacing)
     elif source != "splat":
         raise SarsplatError(f"source {source!r} is unknown; choose 'raycast' or 'splat'")
+    elif ray_spacing is not None:
+        raise SarsplatError(
+            f"the ray spacing {ray_spacing} m is for ray casting, but the source is 'splat', whose rays follow from "
+            "the pixels; leave it out"
+        )
     else:
         images = _splat(mesh, views, grid, law, reflectivity, ground_gamma0)
     stack = np.ones((len(views), grid.rows, grid.columns), dtype=np.float32)
     if looks is not None:  # first, so that a bad number of looks is told before minutes of ray casting
-        stack = add_speckle(stack, looks, np.random.default_rng(seed))
+        stack = add_speckle(stack, looks, speckle)
+        stack[list(clean)] = 1.0
     for index, image in enumerate(images):
         stack[index] *= image
         if progress is not None:
@@ -97,11 +109,13 @@ def simulate_images(
     return stack
 
 
-def simulation_record(*, source: Source, law: ScatteringLaw, ground_gamma0: float | None, seed: int) -> dict[str, Any]:
+def simulation_record(
+    *, source: Source, law: ScatteringLaw, ground_gamma0: float | None, ray_spacing: float | None, seed: int
+) -> dict[str, Any]:
     """How `simulate_images` made images with these arguments, speckle apart, as JSON for a dataset's `source`."""
     how: dict[str, Any]
     if source == "raycast":
-        how = {"ray_spacing_m": _RAY_SPACING, "nodes_per_pixel": _OVERSAMPLE}
+        how = {"ray_spacing_m": ray_spacing, "nodes_per_pixel": _OVERSAMPLE}
     else:
         how = {
             "surface_pieces_per_pixel": _PIECES_PER_PIXEL,
@@ -111,7 +125,7 @@ def simulation_record(*, source: Source, law: ScatteringLaw, ground_gamma0: floa
     return {
         "kind": source,
         "law": law.as_dict(),
-        "law_formula": "gamma0(i) = floor + lobe*cos(i)^2, two-sided; i = angle between facet normal and radar",
+        "law_formula": "gamma0(i) = floor + lobe*|cos(i)|^exponent; i = angle between facet normal and radar",
         "ground_gamma0": ground_gamma0,
         "seed": seed,
         **how,
@@ -125,6 +139,7 @@ def _raycast(
     law: ScatteringLaw,
     reflectivity: Float64[np.ndarray, " faces"],
     ground_gamma0: float | None,
+    ray_spacing: float | None,
 ) -> Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]:
     for view in views:
         yield simulate_raycast(
@@ -134,7 +149,7 @@ def _raycast(
             law,
             reflectivity=reflectivity,
             ground_gamma0=ground_gamma0,
-            ray_spacing=_RAY_SPACING,
+            ray_spacing=ray_spacing,
             oversample=_OVERSAMPLE,
         )
 

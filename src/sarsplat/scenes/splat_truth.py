@@ -12,7 +12,7 @@ from jaxtyping import Float, Float64, Int
 from scipy.spatial.transform import Rotation
 
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.gaussians import MIN_SCALE, Gaussians, Harmonics
 from sarsplat.geometry import View
 from sarsplat.scenes.scattering import ScatteringLaw
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # in nearer than the surface, narrower or thinner ones leak.
 _WIDENING, _SHEET_DEPTH = 1.2, 7.0
 
-_THICKNESS = 1e-3  # m
+_THICKNESS = 0.01  # standard deviation along the normal, in sizes of a piece
 _MAX_GAUSSIANS = 1e7
 
 
@@ -67,7 +67,7 @@ def surface_gaussians(
     if fewest > _MAX_GAUSSIANS:
         raise SarsplatError(
             f"the mesh has a surface of {mesh.area:.2g} m², which needs at least {fewest:.2g} Gaussians; "
-            "if it is in millimetres, scale it to metres; otherwise use a smaller one"
+            "if it is in millimetres, scale it to metres; otherwise use coarser pixels or ray casting"
         )
     pieces, faces = _bisected(np.asarray(mesh.triangles, dtype=np.float64), size)
     centers = pieces.mean(axis=1)
@@ -81,7 +81,7 @@ def surface_gaussians(
     gaussians = Gaussians(
         means=torch.from_numpy(centers).float(),
         quaternions=torch.from_numpy(Rotation.from_matrix(axes).as_quat(scalar_first=True)).float(),
-        scales=torch.from_numpy(np.sqrt(np.maximum(variances, _THICKNESS**2))).float(),
+        scales=torch.from_numpy(np.sqrt(np.maximum(variances, max(_THICKNESS * size, MIN_SCALE) ** 2))).float(),
         optical_depth=torch.full((n,), optical_depth),
         scattering=Harmonics(torch.zeros(n, 1)),
     )

@@ -1,0 +1,164 @@
+"""Turn finished cells into docs/results: for every experiment a page, two CSV files and a plot, and an index."""
+
+from __future__ import annotations
+
+import csv
+import io
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from catalogue import EXPERIMENTS, Experiment
+from draw import draw
+from finding import findings
+from summary import METRIC, Line, lines, read, scores
+
+from sarsplat.data import write_bytes
+from sarsplat.evaluation.paper import NOT_THE_SAME_EXPERIMENT
+
+_FOUND = "**Found.** "
+_QUICK = "A quick run, which shows that everything works; its numbers mean nothing.\n\n"
+
+
+def write(experiment: Experiment, work: Path, out: Path, code: str) -> None:
+    """Write one experiment as far as it is finished: what is missing is a dash, and without a row nothing is written.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Which.
+    work : pathlib.Path
+        Folder of the finished cells.
+    out : pathlib.Path
+        Folder of the results; made if missing.
+    code : str
+        Version of the code; cells of another one do not count.
+    """
+    known = lines(experiment, work, code)
+    if not any(line.seeds for line in known):
+        return
+    out.mkdir(parents=True, exist_ok=True)
+    _write(out / f"{experiment.name}.csv", _csv(_summary_rows(known)))
+    _write(out / f"{experiment.name}-runs.csv", _csv(_run_rows(experiment, work, code)))
+    draw(experiment, known, out / f"{experiment.name}.png")
+    _write(out / f"{experiment.name}.md", page(experiment, known, code))
+
+
+def write_index(out: Path, quick: bool) -> None:
+    """Write the first page: every experiment with what its page says, or that there is none yet."""
+    out.mkdir(parents=True, exist_ok=True)
+    parts = ["# Results\n\n", _QUICK if quick else "", "Written by `make tables`; do not edit.\n"]
+    for experiment in EXPERIMENTS:
+        path = out / f"{experiment.name}.md"
+        if path.is_file():
+            said = [text for text in path.read_text(encoding="utf-8").splitlines() if text.startswith(_FOUND)]
+            parts.append(f"\n## [{experiment.title}]({path.name})\n")
+            parts += [f"\n{text.removeprefix(_FOUND)}\n" for text in said]
+        else:
+            parts.append(f"\n## {experiment.title}\n\nNot run yet: `make tables ONLY={experiment.name}`.\n")
+    _write(out / "README.md", "".join(parts))
+
+
+def page(experiment: Experiment, known: list[Line], code: str) -> str:
+    """An experiment as Markdown: what was done, what it says, the table."""
+    parts = [f"# {experiment.title}\n\n", _QUICK if experiment.quick else "", f"{experiment.about}\n\n"]
+    parts += [f"{_FOUND}{sentence}\n\n" for sentence in findings(experiment, known)]
+    for group in experiment.groups():
+        members = [line for line in known if line.row.group == group]
+        parts += [f"## {group[0].upper()}{group[1:]}\n\n"] if group else []
+        parts += [_table(columns, members) + "\n" for columns in experiment.tables]
+    parts.append(
+        f"![{experiment.title}]({experiment.name}.png)\n\n"
+        "Mean ± sample standard deviation over the seeds that are finished; “–”: not known, or not finished. Points "
+        f"are held against the visible surface. Figures: [{experiment.name}.csv]({experiment.name}.csv); every run: "
+        f"[{experiment.name}-runs.csv]({experiment.name}-runs.csv). "
+        f"Written by `make tables` from code version {code}.\n"
+    )
+    if any(line.row.paper for line in known):
+        parts.append(f"\n{NOT_THE_SAME_EXPERIMENT}\n")
+    return "".join(parts)
+
+
+def _table(columns: Sequence[str], known: list[Line]) -> str:
+    """Rows and metrics; where the paper has figures, a column of them beside ours."""
+    heads, cells = ["", "seeds"], [[line.row.label, str(line.seeds)] for line in known]
+    for key in columns:
+        metric = METRIC[key]
+        heads.append(f"{metric.title} {metric.arrow}".strip())
+        for line, texts in zip(known, cells, strict=True):
+            texts.append(_text(key, line))
+        if any(key in line.row.paper for line in known):
+            heads.append("paper")
+            for line, texts in zip(known, cells, strict=True):
+                texts.append(metric.text(line.row.paper.get(key)))
+    rows = [heads, ["---", *["---:"] * (len(heads) - 1)], *cells]
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+def _text(key: str, line: Line) -> str:
+    """Mean ± standard deviation."""
+    found = line.found.get(key)
+    if found is None:
+        return "–"
+    metric = METRIC[key]
+    return metric.text(found.mean) + ("" if found.sd is None else f" ± {metric.text(found.sd)}")
+
+
+def _summary_rows(known: list[Line]) -> Iterable[Mapping[str, Any]]:
+    """A line for every row and metric."""
+    for line in known:
+        for key in dict.fromkeys((*line.found, *line.row.paper)):
+            found = line.found.get(key)
+            yield {
+                "group": line.row.group,
+                "row": line.row.label,
+                "x": line.row.x,
+                "metric": key,
+                "mean": None if found is None else found.mean,
+                "sd": None if found is None else found.sd,
+                "seeds": 0 if found is None else len(found.values),
+                "paper": line.row.paper.get(key),
+            }
+
+
+def _run_rows(experiment: Experiment, work: Path, code: str) -> Iterable[Mapping[str, Any]]:
+    """A line for every finished cell, with how to make its images."""
+    for row in experiment.rows:
+        for seed in experiment.seeds:
+            for cell in experiment.cells(row, seed):
+                finished = read(cell, work, code)
+                if finished is not None:
+                    yield {
+                        "group": row.group,
+                        "row": row.label,
+                        "seed": seed,
+                        "simulate": _options(cell.dataset),
+                        "preset": finished["config"]["preset"],
+                        "changes": _options(cell.changes),
+                        **{key: value for key, value in scores(finished).items() if key in METRIC},
+                        "took_s": finished["took_s"],
+                    }
+
+
+def _options(options: Mapping[str, Any]) -> str:
+    """As on a command line."""
+    words = []
+    for name, value in options.items():
+        values = value if isinstance(value, tuple | list) else [value]
+        words += [f"--{name.replace('_', '-')}", *("none" if v is None else f"{v}" for v in values)]
+    return shlex.join(words)
+
+
+def _csv(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Rows as CSV; the columns are those of all rows, in order of first appearance."""
+    found = list(rows)
+    file = io.StringIO()
+    writer = csv.DictWriter(file, list(dict.fromkeys(name for row in found for name in row)), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(found)
+    return file.getvalue()
+
+
+def _write(path: Path, text: str) -> None:
+    write_bytes(path, text.encode())

@@ -1,0 +1,138 @@
+"""What `sarsplat simulate` makes of its options."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from sarsplat.cli import main
+from sarsplat.cli.simulated_views import Raster, simulated_views
+from sarsplat.data import Dataset, read_dataset
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import View
+from sarsplat.scenes import paper_views
+
+NONE: Raster = ((), (), ())
+PAPER_TEST = [(view, split) for view, split in paper_views() if split == "test"]
+
+
+def chosen(train: Raster = NONE, test: Raster = NONE, **others: Any) -> list[tuple[View, str]]:
+    options = {"random": None, "seed": 0, "test_theirs": False, **others}
+    return simulated_views(paper_views(), train, options["random"], options["seed"], test, options["test_theirs"])
+
+
+def of(views: list[tuple[View, str]], split: str) -> list[View]:
+    return [view for view, name in views if name == split]
+
+
+def test_without_options_the_views_are_the_protocol_s() -> None:
+    assert chosen() == paper_views()
+
+
+def test_random_training_views_lie_between_the_grazing_angles() -> None:
+    views = of(chosen(random=400), "train")
+    assert len(views) == len(set(views)) == 400
+    grazings = np.array([view.grazing_deg for view in views])
+    assert 15 <= grazings.min() < 16
+    assert 73 < grazings.max() <= 75
+    # evenly over the sky: half of the sine of the grazing angle halves the views
+    middle = math.degrees(math.asin((math.sin(math.radians(15)) + math.sin(math.radians(75))) / 2))
+    assert (grazings < middle).mean() == pytest.approx(0.5, abs=0.08)
+    azimuths = np.radians([view.azimuth_deg for view in views])
+    assert np.hypot(np.cos(azimuths).mean(), np.sin(azimuths).mean()) < 0.15
+    narrow = of(chosen(((), ("20", "40"), ()), random=50), "train")
+    assert all(20 <= view.grazing_deg <= 40 for view in narrow)
+    assert all(view.grazing_deg == 30 for view in of(chosen(((), (), ("60",)), random=5), "train"))
+
+
+def test_random_views_follow_from_the_seed() -> None:
+    first, again, other = (chosen(random=12, seed=seed) for seed in (1, 1, 2))
+    assert first == again != other
+
+
+def test_own_training_views_are_tested_on_the_protocol_s() -> None:
+    ring = chosen((("0:360:45",), ("45",), ()), test_theirs=True)
+    assert of(ring, "train") == [View(float(azimuth), 45.0) for azimuth in range(0, 360, 45)]
+    assert ring[8:] == PAPER_TEST
+    assert chosen(random=12, test_theirs=True)[12:] == PAPER_TEST
+    overlapping = chosen((("15", "30"), ("45",), ()), test_theirs=True)
+    assert len(of(overlapping, "test")) == 46  # what was trained on is no test
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"random": 12, "train": (("0",), (), ())}, "--random-views draws the azimuths"),
+        ({"random": 0}, "0 random views cannot be drawn"),
+        ({"random": 3, "seed": -1}, "seed -1"),
+        ({"random": 3, "test": ((), ("30",), ())}, "--test-azimuth is missing"),
+        ({"random": 3, "test": (("30",), ("30",), ()), "test_theirs": True}, "both --test-protocol and"),
+    ],
+)
+def test_views_that_contradict_each_other_are_refused(options: dict[str, Any], told: str) -> None:
+    with pytest.raises(SarsplatError, match=told):
+        chosen(**options)
+
+
+@pytest.fixture
+def box(tmp_path: Path) -> Path:
+    """A box of 2.4 km × 1.2 km × 1 km, or of metres if it is told that these are millimetres; in two parts."""
+    halves = [trimesh.creation.box((1200, 1200, 1000)).apply_translation((x, 0, 500)) for x in (-700, 700)]
+    trimesh.util.concatenate(halves).export(tmp_path / "box.obj")
+    return tmp_path / "box.obj"
+
+
+def simulated(box: Path, words: str) -> Dataset:
+    views = "--azimuth 0:360:90 --grazing 30 --pixels 32"
+    out = box.parent / "made"
+    assert main(["simulate", "--mesh", str(box), *views.split(), "--overwrite", *words.split(), "--out", str(out)]) == 0
+    return read_dataset(out)
+
+
+def test_a_mesh_is_scaled_and_its_rays_are_recorded(box: Path) -> None:
+    dataset = simulated(box, "--scale 0.001")
+    assert dataset.source["scale"] == 0.001
+    assert dataset.source["ray_spacing_m"] == 0.02
+    assert trimesh.load_mesh(dataset.truth_mesh).extents == pytest.approx((2.6, 1.2, 1.0))
+    coarse = simulated(box, "--scale 0.001 --ray-spacing 0.1")
+    assert coarse.source["ray_spacing_m"] == 0.1
+    assert 0 < np.abs(coarse.power - dataset.power).max() < 0.1 * dataset.power.max()
+
+
+def test_laws_and_the_reflectivity_of_parts_are_recorded_and_shown(box: Path) -> None:
+    plain = simulated(box, "--scale 0.001 --law 0 1 1")
+    assert plain.source["law"] == {"floor": 0.0, "lobe": 1.0, "exponent": 1.0}
+    varied = simulated(box, "--scale 0.001 --law 0 1 1 --reflectivity 6 --seed 3")
+    assert varied.source["reflectivity_db"] == 6.0
+    side = plain.grid.columns // 2  # seen from ±y, one part is left of the middle and the other right of it
+    ratios = [varied.power[1][:, half].sum() / plain.power[1][:, half].sum() for half in (slice(side), slice(side, 64))]
+    assert abs(10 * math.log10(ratios[0] / ratios[1])) > 0.5
+
+
+def test_a_protocol_is_named_only_if_views_and_pixels_are_its_own(tmp_path: Path, monkeypatch) -> None:
+    def images(_mesh: object, views: list[View], grid: Any, **_: object) -> np.ndarray:
+        return np.zeros((len(views), grid.rows, grid.columns), np.float32)
+
+    monkeypatch.setattr("sarsplat.scenes.simulate.simulate_images", images)
+    monkeypatch.setattr("sarsplat.data.plausible.suspicions", lambda _: [])
+    named = {"": "paper", "--protocol mstar": "mstar", "--spacing 0.2": None, "--random-views 3": None}
+    for words, protocol in named.items():
+        out = str(tmp_path / (words.replace(" ", "") or "plain"))
+        assert main(["simulate", "--target", "building-b", *words.split(), "--out", out]) == 0
+        assert read_dataset(out).protocol == protocol
+
+
+def test_test_images_are_clean_if_asked_for(box: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = "--scale 0.001 --test-azimuth 45"
+    clean, speckled = simulated(box, words), simulated(box, f"{words} --looks 1 --clean-tests --seed 2")
+    assert speckled.select("train").looks == 1
+    assert speckled.select("test").looks is None
+    np.testing.assert_array_equal(speckled.images("test"), clean.images("test"))
+    assert (speckled.images("train") != clean.images("train")).any()
+    assert main(["simulate", "--target", "t72", "--clean-tests", "--out", str(box.parent / "new")]) == 2
+    assert "give --looks too" in capsys.readouterr().err
