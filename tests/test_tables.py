@@ -247,10 +247,10 @@ def test_a_cell_that_fails_is_told_and_the_others_go_on(made, tmp_path, fake, ca
     assert made.tables.run([table], runner, tmp_path / "out", only_write=True) == 0
     with pytest.raises(KeyError):  # the fake cell of seed 8 is finished, but holds nothing
         made.tables.run([table], runner, tmp_path / "out", only_write=False)
-    assert runner.failed == ["t72 default seed 7: out of luck"]
+    assert runner.failed == ["target=t72 default seed 7: out of luck"]
     printed = capsys.readouterr().out
-    assert "made-up 1/2: t72 default seed 7 FAILED: out of luck; " in printed
-    assert "made-up 2/2: t72 default seed 8; 0 min left" in printed
+    assert "made-up 1/2: target=t72 default seed 7 FAILED: out of luck; " in printed
+    assert "made-up 2/2: target=t72 default seed 8; 0 min left" in printed
 
 
 def test_other_sources_end_the_run(made, tmp_path, fake):
