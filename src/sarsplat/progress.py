@@ -21,6 +21,13 @@ class Reporter:
         self._begun = self._last = time.monotonic()
         self._first = 0
 
+    def note(self, text: str) -> None:
+        """A line that stays, before the first step."""
+        if self._bar is not None:
+            self._bar.console.print(text, highlight=False)
+        elif not self._quiet:
+            print(text, flush=True)
+
     def start_at(self, done: int) -> None:
         """Work resumed: this many steps were done before."""
         self._first = done

@@ -33,7 +33,7 @@ from sarsplat.reconstruction.points import extract_points
 from sarsplat.reconstruction.snapshot import Snapshot
 
 SCHEMA = "sarsplat-run"
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 HEADER = "config.json"
 
 _RESULTS = ("gaussians.ply", "points.ply", "metrics.json", "report/index.html")
