@@ -241,7 +241,7 @@ def only_training(path: Path, mesh) -> Dataset:
 
 
 def test_without_test_views_the_points_are_scored(tmp_path, make):  # make: coarse surfaces
-    with pytest.warns(SarsplatWarning, match="made from one view, which cannot determine the shape"):
+    with pytest.warns(SarsplatWarning, match="made from views that cannot determine the shape"):
         metrics = evaluate_run(FakeRun(only_training(tmp_path / "with mesh", CUBE)))
     assert metrics["images"] == {}
     assert metrics["points"]["visible"]["cd_m"] is not None

@@ -71,6 +71,7 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
 
 def _dataset(path: Path) -> tuple[str, dict[str, str]]:
     from sarsplat.data import read_dataset
+    from sarsplat.data.determined import weakest_direction
     from sarsplat.data.plausible import suspicions
 
     dataset = read_dataset(path)
@@ -81,6 +82,7 @@ def _dataset(path: Path) -> tuple[str, dict[str, str]]:
         "calibration": _CALIBRATIONS[dataset.calibration],
         "speckle": dataset.speckle,
         "ground": "shown" if dataset.ground else "not shown",
+        "weakest direction": str(weakest_direction(dataset.select("train").views)),
         "protocol": dataset.protocol or "none",
         "quantity": "β⁰, linear power, float32; row 0 near range",
         **_grid(dataset.grid),

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sarsplat.data import write_json
+from sarsplat.data.determined import weakest_direction
 from sarsplat.data.folders import only_writer
 from sarsplat.data.plausible import warn
 from sarsplat.errors import SarsplatError
@@ -67,7 +68,7 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: str | Path | None = None, 
     Warns
     -----
     SarsplatWarning
-        If points of a run from one training view are scored.
+        If points of a run from training views that cannot determine the shape are scored.
     """
     with nullcontext() if run.path is None else only_writer(run.path):
         metrics = _evaluate(run, None if lpips_weights is None else Path(lpips_weights), quiet)
@@ -139,9 +140,9 @@ def _points(run: EvaluatedRun, reasons: dict[str, str], shown: Reporter) -> dict
             read_truth_mesh(dataset.truth_mesh), views, each_view=lambda: shown.advance(1, "surface that the views see")
         )
         shown.advance(_SAMPLES * len(views), "distances from the visible surface")
-        if len(views) == 1:
+        if weakest_direction(views).undetermined:
             name = run.path or "the run"
-            warn([f"{name} was made from one view, which cannot determine the shape, so its CD and F1 mean nothing"])
+            warn([f"{name} was made from views that cannot determine the shape, so its CD and F1 mean nothing"])
         visible = point_metrics(points, surface.triangles, surface.samples)
         shown.advance(_DISTANCES, "distances from the whole surface")
         whole = point_metrics(points, surface.all_triangles, surface.samples_whole)

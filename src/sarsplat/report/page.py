@@ -11,6 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from sarsplat.data import Dataset
+from sarsplat.data.determined import weakest_direction
 from sarsplat.errors import counted
 from sarsplat.evaluation import METRICS, NOT_THE_SAME_EXPERIMENT, paper_beside
 from sarsplat.reconstruction import Run
@@ -108,6 +109,7 @@ def _dataset_facts(dataset: Dataset) -> dict[str, str]:
         "images": ", ".join(f"{count} {split}" for split, count in Counter(sets).items()),
         "speckle": dataset.speckle,
         "ground": "shown" if dataset.ground else "none",
+        "weakest direction": str(weakest_direction(dataset.select("train").views)),
         "pixels": f"{grid.rows} × {grid.columns} (slant range × azimuth)",
         "spacing": f"{grid.spacing_m[0]:g} m in azimuth, {grid.spacing_m[1]:g} m in slant range",
         "resolution": f"{grid.resolution_m[0]:g} m, {grid.resolution_m[1]:g} m (3 dB)",
