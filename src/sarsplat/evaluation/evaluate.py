@@ -15,15 +15,15 @@ from sarsplat.evaluation.images import UndefinedScore
 from sarsplat.evaluation.lpips import Lpips, lpips_weights
 from sarsplat.evaluation.metrics import (
     IMAGE_METRICS,
-    METRICS,
-    POINT_METRICS,
     RUN_METRICS,
     EvaluatedRun,
     ImagePair,
+    all_metrics,
     compute_all,
     image_parameters,
+    metrics_of_points,
 )
-from sarsplat.evaluation.points import PointMetrics, point_metrics
+from sarsplat.evaluation.points import PointMetrics, Yardstick, point_metrics
 from sarsplat.evaluation.surface import read_truth_mesh, visible_surface
 
 
@@ -78,6 +78,7 @@ def _evaluate(run: EvaluatedRun, weights_dir: Path | None) -> dict[str, Any]:
     if not parameters["reference_amplitude"] > 0:
         raise SarsplatError(f"the training images of {dataset} are black everywhere; simulate or import them again")
 
+    yardstick = Yardstick.of(dataset.grid)
     reasons: dict[str, str] = {}
     speckled_tests = dataset.looks is not None and not dataset.clean_tests
     if not test_sets:
@@ -89,17 +90,17 @@ def _evaluate(run: EvaluatedRun, weights_dir: Path | None) -> dict[str, Any]:
         images[split] = compute_all(IMAGE_METRICS, tested, pair, f"images.{split}.", reasons)
     return {
         "images": images,
-        "points": _points(run, reasons),
+        "points": _points(run, yardstick, reasons),
         "baselines": baseline_scores(dataset, reasons) if speckled_tests and dataset.ground else None,
         **compute_all(RUN_METRICS, dataset, run, "", reasons),
         "seed": run.seed,
-        "definitions": {metric.key: metric.definition for metric in METRICS},
-        "parameters": parameters,
+        "definitions": {metric.key: metric.definition for metric in all_metrics(yardstick)},
+        "parameters": {**parameters, "yardstick_m": yardstick.cell_m},
         "reasons": reasons,
     }
 
 
-def _points(run: EvaluatedRun, reasons: dict[str, str]) -> dict[str, dict[str, float | None]]:
+def _points(run: EvaluatedRun, yardstick: Yardstick, reasons: dict[str, str]) -> dict[str, dict[str, float | None]]:
     """Point metrics against the visible and the whole surface."""
     dataset, points = run.dataset, run.points
     measured: dict[str, PointMetrics | UndefinedScore]
@@ -107,15 +108,15 @@ def _points(run: EvaluatedRun, reasons: dict[str, str]) -> dict[str, dict[str, f
         measured = dict.fromkeys(("visible", "whole"), UndefinedScore("the run reconstructed no points"))
     else:
         views = dataset.select("train").views
-        surface = visible_surface(read_truth_mesh(dataset.truth_mesh), views)
+        surface = visible_surface(read_truth_mesh(dataset.truth_mesh), views, ray_spacing=yardstick.ray_spacing_m)
         if len(views) == 1:
             name = run.path or "the run"
             warn([f"{name} was made from one view, which cannot determine the shape, so its CD and F1 mean nothing"])
         measured = {
-            "visible": point_metrics(points, surface.triangles, surface.samples),
-            "whole": point_metrics(points, surface.all_triangles, surface.samples_whole),
+            "visible": point_metrics(points, surface.triangles, surface.samples, yardstick),
+            "whole": point_metrics(points, surface.all_triangles, surface.samples_whole, yardstick),
         }
     return {
-        part: compute_all(POINT_METRICS, dataset, values, f"points.{part}.", reasons)
+        part: compute_all(metrics_of_points(yardstick), dataset, values, f"points.{part}.", reasons)
         for part, values in measured.items()
     }
