@@ -77,8 +77,8 @@ class Cell:
 def _shortened(settings: dict[str, Any]) -> dict[str, Any]:
     """The same training in small: whatever counts iterations shrinks alike.
 
-    It starts in the box: to a sample of the surface, points still on the hemisphere are all about as far, so that finding
-    the nearest takes minutes.
+    It starts in the box: points still on the hemisphere are all about as far from a sample of the surface, so that
+    finding the nearest takes minutes.
     """
     share = _QUICK_ITERATIONS / settings["iterations"]
     density = settings["densification"] or {}
