@@ -20,7 +20,7 @@ SHORT_TRAININGS = tuple(name for name in ("default", "quick") if name in PRESETS
 SEEDS = (0, 1, 2)
 
 IMAGES = ("psnr_db", "psnr_target_db", "ssim", "lpips")
-POINTS = ("completeness_m", "accuracy_m", "cd_m", "precision@0.3", "recall@0.3", "f1@0.3", "f1@0.1")
+POINTS = ("accuracy_m", "completeness_m", "cd_m", "precision@0.3", "recall@0.3", "f1@0.3", "f1@0.1")
 
 
 @dataclass(frozen=True)

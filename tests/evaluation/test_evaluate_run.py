@@ -1,4 +1,5 @@
 import json
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -63,8 +64,8 @@ def no_weights(monkeypatch):
 
 @pytest.fixture
 def make(tmp_path, monkeypatch):
-    def coarse(mesh, views, ray_spacing):  # the same protocol with fewer rays and samples
-        return visible_surface(mesh, views, ray_spacing=5 * ray_spacing, samples=5000)
+    def coarse(mesh, views, ray_spacing, each_view):  # the same protocol with fewer rays and samples
+        return visible_surface(mesh, views, ray_spacing=5 * ray_spacing, samples=5000, each_view=each_view)
 
     from sarsplat.evaluation.surface import visible_surface
 
@@ -80,7 +81,7 @@ def make(tmp_path, monkeypatch):
         grid = ImageGrid(SIZE, SIZE, (0.3, 0.3), (0.3, 0.3))
         fields = {"looks": looks, "clean_tests": clean_tests, "ground": ground, "score_margin": 24 if looks else 0}
         made = dataset_of(grid, views, images, **fields)
-        return write_dataset(tmp_path / "dataset", made, truth_mesh=mesh)
+        return write_dataset(tmp_path / "dataset", made, truth_mesh=mesh, overwrite=True)
 
     return dataset
 
@@ -122,6 +123,19 @@ def test_views_of_each_set_are_rendered_in_order(make):
     run = FakeRun(make())
     evaluate_run(run)
     assert [view.azimuth_deg for view in run.asked] == [80, 320, 240]
+
+
+def test_what_is_being_done_is_told_and_how_far(make, capsys, monkeypatch):
+    monkeypatch.setattr("sarsplat.progress._SECONDS_BETWEEN_LINES", 0)
+    evaluate_run(FakeRun(make()))
+    lines = capsys.readouterr().out.splitlines()
+    counts = [tuple(map(int, re.search(r": (\d+)/(\d+) ", line).groups())) for line in lines]
+    assert counts == sorted(counts)
+    assert {total for _, total in counts} == {counts[-1][0]}  # and at the end all is done
+    for stage in ("test views", "surface that the views see", "visible surface", "whole surface"):
+        assert any(stage in line for line in lines)
+    evaluate_run(FakeRun(make()), quiet=True)
+    assert capsys.readouterr().out == ""
 
 
 def test_points_are_scored_against_both_surfaces(make):

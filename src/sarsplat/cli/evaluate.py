@@ -30,8 +30,7 @@ def evaluate(run: RunFolder, *, lpips_weights: OptionalFolder = None) -> None:
 
     done = Run.load(run)
     refuse_linked_report(run)
-    with console.busy(f"evaluating {run}"):
-        metrics = evaluate_run(done, lpips_weights=lpips_weights)
+    metrics = evaluate_run(done, lpips_weights=lpips_weights)
     with console.busy("writing the report"):
         page = write_report(done)
     paper = paper_beside(done.dataset)

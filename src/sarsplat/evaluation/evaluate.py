@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from sarsplat.data import write_json
 from sarsplat.data.folders import only_writer
 from sarsplat.data.plausible import warn
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.baselines import baseline_scores
-from sarsplat.evaluation.images import UndefinedScore
+from sarsplat.evaluation.images import Stack, UndefinedScore
 from sarsplat.evaluation.lpips import Lpips, lpips_weights
 from sarsplat.evaluation.metrics import (
     IMAGE_METRICS,
@@ -25,9 +28,16 @@ from sarsplat.evaluation.metrics import (
 )
 from sarsplat.evaluation.points import PointMetrics, Yardstick, point_metrics
 from sarsplat.evaluation.surface import read_truth_mesh, visible_surface
+from sarsplat.geometry import View
+from sarsplat.progress import Reporter, progress
+
+_VIEWS_AT_A_TIME = 8
+
+# About how long these take, in the time of one view's rays: samples of what a view sees, and distances of points.
+_SAMPLES, _DISTANCES = 3, 10
 
 
-def evaluate_run(run: EvaluatedRun, *, lpips_weights: str | Path | None = None) -> dict[str, Any]:
+def evaluate_run(run: EvaluatedRun, *, lpips_weights: str | Path | None = None, quiet: bool = False) -> dict[str, Any]:
     """Score a run on every test set of its dataset, and its points against the true surface; write `metrics.json`.
 
     Parameters
@@ -36,6 +46,8 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: str | Path | None = None) 
         A finished run. If it has a folder, its `metrics.json` is written, whole or not at all.
     lpips_weights : pathlib.Path, optional
         Folder of the LPIPS weights; without it the environment variable SARSPLAT_LPIPS_WEIGHTS, without that no LPIPS.
+    quiet : bool
+        Show no progress.
 
     Returns
     -------
@@ -58,13 +70,13 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: str | Path | None = None) 
         If points of a run from one training view are scored.
     """
     with nullcontext() if run.path is None else only_writer(run.path):
-        metrics = _evaluate(run, None if lpips_weights is None else Path(lpips_weights))
+        metrics = _evaluate(run, None if lpips_weights is None else Path(lpips_weights), quiet)
         if run.path is not None:
             write_json(run.path / "metrics.json", metrics)
     return metrics
 
 
-def _evaluate(run: EvaluatedRun, weights_dir: Path | None) -> dict[str, Any]:
+def _evaluate(run: EvaluatedRun, weights_dir: Path | None, quiet: bool) -> dict[str, Any]:
     dataset = run.dataset
     test_sets = [split for split in dataset.splits() if split != "train"]
     if not test_sets and (dataset.truth_mesh is None or len(run.points) == 0):
@@ -84,13 +96,19 @@ def _evaluate(run: EvaluatedRun, weights_dir: Path | None) -> dict[str, Any]:
     if not test_sets:
         reasons["images"] = "the dataset has no test images, so nothing is unseen; simulate it with --test-azimuth"
     images: dict[str, dict[str, float | None]] = {}
-    for split in test_sets:
-        tested = dataset.select(split)
-        pair = ImagePair(tested.power, run.render(tested.views), **parameters, network=network)
-        images[split] = compute_all(IMAGE_METRICS, tested, pair, f"images.{split}.", reasons)
+    tests = sum(len(dataset.images(split)) for split in test_sets)
+    steps = tests + (1 + _SAMPLES) * len(dataset.images("train")) + 2 * _DISTANCES
+    with progress(f"evaluate {run.path or dataset.target}", steps, quiet) as shown:
+        for split in test_sets:
+            tested = dataset.select(split)
+            pair = ImagePair(tested.power, _rendered(run, tested.views, shown), **parameters, network=network)
+            shown.advance(0, "scores of the test images")
+            images[split] = compute_all(IMAGE_METRICS, tested, pair, f"images.{split}.", reasons)
+        points = _points(run, yardstick, reasons, shown)
+        shown.update(steps)
     return {
         "images": images,
-        "points": _points(run, yardstick, reasons),
+        "points": points,
         "baselines": baseline_scores(dataset, reasons) if speckled_tests and dataset.ground else None,
         **compute_all(RUN_METRICS, dataset, run, "", reasons),
         "seed": run.seed,
@@ -100,7 +118,19 @@ def _evaluate(run: EvaluatedRun, weights_dir: Path | None) -> dict[str, Any]:
     }
 
 
-def _points(run: EvaluatedRun, yardstick: Yardstick, reasons: dict[str, str]) -> dict[str, dict[str, float | None]]:
+def _rendered(run: EvaluatedRun, views: Sequence[View], shown: Reporter) -> Stack:
+    """β⁰ of the views, linear power, float32 [V, rows, columns]."""
+    images = []
+    for first in range(0, len(views), _VIEWS_AT_A_TIME):
+        some = views[first : first + _VIEWS_AT_A_TIME]
+        images.append(run.render(some))
+        shown.advance(len(some), "test views")
+    return np.concatenate(images)
+
+
+def _points(
+    run: EvaluatedRun, yardstick: Yardstick, reasons: dict[str, str], shown: Reporter
+) -> dict[str, dict[str, float | None]]:
     """Point metrics against the visible and the whole surface."""
     dataset, points = run.dataset, run.points
     measured: dict[str, PointMetrics | UndefinedScore]
@@ -108,14 +138,20 @@ def _points(run: EvaluatedRun, yardstick: Yardstick, reasons: dict[str, str]) ->
         measured = dict.fromkeys(("visible", "whole"), UndefinedScore("the run reconstructed no points"))
     else:
         views = dataset.select("train").views
-        surface = visible_surface(read_truth_mesh(dataset.truth_mesh), views, ray_spacing=yardstick.ray_spacing_m)
+        surface = visible_surface(
+            read_truth_mesh(dataset.truth_mesh),
+            views,
+            ray_spacing=yardstick.ray_spacing_m,
+            each_view=lambda: shown.advance(1, "surface that the views see"),
+        )
+        shown.advance(_SAMPLES * len(views), "distances from the visible surface")
         if len(views) == 1:
             name = run.path or "the run"
             warn([f"{name} was made from one view, which cannot determine the shape, so its CD and F1 mean nothing"])
-        measured = {
-            "visible": point_metrics(points, surface.triangles, surface.samples, yardstick),
-            "whole": point_metrics(points, surface.all_triangles, surface.samples_whole, yardstick),
-        }
+        visible = point_metrics(points, surface.triangles, surface.samples, yardstick)
+        shown.advance(_DISTANCES, "distances from the whole surface")
+        whole = point_metrics(points, surface.all_triangles, surface.samples_whole, yardstick)
+        measured = {"visible": visible, "whole": whole}
     return {
         part: compute_all(metrics_of_points(yardstick), dataset, values, f"points.{part}.", reasons)
         for part, values in measured.items()

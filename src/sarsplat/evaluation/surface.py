@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -71,6 +71,7 @@ def visible_surface(
     *,
     samples: int = 1_000_000,
     seed: int = 0,
+    each_view: Callable[[], object] | None = None,
 ) -> VisibleSurface:
     """Triangles and samples of the surface that at least one of the views sees.
 
@@ -88,6 +89,8 @@ def visible_surface(
         Number of samples of the visible and of the whole surface.
     seed : int
         Of the samples.
+    each_view : callable, optional
+        Called when the rays of another view are done.
 
     Raises
     ------
@@ -106,6 +109,8 @@ def visible_surface(
         for origins in _lattice(np.asarray(mesh.vertices), view, ray_spacing):
             hits = scene.run(origins, _towards(-view.direction))
             visible[hits[hits >= 0]] = True
+        if each_view is not None:
+            each_view()
     if not visible.any():
         raise SarsplatError(
             f"no ray hits the mesh: its parts are smaller than the ray spacing of {ray_spacing:.3g} m; use a finer one"
