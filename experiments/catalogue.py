@@ -315,7 +315,8 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         "Harder cases",
         "Mean over the four vehicles, true images by ray casting, scored on the same 48 unseen, clean views; preset "
         "`default`, for speckle and ground the one that `reconstruct` takes by itself. Random views lie between 15 and "
-        "75° grazing; views, speckle and reflectivities are drawn from the seed. The paper has no figures for these.",
+        "75° grazing; views, speckle and reflectivities are drawn from the seed. Where there is ground, the PSNR is of "
+        "target and ground together, so it does not compare. The paper has no figures for these.",
         _HARDER,
         (("psnr_target_db", *POINTS),),
     ),

@@ -44,9 +44,10 @@ def _trend(experiment: Experiment, key: str, lines: list[Line]) -> str:
         return f"{_name(key)}: {len(finished)} of {len(lines)} rows are finished, too few for a trend."
     pairs = [(line.row.x, value) for line in finished for value in line.found[key].values]
     fit = linregress([x for x, _ in pairs], [value for _, value in pairs])
-    ours = 0 if fit.pvalue > _CHANCE or fit.slope == 0 else (1 if fit.slope > 0 else -1)
+    ours = 0 if not fit.pvalue <= _CHANCE else (1 if fit.slope > 0 else -1)  # without any change nothing is a number
     verb = {1: "rises", -1: "falls", 0: "shows no trend beyond chance"}
-    said = f"{_name(key)} {verb[ours]} with the {experiment.axis} (r = {fit.rvalue:+.2f})"
+    strength = f" (r = {fit.rvalue:+.2f})" if math.isfinite(fit.rvalue) else ""
+    said = f"{_name(key)} {verb[ours]} with the {experiment.axis}{strength}"
     published = [(line.row.x, line.row.paper[key]) for line in lines if key in line.row.paper]
     if len(published) > 1:
         slope = linregress([x for x, _ in published], [value for _, value in published])

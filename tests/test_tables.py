@@ -19,7 +19,7 @@ import pytest
 
 from sarsplat.cli.arguments import views_from
 from sarsplat.cli.simulate import simulate
-from sarsplat.evaluation import METRICS, paper_scores
+from sarsplat.evaluation import Yardstick, all_metrics, paper_scores
 from sarsplat.reconstruction import preset
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
@@ -73,7 +73,7 @@ def finish(made: SimpleNamespace, work: Path, cell: object, cd_m: float, f1: flo
 
 
 def test_every_experiment_can_be_run_and_reported(made):
-    options, keys = set(inspect.signature(simulate).parameters), {metric.key for metric in METRICS}
+    options, keys = set(inspect.signature(simulate).parameters), {metric.key for metric in all_metrics(Yardstick(0.3))}
     every = made.catalogue.EXPERIMENTS
     assert len({found.name for found in every}) == len(every)
     for found in every:
@@ -164,7 +164,7 @@ def test_what_is_missing_is_a_dash(made, tmp_path, monkeypatch):
     finish(made, tmp_path / "work", table.cells(table.rows[0], 0)[0], 0.05, f1=None)
     made.write.write(table, tmp_path / "work", tmp_path / "out", "code")
     text = (tmp_path / "out" / "made-up.md").read_text()
-    assert "| done | 1 | 0.050 | 0.187 | – |" in text
+    assert "| done | 1 | 0.0500 | 0.187 | – |" in text
     assert "| open | 0 | – | 0.187 | – |" in text
     assert "**Found.** Better than the paper's figure, or equal, in 1 of 1 comparisons." in text
     assert (tmp_path / "out" / "made-up.png").read_bytes().startswith(b"\x89PNG")
@@ -183,6 +183,7 @@ def test_what_is_missing_is_a_dash(made, tmp_path, monkeypatch):
     [
         ((0.3, 0.2, 0.1), "falls with the Gaussians (r = -1.00); in the paper it falls (r = -1.00): as ours."),
         ((0.1, 0.2, 0.3), "in the paper it falls (r = -1.00): **our trend differs from the paper's**."),
+        ((0.2, 0.2, 0.2), "Chamfer distance shows no trend beyond chance with the Gaussians"),
         ((0.2, 0.1, 0.2), "it falls (r = -1.00): **the paper's trend is not seen in ours**."),
     ],
 )
@@ -275,7 +276,7 @@ def test_a_whole_cell(made, tmp_path, monkeypatch):
     pytest.importorskip("embreex")
     import sarsplat.evaluation.evaluate as evaluate
 
-    monkeypatch.setattr(evaluate, "visible_surface", partial(evaluate.visible_surface, ray_spacing=0.1, samples=2000))
+    monkeypatch.setattr(evaluate, "visible_surface", partial(evaluate.visible_surface, samples=2000))
     views = {"azimuth": ("0:360:120",), "grazing": ("45",), "test_azimuth": ("60",)}
     cell = made.cell.Cell({"target": "t72", "pixels": 32, "spacing": 1.2, **views}, "auto", {"gaussians": 3000})
     cell = replace(cell, quick=True)

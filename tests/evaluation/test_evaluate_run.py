@@ -13,10 +13,11 @@ from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.evaluation import (
     IMAGE_METRICS,
-    METRICS,
-    POINT_METRICS,
+    Yardstick,
+    all_metrics,
     evaluate_run,
     log_correlation,
+    metrics_of_points,
     nats_per_pixel,
     psnr_db,
 )
@@ -29,7 +30,9 @@ SIZE = 64
 CUBE = trimesh.creation.box((2, 2, 2), trimesh.transformations.translation_matrix((0, 0, 1)))
 ON_THE_TOP = np.stack([*(a.ravel() for a in np.meshgrid(*[np.linspace(-1, 1, 30)] * 2)), np.full(900, 2.0)], axis=1)
 WEIGHTS = Path(__file__).resolve().parents[3] / "shared" / "data" / "weights"
-IMAGE_KEYS, POINT_KEYS = ([metric.key for metric in metrics] for metrics in (IMAGE_METRICS, POINT_METRICS))
+YARDSTICK = Yardstick(0.3)
+IMAGE_KEYS = [metric.key for metric in IMAGE_METRICS]
+POINT_KEYS = [metric.key for metric in metrics_of_points(YARDSTICK)]
 NOISE_FREE_ONLY, SPECKLED_ONLY = IMAGE_KEYS[:4], IMAGE_KEYS[4:]
 
 
@@ -61,8 +64,8 @@ def no_weights(monkeypatch):
 
 @pytest.fixture
 def make(tmp_path, monkeypatch):
-    def coarse(mesh, views, each_view):  # the same protocol with fewer rays and samples
-        return visible_surface(mesh, views, ray_spacing=0.05, samples=5000, each_view=each_view)
+    def coarse(mesh, views, ray_spacing, each_view):  # the same protocol with fewer rays and samples
+        return visible_surface(mesh, views, ray_spacing=5 * ray_spacing, samples=5000, each_view=each_view)
 
     from sarsplat.evaluation.surface import visible_surface
 
@@ -88,7 +91,7 @@ def test_every_key_is_there_and_every_null_has_its_reason(make):
     assert list(metrics) == [
         *("images", "points", "baselines", "time_s", "seed", "definitions", "parameters", "reasons"),
     ]
-    assert list(metrics["definitions"]) == [metric.key for metric in METRICS]
+    assert list(metrics["definitions"]) == [metric.key for metric in all_metrics(YARDSTICK)]
     assert list(metrics["images"]) == ["test-17", "test-15"]
     assert list(metrics["points"]) == ["visible", "whole"]
     leaves = {f"images.{name}.{key}": value for name, row in metrics["images"].items() for key, value in row.items()}

@@ -19,15 +19,15 @@ from sarsplat.evaluation.images import Stack, UndefinedScore
 from sarsplat.evaluation.lpips import Lpips, lpips_weights
 from sarsplat.evaluation.metrics import (
     IMAGE_METRICS,
-    METRICS,
-    POINT_METRICS,
     RUN_METRICS,
     EvaluatedRun,
     ImagePair,
+    all_metrics,
     compute_all,
     image_parameters,
+    metrics_of_points,
 )
-from sarsplat.evaluation.points import PointMetrics, point_metrics
+from sarsplat.evaluation.points import PointMetrics, Yardstick, point_metrics
 from sarsplat.evaluation.surface import read_truth_mesh, visible_surface
 from sarsplat.geometry import View
 from sarsplat.progress import Reporter, progress
@@ -91,6 +91,7 @@ def _evaluate(run: EvaluatedRun, weights_dir: Path | None, quiet: bool) -> dict[
     if not parameters["reference_amplitude"] > 0:
         raise SarsplatError(f"the training images of {dataset} are black everywhere; simulate or import them again")
 
+    yardstick = Yardstick.of(dataset.grid)
     reasons: dict[str, str] = {}
     speckled_tests = dataset.looks is not None and not dataset.clean_tests
     if not test_sets:
@@ -104,7 +105,7 @@ def _evaluate(run: EvaluatedRun, weights_dir: Path | None, quiet: bool) -> dict[
             pair = ImagePair(tested.power, _rendered(run, tested.views, shown), **parameters, network=network)
             shown.advance(0, "scores of the test images")
             images[split] = compute_all(IMAGE_METRICS, tested, pair, f"images.{split}.", reasons)
-        points = _points(run, reasons, shown)
+        points = _points(run, yardstick, reasons, shown)
         shown.update(steps)
     return {
         "images": images,
@@ -112,8 +113,8 @@ def _evaluate(run: EvaluatedRun, weights_dir: Path | None, quiet: bool) -> dict[
         "baselines": baseline_scores(dataset, reasons) if speckled_tests and dataset.ground else None,
         **compute_all(RUN_METRICS, dataset, run, "", reasons),
         "seed": run.seed,
-        "definitions": {metric.key: metric.definition for metric in METRICS},
-        "parameters": parameters,
+        "definitions": {metric.key: metric.definition for metric in all_metrics(yardstick)},
+        "parameters": {**parameters, "yardstick_m": yardstick.cell_m},
         "reasons": reasons,
     }
 
@@ -128,7 +129,9 @@ def _rendered(run: EvaluatedRun, views: Sequence[View], shown: Reporter) -> Stac
     return np.concatenate(images)
 
 
-def _points(run: EvaluatedRun, reasons: dict[str, str], shown: Reporter) -> dict[str, dict[str, float | None]]:
+def _points(
+    run: EvaluatedRun, yardstick: Yardstick, reasons: dict[str, str], shown: Reporter
+) -> dict[str, dict[str, float | None]]:
     """Point metrics against the visible and the whole surface."""
     dataset, points = run.dataset, run.points
     measured: dict[str, PointMetrics | UndefinedScore]
@@ -137,17 +140,20 @@ def _points(run: EvaluatedRun, reasons: dict[str, str], shown: Reporter) -> dict
     else:
         views = dataset.select("train").views
         surface = visible_surface(
-            read_truth_mesh(dataset.truth_mesh), views, each_view=lambda: shown.advance(1, "surface that the views see")
+            read_truth_mesh(dataset.truth_mesh),
+            views,
+            ray_spacing=yardstick.ray_spacing_m,
+            each_view=lambda: shown.advance(1, "surface that the views see"),
         )
         shown.advance(_SAMPLES * len(views), "distances from the visible surface")
         if weakest_direction(views).undetermined:
             name = run.path or "the run"
             warn([f"{name} was made from views that cannot determine the shape, so its CD and F1 mean nothing"])
-        visible = point_metrics(points, surface.triangles, surface.samples)
+        visible = point_metrics(points, surface.triangles, surface.samples, yardstick)
         shown.advance(_DISTANCES, "distances from the whole surface")
-        whole = point_metrics(points, surface.all_triangles, surface.samples_whole)
+        whole = point_metrics(points, surface.all_triangles, surface.samples_whole, yardstick)
         measured = {"visible": visible, "whole": whole}
     return {
-        part: compute_all(POINT_METRICS, dataset, values, f"points.{part}.", reasons)
+        part: compute_all(metrics_of_points(yardstick), dataset, values, f"points.{part}.", reasons)
         for part, values in measured.items()
     }

@@ -13,7 +13,7 @@ from typing import Any
 from sarsplat.data import Dataset
 from sarsplat.data.determined import weakest_direction
 from sarsplat.errors import counted
-from sarsplat.evaluation import METRICS, NOT_THE_SAME_EXPERIMENT, paper_beside
+from sarsplat.evaluation import NOT_THE_SAME_EXPERIMENT, Yardstick, all_metrics, paper_beside
 from sarsplat.reconstruction import Run
 from sarsplat.report.scores import Row, ScoreTable, score_tables
 
@@ -87,9 +87,10 @@ def _card(table: ScoreTable, row: Row) -> dict[str, Any]:
 
 def _notes(metrics: Mapping[str, Any], tables: list[ScoreTable]) -> list[str]:
     """What was left out and why, what was computed, and what images were divided by."""
+    known = all_metrics(Yardstick(metrics["parameters"]["yardstick_m"]))
     missing: dict[str, list[str]] = {}
     for key, reason in metrics["reasons"].items():
-        label = next((metric.label for metric in METRICS if key.endswith(f".{metric.key}")), key)
+        label = next((metric.label for metric in known if key.endswith(f".{metric.key}")), key)
         missing.setdefault(reason, []).append(label)
     notes = [f"{'; '.join(dict.fromkeys(labels))}: {reason}" for reason, labels in missing.items()]
     shown = {row.metric.key: row.metric.label for table in tables for row in table.rows}
