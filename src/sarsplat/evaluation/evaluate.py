@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
 
 from sarsplat.data import write_json
 from sarsplat.data.folders import only_writer
@@ -26,9 +29,15 @@ from sarsplat.evaluation.metrics import (
 from sarsplat.evaluation.points import PointMetrics, point_metrics
 from sarsplat.evaluation.surface import read_truth_mesh, visible_surface
 
+if TYPE_CHECKING:
+    import trimesh
+
+MESH_SAMPLES = 100_000
+"""Points of a mesh that are compared with the truth."""
+
 
 def evaluate_run(run: EvaluatedRun, *, lpips_weights: str | Path | None = None) -> dict[str, Any]:
-    """Score a run on every test set of its dataset, and its points against the true surface; write `metrics.json`.
+    """Score a run on every test set, its points and mesh against the true surface; write `metrics.json`.
 
     Parameters
     ----------
@@ -40,10 +49,10 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: str | Path | None = None) 
     Returns
     -------
     dict
-        The content of `metrics.json`: `images.<set>.<metric>`, `points.{visible, whole}.<metric>`, `baselines` (what
-        methods without a third dimension score on speckled images with ground), `time_s`, `seed`, `definitions` (of
-        every metric), `parameters` (what they refer to) and `reasons`: for every metric that is None, its dotted key
-        and why. Without test images `images` is empty.
+        The content of `metrics.json`: `images.<set>.<metric>`, `points.{visible, whole}.<metric>`, `mesh` (the
+        same of points on the mesh), `baselines` (what methods without a third dimension score on speckled images with
+        ground), `time_s`, `seed`, `definitions` (of every metric), `parameters` (what they refer to) and `reasons`: for
+        every metric that is None, its dotted key and why. Without test images `images` is empty.
 
     Raises
     ------
@@ -88,7 +97,7 @@ def _evaluate(run: EvaluatedRun, weights_dir: Path | None) -> dict[str, Any]:
         images[split] = compute_all(IMAGE_METRICS, dataset, pair, f"images.{split}.", reasons)
     return {
         "images": images,
-        "points": _points(run, reasons),
+        **_surfaces(run, reasons),
         "baselines": baseline_scores(dataset, reasons) if dataset.looks is not None and dataset.ground else None,
         **compute_all(RUN_METRICS, dataset, run, "", reasons),
         "seed": run.seed,
@@ -98,23 +107,38 @@ def _evaluate(run: EvaluatedRun, weights_dir: Path | None) -> dict[str, Any]:
     }
 
 
-def _points(run: EvaluatedRun, reasons: dict[str, str]) -> dict[str, dict[str, float | None]]:
-    """Point metrics against the visible and the whole surface."""
-    dataset, points = run.dataset, run.points
-    measured: dict[str, PointMetrics | UndefinedScore]
-    if dataset.truth_mesh is None or len(points) == 0:
-        measured = dict.fromkeys(("visible", "whole"), UndefinedScore("the run reconstructed no points"))
-    else:
+def _surfaces(run: EvaluatedRun, reasons: dict[str, str]) -> dict[str, dict[str, dict[str, float | None]]]:
+    """Scores of the points and of the mesh against the visible and the whole surface."""
+    dataset = run.dataset
+    clouds: dict[str, Float[np.ndarray, "p 3"]] = {"points": run.points, "mesh": np.empty((0, 3))}
+    surface = None
+    if dataset.truth_mesh is not None and len(run.points):
+        clouds["mesh"] = _points_on(run.mesh())
         views = dataset.select("train").views
         surface = visible_surface(read_truth_mesh(dataset.truth_mesh), views)
         if len(views) == 1:
             name = run.path or "the run"
             warn([f"{name} was made from one view, which cannot determine the shape, so its CD and F1 mean nothing"])
-        measured = {
-            "visible": point_metrics(points, surface.triangles, surface.samples),
-            "whole": point_metrics(points, surface.all_triangles, surface.samples_whole),
+    scores: dict[str, dict[str, dict[str, float | None]]] = {}
+    for kind, points in clouds.items():
+        measured: dict[str, PointMetrics | UndefinedScore]
+        if surface is None or len(points) == 0:
+            lacks = "no points" if len(run.points) == 0 else "no mesh"
+            measured = dict.fromkeys(("visible", "whole"), UndefinedScore(f"the run reconstructed {lacks}"))
+        else:
+            measured = {
+                "visible": point_metrics(points, surface.triangles, surface.samples),
+                "whole": point_metrics(points, surface.all_triangles, surface.samples_whole),
+            }
+        scores[kind] = {
+            part: compute_all(POINT_METRICS, dataset, values, f"{kind}.{part}.", reasons)
+            for part, values in measured.items()
         }
-    return {
-        part: compute_all(POINT_METRICS, dataset, values, f"points.{part}.", reasons)
-        for part, values in measured.items()
-    }
+    return scores
+
+
+def _points_on(mesh: trimesh.Trimesh) -> Float[np.ndarray, "p 3"]:
+    """Random points of a mesh, spread by area; none if it has no faces."""
+    from trimesh.sample import sample_surface
+
+    return np.asarray(sample_surface(mesh, MESH_SAMPLES, seed=0)[0]) if len(mesh.faces) else np.empty((0, 3))

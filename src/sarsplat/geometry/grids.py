@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from numbers import Real
 
@@ -68,6 +69,14 @@ class ImageGrid:
         _positive("resolution", self.resolution_m)
         for name in ("spacing_m", "resolution_m", "center_m"):  # numpy's numbers do not fit into JSON
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+
+    @property
+    def cell_m(self) -> float:
+        """Side of a resolution cell, m: the unit of a reconstruction's lengths, and the yardstick of its scores.
+
+        The geometric mean over azimuth and range of the resolution, or of the pixel spacing where that is larger.
+        """
+        return math.sqrt(math.prod(map(max, self.resolution_m, self.spacing_m)))
 
     @property
     def azimuth_m(self) -> Float64[np.ndarray, " {self.columns}"]:

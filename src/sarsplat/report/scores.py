@@ -53,7 +53,7 @@ def score_table(title: str, metrics: Sequence[Metric[Any]], columns: Sequence[Sc
 
 
 def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> list[ScoreTable]:
-    """Tables of `metrics.json`: one for each test set, one for the points; those without a row are left out.
+    """Tables of `metrics.json`: one for each test set, one for the surface; those without a row are left out.
 
     Parameters
     ----------
@@ -69,6 +69,10 @@ def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> l
         for split, values in metrics["images"].items()
     ]
     visible, whole = metrics["points"]["visible"], metrics["points"]["whole"]
-    columns = [Scores("ours, visible surface", visible), Scores("whole surface", whole, ranked=False), *others]
-    tables.append(score_table("Reconstructed points", POINT_METRICS, columns))
+    columns = [
+        *(Scores("ours, visible surface", visible), Scores("whole surface", whole, ranked=False)),
+        *(Scores(f"mesh, {part} surface", values, ranked=False) for part, values in metrics["mesh"].items()),
+        *others,
+    ]
+    tables.append(score_table("Reconstructed surface", POINT_METRICS, columns))
     return [table for table in tables if table.rows]
