@@ -93,7 +93,7 @@ def test_the_page_stands_alone(tmp_path: Path) -> None:
     assert "@import" not in text
     for name in ("views.png", "points.png", "mesh.png", "curves.png"):
         assert (page.parent / name).read_bytes().startswith(b"\x89PNG")
-    assert text.count("data:image/png;base64,") == 3
+    assert text.count("data:image/png;base64,") == 4
 
 
 def test_the_page_says_what_matters(tmp_path: Path) -> None:
@@ -176,12 +176,14 @@ def test_scores_that_do_not_apply_have_no_row() -> None:
 def test_every_method_has_its_column_and_the_best_of_all_is_marked() -> None:
     others = [Scores("one", {"psnr_db": 40.0, "cd_m": 0.05}), Scores("two", {"psnr_db": 55.0})]
     images, points = score_tables(make_metrics(psnr_db=50.0), others)
-    assert [column.name for column in points.columns] == ["ours, visible surface", "whole surface", "one", "two"]
+    assert [column.name for column in points.columns] == [
+        *("ours, visible surface", "whole surface", "mesh, visible surface", "mesh, whole surface", "one", "two"),
+    ]
     assert [(cell.text, cell.best) for cell in images.rows[0].cells] == [
         *(("50.00", False), ("40.00", False), ("55.00", True)),
     ]
     assert [(cell.text, cell.best) for cell in points.rows[0].cells] == [
-        *(("0.062", False), ("0.062", False), ("0.050", True), ("–", False)),
+        *(("0.062", False), ("0.062", False), ("0.037", False), ("0.062", False), ("0.050", True), ("–", False)),
     ]
 
 
