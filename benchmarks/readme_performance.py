@@ -16,7 +16,8 @@ from draw_growth import draw
 from recipes import COUNT
 from results import REPOSITORY, RESULTS
 
-from sarsplat.evaluation import METRICS, paper_scores
+from sarsplat.evaluation import Yardstick, all_metrics, paper_scores
+from sarsplat.scenes import paper_grid
 
 sys.path.insert(0, str(REPOSITORY / "docs"))
 
@@ -110,7 +111,7 @@ def paper_training(paper: dict[str, Any]) -> tuple[str, str, str]:
     scores = ", ".join(
         f"{metric.short} {metric.text(paper['scores'][metric.key])} {metric.unit}".strip()
         + f" ({metric.text(theirs[metric.key])})"
-        for metric in METRICS
+        for metric in all_metrics(Yardstick.of(paper_grid()))
         if metric.key in theirs and paper["scores"].get(metric.key) is not None
     )
     what = (

@@ -35,7 +35,7 @@ def halfway(count: int = COUNT) -> SceneModel:
             dim=1,
         ),
     }
-    return SceneModel(preset("default"), Setting(region, 1.0, 0.0), parameters)
+    return SceneModel(preset("default"), Setting(region, 1.0, 0.0, paper_grid().cell_m), parameters)
 
 
 def training_view(count: int = COUNT) -> Scene:

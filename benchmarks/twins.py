@@ -42,7 +42,7 @@ def adams(count: int) -> dict[str, Any]:
     """
     model, other = halfway(count), halfway(count)
     gradients = {name: torch.randn_like(tensor) for name, tensor in model.parameters.items()}
-    mine = Optimiser(model.parameters, model.bounds, preset("default"))
+    mine = Optimiser(model.parameters, model.bounds, preset("default"), model.setting.cell_m)
     theirs = torch.optim.Adam(list(other.parameters.values()), lr=1e-4, betas=(0.9, 0.99), eps=1e-15, fused=True)
 
     def give(parameters: dict[str, Tensor]) -> None:

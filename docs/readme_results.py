@@ -17,7 +17,7 @@ import trimesh
 from matplotlib.axes import Axes
 
 from sarsplat import Run, View
-from sarsplat.evaluation import POINT_METRICS, comparison, paper_scores, summary_metrics, visible_surface
+from sarsplat.evaluation import Yardstick, comparison, metrics_of_points, paper_scores, summary_metrics, visible_surface
 
 HERE = Path(__file__).parent
 README, PICTURE = HERE.parent / "README.md", HERE / "images" / "demo.png"
@@ -31,13 +31,15 @@ SKIP = 20  # one in so many of a million samples of the true surface
 
 def table(metrics: dict[str, Any]) -> str:
     """The scores of a run with one test set, as Markdown."""
+    yardstick = Yardstick(metrics["parameters"]["yardstick_m"])
+    points = {metric.key for metric in metrics_of_points(yardstick)}
     methods = comparison(metrics, paper_scores("T72"))
     lines = [
         f"| | sarsplat, `make demo`, {os.cpu_count()} CPU cores | SAR-GS paper, T72, RTX 3060 Ti |",
         "|---|---:|---:|",
     ]
-    for metric in summary_metrics(methods):
-        name = f"{metric.label}, visible surface" if metric in POINT_METRICS else metric.label
+    for metric in summary_metrics(methods, yardstick):
+        name = f"{metric.label}, visible surface" if metric.key in points else metric.label
         measure = ", ".join(filter(None, (metric.unit, metric.arrow)))
         values = " | ".join(metric.text(method.values.get(metric.key)) for method in methods)
         lines.append(f"| {name} ({measure}) | {values} |")
@@ -52,7 +54,8 @@ def draw(run: Run) -> None:
     truth = dataset.images("test")[chosen]
     rendered = run.render([test[k] for k in chosen])
     mesh = trimesh.load_mesh(dataset.truth_mesh, process=False)
-    surface = visible_surface(mesh, dataset.select("train").views).samples[::SKIP]
+    rays_m = Yardstick.of(dataset.grid).ray_spacing_m
+    surface = visible_surface(mesh, dataset.select("train").views, rays_m).samples[::SKIP]
 
     figure, axes = plt.subplots(2, 5, figsize=(15, 4.6), width_ratios=(1, 1, 1, 1.45, 1.45), layout="constrained")
     peak = float(dataset.images("train").max())

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import sys
 import time
 from collections.abc import Mapping
@@ -23,7 +22,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.reconstruction import Config, preset
 
 if TYPE_CHECKING:
-    from sarsplat import Dataset, ImageGrid
+    from sarsplat import Dataset
 
 _QUICK_ITERATIONS = 60
 
@@ -76,7 +75,11 @@ class Cell:
 
 
 def _shortened(settings: dict[str, Any]) -> dict[str, Any]:
-    """The same training in small: whatever counts iterations shrinks alike."""
+    """The same training in small: whatever counts iterations shrinks alike.
+
+    It starts in the box: points still on the hemisphere are all about as far from a sample of the surface, so that
+    finding the nearest takes minutes.
+    """
     share = _QUICK_ITERATIONS / settings["iterations"]
     density = settings["densification"] or {}
     for place, names in (
@@ -85,6 +88,7 @@ def _shortened(settings: dict[str, Any]) -> dict[str, Any]:
     ):
         place.update({name: max(1, round(place[name] * share)) for name in names if name in place})
     settings["gaussians"] = max(1, settings["gaussians"] // 10)
+    settings["initialisation"] = "box"
     return settings
 
 
@@ -124,14 +128,9 @@ def run(cell: Cell, work: Path) -> Path:
         raise SarsplatError("the package's sources changed while a cell was running; run it again")
     path.parent.mkdir(parents=True, exist_ok=True)
     kept = {name: metrics[name] for name in ("images", "points", "time_s", "reasons")}
-    made = {"code": code, "cell": asdict(cell), "config": config.as_dict(), "cell_m": _cell_m(dataset.grid)}
+    made = {"code": code, "cell": asdict(cell), "config": config.as_dict(), "cell_m": dataset.grid.cell_m}
     write_json(path, {**made, **kept, "took_s": round(time.monotonic() - begun, 1)})
     return path
-
-
-def _cell_m(grid: ImageGrid) -> float:
-    """Side of a resolution cell, m: the geometric mean over both axes."""
-    return math.sqrt(math.prod(map(max, grid.resolution_m, grid.spacing_m)))
 
 
 def _dataset(options: Mapping[str, Any], work: Path, code: str) -> Dataset:

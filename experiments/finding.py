@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import statistics
+import math
 
 from catalogue import Experiment
 from scipy.stats import linregress
@@ -27,8 +27,8 @@ def findings(experiment: Experiment, lines: list[Line]) -> list[str]:
             said = [_against_paper(experiment, members)]
         else:
             said = [_against_first(key, members) for key in experiment.judged]
-        heading = f"{group}: " if group else ""
-        sentences.append(heading + " ".join(said))
+        heading = [f"{group[0].upper()}{group[1:]}:"] if group else []
+        sentences.append(" ".join([*heading, *(f"{text[0].upper()}{text[1:]}" for text in said)]))
     return sentences
 
 
@@ -44,9 +44,10 @@ def _trend(experiment: Experiment, key: str, lines: list[Line]) -> str:
         return f"{_name(key)}: {len(finished)} of {len(lines)} rows are finished, too few for a trend."
     pairs = [(line.row.x, value) for line in finished for value in line.found[key].values]
     fit = linregress([x for x, _ in pairs], [value for _, value in pairs])
-    ours = 0 if fit.pvalue > _CHANCE or fit.slope == 0 else (1 if fit.slope > 0 else -1)
+    ours = 0 if not fit.pvalue <= _CHANCE else (1 if fit.slope > 0 else -1)  # without any change nothing is a number
     verb = {1: "rises", -1: "falls", 0: "shows no trend beyond chance"}
-    said = f"{_name(key)} {verb[ours]} with the {experiment.axis} (r = {fit.rvalue:+.2f})"
+    strength = f" (r = {fit.rvalue:+.2f})" if math.isfinite(fit.rvalue) else ""
+    said = f"{_name(key)} {verb[ours]} with the {experiment.axis}{strength}"
     published = [(line.row.x, line.row.paper[key]) for line in lines if key in line.row.paper]
     if len(published) > 1:
         slope = linregress([x for x, _ in published], [value for _, value in published])
@@ -55,7 +56,8 @@ def _trend(experiment: Experiment, key: str, lines: list[Line]) -> str:
         theirs, quoted = experiment.claim[key], "the paper says, without figures, that it {}"
     else:
         return f"{said}; the paper has no figures for this."
-    verdict = "as ours" if ours == theirs else "**our trend differs from the paper's**"
+    differs = "**our trend differs from the paper's**" if ours else "**the paper's trend is not seen in ours**"
+    verdict = "as ours" if ours == theirs else differs
     return f"{said}; {quoted.format(verb[theirs])}: {verdict}."
 
 
@@ -77,17 +79,20 @@ def _against_paper(experiment: Experiment, lines: list[Line]) -> str:
 
 
 def _against_first(key: str, lines: list[Line]) -> str:
-    """How far every row is from the first, and whether that is more than the seeds' spread."""
+    """Which rows are worse and which better than the first, by more than the spread of the seeds."""
     first, *others = lines
     compared = [line for line in others if key in line.found]
     if key not in first.found or not compared:
         return f"{_name(key)}: too few rows are finished."
     metric, start = METRIC[key], first.found[key]
-    said = []
+    places: dict[str, list[str]] = {"worse": [], "better": [], "no different beyond the spread of the seeds": []}
+    worse, better, same = places.values()
     for line in compared:
         found = line.found[key]
-        spread = [spread.sd for spread in (start, found) if spread.sd is not None]
-        beyond = len(spread) == 2 and abs(found.mean - start.mean) > 2 * statistics.fmean(sd**2 for sd in spread) ** 0.5
-        doubt = "" if beyond else ", within the spread of the seeds" if len(spread) == 2 else ", one seed"
-        said.append(f"{metric.text(found.mean)} ({line.row.label}{doubt})")
-    return f"{metric.title}, from {metric.text(start.mean)} ({first.row.label}) to {', '.join(said)}."
+        place = better if (found.mean > start.mean) == (metric.better == "more") else worse
+        if abs(found.mean - start.mean) <= 2 * math.sqrt(((start.sd or 0) ** 2 + (found.sd or 0) ** 2) / 2):
+            place = same
+        place.append(f"{line.row.label} ({metric.text(found.mean)})")
+    said = "; ".join(f"{how}: {', '.join(rows)}" for how, rows in places.items() if rows)
+    once = " (one seed: no spread is known)" if start.sd is None else ""
+    return f"{metric.title}, {metric.text(start.mean)} for {first.row.label}{once}; {said}."

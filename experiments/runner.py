@@ -107,12 +107,19 @@ class Runner:
         self._done_s += expected_s(cell)
         spent = time.monotonic() - self._begun
         left = spent / self._done_s * (self._total_s - self._done_s)
-        changes = " ".join(f"{name}={value}" for name, value in cell.changes.items())
-        what = " ".join(filter(None, (cell.dataset["target"], cell.preset, changes, f"seed {cell.seed}")))
+        scene, changes = (
+            " ".join(f"{name}={_shown(value)}" for name, value in options.items())
+            for options in (cell.dataset, cell.changes)
+        )
+        what = " ".join(filter(None, (scene, cell.preset, changes, f"seed {cell.seed}")))
         if reason:
             self.failed.append(f"{what}: {reason}")
             what += f" FAILED: {reason}"
         print(f"{where}: {what}; {_duration(left)} left", flush=True)
+
+
+def _shown(value: object) -> str:
+    return ",".join(map(str, value)) if isinstance(value, tuple | list) else str(value)
 
 
 def _duration(seconds: float) -> str:

@@ -12,9 +12,10 @@ from typing import Any
 from catalogue import Experiment, Row
 from cell import Cell
 
-from sarsplat.evaluation.metrics import METRICS, Metric
+from sarsplat.evaluation import Metric, Yardstick, all_metrics
+from sarsplat.scenes import paper_grid
 
-METRIC: dict[str, Metric[Any]] = {metric.key: metric for metric in METRICS}
+METRIC: dict[str, Metric[Any]] = {metric.key: metric for metric in all_metrics(Yardstick.of(paper_grid()))}
 METRIC |= {
     "cd_cells": replace(METRIC["cd_m"], key="cd_cells", unit="cells"),
     "f1@cell": replace(METRIC["f1@0.3"], key="f1@cell", label="F1 at a cell"),

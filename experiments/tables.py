@@ -44,7 +44,7 @@ def main() -> int:
     try:
         return run(chosen, Runner(arguments.work, code_version(), arguments.processes), out, arguments.write)
     except (SarsplatError, KeyboardInterrupt) as stopped:
-        print(f"{stopped or 'stopped'}; what is finished is kept", file=sys.stderr)
+        print(f"{str(stopped) or 'stopped'}; what is finished is kept", file=sys.stderr)
         return 2
 
 

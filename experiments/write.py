@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -63,11 +63,11 @@ def write_index(out: Path, quick: bool) -> None:
 def page(experiment: Experiment, known: list[Line], code: str) -> str:
     """An experiment as Markdown: what was done, what it says, the table."""
     parts = [f"# {experiment.title}\n\n", _QUICK if experiment.quick else "", f"{experiment.about}\n\n"]
-    parts += [f"{_FOUND}{sentence[0].upper()}{sentence[1:]}\n\n" for sentence in findings(experiment, known)]
+    parts += [f"{_FOUND}{sentence}\n\n" for sentence in findings(experiment, known)]
     for group in experiment.groups():
         members = [line for line in known if line.row.group == group]
         parts += [f"## {group[0].upper()}{group[1:]}\n\n"] if group else []
-        parts.append(_table(experiment, members) + "\n")
+        parts += [_table(columns, members) + "\n" for columns in experiment.tables]
     parts.append(
         f"![{experiment.title}]({experiment.name}.png)\n\n"
         "Mean ± sample standard deviation over the seeds that are finished; “–”: not known, or not finished. Points "
@@ -80,10 +80,10 @@ def page(experiment: Experiment, known: list[Line], code: str) -> str:
     return "".join(parts)
 
 
-def _table(experiment: Experiment, known: list[Line]) -> str:
+def _table(columns: Sequence[str], known: list[Line]) -> str:
     """Rows and metrics; where the paper has figures, a column of them beside ours."""
     heads, cells = ["", "seeds"], [[line.row.label, str(line.seeds)] for line in known]
-    for key in experiment.columns:
+    for key in columns:
         metric = METRIC[key]
         heads.append(f"{metric.title} {metric.arrow}".strip())
         for line, texts in zip(known, cells, strict=True):

@@ -13,7 +13,7 @@ import pytest
 
 from sarsplat.cli import main
 from sarsplat.cli.parser import COMMANDS
-from sarsplat.evaluation import IMAGE_METRICS, POINT_METRICS, RUN_METRICS
+from sarsplat.evaluation import IMAGE_METRICS, RUN_METRICS, Yardstick, metrics_of_points
 from sarsplat.scenes import target_mesh
 
 ROOT = Path(__file__).parents[1]
@@ -142,6 +142,7 @@ def test_results_table_comes_from_metrics_and_leaves_gaps_open():
         "images": {"test": {"psnr_db": 50.13, "psnr_target_db": 33.0, "ssim": 0.999, "lpips": None}},
         "points": {"visible": {"cd_m": 0.08, "f1@0.3": 0.97, "f1@0.1": 0.7}},
         "baselines": None,
+        "parameters": {"yardstick_m": 0.3},
         "time_s": 83.2,
     }
     table = module.table(metrics)
@@ -156,7 +157,7 @@ def test_documented_metrics_are_those_of_the_registry():
     text = (ROOT / "docs" / "datasets-and-runs.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(images\.<set>|points\.<surface>)\.(.*?)` \| (.*) \|$", text, re.MULTILINE)
     expected = [("images.<set>", metric.key, metric.definition) for metric in IMAGE_METRICS]
-    expected += [("points.<surface>", metric.key, metric.definition) for metric in POINT_METRICS]
+    expected += [("points.<surface>", metric.key, metric.definition) for metric in metrics_of_points(Yardstick(0.3))]
     assert rows == expected
     assert re.findall(r"^\| `(\w+)` \| (.*) \|$", text, re.MULTILINE).count(("time_s", RUN_METRICS[0].definition)) == 1
 

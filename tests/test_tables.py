@@ -19,7 +19,7 @@ import pytest
 
 from sarsplat.cli.arguments import views_from
 from sarsplat.cli.simulate import simulate
-from sarsplat.evaluation import METRICS, paper_scores
+from sarsplat.evaluation import Yardstick, all_metrics, paper_scores
 from sarsplat.reconstruction import preset
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
@@ -55,7 +55,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[SimpleNamespace]:
 
 
 def experiment(made: SimpleNamespace, *rows: object, **fields: object):
-    common = {"name": "made-up", "title": "Made up", "about": "Nothing was done.", "columns": ("cd_m", "f1@0.3")}
+    common = {"name": "made-up", "title": "Made up", "about": "Nothing was done.", "tables": (("cd_m", "f1@0.3"),)}
     return made.catalogue.Experiment(**{**common, "rows": rows, **fields})
 
 
@@ -73,7 +73,7 @@ def finish(made: SimpleNamespace, work: Path, cell: object, cd_m: float, f1: flo
 
 
 def test_every_experiment_can_be_run_and_reported(made):
-    options, keys = set(inspect.signature(simulate).parameters), {metric.key for metric in METRICS}
+    options, keys = set(inspect.signature(simulate).parameters), {metric.key for metric in all_metrics(Yardstick(0.3))}
     every = made.catalogue.EXPERIMENTS
     assert len({found.name for found in every}) == len(every)
     for found in every:
@@ -164,7 +164,7 @@ def test_what_is_missing_is_a_dash(made, tmp_path, monkeypatch):
     finish(made, tmp_path / "work", table.cells(table.rows[0], 0)[0], 0.05, f1=None)
     made.write.write(table, tmp_path / "work", tmp_path / "out", "code")
     text = (tmp_path / "out" / "made-up.md").read_text()
-    assert "| done | 1 | 0.050 | 0.187 | – |" in text
+    assert "| done | 1 | 0.0500 | 0.187 | – |" in text
     assert "| open | 0 | – | 0.187 | – |" in text
     assert "**Found.** Better than the paper's figure, or equal, in 1 of 1 comparisons." in text
     assert (tmp_path / "out" / "made-up.png").read_bytes().startswith(b"\x89PNG")
@@ -183,12 +183,13 @@ def test_what_is_missing_is_a_dash(made, tmp_path, monkeypatch):
     [
         ((0.3, 0.2, 0.1), "falls with the Gaussians (r = -1.00); in the paper it falls (r = -1.00): as ours."),
         ((0.1, 0.2, 0.3), "in the paper it falls (r = -1.00): **our trend differs from the paper's**."),
-        ((0.2, 0.1, 0.2), "shows no trend beyond chance"),
+        ((0.2, 0.2, 0.2), "Chamfer distance shows no trend beyond chance with the Gaussians"),
+        ((0.2, 0.1, 0.2), "it falls (r = -1.00): **the paper's trend is not seen in ours**."),
     ],
 )
 def test_trends_are_compared_with_the_papers(made, tmp_path, ours, said):
     rows = [row(made, f"{x}", changes={"gaussians": x}, x=x, paper={"cd_m": 1 - x / 100}) for x in (10, 20, 30)]
-    table = experiment(made, *rows, axis="Gaussians", judged=("cd_m",), columns=("cd_m",))
+    table = experiment(made, *rows, axis="Gaussians", judged=("cd_m",), tables=(("cd_m",),))
     for line, value in zip(rows, ours):
         for seed in table.seeds:
             finish(made, tmp_path, table.cells(line, seed)[0], value + 1e-4 * seed)
@@ -197,14 +198,15 @@ def test_trends_are_compared_with_the_papers(made, tmp_path, ours, said):
 
 
 def test_rows_without_the_papers_figures_are_held_against_the_first(made, tmp_path):
-    rows = [row(made, name, changes={"gaussians": k}) for k, name in enumerate(("clean", "same", "worse"), 1)]
+    rows = [row(made, name, changes={"gaussians": k}) for k, name in enumerate(("clean", "alike", "hard"), 1)]
     table = experiment(made, *rows, judged=("cd_m",))
     for line, value in zip(rows, (0.1, 0.101, 0.5)):
         for seed in table.seeds:
             finish(made, tmp_path, table.cells(line, seed)[0], value + 0.01 * seed)
     (found,) = made.finding.findings(table, made.summary.lines(table, tmp_path, "code"))
     assert found == (
-        "Chamfer distance, m, from 0.110 (clean) to 0.111 (same, within the spread of the seeds), 0.510 (worse)."
+        "Chamfer distance, m, 0.110 for clean; worse: hard (0.510); "
+        "no different beyond the spread of the seeds: alike (0.111)."
     )
 
 
@@ -246,10 +248,10 @@ def test_a_cell_that_fails_is_told_and_the_others_go_on(made, tmp_path, fake, ca
     assert made.tables.run([table], runner, tmp_path / "out", only_write=True) == 0
     with pytest.raises(KeyError):  # the fake cell of seed 8 is finished, but holds nothing
         made.tables.run([table], runner, tmp_path / "out", only_write=False)
-    assert runner.failed == ["t72 default seed 7: out of luck"]
+    assert runner.failed == ["target=t72 default seed 7: out of luck"]
     printed = capsys.readouterr().out
-    assert "made-up 1/2: t72 default seed 7 FAILED: out of luck; " in printed
-    assert "made-up 2/2: t72 default seed 8; 0 min left" in printed
+    assert "made-up 1/2: target=t72 default seed 7 FAILED: out of luck; " in printed
+    assert "made-up 2/2: target=t72 default seed 8; 0 min left" in printed
 
 
 def test_other_sources_end_the_run(made, tmp_path, fake):
@@ -274,7 +276,7 @@ def test_a_whole_cell(made, tmp_path, monkeypatch):
     pytest.importorskip("embreex")
     import sarsplat.evaluation.evaluate as evaluate
 
-    monkeypatch.setattr(evaluate, "visible_surface", partial(evaluate.visible_surface, ray_spacing=0.1, samples=2000))
+    monkeypatch.setattr(evaluate, "visible_surface", partial(evaluate.visible_surface, samples=2000))
     views = {"azimuth": ("0:360:120",), "grazing": ("45",), "test_azimuth": ("60",)}
     cell = made.cell.Cell({"target": "t72", "pixels": 32, "spacing": 1.2, **views}, "auto", {"gaussians": 3000})
     cell = replace(cell, quick=True)

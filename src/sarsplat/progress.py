@@ -19,15 +19,27 @@ class Reporter:
         self._total, self._bar, self._description, self._quiet = total, bar, description, quiet
         self._task = bar.add_task(description, total=total, status="") if bar else None
         self._begun = self._last = time.monotonic()
-        self._first = 0
+        self._first = self._done = 0
+
+    def note(self, text: str) -> None:
+        """A line that stays, before the first step."""
+        if self._bar is not None:
+            self._bar.console.print(text, highlight=False)
+        elif not self._quiet:
+            print(text, flush=True)
 
     def start_at(self, done: int) -> None:
         """Work resumed: this many steps were done before."""
         self._first = done
         self.update(done)
 
+    def advance(self, steps: int, status: str = "") -> None:
+        """So many more steps are finished."""
+        self.update(self._done + steps, status)
+
     def update(self, done: int, status: str = "") -> None:
         """`done` steps of the total are finished; `status` is a short text such as the loss."""
+        self._done = done
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, completed=done, status=status)
             return

@@ -39,7 +39,7 @@ def completion(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("import mstar chips --tr", {"--train-views", "--train-depression"}),
         ("reconstruct ds --preset ", {"auto", *PRESETS}),
         ("reconstruct ds --preset pa", {"paper"}),
-        ("reconstruct ds --points.v", {"--points.voxel-m"}),
+        ("reconstruct ds --points.v", {"--points.voxel"}),
         ("reconstruct ds --seed 3 --densification ", {"on", "off"}),
         ("simulate --target ", set(TARGETS)),
         ("simulate --out ds --protocol ms", {"mstar"}),

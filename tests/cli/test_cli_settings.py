@@ -66,7 +66,7 @@ def test_the_preset_that_fits_the_images(dataset: str, name: str, capsys: pytest
     assert printed("", capsys, dataset)["preset"] == name
     assert printed("--seed 4", capsys, dataset) == {
         **PRESETS[name].as_dict(),
-        "scale_bounds_m": [*PRESETS[name].scale_bounds_m],
+        "scale_bounds": [*PRESETS[name].scale_bounds],
         "seed": 4,
         **parts(name),
     }
@@ -78,12 +78,12 @@ def parts(name: str) -> dict[str, Any]:
 
 
 def test_flags_override_the_preset_even_with_the_values_that_help_shows(capsys: pytest.CaptureFixture[str]) -> None:
-    flags = "--preset paper --views-per-step 8 --rates.means-m .02 --scale-bounds-m 0.02 0.2 --points.method rays"
-    changed = printed(f"{flags} --points.cluster-radius-m 0.5 --densification.every=7", capsys)
+    flags = "--preset paper --views-per-step 8 --rates.means .02 --scale-bounds 0.02 0.2 --points.method rays"
+    changed = printed(f"{flags} --points.cluster-radius 0.5 --densification.every=7", capsys)
     expected = json.loads(json.dumps(PRESETS["paper"].as_dict()))
-    expected |= {"views_per_step": 8, "scale_bounds_m": [0.02, 0.2]}
-    expected["rates"]["means_m"] = 0.02
-    expected["points"] |= {"method": "rays", "cluster_radius_m": 0.5}
+    expected |= {"views_per_step": 8, "scale_bounds": [0.02, 0.2]}
+    expected["rates"]["means"] = 0.02
+    expected["points"] |= {"method": "rays", "cluster_radius": 0.5}
     expected["densification"]["every"] = 7
     assert changed == expected
 
@@ -149,7 +149,7 @@ def test_a_run_is_resumed_and_extended_with_its_own_settings(
     extended = Run.load(run)
     assert (extended.iteration, extended.config.iterations, extended.config.gaussians) == (4, 4, 40)
     assert "started with seed 7, not 8" in refused(f"{resume} --iterations 5 --seed 8", capsys)
-    assert "started with rates.means_m 0.02, not 0.5" in refused(f"{resume} --rates.means-m 0.5", capsys)
+    assert "started with rates.means 0.067, not 0.5" in refused(f"{resume} --rates.means 0.5", capsys)
     assert "started with preset 'default', not 'paper'" in refused(f"{resume} --preset paper", capsys)
     assert "has already done 4 iterations, more than 3" in refused(f"{resume} --iterations 3", capsys)
     assert Run.load(run).config == extended.config

@@ -125,3 +125,14 @@ def test_a_protocol_is_named_only_if_views_and_pixels_are_its_own(tmp_path: Path
         out = str(tmp_path / (words.replace(" ", "") or "plain"))
         assert main(["simulate", "--target", "building-b", *words.split(), "--out", out]) == 0
         assert read_dataset(out).protocol == protocol
+
+
+def test_test_images_are_clean_if_asked_for(box: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = "--scale 0.001 --test-azimuth 45"
+    clean, speckled = simulated(box, words), simulated(box, f"{words} --looks 1 --clean-tests --seed 2")
+    assert speckled.select("train").looks == 1
+    assert speckled.select("test").looks is None
+    np.testing.assert_array_equal(speckled.images("test"), clean.images("test"))
+    assert (speckled.images("train") != clean.images("train")).any()
+    assert main(["simulate", "--target", "t72", "--clean-tests", "--out", str(box.parent / "new")]) == 2
+    assert "give --looks too" in capsys.readouterr().err

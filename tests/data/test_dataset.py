@@ -39,6 +39,7 @@ def test_round_trip(tmp_path):
         "target": "t72",
         "calibration": "relative",
         "looks": 3,
+        "clean_tests": True,
         "ground": True,
         "score_margin": 2,
         "target_box_m": ((-1, -2.5, 0), (4, 5, 6)),
@@ -69,6 +70,28 @@ def test_sets_of_a_dataset(dataset):
     for ask in (dataset.images, dataset.select):
         with pytest.raises(SarsplatError, match="no set 'test-15'; it has train, test-17, test"):
             ask("test-15")
+
+
+def test_each_set_knows_whether_it_is_speckled(tmp_path):
+    dataset = make(tmp_path / "set", looks=4, clean_tests=True)
+    assert {split: dataset.select(split).looks for split in dataset.splits()} == {
+        "train": 4,
+        "test-17": None,
+        "test": None,
+    }
+    assert dataset.speckle == "4 looks, test images without"
+    plain = make(tmp_path / "plain", looks=1)
+    assert [plain.select(split).looks for split in plain.splits()] == [1, 1, 1]
+    assert (plain.speckle, plain.select("test").speckle) == ("1 look", "1 look")
+    with pytest.raises(SarsplatError, match="looks is None"):
+        make(tmp_path / "neither", clean_tests=True)
+
+
+def test_a_header_from_before_tests_could_be_clean_is_the_same_dataset(dataset):
+    header = json.loads((dataset.path / "dataset.json").read_text())
+    assert header.pop("clean_tests") is False
+    (dataset.path / "dataset.json").write_text(json.dumps(header))
+    assert read_dataset(dataset.path).fingerprint() == dataset.fingerprint()
 
 
 def test_a_dataset_is_a_sequence_of_images(dataset):

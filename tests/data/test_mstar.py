@@ -2,7 +2,6 @@
 
 import csv
 import shutil
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -115,7 +114,7 @@ def test_chips_without_labels_are_counted_once(chips):
         shutil.copy(chips / "T72" / "chip000.jpeg", chips / f"{name}.JPG")
     with pytest.warns(SarsplatWarning, match="has no label for 2 JPEGs") as caught:
         run(chips)
-    assert len(caught) == 1
+    assert sum("label" in str(item.message) for item in caught) == 1
 
 
 def rewrite(labels: Path, change) -> None:
@@ -135,7 +134,7 @@ def test_labels_with_empty_fields_are_counted_once(chips):
         SarsplatWarning, match=r"empty fields for 2 of 10 chips \(the first: target_az_deg in line 3\)"
     ) as caught:
         dataset = run(chips)
-    assert len(caught) == 1
+    assert sum("fields" in str(item.message) for item in caught) == 1
     assert len(dataset) == 8
 
 
@@ -301,11 +300,12 @@ def test_wrong_originals(originals):
 
 @needs_measured
 def test_measured_t72(tmp_path):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with pytest.warns(SarsplatWarning) as caught:
         dataset = import_mstar(
             MEASURED, tmp_path / "t72", labels=MEASURED / "labels.csv", target_class="T72", train_views=8
         )
+    (told,) = [str(item.message) for item in caught]  # all were taken at one grazing angle
+    assert "the 8 training views determine positions 5.5 times less well along directions 76° above" in told
     assert [len(dataset.select(split)) for split in dataset.splits()] == [8, 232 - 8, 196]
     images = dataset.images("test-17")
     assert dataset.images("train").mean() == pytest.approx(1, rel=1e-5)

@@ -18,7 +18,7 @@ from sarsplat.geometry import ImageGrid, View
 from sarsplat.scenes import mstar_views, paper_views
 
 GRID = ImageGrid(8, 8, (0.3, 0.3), (0.3, 0.3))
-AROUND = [View(azimuth, 30) for azimuth in (0, 120, 240)]
+AROUND = [View(azimuth, 45) for azimuth in (0, 120, 240)]
 
 
 def views(azimuths, grazings) -> list[View]:
@@ -112,20 +112,20 @@ def test_odd_views(train: list[View], told: str) -> None:
 
 def test_from_above_no_side_is_left_out() -> None:
     above = views(range(0, 90, 10), [89.9])
-    assert suspicions(make(above)) == []
-    (told,) = suspicions(make([*above, *views([20, 40], [30])]))
+    assert not any("gap" in told for told in suspicions(make(above)))
+    told, *_ = suspicions(make([*above, *views([20, 40], [30])]))
     assert "leave a gap of 340° in azimuth, from 40° clockwise to 20°" in told
 
 
 @pytest.mark.parametrize(("azimuths", "asked"), [(np.arange(0, 6.28, 0.26), True), (range(0, 60, 5), False)])
 def test_what_may_be_degrees_or_radians_is_asked(azimuths, asked: bool) -> None:
-    (told,) = suspicions(make(views(azimuths, [30])))
+    told, *_ = suspicions(make(views(azimuths, [30])))
     assert ("add views there (or are the azimuths radians?)" in told) is asked
 
 
 @pytest.mark.parametrize("azimuths", [(0, 180), (0, 90, 270), (-90, 0, 90), (0, 120, 240)])
 def test_half_a_circle_is_enough(azimuths: tuple[float, ...]) -> None:
-    assert suspicions(make(views(azimuths, [30]))) == []
+    assert not any("gap" in told for told in suspicions(make(views(azimuths, [45]))))
 
 
 def test_images_all_the_same() -> None:

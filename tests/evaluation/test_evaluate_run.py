@@ -1,4 +1,5 @@
 import json
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,10 +13,11 @@ from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.evaluation import (
     IMAGE_METRICS,
-    METRICS,
-    POINT_METRICS,
+    Yardstick,
+    all_metrics,
     evaluate_run,
     log_correlation,
+    metrics_of_points,
     nats_per_pixel,
     psnr_db,
 )
@@ -28,7 +30,9 @@ SIZE = 64
 CUBE = trimesh.creation.box((2, 2, 2), trimesh.transformations.translation_matrix((0, 0, 1)))
 ON_THE_TOP = np.stack([*(a.ravel() for a in np.meshgrid(*[np.linspace(-1, 1, 30)] * 2)), np.full(900, 2.0)], axis=1)
 WEIGHTS = Path(__file__).resolve().parents[3] / "shared" / "data" / "weights"
-IMAGE_KEYS, POINT_KEYS = ([metric.key for metric in metrics] for metrics in (IMAGE_METRICS, POINT_METRICS))
+YARDSTICK = Yardstick(0.3)
+IMAGE_KEYS = [metric.key for metric in IMAGE_METRICS]
+POINT_KEYS = [metric.key for metric in metrics_of_points(YARDSTICK)]
 NOISE_FREE_ONLY, SPECKLED_ONLY = IMAGE_KEYS[:4], IMAGE_KEYS[4:]
 
 
@@ -65,22 +69,24 @@ def no_weights(monkeypatch):
 
 @pytest.fixture
 def make(tmp_path, monkeypatch):
-    def coarse(mesh, views):  # the same protocol with fewer rays and samples
-        return visible_surface(mesh, views, ray_spacing=0.05, samples=5000)
+    def coarse(mesh, views, ray_spacing, each_view):  # the same protocol with fewer rays and samples
+        return visible_surface(mesh, views, ray_spacing=5 * ray_spacing, samples=5000, each_view=each_view)
 
     from sarsplat.evaluation.surface import visible_surface
 
     monkeypatch.setattr("sarsplat.evaluation.evaluate.visible_surface", coarse)
 
-    def dataset(looks=None, ground=False, mesh=CUBE, scale=1.0) -> Dataset:
+    def dataset(looks=None, ground=False, mesh=CUBE, scale=1.0, clean_tests=False) -> Dataset:
         splits = ("train", "test-17", "train", "test-15", "test-17")
         views = [(View(80.0 * k, 45), split) for k, split in enumerate(splits)]
         images = np.stack([scale * image(view.azimuth_deg) for view, _ in views]).astype(np.float32)
         if looks:
-            images *= np.random.default_rng(0).exponential(size=images.shape).astype(np.float32) + np.float32(1e-3)
+            speckle = np.random.default_rng(0).exponential(size=images.shape).astype(np.float32) + np.float32(1e-3)
+            images *= np.where(np.array([clean_tests and s != "train" for s in splits])[:, None, None], 1, speckle)
         grid = ImageGrid(SIZE, SIZE, (0.3, 0.3), (0.3, 0.3))
-        made = dataset_of(grid, views, images, looks=looks, ground=ground, score_margin=24 if looks else 0)
-        return write_dataset(tmp_path / "dataset", made, truth_mesh=mesh)
+        fields = {"looks": looks, "clean_tests": clean_tests, "ground": ground, "score_margin": 24 if looks else 0}
+        made = dataset_of(grid, views, images, **fields)
+        return write_dataset(tmp_path / "dataset", made, truth_mesh=mesh, overwrite=True)
 
     return dataset
 
@@ -90,7 +96,7 @@ def test_every_key_is_there_and_every_null_has_its_reason(make):
     assert list(metrics) == [
         *("images", "points", "mesh", "baselines", "time_s", "seed", "definitions", "parameters", "reasons"),
     ]
-    assert list(metrics["definitions"]) == [metric.key for metric in METRICS]
+    assert list(metrics["definitions"]) == [metric.key for metric in all_metrics(YARDSTICK)]
     assert list(metrics["images"]) == ["test-17", "test-15"]
     assert list(metrics["points"]) == list(metrics["mesh"]) == ["visible", "whole"]
     leaves = {f"images.{name}.{key}": value for name, row in metrics["images"].items() for key, value in row.items()}
@@ -125,6 +131,19 @@ def test_views_of_each_set_are_rendered_in_order(make):
     assert [view.azimuth_deg for view in run.asked] == [80, 320, 240]
 
 
+def test_what_is_being_done_is_told_and_how_far(make, capsys, monkeypatch):
+    monkeypatch.setattr("sarsplat.progress._SECONDS_BETWEEN_LINES", 0)
+    evaluate_run(FakeRun(make()))
+    lines = capsys.readouterr().out.splitlines()
+    counts = [tuple(map(int, re.search(r": (\d+)/(\d+) ", line).groups())) for line in lines]
+    assert counts == sorted(counts)
+    assert {total for _, total in counts} == {counts[-1][0]}  # and at the end all is done
+    for stage in ("test views", "surface that the views see", "visible surface", "whole surface"):
+        assert any(stage in line for line in lines)
+    evaluate_run(FakeRun(make()), quiet=True)
+    assert capsys.readouterr().out == ""
+
+
 def test_points_are_scored_against_both_surfaces(make):
     points = evaluate_run(FakeRun(make()))["points"]
     assert points["visible"]["accuracy_m"] == pytest.approx(0, abs=1e-9)
@@ -153,6 +172,18 @@ def test_a_measured_set_is_scored_by_protocol_m_whatever_its_unit(make, tmp_path
 def test_a_speckled_simulation_is_scored_as_speckled_images_are(make):
     metrics = evaluate_run(FakeRun(make(looks=1)))
     assert [key for key in IMAGE_KEYS if metrics["images"]["test-15"][key] is None] == NOISE_FREE_ONLY
+    assert metrics["baselines"] is None
+
+
+def test_clean_test_images_are_scored_as_such_though_the_training_was_speckled(make):
+    run = FakeRun(make(looks=1, ground=True, clean_tests=True), power=1.1)
+    metrics = evaluate_run(run)
+    scores, truth = metrics["images"]["test-17"], run.dataset.images("test-17")
+    assert [scores[key] for key in SPECKLED_ONLY] == [None, None]
+    brightest = max(run.dataset.images(split).max() for split in ("test-17", "test-15"))
+    assert metrics["parameters"]["reference_amplitude"] == pytest.approx(float(np.sqrt(brightest)))
+    assert brightest < run.dataset.images("train").max()  # a peak of the speckle, which nothing is to be measured by
+    assert scores["psnr_db"] == pytest.approx(psnr_db(truth, np.float32(1.1) * truth, float(np.sqrt(brightest))))
     assert metrics["baselines"] is None
 
 
@@ -235,7 +266,7 @@ def only_training(path: Path, mesh) -> Dataset:
 
 
 def test_without_test_views_the_points_are_scored(tmp_path, make):  # make: coarse surfaces
-    with pytest.warns(SarsplatWarning, match="made from one view, which cannot determine the shape"):
+    with pytest.warns(SarsplatWarning, match="made from views that cannot determine the shape"):
         metrics = evaluate_run(FakeRun(only_training(tmp_path / "with mesh", CUBE)))
     assert metrics["images"] == {}
     assert metrics["points"]["visible"]["cd_m"] is not None

@@ -8,15 +8,19 @@ from rich.console import Console
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import (
     IMAGE_METRICS,
-    METRICS,
-    POINT_METRICS,
+    Yardstick,
+    all_metrics,
     comparison,
+    metrics_of_points,
     metrics_table,
     paper_beside,
     paper_scores,
 )
 
-IMAGE_KEYS, POINT_KEYS = ([metric.key for metric in metrics] for metrics in (IMAGE_METRICS, POINT_METRICS))
+YARDSTICK = Yardstick(0.3)
+METRICS = all_metrics(YARDSTICK)
+IMAGE_KEYS = [metric.key for metric in IMAGE_METRICS]
+POINT_KEYS = [metric.key for metric in metrics_of_points(YARDSTICK)]
 
 
 def metrics(baselines=None, **images):
@@ -35,7 +39,7 @@ def metrics(baselines=None, **images):
 
 
 def table(metrics, paper=None):
-    return metrics_table(comparison(metrics, paper))
+    return metrics_table(comparison(metrics, paper), YARDSTICK)
 
 
 def rows(table) -> list[list[str]]:
@@ -64,7 +68,7 @@ def test_noise_free_sets_stand_above_the_paper():
         *("PSNR dB", "target dB", "SSIM", "LPIPS", "CD m", "F1@0.3", "F1@0.1", "time s"),
     ]
     assert rows(shown) == [
-        ["ours, test", "53.71", "36.00", "0.9995", "–", "0.074", "0.983", "0.765", "62"],
+        ["ours, test", "53.71", "36.00", "0.9995", "–", "0.0741", "0.983", "0.765", "62"],
         ["paper, T72", "35.91", "–", "0.9943", "0.0165", "0.187", "0.925", "–", "400"],
     ]
 
@@ -108,7 +112,7 @@ def test_measured_sets_stand_beside_the_baselines():
 
 
 def test_without_test_views_the_points_have_their_row():
-    assert rows(table(metrics())) == [["ours", "0.074", "0.983", "0.765", "62"]]
+    assert rows(table(metrics())) == [["ours", "0.0741", "0.983", "0.765", "62"]]
 
 
 @pytest.mark.parametrize("speckled", [False, True])
@@ -119,6 +123,6 @@ def test_the_table_fits_a_terminal(speckled):
     console.print(table(metrics(**{"test-17": every})))
     printed = console.file.getvalue()
     figures = ("0.988", "0.988") if speckled else ("53.71", "0.9877")
-    for figure in (*figures, "0.074", "0.983", "0.765", "62", "ours, test-17"):
+    for figure in (*figures, "0.0741", "0.983", "0.765", "62", "ours, test-17"):
         assert figure in printed
     assert "…" not in printed

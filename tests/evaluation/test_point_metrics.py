@@ -1,12 +1,14 @@
 import numpy as np
 import pytest
 
+from sarsplat import ImageGrid, View
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluation import point_metrics
+from sarsplat.evaluation import Yardstick, all_metrics, metrics_of_points, point_metrics, visible_surface
 from sarsplat.evaluation.points import surface_distance, thin
 
 trimesh = pytest.importorskip("trimesh")
 
+YARDSTICK = Yardstick(0.3)
 SQUARE = np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]], dtype=float)
 
 
@@ -30,7 +32,7 @@ def brute_force(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 def test_a_plane_raised_by_a_known_height():
     height = 0.15
-    scores = point_metrics(lattice(20, height), SQUARE, lattice(20))
+    scores = point_metrics(lattice(20, height), SQUARE, lattice(20), YARDSTICK)
     assert scores.count == 400
     assert scores.accuracy_m == pytest.approx(height)
     assert scores.completeness_m == pytest.approx(height)
@@ -43,7 +45,7 @@ def test_half_the_surface_and_a_floater():
     # 128 points on the half x < 0.5, one floater 1 m above
     half = lattice(16)[lattice(16)[:, 0] < 0.5]
     points = np.concatenate([half, [[0.25, 0.25, 1.0]]])
-    scores = point_metrics(points, SQUARE, lattice(16))
+    scores = point_metrics(points, SQUARE, lattice(16), YARDSTICK)
     assert scores.accuracy_m == pytest.approx(1 / 129)
     assert scores.precision[0.3] == pytest.approx(128 / 129)
     gaps = np.arange(1, 9) / 16  # of the columns right of the half
@@ -56,7 +58,7 @@ def test_half_the_surface_and_a_floater():
 
 
 def test_accuracy_is_measured_to_triangles_not_to_samples():
-    scores = point_metrics(lattice(7), SQUARE, lattice(2))
+    scores = point_metrics(lattice(7), SQUARE, lattice(2), YARDSTICK)
     assert scores.accuracy_m < 1e-12
     assert scores.completeness_m > 0.01
 
@@ -86,20 +88,73 @@ def test_triangles_without_area_are_left_out():
 
 def test_one_point_per_voxel_is_kept_the_first():
     points = np.array([[0.011, 0, 0], [-0.001, 0, 0], [0.001, 0, 0], [0.019, 0.019, 0.019], [0.021, 0, 0]])
-    assert np.array_equal(thin(points), points[[0, 1, 4]])
+    assert np.array_equal(thin(points, 0.02), points[[0, 1, 4]])
     crowded = np.repeat(lattice(10), 5, axis=0)
-    assert point_metrics(crowded, SQUARE, lattice(5)).count == 100
+    assert point_metrics(crowded, SQUARE, lattice(5), YARDSTICK).count == 100
 
 
 def test_no_or_bad_points_are_told():
     for points in (np.empty((0, 3)), np.zeros((4, 2))):
         with pytest.raises(SarsplatError, match="at least one point"):
-            point_metrics(points, SQUARE, lattice(5))
+            point_metrics(points, SQUARE, lattice(5), YARDSTICK)
     with pytest.raises(SarsplatError, match="not finite"):
-        point_metrics(np.array([[0, 0, np.inf]]), SQUARE, lattice(5))
+        point_metrics(np.array([[0, 0, np.inf]]), SQUARE, lattice(5), YARDSTICK)
 
 
 @pytest.mark.parametrize("samples", [np.empty((0, 3)), np.full((2, 3), np.inf)])
 def test_samples_of_the_truth_are_checked_too(samples):
     with pytest.raises(SarsplatError, match="samples of the true surface"):
-        point_metrics(lattice(3), SQUARE, samples)
+        point_metrics(lattice(3), SQUARE, samples, YARDSTICK)
+
+
+def grid(cell: float) -> ImageGrid:
+    return ImageGrid(8, 8, (0.6 * cell, cell), (cell, 0.7 * cell))
+
+
+@pytest.mark.parametrize(
+    ("cell", "thresholds"),
+    [
+        (0.3, (0.3, 0.2, 0.1)),
+        (0.312, (0.3, 0.2, 0.1)),  # MSTAR
+        (3.0, (3.0, 2.0, 1.0)),
+        (0.02, (0.02, 0.01, 0.007)),
+        (0.148, (0.1, 0.07, 0.03)),
+        (1e-5, (1e-5, 7e-6, 3e-6)),
+    ],
+)
+def test_thresholds_follow_the_resolution_cell_to_one_digit(cell: float, thresholds: tuple[float, ...]) -> None:
+    yardstick = Yardstick.of(grid(cell))
+    assert yardstick.thresholds_m == thresholds
+    assert yardstick.voxel_m == pytest.approx(thresholds[0] / 15)
+    keys = [metric.key for metric in all_metrics(yardstick)]
+    assert [f"f1@{threshold:g}" for threshold in thresholds] == [key for key in keys if key.startswith("f1@")]
+    assert f"recall@{thresholds[0]:g}" in keys
+
+
+@pytest.mark.parametrize("cell", [k / 1000 for k in range(10, 100)])
+def test_the_three_thresholds_differ(cell: float) -> None:
+    high, middle, low = Yardstick.of(grid(cell)).thresholds_m
+    assert high > middle > low > 0
+
+
+@pytest.mark.parametrize("factor", [10.0, 1 / 15])
+def test_a_larger_scene_has_the_same_scores_in_cells(factor: float) -> None:
+    points = np.random.default_rng(2).normal(size=(500, 3)) * 0.02 + lattice(25)[:500]
+
+    def scored(factor: float) -> list[float]:
+        yardstick = Yardstick.of(grid(0.3 * factor))
+        box = trimesh.creation.box((2 * factor, factor, factor))
+        seen = visible_surface(box, [View(0, 45), View(90, 30)], yardstick.ray_spacing_m, samples=5000)
+        found = point_metrics(points * factor, seen.triangles, seen.samples, yardstick)
+        of_all = {metric.key: metric.compute(found) for metric in metrics_of_points(yardstick)}
+        cell = f"@{yardstick.cell_m:g}"
+        lengths = [of_all[key] / factor for key in ("cd_m", "accuracy_m", "completeness_m")]
+        return [*lengths, of_all["cd_squared_m2"] / factor**2, of_all[f"f1{cell}"], of_all["count"]]
+
+    assert scored(factor) == pytest.approx(scored(1.0), rel=1e-3)
+
+
+def test_lengths_are_written_with_three_digits_whatever_their_size() -> None:
+    distance = metrics_of_points(YARDSTICK)[0]
+    written = [distance.text(value) for value in (0.00412, 0.0490, 0.4, 5.3, 123.4, None)]
+    assert written == ["0.00412", "0.0490", "0.400", "5.30", "123", "–"]

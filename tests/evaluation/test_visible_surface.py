@@ -23,7 +23,7 @@ def sheet(x0, x1, y0, y1, z):
 
 def test_a_box_is_seen_from_above_and_from_the_radars_side_only():
     # azimuth 0: the radar stands at +x
-    surface = visible_surface(box((2, 2, 2), (0, 0, 1)), [View(0, 45)], samples=4000)
+    surface = visible_surface(box((2, 2, 2), (0, 0, 1)), [View(0, 45)], ray_spacing=0.01, samples=4000)
     assert surface.all_triangles.shape == (12, 3, 3)
     assert surface.triangles.shape == (4, 3, 3)
     x, _, z = surface.samples.T
@@ -35,13 +35,13 @@ def test_a_box_is_seen_from_above_and_from_the_radars_side_only():
 
 def test_azimuth_runs_clockwise():
     # φ = 90°: the radar stands at −y
-    surface = visible_surface(box((2, 2, 2), (0, 0, 1)), [View(90, 10)], samples=100)
+    surface = visible_surface(box((2, 2, 2), (0, 0, 1)), [View(90, 10)], ray_spacing=0.01, samples=100)
     front = surface.triangles[:, :, 2].min(axis=1) < 1.9
     assert np.allclose(surface.triangles[front][:, :, 1], -1)
 
 
 def test_four_sides_see_everything_but_the_bottom():
-    surface = visible_surface(box((2, 2, 2), (0, 0, 1)), FOUR_SIDES, samples=20_000)
+    surface = visible_surface(box((2, 2, 2), (0, 0, 1)), FOUR_SIDES, ray_spacing=0.01, samples=20_000)
     assert len(surface.triangles) == 10
     assert len(surface.samples) == len(surface.samples_whole) == 20_000
     assert np.isclose(surface.samples[:, 2], 2, atol=1e-5).mean() == pytest.approx(1 / 5, abs=0.015)
@@ -52,7 +52,7 @@ def test_four_sides_see_everything_but_the_bottom():
 def test_samples_in_shadow_are_rejected_though_their_triangle_is_visible():
     # a 2 m cube on a floor, seen from +x at 45°: the shadow covers −3 < x < −1 beside |y| < 1 and the foot |x| < 1
     scene = trimesh.util.concatenate([box((2, 2, 2), (0, 0, 1)), sheet(-5, 5, -5, 5, 0)])
-    surface = visible_surface(scene, [View(0, 45)], samples=50_000)
+    surface = visible_surface(scene, [View(0, 45)], ray_spacing=0.01, samples=50_000)
     assert len(surface.samples) == 50_000
     x, y, z = surface.samples.T
     floor = np.isclose(z, 0, atol=1e-5) & (x < 0.999)
@@ -64,13 +64,13 @@ def test_samples_in_shadow_are_rejected_though_their_triangle_is_visible():
 def test_surfaces_are_two_sided():
     flipped = sheet(-1, 1, -1, 1, 0.5)
     flipped.invert()
-    assert len(visible_surface(flipped, FOUR_SIDES, samples=50).triangles) == 2
+    assert len(visible_surface(flipped, FOUR_SIDES, ray_spacing=0.01, samples=50).triangles) == 2
 
 
 def test_what_no_ray_hits_is_not_visible():
     # a sheet below another one of the same extent: hidden from steep views
     scene = trimesh.util.concatenate([sheet(-1, 1, -1, 1, 1), sheet(-0.5, 0.5, -0.5, 0.5, 0.9)])
-    surface = visible_surface(scene, [View(azimuth, 80) for azimuth in (0, 120, 240)], samples=100)
+    surface = visible_surface(scene, [View(azimuth, 80) for azimuth in (0, 120, 240)], ray_spacing=0.01, samples=100)
     assert np.allclose(surface.triangles[..., 2], 1)
 
 
@@ -84,7 +84,9 @@ def test_more_than_one_batch_of_rays(monkeypatch):
 
 def test_samples_depend_on_the_seed_alone():
     mesh = trimesh.creation.icosphere(subdivisions=1)
-    first, again, other = (visible_surface(mesh, FOUR_SIDES, samples=100, seed=seed) for seed in (3, 3, 4))
+    first, again, other = (
+        visible_surface(mesh, FOUR_SIDES, ray_spacing=0.01, samples=100, seed=seed) for seed in (3, 3, 4)
+    )
     assert np.array_equal(first.samples, again.samples)
     assert np.array_equal(first.samples_whole, again.samples_whole)
     assert not np.array_equal(first.samples, other.samples)
@@ -93,8 +95,12 @@ def test_samples_depend_on_the_seed_alone():
 def test_bad_input_is_told():
     mesh = box((1, 1, 1), (0, 0, 0))
     with pytest.raises(SarsplatError, match="at least one view"):
-        visible_surface(mesh, [])
+        visible_surface(mesh, [], ray_spacing=0.01)
     with pytest.raises(SarsplatError, match="spacing of 50 m"):
         visible_surface(mesh, [View(0, 45)], ray_spacing=50)
     with pytest.raises(SarsplatError, match="no surface"):
-        visible_surface(trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]], process=False), [View(0, 45)])
+        visible_surface(
+            trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]], process=False),
+            [View(0, 45)],
+            ray_spacing=0.01,
+        )

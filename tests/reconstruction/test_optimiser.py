@@ -17,6 +17,7 @@ BUILT = cpu.INSTRUCTION_SETS[1:]
 AVAILABLE = BUILT[: BUILT.index(cpu.best_instruction_set()) + 1]
 # more than one task, a tail in the last vector, one to sixteen columns
 SHAPES = {"means": (6001, 3), "quaternions": (7, 4), "optical_depth": (1,), "scattering": (333, 16)}
+CELL_M = 0.3
 BOUNDS = {
     "means": (torch.tensor([-1.0, -0.5, 0.0]), torch.tensor([1.0, 0.5, 2.0])),
     "optical_depth": (torch.tensor(0.99), torch.tensor(1.01)),
@@ -32,7 +33,7 @@ def leaves() -> dict[str, torch.Tensor]:
 
 def test_a_gradient_that_is_not_a_number_does_not_become_a_bound(how: str) -> None:
     mine = leaves()
-    optimiser = Optimiser(mine, BOUNDS, preset("default"))
+    optimiser = Optimiser(mine, BOUNDS, preset("default"), CELL_M)
     for name, tensor in mine.items():
         tensor.grad = torch.full_like(tensor, math.nan if name in BOUNDS else 0.0)
     optimiser.step(0)
@@ -42,7 +43,7 @@ def test_a_gradient_that_is_not_a_number_does_not_become_a_bound(how: str) -> No
 def test_every_step_is_torchs(how: str) -> None:
     config = preset("default")
     mine = leaves()
-    optimiser = Optimiser(mine, BOUNDS, config)
+    optimiser = Optimiser(mine, BOUNDS, config, CELL_M)
     theirs = {name: tensor.detach().clone() for name, tensor in mine.items()}
     theirs["optical_depth"].log_()  # what is stepped is its logarithm
     low, high = BOUNDS["optical_depth"]
@@ -67,7 +68,7 @@ def test_every_step_is_torchs(how: str) -> None:
                 columns[name, k].grad = gradient.view(len(gradient), -1)[:, k]
         for group in adam.param_groups:
             name, column = group["column"]
-            group["lr"] = learning_rate(name, column, config) * decay(name, iteration, config)
+            group["lr"] = learning_rate(name, column, config, CELL_M) * decay(name, iteration, config)
         optimiser.step(iteration)
         adam.step()
         with torch.no_grad():
@@ -89,7 +90,7 @@ def test_no_step_leaves_the_positive_numbers(how: str) -> None:
     wild = replace(config, rates=replace(config.rates, log_scales=1e4))
     parameters = {"scales": torch.full((5, 3), 0.1, requires_grad=True)}
     bounds = {"scales": (torch.tensor(0.01), torch.tensor(0.5))}
-    optimiser = Optimiser(parameters, bounds, wild)
+    optimiser = Optimiser(parameters, bounds, wild, CELL_M)
     for sign, end in ((1.0, 0.01), (-1.0, 0.5)):
         for _ in range(20):
             parameters["scales"].grad = torch.full((5, 3), sign)
@@ -110,7 +111,7 @@ def how(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def test_values_changed_behind_a_backward_pass_are_noticed(how: str) -> None:
     parameters = {"means": torch.ones(4, 3, requires_grad=True)}
-    optimiser = Optimiser(parameters, {}, preset("default"))
+    optimiser = Optimiser(parameters, {}, preset("default"), CELL_M)
     square = (parameters["means"] ** 2).sum()
     parameters["means"].grad = torch.ones(4, 3)
     optimiser.step(0)
@@ -119,7 +120,7 @@ def test_values_changed_behind_a_backward_pass_are_noticed(how: str) -> None:
 
 
 def test_every_parameter_needs_a_gradient() -> None:
-    optimiser = Optimiser({"means": torch.ones(4, 3, requires_grad=True)}, {}, preset("default"))
+    optimiser = Optimiser({"means": torch.ones(4, 3, requires_grad=True)}, {}, preset("default"), CELL_M)
     with pytest.raises(ValueError, match="means has no gradient"):
         optimiser.step(0)
 
@@ -131,7 +132,7 @@ def test_threads_change_nothing() -> None:
         for threads in (1, 2, 3):
             torch.set_num_threads(threads)
             parameters = leaves()
-            optimiser = Optimiser(parameters, BOUNDS, preset("default"))
+            optimiser = Optimiser(parameters, BOUNDS, preset("default"), CELL_M)
             for iteration in range(3):
                 for tensor in parameters.values():
                     tensor.grad = tensor.detach().sin()
@@ -153,10 +154,10 @@ def test_state_comes_back(how: str) -> None:
 
     config = preset("default")
     whole, part = leaves(), leaves()
-    trained(Optimiser(whole, BOUNDS, config), whole, 0, 6)
-    first = Optimiser(part, BOUNDS, config)
+    trained(Optimiser(whole, BOUNDS, config, CELL_M), whole, 0, 6)
+    first = Optimiser(part, BOUNDS, config, CELL_M)
     trained(first, part, 0, 3)
-    second = Optimiser(part, BOUNDS, config)
+    second = Optimiser(part, BOUNDS, config, CELL_M)
     second.load_state(first.state())
     trained(second, part, 3, 6)
     for name in SHAPES:

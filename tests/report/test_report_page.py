@@ -13,7 +13,7 @@ import trimesh
 from datasets import dataset_of
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluation import IMAGE_METRICS, METRICS, POINT_METRICS, Scores
+from sarsplat.evaluation import IMAGE_METRICS, Scores, Yardstick, all_metrics, metrics_of_points
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction import preset
 from sarsplat.reconstruction.run import LogLine
@@ -21,7 +21,10 @@ from sarsplat.report import write_report
 from sarsplat.report.scores import score_tables
 
 GRID = ImageGrid(32, 32, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
-IMAGE_KEYS, POINT_KEYS = ([metric.key for metric in metrics] for metrics in (IMAGE_METRICS, POINT_METRICS))
+YARDSTICK = Yardstick(0.3)
+METRICS = all_metrics(YARDSTICK)
+IMAGE_KEYS = [metric.key for metric in IMAGE_METRICS]
+POINT_KEYS = [metric.key for metric in metrics_of_points(YARDSTICK)]
 
 
 @pytest.fixture(autouse=True)
@@ -76,7 +79,7 @@ def make_metrics(**scores: float) -> dict[str, Any]:
         "points": {"visible": points, "whole": points},
         "mesh": {"visible": points | {"cd_m": 0.0375}, "whole": points},
         "baselines": None,
-        "parameters": {"reference_amplitude": 2.5, "mean_power": 0.125, "score_margin": 0},
+        "parameters": {"reference_amplitude": 2.5, "mean_power": 0.125, "score_margin": 0, "yardstick_m": 0.3},
         "definitions": {metric.key: metric.definition for metric in METRICS},
         "reasons": {"images.test.lpips": "no weights here", "points.whole.f1@0.3": "no points"},
     }
@@ -103,7 +106,7 @@ def test_the_page_says_what_matters(tmp_path: Path) -> None:
         "1,234 Gaussians",
         "51.23",
         "35.91",
-        "0.062",
+        "0.0625",
         "0.187",
         "LPIPS: no weights here",
         "F1 at 0.3 m: no points",
@@ -183,7 +186,7 @@ def test_every_method_has_its_column_and_the_best_of_all_is_marked() -> None:
         *(("50.00", False), ("40.00", False), ("55.00", True)),
     ]
     assert [(cell.text, cell.best) for cell in points.rows[0].cells] == [
-        *(("0.062", False), ("0.062", False), ("0.037", False), ("0.062", False), ("0.050", True), ("–", False)),
+        *(("0.0625", False), ("0.0625", False), ("0.0375", False), ("0.0625", False), ("0.0500", True), ("–", False)),
     ]
 
 

@@ -58,6 +58,13 @@ def test_speckle_keeps_the_mean_and_depends_on_the_seed(box: trimesh.Trimesh) ->
     assert ratio.var() == pytest.approx(0.25, abs=0.08)
 
 
+def test_images_may_be_spared_the_speckle(box: trimesh.Trimesh) -> None:
+    plain, speckled = (simulate_images(box, VIEWS, GRID, looks=looks, seed=1) for looks in (None, 4))
+    spared = simulate_images(box, VIEWS, GRID, looks=4, clean=[1], seed=1)
+    np.testing.assert_array_equal(spared[0], speckled[0])
+    np.testing.assert_array_equal(spared[1], plain[1])
+
+
 def test_progress_counts_images(box: trimesh.Trimesh) -> None:
     told: list[int] = []
     simulate_images(box, VIEWS, GRID, progress=told.append)

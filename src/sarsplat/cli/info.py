@@ -71,6 +71,7 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
 
 def _dataset(path: Path) -> tuple[str, dict[str, str]]:
     from sarsplat.data import read_dataset
+    from sarsplat.data.determined import weakest_direction
     from sarsplat.data.plausible import suspicions
 
     dataset = read_dataset(path)
@@ -79,8 +80,9 @@ def _dataset(path: Path) -> tuple[str, dict[str, str]]:
     rows = {
         "target": dataset.target,
         "calibration": _CALIBRATIONS[dataset.calibration],
-        "speckle": "none" if dataset.looks is None else f"{dataset.looks:g} looks",
+        "speckle": dataset.speckle,
         "ground": "shown" if dataset.ground else "not shown",
+        "weakest direction": str(weakest_direction(dataset.select("train").views)),
         "protocol": dataset.protocol or "none",
         "quantity": "β⁰, linear power, float32; row 0 near range",
         **_grid(dataset.grid),
@@ -142,7 +144,7 @@ def _extent(points: np.ndarray) -> str:
     if len(points) == 0:
         return "0"
     low, high = points.min(axis=0), points.max(axis=0)
-    ranges = ", ".join(f"{name} {a:.2f} … {b:.2f} m" for name, a, b in zip("xyz", low, high, strict=True))
+    ranges = ", ".join(f"{name} {a:.4g} … {b:.4g} m" for name, a, b in zip("xyz", low, high, strict=True))
     return f"{len(points)}; {ranges}"
 
 
@@ -214,7 +216,7 @@ def _mesh(path: Path) -> tuple[str, dict[str, str]]:
     rows = {
         "vertices": _extent(mesh.vertices),
         "faces": str(len(mesh.faces)),
-        "surface": f"{mesh.area:.1f} m²",
+        "surface": f"{mesh.area:.4g} m²",
         "closed": "yes" if mesh.is_watertight else "no (fine for ray casting)",
         "unit": "assumed to be metres; +x nose, +y left, +z up, ground at z = 0",
     }

@@ -59,6 +59,7 @@ def simulate(
     reflectivity: Decibels = 0.0,
     ground: OptionalNumber = None,
     looks: OptionalNumber = None,
+    clean_tests: bool = False,
     pixels: OptionalCount = None,
     spacing: Metres = None,
     resolution: Metres = None,
@@ -109,6 +110,8 @@ def simulate(
         γ⁰ (linear) of flat ground (default: no ground).
     looks
         Looks of multiplicative speckle; 1 is single look (default: no speckle).
+    clean_tests
+        Speckle the training images only, so that the test images are scored as noise-free ones.
     pixels
         Rows and columns of an image (default: the protocol's 128).
     spacing
@@ -132,6 +135,8 @@ def simulate(
     from sarsplat.scenes.scattering import part_reflectivity
     from sarsplat.scenes.simulate import simulate_images, simulation_record
 
+    if clean_tests and looks is None:
+        raise SarsplatError("--clean-tests keeps speckle out of the test images, but there is none; give --looks too")
     theirs = paper_views() if protocol == "paper" else mstar_views()
     own, test = (azimuth, grazing, incidence), (test_azimuth, test_grazing, test_incidence)
     views = simulated_views(theirs, own, random_views, seed, test, test_protocol)
@@ -164,6 +169,7 @@ def simulate(
             **how,
             reflectivity=factors,
             looks=looks,
+            clean=[index for index, (_, split) in enumerate(views) if clean_tests and split != "train"],
             progress=shown.update,
         )
     digits = max(3, len(str(len(views) - 1)))
@@ -174,6 +180,7 @@ def simulate(
         images,
         target=name,
         looks=looks,
+        clean_tests=clean_tests,
         ground=ground is not None,
         target_box_m=None if ground is None else _box_around(surface, max(grid.resolution_m)),
         protocol=protocol if views == theirs and grid == _grid(protocol) else None,

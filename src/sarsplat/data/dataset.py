@@ -60,6 +60,8 @@ class Dataset:
         Whether the power is β⁰ itself, or β⁰ up to one common unknown factor.
     looks : float or None
         Number of looks of the speckle in the images; None if there is none.
+    clean_tests : bool
+        Whether the test images are without speckle nevertheless, so that they are scored as noise-free ones.
     ground : bool
         Whether the images show the ground around the target.
     score_margin : int
@@ -88,6 +90,7 @@ class Dataset:
     target: str = "unnamed"
     calibration: Calibration = "absolute"
     looks: float | None = None
+    clean_tests: bool = False
     ground: bool = False
     score_margin: int = 0
     target_box_m: Box | None = None
@@ -119,6 +122,8 @@ class Dataset:
     def _check_fields(self) -> None:
         if self.looks is not None and not (math.isfinite(self.looks) and self.looks > 0):
             raise SarsplatError(f"looks {self.looks} must be a positive number, or None for images without speckle")
+        if self.clean_tests and self.looks is None:
+            raise SarsplatError("clean_tests is for speckled training images, but looks is None; give both or neither")
         if not 0 <= 2 * self.score_margin < min(self.grid.rows, self.grid.columns):
             raise SarsplatError(
                 f"score_margin {self.score_margin} does not suit images of {self.grid.rows} × {self.grid.columns} "
@@ -139,6 +144,7 @@ class Dataset:
         target: str = "unnamed",
         calibration: Calibration = "absolute",
         looks: float | None = None,
+        clean_tests: bool = False,
         ground: bool = False,
         score_margin: int = 0,
         target_box_m: Box | None = None,
@@ -151,7 +157,7 @@ class Dataset:
         ----------
         images, test : sequence of SarImage
             All on the same grid.
-        target, calibration, looks, ground, score_margin, target_box_m, truth_mesh, source
+        target, calibration, looks, clean_tests, ground, score_margin, target_box_m, truth_mesh, source
             See `Dataset`.
 
         Raises
@@ -183,6 +189,7 @@ class Dataset:
             target=target,
             calibration=calibration,
             looks=looks,
+            clean_tests=clean_tests,
             ground=ground,
             score_margin=score_margin,
             target_box_m=target_box_m,
@@ -210,6 +217,14 @@ class Dataset:
         return f"<Dataset of {self.target}: {sets}; {self.grid.rows} × {self.grid.columns} pixels>"
 
     @property
+    def speckle(self) -> str:
+        """What to call the speckle in its images: "none", "1 look", "4 looks, test images without"."""
+        if self.looks is None:
+            return "none"
+        looks = f"{self.looks:g} look{'' if self.looks == 1 else 's'}"
+        return f"{looks}, test images without" if self.clean_tests else looks
+
+    @property
     def views(self) -> tuple[View, ...]:
         """From where each image was taken."""
         return tuple(entry.view for entry in self.entries)
@@ -219,7 +234,7 @@ class Dataset:
         return tuple(dict.fromkeys(entry.split for entry in self.entries))
 
     def select(self, split: str) -> Dataset:
-        """The dataset of one set alone, in memory.
+        """The dataset of one set alone, in memory; its `looks` are those of its images.
 
         Raises
         ------
@@ -227,7 +242,9 @@ class Dataset:
             If there is no such set.
         """
         entries = tuple(entry for entry in self.entries if entry.split == split)
-        return replace(self, power=self.images(split), entries=entries, path=None)
+        clean = self.clean_tests and split != "train"
+        looks = None if clean else self.looks
+        return replace(self, power=self.images(split), entries=entries, path=None, looks=looks, clean_tests=False)
 
     def images(self, split: str) -> Real[np.ndarray, "v {self.grid.rows} {self.grid.columns}"]:
         """β⁰ of one set, linear power, float32 [V, rows, columns], row 0 near range; not to be written to.

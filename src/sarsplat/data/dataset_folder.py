@@ -134,6 +134,7 @@ def read_dataset(path: str | Path) -> Dataset:
             target=header.target,
             calibration=header.calibration,
             looks=header.looks,
+            clean_tests=header.clean_tests,
             ground=header.ground,
             score_margin=header.score_margin,
             target_box_m=header.target_box_m,

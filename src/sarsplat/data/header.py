@@ -44,8 +44,8 @@ class ViewHeader(Strict, frozen=True):
     name: str
 
 
-class DatasetHeader(Strict, frozen=True):
-    """`Dataset` without its pixels."""
+class DatasetHeader(Strict, frozen=True, omit_defaults=True):
+    """`Dataset` without its pixels. A field that came later has a default, which the fingerprint leaves out."""
 
     schema: str
     schema_version: int
@@ -62,6 +62,7 @@ class DatasetHeader(Strict, frozen=True):
     grid: GridHeader
     source: dict[str, Any]
     views: tuple[ViewHeader, ...]
+    clean_tests: bool = False
 
     @classmethod
     def of(cls, dataset: Dataset) -> DatasetHeader:
@@ -94,4 +95,6 @@ class DatasetHeader(Strict, frozen=True):
             ) from error
 
 
-_AS_THEY_ARE = ("target", "calibration", "looks", "ground", "score_margin", "target_box_m", "protocol", "source")
+_AS_THEY_ARE = (
+    *("target", "calibration", "looks", "clean_tests", "ground", "score_margin", "target_box_m", "protocol", "source"),
+)

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Real
 
 from sarsplat.data.dataset import Dataset, DatasetEntry
+from sarsplat.data.determined import weak_directions
 from sarsplat.errors import SarsplatWarning, counted
 from sarsplat.geometry import View
 
@@ -35,8 +36,9 @@ def suspicions(dataset: Dataset) -> list[str]:
     -------
     list of str
         One sentence each: what is odd, and what to do if it is not meant. Angles that look like radians; one training
-        view, views that are all the same, or that leave out more than half of the circle; images that are constant or
-        all the same; test images that are training images; zeros in measured power. Empty if nothing is odd.
+        view, views that are all the same, that leave out more than half of the circle or do not determine positions
+        along some direction; images that are constant or all the same; test images that are training images; zeros in
+        measured power. Empty if nothing is odd.
     """
     views = dataset.select("train").views
     return [*suspicious_angles(views), *_coverage(views), *_images(dataset), *_tested_on_training(dataset)]
@@ -107,6 +109,11 @@ def _coverage(views: Sequence[View]) -> list[str]:
             f"all {len(views)} training views are the same (azimuth {first.azimuth_deg:g}°, grazing "
             f"{first.grazing_deg:g}°), which cannot determine the shape; check their angles"
         ]
+    return [*_gap(views), *weak_directions(views)]
+
+
+def _gap(views: Sequence[View]) -> list[str]:
+    """Sides that no training view shows."""
     given = np.array([view.azimuth_deg for view in views if view.grazing_deg < _FROM_ABOVE_DEG])
     if len(given) == 0:
         return []

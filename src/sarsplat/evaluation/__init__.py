@@ -4,7 +4,7 @@ from sarsplat.evaluation.baselines import baseline_scores, nearest_chip, rotated
 from sarsplat.evaluation.evaluate import evaluate_run
 from sarsplat.evaluation.images import log_correlation, nats_per_pixel, psnr_db, psnr_target_db, ssim
 from sarsplat.evaluation.lpips import Lpips, lpips
-from sarsplat.evaluation.metrics import IMAGE_METRICS, METRICS, POINT_METRICS, RUN_METRICS, Metric
+from sarsplat.evaluation.metrics import IMAGE_METRICS, RUN_METRICS, Metric, all_metrics, metrics_of_points
 from sarsplat.evaluation.paper import (
     NOT_THE_SAME_EXPERIMENT,
     PAPER_DENSIFICATION,
@@ -12,28 +12,29 @@ from sarsplat.evaluation.paper import (
     paper_beside,
     paper_scores,
 )
-from sarsplat.evaluation.points import PointMetrics, point_metrics
+from sarsplat.evaluation.points import PointMetrics, Yardstick, point_metrics
 from sarsplat.evaluation.surface import VisibleSurface, read_truth_mesh, visible_surface
 from sarsplat.evaluation.tables import Scores, comparison, metrics_table, summary_metrics
 
 __all__ = [
     "IMAGE_METRICS",
-    "METRICS",
     "NOT_THE_SAME_EXPERIMENT",
     "PAPER_DENSIFICATION",
     "PAPER_DENSITY",
-    "POINT_METRICS",
     "RUN_METRICS",
     "Lpips",
     "Metric",
     "PointMetrics",
     "Scores",
     "VisibleSurface",
+    "Yardstick",
+    "all_metrics",
     "baseline_scores",
     "comparison",
     "evaluate_run",
     "log_correlation",
     "lpips",
+    "metrics_of_points",
     "metrics_table",
     "nats_per_pixel",
     "nearest_chip",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,33 +11,39 @@ import numpy as np
 from jaxtyping import Float
 
 from sarsplat.data import write_json
+from sarsplat.data.determined import weakest_direction
 from sarsplat.data.folders import only_writer
 from sarsplat.data.plausible import warn
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.baselines import baseline_scores
-from sarsplat.evaluation.images import UndefinedScore
+from sarsplat.evaluation.images import Stack, UndefinedScore
 from sarsplat.evaluation.lpips import Lpips, lpips_weights
 from sarsplat.evaluation.metrics import (
     IMAGE_METRICS,
-    METRICS,
-    POINT_METRICS,
     RUN_METRICS,
     EvaluatedRun,
     ImagePair,
+    all_metrics,
     compute_all,
     image_parameters,
+    metrics_of_points,
 )
-from sarsplat.evaluation.points import PointMetrics, point_metrics
+from sarsplat.evaluation.points import PointMetrics, Yardstick, point_metrics
 from sarsplat.evaluation.surface import read_truth_mesh, visible_surface
+from sarsplat.geometry import View
+from sarsplat.progress import Reporter, progress
 
 if TYPE_CHECKING:
     import trimesh
 
-MESH_SAMPLES = 100_000
-"""Points of a mesh that are compared with the truth."""
+_VIEWS_AT_A_TIME = 8
+_MESH_SAMPLES = 100_000
+
+# About how long these take, in the time of one view's rays: samples of what a view sees, and distances of points.
+_SAMPLES, _DISTANCES = 3, 10
 
 
-def evaluate_run(run: EvaluatedRun, *, lpips_weights: str | Path | None = None) -> dict[str, Any]:
+def evaluate_run(run: EvaluatedRun, *, lpips_weights: str | Path | None = None, quiet: bool = False) -> dict[str, Any]:
     """Score a run on every test set, its points and mesh against the true surface; write `metrics.json`.
 
     Parameters
@@ -45,6 +52,8 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: str | Path | None = None) 
         A finished run. If it has a folder, its `metrics.json` is written, whole or not at all.
     lpips_weights : pathlib.Path, optional
         Folder of the LPIPS weights; without it the environment variable SARSPLAT_LPIPS_WEIGHTS, without that no LPIPS.
+    quiet : bool
+        Show no progress.
 
     Returns
     -------
@@ -64,16 +73,16 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: str | Path | None = None) 
     Warns
     -----
     SarsplatWarning
-        If points of a run from one training view are scored.
+        If points of a run from training views that cannot determine the shape are scored.
     """
     with nullcontext() if run.path is None else only_writer(run.path):
-        metrics = _evaluate(run, None if lpips_weights is None else Path(lpips_weights))
+        metrics = _evaluate(run, None if lpips_weights is None else Path(lpips_weights), quiet)
         if run.path is not None:
             write_json(run.path / "metrics.json", metrics)
     return metrics
 
 
-def _evaluate(run: EvaluatedRun, weights_dir: Path | None) -> dict[str, Any]:
+def _evaluate(run: EvaluatedRun, weights_dir: Path | None, quiet: bool) -> dict[str, Any]:
     dataset = run.dataset
     test_sets = [split for split in dataset.splits() if split != "train"]
     if not test_sets and (dataset.truth_mesh is None or len(run.points) == 0):
@@ -87,53 +96,81 @@ def _evaluate(run: EvaluatedRun, weights_dir: Path | None) -> dict[str, Any]:
     if not parameters["reference_amplitude"] > 0:
         raise SarsplatError(f"the training images of {dataset} are black everywhere; simulate or import them again")
 
+    yardstick = Yardstick.of(dataset.grid)
     reasons: dict[str, str] = {}
+    speckled_tests = dataset.looks is not None and not dataset.clean_tests
     if not test_sets:
         reasons["images"] = "the dataset has no test images, so nothing is unseen; simulate it with --test-azimuth"
     images: dict[str, dict[str, float | None]] = {}
-    for split in test_sets:
-        rendered = run.render(dataset.select(split).views)
-        pair = ImagePair(dataset.images(split), rendered, **parameters, network=network)
-        images[split] = compute_all(IMAGE_METRICS, dataset, pair, f"images.{split}.", reasons)
+    tests = sum(len(dataset.images(split)) for split in test_sets)
+    steps = tests + (1 + _SAMPLES) * len(dataset.images("train")) + 4 * _DISTANCES
+    with progress(f"evaluate {run.path or dataset.target}", steps, quiet) as shown:
+        for split in test_sets:
+            tested = dataset.select(split)
+            pair = ImagePair(tested.power, _rendered(run, tested.views, shown), **parameters, network=network)
+            shown.advance(0, "scores of the test images")
+            images[split] = compute_all(IMAGE_METRICS, tested, pair, f"images.{split}.", reasons)
+        surfaces = _surfaces(run, yardstick, reasons, shown)
+        shown.update(steps)
     return {
         "images": images,
-        **_surfaces(run, reasons),
-        "baselines": baseline_scores(dataset, reasons) if dataset.looks is not None and dataset.ground else None,
+        **surfaces,
+        "baselines": baseline_scores(dataset, reasons) if speckled_tests and dataset.ground else None,
         **compute_all(RUN_METRICS, dataset, run, "", reasons),
         "seed": run.seed,
-        "definitions": {metric.key: metric.definition for metric in METRICS},
-        "parameters": parameters,
+        "definitions": {metric.key: metric.definition for metric in all_metrics(yardstick)},
+        "parameters": {**parameters, "yardstick_m": yardstick.cell_m},
         "reasons": reasons,
     }
 
 
-def _surfaces(run: EvaluatedRun, reasons: dict[str, str]) -> dict[str, dict[str, dict[str, float | None]]]:
+def _rendered(run: EvaluatedRun, views: Sequence[View], shown: Reporter) -> Stack:
+    """β⁰ of the views, linear power, float32 [V, rows, columns]."""
+    images = []
+    for first in range(0, len(views), _VIEWS_AT_A_TIME):
+        some = views[first : first + _VIEWS_AT_A_TIME]
+        images.append(run.render(some))
+        shown.advance(len(some), "test views")
+    return np.concatenate(images)
+
+
+def _surfaces(
+    run: EvaluatedRun, yardstick: Yardstick, reasons: dict[str, str], shown: Reporter
+) -> dict[str, dict[str, dict[str, float | None]]]:
     """Scores of the points and of the mesh against the visible and the whole surface."""
     dataset = run.dataset
     clouds: dict[str, Float[np.ndarray, "p 3"]] = {"points": run.points, "mesh": np.empty((0, 3))}
-    surface = None
+    parts: dict[str, tuple[Float[np.ndarray, "t 3 3"], Float[np.ndarray, "s 3"]] | None]
+    parts = dict.fromkeys(("visible", "whole"))
     if dataset.truth_mesh is not None and len(run.points):
         clouds["mesh"] = _points_on(run.mesh())
         views = dataset.select("train").views
-        surface = visible_surface(read_truth_mesh(dataset.truth_mesh), views)
-        if len(views) == 1:
+        surface = visible_surface(
+            read_truth_mesh(dataset.truth_mesh),
+            views,
+            ray_spacing=yardstick.ray_spacing_m,
+            each_view=lambda: shown.advance(1, "surface that the views see"),
+        )
+        shown.advance(_SAMPLES * len(views), "distances from the visible surface")
+        if weakest_direction(views).undetermined:
             name = run.path or "the run"
-            warn([f"{name} was made from one view, which cannot determine the shape, so its CD and F1 mean nothing"])
+            warn([f"{name} was made from views that cannot determine the shape, so its CD and F1 mean nothing"])
+        parts["visible"] = surface.triangles, surface.samples
+        parts["whole"] = surface.all_triangles, surface.samples_whole
     scores: dict[str, dict[str, dict[str, float | None]]] = {}
     for kind, points in clouds.items():
-        measured: dict[str, PointMetrics | UndefinedScore]
-        if surface is None or len(points) == 0:
-            lacks = "no points" if len(run.points) == 0 else "no mesh"
-            measured = dict.fromkeys(("visible", "whole"), UndefinedScore(f"the run reconstructed {lacks}"))
-        else:
-            measured = {
-                "visible": point_metrics(points, surface.triangles, surface.samples),
-                "whole": point_metrics(points, surface.all_triangles, surface.samples_whole),
-            }
-        scores[kind] = {
-            part: compute_all(POINT_METRICS, dataset, values, f"{kind}.{part}.", reasons)
-            for part, values in measured.items()
-        }
+        scores[kind] = {}
+        for part, truth in parts.items():
+            measured: PointMetrics | UndefinedScore
+            if truth is None or len(points) == 0:
+                lacks = "no points" if len(run.points) == 0 else "no mesh"
+                measured = UndefinedScore(f"the run reconstructed {lacks}")
+            else:
+                measured = point_metrics(points, *truth, yardstick)
+                shown.advance(_DISTANCES, f"distances of the {kind} from the {part} surface")
+            scores[kind][part] = compute_all(
+                metrics_of_points(yardstick), dataset, measured, f"{kind}.{part}.", reasons
+            )
     return scores
 
 
@@ -141,4 +178,4 @@ def _points_on(mesh: trimesh.Trimesh) -> Float[np.ndarray, "p 3"]:
     """Random points of a mesh, spread by area; none if it has no faces."""
     from trimesh.sample import sample_surface
 
-    return np.asarray(sample_surface(mesh, MESH_SAMPLES, seed=0)[0]) if len(mesh.faces) else np.empty((0, 3))
+    return np.asarray(sample_surface(mesh, _MESH_SAMPLES, seed=0)[0]) if len(mesh.faces) else np.empty((0, 3))

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from sarsplat.data import Dataset
 from sarsplat.evaluation import images, lpips
 from sarsplat.evaluation.images import Stack, UndefinedScore
-from sarsplat.evaluation.points import THRESHOLDS, VOXEL, PointMetrics
+from sarsplat.evaluation.points import PointMetrics, Yardstick
 from sarsplat.geometry import View
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class ImagePair:
     truth, rendered : numpy.ndarray, float [V, rows, columns]
         β⁰, linear power.
     reference_amplitude : float
-        Largest amplitude √β⁰ of the training set.
+        Largest amplitude √β⁰ of the training set, or of the test images if these alone are without speckle.
     mean_power : float
         Mean β⁰ of the training set.
     score_margin : int
@@ -80,8 +80,11 @@ class ImagePair:
 def image_parameters(dataset: Dataset) -> dict[str, Any]:
     """What the definitions of image metrics refer to: attributes of `ImagePair` that a dataset decides."""
     train = dataset.images("train")
+    tests = [dataset.images(split) for split in dataset.splits() if split != "train"]
+    # speckle's peaks are several times as bright as the target, which would flatter every score of clean test images
+    clean = tests if dataset.clean_tests and tests else [train]
     return {
-        "reference_amplitude": float(np.sqrt(train.max())),
+        "reference_amplitude": float(np.sqrt(max(images.max() for images in clean))),
         "mean_power": float(train.mean(dtype=np.float64)),
         "score_margin": dataset.score_margin,
     }
@@ -123,8 +126,8 @@ class Metric(Generic[Measured]):
         Its name for readers, without the unit.
     unit : str
         Its unit; empty if it has none.
-    decimals : int
-        How many are printed.
+    digits : str
+        How it is printed, as Python formats numbers: lengths with three significant digits, whatever their size.
     better : {"more", "less"} or None
         Which of two values is the better one; None if neither is.
     definition : str
@@ -142,7 +145,7 @@ class Metric(Generic[Measured]):
     key: str
     label: str
     unit: str
-    decimals: int
+    digits: str
     better: Literal["more", "less"] | None
     definition: str
     compute: Callable[[Measured], float]
@@ -166,8 +169,8 @@ class Metric(Generic[Measured]):
         return {"more": "↑", "less": "↓", None: ""}[self.better]
 
     def text(self, value: float | None) -> str:
-        """The value with the metric's decimals; a dash for None."""
-        return "–" if value is None else f"{value:.{self.decimals}f}"
+        """The value with the metric's digits; a dash for None."""
+        return "–" if value is None else f"{value:{self.digits}}".rstrip(".")
 
     def best(self, values: Sequence[float | None]) -> float | None:
         """The best of several values; None if there is nothing to compare."""
@@ -228,7 +231,7 @@ def _nats_per_pixel(pair: ImagePair) -> float:
 IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
     Metric(
         "psnr_db",
-        *("PSNR, whole image", "dB", 2, "more"),
+        *("PSNR, whole image", "dB", ".2f", "more"),
         "peak signal-to-noise ratio of the amplitude √β⁰ / reference_amplitude, no clip, peak 1; mean over images",
         lambda pair: images.psnr_db(pair.truth, pair.rendered, pair.reference_amplitude),
         requires=NOISE_FREE,
@@ -237,7 +240,7 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
     ),
     Metric(
         "psnr_target_db",
-        *("PSNR on the target", "dB", 2, "more"),
+        *("PSNR on the target", "dB", ".2f", "more"),
         f"the same over pixels whose true β⁰ is above −{images.TARGET_DYNAMIC_DB:g} dB of the test set's maximum",
         lambda pair: images.psnr_target_db(pair.truth, pair.rendered, pair.reference_amplitude),
         requires=NOISE_FREE,
@@ -246,7 +249,7 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
     ),
     Metric(
         "ssim",
-        *("SSIM", "", 4, "more"),
+        *("SSIM", "", ".4f", "more"),
         "structural similarity of the same amplitudes: 11×11 Gaussian window of standard deviation 1.5, data range 1; "
         "mean over images",
         lambda pair: images.ssim(pair.truth, pair.rendered, pair.reference_amplitude),
@@ -255,7 +258,7 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
     ),
     Metric(
         "lpips",
-        *("LPIPS", "", 4, "less"),
+        *("LPIPS", "", ".4f", "less"),
         "LPIPS-AlexNet v0.1 of 2·amplitude − 1, grey repeated three times; mean over images",
         _lpips,
         requires=NOISE_FREE,
@@ -263,7 +266,7 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
     ),
     Metric(
         "nats_per_pixel",
-        *("negative log-likelihood", "nats/pixel", 3, "less"),
+        *("negative log-likelihood", "nats/pixel", ".3f", "less"),
         "negative log-likelihood of single-look speckle: mean of log S + I/S, I and S in units of mean_power, "
         "without score_margin pixels on each side",
         _nats_per_pixel,
@@ -273,7 +276,7 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
     ),
     Metric(
         "log_correlation",
-        *("correlation of log power", "", 3, "more"),
+        *("correlation of log power", "", ".3f", "more"),
         "correlation of the logarithms of 3×3 means, then without score_margin pixels on each side; mean over images",
         lambda pair: images.log_correlation(pair.truth, pair.rendered, pair.score_margin),
         requires=SPECKLED,
@@ -282,84 +285,92 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
     ),
 )
 
-POINT_METRICS: tuple[Metric[PointMetrics], ...] = (
-    Metric(
-        "cd_m",
-        *("Chamfer distance", "m", 3, "less"),
-        "mean of accuracy and completeness",
-        lambda points: points.cd_m,
-        requires=KNOWN_SURFACE,
-        short="CD",
-        place="headline",
-    ),
-    Metric(
-        "cd_squared_m2",
-        *("Chamfer distance, squared", "m²", 4, "less"),
-        "the same of squared distances",
-        lambda points: points.cd_squared_m2,
-        requires=KNOWN_SURFACE,
-        place="file",
-    ),
-    Metric(
-        "accuracy_m",
-        *("accuracy (points → truth)", "m", 3, "less"),
-        f"mean distance from the reconstructed points, one per {VOXEL:g} m voxel, to the true triangles",
-        lambda points: points.accuracy_m,
-        requires=KNOWN_SURFACE,
-    ),
-    Metric(
-        "completeness_m",
-        *("completeness (truth → points)", "m", 3, "less"),
-        "mean distance from a million samples of the true surface to the nearest reconstructed point",
-        lambda points: points.completeness_m,
-        requires=KNOWN_SURFACE,
-    ),
-    Metric(
-        "precision@0.3",
-        *("precision at 0.3 m", "", 3, "more"),
-        "share of the reconstructed points at most 0.3 m from the true surface",
-        lambda points: points.precision[0.3],
-        requires=KNOWN_SURFACE,
-        place="file",
-    ),
-    Metric(
-        "recall@0.3",
-        *("recall at 0.3 m", "", 3, "more"),
-        "share of the samples of the true surface at most 0.3 m from a reconstructed point",
-        lambda points: points.recall[0.3],
-        requires=KNOWN_SURFACE,
-        place="file",
-    ),
-    *(
-        Metric[PointMetrics](
-            f"f1@{threshold}",
-            *(f"F1 at {threshold} m", "", 3, "more"),
-            f"harmonic mean of precision and recall at {threshold} m",
-            lambda points, threshold=threshold: points.f1[threshold],  # type: ignore[misc]
+
+def metrics_of_points(yardstick: Yardstick) -> tuple[Metric[PointMetrics], ...]:
+    """The metrics of reconstructed points; thresholds are parts of their names."""
+    (cell, middle, _), voxel = yardstick.thresholds_m, f"{yardstick.voxel_m:.3g} m"
+    return (
+        Metric(
+            "cd_m",
+            *("Chamfer distance", "m", "#.3g", "less"),
+            "mean of accuracy and completeness",
+            lambda points: points.cd_m,
             requires=KNOWN_SURFACE,
-            short="" if threshold == 0.2 else f"F1@{threshold}",
-            place="headline" if threshold == 0.3 else "table",
-        )
-        for threshold in THRESHOLDS
-    ),
-    Metric(
-        "count",
-        *("points compared", "", 0, None),
-        "number of reconstructed points that were compared",
-        lambda points: points.count,
-        requires=KNOWN_SURFACE,
-        place="file",
-    ),
-)
+            short="CD",
+            place="headline",
+        ),
+        Metric(
+            "cd_squared_m2",
+            *("Chamfer distance, squared", "m²", "#.3g", "less"),
+            "the same of squared distances",
+            lambda points: points.cd_squared_m2,
+            requires=KNOWN_SURFACE,
+            place="file",
+        ),
+        Metric(
+            "accuracy_m",
+            *("accuracy (points → truth)", "m", "#.3g", "less"),
+            f"mean distance from the reconstructed points, one per {voxel} voxel, to the true triangles",
+            lambda points: points.accuracy_m,
+            requires=KNOWN_SURFACE,
+        ),
+        Metric(
+            "completeness_m",
+            *("completeness (truth → points)", "m", "#.3g", "less"),
+            "mean distance from a million samples of the true surface to the nearest reconstructed point",
+            lambda points: points.completeness_m,
+            requires=KNOWN_SURFACE,
+        ),
+        Metric(
+            f"precision@{cell:g}",
+            *(f"precision at {cell:g} m", "", ".3f", "more"),
+            f"share of the reconstructed points at most {cell:g} m from the true surface",
+            lambda points: points.precision[cell],
+            requires=KNOWN_SURFACE,
+            place="file",
+        ),
+        Metric(
+            f"recall@{cell:g}",
+            *(f"recall at {cell:g} m", "", ".3f", "more"),
+            f"share of the samples of the true surface at most {cell:g} m from a reconstructed point",
+            lambda points: points.recall[cell],
+            requires=KNOWN_SURFACE,
+            place="file",
+        ),
+        *(
+            Metric[PointMetrics](
+                f"f1@{threshold:g}",
+                *(f"F1 at {threshold:g} m", "", ".3f", "more"),
+                f"harmonic mean of precision and recall at {threshold:g} m",
+                lambda points, threshold=threshold: points.f1[threshold],  # type: ignore[misc]
+                requires=KNOWN_SURFACE,
+                short="" if threshold == middle else f"F1@{threshold:g}",
+                place="headline" if threshold == cell else "table",
+            )
+            for threshold in yardstick.thresholds_m
+        ),
+        Metric(
+            "count",
+            *("points compared", "", ".0f", None),
+            "number of reconstructed points that were compared",
+            lambda points: points.count,
+            requires=KNOWN_SURFACE,
+            place="file",
+        ),
+    )
+
 
 RUN_METRICS: tuple[Metric[EvaluatedRun], ...] = (
     Metric(
         "time_s",
-        *("training time", "s", 0, "less"),
+        *("training time", "s", ".0f", "less"),
         "training time by the clock",
         lambda run: run.time_s,
         short="time",
     ),
 )
 
-METRICS: tuple[Metric[Any], ...] = (*IMAGE_METRICS, *POINT_METRICS, *RUN_METRICS)
+
+def all_metrics(yardstick: Yardstick) -> tuple[Metric[Any], ...]:
+    """Every metric, in the order of tables."""
+    return (*IMAGE_METRICS, *metrics_of_points(yardstick), *RUN_METRICS)

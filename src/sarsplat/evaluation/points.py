@@ -9,14 +9,48 @@ from jaxtyping import Float, Float64, Int64
 from scipy.spatial import cKDTree
 
 from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid
 
-VOXEL = 0.02
-"""Edge of the voxels, m: at most one reconstructed point counts in each."""
+_PIECES = 100
+"""Triangles are cut into pieces, to find the nearest ones, whose edges are at most this part of the whole surface."""
 
-THRESHOLDS = (0.3, 0.2, 0.1)
-"""Distances below which a point counts as right, m."""
 
-_PIECE = 0.1  # m: longest edge of the pieces the triangles are cut into to find the nearest ones
+@dataclass(frozen=True)
+class Yardstick:
+    """The lengths that points are scored with: fractions of the images' resolution cell.
+
+    Parameters
+    ----------
+    cell_m : float
+        The cell, m. Of images it is rounded to one significant digit, so that sensors that differ little are scored
+        alike.
+    """
+
+    cell_m: float
+
+    @classmethod
+    def of(cls, grid: ImageGrid) -> Yardstick:
+        """The yardstick of images: 0.3 m both for cells of 0.3 m and for the 0.312 m of MSTAR."""
+        return cls(_rounded(grid.cell_m))
+
+    @property
+    def thresholds_m(self) -> tuple[float, float, float]:
+        """Distances up to which a point counts as right, m: the cell, two thirds and a third, to one digit."""
+        return self.cell_m, _rounded(self.cell_m * 2 / 3), _rounded(self.cell_m / 3)
+
+    @property
+    def voxel_m(self) -> float:
+        """Edge of the voxels in each of which at most one reconstructed point counts, m."""
+        return self.cell_m / 15
+
+    @property
+    def ray_spacing_m(self) -> float:
+        """Distance of the rays that look for the visible surface, m."""
+        return self.cell_m / 30
+
+
+def _rounded(length: float) -> float:
+    return float(f"{length:.0e}")
 
 
 @dataclass(frozen=True)
@@ -50,18 +84,23 @@ class PointMetrics:
 
 
 def point_metrics(
-    points: Float[np.ndarray, "p 3"], triangles: Float[np.ndarray, "t 3 3"], samples: Float[np.ndarray, "s 3"]
+    points: Float[np.ndarray, "p 3"],
+    triangles: Float[np.ndarray, "t 3 3"],
+    samples: Float[np.ndarray, "s 3"],
+    yardstick: Yardstick,
 ) -> PointMetrics:
     """Score reconstructed points against one part of the true surface.
 
     Parameters
     ----------
     points : numpy.ndarray, float [P, 3]
-        Reconstructed points, world frame, m; thinned to one per 2 cm voxel here.
+        Reconstructed points, world frame, m; thinned to one per voxel here.
     triangles : numpy.ndarray, float [T, 3, 3]
         The true surface, against which accuracy and precision are measured exactly.
     samples : numpy.ndarray, float [S, 3]
         Area-weighted samples of the true surface, for completeness and recall.
+    yardstick : Yardstick
+        Thresholds and voxels; `Yardstick.of(grid)` for images on that grid.
 
     Raises
     ------
@@ -73,11 +112,12 @@ def point_metrics(
             raise SarsplatError(f"the {name} have shape {values.shape}; at least one point [P, 3] is needed")
         if not np.isfinite(values).all():
             raise SarsplatError(f"the {name} hold values that are not finite; remove them before evaluation")
-    kept = thin(points)
+    kept = thin(points, yardstick.voxel_m)
     to_surface = surface_distance(kept, triangles)
     to_points = cKDTree(kept).query(samples, workers=-1)[0]
-    precision = {threshold: float(np.mean(to_surface <= threshold)) for threshold in THRESHOLDS}
-    recall = {threshold: float(np.mean(to_points <= threshold)) for threshold in THRESHOLDS}
+    thresholds = yardstick.thresholds_m
+    precision = {threshold: float(np.mean(to_surface <= threshold)) for threshold in thresholds}
+    recall = {threshold: float(np.mean(to_points <= threshold)) for threshold in thresholds}
     accuracy, completeness = float(to_surface.mean()), float(to_points.mean())
     return PointMetrics(
         accuracy_m=accuracy,
@@ -86,12 +126,12 @@ def point_metrics(
         cd_squared_m2=float((to_surface**2).mean() + (to_points**2).mean()) / 2,
         precision=precision,
         recall=recall,
-        f1={threshold: _harmonic_mean(precision[threshold], recall[threshold]) for threshold in THRESHOLDS},
+        f1={threshold: _harmonic_mean(precision[threshold], recall[threshold]) for threshold in thresholds},
         count=len(kept),
     )
 
 
-def thin(points: Float[np.ndarray, "p 3"], voxel: float = VOXEL) -> Float[np.ndarray, "fewer 3"]:
+def thin(points: Float[np.ndarray, "p 3"], voxel: float) -> Float[np.ndarray, "fewer 3"]:
     """The first point of every voxel (edge in m, anchored at the origin), float64 [≤ P, 3], in their old order."""
     cells = np.floor(points / voxel).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
@@ -140,14 +180,16 @@ def surface_distance(
 def _pieces(
     triangles: Float[np.ndarray, "t 3 3"],
 ) -> tuple[Float[np.ndarray, "pieces 3"], Int64[np.ndarray, " pieces"], float]:
-    """Centres [N, 3] and triangles [N] of pieces with edges ≤ `_PIECE`, and the largest radius about a centre.
+    """Centres [N, 3] and triangles [N] of pieces of the triangles, and the largest radius about a centre.
 
     Halving the longest edge keeps the number of pieces of a long sliver proportional to its length.
     """
+    corners = triangles.reshape(-1, 3)
+    longest_edge = float(np.linalg.norm(np.ptp(corners, axis=0))) / _PIECES
     owners, done = np.arange(len(triangles)), []
     while len(triangles):
         edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
-        small = edges.max(axis=1) <= _PIECE
+        small = edges.max(axis=1) <= longest_edge
         done.append((triangles[small], owners[small]))
         triangles, owners, longest = triangles[~small], owners[~small], edges[~small].argmax(axis=1)
         a, b, c = np.moveaxis(

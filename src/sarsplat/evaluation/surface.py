@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from embreex.rtcore_scene import EmbreeScene
 
 _BATCH = 1_000_000  # rays traced at once
-_LIFT = 1e-4  # m: shadow rays start this far from the surface; float32 places a vehicle to better than 1e-6 m
+_LIFT = 1e-5
+"""Shadow rays start this far from the surface, as a part of the mesh's extent: a hundred times float32's rounding."""
+
 _LARGEST_ROUND = 4_000_000  # samples drawn at once when most of them turn out to be hidden
 
 
@@ -65,10 +67,11 @@ def read_truth_mesh(path: Path) -> trimesh.Trimesh:
 def visible_surface(
     mesh: trimesh.Trimesh,
     views: Sequence[View],
+    ray_spacing: float,
     *,
-    ray_spacing: float = 0.01,
     samples: int = 1_000_000,
     seed: int = 0,
+    each_view: Callable[[], object] | None = None,
 ) -> VisibleSurface:
     """Triangles and samples of the surface that at least one of the views sees.
 
@@ -81,11 +84,13 @@ def visible_surface(
     views : sequence of View
         The training views.
     ray_spacing : float
-        Distance of the parallel rays that look for visible triangles, m.
+        Distance of the parallel rays that look for visible triangles, m; `Yardstick.ray_spacing_m` for scores.
     samples : int
         Number of samples of the visible and of the whole surface.
     seed : int
         Of the samples.
+    each_view : callable, optional
+        Called when the rays of another view are done.
 
     Raises
     ------
@@ -104,19 +109,21 @@ def visible_surface(
         for origins in _lattice(np.asarray(mesh.vertices), view, ray_spacing):
             hits = scene.run(origins, _towards(-view.direction))
             visible[hits[hits >= 0]] = True
+        if each_view is not None:
+            each_view()
     if not visible.any():
         raise SarsplatError(
-            f"no ray hits the mesh: its parts are smaller than the ray spacing of {ray_spacing} m; use a finer spacing"
+            f"no ray hits the mesh: its parts are smaller than the ray spacing of {ray_spacing:.3g} m; use a finer one"
         )
 
     generator = np.random.default_rng(seed)
     whole, _ = trimesh.sample.sample_surface(mesh, samples, seed=generator)
-    weight = mesh.area_faces * visible
+    weight, lift = mesh.area_faces * visible, _LIFT * mesh.scale
     seen, missing, fraction = [np.empty((0, 3), np.float32)], samples, 1.0
     while missing > 0:
         count = min(int(missing / fraction * 1.02) + 100, _LARGEST_ROUND)
         candidates, _ = trimesh.sample.sample_surface(mesh, count, face_weight=weight, seed=generator)
-        found = candidates[_is_seen(scene, candidates, views)][:missing].astype(np.float32)
+        found = candidates[_is_seen(scene, candidates, views, lift)][:missing].astype(np.float32)
         seen.append(found)
         missing -= len(found)
         fraction = max(len(found) / count, 1e-3)
@@ -148,14 +155,16 @@ def _lattice(
     lines = max(1, _BATCH // max(1, len(x)))
     for first in range(0, len(y), lines):
         plane = np.stack(np.meshgrid(x, y[first : first + lines]), axis=-1).reshape(-1, 2)
-        yield (plane @ frame[:2] + (low[2] - 1.0) * frame[2]).astype(np.float32)
+        yield (plane @ frame[:2] + (low[2] - spacing) * frame[2]).astype(np.float32)
 
 
-def _is_seen(scene: EmbreeScene, points: Float[np.ndarray, "p 3"], views: Sequence[View]) -> Bool[np.ndarray, " p"]:
-    """Whether a ray from just above each surface point reaches the radar of at least one view, bool [P]."""
+def _is_seen(
+    scene: EmbreeScene, points: Float[np.ndarray, "p 3"], views: Sequence[View], lift: float
+) -> Bool[np.ndarray, " p"]:
+    """Whether a ray from `lift` (m) above each surface point reaches the radar of at least one view, bool [P]."""
     hidden = np.arange(len(points))
     for view in views:
-        origins = (points[hidden] + _LIFT * view.direction).astype(np.float32)
+        origins = (points[hidden] + lift * view.direction).astype(np.float32)
         hidden = hidden[scene.run(origins, _towards(view.direction)) >= 0]
         if len(hidden) == 0:
             break

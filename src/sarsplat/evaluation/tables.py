@@ -9,7 +9,8 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from sarsplat.evaluation.metrics import METRICS, Metric
+from sarsplat.evaluation.metrics import Metric, all_metrics
+from sarsplat.evaluation.points import Yardstick
 
 
 @dataclass(frozen=True)
@@ -60,26 +61,28 @@ def baselines(metrics: Mapping[str, Any], split: str) -> list[Scores]:
     return [Scores(name.replace("_", " "), values) for name, values in found.items()]
 
 
-def summary_metrics(scores: list[Scores]) -> list[Metric[Any]]:
+def summary_metrics(scores: list[Scores], yardstick: Yardstick) -> list[Metric[Any]]:
     """The metrics of a summary: those with a short name that any of the methods has."""
     return [
         metric
-        for metric in METRICS
+        for metric in all_metrics(yardstick)
         if metric.short and any(method.values.get(metric.key) is not None for method in scores)
     ]
 
 
-def metrics_table(scores: list[Scores], caption: str | None = None) -> Table:
+def metrics_table(scores: list[Scores], yardstick: Yardstick, caption: str | None = None) -> Table:
     """A line for every method, a column for every metric of the summary; "–" stands for what is not known.
 
     Parameters
     ----------
     scores : list of Scores
         What `comparison` returned.
+    yardstick : Yardstick
+        What the points were scored with.
     caption : str, optional
         What must be said about them, below the table.
     """
-    shown = summary_metrics(scores)
+    shown = summary_metrics(scores, yardstick)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, caption=caption, caption_justify="left")
     table.add_column("", no_wrap=True)
     for metric in shown:

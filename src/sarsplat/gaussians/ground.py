@@ -19,7 +19,9 @@ _WIDTH = 0.6
 _OPTICAL_DEPTH = 3.0
 """Two-way, at a Gaussian's peak; overlapping, the sheet has 2π·0.6²·3 = 6.8 at any grazing angle."""
 
-_THICKNESS = 0.01  # m
+_THICKNESS = 0.025
+"""Standard deviation of the height, in pitches."""
+
 _LARGEST = 2500  # pitches
 
 
@@ -57,7 +59,7 @@ def ground_sheet(radius: float, pitch: float) -> Gaussians:
     return Gaussians(
         means,
         means.new_tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
-        means.new_tensor([_WIDTH * pitch, _WIDTH * pitch, _THICKNESS]).repeat(n, 1),
+        means.new_tensor([_WIDTH * pitch, _WIDTH * pitch, _THICKNESS * pitch]).repeat(n, 1),
         means.new_full((n,), _OPTICAL_DEPTH),
         Harmonics(means.new_zeros(n, 1)),
     )

@@ -1,4 +1,7 @@
-"""How a reconstruction is done: one frozen record of settings; needs no torch."""
+"""How a reconstruction is done: one frozen record of settings; needs no torch.
+
+Lengths are in resolution cells (`sarsplat.ImageGrid.cell_m`), so that settings suit a ship as they suit a tank.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +24,9 @@ OpticalDepth = Annotated[float, Meta(ge=1e-3, le=40)]
 """Up to `sarsplat.gaussians.MAX_OPTICAL_DEPTH`."""
 
 Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
-Scale = Annotated[float, Meta(ge=1e-4, le=1e6)]
-"""From `sarsplat.gaussians.MIN_SCALE`, which is not imported because that would load torch; a test compares them."""
 
 ScatteringName = Literal["harmonics", "normal-lobes"]
-"""The laws of `sarsplat.gaussians.SCATTERINGS`, not imported for the same reason."""
+"""The laws of `sarsplat.gaussians.SCATTERINGS`, which is not imported because that would load torch."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +37,10 @@ class Rates(Record):
 
     Parameters
     ----------
-    means_m : float
-        Centres at the start, m per step.
-    means_end_m : float
-        Centres at the end, m per step.
+    means : float
+        Centres at the start, resolution cells per step.
+    means_end : float
+        Centres at the end, resolution cells per step.
     quaternions : float
         Orientations.
     log_scales : float
@@ -50,19 +51,22 @@ class Rates(Record):
         Isotropic part of the scattering.
     directional_scattering : float
         Directional part of the scattering.
+    shift : float
+        Shifts of measured chips, resolution cells per step.
     nuisance : float
-        Ground, noise floor, shifts (m) and logarithms of the gains of measured chips.
+        Ground, noise floor and logarithms of the gains of measured chips.
     """
 
     _section: ClassVar[str] = "rates."
 
-    means_m: Positive = 0.02
-    means_end_m: Positive = 0.001
+    means: Positive = 0.067
+    means_end: Positive = 0.0033
     quaternions: NotNegative = 0.01
     log_scales: NotNegative = 0.02
     log_optical_depth: NotNegative = 0.05
     scattering: NotNegative = 0.05
     directional_scattering: NotNegative = 0.01
+    shift: NotNegative = 0.032
     nuisance: NotNegative = 0.01
 
 
@@ -80,8 +84,8 @@ class Densification(Record):
         Iterations between two rounds.
     gradient : float
         Gaussians with a larger mean |∂L/∂μ| on the planes, per half image width, are split or cloned.
-    split_above_m : float
-        Larger Gaussians are split, smaller ones cloned, m.
+    split_above : float
+        Larger Gaussians are split, smaller ones cloned, in resolution cells.
     max_extent : float
         Larger Gaussians are pruned, as a fraction of the illuminated range.
     min_scattering : float
@@ -96,7 +100,7 @@ class Densification(Record):
     stop: Iteration = 25_000
     every: Count = 500
     gradient: NotNegative = 0.003
-    split_above_m: NotNegative = 0.1
+    split_above: NotNegative = 0.33
     max_extent: NotNegative = 0.3
     min_scattering: NotNegative = 0.005
     max_gaussians: Count = 60_000
@@ -112,16 +116,16 @@ class PointExtraction(Record):
         "rays": first returns of the training views' rays; "centres": centres of the Gaussians.
     optical_depth : float
         Two-way optical depth of a first return ("rays"), or smallest κ of a Gaussian ("centres").
-    voxel_m : float
-        Keep one point in each voxel of this side, m.
-    min_height_m : float
-        Lower points are treated as ground and removed, m.
+    voxel : float
+        Keep one point in each voxel of this side, in resolution cells.
+    min_height : float
+        Lower points are treated as ground and removed, in resolution cells.
     seen_through : int
         Remove a point if this many views have their first return behind it ("rays") …
-    behind_m : float
-        … by more than this distance, m.
-    cluster_radius_m : float or None
-        Keep only the largest cluster (DBSCAN with this ε, m); None: keep all points.
+    behind : float
+        … by more than this distance, in resolution cells.
+    cluster_radius : float or None
+        Keep only the largest cluster (DBSCAN with this ε, in resolution cells); None: keep all points.
     cluster_size : int
         Minimum number of neighbours of a point inside a cluster.
     """
@@ -130,11 +134,11 @@ class PointExtraction(Record):
 
     method: Literal["rays", "centres"] = "rays"
     optical_depth: NotNegative = 0.6
-    voxel_m: Positive = 0.05
-    min_height_m: Number = 0.0
+    voxel: Positive = 0.17
+    min_height: Number = 0.0
     seen_through: Count = 3
-    behind_m: NotNegative = 0.1
-    cluster_radius_m: Positive | None = None
+    behind: NotNegative = 0.33
+    cluster_radius: Positive | None = None
     cluster_size: Count = 10
 
 
@@ -146,14 +150,20 @@ class Surroundings(Record):
     ----------
     noise_floor : float
         Additive power at the start, in units of the training mean, like `p_min` and every γ⁰.
-    deviation_penalty : float
-        Penalty on shift and gain: nats per pixel, per m² of shift and per squared logarithm of the gain.
+    ground_pitch : float
+        Distance of the ground's Gaussians from each other, in resolution cells.
+    shift_penalty : float
+        Nats per pixel, per squared resolution cell of a chip's shift.
+    gain_penalty : float
+        Nats per pixel, per squared logarithm of a chip's gain.
     """
 
     _section: ClassVar[str] = "surroundings."
 
     noise_floor: Positive = 0.05
-    deviation_penalty: NotNegative = 0.01
+    ground_pitch: Positive = 1.3
+    shift_penalty: NotNegative = 0.001
+    gain_penalty: NotNegative = 0.01
 
 
 @dataclass(frozen=True)
@@ -180,14 +190,16 @@ class Config(Record):
         Scattering law: "harmonics" or "normal-lobes".
     p_min : float
         Smallest γ⁰ of a Gaussian.
-    initial_scale_m : float
-        Standard deviation of a Gaussian at the start, m.
+    initial_scale : float
+        Standard deviation of a Gaussian at the start, in resolution cells.
     initial_optical_depth : float
         Two-way peak optical depth of a Gaussian at the start.
     initial_scattering : float
         γ⁰ of a Gaussian at the start.
-    scale_bounds_m : tuple of float
-        Smallest and largest standard deviation of a Gaussian, m.
+    scale_bounds : tuple of float
+        Smallest and largest standard deviation of a Gaussian, in resolution cells.
+    margin : float
+        How far centres may leave the space that the images bound, in resolution cells.
     max_optical_depth : float
         Largest two-way peak optical depth of a Gaussian.
     harmonics_degree : int
@@ -224,10 +236,11 @@ class Config(Record):
     ssim_weight: NotNegative = 0.0
     scattering: ScatteringName = "harmonics"
     p_min: NotNegative = 0.03
-    initial_scale_m: Scale = 0.08
+    initial_scale: Positive = 0.27
     initial_optical_depth: OpticalDepth = 0.1
     initial_scattering: NotNegative = 0.5
-    scale_bounds_m: tuple[Scale, Scale] = (0.01, 0.3)
+    scale_bounds: tuple[Positive, Positive] = (0.033, 1.0)
+    margin: NotNegative = 0.67
     max_optical_depth: OpticalDepth = 10.0
     harmonics_degree: Degree = 3
     harmonics_every: Count = 200
@@ -241,8 +254,8 @@ class Config(Record):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.scale_bounds_m[0] > self.scale_bounds_m[1]:
-            raise SarsplatError(f"scale_bounds_m is {shown(self.scale_bounds_m)}; give the smaller one first")
+        if self.scale_bounds[0] > self.scale_bounds[1]:
+            raise SarsplatError(f"scale_bounds is {shown(self.scale_bounds)}; give the smaller one first")
 
 
 _MAY_CHANGE = ("iterations", "checkpoint_every")

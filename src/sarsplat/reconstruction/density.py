@@ -46,7 +46,7 @@ class DensityControl:
         return c.start <= iteration < c.stop and iteration % c.every == 0
 
     def decide(
-        self, gaussians: Gaussians, illuminated_range: float, generator: torch.Generator
+        self, gaussians: Gaussians, grid: ImageGrid, generator: torch.Generator
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """What the next generation of Gaussians is.
 
@@ -54,8 +54,8 @@ class DensityControl:
         ----------
         gaussians : Gaussians
             The present ones.
-        illuminated_range : float
-            Extent of the image in range, m.
+        grid : ImageGrid
+            Of the images: its resolution cell and its extent in range are what sizes are compared with.
         generator : torch.Generator
             Of the CPU; places the parts of split Gaussians.
 
@@ -77,7 +77,7 @@ class DensityControl:
         plain = replace(gaussians, scattering=gaussians.scattering.detailed(0))
         scattering = plain.gamma0(gaussians.means.new_tensor([[0.0, 0.0, 1.0]]))[0]
         pruned = (scattering * -torch.expm1(-gaussians.optical_depth) < c.min_scattering) | (
-            size > c.max_extent * illuminated_range
+            size > c.max_extent * grid.rows * grid.spacing_m[1]
         )
         grows = (self.gradient / self.seen.clamp(min=1) > c.gradient) & ~pruned
         room = max(0, c.max_gaussians - n)
@@ -86,7 +86,7 @@ class DensityControl:
                 descending=True, stable=True
             )
             grows = torch.zeros_like(grows).index_fill(0, strongest[:room], True)
-        split = grows & (size > c.split_above_m)
+        split = grows & (size > c.split_above * grid.cell_m)
         stay = (~pruned & ~split).nonzero()[:, 0]
         clones = (grows & ~split).nonzero()[:, 0]
         parts = split.nonzero()[:, 0].repeat(2)

@@ -16,11 +16,12 @@ from sarsplat.data import Dataset
 from sarsplat.data.header import Box
 from sarsplat.data.plausible import warn
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import MIN_SCALE, SCATTERINGS, Gaussians, Scattering, join
+from sarsplat.gaussians import SCATTERINGS, Gaussians, Scattering, join
 from sarsplat.gaussians.ground import ground_radius_m, ground_sheet
 from sarsplat.gaussians.initialise import Region, bounded_region, hemisphere_shell, random_quaternions
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.lengths import scales_m
 from sarsplat.renderer import Bounds, Rendering, render
 from sarsplat.scenes.mesh_files import read_mesh
 
@@ -30,12 +31,10 @@ PER_GAUSSIAN = ("means", "quaternions", "scales", "optical_depth", "scattering")
 LOGARITHMIC = ("scales", "optical_depth")
 """Positive ones, which move by factors: what is stepped is their logarithm."""
 
-_MIN_OPTICAL_DEPTH = 1e-3
-_SLACK = 0.2
-"""Centres are kept within the region's box and this margin, m."""
+LENGTHS = ("means", "shift")
+"""Lengths that are stepped themselves, m: their rates are in resolution cells."""
 
-_GROUND_PITCH = 0.4
-"""Of the ground's Gaussians, m."""
+_MIN_OPTICAL_DEPTH = 1e-3
 
 
 @dataclass(frozen=True)
@@ -51,11 +50,14 @@ class Setting:
         calibrated or not, the training set's mean.
     ground_radius_m : float
         Radius of the ground that the images show, m; used with surroundings only.
+    cell_m : float
+        Resolution cell of the images, m: lengths in configurations are multiples of it.
     """
 
     region: Region
     unit: float
     ground_radius_m: float
+    cell_m: float
 
     @classmethod
     def of(cls, config: Config, dataset: Dataset) -> Setting:
@@ -63,9 +65,10 @@ class Setting:
         train = dataset.select("train")
         radius = ground_radius_m(train.views, train.grid)
         if not config.surroundings:
-            return cls(bounded_region(train.power, train.views, train.grid), 1.0, radius)
+            region = bounded_region(train.power, train.views, train.grid)
+            return cls(region, 1.0, radius, train.grid.cell_m)
         box = Region.box(*(dataset.target_box_m or _central_box_m(train)))
-        return cls(box, float(train.power.mean(dtype=np.float64)), radius)
+        return cls(box, float(train.power.mean(dtype=np.float64)), radius, train.grid.cell_m)
 
 
 def _central_box_m(dataset: Dataset) -> Box:
@@ -131,7 +134,7 @@ class SceneModel:
         """
         setting, train = Setting.of(config, dataset), dataset.select("train")
         if config.surroundings:
-            warn(_cut_off(setting.region, dataset))
+            warn(_cut_off(setting.region, config.margin * setting.cell_m, dataset))
         sample = hemisphere_shell if config.initialisation == "hemisphere" else Region.sample
         n = config.gaussians
         means = torch.from_numpy(
@@ -140,7 +143,7 @@ class SceneModel:
         parameters = {
             "means": means,
             "quaternions": random_quaternions(n, generator),
-            "scales": means.new_full((n, 3), config.initial_scale_m),
+            "scales": means.new_full((n, 3), scales_m(config, setting.cell_m)[1]),
             "optical_depth": means.new_full((n,), config.initial_optical_depth),
             "scattering": _law(config, n, config.initial_scattering).parameters,
         }
@@ -229,18 +232,20 @@ class SceneModel:
         if self.config.surroundings is None:
             return None
         p = self.parameters
-        return self.config.surroundings.deviation_penalty * ((p["shift"] ** 2).mean() + (p["log_gain"] ** 2).mean())
+        weights = self.config.surroundings
+        shift = weights.shift_penalty / self.setting.cell_m**2 * (p["shift"] ** 2).mean()
+        return shift + weights.gain_penalty * (p["log_gain"] ** 2).mean()
 
     @cached_property
     def bounds(self) -> dict[str, tuple[Tensor, Tensor]]:
         """Smallest and largest values of parameters that have any, by name; one number, or one for each column."""
         config = self.config
         low, high = (corner.to(self.device) for corner in self._box())
-        scales = torch.tensor(config.scale_bounds_m, device=self.device).clamp(min=MIN_SCALE)
+        scales = torch.tensor(scales_m(config, self.setting.cell_m), device=self.device)
         depths = torch.tensor([_MIN_OPTICAL_DEPTH, config.max_optical_depth], device=self.device)
         return {
             "means": (low, high),
-            "scales": (scales[0], scales[1]),
+            "scales": (scales[0], scales[2]),
             "optical_depth": (depths[0], depths[1]),
         }
 
@@ -252,13 +257,14 @@ class SceneModel:
             half = (high - low).norm() / 2
             centre = (low + high) / 2
             low, high = torch.minimum(low, centre - half), torch.maximum(high, centre + half)
-        return low - _SLACK, high + _SLACK
+        margin = self.config.margin * self.setting.cell_m
+        return low - margin, high + margin
 
     def scene_bounds(self) -> Bounds:
         """What target and ground keep as long as parameters are brought into `bounds`, and when training begins."""
         config = self.config
         low, high = self._box()
-        scale_m = max(*config.scale_bounds_m, config.initial_scale_m, MIN_SCALE)
+        scale_m = max(scales_m(config, self.setting.cell_m))
         optical_depth = max(config.max_optical_depth, config.initial_optical_depth)
         if (ground := _ground(config, self.setting)) is not None:
             low = torch.minimum(low, ground.means.amin(0))
@@ -276,7 +282,9 @@ class SceneModel:
 
 def _ground(config: Config, setting: Setting) -> Gaussians | None:
     """The ground, where there is one, on the CPU."""
-    return ground_sheet(setting.ground_radius_m, _GROUND_PITCH) if config.surroundings else None
+    if config.surroundings is None:
+        return None
+    return ground_sheet(setting.ground_radius_m, config.surroundings.ground_pitch * setting.cell_m)
 
 
 def _law(config: Config, count: int, gamma0: float) -> Scattering:
@@ -284,7 +292,7 @@ def _law(config: Config, count: int, gamma0: float) -> Scattering:
     return SCATTERINGS[config.scattering].uniform(count, gamma0, config.p_min).detailed(config.harmonics_degree)
 
 
-def _cut_off(region: Region, dataset: Dataset) -> list[str]:
+def _cut_off(region: Region, margin: float, dataset: Dataset) -> list[str]:
     """What of the true target lies outside; a list of one sentence, or empty."""
     if dataset.truth_mesh is None:
         return []
@@ -293,11 +301,11 @@ def _cut_off(region: Region, dataset: Dataset) -> list[str]:
     except (ImportError, SarsplatError):  # training does not need it; evaluation, which does, says what is wrong
         return []
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    if (low >= region.low - _SLACK).all() and (high <= region.high + _SLACK).all():
+    if (low >= region.low - margin).all() and (high <= region.high + margin).all():
         return []
 
     def spans(low: np.ndarray, high: np.ndarray) -> str:
-        return ", ".join(f"{name} {a:.1f} … {b:.1f}" for name, a, b in zip("xyz", low, high, strict=True))
+        return ", ".join(f"{name} {a:.3g} … {b:.3g}" for name, a, b in zip("xyz", low, high, strict=True))
 
     return [
         f"the target ({spans(low, high)} m) is larger than the box it is looked for in "

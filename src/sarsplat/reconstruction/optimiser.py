@@ -10,20 +10,20 @@ from torch import Tensor
 
 from sarsplat.reconstruction import adam, fused
 from sarsplat.reconstruction.config import Config
-from sarsplat.reconstruction.model import LOGARITHMIC, PER_GAUSSIAN
+from sarsplat.reconstruction.model import LENGTHS, LOGARITHMIC, PER_GAUSSIAN
 
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 _UNBOUNDED = tuple(torch.tensor(bound, device="cpu") for bound in (-torch.inf, torch.inf))
 
 
-def learning_rate(name: str, column: int, config: Config) -> float:
-    """First rate of one column of a parameter."""
+def learning_rate(name: str, column: int, config: Config, cell_m: float) -> float:
+    """First rate of one column of a parameter; of means and shifts in m."""
     if name == "scattering" and column > 0:
         return config.rates.directional_scattering
     if name in LOGARITHMIC:
         return getattr(config.rates, f"log_{name}")
-    if name == "means":
-        return config.rates.means_m
+    if name in LENGTHS:
+        return getattr(config.rates, name) * cell_m
     return getattr(config.rates, name if name in PER_GAUSSIAN else "nuisance")
 
 
@@ -31,7 +31,7 @@ def decay(name: str, iteration: int, config: Config) -> float:
     """Factor on a parameter's rates: of means it falls exponentially throughout, else tenfold over the second half."""
     done = iteration / config.iterations
     if name == "means":
-        return (config.rates.means_end_m / config.rates.means_m) ** done
+        return (config.rates.means_end / config.rates.means) ** done
     return 0.1 ** max(0.0, 2 * done - 1)
 
 
@@ -49,10 +49,14 @@ class Optimiser:
         Range that a parameter is brought back into after each step: two numbers, or two for each column.
     config : Config
         Rates and their decay.
+    cell_m : float
+        Resolution cell of the images, m: rates of lengths are multiples of it.
     """
 
-    def __init__(self, parameters: dict[str, Tensor], bounds: dict[str, tuple[Tensor, Tensor]], config: Config) -> None:
-        self._config, self._parameters, self._bounds = config, parameters, bounds
+    def __init__(
+        self, parameters: dict[str, Tensor], bounds: dict[str, tuple[Tensor, Tensor]], config: Config, cell_m: float
+    ) -> None:
+        self._config, self._parameters, self._bounds, self._cell_m = config, parameters, bounds, cell_m
         self._steps = 0
         self._moments = {
             f"{name}/{moment}": torch.zeros_like(tensor, requires_grad=False)
@@ -65,10 +69,10 @@ class Optimiser:
     def _stepped(self, name: str, tensor: Tensor) -> adam.Stepped:
         mean, square = (self._moments[f"{name}/{moment}"] for moment in _MOMENTS)
         columns = tensor[0].numel()
-        rates = tensor.new_tensor([learning_rate(name, column, self._config) for column in range(columns)])
+        rates = [learning_rate(name, column, self._config, self._cell_m) for column in range(columns)]
         bounds = self._bounds.get(name, _UNBOUNDED)
         low, high = (bound.to(tensor).expand(columns) for bound in bounds)
-        return adam.Stepped(tensor, mean, square, rates, low, high, name in LOGARITHMIC)
+        return adam.Stepped(tensor, mean, square, tensor.new_tensor(rates), low, high, name in LOGARITHMIC)
 
     def step(self, iteration: int) -> None:
         """One update, with the rates of this iteration; gradients are cleared."""
@@ -96,7 +100,7 @@ class Optimiser:
             if key.split("/")[0] in PER_GAUSSIAN:
                 inherits = (source >= 0).view(-1, *[1] * (value.ndim - 1))
                 moved[key] = torch.where(inherits, value[source.clamp(min=0)], 0.0)
-        fresh = Optimiser(parameters, self._bounds, self._config)
+        fresh = Optimiser(parameters, self._bounds, self._config, self._cell_m)
         fresh.load_state(moved)
         return fresh
 

@@ -29,7 +29,7 @@ def extract_points(
     views : sequence of View
         Views whose rays look for the surface ("rays").
     grid : ImageGrid
-        Sets the spacing of the rays: a quarter of the pixel's.
+        Sets the spacing of the rays, a quarter of the pixel's, and the unit of `how`, its resolution cell.
     how : PointExtraction
         Method, thinning and clean-up.
 
@@ -38,18 +38,20 @@ def extract_points(
     numpy.ndarray, float64 [P, 3]
         World frame, m; possibly empty.
     """
-    gaussians = gaussians.detach()
+    gaussians, cell = gaussians.detach(), grid.cell_m
     if how.method == "centres":
         points = gaussians.means[gaussians.optical_depth >= how.optical_depth].double().cpu().numpy()
-        points = _thin(points[points[:, 2] >= how.min_height_m], how.voxel_m)
+        points = _thin(points[points[:, 2] >= how.min_height * cell], how.voxel * cell)
     else:
         returns = [_FirstReturns.of(gaussians, view, grid, how.optical_depth) for view in views]
         points = np.concatenate([found.points() for found in returns])
-        points = _thin(points[points[:, 2] >= how.min_height_m], how.voxel_m)
+        points = _thin(points[points[:, 2] >= how.min_height * cell], how.voxel * cell)
         # haze that one view takes for a surface is looked through by others
-        through = sum((found.behind(points, how.behind_m).astype(int) for found in returns), np.zeros(len(points), int))
+        through = sum(
+            (found.behind(points, how.behind * cell).astype(int) for found in returns), np.zeros(len(points), int)
+        )
         points = points[through < how.seen_through]
-    return points if how.cluster_radius_m is None else _cluster(points, how.cluster_radius_m, how.cluster_size)
+    return points if how.cluster_radius is None else _cluster(points, how.cluster_radius * cell, how.cluster_size)
 
 
 @dataclass(frozen=True)

@@ -20,15 +20,15 @@ PRESETS: dict[str, Config] = {
         p_min=0.0,
         harmonics_every=2500,
         rates=Rates(
-            means_m=0.01,
-            means_end_m=0.0005,
+            means=0.033,
+            means_end=0.0017,
             log_scales=0.005,
             quaternions=0.001,
             scattering=0.01,
             directional_scattering=0.0005,
         ),
         densification=Densification(),
-        points=PointExtraction("centres", optical_depth=0.01, voxel_m=0.02),
+        points=PointExtraction("centres", optical_depth=0.01, voxel=0.067),
         checkpoint_every=2500,
     ),
     # real chips: ground, noise floor, shift and gain of each chip, speckle likelihood. Large Gaussians average speckle;
@@ -39,14 +39,12 @@ PRESETS: dict[str, Config] = {
         gaussians=12_000,
         loss="speckle",
         p_min=0.2,
-        initial_scale_m=0.25,
+        initial_scale=0.8,
         initial_scattering=1.0,
-        scale_bounds_m=(0.2, 0.7),
+        scale_bounds=(0.65, 2.25),
         harmonics_every=50,
-        rates=Rates(means_m=0.05, scattering=0.4, directional_scattering=0.4),
-        points=PointExtraction(
-            "rays", optical_depth=0.7, voxel_m=0.1, min_height_m=0.5, behind_m=0.2, cluster_radius_m=0.3
-        ),
+        rates=Rates(means=0.16, scattering=0.4, directional_scattering=0.4),
+        points=PointExtraction("rays", optical_depth=0.7, voxel=0.32, min_height=1.6, behind=0.65, cluster_radius=1.0),
         surroundings=Surroundings(),
     ),
 }

@@ -41,7 +41,7 @@ class Record:
         return msgspec.to_builtins(self)
 
     def changes(self, other: Self) -> Iterator[tuple[str, Any, Any]]:
-        """What differs: dotted names, such as ``rates.means_m``, with the value here and there."""
+        """What differs: dotted names, such as ``rates.means``, with the value here and there."""
         for name in _hints(type(self)):
             here, there = getattr(self, name), getattr(other, name)
             if isinstance(here, Record) and isinstance(there, Record):

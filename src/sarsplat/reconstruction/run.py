@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     import trimesh
 
 SCHEMA = "sarsplat-run"
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 HEADER = "config.json"
 
 _RESULTS = ("gaussians.ply", "points.ply", "metrics.json", "report/index.html")

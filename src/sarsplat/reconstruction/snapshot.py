@@ -72,7 +72,7 @@ class Snapshot:
         ValueError, KeyError, TypeError, IndexError, RuntimeError, SarsplatError
             If the tensors are not those of a model with this configuration.
         """
-        setting = Setting(self._region, self.unit, ground_radius_m(self.views, self.grid))
+        setting = Setting(self._region, self.unit, ground_radius_m(self.views, self.grid), self.grid.cell_m)
         model = SceneModel(config, setting, self.part("model"), device)
         model.scene(config.harmonics_degree)  # shapes and values are checked where they are used
         return model

@@ -61,7 +61,7 @@ class Trainer:
         self._generator = torch.Generator().manual_seed(config.seed)
         self.model = SceneModel.initial(config, dataset, self._generator, self.device)
         self._bounds = self.model.scene_bounds()  # which density control does not change
-        self.optimiser = Optimiser(self.model.parameters, self.model.bounds, config)
+        self.optimiser = Optimiser(self.model.parameters, self.model.bounds, config, self.grid.cell_m)
         self.density = (
             DensityControl(config.densification, len(self.model), self.device) if config.densification else None
         )
@@ -125,8 +125,7 @@ class Trainer:
         self.check()
         with torch.no_grad():
             gaussians = self.model.target(self.model.degree(self.iteration))
-            extent = self.grid.rows * self.grid.spacing_m[1]
-            source, kept, displacement, shrink = density.decide(gaussians, extent, self._generator)
+            source, kept, displacement, shrink = density.decide(gaussians, self.grid, self._generator)
             parameters = {
                 name: tensor[source] if name in PER_GAUSSIAN else tensor
                 for name, tensor in self.model.parameters.items()
@@ -171,7 +170,7 @@ class Trainer:
         """Undo `snapshot`."""
         self.model = snapshot.model(self.config, self.device)
         self._bounds = self.model.scene_bounds()
-        self.optimiser = Optimiser(self.model.parameters, self.model.bounds, self.config)
+        self.optimiser = Optimiser(self.model.parameters, self.model.bounds, self.config, self.grid.cell_m)
         self.optimiser.load_state(snapshot.part("optimiser"))
         self._generator.set_state(snapshot.tensors["generator"])
         if self.density:

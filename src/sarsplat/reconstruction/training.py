@@ -18,6 +18,7 @@ from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError
 from sarsplat.progress import Reporter, progress
 from sarsplat.reconstruction.config import Config, refuse_other_settings
+from sarsplat.reconstruction.lengths import lengths
 from sarsplat.reconstruction.losses import LOSSES, Loss
 from sarsplat.reconstruction.presets import preset
 from sarsplat.reconstruction.run import HEADER, InMemory, LogLine, Run, log_text, require_replaceable
@@ -117,6 +118,7 @@ def reconstruct(
     trainer = Trainer(dataset, config, loss, training_device(device))
     with progress(f"reconstruct ({config.preset})", config.iterations, quiet) as shown:
         training = _Training(trainer, on_step, shown)
+        shown.note(lengths(config, dataset.grid))
         if out is None:
             if resume or overwrite:
                 raise SarsplatError("a run in memory can be neither resumed nor overwritten; pass a folder as `out`")

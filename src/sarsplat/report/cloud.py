@@ -15,15 +15,15 @@ if TYPE_CHECKING:
     from matplotlib.colors import Colormap
     from matplotlib.figure import SubFigure
 
-FARTHEST = 0.2
-"""Distances to the truth from here on look alike, m."""
-
 # Name, horizontal and vertical axis, axis that points at the viewer, its sign.
 _SIDES = (("side", 0, 2, 1, -1), ("front", 1, 2, 0, 1), ("top", 0, 1, 2, 1))
-_MARGIN = 0.25  # m
+_MARGIN = 0.025
+"""Around the points, as a part of the longest side."""
 
 
-def points_figure(points: Float[np.ndarray, "p 3"], surface: Float[np.ndarray, "s 3"] | None) -> bytes:
+def points_figure(
+    points: Float[np.ndarray, "p 3"], surface: Float[np.ndarray, "s 3"] | None, farthest_m: float
+) -> bytes:
     """Points from the side, the front and the top, on equal axes in metres, as PNG.
 
     Parameters
@@ -32,12 +32,14 @@ def points_figure(points: Float[np.ndarray, "p 3"], surface: Float[np.ndarray, "
         Reconstructed points, m; coloured by distance to `surface`, or by height without one.
     surface : numpy.ndarray, float [S, 3] or None
         Samples of the true surface, m; drawn beside the points.
+    farthest_m : float
+        Distances to the surface from here on look alike, m.
     """
     shown = points if surface is None else np.concatenate([points, surface])
     low, high = _limits(shown)
     heights = ramp("height", "#1d3a6b", "#2f86b8", "#7fd6c2", "#f4f1c6")
     blocks: list[tuple[str, np.ndarray, np.ndarray, tuple[float, float], str, str]] = []
-    top = max(float(high[2]) - _MARGIN, 0.1)
+    top = max(float(shown[:, 2].max(initial=0)), _MARGIN * float((high - low).max()))
     if surface is None:
         blocks.append((f"{len(points):,} points", points, points[:, 2], (0, top), "height", "height, m"))
         colours = {"height": heights}
@@ -46,7 +48,7 @@ def points_figure(points: Float[np.ndarray, "p 3"], surface: Float[np.ndarray, "
         blocks.append(("true surface", surface, surface[:, 2], (0, top), "height", "height, m"))
         name = f"reconstruction, {len(points):,} points"
         label = "distance to truth, m"
-        blocks.append((name, points, distance, (0, FARTHEST), "distance", label))
+        blocks.append((name, points, distance, (0, farthest_m), "distance", label))
         colours = {"height": heights, "distance": ramp("distance", "#37c9a4", "#d9d37a", "#ff9248", "#f0386b")}
     size = high - low
     scale = 5.4 / (size[0] + size[1])  # inches per metre
@@ -67,7 +69,8 @@ def _limits(points: Float[np.ndarray, "p 3"]) -> tuple[Float[np.ndarray, " 3"], 
     if len(points) == 0:
         return np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 1.0])
     low, high = np.quantile(points, (0.001, 0.999), axis=0)
-    return low - _MARGIN, high + _MARGIN
+    margin = _MARGIN * float((high - low).max()) or 1.0  # of a single point
+    return low - margin, high + margin
 
 
 def _draw(

@@ -11,8 +11,9 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from sarsplat.data import Dataset
+from sarsplat.data.determined import weakest_direction
 from sarsplat.errors import counted
-from sarsplat.evaluation import METRICS, NOT_THE_SAME_EXPERIMENT, paper_beside
+from sarsplat.evaluation import NOT_THE_SAME_EXPERIMENT, Yardstick, all_metrics, paper_beside
 from sarsplat.reconstruction import Run
 from sarsplat.report.scores import Row, ScoreTable, score_tables
 
@@ -86,9 +87,10 @@ def _card(table: ScoreTable, row: Row) -> dict[str, Any]:
 
 def _notes(metrics: Mapping[str, Any], tables: list[ScoreTable]) -> list[str]:
     """What was left out and why, what was computed, and what images were divided by."""
+    known = all_metrics(Yardstick(metrics["parameters"]["yardstick_m"]))
     missing: dict[str, list[str]] = {}
     for key, reason in metrics["reasons"].items():
-        label = next((metric.label for metric in METRICS if key.endswith(f".{metric.key}")), key)
+        label = next((metric.label for metric in known if key.endswith(f".{metric.key}")), key)
         missing.setdefault(reason, []).append(label)
     notes = [f"{'; '.join(dict.fromkeys(labels))}: {reason}" for reason, labels in missing.items()]
     shown = {row.metric.key: row.metric.label for table in tables for row in table.rows}
@@ -106,8 +108,9 @@ def _dataset_facts(dataset: Dataset) -> dict[str, str]:
         "folder": str(dataset),
         "quantity": quantity,
         "images": ", ".join(f"{count} {split}" for split, count in Counter(sets).items()),
-        "speckle": "none" if dataset.looks is None else f"{dataset.looks:g} looks",
+        "speckle": dataset.speckle,
         "ground": "shown" if dataset.ground else "none",
+        "weakest direction": str(weakest_direction(dataset.select("train").views)),
         "pixels": f"{grid.rows} × {grid.columns} (slant range × azimuth)",
         "spacing": f"{grid.spacing_m[0]:g} m in azimuth, {grid.spacing_m[1]:g} m in slant range",
         "resolution": f"{grid.resolution_m[0]:g} m, {grid.resolution_m[1]:g} m (3 dB)",

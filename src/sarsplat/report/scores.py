@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sarsplat.evaluation import IMAGE_METRICS, POINT_METRICS, Metric, Scores
+from sarsplat.evaluation import IMAGE_METRICS, Metric, Scores, Yardstick, metrics_of_points
 from sarsplat.evaluation.tables import baselines
 
 
@@ -74,5 +74,6 @@ def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> l
         *(Scores(f"mesh, {part} surface", values, ranked=False) for part, values in metrics["mesh"].items()),
         *others,
     ]
-    tables.append(score_table("Reconstructed surface", POINT_METRICS, columns))
+    of_points = metrics_of_points(Yardstick(metrics["parameters"]["yardstick_m"]))
+    tables.append(score_table("Reconstructed surface", of_points, columns))
     return [table for table in tables if table.rows]

@@ -10,7 +10,7 @@ from sarsplat.data import write_bytes
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluation import read_truth_mesh
+from sarsplat.evaluation import Yardstick, read_truth_mesh
 from sarsplat.reconstruction import Run
 from sarsplat.reconstruction.losses import LOSSES
 from sarsplat.report.cloud import points_figure
@@ -81,7 +81,7 @@ def _views(run: Run) -> Picture:
     items = [index for index, entry in enumerate(dataset.entries) if entry.split in splits]
     chosen = [items[index] for index in evenly(len(items), _VIEWS)]
     truth, views = dataset.power[chosen], [dataset.views[index] for index in chosen]
-    speckled = dataset.looks is not None
+    speckled = dataset.select(splits[0]).looks is not None
     png = views_figure(
         truth,
         run.render(views),
@@ -107,15 +107,16 @@ def _views(run: Run) -> Picture:
 
 
 def _points(run: Run) -> Picture:
+    _, farthest_m, _ = Yardstick.of(run.dataset.grid).thresholds_m
     if run.dataset.truth_mesh is None:
         text = "Where the rays of the training views return, from three sides. No true surface is known here."
-        return Picture("points.png", "Points", text, points_figure(run.points, None))
+        return Picture("points.png", "Points", text, points_figure(run.points, None, farthest_m))
     import trimesh
 
     mesh = read_truth_mesh(run.dataset.truth_mesh)
     surface, _ = trimesh.sample.sample_surface(mesh, _SURFACE_SAMPLES, seed=0)
     text = "The reconstruction beside the true surface, which it never saw: images and their views were all it had."
-    return Picture("points.png", "Points", text, points_figure(run.points, np.asarray(surface)))
+    return Picture("points.png", "Points", text, points_figure(run.points, np.asarray(surface), farthest_m))
 
 
 def _mesh(run: Run) -> list[Picture]:

@@ -41,6 +41,7 @@ def simulate_images(
     ground_gamma0: float | None = None,
     ray_spacing: float | None = None,
     looks: float | None = None,
+    clean: Sequence[int] = (),
     seed: int = 0,
     progress: Callable[[int], object] | None = None,
 ) -> Float32[np.ndarray, "v {grid.rows} {grid.columns}"]:
@@ -65,6 +66,8 @@ def simulate_images(
         Spacing of the rays in ray casting, m; `default_ray_spacing` unless given.
     looks : float, optional
         Number of looks of the speckle; none unless given.
+    clean : sequence of int
+        Indices of views whose images get no speckle nevertheless; that of the others stays the same.
     seed : int
         Seed of the speckle.
     progress : callable, optional
@@ -98,6 +101,7 @@ def simulate_images(
     stack = np.ones((len(views), grid.rows, grid.columns), dtype=np.float32)
     if looks is not None:  # first, so that a bad number of looks is told before minutes of ray casting
         stack = add_speckle(stack, looks, speckle)
+        stack[list(clean)] = 1.0
     for index, image in enumerate(images):
         stack[index] *= image
         if progress is not None:
