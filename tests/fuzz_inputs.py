@@ -282,8 +282,14 @@ def _spoil_lines(data: bytes, rng: random.Random) -> bytes:
 
 def _metrics() -> list[bytes]:
     scores = {"psnr_db": 30.5, "ssim": 0.9, "lpips": None}
-    found = {"images": {"test": scores}, "points": {"visible": {"cd_m": 0.1}}, "baselines": None, "time_s": 2.5}
-    found |= {"seed": 0, "parameters": {"mean_power": 0.1}, "definitions": {"ssim": "…"}, "reasons": {"a": "b"}}
+    found = {"images": {"test": scores}, "points": {"visible": {"cd_m": 0.1}}, "mesh": {}, "baselines": None}
+    found |= {
+        "time_s": 2.5,
+        "seed": 0,
+        "parameters": {"mean_power": 0.1},
+        "definitions": {"ssim": "…"},
+        "reasons": {"a": "b"},
+    }
     return [json.dumps(found).encode()]
 
 

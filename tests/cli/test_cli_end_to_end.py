@@ -91,11 +91,17 @@ def test_render_sweep(workshop: Path, tmp_path: Path, capsys: pytest.CaptureFixt
 
 def test_export_and_info(workshop: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = str(workshop / "run")
-    for kind in ("ply", "points"):
-        assert main(["export", run, "--format", kind, "--out", str(tmp_path / f"{kind}.ply")]) == 0
-    assert len(read_gaussians_ply(tmp_path / "ply.ply")) == 15_000
-    points, _ = read_points_ply(tmp_path / "points.ply")
-    assert main(["export", run, "--format", "points", "--out", str(tmp_path / "points.ply")]) == 2
+    for kind in ("gaussians", "points", "mesh"):
+        assert main(["export", run, str(tmp_path / f"{kind}.ply"), "--format", kind]) == 0
+    for name in ("plain.ply", "mesh.glb", "mesh.obj"):
+        assert main(["export", run, str(tmp_path / name)]) == 0
+    assert len(read_gaussians_ply(tmp_path / "plain.ply")) == 15_000
+    assert (tmp_path / "plain.ply").read_bytes() == (tmp_path / "gaussians.ply").read_bytes()
+    points, columns = read_points_ply(tmp_path / "points.ply")
+    assert list(columns) == ["nx", "ny", "nz"]
+    np.testing.assert_allclose(sum(column**2 for column in columns.values()), 1, atol=1e-5)
+    assert (tmp_path / "points.ply").read_bytes() == (workshop / "run" / "points.ply").read_bytes()
+    assert main(["export", run, str(tmp_path / "points.ply"), "--format", "points"]) == 2
     capsys.readouterr()
     expected = {
         run: ": a run",
@@ -103,7 +109,8 @@ def test_export_and_info(workshop: Path, tmp_path: Path, capsys: pytest.CaptureF
         str(workshop / "dataset" / "images" / "000.tif"): "a power image",
         str(workshop / "dataset" / "truth.ply"): "a mesh",
         str(workshop / "box.obj"): "a mesh",
-        str(tmp_path / "ply.ply"): "15000 Gaussians",
+        str(tmp_path / "gaussians.ply"): "15000 Gaussians",
+        **{str(tmp_path / f"mesh.{kind}"): "a mesh" for kind in ("ply", "glb", "obj")},
         str(tmp_path / "points.ply"): f"{len(points)};",
     }
     for path, text in expected.items():
@@ -169,20 +176,30 @@ def test_a_second_process_is_refused(workshop: Path, command: str, capsys: pytes
 def test_export_replaces_nothing_but_its_like(
     workshop: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    export = ["export", str(workshop / "run"), "--overwrite", "--out"]
-    config = workshop / "run" / "config.json"
-    before = config.read_bytes()
-    assert "is inside the run" in refusal([*export, str(config)], capsys)
+    export = ["export", str(workshop / "run"), "--overwrite"]
+    own = workshop / "run" / "gaussians.ply"
+    before = own.read_bytes()
+    assert "is inside the run" in refusal([*export, str(own)], capsys)
     (tmp_path / "inside").symlink_to(workshop / "run")
     assert "is inside the run" in refusal([*export, str(tmp_path / "inside" / "new.ply")], capsys)
-    assert config.read_bytes() == before
-    (tmp_path / "thesis.tex").write_text("\\documentclass")
-    assert "not a PLY file" in refusal([*export, str(tmp_path / "thesis.tex")], capsys)
-    assert "device" in refusal([*export, "/dev/null"], capsys)
+    assert own.read_bytes() == before
+    for kind in ("ply", "glb", "obj"):
+        (tmp_path / f"thesis.{kind}").write_text("\\documentclass")
+        assert f"not a .{kind} file as exported" in refusal([*export, str(tmp_path / f"thesis.{kind}")], capsys)
+    (tmp_path / "null.ply").symlink_to("/dev/null")
+    assert "device" in refusal([*export, str(tmp_path / "null.ply")], capsys)
     assert Path("/dev/null").is_char_device()
-    assert "folder" in refusal([*export, str(tmp_path)], capsys)
-    for _ in range(2):
-        assert main([*export, str(tmp_path / "new.ply")]) == 0
+    (tmp_path / "folder.ply").mkdir()
+    assert "folder" in refusal([*export, str(tmp_path / "folder.ply")], capsys)
+    for name in ("new.ply", "new.glb", "new.obj"):
+        for _ in range(2):
+            assert main([*export, str(tmp_path / name)]) == 0
+    assert "no name for points; choose one that ends in .ply" in refusal(
+        [*export, str(tmp_path / "points.glb"), "--format", "points"], capsys
+    )
+    assert "no name for a mesh; choose one that ends in .ply, .glb or .obj" in refusal(
+        [*export, str(tmp_path / "mesh.stl"), "--format", "mesh"], capsys
+    )
 
 
 def test_overwrite_spares_what_is_not_ours(workshop: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -238,7 +255,8 @@ WRITING = (
     "evaluate run",
     "report run",
     "render run --azimuth 5 --grazing 45 --out new",
-    "export run --out new.ply",
+    "export run new.ply",
+    "export run new.glb",
 )
 
 

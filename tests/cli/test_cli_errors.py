@@ -31,7 +31,7 @@ MISTAKES = {
     "missing run": (["evaluate", "nowhere"], "nowhere does not exist"),
     "not a run": (["report", "full"], "not a run"),
     "render: grazing": (["render", "full", "--azimuth", "0", "--grazing", "0", "--out", "new"], "grazing angle 0.0"),
-    "export: not a run": (["export", "full", "--out", "new"], "not a run"),
+    "export: not a run": (["export", "full", "new.ply"], "not a run"),
     "info: nothing there": (["info", "nowhere"], "does not exist"),
     "info: unknown folder": (["info", "full"], "neither a dataset nor a run"),
     "info: picture": (["info", "full/picture.png"], "is a picture without units"),

@@ -116,7 +116,7 @@ OVERWRITING = {  # what is made with 5 in place of what was made with 6, and the
     "simulate": f"{SIMULATE} --seed {{}} --overwrite --out dataset2",
     "import": "import mstar chips --labels chips/labels.csv --class T72 --train-views {} --overwrite --out chips2",
     "render": "render run{} --azimuth 0:360:120 --grazing 30 --overwrite --out images",
-    "export": "export run{} --overwrite --out gaussians.ply",
+    "export": "export run{} --overwrite gaussians.ply",
 }
 
 

@@ -44,7 +44,12 @@ class FakeRun:
     path: Path | None = None
     time_s: float = 12.5
     seed: int = 3
+    has_mesh: bool = True
     asked: list[View] = field(default_factory=list)
+
+    def mesh(self):
+        lid = trimesh.Trimesh([[-1, -1, 2], [1, -1, 2], [1, 1, 2], [-1, 1, 2]], [[0, 1, 2], [0, 2, 3]])
+        return lid if self.has_mesh else trimesh.Trimesh()
 
     def render(self, views):
         self.asked += views
@@ -89,15 +94,16 @@ def make(tmp_path, monkeypatch):
 def test_every_key_is_there_and_every_null_has_its_reason(make):
     metrics = evaluate_run(FakeRun(make(), power=1.1))
     assert list(metrics) == [
-        *("images", "points", "baselines", "time_s", "seed", "definitions", "parameters", "reasons"),
+        *("images", "points", "mesh", "baselines", "time_s", "seed", "definitions", "parameters", "reasons"),
     ]
     assert list(metrics["definitions"]) == [metric.key for metric in all_metrics(YARDSTICK)]
     assert list(metrics["images"]) == ["test-17", "test-15"]
-    assert list(metrics["points"]) == ["visible", "whole"]
+    assert list(metrics["points"]) == list(metrics["mesh"]) == ["visible", "whole"]
     leaves = {f"images.{name}.{key}": value for name, row in metrics["images"].items() for key, value in row.items()}
-    leaves |= {f"points.{name}.{key}": value for name, row in metrics["points"].items() for key, value in row.items()}
+    for kind in ("points", "mesh"):
+        leaves |= {f"{kind}.{name}.{key}": value for name, row in metrics[kind].items() for key, value in row.items()}
     assert set(leaves) == {f"images.{name}.{key}" for name in metrics["images"] for key in IMAGE_KEYS} | {
-        f"points.{name}.{key}" for name in ("visible", "whole") for key in POINT_KEYS
+        f"{kind}.{name}.{key}" for kind in ("points", "mesh") for name in ("visible", "whole") for key in POINT_KEYS
     }
     assert set(metrics["reasons"]) == {key for key, value in leaves.items() if value is None}
     assert (metrics["time_s"], metrics["seed"]) == (12.5, 3)
@@ -202,6 +208,22 @@ def test_black_pixels_leave_the_likelihood_null_with_the_reason(make):
     assert metrics["images"]["test-17"]["nats_per_pixel"] is None
     assert "noise floor" in metrics["reasons"]["images.test-17.nats_per_pixel"]
     assert metrics["images"]["test-17"]["log_correlation"] is None
+
+
+def test_the_mesh_is_scored_as_points_spread_over_it(make):
+    metrics = evaluate_run(FakeRun(make()))
+    mesh, points = metrics["mesh"]["visible"], metrics["points"]["visible"]
+    assert mesh["accuracy_m"] == pytest.approx(0, abs=1e-6)
+    assert mesh["count"] > points["count"]
+    assert 0 < mesh["completeness_m"] < points["completeness_m"]
+    assert mesh["cd_m"] == pytest.approx((mesh["accuracy_m"] + mesh["completeness_m"]) / 2)
+
+
+def test_no_mesh_is_a_result_not_an_error(make):
+    metrics = evaluate_run(FakeRun(make(), has_mesh=False))
+    assert metrics["points"]["visible"]["cd_m"] is not None
+    assert metrics["mesh"]["visible"]["cd_m"] is None
+    assert metrics["reasons"]["mesh.visible.cd_m"] == "the run reconstructed no mesh"
 
 
 def test_no_points_is_a_result_not_an_error(make):

@@ -31,6 +31,7 @@ def metrics(baselines=None, **images):
             "visible": {**dict.fromkeys(POINT_KEYS), "cd_m": 0.0741, "f1@0.3": 0.9834, "f1@0.1": 0.7654},
             "whole": dict.fromkeys(POINT_KEYS),
         },
+        "mesh": {part: dict.fromkeys(POINT_KEYS) for part in ("visible", "whole")},
         "baselines": baselines,
         "time_s": 61.7,
         "seed": 0,

@@ -62,6 +62,7 @@ def make_run(folder: Path, dataset: Dataset, metrics: dict[str, Any] | None, **c
         "metrics": metrics,
         "gaussians": range(1234),
         "points": rng.uniform(-0.5, 0.5, (200, 3)),
+        "mesh": trimesh.creation.box,
         "time_s": 12.5,
         "seed": 7,
         "iteration": 20,
@@ -76,6 +77,7 @@ def make_metrics(**scores: float) -> dict[str, Any]:
     return {
         "images": {"test": {**dict.fromkeys(IMAGE_KEYS), **scores}},
         "points": {"visible": points, "whole": points},
+        "mesh": {"visible": points | {"cd_m": 0.0375}, "whole": points},
         "baselines": None,
         "parameters": {"reference_amplitude": 2.5, "mean_power": 0.125, "score_margin": 0, "yardstick_m": 0.3},
         "definitions": {metric.key: metric.definition for metric in METRICS},
@@ -92,9 +94,9 @@ def test_the_page_stands_alone(tmp_path: Path) -> None:
     assert "http" not in text
     assert "<script" not in text
     assert "@import" not in text
-    for name in ("views.png", "points.png", "curves.png"):
+    for name in ("views.png", "points.png", "mesh.png", "curves.png"):
         assert (page.parent / name).read_bytes().startswith(b"\x89PNG")
-    assert text.count("data:image/png;base64,") == 3
+    assert text.count("data:image/png;base64,") == 4
 
 
 def test_the_page_says_what_matters(tmp_path: Path) -> None:
@@ -142,7 +144,8 @@ def test_names_from_files_cannot_become_markup(tmp_path: Path) -> None:
 def test_a_measured_run_is_compared_with_the_baselines(tmp_path: Path) -> None:
     metrics = make_metrics(nats_per_pixel=0.5, log_correlation=0.8)
     metrics["baselines"] = {"test": {"nearest_chip": {"nats_per_pixel": 0.6, "log_correlation": 0.85}}}
-    metrics["points"] = {part: dict.fromkeys(POINT_KEYS) for part in ("visible", "whole")}
+    for kind in ("points", "mesh"):
+        metrics[kind] = {part: dict.fromkeys(POINT_KEYS) for part in ("visible", "whole")}
     text = words_of(write_report(make_run(tmp_path, make_dataset(tmp_path, measured=True, mesh=False), metrics)))
     assert "nearest chip" in text
     assert '<td class="best">0.500</td><td>0.600</td>' in text
@@ -176,12 +179,14 @@ def test_scores_that_do_not_apply_have_no_row() -> None:
 def test_every_method_has_its_column_and_the_best_of_all_is_marked() -> None:
     others = [Scores("one", {"psnr_db": 40.0, "cd_m": 0.05}), Scores("two", {"psnr_db": 55.0})]
     images, points = score_tables(make_metrics(psnr_db=50.0), others)
-    assert [column.name for column in points.columns] == ["ours, visible surface", "whole surface", "one", "two"]
+    assert [column.name for column in points.columns] == [
+        *("ours, visible surface", "whole surface", "mesh, visible surface", "mesh, whole surface", "one", "two"),
+    ]
     assert [(cell.text, cell.best) for cell in images.rows[0].cells] == [
         *(("50.00", False), ("40.00", False), ("55.00", True)),
     ]
     assert [(cell.text, cell.best) for cell in points.rows[0].cells] == [
-        *(("0.0625", False), ("0.0625", False), ("0.0500", True), ("–", False)),
+        *(("0.0625", False), ("0.0625", False), ("0.0375", False), ("0.0625", False), ("0.0500", True), ("–", False)),
     ]
 
 

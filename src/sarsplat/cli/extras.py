@@ -6,9 +6,16 @@ from importlib.metadata import PackageNotFoundError, version
 
 EXTRAS: dict[str, dict[str, str]] = {
     "simulate": {"trimesh": "trimesh", "embreex": "embreex"},
+    "mesh": {"trimesh": "trimesh", "skimage": "scikit-image"},
     "mstar": {"PIL": "pillow"},
-    "evaluate": {"torchmetrics": "torchmetrics", "sklearn": "scikit-learn", "trimesh": "trimesh", "embreex": "embreex"},
-    "report": {"matplotlib": "matplotlib", "jinja2": "jinja2"},
+    "evaluate": {
+        "torchmetrics": "torchmetrics",
+        "sklearn": "scikit-learn",
+        "skimage": "scikit-image",
+        "trimesh": "trimesh",
+        "embreex": "embreex",
+    },
+    "report": {"matplotlib": "matplotlib", "jinja2": "jinja2", "trimesh": "trimesh", "skimage": "scikit-image"},
 }
 """Extra → modules it brings → names of their distributions."""
 

@@ -6,6 +6,7 @@ from sarsplat.data.dataset_folder import read_dataset, write_dataset
 from sarsplat.data.files import read_json, read_versioned_json, write_bytes, write_json
 from sarsplat.data.folders import new_folder
 from sarsplat.data.image import SarImage
+from sarsplat.data.mesh import write_mesh
 from sarsplat.data.mstar import import_mstar
 from sarsplat.data.phoenix import PhoenixChip, read_phoenix
 from sarsplat.data.ply import read_gaussians_ply, read_points_ply, write_gaussians_ply, write_points_ply
@@ -31,6 +32,7 @@ __all__ = [
     "write_dataset",
     "write_gaussians_ply",
     "write_json",
+    "write_mesh",
     "write_points_ply",
     "write_power_tiff",
 ]

@@ -136,7 +136,13 @@ def _of_3dgs(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray
     return {"scales": scales, "optical_depth": depth.astype(np.float32), "scattering": _flip_odd(harmonics)}
 
 
-def write_points_ply(path: str | Path, points: Real[np.ndarray, "p 3"], /, **columns: np.ndarray) -> None:
+def write_points_ply(
+    path: str | Path,
+    points: Real[np.ndarray, "p 3"],
+    /,
+    normals: Real[np.ndarray, "p 3"] | None = None,
+    **columns: np.ndarray,
+) -> None:
     """Write points with any number of named scalars each, whole or not at all.
 
     Parameters
@@ -145,6 +151,8 @@ def write_points_ply(path: str | Path, points: Real[np.ndarray, "p 3"], /, **col
         File to write; an existing one is replaced.
     points : numpy.ndarray [P, 3]
         Positions, m; stored as float32.
+    normals : numpy.ndarray [P, 3], optional
+        Unit normals, stored as nx, ny, nz.
     **columns : numpy.ndarray [P]
         One scalar per point under that name; stored as float32.
 
@@ -156,6 +164,8 @@ def write_points_ply(path: str | Path, points: Real[np.ndarray, "p 3"], /, **col
     points = np.asarray(points)
     if points.ndim != 2 or points.shape[1] != 3:
         raise SarsplatError(f"the points have shape {points.shape}; it must be (P, 3)")
+    if normals is not None:
+        columns = {**_columns(("nx", "ny", "nz"), np.asarray(normals)), **columns}
     for name, column in columns.items():
         if np.shape(column) != (len(points),) or name in ("x", "y", "z"):
             raise SarsplatError(

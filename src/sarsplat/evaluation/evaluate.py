@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float
 
 from sarsplat.data import write_json
 from sarsplat.data.determined import weakest_direction
@@ -32,14 +33,18 @@ from sarsplat.evaluation.surface import read_truth_mesh, visible_surface
 from sarsplat.geometry import View
 from sarsplat.progress import Reporter, progress
 
+if TYPE_CHECKING:
+    import trimesh
+
 _VIEWS_AT_A_TIME = 8
+_MESH_SAMPLES = 100_000
 
 # About how long these take, in the time of one view's rays: samples of what a view sees, and distances of points.
 _SAMPLES, _DISTANCES = 3, 10
 
 
 def evaluate_run(run: EvaluatedRun, *, lpips_weights: str | Path | None = None, quiet: bool = False) -> dict[str, Any]:
-    """Score a run on every test set of its dataset, and its points against the true surface; write `metrics.json`.
+    """Score a run on every test set, its points and mesh against the true surface; write `metrics.json`.
 
     Parameters
     ----------
@@ -53,10 +58,10 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: str | Path | None = None, 
     Returns
     -------
     dict
-        The content of `metrics.json`: `images.<set>.<metric>`, `points.{visible, whole}.<metric>`, `baselines` (what
-        methods without a third dimension score on speckled images with ground), `time_s`, `seed`, `definitions` (of
-        every metric), `parameters` (what they refer to) and `reasons`: for every metric that is None, its dotted key
-        and why. Without test images `images` is empty.
+        The content of `metrics.json`: `images.<set>.<metric>`, `points.{visible, whole}.<metric>`, `mesh` (the
+        same of points on the mesh), `baselines` (what methods without a third dimension score on speckled images with
+        ground), `time_s`, `seed`, `definitions` (of every metric), `parameters` (what they refer to) and `reasons`: for
+        every metric that is None, its dotted key and why. Without test images `images` is empty.
 
     Raises
     ------
@@ -98,18 +103,18 @@ def _evaluate(run: EvaluatedRun, weights_dir: Path | None, quiet: bool) -> dict[
         reasons["images"] = "the dataset has no test images, so nothing is unseen; simulate it with --test-azimuth"
     images: dict[str, dict[str, float | None]] = {}
     tests = sum(len(dataset.images(split)) for split in test_sets)
-    steps = tests + (1 + _SAMPLES) * len(dataset.images("train")) + 2 * _DISTANCES
+    steps = tests + (1 + _SAMPLES) * len(dataset.images("train")) + 4 * _DISTANCES
     with progress(f"evaluate {run.path or dataset.target}", steps, quiet) as shown:
         for split in test_sets:
             tested = dataset.select(split)
             pair = ImagePair(tested.power, _rendered(run, tested.views, shown), **parameters, network=network)
             shown.advance(0, "scores of the test images")
             images[split] = compute_all(IMAGE_METRICS, tested, pair, f"images.{split}.", reasons)
-        points = _points(run, yardstick, reasons, shown)
+        surfaces = _surfaces(run, yardstick, reasons, shown)
         shown.update(steps)
     return {
         "images": images,
-        "points": points,
+        **surfaces,
         "baselines": baseline_scores(dataset, reasons) if speckled_tests and dataset.ground else None,
         **compute_all(RUN_METRICS, dataset, run, "", reasons),
         "seed": run.seed,
@@ -129,15 +134,16 @@ def _rendered(run: EvaluatedRun, views: Sequence[View], shown: Reporter) -> Stac
     return np.concatenate(images)
 
 
-def _points(
+def _surfaces(
     run: EvaluatedRun, yardstick: Yardstick, reasons: dict[str, str], shown: Reporter
-) -> dict[str, dict[str, float | None]]:
-    """Point metrics against the visible and the whole surface."""
-    dataset, points = run.dataset, run.points
-    measured: dict[str, PointMetrics | UndefinedScore]
-    if dataset.truth_mesh is None or len(points) == 0:
-        measured = dict.fromkeys(("visible", "whole"), UndefinedScore("the run reconstructed no points"))
-    else:
+) -> dict[str, dict[str, dict[str, float | None]]]:
+    """Scores of the points and of the mesh against the visible and the whole surface."""
+    dataset = run.dataset
+    clouds: dict[str, Float[np.ndarray, "p 3"]] = {"points": run.points, "mesh": np.empty((0, 3))}
+    parts: dict[str, tuple[Float[np.ndarray, "t 3 3"], Float[np.ndarray, "s 3"]] | None]
+    parts = dict.fromkeys(("visible", "whole"))
+    if dataset.truth_mesh is not None and len(run.points):
+        clouds["mesh"] = _points_on(run.mesh())
         views = dataset.select("train").views
         surface = visible_surface(
             read_truth_mesh(dataset.truth_mesh),
@@ -149,11 +155,27 @@ def _points(
         if weakest_direction(views).undetermined:
             name = run.path or "the run"
             warn([f"{name} was made from views that cannot determine the shape, so its CD and F1 mean nothing"])
-        visible = point_metrics(points, surface.triangles, surface.samples, yardstick)
-        shown.advance(_DISTANCES, "distances from the whole surface")
-        whole = point_metrics(points, surface.all_triangles, surface.samples_whole, yardstick)
-        measured = {"visible": visible, "whole": whole}
-    return {
-        part: compute_all(metrics_of_points(yardstick), dataset, values, f"points.{part}.", reasons)
-        for part, values in measured.items()
-    }
+        parts["visible"] = surface.triangles, surface.samples
+        parts["whole"] = surface.all_triangles, surface.samples_whole
+    scores: dict[str, dict[str, dict[str, float | None]]] = {}
+    for kind, points in clouds.items():
+        scores[kind] = {}
+        for part, truth in parts.items():
+            measured: PointMetrics | UndefinedScore
+            if truth is None or len(points) == 0:
+                lacks = "no points" if len(run.points) == 0 else "no mesh"
+                measured = UndefinedScore(f"the run reconstructed {lacks}")
+            else:
+                measured = point_metrics(points, *truth, yardstick)
+                shown.advance(_DISTANCES, f"distances of the {kind} from the {part} surface")
+            scores[kind][part] = compute_all(
+                metrics_of_points(yardstick), dataset, measured, f"{kind}.{part}.", reasons
+            )
+    return scores
+
+
+def _points_on(mesh: trimesh.Trimesh) -> Float[np.ndarray, "p 3"]:
+    """Random points of a mesh, spread by area; none if it has no faces."""
+    from trimesh.sample import sample_surface
+
+    return np.asarray(sample_surface(mesh, _MESH_SAMPLES, seed=0)[0]) if len(mesh.faces) else np.empty((0, 3))

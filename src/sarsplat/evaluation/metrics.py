@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +19,9 @@ from sarsplat.evaluation import images, lpips
 from sarsplat.evaluation.images import Stack, UndefinedScore
 from sarsplat.evaluation.points import PointMetrics, Yardstick
 from sarsplat.geometry import View
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 class EvaluatedRun(Protocol):
@@ -34,6 +37,9 @@ class EvaluatedRun(Protocol):
     @property
     def points(self) -> Float[np.ndarray, "p 3"]:
         """Reconstructed points, world frame, m, float [P, 3]."""
+
+    def mesh(self) -> trimesh.Trimesh:
+        """The surface through them, world frame, m; perhaps without faces."""
 
     @property
     def time_s(self) -> float: ...

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import msgspec
 import numpy as np
@@ -28,9 +28,15 @@ from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.mesh import surface_mesh
 from sarsplat.reconstruction.model import SceneModel
+from sarsplat.reconstruction.normals import surface_normals
 from sarsplat.reconstruction.points import extract_points
+from sarsplat.reconstruction.seen import Seen
 from sarsplat.reconstruction.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    import trimesh
 
 SCHEMA = "sarsplat-run"
 SCHEMA_VERSION = 3
@@ -39,6 +45,7 @@ HEADER = "config.json"
 _RESULTS = ("gaussians.ply", "points.ply", "metrics.json", "report/index.html")
 """What is made from the newest checkpoint."""
 
+_NORMAL_RADIUS = 1.0  # of the neighbours that tell the normal of a point, resolution cells
 _EVALUATION_RAYS_PER_PIXEL = 4.0
 _VIEWS_AT_A_TIME = 8
 _LONGEST_LOG = 1 << 22  # bytes; a training writes some tens of thousands
@@ -61,6 +68,7 @@ class Metrics(TypedDict):
 
     images: dict[str, _Scores]
     points: dict[str, _Scores]
+    mesh: dict[str, _Scores]
     baselines: dict[str, dict[str, _Scores]] | None
     time_s: float | None
     seed: int
@@ -151,6 +159,24 @@ class Run:
         path = None if self.path is None else self.path / "points.ply"
         return read_points_ply(path)[0] if path is not None and path.is_file() else self._extracted_points()
 
+    @cached_property
+    def normals(self) -> Float32[np.ndarray, "p 3"]:
+        """Unit normals of the points, on the side that the radar saw: of the planes through their neighbours."""
+        return self._normals_at(self.points)
+
+    def mesh(self) -> trimesh.Trimesh:
+        """The surface through the points as triangles, world frame, m.
+
+        Its vertices have the attribute `gamma0`, γ⁰ (linear), and colours that show it in decibels. It is open where no
+        view looked, and has no faces if there are no points.
+
+        Raises
+        ------
+        SarsplatError
+            If scikit-image or trimesh is missing, or the points span too many voxels.
+        """
+        return surface_mesh(self.points, self.normals, self._seen, self.grid.cell_m)
+
     def render(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
         """β⁰ of any views, linear power, on its grid; rays at a quarter of the pixel spacing."""
         rays, degree = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL), self.model.degree(self.iteration)
@@ -189,6 +215,14 @@ class Run:
     def _extracted_points(self) -> Float32[np.ndarray, "p 3"]:
         points = extract_points(self.gaussians, self.snapshot.views, self.grid, self.config.points)
         return points.astype(np.float32)  # as the file has them
+
+    def _normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
+        towards = self._seen.around(points)[1]
+        return surface_normals(points, towards, _NORMAL_RADIUS * self.grid.cell_m).astype(np.float32)
+
+    @cached_property
+    def _seen(self) -> Seen:
+        return Seen.of(self.gaussians, self.snapshot.views, self.grid)
 
     # ---- what it was made from --------------------------------------------------------------------------------------
     @cached_property
@@ -315,7 +349,8 @@ class Run:
     def write_results(self) -> None:
         """Write `gaussians.ply` and `points.ply`."""
         write_gaussians_ply(self.folder / "gaussians.ply", self.gaussians)
-        write_points_ply(self.folder / "points.ply", self._extracted_points())
+        points = self._extracted_points()
+        write_points_ply(self.folder / "points.ply", points, normals=self._normals_at(points))
 
     def remove_results(self) -> None:
         """Before training goes on: results of an earlier state must not be taken for those of the next checkpoint."""

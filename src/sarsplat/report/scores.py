@@ -53,7 +53,7 @@ def score_table(title: str, metrics: Sequence[Metric[Any]], columns: Sequence[Sc
 
 
 def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> list[ScoreTable]:
-    """Tables of `metrics.json`: one for each test set, one for the points; those without a row are left out.
+    """Tables of `metrics.json`: one for each test set, one for the surface; those without a row are left out.
 
     Parameters
     ----------
@@ -69,7 +69,11 @@ def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> l
         for split, values in metrics["images"].items()
     ]
     visible, whole = metrics["points"]["visible"], metrics["points"]["whole"]
-    columns = [Scores("ours, visible surface", visible), Scores("whole surface", whole, ranked=False), *others]
+    columns = [
+        *(Scores("ours, visible surface", visible), Scores("whole surface", whole, ranked=False)),
+        *(Scores(f"mesh, {part} surface", values, ranked=False) for part, values in metrics["mesh"].items()),
+        *others,
+    ]
     of_points = metrics_of_points(Yardstick(metrics["parameters"]["yardstick_m"]))
-    tables.append(score_table("Reconstructed points", of_points, columns))
+    tables.append(score_table("Reconstructed surface", of_points, columns))
     return [table for table in tables if table.rows]

@@ -16,6 +16,7 @@ from sarsplat.reconstruction.losses import LOSSES
 from sarsplat.report.cloud import points_figure
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.page import Picture, page
+from sarsplat.report.solid import meshes_figure
 from sarsplat.report.views import evenly, views_figure
 
 _FOLDER = "report"
@@ -47,7 +48,7 @@ def write_report(run: Run) -> Path:
     with only_writer(run.folder):
         with plain_os_errors("write", folder):
             folder.mkdir(exist_ok=True)
-        pictures, training = [_views(run), _points(run)], _curves(run)
+        pictures, training = [_views(run), _points(run), *_mesh(run)], _curves(run)
         for picture in (*pictures, *training):
             write_bytes(folder / picture.file, picture.png)
         try:
@@ -116,6 +117,15 @@ def _points(run: Run) -> Picture:
     surface, _ = trimesh.sample.sample_surface(mesh, _SURFACE_SAMPLES, seed=0)
     text = "The reconstruction beside the true surface, which it never saw: images and their views were all it had."
     return Picture("points.png", "Points", text, points_figure(run.points, np.asarray(surface), farthest_m))
+
+
+def _mesh(run: Run) -> list[Picture]:
+    mesh, truth = run.mesh(), run.dataset.truth_mesh
+    if len(mesh.faces) == 0:
+        return []
+    text = "The surface through the points, shaded; `sarsplat export` writes it. It is open where no view looked"
+    beside = "; the true surface is whole." if truth else "."
+    return [Picture("mesh.png", "Mesh", text + beside, meshes_figure(mesh, read_truth_mesh(truth) if truth else None))]
 
 
 def _curves(run: Run) -> list[Picture]:

@@ -1,0 +1,138 @@
+"""A triangle mesh through points with normals: signed distances on a voxel grid, and marching cubes.
+
+After H. Hoppe et al., "Surface reconstruction from unorganized points", SIGGRAPH 1992: the distance of a place is that
+from the plane through the weighted mean of the points around it. Only what was seen has points, so the mesh is open
+where no view looked, as below a vehicle.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64, Real
+from scipy.ndimage import distance_transform_edt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from sarsplat.errors import SarsplatError
+from sarsplat.reconstruction.seen import Seen
+
+if TYPE_CHECKING:
+    import trimesh
+
+# Lengths, resolution cells.
+_VOXEL = 0.25
+_SMOOTHING = 0.25  # standard deviation of the points' weights
+_REACH = 0.33  # of the mesh from the nearest point
+
+_SMALLEST_PART = 0.01  # of the whole area: smaller ones float
+_NEIGHBOURS = 24  # points that count for a place
+_AT_ONCE = 50_000  # places
+_MOST_VOXELS = 1 << 28
+_DARKEST_DB = -30.0  # of the brightest vertex: black
+
+
+def surface_mesh(
+    points: Real[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], seen: Seen, cell: float
+) -> trimesh.Trimesh:
+    """The surface through oriented points, with what the radar saw of it.
+
+    Parameters
+    ----------
+    points, normals : numpy.ndarray [P, 3]
+        Surface points, m, and unit normals that point outwards.
+    seen : Seen
+        Gives the γ⁰ of the vertices.
+    cell : float
+        Side of a resolution cell, m: voxels are a quarter of it, and no vertex is farther than a third from a point.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        World frame, m; faces are counter-clockwise seen from outside. Vertices have the attribute `gamma0` (γ⁰, linear)
+        and greys: decibels from 30 dB below the brightest vertex, black, to white. Parts of less than 1 % of the area
+        are left out. Without faces where the points make no surface.
+
+    Raises
+    ------
+    SarsplatError
+        If scikit-image or trimesh is missing, or the points span too many voxels.
+    """
+    try:
+        import trimesh
+        from skimage.measure import marching_cubes
+    except ImportError as error:
+        raise SarsplatError(
+            f"a mesh needs {error.name}, which is not installed; install it with: pip install 'sarsplat[mesh]'"
+        ) from error
+    vertices, faces = np.empty((0, 3)), np.empty((0, 3), np.int64)
+    if len(points):
+        voxel, points = _VOXEL * cell, np.asarray(points, np.float64)
+        tree = cKDTree(points)
+        distance, near, corner = _signed_distances(points, normals, tree, cell)
+        if distance[near].min() < 0:  # at the rim it is positive
+            vertices, faces, _, _ = marching_cubes(
+                distance, 0.0, spacing=(voxel, voxel, voxel), mask=near, allow_degenerate=False
+            )
+            vertices, faces = vertices + corner, faces.astype(np.int64)
+            faces = faces[(tree.query(vertices, workers=-1)[0] <= _REACH * cell)[faces].all(axis=1)]
+            vertices, faces = _without_crumbs(vertices, faces)
+    gamma0, _ = seen.around(vertices)
+    with np.errstate(divide="ignore"):
+        level_db = 10 * np.log10(gamma0 / gamma0.max(initial=np.finfo(float).tiny))
+    grey = np.uint8(np.round(255 * np.clip(1 - level_db / _DARKEST_DB, 0, 1)))
+    return trimesh.Trimesh(
+        vertices,
+        faces,
+        vertex_colors=np.stack([grey, grey, grey, np.full_like(grey, 255)], axis=1),
+        vertex_attributes={"gamma0": gamma0.astype(np.float32)},
+        process=False,
+    )
+
+
+def _signed_distances(
+    points: Float64[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], tree: cKDTree, cell: float
+) -> tuple[Float64[np.ndarray, "x y z"], Bool[np.ndarray, "x y z"], Float64[np.ndarray, " 3"]]:
+    """Signed distance from the surface, m, positive outside; where it is known; and the place of the first voxel."""
+    voxel = _VOXEL * cell
+    band = _REACH * cell + 2 * voxel  # beyond what is kept: cubes at its rim are whole
+    corner = points.min(axis=0) - band
+    shape = np.ceil((points.max(axis=0) + band - corner) / voxel).astype(np.int64) + 1
+    if shape.prod() > _MOST_VOXELS:
+        raise SarsplatError(
+            f"the points span {' × '.join(map(str, shape))} voxels of {voxel:.3g} m, which is too many for a mesh; "
+            "reconstruct with a cluster radius (--points.…), so that strays are left out"
+        )
+    empty = np.ones(shape, dtype=bool)
+    empty[tuple(np.rint((points - corner) / voxel).astype(np.int64).T)] = False
+    near = distance_transform_edt(empty, sampling=voxel) <= band
+    where = np.argwhere(near)
+    found = np.empty(len(where))
+    count = np.arange(1, min(_NEIGHBOURS, len(points)) + 1)
+    for first in range(0, len(where), _AT_ONCE):
+        places = where[first : first + _AT_ONCE] * voxel + corner
+        apart, index = tree.query(places, k=count, workers=-1)
+        weight = np.exp(-0.5 * (apart**2 - apart[:, :1] ** 2) / (_SMOOTHING * cell) ** 2)[:, :, None]
+        normal = (weight * normals[index]).sum(1)
+        offset = places - (weight * points[index]).sum(1) / weight.sum(1)
+        length = np.maximum(np.linalg.norm(normal, axis=1), 1e-12)  # normals on both sides of a sheet may cancel
+        found[first : first + _AT_ONCE] = np.einsum("pc,pc->p", offset, normal) / length
+    distance = np.full(shape, cell)
+    distance[near] = found
+    return distance, near, corner
+
+
+def _without_crumbs(
+    vertices: Real[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3"]
+) -> tuple[Real[np.ndarray, "w 3"], Int64[np.ndarray, "g 3"]]:
+    """Connected parts that are not small against the whole, and only the vertices they need."""
+    ends = np.concatenate([faces[:, :2], faces[:, 1:]])
+    links = coo_array((np.ones(len(ends), bool), tuple(ends.T)), shape=(len(vertices), len(vertices)))
+    part = connected_components(links, directed=False)[1][faces[:, 0]]
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    area = np.bincount(part, np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    faces = faces[area[part] >= _SMALLEST_PART * area.sum()]
+    used, faces = np.unique(faces, return_inverse=True)
+    return vertices[used], faces.reshape(-1, 3)

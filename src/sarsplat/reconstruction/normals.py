@@ -1,0 +1,52 @@
+"""Normals of a point cloud: planes through the neighbours, turned to the radar."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64, Real
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+_AT_ONCE = 4096  # points: a dense cloud has hundreds of neighbours for each
+
+
+def surface_normals(
+    points: Real[np.ndarray, "p 3"], towards: Real[np.ndarray, "p 3"], radius: float
+) -> Float64[np.ndarray, "p 3"]:
+    """Unit normals of the planes that fit the neighbours best, on the side that was seen.
+
+    Parameters
+    ----------
+    points : numpy.ndarray [P, 3]
+        Surface points, m.
+    towards : numpy.ndarray [P, 3]
+        From where each is seen, of any length; zero stands for above.
+    radius : float
+        Up to which distance a point is a neighbour, m.
+
+    Returns
+    -------
+    numpy.ndarray, float64 [P, 3]
+        The direction of `towards` for points with fewer than three neighbours, themselves included.
+    """
+    if len(points) == 0:
+        return np.empty((0, 3))
+    towards = np.where(np.any(towards, axis=1, keepdims=True), towards, [[0.0, 0.0, 1.0]])
+    centred = np.asarray(points, np.float64) - np.mean(points, axis=0, dtype=np.float64)
+    products = (centred[:, :, None] * centred[:, None, :]).reshape(-1, 9)
+    table = np.column_stack([np.ones(len(points)), centred, products])
+    tree, normals = cKDTree(centred), np.empty((len(points), 3))
+    for first in range(0, len(points), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        found = tree.query_ball_point(centred[some], radius, workers=-1)
+        ends = np.cumsum([0, *map(len, found)])
+        neighbours = csr_array(
+            (np.ones(ends[-1]), np.concatenate(found).astype(np.int64), ends), (len(found), len(points))
+        )
+        sums = neighbours @ table
+        count, mean = sums[:, :1], sums[:, 1:4] / sums[:, :1]
+        spread = sums[:, 4:].reshape(-1, 3, 3) / count[:, :, None] - mean[:, :, None] * mean[:, None, :]
+        planes = np.linalg.eigh(spread)[1][:, :, 0]
+        normals[some] = np.where(count < 3, towards[some], planes)
+    normals *= np.where(np.einsum("pc,pc->p", normals, towards) < 0, -1.0, 1.0)[:, None]
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
