@@ -264,7 +264,12 @@ def _run(folder: Path) -> None:
 
 def _run_config() -> list[bytes]:
     config = PRESETS["measured"]
-    head = {"schema": "sarsplat-run", "schema_version": SCHEMA_VERSION, "dataset": "/nowhere", "dataset_fingerprint": "0" * 64}
+    head = {
+        "schema": "sarsplat-run",
+        "schema_version": SCHEMA_VERSION,
+        "dataset": "/nowhere",
+        "dataset_fingerprint": "0" * 64,
+    }
     return [json.dumps({**head, "config": asdict(config)}).encode()]
 
 
