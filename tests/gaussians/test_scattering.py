@@ -38,7 +38,7 @@ def scene(law: Scattering) -> Gaussians:
 LAWS = {
     **{
         f"{kind}, as trainings start": replace(
-            start := law.uniform(6, 0.5, 0.05),
+            start := law.initial(6, 0.5, 0.05),
             parameters=(start.parameters + 0.1 * torch.randn(start.parameters.shape, generator=generator())).double(),
         )
         for kind, law in SCATTERINGS.items()
@@ -72,7 +72,7 @@ def test_never_below_the_least_and_the_same_from_both_sides_of_a_surface(name):
 
 @pytest.mark.parametrize("kind", SCATTERINGS)
 def test_trainings_start_alike_in_all_directions(kind):
-    law = SCATTERINGS[kind].uniform(5, 0.5, 0.03)
+    law = SCATTERINGS[kind].initial(5, 0.5, 0.03)
     gaussians = scene(replace(law, parameters=law.parameters.double()))
     assert gaussians.gamma0(directions()) == pytest.approx(0.5, rel=0.02)
     assert law.parameters.shape[1] <= 16  # what the engine's Adam takes

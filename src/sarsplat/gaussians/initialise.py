@@ -15,6 +15,10 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
 
 
+BRIGHT_DB = -30.0
+"""Pixels above this, relative to the brightest of the set, show the target, dB."""
+
+
 @dataclass(frozen=True)
 class Region:
     """A convex part of space: normals · x ≤ offsets, inside the box [low, high]; world frame, m."""
@@ -44,7 +48,7 @@ def bounded_region(
     power: Float[np.ndarray, "v {grid.rows} {grid.columns}"],
     views: Sequence[View],
     grid: ImageGrid,
-    threshold_db: float = -30.0,
+    threshold_db: float = BRIGHT_DB,
 ) -> Region:
     """The space that can hold the target, given that nothing else returns: an intersection of half-spaces.
 

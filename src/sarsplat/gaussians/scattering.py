@@ -74,8 +74,8 @@ class Scattering(ABC):
 
     @classmethod
     @abstractmethod
-    def uniform(cls, count: int, gamma0: float, p_min: float) -> Self:
-        """The same γ⁰ for all Gaussians and in all directions: where a training starts; float32, on the CPU."""
+    def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
+        """Where a training starts: alike for all Gaussians, γ⁰ on average over all directions; float32, on the CPU."""
 
     def detailed(self, degree: int) -> Self:
         """The law with no more detail than `degree`, 0 to 3: a training adds it by and by; most laws have none."""
@@ -124,8 +124,8 @@ class Harmonics(Scattering):
         return self.p_min + softplus(harmonic_basis(directions, self.degree) @ self.parameters.T)
 
     @classmethod
-    def uniform(cls, count: int, gamma0: float, p_min: float) -> Self:
-        """See `Scattering.uniform`; of degree 3."""
+    def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
+        """See `Scattering.initial`; of degree 3, and the same in all directions."""
         parameters = torch.zeros(count, len(CONSTANTS), device="cpu")
         parameters[:, 0] = _softplus_inverse(gamma0 - p_min) / CONSTANTS[0]
         return cls(parameters, p_min)
@@ -195,10 +195,10 @@ class NormalLobes(Scattering):
         return total
 
     @classmethod
-    def uniform(cls, count: int, gamma0: float, p_min: float) -> Self:
-        """See `Scattering.uniform`; one lobe, the squared cosine, of a hundredth of b₀."""
-        b0 = max(gamma0 - p_min, _MIN_EXCESS)
-        raw = torch.tensor([_softplus_inverse(b0), _softplus_inverse(b0 / 100)], device="cpu")
+    def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
+        """See `Scattering.initial`; half of it in one lobe, the squared cosine."""
+        b0 = max(gamma0 - p_min, _MIN_EXCESS) / 2
+        raw = torch.tensor([_softplus_inverse(b0), _softplus_inverse(3 * b0)], device="cpu")  # cos² is 1/3 on average
         return cls(raw.repeat(count, 1), p_min)
 
 

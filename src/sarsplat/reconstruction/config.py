@@ -24,6 +24,7 @@ OpticalDepth = Annotated[float, Meta(ge=1e-3, le=40)]
 """Up to `sarsplat.gaussians.MAX_OPTICAL_DEPTH`."""
 
 Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Share = Annotated[float, Meta(ge=0, le=1)]
 
 ScatteringName = Literal["harmonics", "normal-lobes"]
 """The laws of `sarsplat.gaussians.SCATTERINGS`, which is not imported because that would load torch."""
@@ -61,11 +62,11 @@ class Rates(Record):
 
     means: Positive = 0.067
     means_end: Positive = 0.0033
-    quaternions: NotNegative = 0.01
+    quaternions: NotNegative = 0.02
     log_scales: NotNegative = 0.02
     log_optical_depth: NotNegative = 0.05
     scattering: NotNegative = 0.05
-    directional_scattering: NotNegative = 0.01
+    directional_scattering: NotNegative = 0.05
     shift: NotNegative = 0.032
     nuisance: NotNegative = 0.01
 
@@ -107,21 +108,45 @@ class Densification(Record):
 
 
 @dataclass(frozen=True)
+class Relocation(Record):
+    """Idle Gaussians move to where something returns: each takes over half of a strong one.
+
+    Parameters
+    ----------
+    rounds : int
+        How often, evenly spaced.
+    until : float
+        When the last round is, as a share of all iterations.
+    idle_share : float
+        Idle are the weakest Gaussians that together have at most this share of the mean cross-section.
+    """
+
+    _section: ClassVar[str] = "relocation."
+
+    rounds: Count = 12
+    until: Share = 0.6
+    idle_share: Share = 0.01
+
+
+@dataclass(frozen=True)
 class PointExtraction(Record):
     """How a point cloud is extracted from the Gaussians.
 
     Parameters
     ----------
     method : str
-        "rays": first returns of the training views' rays; "centres": centres of the Gaussians.
+        "rays": first returns of rays from the training views and from halfway between neighbouring ones;
+        "centres": centres of the Gaussians.
     optical_depth : float
         Two-way optical depth of a first return ("rays"), or smallest κ of a Gaussian ("centres").
     voxel : float
         Keep one point in each voxel of this side, in resolution cells.
     min_height : float
         Lower points are treated as ground and removed, in resolution cells.
-    seen_through : int
-        Remove a point if this many views have their first return behind it ("rays") …
+    rays_per_pixel : float
+        Rays per pixel spacing ("rays").
+    seen_through : float
+        Remove a point if this share of the views have their first return behind it ("rays") …
     behind : float
         … by more than this distance, in resolution cells.
     cluster_radius : float or None
@@ -134,10 +159,11 @@ class PointExtraction(Record):
 
     method: Literal["rays", "centres"] = "rays"
     optical_depth: NotNegative = 0.6
-    voxel: Positive = 0.17
+    voxel: Positive = 0.083
     min_height: Number = 0.0
-    seen_through: Count = 3
-    behind: NotNegative = 0.33
+    rays_per_pixel: Positive = 8.0
+    seen_through: Share = 0.17
+    behind: NotNegative = 0.17
     cluster_radius: Positive | None = None
     cluster_size: Count = 10
 
@@ -178,8 +204,8 @@ class Config(Record):
         Training steps.
     views_per_step : int
         Images used in one step.
-    gaussians : int
-        Gaussians at the start.
+    gaussians : int or None
+        Gaussians at the start; None: 18 for each resolution cell that the target covers in a training image.
     initialisation : str
         Start inside the box derived from the images ("box"), or on the paper's hemisphere ("hemisphere").
     loss : str
@@ -190,12 +216,15 @@ class Config(Record):
         Scattering law: "harmonics" or "normal-lobes".
     p_min : float
         Smallest γ⁰ of a Gaussian.
+    scattering_penalty : float
+        On the variance of the scattering's parameters over the Gaussians, in units of the images' mean amplitude.
+        Materials differ little: a thin layer that scatters strongly looks like an opaque one, and costs more.
     initial_scale : float
         Standard deviation of a Gaussian at the start, in resolution cells.
     initial_optical_depth : float
         Two-way peak optical depth of a Gaussian at the start.
     initial_scattering : float
-        γ⁰ of a Gaussian at the start.
+        γ⁰ of a Gaussian at the start, its mean over all directions.
     scale_bounds : tuple of float
         Smallest and largest standard deviation of a Gaussian, in resolution cells.
     margin : float
@@ -208,12 +237,18 @@ class Config(Record):
         Iterations after which the next degree is added.
     rays_per_pixel : float
         Rays per pixel spacing; more are more accurate and slower.
+    fine_rays_per_pixel : float
+        The same towards the end …
+    fine_from : float
+        … from this share of the iterations on.
     rates : Rates
         Learning rates.
     points : PointExtraction
         How the point cloud is extracted.
     densification : Densification or None
         Density control; None: the number of Gaussians is fixed.
+    relocation : Relocation or None
+        Moves of idle Gaussians; None: none.
     surroundings : Surroundings or None
         Ground and noise; None: the images show only the target.
     checkpoint_every : int
@@ -230,24 +265,28 @@ class Config(Record):
     preset: str = "default"
     iterations: Count = 1000
     views_per_step: Count = 8
-    gaussians: Count = 15_000
+    gaussians: Count | None = None
     initialisation: Literal["box", "hemisphere"] = "box"
     loss: str = "amplitude"
     ssim_weight: NotNegative = 0.0
-    scattering: ScatteringName = "harmonics"
+    scattering: ScatteringName = "normal-lobes"
     p_min: NotNegative = 0.03
+    scattering_penalty: NotNegative = 0.03
     initial_scale: Positive = 0.27
-    initial_optical_depth: OpticalDepth = 0.1
+    initial_optical_depth: OpticalDepth = 0.4
     initial_scattering: NotNegative = 0.5
-    scale_bounds: tuple[Positive, Positive] = (0.033, 1.0)
+    scale_bounds: tuple[Positive, Positive] = (0.067, 0.83)
     margin: NotNegative = 0.67
     max_optical_depth: OpticalDepth = 10.0
     harmonics_degree: Degree = 3
     harmonics_every: Count = 200
     rays_per_pixel: Positive = 2.0
+    fine_rays_per_pixel: Positive = 4.0
+    fine_from: Share = 0.57
     rates: Rates = Rates()
     points: PointExtraction = PointExtraction()
     densification: Densification | None = None
+    relocation: Relocation | None = Relocation()
     surroundings: Surroundings | None = None
     checkpoint_every: Count = 500
     seed: Seed = 0

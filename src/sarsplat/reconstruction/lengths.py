@@ -33,9 +33,12 @@ def lengths(config: Config, grid: ImageGrid) -> str:
     """One line: the lengths that a reconstruction of images on this grid works with, in metres."""
     cell_m = grid.cell_m
     scales, rates = scales_m(config, cell_m), config.rates
-    (ray, _) = RayGrid.for_image(grid, config.rays_per_pixel).spacing_m
+    rays = [
+        RayGrid.for_image(grid, count).spacing_m[0] for count in (config.rays_per_pixel, config.fine_rays_per_pixel)
+    ]
+    ray = f"{rays[0]:.2g} m" if config.fine_from == 1 else f"{rays[0]:.2g}, then {rays[1]:.2g} m"
     return (
         f"lengths from {cell_m:.3g} m resolution cells: start {scales[1]:.2g} m, sizes {scales[0]:.2g} … "
-        f"{scales[2]:.2g} m, steps {rates.means * cell_m:.2g} → {rates.means_end * cell_m:.2g} m, rays {ray:.2g} m, "
+        f"{scales[2]:.2g} m, steps {rates.means * cell_m:.2g} → {rates.means_end * cell_m:.2g} m, rays {ray}, "
         f"voxels {config.points.voxel * cell_m:.2g} m"
     )

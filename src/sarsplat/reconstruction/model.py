@@ -18,7 +18,7 @@ from sarsplat.data.plausible import warn
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import SCATTERINGS, Gaussians, Scattering, join
 from sarsplat.gaussians.ground import ground_radius_m, ground_sheet
-from sarsplat.gaussians.initialise import Region, bounded_region, hemisphere_shell, random_quaternions
+from sarsplat.gaussians.initialise import BRIGHT_DB, Region, bounded_region, hemisphere_shell, random_quaternions
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.lengths import scales_m
@@ -35,6 +35,11 @@ LENGTHS = ("means", "shift")
 """Lengths that are stepped themselves, m: their rates are in resolution cells."""
 
 _MIN_OPTICAL_DEPTH = 1e-3
+
+_PER_CELL = 18
+"""Gaussians for a resolution cell that the target covers in an image."""
+
+_FEWEST = 100
 
 
 @dataclass(frozen=True)
@@ -136,7 +141,7 @@ class SceneModel:
         if config.surroundings:
             warn(_cut_off(setting.region, config.margin * setting.cell_m, dataset))
         sample = hemisphere_shell if config.initialisation == "hemisphere" else Region.sample
-        n = config.gaussians
+        n = config.gaussians or _enough(train)
         means = torch.from_numpy(
             sample(setting.region, n, generator)
         ).float()  # on the CPU, as all that is made like it
@@ -227,6 +232,10 @@ class SceneModel:
         )
         return replace(grid, resolution_m=(azimuth, slant_range))
 
+    def scattering_variance(self) -> Float[Tensor, ""]:
+        """How much the Gaussians' scattering differs: variance of its parameters, summed over columns."""
+        return self.parameters["scattering"].var(dim=0, correction=0).sum()
+
     def penalty(self) -> Float[Tensor, ""] | None:
         """What shifts and gains cost, or None without them: chips differ little."""
         if self.config.surroundings is None:
@@ -280,6 +289,13 @@ class SceneModel:
             self.parameters[name].clamp_(low, high)
 
 
+def _enough(train: Dataset) -> int:
+    """How many Gaussians a target of this size needs, seen at this resolution."""
+    bright = (train.power > train.power.max() * 10 ** (BRIGHT_DB / 10)).sum() / len(train)
+    cells = bright * math.prod(train.grid.spacing_m) / train.grid.cell_m**2
+    return max(_FEWEST, round(_PER_CELL * cells))
+
+
 def _ground(config: Config, setting: Setting) -> Gaussians | None:
     """The ground, where there is one, on the CPU."""
     if config.surroundings is None:
@@ -288,8 +304,8 @@ def _ground(config: Config, setting: Setting) -> Gaussians | None:
 
 
 def _law(config: Config, count: int, gamma0: float) -> Scattering:
-    """The configuration's law of scattering, the same γ⁰ in all directions."""
-    return SCATTERINGS[config.scattering].uniform(count, gamma0, config.p_min).detailed(config.harmonics_degree)
+    """The configuration's law of scattering, as a training starts with it."""
+    return SCATTERINGS[config.scattering].initial(count, gamma0, config.p_min).detailed(config.harmonics_degree)
 
 
 def _cut_off(region: Region, margin: float, dataset: Dataset) -> list[str]:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64
+from scipy.spatial import cKDTree
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.reconstruction.config import PointExtraction
 from sarsplat.renderer import render
-
-_RAYS_PER_PIXEL = 4.0
 
 
 def extract_points(
@@ -27,9 +27,9 @@ def extract_points(
     gaussians : Gaussians
         The target alone, on any device.
     views : sequence of View
-        Views whose rays look for the surface ("rays").
+        The training views.
     grid : ImageGrid
-        Sets the spacing of the rays, a quarter of the pixel's, and the unit of `how`, its resolution cell.
+        Sets the spacing of the rays and the unit of `how`, its resolution cell.
     how : PointExtraction
         Method, thinning and clean-up.
 
@@ -43,15 +43,38 @@ def extract_points(
         points = gaussians.means[gaussians.optical_depth >= how.optical_depth].double().cpu().numpy()
         points = _thin(points[points[:, 2] >= how.min_height * cell], how.voxel * cell)
     else:
-        returns = [_FirstReturns.of(gaussians, view, grid, how.optical_depth) for view in views]
+        rays = RayGrid.for_image(grid, how.rays_per_pixel)
+        returns = [
+            _FirstReturns.of(gaussians, view, grid, rays, how.optical_depth) for view in [*views, *between(views)]
+        ]
         points = np.concatenate([found.points() for found in returns])
         points = _thin(points[points[:, 2] >= how.min_height * cell], how.voxel * cell)
         # haze that one view takes for a surface is looked through by others
         through = sum(
             (found.behind(points, how.behind * cell).astype(int) for found in returns), np.zeros(len(points), int)
         )
-        points = points[through < how.seen_through]
+        points = points[through <= how.seen_through * len(returns)]
     return points if how.cluster_radius is None else _cluster(points, how.cluster_radius * cell, how.cluster_size)
+
+
+def between(views: Sequence[View]) -> list[View]:
+    """Views halfway between neighbouring ones, from where nothing was measured: they look into the same corners.
+
+    Two views are neighbours if no other is as near to the direction halfway between them as they are (K. R. Gabriel and
+    R. R. Sokal, "A new statistical approach to geographic variation analysis", 1969).
+    """
+    directions = np.unique(np.round([view.direction for view in views], 9), axis=0)
+    first, second = np.triu_indices(len(directions), 1)
+    middle = directions[first] + directions[second]
+    length = np.linalg.norm(middle, axis=1)
+    apart = length > 1e-6  # opposite ones have no middle
+    first, middle = first[apart], middle[apart] / length[apart, None]
+    radius = np.linalg.norm(directions[first] - middle, axis=1)
+    nearer = cKDTree(directions).query_ball_point(middle, radius * (1 + 1e-6), return_length=True)
+    return [
+        View(math.degrees(math.atan2(y, x)) % 360, math.degrees(math.asin(min(z, 1.0))))
+        for x, y, z in middle[nearer == 2]
+    ]
 
 
 @dataclass(frozen=True)
@@ -64,8 +87,9 @@ class _FirstReturns:
     spacing_m: Float64[np.ndarray, " 2"]
 
     @classmethod
-    def of(cls, gaussians: Gaussians, view: View, grid: ImageGrid, optical_depth: float) -> _FirstReturns:
-        rays = RayGrid.for_image(grid, _RAYS_PER_PIXEL)
+    def of(
+        cls, gaussians: Gaussians, view: View, grid: ImageGrid, rays: RayGrid, optical_depth: float
+    ) -> _FirstReturns:
         (ray_map,) = render(gaussians, [view], grid, rays=rays, first_return_depth=optical_depth).ray_maps or ()
         ranges = ray_map.first_return.double().cpu().numpy()
         return cls(radar_frame(view), ranges, np.array(ray_map.origin), np.array(rays.spacing_m))

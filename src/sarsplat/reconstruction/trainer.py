@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float, Float32, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import RayGrid
-from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction import relocation
+from sarsplat.reconstruction.config import Config, Relocation
 from sarsplat.reconstruction.density import DensityControl
 from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss
 from sarsplat.reconstruction.model import PER_GAUSSIAN, SceneModel
 from sarsplat.reconstruction.optimiser import Optimiser
 from sarsplat.reconstruction.snapshot import Snapshot, region_tensors
+from sarsplat.renderer import render
 
 _FAINTEST = 1e-30
 """Largest β⁰ below which images count as black: squares and reciprocals of it would leave float32."""
@@ -56,8 +59,8 @@ class Trainer:
             )
         self._brightest = float(power.max())
         self._truth = power.to(self.device)
+        self._mean_amplitude = float(np.sqrt(power.double().numpy().clip(min=0) / self._brightest).mean())
         self._numbers = torch.arange(len(self.views), device=self.device)
-        self._rays = RayGrid.for_image(self.grid, config.rays_per_pixel)
         self._generator = torch.Generator().manual_seed(config.seed)
         self.model = SceneModel.initial(config, dataset, self._generator, self.device)
         self._bounds = self.model.scene_bounds()  # which density control does not change
@@ -93,15 +96,30 @@ class Trainer:
                 f"the loss returned {what}; it must return one number, a tensor of shape () computed from the rendered "
                 "images by torch"
             )
-        penalty = self.model.penalty()
-        (loss if penalty is None else loss + penalty).backward()
+        total, penalty = loss, self.model.penalty()
+        if penalty is not None:
+            total = total + penalty
+        if self.config.scattering_penalty:
+            weight = self.config.scattering_penalty * self._mean_amplitude
+            total = total + weight * self.model.scattering_variance()
+        total.backward()
         if gather and self.density is not None:
             self.density.gather(rendering, self.grid)
         self.optimiser.step(self.iteration)
         self.iteration += 1
         if self.density is not None and self.density.due(self.iteration):
             self._densify(self.density)
+        moves = self.config.relocation
+        if moves is not None and relocation.due(moves, self.iteration, self.config.iterations):
+            self._relocate(moves)
         return loss.detach()
+
+    @property
+    def _rays(self) -> RayGrid:
+        """Coarse at first, finer towards the end."""
+        config = self.config
+        fine = self.iteration >= config.fine_from * config.iterations
+        return RayGrid.for_image(self.grid, config.fine_rays_per_pixel if fine else config.rays_per_pixel)
 
     def check(self) -> None:
         """Wait for the device, and see that every step so far was given what it can render.
@@ -132,9 +150,36 @@ class Trainer:
             }
             parameters["means"] = parameters["means"] + displacement
             parameters["scales"] = parameters["scales"] * shrink[:, None]
+        self._replace(parameters, torch.where(kept, source, -1))
+
+    @torch.no_grad()
+    def _relocate(self, config: Relocation) -> None:
+        self.check()
+        idle, strong = relocation.pairs(self._cross_sections(), config.idle_share, self._generator)
+        displacement, optical_depth = relocation.halve(self.gaussians, strong, self._generator)
+        source = torch.arange(len(self.model)).index_copy(0, idle, strong)
+        parameters = {
+            name: tensor[source] if name in PER_GAUSSIAN else tensor for name, tensor in self.model.parameters.items()
+        }
+        for rows, side in ((idle, displacement), (strong, -displacement)):
+            parameters["means"][rows] += side
+            parameters["optical_depth"][rows] = optical_depth
+        self._replace(parameters, torch.arange(len(source)).index_fill(0, torch.cat([idle, strong]), -1))
+
+    def _cross_sections(self) -> Float[Tensor, " n"]:
+        """Of the target's Gaussians, mean over the training views, m²."""
+        total = torch.zeros(len(self.model), device=self.device)
+        for first in range(0, len(self.views), self.config.views_per_step):  # what a step takes fits into memory
+            some = self.views[first : first + self.config.views_per_step]
+            scene = self.model.scene(self.model.degree(self.iteration))
+            total += render(scene, some, self.grid, rays=self._rays).cross_sections[:, : len(total)].sum(0)
+        return total / len(self.views)
+
+    def _replace(self, parameters: dict[str, Tensor], source: Int64[Tensor, " n"]) -> None:
+        """Go on with other Gaussians; `source` is the row whose moments each inherits, or −1."""
         self.model = SceneModel(self.config, self.model.setting, parameters, self.device)
         self.model.constrain()
-        self.optimiser = self.optimiser.rebuild(self.model.parameters, torch.where(kept, source, -1))
+        self.optimiser = self.optimiser.rebuild(self.model.parameters, source.to(self.device))
 
     @property
     def gaussians(self) -> Gaussians:
