@@ -37,7 +37,7 @@ from sarsplat.data.mstar_chips import read_chips
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction.presets import PRESETS
-from sarsplat.reconstruction.run import Run
+from sarsplat.reconstruction.run import SCHEMA_VERSION, Run
 from sarsplat.scenes import load_mesh
 
 GRID = ImageGrid(6, 5, (0.2, 0.3), (0.25, 0.35))
@@ -264,7 +264,12 @@ def _run(folder: Path) -> None:
 
 def _run_config() -> list[bytes]:
     config = PRESETS["measured"]
-    head = {"schema": "sarsplat-run", "schema_version": 2, "dataset": "/nowhere", "dataset_fingerprint": "0" * 64}
+    head = {
+        "schema": "sarsplat-run",
+        "schema_version": SCHEMA_VERSION,
+        "dataset": "/nowhere",
+        "dataset_fingerprint": "0" * 64,
+    }
     return [json.dumps({**head, "config": asdict(config)}).encode()]
 
 
