@@ -130,6 +130,12 @@ def test_gamma0_counts_only_views_that_see_the_place() -> None:
     assert towards[0, 0] > 0 > towards[1, 0]
 
 
+def test_around_no_gaussians_nothing_was_seen(ball: Ball) -> None:
+    gamma0, towards = Seen.of(ball.gaussians[:0], VIEWS, GRID).around(ball.points)
+    assert not gamma0.any()
+    assert not towards.any()
+
+
 def test_what_floats_is_left_out(ball: Ball) -> None:
     stray = np.array([3.0, 0, 3.0]) + np.random.default_rng(0).normal(scale=0.05, size=(30, 3))
     points = np.concatenate([ball.points, stray])

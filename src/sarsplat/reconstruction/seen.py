@@ -70,6 +70,8 @@ class Seen:
         towards : numpy.ndarray, float64 [P, 3]
             Mean direction to the radars that see something there, not normalised.
         """
+        if len(self.means) == 0:
+            return np.zeros(len(points)), np.zeros((len(points), 3))
         count = min(_NEIGHBOURS, len(self.means))
         distance, index = cKDTree(self.means).query(points, k=np.arange(1, count + 1), workers=-1)
         # relative to the nearest: far from every Gaussian, the nearest still speaks

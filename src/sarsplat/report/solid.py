@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 _SIDES = (("side", 0, 2, 1, -1), ("front", 1, 2, 0, 1), ("top", 0, 1, 2, 1))
 _LIGHT = np.array([0.4, -0.5, 0.77])
 _AMBIENT = 0.25
-_PIXELS = 360  # along the longest side
-_SAMPLES = 400_000  # some on nearly every pixel
+_PIXELS = 240  # along the longest side
+_SAMPLES = 600_000  # several on every pixel
 _MARGIN = 0.03  # of the longest side
 
 
