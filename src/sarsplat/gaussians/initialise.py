@@ -14,7 +14,6 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
 
-
 BRIGHT_DB = -30.0
 """Pixels above this, relative to the brightest of the set, show the target, dB."""
 

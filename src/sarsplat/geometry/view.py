@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from numbers import Real
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float64
@@ -12,6 +13,7 @@ from jaxtyping import Float64
 from sarsplat.errors import SarsplatError
 
 _MAX_AZIMUTH = 3600  # degrees: ten turns
+_STEEPEST = 89.999  # degrees: straight from above there is no azimuth
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,13 @@ class View:
                 f"grazing angle {self.grazing_deg}° is outside (0°, 90°); "
                 "give degrees above the horizon (grazing = 90° − incidence)"
             )
+
+    @classmethod
+    def towards(cls, direction: Float64[np.ndarray, " 3"]) -> Self:
+        """The view from a direction above the horizon, a vector of any length; straight above becomes just beside."""
+        x, y, z = direction
+        grazing = math.degrees(math.atan2(z, math.hypot(x, y)))
+        return cls(math.degrees(math.atan2(-y, x)) % 360.0, min(grazing, _STEEPEST))
 
     @property
     def incidence_deg(self) -> float:

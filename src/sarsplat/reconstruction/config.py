@@ -63,10 +63,10 @@ class Rates(Record):
     means: Positive = 0.067
     means_end: Positive = 0.0033
     quaternions: NotNegative = 0.02
-    log_scales: NotNegative = 0.02
+    log_scales: NotNegative = 0.05
     log_optical_depth: NotNegative = 0.05
-    scattering: NotNegative = 0.05
-    directional_scattering: NotNegative = 0.05
+    scattering: NotNegative = 0.08
+    directional_scattering: NotNegative = 0.08
     shift: NotNegative = 0.032
     nuisance: NotNegative = 0.01
 
@@ -124,7 +124,7 @@ class Relocation(Record):
     _section: ClassVar[str] = "relocation."
 
     rounds: Count = 12
-    until: Share = 0.6
+    until: Share = 0.75
     idle_share: Share = 0.01
 
 
@@ -263,7 +263,7 @@ class Config(Record):
     """
 
     preset: str = "default"
-    iterations: Count = 1000
+    iterations: Count = 900
     views_per_step: Count = 8
     gaussians: Count | None = None
     initialisation: Literal["box", "hemisphere"] = "box"
@@ -273,7 +273,7 @@ class Config(Record):
     p_min: NotNegative = 0.03
     scattering_penalty: NotNegative = 0.03
     initial_scale: Positive = 0.27
-    initial_optical_depth: OpticalDepth = 0.4
+    initial_optical_depth: OpticalDepth = 0.5
     initial_scattering: NotNegative = 0.5
     scale_bounds: tuple[Positive, Positive] = (0.067, 0.83)
     margin: NotNegative = 0.67

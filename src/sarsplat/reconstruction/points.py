@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -71,10 +70,7 @@ def between(views: Sequence[View]) -> list[View]:
     first, middle = first[apart], middle[apart] / length[apart, None]
     radius = np.linalg.norm(directions[first] - middle, axis=1)
     nearer = cKDTree(directions).query_ball_point(middle, radius * (1 + 1e-6), return_length=True)
-    return [
-        View(math.degrees(math.atan2(y, x)) % 360, math.degrees(math.asin(min(z, 1.0))))
-        for x, y, z in middle[nearer == 2]
-    ]
+    return [View.towards(direction) for direction in middle[nearer == 2]]
 
 
 @dataclass(frozen=True)

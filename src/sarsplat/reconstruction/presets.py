@@ -10,6 +10,8 @@ from sarsplat.reconstruction.config import Config, Densification, PointExtractio
 PRESETS: dict[str, Config] = {
     # what measures best on noise-free images
     "default": Config(),
+    # a first look, in a quarter of the time
+    "quick": Config(preset="quick", iterations=250, fine_from=1.0, rates=Rates(means=0.33)),
     # the paper's training, as far as it is stated (docs/paper-map.md)
     "paper": Config(
         preset="paper",
@@ -54,7 +56,7 @@ PRESETS: dict[str, Config] = {
         scale_bounds=(0.65, 2.25),
         harmonics_every=50,
         fine_from=1.0,
-        rates=Rates(means=0.16, quaternions=0.01, scattering=0.4, directional_scattering=0.4),
+        rates=Rates(means=0.16, quaternions=0.01, log_scales=0.02, scattering=0.4, directional_scattering=0.4),
         relocation=None,
         points=PointExtraction(
             optical_depth=0.7,
