@@ -57,10 +57,10 @@ def test_a_scaled_scene_is_learned_alike(original: Run, dataset: Dataset, factor
 
 def test_what_was_chosen_is_told_in_one_line(dataset: Dataset, capsys: pytest.CaptureFixture[str]) -> None:
     told = {
-        0.3: "lengths from 0.3 m resolution cells: start 0.081 m, sizes 0.0099 … 0.3 m, steps 0.02 → 0.00099 m, "
-        "rays 0.15 m, voxels 0.051 m",
-        3.0: "lengths from 3 m resolution cells: start 0.81 m, sizes 0.099 … 3 m, steps 0.2 → 0.0099 m, rays 1.5 m, "
-        "voxels 0.51 m",
+        0.3: "lengths from 0.3 m resolution cells: start 0.081 m, sizes 0.02 … 0.25 m, steps 0.02 → 0.00099 m, "
+        "rays 0.15, then 0.075 m, voxels 0.025 m",
+        3.0: "lengths from 3 m resolution cells: start 0.81 m, sizes 0.2 … 2.5 m, steps 0.2 → 0.0099 m, "
+        "rays 1.5, then 0.75 m, voxels 0.25 m",
     }
     for cell, sentence in told.items():
         assert lengths(Config(), ImageGrid(8, 8, (cell, cell), (cell, cell))) == sentence

@@ -217,8 +217,8 @@ class Config(Record):
     p_min : float
         Smallest γ⁰ of a Gaussian.
     scattering_penalty : float
-        On the variance of the scattering's parameters over the Gaussians, in units of the images' mean amplitude.
-        Materials differ little: a thin layer that scatters strongly looks like an opaque one, and costs more.
+        Weight of differences between the Gaussians' scattering, in units of the loss of black images. Most materials
+        are alike: a thin layer that scatters strongly looks like an opaque one, and costs more.
     initial_scale : float
         Standard deviation of a Gaussian at the start, in resolution cells.
     initial_optical_depth : float

@@ -41,6 +41,12 @@ _PER_CELL = 18
 
 _FEWEST = 100
 
+_START = (1.0, 1.0, 0.9)
+"""Widths of a Gaussian at the start, relative: which axis is the shortest must not hang on rounding."""
+
+_ALIKE = 0.6
+"""Parameters of the scattering that differ by less are alike; how much more others differ hardly matters."""
+
 
 @dataclass(frozen=True)
 class Setting:
@@ -148,7 +154,7 @@ class SceneModel:
         parameters = {
             "means": means,
             "quaternions": random_quaternions(n, generator),
-            "scales": means.new_full((n, 3), scales_m(config, setting.cell_m)[1]),
+            "scales": scales_m(config, setting.cell_m)[1] * means.new_tensor(_START).expand(n, 3).contiguous(),
             "optical_depth": means.new_full((n,), config.initial_optical_depth),
             "scattering": _law(config, n, config.initial_scattering).parameters,
         }
@@ -232,9 +238,14 @@ class SceneModel:
         )
         return replace(grid, resolution_m=(azimuth, slant_range))
 
-    def scattering_variance(self) -> Float[Tensor, ""]:
-        """How much the Gaussians' scattering differs: variance of its parameters, summed over columns."""
-        return self.parameters["scattering"].var(dim=0, correction=0).sum()
+    def scattering_spread(self) -> Float[Tensor, ""]:
+        """How much the Gaussians' scattering differs: of small differences the variance, of large ones little more.
+
+        The negative logarithm of Student's t-distribution, up to factors: most Gaussians are alike, some are not.
+        """
+        parameters = self.parameters["scattering"]
+        difference = parameters - parameters.detach().mean(0)
+        return _ALIKE**2 * torch.log1p((difference / _ALIKE) ** 2).mean(0).sum()
 
     def penalty(self) -> Float[Tensor, ""] | None:
         """What shifts and gains cost, or None without them: chips differ little."""

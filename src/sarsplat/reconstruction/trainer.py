@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from jaxtyping import Float, Float32, Int64
 from torch import Tensor
@@ -59,7 +58,6 @@ class Trainer:
             )
         self._brightest = float(power.max())
         self._truth = power.to(self.device)
-        self._mean_amplitude = float(np.sqrt(power.double().numpy().clip(min=0) / self._brightest).mean())
         self._numbers = torch.arange(len(self.views), device=self.device)
         self._generator = torch.Generator().manual_seed(config.seed)
         self.model = SceneModel.initial(config, dataset, self._generator, self.device)
@@ -69,6 +67,7 @@ class Trainer:
             DensityControl(config.densification, len(self.model), self.device) if config.densification else None
         )
         self._loss = loss or named_loss(config, ImageScale(self._brightest, self.model.unit))
+        self._black_loss = _of_black(self._loss, self._truth)
         self.iteration = 0
         self._queue: list[int] = []
 
@@ -100,8 +99,7 @@ class Trainer:
         if penalty is not None:
             total = total + penalty
         if self.config.scattering_penalty:
-            weight = self.config.scattering_penalty * self._mean_amplitude
-            total = total + weight * self.model.scattering_variance()
+            total = total + self.config.scattering_penalty * self._black_loss * self.model.scattering_spread()
         total.backward()
         if gather and self.density is not None:
             self.density.gather(rendering, self.grid)
@@ -157,14 +155,16 @@ class Trainer:
         self.check()
         idle, strong = relocation.pairs(self._cross_sections(), config.idle_share, self._generator)
         displacement, optical_depth = relocation.halve(self.gaussians, strong, self._generator)
-        source = torch.arange(len(self.model)).index_copy(0, idle, strong)
+        idle, strong = idle.to(self.device), strong.to(self.device)
+        everyone = torch.arange(len(self.model), device=self.device)
+        source = everyone.index_copy(0, idle, strong)
         parameters = {
             name: tensor[source] if name in PER_GAUSSIAN else tensor for name, tensor in self.model.parameters.items()
         }
         for rows, side in ((idle, displacement), (strong, -displacement)):
             parameters["means"][rows] += side
             parameters["optical_depth"][rows] = optical_depth
-        self._replace(parameters, torch.arange(len(source)).index_fill(0, torch.cat([idle, strong]), -1))
+        self._replace(parameters, everyone.index_fill(0, torch.cat([idle, strong]), -1))
 
     def _cross_sections(self) -> Float[Tensor, " n"]:
         """Of the target's Gaussians, mean over the training views, m²."""
@@ -179,7 +179,7 @@ class Trainer:
         """Go on with other Gaussians; `source` is the row whose moments each inherits, or −1."""
         self.model = SceneModel(self.config, self.model.setting, parameters, self.device)
         self.model.constrain()
-        self.optimiser = self.optimiser.rebuild(self.model.parameters, source.to(self.device))
+        self.optimiser = self.optimiser.rebuild(self.model.parameters, source)
 
     @property
     def gaussians(self) -> Gaussians:
@@ -224,3 +224,12 @@ class Trainer:
         self.iteration, self._queue = snapshot.iteration, list(snapshot.queue)
         if not all(0 <= k < len(self.views) for k in self._queue):
             raise ValueError("it queues views that are not there")
+
+
+@torch.no_grad()
+def _of_black(loss: Loss, truth: Float32[Tensor, "v rows columns"]) -> Tensor:
+    """The loss of black images, the unit of what else is minimised; 1 where it is no measure of distance."""
+    value = loss(torch.zeros_like(truth), truth)
+    if not isinstance(value, Tensor):  # the first step says so
+        return truth.new_ones(())
+    return torch.where(value.isfinite() & (value > 0), value, 1.0)
