@@ -18,15 +18,16 @@ from sarsplat.errors import SarsplatError
 from sarsplat.reconstruction.presets import PRESETS
 
 _PROGRAM = Path(__file__).with_name("cell.py")
-_FIXED_S, _GAUSSIAN_STEP_S, _STEP_GAUSSIANS = 25.0, 7e-8, 20_000
-"""Seconds on two cores: of simulation and evaluation, of a Gaussian in a step; a step costs as many besides."""
+_FIXED_S, _GAUSSIAN_STEP_S, _STEP_GAUSSIANS, _USUAL = 25.0, 7e-8, 20_000, 4000
+"""Seconds on two cores: of simulation and evaluation, of a Gaussian in a step; a step costs as many besides.
+Last, how many Gaussians there are about where the images say how many."""
 
 
 def expected_s(cell: Cell) -> float:
     """About how long a cell takes, s: only the ratios between cells matter."""
     config = cell.config(PRESETS["default" if cell.preset == "auto" else cell.preset])
     images = config.iterations * config.views_per_step
-    return _FIXED_S + images * (config.gaussians + _STEP_GAUSSIANS) * _GAUSSIAN_STEP_S
+    return _FIXED_S + images * ((config.gaussians or _USUAL) + _STEP_GAUSSIANS) * _GAUSSIAN_STEP_S
 
 
 @dataclass

@@ -73,7 +73,7 @@ def test_what_was_chosen_is_told_in_one_line(dataset: Dataset, capsys: pytest.Ca
 
 def test_cells_whose_gaussians_cannot_be_rendered_are_refused(dataset: Dataset) -> None:
     config = preset("default")
-    assert scales_m(config, 2e-3)[0] == MIN_SCALE  # the floor of the engine
+    assert scales_m(config, 1e-3)[0] == MIN_SCALE  # the floor of the engine
     with pytest.raises(SarsplatError, match=r"initial_scale makes Gaussians of 4\.05e-05 m from resolution cells of"):
         reconstruct(times(dataset, 1 / 3000), config, quiet=True)
     with pytest.raises(

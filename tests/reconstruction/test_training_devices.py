@@ -73,7 +73,7 @@ def test_a_step_neither_leaves_the_device_nor_waits_for_it(
 ) -> None:
     """On "meta", whose tensors hold nothing, any look at a number is an error, and so is a tensor from elsewhere."""
     monkeypatch.setattr(model, "render", render_nothing)
-    trainer = Trainer(dataset, CONFIGS[name], device="meta")
+    trainer = Trainer(dataset, replace(CONFIGS[name], relocation=None), device="meta")
     for _ in range(3):
         assert trainer.step().device.type == "meta"
     assert {tensor.device.type for tensor in trainer.model.parameters.values()} == {"meta"}

@@ -67,7 +67,7 @@ class Trainer:
             DensityControl(config.densification, len(self.model), self.device) if config.densification else None
         )
         self._loss = loss or named_loss(config, ImageScale(self._brightest, self.model.unit))
-        self._black_loss = _of_black(self._loss, self._truth)
+        self._black_loss = _of_black(self._loss, self._truth[: config.views_per_step])
         self.iteration = 0
         self._queue: list[int] = []
 

@@ -82,8 +82,8 @@ def reconstruct(
         Where to train; "auto" is a GPU if there is one that can be used.
     loss : callable, optional
         Instead of the configuration's: `loss(rendered, truth)` is given two float32 stacks [V, rows, columns] of
-        β⁰, linear power, and returns one number that torch can differentiate. The run's configuration has its name; to
-        resume, give it again.
+        β⁰, linear power, and returns one number that torch can differentiate. It is first asked for the loss of black
+        images, the unit of `scattering_penalty`. The run's configuration has its name; to resume, give it again.
     on_step : callable, optional
         Called after every step (`Step`). If it returns True, the training ends there, and the run is what has been
         learned so far. An exception ends it too; what has been learned is then kept in `out`.

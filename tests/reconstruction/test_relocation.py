@@ -1,0 +1,77 @@
+"""Idle Gaussians join strong ones: who moves, where to, and that little of the image changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from sarsplat import Dataset, View, preset
+from sarsplat.geometry import radar_frame
+from sarsplat.reconstruction import Trainer
+from sarsplat.reconstruction.config import Relocation
+from sarsplat.reconstruction.points import between
+from sarsplat.reconstruction.relocation import due, pairs
+
+
+def generator() -> torch.Generator:
+    return torch.Generator().manual_seed(0)
+
+
+def test_rounds_are_evenly_spaced_until_the_last() -> None:
+    found = [step for step in range(1, 101) if due(Relocation(rounds=5, until=0.5), step, 100)]
+    assert found == [10, 20, 30, 40, 50]
+
+
+def test_the_weakest_join_strong_ones_each_its_own() -> None:
+    sigma = torch.tensor([5.0, 0.0, 3.0, 0.01, 2.0, 0.5])
+    idle, strong = pairs(sigma, 0.01, generator())
+    assert idle.tolist() == [1, 3]  # 0.01 of 10.51 is less than a hundredth, 0.51 is more
+    assert len(set(strong.tolist())) == 2
+    assert not set(strong.tolist()) & {1, 3}
+
+
+def test_at_most_half_is_idle_and_nobody_joins_what_scatters_nothing() -> None:
+    assert len(pairs(torch.ones(10), 1.0, generator())[0]) == 5
+    idle, strong = pairs(torch.tensor([0.0, 0.0, 0.0, 1.0]), 0.5, generator())
+    assert (len(idle), strong.tolist()) == (1, [3])
+    assert len(pairs(torch.zeros(4), 0.5, generator())[0]) == 0
+
+
+def test_a_round_keeps_the_number_and_hardly_changes_the_power(dataset: Dataset) -> None:
+    config = replace(preset("default"), iterations=40, gaussians=400, relocation=Relocation(rounds=1, idle_share=0.02))
+    trainer = Trainer(dataset, config)
+    for _ in range(29):
+        trainer.step()
+    before = trainer.model.render(trainer.views, trainer.grid, 0)[0].detach()
+    means = trainer.gaussians.means
+    moved = config.relocation
+    assert moved is not None
+    trainer._relocate(moved)
+    after = trainer.model.render(trainer.views, trainer.grid, 0)[0].detach()
+    assert len(trainer.model) == 400
+    assert 5 < int((trainer.gaussians.means != means).any(dim=1).sum()) < 300
+    assert float(after.mean()) == pytest.approx(float(before.mean()), rel=0.25)
+    trainer.step()
+
+
+def angles(views: list[View]) -> list[tuple[float, float]]:
+    return sorted((round(view.azimuth_deg, 2), round(view.grazing_deg, 2)) for view in views)
+
+
+def test_views_halfway_between_neighbours() -> None:
+    ring = [View(90.0 * k, 20.0) for k in range(4)]
+    found = angles(between(ring))
+    assert [azimuth for azimuth, _ in found] == [45, 135, 225, 315]  # and none from above, between opposite ones
+    assert {grazing for _, grazing in found} == {27.24}  # on the great circle: tan 20° / cos 45°
+    assert between(ring[:1]) == []
+    assert angles(between([*ring[:2], ring[0]])) == [(45.0, 27.24)]
+
+
+@pytest.mark.parametrize("direction", [(1.0, 2.0, 3.0), (-0.3, 0.1, 0.2), (0.0, 0.0, 1.0)])
+def test_a_view_towards_a_direction(direction: tuple[float, float, float]) -> None:
+    view = View.towards(np.array(direction))
+    expected = np.array(direction) / np.linalg.norm(direction)
+    assert -radar_frame(view)[2] == pytest.approx(expected, abs=2e-5)
