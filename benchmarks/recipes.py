@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import torch
 from scene import Scene
@@ -16,7 +17,7 @@ COUNT = 15_000
 
 
 def halfway(count: int = COUNT) -> SceneModel:
-    """The distributions of a default T-72 run's Gaussians halfway through."""
+    """The distributions of a T-72 run's Gaussians halfway through, with harmonics and all in place from the start."""
     generator = torch.Generator().manual_seed(0)
     region = Region.box((-3.4, -1.78, 0.1), (5.2, 1.78, 2.15))
     medians = torch.tensor([0.025, 0.053, 0.083])  # m, shortest to longest axis
@@ -35,7 +36,8 @@ def halfway(count: int = COUNT) -> SceneModel:
             dim=1,
         ),
     }
-    return SceneModel(preset("default"), Setting(region, 1.0, 0.0, paper_grid().cell_m), parameters)
+    config = replace(preset("default"), scattering="harmonics")
+    return SceneModel(config, Setting(region, 1.0, 0.0, paper_grid().cell_m), parameters)
 
 
 def training_view(count: int = COUNT) -> Scene:

@@ -29,7 +29,7 @@ def watch(step: Step) -> bool:
         image = render(step.trainer.gaussians, [watched], grid, rays=RayGrid.for_image(grid, 4)).images[0]
         SarImage(image, watched, grid).save(f"step-{step.iteration:04d}.png")
         print(f"{step.iteration:4d}  loss {float(step.loss):.5f}")
-        return bool(step.loss < 0.001)
+        return bool(step.loss < 0.0005)
     return False
 
 

@@ -87,7 +87,8 @@ def _shortened(settings: dict[str, Any]) -> dict[str, Any]:
         (density, ("start", "stop", "every")),
     ):
         place.update({name: max(1, round(place[name] * share)) for name in names if name in place})
-    settings["gaussians"] = max(1, settings["gaussians"] // 10)
+    if settings["gaussians"] is not None:
+        settings["gaussians"] = max(1, settings["gaussians"] // 10)
     settings["initialisation"] = "box"
     return settings
 

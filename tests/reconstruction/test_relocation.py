@@ -23,6 +23,7 @@ def generator() -> torch.Generator:
 def test_rounds_are_evenly_spaced_until_the_last() -> None:
     found = [step for step in range(1, 101) if due(Relocation(rounds=5, until=0.5), step, 100)]
     assert found == [10, 20, 30, 40, 50]
+    assert not any(due(Relocation(rounds=0), step, 100) for step in range(101))
 
 
 def test_the_weakest_join_strong_ones_each_its_own() -> None:
@@ -47,9 +48,7 @@ def test_a_round_keeps_the_number_and_hardly_changes_the_power(dataset: Dataset)
         trainer.step()
     before = trainer.model.render(trainer.views, trainer.grid, 0)[0].detach()
     means = trainer.gaussians.means
-    moved = config.relocation
-    assert moved is not None
-    trainer._relocate(moved)
+    trainer._relocate()
     after = trainer.model.render(trainer.views, trainer.grid, 0)[0].detach()
     assert len(trainer.model) == 400
     assert 5 < int((trainer.gaussians.means != means).any(dim=1).sum()) < 300

@@ -18,7 +18,7 @@ from sarsplat import Dataset, ImageGrid, Run, View, preset, reconstruct
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.reconstruction import Config, Step, Trainer, extract_points, fused, model, points
-from sarsplat.reconstruction.config import Densification
+from sarsplat.reconstruction.config import Densification, Relocation
 from sarsplat.renderer import Rendering
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "renderer"))
@@ -73,7 +73,7 @@ def test_a_step_neither_leaves_the_device_nor_waits_for_it(
 ) -> None:
     """On "meta", whose tensors hold nothing, any look at a number is an error, and so is a tensor from elsewhere."""
     monkeypatch.setattr(model, "render", render_nothing)
-    trainer = Trainer(dataset, replace(CONFIGS[name], relocation=None), device="meta")
+    trainer = Trainer(dataset, replace(CONFIGS[name], relocation=Relocation(rounds=0)), device="meta")
     for _ in range(3):
         assert trainer.step().device.type == "meta"
     assert {tensor.device.type for tensor in trainer.model.parameters.values()} == {"meta"}

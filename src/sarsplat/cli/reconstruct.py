@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sarsplat.data import Dataset
     from sarsplat.reconstruction import Step
 
-PresetName = Literal["auto", "default", "paper", "measured"]
+PresetName = Literal["auto", "default", "quick", "paper", "measured"]
 _PARTS = {"densification": Densification, "surroundings": Surroundings}
 """Parts of the settings that may be absent."""
 

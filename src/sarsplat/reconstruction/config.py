@@ -114,7 +114,7 @@ class Relocation(Record):
     Parameters
     ----------
     rounds : int
-        How often, evenly spaced.
+        How often, evenly spaced; 0: never.
     until : float
         When the last round is, as a share of all iterations.
     idle_share : float
@@ -123,7 +123,7 @@ class Relocation(Record):
 
     _section: ClassVar[str] = "relocation."
 
-    rounds: Count = 12
+    rounds: Iteration = 12
     until: Share = 0.75
     idle_share: Share = 0.01
 
@@ -247,8 +247,8 @@ class Config(Record):
         How the point cloud is extracted.
     densification : Densification or None
         Density control; None: the number of Gaussians is fixed.
-    relocation : Relocation or None
-        Moves of idle Gaussians; None: none.
+    relocation : Relocation
+        Moves of idle Gaussians.
     surroundings : Surroundings or None
         Ground and noise; None: the images show only the target.
     checkpoint_every : int
@@ -286,7 +286,7 @@ class Config(Record):
     rates: Rates = Rates()
     points: PointExtraction = PointExtraction()
     densification: Densification | None = None
-    relocation: Relocation | None = Relocation()
+    relocation: Relocation = Relocation()
     surroundings: Surroundings | None = None
     checkpoint_every: Count = 500
     seed: Seed = 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from difflib import get_close_matches
 
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.reconstruction.config import Config, Densification, PointExtraction, Rates, Surroundings
+from sarsplat.reconstruction.config import Config, Densification, PointExtraction, Rates, Relocation, Surroundings
 
 PRESETS: dict[str, Config] = {
     # what measures best on noise-free images
@@ -36,7 +36,7 @@ PRESETS: dict[str, Config] = {
             directional_scattering=0.0005,
         ),
         densification=Densification(),
-        relocation=None,
+        relocation=Relocation(rounds=0),
         points=PointExtraction("centres", optical_depth=0.01, voxel=0.067),
         checkpoint_every=2500,
     ),
@@ -57,7 +57,7 @@ PRESETS: dict[str, Config] = {
         harmonics_every=50,
         fine_from=1.0,
         rates=Rates(means=0.16, quaternions=0.01, log_scales=0.02, scattering=0.4, directional_scattering=0.4),
-        relocation=None,
+        relocation=Relocation(rounds=0),
         points=PointExtraction(
             optical_depth=0.7,
             voxel=0.32,

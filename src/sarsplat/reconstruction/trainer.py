@@ -11,7 +11,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import RayGrid
 from sarsplat.reconstruction import relocation
-from sarsplat.reconstruction.config import Config, Relocation
+from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.density import DensityControl
 from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss
 from sarsplat.reconstruction.model import PER_GAUSSIAN, SceneModel
@@ -107,9 +107,8 @@ class Trainer:
         self.iteration += 1
         if self.density is not None and self.density.due(self.iteration):
             self._densify(self.density)
-        moves = self.config.relocation
-        if moves is not None and relocation.due(moves, self.iteration, self.config.iterations):
-            self._relocate(moves)
+        if relocation.due(self.config.relocation, self.iteration, self.config.iterations):
+            self._relocate()
         return loss.detach()
 
     @property
@@ -151,9 +150,9 @@ class Trainer:
         self._replace(parameters, torch.where(kept, source, -1))
 
     @torch.no_grad()
-    def _relocate(self, config: Relocation) -> None:
+    def _relocate(self) -> None:
         self.check()
-        idle, strong = relocation.pairs(self._cross_sections(), config.idle_share, self._generator)
+        idle, strong = relocation.pairs(self._cross_sections(), self.config.relocation.idle_share, self._generator)
         displacement, optical_depth = relocation.halve(self.gaussians, strong, self._generator)
         idle, strong = idle.to(self.device), strong.to(self.device)
         everyone = torch.arange(len(self.model), device=self.device)
