@@ -267,4 +267,5 @@ def _as_harmonics(gaussians: Gaussians) -> Float[np.ndarray, "n k"]:
     with torch.no_grad():
         excess = (gaussians.to("cpu").to(torch.float64).gamma0(u) - law.p_min).clamp(min=1e-6)
     raw = torch.log(torch.expm1(excess))  # softplus undone
-    return torch.linalg.lstsq(harmonic_basis(u, 3), raw).solution.T.numpy().astype(np.float32)
+    solution = torch.linalg.lstsq(harmonic_basis(u, 3), raw).solution.T.numpy()
+    return np.round(solution, 6).astype(np.float32) + 0  # rounding errors, which differ from call to call, are not kept
