@@ -7,7 +7,8 @@ from jaxtyping import Float64, Real
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-_AT_ONCE = 4096  # points: a dense cloud has hundreds of neighbours for each
+_AT_ONCE = 4096  # points
+_CUBES = 4  # to a radius: a dense cloud has hundreds of neighbours for each point, which count by the cube
 
 
 def surface_normals(
@@ -35,13 +36,16 @@ def surface_normals(
     centred = np.asarray(points, np.float64) - np.mean(points, axis=0, dtype=np.float64)
     products = (centred[:, :, None] * centred[:, None, :]).reshape(-1, 9)
     table = np.column_stack([np.ones(len(points)), centred, products])
-    tree, normals = cKDTree(centred), np.empty((len(points), 3))
+    cubes = np.floor(centred * (_CUBES / radius)).astype(np.int64)
+    _, owner = np.unique(cubes, axis=0, return_inverse=True)
+    table = np.column_stack([np.bincount(owner.ravel(), column) for column in table.T])  # sums over each cube
+    tree, normals = cKDTree(table[:, 1:4] / table[:, :1]), np.empty((len(points), 3))
     for first in range(0, len(points), _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
         found = tree.query_ball_point(centred[some], radius, workers=-1)
         ends = np.cumsum([0, *map(len, found)])
         neighbours = csr_array(
-            (np.ones(ends[-1]), np.concatenate(found).astype(np.int64), ends), (len(found), len(points))
+            (np.ones(ends[-1]), np.concatenate(found).astype(np.int64), ends), (len(found), len(table))
         )
         sums = neighbours @ table
         count, mean = sums[:, :1], sums[:, 1:4] / sums[:, :1]
