@@ -161,7 +161,7 @@ class PointExtraction(Record):
     optical_depth: NotNegative = 0.6
     voxel: Positive = 0.083
     min_height: Number = 0.0
-    rays_per_pixel: Positive = 8.0
+    rays_per_pixel: Positive = 7.0
     seen_through: Share = 0.17
     behind: NotNegative = 0.17
     cluster_radius: Positive | None = None
