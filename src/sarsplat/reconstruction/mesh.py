@@ -7,6 +7,7 @@ where no view looked, as below a vehicle.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 # Lengths, resolution cells.
 _VOXEL = 0.25
 _SMOOTHING = 0.25  # standard deviation of the points' weights
-_REACH = 0.33  # of the mesh from the nearest point
+_REACH = 0.2  # of the mesh from the nearest point
 
 _SMALLEST_PART = 0.01  # of the whole area: smaller ones float
 _NEIGHBOURS = 24  # points that count for a place
@@ -46,7 +47,7 @@ def surface_mesh(
     seen : Seen
         Gives the γ⁰ of the vertices.
     cell : float
-        Side of a resolution cell, m: voxels are a quarter of it, and no vertex is farther than a third from a point.
+        Side of a resolution cell, m: voxels are a quarter of it, and no vertex is farther than a fifth from a point.
 
     Returns
     -------
@@ -67,18 +68,19 @@ def surface_mesh(
         raise SarsplatError(
             f"a mesh needs {error.name}, which is not installed; install it with: pip install 'sarsplat[mesh]'"
         ) from error
-    vertices, faces = np.empty((0, 3)), np.empty((0, 3), np.int64)
+    vertices, faces, vertex_normals = np.empty((0, 3)), np.empty((0, 3), np.int64), None
     if len(points):
-        voxel, points = _VOXEL * cell, np.asarray(points, np.float64)
-        tree = cKDTree(points)
-        distance, near, corner = _signed_distances(points, normals, tree, cell)
+        voxel, planes = _VOXEL * cell, _Planes.through(np.asarray(points, np.float64), normals, cell)
+        distance, near, corner = _signed_distances(planes, cell)
         if distance[near].min() < 0:  # at the rim it is positive
             vertices, faces, _, _ = marching_cubes(
                 distance, 0.0, spacing=(voxel, voxel, voxel), mask=near, allow_degenerate=False
             )
             vertices, faces = vertices + corner, faces.astype(np.int64)
-            faces = faces[(tree.query(vertices, workers=-1)[0] <= _REACH * cell)[faces].all(axis=1)]
+            faces = faces[(planes.tree.query(vertices, workers=-1)[0] <= _REACH * cell)[faces].all(axis=1)]
             vertices, faces = _without_crumbs(vertices, faces)
+            if len(faces):
+                _, vertex_normals = planes.at(vertices)  # of many points: those of a voxel's few triangles jump
     gamma0, _ = seen.around(vertices)
     with np.errstate(divide="ignore"):
         level_db = 10 * np.log10(gamma0 / gamma0.max(initial=np.finfo(float).tiny))
@@ -86,17 +88,48 @@ def surface_mesh(
     return trimesh.Trimesh(
         vertices,
         faces,
+        vertex_normals=vertex_normals,
         vertex_colors=np.stack([grey, grey, grey, np.full_like(grey, 255)], axis=1),
         vertex_attributes={"gamma0": gamma0.astype(np.float32)},
         process=False,
     )
 
 
+@dataclass(frozen=True)
+class _Planes:
+    """The plane through the weighted mean of the points around a place."""
+
+    points: Float64[np.ndarray, "p 3"]
+    normals: Real[np.ndarray, "p 3"]
+    tree: cKDTree
+    smoothing_m: float
+
+    @classmethod
+    def through(cls, points: Float64[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], cell: float) -> _Planes:
+        """Those of oriented points."""
+        return cls(points, normals, cKDTree(points), _SMOOTHING * cell)
+
+    def at(self, places: Real[np.ndarray, "q 3"]) -> tuple[Float64[np.ndarray, " q"], Float64[np.ndarray, "q 3"]]:
+        """Signed distances of places from their planes, m, and the planes' unit normals."""
+        distance, normal = np.empty(len(places)), np.empty((len(places), 3))
+        count = np.arange(1, min(_NEIGHBOURS, len(self.points)) + 1)
+        for first in range(0, len(places), _AT_ONCE):
+            some = slice(first, first + _AT_ONCE)
+            apart, index = self.tree.query(places[some], k=count, workers=-1)
+            weight = np.exp(-0.5 * (apart**2 - apart[:, :1] ** 2) / self.smoothing_m**2)[:, :, None]
+            offset = places[some] - (weight * self.points[index]).sum(1) / weight.sum(1)
+            mean = (weight * self.normals[index]).sum(1)
+            length = np.linalg.norm(mean, axis=1, keepdims=True)
+            mean /= np.maximum(length, 1e-12)  # normals on both sides of a sheet may cancel
+            distance[some], normal[some] = np.einsum("pc,pc->p", offset, mean), mean
+        return distance, normal
+
+
 def _signed_distances(
-    points: Float64[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], tree: cKDTree, cell: float
+    planes: _Planes, cell: float
 ) -> tuple[Float64[np.ndarray, "x y z"], Bool[np.ndarray, "x y z"], Float64[np.ndarray, " 3"]]:
     """Signed distance from the surface, m, positive outside; where it is known; and the place of the first voxel."""
-    voxel = _VOXEL * cell
+    voxel, points = _VOXEL * cell, planes.points
     band = _REACH * cell + 2 * voxel  # beyond what is kept: cubes at its rim are whole
     corner = points.min(axis=0) - band
     shape = np.ceil((points.max(axis=0) + band - corner) / voxel).astype(np.int64) + 1
@@ -108,19 +141,8 @@ def _signed_distances(
     empty = np.ones(shape, dtype=bool)
     empty[tuple(np.rint((points - corner) / voxel).astype(np.int64).T)] = False
     near = distance_transform_edt(empty, sampling=voxel) <= band
-    where = np.argwhere(near)
-    found = np.empty(len(where))
-    count = np.arange(1, min(_NEIGHBOURS, len(points)) + 1)
-    for first in range(0, len(where), _AT_ONCE):
-        places = where[first : first + _AT_ONCE] * voxel + corner
-        apart, index = tree.query(places, k=count, workers=-1)
-        weight = np.exp(-0.5 * (apart**2 - apart[:, :1] ** 2) / (_SMOOTHING * cell) ** 2)[:, :, None]
-        normal = (weight * normals[index]).sum(1)
-        offset = places - (weight * points[index]).sum(1) / weight.sum(1)
-        length = np.maximum(np.linalg.norm(normal, axis=1), 1e-12)  # normals on both sides of a sheet may cancel
-        found[first : first + _AT_ONCE] = np.einsum("pc,pc->p", offset, normal) / length
     distance = np.full(shape, cell)
-    distance[near] = found
+    distance[near], _ = planes.at(np.argwhere(near) * voxel + corner)
     return distance, near, corner
 
 
