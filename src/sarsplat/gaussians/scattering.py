@@ -48,6 +48,9 @@ class Scattering(ABC):
     kind: ClassVar[str]
     """Its name in files and configurations."""
 
+    oriented: ClassVar[bool] = False
+    """Whether γ⁰ depends on which axis of a Gaussian is the shortest."""
+
     def __post_init__(self) -> None:
         if not isinstance(self.parameters, Tensor):
             raise SarsplatError(
@@ -165,6 +168,7 @@ class NormalLobes(Scattering):
     sharpness: tuple[float, ...] = (0.0,)
 
     kind: ClassVar[str] = "normal-lobes"
+    oriented: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sharpness", tuple(self.sharpness))  # JSON has lists

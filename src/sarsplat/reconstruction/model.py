@@ -42,7 +42,7 @@ _PER_CELL = 18
 _FEWEST = 100
 
 _START = (1.0, 1.0, 0.9)
-"""Widths of a Gaussian at the start, relative: which axis is the shortest must not hang on rounding."""
+"""Widths of an oriented Gaussian at the start, relative: which axis is the shortest must not hang on rounding."""
 
 _ALIKE = 0.6
 """Parameters of the scattering that differ by less are alike; how much more others differ hardly matters."""
@@ -154,7 +154,7 @@ class SceneModel:
         parameters = {
             "means": means,
             "quaternions": random_quaternions(n, generator),
-            "scales": scales_m(config, setting.cell_m)[1] * means.new_tensor(_START).expand(n, 3).contiguous(),
+            "scales": means.new_tensor(_start_scales_m(config, setting.cell_m)).repeat(n, 1),
             "optical_depth": means.new_full((n,), config.initial_optical_depth),
             "scattering": _law(config, n, config.initial_scattering).parameters,
         }
@@ -312,6 +312,14 @@ def _ground(config: Config, setting: Setting) -> Gaussians | None:
     if config.surroundings is None:
         return None
     return ground_sheet(setting.ground_radius_m, config.surroundings.ground_pitch * setting.cell_m)
+
+
+def _start_scales_m(config: Config, cell_m: float) -> list[float]:
+    """Standard deviations of a Gaussian at the start, m."""
+    smallest, first, _ = scales_m(config, cell_m)
+    if not SCATTERINGS[config.scattering].oriented:
+        return [first] * 3
+    return [max(share * first, min(smallest, first)) for share in _START]
 
 
 def _law(config: Config, count: int, gamma0: float) -> Scattering:

@@ -17,7 +17,6 @@ from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss
 from sarsplat.reconstruction.model import PER_GAUSSIAN, SceneModel
 from sarsplat.reconstruction.optimiser import Optimiser
 from sarsplat.reconstruction.snapshot import Snapshot, region_tensors
-from sarsplat.renderer import render
 
 _FAINTEST = 1e-30
 """Largest β⁰ below which images count as black: squares and reciprocals of it would leave float32."""
@@ -168,10 +167,11 @@ class Trainer:
     def _cross_sections(self) -> Float[Tensor, " n"]:
         """Of the target's Gaussians, mean over the training views, m²."""
         total = torch.zeros(len(self.model), device=self.device)
+        degree, rays = self.model.degree(self.iteration), self._rays
         for first in range(0, len(self.views), self.config.views_per_step):  # what a step takes fits into memory
             some = self.views[first : first + self.config.views_per_step]
-            scene = self.model.scene(self.model.degree(self.iteration))
-            total += render(scene, some, self.grid, rays=self._rays).cross_sections[:, : len(total)].sum(0)
+            _, rendering = self.model.render(some, self.grid, degree, rays=rays)
+            total += rendering.cross_sections[:, : len(total)].sum(0)  # the ground's come after the target's
         return total / len(self.views)
 
     def _replace(self, parameters: dict[str, Tensor], source: Int64[Tensor, " n"]) -> None:
