@@ -8,15 +8,15 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from sarsplat.report.canvas import INK, MUTED, colour_bar, dress, new_figure, ramp, to_png
+from sarsplat.report.canvas import colour_bar, ramp, to_png
+from sarsplat.report.sides import SIDES, Board, drawing_boards
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.colors import Colormap
-    from matplotlib.figure import SubFigure
 
-# Name, horizontal and vertical axis, axis that points at the viewer, its sign.
-_SIDES = (("side", 0, 2, 1, -1), ("front", 1, 2, 0, 1), ("top", 0, 1, 2, 1))
+_DRAWN = 30_000
+"""Most points drawn of a cloud."""
+
 _MARGIN = 0.025
 """Around the points, as a part of the longest side."""
 
@@ -50,17 +50,13 @@ def points_figure(
         label = "distance to truth, m"
         blocks.append((name, points, distance, (0, farthest_m), "distance", label))
         colours = {"height": heights, "distance": ramp("distance", "#37c9a4", "#d9d37a", "#ff9248", "#f0386b")}
-    size = high - low
-    scale = 5.4 / (size[0] + size[1])  # inches per metre
-    height = (size[2] + size[1]) * scale + 1.2
-    figure = new_figure(len(blocks) * 6.4, height)
-    for block, (name, cloud, value, limits, kind, label) in zip(
-        figure.subfigures(1, len(blocks), squeeze=False)[0], blocks, strict=True
-    ):
-        block.set_facecolor("none")
-        bar = _draw(block, cloud, np.clip(value, *limits), colours[kind], (low, high), height)
-        colour_bar(figure, bar, colours[kind], limits, label)
-        block.text(0.09, 1 - 0.24 / height, name, color=INK, size=11, weight="bold")
+    figure, boards = drawing_boards([name for name, *_ in blocks], low, high)
+    chance = np.random.default_rng(0)
+    drawn = min(_DRAWN, *(max(len(cloud), 1) for _, cloud, *_ in blocks))
+    for board, (_, cloud, value, limits, kind, label) in zip(boards, blocks, strict=True):
+        some = chance.permutation(len(cloud))[:drawn]  # as many of each: a denser cloud would only look more solid
+        _draw(board, cloud[some], np.clip(value[some], *limits), colours[kind])
+        colour_bar(figure, board.corner.inset_axes((0.08, 0.5, 0.84, 0.05)), colours[kind], limits, label)
     return to_png(figure)
 
 
@@ -73,40 +69,10 @@ def _limits(points: Float[np.ndarray, "p 3"]) -> tuple[Float[np.ndarray, " 3"], 
     return low - margin, high + margin
 
 
-def _draw(
-    block: SubFigure,
-    points: Float[np.ndarray, "p 3"],
-    value: Float[np.ndarray, " p"],
-    colours: Colormap,
-    limits: tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]],
-    height: float,
-) -> Axes:
-    """Three sides as on a drawing board; returns axes for the colour bar."""
-    low, high = limits
-    size = high - low
-    grid = block.add_gridspec(
-        2,
-        2,
-        width_ratios=(size[0], size[1]),
-        height_ratios=(size[2], size[1]),
-        left=0.09,
-        right=0.985,
-        top=1 - 0.5 / height,
-        bottom=0.34 / height,
-        wspace=0.12,
-        hspace=0.24,
-    )
-    for (name, across, up, towards, sign), place in zip(_SIDES, (grid[0, 0], grid[0, 1], grid[1, 0]), strict=True):
-        axes = block.add_subplot(place)
-        order = np.argsort(sign * points[:, towards])  # the nearest last, on top
+def _draw(board: Board, points: Float[np.ndarray, "p 3"], value: Float[np.ndarray, " p"], colours: Colormap) -> None:
+    """The points on each side, the nearest on top."""
+    for axes, (_, across, up, towards, sign) in zip(board.sides, SIDES, strict=True):
+        order = np.argsort(sign * points[:, towards])
         axes.scatter(
             points[order, across], points[order, up], c=value[order], cmap=colours, s=1.2, linewidths=0, rasterized=True
         )
-        axes.set_xlim(low[across], high[across])
-        axes.set_ylim(low[up], high[up])
-        axes.set_aspect("equal")
-        dress(axes)
-        axes.set_title(f"{name}, m", loc="left", size=9, color=MUTED, pad=3)
-    corner = block.add_subplot(grid[1, 1])
-    corner.set_axis_off()
-    return corner.inset_axes((0.08, 0.5, 0.84, 0.05))

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from sarsplat.report.canvas import INK, MUTED, dress, new_figure, to_png
+from sarsplat.report.canvas import to_png
+from sarsplat.report.sides import SIDES, drawing_boards
 
 if TYPE_CHECKING:
     import trimesh
 
-# Name, horizontal and vertical axis, axis that points at the viewer, its sign: as the points are shown.
-_SIDES = (("side", 0, 2, 1, -1), ("front", 1, 2, 0, 1), ("top", 0, 1, 2, 1))
 _LIGHT = np.array([0.4, -0.5, 0.77])
 _AMBIENT = 0.25
 _PIXELS = 240  # along the longest side
@@ -37,33 +36,11 @@ def meshes_figure(reconstructed: trimesh.Trimesh, truth: trimesh.Trimesh | None)
     bounds = np.stack([mesh.bounds for _, mesh in blocks])
     low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
     low, high = low - _MARGIN * (high - low).max(), high + _MARGIN * (high - low).max()
-    size = high - low
-    scale = 5.4 / (size[0] + size[1])  # inches per metre
-    height = (size[2] + size[1]) * scale + 1.2
-    figure = new_figure(len(blocks) * 6.4, height)
-    for block, (name, mesh) in zip(figure.subfigures(1, len(blocks), squeeze=False)[0], blocks, strict=True):
-        block.set_facecolor("none")
-        grid = block.add_gridspec(
-            *(2, 2),
-            width_ratios=(size[0], size[1]),
-            height_ratios=(size[2], size[1]),
-            left=0.09,
-            right=0.985,
-            top=1 - 0.5 / height,
-            bottom=0.34 / height,
-            wspace=0.12,
-            hspace=0.24,
-        )
-        pictures = _shaded(mesh, low, high)
-        for (side, across, up, _, _), place, picture in zip(
-            _SIDES, (grid[0, 0], grid[0, 1], grid[1, 0]), pictures, strict=True
-        ):
-            axes = block.add_subplot(place)
-            extent = (low[across], high[across], low[up], high[up])
+    figure, boards = drawing_boards([name for name, _ in blocks], low, high)
+    for board, (_, mesh) in zip(boards, blocks, strict=True):
+        for axes, side, picture in zip(board.sides, SIDES, _shaded(mesh, low, high), strict=True):
+            extent = (low[side.across], high[side.across], low[side.up], high[side.up])
             axes.imshow(picture, cmap="gray", vmin=0, vmax=1, extent=extent, origin="lower")
-            dress(axes)
-            axes.set_title(f"{side}, m", loc="left", size=9, color=MUTED, pad=3)
-        block.text(0.09, 1 - 0.24 / height, name, color=INK, size=11, weight="bold")
     return to_png(figure)
 
 
@@ -78,7 +55,7 @@ def _shaded(
     lit = _AMBIENT + (1 - _AMBIENT) * np.abs(normals @ (_LIGHT / np.linalg.norm(_LIGHT)))
     pixel = (high - low).max() / _PIXELS
     pictures = []
-    for _, across, up, towards, sign in _SIDES:
+    for _, across, up, towards, sign in SIDES:
         shape = [int(np.ceil((high - low)[axis] / pixel)) for axis in (up, across)]
         row, column = (
             np.minimum((places[:, k] - low[k]) // pixel, n - 1).astype(int) for k, n in zip((up, across), shape)
