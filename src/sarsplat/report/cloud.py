@@ -71,8 +71,7 @@ def _limits(points: Float[np.ndarray, "p 3"]) -> tuple[Float[np.ndarray, " 3"], 
 
 def _draw(board: Board, points: Float[np.ndarray, "p 3"], value: Float[np.ndarray, " p"], colours: Colormap) -> None:
     """The points on each side, the nearest on top."""
-    for axes, (_, across, up, towards, sign) in zip(board.sides, SIDES, strict=True):
-        order = np.argsort(sign * points[:, towards])
-        axes.scatter(
-            points[order, across], points[order, up], c=value[order], cmap=colours, s=1.2, linewidths=0, rasterized=True
-        )
+    for axes, side in zip(board.sides, SIDES, strict=True):
+        order = np.argsort(side.sign * points[:, side.towards])
+        x, y = points[order, side.across], points[order, side.up]
+        axes.scatter(x, y, c=value[order], cmap=colours, s=1.2, linewidths=0, rasterized=True)

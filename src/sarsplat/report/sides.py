@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -17,22 +18,22 @@ if TYPE_CHECKING:
 _INCHES = 5.4  # of the two sides that stand next to each other
 
 
-class Side(NamedTuple):
-    """From where a target is seen: axes of the world, 0 to 2."""
+@dataclass(frozen=True)
+class Side:
+    """From where a target is seen: axes of the world, 0 to 2; `sign` is −1 if `towards` points away from the viewer."""
 
     name: str
     across: int
     up: int
     towards: int
-    """Points at the viewer …"""
     sign: int
-    """… or, if −1, away from it."""
 
 
 SIDES = (Side("side", 0, 2, 1, -1), Side("front", 1, 2, 0, 1), Side("top", 0, 1, 2, 1))
 
 
-class Board(NamedTuple):
+@dataclass(frozen=True)
+class Board:
     """Where one block is drawn: axes in metres for each of `SIDES`, and a free corner."""
 
     sides: tuple[Axes, ...]

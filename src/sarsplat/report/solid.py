@@ -55,12 +55,13 @@ def _shaded(
     lit = _AMBIENT + (1 - _AMBIENT) * np.abs(normals @ (_LIGHT / np.linalg.norm(_LIGHT)))
     pixel = (high - low).max() / _PIXELS
     pictures = []
-    for _, across, up, towards, sign in SIDES:
-        shape = [int(np.ceil((high - low)[axis] / pixel)) for axis in (up, across)]
+    for side in SIDES:
+        shape = [int(np.ceil((high - low)[axis] / pixel)) for axis in (side.up, side.across)]
         row, column = (
-            np.minimum((places[:, k] - low[k]) // pixel, n - 1).astype(int) for k, n in zip((up, across), shape)
+            np.minimum((places[:, k] - low[k]) // pixel, n - 1).astype(int)
+            for k, n in zip((side.up, side.across), shape)
         )
-        nearest_last = np.argsort(sign * places[:, towards], kind="stable")
+        nearest_last = np.argsort(side.sign * places[:, side.towards], kind="stable")
         picture = np.full(shape, np.nan)
         picture[row[nearest_last], column[nearest_last]] = lit[nearest_last]
         pictures.append(picture)
