@@ -19,11 +19,12 @@ from sarsplat.reconstruction.presets import PRESETS
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a dataset of a box on nothing, and one of a box on the ground."""
+    """A folder with datasets of a box on nothing, the same in speckle, and a box on the ground."""
     folder = tmp_path_factory.mktemp("settings")
     trimesh.creation.box(extents=(2.4, 1.2, 1.0)).apply_translation((0, 0, 0.5)).export(folder / "box.obj")
     simulate = ["simulate", "--mesh", str(folder / "box.obj"), "--azimuth", "0:360:120", "--grazing", "45"]
     assert main([*simulate, "--pixels", "16", "--out", str(folder / "plain")]) == 0
+    assert main([*simulate, "--pixels", "16", "--looks", "4", "--out", str(folder / "speckled")]) == 0
     assert main([*simulate, "--pixels", "16", "--ground", "0.1", "--out", str(folder / "ground")]) == 0
     return folder
 
@@ -61,7 +62,7 @@ def test_simulated_ground_comes_with_the_box_the_target_is_in(place: Path) -> No
     )
 
 
-@pytest.mark.parametrize(("dataset", "name"), [("plain", "default"), ("ground", "measured")])
+@pytest.mark.parametrize(("dataset", "name"), [("plain", "default"), ("speckled", "speckled"), ("ground", "measured")])
 def test_the_preset_that_fits_the_images(dataset: str, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert printed("", capsys, dataset)["preset"] == name
     assert printed("--seed 4", capsys, dataset) == {

@@ -8,9 +8,11 @@ import pytest
 import torch
 
 from sarsplat.errors import SarsplatError
-from sarsplat.reconstruction import fused
+from sarsplat.reconstruction import fused, preset
 from sarsplat.reconstruction.losses import (
+    ImageScale,
     amplitude_loss,
+    named_loss,
     plain_amplitude_loss,
     speckle_loss,
     structural_similarity,
@@ -112,6 +114,21 @@ def test_speckle_likelihood_is_best_at_the_mean_intensity() -> None:
     levels = torch.linspace(1.0, 6.0, 51)
     losses = torch.stack([speckle_loss(torch.full_like(intensity, float(level)), intensity) for level in levels])
     assert float(levels[losses.argmin()]) == pytest.approx(float(intensity.mean()), abs=0.06)
+
+
+def test_speckle_of_a_target_alone_has_a_likelihood_where_the_image_is_black_and_in_any_unit() -> None:
+    power, _ = pair(2, 20, 20)
+    rendered = torch.where(power > power.median(), power, 0.0)
+    found = []
+    for unit in (1.0, 1e-6, 1e6):
+        loss = named_loss(preset("speckled"), ImageScale(unit * float(power.max()), 1.0))
+        image = (unit * rendered).requires_grad_()
+        value = loss(image, unit * power)
+        value.backward()
+        assert (image.grad < 0)[(rendered == 0) & (power > 0)].all()  # what is missing is asked for
+        found.append(value.item())
+        assert value > loss(unit * power, unit * power)
+    assert found == pytest.approx([found[0]] * 3, rel=1e-4)
 
 
 @pytest.mark.parametrize("wrong", [torch.ones(1, 4, 5), torch.ones(1, 4, 4, dtype=torch.float64)])

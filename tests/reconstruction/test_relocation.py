@@ -41,7 +41,7 @@ def test_at_most_half_is_idle_and_nobody_joins_what_scatters_nothing() -> None:
     assert len(pairs(torch.zeros(4), 0.5, generator())[0]) == 0
 
 
-def test_a_round_keeps_the_number_and_hardly_changes_the_power(dataset: Dataset) -> None:
+def test_a_round_keeps_the_number_and_about_the_power(dataset: Dataset) -> None:
     config = replace(preset("default"), iterations=40, gaussians=400, relocation=Relocation(rounds=1, idle_share=0.02))
     trainer = Trainer(dataset, config)
     for _ in range(29):

@@ -5,18 +5,21 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 import torch
 
 from datasets import dataset_of
-from sarsplat import Dataset, ImageGrid, Run, ScatteringLaw, View, simulate_raycast
+from sarsplat import Dataset, ImageGrid, Run, ScatteringLaw, View, preset, simulate_raycast
 from sarsplat.data import load_checkpoint, write_dataset
 from sarsplat.reconstruction import Trainer
 from sarsplat.reconstruction.density import DensityControl
+from sarsplat.reconstruction.model import SceneModel
 
 sys.path.insert(0, str(Path(__file__).parent))
 from train_once import config
@@ -62,6 +65,25 @@ def test_threads_change_nothing(dataset: Dataset, kind: str) -> None:
         torch.set_num_threads(usual)
 
 
+def test_threads_do_not_change_what_many_gaussians_cost(dataset: Dataset) -> None:
+    """More of them than torch sums on one thread, 2^15 numbers."""
+    generator = torch.Generator().manual_seed(0)
+    usual, found = torch.get_num_threads(), []
+    model = SceneModel.initial(replace(preset("default"), gaussians=40_000), dataset, generator)
+    scattering = model.parameters["scattering"]
+    with torch.no_grad():
+        scattering += torch.randn(scattering.shape, generator=generator)
+    try:
+        for threads in (1, 2, 3):
+            torch.set_num_threads(threads)
+            spread = model.scattering_spread()
+            found.append((spread.item(), torch.autograd.grad(spread, scattering)[0]))
+    finally:
+        torch.set_num_threads(usual)
+    assert len({spread for spread, _ in found}) == 1
+    assert all(torch.equal(gradient, found[0][1]) for _, gradient in found[1:])
+
+
 def train(dataset: Dataset, out: Path, threads: int, kind: str, kill_at: str = "") -> int:
     script = Path(__file__).with_name("train_once.py")
     words = [sys.executable, str(script), str(dataset.path), str(out), str(threads), kind, kill_at]
@@ -78,7 +100,7 @@ def assert_same(a: Path, b: Path) -> None:
         assert x.keys() == y.keys()
         assert [key for key in x if not torch.equal(x[key], y[key])] == []
         assert {**state, "seconds": 0} == {**other, "seconds": 0}
-    logs = [[{**line, "seconds": 0} for line in Run.load(run).history] for run in (a, b)]
+    logs = [[msgspec.structs.replace(line, seconds=0) for line in Run.load(run).history] for run in (a, b)]
     assert len(logs[0]) == 100
     assert logs[0] == logs[1]
 

@@ -17,7 +17,7 @@ import torch
 from sarsplat import preset, reconstruct
 from sarsplat.reconstruction import Config
 from sarsplat.reconstruction.config import Densification
-from sarsplat.reconstruction.model import SceneModel
+from sarsplat.reconstruction.optimiser import Optimiser
 
 DENSITY = Densification(
     start=10,
@@ -42,15 +42,15 @@ def config(kind: str) -> Config:
 def main(dataset: str, out: str, threads: str, kind: str, kill_at: str = "") -> None:
     """Train, or go on if the run is there."""
     torch.set_num_threads(int(threads))
-    render, steps = SceneModel.render, []
+    update, steps = Optimiser.step, []
 
-    def counted(*args: Any, **kwargs: Any) -> Any:
+    def counted(*args: Any) -> None:
         steps.append(1)
         if kill_at and len(steps) > int(kill_at):
             os.kill(os.getpid(), signal.SIGKILL)
-        return render(*args, **kwargs)
+        update(*args)
 
-    SceneModel.render = counted  # type: ignore[method-assign]
+    Optimiser.step = counted  # type: ignore[method-assign]
     reconstruct(dataset, config(kind), out, resume=Path(out).exists())
 
 

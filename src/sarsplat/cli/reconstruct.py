@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sarsplat.data import Dataset
     from sarsplat.reconstruction import Step
 
-PresetName = Literal["auto", "default", "quick", "paper", "measured"]
+PresetName = Literal["auto", "default", "quick", "speckled", "paper", "measured"]
 _PARTS = {"densification": Densification, "surroundings": Surroundings}
 """Parts of the settings that may be absent."""
 
@@ -52,8 +52,9 @@ class Options:
         Run folder to write; it appears with the first checkpoint. Ctrl-C keeps the progress so far.
     preset
         Starting settings, which the options below override: default (the best in our measurements; its values are
-        shown), paper (the paper's training), measured (ground, noise floor, speckle), or auto: measured if the images
-        show ground, otherwise default.
+        shown), quick (a first look), speckled (speckle, but no ground), measured (ground, noise floor, speckle), paper
+        (the paper's training), or auto: measured if the images show ground, speckled if they have only speckle,
+        otherwise default.
     config
         Starting settings from a file written by --print-config, instead of a preset.
     print_config

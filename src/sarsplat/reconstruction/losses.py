@@ -26,6 +26,9 @@ Loss = Callable[[Tensor, Tensor], Tensor]
 FLOOR = 1e-3
 """Amplitudes are softened below this share of the reference: the root has no slope at zero."""
 
+SPECKLE_FLOOR = 1e-4
+"""Power, of the brightest, that is added to images of nothing but a target: the logarithm has no value at zero."""
+
 SSIM_WINDOW = 11
 SSIM_STD = 1.5
 C1, C2 = 0.01**2, 0.03**2
@@ -154,11 +157,10 @@ def _amplitude(config: Config, scale: ImageScale) -> Loss:
 
 
 def _speckle(config: Config, scale: ImageScale) -> Loss:
-    if config.surroundings is None:
-        raise SarsplatError(
-            "loss 'speckle' needs the noise floor of the surroundings; switch them on, or take loss 'amplitude'"
-        )
-    return lambda rendered, truth: speckle_loss(rendered / scale.unit, truth / scale.unit)
+    if config.surroundings:  # with a noise floor of their own
+        return lambda rendered, truth: speckle_loss(rendered / scale.unit, truth / scale.unit)
+    unit = scale.brightest
+    return lambda rendered, truth: speckle_loss(rendered / unit + SPECKLE_FLOOR, truth / unit + SPECKLE_FLOOR)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,8 @@ PRESETS: dict[str, Config] = {
     "default": Config(),
     # a first look, in a quarter of the time
     "quick": Config(preset="quick", iterations=250, fine_from=1.0, rates=Rates(means=0.33)),
+    # speckle, but no ground
+    "speckled": Config(preset="speckled", loss="speckle"),
     # the paper's training, as far as it is stated (docs/paper-map.md)
     "paper": Config(
         preset="paper",

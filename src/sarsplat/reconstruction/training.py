@@ -74,7 +74,7 @@ def reconstruct(
         The images, or the folder that holds them.
     preset : str or Config
         How: a name in `PRESETS`, a configuration of your own, or "auto": "measured" where the images show ground,
-        "default" elsewhere. To resume, "auto" is what the run was begun with.
+        "speckled" where there is only speckle, "default" elsewhere. To resume, "auto" is what the run was begun with.
     out : str or Path, optional
         Folder of the run; it appears, or replaces an earlier run, with the first checkpoint. Without it everything
         stays in memory.
@@ -130,12 +130,12 @@ def reconstruct(
 
 
 def fitting(choice: str | Config, dataset: Dataset) -> Config:
-    """The configuration that is meant: where there is ground, it must be modelled."""
+    """The configuration that is meant: where there is ground or speckle, it must be modelled."""
     if isinstance(choice, Config):
         return choice
     if choice != "auto":
         return preset(choice)
-    return preset("measured" if dataset.ground else "default")
+    return preset("measured" if dataset.ground else "default" if dataset.looks is None else "speckled")
 
 
 def training_device(name: str) -> torch.device:
