@@ -42,9 +42,9 @@ def test_at_most_half_is_idle_and_nobody_joins_what_scatters_nothing() -> None:
 
 
 def test_a_round_keeps_the_number_and_about_the_power(dataset: Dataset) -> None:
-    config = replace(preset("default"), iterations=40, gaussians=400, relocation=Relocation(rounds=1, idle_share=0.02))
+    config = replace(preset("default"), iterations=80, gaussians=400, relocation=Relocation(rounds=1))
     trainer = Trainer(dataset, config)
-    for _ in range(29):
+    for _ in range(69):
         trainer.step()
     before = trainer.model.render(trainer.views, trainer.grid, 0)[0].detach()
     means = trainer.gaussians.means
@@ -52,7 +52,7 @@ def test_a_round_keeps_the_number_and_about_the_power(dataset: Dataset) -> None:
     after = trainer.model.render(trainer.views, trainer.grid, 0)[0].detach()
     assert len(trainer.model) == 400
     assert 5 < int((trainer.gaussians.means != means).any(dim=1).sum()) < 300
-    assert float(after.mean()) == pytest.approx(float(before.mean()), rel=0.25)
+    assert float(after.mean()) == pytest.approx(float(before.mean()), rel=0.15)  # halves that hid each other are seen
     trainer.step()
 
 

@@ -19,6 +19,10 @@ from sarsplat.gaussians.harmonics import CONSTANTS, harmonic_basis
 _MIN_EXCESS = 1e-3
 """γ⁰ above p_min that a law starts with at least: softplus never reaches zero."""
 
+_IN_LOBE = 0.2
+"""Share of γ⁰ that a lobe starts with. With half of it, surfaces that scatter alike to all sides, or have parts that
+differ, come out worse, because Gaussians turn before their law is known; with little, those that follow a cosine do."""
+
 
 @dataclass(frozen=True)
 class Scattering(ABC):
@@ -200,9 +204,10 @@ class NormalLobes(Scattering):
 
     @classmethod
     def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
-        """See `Scattering.initial`; half of it in one lobe, the squared cosine."""
-        b0 = max(gamma0 - p_min, _MIN_EXCESS) / 2
-        raw = torch.tensor([_softplus_inverse(b0), _softplus_inverse(3 * b0)], device="cpu")  # cos² is 1/3 on average
+        """See `Scattering.initial`; a part of it in one lobe, the squared cosine."""
+        excess = max(gamma0 - p_min, _MIN_EXCESS)
+        b = ((1 - _IN_LOBE) * excess, 3 * _IN_LOBE * excess)  # cos² is 1/3 on average
+        raw = torch.tensor([_softplus_inverse(value) for value in b], device="cpu")
         return cls(raw.repeat(count, 1), p_min)
 
 
