@@ -12,8 +12,16 @@ PRESETS: dict[str, Config] = {
     "default": Config(),
     # a first look, in a quarter of the time
     "quick": Config(preset="quick", iterations=250, fine_from=1.0, rates=Rates(means=0.33)),
-    # speckle, but no ground
-    "speckled": Config(preset="speckled", loss="speckle"),
+    # speckle, but no ground: it is averaged by larger Gaussians that scatter more alike, and learned by long trainings
+    "speckled": Config(
+        preset="speckled",
+        iterations=300,
+        loss="speckle",
+        scattering_penalty=0.3,
+        scale_bounds=(0.2, 0.83),
+        fine_from=1.0,
+        rates=Rates(means=0.33),
+    ),
     # the paper's training, as far as it is stated (docs/paper-map.md)
     "paper": Config(
         preset="paper",
