@@ -1,6 +1,6 @@
 # make demo    the whole workflow once: simulate, reconstruct, evaluate, report
 # make test    the test suite without the slow tests; make test-slow runs those
-# make figures pictures in figures/ with their tables: buildings, vehicles, splatting against ray casting
+# make figures pictures with their tables: buildings, vehicles, splatting against ray casting, reconstructions
 # make bench   speed and memory against plain torch and the floor; fills the README's performance section (3 minutes)
 # make tables  every experiment, beside the paper's tables, to docs/results (hours; resumable); QUICK=1 tries it in
 #              minutes, ONLY="density loss" runs some
@@ -63,6 +63,7 @@ figures: setup
 	$(call step,buildings: both forward models against the closed form,$(BIN)/python docs/draw_buildings.py)
 	$(call step,splat against ray cast: one mesh through both forward models,$(BIN)/python docs/draw_splat_against_raycast.py)
 	$(call step,vehicles beside measured chips,$(BIN)/python docs/draw_vehicles.py)
+	$(call step,reconstructions: where points are wrong and what is missed,$(BIN)/python docs/draw_reconstructions.py)
 
 bench: setup
 	$(call step,bench: speed and memory of every part (takes minutes; keep the machine idle),\
