@@ -60,7 +60,7 @@ def test_own_training_views_are_tested_on_the_protocol_s() -> None:
     assert of(ring, "train") == [View(float(azimuth), 45.0) for azimuth in range(0, 360, 45)]
     assert ring[8:] == PAPER_TEST
     assert chosen(random=12, test_theirs=True)[12:] == PAPER_TEST
-    overlapping = chosen((("15", "30"), ("45",), ()), test_theirs=True)
+    overlapping = chosen((("15", "-330"), ("45",), ()), test_theirs=True)
     assert len(of(overlapping, "test")) == 46  # what was trained on is no test
 
 
@@ -102,6 +102,20 @@ def test_a_mesh_is_scaled_and_its_rays_are_recorded(box: Path) -> None:
     coarse = simulated(box, "--scale 0.001 --ray-spacing 0.1")
     assert coarse.source["ray_spacing_m"] == 0.1
     assert 0 < np.abs(coarse.power - dataset.power).max() < 0.1 * dataset.power.max()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("--scale 0.01", "the target is 26 m long, but the images are 9.6 m wide"),
+        ("--scale 0.001 --ray-spacing 0.2", "rays 0.2 m apart miss what pixels of 0.3 m show"),
+    ],
+)
+def test_what_the_images_cannot_show_is_warned_of(
+    box: Path, words: str, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    simulated(box, words)
+    assert told in capsys.readouterr().err
 
 
 def test_laws_and_the_reflectivity_of_parts_are_recorded_and_shown(box: Path) -> None:

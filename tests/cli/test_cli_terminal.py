@@ -28,6 +28,20 @@ def test_terminals_that_know_few_letters(encoding: str, tmp_path: Path) -> None:
     assert b"Traceback" not in shown.stderr
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals are tested on Linux")
+def test_mistakes_are_one_sentence_on_a_terminal_too(tmp_path: Path) -> None:
+    import pty
+
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-c", RUN, *SIMULATE, "128", "--out", str(tmp_path / "out")]
+    environment = os.environ | {"TERM": "xterm-256color"}
+    done = subprocess.run(command, stdout=theirs, stderr=theirs, env=environment, check=False)
+    shown = os.read(ours, 10_000).decode()
+    assert done.returncode == 2
+    assert "'128' is one argument too many for sarsplat simulate; remove it" in shown
+    assert "\\x1b" not in shown
+
+
 def test_escape_sequences_of_strangers_are_not_sent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*SIMULATE, "--out", str(tmp_path / "out")]) == 0
     header = tmp_path / "out" / "dataset.json"

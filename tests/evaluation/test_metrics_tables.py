@@ -94,9 +94,9 @@ def test_the_row_of_the_paper_is_that_of_the_target():
         return found and found.name
 
     assert beside(target="BTR70") == "paper, BTR70"
-    assert beside() == "paper, T72"
+    assert beside() is None
     for other in ({"protocol": None}, {"looks": 1.0}, {"ground": True}):
-        assert beside(**other) is None
+        assert beside(target="BTR70", **other) is None
 
 
 def test_measured_sets_stand_beside_the_baselines():

@@ -61,6 +61,7 @@ def _meant(word: str, known: Iterable[str]) -> str:
 
 def _plain(program: str, told: str) -> str:
     """What tyro says between title and first rule; where letters are few, its frame is of spaces and hyphens."""
+    told = re.sub(r"\x1b\[[0-9;]*m", "", told)  # colours, on a terminal
     inside = "\n".join(line.strip("│| ") for line in told.splitlines()[1:])
     text = " ".join(re.split(r"^[─╰╯+-]{3,}$", inside.lstrip("-\n"), maxsplit=1, flags=re.MULTILINE)[0].split())
     if missing := re.match(r"Missing from .*?: (\S+)( \S+)?", text):

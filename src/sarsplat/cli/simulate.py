@@ -153,6 +153,8 @@ def simulate(
     warn(suspicious_size(surface, grid))
     if ray_spacing is None and source == "raycast":
         ray_spacing = default_ray_spacing(surface, grid)
+    elif ray_spacing is not None and ray_spacing > min(grid.spacing_m) / 2:
+        warn([f"rays {ray_spacing:g} m apart miss what pixels of {min(grid.spacing_m):g} m show; give fewer metres"])
     how: dict[str, Any] = {
         "source": source,
         "law": ScatteringLaw(*law),

@@ -47,10 +47,16 @@ def simulated_views(
     else:
         return theirs
     tested = _test(theirs, train, test, test_theirs)
-    unseen = [(view, split) for view, split in tested if view not in set(own)]
+    seen = {_towards(view) for view in own}
+    unseen = [(view, split) for view, split in tested if _towards(view) not in seen]
     if tested and not unseen:
         raise SarsplatError(f"all {len(tested)} test views are also training views; choose others with --test-azimuth")
     return [*((view, "train") for view in own), *unseen]
+
+
+def _towards(view: View) -> tuple[float, ...]:
+    """The same for −30° and 330°."""
+    return tuple(view.direction.round(9).tolist())
 
 
 def _random(theirs: list[tuple[View, str]], given: Raster, count: int, seed: int) -> list[View]:

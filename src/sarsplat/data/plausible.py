@@ -156,8 +156,8 @@ def _images(dataset: Dataset) -> list[str]:
 def _tested_on_training(dataset: Dataset) -> list[str]:
     """Test images that are a training image, seen from the same direction, over again."""
 
-    def key(entry: DatasetEntry, image: Real[np.ndarray, "rows columns"]) -> tuple[View, bytes]:
-        return entry.view, image.tobytes()
+    def key(entry: DatasetEntry, image: Real[np.ndarray, "rows columns"]) -> tuple[tuple[float, ...], bytes]:
+        return tuple(entry.view.direction.round(9).tolist()), image.tobytes()  # the same for −30° and 330°
 
     both = list(zip(dataset.entries, dataset.power, strict=True))
     trained = {key(entry, image): entry.name for entry, image in both if entry.split == "train"}

@@ -78,10 +78,10 @@ def paper_scores(target: str) -> Scores:
 
 
 def paper_beside(dataset: Dataset) -> Scores | None:
-    """What the paper published of this dataset's target, of the T72 where it has none.
+    """What the paper published of this dataset's target, if it did.
 
     None unless the views are the paper's and the images show the target alone, without speckle, as the paper's do.
     """
     if dataset.protocol != "paper" or dataset.ground or dataset.looks is not None:
         return None
-    return paper_scores(dataset.target if dataset.target.upper() in _PUBLISHED else "T72")
+    return paper_scores(dataset.target) if dataset.target.upper() in _PUBLISHED else None

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 # The sizes of a target that is imaged as it is meant to be, in image sides and in resolution widths. A vehicle that is
 # given in inches, centimetres or millimetres is farther out, and so is one in kilometres.
-_LARGEST_TARGET, _SMALLEST_TARGET = 5.0, 2.0
+_LARGEST_TARGET, _SMALLEST_TARGET = 1.0, 2.0
 
 
 def load_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
@@ -82,7 +82,7 @@ def scaled(mesh: trimesh.Trimesh, factor: float) -> trimesh.Trimesh:
 
 
 def suspicious_size(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
-    """Whether a mesh is far larger than its images, or hardly larger than a resolution cell; one sentence, or none."""
+    """Whether a mesh is larger than its images, or hardly larger than a resolution cell; one sentence, or none."""
     extent = float(mesh.extents.max())
     side = max(grid.rows * grid.spacing_m[1], grid.columns * grid.spacing_m[0])
     cell = max(grid.resolution_m)
@@ -90,7 +90,7 @@ def suspicious_size(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
         return []
     return [
         f"the target is {extent:.3g} m long, but the images are {side:.3g} m wide with a resolution of {cell:.3g} m; "
-        "if the mesh is not in metres, give --scale, otherwise --spacing"
+        "if the mesh is not in metres, give --scale, otherwise other --pixels or --spacing"
     ]
 
 
