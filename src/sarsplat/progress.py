@@ -22,7 +22,7 @@ class Reporter:
         self._first = self._done = 0
 
     def note(self, text: str) -> None:
-        """A line that stays, before the first step."""
+        """A line that stays."""
         if self._bar is not None:
             self._bar.console.print(text, highlight=False)
         elif not self._quiet:

@@ -162,7 +162,7 @@ class _Training:
     """A trainer at work: counts the time, tells whoever watches, and keeps the log."""
 
     def __init__(self, trainer: Trainer, on_step: Watcher | None, shown: Reporter) -> None:
-        self.trainer, self._on_step, self._shown = trainer, on_step, shown
+        self.trainer, self.shown, self._on_step = trainer, shown, on_step
         self.history: list[LogLine] = []
         self.between_steps = True
         self.ended = False  # by whoever watches
@@ -178,7 +178,7 @@ class _Training:
         self.trainer.restore(snapshot)
         self._begun -= snapshot.seconds
         self.history = [line for line in history if line.iteration <= snapshot.iteration]  # a killed process wrote more
-        self._shown.start_at(snapshot.iteration)
+        self.shown.start_at(snapshot.iteration)
 
     def go_on_to(
         self, iterations: int, log: Callable[[LogLine], object] | None = None, save: Callable[[], object] | None = None
@@ -200,7 +200,7 @@ class _Training:
             if line is not None:
                 losses = []
                 self.history.append(line)
-                self._shown.update(line.iteration, f"loss {line.loss:.3g}  {line.gaussians} Gaussians")
+                self.shown.update(line.iteration, f"loss {line.loss:.3g}  {line.gaussians} Gaussians")
                 if log is not None:
                     log(line)
             if save is not None and saves:
@@ -253,6 +253,7 @@ def _on_the_disk(training: _Training, dataset: Dataset, out: Path, resume: bool,
         finally:  # the run is usable as far as it has come
             finished = Run.load(out)
             if finished.checkpoint_path is not None:
+                training.shown.note("extracting the surface: points and normals")
                 finished.write_results()
     if stopped is not None:
         raise stopped
