@@ -97,12 +97,12 @@ def _table(columns: Sequence[str], known: list[Line]) -> str:
 
 
 def _text(key: str, line: Line) -> str:
-    """Mean ± standard deviation."""
+    """Mean ± standard deviation, both with the mean's decimals."""
     found = line.found.get(key)
     if found is None:
         return "–"
-    metric = METRIC[key]
-    return metric.text(found.mean) + ("" if found.sd is None else f" ± {metric.text(found.sd)}")
+    mean = METRIC[key].text(found.mean)
+    return mean if found.sd is None else f"{mean} ± {found.sd:.{len(mean.partition('.')[2])}f}"
 
 
 def _summary_rows(known: list[Line]) -> Iterable[Mapping[str, Any]]:
