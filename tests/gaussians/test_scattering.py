@@ -162,3 +162,29 @@ def test_indexing():
     assert torch.equal(gaussians[-1].means[0], gaussians.means[-1])
     with pytest.raises(IndexError, match="no Gaussian 6 among 6"):
         gaussians[6]
+
+
+@pytest.mark.parametrize("kind", SCATTERINGS)
+def test_threads_change_nothing(kind):
+    generator = torch.Generator().manual_seed(0)
+    count = (
+        17_001  # more numbers than torch computes on one thread, and not a multiple of what a processor takes at once
+    )
+    law = SCATTERINGS[kind].initial(count, 0.5, 0.03)
+    start = law.parameters + torch.randn(law.parameters.shape, generator=generator)
+    directions = torch.nn.functional.normalize(torch.randn(8, 3, generator=generator), dim=1)
+    quaternions = torch.randn(count, 4, generator=generator)
+    scales = torch.rand(count, 3, generator=generator) + 0.1
+    cotangent = torch.randn(8, count, generator=generator)
+    usual, found = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2, 3):
+            torch.set_num_threads(threads)
+            leaves = start.clone().requires_grad_(), quaternions.clone().requires_grad_()
+            gamma0 = replace(law, parameters=leaves[0]).gamma0(directions, leaves[1], scales)
+            gamma0.backward(cotangent)
+            found.append([gamma0.detach(), *(leaf.grad for leaf in leaves if leaf.grad is not None)])
+    finally:
+        torch.set_num_threads(usual)
+    for others in found[1:]:
+        assert all(torch.equal(one, other) for one, other in zip(found[0], others, strict=True))

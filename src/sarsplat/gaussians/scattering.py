@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.nn.functional import pad, softplus
+from torch.nn.functional import logsigmoid, pad
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.covariance import rotation_matrix
@@ -128,7 +128,7 @@ class Harmonics(Scattering):
         scales: Float[Tensor, "n 3"],
     ) -> Float[Tensor, "v n"]:
         """See `Scattering.gamma0`; how a Gaussian is turned does not matter."""
-        return self.p_min + softplus(harmonic_basis(directions, self.degree) @ self.parameters.T)
+        return self.p_min + _softplus(harmonic_basis(directions, self.degree) @ self.parameters.T)
 
     @classmethod
     def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
@@ -196,7 +196,7 @@ class NormalLobes(Scattering):
         axes, shortest = rotation_matrix(quaternions), scales.detach().argmin(dim=1)
         normals = axes.gather(2, shortest[:, None, None].expand(-1, 3, 1))[:, :, 0]
         squared = (directions @ normals.T) ** 2  # [V, N]
-        b = softplus(self.parameters)
+        b = _softplus(self.parameters)
         total = self.p_min + b[:, 0].expand(len(directions), -1)
         for j, sharpness in enumerate(self.sharpness, start=1):
             total = total + b[:, j] * (squared if sharpness == 0 else torch.exp(sharpness * (squared - 1)))
@@ -209,6 +209,11 @@ class NormalLobes(Scattering):
         b = ((1 - _IN_LOBE) * excess, 3 * _IN_LOBE * excess)  # cos² is 1/3 on average
         raw = torch.tensor([_softplus_inverse(value) for value in b], device="cpu")
         return cls(raw.repeat(count, 1), p_min)
+
+
+def _softplus(values: Tensor) -> Tensor:
+    """log(1 + e^x). torch's own rounds the last numbers of a thread's share otherwise, so bits hang on their number."""
+    return -logsigmoid(-values)
 
 
 def _softplus_inverse(value: float) -> float:
