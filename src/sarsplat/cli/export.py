@@ -67,8 +67,9 @@ def _content(file: Path, asked: _Content | None) -> _Content:
     ending = file.suffix.lower()
     content = asked or ("mesh" if ending in (".glb", ".obj") else "gaussians")
     if ending not in _ENDINGS[content]:
-        what = "a mesh" if content == "mesh" else content
-        endings = " or ".join(", ".join(_ENDINGS[content]).rsplit(", ", 1))
+        what = "an export" if asked is None else "a mesh" if content == "mesh" else content
+        known = _ENDINGS["mesh" if asked is None else content]
+        endings = " or ".join(", ".join(known).rsplit(", ", 1))
         raise SarsplatError(f"{file} is no name for {what}; choose one that ends in {endings}")
     return content
 
