@@ -24,6 +24,8 @@ def test_rounds_are_evenly_spaced_until_the_last() -> None:
     found = [step for step in range(1, 101) if due(Relocation(rounds=5, until=0.5), step, 100)]
     assert found == [10, 20, 30, 40, 50]
     assert not any(due(Relocation(rounds=0), step, 100) for step in range(101))
+    assert not any(due(Relocation(until=0), step, 100) for step in range(1, 101))
+    assert all(due(Relocation(rounds=100_000_000, until=1), step, 100) for step in range(1, 101))
 
 
 def test_the_weakest_join_strong_ones_each_its_own() -> None:

@@ -65,11 +65,12 @@ def test_threads_change_nothing(dataset: Dataset, kind: str) -> None:
         torch.set_num_threads(usual)
 
 
-def test_threads_do_not_change_what_many_gaussians_cost(dataset: Dataset) -> None:
+@pytest.mark.parametrize("changes", [{}, {"scattering": "harmonics", "harmonics_degree": 0}])
+def test_threads_do_not_change_what_many_gaussians_cost(dataset: Dataset, changes: dict[str, Any]) -> None:
     """More of them than torch sums on one thread, 2^15 numbers."""
     generator = torch.Generator().manual_seed(0)
     usual, found = torch.get_num_threads(), []
-    model = SceneModel.initial(replace(preset("default"), gaussians=40_000), dataset, generator)
+    model = SceneModel.initial(replace(preset("default"), gaussians=40_000, **changes), dataset, generator)
     scattering = model.parameters["scattering"]
     with torch.no_grad():
         scattering += torch.randn(scattering.shape, generator=generator)

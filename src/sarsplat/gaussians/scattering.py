@@ -217,4 +217,5 @@ def _softplus(values: Tensor) -> Tensor:
 
 
 def _softplus_inverse(value: float) -> float:
-    return math.log(math.expm1(max(value, _MIN_EXCESS)))
+    value = max(value, _MIN_EXCESS)
+    return value + math.log(-math.expm1(-value))  # of large ones the exponential would overflow

@@ -244,8 +244,8 @@ class SceneModel:
         The negative logarithm of Student's t-distribution, up to factors: most Gaussians are alike, some are not.
         """
         parameters = self.parameters["scattering"]
-        difference = parameters - parameters.detach().mean(0)
-        return _ALIKE**2 * torch.log1p((difference / _ALIKE) ** 2).mean(0).sum()
+        difference = parameters - _column_means(parameters.detach())
+        return _ALIKE**2 * _column_means(torch.log1p((difference / _ALIKE) ** 2)).sum()
 
     def penalty(self) -> Float[Tensor, ""] | None:
         """What shifts and gains cost, or None without them: chips differ little."""
@@ -298,6 +298,12 @@ class SceneModel:
         """Bring every parameter into its bounds."""
         for name, (low, high) in self.bounds.items():
             self.parameters[name].clamp_(low, high)
+
+
+def _column_means(table: Float[Tensor, "n k"]) -> Float[Tensor, " k"]:
+    """The mean of each column; never of one alone, which torch would split by threads."""
+    columns = table.shape[1]
+    return table.expand(-1, max(columns, 2)).mean(0)[:columns]
 
 
 def _enough(train: Dataset) -> int:

@@ -16,7 +16,12 @@ _OWN_PART = 0.6
 
 def due(config: Relocation, iteration: int, iterations: int) -> bool:
     """Whether a round follows this iteration."""
-    return any(iteration == round(config.until * iterations * k / config.rounds) for k in range(1, config.rounds + 1))
+    last = config.until * iterations
+    if not config.rounds or not last:
+        return False
+    near = round(iteration * config.rounds / last)
+    rounds = range(max(1, near - 1), min(config.rounds, near + 1) + 1)
+    return any(iteration == round(last * k / config.rounds) for k in rounds)
 
 
 def pairs(
