@@ -154,7 +154,10 @@ def simulate(
     if ray_spacing is None and source == "raycast":
         ray_spacing = default_ray_spacing(surface, grid)
     elif ray_spacing is not None and ray_spacing > min(grid.spacing_m) / 2:
-        warn([f"rays {ray_spacing:g} m apart miss what pixels of {min(grid.spacing_m):g} m show; give fewer metres"])
+        spacing_m = min(grid.spacing_m)
+        warn(
+            [f"rays {ray_spacing:g} m apart miss what pixels of {spacing_m:g} m show; give at most {spacing_m / 2:g} m"]
+        )
     how: dict[str, Any] = {
         "source": source,
         "law": ScatteringLaw(*law),

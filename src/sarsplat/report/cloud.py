@@ -52,9 +52,8 @@ def points_figure(
         colours = {"height": heights, "distance": ramp("distance", "#37c9a4", "#d9d37a", "#ff9248", "#f0386b")}
     figure, boards = drawing_boards([name for name, *_ in blocks], low, high)
     chance = np.random.default_rng(0)
-    drawn = min(_DRAWN, *(max(len(cloud), 1) for _, cloud, *_ in blocks))
     for board, (_, cloud, value, limits, kind, label) in zip(boards, blocks, strict=True):
-        some = chance.permutation(len(cloud))[:drawn]  # as many of each: a denser cloud would only look more solid
+        some = chance.permutation(len(cloud))[:_DRAWN]  # a denser cloud would only look more solid
         _draw(board, cloud[some], np.clip(value[some], *limits), colours[kind])
         colour_bar(figure, board.corner.inset_axes((0.08, 0.5, 0.84, 0.05)), colours[kind], limits, label)
     return to_png(figure)
