@@ -223,7 +223,17 @@ def test_no_mesh_is_a_result_not_an_error(make):
     metrics = evaluate_run(FakeRun(make(), has_mesh=False))
     assert metrics["points"]["visible"]["cd_m"] is not None
     assert metrics["mesh"]["visible"]["cd_m"] is None
-    assert metrics["reasons"]["mesh.visible.cd_m"] == "the run reconstructed no mesh"
+    assert metrics["reasons"]["mesh.visible.cd_m"] == "the points make no surface"
+
+
+def test_a_mesh_that_cannot_be_made_is_a_result_not_an_error(make):
+    class Strays(FakeRun):
+        def mesh(self):
+            raise SarsplatError("too many voxels")
+
+    metrics = evaluate_run(Strays(make()))
+    assert metrics["points"]["visible"]["cd_m"] is not None
+    assert metrics["reasons"]["mesh.whole.f1@0.3"] == "too many voxels"
 
 
 def test_no_points_is_a_result_not_an_error(make):

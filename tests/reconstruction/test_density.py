@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
 import torch
 
-from sarsplat import Gaussians, Harmonics, ImageGrid, preset
+from sarsplat import Gaussians, Harmonics, ImageGrid, SarsplatError, preset
 from sarsplat.reconstruction.config import Densification
 from sarsplat.reconstruction.density import DensityControl
 from sarsplat.reconstruction.optimiser import Optimiser, decay, learning_rate
@@ -49,6 +50,12 @@ def test_room_is_given_to_the_steepest() -> None:
     density.gradient, density.seen = torch.tensor([8.0, 4.0, 6.0, 0.0, 0.0]), torch.full((5,), 2.0)
     source, *_ = density.decide(five(), GRID, torch.Generator().manual_seed(0))
     assert source.tolist() == [0, 1, 2, 0]
+
+
+def test_the_last_one_is_not_pruned() -> None:
+    density = DensityControl(replace(CONTROL, min_scattering=1e6), 5)
+    with pytest.raises(SarsplatError, match=r"would remove all Gaussians: none scatters at least 1e\+06"):
+        density.decide(five(), GRID, torch.Generator().manual_seed(0))
 
 
 def test_it_acts_on_schedule() -> None:

@@ -16,7 +16,7 @@ from datasets import dataset_of
 from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, preset, read_dataset, reconstruct
 from sarsplat.data import load_checkpoint, save_checkpoint, write_dataset, write_power_tiff
 from sarsplat.reconstruction import Config
-from sarsplat.reconstruction.config import Densification, Rates
+from sarsplat.reconstruction.config import Densification, PointExtraction, Rates
 from sarsplat.reconstruction.run import LogLine
 
 CONFIG = replace(preset("default"), iterations=2, gaussians=50, checkpoint_every=1)
@@ -102,6 +102,16 @@ def test_more_iterations_extend_a_run(begun: Path, dataset: Dataset, done: int) 
     assert run.iteration == 4
     assert (Run.load(begun).config.iterations, Run.load(begun).config.checkpoint_every) == (4, 3)
     assert [line.iteration for line in run.history] == [1, 2, 3, 4]
+
+
+def test_points_are_extracted_anew(dataset: Dataset, tmp_path: Path) -> None:
+    first = reconstruct(dataset, CONFIG, tmp_path / "run")
+    (tmp_path / "run" / "metrics.json").write_text("{}")
+    everything = PointExtraction(method="centres", optical_depth=0.0, voxel=1e-6, min_height=-1e6)
+    again = reconstruct(dataset, replace(CONFIG, points=everything), tmp_path / "run", resume=True)
+    assert again.iteration == first.iteration
+    assert len(Run.load(tmp_path / "run").points) == len(again.gaussians)
+    assert not (tmp_path / "run" / "metrics.json").exists()  # it was of other points
 
 
 def newer_schema(header: dict[str, Any]) -> None:

@@ -63,7 +63,7 @@ class Options:
         Where to train; auto uses a GPU if a usable one is present.
     resume
         Continue the run in --out with the settings it was started with; DATASET may have moved. A larger --iterations
-        extends the run.
+        extends the run; other --points.* extract its points anew.
     overwrite
         Replace an existing run, which is kept until the new one has its first checkpoint.
     densify

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -32,9 +32,6 @@ from sarsplat.evaluation.points import PointMetrics, Yardstick, point_metrics
 from sarsplat.evaluation.surface import read_truth_mesh, visible_surface
 from sarsplat.geometry import View
 from sarsplat.progress import Reporter, progress
-
-if TYPE_CHECKING:
-    import trimesh
 
 _VIEWS_AT_A_TIME = 8
 _MESH_SAMPLES = 100_000
@@ -142,8 +139,9 @@ def _surfaces(
     clouds: dict[str, Float[np.ndarray, "p 3"]] = {"points": run.points, "mesh": np.empty((0, 3))}
     parts: dict[str, tuple[Float[np.ndarray, "t 3 3"], Float[np.ndarray, "s 3"]] | None]
     parts = dict.fromkeys(("visible", "whole"))
+    lacks = dict.fromkeys(clouds, "the run reconstructed no points")
     if dataset.truth_mesh is not None and len(run.points):
-        clouds["mesh"] = _points_on(run.mesh())
+        clouds["mesh"], lacks["mesh"] = _points_on_mesh(run)
         views = dataset.select("train").views
         surface = visible_surface(
             read_truth_mesh(dataset.truth_mesh),
@@ -163,8 +161,7 @@ def _surfaces(
         for part, truth in parts.items():
             measured: PointMetrics | UndefinedScore
             if truth is None or len(points) == 0:
-                lacks = "no points" if len(run.points) == 0 else "no mesh"
-                measured = UndefinedScore(f"the run reconstructed {lacks}")
+                measured = UndefinedScore(lacks[kind])
             else:
                 measured = point_metrics(points, *truth, yardstick)
                 shown.advance(_DISTANCES, f"distances of the {kind} from the {part} surface")
@@ -174,8 +171,14 @@ def _surfaces(
     return scores
 
 
-def _points_on(mesh: trimesh.Trimesh) -> Float[np.ndarray, "p 3"]:
-    """Random points of a mesh, spread by area; none if it has no faces."""
+def _points_on_mesh(run: EvaluatedRun) -> tuple[Float[np.ndarray, "p 3"], str]:
+    """Random points of a run's mesh, spread by area; where it has none, why."""
     from trimesh.sample import sample_surface
 
-    return np.asarray(sample_surface(mesh, _MESH_SAMPLES, seed=0)[0]) if len(mesh.faces) else np.empty((0, 3))
+    try:
+        mesh = run.mesh()
+    except SarsplatError as error:
+        return np.empty((0, 3)), str(error)
+    if len(mesh.faces) == 0:
+        return np.empty((0, 3)), "the points make no surface"
+    return np.asarray(sample_surface(mesh, _MESH_SAMPLES, seed=0)[0]), ""

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid
+from sarsplat.unbroken import unbroken
 
 _PIECES = 100
 """Triangles are cut into pieces, to find the nearest ones, whose edges are at most this part of the whole surface."""
@@ -114,7 +115,7 @@ def point_metrics(
             raise SarsplatError(f"the {name} hold values that are not finite; remove them before evaluation")
     kept = thin(points, yardstick.voxel_m)
     to_surface = surface_distance(kept, triangles)
-    to_points = cKDTree(kept).query(samples, workers=-1)[0]
+    to_points = unbroken(cKDTree(kept).query, samples, workers=-1)[0]
     thresholds = yardstick.thresholds_m
     precision = {threshold: float(np.mean(to_surface <= threshold)) for threshold in thresholds}
     recall = {threshold: float(np.mean(to_points <= threshold)) for threshold in thresholds}
@@ -166,10 +167,10 @@ def surface_distance(
         raise SarsplatError("the true surface has no triangle with an area, so no distance exists; check the mesh")
     centres, owners, radius = _pieces(triangles)
     tree = cKDTree(centres)
-    nearest = owners[tree.query(points, workers=-1)[1]]
+    nearest = owners[unbroken(tree.query, points, workers=-1)[1]]
     distance = _triangle_distance(points, triangles[nearest])
 
-    nearby = tree.query_ball_point(points, distance + radius * (1 + 1e-9), workers=-1)
+    nearby = unbroken(tree.query_ball_point, points, distance + radius * (1 + 1e-9), workers=-1)
     pairs = np.repeat(np.arange(len(points)), [len(found) for found in nearby]) * len(triangles)
     pairs = np.unique(pairs + owners[np.concatenate(nearby).astype(np.int64)])  # a triangle's pieces count once
     point, triangle = np.divmod(pairs, len(triangles))

@@ -43,8 +43,12 @@ def ground_sheet(radius: float, pitch: float) -> Gaussians:
     Raises
     ------
     SarsplatError
-        If the disc is wider than 2 × 2500 pitches.
+        If the disc is wider than 2 × 2500 pitches, or narrower than two.
     """
+    if radius < pitch:
+        raise SarsplatError(
+            f"Gaussians {pitch:g} m apart are too few for a ground of {radius:.6g} m radius; put them closer together"
+        )
     if not radius <= _LARGEST * pitch:
         raise SarsplatError(
             f"a ground of {radius:.6g} m radius needs too many Gaussians {pitch:g} m apart; its radius may be at most "

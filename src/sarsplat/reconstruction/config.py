@@ -167,6 +167,11 @@ class PointExtraction(Record):
     cluster_radius: Positive | None = None
     cluster_size: Count = 10
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.method == "rays" and self.optical_depth == 0:
+            raise SarsplatError("points.optical_depth is 0, which no ray returns at; give more, as 0.6")
+
 
 @dataclass(frozen=True)
 class Surroundings(Record):
@@ -297,11 +302,8 @@ class Config(Record):
             raise SarsplatError(f"scale_bounds is {shown(self.scale_bounds)}; give the smaller one first")
 
 
-_MAY_CHANGE = ("iterations", "checkpoint_every")
-
-
 def refuse_other_settings(run: Path, begun: Config, wanted: Config) -> None:
-    """Refuse to resume a run with settings other than its own; only how long it trains may change.
+    """Refuse to resume a run with settings other than its own, unless the training does not depend on them.
 
     Raises
     ------
@@ -309,8 +311,8 @@ def refuse_other_settings(run: Path, begun: Config, wanted: Config) -> None:
         If another setting differs; it is named, with both values.
     """
     for name, before, after in begun.changes(wanted):
-        if name not in _MAY_CHANGE:
+        if name not in ("iterations", "checkpoint_every") and not name.startswith(PointExtraction._section):
             raise SarsplatError(
                 f"{run} was started with {name} {shown(before)}, not {shown(after)}; resume it with the same settings, "
-                f"except {' and '.join(_MAY_CHANGE)}, which may change"
+                "except iterations, checkpoint_every and points.…, which may change"
             )

@@ -7,6 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.geometry import ImageGrid
@@ -69,6 +70,11 @@ class DensityControl:
             How far its centre moves, m.
         shrink : Tensor [M]
             Factor on its standard deviations.
+
+        Raises
+        ------
+        SarsplatError
+            If none would be left.
         """
         c = self._config
         n, device = len(gaussians), gaussians.means.device
@@ -79,6 +85,12 @@ class DensityControl:
         pruned = (scattering * -torch.expm1(-gaussians.optical_depth) < c.min_scattering) | (
             size > c.max_extent * grid.rows * grid.spacing_m[1]
         )
+        if bool(pruned.all()):
+            raise SarsplatError(
+                f"density control would remove all Gaussians: none scatters at least {c.min_scattering:g} "
+                f"(densification.min_scattering) and is smaller than {c.max_extent:g} of the range "
+                "(densification.max_extent); lower the first or raise the second"
+            )
         grows = (self.gradient / self.seen.clamp(min=1) > c.gradient) & ~pruned
         room = max(0, c.max_gaussians - n)
         if int(grows.sum()) > room:  # the strongest first

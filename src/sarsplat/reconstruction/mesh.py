@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from sarsplat.errors import SarsplatError
 from sarsplat.reconstruction.seen import Seen
+from sarsplat.unbroken import unbroken
 
 if TYPE_CHECKING:
     import trimesh
@@ -77,7 +78,7 @@ def surface_mesh(
                 distance, 0.0, spacing=(voxel, voxel, voxel), mask=near, allow_degenerate=False
             )
             vertices, faces = vertices + corner, faces.astype(np.int64)
-            faces = faces[(planes.tree.query(vertices, workers=-1)[0] <= _REACH * cell)[faces].all(axis=1)]
+            faces = faces[(unbroken(planes.tree.query, vertices, workers=-1)[0] <= _REACH * cell)[faces].all(axis=1)]
             vertices, faces = _without_crumbs(vertices, faces)
             if len(faces):
                 _, vertex_normals = planes.at(vertices)  # of many points: those of a voxel's few triangles jump
@@ -115,7 +116,7 @@ class _Planes:
         count = np.arange(1, min(_NEIGHBOURS, len(self.points)) + 1)
         for first in range(0, len(places), _AT_ONCE):
             some = slice(first, first + _AT_ONCE)
-            apart, index = self.tree.query(places[some], k=count, workers=-1)
+            apart, index = unbroken(self.tree.query, places[some], k=count, workers=-1)
             weight = np.exp(-0.5 * (apart**2 - apart[:, :1] ** 2) / self.smoothing_m**2)[:, :, None]
             offset = places[some] - (weight * self.points[index]).sum(1) / weight.sum(1)
             mean = (weight * self.normals[index]).sum(1)
@@ -136,7 +137,7 @@ def _signed_distances(
     if shape.prod() > _MOST_VOXELS:
         raise SarsplatError(
             f"the points span {' × '.join(map(str, shape))} voxels of {voxel:.3g} m, which is too many for a mesh; "
-            "reconstruct with a cluster radius (--points.…), so that strays are left out"
+            "leave out strays with `sarsplat reconstruct … --resume --points.cluster-radius 2`, or use the points"
         )
     empty = np.ones(shape, dtype=bool)
     empty[tuple(np.rint((points - corner) / voxel).astype(np.int64).T)] = False

@@ -7,6 +7,8 @@ from jaxtyping import Float64, Real
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
+from sarsplat.unbroken import unbroken
+
 _AT_ONCE = 4096  # points
 _CUBES = 4  # to a radius: a dense cloud has hundreds of neighbours for each point, which count by the cube
 
@@ -42,7 +44,7 @@ def surface_normals(
     tree, normals = cKDTree(table[:, 1:4] / table[:, :1]), np.empty((len(points), 3))
     for first in range(0, len(points), _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
-        found = tree.query_ball_point(centred[some], radius, workers=-1)
+        found = unbroken(tree.query_ball_point, centred[some], radius, workers=-1)
         ends = np.cumsum([0, *map(len, found)])
         neighbours = csr_array(
             (np.ones(ends[-1]), np.concatenate(found).astype(np.int64), ends), (len(found), len(table))

@@ -180,7 +180,7 @@ class Run:
     def render(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
         """β⁰ of any views, linear power, on its grid; rays at a quarter of the pixel spacing."""
         rays, degree = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL), self.model.degree(self.iteration)
-        images = []
+        images = [np.empty((0, self.grid.rows, self.grid.columns), np.float32)]
         with torch.no_grad():
             for first in range(0, len(views), _VIEWS_AT_A_TIME):  # memory stays small
                 some = views[first : first + _VIEWS_AT_A_TIME]

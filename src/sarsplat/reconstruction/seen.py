@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import render
+from sarsplat.unbroken import unbroken
 
 _RAYS_PER_PIXEL = 4.0
 _VIEWS_AT_A_TIME = 8
@@ -73,7 +74,7 @@ class Seen:
         if len(self.means) == 0:
             return np.zeros(len(points)), np.zeros((len(points), 3))
         count = min(_NEIGHBOURS, len(self.means))
-        distance, index = cKDTree(self.means).query(points, k=np.arange(1, count + 1), workers=-1)
+        distance, index = unbroken(cKDTree(self.means).query, points, k=np.arange(1, count + 1), workers=-1)
         # relative to the nearest: far from every Gaussian, the nearest still speaks
         weight = np.exp(-0.5 * (distance**2 - distance[:, :1] ** 2) / self.radius_m**2)
         area = (weight * self.lit_area[index]).sum(1)

@@ -88,11 +88,11 @@ class Trainer:
         )
         truth = torch.stack([self._truth[i] for i in chosen])  # much faster than an index
         loss = self._loss(images, truth)
-        if not isinstance(loss, Tensor) or loss.ndim != 0 or not loss.requires_grad:
+        if not isinstance(loss, Tensor) or loss.ndim != 0 or not loss.requires_grad or loss.is_complex():
             what = f"{tuple(loss.shape)} of {loss.dtype}" if isinstance(loss, Tensor) else type(loss).__name__
             raise SarsplatError(
-                f"the loss returned {what}; it must return one number, a tensor of shape () computed from the rendered "
-                "images by torch"
+                f"the loss returned {what}; it must return one real number, a tensor of shape () computed from the "
+                "rendered images by torch"
             )
         total, penalty = loss, self.model.penalty()
         if penalty is not None:
@@ -229,6 +229,6 @@ class Trainer:
 def _of_black(loss: Loss, truth: Float32[Tensor, "v rows columns"]) -> Tensor:
     """The loss of black images, the unit of what else is minimised; 1 where it is no measure of distance."""
     value = loss(torch.zeros_like(truth), truth)
-    if not isinstance(value, Tensor):  # the first step says so
+    if not isinstance(value, Tensor) or value.is_complex():  # the first step says so
         return truth.new_ones(())
     return torch.where(value.isfinite() & (value > 0), value, 1.0)

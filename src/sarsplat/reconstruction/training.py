@@ -91,8 +91,8 @@ def reconstruct(
         Show no progress.
     resume : bool
         Go on from the newest checkpoint in `out`, exactly as if the training had never stopped. The settings must be
-        those the run was started with, except `iterations` and `checkpoint_every`: more iterations extend a run, even
-        a finished one.
+        those the run was started with, except `iterations`, `checkpoint_every` and `points`: more iterations extend
+        a run, even a finished one, and its points are extracted anew.
     overwrite : bool
         Replace an existing run.
 
@@ -273,6 +273,7 @@ def _take_up(training: _Training, run: Run, dataset: Dataset) -> None:
             f"{run.path} has already done {run.iteration} iterations, more than {config.iterations}; resume it with at "
             f"least {run.iteration}"
         )
+    other_points = run.config.points != config.points
     run = run.taken_up(dataset, config)
     if run.checkpoint_path is not None:
         snapshot = run.snapshot
@@ -282,7 +283,7 @@ def _take_up(training: _Training, run: Run, dataset: Dataset) -> None:
             raise SarsplatError(
                 f"{run.checkpoint_path} does not match this version ({error}); start again with --overwrite"
             ) from error
-    if training.trainer.iteration < config.iterations:
+    if other_points or training.trainer.iteration < config.iterations:
         run.remove_results()
     write_bytes(run.log_path, log_text(training.history))
 

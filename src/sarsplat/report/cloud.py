@@ -41,14 +41,13 @@ def points_figure(
     blocks: list[tuple[str, np.ndarray, np.ndarray, tuple[float, float], str, str]] = []
     top = max(float(shown[:, 2].max(initial=0)), _MARGIN * float((high - low).max()))
     if surface is None:
-        blocks.append((f"{len(points):,} points", points, points[:, 2], (0, top), "height", "height, m"))
+        blocks.append((_title(points), points, points[:, 2], (0, top), "height", "height, m"))
         colours = {"height": heights}
     else:
         distance = KDTree(surface).query(points)[0]
         blocks.append(("true surface", surface, surface[:, 2], (0, top), "height", "height, m"))
-        name = f"reconstruction, {len(points):,} points"
         label = "distance to truth, m"
-        blocks.append((name, points, distance, (0, farthest_m), "distance", label))
+        blocks.append((f"reconstruction, {_title(points)}", points, distance, (0, farthest_m), "distance", label))
         colours = {"height": heights, "distance": ramp("distance", "#37c9a4", "#d9d37a", "#ff9248", "#f0386b")}
     figure, boards = drawing_boards([name for name, *_ in blocks], low, high)
     chance = np.random.default_rng(0)
@@ -57,6 +56,10 @@ def points_figure(
         _draw(board, cloud[some], np.clip(value[some], *limits), colours[kind])
         colour_bar(figure, board.corner.inset_axes((0.08, 0.5, 0.84, 0.05)), colours[kind], limits, label)
     return to_png(figure)
+
+
+def _title(points: Float[np.ndarray, "p 3"]) -> str:
+    return f"{len(points):,} points" + (f", {_DRAWN:,} drawn" if len(points) > _DRAWN else "")
 
 
 def _limits(points: Float[np.ndarray, "p 3"]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _LIGHT = np.array([0.4, -0.5, 0.77])
 _AMBIENT = 0.25
 _PIXELS = 240  # along the longest side
-_SAMPLES = 600_000  # several on every pixel
+_SAMPLES_PER_PIXEL, _MOST_SAMPLES = 12, 4_000_000  # a pixel without any is a hole
 _MARGIN = 0.03  # of the longest side
 
 
@@ -50,10 +50,10 @@ def _shaded(
     """Brightness from 0 to 1 as seen from each side, NaN where nothing is; row 0 is the lowest."""
     from trimesh.sample import sample_surface
 
-    places, faces = sample_surface(mesh, _SAMPLES, seed=0)
+    pixel = (high - low).max() / _PIXELS
+    places, faces = sample_surface(mesh, min(int(_SAMPLES_PER_PIXEL * mesh.area / pixel**2) + 1, _MOST_SAMPLES), seed=0)
     normals = mesh.face_normals[faces]
     lit = _AMBIENT + (1 - _AMBIENT) * np.abs(normals @ (_LIGHT / np.linalg.norm(_LIGHT)))
-    pixel = (high - low).max() / _PIXELS
     pictures = []
     for side in SIDES:
         shape = [int(np.ceil((high - low)[axis] / pixel)) for axis in (side.up, side.across)]

@@ -120,7 +120,10 @@ def _points(run: Run) -> Picture:
 
 
 def _mesh(run: Run) -> list[Picture]:
-    mesh, truth = run.mesh(), run.dataset.truth_mesh
+    try:
+        mesh, truth = run.mesh(), run.dataset.truth_mesh
+    except SarsplatError:  # the evaluation gives the reason
+        return []
     if len(mesh.faces) == 0:
         return []
     text = "The surface through the points, shaded; `sarsplat export` writes it. It is open where no view looked"

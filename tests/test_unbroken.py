@@ -1,0 +1,26 @@
+"""Ctrl-C while a library works."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+PROGRAM = """
+import os, signal, threading
+import numpy as np
+from scipy.spatial import cKDTree
+from sarsplat.unbroken import unbroken
+
+points = np.random.default_rng(0).normal(size=(200_000, 3))
+tree = cKDTree(points)
+threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
+try:
+    unbroken(tree.query, points, k=64, workers=-1)
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+"""
+
+
+def test_a_search_that_is_interrupted_harms_nothing() -> None:
+    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout) == (0, "interrupted\n"), done.stderr
