@@ -18,7 +18,11 @@ MISTAKES = {
     "grazing not a number": ([*SIMULATE, "--target", "t72", "--azimuth", "0", "--grazing", "nan"], "nan"),
     "grazing a word": ([*SIMULATE, "--target", "t72", "--azimuth", "0", "--grazing", "low"], "'low'"),
     "no azimuth": ([*SIMULATE, "--target", "t72", "--grazing", "45"], "--azimuth is missing"),
-    "two elevations": ([*SIMULATE, "--target", "t72", *ONE_VIEW, "--incidence", "45"], "give exactly one of them"),
+    "two elevations": ([*SIMULATE, "--target", "t72", *ONE_VIEW, "--incidence", "45"], "leave out one of them"),
+    "no test elevation": (
+        [*SIMULATE, "--target", "t72", "--random-views", "3", "--test-azimuth", "5"],
+        "neither --test-grazing nor --test-incidence",
+    ),
     "nothing unseen": ([*SIMULATE, "--target", "t72", *ONE_VIEW, "--test-azimuth", "0"], "are also training views"),
     "protocol and test views": ([*SIMULATE, "--target", "t72", "--test-azimuth", "5"], "--azimuth as well"),
     "negative looks": ([*SIMULATE, "--target", "t72", *ONE_VIEW, "--looks", "-1"], "looks -1.0"),

@@ -149,7 +149,7 @@ def test_unknown_targets_are_told_what_there_is():
 @pytest.mark.parametrize("source", ["raycast", "splat"])
 @pytest.mark.parametrize(
     ("reflectivity", "message"),
-    [(np.ones(9), r"shape \(9,\).*10 faces"), (np.full(10, -1.0), "negative"), (np.full(10, np.nan), "not finite")],
+    [(np.ones(9), r"shape \(9,\).*10 faces"), (np.full(10, -1.0), "from 0 to"), (np.full(10, np.nan), "from 0 to")],
 )
 def test_reflectivity_has_to_fit_the_faces(source, reflectivity, message):
     with pytest.raises(SarsplatError, match=message):

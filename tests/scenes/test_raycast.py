@@ -182,7 +182,7 @@ def test_target_beside_the_image_leaves_it_empty():
         ({"ray_offset": (math.nan, 0.0)}, "ray_offset"),
         ({"oversample": 0}, "oversample"),
         ({"oversample": 2.5}, "oversample"),
-        ({"oversample": 1}, "too coarse"),
+        ({"oversample": 1}, "too fine for image nodes"),
         ({"ground_gamma0": -10.0}, "ground_gamma0"),
     ],
 )

@@ -78,12 +78,13 @@ def views_from(
     from sarsplat.data.plausible import suspicious_angles, warn
     from sarsplat.geometry import View
 
-    if bool(grazing) == bool(incidence):
-        problem = "both were given" if grazing else "neither was given"
+    if grazing and incidence:
         raise SarsplatError(
-            f"{problem}: --{prefix}grazing and --{prefix}incidence are two ways to give the same angle; "
-            "give exactly one of them"
+            f"both were given: --{prefix}grazing and --{prefix}incidence are two ways to give the same angle; "
+            "leave out one of them"
         )
+    if not grazing and not incidence:
+        raise SarsplatError(f"neither --{prefix}grazing nor --{prefix}incidence was given; give one of them")
     if not azimuth:
         raise SarsplatError(f"--{prefix}azimuth is missing; give degrees or a range, such as 0:360:15")
     if incidence:

@@ -84,8 +84,8 @@ class _Axis:
     def __init__(self, centers: Float64[np.ndarray, " pixels"], step: float, resolution: float) -> None:
         if step > resolution / 2:
             raise SarsplatError(
-                f"nodes {step:.3g} m apart are too coarse for a resolution of {resolution:.3g} m; "
-                "raise oversample to two nodes per resolution width or more"
+                f"a resolution of {resolution:.3g} m is too fine for image nodes {step:.3g} m apart; use smaller "
+                f"pixels or a resolution of at least {2 * step:.3g} m (in Python, a larger oversample works too)"
             )
         # Bilinear sharing widens a point by step²/6 on average; the response is narrowed by as much.
         variance = resolution**2 / (8 * math.log(2)) - step**2 / 6

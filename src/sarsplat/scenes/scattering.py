@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     import trimesh
 
 _MAX_GAMMA0 = 1e6
-_MAX_SPREAD_DB = 30.0
+_MAX_SPREAD_DB = 10.0  # factors over six orders of magnitude
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ class ScatteringLaw:
     Raises
     ------
     SarsplatError
-        If a coefficient is negative or not finite.
+        If a coefficient is negative or above a million.
     """
 
     floor: float = 0.1
@@ -51,9 +50,9 @@ class ScatteringLaw:
 
     def __post_init__(self) -> None:
         for name, value in self.as_dict().items():
-            if not (math.isfinite(value) and value >= 0):
+            if not 0 <= value <= _MAX_GAMMA0:  # also catches NaN
                 unit = "" if name == "exponent" else " (linear γ⁰)"
-                raise SarsplatError(f"the scattering law's {name} {value} must be finite and at least 0{unit}")
+                raise SarsplatError(f"the scattering law's {name} {value} must be from 0 to {_MAX_GAMMA0:g}{unit}")
 
     def gamma0(self, cos_incidence: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
         """γ⁰ for the cosine of the incidence angle, of either sign; same shape and dtype."""
@@ -84,7 +83,7 @@ def part_reflectivity(mesh: trimesh.Trimesh, spread_db: float, seed: int) -> Flo
     Raises
     ------
     SarsplatError
-        If the spread is negative or larger than 30 dB, or the seed is negative.
+        If the spread is negative or larger than 10 dB, or the seed is negative.
     """
     if not 0 <= spread_db <= _MAX_SPREAD_DB:
         raise SarsplatError(f"the reflectivity's spread {spread_db} dB must be between 0 and {_MAX_SPREAD_DB:g} dB")
@@ -112,5 +111,7 @@ def check_reflectivity(
     if factors.shape != (faces,):
         raise SarsplatError(f"reflectivity has shape {factors.shape}; give one factor for each of the {faces} faces")
     if not ((factors >= 0) & (factors <= _MAX_GAMMA0)).all():  # also catches NaN
-        raise SarsplatError("reflectivity holds a factor that is negative or not finite; give linear factors on γ⁰")
+        raise SarsplatError(
+            f"reflectivity holds a factor that is not from 0 to {_MAX_GAMMA0:g}; give linear factors on γ⁰"
+        )
     return factors
