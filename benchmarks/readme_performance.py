@@ -55,7 +55,10 @@ def ratio_table(parts: dict[str, Any]) -> str:
             row(GOOD_HIGH, found, f"PyTorch / engine: {name}", *rivals)
             for name, found, *rivals in against_twins(parts["twins"])
         ),
-        *(row(GOOD_LOW, found, name, *parts["steps"]["rivals_s"][name]) for name, found in step_ratios(parts).items()),
+        *(
+            row(GOOD_LOW, found, name, *parts["steps"]["rivals_s"][name])
+            for name, found in parts["steps"]["ratios"].items()
+        ),
         row(
             GOOD_LOW,
             floor["ratios"]["engine / floor of visited blocks"],
@@ -94,11 +97,6 @@ def ratio_table(parts: dict[str, Any]) -> str:
     return markdown(("ratio (10 … 90 %)", "A / B", "time of A / time of B"), rows)
 
 
-def step_ratios(parts: dict[str, Any]) -> dict[str, dict]:
-    """The public steps against `render`, and four channels against one; none in results that are older than they."""
-    return parts["steps"]["ratios"] if "steps" in parts else {}
-
-
 def against_twins(twins: dict[str, Any]) -> list[tuple[str, dict, dict, dict]]:
     """Loss and Adam: what, the ratio, PyTorch's time and the engine's."""
     names = {key.removesuffix(": torch / engine"): found for key, found in twins["ratios"].items()}
@@ -112,7 +110,7 @@ def paper_training(paper: dict[str, Any]) -> tuple[str, str, str]:
         f"{metric.short} {metric.text(paper['scores'][metric.key])} {metric.unit}".strip()
         + f" ({metric.text(theirs[metric.key])})"
         for metric in all_metrics(Yardstick.of(paper_grid()))
-        if metric.key in theirs and paper["scores"].get(metric.key) is not None
+        if metric.short and metric.key in theirs and paper["scores"].get(metric.key) is not None
     )
     what = (
         f"the paper's training on an RTX 3060 Ti / `--preset paper` on these cores, {paper['iterations']:,} "
