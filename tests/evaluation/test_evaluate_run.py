@@ -20,6 +20,7 @@ from sarsplat.evaluation import (
     metrics_of_points,
     nats_per_pixel,
     psnr_db,
+    register,
 )
 from sarsplat.evaluation.lpips import WEIGHTS_VARIABLE
 from sarsplat.geometry import ImageGrid, View
@@ -118,7 +119,7 @@ def test_a_rendered_set_is_scored_by_protocol_r(make):
     assert scores["psnr_db"] == pytest.approx(psnr_db(truth, np.float32(1.1) * truth, float(np.sqrt(train.max()))))
     assert 0.9 < scores["ssim"] < 1
     assert metrics["parameters"]["reference_amplitude"] == pytest.approx(float(np.sqrt(train.max())))
-    assert [scores[key] for key in SPECKLED_ONLY] == [None, None]
+    assert [scores[key] for key in SPECKLED_ONLY] == [None] * 4
     assert "speckle" in metrics["reasons"]["images.test-17.nats_per_pixel"]
     assert scores["lpips"] is None
     assert "--lpips-weights" in metrics["reasons"]["images.test-17.lpips"]
@@ -162,6 +163,9 @@ def test_a_measured_set_is_scored_by_protocol_m_whatever_its_unit(make, tmp_path
     scores = metrics["images"]["test-17"]
     assert scores["nats_per_pixel"] == pytest.approx(nats_per_pixel(truth / mean, rendered / mean, 24))
     assert scores["nats_per_pixel"] < 2  # and not log 50 higher
+    registered = register(truth / mean, rendered / mean, 24).nats.mean()
+    assert scores["registered_nats_per_pixel"] == pytest.approx(registered, abs=1e-5)
+    assert registered < scores["nats_per_pixel"]
     assert scores["log_correlation"] == pytest.approx(log_correlation(truth, rendered, 24))
     assert [scores[key] for key in NOISE_FREE_ONLY] == [None] * 4
     assert all("speckled" in metrics["reasons"][f"images.test-17.{key}"] for key in NOISE_FREE_ONLY)
@@ -179,7 +183,7 @@ def test_clean_test_images_are_scored_as_such_though_the_training_was_speckled(m
     run = FakeRun(make(looks=1, ground=True, clean_tests=True), power=1.1)
     metrics = evaluate_run(run)
     scores, truth = metrics["images"]["test-17"], run.dataset.images("test-17")
-    assert [scores[key] for key in SPECKLED_ONLY] == [None, None]
+    assert [scores[key] for key in SPECKLED_ONLY] == [None] * 4
     brightest = max(run.dataset.images(split).max() for split in ("test-17", "test-15"))
     assert metrics["parameters"]["reference_amplitude"] == pytest.approx(float(np.sqrt(brightest)))
     assert brightest < run.dataset.images("train").max()  # a peak of the speckle, which nothing is to be measured by

@@ -13,6 +13,7 @@ from sarsplat.evaluation.paper import (
     paper_scores,
 )
 from sarsplat.evaluation.points import PointMetrics, Yardstick, point_metrics
+from sarsplat.evaluation.registered import Registration, register, registered_log_correlation
 from sarsplat.evaluation.surface import VisibleSurface, read_truth_mesh, visible_surface
 from sarsplat.evaluation.tables import Scores, comparison, metrics_table, summary_metrics
 
@@ -25,6 +26,7 @@ __all__ = [
     "Lpips",
     "Metric",
     "PointMetrics",
+    "Registration",
     "Scores",
     "VisibleSurface",
     "Yardstick",
@@ -44,6 +46,8 @@ __all__ = [
     "psnr_db",
     "psnr_target_db",
     "read_truth_mesh",
+    "register",
+    "registered_log_correlation",
     "rotated_average",
     "ssim",
     "summary_metrics",

@@ -14,7 +14,7 @@ from typing import cast
 
 import numpy as np
 import torch
-from jaxtyping import Float, Real
+from jaxtyping import Float, Float64, Real
 from scipy.ndimage import correlate
 
 from sarsplat.errors import SarsplatError
@@ -68,7 +68,7 @@ def psnr_db(truth: Stack, rendered: Stack, reference_amplitude: float) -> float:
     float
         dB. An image reproduced to within float32 rounding counts as 138 dB instead of infinity.
     """
-    _check(truth, rendered)
+    check_stacks(truth, rendered)
     error = normalised_amplitude(truth, reference_amplitude) - normalised_amplitude(rendered, reference_amplitude)
     return _mean_psnr(np.mean(np.square(error, dtype=np.float64), axis=(1, 2)))
 
@@ -79,7 +79,7 @@ def psnr_target_db(truth: Stack, rendered: Stack, reference_amplitude: float) ->
     The target fills 1–2 % of an image, so the whole-image figure flatters by 17–20 dB; this one does not. Parameters
     and returns as in `psnr_db`; an image without a target pixel is left out of the average.
     """
-    _check(truth, rendered)
+    check_stacks(truth, rendered)
     if not truth.max() > 0:
         raise UndefinedScore("the true images are black everywhere, so there is no target to score; check the dataset")
     mask = truth > truth.max() * 10 ** (-TARGET_DYNAMIC_DB / 10)
@@ -94,7 +94,7 @@ def ssim(truth: Stack, rendered: Stack, reference_amplitude: float) -> float:
 
     Parameters as in `psnr_db`; returns the mean over the images, at most 1.
     """
-    _check(truth, rendered)
+    check_stacks(truth, rendered)
     if min(truth.shape[1:]) < 11:
         raise UndefinedScore(
             f"SSIM's 11×11 window does not fit images of {truth.shape[1]} × {truth.shape[2]} pixels; use larger ones"
@@ -133,9 +133,9 @@ def nats_per_pixel(truth: Stack, rendered: Stack, margin: int = 0) -> float:
     UndefinedScore
         If S is zero inside the margin (the likelihood of any return is then zero), or nothing is left inside it.
     """
-    _check(truth, rendered)
-    measured, predicted = _inside(truth.astype(np.float64), margin), _inside(rendered.astype(np.float64), margin)
-    _check_positive(predicted, "predicted")
+    check_stacks(truth, rendered)
+    measured, predicted = inside(truth.astype(np.float64), margin), inside(rendered.astype(np.float64), margin)
+    check_positive(predicted, "predicted")
     return float(np.mean(np.log(predicted) + measured / predicted))
 
 
@@ -150,12 +150,11 @@ def log_correlation(truth: Stack, rendered: Stack, margin: int = 0) -> float:
     UndefinedScore
         If a 3×3 mean is zero inside the margin, or nothing is left inside it.
     """
-    _check(truth, rendered)
+    check_stacks(truth, rendered)
     logs = []
     for power, name in ((truth, "true"), (rendered, "predicted")):
-        # not uniform_filter: its running sums leave rounding residues where the mean is zero
-        smooth = _inside(correlate(power.astype(np.float64), np.full((1, 3, 3), 1 / 9)), margin)
-        _check_positive(smooth, name)
+        smooth = inside(smoothed(power), margin)
+        check_positive(smooth, name)
         log = np.log(smooth).reshape(len(smooth), -1)
         logs.append(log - log.mean(axis=1, keepdims=True))
     covariance = np.sum(logs[0] * logs[1], axis=1)
@@ -167,7 +166,14 @@ def _mean_psnr(mse: Float[np.ndarray, " v"]) -> float:
     return float(np.mean(-10 * np.log10(np.maximum(mse, _SMALLEST_MSE))))
 
 
-def _inside(power: Stack, margin: int) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
+def smoothed(power: Stack) -> Float64[np.ndarray, "v rows columns"]:
+    """3×3 means."""
+    # not uniform_filter: its running sums leave rounding residues where the mean is zero
+    return correlate(power.astype(np.float64), np.full((1, 3, 3), 1 / 9))
+
+
+def inside(power: Stack, margin: int) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
+    """Without a margin on each side."""
     rows, columns = power.shape[1:]
     if min(rows, columns) <= 2 * margin:
         raise UndefinedScore(
@@ -177,7 +183,8 @@ def _inside(power: Stack, margin: int) -> Real[np.ndarray, "v fewer_rows fewer_c
     return power[:, margin : rows - margin, margin : columns - margin]
 
 
-def _check(truth: Stack, rendered: Stack) -> None:
+def check_stacks(truth: Stack, rendered: Stack) -> None:
+    """Refuse what cannot be compared."""
     if truth.shape != rendered.shape or truth.ndim != 3 or len(truth) == 0:
         raise SarsplatError(
             f"true images {truth.shape} and rendered images {rendered.shape} must be equal, "
@@ -188,7 +195,8 @@ def _check(truth: Stack, rendered: Stack) -> None:
             raise SarsplatError(f"the {name} images hold negative or non-finite power; give β⁰ ≥ 0, linear")
 
 
-def _check_positive(power: Stack, name: str) -> None:
+def check_positive(power: Stack, name: str) -> None:
+    """Refuse what has no logarithm; `name` is "true" or "predicted"."""
     zeros = int(np.count_nonzero(power <= 0))
     if zeros:
         remedy = (

@@ -1,0 +1,117 @@
+"""Scores of measured chips up to what nobody can predict: where each lies in its frame, and how bright it is.
+
+Chips are centred and scaled one by one, by a pixel and some tenths of their power. That says nothing about a model and
+hides much of it, so each prediction is moved by whole pixels and multiplied by one number, whatever suits its chip
+best; every method is treated alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float64, Int64
+
+from sarsplat.evaluation.images import Stack, UndefinedScore, check_positive, check_stacks, inside, smoothed
+
+REACH = 3
+"""How far a prediction may be moved, pixels each way."""
+
+
+@dataclass(frozen=True)
+class Registration:
+    """How predictions fit their chips best.
+
+    Attributes
+    ----------
+    nats : numpy.ndarray, float64 [V]
+        Negative log-likelihood of single-look speckle, nats per pixel.
+    shift : numpy.ndarray, int64 [V, 2]
+        How far each prediction was moved, pixels in range and in azimuth.
+    gain : numpy.ndarray, float64 [V]
+        What each prediction was multiplied by.
+    """
+
+    nats: Float64[np.ndarray, " v"]
+    shift: Int64[np.ndarray, "v 2"]
+    gain: Float64[np.ndarray, " v"]
+
+
+def register(truth: Stack, rendered: Stack, margin: int = 0) -> Registration:
+    """Move and scale predictions so that their chips become most likely.
+
+    Moved by up to three pixels each way (rolled on the full chip, then the margin is cut off), and multiplied by
+    g = mean(I / S), which is best for speckle: then log gS + I / (gS) has the mean log g + mean(log S) + 1.
+
+    Parameters
+    ----------
+    truth : numpy.ndarray, float [V, rows, columns]
+        Measured power I, speckle and all.
+    rendered : numpy.ndarray, float [V, rows, columns]
+        Predicted mean power S > 0, in any unit.
+    margin : int
+        Pixels left out on each side.
+
+    Raises
+    ------
+    UndefinedScore
+        If S is zero where it may come to lie, a chip is black, or nothing is left inside the margin.
+    """
+    check_stacks(truth, rendered)
+    measured = inside(truth.astype(np.float64), margin)
+    predicted = _reachable(rendered.astype(np.float64), margin)
+    if not measured.any(axis=(1, 2)).all():
+        raise UndefinedScore("a true image is black inside the margin, so no gain suits it; remove it")
+    shifts, nats, gains = [], [], []
+    for (shift, log), (_, weight) in zip(_moved(np.log(predicted), margin), _moved(1 / predicted, margin), strict=True):
+        gain = np.einsum("vrc,vrc->v", measured, weight) / measured[0].size
+        shifts.append(shift)
+        gains.append(gain)
+        nats.append(np.log(gain) + log.mean(axis=(1, 2)) + 1)
+    best, chip = np.argmin(nats, axis=0), np.arange(len(truth))
+    return Registration(np.array(nats)[best, chip], np.array(shifts)[best], np.array(gains)[best, chip])
+
+
+def registered_log_correlation(truth: Stack, rendered: Stack, margin: int = 0) -> float:
+    """`log_correlation` where each prediction is moved as suits it best; a gain does not matter to it.
+
+    Raises
+    ------
+    UndefinedScore
+        If a 3×3 mean is zero where it may come to lie, or nothing is left inside the margin.
+    """
+    check_stacks(truth, rendered)
+    measured, predicted = inside(smoothed(truth), margin), _reachable(smoothed(rendered), margin)
+    check_positive(measured, "true")
+    log = _standard(np.log(measured))
+    found = [(log * _standard(moved)).mean(axis=(1, 2)) for _, moved in _moved(np.log(predicted), margin)]
+    return float(np.mean(np.max(found, axis=0)))
+
+
+def _reachable(predicted: Float64[np.ndarray, "v rows columns"], margin: int) -> Float64[np.ndarray, "v wide high"]:
+    """What may come to lie inside the margin; refused if some of it is zero."""
+    found = inside(predicted, max(margin - REACH, 0))
+    check_positive(found, "predicted")
+    return found
+
+
+def _moved(
+    images: Float[np.ndarray, "v rows columns"], margin: int
+) -> Iterator[tuple[tuple[int, int], Float[np.ndarray, "v fewer_rows fewer_columns"]]]:
+    """Every displacement, and what was reachable rolled by it, inside the margin."""
+    margin = min(margin, REACH)
+    rows, columns = images.shape[1:]
+    wrapped = np.pad(images, ((0, 0), (REACH, REACH), (REACH, REACH)), mode="wrap")
+    first = REACH + margin
+    for down in range(-REACH, REACH + 1):
+        for right in range(-REACH, REACH + 1):
+            top, left = first - down, first - right
+            yield (down, right), wrapped[:, top : top + rows - 2 * margin, left : left + columns - 2 * margin]
+
+
+def _standard(images: Float[np.ndarray, "v rows columns"]) -> Float[np.ndarray, "v rows columns"]:
+    """Each with mean 0 and variance 1; constant ones are 0."""
+    centred = images - images.mean(axis=(1, 2), keepdims=True)
+    spread = centred.std(axis=(1, 2), keepdims=True)
+    return np.divide(centred, spread, out=np.zeros_like(centred), where=spread > 0)
