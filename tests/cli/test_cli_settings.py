@@ -6,13 +6,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import trimesh
 
 from sarsplat import Config, Run
 from sarsplat.cli import main
-from sarsplat.data import read_dataset
 from sarsplat.reconstruction.config import Densification, Surroundings
 from sarsplat.reconstruction.presets import PRESETS
 
@@ -53,13 +51,6 @@ def refused(words: str, capsys: pytest.CaptureFixture[str]) -> str:
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_preset_alone(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert Config.from_dict(printed(f"--preset {name}", capsys)) == PRESETS[name]
-
-
-def test_simulated_ground_comes_with_the_box_the_target_is_in(place: Path) -> None:
-    assert read_dataset(place / "plain").target_box_m is None
-    np.testing.assert_allclose(
-        read_dataset(place / "ground").target_box_m, [(-2.2, -1.6, 0.0), (2.2, 1.6, 2.0)], atol=1e-6
-    )
 
 
 @pytest.mark.parametrize(("dataset", "name"), [("plain", "default"), ("speckled", "speckled"), ("ground", "measured")])

@@ -66,7 +66,7 @@ def test_splits_angles_and_order(chips):
     assert [view.grazing_deg for view in dataset.select("test-15").views] == [15.1, 15.1]
     assert (dataset.target, dataset.calibration, dataset.looks, dataset.ground) == ("T72", "relative", 1.0, True)
     assert dataset.score_margin == 3
-    assert dataset.target_box_m == ((-4.5, -2.5, 0.0), (6.5, 2.5, 3.0))
+    assert dataset.target_box_m is None
     assert [entry.name for entry in train.entries[:2]] == ["T72/chip007.jpeg", "T72/chip002.jpeg"]
     assert read_dataset(dataset.path).fingerprint() == dataset.fingerprint()
     assert "max(DN, min_dn)^2" in dataset.source["calibration"]
@@ -83,6 +83,25 @@ def test_training_chips_are_distinct_and_limited(chips):
         run(chips, train_depression=30, overwrite=True)
     with pytest.warns(SarsplatWarning, match="leave a gap of 270° in azimuth, from 350° clockwise to 260°"):
         assert run(chips, train_views=2, train_depression=15, overwrite=True).splits() == ("train", "test-17")
+
+
+def test_several_depressions_take_the_azimuths_in_turn(chips):
+    with pytest.warns(SarsplatWarning, match="along directions 73°"):
+        dataset = run(chips, train_views=4, train_depression=(17, 15))
+    train = dataset.select("train")
+    assert [round(view.grazing_deg) for view in train.views] == [17, 15, 17, 15]
+    assert target_az(train)[::2] == [359.5, 181]
+    assert dataset.splits() == ("train", "test-17")  # both of 15° are trained on
+    assert dataset.source["train_depression_deg"] == [17, 15]
+    with pytest.raises(SarsplatError, match="3 of 6 training views were requested, but there are 2 chips at 15°"):
+        run(chips, train_views=6, train_depression=(17, 15), overwrite=True)
+    with pytest.raises(SarsplatError, match=r"\[17, 17\] must be at least one, each named once"):
+        run(chips, train_depression=(17, 17), overwrite=True)
+
+
+def test_a_box_of_the_users_own(chips):
+    corners = (-1.0, -2.0, 0.0), (3.0, 4.0, 5.0)
+    assert run(chips, target_box_m=corners).target_box_m == corners
 
 
 def test_orientation_and_power(chips):

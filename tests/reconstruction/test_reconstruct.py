@@ -12,6 +12,7 @@ import torch
 
 from sarsplat import Dataset, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.errors import SarsplatWarning
+from sarsplat.gaussians.target_box import target_box
 from sarsplat.reconstruction import Config, Step, Trainer, extract_points
 from sarsplat.reconstruction.config import Densification
 from sarsplat.reconstruction.model import Setting
@@ -164,12 +165,12 @@ def test_configurations_are_checked(config: Config, field: str, value: object) -
         replace(config, **{field: value})
 
 
-def test_without_a_given_box_the_target_is_looked_for_in_the_middle_of_the_scene(dataset: Dataset) -> None:
+def test_a_given_box_is_where_a_target_on_the_ground_is_looked_for(dataset: Dataset) -> None:
     config = replace(preset("measured"), gaussians=20)
     assert dataset.target_box_m is None
-    region = Setting.of(config, dataset).region
-    half = 32 * 0.3 / 4
-    np.testing.assert_allclose([region.low, region.high], [[-half, -half, 0], [half, half, half / 2]])
+    train = dataset.select("train")
+    region, (low, high) = Setting.of(config, dataset).region, target_box(train.power, train.views, train.grid)
+    assert (region.low.tolist(), region.high.tolist()) == (low.tolist(), high.tolist())
     given = replace(dataset, target_box_m=((-1.0, -2.0, 0.0), (3.0, 4.0, 5.0)))
     assert Setting.of(config, given).region.high.tolist() == [3.0, 4.0, 5.0]
     assert Setting.of(preset("default"), given).region.high.tolist() != [3.0, 4.0, 5.0]  # there the images say it

@@ -28,7 +28,7 @@ OptionalNumber = Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_be
 OptionalCount = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(optional)")]
 Metres = Annotated[float | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="(optional)")]
 Angles = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DEG …", help_behavior_hint="")]
-"""Numbers or ranges start:stop:step, degrees; see `angles`."""
+"""Numbers or ranges start:stop:step, degrees, with spaces or commas between them; see `angles`."""
 
 _MAX_ANGLES = 10_000
 
@@ -42,7 +42,7 @@ def angles(texts: Sequence[str], name: str) -> list[float]:
         If a word is neither, or a range is empty or too long.
     """
     values: list[float] = []
-    for text in texts:
+    for text in ",".join(texts).split(","):
         try:
             numbers = [float(part) for part in text.split(":")]
         except ValueError:

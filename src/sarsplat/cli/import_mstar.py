@@ -9,7 +9,8 @@ from typing import Annotated
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import Folder, OptionalFile, OptionalName, refuse_existing
+from sarsplat.cli.arguments import Angles, Folder, OptionalFile, OptionalName, angles, refuse_existing
+from sarsplat.errors import SarsplatError
 
 
 def import_mstar(
@@ -19,8 +20,12 @@ def import_mstar(
     target_class: Annotated[str, tyro.conf.arg(name="class", metavar="NAME")],
     train_views: Annotated[int, tyro.conf.arg(metavar="K")],
     labels: OptionalFile = None,
-    train_depression: Annotated[int, tyro.conf.arg(metavar="DEG")] = 17,
+    train_depression: Angles = ("17",),
     serial: OptionalName = None,
+    target_box: Annotated[
+        tuple[float, float, float, float, float, float] | None,
+        tyro.conf.arg(metavar="X0 Y0 Z0 X1 Y1 Z1"),
+    ] = None,
     mirrored: bool = False,
     overwrite: bool = False,
 ) -> None:
@@ -39,9 +44,12 @@ def import_mstar(
     labels
         Table (CSV) that labels JPEG chips; without it, Phoenix files are read.
     train_depression
-        Depression angle of the training chips, degrees.
+        Depression angles of the training chips, degrees; of several, each gets the next azimuth in turn.
     serial
         Import only the vehicle with this serial number.
+    target_box
+        Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Without it, it is
+        derived from the images.
     mirrored
         Treat the published chips as mirror images.
     overwrite
@@ -59,8 +67,9 @@ def import_mstar(
             labels=labels,
             target_class=target_class,
             train_views=train_views,
-            train_depression=train_depression,
+            train_depression=[_whole(angle) for angle in angles(train_depression, "train-depression")],
             serial=serial,
+            target_box_m=None if target_box is None else (target_box[:3], target_box[3:]),
             mirrored=mirrored,
             overwrite=overwrite,
         )
@@ -70,3 +79,10 @@ def import_mstar(
         "training set",
         f"sarsplat reconstruct {shlex.quote(str(out))} --out {shlex.quote(f'{out}-run')}",
     )
+
+
+def _whole(angle: float) -> int:
+    """Depressions are named by whole degrees."""
+    if angle != round(angle):
+        raise SarsplatError(f"--train-depression {angle:g} is not a whole number of degrees; chips are named by these")
+    return round(angle)

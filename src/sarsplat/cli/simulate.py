@@ -22,9 +22,6 @@ from sarsplat.cli.simulated_views import simulated_views
 from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
-    import trimesh
-
-    from sarsplat.data.header import Box
     from sarsplat.geometry import ImageGrid
 
 TargetName = Literal["t72", "btr70", "2s1", "kraz", "building-a", "building-b", "building-c"]
@@ -33,7 +30,6 @@ TargetName = Literal["t72", "btr70", "2s1", "kraz", "building-a", "building-b", 
 Target = Annotated[
     TargetName | None, tyro.conf.arg(metavar=f"{{{','.join(get_args(TargetName))}}}", help_behavior_hint="(optional)")
 ]
-_TARGET_MARGIN = 10 / 3  # resolution widths
 
 Decibels = Annotated[float, tyro.conf.arg(metavar="DB")]
 Law = Annotated[tuple[float, float] | tuple[float, float, float], tyro.conf.arg(metavar="FLOOR LOBE [EXPONENT]")]
@@ -187,7 +183,6 @@ def simulate(
         looks=looks,
         clean_tests=clean_tests,
         ground=ground is not None,
-        target_box_m=None if ground is None else _box_around(surface, max(grid.resolution_m)),
         protocol=protocol if views == theirs and grid == _grid(protocol) else None,
         source={**simulation_record(**how), "reflectivity_db": reflectivity, "scale": scale},
     )
@@ -199,13 +194,6 @@ def simulate(
         f"{out}: {counted(len(views), 'image')} of {name} ({counts}), {grid.rows} × {grid.columns} pixels",
         f"sarsplat reconstruct {shlex.quote(str(out))} --out {run}",
     )
-
-
-def _box_around(mesh: trimesh.Trimesh, resolution_m: float) -> Box:
-    """Where the target is looked for among the ground: its own box with a margin to all sides but below, m."""
-    (x, y, _), (x1, y1, z1) = mesh.bounds.tolist()
-    margin = _TARGET_MARGIN * resolution_m
-    return (x - margin, y - margin, 0.0), (x1 + margin, y1 + margin, max(z1, 0.0) + margin)
 
 
 def _grid(

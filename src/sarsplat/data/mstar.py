@@ -15,6 +15,7 @@ chips: β⁰ up to one common factor, with DN the 8-bit number of the JPEGs, or 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +31,6 @@ from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import ImageGrid, View
 
-_TARGET_BOX_M: Box = ((-4.5, -2.5, 0.0), (6.5, 2.5, 3.0))
-"""The vehicles fit into this box around the chip's centre; the nose points to +x, the room in front is a barrel's."""
-
 MIN_DN = 2.0
 """Digital numbers are raised to this: below it lies nothing but quantisation, and zero has no logarithm."""
 
@@ -44,8 +42,9 @@ def import_mstar(
     labels: str | Path | None,
     target_class: str,
     train_views: int,
-    train_depression: int = 17,
+    train_depression: int | Sequence[int] = 17,
     serial: str | None = None,
+    target_box_m: Box | None = None,
     mirrored: bool = False,
     overwrite: bool = False,
 ) -> Dataset:
@@ -64,10 +63,14 @@ def import_mstar(
     train_views : int
         Number K of training views: the distinct chips nearest to TargetAz = k·360°/K, k = 0 … K − 1. All others are
         test views, one set per depression: `test-17`, `test-15`.
-    train_depression : int
-        Depression, as planned, of the training views, degrees.
+    train_depression : int or sequence of int
+        Depression, as planned, of the training views, degrees; of several, each gets the next of the K azimuths in
+        turn.
     serial : str, optional
         Only this vehicle of the class; None takes them all.
+    target_box_m : pair of (x, y, z), optional
+        Corners of the box that contains the target, m, in the world frame: nose to +x. None: reconstructions derive it
+        from the images.
     mirrored : bool
         Take the published chips for mirror images (see the head of this module).
     overwrite : bool
@@ -92,7 +95,8 @@ def import_mstar(
     """
     found = read_chips(Path(chips), None if labels is None else Path(labels), target_class)
     found = _one_vehicle(found, target_class, serial)
-    train = _training_chips(found, train_views, train_depression)
+    depressions = [train_depression] if isinstance(train_depression, int) else list(train_depression)
+    train = _training_chips(found, train_views, depressions)
     chosen = {id(chip) for chip in train}
     test = [chip for chip in found if id(chip) not in chosen]
     test.sort(key=lambda chip: (-chip.depression, chip.target_az_deg, chip.name))
@@ -114,7 +118,7 @@ def import_mstar(
         "format": "phoenix" if labels is None else "jpeg",
         "serials": sorted({chip.serial for chip in ordered}),
         "train_views": train_views,
-        "train_depression_deg": train_depression,
+        "train_depression_deg": depressions,
         "mirrored": mirrored,
         "azimuth": f"azimuth = {'+' if mirrored else '-'}TargetAz; grazing = measured depression",
         "orientation": f"published array turned by 180 degrees{', then columns flipped' if mirrored else ''}",
@@ -137,7 +141,7 @@ def import_mstar(
         looks=1.0,
         ground=True,
         score_margin=round(3 / 16 * min(grid.rows, grid.columns)),
-        target_box_m=_TARGET_BOX_M,
+        target_box_m=target_box_m,
         source=source,
     )
     dataset = write_dataset(out, dataset, overwrite=overwrite)
@@ -170,23 +174,32 @@ def _one_vehicle(chips: list[Chip], target_class: str, serial: str | None) -> li
     return chips
 
 
-def _training_chips(chips: list[Chip], count: int, depression: int) -> list[Chip]:
-    """The distinct chips nearest to k·360°/count at one depression, in the order of k."""
-    at_depression = sorted((chip for chip in chips if chip.depression == depression), key=lambda chip: chip.name)
-    if not at_depression:
-        there = ", ".join(f"{value}°" for value in sorted({chip.depression for chip in chips}))
-        raise SarsplatError(f"there are no chips at the training depression of {depression}°; choose one of {there}")
-    if not 1 <= count <= len(at_depression):
-        raise SarsplatError(
-            f"{count} training views were requested, but there are {len(at_depression)} chips at {depression}°; "
-            "request between 1 and that many"
-        )
+def _training_chips(chips: list[Chip], count: int, depressions: Sequence[int]) -> list[Chip]:
+    """The distinct chips nearest to k·360°/count, in the order of k; each k asks the next depression in turn."""
+    if not depressions or len(set(depressions)) < len(depressions):
+        raise SarsplatError(f"the training depressions {list(depressions)} must be at least one, each named once")
     wanted = np.arange(count) * 360 / count
-    azimuths = np.array([chip.target_az_deg for chip in at_depression])
-    distance = np.abs((azimuths[None, :] - wanted[:, None] + 180) % 360 - 180)
-    # Least total distance: each wanted azimuth gets its nearest chip, and where two want the same one, they share out.
-    _, index = linear_sum_assignment(distance)
-    return [at_depression[i] for i in index]
+    chosen: dict[int, Chip] = {}
+    for first, depression in enumerate(depressions):
+        there = sorted((chip for chip in chips if chip.depression == depression), key=lambda chip: chip.name)
+        numbers = range(first, count, len(depressions))
+        if not there:
+            known = ", ".join(f"{value}°" for value in sorted({chip.depression for chip in chips}))
+            raise SarsplatError(
+                f"there are no chips at the training depression of {depression}°; choose one of {known}"
+            )
+        if not 1 <= len(numbers) <= len(there):
+            share = str(count) if len(depressions) == 1 else f"{len(numbers)} of {count}"
+            raise SarsplatError(
+                f"{share} training views were requested, but there are {len(there)} chips at {depression}°; "
+                "request between 1 and that many"
+            )
+        azimuths = np.array([chip.target_az_deg for chip in there])
+        distance = np.abs((azimuths[None, :] - wanted[numbers, None] + 180) % 360 - 180)
+        # Least total distance: each azimuth gets its nearest chip, and where two want the same one, they share out.
+        _, index = linear_sum_assignment(distance)
+        chosen |= {k: there[i] for k, i in zip(numbers, index, strict=True)}
+    return [chosen[k] for k in sorted(chosen)]
 
 
 def _common_grid(chips: list[Chip]) -> ImageGrid:

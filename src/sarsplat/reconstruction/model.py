@@ -13,12 +13,12 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
-from sarsplat.data.header import Box
 from sarsplat.data.plausible import warn
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import SCATTERINGS, Gaussians, Scattering, join
 from sarsplat.gaussians.ground import ground_radius_m, ground_sheet
 from sarsplat.gaussians.initialise import BRIGHT_DB, Region, bounded_region, hemisphere_shell, random_quaternions
+from sarsplat.gaussians.target_box import target_box
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.lengths import scales_m
@@ -78,20 +78,8 @@ class Setting:
         if not config.surroundings:
             region = bounded_region(train.power, train.views, train.grid)
             return cls(region, 1.0, radius, train.grid.cell_m)
-        box = Region.box(*(dataset.target_box_m or _central_box_m(train)))
+        box = Region.box(*(dataset.target_box_m or target_box(train.power, train.views, train.grid)))
         return cls(box, float(train.power.mean(dtype=np.float64)), radius, train.grid.cell_m)
-
-
-def _central_box_m(dataset: Dataset) -> Box:
-    """The middle half of the scene in x and y, a quarter as high as it is wide, m.
-
-    Flat, because views of one grazing angle hardly tell height from distance: on 160 × 160 pixels a T-72 had a CD of
-    5.3 m in a box half as high as wide, 0.21 m in this one, and 0.13 m in a box 1 m larger than itself.
-    """
-    grid = dataset.grid
-    flattest = math.cos(math.radians(min(view.grazing_deg for view in dataset.views)))
-    half = min(grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1] / flattest) / 4
-    return (-half, -half, 0.0), (half, half, half / 2)
 
 
 class SceneModel:

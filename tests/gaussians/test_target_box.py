@@ -1,0 +1,89 @@
+"""The box of what stands out from the ground, from the images alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from sarsplat import ImageGrid, View, radar_frame
+from sarsplat.gaussians.target_box import target_box
+
+Slab = tuple[float, float, float, float]
+"""Something bright on the ground: x from … to, y from … to, m."""
+
+CHIP = ImageGrid(120, 100, (0.2, 0.22), (0.3, 0.32))
+ALL_AROUND = [View(azimuth, 17.0) for azimuth in range(0, 360, 30)]
+
+
+def images(slabs: Sequence[Slab], views: Sequence[View], grid: ImageGrid, power: float = 20.0) -> np.ndarray:
+    """Speckled ground with brighter parts, as it lies in slant range; every image has a gain of its own."""
+    chance, stack = np.random.default_rng(0), []
+    across, along = np.meshgrid(grid.azimuth_m, grid.range_m)
+    for view in views:
+        frame = radar_frame(view)
+        x, y = np.moveaxis(
+            np.stack([across, along], -1) @ np.linalg.inv(frame[[0, 2]][:, :2]).T, -1, 0
+        )  # of the ground, z = 0
+        mean = np.ones(x.shape)
+        for x0, x1, y0, y1 in slabs:
+            mean[(x0 < x) & (x < x1) & (y0 < y) & (y < y1)] = power
+        stack.append(chance.uniform(0.3, 3) * mean * chance.exponential(size=mean.shape))
+    return np.stack(stack).astype(np.float32)
+
+
+def check(slab: Slab, low: np.ndarray, high: np.ndarray, cell: float) -> None:
+    """It contains the slab, and is larger by no more than five cells each way."""
+    for axis, (first, last) in enumerate((slab[:2], slab[2:])):
+        assert first - 5 * cell < low[axis] <= first
+        assert last <= high[axis] < last + 5 * cell
+    assert low[2] == 0
+    assert high[2] == pytest.approx(0.65 * (high - low)[:2].min())
+
+
+@pytest.mark.parametrize("slab", [(-3, 4, -1.5, 1), (-1, 1, -1, 1), (2, 5, 1, 6)])
+def test_it_contains_the_target_and_little_more(slab: Slab) -> None:
+    check(slab, *target_box(images([slab], ALL_AROUND, CHIP), ALL_AROUND, CHIP), 0.31)
+
+
+def test_a_thin_part_that_hardly_stands_out_belongs_to_it() -> None:
+    hull, barrel = (-3, 3, -1.5, 1.5), (3, 5, -0.15, 0.15)
+    power = images([hull], ALL_AROUND, CHIP) + images([barrel], ALL_AROUND, CHIP, power=6.0)
+    low, high = target_box(power, ALL_AROUND, CHIP)
+    assert high[0] > 4.5
+    assert low[0] > -4.5
+
+
+@pytest.mark.parametrize("factor", [20.0, 1 / 15])
+def test_it_grows_with_the_scene(factor: float) -> None:
+    grid = ImageGrid(120, 100, (0.2 * factor, 0.22 * factor), (0.3 * factor, 0.32 * factor))
+    slab = (-3 * factor, 4 * factor, -1.5 * factor, 1 * factor)
+    check(slab, *target_box(images([slab], ALL_AROUND, grid), ALL_AROUND, grid), 0.31 * factor)
+
+
+def test_few_views_and_several_grazing_angles() -> None:
+    views = [View(0, 30), View(90, 30), View(180, 50), View(270, 15)]
+    slab = (-3, 4, -1.5, 1)
+    check(slab, *target_box(images([slab], views, CHIP), views, CHIP), 0.31)
+
+
+def test_parts_that_stand_apart_are_both_in_it() -> None:
+    low, high = target_box(images([(-4, -2, -1, 1), (2, 5, -1, 1)], ALL_AROUND, CHIP), ALL_AROUND, CHIP)
+    assert low[0] <= -4
+    assert high[0] >= 5
+
+
+def test_where_nothing_stands_out_it_is_the_middle_of_the_scene() -> None:
+    low, high = target_box(images([], ALL_AROUND, CHIP), ALL_AROUND, CHIP)
+    half = 120 * 0.22 / np.cos(np.radians(17)) / 2
+    half = min(half, 100 * 0.2 / 2)
+    assert (low.tolist(), high.tolist()) == ([-half / 2, -half / 2, 0], [half / 2, half / 2, 0.65 * half])
+
+
+def test_images_that_are_black_or_hold_zeros_do_no_harm() -> None:
+    slab = (-3, 4, -1.5, 1)
+    power = images([slab], ALL_AROUND, CHIP)
+    power[power < 0.3 * np.median(power)] = 0
+    check(slab, *target_box(power, ALL_AROUND, CHIP), 0.31)
+    assert np.isfinite(target_box(np.zeros_like(power), ALL_AROUND, CHIP)).all()
