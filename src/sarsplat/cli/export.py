@@ -54,11 +54,13 @@ def export(
         write_gaussians_ply(file, gaussians)
         console.finish(f"{file}: {len(gaussians)} Gaussians", f"open {file} in any 3D Gaussian splatting viewer")
     elif content == "points":
-        write_points_ply(file, done.points, normals=done.normals)
+        with console.busy(f"points of {run} with their normals"):
+            write_points_ply(file, done.points, normals=done.normals)
         console.finish(f"{file}: {len(done.points)} points, metres", f"open {file} in any point cloud or mesh viewer")
     else:
-        mesh = done.mesh()
-        write_mesh(file, mesh)
+        with console.busy(f"a surface through the points of {run}"):
+            mesh = done.mesh()
+            write_mesh(file, mesh)
         console.finish(f"{file}: {len(mesh.faces)} triangles, metres, z up", f"open {file} in any mesh viewer")
 
 
