@@ -129,5 +129,5 @@ def test_t72_barrel_rises_forwards(meshes):
 
 
 def test_unknown_name_lists_the_known_ones():
-    with pytest.raises(SarsplatError, match=r"'t73'.*t72, btr70, 2s1, kraz, building-a, building-b, building-c"):
+    with pytest.raises(SarsplatError, match=r"'t73'.*t72, btr70, 2s1, kraz, slicy, building-a, building-b, building-c"):
         target_mesh("t73")

@@ -24,7 +24,7 @@ from sarsplat.errors import SarsplatError, counted
 if TYPE_CHECKING:
     from sarsplat.geometry import ImageGrid
 
-TargetName = Literal["t72", "btr70", "2s1", "kraz", "building-a", "building-b", "building-c"]
+TargetName = Literal["t72", "btr70", "2s1", "kraz", "slicy", "building-a", "building-b", "building-c"]
 """The targets of `sarsplat.scenes`, which is not imported here because it is slow to load; a test compares them."""
 
 Target = Annotated[

@@ -1,4 +1,4 @@
-"""Built-in targets by name, vehicles and buildings."""
+"""Built-in targets by name: vehicles, a test object and buildings."""
 
 from __future__ import annotations
 
@@ -7,12 +7,17 @@ from typing import TYPE_CHECKING
 
 from sarsplat.errors import SarsplatError
 from sarsplat.scenes.buildings import BUILDINGS
+from sarsplat.scenes.slicy import slicy
 from sarsplat.scenes.vehicles import VEHICLES
 
 if TYPE_CHECKING:
     import trimesh
 
-TARGETS: dict[str, Callable[[], trimesh.Trimesh]] = VEHICLES | {name: box.mesh for name, box in BUILDINGS.items()}
+TARGETS: dict[str, Callable[[], trimesh.Trimesh]] = {
+    **VEHICLES,
+    "slicy": slicy,
+    **{name: box.mesh for name, box in BUILDINGS.items()},
+}
 """Known targets and the functions that build them."""
 
 
@@ -27,7 +32,7 @@ def target_mesh(name: str) -> trimesh.Trimesh:
     Returns
     -------
     trimesh.Trimesh
-        Metres, z up, ground at z = 0; a vehicle's nose, or a building's near wall, towards +x.
+        Metres, z up, ground at z = 0; a vehicle's nose, SLICY's step, or a building's near wall, towards +x.
 
     Raises
     ------

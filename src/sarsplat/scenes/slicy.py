@@ -1,0 +1,63 @@
+"""SLICY, the test object of the MSTAR collection: blocks, cylinders, a tube and a corner reflector of known size."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sarsplat.scenes._shapes import Point, assembled, box, cylinder
+
+if TYPE_CHECKING:
+    import trimesh
+
+_SIDE = 1.375  # half the width of both blocks
+_FRONT, _STEP, _BACK = 1.2225, 0.9089, -1.2225
+_TREAD, _ROOF = 0.4604, 0.774
+_LYING = 0.3136  # radius of the cylinder on the step
+_STANDING = 0.33  # radius of the cylinder and of the tube on the roof
+_STANDING_X = -0.4933
+_APEX: Point = (0.1659, 0.3783, _ROOF)  # of the corner reflector
+_LEG = 0.2927
+
+_SECTIONS = 64
+
+
+def slicy() -> trimesh.Trimesh:
+    """SLICY: 2.445 m × 2.750 m, 1.689 m high; +x out of the face with the step, +y left of it, ground at z = 0.
+
+    Centred on the base block. A stepped block; on the step a lying cylinder, of which the quarter outside the blocks
+    shows; on the roof a closed and an open standing cylinder, the latter without thickness, and a trihedral corner
+    reflector that opens towards +x. Sizes are those of a model by others, not of a drawing.
+    """
+    base = box((_BACK, _FRONT), (-_SIDE, _SIDE), (0, _TREAD))
+    upper = box((_BACK, _STEP), (-_SIDE, _SIDE), (_TREAD, _ROOF))
+    lying = cylinder(_LYING, (_STEP, -0.1915, _TREAD), (_STEP, 0.9156, _TREAD), _SECTIONS)
+    tall = cylinder(_STANDING, (_STANDING_X, 0.5838, _ROOF), (_STANDING_X, 0.5838, 1.689), _SECTIONS)
+    return assembled([base, upper, lying, tall, _tube(), _corner()])
+
+
+def _tube() -> trimesh.Trimesh:
+    """The wall of a cylinder, open above and below."""
+    import trimesh
+
+    angles = np.arange(_SECTIONS) * (2 * np.pi / _SECTIONS)
+    ring = np.column_stack([_STANDING_X + _STANDING * np.cos(angles), -0.5821 + _STANDING * np.sin(angles)])
+    vertices = np.concatenate([np.column_stack([ring, np.full(_SECTIONS, z)]) for z in (_ROOF, 1.232)])
+    here = np.arange(_SECTIONS)
+    after = np.roll(here, -1)
+    low, high = (
+        np.column_stack([here, after, after + _SECTIONS]),
+        np.column_stack([here, after + _SECTIONS, here + _SECTIONS]),
+    )
+    return trimesh.Trimesh(vertices, np.concatenate([low, high]), process=False)
+
+
+def _corner() -> trimesh.Trimesh:
+    """Three right-angled triangles around the apex: one on the roof, two that stand on its legs."""
+    import trimesh
+
+    diagonal = _LEG / np.sqrt(2)
+    ends = _LEG * np.eye(3)[2], np.array([diagonal, diagonal, 0]), np.array([diagonal, -diagonal, 0])
+    vertices = np.array(_APEX) + np.array([np.zeros(3), *ends])
+    return trimesh.Trimesh(vertices, [[0, 3, 2], [0, 2, 1], [0, 1, 3]], process=False)
