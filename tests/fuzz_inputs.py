@@ -289,6 +289,7 @@ def _metrics() -> list[bytes]:
     scores = {"psnr_db": 30.5, "ssim": 0.9, "lpips": None}
     found = {"images": {"test": scores}, "points": {"visible": {"cd_m": 0.1}}, "mesh": {}, "baselines": None}
     found |= {
+        "truth": {"mesh": None},
         "time_s": 2.5,
         "seed": 0,
         "parameters": {"mean_power": 0.1},

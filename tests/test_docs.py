@@ -143,6 +143,7 @@ def test_results_table_comes_from_metrics_and_leaves_gaps_open():
         "points": {"visible": {"cd_m": 0.08, "f1@0.3": 0.97, "f1@0.1": 0.7}},
         "baselines": None,
         "parameters": {"yardstick_m": 0.3},
+        "truth": {"mesh": None},
         "time_s": 83.2,
     }
     table = module.table(metrics)

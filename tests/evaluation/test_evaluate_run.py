@@ -310,3 +310,30 @@ def test_scores_do_not_depend_on_the_scale(tmp_path, scale):
         psnr_db(truth, rendered, float(np.sqrt(truth.max()))), abs=1e-3
     )
     assert log_correlation(*faint) == pytest.approx(log_correlation(truth, rendered), abs=1e-3)
+
+
+def test_a_given_mesh_takes_the_place_of_the_datasets(make, tmp_path):
+    trimesh.creation.box(extents=(2, 2, 4)).export(tmp_path / "tall.ply")
+    points = ON_THE_TOP + np.array([0.3, -0.2, 0])
+    run = FakeRun(make(mesh=None), points=points)
+    assert evaluate_run(run)["truth"] == {"mesh": None}
+    scores = evaluate_run(run, mesh=tmp_path / "tall.ply")
+    assert scores["truth"] == {"mesh": str(tmp_path / "tall.ply")}
+    assert scores["points"]["visible"]["accuracy_m"] > 0.03  # some hang over the edge
+    assert scores["points"]["visible"]["cd_m"] is not None
+    with pytest.raises(SarsplatError, match="no-such"):
+        evaluate_run(run, mesh=tmp_path / "no-such.ply")
+
+
+def test_points_are_aligned_if_asked(make):
+    points = trimesh.sample.sample_surface(CUBE, 3000, seed=0)[0]  # of all sides; no view sees the bottom
+    run = FakeRun(make(), points=points[points[:, 2] > 0.01] + np.array([0.3, -0.2, 0.1]))
+    plain, aligned = evaluate_run(run), evaluate_run(run, alignment="rigid")
+    assert "shift_m" not in plain["truth"]
+    np.testing.assert_allclose(aligned["truth"]["shift_m"], [-0.3, 0.2, -0.1], atol=0.1)
+    assert aligned["points"]["visible"]["accuracy_m"] < plain["points"]["visible"]["accuracy_m"] / 2
+    assert aligned["mesh"]["visible"]["accuracy_m"] > plain["mesh"]["visible"]["accuracy_m"]  # moved alike
+    with pytest.raises(SarsplatError, match="'soft' is unknown; choose none or rigid"):
+        evaluate_run(run, alignment="soft")
+    with pytest.raises(SarsplatError, match="has no true mesh to align the points to"):
+        evaluate_run(FakeRun(make(mesh=None)), alignment="rigid")

@@ -12,10 +12,10 @@ import torch
 
 from sarsplat import Dataset, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.errors import SarsplatWarning
-from sarsplat.gaussians.target_box import target_box
 from sarsplat.reconstruction import Config, Step, Trainer, extract_points
 from sarsplat.reconstruction.config import Densification
 from sarsplat.reconstruction.model import Setting
+from sarsplat.reconstruction.target_box import target_box
 
 BOX = (3.0, 2.0, 1.2)
 

@@ -79,6 +79,7 @@ def make_metrics(**scores: float) -> dict[str, Any]:
         "points": {"visible": points, "whole": points},
         "mesh": {"visible": points | {"cd_m": 0.0375}, "whole": points},
         "baselines": None,
+        "truth": {"mesh": None},
         "parameters": {"reference_amplitude": 2.5, "mean_power": 0.125, "score_margin": 0, "yardstick_m": 0.3},
         "definitions": {metric.key: metric.definition for metric in METRICS},
         "reasons": {"images.test.lpips": "no weights here", "points.whole.f1@0.3": "no points"},

@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from sarsplat.cli import console
-from sarsplat.cli.arguments import OptionalFolder, RunFolder
+from sarsplat.cli.arguments import OptionalFile, OptionalFolder, RunFolder
 
 
-def evaluate(run: RunFolder, *, lpips_weights: OptionalFolder = None) -> None:
+def evaluate(
+    run: RunFolder,
+    *,
+    mesh: OptionalFile = None,
+    align: Literal["none", "rigid"] = "none",
+    lpips_weights: OptionalFolder = None,
+) -> None:
     """Score a run on unseen views and against the true surface, and write its report.
 
     Parameters
     ----------
     run
         Folder written by `sarsplat reconstruct`.
+    mesh
+        A model of the target to hold the points against, metres, in the frame of the views (x towards the nose, z up,
+        ground at z = 0); without it, the dataset's true mesh, if it has one.
+    align
+        rigid: bring the points onto the visible surface first, by at most three resolution cells and 5° about the
+        vertical. Where a measured target stands in its chips says nothing about its reconstruction.
     lpips_weights
         Folder of the LPIPS weights (default: SARSPLAT_LPIPS_WEIGHTS); without weights, LPIPS is skipped.
     """
@@ -30,7 +44,7 @@ def evaluate(run: RunFolder, *, lpips_weights: OptionalFolder = None) -> None:
 
     done = Run.load(run)
     refuse_linked_report(run)
-    metrics = evaluate_run(done, lpips_weights=lpips_weights)
+    metrics = evaluate_run(done, mesh=mesh, alignment=align, lpips_weights=lpips_weights)
     with console.busy("writing the report"):
         page = write_report(done)
     paper = paper_beside(done.dataset)

@@ -1,5 +1,6 @@
 """Scores: images against unseen views, points against the true surface, and what both are to be compared with."""
 
+from sarsplat.evaluation.alignment import Alignment, align
 from sarsplat.evaluation.baselines import baseline_scores, nearest_chip, rotated_average
 from sarsplat.evaluation.evaluate import evaluate_run
 from sarsplat.evaluation.images import log_correlation, nats_per_pixel, psnr_db, psnr_target_db, ssim
@@ -23,6 +24,7 @@ __all__ = [
     "PAPER_DENSIFICATION",
     "PAPER_DENSITY",
     "RUN_METRICS",
+    "Alignment",
     "Lpips",
     "Metric",
     "PointMetrics",
@@ -30,6 +32,7 @@ __all__ = [
     "Scores",
     "VisibleSurface",
     "Yardstick",
+    "align",
     "all_metrics",
     "baseline_scores",
     "comparison",

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from sarsplat.data import write_json
+from sarsplat.data import Dataset, write_json
 from sarsplat.data.determined import weakest_direction
 from sarsplat.data.folders import only_writer
 from sarsplat.data.plausible import warn
 from sarsplat.errors import SarsplatError
+from sarsplat.evaluation.alignment import align
 from sarsplat.evaluation.baselines import baseline_scores
 from sarsplat.evaluation.images import Stack, UndefinedScore
 from sarsplat.evaluation.lpips import Lpips, lpips_weights
@@ -40,13 +42,24 @@ _MESH_SAMPLES = 100_000
 _SAMPLES, _DISTANCES = 3, 10
 
 
-def evaluate_run(run: EvaluatedRun, *, lpips_weights: str | Path | None = None, quiet: bool = False) -> dict[str, Any]:
+def evaluate_run(
+    run: EvaluatedRun,
+    *,
+    mesh: str | Path | None = None,
+    alignment: Literal["none", "rigid"] = "none",
+    lpips_weights: str | Path | None = None,
+    quiet: bool = False,
+) -> dict[str, Any]:
     """Score a run on every test set, its points and mesh against the true surface; write `metrics.json`.
 
     Parameters
     ----------
     run : EvaluatedRun
         A finished run. If it has a folder, its `metrics.json` is written, whole or not at all.
+    mesh : pathlib.Path, optional
+        A model of the target, m, in the frame of the views, instead of the dataset's true mesh.
+    alignment : {"none", "rigid"}
+        Whether points and mesh are brought onto the visible surface first, by a small motion (`align`).
     lpips_weights : pathlib.Path, optional
         Folder of the LPIPS weights; without it the environment variable SARSPLAT_LPIPS_WEIGHTS, without that no LPIPS.
     quiet : bool
@@ -57,8 +70,9 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: str | Path | None = None, 
     dict
         The content of `metrics.json`: `images.<set>.<metric>`, `points.{visible, whole}.<metric>`, `mesh` (the
         same of points on the mesh), `baselines` (what methods without a third dimension score on speckled images with
-        ground), `time_s`, `seed`, `definitions` (of every metric), `parameters` (what they refer to) and `reasons`: for
-        every metric that is None, its dotted key and why. Without test images `images` is empty.
+        ground), `truth` (the given mesh if there is one, and the motion that brought the points onto it), `time_s`,
+        `seed`, `definitions` (of every metric), `parameters` (what they refer to) and `reasons`: for every metric that
+        is None, its dotted key and why. Without test images `images` is empty.
 
     Raises
     ------
@@ -73,14 +87,20 @@ def evaluate_run(run: EvaluatedRun, *, lpips_weights: str | Path | None = None, 
         If points of a run from training views that cannot determine the shape are scored.
     """
     with nullcontext() if run.path is None else only_writer(run.path):
-        metrics = _evaluate(run, None if lpips_weights is None else Path(lpips_weights), quiet)
+        known = run.dataset if mesh is None else replace(run.dataset, truth_mesh=Path(mesh))
+        metrics = _evaluate(run, known, alignment, None if lpips_weights is None else Path(lpips_weights), quiet)
         if run.path is not None:
             write_json(run.path / "metrics.json", metrics)
     return metrics
 
 
-def _evaluate(run: EvaluatedRun, weights_dir: Path | None, quiet: bool) -> dict[str, Any]:
-    dataset = run.dataset
+def _evaluate(
+    run: EvaluatedRun, dataset: Dataset, alignment: str, weights_dir: Path | None, quiet: bool
+) -> dict[str, Any]:
+    if alignment not in ("none", "rigid"):
+        raise SarsplatError(f"alignment {alignment!r} is unknown; choose none or rigid")
+    if alignment == "rigid" and dataset.truth_mesh is None:
+        raise SarsplatError(f"{dataset} has no true mesh to align the points to; give one as `mesh` (--mesh FILE)")
     test_sets = [split for split in dataset.splits() if split != "train"]
     if not test_sets and (dataset.truth_mesh is None or len(run.points) == 0):
         lacks = "no true mesh" if dataset.truth_mesh is None else "the run no points"
@@ -107,7 +127,7 @@ def _evaluate(run: EvaluatedRun, weights_dir: Path | None, quiet: bool) -> dict[
             pair = ImagePair(tested.power, _rendered(run, tested.views, shown), **parameters, network=network)
             shown.advance(0, "scores of the test images")
             images[split] = compute_all(IMAGE_METRICS, tested, pair, f"images.{split}.", reasons)
-        surfaces = _surfaces(run, yardstick, reasons, shown)
+        surfaces = _surfaces(run, dataset, alignment == "rigid", yardstick, reasons, shown)
         shown.update(steps)
     return {
         "images": images,
@@ -132,13 +152,19 @@ def _rendered(run: EvaluatedRun, views: Sequence[View], shown: Reporter) -> Stac
 
 
 def _surfaces(
-    run: EvaluatedRun, yardstick: Yardstick, reasons: dict[str, str], shown: Reporter
-) -> dict[str, dict[str, dict[str, float | None]]]:
-    """Scores of the points and of the mesh against the visible and the whole surface."""
-    dataset = run.dataset
+    run: EvaluatedRun,
+    dataset: Dataset,
+    aligned: bool,
+    yardstick: Yardstick,
+    reasons: dict[str, str],
+    shown: Reporter,
+) -> dict[str, Any]:
+    """Scores of the points and of the mesh against the visible and the whole surface, and what the truth is."""
     clouds: dict[str, Float[np.ndarray, "p 3"]] = {"points": run.points, "mesh": np.empty((0, 3))}
     parts: dict[str, tuple[Float[np.ndarray, "t 3 3"], Float[np.ndarray, "s 3"]] | None]
     parts = dict.fromkeys(("visible", "whole"))
+    given = dataset.truth_mesh != run.dataset.truth_mesh
+    truth: dict[str, Any] = {"mesh": str(dataset.truth_mesh.resolve()) if given and dataset.truth_mesh else None}
     lacks = dict.fromkeys(clouds, "the run reconstructed no points")
     if dataset.truth_mesh is not None and len(run.points):
         clouds["mesh"], lacks["mesh"] = _points_on_mesh(run)
@@ -153,22 +179,31 @@ def _surfaces(
         if weakest_direction(views).undetermined:
             name = run.path or "the run"
             warn([f"{name} was made from views that cannot determine the shape, so its CD and F1 mean nothing"])
+        if aligned:
+            motion = align(clouds["points"], surface.samples, yardstick.cell_m)
+            shown.note(
+                f"points {motion}, to align them with {dataset.truth_mesh} (at most {motion.farthest_m:.2g} m, 5°)"
+            )
+            if motion.at_limit:
+                warn([f"the alignment went as far as it may ({motion}), so the points may belong elsewhere"])
+            clouds = {kind: motion.moved(points) for kind, points in clouds.items()}
+            truth |= {"shift_m": motion.shift_m, "heading_deg": motion.heading_deg}
         parts["visible"] = surface.triangles, surface.samples
         parts["whole"] = surface.all_triangles, surface.samples_whole
     scores: dict[str, dict[str, dict[str, float | None]]] = {}
     for kind, points in clouds.items():
         scores[kind] = {}
-        for part, truth in parts.items():
+        for part, surfaces in parts.items():
             measured: PointMetrics | UndefinedScore
-            if truth is None or len(points) == 0:
+            if surfaces is None or len(points) == 0:
                 measured = UndefinedScore(lacks[kind])
             else:
-                measured = point_metrics(points, *truth, yardstick)
+                measured = point_metrics(points, *surfaces, yardstick)
                 shown.advance(_DISTANCES, f"distances of the {kind} from the {part} surface")
             scores[kind][part] = compute_all(
                 metrics_of_points(yardstick), dataset, measured, f"{kind}.{part}.", reasons
             )
-    return scores
+    return {**scores, "truth": truth}
 
 
 def _points_on_mesh(run: EvaluatedRun) -> tuple[Float[np.ndarray, "p 3"], str]:

@@ -18,10 +18,10 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import SCATTERINGS, Gaussians, Scattering, join
 from sarsplat.gaussians.ground import ground_radius_m, ground_sheet
 from sarsplat.gaussians.initialise import BRIGHT_DB, Region, bounded_region, hemisphere_shell, random_quaternions
-from sarsplat.gaussians.target_box import target_box
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.lengths import scales_m
+from sarsplat.reconstruction.target_box import target_box
 from sarsplat.renderer import Bounds, Rendering, render
 from sarsplat.scenes.mesh_files import read_mesh
 

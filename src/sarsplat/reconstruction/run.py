@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, NotRequired, TypedDict
 
 import msgspec
 import numpy as np
@@ -63,6 +63,14 @@ class LogLine(msgspec.Struct, frozen=True):
 _Scores = dict[str, float | None]
 
 
+class Truth(TypedDict):
+    """What surface the points were held against: its file, unless it is the dataset's, and how they were moved."""
+
+    mesh: str | None
+    shift_m: NotRequired[tuple[float, float, float]]
+    heading_deg: NotRequired[float]
+
+
 class Metrics(TypedDict):
     """What `metrics.json` holds: scores by test set, surface or baseline, and by metric."""
 
@@ -70,6 +78,7 @@ class Metrics(TypedDict):
     points: dict[str, _Scores]
     mesh: dict[str, _Scores]
     baselines: dict[str, dict[str, _Scores]] | None
+    truth: Truth
     time_s: float | None
     seed: int
     parameters: dict[str, float]

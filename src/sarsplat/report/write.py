@@ -10,7 +10,7 @@ from sarsplat.data import write_bytes
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluation import Yardstick, read_truth_mesh
+from sarsplat.evaluation import Alignment, Yardstick, read_truth_mesh
 from sarsplat.reconstruction import Run
 from sarsplat.reconstruction.losses import LOSSES
 from sarsplat.report.cloud import points_figure
@@ -22,6 +22,7 @@ from sarsplat.report.views import evenly, views_figure
 _FOLDER = "report"
 _VIEWS = 6
 _SURFACE_SAMPLES = 60_000
+_STILL = Alignment((0.0, 0.0, 0.0), 0.0)
 
 
 def write_report(run: Run) -> Path:
@@ -48,16 +49,16 @@ def write_report(run: Run) -> Path:
     with only_writer(run.folder):
         with plain_os_errors("write", folder):
             folder.mkdir(exist_ok=True)
-        pictures, training = [_views(run), _points(run), *_mesh(run)], _curves(run)
-        for picture in (*pictures, *training):
-            write_bytes(folder / picture.file, picture.png)
         try:
+            pictures, training = [_views(run), _points(run), *_mesh(run)], _curves(run)
             html = page(run, pictures, training)
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise SarsplatError(
                 f"{run.folder / 'metrics.json'} does not contain all scores ({error!r}); write it again with "
                 f"`sarsplat evaluate {run.path}`"
             ) from error
+        for picture in (*pictures, *training):
+            write_bytes(folder / picture.file, picture.png)
         write_bytes(folder / "index.html", html.encode())
     return folder / "index.html"
 
@@ -108,24 +109,41 @@ def _views(run: Run) -> Picture:
 
 def _points(run: Run) -> Picture:
     _, farthest_m, _ = Yardstick.of(run.dataset.grid).thresholds_m
-    if run.dataset.truth_mesh is None:
+    file, motion = _truth(run)
+    points = motion.moved(run.points)
+    if file is None:
         text = "Where the rays of the training views return, from three sides. No true surface is known here."
-        return Picture("points.png", "Points", text, points_figure(run.points, None, farthest_m))
+        return Picture("points.png", "Points", text, points_figure(points, None, farthest_m))
     import trimesh
 
-    mesh = read_truth_mesh(run.dataset.truth_mesh)
+    mesh = read_truth_mesh(file)
     surface, _ = trimesh.sample.sample_surface(mesh, _SURFACE_SAMPLES, seed=0)
     text = "The reconstruction beside the true surface, which it never saw: images and their views were all it had."
-    return Picture("points.png", "Points", text, points_figure(run.points, np.asarray(surface), farthest_m))
+    if motion != _STILL:
+        text += f" To compare them, it was {motion}."
+    return Picture("points.png", "Points", text, points_figure(points, np.asarray(surface), farthest_m))
+
+
+def _truth(run: Run) -> tuple[Path | None, Alignment]:
+    """The file of the true surface, and the motion that brought the points onto it."""
+    file = run.dataset.truth_mesh
+    if (metrics := run.metrics) is None:
+        return file, _STILL
+    truth = metrics["truth"]
+    if truth["mesh"] is not None:
+        file = Path(truth["mesh"])
+    return file, Alignment(truth.get("shift_m", _STILL.shift_m), truth.get("heading_deg", _STILL.heading_deg))
 
 
 def _mesh(run: Run) -> list[Picture]:
+    truth, motion = _truth(run)
     try:
-        mesh, truth = run.mesh(), run.dataset.truth_mesh
+        mesh = run.mesh()
     except SarsplatError:  # the evaluation gives the reason
         return []
     if len(mesh.faces) == 0:
         return []
+    mesh.vertices = motion.moved(mesh.vertices)
     text = "The surface through the points, shaded; `sarsplat export` writes it. It is open where no view looked"
     beside = "; the true surface is whole." if truth else "."
     return [Picture("mesh.png", "Mesh", text + beside, meshes_figure(mesh, read_truth_mesh(truth) if truth else None))]

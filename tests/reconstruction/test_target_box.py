@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sarsplat import ImageGrid, View, radar_frame
-from sarsplat.gaussians.target_box import target_box
+from sarsplat.reconstruction.target_box import target_box
 
 Slab = tuple[float, float, float, float]
 """Something bright on the ground: x from … to, y from … to, m."""

@@ -1,0 +1,90 @@
+"""A small rigid motion that brings reconstructed points onto a known surface.
+
+A measured target stands somewhere near the middle of its chips, turned as well as its label says. How far that is from
+a model's origin says nothing about the reconstruction, so points may be moved before they are scored: by little, so
+that nothing else is hidden by it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float64
+from scipy.optimize import minimize
+from scipy.spatial import cKDTree
+
+_FARTHEST = 3.0  # cells, along each axis; distances beyond it count as this
+MOST_TURNED_DEG = 5.0
+"""How far points are turned at most, degrees."""
+
+_COUNT = 4000  # of the points, and of the surface's samples
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """A turn about the vertical through the origin, then a shift.
+
+    Attributes
+    ----------
+    shift_m : (float, float, float)
+        World frame, m.
+    heading_deg : float
+        Counter-clockwise seen from above, degrees.
+    farthest_m : float
+        How far it was allowed to go along each axis, m.
+    """
+
+    shift_m: tuple[float, float, float]
+    heading_deg: float
+    farthest_m: float = math.inf
+
+    def moved(self, points: Float[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]:
+        """Points where it brings them."""
+        return points @ _turn(self.heading_deg).T + np.array(self.shift_m)
+
+    @property
+    def at_limit(self) -> bool:
+        """Whether it would have gone farther."""
+        parts = [*(abs(part) / self.farthest_m for part in self.shift_m), abs(self.heading_deg) / MOST_TURNED_DEG]
+        return max(parts) > 0.98
+
+    def __str__(self) -> str:
+        x, y, z = self.shift_m
+        return f"moved by {x:.2f}, {y:.2f}, {z:.2f} m and turned by {self.heading_deg:.1f}°"
+
+
+def align(points: Float[np.ndarray, "p 3"], surface: Float[np.ndarray, "s 3"], cell: float) -> Alignment:
+    """The motion after which points and surface are nearest to each other, on average over both.
+
+    Parameters
+    ----------
+    points : numpy.ndarray, float [P, 3]
+        Reconstructed points, m.
+    surface : numpy.ndarray, float [S, 3]
+        Samples of the known surface, m, spread by area.
+    cell : float
+        Side of a resolution cell, m: three of them are how far points are moved, and how far strays count.
+    """
+    chance = np.random.default_rng(0)
+    own, known = (np.asarray(some, np.float64)[chance.permutation(len(some))[:_COUNT]] for some in (points, surface))
+    farthest = _FARTHEST * cell
+    to_own, to_known = cKDTree(own), cKDTree(known)
+
+    def apart(motion: Float64[np.ndarray, " 4"]) -> float:
+        shift, turn = motion[:3] * farthest, _turn(motion[3] * MOST_TURNED_DEG)
+        distances = (
+            to_known.query(own @ turn.T + shift, distance_upper_bound=farthest)[0],
+            to_own.query((known - shift) @ turn, distance_upper_bound=farthest)[0],
+        )
+        return sum(float(np.minimum(some, farthest).mean()) for some in distances)
+
+    best = minimize(apart, np.zeros(4), method="Powell", bounds=[(-1, 1)] * 4, options={"xtol": 1e-3, "ftol": 1e-5}).x
+    x, y, z = (float(part) for part in best[:3] * farthest)
+    return Alignment((x, y, z), float(best[3]) * MOST_TURNED_DEG, farthest)
+
+
+def _turn(heading_deg: float) -> Float64[np.ndarray, "3 3"]:
+    cosine, sine = math.cos(math.radians(heading_deg)), math.sin(math.radians(heading_deg))
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
