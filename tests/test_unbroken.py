@@ -13,6 +13,7 @@ from sarsplat.unbroken import unbroken
 
 points = np.random.default_rng(0).normal(size=(200_000, 3))
 tree = cKDTree(points)
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background process starts without
 threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
 try:
     unbroken(tree.query, points, k=64, workers=-1)

@@ -95,7 +95,7 @@ def make(tmp_path, monkeypatch):
 def test_every_key_is_there_and_every_null_has_its_reason(make):
     metrics = evaluate_run(FakeRun(make(), power=1.1))
     assert list(metrics) == [
-        *("images", "points", "mesh", "baselines", "time_s", "seed", "definitions", "parameters", "reasons"),
+        *("images", "points", "mesh", "truth", "baselines", "time_s", "seed", "definitions", "parameters", "reasons"),
     ]
     assert list(metrics["definitions"]) == [metric.key for metric in all_metrics(YARDSTICK)]
     assert list(metrics["images"]) == ["test-17", "test-15"]
