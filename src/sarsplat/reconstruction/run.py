@@ -78,7 +78,7 @@ class Metrics(TypedDict):
     points: dict[str, _Scores]
     mesh: dict[str, _Scores]
     baselines: dict[str, dict[str, _Scores]] | None
-    truth: Truth
+    truth: NotRequired[Truth]
     time_s: float | None
     seed: int
     parameters: dict[str, float]

@@ -129,7 +129,7 @@ def _truth(run: Run) -> tuple[Path | None, Alignment]:
     file = run.dataset.truth_mesh
     if (metrics := run.metrics) is None:
         return file, _STILL
-    truth = metrics["truth"]
+    truth = metrics.get("truth", {"mesh": None})
     if truth["mesh"] is not None:
         file = Path(truth["mesh"])
     return file, Alignment(truth.get("shift_m", _STILL.shift_m), truth.get("heading_deg", _STILL.heading_deg))
