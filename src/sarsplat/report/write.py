@@ -13,6 +13,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Alignment, Yardstick, read_truth_mesh
 from sarsplat.reconstruction import Run
 from sarsplat.reconstruction.losses import LOSSES
+from sarsplat.reconstruction.run import Truth
 from sarsplat.report.cloud import points_figure
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.page import Picture, page
@@ -129,7 +130,7 @@ def _truth(run: Run) -> tuple[Path | None, Alignment]:
     file = run.dataset.truth_mesh
     if (metrics := run.metrics) is None:
         return file, _STILL
-    truth = metrics.get("truth", {"mesh": None})
+    truth: Truth = metrics.get("truth", {"mesh": None})
     if truth["mesh"] is not None:
         file = Path(truth["mesh"])
     return file, Alignment(truth.get("shift_m", _STILL.shift_m), truth.get("heading_deg", _STILL.heading_deg))
