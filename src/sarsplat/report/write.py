@@ -130,7 +130,7 @@ def _truth(run: Run) -> tuple[Path | None, Alignment]:
     file = run.dataset.truth_mesh
     if (metrics := run.metrics) is None:
         return file, _STILL
-    truth: Truth = metrics.get("truth", {"mesh": None})
+    truth: Truth = metrics["truth"] if "truth" in metrics else {"mesh": None}
     if truth["mesh"] is not None:
         file = Path(truth["mesh"])
     return file, Alignment(truth.get("shift_m", _STILL.shift_m), truth.get("heading_deg", _STILL.heading_deg))
