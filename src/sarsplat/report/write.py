@@ -13,7 +13,6 @@ from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Alignment, Yardstick, read_truth_mesh
 from sarsplat.reconstruction import Run
 from sarsplat.reconstruction.losses import LOSSES
-from sarsplat.reconstruction.run import Truth
 from sarsplat.report.cloud import points_figure
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.page import Picture, page
@@ -128,9 +127,9 @@ def _points(run: Run) -> Picture:
 def _truth(run: Run) -> tuple[Path | None, Alignment]:
     """The file of the true surface, and the motion that brought the points onto it."""
     file = run.dataset.truth_mesh
-    if (metrics := run.metrics) is None:
+    if (metrics := run.metrics) is None or "truth" not in metrics:
         return file, _STILL
-    truth: Truth = metrics["truth"] if "truth" in metrics else {"mesh": None}
+    truth = metrics["truth"]
     if truth["mesh"] is not None:
         file = Path(truth["mesh"])
     return file, Alignment(truth.get("shift_m", _STILL.shift_m), truth.get("heading_deg", _STILL.heading_deg))
