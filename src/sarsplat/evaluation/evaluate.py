@@ -16,7 +16,7 @@ from sarsplat.data.determined import weakest_direction
 from sarsplat.data.folders import only_writer
 from sarsplat.data.plausible import warn
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluation.alignment import align
+from sarsplat.evaluation.alignment import MOST_TURNED_DEG, align
 from sarsplat.evaluation.baselines import baseline_scores
 from sarsplat.evaluation.images import Stack, UndefinedScore
 from sarsplat.evaluation.lpips import Lpips, lpips_weights
@@ -181,11 +181,10 @@ def _surfaces(
             warn([f"{name} was made from views that cannot determine the shape, so its CD and F1 mean nothing"])
         if aligned:
             motion = align(clouds["points"], surface.samples, yardstick.cell_m)
-            shown.note(
-                f"points {motion}, to align them with {dataset.truth_mesh} (at most {motion.farthest_m:.2g} m, 5°)"
-            )
+            limits = f"at most {motion.farthest_m:.2g} m along each axis and {MOST_TURNED_DEG:g}°"
+            shown.note(f"to align them with {dataset.truth_mesh}, points were {motion} ({limits})")
             if motion.at_limit:
-                warn([f"the alignment went as far as it may ({motion}), so the points may belong elsewhere"])
+                warn([f"points were {motion}, which is as far as they may be; bring the mesh nearer to the target"])
             clouds = {kind: motion.moved(points) for kind, points in clouds.items()}
             truth |= {"shift_m": motion.shift_m, "heading_deg": motion.heading_deg}
         parts["visible"] = surface.triangles, surface.samples

@@ -155,11 +155,8 @@ def log_correlation(truth: Stack, rendered: Stack, margin: int = 0) -> float:
     for power, name in ((truth, "true"), (rendered, "predicted")):
         smooth = inside(smoothed(power), margin)
         check_positive(smooth, name)
-        log = np.log(smooth).reshape(len(smooth), -1)
-        logs.append(log - log.mean(axis=1, keepdims=True))
-    covariance = np.sum(logs[0] * logs[1], axis=1)
-    norm = np.sqrt(np.sum(logs[0] ** 2, axis=1) * np.sum(logs[1] ** 2, axis=1))
-    return float(np.mean(np.divide(covariance, norm, out=np.zeros_like(norm), where=norm > 0)))
+        logs.append(standardised(np.log(smooth)))
+    return float(np.mean(logs[0] * logs[1]))
 
 
 def _mean_psnr(mse: Float[np.ndarray, " v"]) -> float:
@@ -170,6 +167,13 @@ def smoothed(power: Stack) -> Float64[np.ndarray, "v rows columns"]:
     """3×3 means."""
     # not uniform_filter: its running sums leave rounding residues where the mean is zero
     return correlate(power.astype(np.float64), np.full((1, 3, 3), 1 / 9))
+
+
+def standardised(images: Float[np.ndarray, "v rows columns"]) -> Float[np.ndarray, "v rows columns"]:
+    """Each with mean 0 and variance 1; constant ones are 0."""
+    centred = images - images.mean(axis=(1, 2), keepdims=True)
+    spread = centred.std(axis=(1, 2), keepdims=True)
+    return np.divide(centred, spread, out=np.zeros_like(centred), where=spread > 0)
 
 
 def inside(power: Stack, margin: int) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:

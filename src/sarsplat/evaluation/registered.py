@@ -13,7 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float64, Int64
 
-from sarsplat.evaluation.images import Stack, UndefinedScore, check_positive, check_stacks, inside, smoothed
+from sarsplat.evaluation.images import (
+    Stack,
+    UndefinedScore,
+    check_positive,
+    check_stacks,
+    inside,
+    smoothed,
+    standardised,
+)
 
 REACH = 3
 """How far a prediction may be moved, pixels each way."""
@@ -84,8 +92,8 @@ def registered_log_correlation(truth: Stack, rendered: Stack, margin: int = 0) -
     check_stacks(truth, rendered)
     measured, predicted = inside(smoothed(truth), margin), _reachable(smoothed(rendered), margin)
     check_positive(measured, "true")
-    log = _standard(np.log(measured))
-    found = [(log * _standard(moved)).mean(axis=(1, 2)) for _, moved in _moved(np.log(predicted), margin)]
+    log = standardised(np.log(measured))
+    found = [(log * standardised(moved)).mean(axis=(1, 2)) for _, moved in _moved(np.log(predicted), margin)]
     return float(np.mean(np.max(found, axis=0)))
 
 
@@ -108,10 +116,3 @@ def _moved(
         for right in range(-REACH, REACH + 1):
             top, left = first - down, first - right
             yield (down, right), wrapped[:, top : top + rows - 2 * margin, left : left + columns - 2 * margin]
-
-
-def _standard(images: Float[np.ndarray, "v rows columns"]) -> Float[np.ndarray, "v rows columns"]:
-    """Each with mean 0 and variance 1; constant ones are 0."""
-    centred = images - images.mean(axis=(1, 2), keepdims=True)
-    spread = centred.std(axis=(1, 2), keepdims=True)
-    return np.divide(centred, spread, out=np.zeros_like(centred), where=spread > 0)

@@ -58,9 +58,9 @@ def read_truth_mesh(path: Path) -> trimesh.Trimesh:
     try:
         mesh = read_mesh(path)
     except SarsplatError as error:
-        raise SarsplatError(f"the true mesh cannot be used: {error}; restore it or simulate again") from error
+        raise SarsplatError(f"the true mesh cannot be used: {error}") from error
     if not np.isfinite(mesh.vertices).all():
-        raise SarsplatError(f"the true mesh {path} holds vertices that are not finite; restore it or simulate again")
+        raise SarsplatError(f"the true mesh {path} holds vertices that are not finite; repair it, or give another")
     return mesh
 
 

@@ -60,6 +60,7 @@ def target_box(
     axis = np.linspace(-half, half, 2 * math.ceil(2 * half / grid.cell_m) + 1)
     above_db = _above_ground_db(power, views, grid, axis)
     sure = above_db > _SURE_DB
+    low, high = np.full(2, -half / 2), np.full(2, half / 2)
     if sure.any():
         threshold_db = max(
             _PROBABLE * _DEVIATION * float(np.median(np.abs(above_db))),
@@ -68,15 +69,14 @@ def target_box(
         part, count = label(above_db > threshold_db)
         weight = np.bincount(part.ravel(), (sure * above_db).ravel(), count + 1)
         weight[0] = 0  # what does not stand out
-        y, x = np.nonzero((weight >= _LARGE_PART * weight.max())[part])
-        low, high = axis[[x.min(), y.min()]] - grid.cell_m, axis[[x.max(), y.max()]] + grid.cell_m
-    else:
-        low, high = np.full(2, -half / 2), np.full(2, half / 2)
+        if weight.any():
+            y, x = np.nonzero((weight >= _LARGE_PART * weight.max())[part])
+            low, high = axis[[x.min(), y.min()]] - grid.cell_m, axis[[x.max(), y.max()]] + grid.cell_m
     return np.array([*low, 0.0]), np.array([*high, _HEIGHT * (high - low).min()])
 
 
 def _seen_by_all(views: Sequence[View], grid: ImageGrid) -> float:
-    """Half the side of the largest square of ground that lies in every image however it is turned, m."""
+    """Radius of the largest disc of ground around the origin that lies in every image, m."""
     flattest = math.cos(math.radians(min(view.grazing_deg for view in views)))
     across = grid.columns * grid.spacing_m[0] / 2 - abs(grid.center_m[0])
     along = (grid.rows * grid.spacing_m[1] / 2 - abs(grid.center_m[1])) / flattest
