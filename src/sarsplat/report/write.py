@@ -49,16 +49,16 @@ def write_report(run: Run) -> Path:
     with only_writer(run.folder):
         with plain_os_errors("write", folder):
             folder.mkdir(exist_ok=True)
+        pictures, training = [_views(run), _points(run), *_mesh(run)], _curves(run)
+        for picture in (*pictures, *training):
+            write_bytes(folder / picture.file, picture.png)
         try:
-            pictures, training = [_views(run), _points(run), *_mesh(run)], _curves(run)
             html = page(run, pictures, training)
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise SarsplatError(
                 f"{run.folder / 'metrics.json'} does not contain all scores ({error!r}); write it again with "
                 f"`sarsplat evaluate {run.path}`"
             ) from error
-        for picture in (*pictures, *training):
-            write_bytes(folder / picture.file, picture.png)
         write_bytes(folder / "index.html", html.encode())
     return folder / "index.html"
 
