@@ -65,6 +65,8 @@ PRESETS: dict[str, Config] = {
         initial_scattering=1.0,
         scale_bounds=(0.65, 2.25),
         harmonics_every=50,
+        directional_std=2.0,
+        dropout=0.25,
         fine_from=1.0,
         rates=Rates(means=0.16, quaternions=0.01, log_scales=0.02, scattering=0.4, directional_scattering=0.4),
         relocation=Relocation(rounds=0),

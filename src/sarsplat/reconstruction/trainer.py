@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float, Float32, Int64
+from jaxtyping import Bool, Float, Float32, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import RayGrid
-from sarsplat.reconstruction import relocation
-from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction import relocation, texture
+from sarsplat.reconstruction.config import Config, Surroundings
 from sarsplat.reconstruction.density import DensityControl
 from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss
 from sarsplat.reconstruction.model import PER_GAUSSIAN, SceneModel
 from sarsplat.reconstruction.optimiser import Optimiser
 from sarsplat.reconstruction.snapshot import Snapshot, region_tensors
+from sarsplat.reconstruction.texture import Texture
 
 _FAINTEST = 1e-30
 """Largest β⁰ below which images count as black: squares and reciprocals of it would leave float32."""
@@ -85,6 +86,7 @@ class Trainer:
             chips=torch.stack([self._numbers[i] for i in chosen]),
             plane_gradients=gather,
             bounds=self._bounds,
+            left_out=self._left_out(),
         )
         truth = torch.stack([self._truth[i] for i in chosen])  # much faster than an index
         loss = self._loss(images, truth)
@@ -108,6 +110,8 @@ class Trainer:
             self._densify(self.density)
         if relocation.due(self.config.relocation, self.iteration, self.config.iterations):
             self._relocate()
+        if (around := self.config.surroundings) and texture.due(around, self.iteration, self.config.iterations):
+            self._estimate_texture(around)
         return loss.detach()
 
     @property
@@ -134,6 +138,27 @@ class Trainer:
             self._queue += torch.randperm(len(self.views), generator=self._generator, device="cpu").tolist()
         chosen, self._queue = self._queue[:count], self._queue[count:]
         return chosen
+
+    def _left_out(self) -> Bool[Tensor, " n"] | None:
+        """Gaussians that this step does without: the images must not hang on single ones."""
+        if not self.config.dropout:
+            return None
+        chances = torch.rand(len(self.model), generator=self._generator, device="cpu")
+        return (chances < self.config.dropout).to(self.device)
+
+    @torch.no_grad()
+    def _estimate_texture(self, settings: Surroundings) -> None:
+        self.check()
+        self.model.texture = None
+        rendered = torch.cat([self._rendered(some) for some in self._numbers.split(self.config.views_per_step)])
+        ratio = texture.smoothed_ratio(self._truth, rendered, self.grid, settings.texture_width)
+        tensors = {"ratio": ratio, "shift_m": self.model.shifts_m.clone()}
+        self.model.texture = Texture(tensors, self.views, self.grid, settings)
+
+    def _rendered(self, chips: Int64[Tensor, " v"]) -> Float32[Tensor, "v rows columns"]:
+        """Training chips as the scene has them now."""
+        views = [self.views[k] for k in chips.tolist()]
+        return self.model.render(views, self.grid, self.model.degree(self.iteration), rays=self._rays, chips=chips)[0]
 
     def _densify(self, density: DensityControl) -> None:
         self.check()
@@ -176,7 +201,9 @@ class Trainer:
 
     def _replace(self, parameters: dict[str, Tensor], source: Int64[Tensor, " n"]) -> None:
         """Go on with other Gaussians; `source` is the row whose moments each inherits, or −1."""
+        shared = self.model.texture
         self.model = SceneModel(self.config, self.model.setting, parameters, self.device)
+        self.model.texture = shared
         self.model.constrain()
         self.optimiser = self.optimiser.rebuild(self.model.parameters, source)
 
@@ -197,6 +224,8 @@ class Trainer:
         tensors = {f"model/{name}": tensor.detach() for name, tensor in self.model.parameters.items()}
         tensors |= {f"optimiser/{name}": tensor for name, tensor in self.optimiser.state().items()}
         tensors |= {"generator": self._generator.get_state(), **region_tensors(self.model.setting.region)}
+        if self.model.texture is not None:
+            tensors |= {f"texture/{name}": tensor for name, tensor in self.model.texture.tensors.items()}
         if self.density:
             tensors |= {"density/gradient": self.density.gradient, "density/seen": self.density.seen}
         return Snapshot(
