@@ -127,7 +127,7 @@ def test_measured_scenes_have_ground_noise_and_their_own_shifts(dataset: Dataset
 
 
 def test_every_term_of_measured_scenes_can_be_switched_off(dataset: Dataset) -> None:
-    off = Surroundings(ground_std=0, shift_std=0, gain_std=0, side_lobes=False, texture_looks=0)
+    off = Surroundings(ground_std=0, shift_std=0, gain_std=0, side_lobes=0, texture_looks=0)
     config = replace(preset("measured"), gaussians=200, iterations=5, surroundings=off, dropout=0, directional_std=None)
     trainer = Trainer(dataset, config)
     for _ in range(5):

@@ -195,8 +195,8 @@ class Surroundings(Record):
         Standard deviation of a chip's shift, in resolution cells.
     gain_std : float
         Standard deviation of the logarithm of a chip's gain.
-    side_lobes : bool
-        Whether bright scatterers have side lobes in azimuth and in range, those of a −35 dB Taylor window at the start.
+    side_lobes : float
+        Power of the side lobes of bright scatterers at the start, relative to a −35 dB Taylor window; 0: there are none.
     texture_looks : float
         The factor between images and scene that is shared by neighbouring chips: how many looks it takes to believe in
         one that differs from 1 by half of what they show; 0: there is none.
@@ -217,12 +217,12 @@ class Surroundings(Record):
     ground_std: NotNegative = 4.0
     shift_std: NotNegative = 1.0
     gain_std: NotNegative = 1.0
-    side_lobes: bool = True
+    side_lobes: NotNegative = 1.0
     texture_looks: NotNegative = 2.0
     texture_reach_deg: Positive = 15.0
-    texture_width: Positive = 0.5
-    texture_rounds: Count = 4
-    texture_from: Share = 0.4
+    texture_width: Positive = 0.4
+    texture_rounds: Count = 6
+    texture_from: Share = 0.25
 
 
 @dataclass(frozen=True)

@@ -178,7 +178,7 @@ class SceneModel:
                 "log_gain": means.new_zeros(len(train)),
             }
             if config.surroundings.side_lobes:
-                parameters["log_side_lobes"] = means.new_zeros(2)
+                parameters["log_side_lobes"] = means.new_full((2,), math.log(config.surroundings.side_lobes))
         return cls(config, setting, parameters, device)
 
     def __len__(self) -> int:

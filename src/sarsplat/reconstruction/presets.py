@@ -54,7 +54,7 @@ PRESETS: dict[str, Config] = {
     # glints are 20 dB above the ground, so the harmonics must travel far.
     "measured": Config(
         preset="measured",
-        iterations=600,
+        iterations=800,
         gaussians=12_000,
         loss="speckle",
         scattering="harmonics",
