@@ -187,6 +187,12 @@ class Surroundings(Record):
         Nats per pixel, per squared resolution cell of a chip's shift.
     gain_penalty : float
         Nats per pixel, per squared logarithm of a chip's gain.
+    azimuth_rounds : int
+        How often uncertain azimuths of training chips are refined, evenly spaced …
+    azimuth_from : float
+        … from this share of all iterations on …
+    azimuth_until : float
+        … to this one.
     """
 
     _section: ClassVar[str] = "surroundings."
@@ -195,6 +201,9 @@ class Surroundings(Record):
     ground_pitch: Positive = 1.3
     shift_penalty: NotNegative = 0.001
     gain_penalty: NotNegative = 0.01
+    azimuth_rounds: Iteration = 3
+    azimuth_from: Share = 0.4
+    azimuth_until: Share = 0.8
 
 
 @dataclass(frozen=True)

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
 import torch
-from jaxtyping import Float, Float32, Int64
+from jaxtyping import Float, Float32, Float64, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
-from sarsplat.geometry import RayGrid
-from sarsplat.reconstruction import relocation
+from sarsplat.geometry import RayGrid, View
+from sarsplat.reconstruction import azimuths, relocation
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.density import DensityControl
-from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss
+from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss, speckle_nats
 from sarsplat.reconstruction.model import PER_GAUSSIAN, SceneModel
 from sarsplat.reconstruction.optimiser import Optimiser
-from sarsplat.reconstruction.snapshot import Snapshot, region_tensors
+from sarsplat.reconstruction.snapshot import AZIMUTH_OFFSETS, Snapshot, region_tensors
 
 _FAINTEST = 1e-30
 """Largest β⁰ below which images count as black: squares and reciprocals of it would leave float32."""
@@ -48,7 +51,9 @@ class Trainer:
         self.config = config
         self.device = torch.device(device)
         self.grid = dataset.grid
-        self.views = dataset.select("train").views
+        train = dataset.select("train")
+        self.azimuths = azimuths.Azimuths(train)
+        self._looks = train.looks or 1.0
         power = torch.from_numpy(dataset.images("train"))
         if not float(power.max()) > _FAINTEST:
             raise SarsplatError(
@@ -108,7 +113,20 @@ class Trainer:
             self._densify(self.density)
         if relocation.due(self.config.relocation, self.iteration, self.config.iterations):
             self._relocate()
+        surroundings = self.config.surroundings
+        if (
+            self.azimuths.uncertain
+            and surroundings
+            and azimuths.due(surroundings, self.iteration, self.config.iterations)
+        ):
+            self.check()
+            self.azimuths.refine(self._nats)
         return loss.detach()
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """From where the training images were taken, as far as is known by now."""
+        return self.azimuths.views
 
     @property
     def _rays(self) -> RayGrid:
@@ -174,6 +192,17 @@ class Trainer:
             total += rendering.cross_sections[:, : len(total)].sum(0)  # the ground's come after the target's
         return total / len(self.views)
 
+    @torch.no_grad()
+    def _nats(self, views: Sequence[View], chips: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+        """Negative log-likelihood of training chips seen from these views, each with its own shift and gain, nats."""
+        found, degree, rays = [], self.model.degree(self.iteration), self._rays
+        for first in range(0, len(views), self.config.views_per_step):  # what a step takes fits into memory
+            some = slice(first, first + self.config.views_per_step)
+            numbers = self._numbers[torch.from_numpy(chips[some]).to(self.device)]
+            images, _ = self.model.render(views[some], self.grid, degree, rays=rays, chips=numbers, bounds=self._bounds)
+            found.append(speckle_nats(images / self.model.unit, self._truth[numbers] / self.model.unit).double().cpu())
+        return torch.cat(found).numpy() * self.grid.independent_samples * self._looks
+
     def _replace(self, parameters: dict[str, Tensor], source: Int64[Tensor, " n"]) -> None:
         """Go on with other Gaussians; `source` is the row whose moments each inherits, or −1."""
         self.model = SceneModel(self.config, self.model.setting, parameters, self.device)
@@ -197,6 +226,8 @@ class Trainer:
         tensors = {f"model/{name}": tensor.detach() for name, tensor in self.model.parameters.items()}
         tensors |= {f"optimiser/{name}": tensor for name, tensor in self.optimiser.state().items()}
         tensors |= {"generator": self._generator.get_state(), **region_tensors(self.model.setting.region)}
+        if self.azimuths.uncertain:
+            tensors |= {AZIMUTH_OFFSETS: torch.from_numpy(self.azimuths.offset_deg)}
         if self.density:
             tensors |= {"density/gradient": self.density.gradient, "density/seen": self.density.seen}
         return Snapshot(
@@ -204,7 +235,7 @@ class Trainer:
             seconds,
             tuple(self._queue),
             self.grid,
-            tuple(self.views),
+            self.views,
             self.model.unit,
             self._brightest,
             {name: tensor.cpu().clone() for name, tensor in tensors.items()},
@@ -217,6 +248,8 @@ class Trainer:
         self.optimiser = Optimiser(self.model.parameters, self.model.bounds, self.config, self.grid.cell_m)
         self.optimiser.load_state(snapshot.part("optimiser"))
         self._generator.set_state(snapshot.tensors["generator"])
+        if self.azimuths.uncertain:
+            self.azimuths.correct(snapshot.tensors[AZIMUTH_OFFSETS].numpy())
         if self.density:
             density = snapshot.part("density")
             self.density.gradient, self.density.seen = (density[name].to(self.device) for name in ("gradient", "seen"))
