@@ -11,7 +11,7 @@ import torch
 from sarsplat import ImageGrid, View, preset
 from sarsplat.geometry import radar_frame
 from sarsplat.reconstruction.config import Surroundings
-from sarsplat.reconstruction.texture import Texture, due, smoothed_ratio
+from sarsplat.reconstruction.texture import Texture, due
 
 GRID = ImageGrid(48, 60, (0.4, 0.5), (0.6, 0.7), (1.0, -2.0))
 SETTINGS = Surroundings(texture_looks=0.01, texture_reach_deg=20.0)
@@ -27,13 +27,18 @@ def pattern(view: View, shift_m: np.ndarray) -> np.ndarray:
 
 def chips(views: list[View], shifts_m: np.ndarray) -> dict[str, torch.Tensor]:
     ratio = np.stack([pattern(view, shift_m) for view, shift_m in zip(views, shifts_m, strict=True)])
-    return {"ratio": torch.from_numpy(ratio).float(), "shift_m": torch.from_numpy(shifts_m).float()}
+    angles = torch.tensor([(view.azimuth_deg, view.grazing_deg) for view in views], dtype=torch.float64)
+    return {
+        "ratio": torch.from_numpy(ratio).float(),
+        "shift_m": torch.from_numpy(shifts_m).float(),
+        "view_deg": angles,
+    }
 
 
 @pytest.mark.parametrize("grazing_deg", [30.0, 45.0])
 def test_a_pattern_on_the_ground_is_seen_from_anywhere(grazing_deg: float) -> None:
     shifts_m = np.random.default_rng(0).normal(size=(len(VIEWS), 2))
-    texture = Texture(chips(VIEWS, shifts_m), VIEWS, GRID, SETTINGS)
+    texture = Texture(chips(VIEWS, shifts_m), GRID, SETTINGS)
     wanted = View(4.0, grazing_deg)
     inside = (slice(8, -8), slice(8, -8))
     found = texture.factor([wanted])[0].numpy()[inside]
@@ -46,15 +51,15 @@ def test_a_chip_does_not_explain_itself() -> None:
     tensors = chips(VIEWS, np.zeros((len(VIEWS), 2)))
     changed = {**tensors, "ratio": tensors["ratio"].clone()}
     changed["ratio"][3] = 50.0
-    before, after = (Texture(some, VIEWS, GRID, SETTINGS).among_chips for some in (tensors, changed))
+    before, after = (Texture(some, GRID, SETTINGS).among_chips for some in (tensors, changed))
     assert torch.equal(before[3], after[3])
     assert float((after[4] / before[4]).median()) > 5
 
 
 def test_few_looks_are_believed_less_and_distant_ones_not_at_all() -> None:
     settings = replace(SETTINGS, texture_looks=2.0)
-    tensors = {"ratio": torch.full((1, 48, 60), 4.0), "shift_m": torch.zeros(1, 2)}
-    texture = Texture(tensors, [View(350.0, 30.0)], GRID, settings)
+    views, ratio = [View(350.0, 30.0)], torch.full((1, 48, 60), 4.0)
+    texture = Texture.estimated(ratio, torch.zeros(1, 2), views, GRID, settings)
     near, farther, opposite = texture.factor([View(350.0, 30.0), View(10.0, 30.0), View(170.0, 30.0)])
     assert float(near[24, 30]) == pytest.approx((2 + 4) / (2 + 1))
     weight = np.exp(-1)  # 20° away
@@ -63,9 +68,10 @@ def test_few_looks_are_believed_less_and_distant_ones_not_at_all() -> None:
 
 
 def test_the_ratio_is_smoothed_over_cells_and_not_over_chips() -> None:
-    measured, rendered = torch.ones(2, 48, 60), torch.full((2, 48, 60), 0.5)
-    measured[1, 20, 30] = 101.0
-    ratio = smoothed_ratio(measured, rendered, GRID, 0.5)
+    ratio = torch.full((2, 48, 60), 2.0)
+    ratio[1, 20, 30] += 200
+    settings = replace(SETTINGS, texture_width=0.5)
+    ratio = Texture.estimated(ratio, torch.zeros(2, 2), VIEWS[:2], GRID, settings).tensors["ratio"]
     assert torch.allclose(ratio[0], torch.full((48, 60), 2.0))
     over = ratio[1].double() - 2
     assert float(over.sum()) == pytest.approx(200, rel=1e-3)

@@ -208,6 +208,12 @@ class Surroundings(Record):
         How often it is estimated …
     texture_from : float
         … evenly from this share of the iterations on.
+    azimuth_rounds : int
+        How often uncertain azimuths of training chips are refined, evenly spaced …
+    azimuth_from : float
+        … from this share of all iterations on …
+    azimuth_until : float
+        … to this one.
     """
 
     _section: ClassVar[str] = "surroundings."
@@ -223,6 +229,9 @@ class Surroundings(Record):
     texture_width: Positive = 0.4
     texture_rounds: Count = 6
     texture_from: Share = 0.25
+    azimuth_rounds: Iteration = 3
+    azimuth_from: Share = 0.4
+    azimuth_until: Share = 0.8
 
 
 @dataclass(frozen=True)

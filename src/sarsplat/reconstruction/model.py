@@ -90,8 +90,7 @@ class Setting:
     @classmethod
     def seen(cls, region: Region, unit: float, views: Sequence[View], grid: ImageGrid) -> Setting:
         """The setting of a region in images from these views."""
-        in_a_pixel = min(1.0, math.prod(grid.spacing_m) / math.prod(grid.resolution_m))
-        samples = len(views) * grid.rows * grid.columns * in_a_pixel
+        samples = len(views) * grid.independent_samples
         return cls(region, unit, ground_radius_m(views, grid), grid.cell_m, samples)
 
 
@@ -217,12 +216,14 @@ class SceneModel:
         plane_gradients: bool = False,
         bounds: Bounds | None = None,
         left_out: Bool[Tensor, " n"] | None = None,
+        textured: bool = True,
     ) -> tuple[Float[Tensor, "v {grid.rows} {grid.columns}"], Rendering]:
         """Power images [V, rows, columns] with noise floor, and the rendering behind them.
 
         `chips` are the indices of training views, whose own shift and gain then apply. Of an unseen chip only the
         distribution of its shift and gain is known: its expected image is seen through a response widened by that
-        spread, above the expected floor. `bounds` are those of `render`; `left_out` are Gaussians to do without.
+        spread, above the expected floor. `bounds` are those of `render`; `left_out` are Gaussians to do without;
+        `textured` is whether the texture is applied.
         """
         scene = self.scene(degree)
         if left_out is not None:
@@ -245,7 +246,7 @@ class SceneModel:
             # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
             images = images * gain[chips, None, None].expand(-1, 1, grid.columns)
         images = images + floor.expand(grid.columns)  # so that its gradient is summed column by column
-        if self.texture is not None:
+        if self.texture is not None and textured:
             images = images * (self.texture.factor(views) if chips is None else self.texture.among_chips[chips])
         return images if self.unit == 1 else images * self.unit, rendering
 

@@ -24,6 +24,9 @@ _Count = Annotated[int, msgspec.Meta(ge=0, le=10**9)]
 _Seconds = Annotated[float, msgspec.Meta(ge=0, le=1e10)]
 _Power = Annotated[float, msgspec.Meta(gt=0, le=1e18)]
 
+AZIMUTH_OFFSETS = "azimuth/offset_deg"
+"""Float64 [K], of the training views against their labels, degrees; there if any azimuth is uncertain."""
+
 _REGION = ("normals", "offsets", "low", "high")
 
 
@@ -42,7 +45,7 @@ class Snapshot:
     grid : ImageGrid
         Of the images.
     views : tuple of View
-        Of the training images.
+        Of the training images, as the training has refined them.
     unit : float
         Power that counts as 1 in the model.
     brightest : float
@@ -76,7 +79,7 @@ class Snapshot:
         model = SceneModel(config, setting, self.part("model"), device)
         if config.surroundings and (texture := self.part("texture")):
             on_device = {name: tensor.to(device) for name, tensor in texture.items()}
-            model.texture = Texture(on_device, self.views, self.grid, config.surroundings)
+            model.texture = Texture(on_device, self.grid, config.surroundings)
         model.scene(config.harmonics_degree)  # shapes and values are checked where they are used
         return model
 

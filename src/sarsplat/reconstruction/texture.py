@@ -21,7 +21,10 @@ _NEGLIGIBLE = 0.02
 """Weight below which a chip is left out: most are far away."""
 
 _PITCH = 0.6
-"""Of the map on the ground, resolution cells."""
+"""Of the maps on the ground, resolution cells."""
+
+_LARGEST = 2**27
+"""Numbers in all maps together; with more of them they are coarser."""
 
 
 class Texture:
@@ -35,10 +38,8 @@ class Texture:
     Parameters
     ----------
     tensors : dict of str to Tensor
-        `ratio`, float32 [K, rows, columns]: measured over rendered power of the training chips, smoothed; `shift_m`,
-        float32 [K, 2]: their displacement in azimuth and slant range when they were rendered, m.
-    views : sequence of View
-        Of the training chips.
+        Of the K training chips `ratio`, float32 [K, rows, columns]: measured over rendered power, smoothed; `shift_m`,
+        float32 [K, 2]: displacement in azimuth and slant range, m; `view_deg`, float64 [K, 2]: azimuth and grazing.
     grid : ImageGrid
         Of all images.
     settings : Surroundings
@@ -48,21 +49,37 @@ class Texture:
     def __init__(
         self,
         tensors: dict[str, Tensor],
-        views: Sequence[View],
         grid: ImageGrid,
         settings: Surroundings,
     ) -> None:
         self.tensors, ratio = tensors, tensors["ratio"]
         self._shifts_m = tensors["shift_m"].cpu().double().numpy()
-        self._views, self._grid, self._settings = tuple(views), grid, settings
-        self._pitch_m = _PITCH * grid.cell_m
-        self._half = math.ceil(ground_radius_m(views, grid) / self._pitch_m)  # in pitches
+        self._views = tuple(View(*angles) for angles in tensors["view_deg"].tolist())
+        self._grid, self._settings = grid, settings
+        radius_m = ground_radius_m(self._views, grid)
+        self._pitch_m = max(_PITCH * grid.cell_m, 2 * radius_m * math.sqrt(2 * len(ratio) / _LARGEST))
+        self._half = math.ceil(radius_m / self._pitch_m)
         axis = np.arange(-self._half, self._half + 1) * self._pitch_m
         ground = np.stack(np.meshgrid(axis, axis), axis=-1)
         known = torch.ones_like(ratio)
         self._maps = torch.stack(  # [K, 2, y, x]: the ratio, and whether the chip shows the place
-            [self._chip_at(torch.stack([ratio[k], known[k]]), k, ground) for k in range(len(views))]
+            [self._chip_at(torch.stack([ratio[k], known[k]]), k, ground) for k in range(len(ratio))]
         )
+
+    @classmethod
+    def estimated(
+        cls,
+        ratio: Float32[Tensor, "k rows columns"],
+        shift_m: Float32[Tensor, "k 2"],
+        views: Sequence[View],
+        grid: ImageGrid,
+        settings: Surroundings,
+    ) -> Texture:
+        """From ratios that are not smoothed yet."""
+        sigma = (0.0, *(settings.texture_width * grid.cell_m / spacing for spacing in reversed(grid.spacing_m)))
+        smooth = torch.from_numpy(gaussian_filter(ratio.cpu().double().numpy(), sigma, mode="nearest")).to(ratio)
+        view_deg = torch.tensor([(view.azimuth_deg, view.grazing_deg) for view in views]).double()
+        return cls({"ratio": smooth, "shift_m": shift_m.clone(), "view_deg": view_deg}, grid, settings)
 
     def factor(self, views: Sequence[View]) -> Float32[Tensor, "v rows columns"]:
         """For images from any views."""
@@ -104,18 +121,6 @@ def due(settings: Surroundings, iteration: int, iterations: int) -> bool:
         return False
     rounds, first = settings.texture_rounds, settings.texture_from
     return iteration in {round(iterations * (first + (1 - first) * k / rounds)) for k in range(rounds + 1)}
-
-
-def smoothed_ratio(
-    measured: Float32[Tensor, "k rows columns"],
-    rendered: Float32[Tensor, "k rows columns"],
-    grid: ImageGrid,
-    width: float,
-) -> Float32[Tensor, "k rows columns"]:
-    """Measured over rendered power, through a Gaussian window of this standard deviation in resolution cells."""
-    sigma = (0.0, *(width * grid.cell_m / spacing for spacing in reversed(grid.spacing_m)))
-    ratio = (measured / rendered).cpu().double().numpy()
-    return torch.from_numpy(gaussian_filter(ratio, sigma, mode="nearest")).to(measured)
 
 
 def _onto_image(view: View) -> Float64[np.ndarray, "2 2"]:
