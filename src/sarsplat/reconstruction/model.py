@@ -232,11 +232,12 @@ class SceneModel:
         if not self.config.surroundings:
             rendering = render(scene, views, grid, rays=rays, plane_gradients=plane_gradients, bounds=bounds)
             return rendering.images if self.unit == 1 else rendering.images * self.unit, rendering
-        p, shift, gain = self.parameters, None, self.gains
+        p, gain = self.parameters, self.gains
         if chips is None:
             grid = self._widened(grid)
+            shift = p["shift"].mean(0).expand(len(views), 2)
         else:
-            shift = self.shifts_m[chips]
+            shift = p["shift"][chips]
         rendering = render(scene, views, grid, rays=rays, shift=shift, plane_gradients=plane_gradients, bounds=bounds)
         images, floor = rendering.images, p["noise"].exp()
         if "log_side_lobes" in p:
@@ -252,11 +253,6 @@ class SceneModel:
         return images if self.unit == 1 else images * self.unit, rendering
 
     @property
-    def shifts_m(self) -> Float[Tensor, "v 2"]:
-        """Of the training chips, azimuth and slant range; an unseen view is rendered as the mean one, m."""
-        return self.parameters["shift"] - self.parameters["shift"].mean(0)
-
-    @property
     def gains(self) -> Float[Tensor, " v"]:
         """Of the training chips' power; of mean 1."""
         return torch.softmax(self.parameters["log_gain"], dim=0) * len(self.parameters["log_gain"])
@@ -269,7 +265,7 @@ class SceneModel:
 
     def _widened(self, grid: ImageGrid) -> ImageGrid:
         """The grid whose response includes the spread of the training chips' shifts."""
-        spread = self.shifts_m.detach().square().mean(0).tolist()
+        spread = self.parameters["shift"].detach().var(dim=0, correction=0).tolist()
         azimuth, slant_range = (
             math.sqrt(width**2 + 8 * math.log(2) * variance) for width, variance in zip(grid.resolution_m, spread)
         )
