@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Real, UInt8
+from scipy.spatial import cKDTree
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
@@ -70,6 +71,26 @@ def scene_masks(
             mask[of_ground < _SHARE * free] = SHADOW
         mask[(of_target >= _SHARE * free) & (of_target > 0)] = TARGET
     return masks
+
+
+def around_points(
+    scene: Gaussians, target: int, points: Real[np.ndarray, "p 3"], reach: float
+) -> tuple[Gaussians, int]:
+    """The scene without those of its first `target` Gaussians that are farther than `reach` (m) from all points.
+
+    Returns
+    -------
+    Gaussians
+        What is left.
+    int
+        How many of the first are among it.
+    """
+    near = np.zeros(target, bool)
+    if len(points):
+        means = scene.means[:target].double().cpu().numpy()
+        near = np.isfinite(cKDTree(points).query(means, distance_upper_bound=reach)[0])
+    kept = torch.from_numpy(np.concatenate([near, np.ones(len(scene) - target, bool)]))
+    return scene[kept.to(scene.means.device)], int(near.sum())
 
 
 def _returns(

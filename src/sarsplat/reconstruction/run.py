@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NotRequired, TypedDict
 import msgspec
 import numpy as np
 import torch
-from jaxtyping import Float32, UInt8
-from scipy.spatial import cKDTree
+from jaxtyping import Float32, Float64, UInt8
 
 from sarsplat.data import (
     Dataset,
@@ -29,13 +28,13 @@ from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruction.config import Config
-from sarsplat.reconstruction.masks import scene_masks
+from sarsplat.reconstruction.masks import around_points, scene_masks
 from sarsplat.reconstruction.mesh import surface_mesh
 from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.normals import surface_normals
 from sarsplat.reconstruction.points import extract_points
 from sarsplat.reconstruction.seen import Seen
-from sarsplat.reconstruction.snapshot import Snapshot
+from sarsplat.reconstruction.snapshot import AZIMUTH_OFFSETS, Snapshot
 
 if TYPE_CHECKING:
     import trimesh
@@ -207,15 +206,27 @@ class Run:
         (`sarsplat.reconstruction.masks.scene_masks`). The target are the Gaussians near the points: others, around it,
         may stand for clutter as well as the ground does. Without learned ground there is no shadow.
         """
-        scene, count = self.model.scene(self.model.degree(self.iteration)).detach(), len(self.model)
-        near = np.zeros(count, bool)
-        if len(self.points):
-            means = scene.means[:count].double().cpu().numpy()
-            reach = _NEAR_POINTS * self.grid.cell_m
-            near = np.isfinite(cKDTree(self.points).query(means, distance_upper_bound=reach)[0])
-        kept = torch.from_numpy(np.concatenate([near, np.ones(len(scene) - count, bool)])).to(scene.means.device)
+        scene = self.model.scene(self.model.degree(self.iteration)).detach()
+        scene, count = around_points(scene, len(self.model), self.points, _NEAR_POINTS * self.grid.cell_m)
         rays = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL)
-        return scene_masks(scene[kept], int(near.sum()), views, self.grid, rays)
+        return scene_masks(scene, count, views, self.grid, rays)
+
+    @cached_property
+    def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"]:
+        """By how much the azimuths of the training views were corrected, degrees, float64 [K]; 0 where not uncertain.
+
+        Raises
+        ------
+        SarsplatError
+            If the checkpoint holds something else.
+        """
+        offsets = self.snapshot.tensors.get(AZIMUTH_OFFSETS, torch.zeros(len(self.snapshot.views)).double())
+        if offsets.shape != (len(self.snapshot.views),) or not offsets.isfinite().all():
+            raise SarsplatError(
+                f"{self.checkpoint_path} does not hold one azimuth offset for each training view; "
+                "reconstruct it again with --overwrite"
+            )
+        return offsets.double().numpy()
 
     @property
     def grid(self) -> ImageGrid:
