@@ -87,9 +87,10 @@ def test_each_set_knows_whether_it_is_speckled(tmp_path):
         make(tmp_path / "neither", clean_tests=True)
 
 
-def test_a_header_from_before_tests_could_be_clean_is_the_same_dataset(dataset):
+def test_a_header_from_before_some_fields_is_the_same_dataset(dataset):
     header = json.loads((dataset.path / "dataset.json").read_text())
     assert header.pop("clean_tests") is False
+    assert [view.pop("azimuth_std_deg") for view in header["views"]] == [None] * 4
     (dataset.path / "dataset.json").write_text(json.dumps(header))
     assert read_dataset(dataset.path).fingerprint() == dataset.fingerprint()
 
@@ -113,6 +114,25 @@ def test_a_dataset_in_memory_is_the_one_it_becomes_on_the_disk(tmp_path):
     written = write_dataset(tmp_path / "set", dataset)
     np.testing.assert_array_equal(read_dataset(tmp_path / "set").power, dataset.power)
     assert dataset.fingerprint() == written.fingerprint() == read_dataset(tmp_path / "set").fingerprint()
+
+
+def test_azimuths_may_be_uncertain(tmp_path):
+    images = [SarImage(power, view, GRID) for power, (view, _) in zip(IMAGES, VIEWS)]
+    known, alike, each = (
+        Dataset.from_images(images[:3], test=images[3:], azimuth_std_deg=std)
+        for std in (0, 2, [0, 1.5, np.float32(2), 0])
+    )
+    assert [entry.azimuth_std_deg for entry in alike.entries] == [2.0] * 4
+    written = write_dataset(tmp_path / "set", each)
+    read = read_dataset(tmp_path / "set")
+    assert [entry.azimuth_std_deg for entry in read.entries] == [0, 1.5, 2.0, 0]
+    assert len({known.fingerprint(), alike.fingerprint(), each.fingerprint()}) == 3
+    assert written.fingerprint() == read.fingerprint()
+    with pytest.raises(SarsplatError, match="azimuth_std_deg holds 2 numbers for 4 images"):
+        Dataset.from_images(images, azimuth_std_deg=[1, 2])
+    for wrong in (-1, 11, float("nan"), "north"):
+        with pytest.raises(SarsplatError, match="is not a number between 0 and 10"):
+            Dataset.from_images(images, azimuth_std_deg=[wrong] * 4)
 
 
 def test_images_of_two_grids_are_no_dataset():
@@ -270,6 +290,8 @@ def change(header: dict, place: str, value: object) -> None:
         ("views.1.grazing_deg", 90, r"views\[1\]: grazing angle 90"),
         ("views.1.azimuth_deg", "north", r"views\[1\].azimuth_deg is 'north': expected `float`, got `str`"),
         ("views.1.name", None, "name"),
+        ("views.1.azimuth_std_deg", -1, "azimuth_std_deg -1.0 of the image '001' is not a number between 0 and 10"),
+        ("views.1.azimuth_std_deg", "1", r"views\[1\].azimuth_std_deg is '1'"),
         ("views.1.split", "TEST", "split"),
         ("views.1.file", "../images/001.tif", "is not inside"),
         ("views.1.file", "/etc/passwd", "is not inside"),

@@ -99,6 +99,27 @@ def test_several_depressions_take_the_azimuths_in_turn(chips):
         run(chips, train_depression=(17, 17), overwrite=True)
 
 
+def test_uncertain_azimuths(chips):
+    """A column of the table, where it is filled in; elsewhere the option."""
+
+    def stds(**options) -> list[float]:
+        dataset = run(chips, overwrite=True, **options)
+        return [
+            {entry.name: entry.azimuth_std_deg for entry in dataset.entries}[f"T72/chip{k:03d}.jpeg"] for k in (0, 1)
+        ]
+
+    assert stds() == [0, 0]
+    assert stds(azimuth_std_deg=1.5) == [1.5, 1.5]
+    rewrite(chips / "labels.csv", lambda rows: [[*rows[0], "azimuth_std_deg"], [*rows[1], "0.5"], *rows[2:]])
+    assert stds() == [0.5, 0]
+    assert stds(azimuth_std_deg=1.5) == [0.5, 1.5]
+    rewrite(chips / "labels.csv", lambda rows: [rows[0], [*rows[1][:-1], "much"], *rows[2:]])
+    with pytest.raises(SarsplatError, match="line 2: azimuth_std_deg is 'much'"):
+        stds()
+    with pytest.raises(SarsplatError, match=r"azimuth_std_deg 11 of the image .* is not a number between 0 and 10"):
+        run(chips, azimuth_std_deg=11, labels=write_chips(chips, ROWS), overwrite=True)
+
+
 def test_a_box_of_the_users_own(chips):
     corners = (-1.0, -2.0, 0.0), (3.0, 4.0, 5.0)
     assert run(chips, target_box_m=corners).target_box_m == corners

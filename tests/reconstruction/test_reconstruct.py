@@ -13,8 +13,8 @@ import torch
 from sarsplat import Dataset, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.errors import SarsplatWarning
 from sarsplat.reconstruction import Config, Step, Trainer, extract_points
-from sarsplat.reconstruction.config import Densification
-from sarsplat.reconstruction.model import Setting
+from sarsplat.reconstruction.config import Densification, Surroundings
+from sarsplat.reconstruction.model import SceneModel, Setting
 from sarsplat.reconstruction.target_box import target_box
 
 BOX = (3.0, 2.0, 1.2)
@@ -117,12 +117,73 @@ def test_measured_scenes_have_ground_noise_and_their_own_shifts(dataset: Dataset
     before = {name: tensor.detach().clone() for name, tensor in trainer.model.parameters.items()}
     for _ in range(5):
         assert bool(trainer.step().isfinite())
-    for name in ("ground", "noise", "shift", "log_gain", "means", "scattering"):
-        assert not torch.equal(before[name], trainer.model.parameters[name]), name
+    for name, tensor in trainer.model.parameters.items():
+        assert not torch.equal(before[name], tensor), name
+    trainer.model.texture = None
     with torch.no_grad():
         images, _ = trainer.model.render([View(0.0, 20.0)], dataset.grid, 0)
     floor = float(trainer.model.parameters["noise"].detach().exp()) * trainer.model.unit
     assert float(images.min()) >= floor * (1 - 1e-6)
+
+
+def test_every_term_of_measured_scenes_can_be_switched_off(dataset: Dataset) -> None:
+    off = Surroundings(ground_std=0, shift_std=0, gain_std=0, side_lobes=0, texture_looks=0)
+    config = replace(preset("measured"), gaussians=200, iterations=5, surroundings=off, dropout=0, directional_std=None)
+    trainer = Trainer(dataset, config)
+    for _ in range(5):
+        trainer.step()
+    parameters = trainer.model.parameters
+    assert "log_side_lobes" not in parameters
+    for name in ("shift", "log_gain", "ground_texture"):
+        assert not parameters[name].detach().any(), name
+    assert trainer.model.penalty() is None
+    assert trainer.model.texture is None
+
+
+def test_the_floor_of_an_unseen_chip_is_the_mean_over_gains(dataset: Dataset) -> None:
+    """A chip of little gain shows little but its floor; scaled to the mean gain, its floor is high."""
+    trainer = Trainer(dataset, replace(preset("measured"), gaussians=20))
+    parameters = {name: tensor.detach().clone() for name, tensor in trainer.model.parameters.items()}
+    parameters["log_gain"][0] -= 3
+    parameters["optical_depth"][:] = 1e-3
+    parameters["ground"][0] = -60  # black, but for p_min
+    config = replace(trainer.config, p_min=0)
+    uneven = SceneModel(config, trainer.model.setting, parameters)
+    gains = uneven.gains.numpy(force=True)
+    assert gains.mean() == pytest.approx(1)
+    with torch.no_grad():
+        images, _ = uneven.render([View(0.0, 20.0)], dataset.grid, 0)
+    floor = float(parameters["noise"].exp()) * uneven.unit
+    assert float(images.min()) == pytest.approx(floor * (1 / gains).mean(), rel=1e-3)
+
+
+def test_priors_are_nats_of_normal_distributions(dataset: Dataset) -> None:
+    trainer = Trainer(dataset, replace(preset("measured"), gaussians=20))
+    model, settings = trainer.model, preset("measured").surroundings
+    assert settings is not None
+    with torch.no_grad():
+        assert float(model.penalty()) == 0
+        model.parameters["log_gain"][0] = 2 * settings.gain_std
+        model.parameters["shift"][1, 0] = 3 * settings.shift_std * dataset.grid.cell_m
+        model.parameters["ground_texture"][5] = 4 * settings.ground_std
+        level = model.config.initial_scattering  # of every Gaussian, all around
+        model.parameters["scattering"][7, 3] = 5 * model.config.directional_std * level
+    grid, count = dataset.grid, len(dataset.select("train"))
+    samples = count * grid.rows * grid.columns * np.prod(grid.spacing_m) / np.prod(grid.resolution_m)
+    with torch.no_grad():
+        found = float(model.penalty()) * samples
+    assert found == pytest.approx((2**2 + 3**2 + 4**2 + 5**2) / 2, rel=1e-4)
+
+
+def test_gaussians_left_out_are_made_up_for(dataset: Dataset) -> None:
+    model = Trainer(dataset, replace(preset("measured"), gaussians=4, dropout=0.5, initial_optical_depth=0.1)).model
+    seen = {}
+    for left_out in (None, torch.tensor([True, False, False, True])):
+        with torch.no_grad():
+            _, rendering = model.render([View(0.0, 30.0)], dataset.grid, 0, left_out=left_out)
+        seen[left_out is None] = rendering.cross_sections[0, :4]
+    assert seen[False][[0, 3]].tolist() == [0, 0]
+    assert bool((seen[False][[1, 2]] > seen[True][[1, 2]]).all())
 
 
 def test_a_target_larger_than_its_box_is_told(dataset: Dataset, tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def test_a_scaled_scene_is_learned_alike(original: Run, dataset: Dataset, factor
     losses, expected = (np.array([line.loss for line in run.history]) for run in (scaled, original))
     np.testing.assert_allclose(losses, expected, rtol=1e-3)
     # points at the edge of a voxel or of a cluster come and go with rounding
-    assert abs(len(scaled.points) / len(original.points) - 1) < 0.01
+    assert abs(len(scaled.points) / len(original.points) - 1) < 0.02
     voxel_m = original.config.points.voxel * original.grid.cell_m
     off = cKDTree(original.points).query(scaled.points / factor)[0] / voxel_m
     assert np.median(off) < 0.15

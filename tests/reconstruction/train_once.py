@@ -32,9 +32,13 @@ DENSITY = Densification(
 
 
 def config(kind: str) -> Config:
-    """100 iterations of everything: density control and SSIM, or chips with ground, noise, shifts and gains."""
+    """100 iterations of everything: density control and SSIM, or chips with all that surrounds a target."""
     if kind == "measured":
-        return replace(preset("measured"), iterations=100, gaussians=1000, harmonics_every=30, checkpoint_every=50)
+        measured = preset("measured")
+        around = replace(measured.surroundings, texture_from=0.05, texture_rounds=10)
+        return replace(
+            measured, iterations=100, gaussians=1000, harmonics_every=30, checkpoint_every=50, surroundings=around
+        )
     common = {"iterations": 100, "gaussians": 2500, "harmonics_every": 30, "checkpoint_every": 50}
     return replace(preset("default"), **common, ssim_weight=0.2, densification=DENSITY)
 

@@ -66,6 +66,7 @@ def make_run(folder: Path, dataset: Dataset, metrics: dict[str, Any] | None, **c
         "time_s": 12.5,
         "seed": 7,
         "iteration": 20,
+        "azimuth_offset_deg": np.zeros(2),
         "history": [LogLine(k, float(k), 1 / k, 1234) for k in (1, 10, 20)],
         "render": lambda views: np.full((len(views), 32, 32), 0.5, dtype=np.float32),
     }
@@ -161,6 +162,18 @@ def test_few_views_no_points_no_history_no_scores(tmp_path: Path, tests: int) ->
     page = write_report(run)
     assert "Not evaluated yet" in page.read_text()
     assert not (page.parent / "curves.png").exists()
+
+
+def test_corrections_of_azimuths_are_drawn_where_there_are_any(tmp_path: Path) -> None:
+    dataset = make_dataset(tmp_path, measured=True, mesh=False)
+    dataset = replace(dataset, entries=tuple(replace(entry, azimuth_std_deg=1.5) for entry in dataset.entries))
+    page = write_report(make_run(tmp_path, dataset, None, azimuth_offset_deg=np.array([-1.0, 1.0])))
+    assert "Azimuth corrections" in words_of(page)
+    assert (page.parent / "azimuths.png").read_bytes().startswith(b"\x89PNG")
+    (tmp_path / "known").mkdir()
+    page = write_report(make_run(tmp_path / "known", dataset, None))
+    assert "Azimuth corrections" not in words_of(page)
+    assert not (page.parent / "azimuths.png").exists()
 
 
 def test_a_report_is_replaced(tmp_path: Path) -> None:

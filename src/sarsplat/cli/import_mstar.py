@@ -26,6 +26,7 @@ def import_mstar(
         tuple[float, float, float, float, float, float] | None,
         tyro.conf.arg(metavar="X0 Y0 Z0 X1 Y1 Z1"),
     ] = None,
+    azimuth_std: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 0.0,
     mirrored: bool = False,
     overwrite: bool = False,
 ) -> None:
@@ -50,6 +51,9 @@ def import_mstar(
     target_box
         Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Without it, it is
         derived from the images.
+    azimuth_std
+        Standard deviation of the azimuths, degrees, of chips for which the table has none; uncertain ones are refined
+        in training.
     mirrored
         Treat the published chips as mirror images.
     overwrite
@@ -70,6 +74,7 @@ def import_mstar(
             train_depression=[_whole(angle) for angle in angles(train_depression, "train-depression")],
             serial=serial,
             target_box_m=None if target_box is None else (target_box[:3], target_box[3:]),
+            azimuth_std_deg=azimuth_std,
             mirrored=mirrored,
             overwrite=overwrite,
         )

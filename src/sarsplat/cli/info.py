@@ -82,6 +82,7 @@ def _dataset(path: Path) -> tuple[str, dict[str, str]]:
         "calibration": _CALIBRATIONS[dataset.calibration],
         "speckle": dataset.speckle,
         "ground": "shown" if dataset.ground else "not shown",
+        **_uncertainty([entry.azimuth_std_deg for entry in dataset.entries]),
         "weakest direction": str(weakest_direction(dataset.select("train").views)),
         "protocol": dataset.protocol or "none",
         "quantity": "β⁰, linear power, float32; row 0 near range",
@@ -91,6 +92,13 @@ def _dataset(path: Path) -> tuple[str, dict[str, str]]:
         **{f"source.{name}": str(value) for name, value in dataset.source.items() if value and name != "chips"},
     }
     return f"a dataset of {counted(len(dataset), 'image')}", rows
+
+
+def _uncertainty(std_deg: list[float]) -> dict[str, str]:
+    low, high = min(std_deg), max(std_deg)
+    if not high:
+        return {}
+    return {"azimuth": f"± {low:g}°" if low == high else f"± {low:g}° to {high:g}°"}
 
 
 _CALIBRATIONS = {"absolute": "absolute", "relative": "relative: β⁰ up to one common factor"}
@@ -123,11 +131,18 @@ def _run(path: Path) -> tuple[str, dict[str, str]]:
         "iterations": f"{run.iteration} of {run.config.iterations}",
         "time": f"{run.time_s:.1f} s",
         "Gaussians": str(len(run.gaussians)),
+        **_corrections(run.azimuth_offset_deg),
         "points": _extent(run.points),
         "scores": "metrics.json" if run.metrics else "none yet; run sarsplat evaluate",
         "report": "report/index.html" if (path / "report" / "index.html").is_file() else "none yet",
     }
     return "a run", rows
+
+
+def _corrections(offset_deg: np.ndarray) -> dict[str, str]:
+    if not offset_deg.any():
+        return {}
+    return {"azimuth corrections": f"rms {(offset_deg**2).mean() ** 0.5:.2f}°, largest {abs(offset_deg).max():.2f}°"}
 
 
 def _renderings(path: Path) -> tuple[str, dict[str, str]]:

@@ -6,8 +6,9 @@ import hashlib
 import math
 import operator
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
+from numbers import Real as RealNumber
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import ImageGrid, View
 
 _FARTHEST_M = 1e6
+_LEAST_CERTAIN_DEG = 10.0
 
 
 @dataclass(frozen=True)
@@ -35,11 +37,28 @@ class DatasetEntry:
         "train", or a test set: a name that starts with "test".
     name : str
         What to call it, e.g. the measured chip's path.
+    azimuth_std_deg : float
+        Standard deviation of the view's azimuth, degrees, at most 10; 0 if it is known exactly.
+
+    Raises
+    ------
+    SarsplatError
+        If the standard deviation is not a number within its range.
     """
 
     view: View
     split: str
     name: str
+    azimuth_std_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        std = self.azimuth_std_deg
+        if not isinstance(std, RealNumber) or not 0 <= std <= _LEAST_CERTAIN_DEG:  # also catches NaN
+            raise SarsplatError(
+                f"azimuth_std_deg {shown(std)} of the image {shown(self.name)} is not a number between 0 and "
+                f"{_LEAST_CERTAIN_DEG:g}; give degrees, and determine azimuths that are known less well before"
+            )
+        object.__setattr__(self, "azimuth_std_deg", float(std))  # numpy's numbers do not fit into JSON
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -150,6 +169,7 @@ class Dataset:
         target_box_m: Box | None = None,
         truth_mesh: Path | None = None,
         source: dict[str, Any] | None = None,
+        azimuth_std_deg: float | Sequence[float] = 0.0,
     ) -> Dataset:
         """A dataset in memory: `images` to train on, and those of `test` to score with.
 
@@ -159,11 +179,14 @@ class Dataset:
             All on the same grid.
         target, calibration, looks, clean_tests, ground, score_margin, target_box_m, truth_mesh, source
             See `Dataset`.
+        azimuth_std_deg : float or sequence of float
+            Standard deviation of the azimuths, degrees: of all images, or of each, those of `test` last.
 
         Raises
         ------
         SarsplatError
-            If there are no training images, grids differ, or a field is out of range.
+            If there are no training images, there are more or fewer standard deviations than images, grids differ, or
+            a field is out of range.
         """
         every = [*images, *test]
         if not images:
@@ -177,10 +200,13 @@ class Dataset:
                 raise SarsplatError(
                     f"image {index} is on {image.grid} but the first image is on {grid}; give images with the same grid"
                 )
+        stds = list(azimuth_std_deg) if isinstance(azimuth_std_deg, Iterable) else [azimuth_std_deg] * len(every)
+        if len(stds) != len(every):
+            raise SarsplatError(f"azimuth_std_deg holds {len(stds)} numbers for {len(every)} images; give one for each")
         digits = max(3, len(str(len(every) - 1)))
         entries = tuple(
-            DatasetEntry(image.view, "train" if index < len(images) else "test", f"{index:0{digits}d}")
-            for index, image in enumerate(every)
+            DatasetEntry(image.view, "train" if index < len(images) else "test", f"{index:0{digits}d}", std)
+            for index, (image, std) in enumerate(zip(every, stds, strict=True))
         )
         return cls(
             grid,

@@ -116,7 +116,8 @@ def read_dataset(path: str | Path) -> Dataset:
     with _blamed_on(path / HEADER):
         grid = ImageGrid(**msgspec.structs.asdict(header.grid))
         entries = tuple(
-            DatasetEntry(_view(index, item), item.split, item.name) for index, item in enumerate(header.views)
+            DatasetEntry(_view(index, item), item.split, item.name, item.azimuth_std_deg or 0.0)
+            for index, item in enumerate(header.views)
         )
         files = [_inside(path, item.file) for item in header.views]
         if len({file.resolve() for file in files}) < len(files):

@@ -34,14 +34,15 @@ class GridHeader(Strict, frozen=True):
     center_m: Pair
 
 
-class ViewHeader(Strict, frozen=True):
-    """One image: its file, and `DatasetEntry`."""
+class ViewHeader(Strict, frozen=True, omit_defaults=True):
+    """One image: its file, and `DatasetEntry`. What came later has a default, as in `DatasetHeader`."""
 
     file: str
     azimuth_deg: float
     grazing_deg: float
     split: str
     name: str
+    azimuth_std_deg: float | None = None  # of 0: msgspec leaves out a default only if it is the very object
 
 
 class DatasetHeader(Strict, frozen=True, omit_defaults=True):
@@ -83,7 +84,8 @@ class DatasetHeader(Strict, frozen=True, omit_defaults=True):
             "truth_mesh": None if dataset.truth_mesh is None else dataset.truth_mesh.name,
             "grid": vars(dataset.grid),
             "views": [
-                {"file": f"images/{index:0{digits}d}.tif", **vars(entry.view), "split": entry.split, "name": entry.name}
+                {"file": f"images/{index:0{digits}d}.tif", **vars(entry.view)}
+                | {"split": entry.split, "name": entry.name, "azimuth_std_deg": entry.azimuth_std_deg or None}
                 for index, entry in enumerate(dataset.entries)
             ],
         }

@@ -45,6 +45,7 @@ def import_mstar(
     train_depression: int | Sequence[int] = 17,
     serial: str | None = None,
     target_box_m: Box | None = None,
+    azimuth_std_deg: float = 0.0,
     mirrored: bool = False,
     overwrite: bool = False,
 ) -> Dataset:
@@ -71,6 +72,8 @@ def import_mstar(
     target_box_m : pair of (x, y, z), optional
         Corners of the box that contains the target, m, in the world frame: nose to +x. None: reconstructions derive it
         from the images.
+    azimuth_std_deg : float
+        Standard deviation of the azimuths, degrees, of chips for which the table has none.
     mirrored : bool
         Take the published chips for mirror images (see the head of this module).
     overwrite : bool
@@ -109,7 +112,12 @@ def import_mstar(
     scale = float(power[: len(train)].mean(dtype=np.float64))
     sign = 1 if mirrored else -1
     entries = tuple(
-        DatasetEntry(_view(sign, chip), "train" if index < len(train) else f"test-{chip.depression}", chip.name)
+        DatasetEntry(
+            _view(sign, chip),
+            "train" if index < len(train) else f"test-{chip.depression}",
+            chip.name,
+            azimuth_std_deg if chip.azimuth_std_deg is None else chip.azimuth_std_deg,
+        )
         for index, chip in enumerate(ordered)
     )
     source: dict[str, Any] = {

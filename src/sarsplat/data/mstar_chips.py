@@ -24,6 +24,8 @@ JPEG_DN_PER_MAGNITUDE = 523.6
 
 _ANGLES = ("desired_depression_deg", "measured_depression_deg", "target_az_deg")
 _COLUMNS = ("path", "class", "serial", *_ANGLES)
+_AZIMUTH_STD = "azimuth_std_deg"
+"""A column that may be missing, and empty."""
 _MAX_PIXELS_PER_SIDE = 4096
 _MAX_LABELS = 100_000
 
@@ -48,6 +50,8 @@ class Chip:
         Magnitude in digital numbers of the JPEGs (Phoenix magnitudes are scaled to them).
     spacing_m, resolution_m : (float, float)
         Pixel spacing and 3 dB width (cross-range, slant range), m.
+    azimuth_std_deg : float or None
+        Standard deviation of `target_az_deg`, degrees; None where the table says nothing of it.
     """
 
     name: str
@@ -58,6 +62,7 @@ class Chip:
     dn: Real[np.ndarray, "rows columns"]
     spacing_m: tuple[float, float] = (0.203125, 0.202148)
     resolution_m: tuple[float, float] = (0.3229, 0.3013)
+    azimuth_std_deg: float | None = None
 
 
 def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chip]:
@@ -69,7 +74,8 @@ def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chi
         Where the chips lie, in subfolders or not.
     labels : Path or None
         Table (CSV) of the JPEGs: path relative to `folder`, class, serial, desired_depression_deg,
-        measured_depression_deg, target_az_deg. None: read Phoenix files, which carry all that in their headers.
+        measured_depression_deg, target_az_deg, and, where azimuths are uncertain, azimuth_std_deg. None: read Phoenix
+        files, which carry all that in their headers.
     target_class : str
         E.g. `T72`; a Phoenix header's `t72_tank` is the same class.
 
@@ -177,6 +183,7 @@ def _jpeg_chips(folder: Path, jpegs: list[Path], labels: Path, target_class: str
             grazing_deg=_number(labels, line, row, "measured_depression_deg"),
             target_az_deg=_number(labels, line, row, "target_az_deg") % 360,
             dn=read_jpeg(folder / row["path"]),
+            azimuth_std_deg=_number(labels, line, row, _AZIMUTH_STD) if row.get(_AZIMUTH_STD, "").strip() else None,
         )
         for line, row in present
     ]
@@ -207,7 +214,7 @@ def _once(labels: Path, rows: _Rows) -> _Rows:
     first: dict[Path, tuple[int, dict[str, str]]] = {}
     for line, row in rows:
         other_line, other = first.setdefault(Path(row["path"]), (line, row))
-        if any(row[name] != other[name] for name in _COLUMNS[1:]):
+        if any(row.get(name) != other.get(name) for name in (*_COLUMNS[1:], _AZIMUTH_STD)):
             raise SarsplatError(
                 f"{labels} gives {shown(row['path'])} two labels, in lines {other_line} and {line}; remove one"
             )

@@ -71,6 +71,12 @@ class ImageGrid:
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
 
     @property
+    def independent_samples(self) -> float:
+        """Samples of independent speckle in an image: its resolution cells, or its pixels where those are larger."""
+        shares = (min(1.0, spacing / width) for spacing, width in zip(self.spacing_m, self.resolution_m, strict=True))
+        return self.rows * self.columns * math.prod(shares)
+
+    @property
     def cell_m(self) -> float:
         """Side of a resolution cell, m: the unit of a reconstruction's lengths, and the yardstick of its scores.
 

@@ -54,8 +54,10 @@ class Rates(Record):
         Directional part of the scattering.
     shift : float
         Shifts of measured chips, resolution cells per step.
+    ground : float
+        Single Gaussians of the ground.
     nuisance : float
-        Ground, noise floor and logarithms of the gains of measured chips.
+        Ground as a whole, noise floor, side lobes and logarithms of the gains of measured chips.
     """
 
     _section: ClassVar[str] = "rates."
@@ -68,6 +70,7 @@ class Rates(Record):
     scattering: NotNegative = 0.08
     directional_scattering: NotNegative = 0.08
     shift: NotNegative = 0.032
+    ground: NotNegative = 0.07
     nuisance: NotNegative = 0.01
 
 
@@ -175,7 +178,10 @@ class PointExtraction(Record):
 
 @dataclass(frozen=True)
 class Surroundings(Record):
-    """What else is modelled in images of a target on the ground: ground, noise floor, shift and gain of each chip.
+    """What else is modelled in measured images of a target on the ground; docs/measured-data.md has its worth.
+
+    Standard deviations say how far something is expected to be from its usual value, before the images are seen; with 0
+    it keeps that value.
 
     Parameters
     ----------
@@ -183,18 +189,49 @@ class Surroundings(Record):
         Additive power at the start, in units of the training mean, like `p_min` and every γ⁰.
     ground_pitch : float
         Distance of the ground's Gaussians from each other, in resolution cells.
-    shift_penalty : float
-        Nats per pixel, per squared resolution cell of a chip's shift.
-    gain_penalty : float
-        Nats per pixel, per squared logarithm of a chip's gain.
+    ground_std : float
+        Standard deviation of the isotropic harmonic of a single one of the ground's Gaussians.
+    shift_std : float
+        Standard deviation of a chip's shift, in resolution cells.
+    gain_std : float
+        Standard deviation of the logarithm of a chip's gain.
+    side_lobes : float
+        Power of the side lobes of bright scatterers at the start, relative to a −35 dB Taylor window; 0: none.
+    texture_looks : float
+        The factor between images and scene that is shared by neighbouring chips: how many looks it takes to believe in
+        one that differs from 1 by half of what they show; 0: there is none.
+    texture_reach_deg : float
+        Angle between lines of sight at which it is shared to 1/e.
+    texture_width : float
+        Standard deviation of the window through which it is seen, in resolution cells.
+    texture_rounds : int
+        How often it is estimated …
+    texture_from : float
+        … evenly from this share of the iterations on.
+    azimuth_rounds : int
+        How often uncertain azimuths of training chips are refined, evenly spaced …
+    azimuth_from : float
+        … from this share of all iterations on …
+    azimuth_until : float
+        … to this one.
     """
 
     _section: ClassVar[str] = "surroundings."
 
     noise_floor: Positive = 0.05
     ground_pitch: Positive = 1.3
-    shift_penalty: NotNegative = 0.001
-    gain_penalty: NotNegative = 0.01
+    ground_std: NotNegative = 4.0
+    shift_std: NotNegative = 1.0
+    gain_std: NotNegative = 1.0
+    side_lobes: NotNegative = 1.0
+    texture_looks: NotNegative = 2.0
+    texture_reach_deg: Positive = 15.0
+    texture_width: Positive = 0.4
+    texture_rounds: Count = 6
+    texture_from: Share = 0.25
+    azimuth_rounds: Iteration = 3
+    azimuth_from: Share = 0.4
+    azimuth_until: Share = 0.8
 
 
 @dataclass(frozen=True)
@@ -240,6 +277,11 @@ class Config(Record):
         Highest degree of the spherical harmonics.
     harmonics_every : int
         Iterations after which the next degree is added.
+    directional_std : float or None
+        Standard deviation of each coefficient of the harmonics above degree 0, relative to a Gaussian's γ⁰, as expected
+        before the images are seen; None: all are equally likely.
+    dropout : float
+        Share of the Gaussians left out of each step, by chance; the others make up for their optical depth.
     rays_per_pixel : float
         Rays per pixel spacing; more are more accurate and slower.
     fine_rays_per_pixel : float
@@ -285,6 +327,8 @@ class Config(Record):
     max_optical_depth: OpticalDepth = 10.0
     harmonics_degree: Degree = 3
     harmonics_every: Count = 200
+    directional_std: Positive | None = None
+    dropout: Annotated[float, Meta(ge=0, le=0.9)] = 0.0
     rays_per_pixel: Positive = 2.0
     fine_rays_per_pixel: Positive = 4.0
     fine_from: Share = 0.57
@@ -300,6 +344,11 @@ class Config(Record):
         super().__post_init__()
         if self.scale_bounds[0] > self.scale_bounds[1]:
             raise SarsplatError(f"scale_bounds is {shown(self.scale_bounds)}; give the smaller one first")
+        if self.directional_std is not None and self.scattering != "harmonics":
+            raise SarsplatError(
+                f"directional_std is {shown(self.directional_std)}, but scattering is {self.scattering}; give none, or "
+                "harmonics"
+            )
 
 
 def refuse_other_settings(run: Path, begun: Config, wanted: Config) -> None:

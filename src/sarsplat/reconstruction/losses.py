@@ -127,12 +127,23 @@ def speckle_loss(
     intensity : Tensor [V, rows, columns]
         Measured intensity.
     """
-    return _mean(power.log() + intensity / power)
+    return speckle_nats(power, intensity).mean(0)
+
+
+def speckle_nats(
+    power: Float[Tensor, "v rows columns"], intensity: Float[Tensor, "v rows columns"]
+) -> Float[Tensor, " v"]:
+    """`speckle_loss` of each image."""
+    return _means(power.log() + intensity / power)
 
 
 def _mean(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
+    return _means(images).mean(0)
+
+
+def _means(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, " v"]:
     """One dimension after the other: torch splits a sum to one number by threads, and its bits would depend on them."""
-    return images.mean(2).mean(1).mean(0)
+    return images.mean(2).mean(1)
 
 
 @dataclass(frozen=True)

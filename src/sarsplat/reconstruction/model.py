@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
@@ -19,9 +19,11 @@ from sarsplat.gaussians import SCATTERINGS, Gaussians, Scattering, join
 from sarsplat.gaussians.ground import ground_radius_m, ground_sheet
 from sarsplat.gaussians.initialise import BRIGHT_DB, Region, bounded_region, hemisphere_shell, random_quaternions
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.config import Config, Surroundings
 from sarsplat.reconstruction.lengths import scales_m
+from sarsplat.reconstruction.side_lobes import with_side_lobes
 from sarsplat.reconstruction.target_box import target_box
+from sarsplat.reconstruction.texture import Texture
 from sarsplat.renderer import Bounds, Rendering, render
 from sarsplat.scenes.mesh_files import read_mesh
 
@@ -33,6 +35,9 @@ LOGARITHMIC = ("scales", "optical_depth")
 
 LENGTHS = ("means", "shift")
 """Lengths that are stepped themselves, m: their rates are in resolution cells."""
+
+PRIORS = {"shift": "shift_std", "log_gain": "gain_std", "ground_texture": "ground_std"}
+"""Parameters that are expected near zero, and the setting that says how near; with 0 they stay there."""
 
 _MIN_OPTICAL_DEPTH = 1e-3
 
@@ -63,23 +68,30 @@ class Setting:
         Radius of the ground that the images show, m; used with surroundings only.
     cell_m : float
         Resolution cell of the images, m: lengths in configurations are multiples of it.
+    samples : float
+        Independent samples of speckle in all training images.
     """
 
     region: Region
     unit: float
     ground_radius_m: float
     cell_m: float
+    samples: float
 
     @classmethod
     def of(cls, config: Config, dataset: Dataset) -> Setting:
         """The setting of a configuration on a dataset."""
         train = dataset.select("train")
-        radius = ground_radius_m(train.views, train.grid)
         if not config.surroundings:
-            region = bounded_region(train.power, train.views, train.grid)
-            return cls(region, 1.0, radius, train.grid.cell_m)
+            return cls.seen(bounded_region(train.power, train.views, train.grid), 1.0, train.views, train.grid)
         box = Region.box(*(dataset.target_box_m or target_box(train.power, train.views, train.grid)))
-        return cls(box, float(train.power.mean(dtype=np.float64)), radius, train.grid.cell_m)
+        return cls.seen(box, float(train.power.mean(dtype=np.float64)), train.views, train.grid)
+
+    @classmethod
+    def seen(cls, region: Region, unit: float, views: Sequence[View], grid: ImageGrid) -> Setting:
+        """The setting of a region in images from these views."""
+        samples = len(views) * grid.independent_samples
+        return cls(region, unit, ground_radius_m(views, grid), grid.cell_m, samples)
 
 
 class SceneModel:
@@ -92,9 +104,15 @@ class SceneModel:
     setting : Setting
         What the dataset fixes.
     parameters : dict of str to Tensor
-        See `PER_GAUSSIAN`; with `config.surroundings` also `ground`, `noise`, `shift` [V, 2] and `log_gain` [V].
+        See `PER_GAUSSIAN`; with `config.surroundings` also `ground`, `ground_texture` [G, 1], `noise`, `shift` [V, 2],
+        `log_gain` [V] and, unless they are switched off, `log_side_lobes` [2].
     device : torch.device or str
         Where the parameters are copied to, and rendered.
+
+    Attributes
+    ----------
+    texture : Texture or None
+        Factor on the images that the training chips share with their neighbours, where it has been estimated.
     """
 
     def __init__(
@@ -122,6 +140,7 @@ class SceneModel:
         }
         sheet = _ground(config, setting)
         self._ground = None if sheet is None else sheet.to(self.device)
+        self.texture: Texture | None = None
 
     @classmethod
     def initial(
@@ -152,10 +171,13 @@ class SceneModel:
             level = float(np.median(train.power)) / setting.unit / math.log(2) / mean_tangent
             parameters |= {
                 "ground": _law(config, 1, level).parameters[0],
+                "ground_texture": means.new_zeros(len(_sheet(config.surroundings, setting)), 1),
                 "noise": means.new_tensor([math.log(config.surroundings.noise_floor)]),
                 "shift": means.new_zeros(len(train), 2),
                 "log_gain": means.new_zeros(len(train)),
             }
+            if config.surroundings.side_lobes:
+                parameters["log_side_lobes"] = means.new_full((2,), math.log(config.surroundings.side_lobes))
         return cls(config, setting, parameters, device)
 
     def __len__(self) -> int:
@@ -176,7 +198,8 @@ class SceneModel:
         target = self.target(degree)
         if self._ground is None:
             return target
-        level = self.parameters["ground"].expand(len(self._ground), -1)  # one γ⁰(u) for all of the ground
+        uniform = self.parameters["ground"].expand(len(self._ground), -1)  # one γ⁰(u) for all of the ground …
+        level = torch.cat([uniform[:, :1] + self.parameters["ground_texture"], uniform[:, 1:]], dim=1)
         return join(target, replace(self._ground, scattering=self._scattering(level, degree)))
 
     def _scattering(self, parameters: Float[Tensor, "n k"], degree: int) -> Scattering:
@@ -192,35 +215,60 @@ class SceneModel:
         chips: Int64[Tensor, " v"] | None = None,
         plane_gradients: bool = False,
         bounds: Bounds | None = None,
+        left_out: Bool[Tensor, " n"] | None = None,
+        textured: bool = True,
     ) -> tuple[Float[Tensor, "v {grid.rows} {grid.columns}"], Rendering]:
         """Power images [V, rows, columns] with noise floor, and the rendering behind them.
 
         `chips` are the indices of training views, whose own shift and gain then apply. Of an unseen chip only the
-        distribution of its shift is known: its expected image is seen through a response widened by that spread.
-        `bounds` are those of `render`.
+        distribution of its shift and gain is known: its expected image is seen through a response widened by that
+        spread, above the expected floor. `bounds` are those of `render`; `left_out` are Gaussians to do without;
+        `textured` is whether the texture is applied.
         """
-        p = self.parameters
-        shift = gain = None
-        if self.config.surroundings and chips is None:
+        scene = self.scene(degree)
+        if left_out is not None:
+            scene = replace(scene, optical_depth=self._made_up_for(scene.optical_depth, left_out))
+        if not self.config.surroundings:
+            rendering = render(scene, views, grid, rays=rays, plane_gradients=plane_gradients, bounds=bounds)
+            return rendering.images if self.unit == 1 else rendering.images * self.unit, rendering
+        p, shift, gain = self.parameters, None, self.gains
+        if chips is None:
             grid = self._widened(grid)
-        if self.config.surroundings and chips is not None:
-            # deviations from the mean chip: an unseen view is rendered as the mean one
-            shift = (p["shift"] - p["shift"].mean(0))[chips]
-            gain = torch.softmax(p["log_gain"], dim=0)[chips] * len(p["log_gain"])  # of mean 1
-        rendering = render(
-            self.scene(degree), views, grid, rays=rays, shift=shift, plane_gradients=plane_gradients, bounds=bounds
-        )
-        images = rendering.images
-        if gain is not None:  # not by `render`, which would look at its values, and a GPU would be waited for
+        else:
+            shift = self.shifts_m[chips]
+        rendering = render(scene, views, grid, rays=rays, shift=shift, plane_gradients=plane_gradients, bounds=bounds)
+        images, floor = rendering.images, p["noise"].exp()
+        if "log_side_lobes" in p:
+            images = with_side_lobes(images, p["log_side_lobes"].exp(), grid)
+        if chips is None:
+            floor = floor * gain.reciprocal().mean()
+        else:  # not by `render`, which would look at its values, and a GPU would be waited for
             # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
-            images = images * gain[:, None, None].expand(-1, 1, grid.columns)
-        if self.config.surroundings:
-            images = images + p["noise"].exp().expand(grid.columns)  # so that its gradient is summed column by column
+            images = images * gain[chips, None, None].expand(-1, 1, grid.columns)
+        images = images + floor.expand(grid.columns)  # so that its gradient is summed column by column
+        if self.texture is not None and textured:
+            images = images * (self.texture.factor(views) if chips is None else self.texture.among_chips[chips])
         return images if self.unit == 1 else images * self.unit, rendering
+
+    @property
+    def shifts_m(self) -> Float[Tensor, "v 2"]:
+        """Of the training chips, azimuth and slant range; an unseen view is rendered as the mean one, m."""
+        return self.parameters["shift"] - self.parameters["shift"].mean(0)
+
+    @property
+    def gains(self) -> Float[Tensor, " v"]:
+        """Of the training chips' power; of mean 1."""
+        return torch.softmax(self.parameters["log_gain"], dim=0) * len(self.parameters["log_gain"])
+
+    def _made_up_for(self, optical_depth: Float[Tensor, " n"], left_out: Bool[Tensor, " m"]) -> Float[Tensor, " n"]:
+        """Optical depths without the target's Gaussians that are left out; all others of it have more for that."""
+        target, ground = optical_depth[: len(self)], optical_depth[len(self) :]
+        more = (target / (1 - self.config.dropout)).clamp(max=self.config.max_optical_depth)
+        return torch.cat([torch.where(left_out, 0.0, more), ground])
 
     def _widened(self, grid: ImageGrid) -> ImageGrid:
         """The grid whose response includes the spread of the training chips' shifts."""
-        spread = self.parameters["shift"].detach().var(dim=0, correction=0).tolist()
+        spread = self.shifts_m.detach().square().mean(0).tolist()
         azimuth, slant_range = (
             math.sqrt(width**2 + 8 * math.log(2) * variance) for width, variance in zip(grid.resolution_m, spread)
         )
@@ -236,13 +284,20 @@ class SceneModel:
         return _ALIKE**2 * _column_means(torch.log1p((difference / _ALIKE) ** 2)).sum()
 
     def penalty(self) -> Float[Tensor, ""] | None:
-        """What shifts and gains cost, or None without them: chips differ little."""
-        if self.config.surroundings is None:
+        """How unlikely the parameters were before the images were seen, nats per independent sample of those."""
+        p, config, surprises = self.parameters, self.config, []
+        if config.surroundings:
+            for name, std in PRIORS.items():
+                if spread := getattr(config.surroundings, std) * (self.setting.cell_m if name in LENGTHS else 1):
+                    surprises.append(p[name].reshape(len(p[name]), -1) / spread)
+        if config.directional_std is not None:
+            uniform = self._scattering(p["scattering"].detach(), 0)
+            level = uniform.gamma0(p["means"].new_tensor([[0.0, 0.0, 1.0]]), p["quaternions"], p["scales"])[0]
+            surprises.append(p["scattering"][:, 1:] / (config.directional_std * level[:, None].detach()))
+        if not surprises:
             return None
-        p = self.parameters
-        weights = self.config.surroundings
-        shift = weights.shift_penalty / self.setting.cell_m**2 * (p["shift"] ** 2).mean()
-        return shift + weights.gain_penalty * (p["log_gain"] ** 2).mean()
+        squares = [len(surprise) * _column_means(surprise**2).sum() for surprise in surprises]
+        return torch.stack(squares).sum() / (2 * self.setting.samples)
 
     @cached_property
     def bounds(self) -> dict[str, tuple[Tensor, Tensor]]:
@@ -305,7 +360,11 @@ def _ground(config: Config, setting: Setting) -> Gaussians | None:
     """The ground, where there is one, on the CPU."""
     if config.surroundings is None:
         return None
-    return ground_sheet(setting.ground_radius_m, config.surroundings.ground_pitch * setting.cell_m)
+    return _sheet(config.surroundings, setting)
+
+
+def _sheet(surroundings: Surroundings, setting: Setting) -> Gaussians:
+    return ground_sheet(setting.ground_radius_m, surroundings.ground_pitch * setting.cell_m)
 
 
 def _start_scales_m(config: Config, cell_m: float) -> list[float]:

@@ -10,14 +10,18 @@ from torch import Tensor
 
 from sarsplat.reconstruction import adam, fused
 from sarsplat.reconstruction.config import Config
-from sarsplat.reconstruction.model import LENGTHS, LOGARITHMIC, PER_GAUSSIAN
+from sarsplat.reconstruction.model import LENGTHS, LOGARITHMIC, PER_GAUSSIAN, PRIORS
 
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 _UNBOUNDED = tuple(torch.tensor(bound, device="cpu") for bound in (-torch.inf, torch.inf))
 
 
 def learning_rate(name: str, column: int, config: Config, cell_m: float) -> float:
-    """First rate of one column of a parameter; of means and shifts in m."""
+    """First rate of one column of a parameter; of means and shifts in m. 0 for what keeps its value."""
+    if name in PRIORS and config.surroundings and not getattr(config.surroundings, PRIORS[name]):
+        return 0.0
+    if name == "ground_texture":
+        return config.rates.ground
     if name == "scattering" and column > 0:
         return config.rates.directional_scattering
     if name in LOGARITHMIC:

@@ -54,7 +54,7 @@ PRESETS: dict[str, Config] = {
     # glints are 20 dB above the ground, so the harmonics must travel far.
     "measured": Config(
         preset="measured",
-        iterations=600,
+        iterations=800,
         gaussians=12_000,
         loss="speckle",
         scattering="harmonics",
@@ -65,6 +65,8 @@ PRESETS: dict[str, Config] = {
         initial_scattering=1.0,
         scale_bounds=(0.65, 2.25),
         harmonics_every=50,
+        directional_std=2.0,
+        dropout=0.25,
         fine_from=1.0,
         rates=Rates(means=0.16, quaternions=0.01, log_scales=0.02, scattering=0.4, directional_scattering=0.4),
         relocation=Relocation(rounds=0),

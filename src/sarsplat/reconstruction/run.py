@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NotRequired, TypedDict
 import msgspec
 import numpy as np
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 
 from sarsplat.data import (
     Dataset,
@@ -33,7 +33,7 @@ from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.normals import surface_normals
 from sarsplat.reconstruction.points import extract_points
 from sarsplat.reconstruction.seen import Seen
-from sarsplat.reconstruction.snapshot import Snapshot
+from sarsplat.reconstruction.snapshot import AZIMUTH_OFFSETS, Snapshot
 
 if TYPE_CHECKING:
     import trimesh
@@ -195,6 +195,23 @@ class Run:
                 some = views[first : first + _VIEWS_AT_A_TIME]
                 images.append(self.model.render(some, self.grid, degree, rays=rays)[0].cpu().numpy())
         return np.concatenate(images)
+
+    @cached_property
+    def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"]:
+        """By how much the azimuths of the training views were corrected, degrees, float64 [K]; 0 where not uncertain.
+
+        Raises
+        ------
+        SarsplatError
+            If the checkpoint holds something else.
+        """
+        offsets = self.snapshot.tensors.get(AZIMUTH_OFFSETS, torch.zeros(len(self.snapshot.views)).double())
+        if offsets.shape != (len(self.snapshot.views),) or not offsets.isfinite().all():
+            raise SarsplatError(
+                f"{self.checkpoint_path} does not hold one azimuth offset for each training view; "
+                "reconstruct it again with --overwrite"
+            )
+        return offsets.double().numpy()
 
     @property
     def grid(self) -> ImageGrid:

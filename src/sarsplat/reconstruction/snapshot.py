@@ -13,16 +13,19 @@ from torch import Tensor
 
 from sarsplat.data import load_checkpoint, save_checkpoint
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.gaussians.ground import ground_radius_m
 from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.model import SceneModel, Setting
+from sarsplat.reconstruction.texture import Texture
 
 # What files may say of a training: far more than any does, and what sums and pictures of them can bear.
 _Count = Annotated[int, msgspec.Meta(ge=0, le=10**9)]
 _Seconds = Annotated[float, msgspec.Meta(ge=0, le=1e10)]
 _Power = Annotated[float, msgspec.Meta(gt=0, le=1e18)]
+
+AZIMUTH_OFFSETS = "azimuth/offset_deg"
+"""Float64 [K], of the training views against their labels, degrees; there if any azimuth is uncertain."""
 
 _REGION = ("normals", "offsets", "low", "high")
 
@@ -42,7 +45,7 @@ class Snapshot:
     grid : ImageGrid
         Of the images.
     views : tuple of View
-        Of the training images.
+        Of the training images, as the training has refined them.
     unit : float
         Power that counts as 1 in the model.
     brightest : float
@@ -72,8 +75,11 @@ class Snapshot:
         ValueError, KeyError, TypeError, IndexError, RuntimeError, SarsplatError
             If the tensors are not those of a model with this configuration.
         """
-        setting = Setting(self._region, self.unit, ground_radius_m(self.views, self.grid), self.grid.cell_m)
+        setting = Setting.seen(self._region, self.unit, self.views, self.grid)
         model = SceneModel(config, setting, self.part("model"), device)
+        if config.surroundings and (texture := self.part("texture")):
+            on_device = {name: tensor.to(device) for name, tensor in texture.items()}
+            model.texture = Texture(on_device, self.grid, config.surroundings)
         model.scene(config.harmonics_degree)  # shapes and values are checked where they are used
         return model
 

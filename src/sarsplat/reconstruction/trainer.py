@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
+import numpy as np
 import torch
-from jaxtyping import Float, Float32, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
-from sarsplat.geometry import RayGrid
-from sarsplat.reconstruction import relocation
-from sarsplat.reconstruction.config import Config
+from sarsplat.geometry import RayGrid, View
+from sarsplat.reconstruction import azimuths, relocation, texture
+from sarsplat.reconstruction.config import Config, Surroundings
 from sarsplat.reconstruction.density import DensityControl
-from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss
+from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss, speckle_nats
 from sarsplat.reconstruction.model import PER_GAUSSIAN, SceneModel
 from sarsplat.reconstruction.optimiser import Optimiser
-from sarsplat.reconstruction.snapshot import Snapshot, region_tensors
+from sarsplat.reconstruction.snapshot import AZIMUTH_OFFSETS, Snapshot, region_tensors
+from sarsplat.reconstruction.texture import Texture
 
 _FAINTEST = 1e-30
 """Largest β⁰ below which images count as black: squares and reciprocals of it would leave float32."""
@@ -48,7 +52,9 @@ class Trainer:
         self.config = config
         self.device = torch.device(device)
         self.grid = dataset.grid
-        self.views = dataset.select("train").views
+        train = dataset.select("train")
+        self.azimuths = azimuths.Azimuths(train)
+        self._looks = train.looks or 1.0
         power = torch.from_numpy(dataset.images("train"))
         if not float(power.max()) > _FAINTEST:
             raise SarsplatError(
@@ -85,6 +91,7 @@ class Trainer:
             chips=torch.stack([self._numbers[i] for i in chosen]),
             plane_gradients=gather,
             bounds=self._bounds,
+            left_out=self._left_out(),
         )
         truth = torch.stack([self._truth[i] for i in chosen])  # much faster than an index
         loss = self._loss(images, truth)
@@ -108,7 +115,14 @@ class Trainer:
             self._densify(self.density)
         if relocation.due(self.config.relocation, self.iteration, self.config.iterations):
             self._relocate()
+        if self.config.surroundings:
+            self._look_around(self.config.surroundings)
         return loss.detach()
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """From where the training images were taken, as far as is known by now."""
+        return self.azimuths.views
 
     @property
     def _rays(self) -> RayGrid:
@@ -134,6 +148,41 @@ class Trainer:
             self._queue += torch.randperm(len(self.views), generator=self._generator, device="cpu").tolist()
         chosen, self._queue = self._queue[:count], self._queue[count:]
         return chosen
+
+    def _left_out(self) -> Bool[Tensor, " n"] | None:
+        """Gaussians that this step does without: the images must not hang on single ones."""
+        if not self.config.dropout:
+            return None
+        chances = torch.rand(len(self.model), generator=self._generator, device="cpu")
+        return (chances < self.config.dropout).to(self.device)
+
+    @torch.no_grad()
+    def _look_around(self, surroundings: Surroundings) -> None:
+        """Now and then, what is not learned by steps: uncertain azimuths, and the texture."""
+        if self.azimuths.uncertain and azimuths.due(surroundings, self.iteration, self.config.iterations):
+            self.check()
+            self.azimuths.refine(self._nats)
+        if texture.due(surroundings, self.iteration, self.config.iterations):
+            self.check()
+            everyone = np.arange(len(self.views))
+            ratio = torch.cat([measured / rendered for measured, rendered in self._bare(self.views, everyone)])
+            self.model.texture = Texture.estimated(ratio, self.model.shifts_m, self.views, self.grid, surroundings)
+
+    def _nats(self, views: Sequence[View], chips: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+        """Negative log-likelihood of training chips seen from these views, nats."""
+        found = [speckle_nats(rendered, measured).double().cpu() for measured, rendered in self._bare(views, chips)]
+        return torch.cat(found).numpy() * self.grid.independent_samples * self._looks
+
+    def _bare(self, views: Sequence[View], chips: Int64[np.ndarray, " n"]) -> Iterator[tuple[Tensor, Tensor]]:
+        """Training chips and their renderings from these views, of their own shifts and gains, without texture."""
+        degree, rays = self.model.degree(self.iteration), self._rays
+        for first in range(0, len(views), self.config.views_per_step):  # what a step takes fits into memory
+            some = slice(first, first + self.config.views_per_step)
+            numbers = self._numbers[torch.from_numpy(chips[some]).to(self.device)]
+            images, _ = self.model.render(
+                views[some], self.grid, degree, rays=rays, chips=numbers, bounds=self._bounds, textured=False
+            )
+            yield self._truth[numbers] / self.model.unit, images / self.model.unit
 
     def _densify(self, density: DensityControl) -> None:
         self.check()
@@ -170,13 +219,15 @@ class Trainer:
         degree, rays = self.model.degree(self.iteration), self._rays
         for first in range(0, len(self.views), self.config.views_per_step):  # what a step takes fits into memory
             some = self.views[first : first + self.config.views_per_step]
-            _, rendering = self.model.render(some, self.grid, degree, rays=rays)
+            _, rendering = self.model.render(some, self.grid, degree, rays=rays, textured=False)
             total += rendering.cross_sections[:, : len(total)].sum(0)  # the ground's come after the target's
         return total / len(self.views)
 
     def _replace(self, parameters: dict[str, Tensor], source: Int64[Tensor, " n"]) -> None:
         """Go on with other Gaussians; `source` is the row whose moments each inherits, or −1."""
+        shared = self.model.texture
         self.model = SceneModel(self.config, self.model.setting, parameters, self.device)
+        self.model.texture = shared
         self.model.constrain()
         self.optimiser = self.optimiser.rebuild(self.model.parameters, source)
 
@@ -197,6 +248,10 @@ class Trainer:
         tensors = {f"model/{name}": tensor.detach() for name, tensor in self.model.parameters.items()}
         tensors |= {f"optimiser/{name}": tensor for name, tensor in self.optimiser.state().items()}
         tensors |= {"generator": self._generator.get_state(), **region_tensors(self.model.setting.region)}
+        if self.model.texture is not None:
+            tensors |= {f"texture/{name}": tensor for name, tensor in self.model.texture.tensors.items()}
+        if self.azimuths.uncertain:
+            tensors |= {AZIMUTH_OFFSETS: torch.from_numpy(self.azimuths.offset_deg)}
         if self.density:
             tensors |= {"density/gradient": self.density.gradient, "density/seen": self.density.seen}
         return Snapshot(
@@ -204,7 +259,7 @@ class Trainer:
             seconds,
             tuple(self._queue),
             self.grid,
-            tuple(self.views),
+            self.views,
             self.model.unit,
             self._brightest,
             {name: tensor.cpu().clone() for name, tensor in tensors.items()},
@@ -217,6 +272,8 @@ class Trainer:
         self.optimiser = Optimiser(self.model.parameters, self.model.bounds, self.config, self.grid.cell_m)
         self.optimiser.load_state(snapshot.part("optimiser"))
         self._generator.set_state(snapshot.tensors["generator"])
+        if self.azimuths.uncertain:
+            self.azimuths.correct(snapshot.tensors[AZIMUTH_OFFSETS].numpy())
         if self.density:
             density = snapshot.part("density")
             self.density.gradient, self.density.seen = (density[name].to(self.device) for name in ("gradient", "seen"))

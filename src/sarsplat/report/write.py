@@ -13,6 +13,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Alignment, Yardstick, read_truth_mesh
 from sarsplat.reconstruction import Run
 from sarsplat.reconstruction.losses import LOSSES
+from sarsplat.report.azimuths import azimuths_figure
 from sarsplat.report.cloud import points_figure
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.page import Picture, page
@@ -49,7 +50,7 @@ def write_report(run: Run) -> Path:
     with only_writer(run.folder):
         with plain_os_errors("write", folder):
             folder.mkdir(exist_ok=True)
-        pictures, training = [_views(run), _points(run), *_mesh(run)], _curves(run)
+        pictures, training = [_views(run), _points(run), *_mesh(run)], [*_curves(run), *_azimuths(run)]
         for picture in (*pictures, *training):
             write_bytes(folder / picture.file, picture.png)
         try:
@@ -157,3 +158,16 @@ def _curves(run: Run) -> list[Picture]:
     name, unit = (known.title, known.unit) if known else (f"function {run.config.loss}", "loss")
     text = f"The loss is the {name}, averaged over the training views."
     return [Picture("curves.png", "Training", text, curves_figure(history, unit))]
+
+
+def _azimuths(run: Run) -> list[Picture]:
+    if not run.azimuth_offset_deg.any():
+        return []
+    train = run.dataset.select("train")
+    std = np.array([entry.azimuth_std_deg for entry in train.entries])
+    text = (
+        "By how much the training found each training image's azimuth to differ from its label. "
+        "The band is ± one standard deviation, as the dataset gives it."
+    )
+    figure = azimuths_figure([view.azimuth_deg for view in train.views], run.azimuth_offset_deg, std)
+    return [Picture("azimuths.png", "Azimuth corrections", text, figure)]

@@ -1,0 +1,134 @@
+"""Texture: what the training chips show beyond the learned scene, and share with their neighbours."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Float64
+from scipy.ndimage import gaussian_filter
+from torch import Tensor
+from torch.nn.functional import grid_sample
+
+from sarsplat.gaussians.ground import ground_radius_m
+from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.reconstruction.config import Surroundings
+
+_NEGLIGIBLE = 0.02
+"""Weight below which a chip is left out: most are far away."""
+
+_PITCH = 0.6
+"""Of the maps on the ground, resolution cells."""
+
+_LARGEST = 2**27
+"""Numbers in all maps together; with more of them they are coarser."""
+
+
+class Texture:
+    """A factor on the power of rendered images: what chips have more or less than the scene, as a map on the ground.
+
+    No ground is uniform, and glints last for a few degrees: neither is in the scene, and both keep their place on the
+    ground from one chip to the next. With single-look speckle, ratios r_k of measured to rendered power and factors
+    that are expected to be 1, by a gamma distribution worth n looks, the mean afterwards is
+    (n + Σ w_k r_k) / (n + Σ w_k). The weights w_k = exp(−Δ_k / reach) fall with the angle between the lines of sight.
+
+    Parameters
+    ----------
+    tensors : dict of str to Tensor
+        Of the K training chips `ratio`, float32 [K, rows, columns]: measured over rendered power, smoothed; `shift_m`,
+        float32 [K, 2]: displacement in azimuth and slant range, m; `view_deg`, float64 [K, 2]: azimuth and grazing.
+    grid : ImageGrid
+        Of all images.
+    settings : Surroundings
+        n and the reach.
+    """
+
+    def __init__(
+        self,
+        tensors: dict[str, Tensor],
+        grid: ImageGrid,
+        settings: Surroundings,
+    ) -> None:
+        self.tensors, ratio = tensors, tensors["ratio"]
+        self._shifts_m = tensors["shift_m"].cpu().double().numpy()
+        self._views = tuple(View(*angles) for angles in tensors["view_deg"].tolist())
+        self._grid, self._settings = grid, settings
+        radius_m = ground_radius_m(self._views, grid)
+        self._pitch_m = max(_PITCH * grid.cell_m, 2 * radius_m * math.sqrt(2 * len(ratio) / _LARGEST))
+        self._half = math.ceil(radius_m / self._pitch_m)
+        axis = np.arange(-self._half, self._half + 1) * self._pitch_m
+        ground = np.stack(np.meshgrid(axis, axis), axis=-1)
+        known = torch.ones_like(ratio)
+        self._maps = torch.stack(  # [K, 2, y, x]: the ratio, and whether the chip shows the place
+            [self._chip_at(torch.stack([ratio[k], known[k]]), k, ground) for k in range(len(ratio))]
+        )
+
+    @classmethod
+    def estimated(
+        cls,
+        ratio: Float32[Tensor, "k rows columns"],
+        shift_m: Float32[Tensor, "k 2"],
+        views: Sequence[View],
+        grid: ImageGrid,
+        settings: Surroundings,
+    ) -> Texture:
+        """From ratios that are not smoothed yet."""
+        sigma = (0.0, *(settings.texture_width * grid.cell_m / spacing for spacing in reversed(grid.spacing_m)))
+        smooth = torch.from_numpy(gaussian_filter(ratio.cpu().double().numpy(), sigma, mode="nearest")).to(ratio)
+        view_deg = torch.tensor([(view.azimuth_deg, view.grazing_deg) for view in views]).double()
+        return cls({"ratio": smooth, "shift_m": shift_m.clone(), "view_deg": view_deg}, grid, settings)
+
+    def factor(self, views: Sequence[View]) -> Float32[Tensor, "v rows columns"]:
+        """For images from any views."""
+        return torch.stack([self._factor(view, np.zeros(2), None) for view in views])
+
+    @cached_property
+    def among_chips(self) -> Float32[Tensor, "k rows columns"]:
+        """For each training chip, from all others: it must not explain its own speckle."""
+        return torch.stack([self._factor(view, self._shifts_m[k], k) for k, view in enumerate(self._views)])
+
+    def _chip_at(
+        self, layers: Float32[Tensor, "2 rows columns"], k: int, ground_m: Float64[np.ndarray, "y x 2"]
+    ) -> Float32[Tensor, "2 y x"]:
+        """What chip k shows at places on the ground."""
+        grid = self._grid
+        place = ground_m @ _onto_image(self._views[k]).T + self._shifts_m[k] - grid.center_m
+        size = np.array([grid.columns, grid.rows])
+        return _sampled(layers, place / (np.array(grid.spacing_m) * size / 2))
+
+    def _factor(
+        self, view: View, shift_m: Float64[np.ndarray, " 2"], left_out: int | None
+    ) -> Float32[Tensor, "rows columns"]:
+        total = torch.zeros_like(self._maps[0])
+        for k, source in enumerate(self._views):
+            turn_deg = (source.azimuth_deg - view.azimuth_deg + 180) % 360 - 180
+            angle_deg = math.hypot(turn_deg, source.grazing_deg - view.grazing_deg)
+            weight = math.exp(-angle_deg / self._settings.texture_reach_deg)
+            if k != left_out and weight > _NEGLIGIBLE:
+                total += weight * self._maps[k]
+        pixels = np.stack(np.meshgrid(self._grid.azimuth_m, self._grid.range_m), axis=-1)
+        ground_m = (pixels - shift_m) @ np.linalg.inv(_onto_image(view)).T
+        ratios, weights = _sampled(total, ground_m / (self._pitch_m * (self._half + 0.5)))
+        return (self._settings.texture_looks + ratios) / (self._settings.texture_looks + weights)
+
+
+def due(settings: Surroundings, iteration: int, iterations: int) -> bool:
+    """Whether the texture is estimated after this iteration: from some time on, evenly, and at the end."""
+    if settings.texture_looks == 0:
+        return False
+    rounds, first = settings.texture_rounds, settings.texture_from
+    return iteration in {round(iterations * (first + (1 - first) * k / rounds)) for k in range(rounds + 1)}
+
+
+def _onto_image(view: View) -> Float64[np.ndarray, "2 2"]:
+    """From x, y on the ground to azimuth, slant range."""
+    return radar_frame(view)[[0, 2], :2]
+
+
+def _sampled(layers: Float32[Tensor, "2 h w"], where: Float64[np.ndarray, "rows columns 2"]) -> Tensor:
+    """Layers at places in halves of their width and height from the middle; 0 outside."""
+    places = torch.from_numpy(where).to(layers)
+    return grid_sample(layers[None], places[None], mode="bilinear", padding_mode="zeros", align_corners=False)[0]
