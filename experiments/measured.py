@@ -1,6 +1,6 @@
 """Measured chips: how well unseen ones are predicted, beside simpler methods, and what each term of the model is worth.
 
-    python experiments/measured.py CHIPS LABELS SET… [--seeds 0 1 2] [--terms]
+    python experiments/measured.py CHIPS LABELS SET… [--seeds 0 1 2] [--terms] [--readme]
 
 A SET is CLASS:VIEWS, as T72:36, or CLASS:VIEWS:DEPRESSION,…. It is trained on, and all other chips are predicted. With
 --terms no test chip is looked at: of every four training chips three, or one, are trained on and the others predicted,
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,10 @@ from code_version import code_version
 
 from sarsplat import Config, Dataset, evaluate_run, import_mstar, preset, read_dataset, reconstruct
 from sarsplat.data.files import write_bytes
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "docs"))
+
+from fill_block import fill_block
 
 HERE = Path(__file__).resolve().parent.parent
 WORK, RESULTS = HERE / "runs" / "measured", HERE / "docs" / "results"
@@ -124,6 +129,24 @@ def predictions(datasets: Mapping[str, Dataset], seeds: Sequence[int]) -> str:
     return "\n".join(parts)
 
 
+def summary(datasets: Mapping[str, Dataset], seeds: Sequence[int]) -> str:
+    """The README's table: the mean over seeds, beside simpler methods."""
+    lines = [
+        "| nats per pixel ↓ (correlation ↑), both registered | sarsplat | rotated average | nearest chip |",
+        "|---|---:|---:|---:|",
+    ]
+    keys = ("registered_nats_per_pixel", "registered_log_correlation")
+    for name, dataset in datasets.items():
+        runs = [scores(dataset, replace(preset("measured"), seed=seed), f"{name}-{seed}") for seed in seeds]
+        for split in runs[0]["images"]:
+            simpler = [runs[0]["baselines"][split][method] for method in ("rotated_average", "nearest_chip")]
+            ours = {key: float(np.mean([run["images"][split][key] for run in runs])) for key in keys}
+            cells = " | ".join(f"{found[keys[0]]:.3f} ({found[keys[1]]:.3f})" for found in (ours, *simpler))
+            target, views = name.split(":")[:2]
+            lines.append(f"| {target}, {views} chips → {split.removeprefix('test-')}° | {cells} |")
+    return "\n".join([*lines, ""])
+
+
 def terms(datasets: Mapping[str, Dataset], seeds: Sequence[int]) -> str:
     """What training chips that were left out cost when a term is missing."""
     parts = []
@@ -151,6 +174,7 @@ def main() -> None:
     parser.add_argument("sets", nargs="+", metavar="SET")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--terms", action="store_true")
+    parser.add_argument("--readme", action="store_true", help="also fill the README's table with these sets")
     options = parser.parse_args()
     datasets = {name: imported(options.chips, options.labels, name) for name in options.sets}
     if options.terms:
@@ -159,6 +183,8 @@ def main() -> None:
         classes = dict.fromkeys(name.split(":")[0] for name in datasets)
         page, title = "-".join(classes).lower(), f"Measured chips of {', '.join(classes)}"
         text = predictions(datasets, options.seeds)
+    if options.readme:
+        fill_block(HERE / "README.md", "measured", summary(datasets, options.seeds))
     head = f"# {title}\n\nWritten by `experiments/measured.py`; do not edit. Seeds: {len(options.seeds)}.\n\n"
     write_bytes(RESULTS / f"measured-{page}.md", (head + text).encode())
 

@@ -68,7 +68,9 @@ PRESETS: dict[str, Config] = {
         directional_std=2.0,
         dropout=0.25,
         fine_from=1.0,
-        rates=Rates(means=0.16, quaternions=0.01, log_scales=0.02, scattering=0.4, directional_scattering=0.4),
+        rates=Rates(
+            means=0.16, quaternions=0.01, log_scales=0.02, scattering=0.4, directional_scattering=0.4, shift=0.1
+        ),
         relocation=Relocation(rounds=0),
         points=PointExtraction(
             optical_depth=0.7,
