@@ -73,9 +73,9 @@ PRESETS: dict[str, Config] = {
         ),
         relocation=Relocation(rounds=0),
         points=PointExtraction(
-            optical_depth=0.7,
+            optical_depth=1.2,
             voxel=0.32,
-            min_height=1.6,
+            min_height=0.3,
             rays_per_pixel=4.0,
             seen_through=0.083,
             behind=0.65,
