@@ -13,7 +13,7 @@ import pytest
 
 from sarsplat.cli import main
 from sarsplat.cli.parser import COMMANDS
-from sarsplat.evaluation import IMAGE_METRICS, RUN_METRICS, Yardstick, metrics_of_points
+from sarsplat.evaluation import IMAGE_METRICS, MASK_METRICS, RUN_METRICS, Yardstick, metrics_of_points
 from sarsplat.scenes import target_mesh
 
 ROOT = Path(__file__).parents[1]
@@ -157,7 +157,7 @@ def test_results_table_comes_from_metrics_and_leaves_gaps_open():
 def test_documented_metrics_are_those_of_the_registry():
     text = (ROOT / "docs" / "datasets-and-runs.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(images\.<set>|points\.<surface>)\.(.*?)` \| (.*) \|$", text, re.MULTILINE)
-    expected = [("images.<set>", metric.key, metric.definition) for metric in IMAGE_METRICS]
+    expected = [("images.<set>", metric.key, metric.definition) for metric in (*IMAGE_METRICS, *MASK_METRICS)]
     expected += [("points.<surface>", metric.key, metric.definition) for metric in metrics_of_points(Yardstick(0.3))]
     assert rows == expected
     assert re.findall(r"^\| `(\w+)` \| (.*) \|$", text, re.MULTILINE).count(("time_s", RUN_METRICS[0].definition)) == 1

@@ -13,6 +13,7 @@ from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.evaluation import (
     IMAGE_METRICS,
+    MASK_METRICS,
     Yardstick,
     all_metrics,
     evaluate_run,
@@ -33,6 +34,7 @@ ON_THE_TOP = np.stack([*(a.ravel() for a in np.meshgrid(*[np.linspace(-1, 1, 30)
 WEIGHTS = Path(__file__).resolve().parents[3] / "shared" / "data" / "weights"
 YARDSTICK = Yardstick(0.3)
 IMAGE_KEYS = [metric.key for metric in IMAGE_METRICS]
+MASK_KEYS = [metric.key for metric in MASK_METRICS]
 POINT_KEYS = [metric.key for metric in metrics_of_points(YARDSTICK)]
 NOISE_FREE_ONLY, SPECKLED_ONLY = IMAGE_KEYS[:4], IMAGE_KEYS[4:]
 
@@ -51,6 +53,11 @@ class FakeRun:
     def mesh(self):
         lid = trimesh.Trimesh([[-1, -1, 2], [1, -1, 2], [1, 1, 2], [-1, 1, 2]], [[0, 1, 2], [0, 2, 3]])
         return lid if self.has_mesh else trimesh.Trimesh()
+
+    def masks(self, views):
+        low = np.zeros((len(views), SIZE, SIZE), np.uint8)
+        low[:, 20:30, 20:40], low[:, 30:40, 20:40] = 1, 2
+        return low
 
     def render(self, views):
         self.asked += views
@@ -95,7 +102,8 @@ def make(tmp_path, monkeypatch):
 def test_every_key_is_there_and_every_null_has_its_reason(make):
     metrics = evaluate_run(FakeRun(make(), power=1.1))
     assert list(metrics) == [
-        *("images", "points", "mesh", "truth", "baselines", "time_s", "seed", "definitions", "parameters", "reasons"),
+        *("images", "points", "mesh", "truth", "masks", "baselines"),
+        *("time_s", "seed", "definitions", "parameters", "reasons"),
     ]
     assert list(metrics["definitions"]) == [metric.key for metric in all_metrics(YARDSTICK)]
     assert list(metrics["images"]) == ["test-17", "test-15"]
@@ -103,9 +111,9 @@ def test_every_key_is_there_and_every_null_has_its_reason(make):
     leaves = {f"images.{name}.{key}": value for name, row in metrics["images"].items() for key, value in row.items()}
     for kind in ("points", "mesh"):
         leaves |= {f"{kind}.{name}.{key}": value for name, row in metrics[kind].items() for key, value in row.items()}
-    assert set(leaves) == {f"images.{name}.{key}" for name in metrics["images"] for key in IMAGE_KEYS} | {
-        f"{kind}.{name}.{key}" for kind in ("points", "mesh") for name in ("visible", "whole") for key in POINT_KEYS
-    }
+    assert set(leaves) == {
+        f"images.{name}.{key}" for name in metrics["images"] for key in (*IMAGE_KEYS, *MASK_KEYS)
+    } | {f"{kind}.{name}.{key}" for kind in ("points", "mesh") for name in ("visible", "whole") for key in POINT_KEYS}
     assert set(metrics["reasons"]) == {key for key, value in leaves.items() if value is None}
     assert (metrics["time_s"], metrics["seed"]) == (12.5, 3)
     assert json.loads(json.dumps(metrics, allow_nan=False)) == metrics
@@ -337,3 +345,26 @@ def test_points_are_aligned_if_asked(make):
         evaluate_run(run, alignment="soft")
     with pytest.raises(SarsplatError, match="has no true mesh to align the points to"):
         evaluate_run(FakeRun(make(mesh=None)), alignment="rigid")
+
+
+@pytest.mark.parametrize("ground", [False, True])
+def test_masks_are_scored_if_they_are_given(make, tmp_path, ground):
+    image_module = pytest.importorskip("PIL.Image")
+    true = np.zeros((SIZE, SIZE), np.uint8)
+    true[20:25, 20:40], true[25:40, 20:40] = 1, 2
+    for name in ("001", "004"):  # two of the three test images
+        image_module.fromarray(true).save(tmp_path / f"{name}.png")
+    metrics = evaluate_run(FakeRun(make(ground=ground)), masks=tmp_path)
+    scores = metrics["images"]["test-17"]
+    assert scores["target_iou"] == 0.5
+    assert scores["shadow_iou"] == (pytest.approx(2 / 3) if ground else None)
+    assert metrics["images"]["test-15"]["target_iou"] is None
+    assert "--masks" in metrics["reasons"]["images.test-15.target_iou"]
+    assert metrics["masks"] == str(tmp_path)
+
+
+def test_an_unusable_folder_of_masks_is_told_before_anything_is_rendered(make, tmp_path):
+    run = FakeRun(make())
+    with pytest.raises(SarsplatError, match="has no mask of any test image"):
+        evaluate_run(run, masks=tmp_path / "absent")
+    assert run.asked == []

@@ -138,6 +138,9 @@ def test_every_term_of_measured_scenes_can_be_switched_off(dataset: Dataset) -> 
         assert not parameters[name].detach().any(), name
     assert trainer.model.penalty() is None
     assert trainer.model.texture is None
+    airborne = Trainer(dataset, replace(config, surroundings=replace(off, ground_pitch=0)))
+    assert bool(airborne.step().isfinite())
+    assert len(airborne.model.scene(0)) == 200
 
 
 def test_the_floor_of_an_unseen_chip_is_the_mean_over_gains(dataset: Dataset) -> None:

@@ -13,23 +13,43 @@ from sarsplat.reconstruction.target_box import target_box
 Slab = tuple[float, float, float, float]
 """Something bright on the ground: x from … to, y from … to, m."""
 
+Solid = tuple[Slab, float]
+"""The same, with its height, m."""
+
 CHIP = ImageGrid(120, 100, (0.2, 0.22), (0.3, 0.32))
 ALL_AROUND = [View(azimuth, 17.0) for azimuth in range(0, 360, 30)]
+TANK: list[Solid] = [((-3.5, 3, -1.7, 1.7), 1.2), ((-1, 1.2, -1.2, 1.2), 2.2), ((3, 5.5, -0.2, 0.2), 1.2)]
 
 
-def images(slabs: Sequence[Slab], views: Sequence[View], grid: ImageGrid, power: float = 20.0) -> np.ndarray:
-    """Speckled ground with brighter parts, as it lies in slant range; every image has a gain of its own."""
+def images(
+    slabs: Sequence[Slab | Solid],
+    views: Sequence[View],
+    grid: ImageGrid,
+    power: float = 20.0,
+    speckle: bool = True,
+    shadow: float = 0.0,
+) -> np.ndarray:
+    """Ground with brighter parts, as it lies in slant range; every image has a gain of its own.
+
+    What is high is displaced towards the radar, and behind it is shadow.
+    """
     chance, stack = np.random.default_rng(0), []
     across, along = np.meshgrid(grid.azimuth_m, grid.range_m)
+    solids = [slab if len(slab) == 2 else (slab, 0.0) for slab in slabs]
     for view in views:
         frame = radar_frame(view)
-        x, y = np.moveaxis(
-            np.stack([across, along], -1) @ np.linalg.inv(frame[[0, 2]][:, :2]).T, -1, 0
-        )  # of the ground, z = 0
-        mean = np.ones(x.shape)
-        for x0, x1, y0, y1 in slabs:
-            mean[(x0 < x) & (x < x1) & (y0 < y) & (y < y1)] = power
-        stack.append(chance.uniform(0.3, 3) * mean * chance.exponential(size=mean.shape))
+        ground = np.stack([across, along], -1) @ np.linalg.inv(frame[[0, 2]][:, :2]).T  # z = 0
+        away = frame[2, :2] / np.linalg.norm(frame[2, :2])
+        tangent = np.tan(np.radians(view.grazing_deg))
+        mean = np.ones(across.shape)
+        for behind, level in ((-1 / tangent, shadow), (tangent, power)):
+            for (x0, x1, y0, y1), height in solids:
+                for z in np.arange(0, height + 0.01, 0.1):
+                    x, y = np.moveaxis(ground + behind * z * away, -1, 0)
+                    mean[(x0 < x) & (x < x1) & (y0 < y) & (y < y1)] = level
+        if speckle:
+            mean *= chance.exponential(size=mean.shape)
+        stack.append(chance.uniform(0.3, 3) * mean)
     return np.stack(stack).astype(np.float32)
 
 
@@ -39,12 +59,49 @@ def check(slab: Slab, low: np.ndarray, high: np.ndarray, cell: float) -> None:
         assert first - 5 * cell < low[axis] <= first
         assert last <= high[axis] < last + 5 * cell
     assert low[2] == 0
-    assert high[2] == pytest.approx(0.65 * (high - low)[:2].min())
 
 
 @pytest.mark.parametrize("slab", [(-3, 4, -1.5, 1), (-1, 1, -1, 1), (2, 5, 1, 6)])
 def test_it_contains_the_target_and_little_more(slab: Slab) -> None:
-    check(slab, *target_box(images([slab], ALL_AROUND, CHIP), ALL_AROUND, CHIP), 0.31)
+    low, high = target_box(images([slab], ALL_AROUND, CHIP), ALL_AROUND, CHIP)
+    check(slab, low, high, 0.31)
+    assert high[2] == pytest.approx(0.65 * (high - low)[:2].min())  # no shadow tells it
+
+
+STEEP_TOO = [View(azimuth, grazing) for azimuth in range(0, 360, 45) for grazing in (15, 45, 75)]
+TWENTY = [View(azimuth, 20.0) for azimuth in range(7, 360, 10)]
+
+
+@pytest.mark.parametrize("views", [STEEP_TOO, TWENTY, TWENTY[::5]])
+@pytest.mark.parametrize("speckle", [False, True])
+def test_nothing_of_what_is_high_lies_outside_and_little_is_beside_it_or_above(
+    views: list[View], speckle: bool
+) -> None:
+    low, high = target_box(images(TANK, views, CHIP, speckle=speckle), views, CHIP)
+    check((-3.5, 5.5, -1.7, 1.7), low, high, 0.31)
+    assert 2.2 <= high[2] < 2.2 + 4 * 0.31
+
+
+def test_a_tower_is_not_cut_off() -> None:
+    tower: Solid = ((-1, 1, -1, 1), 4.5)
+    low, high = target_box(images([tower], TWENTY, CHIP), TWENTY, CHIP)
+    assert (low[:2] > -1 - 4.5 / 2).all()  # it leans towards every view
+    assert (low[:2] <= -1).all()
+    assert (high[:2] >= 1).all()
+    assert 4.5 <= high[2] < 6
+
+
+def test_a_shadow_that_leaves_the_images_leaves_the_height_open() -> None:
+    small = ImageGrid(56, 56, (0.2, 0.22), (0.3, 0.32))
+    low, high = target_box(images(TANK[:2], TWENTY, small), TWENTY, small)
+    assert high[2] == pytest.approx(0.65 * (high - low)[:2].min(), abs=0.32)
+
+
+def test_steep_views_leave_the_height_open_and_do_not_cut_it_off() -> None:
+    views = [View(azimuth, 70.0) for azimuth in range(0, 360, 30)]
+    low, high = target_box(images(TANK, views, CHIP), views, CHIP)
+    check((-3.5, 5.5, -1.7, 1.7), low, high, 0.31)
+    assert 2.2 <= high[2] <= (high - low)[:2].min() + 0.32
 
 
 def test_a_thin_part_that_hardly_stands_out_belongs_to_it() -> None:
@@ -87,3 +144,9 @@ def test_images_that_are_black_or_hold_zeros_do_no_harm() -> None:
     power[power < 0.3 * np.median(power)] = 0
     check(slab, *target_box(power, ALL_AROUND, CHIP), 0.31)
     assert np.isfinite(target_box(np.zeros_like(power), ALL_AROUND, CHIP)).all()
+
+
+def test_a_shadow_that_is_hardly_dark_does_not_tell_the_height() -> None:
+    low, high = target_box(images(TANK, TWENTY, CHIP, shadow=0.5), TWENTY, CHIP)
+    check((-3.5, 5.5, -1.7, 1.7), low, high, 0.31)
+    assert high[2] == pytest.approx(0.65 * (high - low)[:2].min())

@@ -156,6 +156,25 @@ def test_a_measured_run_is_compared_with_the_baselines(tmp_path: Path) -> None:
     assert "3×3 means" in text
 
 
+@pytest.mark.parametrize("kinds", [0, 1, 2])
+def test_outlines_are_drawn_if_masks_were_given(tmp_path: Path, kinds: int) -> None:
+    from PIL import Image
+
+    mask = np.zeros((32, 32), np.uint8)
+    mask[12:20, 10:22] = min(kinds, 1)
+    mask[20:28, 10:22] = kinds
+    for index in range(2, 7):
+        (tmp_path / "masks").mkdir(exist_ok=True)
+        Image.fromarray(mask).save(tmp_path / "masks" / f"{index:03d}.png")
+    metrics = {**make_metrics(psnr_db=50.0, target_iou=0.875), "masks": str(tmp_path / "masks")}
+    masks = lambda views: np.stack([mask] * len(views))  # noqa: E731
+    page = write_report(make_run(tmp_path, make_dataset(tmp_path, measured=True), metrics, masks=masks))
+    assert (page.parent / "masks.png").read_bytes().startswith(b"\x89PNG")
+    text = words_of(page)
+    assert "5 of 5 test views with true masks" in text
+    assert "0.875" in text
+
+
 @pytest.mark.parametrize("tests", [0, 1, 3])
 def test_few_views_no_points_no_history_no_scores(tmp_path: Path, tests: int) -> None:
     run = make_run(tmp_path, make_dataset(tmp_path, tests=tests), None, points=np.empty((0, 3)), history=[])

@@ -13,6 +13,7 @@ def evaluate(
     *,
     mesh: OptionalFile = None,
     align: Literal["none", "rigid"] = "none",
+    masks: OptionalFolder = None,
     lpips_weights: OptionalFolder = None,
 ) -> None:
     """Score a run on unseen views and against the true surface, and write its report.
@@ -27,6 +28,9 @@ def evaluate(
     align
         rigid: bring the points onto the visible surface first, by at most three resolution cells and 5° about the
         vertical. Where a measured target stands in its chips says nothing about its reconstruction.
+    masks
+        Folder of true masks, grey PNGs with the names of the chips (T72/17deg/hb03333.png): 0 clutter, 1 target,
+        2 shadow, in the orientation of the chips as published, or of the images where these are no chips.
     lpips_weights
         Folder of the LPIPS weights (default: SARSPLAT_LPIPS_WEIGHTS); without weights, LPIPS is skipped.
     """
@@ -44,7 +48,7 @@ def evaluate(
 
     done = Run.load(run)
     refuse_linked_report(run)
-    metrics = evaluate_run(done, mesh=mesh, alignment=align, lpips_weights=lpips_weights)
+    metrics = evaluate_run(done, mesh=mesh, alignment=align, masks=masks, lpips_weights=lpips_weights)
     with console.busy("writing the report"):
         page = write_report(done)
     paper = paper_beside(done.dataset)

@@ -92,7 +92,7 @@ class Dataset:
     truth_mesh : Path or None
         Triangle mesh of the target (PLY), if it is known; target frame, m.
     source : dict
-        Where the images come from, for people to read (JSON); decides nothing.
+        Where the images come from, for people to read (JSON); decides nothing but how masks of chips are turned.
     path : Path or None
         Its folder; None for a dataset that is in memory only.
 

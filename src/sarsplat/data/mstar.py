@@ -106,8 +106,7 @@ def import_mstar(
     ordered = [*train, *test]
 
     grid = _common_grid(ordered)
-    dn = np.stack([_central(chip.dn, grid) for chip in ordered])
-    dn = dn[:, ::-1, :] if mirrored else dn[:, ::-1, ::-1]  # turned by 180°; mirroring undoes the flip of the columns
+    dn = np.stack([_turned(_central(chip.dn, grid), mirrored) for chip in ordered])
     power = np.maximum(dn, np.float32(MIN_DN)) ** 2
     scale = float(power[: len(train)].mean(dtype=np.float64))
     sign = 1 if mirrored else -1
@@ -155,6 +154,20 @@ def import_mstar(
     dataset = write_dataset(out, dataset, overwrite=overwrite)
     warn(suspicions(dataset))
     return dataset
+
+
+def as_imported(
+    published: Real[np.ndarray, "rows columns"], dataset: Dataset
+) -> Real[np.ndarray, "imported_rows imported_columns"]:
+    """What belongs to a chip, pixel by pixel as published, as its dataset has the chip; other datasets' as it is."""
+    if dataset.source.get("kind") != "mstar":
+        return published
+    return _turned(_central(published, dataset.grid), dataset.source.get("mirrored") is True)
+
+
+def _turned(published: Real[np.ndarray, "rows columns"], mirrored: bool) -> Real[np.ndarray, "rows columns"]:
+    """By 180°; mirroring undoes the flip of the columns."""
+    return published[::-1] if mirrored else published[::-1, ::-1]
 
 
 def _view(sign: int, chip: Chip) -> View:

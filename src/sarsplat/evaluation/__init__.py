@@ -3,9 +3,17 @@
 from sarsplat.evaluation.alignment import Alignment, align
 from sarsplat.evaluation.baselines import baseline_scores, nearest_chip, rotated_average
 from sarsplat.evaluation.evaluate import evaluate_run
-from sarsplat.evaluation.images import log_correlation, nats_per_pixel, psnr_db, psnr_target_db, ssim
+from sarsplat.evaluation.images import UndefinedScore, log_correlation, nats_per_pixel, psnr_db, psnr_target_db, ssim
 from sarsplat.evaluation.lpips import Lpips, lpips
-from sarsplat.evaluation.metrics import IMAGE_METRICS, RUN_METRICS, Metric, all_metrics, metrics_of_points
+from sarsplat.evaluation.masks import MaskPair, predicted_masks, read_masks
+from sarsplat.evaluation.metrics import (
+    IMAGE_METRICS,
+    MASK_METRICS,
+    RUN_METRICS,
+    Metric,
+    all_metrics,
+    metrics_of_points,
+)
 from sarsplat.evaluation.paper import (
     NOT_THE_SAME_EXPERIMENT,
     PAPER_DENSIFICATION,
@@ -20,16 +28,19 @@ from sarsplat.evaluation.tables import Scores, comparison, metrics_table, summar
 
 __all__ = [
     "IMAGE_METRICS",
+    "MASK_METRICS",
     "NOT_THE_SAME_EXPERIMENT",
     "PAPER_DENSIFICATION",
     "PAPER_DENSITY",
     "RUN_METRICS",
     "Alignment",
     "Lpips",
+    "MaskPair",
     "Metric",
     "PointMetrics",
     "Registration",
     "Scores",
+    "UndefinedScore",
     "VisibleSurface",
     "Yardstick",
     "align",
@@ -46,8 +57,10 @@ __all__ = [
     "paper_beside",
     "paper_scores",
     "point_metrics",
+    "predicted_masks",
     "psnr_db",
     "psnr_target_db",
+    "read_masks",
     "read_truth_mesh",
     "register",
     "registered_log_correlation",

@@ -20,8 +20,10 @@ from sarsplat.evaluation.alignment import MOST_TURNED_DEG, align
 from sarsplat.evaluation.baselines import baseline_scores
 from sarsplat.evaluation.images import Stack, UndefinedScore
 from sarsplat.evaluation.lpips import Lpips, lpips_weights
+from sarsplat.evaluation.masks import Mask, MaskPair, predicted_masks, read_masks
 from sarsplat.evaluation.metrics import (
     IMAGE_METRICS,
+    MASK_METRICS,
     RUN_METRICS,
     EvaluatedRun,
     ImagePair,
@@ -47,6 +49,7 @@ def evaluate_run(
     *,
     mesh: str | Path | None = None,
     alignment: Literal["none", "rigid"] = "none",
+    masks: str | Path | None = None,
     lpips_weights: str | Path | None = None,
     quiet: bool = False,
 ) -> dict[str, Any]:
@@ -60,6 +63,8 @@ def evaluate_run(
         A model of the target, m, in the frame of the views, instead of the dataset's true mesh.
     alignment : {"none", "rigid"}
         Whether points and mesh are brought onto the visible surface first, by a small motion (`align`).
+    masks : pathlib.Path, optional
+        Folder of true masks, a PNG for each image (`read_masks`): target and shadow are then scored, too.
     lpips_weights : pathlib.Path, optional
         Folder of the LPIPS weights; without it the environment variable SARSPLAT_LPIPS_WEIGHTS, without that no LPIPS.
     quiet : bool
@@ -70,16 +75,16 @@ def evaluate_run(
     dict
         The content of `metrics.json`: `images.<set>.<metric>`, `points.{visible, whole}.<metric>`, `mesh` (the
         same of points on the mesh), `baselines` (what methods without a third dimension score on speckled images with
-        ground), `truth` (the given mesh if there is one, and the motion that brought the points onto it), `time_s`,
-        `seed`, `definitions` (of every metric), `parameters` (what they refer to) and `reasons`: for every metric that
-        is None, its dotted key and why. Without test images `images` is empty.
+        ground), `truth` (the given mesh if there is one, and the motion that brought the points onto it), `masks` (the
+        given folder), `time_s`, `seed`, `definitions` (of every metric), `parameters` (what they refer to) and
+        `reasons`: for every metric that is None, its dotted key and why. Without test images `images` is empty.
 
     Raises
     ------
     SarsplatError
         If there is nothing to score (no test images, and no true mesh or no points), the training images are black, a
-        rendered image is unsound, the LPIPS weights are given but unusable, the true mesh cannot be read, or another
-        process is writing the run.
+        rendered image is unsound, the LPIPS weights or masks are given but unusable, the true mesh cannot be read, or
+        another process is writing the run.
 
     Warns
     -----
@@ -88,14 +93,16 @@ def evaluate_run(
     """
     with nullcontext() if run.path is None else only_writer(run.path):
         known = run.dataset if mesh is None else replace(run.dataset, truth_mesh=Path(mesh))
-        metrics = _evaluate(run, known, alignment, None if lpips_weights is None else Path(lpips_weights), quiet)
+        folder = None if masks is None else Path(masks)
+        weights = None if lpips_weights is None else Path(lpips_weights)
+        metrics = _evaluate(run, known, alignment, folder, weights, quiet)
         if run.path is not None:
             write_json(run.path / "metrics.json", metrics)
     return metrics
 
 
 def _evaluate(
-    run: EvaluatedRun, dataset: Dataset, alignment: str, weights_dir: Path | None, quiet: bool
+    run: EvaluatedRun, dataset: Dataset, alignment: str, masks_dir: Path | None, weights_dir: Path | None, quiet: bool
 ) -> dict[str, Any]:
     if alignment not in ("none", "rigid"):
         raise SarsplatError(f"alignment {alignment!r} is unknown; choose none or rigid")
@@ -113,6 +120,8 @@ def _evaluate(
     if not parameters["reference_amplitude"] > 0:
         raise SarsplatError(f"the training images of {dataset} are black everywhere; simulate or import them again")
 
+    masks = {} if masks_dir is None else read_masks(masks_dir, dataset)
+
     yardstick = Yardstick.of(dataset.grid)
     reasons: dict[str, str] = {}
     speckled_tests = dataset.looks is not None and not dataset.clean_tests
@@ -120,18 +129,22 @@ def _evaluate(
         reasons["images"] = "the dataset has no test images, so nothing is unseen; simulate it with --test-azimuth"
     images: dict[str, dict[str, float | None]] = {}
     tests = sum(len(dataset.images(split)) for split in test_sets)
-    steps = tests + (1 + _SAMPLES) * len(dataset.images("train")) + 4 * _DISTANCES
+    steps = tests + len(masks) + (1 + _SAMPLES) * len(dataset.images("train")) + 4 * _DISTANCES
     with progress(f"evaluate {run.path or dataset.target}", steps, quiet) as shown:
         for split in test_sets:
             tested = dataset.select(split)
             pair = ImagePair(tested.power, _rendered(run, tested.views, shown), **parameters, network=network)
             shown.advance(0, "scores of the test images")
             images[split] = compute_all(IMAGE_METRICS, tested, pair, f"images.{split}.", reasons)
+            numbers = [index for index, entry in enumerate(dataset.entries) if entry.split == split]
+            compared = _masks(run, tested, pair.rendered, [masks.get(index) for index in numbers], shown)
+            images[split] |= compute_all(MASK_METRICS, tested, compared, f"images.{split}.", reasons)
         surfaces = _surfaces(run, dataset, alignment == "rigid", yardstick, reasons, shown)
         shown.update(steps)
     return {
         "images": images,
         **surfaces,
+        "masks": None if masks_dir is None else str(masks_dir.resolve()),
         "baselines": baseline_scores(dataset, reasons) if speckled_tests and dataset.ground else None,
         **compute_all(RUN_METRICS, dataset, run, "", reasons),
         "seed": run.seed,
@@ -149,6 +162,22 @@ def _rendered(run: EvaluatedRun, views: Sequence[View], shown: Reporter) -> Stac
         images.append(run.render(some))
         shown.advance(len(some), "test views")
     return np.concatenate(images)
+
+
+def _masks(
+    run: EvaluatedRun, tested: Dataset, rendered: Stack, masks: Sequence[Mask | None], shown: Reporter
+) -> MaskPair | UndefinedScore:
+    """True and predicted masks of those images of a test set that have one."""
+    known = [index for index, mask in enumerate(masks) if mask is not None]
+    if not known:
+        return UndefinedScore("no true masks; give their folder with --masks")
+    entries = tuple(tested.entries[index] for index in known)
+    try:
+        predicted = predicted_masks(run, replace(tested, power=tested.power[known], entries=entries), rendered[known])
+    except UndefinedScore as undefined:
+        return undefined
+    shown.advance(len(known), "masks of the test views")
+    return MaskPair(np.stack([mask for mask in masks if mask is not None]), predicted)
 
 
 def _surfaces(

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from sarsplat.data import Dataset
 from sarsplat.evaluation import images, lpips
 from sarsplat.evaluation.images import Stack, UndefinedScore
+from sarsplat.evaluation.masks import MaskPair, Masks
 from sarsplat.evaluation.points import PointMetrics, Yardstick
 from sarsplat.evaluation.registered import REACH, register, registered_log_correlation
 from sarsplat.geometry import View
@@ -50,6 +51,9 @@ class EvaluatedRun(Protocol):
 
     def render(self, views: Sequence[View], /) -> Stack:
         """β⁰ power of unseen views, float32 [V, rows, columns]."""
+
+    def masks(self, views: Sequence[View], /) -> Masks:
+        """What their pixels show: 0 clutter, 1 target, 2 shadow."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +112,7 @@ NOISE_FREE = Requirement(
     lambda dataset: not _speckled(dataset), "the true images are speckled; this metric needs noise-free ones"
 )
 SPECKLED = Requirement(_speckled, "the true images are noise-free; this metric needs speckled ones")
+GROUND = Requirement(lambda dataset: dataset.ground, "the images show no ground, so no shadow is seen on it")
 KNOWN_SURFACE = Requirement(
     lambda dataset: dataset.truth_mesh is not None, "the dataset has no true mesh to compare with"
 )
@@ -307,6 +312,28 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
 )
 
 
+MASK_METRICS: tuple[Metric[MaskPair], ...] = (
+    Metric(
+        "target_iou",
+        *("IoU of the target's mask", "", ".3f", "more"),
+        "intersection over union of the pixels that are target in the predicted and in the true mask, where speckled "
+        "images were moved by registered_nats_per_pixel; mean over images",
+        lambda masks: masks.iou(1),
+        short="target IoU",
+        place="headline",
+    ),
+    Metric(
+        "shadow_iou",
+        *("IoU of the shadow's mask", "", ".3f", "more"),
+        "the same of the pixels that are shadow",
+        lambda masks: masks.iou(2),
+        requires=GROUND,
+        short="shadow IoU",
+        place="headline",
+    ),
+)
+
+
 def metrics_of_points(yardstick: Yardstick) -> tuple[Metric[PointMetrics], ...]:
     """The metrics of reconstructed points; thresholds are parts of their names."""
     (cell, middle, _), voxel = yardstick.thresholds_m, f"{yardstick.voxel_m:.3g} m"
@@ -394,4 +421,4 @@ RUN_METRICS: tuple[Metric[EvaluatedRun], ...] = (
 
 def all_metrics(yardstick: Yardstick) -> tuple[Metric[Any], ...]:
     """Every metric, in the order of tables."""
-    return (*IMAGE_METRICS, *metrics_of_points(yardstick), *RUN_METRICS)
+    return (*IMAGE_METRICS, *MASK_METRICS, *metrics_of_points(yardstick), *RUN_METRICS)

@@ -188,7 +188,7 @@ class Surroundings(Record):
     noise_floor : float
         Additive power at the start, in units of the training mean, like `p_min` and every γ⁰.
     ground_pitch : float
-        Distance of the ground's Gaussians from each other, in resolution cells.
+        Distance of the ground's Gaussians from each other, in resolution cells; 0: there is no ground.
     ground_std : float
         Standard deviation of the isotropic harmonic of a single one of the ground's Gaussians.
     shift_std : float
@@ -219,7 +219,7 @@ class Surroundings(Record):
     _section: ClassVar[str] = "surroundings."
 
     noise_floor: Positive = 0.05
-    ground_pitch: Positive = 1.3
+    ground_pitch: NotNegative = 1.3
     ground_std: NotNegative = 4.0
     shift_std: NotNegative = 1.0
     gain_std: NotNegative = 1.0

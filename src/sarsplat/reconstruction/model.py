@@ -19,7 +19,7 @@ from sarsplat.gaussians import SCATTERINGS, Gaussians, Scattering, join
 from sarsplat.gaussians.ground import ground_radius_m, ground_sheet
 from sarsplat.gaussians.initialise import BRIGHT_DB, Region, bounded_region, hemisphere_shell, random_quaternions
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.reconstruction.config import Config, Surroundings
+from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.lengths import scales_m
 from sarsplat.reconstruction.side_lobes import with_side_lobes
 from sarsplat.reconstruction.target_box import target_box
@@ -104,8 +104,8 @@ class SceneModel:
     setting : Setting
         What the dataset fixes.
     parameters : dict of str to Tensor
-        See `PER_GAUSSIAN`; with `config.surroundings` also `ground`, `ground_texture` [G, 1], `noise`, `shift` [V, 2],
-        `log_gain` [V] and, unless they are switched off, `log_side_lobes` [2].
+        See `PER_GAUSSIAN`; with `config.surroundings` also `noise`, `shift` [V, 2], `log_gain` [V] and, unless they are
+        switched off, `ground` [K], `ground_texture` [G, 1] and `log_side_lobes` [2].
     device : torch.device or str
         Where the parameters are copied to, and rendered.
 
@@ -166,16 +166,17 @@ class SceneModel:
             "scattering": _law(config, n, config.initial_scattering).parameters,
         }
         if config.surroundings:
-            mean_tangent = float(np.mean([math.tan(math.radians(view.grazing_deg)) for view in train.views]))
-            # γ⁰ of single-look clutter, from its median
-            level = float(np.median(train.power)) / setting.unit / math.log(2) / mean_tangent
             parameters |= {
-                "ground": _law(config, 1, level).parameters[0],
-                "ground_texture": means.new_zeros(len(_sheet(config.surroundings, setting)), 1),
                 "noise": means.new_tensor([math.log(config.surroundings.noise_floor)]),
                 "shift": means.new_zeros(len(train), 2),
                 "log_gain": means.new_zeros(len(train)),
             }
+            if (sheet := _ground(config, setting)) is not None:
+                mean_tangent = float(np.mean([math.tan(math.radians(view.grazing_deg)) for view in train.views]))
+                # γ⁰ of single-look clutter, from its median
+                level = float(np.median(train.power)) / setting.unit / math.log(2) / mean_tangent
+                parameters["ground"] = _law(config, 1, level).parameters[0]
+                parameters["ground_texture"] = means.new_zeros(len(sheet), 1)
             if config.surroundings.side_lobes:
                 parameters["log_side_lobes"] = means.new_full((2,), math.log(config.surroundings.side_lobes))
         return cls(config, setting, parameters, device)
@@ -231,11 +232,12 @@ class SceneModel:
         if not self.config.surroundings:
             rendering = render(scene, views, grid, rays=rays, plane_gradients=plane_gradients, bounds=bounds)
             return rendering.images if self.unit == 1 else rendering.images * self.unit, rendering
-        p, shift, gain = self.parameters, None, self.gains
+        p, gain = self.parameters, self.gains
         if chips is None:
             grid = self._widened(grid)
+            shift = p["shift"].mean(0).expand(len(views), 2)
         else:
-            shift = self.shifts_m[chips]
+            shift = p["shift"][chips]
         rendering = render(scene, views, grid, rays=rays, shift=shift, plane_gradients=plane_gradients, bounds=bounds)
         images, floor = rendering.images, p["noise"].exp()
         if "log_side_lobes" in p:
@@ -251,11 +253,6 @@ class SceneModel:
         return images if self.unit == 1 else images * self.unit, rendering
 
     @property
-    def shifts_m(self) -> Float[Tensor, "v 2"]:
-        """Of the training chips, azimuth and slant range; an unseen view is rendered as the mean one, m."""
-        return self.parameters["shift"] - self.parameters["shift"].mean(0)
-
-    @property
     def gains(self) -> Float[Tensor, " v"]:
         """Of the training chips' power; of mean 1."""
         return torch.softmax(self.parameters["log_gain"], dim=0) * len(self.parameters["log_gain"])
@@ -268,7 +265,7 @@ class SceneModel:
 
     def _widened(self, grid: ImageGrid) -> ImageGrid:
         """The grid whose response includes the spread of the training chips' shifts."""
-        spread = self.shifts_m.detach().square().mean(0).tolist()
+        spread = self.parameters["shift"].detach().var(dim=0, correction=0).tolist()
         azimuth, slant_range = (
             math.sqrt(width**2 + 8 * math.log(2) * variance) for width, variance in zip(grid.resolution_m, spread)
         )
@@ -288,7 +285,8 @@ class SceneModel:
         p, config, surprises = self.parameters, self.config, []
         if config.surroundings:
             for name, std in PRIORS.items():
-                if spread := getattr(config.surroundings, std) * (self.setting.cell_m if name in LENGTHS else 1):
+                spread = getattr(config.surroundings, std) * (self.setting.cell_m if name in LENGTHS else 1)
+                if spread and name in p:
                     surprises.append(p[name].reshape(len(p[name]), -1) / spread)
         if config.directional_std is not None:
             uniform = self._scattering(p["scattering"].detach(), 0)
@@ -358,13 +356,9 @@ def _enough(train: Dataset) -> int:
 
 def _ground(config: Config, setting: Setting) -> Gaussians | None:
     """The ground, where there is one, on the CPU."""
-    if config.surroundings is None:
+    if config.surroundings is None or config.surroundings.ground_pitch == 0:
         return None
-    return _sheet(config.surroundings, setting)
-
-
-def _sheet(surroundings: Surroundings, setting: Setting) -> Gaussians:
-    return ground_sheet(setting.ground_radius_m, surroundings.ground_pitch * setting.cell_m)
+    return ground_sheet(setting.ground_radius_m, config.surroundings.ground_pitch * setting.cell_m)
 
 
 def _start_scales_m(config: Config, cell_m: float) -> list[float]:

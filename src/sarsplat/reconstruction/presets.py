@@ -68,12 +68,14 @@ PRESETS: dict[str, Config] = {
         directional_std=2.0,
         dropout=0.25,
         fine_from=1.0,
-        rates=Rates(means=0.16, quaternions=0.01, log_scales=0.02, scattering=0.4, directional_scattering=0.4),
+        rates=Rates(
+            means=0.16, quaternions=0.01, log_scales=0.02, scattering=0.4, directional_scattering=0.4, shift=0.1
+        ),
         relocation=Relocation(rounds=0),
         points=PointExtraction(
-            optical_depth=0.7,
+            optical_depth=1.2,
             voxel=0.32,
-            min_height=1.6,
+            min_height=0.3,
             rays_per_pixel=4.0,
             seen_through=0.083,
             behind=0.65,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NotRequired, TypedDict
 import msgspec
 import numpy as np
 import torch
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32, Float64, UInt8
 
 from sarsplat.data import (
     Dataset,
@@ -28,6 +28,7 @@ from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.masks import around_points, scene_masks
 from sarsplat.reconstruction.mesh import surface_mesh
 from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.normals import surface_normals
@@ -46,6 +47,7 @@ _RESULTS = ("gaussians.ply", "points.ply", "metrics.json", "report/index.html")
 """What is made from the newest checkpoint."""
 
 _NORMAL_RADIUS = 1.0  # of the neighbours that tell the normal of a point, resolution cells
+_NEAR_POINTS = 1.5  # how far from the points Gaussians count as the target, resolution cells
 _EVALUATION_RAYS_PER_PIXEL = 4.0
 _VIEWS_AT_A_TIME = 8
 _LONGEST_LOG = 1 << 22  # bytes; a training writes some tens of thousands
@@ -79,6 +81,7 @@ class Metrics(TypedDict):
     mesh: dict[str, _Scores]
     baselines: dict[str, dict[str, _Scores]] | None
     truth: NotRequired[Truth]
+    masks: NotRequired[str | None]
     time_s: float | None
     seed: int
     parameters: dict[str, float]
@@ -195,6 +198,18 @@ class Run:
                 some = views[first : first + _VIEWS_AT_A_TIME]
                 images.append(self.model.render(some, self.grid, degree, rays=rays)[0].cpu().numpy())
         return np.concatenate(images)
+
+    def masks(self, views: Sequence[View]) -> UInt8[np.ndarray, "v rows columns"]:
+        """What the pixels of any views show: 0 clutter, 1 target, 2 shadow; on its grid, uint8.
+
+        By what target and ground would return, each alone, at the sharpness of the pixels
+        (`sarsplat.reconstruction.masks.scene_masks`). The target are the Gaussians near the points: others, around it,
+        may stand for clutter as well as the ground does. Without learned ground there is no shadow.
+        """
+        scene = self.model.scene(self.model.degree(self.iteration)).detach()
+        scene, count = around_points(scene, len(self.model), self.points, _NEAR_POINTS * self.grid.cell_m)
+        rays = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL)
+        return scene_masks(scene, count, views, self.grid, rays)
 
     @cached_property
     def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"]:

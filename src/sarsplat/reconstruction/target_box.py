@@ -1,4 +1,4 @@
-"""The box around what stands out from the ground in images of it."""
+"""The box around what stands out from the ground in images of it, as high as its shadow is long."""
 
 from __future__ import annotations
 
@@ -14,8 +14,11 @@ from sarsplat.geometry import ImageGrid, View, radar_frame
 _SURE_DB = 3.0
 """What is brighter than the ground by more is no speckle …"""
 
-_PROBABLE = 2.5
-"""… and what is connected to it and brighter by this many standard deviations of the ground belongs to it."""
+_PROBABLE = 2.0
+"""… and what is connected to it and brighter by this many standard deviations of the ground belongs to it …"""
+
+_FAINTEST_DB = 1.0
+"""… if by no less than this: what is bright reaches far where there is no noise."""
 
 _GLINT_DB = 12.0
 """What is darker than the bright part of the target by more may be the response of its glints."""
@@ -27,10 +30,25 @@ _LARGE_PART = 0.2
 """Parts that stand out count if they have this share of the largest: few views show a target in pieces."""
 
 _DARKEST_DB = -3.0
-"""Below the ground: shadow may be darker, but it says no more than that."""
+"""Below the ground: shadow may be darker, but says no more than that where the target is looked for …"""
+
+_SHADOW_DB = (-6.0, 3.0)
+"""… and this in the search for shadow, in which what is bright counts for little, too."""
+
+_DARK_DB = (-4.5, -2.5)
+"""Shadow is darker on average than the first in its middle; what is not darker than the second is none …"""
+
+_SURELY_DARK = 6.0
+"""… between them it must be this many standard deviations of the ground: the darkest of many places is looked at."""
+
+_KNOWN = 0.75
+"""Share of the images in which a place's shadow must lie for them to say whether it is there."""
+
+_UPRIGHT = 4.0
+"""A view counts half for the extent along an axis if it displaces things along that axis by their height over this."""
 
 _HEIGHT = 0.65
-"""Of the box, relative to its narrower side: views of one grazing angle hardly tell height from distance."""
+"""Of the box, relative to its narrower side, where no shadow tells it."""
 
 _DEVIATION = 1.4826
 """Standard deviation of normal noise, in medians of its magnitude."""
@@ -39,9 +57,10 @@ _DEVIATION = 1.4826
 def target_box(
     power: Float[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid
 ) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
-    """Corners of the box, from the mean over all images of the decibels above the ground at each place of it.
+    """Corners of the box, from means over the images of the decibels above the ground at each place of it.
 
-    What stands on the ground is displaced towards the radar, to all sides in turn: the box has room for that.
+    What stands on the ground is displaced towards the radar, but never across: the extent along an axis is mostly that
+    in the views from its sides. The height is the greatest whose shadow is dark in all views.
 
     Parameters
     ----------
@@ -53,26 +72,80 @@ def target_box(
     Returns
     -------
     low, high : numpy.ndarray, float64 [3]
-        World frame, m; z from 0 to two thirds of the narrower side. Where nothing stands out, the middle half of the
-        scene.
+        World frame, m; a cell wider and higher than what was found; z from 0, to two thirds of the narrower side if
+        there is no shadow. Where nothing stands out, the middle half of the scene.
     """
     half = _seen_by_all(views, grid)
     axis = np.linspace(-half, half, 2 * math.ceil(2 * half / grid.cell_m) + 1)
-    above_db = _above_ground_db(power, views, grid, axis)
+    level_db = _above_ground_db(power, grid)
+    bright_db = np.maximum(level_db, _DARKEST_DB)
+    extents = []
+    for i in range(2):
+        above_db, _ = _above_level(bright_db, views, grid, axis, _weights_across(views, i))
+        extent = _extent(above_db, axis, i)
+        if extent is None:
+            return np.array([-half / 2, -half / 2, 0.0]), np.array([half / 2, half / 2, _HEIGHT * half])
+        extents.append(extent)
+    low, high = np.array(extents).T + np.array([[-grid.cell_m], [grid.cell_m]])
+    height = _height(np.clip(level_db, *_SHADOW_DB), views, grid, axis, low, high)
+    return np.array([*low, 0.0]), np.array([*high, height])
+
+
+def _extent(
+    above_db: Float64[np.ndarray, "side side"], axis: Float64[np.ndarray, " side"], i: int
+) -> list[float] | None:
+    """First and last place along an axis of what stands out; None if nothing does."""
     sure = above_db > _SURE_DB
-    low, high = np.full(2, -half / 2), np.full(2, half / 2)
-    if sure.any():
-        threshold_db = max(
-            _PROBABLE * _DEVIATION * float(np.median(np.abs(above_db))),
-            float(np.quantile(above_db[sure], _BRIGHT_PART)) - _GLINT_DB,
-        )
-        part, count = label(above_db > threshold_db)
-        weight = np.bincount(part.ravel(), (sure * above_db).ravel(), count + 1)
-        weight[0] = 0  # what does not stand out
-        if weight.any():
-            y, x = np.nonzero((weight >= _LARGE_PART * weight.max())[part])
-            low, high = axis[[x.min(), y.min()]] - grid.cell_m, axis[[x.max(), y.max()]] + grid.cell_m
-    return np.array([*low, 0.0]), np.array([*high, _HEIGHT * (high - low).min()])
+    if not sure.any():
+        return None
+    threshold_db = max(
+        _FAINTEST_DB,
+        _PROBABLE * _deviation(above_db),
+        float(np.quantile(above_db[sure], _BRIGHT_PART)) - _GLINT_DB,
+    )
+    part, count = label(above_db > threshold_db)
+    weight = np.bincount(part.ravel(), (sure * above_db).ravel(), count + 1)
+    weight[0] = 0  # what does not stand out
+    if not weight.any():
+        return None
+    found = np.nonzero((weight >= _LARGE_PART * weight.max())[part])[1 - i]
+    return [float(axis[found.min()]), float(axis[found.max()])]
+
+
+def _height(
+    level_db: Float[np.ndarray, "v rows columns"],
+    views: Sequence[View],
+    grid: ImageGrid,
+    axis: Float64[np.ndarray, " side"],
+    low: Float64[np.ndarray, " 2"],
+    high: Float64[np.ndarray, " 2"],
+) -> float:
+    """A cell more than the greatest height in the box above which nothing casts a shadow, m."""
+    tangents = np.tan(np.radians([view.grazing_deg for view in views]))
+    weights = tangents**-2.0  # an error along the ground is one in height times the tangent
+    above_db, level = _above_level(level_db, views, grid, axis, weights)
+    dark = max(_DARK_DB[0], min(_DARK_DB[1], -_SURELY_DARK * _deviation(above_db)))
+    step = grid.cell_m / 2
+    x, y = (np.arange(a, b + step, step) for a, b in zip(low, high, strict=True))
+    narrow = float((high - low).min())
+    top = darkest = 0.0
+    for z in np.arange(0.0, 2 * axis[-1], step):  # no higher than the scene is wide
+        mean, seen = _mean(level_db, views, grid, _places(x, y, z), weights)
+        known = seen >= _KNOWN
+        if not known.any():
+            if top > z - 1.5 * step:  # as high as shadows lie within the images, and who knows how much higher
+                top = max(top, _HEIGHT * narrow)
+            break
+        depth = float(((mean - level) * np.sqrt(seen))[known].min())  # fewer images, more noise
+        darkest = min(darkest, depth)
+        if depth < dark:
+            top = float(z)
+        elif z > narrow:  # below, the target's own brightness may hide the shadow of a part
+            break
+    if darkest > _DARK_DB[0]:
+        return _HEIGHT * narrow
+    # above the middle of a wide roof the views from all sides see shadow, too, and the more, the steeper they are
+    return max(min(top, narrow), top - narrow / 2 * float(tangents.min())) + grid.cell_m
 
 
 def _seen_by_all(views: Sequence[View], grid: ImageGrid) -> float:
@@ -84,28 +157,68 @@ def _seen_by_all(views: Sequence[View], grid: ImageGrid) -> float:
 
 
 def _above_ground_db(
-    power: Float[np.ndarray, "v rows columns"],
-    views: Sequence[View],
-    grid: ImageGrid,
-    axis: Float64[np.ndarray, " side"],
-) -> Float64[np.ndarray, "side side"]:
-    """Mean over the images of the decibels above each one's median, at each place on the ground; row 0 at the least y.
-
-    The median of the whole is 0.
-    """
-    x, y = np.meshgrid(axis, axis)
-    places = np.stack([x, y, np.zeros_like(x)], axis=-1)
+    power: Float[np.ndarray, "v rows columns"], grid: ImageGrid
+) -> Float64[np.ndarray, "v rows columns"]:
+    """Decibels above each image's median, smoothed."""
     # one cell wide, each way: speckle is smoothed, and what is larger stays
     width = (0.0, grid.resolution_m[1] / grid.spacing_m[1], grid.resolution_m[0] / grid.spacing_m[0])
     smooth = gaussian_filter(power.astype(np.float64), width, mode="nearest")
     ground = np.median(smooth, axis=(1, 2), keepdims=True)
-    darkest = 10 ** (_DARKEST_DB / 10)
-    level_db = 10 * np.log10(np.maximum(smooth / np.maximum(ground, np.finfo(float).tiny), darkest))
-    total = np.zeros_like(x)
-    for image, view in zip(level_db, views, strict=True):
+    tiny = np.finfo(float).tiny
+    return 10 * np.log10(np.maximum(smooth / np.maximum(ground, tiny), tiny))
+
+
+def _above_level(
+    level_db: Float64[np.ndarray, "v rows columns"],
+    views: Sequence[View],
+    grid: ImageGrid,
+    axis: Float64[np.ndarray, " side"],
+    weights: Float64[np.ndarray, " v"],
+) -> tuple[Float64[np.ndarray, "side side"], float]:
+    """Weighted mean over the images above its median on the ground, NaN where not all show the ground; the median."""
+    mean, seen = _mean(level_db, views, grid, _places(axis, axis, 0.0), weights)
+    mean[seen < 1 - 1e-9] = np.nan
+    level = float(np.nanmedian(mean))
+    return mean - level, level
+
+
+def _weights_across(views: Sequence[View], i: int) -> Float64[np.ndarray, " v"]:
+    """How much each view says about the extent along axis i."""
+    aways = [radar_frame(view)[2] for view in views]
+    leans = np.array([away[i] * away[2] / (1 - away[2] ** 2) for away in aways])  # along the axis, per metre of height
+    return 1 / (1 + (_UPRIGHT * leans) ** 2)
+
+
+def _places(x: Float64[np.ndarray, " nx"], y: Float64[np.ndarray, " ny"], z: float) -> Float64[np.ndarray, "ny nx 3"]:
+    """A raster of places at one height."""
+    columns, rows = np.meshgrid(x, y)
+    return np.stack([columns, rows, np.full_like(columns, z)], axis=-1)
+
+
+def _mean(
+    level_db: Float64[np.ndarray, "v rows columns"],
+    views: Sequence[View],
+    grid: ImageGrid,
+    places: Float64[np.ndarray, "ny nx 3"],
+    weights: Float64[np.ndarray, " v"],
+) -> tuple[Float64[np.ndarray, "ny nx"], Float64[np.ndarray, "ny nx"]]:
+    """Weighted mean over the images that show the ground to which places cast their shadow; the share they are of all.
+
+    The ground itself casts its shadow to where it is. Where no image shows it, the mean is 0.
+    """
+    total, seen = np.zeros(places.shape[:2]), np.zeros(places.shape[:2])
+    for image, view, weight in zip(level_db, views, weights, strict=True):
         across, _, along = np.moveaxis(places @ radar_frame(view).T, -1, 0)
+        along += places[..., 2] / math.sin(math.radians(view.grazing_deg))  # on through the place, down to the ground
         row = (along - grid.range_m[0]) / grid.spacing_m[1]
         column = (across - grid.azimuth_m[0]) / grid.spacing_m[0]
-        total += map_coordinates(image, [row, column], order=1, mode="nearest")
-    mean = total / len(views)
-    return mean - np.median(mean)
+        level = map_coordinates(image, [row, column], order=1, mode="constant", cval=np.nan)
+        shown = np.isfinite(level)
+        total += weight * np.where(shown, level, 0.0)
+        seen += weight * shown
+    return np.divide(total, seen, out=np.zeros_like(total), where=seen > 0), seen / weights.sum()
+
+
+def _deviation(values: Float64[np.ndarray, ...]) -> float:
+    """Standard deviation of what is mostly normal noise around 0, where it is known."""
+    return _DEVIATION * float(np.nanmedian(np.abs(values)))

@@ -83,7 +83,7 @@ class Texture:
 
     def factor(self, views: Sequence[View]) -> Float32[Tensor, "v rows columns"]:
         """For images from any views."""
-        return torch.stack([self._factor(view, np.zeros(2), None) for view in views])
+        return torch.stack([self._factor(view, self._shifts_m.mean(axis=0), None) for view in views])
 
     @cached_property
     def among_chips(self) -> Float32[Tensor, "k rows columns"]:

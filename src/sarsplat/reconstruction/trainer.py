@@ -166,7 +166,9 @@ class Trainer:
             self.check()
             everyone = np.arange(len(self.views))
             ratio = torch.cat([measured / rendered for measured, rendered in self._bare(self.views, everyone)])
-            self.model.texture = Texture.estimated(ratio, self.model.shifts_m, self.views, self.grid, surroundings)
+            self.model.texture = Texture.estimated(
+                ratio, self.model.parameters["shift"].detach(), self.views, self.grid, surroundings
+            )
 
     def _nats(self, views: Sequence[View], chips: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
         """Negative log-likelihood of training chips seen from these views, nats."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sarsplat.evaluation import IMAGE_METRICS, Metric, Scores, Yardstick, metrics_of_points
+from sarsplat.evaluation import IMAGE_METRICS, MASK_METRICS, Metric, Scores, Yardstick, metrics_of_points
 from sarsplat.evaluation.tables import baselines
 
 
@@ -64,7 +64,9 @@ def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> l
     """
     tables = [
         score_table(
-            f"Unseen views: {split}", IMAGE_METRICS, [Scores("ours", values), *baselines(metrics, split), *others]
+            f"Unseen views: {split}",
+            (*IMAGE_METRICS, *MASK_METRICS),
+            [Scores("ours", values), *baselines(metrics, split), *others],
         )
         for split, values in metrics["images"].items()
     ]

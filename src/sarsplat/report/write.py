@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,13 @@ from sarsplat.data import write_bytes
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluation import Alignment, Yardstick, read_truth_mesh
+from sarsplat.evaluation import Alignment, UndefinedScore, Yardstick, predicted_masks, read_masks, read_truth_mesh
 from sarsplat.reconstruction import Run
 from sarsplat.reconstruction.losses import LOSSES
 from sarsplat.report.azimuths import azimuths_figure
 from sarsplat.report.cloud import points_figure
 from sarsplat.report.curves import curves_figure
+from sarsplat.report.masks import masks_figure
 from sarsplat.report.page import Picture, page
 from sarsplat.report.solid import meshes_figure
 from sarsplat.report.views import evenly, views_figure
@@ -50,7 +52,8 @@ def write_report(run: Run) -> Path:
     with only_writer(run.folder):
         with plain_os_errors("write", folder):
             folder.mkdir(exist_ok=True)
-        pictures, training = [_views(run), _points(run), *_mesh(run)], [*_curves(run), *_azimuths(run)]
+        pictures = [_views(run), *_masks(run), _points(run), *_mesh(run)]
+        training = [*_curves(run), *_azimuths(run)]
         for picture in (*pictures, *training):
             write_bytes(folder / picture.file, picture.png)
         try:
@@ -106,6 +109,31 @@ def _views(run: Run) -> Picture:
     )
     text = f"{unseen} Power in decibels, radar at the top, near range first. {what}"
     return Picture("views.png", "Unseen views", text, png)
+
+
+def _masks(run: Run) -> list[Picture]:
+    """Of the folder that the run was evaluated with."""
+    folder = None if (metrics := run.metrics) is None else metrics.get("masks")
+    if folder is None:
+        return []
+    dataset = run.dataset
+    masks = read_masks(Path(folder), dataset)
+    known = list(masks)
+    chosen = [known[index] for index in evenly(len(known), _VIEWS)]
+    entries = tuple(dataset.entries[index] for index in chosen)
+    looks = dataset.select(entries[0].split).looks
+    images = replace(dataset, power=dataset.power[chosen], entries=entries, looks=looks, clean_tests=False)
+    try:
+        predicted = predicted_masks(run, images, run.render(images.views))
+    except UndefinedScore:  # the evaluation gives the reason
+        return []
+    peak = float(dataset.images("train").max())
+    png = masks_figure(images.power, np.stack([masks[i] for i in chosen]), predicted, images.views, dataset.grid, peak)
+    text = (
+        f"{len(chosen)} of {len(known)} test views with true masks, evenly chosen. The predicted outlines are those of "
+        "the learned geometry, at the whole pixel where the rendered image suits its chip best."
+    )
+    return [Picture("masks.png", "Target and shadow", text, png)]
 
 
 def _points(run: Run) -> Picture:

@@ -1,0 +1,193 @@
+"""Measured chips: how well unseen ones are predicted, beside simpler methods, and what each term of the model is worth.
+
+    python experiments/measured.py CHIPS LABELS SET… [--seeds 0 1 2] [--terms] [--readme]
+
+A SET is CLASS:VIEWS, as T72:36, or CLASS:VIEWS:DEPRESSION,…. It is trained on, and all other chips are predicted. With
+--terms no test chip is looked at: of every four training chips three, or one, are trained on and the others predicted,
+with one term of the model after the other switched off. Tables go to docs/results/measured-CLASS.md, or
+measured-terms.md; finished trainings stay in runs/measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from code_version import code_version
+
+from sarsplat import Config, Dataset, evaluate_run, import_mstar, preset, read_dataset, reconstruct
+from sarsplat.data.files import write_bytes
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "docs"))
+
+from fill_block import fill_block
+
+HERE = Path(__file__).resolve().parent.parent
+WORK, RESULTS = HERE / "runs" / "measured", HERE / "docs" / "results"
+
+TERMS: Mapping[str, Mapping[str, Any]] = {
+    "everything": {},
+    "no ground": {"ground_pitch": 0},
+    "ground of one γ⁰ only": {"ground_std": 0},
+    "nothing shared by neighbouring chips": {"texture_looks": 0},
+    "no side lobes": {"side_lobes": 0},
+    "every chip in its place": {"shift_std": 0},
+    "every chip of the same gain": {"gain_std": 0},
+    "directions free of each other": {"directional_std": None},
+    "no Gaussian left out": {"dropout": 0},
+    "scattering the same in all directions": {"harmonics_degree": 0},
+}
+"""What is switched off, and the settings that do it."""
+
+SCORES = {
+    "registered_nats_per_pixel": "registered nats ↓",
+    "registered_log_correlation": "registered correlation ↑",
+    "nats_per_pixel": "plain nats ↓",
+    "log_correlation": "plain correlation ↑",
+}
+"""Keys of `metrics.json`, and what tables call them."""
+
+
+def changed(config: Config, changes: Mapping[str, Any]) -> Config:
+    """With these settings, of the surroundings or of the whole."""
+    around = {name: value for name, value in changes.items() if hasattr(config.surroundings, name)}
+    rest = {name: value for name, value in changes.items() if name not in around}
+    return replace(config, surroundings=replace(config.surroundings, **around), **rest)
+
+
+def imported(chips: Path, labels: Path, name: str) -> Dataset:
+    """The dataset of CLASS:VIEWS or CLASS:VIEWS:DEPRESSION,…."""
+    out = WORK / "datasets" / name.replace(":", "-")
+    if out.exists():
+        return read_dataset(out)
+    target_class, views, *depressions = name.split(":")
+    return import_mstar(
+        chips,
+        out,
+        labels=labels,
+        target_class=target_class,
+        train_views=int(views),
+        train_depression=[int(value) for value in depressions[0].split(",")] if depressions else 17,
+    )
+
+
+def folded(dataset: Dataset, many: bool) -> Dataset:
+    """Its training chips alone: of every four, three are trained on and one is predicted, or the other way round."""
+    train = dataset.select("train")
+    entries = tuple(
+        replace(entry, split="train" if (index % 4 != 1) == many else "left-out")
+        for index, entry in enumerate(train.entries)
+    )
+    return replace(train, entries=entries)
+
+
+def scores(dataset: Dataset, config: Config, name: str) -> dict[str, Any]:
+    """Train and evaluate, unless that was done already."""
+    path = WORK / code_version() / f"{name}.json"
+    if not path.exists():
+        print(name, flush=True)
+        run = reconstruct(dataset, config, quiet=True)
+        found = evaluate_run(run, quiet=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        kept = {"images": found["images"], "baselines": found["baselines"], "time_s": run.time_s}
+        write_bytes(path, json.dumps(kept).encode())
+    return json.loads(path.read_bytes())
+
+
+def row(label: str, found: Sequence[Mapping[str, float]]) -> str:
+    """One line of a table: means over the seeds, with their standard deviation if there are several."""
+    cells = []
+    for key in SCORES:
+        values = np.array([scores[key] for scores in found])
+        spread = f" ± {values.std(ddof=1):.4f}" if len(values) > 1 else ""
+        cells.append(f"{values.mean():.3f}{spread}")
+    return f"| {label} | {' | '.join(cells)} |"
+
+
+def table(first: str, rows: Sequence[str]) -> str:
+    """Markdown."""
+    return "\n".join([f"| {first} | {' | '.join(SCORES.values())} |", "|---|" + "---:|" * len(SCORES), *rows, ""])
+
+
+def predictions(datasets: Mapping[str, Dataset], seeds: Sequence[int]) -> str:
+    """Chips that were not trained on, of every set, beside simpler methods."""
+    parts = []
+    for name, dataset in datasets.items():
+        runs = [scores(dataset, replace(preset("measured"), seed=seed), f"{name}-{seed}") for seed in seeds]
+        seconds = max(run["time_s"] for run in runs)
+        parts.append(f"## {name}\n\nTrained on {len(dataset.select('train'))} chips in {seconds:.0f} s at most.\n")
+        for split in runs[0]["images"]:
+            simpler = runs[0]["baselines"][split].items()
+            rows = [row(method.replace("_", " "), [found]) for method, found in simpler]
+            parts.append(table(split, [row("sarsplat", [run["images"][split] for run in runs]), *rows]))
+    return "\n".join(parts)
+
+
+def summary(datasets: Mapping[str, Dataset], seeds: Sequence[int]) -> str:
+    """The README's table: the mean over seeds, beside simpler methods."""
+    lines = [
+        "| nats per pixel ↓ (correlation ↑), both registered | sarsplat | rotated average | nearest chip |",
+        "|---|---:|---:|---:|",
+    ]
+    keys = ("registered_nats_per_pixel", "registered_log_correlation")
+    for name, dataset in datasets.items():
+        runs = [scores(dataset, replace(preset("measured"), seed=seed), f"{name}-{seed}") for seed in seeds]
+        for split in runs[0]["images"]:
+            simpler = [runs[0]["baselines"][split][method] for method in ("rotated_average", "nearest_chip")]
+            ours = {key: float(np.mean([run["images"][split][key] for run in runs])) for key in keys}
+            cells = " | ".join(f"{found[keys[0]]:.3f} ({found[keys[1]]:.3f})" for found in (ours, *simpler))
+            target, views = name.split(":")[:2]
+            lines.append(f"| {target}, {views} chips → {split.removeprefix('test-')}° | {cells} |")
+    return "\n".join([*lines, ""])
+
+
+def terms(datasets: Mapping[str, Dataset], seeds: Sequence[int]) -> str:
+    """What training chips that were left out cost when a term is missing."""
+    parts = []
+    for name, dataset in datasets.items():
+        for many in (True, False):
+            fold = folded(dataset, many)
+            part = f"{len(fold.select('train'))} of {len(fold)}"
+            rows = []
+            for label, changes in TERMS.items():
+                config = changed(preset("measured"), changes)
+                runs = [
+                    scores(fold, replace(config, seed=seed), f"{name}-{part}-{label}-{seed}".replace(" ", "_"))
+                    for seed in (seeds if not changes else seeds[:1])
+                ]
+                rows.append(row(label, [run["images"]["left-out"] for run in runs]))
+            parts.append(f"## {name}, trained on {part} chips\n\n{table('', rows)}")
+    return "\n".join(parts)
+
+
+def main() -> None:
+    """See the head of this file."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("chips", type=Path)
+    parser.add_argument("labels", type=Path)
+    parser.add_argument("sets", nargs="+", metavar="SET")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--terms", action="store_true")
+    parser.add_argument("--readme", action="store_true", help="also fill the README's table with these sets")
+    options = parser.parse_args()
+    datasets = {name: imported(options.chips, options.labels, name) for name in options.sets}
+    if options.terms:
+        page, title, text = "terms", "What each term of the model is worth", terms(datasets, options.seeds)
+    else:
+        classes = dict.fromkeys(name.split(":")[0] for name in datasets)
+        page, title = "-".join(classes).lower(), f"Measured chips of {', '.join(classes)}"
+        text = predictions(datasets, options.seeds)
+    if options.readme:
+        fill_block(HERE / "README.md", "measured", summary(datasets, options.seeds))
+    head = f"# {title}\n\nWritten by `experiments/measured.py`; do not edit. Seeds: {len(options.seeds)}.\n\n"
+    write_bytes(RESULTS / f"measured-{page}.md", (head + text).encode())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,143 @@
+"""Masks of a scene against those of the mesh that it was made of, by ray casting."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from sarsplat.gaussians import Gaussians, Harmonics, join
+from sarsplat.gaussians.ground import ground_sheet
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.reconstruction import Run
+from sarsplat.reconstruction.masks import CLUTTER, SHADOW, TARGET, scene_masks
+
+trimesh = pytest.importorskip("trimesh")
+pytest.importorskip("embreex")
+
+GRID = ImageGrid(48, 40, (0.3, 0.3), (0.5, 0.5))
+RAYS = RayGrid.for_image(GRID, 4)
+VIEWS = [View(20, 30), View(250, 45)]
+
+
+def box(height: float = 1.5) -> trimesh.Trimesh:
+    return trimesh.creation.box((4, 2, height), trimesh.transformations.translation_matrix((0.5, 0, height / 2)))
+
+
+def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> np.ndarray:
+    """By the same definition where all scatters alike: areas are numbers of rays."""
+    from sarsplat.scenes.raycast import _Facets, _first_hits
+
+    spacing, theta = min(grid.spacing_m) / 6, math.radians(view.grazing_deg)
+    edges = [
+        np.append(centres - width / 2, centres[-1] + width / 2)
+        for centres, width in ((grid.range_m, grid.spacing_m[1]), (grid.azimuth_m, grid.spacing_m[0]))
+    ]
+    target, hidden = np.zeros((2, grid.rows, grid.columns))
+    facets = _Facets.of(mesh, view)
+    for position, face in _first_hits(facets, (edges[1][0], edges[1][-1]), spacing, (0.5, 0.5)):
+        x, y = position.T
+        target += np.histogram2d(facets.depth(face, position), x, edges)[0]
+        hidden += np.histogram2d(y / math.tan(theta), x, edges)[0]
+    open_ground = math.prod(grid.spacing_m) * math.tan(theta) / spacing**2
+    mask = np.where(hidden > 0.5 * open_ground, SHADOW, CLUTTER)
+    return np.where(target > 0.5 * open_ground, TARGET, mask).astype(np.uint8)
+
+
+def scene(mesh: trimesh.Trimesh, *, ground: bool = True) -> tuple[Gaussians, int]:
+    from sarsplat.scenes.splat_truth import surface_gaussians
+
+    target, _ = surface_gaussians(mesh, 0.15)
+    target = target.with_tensors(scattering=torch.zeros(len(target), 1))
+    return (join(target, ground_sheet(12, 0.2)) if ground else target), len(target)
+
+
+def overlap(first: np.ndarray, second: np.ndarray, kind: int) -> float:
+    return float(((first == kind) & (second == kind)).sum() / ((first == kind) | (second == kind)).sum())
+
+
+def test_masks_are_those_of_the_mesh() -> None:
+    masks = scene_masks(*scene(box()), VIEWS, GRID, RAYS)
+    assert (masks.dtype, masks.shape) == (np.uint8, (2, 48, 40))
+    for mask, view in zip(masks, VIEWS, strict=True):
+        true = raycast_mask(box(), view, GRID)
+        assert overlap(mask, true, TARGET) > 0.9
+        assert overlap(mask, true, SHADOW) > 0.9
+
+
+def test_a_shadow_is_as_long_as_the_target_is_high() -> None:
+    view = View(90, 45)
+    for height in (1.5, 3.0):
+        (mask,) = scene_masks(*scene(box(height)), [view], GRID, RAYS)
+        column = mask[:, 20]
+        rows = np.flatnonzero(column == SHADOW)
+        lit = np.flatnonzero(column == TARGET)
+        assert (np.diff(rows) == 1).all()
+        assert (rows[-1] + 1 - 24) * 0.3 == pytest.approx((1 + height) * math.cos(math.radians(45)), abs=0.35)
+        assert (lit[0] - 24) * 0.3 == pytest.approx(-(1 + height) * math.cos(math.radians(45)), abs=0.35)  # layover
+
+
+def test_without_ground_there_is_no_shadow() -> None:
+    with_ground = scene_masks(*scene(box()), VIEWS, GRID, RAYS)
+    alone = scene_masks(*scene(box(), ground=False), VIEWS, GRID, RAYS)
+    assert set(np.unique(alone)) == {CLUTTER, TARGET}
+    assert ((alone == TARGET) != (with_ground == TARGET)).sum() < 5  # the sheet is not infinitely thin
+
+
+def test_the_ground_decides_what_is_bright() -> None:
+    alike, count = scene(box())
+    shares = []
+    for step in (-20.0, 0.0, 3.0):  # added before softplus: black, as the ground, brighter
+        parameters = alike.scattering.parameters.clone()
+        parameters[:count] += step
+        masks = scene_masks(alike.with_tensors(scattering=parameters), count, VIEWS, GRID, RAYS)
+        shares.append(int((masks == TARGET).sum()))
+        assert (masks == SHADOW).any()
+    assert shares[0] == 0
+    assert shares[1] < shares[2] < 1.5 * shares[1]
+
+
+def run_of(target: Gaussians, ground: Gaussians | None, points: np.ndarray) -> Run:
+    class Model(SimpleNamespace):
+        def __len__(self) -> int:
+            return len(target)
+
+    whole = target if ground is None else join(target, ground)
+    model = Model(scene=lambda degree: whole, degree=lambda iteration: 0)
+    run = object.__new__(Run)
+    vars(run).update(model=model, points=points.astype(np.float32))
+    vars(run)["snapshot"] = SimpleNamespace(grid=GRID, iteration=0)
+    return run
+
+
+def haze(count: int) -> Gaussians:
+    """Low Gaussians all around, as opaque as the ground."""
+    means = torch.rand(count, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([12, 12, 0.1])
+    return Gaussians(
+        means - torch.tensor([6, 6, 0]),
+        torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1),
+        torch.full((count, 3), 0.2),
+        torch.full((count,), 3.0),
+        Harmonics(torch.zeros(count, 1)),
+    )
+
+
+def test_what_lies_around_the_points_is_not_the_target() -> None:
+    clean, count = scene(box())
+    target, ground = clean[:count], clean[count:]
+    lifted = target.means[:, 2] > 0.5
+    points = target.means[lifted].numpy()
+    masks = run_of(join(target, haze(500)), ground, points).masks(VIEWS)
+    for mask, view in zip(masks, VIEWS, strict=True):
+        true = raycast_mask(box(), view, GRID)
+        assert overlap(mask, true, TARGET) > 0.8
+        assert overlap(mask, true, SHADOW) > 0.8
+
+
+@pytest.mark.parametrize("ground", [False, True])
+def test_without_points_there_is_no_target(ground: bool) -> None:
+    clean, count = scene(box())
+    sheet = clean[count:] if ground else None
+    masks = run_of(clean[:count], sheet, np.empty((0, 3))).masks(VIEWS[:1])
+    assert not masks[:, 4:-4, 4:-4].any()
