@@ -72,7 +72,7 @@ def test_wrong_azimuths_are_put_right(wrong: tuple[Dataset, np.ndarray], refined
 
 
 def test_a_resumed_training_is_the_same(wrong: tuple[Dataset, np.ndarray], refined: Run, tmp_path: Path) -> None:
-    """Stopped after the first of three rounds."""
+    """Stopped between two rounds."""
     reconstruct(wrong[0], CONFIG, tmp_path / "run", on_step=lambda step: step.iteration == 45, quiet=True)
     assert Run.load(tmp_path / "run").azimuth_offset_deg.any()
     resumed = reconstruct(wrong[0], CONFIG, tmp_path / "run", quiet=True, resume=True)
@@ -131,8 +131,8 @@ def test_the_lowest_place_of_a_parabola(best: float, found: float) -> None:
 
 
 def test_rounds_are_evenly_spaced() -> None:
-    assert [k for k in range(601) if due(Surroundings(), k, 600)] == [240, 360, 480]
-    assert [k for k in range(601) if due(Surroundings(azimuth_rounds=1), k, 600)] == [240]
+    assert [k for k in range(701) if due(Surroundings(), k, 700)] == [210, 270, 330, 390, 450, 510, 570, 630]
+    assert [k for k in range(601) if due(Surroundings(azimuth_rounds=1), k, 600)] == [180]
     assert not any(due(Surroundings(azimuth_rounds=0), k, 600) for k in range(601))
 
 

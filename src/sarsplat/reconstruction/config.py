@@ -229,9 +229,9 @@ class Surroundings(Record):
     texture_width: Positive = 0.4
     texture_rounds: Count = 6
     texture_from: Share = 0.25
-    azimuth_rounds: Iteration = 3
-    azimuth_from: Share = 0.4
-    azimuth_until: Share = 0.8
+    azimuth_rounds: Iteration = 8
+    azimuth_from: Share = 0.3
+    azimuth_until: Share = 0.9
 
 
 @dataclass(frozen=True)
