@@ -81,7 +81,7 @@ def folded(dataset: Dataset, many: bool) -> Dataset:
     """Its training chips alone: of every four, three are trained on and one is predicted, or the other way round."""
     train = dataset.select("train")
     entries = tuple(
-        replace(entry, split="train" if (index % 4 != 1) == many else "left-out")
+        replace(entry, split="train" if (index % 4 != 1) == many else "test")
         for index, entry in enumerate(train.entries)
     )
     return replace(train, entries=entries)
@@ -161,7 +161,7 @@ def terms(datasets: Mapping[str, Dataset], seeds: Sequence[int]) -> str:
                     scores(fold, replace(config, seed=seed), f"{name}-{part}-{label}-{seed}".replace(" ", "_"))
                     for seed in (seeds if not changes else seeds[:1])
                 ]
-                rows.append(row(label, [run["images"]["left-out"] for run in runs]))
+                rows.append(row(label, [run["images"]["test"] for run in runs]))
             parts.append(f"## {name}, trained on {part} chips\n\n{table('', rows)}")
     return "\n".join(parts)
 

@@ -199,8 +199,9 @@ class SceneModel:
         target = self.target(degree)
         if self._ground is None:
             return target
-        uniform = self.parameters["ground"].expand(len(self._ground), -1)  # one γ⁰(u) for all of the ground …
-        level = torch.cat([uniform[:, :1] + self.parameters["ground_texture"], uniform[:, 1:]], dim=1)
+        uniform = self.parameters["ground"].expand(len(self._ground), -1)
+        # only its level is learned: chips of one grazing angle cannot tell how γ⁰ goes on at others
+        level = torch.cat([uniform[:, :1] + self.parameters["ground_texture"], uniform[:, 1:].detach()], dim=1)
         return join(target, replace(self._ground, scattering=self._scattering(level, degree)))
 
     def _scattering(self, parameters: Float[Tensor, "n k"], degree: int) -> Scattering:
