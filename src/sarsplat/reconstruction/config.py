@@ -202,7 +202,7 @@ class Surroundings(Record):
         The factor between images and scene that is shared by neighbouring chips: how many looks it takes to believe in
         one that differs from 1 by half of what they show; 0: there is none.
     texture_reach_deg : float
-        Angle between lines of sight at which it is shared to 1/e.
+        Difference of azimuth, or of grazing angle, at which it is shared to 1/e.
     texture_width : float
         Standard deviation of the window through which it is seen, in resolution cells.
     texture_rounds : int

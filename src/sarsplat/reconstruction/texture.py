@@ -37,7 +37,8 @@ class Texture:
     No ground is uniform, and glints last for a few degrees: neither is in the scene, and both keep their place on the
     ground from one chip to the next. With single-look speckle, ratios r_k of measured to rendered power and factors
     that are expected to be 1, by a gamma distribution worth n looks, the mean afterwards is
-    (n + Σ w_k r_k) / (n + Σ w_k). The weights w_k = exp(−Δ_k / reach) fall with the angle between the lines of sight.
+    (n + Σ w_k r_k) / (n + Σ w_k). The weights w_k = exp(−Δ_k / reach) fall with the differences of azimuth and grazing
+    angle, of which Δ_k is the root of the sum of squares.
 
     Parameters
     ----------
