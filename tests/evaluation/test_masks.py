@@ -94,6 +94,12 @@ def test_what_is_no_mask_is_refused(tmp_path, pixels, told):
         read_masks(tmp_path, make())
 
 
+def test_a_mask_smaller_than_its_chip_is_refused_with_its_own_size(tmp_path):
+    save(tmp_path / "hb1.png", np.zeros((14, 40), np.uint8))
+    with pytest.raises(SarsplatError, match="14 × 40 pixels, its image 16 × 12"):
+        read_masks(tmp_path, named(make(source={"kind": "mstar"}), "hb"))
+
+
 @pytest.mark.parametrize(("content", "told"), [(b"no picture", "is not a PNG"), (b"", "is not a PNG")])
 def test_what_is_no_picture_is_refused(tmp_path, content, told):
     (tmp_path / "001.png").write_bytes(content)

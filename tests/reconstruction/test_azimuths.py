@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from jaxtyping import Float64
 
 from datasets import dataset_of
 from sarsplat import Dataset, ImageGrid, Run, View, preset, reconstruct, simulate_images
+from sarsplat.data import load_checkpoint, save_checkpoint
 from sarsplat.errors import SarsplatError
 from sarsplat.reconstruction.azimuths import Azimuths, due, lowest
 from sarsplat.reconstruction.config import Surroundings
@@ -134,6 +136,37 @@ def test_rounds_are_evenly_spaced() -> None:
     assert [k for k in range(701) if due(Surroundings(), k, 700)] == [210, 270, 330, 390, 450, 510, 570, 630]
     assert [k for k in range(601) if due(Surroundings(azimuth_rounds=1), k, 600)] == [180]
     assert not any(due(Surroundings(azimuth_rounds=0), k, 600) for k in range(601))
+    assert [k for k in range(61) if due(Surroundings(azimuth_rounds=100_000_000), k, 60)] == list(range(18, 55))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("texture/ratio", None),
+        ("texture/ratio", torch.ones(3, 48, 48)),
+        ("texture/ratio", torch.full((18, 48, 48), torch.nan)),
+        ("texture/shift_m", torch.zeros(18)),
+        ("texture/view_deg", torch.full((18, 2), torch.inf).double()),
+        ("model/noise", None),
+        ("model/noise", torch.tensor([torch.nan])),
+        ("model/shift", torch.zeros(3, 2)),
+        ("model/log_gain", torch.full((18,), torch.inf)),
+        ("model/log_side_lobes", torch.zeros(1)),
+    ],
+)
+def test_checkpoints_that_would_render_nonsense_are_refused(
+    refined: Run, wrong: tuple[Dataset, np.ndarray], tmp_path: Path, name: str, value: torch.Tensor | None
+) -> None:
+    run = replace(refined, path=shutil.copytree(refined.folder, tmp_path / "run"))
+    assert run.checkpoint_path is not None
+    tensors, state = load_checkpoint(run.checkpoint_path)
+    if value is None:
+        del tensors[name]
+    save_checkpoint(run.checkpoint_path, tensors if value is None else {**tensors, name: value}, state)
+    with pytest.raises(SarsplatError, match="does not hold a whole model"):
+        run.render([View(10.0, 35.0)])
+    with pytest.raises(SarsplatError, match="does not match this version"):
+        reconstruct(wrong[0], replace(CONFIG, iterations=100), run.path, resume=True, quiet=True)
 
 
 def test_offsets_of_another_training_are_refused(refined: Run) -> None:

@@ -75,6 +75,8 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("densification", [1], "an object with start, stop"),
         ("surroundings.noise_floor", [0.1], "a number"),
         ("surroundings", 7, "or nothing"),
+        ("surroundings.texture_looks", 1e-300, "give at least 1e-06, or 0 to switch it off"),
+        ("surroundings.shift_std", 1e-9, "give at least 1e-06, or 0 to switch it off"),
         ("initialisation", "x" * 5000, "one of box, hemisphere"),
     ],
 )

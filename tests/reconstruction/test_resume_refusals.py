@@ -17,7 +17,7 @@ from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, preset, read_
 from sarsplat.data import load_checkpoint, save_checkpoint, write_dataset, write_power_tiff
 from sarsplat.reconstruction import Config
 from sarsplat.reconstruction.config import Densification, PointExtraction, Rates
-from sarsplat.reconstruction.run import LogLine
+from sarsplat.reconstruction.log import LogLine
 
 CONFIG = replace(preset("default"), iterations=2, gaussians=50, checkpoint_every=1)
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from sarsplat import ImageGrid, View, radar_frame
+from sarsplat import ImageGrid, SarsplatError, View, radar_frame
 from sarsplat.reconstruction.target_box import target_box
 
 Slab = tuple[float, float, float, float]
@@ -150,3 +150,10 @@ def test_a_shadow_that_is_hardly_dark_does_not_tell_the_height() -> None:
     low, high = target_box(images(TANK, TWENTY, CHIP, shadow=0.5), TWENTY, CHIP)
     check((-3.5, 5.5, -1.7, 1.7), low, high, 0.31)
     assert high[2] == pytest.approx(0.65 * (high - low)[:2].min())
+
+
+@pytest.mark.parametrize("center_m", [(100.0, 0.0), (0.0, -50.0)])
+def test_images_beside_the_target_are_refused(center_m: tuple[float, float]) -> None:
+    grid = ImageGrid(24, 24, (0.3, 0.3), (0.4, 0.4), center_m)
+    with pytest.raises(SarsplatError, match="do not show the world's origin"):
+        target_box(np.ones((2, 24, 24), np.float32), [View(0, 30), View(90, 30)], grid)

@@ -81,9 +81,20 @@ def test_the_ratio_is_smoothed_over_cells_and_not_over_chips() -> None:
     assert spread_m == pytest.approx(0.5 * GRID.cell_m, rel=0.05)
 
 
+def test_a_window_wider_than_the_image_takes_its_mean() -> None:
+    """And no longer for it."""
+    ratio = torch.zeros(1, 48, 60)
+    ratio[0, 20, 30] = 48 * 60
+    settings = replace(SETTINGS, texture_width=1e6)
+    found = Texture.estimated(ratio, torch.zeros(1, 2), VIEWS[:1], GRID, settings).tensors["ratio"]
+    assert torch.allclose(found, found[0, 0, 0].expand_as(found), rtol=0.2)
+
+
 def test_rounds_are_even_and_end_with_the_training() -> None:
     settings = preset("measured").surroundings
     assert settings is not None
     rounds = [i for i in range(1, 601) if due(replace(settings, texture_rounds=4, texture_from=0.4), i, 600)]
     assert rounds == [240, 330, 420, 510, 600]
     assert not any(due(replace(settings, texture_looks=0), i, 600) for i in range(1, 601))
+    many = [i for i in range(1, 61) if due(replace(settings, texture_rounds=100_000_000, texture_from=0.5), i, 60)]
+    assert many == list(range(30, 61))

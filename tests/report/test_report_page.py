@@ -16,7 +16,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import IMAGE_METRICS, Scores, Yardstick, all_metrics, metrics_of_points
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction import preset
-from sarsplat.reconstruction.run import LogLine
+from sarsplat.reconstruction.log import LogLine
 from sarsplat.report import write_report
 from sarsplat.report.scores import score_tables
 

@@ -8,7 +8,7 @@ from PIL import Image
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.reconstruction.run import LogLine
+from sarsplat.reconstruction.log import LogLine
 from sarsplat.report import contact_sheet, decibel_png
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.decibels import to_decibels

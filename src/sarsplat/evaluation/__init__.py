@@ -6,11 +6,11 @@ from sarsplat.evaluation.evaluate import evaluate_run
 from sarsplat.evaluation.images import UndefinedScore, log_correlation, nats_per_pixel, psnr_db, psnr_target_db, ssim
 from sarsplat.evaluation.lpips import Lpips, lpips
 from sarsplat.evaluation.masks import MaskPair, predicted_masks, read_masks
+from sarsplat.evaluation.metric import Metric
 from sarsplat.evaluation.metrics import (
     IMAGE_METRICS,
     MASK_METRICS,
     RUN_METRICS,
-    Metric,
     all_metrics,
     metrics_of_points,
 )

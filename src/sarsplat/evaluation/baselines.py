@@ -9,7 +9,8 @@ from jaxtyping import Float, Float64, Real
 from scipy.ndimage import correlate, map_coordinates
 
 from sarsplat.data import Dataset
-from sarsplat.evaluation.metrics import IMAGE_METRICS, ImagePair, compute_all, image_parameters
+from sarsplat.evaluation.metric import compute_all
+from sarsplat.evaluation.metrics import IMAGE_METRICS, ImagePair, image_parameters
 from sarsplat.geometry import ImageGrid, View
 
 _KERNEL = 0.4

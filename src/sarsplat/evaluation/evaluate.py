@@ -21,6 +21,7 @@ from sarsplat.evaluation.baselines import baseline_scores
 from sarsplat.evaluation.images import Stack, UndefinedScore
 from sarsplat.evaluation.lpips import Lpips, lpips_weights
 from sarsplat.evaluation.masks import Mask, MaskPair, predicted_masks, read_masks
+from sarsplat.evaluation.metric import compute_all
 from sarsplat.evaluation.metrics import (
     IMAGE_METRICS,
     MASK_METRICS,
@@ -28,7 +29,6 @@ from sarsplat.evaluation.metrics import (
     EvaluatedRun,
     ImagePair,
     all_metrics,
-    compute_all,
     image_parameters,
     metrics_of_points,
 )

@@ -23,7 +23,8 @@ Mask = UInt8[np.ndarray, "rows columns"]
 Masks = UInt8[np.ndarray, "v rows columns"]
 """Of V images: 0 clutter, 1 target, 2 shadow."""
 
-_KINDS = 3
+TARGET, SHADOW = 1, 2
+"""What a pixel of a mask may be, besides 0 for clutter: the numbers of SARBake, and of `Run.masks`."""
 
 
 @dataclass(frozen=True)
@@ -112,13 +113,15 @@ def _read(path: Path, dataset: Dataset) -> Mask:
         raise SarsplatError(f"{path} is not a PNG; give masks as grey 8-bit PNGs") from error
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:  # what Pillow says of damage
         raise SarsplatError(f"{path} is a damaged PNG ({error}); write it again") from error
-    mask = as_imported(mask, dataset)
+    size = mask.shape
+    if size[0] >= grid.rows and size[1] >= grid.columns:  # chips may have been cut
+        mask = as_imported(mask, dataset)
     if mask.shape != (grid.rows, grid.columns):
         raise SarsplatError(
-            f"{path} has {mask.shape[0]} × {mask.shape[1]} pixels, its image {grid.rows} × {grid.columns}; "
+            f"{path} has {size[0]} × {size[1]} pixels, its image {grid.rows} × {grid.columns}; "
             "give masks of the images' size"
         )
-    if mask.max() >= _KINDS:
+    if mask.max() > SHADOW:
         raise SarsplatError(f"{path} holds the number {mask.max()}; masks are 0 clutter, 1 target and 2 shadow")
     return mask
 

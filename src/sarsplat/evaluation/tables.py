@@ -9,7 +9,8 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from sarsplat.evaluation.metrics import Metric, all_metrics
+from sarsplat.evaluation.metric import Metric
+from sarsplat.evaluation.metrics import all_metrics
 from sarsplat.evaluation.points import Yardstick
 
 

@@ -10,6 +10,7 @@ from jaxtyping import Float64, Int64
 from sarsplat.data import Dataset
 from sarsplat.geometry import View
 from sarsplat.reconstruction.config import Surroundings
+from sarsplat.reconstruction.rounds import at_round
 
 _REACH = 2.5
 """How far from its label an azimuth is looked for, standard deviations."""
@@ -79,8 +80,8 @@ class Azimuths:
 
 def due(config: Surroundings, iteration: int, iterations: int) -> bool:
     """Whether a round follows this iteration."""
-    shares = np.linspace(config.azimuth_from, config.azimuth_until, config.azimuth_rounds)
-    return iteration in np.rint(shares * iterations)
+    first, last = config.azimuth_from * iterations, config.azimuth_until * iterations
+    return config.azimuth_rounds > 0 and at_round(iteration, first, last, config.azimuth_rounds - 1)
 
 
 def lowest(places: Float64[np.ndarray, "k n"], values: Float64[np.ndarray, "k n"]) -> Float64[np.ndarray, " k"]:

@@ -18,7 +18,8 @@ Count = Annotated[int, Meta(ge=1, le=100_000_000)]
 Iteration = Annotated[int, Meta(ge=0, le=100_000_000)]
 Degree = Annotated[int, Meta(ge=0, le=3)]
 Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]
-Positive = Annotated[float, Meta(ge=1e-6, le=1e6)]
+_LEAST = 1e-6
+Positive = Annotated[float, Meta(ge=_LEAST, le=1e6)]
 NotNegative = Annotated[float, Meta(ge=0, le=1e6)]
 OpticalDepth = Annotated[float, Meta(ge=1e-3, le=40)]
 """Up to `sarsplat.gaussians.MAX_OPTICAL_DEPTH`."""
@@ -201,13 +202,13 @@ class Surroundings(Record):
         The factor between images and scene that is shared by neighbouring chips: how many looks it takes to believe in
         one that differs from 1 by half of what they show; 0: there is none.
     texture_reach_deg : float
-        Angle between lines of sight at which it is shared to 1/e.
+        Difference of azimuth, or of grazing angle, at which it is shared to 1/e.
     texture_width : float
         Standard deviation of the window through which it is seen, in resolution cells.
     texture_rounds : int
-        How often it is estimated …
+        How often it is estimated anew, evenly and the last time at the end, after the first time …
     texture_from : float
-        … evenly from this share of the iterations on.
+        … at this share of the iterations.
     azimuth_rounds : int
         How often uncertain azimuths of training chips are refined, evenly spaced …
     azimuth_from : float
@@ -232,6 +233,15 @@ class Surroundings(Record):
     azimuth_rounds: Iteration = 8
     azimuth_from: Share = 0.3
     azimuth_until: Share = 0.9
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("ground_std", "shift_std", "gain_std", "texture_looks"):
+            value = getattr(self, name)
+            if 0 < value < _LEAST:  # squares and reciprocals of it would leave float32
+                raise SarsplatError(
+                    f"surroundings.{name} is {value:g}; give at least {_LEAST:g}, or 0 to switch it off"
+                )
 
 
 @dataclass(frozen=True)
@@ -297,7 +307,7 @@ class Config(Record):
     relocation : Relocation
         Moves of idle Gaussians.
     surroundings : Surroundings or None
-        Ground and noise; None: the images show only the target.
+        What measured images show besides the target; None: nothing.
     checkpoint_every : int
         Iterations between two checkpoints.
     seed : int

@@ -1,4 +1,4 @@
-"""What is learned: the target's Gaussians and, on measured chips, ground, noise floor, each chip's shift and gain."""
+"""What is learned: the target's Gaussians and, on measured chips, ground, side lobes, noise floor, shifts and gains."""
 
 from __future__ import annotations
 

@@ -9,6 +9,7 @@ from torch import Tensor
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.reconstruction.config import Relocation
+from sarsplat.reconstruction.rounds import at_round
 
 _OWN_PART = 0.6
 """Of the optical depth, for each of the two: with 0.5 and 0.7 reconstructions were worse (docs/reconstruction.md)."""
@@ -16,12 +17,7 @@ _OWN_PART = 0.6
 
 def due(config: Relocation, iteration: int, iterations: int) -> bool:
     """Whether a round follows this iteration."""
-    last = config.until * iterations
-    if not config.rounds or not last:
-        return False
-    near = round(iteration * config.rounds / last)
-    rounds = range(max(1, near - 1), min(config.rounds, near + 1) + 1)
-    return any(iteration == round(last * k / config.rounds) for k in rounds)
+    return config.rounds > 0 and iteration > 0 and at_round(iteration, 0, config.until * iterations, config.rounds)
 
 
 def pairs(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NotRequired, TypedDict
+from typing import TYPE_CHECKING, Any, NotRequired, TypedDict
 
 import msgspec
 import numpy as np
@@ -23,11 +23,12 @@ from sarsplat.data import (
     write_json,
     write_points_ply,
 )
-from sarsplat.data.files import open_file, plain_os_errors
+from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.log import LogLine, read_log
 from sarsplat.reconstruction.masks import around_points, scene_masks
 from sarsplat.reconstruction.mesh import surface_mesh
 from sarsplat.reconstruction.model import SceneModel
@@ -50,16 +51,6 @@ _NORMAL_RADIUS = 1.0  # of the neighbours that tell the normal of a point, resol
 _NEAR_POINTS = 1.5  # how far from the points Gaussians count as the target, resolution cells
 _EVALUATION_RAYS_PER_PIXEL = 4.0
 _VIEWS_AT_A_TIME = 8
-_LONGEST_LOG = 1 << 22  # bytes; a training writes some tens of thousands
-
-
-class LogLine(msgspec.Struct, frozen=True):
-    """One line of a training's log."""
-
-    iteration: Annotated[int, msgspec.Meta(ge=0, le=10**9)]
-    seconds: Annotated[float, msgspec.Meta(ge=0, le=1e10)]
-    loss: Annotated[float, msgspec.Meta(ge=-1e30, le=1e30)]
-    gaussians: Annotated[int, msgspec.Meta(ge=0, le=10**9)]
 
 
 _Scores = dict[str, float | None]
@@ -363,23 +354,10 @@ class Run:
 
     @property
     def history(self) -> list[LogLine]:
-        """The lines of `metrics.jsonl`, up to the first that a crash has torn; a file of over 4 MiB is refused."""
+        """The lines of `metrics.jsonl` (`read_log`)."""
         if self.memory is not None:
             return list(self.memory.history)
-        path = self.log_path
-        if not path.is_file():
-            return []
-        with open_file(path) as file:
-            data = file.read(_LONGEST_LOG + 1)
-        if len(data) > _LONGEST_LOG:
-            raise SarsplatError(f"{path} is longer than {_LONGEST_LOG} bytes, which no training produces; remove it")
-        history: list[LogLine] = []
-        for line in data.splitlines():
-            try:
-                history.append(msgspec.json.decode(line, type=LogLine))
-            except (msgspec.MsgspecError, UnicodeDecodeError):
-                break
-        return history
+        return read_log(self.log_path)
 
     @property
     def metrics(self) -> Metrics | None:
@@ -398,11 +376,6 @@ class Run:
         with plain_os_errors("write", self.folder):
             for name in _RESULTS:
                 (self.folder / name).unlink(missing_ok=True)
-
-
-def log_text(lines: Iterable[LogLine]) -> bytes:
-    """Log lines as `metrics.jsonl` has them."""
-    return b"".join(msgspec.json.encode(line) + b"\n" for line in lines)
 
 
 def require_replaceable(out: Path) -> None:

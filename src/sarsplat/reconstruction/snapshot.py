@@ -12,10 +12,10 @@ import torch
 from torch import Tensor
 
 from sarsplat.data import load_checkpoint, save_checkpoint
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.config import Config, Surroundings
 from sarsplat.reconstruction.model import SceneModel, Setting
 from sarsplat.reconstruction.texture import Texture
 
@@ -77,11 +77,26 @@ class Snapshot:
         """
         setting = Setting.seen(self._region, self.unit, self.views, self.grid)
         model = SceneModel(config, setting, self.part("model"), device)
-        if config.surroundings and (texture := self.part("texture")):
-            on_device = {name: tensor.to(device) for name, tensor in texture.items()}
-            model.texture = Texture(on_device, self.grid, config.surroundings)
+        if config.surroundings:
+            self._check_chips(config.surroundings, model.parameters)
+            if texture := self.part("texture"):
+                on_device = {name: tensor.to(device) for name, tensor in texture.items()}
+                model.texture = Texture(on_device, self.grid, config.surroundings)
         model.scene(config.harmonics_degree)  # shapes and values are checked where they are used
         return model
+
+    def _check_chips(self, surroundings: Surroundings, parameters: dict[str, Tensor]) -> None:
+        """What renders chips besides Gaussians, which are checked where they are used."""
+        views = len(self.views)
+        expected = {"noise": (1,), "shift": (views, 2), "log_gain": (views,)}
+        if surroundings.side_lobes:
+            expected["log_side_lobes"] = (2,)
+        for name, shape in expected.items():
+            tensor = parameters[name]
+            if tensor.dtype != torch.float32 or tensor.shape != shape or not tensor.isfinite().all():
+                raise ValueError(f"{name} is {tensor.dtype} {list(tensor.shape)}, or not finite")
+        if (ratio := self.tensors.get("texture/ratio")) is not None and len(ratio) != views:
+            raise ValueError(f"a texture of {len(ratio)} chips for {counted(views, 'view')}")
 
     @cached_property
     def _region(self) -> Region:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 from scipy.ndimage import gaussian_filter, label, map_coordinates
 
+from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
 
 _SURE_DB = 3.0
@@ -74,8 +75,18 @@ def target_box(
     low, high : numpy.ndarray, float64 [3]
         World frame, m; a cell wider and higher than what was found; z from 0, to two thirds of the narrower side if
         there is no shadow. Where nothing stands out, the middle half of the scene.
+
+    Raises
+    ------
+    SarsplatError
+        If an image does not show the world's origin.
     """
     half = _seen_by_all(views, grid)
+    if half <= 0:
+        raise SarsplatError(
+            f"the images, with their middle at {grid.center_m} m, do not show the world's origin, around which the "
+            "target is looked for; say where it is in target_box_m, or give images that show the origin"
+        )
     axis = np.linspace(-half, half, 2 * math.ceil(2 * half / grid.cell_m) + 1)
     level_db = _above_ground_db(power, grid)
     bright_db = np.maximum(level_db, _DARKEST_DB)

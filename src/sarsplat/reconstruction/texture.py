@@ -16,12 +16,16 @@ from torch.nn.functional import grid_sample
 from sarsplat.gaussians.ground import ground_radius_m
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.reconstruction.config import Surroundings
+from sarsplat.reconstruction.rounds import at_round
 
 _NEGLIGIBLE = 0.02
 """Weight below which a chip is left out: most are far away."""
 
 _PITCH = 0.6
 """Of the maps on the ground, resolution cells."""
+
+_TRUNCATED = 4.0
+"""Where the window ends, standard deviations; no farther than the image is wide."""
 
 _LARGEST = 2**27
 """Numbers in all maps together; with more of them they are coarser."""
@@ -33,7 +37,8 @@ class Texture:
     No ground is uniform, and glints last for a few degrees: neither is in the scene, and both keep their place on the
     ground from one chip to the next. With single-look speckle, ratios r_k of measured to rendered power and factors
     that are expected to be 1, by a gamma distribution worth n looks, the mean afterwards is
-    (n + Σ w_k r_k) / (n + Σ w_k). The weights w_k = exp(−Δ_k / reach) fall with the angle between the lines of sight.
+    (n + Σ w_k r_k) / (n + Σ w_k). The weights w_k = exp(−Δ_k / reach) fall with the differences of azimuth and grazing
+    angle, of which Δ_k is the root of the sum of squares.
 
     Parameters
     ----------
@@ -44,6 +49,11 @@ class Texture:
         Of all images.
     settings : Surroundings
         n and the reach.
+
+    Raises
+    ------
+    KeyError, ValueError
+        If the tensors are not those.
     """
 
     def __init__(
@@ -52,6 +62,7 @@ class Texture:
         grid: ImageGrid,
         settings: Surroundings,
     ) -> None:
+        _check(tensors, grid)
         self.tensors, ratio = tensors, tensors["ratio"]
         self._shifts_m = tensors["shift_m"].cpu().double().numpy()
         self._views = tuple(View(*angles) for angles in tensors["view_deg"].tolist())
@@ -76,10 +87,15 @@ class Texture:
         settings: Surroundings,
     ) -> Texture:
         """From ratios that are not smoothed yet."""
-        sigma = (0.0, *(settings.texture_width * grid.cell_m / spacing for spacing in reversed(grid.spacing_m)))
-        smooth = torch.from_numpy(gaussian_filter(ratio.cpu().double().numpy(), sigma, mode="nearest")).to(ratio)
+        sigma = [0.0, *(settings.texture_width * grid.cell_m / spacing for spacing in reversed(grid.spacing_m))]
+        radius = [min(int(_TRUNCATED * s + 0.5), count) for s, count in zip(sigma, ratio.shape, strict=True)]
+        smooth = gaussian_filter(ratio.cpu().double().numpy(), sigma, mode="nearest", radius=radius)
         view_deg = torch.tensor([(view.azimuth_deg, view.grazing_deg) for view in views]).double()
-        return cls({"ratio": smooth, "shift_m": shift_m.clone(), "view_deg": view_deg}, grid, settings)
+        return cls(
+            {"ratio": torch.from_numpy(smooth).to(ratio), "shift_m": shift_m.clone(), "view_deg": view_deg},
+            grid,
+            settings,
+        )
 
     def factor(self, views: Sequence[View]) -> Float32[Tensor, "v rows columns"]:
         """For images from any views."""
@@ -115,12 +131,24 @@ class Texture:
         return (self._settings.texture_looks + ratios) / (self._settings.texture_looks + weights)
 
 
+def _check(tensors: dict[str, Tensor], grid: ImageGrid) -> None:
+    count = len(tensors["view_deg"])
+    expected = {
+        "ratio": (torch.float32, (count, grid.rows, grid.columns)),
+        "shift_m": (torch.float32, (count, 2)),
+        "view_deg": (torch.float64, (count, 2)),
+    }
+    for name, (dtype, shape) in expected.items():
+        tensor = tensors[name]
+        if tensor.dtype != dtype or tensor.shape != shape or not tensor.isfinite().all():
+            raise ValueError(f"the texture's {name} is {tensor.dtype} {list(tensor.shape)}, or not finite")
+
+
 def due(settings: Surroundings, iteration: int, iterations: int) -> bool:
     """Whether the texture is estimated after this iteration: from some time on, evenly, and at the end."""
     if settings.texture_looks == 0:
         return False
-    rounds, first = settings.texture_rounds, settings.texture_from
-    return iteration in {round(iterations * (first + (1 - first) * k / rounds)) for k in range(rounds + 1)}
+    return at_round(iteration, settings.texture_from * iterations, iterations, settings.texture_rounds)
 
 
 def _onto_image(view: View) -> Float64[np.ndarray, "2 2"]:

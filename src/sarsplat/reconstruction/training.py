@@ -19,9 +19,10 @@ from sarsplat.errors import SarsplatError
 from sarsplat.progress import Reporter, progress
 from sarsplat.reconstruction.config import Config, refuse_other_settings
 from sarsplat.reconstruction.lengths import lengths
+from sarsplat.reconstruction.log import LogLine, log_text
 from sarsplat.reconstruction.losses import LOSSES, Loss
 from sarsplat.reconstruction.presets import preset
-from sarsplat.reconstruction.run import HEADER, InMemory, LogLine, Run, log_text, require_replaceable
+from sarsplat.reconstruction.run import HEADER, InMemory, Run, require_replaceable
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.reconstruction.trainer import Trainer
 from sarsplat.renderer.cuda_device import require_cuda

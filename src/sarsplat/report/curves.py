@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sarsplat.reconstruction.run import LogLine
+from sarsplat.reconstruction.log import LogLine
 from sarsplat.report.canvas import BLUE, FAINT, ORANGE, dress, new_figure, to_png
 
 
