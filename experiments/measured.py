@@ -41,7 +41,7 @@ TERMS: Mapping[str, Mapping[str, Any]] = {
     "every chip of the same gain": {"gain_std": 0},
     "directions free of each other": {"directional_std": None},
     "no Gaussian left out": {"dropout": 0},
-    "scattering the same in all directions": {"harmonics_degree": 0},
+    "scattering the same in all directions": {"harmonics_degree": 0, "directional_std": None},
 }
 """What is switched off, and the settings that do it."""
 

@@ -138,6 +138,8 @@ def test_every_term_of_measured_scenes_can_be_switched_off(dataset: Dataset) -> 
         assert not parameters[name].detach().any(), name
     assert trainer.model.penalty() is None
     assert trainer.model.texture is None
+    uniform = replace(preset("measured"), gaussians=200, harmonics_degree=0)
+    assert bool(Trainer(dataset, uniform).step().isfinite())
     airborne = Trainer(dataset, replace(config, surroundings=replace(off, ground_pitch=0)))
     assert bool(airborne.step().isfinite())
     assert len(airborne.model.scene(0)) == 200

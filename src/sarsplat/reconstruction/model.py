@@ -289,7 +289,7 @@ class SceneModel:
                 spread = getattr(config.surroundings, std) * (self.setting.cell_m if name in LENGTHS else 1)
                 if spread and name in p:
                     surprises.append(p[name].reshape(len(p[name]), -1) / spread)
-        if config.directional_std is not None:
+        if config.directional_std is not None and p["scattering"].shape[1] > 1:
             uniform = self._scattering(p["scattering"].detach(), 0)
             level = uniform.gamma0(p["means"].new_tensor([[0.0, 0.0, 1.0]]), p["quaternions"], p["scales"])[0]
             surprises.append(p["scattering"][:, 1:] / (config.directional_std * level[:, None].detach()))
