@@ -37,7 +37,7 @@ def halfway(count: int = COUNT) -> SceneModel:
         ),
     }
     config = replace(preset("default"), scattering="harmonics")
-    return SceneModel(config, Setting(region, 1.0, 0.0, paper_grid().cell_m), parameters)
+    return SceneModel(config, Setting.seen(region, 1.0, [view for view, _ in paper_views()], paper_grid()), parameters)
 
 
 def training_view(count: int = COUNT) -> Scene:

@@ -76,9 +76,10 @@ class Snapshot:
             If the tensors are not those of a model with this configuration.
         """
         setting = Setting.seen(self._region, self.unit, self.views, self.grid)
-        model = SceneModel(config, setting, self.part("model"), device)
+        learned = self.part("model")
+        model = SceneModel(config, setting, learned, device)
         if config.surroundings:
-            self._check_chips(config.surroundings, model.parameters)
+            self._check_chips(config.surroundings, learned)
             if texture := self.part("texture"):
                 on_device = {name: tensor.to(device) for name, tensor in texture.items()}
                 model.texture = Texture(on_device, self.grid, config.surroundings)
