@@ -31,7 +31,7 @@ def measure(quick: bool) -> dict[str, Any]:
     It starts in the box, because points left on the paper's hemisphere are slow to evaluate.
     """
     views = ("--azimuth", "0:360:120", "--grazing", "45", "--test-azimuth", "60") if quick else ()
-    start = ("--init", "box") if quick else ()
+    start = ("--initialisation", "box") if quick else ()
     iterations = str(20 if quick else preset("paper").iterations)
     with tempfile.TemporaryDirectory() as folder:
         dataset, run = f"{folder}/dataset", f"{folder}/run"
