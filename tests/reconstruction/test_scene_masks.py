@@ -104,7 +104,7 @@ def run_of(target: Gaussians, ground: Gaussians | None, points: np.ndarray) -> R
             return len(target)
 
     whole = target if ground is None else join(target, ground)
-    model = Model(scene=lambda degree: whole, degree=lambda iteration: 0)
+    model = Model(scene=lambda degree: whole, degree=lambda iteration: 0, as_displaced=lambda grid: grid)
     run = object.__new__(Run)
     vars(run).update(model=model, points=points.astype(np.float32))
     vars(run)["snapshot"] = SimpleNamespace(grid=GRID, iteration=0)

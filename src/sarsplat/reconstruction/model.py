@@ -264,6 +264,13 @@ class SceneModel:
         more = (target / (1 - self.config.dropout)).clamp(max=self.config.max_optical_depth)
         return torch.cat([torch.where(left_out, 0.0, more), ground])
 
+    def as_displaced(self, grid: ImageGrid) -> ImageGrid:
+        """The grid on which a scene that is not displaced lies as unseen chips on `grid` show it: as the mean one."""
+        if not self.config.surroundings:
+            return grid
+        azimuth, slant_range = self.parameters["shift"].detach().mean(0).tolist()
+        return replace(grid, center_m=(grid.center_m[0] - azimuth, grid.center_m[1] - slant_range))
+
     def _widened(self, grid: ImageGrid) -> ImageGrid:
         """The grid whose response includes the spread of the training chips' shifts."""
         spread = self.parameters["shift"].detach().var(dim=0, correction=0).tolist()

@@ -200,7 +200,7 @@ class Run:
         scene = self.model.scene(self.model.degree(self.iteration)).detach()
         scene, count = around_points(scene, len(self.model), self.points, _NEAR_POINTS * self.grid.cell_m)
         rays = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL)
-        return scene_masks(scene, count, views, self.grid, rays)
+        return scene_masks(scene, count, views, self.model.as_displaced(self.grid), rays)
 
     @cached_property
     def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"]:
