@@ -135,6 +135,56 @@ def test_orientation_and_power(chips):
     assert image.max() / dark == pytest.approx((200 / 2) ** 2, rel=0.03)  # dark pixels are raised to DN 2
 
 
+def test_power_of_jpegs_that_are_scaled_alike(chips):
+    """To the bit; a column that says the same of all of them changes nothing."""
+    dataset = run(chips)
+    dn = [np.asarray(Image.open(chips / name), np.float32)[::-1, ::-1] for name in names(dataset)]
+    power = np.maximum(np.stack(dn), 2) ** 2
+    expected = power / np.float32(power[:4].mean(dtype=np.float64))
+    np.testing.assert_array_equal(dataset.power, expected)
+    assert "scaled alike" in dataset.source["calibration"]
+    scale_chips(chips, ["1"] * 10)
+    np.testing.assert_array_equal(run(chips, overwrite=True).power, expected)
+    scale_chips(chips, ["37"] * 10)
+    np.testing.assert_allclose(run(chips, overwrite=True).power, expected, rtol=1e-6)
+
+
+def test_power_of_jpegs_that_are_scaled_each_in_its_own_way(chips):
+    plain = run(chips)
+    number = {f"T72/chip{index:03d}.jpeg": 100.0 + 7 * index for index in range(10)}
+    scale_chips(chips, [str(value) for value in number.values()])
+    dataset = run(chips, overwrite=True)
+    power = plain.power / np.array([number[name] for name in names(plain)])[:, None, None] ** 2
+    np.testing.assert_allclose(dataset.power, power / power[:4].mean(), rtol=1e-5)
+    assert "(max(DN, min_dn) / dn_per_magnitude)^2" in dataset.source["calibration"]
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ("", "line 4: dn_per_magnitude of 'T72/chip002.jpeg' is empty, so this chip does not compare with the others"),
+        *((text, f"line 4: dn_per_magnitude is '{text}'; it must be a positive number") for text in ("0", "-5", "nan")),
+        *((text, f"line 4: dn_per_magnitude is '{text}'; it must be a positive") for text in ("much", "inf", "1e-300")),
+    ],
+)
+def test_wrong_scales(chips, value, words):
+    scale_chips(chips, ["5", "5", value, *["5"] * 7])
+    with pytest.raises(SarsplatError, match=words):
+        run(chips)
+    assert not (chips.parent / "out").exists()
+
+
+def names(dataset: Dataset) -> list[str]:
+    return [entry.name for entry in dataset.entries]
+
+
+def scale_chips(chips: Path, scales: list[str]) -> None:
+    """Give the T72 a scale each; the column of other classes stays empty."""
+    column = ["dn_per_magnitude", *scales, ""]
+    labels = write_chips(chips, ROWS)
+    rewrite(labels, lambda rows: [[*row, cell] for row, cell in zip(rows, column, strict=True)])
+
+
 def test_mirrored_flips_columns_and_azimuth(chips):
     plain, mirrored = run(chips), import_mirrored(chips)
     np.testing.assert_array_equal(mirrored.images("train"), plain.images("train")[:, :, ::-1])
@@ -304,12 +354,16 @@ def test_different_sizes_are_cut(chips):
 def originals(tmp_path):
     folder = tmp_path / "originals"
     folder.mkdir()
-    magnitude = LOWER_LEFT.astype(np.float32) / 523.6
-    for index, azimuth in enumerate((2, 92, 178, 275, 300)):
-        (folder / f"HB{index}.015").write_bytes(phoenix_bytes(magnitude * (1 + index / 500), TargetAz=str(azimuth)))
-    (folder / "HB0.000").write_bytes(phoenix_bytes(magnitude, TargetType="bmp2_tank"))
+    write_originals(folder)
+    (folder / "HB0.000").write_bytes(phoenix_bytes(TargetType="bmp2_tank"))
     (folder / "readme.txt").write_text("not a chip")
     return folder
+
+
+def write_originals(folder: Path, factor: float = 1 / 300) -> None:
+    for index, azimuth in enumerate((2, 92, 178, 275, 300)):
+        magnitude = LOWER_LEFT * np.float32(factor * (1 + index / 500))
+        (folder / f"HB{index}.015").write_bytes(phoenix_bytes(magnitude, TargetAz=str(azimuth)))
 
 
 def test_phoenix_originals(originals, chips):
@@ -320,7 +374,24 @@ def test_phoenix_originals(originals, chips):
     from_jpeg = import_mstar(
         chips, chips.parent / "jpeg", labels=chips / "labels.csv", target_class="T72", train_views=4
     )
-    np.testing.assert_allclose(dataset.images("train")[0], from_jpeg.images("train")[0], rtol=0.05)
+    np.testing.assert_allclose(dataset.images("train")[0], from_jpeg.images("train")[0], rtol=0.05, atol=0.002)
+    assert dataset.images("train").mean() == pytest.approx(1, rel=1e-5)
+    assert dataset.power.min() == pytest.approx(1e-3, rel=2e-3)  # zeros have no logarithm
+    assert (dataset.source["min_power"], "min_dn" in dataset.source) == (1e-3, False)
+
+
+@pytest.mark.parametrize("factor", [1e-9, 0.4, 523.6, 1e6])
+def test_the_unit_of_originals_does_not_matter(originals, factor):
+    expected = run(originals, labels=None).power
+    write_originals(originals, factor)
+    np.testing.assert_allclose(run(originals, labels=None, overwrite=True).power, expected, rtol=1e-5)
+
+
+def test_black_originals_are_refused(originals):
+    write_originals(originals, 0)
+    with pytest.raises(SarsplatError, match=r"all 4 training chips are black; remove them from .*originals"):
+        run(originals, labels=None)
+    assert not (originals.parent / "out").exists()
 
 
 def test_wrong_originals(originals):

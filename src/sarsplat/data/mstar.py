@@ -8,8 +8,10 @@ Whether the published chips are mirror images is not settled. `mirrored=True` as
 and φ = +TargetAz. The two readings give each other's mirror image (y → −y) as the target and explain the chips equally
 well, so no likelihood can tell them apart; only something known to be on one side of the vehicle can.
 
-Power. The chips carry no absolute calibration here. Power is max(DN, 2)² over its mean over all pixels of the training
-chips: β⁰ up to one common factor, with DN the 8-bit number of the JPEGs, or 523.6 × the Phoenix magnitude.
+Power. The chips carry no absolute calibration here. Power is magnitude² over its mean over all pixels of the training
+chips: β⁰ up to one common factor. Of JPEGs, the magnitude is max(DN, 2) / `dn_per_magnitude`, a column of the table of
+labels; without it all JPEGs are taken as scaled alike. Phoenix magnitudes are not quantised, but some are zero: their
+power is at least 0.001 (−30 dB) of its mean.
 """
 
 from __future__ import annotations
@@ -20,19 +22,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Real
+from jaxtyping import Float32, Real
 from scipy.optimize import linear_sum_assignment
 
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.dataset_folder import write_dataset
 from sarsplat.data.header import Box
-from sarsplat.data.mstar_chips import JPEG_DN_PER_MAGNITUDE, Chip, read_chips
+from sarsplat.data.mstar_chips import Chip, read_chips
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import ImageGrid, View
 
 MIN_DN = 2.0
 """Digital numbers are raised to this: below it lies nothing but quantisation, and zero has no logarithm."""
+MIN_POWER = 1e-3
+"""Power that is not quantised is raised to this fraction of its mean: darker than any shadow, but not zero."""
 
 
 def import_mstar(
@@ -88,7 +92,7 @@ def import_mstar(
     Raises
     ------
     SarsplatError
-        If there are no such chips, too few of them, one is damaged, or the output exists.
+        If there are no such chips, too few of them, one is damaged, all training chips are black, or the output exists.
 
     Warns
     -----
@@ -106,9 +110,12 @@ def import_mstar(
     ordered = [*train, *test]
 
     grid = _common_grid(ordered)
-    dn = np.stack([_turned(_central(chip.dn, grid), mirrored) for chip in ordered])
-    power = np.maximum(dn, np.float32(MIN_DN)) ** 2
+    magnitude = np.stack([_turned(_central(chip.magnitude, grid), mirrored) for chip in ordered])
+    steps = np.array([chip.step for chip in ordered], np.float32)
+    power = _power(magnitude, steps, len(train))
     scale = float(power[: len(train)].mean(dtype=np.float64))
+    if not np.float32(scale):
+        raise SarsplatError(f"all {len(train)} training chips are black; remove them from {chips}")
     sign = 1 if mirrored else -1
     entries = tuple(
         DatasetEntry(
@@ -129,14 +136,9 @@ def import_mstar(
         "mirrored": mirrored,
         "azimuth": f"azimuth = {'+' if mirrored else '-'}TargetAz; grazing = measured depression",
         "orientation": f"published array turned by 180 degrees{', then columns flipped' if mirrored else ''}",
-        "calibration": (
-            "none: power = max(DN, min_dn)^2 / mean_dn_squared, the mean over all pixels of the training chips; "
-            "DN = the 8-bit value of the JPEG, or dn_per_magnitude x the Phoenix magnitude"
-        ),
-        "min_dn": MIN_DN,
-        "dn_per_magnitude": JPEG_DN_PER_MAGNITUDE,
-        "mean_dn_squared": scale,
-        "cut_to_common_size": any(chip.dn.shape != (grid.rows, grid.columns) for chip in ordered),
+        **_calibration(steps),
+        "mean_power": scale,
+        "cut_to_common_size": any(chip.magnitude.shape != (grid.rows, grid.columns) for chip in ordered),
         "chips": [{"name": chip.name, "target_az_deg": chip.target_az_deg} for chip in ordered],
     }
     dataset = Dataset(
@@ -163,6 +165,31 @@ def as_imported(
     if dataset.source.get("kind") != "mstar":
         return published
     return _turned(_central(published, dataset.grid), dataset.source.get("mirrored") is True)
+
+
+def _power(
+    magnitude: Float32[np.ndarray, "chips rows columns"], steps: Float32[np.ndarray, " chips"], training: int
+) -> Float32[np.ndarray, "chips rows columns"]:
+    """Squares of magnitudes, the first of training chips, raised to the least that says anything."""
+    power = np.maximum(magnitude, np.float32(MIN_DN) * steps[:, None, None]) ** 2
+    if not steps.any():
+        power = np.maximum(power, np.float32(MIN_POWER * power[:training].mean(dtype=np.float64)))
+    return power
+
+
+def _calibration(steps: Float32[np.ndarray, " chips"]) -> dict[str, Any]:
+    """What was done by `_power`, in words and numbers."""
+    mean = "mean_power, the mean over all pixels of the training chips"
+    if not steps.any():
+        return {
+            "calibration": f"none: power = magnitude^2 / {mean}; before, raised to min_power x its mean over these",
+            "min_power": MIN_POWER,
+        }
+    if (steps == 1).all():
+        power, chips = "max(DN, min_dn)^2", "all JPEGs taken as scaled alike"
+    else:
+        power, chips = "(max(DN, min_dn) / dn_per_magnitude)^2", "dn_per_magnitude from the table of labels"
+    return {"calibration": f"none: power = {power} / {mean}; {chips}", "min_dn": MIN_DN}
 
 
 def _turned(published: Real[np.ndarray, "rows columns"], mirrored: bool) -> Real[np.ndarray, "rows columns"]:
@@ -232,8 +259,8 @@ def _common_grid(chips: list[Chip]) -> ImageGrid:
                 f"{chip.name} has pixel spacing {chip.spacing_m} m and resolution {chip.resolution_m} m "
                 f"but {first.name} has {first.spacing_m} and {first.resolution_m}; import chips of one kind"
             )
-    shapes = {chip.dn.shape for chip in chips}
-    rows, columns = first.dn.shape
+    shapes = {chip.magnitude.shape for chip in chips}
+    rows, columns = first.magnitude.shape
     if len(shapes) > 1:
         rows = min(shape[0] for shape in shapes) // 2 * 2
         columns = min(shape[1] for shape in shapes) // 2 * 2

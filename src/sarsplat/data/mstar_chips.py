@@ -13,19 +13,19 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import numpy as np
-from jaxtyping import Real
+from jaxtyping import Float32
 
 from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.data.phoenix import is_phoenix, read_phoenix
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 
-JPEG_DN_PER_MAGNITUDE = 523.6
-"""Digital number of the published JPEGs per unit of Phoenix magnitude (they saturate at DN 255, magnitude 0.487)."""
-
 _ANGLES = ("desired_depression_deg", "measured_depression_deg", "target_az_deg")
 _COLUMNS = ("path", "class", "serial", *_ANGLES)
 _AZIMUTH_STD = "azimuth_std_deg"
 """A column that may be missing, and empty."""
+_DN_PER_MAGNITUDE = "dn_per_magnitude"
+"""A column that may be missing, and empty, but not for some chips only."""
+_LEAST_SCALE, _LARGEST_SCALE = 1e-9, 1e9  # the square of no magnitude leaves float32
 _MAX_PIXELS_PER_SIDE = 4096
 _MAX_LABELS = 100_000
 
@@ -46,8 +46,10 @@ class Chip:
         Depression angle as flown, degrees.
     target_az_deg : float
         TargetAz, degrees in [0, 360): 0 = nose toward the radar.
-    dn : numpy.ndarray, float32 [rows, columns]
-        Magnitude in digital numbers of the JPEGs (Phoenix magnitudes are scaled to them).
+    magnitude : numpy.ndarray, float32 [rows, columns]
+        Linear magnitude (not power), in whatever unit all chips have in common.
+    step : float
+        Magnitude of one digital number; 0 if magnitudes are not quantised.
     spacing_m, resolution_m : (float, float)
         Pixel spacing and 3 dB width (cross-range, slant range), m.
     azimuth_std_deg : float or None
@@ -59,7 +61,8 @@ class Chip:
     depression: int
     grazing_deg: float
     target_az_deg: float
-    dn: Real[np.ndarray, "rows columns"]
+    magnitude: Float32[np.ndarray, "rows columns"]
+    step: float
     spacing_m: tuple[float, float] = (0.203125, 0.202148)
     resolution_m: tuple[float, float] = (0.3229, 0.3013)
     azimuth_std_deg: float | None = None
@@ -74,8 +77,9 @@ def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chi
         Where the chips lie, in subfolders or not.
     labels : Path or None
         Table (CSV) of the JPEGs: path relative to `folder`, class, serial, desired_depression_deg,
-        measured_depression_deg, target_az_deg, and, where azimuths are uncertain, azimuth_std_deg. None: read Phoenix
-        files, which carry all that in their headers.
+        measured_depression_deg, target_az_deg; where azimuths are uncertain, azimuth_std_deg; and if chips are scaled
+        each in its own way, dn_per_magnitude: digital numbers per unit of magnitude, in any unit that all chips have in
+        common (none for any chip: 1). None: read Phoenix files, which carry all that in their headers.
     target_class : str
         E.g. `T72`; a Phoenix header's `t72_tank` is the same class.
 
@@ -149,7 +153,8 @@ def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_clas
             depression=round(chip.desired_depression_deg),
             grazing_deg=chip.measured_depression_deg,
             target_az_deg=chip.target_az_deg % 360,
-            dn=chip.magnitude * np.float32(JPEG_DN_PER_MAGNITUDE),
+            magnitude=chip.magnitude,
+            step=0.0,
             spacing_m=chip.spacing_m,
             resolution_m=chip.resolution_m,
         )
@@ -182,10 +187,11 @@ def _jpeg_chips(folder: Path, jpegs: list[Path], labels: Path, target_class: str
             depression=round(_number(labels, line, row, "desired_depression_deg")),
             grazing_deg=_number(labels, line, row, "measured_depression_deg"),
             target_az_deg=_number(labels, line, row, "target_az_deg") % 360,
-            dn=read_jpeg(folder / row["path"]),
+            magnitude=read_jpeg(folder / row["path"]) * np.float32(step),
+            step=step,
             azimuth_std_deg=_number(labels, line, row, _AZIMUTH_STD) if row.get(_AZIMUTH_STD, "").strip() else None,
         )
-        for line, row in present
+        for (line, row), step in zip(present, _steps(labels, present), strict=True)
     ]
 
 
@@ -214,7 +220,7 @@ def _once(labels: Path, rows: _Rows) -> _Rows:
     first: dict[Path, tuple[int, dict[str, str]]] = {}
     for line, row in rows:
         other_line, other = first.setdefault(Path(row["path"]), (line, row))
-        if any(row.get(name) != other.get(name) for name in (*_COLUMNS[1:], _AZIMUTH_STD)):
+        if any(row.get(name) != other.get(name) for name in (*_COLUMNS[1:], _AZIMUTH_STD, _DN_PER_MAGNITUDE)):
             raise SarsplatError(
                 f"{labels} gives {shown(row['path'])} two labels, in lines {other_line} and {line}; remove one"
             )
@@ -250,16 +256,40 @@ def _read_labels(path: Path) -> _Rows:
 
 
 def _number(path: Path, line: int, row: dict[str, str], column: str) -> float:
-    try:
-        value = float(row[column])
-    except ValueError:
-        value = math.nan
+    value = _parsed(row[column])
     if not math.isfinite(value):
         raise SarsplatError(f"{path}, line {line}: {column} is {shown(row[column])}; it must be a number of degrees")
     return value
 
 
-def read_jpeg(path: Path) -> Real[np.ndarray, "rows columns"]:
+def _steps(path: Path, rows: _Rows) -> list[float]:
+    """Magnitude of one digital number of each chip; 1 if the table scales none of them."""
+    given = [row.get(_DN_PER_MAGNITUDE, "").strip() for _, row in rows]
+    if not any(given):
+        return [1.0] * len(rows)
+    for (line, row), text in zip(rows, given, strict=True):
+        if not text:
+            raise SarsplatError(
+                f"{path}, line {line}: {_DN_PER_MAGNITUDE} of {shown(row['path'])} is empty, so this chip does not "
+                "compare with the others; fill it in for every chip of the class, or for none"
+            )
+        if not _LEAST_SCALE <= _parsed(text) <= _LARGEST_SCALE:
+            raise SarsplatError(
+                f"{path}, line {line}: {_DN_PER_MAGNITUDE} is {shown(text)}; it must be a positive number "
+                f"({_LEAST_SCALE:g} to {_LARGEST_SCALE:g})"
+            )
+    return [1 / float(text) for text in given]
+
+
+def _parsed(text: str) -> float:
+    """The number, or NaN."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def read_jpeg(path: Path) -> Float32[np.ndarray, "rows columns"]:
     """Digital numbers of an 8-bit grey JPEG, float32 [rows, columns]."""
     try:
         from PIL import Image, UnidentifiedImageError
