@@ -162,6 +162,21 @@ def test_the_floor_of_an_unseen_chip_is_the_mean_over_gains(dataset: Dataset) ->
     assert float(images.min()) == pytest.approx(floor * (1 / gains).mean(), rel=1e-3)
 
 
+def test_unseen_chips_are_displaced_as_the_others_on_average(dataset: Dataset) -> None:
+    trainer = Trainer(dataset, replace(preset("measured"), gaussians=200))
+    model, view, grid = trainer.model, View(0.0, 20.0), dataset.grid
+    model.texture = None
+    with torch.no_grad():
+        model.parameters["shift"][:] = torch.tensor([2 * grid.spacing_m[0], -grid.spacing_m[1]])
+        displaced, _ = model.render([view], grid, 0)
+        as_displaced = model.as_displaced(grid)
+        model.parameters["shift"].zero_()
+        centred, _ = model.render([view], grid, 0)
+        same, _ = model.render([view], as_displaced, 0)
+    torch.testing.assert_close(displaced, same)
+    torch.testing.assert_close(displaced[0, 3:-4, 6:-4], torch.roll(centred[0], (-1, 2), (0, 1))[3:-4, 6:-4])
+
+
 def test_priors_are_nats_of_normal_distributions(dataset: Dataset) -> None:
     trainer = Trainer(dataset, replace(preset("measured"), gaussians=20))
     model, settings = trainer.model, preset("measured").surroundings

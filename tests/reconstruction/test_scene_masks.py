@@ -126,8 +126,7 @@ def haze(count: int) -> Gaussians:
 def test_what_lies_around_the_points_is_not_the_target() -> None:
     clean, count = scene(box())
     target, ground = clean[:count], clean[count:]
-    lifted = target.means[:, 2] > 0.5
-    points = target.means[lifted].numpy()
+    points = join(target, haze(100)).means.numpy()
     masks = run_of(join(target, haze(500)), ground, points).masks(VIEWS)
     for mask, view in zip(masks, VIEWS, strict=True):
         true = raycast_mask(box(), view, GRID)

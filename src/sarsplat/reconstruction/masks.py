@@ -19,6 +19,8 @@ CLUTTER, TARGET, SHADOW = 0, 1, 2
 """What a pixel of a mask may be."""
 
 _SHARE = 0.5
+_LOWEST = 1.0  # height above the ground from which Gaussians count as the target, resolution cells
+_REACH = 1.5  # and how near the points, resolution cells
 
 
 @torch.no_grad()
@@ -73,10 +75,13 @@ def scene_masks(
     return masks
 
 
-def around_points(
-    scene: Gaussians, target: int, points: Real[np.ndarray, "p 3"], reach: float
+def without_imitated_ground(
+    scene: Gaussians, target: int, points: Real[np.ndarray, "p 3"], cell_m: float
 ) -> tuple[Gaussians, int]:
-    """The scene without those of its first `target` Gaussians that are farther than `reach` (m) from all points.
+    """The scene without those of its first `target` Gaussians that may stand for ground as well as the others do.
+
+    They are those farther than 1.5 resolution cells of `cell_m` from all points that are higher than one cell and, if
+    the scene has ground, those lower than one cell themselves.
 
     Returns
     -------
@@ -85,12 +90,16 @@ def around_points(
     int
         How many of the first are among it.
     """
-    near = np.zeros(target, bool)
+    means = scene.means[:target].double().cpu().numpy()
+    kept = np.ones(len(scene), bool)
+    lowest = _LOWEST * cell_m if target < len(scene) else -np.inf
+    points = points[points[:, 2] >= lowest]
     if len(points):
-        means = scene.means[:target].double().cpu().numpy()
-        near = np.isfinite(cKDTree(points).query(means, distance_upper_bound=reach)[0])
-    kept = torch.from_numpy(np.concatenate([near, np.ones(len(scene) - target, bool)]))
-    return scene[kept.to(scene.means.device)], int(near.sum())
+        kept[:target] = np.isfinite(cKDTree(points).query(means, distance_upper_bound=_REACH * cell_m)[0])
+        kept[:target] &= means[:, 2] >= lowest
+    else:
+        kept[:target] = False
+    return scene[torch.from_numpy(kept).to(scene.means.device)], int(kept[:target].sum())
 
 
 def _returns(

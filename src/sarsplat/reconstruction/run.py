@@ -29,7 +29,7 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.log import LogLine, read_log
-from sarsplat.reconstruction.masks import around_points, scene_masks
+from sarsplat.reconstruction.masks import scene_masks, without_imitated_ground
 from sarsplat.reconstruction.mesh import surface_mesh
 from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.normals import surface_normals
@@ -48,7 +48,6 @@ _RESULTS = ("gaussians.ply", "points.ply", "metrics.json", "report/index.html")
 """What is made from the newest checkpoint."""
 
 _NORMAL_RADIUS = 1.0  # of the neighbours that tell the normal of a point, resolution cells
-_NEAR_POINTS = 1.5  # how far from the points Gaussians count as the target, resolution cells
 _EVALUATION_RAYS_PER_PIXEL = 4.0
 _VIEWS_AT_A_TIME = 8
 
@@ -194,11 +193,12 @@ class Run:
         """What the pixels of any views show: 0 clutter, 1 target, 2 shadow; on its grid, uint8.
 
         By what target and ground would return, each alone, at the sharpness of the pixels
-        (`sarsplat.reconstruction.masks.scene_masks`). The target are the Gaussians near the points: others, around it,
-        may stand for clutter as well as the ground does. Without learned ground there is no shadow.
+        (`sarsplat.reconstruction.masks.scene_masks`), where `render` shows them. The target are the Gaussians near the
+        points and, if ground was learned, at least one resolution cell above it: others may stand for clutter as well
+        as the ground does. Without learned ground there is no shadow.
         """
         scene = self.model.scene(self.model.degree(self.iteration)).detach()
-        scene, count = around_points(scene, len(self.model), self.points, _NEAR_POINTS * self.grid.cell_m)
+        scene, count = without_imitated_ground(scene, len(self.model), self.points, self.grid.cell_m)
         rays = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL)
         return scene_masks(scene, count, views, self.model.as_displaced(self.grid), rays)
 
