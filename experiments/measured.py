@@ -39,9 +39,9 @@ TERMS: Mapping[str, Mapping[str, Any]] = {
     "no side lobes": {"side_lobes": 0},
     "every chip in its place": {"shift_std": 0},
     "every chip of the same gain": {"gain_std": 0},
-    "directions free of each other": {"directional_std": None},
     "no Gaussian left out": {"dropout": 0},
-    "scattering the same in all directions": {"harmonics_degree": 0, "directional_std": None},
+    "Gaussians as often full as empty": {"sparsity": 0},
+    "γ⁰ that depends on the direction": {"harmonics_degree": 3, "harmonics_every": 50},
 }
 """What is switched off, and the settings that do it."""
 

@@ -202,7 +202,7 @@ class Surroundings(Record):
         The factor between images and scene that is shared by neighbouring chips: how many looks it takes to believe in
         one that differs from 1 by half of what they show; 0: there is none.
     texture_reach_deg : float
-        Difference of azimuth, or of grazing angle, at which it is shared to 1/e.
+        Difference of azimuth at which it is shared to 1/e, whatever the grazing angles.
     texture_width : float
         Standard deviation of the window through which it is seen, in resolution cells.
     texture_rounds : int
@@ -287,9 +287,9 @@ class Config(Record):
         Highest degree of the spherical harmonics.
     harmonics_every : int
         Iterations after which the next degree is added.
-    directional_std : float or None
-        Standard deviation of each coefficient of the harmonics above degree 0, relative to a Gaussian's γ⁰, as expected
-        before the images are seen; None: all are equally likely.
+    sparsity : float
+        How strongly Gaussians are expected to be empty before the images are seen, nats: one of optical depth κ costs
+        ln(1 + κ/0.05) of them.
     dropout : float
         Share of the Gaussians left out of each step, by chance; the others make up for their optical depth.
     rays_per_pixel : float
@@ -337,7 +337,7 @@ class Config(Record):
     max_optical_depth: OpticalDepth = 10.0
     harmonics_degree: Degree = 3
     harmonics_every: Count = 200
-    directional_std: Positive | None = None
+    sparsity: NotNegative = 0.0
     dropout: Annotated[float, Meta(ge=0, le=0.9)] = 0.0
     rays_per_pixel: Positive = 2.0
     fine_rays_per_pixel: Positive = 4.0
@@ -354,11 +354,6 @@ class Config(Record):
         super().__post_init__()
         if self.scale_bounds[0] > self.scale_bounds[1]:
             raise SarsplatError(f"scale_bounds is {shown(self.scale_bounds)}; give the smaller one first")
-        if self.directional_std is not None and self.scattering != "harmonics":
-            raise SarsplatError(
-                f"directional_std is {shown(self.directional_std)}, but scattering is {self.scattering}; give none, or "
-                "harmonics"
-            )
 
 
 def refuse_other_settings(run: Path, begun: Config, wanted: Config) -> None:

@@ -41,6 +41,9 @@ PRIORS = {"shift": "shift_std", "log_gain": "gain_std", "ground_texture": "groun
 
 _MIN_OPTICAL_DEPTH = 1e-3
 
+_FAINT = 0.05
+"""Optical depth that is hardly noticed."""
+
 _PER_CELL = 18
 """Gaussians for a resolution cell that the target covers in an image."""
 
@@ -290,20 +293,17 @@ class SceneModel:
 
     def penalty(self) -> Float[Tensor, ""] | None:
         """How unlikely the parameters were before the images were seen, nats per independent sample of those."""
-        p, config, surprises = self.parameters, self.config, []
-        if config.surroundings:
+        p, surprises = self.parameters, []
+        if self.config.sparsity:
+            filled = torch.log1p(p["optical_depth"] / _FAINT)
+            surprises.append(self.config.sparsity * len(filled) * _column_means(filled[:, None]).sum())
+        if self.config.surroundings:
             for name, std in PRIORS.items():
-                spread = getattr(config.surroundings, std) * (self.setting.cell_m if name in LENGTHS else 1)
+                spread = getattr(self.config.surroundings, std) * (self.setting.cell_m if name in LENGTHS else 1)
                 if spread and name in p:
-                    surprises.append(p[name].reshape(len(p[name]), -1) / spread)
-        if config.directional_std is not None and p["scattering"].shape[1] > 1:
-            uniform = self._scattering(p["scattering"].detach(), 0)
-            level = uniform.gamma0(p["means"].new_tensor([[0.0, 0.0, 1.0]]), p["quaternions"], p["scales"])[0]
-            surprises.append(p["scattering"][:, 1:] / (config.directional_std * level[:, None].detach()))
-        if not surprises:
-            return None
-        squares = [len(surprise) * _column_means(surprise**2).sum() for surprise in surprises]
-        return torch.stack(squares).sum() / (2 * self.setting.samples)
+                    deviations = p[name].reshape(len(p[name]), -1) / spread
+                    surprises.append(len(deviations) * _column_means(deviations**2).sum() / 2)
+        return torch.stack(surprises).sum() / self.setting.samples if surprises else None
 
     @cached_property
     def bounds(self) -> dict[str, tuple[Tensor, Tensor]]:

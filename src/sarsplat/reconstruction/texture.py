@@ -37,8 +37,8 @@ class Texture:
     No ground is uniform, and glints last for a few degrees: neither is in the scene, and both keep their place on the
     ground from one chip to the next. With single-look speckle, ratios r_k of measured to rendered power and factors
     that are expected to be 1, by a gamma distribution worth n looks, the mean afterwards is
-    (n + Σ w_k r_k) / (n + Σ w_k). The weights w_k = exp(−Δ_k / reach) fall with the differences of azimuth and grazing
-    angle, of which Δ_k is the root of the sum of squares.
+    (n + Σ w_k r_k) / (n + Σ w_k). The weights w_k = exp(−Δ_k / reach) fall with the difference in azimuth. Chips of all
+    grazing angles count alike: bumps, and corners between walls and ground, are seen under each.
 
     Parameters
     ----------
@@ -121,8 +121,7 @@ class Texture:
         total = torch.zeros_like(self._maps[0])
         for k, source in enumerate(self._views):
             turn_deg = (source.azimuth_deg - view.azimuth_deg + 180) % 360 - 180
-            angle_deg = math.hypot(turn_deg, source.grazing_deg - view.grazing_deg)
-            weight = math.exp(-angle_deg / self._settings.texture_reach_deg)
+            weight = math.exp(-abs(turn_deg) / self._settings.texture_reach_deg)
             if k != left_out and weight > _NEGLIGIBLE:
                 total += weight * self._maps[k]
         pixels = np.stack(np.meshgrid(self._grid.azimuth_m, self._grid.range_m), axis=-1)
