@@ -72,7 +72,7 @@ PRESETS: dict[str, Config] = {
         rates=Rates(means=0.16, quaternions=0.01, log_scales=0.02, scattering=0.4, shift=0.1),
         relocation=Relocation(rounds=0),
         points=PointExtraction(
-            optical_depth=1.2,
+            optical_depth=1.0,
             voxel=0.32,
             min_height=0.3,
             rays_per_pixel=4.0,
