@@ -66,7 +66,7 @@ PRESETS: dict[str, Config] = {
         initial_scattering=1.0,
         scale_bounds=(0.65, 2.25),
         harmonics_degree=0,
-        sparsity=0.3,
+        sparsity=0.1,
         dropout=0.25,
         fine_from=1.0,
         rates=Rates(means=0.16, quaternions=0.01, log_scales=0.02, scattering=0.4, shift=0.1),
