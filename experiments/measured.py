@@ -41,7 +41,8 @@ TERMS: Mapping[str, Mapping[str, Any]] = {
     "every chip of the same gain": {"gain_std": 0},
     "no Gaussian left out": {"dropout": 0},
     "Gaussians as often full as empty": {"sparsity": 0},
-    "γ⁰ that depends on the direction": {"harmonics_degree": 3, "harmonics_every": 50},
+    "directions free of each other": {"directional_std": None},
+    "γ⁰ the same in all directions": {"harmonics_degree": 0},
 }
 """What is switched off, and the settings that do it."""
 

@@ -287,6 +287,11 @@ class Config(Record):
         Highest degree of the spherical harmonics.
     harmonics_every : int
         Iterations after which the next degree is added.
+    views_per_coefficient : float
+        The degree stays so low that there are more training views than this for each coefficient of the harmonics.
+    directional_std : float or None
+        Standard deviation of each coefficient of the harmonics above degree 0, relative to a Gaussian's γ⁰, as expected
+        before the images are seen; None: all are equally likely.
     sparsity : float
         How strongly Gaussians are expected to be empty before the images are seen, nats: one of optical depth κ costs
         ln(1 + κ/0.05) of them.
@@ -337,6 +342,8 @@ class Config(Record):
     max_optical_depth: OpticalDepth = 10.0
     harmonics_degree: Degree = 3
     harmonics_every: Count = 200
+    views_per_coefficient: NotNegative = 0.0
+    directional_std: Positive | None = None
     sparsity: NotNegative = 0.0
     dropout: Annotated[float, Meta(ge=0, le=0.9)] = 0.0
     rays_per_pixel: Positive = 2.0
@@ -354,6 +361,11 @@ class Config(Record):
         super().__post_init__()
         if self.scale_bounds[0] > self.scale_bounds[1]:
             raise SarsplatError(f"scale_bounds is {shown(self.scale_bounds)}; give the smaller one first")
+        if self.directional_std is not None and self.scattering != "harmonics":
+            raise SarsplatError(
+                f"directional_std is {shown(self.directional_std)}, but scattering is {self.scattering}; give none, or "
+                "harmonics"
+            )
 
 
 def refuse_other_settings(run: Path, begun: Config, wanted: Config) -> None:

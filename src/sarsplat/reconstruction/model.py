@@ -71,14 +71,17 @@ class Setting:
         Radius of the ground that the images show, m; used with surroundings only.
     cell_m : float
         Resolution cell of the images, m: lengths in configurations are multiples of it.
+    views : int
+        How many training images there are.
     samples : float
-        Independent samples of speckle in all training images.
+        Independent samples of speckle in all of them.
     """
 
     region: Region
     unit: float
     ground_radius_m: float
     cell_m: float
+    views: int
     samples: float
 
     @classmethod
@@ -94,7 +97,7 @@ class Setting:
     def seen(cls, region: Region, unit: float, views: Sequence[View], grid: ImageGrid) -> Setting:
         """The setting of a region in images from these views."""
         samples = len(views) * grid.independent_samples
-        return cls(region, unit, ground_radius_m(views, grid), grid.cell_m, samples)
+        return cls(region, unit, ground_radius_m(views, grid), grid.cell_m, len(views), samples)
 
 
 class SceneModel:
@@ -189,7 +192,11 @@ class SceneModel:
 
     def degree(self, iteration: int) -> int:
         """Degree of the harmonics in use at an iteration."""
-        return min(self.config.harmonics_degree, iteration // self.config.harmonics_every)
+        config = self.config
+        degree = min(config.harmonics_degree, iteration // config.harmonics_every)
+        while degree and config.views_per_coefficient * (degree + 1) ** 2 >= self.setting.views:
+            degree -= 1
+        return degree
 
     def target(self, degree: int) -> Gaussians:
         """The target's Gaussians, differentiable with respect to the parameters."""
@@ -303,6 +310,11 @@ class SceneModel:
                 if spread and name in p:
                     deviations = p[name].reshape(len(p[name]), -1) / spread
                     surprises.append(len(deviations) * _column_means(deviations**2).sum() / 2)
+        if self.config.directional_std is not None and p["scattering"].shape[1] > 1:
+            uniform = self._scattering(p["scattering"].detach(), 0)
+            level = uniform.gamma0(p["means"].new_tensor([[0.0, 0.0, 1.0]]), p["quaternions"], p["scales"])[0]
+            deviations = p["scattering"][:, 1:] / (self.config.directional_std * level[:, None].detach())
+            surprises.append(len(deviations) * _column_means(deviations**2).sum() / 2)
         return torch.stack(surprises).sum() / self.setting.samples if surprises else None
 
     @cached_property

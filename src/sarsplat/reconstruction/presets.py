@@ -51,8 +51,7 @@ PRESETS: dict[str, Config] = {
         checkpoint_every=2500,
     ),
     # real chips: ground, noise floor, shift and gain of each chip, speckle likelihood. Large Gaussians average speckle;
-    # bright ones are 20 dB above the ground, so γ⁰ must travel far. Glints last for too few degrees for harmonics: they
-    # are in the texture.
+    # glints are 20 dB above the ground, so the harmonics must travel far.
     "measured": Config(
         preset="measured",
         iterations=800,
@@ -65,11 +64,15 @@ PRESETS: dict[str, Config] = {
         initial_optical_depth=0.1,
         initial_scattering=1.0,
         scale_bounds=(0.65, 2.25),
-        harmonics_degree=0,
+        harmonics_every=50,
+        views_per_coefficient=2.0,
+        directional_std=2.0,
         sparsity=0.1,
         dropout=0.25,
         fine_from=1.0,
-        rates=Rates(means=0.16, quaternions=0.01, log_scales=0.02, scattering=0.4, shift=0.1),
+        rates=Rates(
+            means=0.16, quaternions=0.01, log_scales=0.02, scattering=0.4, directional_scattering=0.4, shift=0.1
+        ),
         relocation=Relocation(rounds=0),
         points=PointExtraction(
             optical_depth=1.0,
