@@ -4,8 +4,8 @@
 
 A SET is CLASS:VIEWS, as T72:36, or CLASS:VIEWS:DEPRESSION,…. It is trained on, and all other chips are predicted. With
 --terms no test chip is looked at: of every four training chips three are trained on and one is predicted, with one term
-of the model after the other switched off. Tables go to docs/results/measured-CLASS.md, or
-measured-terms.md; finished trainings stay in runs/measured.
+of the model after the other switched off. Tables go to docs/results/measured-CLASS….md, or measured-CLASS…-terms.md;
+finished trainings stay in runs/measured.
 """
 
 from __future__ import annotations
@@ -176,11 +176,13 @@ def main() -> None:
     parser.add_argument("--readme", action="store_true", help="also fill the README's table with these sets")
     options = parser.parse_args()
     datasets = {name: imported(options.chips, options.labels, name) for name in options.sets}
+    classes = dict.fromkeys(name.split(":")[0] for name in datasets)
+    page = "-".join(classes).lower()
     if options.terms:
-        page, title, text = "terms", "What each term of the model is worth", terms(datasets, options.seeds)
+        page, title = f"{page}-terms", f"What each term of the model is worth: {', '.join(classes)}"
+        text = terms(datasets, options.seeds)
     else:
-        classes = dict.fromkeys(name.split(":")[0] for name in datasets)
-        page, title = "-".join(classes).lower(), f"Measured chips of {', '.join(classes)}"
+        title = f"Measured chips of {', '.join(classes)}"
         text = predictions(datasets, options.seeds)
     if options.readme:
         fill_block(HERE / "README.md", "measured", summary(datasets, options.seeds))
