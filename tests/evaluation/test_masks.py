@@ -55,8 +55,11 @@ def test_masks_of_chips_are_turned_as_the_chips_were(tmp_path, mirrored):
     published = mask()[::-1] if mirrored else mask()[::-1, ::-1]
     published = np.pad(published, 2)  # chips of several sizes are cut
     save(tmp_path / "T72" / "17deg" / "hb1.png", published)
-    dataset = named(make(source={"kind": "mstar", "mirrored": mirrored}), "T72/17deg/hb")
+    source = {"kind": "mstar", "mirrored": mirrored}
+    dataset = named(make(source={**source, "cut_to_common_size": True}), "T72/17deg/hb")
     np.testing.assert_array_equal(read_masks(tmp_path, dataset)[1], mask())
+    with pytest.raises(SarsplatError, match="give masks of the images' size"):
+        read_masks(tmp_path, named(make(source=source), "T72/17deg/hb"))
 
 
 @pytest.mark.filterwarnings("ignore::sarsplat.SarsplatWarning")  # three chips alike

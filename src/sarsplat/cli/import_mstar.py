@@ -88,6 +88,6 @@ def import_mstar(
 
 def _whole(angle: float) -> int:
     """Depressions are named by whole degrees."""
-    if angle != round(angle):
+    if not angle.is_integer():  # nor NaN or infinite
         raise SarsplatError(f"--train-depression {angle:g} is not a whole number of degrees; chips are named by these")
     return round(angle)

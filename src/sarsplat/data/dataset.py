@@ -56,7 +56,7 @@ class DatasetEntry:
         if not isinstance(std, RealNumber) or not 0 <= std <= _LEAST_CERTAIN_DEG:  # also catches NaN
             raise SarsplatError(
                 f"azimuth_std_deg {shown(std)} of the image {shown(self.name)} is not a number between 0 and "
-                f"{_LEAST_CERTAIN_DEG:g}; give degrees, and determine azimuths that are known less well before"
+                f"{_LEAST_CERTAIN_DEG:g}; give degrees, and find azimuths that are known less well another way first"
             )
         object.__setattr__(self, "azimuth_std_deg", float(std))  # numpy's numbers do not fit into JSON
 

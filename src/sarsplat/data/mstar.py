@@ -240,7 +240,7 @@ def _training_chips(chips: list[Chip], count: int, depressions: Sequence[int]) -
             share = str(count) if len(depressions) == 1 else f"{len(numbers)} of {count}"
             raise SarsplatError(
                 f"{share} training views were requested, but there are {len(there)} chips at {depression}°; "
-                "request between 1 and that many"
+                f"request between {len(depressions)} and {len(there) * len(depressions)} in all"
             )
         azimuths = np.array([chip.target_az_deg for chip in there])
         distance = np.abs((azimuths[None, :] - wanted[numbers, None] + 180) % 360 - 180)

@@ -114,7 +114,8 @@ def _read(path: Path, dataset: Dataset) -> Mask:
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:  # what Pillow says of damage
         raise SarsplatError(f"{path} is a damaged PNG ({error}); write it again") from error
     size = mask.shape
-    if size[0] >= grid.rows and size[1] >= grid.columns:  # chips may have been cut
+    cut = dataset.source.get("cut_to_common_size") is True and size[0] >= grid.rows and size[1] >= grid.columns
+    if cut or size == (grid.rows, grid.columns):
         mask = as_imported(mask, dataset)
     if mask.shape != (grid.rows, grid.columns):
         raise SarsplatError(
