@@ -23,7 +23,7 @@ from sarsplat.report.solid import meshes_figure
 from sarsplat.report.views import evenly, speckle_db, views_figure
 
 _FOLDER = "report"
-_VIEWS = 6
+_VIEWS = 8
 _SURFACE_SAMPLES = 60_000
 _STILL = Alignment((0.0, 0.0, 0.0), 0.0)
 
