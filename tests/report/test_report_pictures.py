@@ -12,7 +12,7 @@ from sarsplat.reconstruction.log import LogLine
 from sarsplat.report import contact_sheet, decibel_png
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.decibels import to_decibels
-from sarsplat.report.views import _difference_db, evenly, speckle_db
+from sarsplat.report.views import _difference_db, evenly
 from sarsplat.report.window import target_window
 
 
@@ -46,18 +46,6 @@ def test_the_window_holds_every_bright_pixel() -> None:
     rows, columns = target_window(truth, peak=1.0)
     assert (truth[:, rows, columns] > 0).sum() == 2
     assert rows.stop - rows.start == columns.stop - columns.start < 40
-
-
-def test_speckle_of_means() -> None:
-    def grid(*resolution_m: float) -> ImageGrid:
-        return ImageGrid(9, 9, (1.0, 1.0), resolution_m)
-
-    def spread_db(samples: int) -> float:
-        return float(np.std(10 * np.log10(np.random.default_rng(0).exponential(size=(100_000, samples)).mean(axis=1))))
-
-    assert speckle_db(grid(3, 3), 1) == pytest.approx(spread_db(1), rel=0.01)
-    assert speckle_db(grid(2, 1.5), 4) == pytest.approx(spread_db(12), rel=0.01)
-    assert speckle_db(grid(0.5, 1), 1) == pytest.approx(spread_db(9), rel=0.01)  # pixels are independent
 
 
 def test_the_difference_ignores_what_is_too_dark_to_see() -> None:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Real
 from scipy.ndimage import uniform_filter
-from scipy.special import polygamma
 
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.report.canvas import INK, MUTED, colour_bar, dress, new_figure, ramp, to_png
@@ -113,14 +111,6 @@ def views_figure(
     for x, colours, limits, label in bars:
         colour_bar(figure, figure.add_axes((x, 0.42 / height, 0.26, 0.09 / height)), colours, limits, label)
     return to_png(figure)
-
-
-def speckle_db(grid: ImageGrid, looks: float) -> float:
-    """Standard deviation of a 3×3 mean of fully developed speckle, dB: its resolution cells are independent."""
-    cells = math.prod(
-        max(1.0, min(3.0, 3 * d / width)) for d, width in zip(grid.spacing_m, grid.resolution_m, strict=True)
-    )
-    return 10 / math.log(10) * math.sqrt(polygamma(1, cells * looks))
 
 
 def _differences() -> Colormap:

@@ -20,7 +20,7 @@ from sarsplat.report.curves import curves_figure
 from sarsplat.report.masks import masks_figure
 from sarsplat.report.page import Picture, page
 from sarsplat.report.solid import meshes_figure
-from sarsplat.report.views import evenly, speckle_db, views_figure
+from sarsplat.report.views import evenly, views_figure
 
 _FOLDER = "report"
 _VIEWS = 8
@@ -86,14 +86,14 @@ def _views(run: Run) -> Picture:
     items = [index for index, entry in enumerate(dataset.entries) if entry.split in splits]
     chosen = [items[index] for index in evenly(len(items), _VIEWS)]
     truth, views = dataset.power[chosen], [dataset.views[index] for index in chosen]
-    looks = dataset.select(splits[0]).looks
+    speckled = dataset.select(splits[0]).looks is not None
     png = views_figure(
         truth,
         run.render(views),
         views,
         dataset.grid,
         float(dataset.images("train").max()),
-        speckled=looks is not None,
+        speckled=speckled,
         margin=dataset.score_margin,
     )
     unseen = (
@@ -102,9 +102,9 @@ def _views(run: Run) -> Picture:
         else "The dataset has no test views, so these are training views."
     )
     what = (
-        "The truth has its speckle; the rendering is the expected power, without speckle, so the difference compares "
-        f"3×3 means. With speckle alone it would be ± {speckle_db(dataset.grid, looks):.1f} dB (1 σ)."
-        if looks is not None
+        "The truth has its speckle; the rendering is the expected power, without speckle, so the "
+        "difference compares 3×3 means."
+        if speckled
         else "Orange: too bright; blue: too dark; what is darker than the pictures show counts as equal."
     )
     text = f"{unseen} Power in decibels, radar at the top, near range first. {what}"
