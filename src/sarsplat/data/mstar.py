@@ -114,7 +114,7 @@ def import_mstar(
     steps = np.array([chip.step for chip in ordered], np.float32)
     power = _power(magnitude, steps, len(train))
     scale = float(power[: len(train)].mean(dtype=np.float64))
-    if not np.float32(scale):
+    if not magnitude[: len(train)].any() or not np.float32(scale):  # or so faint that float32 has no such power
         raise SarsplatError(f"all {len(train)} training chips are black; remove them from {chips}")
     sign = 1 if mirrored else -1
     entries = tuple(
