@@ -28,14 +28,14 @@ class Scene:
         Corners of the box the target lies in, world frame, m.
     unit : float
         Power that counts as 1.
+    masks : numpy.ndarray, uint8 [V, rows, columns], or None
+        What each pixel of the training images shows: 0 clutter, 1 target, 2 shadow; None if that is not known.
     brightest : float
         Largest power of a training image, in that unit.
     ground : bool
         Whether the images show the ground around the target.
     looks : float or None
         Number of looks of the speckle in the training images; None if there is none.
-    masks : numpy.ndarray, uint8 [V, rows, columns], or None
-        What each pixel of the training images shows: 0 clutter, 1 target, 2 shadow; None if that is not known.
 
     Raises
     ------
@@ -48,10 +48,10 @@ class Scene:
     low_m: Float64[np.ndarray, " 3"]
     high_m: Float64[np.ndarray, " 3"]
     unit: float
+    masks: UInt8[np.ndarray, "v rows columns"] | None = None
     brightest: float = 1.0
     ground: bool = False
     looks: float | None = None
-    masks: UInt8[np.ndarray, "v rows columns"] | None = None
 
     def __post_init__(self) -> None:
         if not self.views:
@@ -79,16 +79,16 @@ class Rival(torch.nn.Module, ABC):
 
     @abstractmethod
     def loss(
-        self, chosen: Int64[Tensor, " b"], images: Float[Tensor, "v rows columns"], generator: torch.Generator
+        self, chosen: Int64[Tensor, " v"], images: Float[Tensor, "v rows columns"], generator: torch.Generator
     ) -> Float[Tensor, ""]:
         """What training minimises.
 
         Parameters
         ----------
-        chosen : Tensor, int64 [B]
-            Which of the scene's views to look at.
+        chosen : Tensor, int64 [V]
+            Which of the training images to look at.
         images : Tensor [V, rows, columns]
-            β⁰ of all training images, linear power, in units of `Scene.unit`.
+            Their β⁰, linear power, in units of `Scene.unit`.
         generator : torch.Generator
             Of every random number that is drawn; on the CPU.
         """
