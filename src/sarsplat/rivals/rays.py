@@ -96,7 +96,7 @@ class Rays:
     def places(
         self, offsets: Float64[Tensor, "a k"], columns: slice, like: Tensor
     ) -> Float[Tensor, "c k {len(self.range_m)} 3"]:
-        """Sampled places of some columns, world frame, m, from near to far, in the dtype and on the device of `like`."""
+        """Sampled places of some columns, world frame, m, near to far, in the dtype and on the device of `like`."""
         elevation = offsets[columns].to(like)
         azimuth = torch.from_numpy(self.azimuth_m[columns]).to(like)
         along = torch.from_numpy(self.range_m).to(like)
