@@ -68,7 +68,7 @@ class Perceptron(Field):
         self.bottleneck = nn.Linear(_WIDTH, _WIDTH)
         self.directed = nn.Linear(_WIDTH + direction, _HEAD_WIDTH)
         self.scattering_head = nn.Linear(_HEAD_WIDTH, 1)
-        self.register_buffer("center", torch.from_numpy(center_m).float(), persistent=False)
+        self.register_buffer("center", torch.tensor(center_m), persistent=False)
         self.unit_m = unit_m
         with torch.no_grad():
             for layer in self.modules():
@@ -90,8 +90,8 @@ class Perceptron(Field):
         """See `Field`."""
         return self.attenuation_head(self._trunk(places))[:, 0]
 
-    def _trunk(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, "p {_WIDTH}"]:
-        hidden = position = encoded((places - self.center) / self.unit_m, _POSITION_OCTAVES)
+    def _trunk(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, "p w"]:
+        hidden = position = encoded((places - self.center.to(places)) / self.unit_m, _POSITION_OCTAVES)
         for i, layer in enumerate(self.layers):
             hidden = layer(torch.cat([position, hidden], dim=1) if i == _JOINED_AFTER else hidden).relu()
         return hidden
@@ -144,8 +144,8 @@ class VoxelGrid(Field):
                     f"choose a voxel larger than {voxel_m:.3g} m or a lower degree"
                 )
             self.tables.append(nn.Parameter(torch.zeros(channels, *nodes[::-1])))  # z, y, x
-        self.register_buffer("low", torch.from_numpy(low_m).float(), persistent=False)
-        self.register_buffer("side", torch.from_numpy(high_m - low_m).float(), persistent=False)
+        self.register_buffer("low", torch.tensor(low_m), persistent=False)
+        self.register_buffer("side", torch.tensor(high_m - low_m), persistent=False)
 
     def forward(
         self, places: Float[Tensor, "p 3"], direction: Float[Tensor, " 3"]
@@ -163,7 +163,7 @@ class VoxelGrid(Field):
 
     def _between(self, tables: list[Tensor], places: Float[Tensor, "p 3"]) -> Float[Tensor, "c p"]:
         """The sum over the levels; beyond the box as on its surface."""
-        at = (2 * (places - self.low) / self.side - 1)[None, :, None, None, :]
+        at = (2 * (places - self.low.to(places)) / self.side.to(places) - 1)[None, :, None, None, :]
         values = [
             functional.grid_sample(table[None], at, padding_mode="border", align_corners=True)[0, :, :, 0, 0]
             for table in tables

@@ -96,7 +96,7 @@ class SarNerf(Rival):
         """See `Rival`: the squared difference of amplitudes, of the brightest; or if sound, speckle's likelihood."""
         views = [self.scene.views[index] for index in chosen.tolist()]
         power = torch.stack([self._image(view, generator) for view in views])
-        if not power.requires_grad:
+        if torch.is_grad_enabled() and not power.requires_grad:
             raise SarsplatError(
                 f"the box from {self.low_m} to {self.high_m} m appears in none of the {len(views)} training images; "
                 "give the box of a target that they show"
