@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float, Float64
 from torch import Tensor, nn
 from torch.nn import functional
+from torch.nn.utils import skip_init
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.harmonics import harmonic_basis
@@ -62,20 +63,15 @@ class Perceptron(Field):
         super().__init__()
         position, direction = 3 * (2 * _POSITION_OCTAVES + 1), 3 * (2 * _DIRECTION_OCTAVES + 1)
         self.layers = nn.ModuleList(
-            nn.Linear(position if i == 0 else _WIDTH + position * (i == _JOINED_AFTER), _WIDTH) for i in range(_DEPTH)
+            _linear(position if i == 0 else _WIDTH + position * (i == _JOINED_AFTER), _WIDTH, generator)
+            for i in range(_DEPTH)
         )
-        self.attenuation_head = nn.Linear(_WIDTH, 1)
-        self.bottleneck = nn.Linear(_WIDTH, _WIDTH)
-        self.directed = nn.Linear(_WIDTH + direction, _HEAD_WIDTH)
-        self.scattering_head = nn.Linear(_HEAD_WIDTH, 1)
+        self.attenuation_head = _linear(_WIDTH, 1, generator)
+        self.bottleneck = _linear(_WIDTH, _WIDTH, generator)
+        self.directed = _linear(_WIDTH + direction, _HEAD_WIDTH, generator)
+        self.scattering_head = _linear(_HEAD_WIDTH, 1, generator)
         self.register_buffer("center", torch.tensor(center_m), persistent=False)
         self.unit_m = unit_m
-        with torch.no_grad():
-            for layer in self.modules():
-                if isinstance(layer, nn.Linear):
-                    bound = 1 / math.sqrt(layer.in_features)
-                    layer.weight.uniform_(-bound, bound, generator=generator)
-                    layer.bias.uniform_(-bound, bound, generator=generator)
 
     def forward(
         self, places: Float[Tensor, "p 3"], direction: Float[Tensor, " 3"]
@@ -169,6 +165,14 @@ class VoxelGrid(Field):
             for table in tables
         ]
         return torch.stack(values).sum(0)
+
+
+def _linear(inputs: int, outputs: int, generator: torch.Generator) -> nn.Module:
+    """A layer with torch's first weights, but not from torch's own generator, which belongs to the user."""
+    layer, bound = skip_init(nn.Linear, inputs, outputs), 1 / math.sqrt(inputs)
+    for parameter in layer.parameters():
+        nn.init.uniform_(parameter, -bound, bound, generator=generator)
+    return layer
 
 
 def encoded(values: Float[Tensor, "p n"], octaves: int) -> Float[Tensor, "p {(2*octaves+1)*values.shape[1]}"]:

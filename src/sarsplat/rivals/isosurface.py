@@ -102,5 +102,7 @@ def isosurface(
         layers[first + 1 : first + 1 + len(some), 1:-1, 1:-1] = some.cpu().numpy()
     if not layers.max() > level:
         return np.empty((0, 3)), np.empty((0, 3), np.int64)
-    vertices, faces, _, _ = marching_cubes(layers, level, spacing=(voxel,) * 3, allow_degenerate=False)
+    vertices, faces, _, _ = marching_cubes(
+        layers, level, spacing=(voxel,) * 3, gradient_direction="ascent", allow_degenerate=False
+    )
     return vertices.astype(np.float64) + (low_m - voxel / 2), faces.astype(np.int64)

@@ -202,8 +202,9 @@ class SarNerf(Rival):
         return ((places >= low) & (places <= high)).all(-1).to(places)
 
     def _parts(self, rays: Rays) -> list[slice]:
-        """Columns that are computed at once."""
-        total, step = len(rays.azimuth_m), max(1, self.field.at_once // max(1, rays.count * len(rays.range_m)))
+        """Columns that are computed at once; none if no pixel shows the box."""
+        total = len(rays.azimuth_m) if len(rays.range_m) else 0
+        step = max(1, self.field.at_once // max(1, rays.count * len(rays.range_m)))
         return [slice(first, min(first + step, total)) for first in range(0, total, step)]
 
     @property
