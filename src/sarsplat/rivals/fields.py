@@ -1,0 +1,182 @@
+"""What SAR-NeRF learns: two numbers at every place, before their activations, for attenuation and for scattering."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float64
+from torch import Tensor, nn
+from torch.nn import functional
+from torch.nn.utils import skip_init
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians.harmonics import harmonic_basis
+
+_POSITION_OCTAVES, _DIRECTION_OCTAVES = 10, 4
+_WIDTH, _DEPTH, _JOINED_AFTER, _HEAD_WIDTH = 256, 8, 4, 128
+_MOST_NUMBERS = 1 << 28
+
+
+class Field(nn.Module, ABC):
+    """Attenuation and scattering at places, as what their activations are applied to.
+
+    Attributes
+    ----------
+    at_once : int
+        Places between which one step keeps everything in memory; more are computed in parts, and computed again on
+        the way back.
+    """
+
+    at_once: int
+
+    @abstractmethod
+    def forward(
+        self, places: Float[Tensor, "p 3"], direction: Float[Tensor, " 3"]
+    ) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
+        """Attenuation and scattering at places (world frame, m) towards a radar in a direction (unit vector)."""
+
+    @abstractmethod
+    def attenuation(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, " p"]:
+        """Attenuation alone, which does not depend on the direction."""
+
+
+class Perceptron(Field):
+    """The published network: 8 × 256 with the input joined again, and heads of which the second sees the direction.
+
+    Parameters
+    ----------
+    center_m : numpy.ndarray, float64 [3]
+        Place whose coordinates are 0 …
+    unit_m : float
+        … and the length, m, that counts as 1 before they are encoded.
+    generator : torch.Generator
+        Of the first weights, on the CPU: uniform within ±1/√(number of inputs), biases too.
+    """
+
+    at_once = 1 << 14
+    center: Tensor
+
+    def __init__(self, center_m: Float64[np.ndarray, " 3"], unit_m: float, generator: torch.Generator) -> None:
+        super().__init__()
+        position, direction = 3 * (2 * _POSITION_OCTAVES + 1), 3 * (2 * _DIRECTION_OCTAVES + 1)
+        self.layers = nn.ModuleList(
+            _linear(position if i == 0 else _WIDTH + position * (i == _JOINED_AFTER), _WIDTH, generator)
+            for i in range(_DEPTH)
+        )
+        self.attenuation_head = _linear(_WIDTH, 1, generator)
+        self.bottleneck = _linear(_WIDTH, _WIDTH, generator)
+        self.directed = _linear(_WIDTH + direction, _HEAD_WIDTH, generator)
+        self.scattering_head = _linear(_HEAD_WIDTH, 1, generator)
+        self.register_buffer("center", torch.tensor(center_m), persistent=False)
+        self.unit_m = unit_m
+
+    def forward(
+        self, places: Float[Tensor, "p 3"], direction: Float[Tensor, " 3"]
+    ) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
+        """See `Field`."""
+        hidden = self._trunk(places)
+        from_where = encoded(direction[None], _DIRECTION_OCTAVES).expand(len(places), -1)
+        directed = self.directed(torch.cat([self.bottleneck(hidden), from_where], dim=1)).relu()
+        return self.attenuation_head(hidden)[:, 0], self.scattering_head(directed)[:, 0]
+
+    def attenuation(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, " p"]:
+        """See `Field`."""
+        return self.attenuation_head(self._trunk(places))[:, 0]
+
+    def _trunk(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, "p w"]:
+        hidden = position = encoded((places - self.center.to(places)) / self.unit_m, _POSITION_OCTAVES)
+        for i, layer in enumerate(self.layers):
+            hidden = layer(torch.cat([position, hidden], dim=1) if i == _JOINED_AFTER else hidden).relu()
+        return hidden
+
+
+class VoxelGrid(Field):
+    """Numbers on the nodes of nested lattices over a box, interpolated trilinearly and added up; no network.
+
+    At each node lie one number for the attenuation and coefficients of spherical harmonics for the scattering; all
+    are 0 at first. Interpolation is `grid_sample` with one batch: in a fixed order on the CPU, not so on a GPU.
+
+    Parameters
+    ----------
+    low_m, high_m : numpy.ndarray, float64 [3]
+        Corners of the box, m, on which the outermost nodes lie.
+    voxel_m : float
+        Largest distance of neighbouring nodes of the finest lattice, m.
+    levels : int
+        Lattices; each has twice the distance of the next.
+    degree : int
+        Of the harmonics.
+
+    Raises
+    ------
+    SarsplatError
+        If there are too many nodes.
+    """
+
+    at_once = 1 << 20
+    low: Tensor
+    side: Tensor
+
+    def __init__(
+        self,
+        low_m: Float64[np.ndarray, " 3"],
+        high_m: Float64[np.ndarray, " 3"],
+        voxel_m: float,
+        levels: int,
+        degree: int,
+    ) -> None:
+        super().__init__()
+        self.degree = degree
+        channels = 1 + (degree + 1) ** 2
+        self.tables = nn.ParameterList()
+        for level in range(levels):
+            nodes = [math.ceil(side / (voxel_m * 2**level)) + 1 for side in high_m - low_m]
+            if math.prod(nodes) * channels > _MOST_NUMBERS:
+                raise SarsplatError(
+                    f"a grid of {' × '.join(map(str, nodes))} nodes with {channels} numbers each is too large; "
+                    f"choose a voxel larger than {voxel_m:.3g} m or a lower degree"
+                )
+            self.tables.append(nn.Parameter(torch.zeros(channels, *nodes[::-1])))  # z, y, x
+        self.register_buffer("low", torch.tensor(low_m), persistent=False)
+        self.register_buffer("side", torch.tensor(high_m - low_m), persistent=False)
+
+    def forward(
+        self, places: Float[Tensor, "p 3"], direction: Float[Tensor, " 3"]
+    ) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
+        """See `Field`."""
+        basis = harmonic_basis(direction, self.degree)
+        # the sum over harmonics first: nodes have more neighbours than numbers
+        tables = [torch.stack([table[0], torch.einsum("k,kzyx->zyx", basis, table[1:])]) for table in self.tables]
+        attenuation, scattering = self._between(tables, places).unbind(0)
+        return attenuation, scattering
+
+    def attenuation(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, " p"]:
+        """See `Field`."""
+        return self._between([table[:1] for table in self.tables], places)[0]
+
+    def _between(self, tables: list[Tensor], places: Float[Tensor, "p 3"]) -> Float[Tensor, "c p"]:
+        """The sum over the levels; beyond the box as on its surface."""
+        at = (2 * (places - self.low.to(places)) / self.side.to(places) - 1)[None, :, None, None, :]
+        values = [
+            functional.grid_sample(table[None], at, padding_mode="border", align_corners=True)[0, :, :, 0, 0]
+            for table in tables
+        ]
+        return torch.stack(values).sum(0)
+
+
+def _linear(inputs: int, outputs: int, generator: torch.Generator) -> nn.Module:
+    """A layer with torch's first weights, but not from torch's own generator, which belongs to the user."""
+    layer, bound = skip_init(nn.Linear, inputs, outputs), 1 / math.sqrt(inputs)
+    for parameter in layer.parameters():
+        nn.init.uniform_(parameter, -bound, bound, generator=generator)
+    return layer
+
+
+def encoded(values: Float[Tensor, "p n"], octaves: int) -> Float[Tensor, "p {(2*octaves+1)*values.shape[1]}"]:
+    """The values, and sine and cosine of them times 1, 2, 4 …"""
+    angles = values[:, None, :] * (2.0 ** torch.arange(octaves)).to(values)[:, None]
+    waves = torch.stack([angles.sin(), angles.cos()], dim=2).reshape(len(values), 2 * octaves * values.shape[1])
+    return torch.cat([values, waves], dim=1)

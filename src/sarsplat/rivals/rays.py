@@ -1,0 +1,110 @@
+"""Where SAR-NeRF samples space: azimuth columns × rays in elevation × range cells.
+
+The published rays start at a platform at a finite distance D. In the plane of one azimuth column they lie at elevation
+angles θ_k, linear in 1/θ between the near and the far edge of the scene, and range is measured along them. sarsplat's
+wavefronts are plane: D → ∞. At the scene, the ray at θ_k then runs along the line of sight at the elevation
+
+    y_k = D·(θ − θ_k)        y = 0 and the angle θ (the view's grazing angle) belong to the scene's centre
+
+of the radar frame. The angles of a scene Y high across the line of sight span Y/D; over so little, 1/θ is linear in θ,
+up to a relative error Y/(D·θ) of the spacing (1.5 % at Y = 20 m, D = 5 km, θ = 15°). So rays are evenly spaced in y
+between the edges of the scene, which are those of its box as this view sees it, and a range cell is a slab across them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float64
+from torch import Tensor
+
+from sarsplat.geometry import ImageGrid, View, radar_frame
+
+
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """Rays of one view through a box.
+
+    Parameters
+    ----------
+    turn : numpy.ndarray, float64 [3, 3]
+        Rotation from the world to the radar frame.
+    azimuth_m, range_m : numpy.ndarray, float64 [A], [R]
+        Of the pixels' centres that are sampled.
+    first_column, first_row : int
+        Which pixels these begin with.
+    elevation_m : pair of float
+        Edges of the scene across the line of sight.
+    count : int
+        Rays for each column, in as many strata of equal width.
+    """
+
+    turn: Float64[np.ndarray, "3 3"]
+    azimuth_m: Float64[np.ndarray, " a"]
+    range_m: Float64[np.ndarray, " r"]
+    first_column: int
+    first_row: int
+    elevation_m: tuple[float, float]
+    count: int
+
+    @classmethod
+    def through(
+        cls,
+        view: View,
+        grid: ImageGrid,
+        low_m: Float64[np.ndarray, " 3"],
+        high_m: Float64[np.ndarray, " 3"],
+        count: int,
+        *,
+        whole: bool,
+    ) -> Rays:
+        """Those between the edges of a box; of the `whole` image, or only of the pixels in which the box appears."""
+        turn = radar_frame(view)
+        middle, half = turn @ (low_m + high_m) / 2, np.abs(turn) @ (high_m - low_m) / 2
+        columns = slice(0, grid.columns) if whole else _within(grid.azimuth_m, grid.spacing_m[0], middle[0], half[0])
+        rows = slice(0, grid.rows) if whole else _within(grid.range_m, grid.spacing_m[1], middle[2], half[2])
+        return cls(
+            turn,
+            grid.azimuth_m[columns],
+            grid.range_m[rows],
+            columns.start,
+            rows.start,
+            (float(middle[1] - half[1]), float(middle[1] + half[1])),
+            count,
+        )
+
+    @property
+    def spacing_m(self) -> float:
+        """Width of a stratum, m: the share of the elevation that one ray stands for."""
+        return (self.elevation_m[1] - self.elevation_m[0]) / self.count
+
+    def offsets(self, generator: torch.Generator | None) -> Float64[Tensor, "a {self.count}"]:
+        """Elevation of every ray, m, float64 [A, K]: drawn from its stratum, or without a generator its middle.
+
+        A ray keeps its elevation along its whole length: what attenuates it lies on one straight line.
+        """
+        shape = (len(self.azimuth_m), self.count)
+        within = (
+            torch.full(shape, 0.5, dtype=torch.float64)
+            if generator is None
+            else torch.rand(shape, dtype=torch.float64, generator=generator)
+        )
+        return self.elevation_m[0] + (torch.arange(self.count) + within) * self.spacing_m
+
+    def places(
+        self, offsets: Float64[Tensor, "a k"], columns: slice, like: Tensor
+    ) -> Float[Tensor, "c k {len(self.range_m)} 3"]:
+        """Sampled places of some columns, world frame, m, near to far, in the dtype and on the device of `like`."""
+        elevation = offsets[columns].to(like)
+        azimuth = torch.from_numpy(self.azimuth_m[columns]).to(like)
+        along = torch.from_numpy(self.range_m).to(like)
+        x, y, z = torch.from_numpy(self.turn).to(like).unbind(0)
+        return azimuth[:, None, None, None] * x + elevation[:, :, None, None] * y + along[:, None] * z
+
+
+def _within(centres: Float64[np.ndarray, " n"], spacing: float, middle: float, half: float) -> slice:
+    """The pixels that have a part between middle ± half."""
+    shown = np.flatnonzero(np.abs(centres - middle) < half + spacing / 2)
+    return slice(int(shown[0]), int(shown[-1]) + 1) if len(shown) else slice(0, 0)

@@ -1,0 +1,233 @@
+"""SAR-NeRF: a field of attenuation and scattering, imaged along rays in azimuth, range and elevation.
+
+After Z. Lei, F. Xu et al., "SAR-NeRF: Neural Radiance Fields for Synthetic Aperture Radar Multi-View Representation".
+`docs/rivals-sar-nerf.md` lists every choice.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float64, Int64
+from torch import Tensor
+from torch.nn import functional
+from torch.utils.checkpoint import checkpoint
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians.ground import ground_radius_m
+from sarsplat.geometry import View
+from sarsplat.rivals.fields import Field, Perceptron, VoxelGrid
+from sarsplat.rivals.isosurface import isosurface, level_of_half
+from sarsplat.rivals.rays import Rays
+from sarsplat.rivals.rival import Rival, Scene
+from sarsplat.rivals.sar_nerf_config import SarNerfConfig
+
+_CLEAR = -4.0
+"""Added to the attenuation before its activation: e⁻⁴ per resolution cell lets light through at first."""
+
+_DIM = -2.0
+"""Added to the scattering before its activation."""
+
+_PUBLISHED_GRID = (0.02, -4.0)
+"""The same for the published activations over a grid, which is 0 at first: ReLU must start where it has a slope."""
+
+_SOFTENED = 1e-3
+"""Amplitude, of the brightest, below which the root of a rendered power is softened: it has no slope at zero."""
+
+_FLOOR = 1e-4
+"""Power, of the brightest, added to images of nothing but a target for the speckle's logarithm …"""
+
+_LEAST_NOISE = 1e-3
+"""… and, of their mean, to images of ground, beside the learned noise floor."""
+
+_FIRST_NOISE = 0.05
+
+
+class SarNerf(Rival):
+    """SAR-NeRF on a scene.
+
+    With `config.mode` "published", the field gives an attenuation α per range cell and a scattering S ≤ 1, and
+
+        amplitude(a, r) = A·Σ_k S·exp(−Σ_{r' ≤ r} α)          power = amplitude²,  A the brightest training amplitude
+
+    With "sound", α is per metre, τ = 2·α·Δr, S is γ⁰, a ray stands for the height δy across the line of sight, and
+
+        β⁰(a, r) = Σ_k S·(δy/Δr)·exp(−Σ_{r' < r} τ)·(1 − exp(−τ))
+
+    The field ends at its box, except for the published perceptron's: the box of the target, or with ground that of all
+    the ground that images show.
+
+    Parameters
+    ----------
+    scene : Scene
+        What the dataset fixes.
+    config : SarNerfConfig
+        How it is learned.
+    """
+
+    def __init__(self, scene: Scene, config: SarNerfConfig) -> None:
+        super().__init__(scene)
+        self.config = config
+        self.low_m, self.high_m = scene_box(scene)
+        self._sound = config.mode == "sound"
+        self._endless = config.field == "mlp" and not self._sound
+        self.field = self._new_field()
+        self.log_noise = (
+            torch.nn.Parameter(torch.tensor(math.log(_FIRST_NOISE)))
+            if self._sound and scene.ground and scene.looks is not None
+            else None
+        )
+
+    def _new_field(self) -> Field:
+        config, side = self.config, self.high_m - self.low_m
+        if config.field == "grid":
+            voxel_m = config.voxel * self.scene.grid.cell_m
+            return VoxelGrid(self.low_m, self.high_m, voxel_m, config.levels, config.degree)
+        generator = torch.Generator().manual_seed(config.seed)
+        if self._sound:
+            return Perceptron((self.low_m + self.high_m) / 2, float(side.max()) / 2, generator)
+        return Perceptron(np.zeros(3), 1.0, generator)
+
+    def loss(
+        self, chosen: Int64[Tensor, " v"], images: Float[Tensor, "v rows columns"], generator: torch.Generator
+    ) -> Float[Tensor, ""]:
+        """See `Rival`: the squared difference of amplitudes, of the brightest; or if sound, speckle's likelihood."""
+        views = [self.scene.views[index] for index in chosen.tolist()]
+        power = torch.stack([self._image(view, generator) for view in views])
+        if torch.is_grad_enabled() and not power.requires_grad:
+            raise SarsplatError(
+                f"the box from {self.low_m} to {self.high_m} m appears in none of the {len(views)} training images; "
+                "give the box of a target that they show"
+            )
+        images = images.to(power)
+        if self._sound and self.scene.looks is not None:
+            floor = _LEAST_NOISE if self.scene.ground else _FLOOR * self.scene.brightest
+            return _mean((power + floor).log() + (images + floor) / (power + floor))
+        brightest = self.scene.brightest
+        if self._sound:
+            amplitude = (power / brightest + _SOFTENED**2).sqrt()
+            return _mean((amplitude - (images / brightest + _SOFTENED**2).sqrt()) ** 2)
+        return _mean((_amplitude(power / brightest) - (images / brightest).sqrt()) ** 2)
+
+    def optimiser(self) -> torch.optim.Optimizer:
+        """See `Rival`: Adam."""
+        return torch.optim.Adam(self.parameters(), lr=self.config.learning_rate)
+
+    def rate(self, iteration: int) -> float:
+        """See `Rival`: it falls exponentially."""
+        return 0.1 ** (iteration / self.config.decay)
+
+    def image(self, view: View) -> Float[Tensor, "{self.scene.grid.rows} {self.scene.grid.columns}"]:
+        """See `Rival`: from rays in the middles of their strata."""
+        return self._image(view, None)
+
+    @torch.no_grad()
+    def surface(self) -> tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, "f 3"]]:
+        """See `Rival`: marching cubes of the attenuation in the target's box; without faces where nothing attenuates.
+
+        The level is the one whose surface, seen from the training views, lies where the field hides half of what is
+        behind.
+        """
+        low, high = self.scene.low_m, self.scene.high_m
+        depths = []
+        for view in self.scene.views:
+            rays = Rays.through(view, self.scene.grid, low, high, self.config.rays, whole=False)
+            offsets = rays.offsets(None)
+            for columns in self._parts(rays):
+                places = rays.places(offsets, columns, self._like)
+                depths.append(self.attenuation(places.reshape(-1, 3)).reshape(places.shape[:3]).flatten(0, 1))
+        level = level_of_half(depths)
+        return isosurface(self.attenuation, low, high, self.config.surface_voxels, level, self._like)
+
+    def attenuation(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, " p"]:
+        """Optical depth of a range cell at places (world frame, m), one-way as published or two-way if sound."""
+        return self._depth(places, self.field.attenuation(places))
+
+    def _image(self, view: View, generator: torch.Generator | None) -> Float[Tensor, "rows columns"]:
+        grid = self.scene.grid
+        rays = Rays.through(view, grid, self.low_m, self.high_m, self.config.rays, whole=self._endless)
+        offsets = rays.offsets(generator)
+        direction = torch.from_numpy(-rays.turn[2]).to(self._like)
+        parts = self._parts(rays)
+        kept = len(parts) == 1 or not torch.is_grad_enabled()
+        columns = [
+            self._columns(rays, offsets, part, direction)
+            if kept
+            else checkpoint(
+                self._columns, rays, offsets, part, direction, use_reentrant=False, preserve_rng_state=False
+            )
+            for part in parts
+        ]
+        shown = torch.cat(columns).T if columns else torch.zeros(0, 0).to(self._like)
+        right = grid.columns - rays.first_column - shown.shape[1]
+        below = grid.rows - rays.first_row - shown.shape[0]
+        image = functional.pad(shown, (rays.first_column, right, rays.first_row, below))
+        return image if self.log_noise is None else image + self.log_noise.exp()
+
+    def _columns(
+        self, rays: Rays, offsets: Float64[Tensor, "a k"], part: slice, direction: Float[Tensor, " 3"]
+    ) -> Float[Tensor, "c r"]:
+        """Power of some azimuth columns, in units of `Scene.unit`."""
+        places = rays.places(offsets, part, self._like)
+        raw_attenuation, raw_scattering = self.field(places.reshape(-1, 3), direction)
+        depth = self._depth(places.reshape(-1, 3), raw_attenuation).reshape(places.shape[:3])
+        scattering = self._scattering(raw_scattering).reshape(places.shape[:3])
+        if not self._sound:
+            inside = self._inside(places)
+            seen = torch.exp(-depth.cumsum(2)) * scattering * inside
+            return self.scene.brightest * seen.sum(1) ** 2
+        before = functional.pad(depth[..., :-1].cumsum(2), (1, 0))
+        returned = scattering * torch.exp(-before) * -torch.expm1(-depth)
+        return returned.sum(1) * (rays.spacing_m / self.scene.grid.spacing_m[1])
+
+    def _depth(self, places: Float[Tensor, "p 3"], raw: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
+        if self._sound:  # α has the unit 1 / resolution cell inside, so that scenes of all scales are learned alike
+            length = 2 * self.scene.grid.spacing_m[1] / self.scene.grid.cell_m
+            return functional.softplus(raw + _CLEAR) * length * self._inside(places)
+        shift = _PUBLISHED_GRID[0] if self.config.field == "grid" else 0.0
+        return (raw + shift).relu() * self._inside(places)
+
+    def _scattering(self, raw: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
+        if self._sound:
+            return functional.softplus(raw + _DIM)
+        return torch.sigmoid(raw + (_PUBLISHED_GRID[1] if self.config.field == "grid" else 0.0))
+
+    def _inside(self, places: Float[Tensor, "*p 3"]) -> Float[Tensor, "*p"]:
+        """1 where the field is, 0 beyond its box."""
+        if self._endless:
+            return places.new_ones(places.shape[:-1])
+        low, high = (torch.from_numpy(corner).to(places) for corner in (self.low_m, self.high_m))
+        return ((places >= low) & (places <= high)).all(-1).to(places)
+
+    def _parts(self, rays: Rays) -> list[slice]:
+        """Columns that are computed at once; none if no pixel shows the box."""
+        total = len(rays.azimuth_m) if len(rays.range_m) else 0
+        step = max(1, self.field.at_once // max(1, rays.count * len(rays.range_m)))
+        return [slice(first, min(first + step, total)) for first in range(0, total, step)]
+
+    @property
+    def _like(self) -> Tensor:
+        """A tensor of the parameters' dtype and device."""
+        return next(self.field.parameters())
+
+
+def scene_box(scene: Scene) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
+    """Corners of what is imaged, m: the target's box; with ground, also all ground in the images, a cell deep."""
+    if not scene.ground:
+        return scene.low_m, scene.high_m
+    radius, cell = ground_radius_m(scene.views, scene.grid), scene.grid.cell_m
+    low = np.minimum(scene.low_m, [-radius, -radius, -cell])
+    return low, np.maximum(scene.high_m, [radius, radius, cell])
+
+
+def _amplitude(power: Float[Tensor, "v rows columns"]) -> Float[Tensor, "v rows columns"]:
+    """Root, with slope 0 at 0, where the published image itself has none left."""
+    lit = power > 0
+    return torch.where(lit, torch.where(lit, power, 1.0).sqrt(), 0.0)
+
+
+def _mean(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
+    """One dimension after the other: torch splits a sum to one number by threads, and its bits would depend on them."""
+    return images.mean(2).mean(1).mean(0)

@@ -1,0 +1,63 @@
+"""How SAR-NeRF is trained; needs no torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+from sarsplat.reconstruction.config import Count, Degree, Positive, Seed
+from sarsplat.reconstruction.record import Record
+
+
+@dataclass(frozen=True)
+class SarNerfConfig(Record):
+    """Settings of SAR-NeRF, those of the multi-layer perceptron where nothing else is said.
+
+    Parameters
+    ----------
+    field : {"mlp", "grid"}
+        What attenuation and scattering are read from.
+    mode : {"published", "sound"}
+        The published image equation and loss, or those that hold in metres and for speckle.
+    rays : int
+        In elevation, for each azimuth column.
+    iterations : int
+        Length of a whole training.
+    learning_rate : float
+        Of Adam.
+    decay : int
+        Iterations in which the learning rate falls tenfold.
+    voxel : float
+        Of the finest level of the grid, resolution cells.
+    levels : int
+        Of the grid; each is half as fine as the next.
+    degree : int
+        Of the spherical harmonics in the grid.
+    surface_voxels : int
+        Along the longest side of the box in which the surface is looked for.
+    seed : int
+        Of the first values of all parameters.
+
+    Raises
+    ------
+    SarsplatError
+        If a value is of another type or out of range.
+    """
+
+    field: Literal["mlp", "grid"] = "mlp"
+    mode: Literal["published", "sound"] = "published"
+    rays: Annotated[int, Meta(ge=1, le=1000)] = 20
+    iterations: Count = 250_000
+    learning_rate: Positive = 5e-4
+    decay: Count = 250_000
+    voxel: Positive = 0.5
+    levels: Annotated[int, Meta(ge=1, le=10)] = 4
+    degree: Degree = 3
+    surface_voxels: Annotated[int, Meta(ge=4, le=1024)] = 256
+    seed: Seed = 0
+
+
+SAR_NERF = SarNerfConfig()
+SAR_NERF_GRID = SarNerfConfig(field="grid", mode="sound", iterations=4000, learning_rate=0.1, decay=4000)
