@@ -21,6 +21,7 @@ ORDER = (
     ("renderer",),
     ("scenes", "data"),
     ("reconstruction",),
+    ("rivals",),
     ("evaluation",),
     ("report",),
     ("cli",),
