@@ -32,7 +32,7 @@ def test_coverage_is_the_sigmoid_of_the_squared_distance_to_the_outline():
             ts = np.linspace(0, 1, 2001)[:, None]
             outline = np.concatenate([corners[k] + ts * (corners[(k + 1) % 3] - corners[k]) for k in range(3)])
             squared = ((outline - point) ** 2).sum(axis=1).min()
-            turns = [np.cross(corners[(k + 1) % 3] - corners[k], point - corners[k]) for k in range(3)]
+            turns = [np.linalg.det([corners[(k + 1) % 3] - corners[k], point - corners[k]]) for k in range(3)]
             inside = min(turns) > 0 or max(turns) < 0
             expected = 1 / (1 + np.exp(-squared / 0.09 if inside else squared / 0.09))
             if expected > 1e-4:

@@ -23,8 +23,8 @@ from sarsplat.rivals.template import sphere
 
 _TARGET, _SHADOW = 1, 2
 _HALF_FIELD, _DEPTH_RANGE = 1.58, 99.0
-"""What σ and γ refer to, in longest sides of the target: as in soft rasterisation's usual scenes, where an object of side 1
-stands in a field of view that is ±1.58 there (±30° from 2.73 away), between depths of 1 and 100."""
+"""What σ and γ refer to, in longest sides of the target: as in soft rasterisation's usual scenes, where an object of
+side 1 stands in a field of view that is ±1.58 there (±30° from 2.73 away), between depths of 1 and 100."""
 
 _DIMMEST = 1e-4
 """Added to powers before their root is taken, in units of the scene: −40 dB."""

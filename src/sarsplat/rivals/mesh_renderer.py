@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
-from torch.nn.functional import conv2d, logsigmoid
+from torch.nn.functional import logsigmoid
 
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.rivals.regularity import face_normals, gathered
@@ -27,6 +27,9 @@ _GRAZED = 0.1
 
 _TAME = 0.1
 """Areas below this many σ, on the plane facing the radar, lose their slope: they are seen edge-on."""
+
+_MOST_PARTS = 4
+"""Pixels of the mapping plane along the side of one of the image, at most."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,6 @@ class MeshRenderer:
         SarsplatError
             If a vertex is not finite.
         """
-        shape = (self.grid.rows, self.grid.columns)
         frame = torch.as_tensor(radar_frame(view), dtype=points.dtype, device=points.device)
         seen = points @ frame.T
         across, up, away = seen.unbind(1)
@@ -110,17 +112,17 @@ class MeshRenderer:
         visible = self._visible(seen, faces[facing])
         sections = picked(gamma0 * areas, facing) * visible
 
-        lattice = Lattice.of(self.grid)
+        lattice = self._mapping
         mapped = soft_coverage(_corners(across, away, faces[facing]), lattice, self.softness_m)
-        power = picked(sections, mapped.face) * mapped.shares() / math.prod(self.grid.spacing_m)
-        target = self._responded(mapped.onto_pixels(power).reshape(shape))
+        power = picked(sections, mapped.face) * mapped.shares() / math.prod(lattice.step_m)
+        target = self._responded(mapped.onto_pixels(power).reshape(lattice.rows, lattice.columns))
         cosine = picked(2 * areas / (normals.square().sum(1) + 1e-20).sqrt(), facing)
-        lit = mapped.union(visible * (cosine / _GRAZED).clamp(max=1)).reshape(shape)
+        lit = self._averaged(mapped.union(visible * (cosine / _GRAZED).clamp(max=1)))
 
         # along its ray, a point's shadow reaches the ground at the range y_r / tan θ
         fallen = up / math.tan(math.radians(view.grazing_deg))
         shaded = soft_coverage(_corners(across, fallen, faces[facing]), lattice, self.softness_m)
-        hidden = shaded.union().reshape(shape)
+        hidden = self._averaged(shaded.union())
         return Layers(target, lit, hidden, torch.zeros_like(areas).index_add(0, facing, sections))
 
     def _visible(self, seen: Float[Tensor, "n 3"], faces: Int64[Tensor, "f 3"]) -> Float[Tensor, " f"]:
@@ -139,9 +141,14 @@ class MeshRenderer:
         hiding, own = torch.maximum(level, nearest), torch.minimum(level, farthest)
         weight = grouped_softmax(covered - hiding / self.gamma_m, plane.pixel, plane.pixels + 1)
         front = picked(torch.cat([plane.onto_pixels(weight * hiding), level.new_zeros(1)]), plane.pixel)
+        # how much of the pixel the nearest surface covers, twice: what is closed has a back. Far beyond an edge it is the
+        # nearest, too, but hides little
+        layer = torch.exp(-(hiding - front).clamp(min=0) / self.gamma_m)
+        shut = -torch.expm1(2 * plane.onto_pixels(layer * logsigmoid(-plane.signed)))
+        shut = picked(torch.cat([shut, shut.new_zeros(1)]), plane.pixel)
         # a face that slopes away lies behind its own neighbours by as much as edges are soft
         allowed = self.gamma_m + picked(slope, plane.face) * self.softness_m
-        seen_through = torch.exp(-((own - front - allowed) / self.gamma_m).clamp(min=0))
+        seen_through = 1 + shut * torch.expm1(-(own - front - allowed).clamp(min=0) / self.gamma_m)
         within = covered.masked_fill(plane.pixel == plane.pixels, -math.inf)  # every face has a pixel on the lattice
         return plane.onto_faces(grouped_softmax(within, plane.face, plane.faces) * seen_through)
 
@@ -152,7 +159,7 @@ class MeshRenderer:
         plane: Coverage,
         lattice: Lattice,
     ) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"], Float[Tensor, " p"], Float[Tensor, " f"]]:
-        """Range of the faces' planes at their pixels, of their nearest and of their farthest corner, m; their slopes."""
+        """Range of faces' planes at their pixels, of their nearest and farthest corners, m; their slopes."""
         face, pixel = plane.face, plane.pixel
         a, b, c = (gathered(seen, faces[:, k]) for k in range(3))
         first, second = b - a, c - a
@@ -170,20 +177,65 @@ class MeshRenderer:
         steepness = (slope_x**2 + slope_y**2 + 1e-12).sqrt()
         return level, picked(depths.amin(0), face), picked(depths.amax(0), face), steepness
 
-    def _responded(self, power: Float[Tensor, "rows columns"]) -> Float[Tensor, "rows columns"]:
-        """Seen through what the system's response is wider than soft edges."""
-        grid = self.grid
-        for axis in range(2):
-            variance = grid.resolution_m[axis] ** 2 / (8 * math.log(2)) - self.softness_m**2
-            if variance <= 0:
+    @property
+    def _parts(self) -> tuple[int, int]:
+        """Pixels of the mapping plane in one of the image, across and along: none much coarser than edges are soft."""
+        across, along = (max(1, math.ceil(step / (2 * self.softness_m))) for step in self.grid.spacing_m)
+        return min(across, _MOST_PARTS), min(along, _MOST_PARTS)
+
+    @property
+    def _kernels(self) -> list[list[float]]:
+        """Weights, across and along, of the mapping plane's pixels around the middle of one of the image.
+
+        They are what the system's response is wider than soft edges.
+        """
+        kernels = []
+        for step, width, parts in zip(self.grid.spacing_m, self.grid.resolution_m, self._parts, strict=True):
+            variance = max(width**2 / (8 * math.log(2)) - self.softness_m**2, (0.5 * step / parts) ** 2)
+            if parts == 1 and variance == (0.5 * step) ** 2:
+                kernels.append([1.0])
                 continue
-            reach = math.ceil(4 * math.sqrt(variance) / grid.spacing_m[axis])
-            offsets = torch.arange(-reach, reach + 1, dtype=power.dtype, device=power.device) * grid.spacing_m[axis]
-            kernel = torch.exp(-(offsets**2) / (2 * variance))
-            kernel = (kernel / kernel.sum()).reshape((1, 1, 1, -1) if axis == 0 else (1, 1, -1, 1))
-            padding = (0, reach) if axis == 0 else (reach, 0)
-            power = conv2d(power[None, None], kernel, padding=padding)[0, 0]
-        return power
+            reach = math.ceil(3 * math.sqrt(variance) / step)  # whole pixels beyond this one
+            offsets = [((2 * reach + 1) * parts - 1) / 2 - k for k in range((2 * reach + 1) * parts)]
+            weights = [math.exp(-((offset * step / parts) ** 2) / (2 * variance)) for offset in offsets]
+            kernels.append([weight / sum(weights) for weight in weights])
+        return kernels
+
+    @property
+    def _margins(self) -> tuple[int, int]:
+        """Pixels of the image that the mapping plane reaches beyond it on each side."""
+        across, along = (
+            (len(kernel) // parts - 1) // 2 for kernel, parts in zip(self._kernels, self._parts, strict=True)
+        )
+        return across, along
+
+    @property
+    def _mapping(self) -> Lattice:
+        """The mapping plane: azimuth across, slant range along."""
+        firsts, steps, sizes = [], [], []
+        image = Lattice.of(self.grid)
+        for first, step, size, parts, margin in zip(
+            image.first_m, image.step_m, (image.columns, image.rows), self._parts, self._margins, strict=True
+        ):
+            firsts.append(first - (margin + 0.5) * step + 0.5 * step / parts)
+            steps.append(step / parts)
+            sizes.append((size + 2 * margin) * parts)
+        return Lattice((firsts[0], firsts[1]), (steps[0], steps[1]), sizes[0], sizes[1])
+
+    def _responded(self, power: Float[Tensor, "fine_rows fine_columns"]) -> Float[Tensor, "rows columns"]:
+        """From the mapping plane to the image, in an order that does not depend on the number of threads."""
+        across, along = self._kernels
+        parts_across, parts_along = self._parts
+        ends = (self.grid.rows - 1) * parts_along + 1, (self.grid.columns - 1) * parts_across + 1
+        power = torch.stack([w * power[k : k + ends[0] : parts_along] for k, w in enumerate(along)]).sum(0)
+        return torch.stack([w * power[:, k : k + ends[1] : parts_across] for k, w in enumerate(across)]).sum(0)
+
+    def _averaged(self, mask: Float[Tensor, " fine"]) -> Float[Tensor, "rows columns"]:
+        """Share of each pixel of the image, from the mapping plane."""
+        (across, along), (beside, beyond) = self._parts, self._margins
+        rows, columns = self.grid.rows, self.grid.columns
+        fine = mask.reshape(rows + 2 * beyond, along, columns + 2 * beside, across)
+        return fine[beyond : beyond + rows, :, beside : beside + columns].mean(dim=(1, 3))
 
 
 def _corners(
