@@ -141,8 +141,8 @@ class MeshRenderer:
         hiding, own = torch.maximum(level, nearest), torch.minimum(level, farthest)
         weight = grouped_softmax(covered - hiding / self.gamma_m, plane.pixel, plane.pixels + 1)
         front = picked(torch.cat([plane.onto_pixels(weight * hiding), level.new_zeros(1)]), plane.pixel)
-        # how much of the pixel the nearest surface covers, twice: what is closed has a back. Far beyond an edge it is the
-        # nearest, too, but hides little
+        # how much of the pixel the nearest surface covers, twice: what is closed has a back; far beyond an edge it is
+        # the nearest, too, but hides little
         layer = torch.exp(-(hiding - front).clamp(min=0) / self.gamma_m)
         shut = -torch.expm1(2 * plane.onto_pixels(layer * logsigmoid(-plane.signed)))
         shut = picked(torch.cat([shut, shut.new_zeros(1)]), plane.pixel)
