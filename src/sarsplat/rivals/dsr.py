@@ -1,0 +1,182 @@
+"""DSR: a closed mesh deformed until it looks as the target does, through soft rasterisation in two planes.
+
+After Fu & Xu, "Differentiable SAR renderer and image-based target reconstruction", IEEE TIP 2022; what was not
+published is listed in docs/rivals-dsr.md.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float64, Int64
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import View
+from sarsplat.rivals.mesh_renderer import Layers, MeshRenderer
+from sarsplat.rivals.regularity import flatten_loss, iou_loss, laplacian_loss, ordered_sum
+from sarsplat.rivals.rival import Rival, Scene
+from sarsplat.rivals.template import sphere
+
+_TARGET, _SHADOW = 1, 2
+_HALF_FIELD, _DEPTH_RANGE = 1.58, 99.0
+"""What σ and γ refer to, in longest sides of the target: as in soft rasterisation's usual scenes, where an object of
+side 1 stands in a field of view that is ±1.58 there (±30° from 2.73 away), between depths of 1 and 100."""
+
+_DIMMEST = 1e-4
+"""Added to powers before their root is taken, in units of the scene: −40 dB."""
+
+_START_GAMMA0, _START_GROUND, _START_FLOOR = 0.1, 0.1, 0.01
+
+
+@dataclass(frozen=True)
+class DsrConfig:
+    """Settings of DSR.
+
+    Parameters
+    ----------
+    vertices : int
+        Of the template: 642 or 1352.
+    sigma : float
+        σ of the coverage, in squares of 1.58 longest sides of the target's box: √σ is the softness of edges.
+    gamma : float
+        How far a face may lie behind another and still be seen: e-fold in depth, in 99 longest sides of the box.
+    laplacian, flatten, lit, shadow, image : float
+        Weights of the losses.
+    learning_rate : float
+        Of everything; for the vertices in longest sides of the target's box.
+    betas : (float, float)
+        Of Adam.
+    iterations : int
+        Steps of the full budget.
+    """
+
+    vertices: int = 642
+    sigma: float = 1e-4
+    gamma: float = 1e-4
+    laplacian: float = 0.03
+    flatten: float = 3e-4
+    lit: float = 1.0
+    shadow: float = 1.0
+    image: float = 1.0
+    learning_rate: float = 0.01
+    betas: tuple[float, float] = (0.5, 0.99)
+    iterations: int = 2000
+
+
+class Dsr(Rival):
+    """The differentiable SAR renderer on a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        With masks.
+    config : DsrConfig
+        Settings.
+
+    Raises
+    ------
+    SarsplatError
+        If the scene has no masks, or no mask shows the target.
+    """
+
+    faces: Tensor
+    edges: Tensor
+    flaps: Tensor
+    start: Tensor
+    masks: Tensor
+
+    def __init__(self, scene: Scene, config: DsrConfig | None = None) -> None:
+        super().__init__(scene)
+        config = config or DsrConfig()
+        self.config = config
+        template = sphere(config.vertices)
+        sides = scene.high_m - scene.low_m
+        self._longest_m = float(sides.max())
+        self._center_m = (scene.low_m + scene.high_m) / 2
+        self.register_buffer("start", torch.from_numpy(template.vertices * sides / 2 / self._longest_m).float())
+        self.register_buffer("faces", torch.from_numpy(template.faces), persistent=False)
+        self.register_buffer("edges", torch.from_numpy(template.edges), persistent=False)
+        self.register_buffer("flaps", torch.from_numpy(template.flaps), persistent=False)
+        self.register_buffer("masks", _checked_masks(scene), persistent=False)
+        self.moved = torch.nn.Parameter(torch.zeros_like(self.start))
+        self.log_gamma0 = torch.nn.Parameter(torch.full((len(template.faces),), math.log(_START_GAMMA0)))
+        self.log_ground = torch.nn.Parameter(torch.tensor(math.log(_START_GROUND)))
+        self.log_floor = torch.nn.Parameter(torch.tensor(math.log(_START_FLOOR)))
+        softness_m = math.sqrt(config.sigma) * _HALF_FIELD * self._longest_m
+        self.renderer = MeshRenderer(scene.grid, softness_m, config.gamma * _DEPTH_RANGE * self._longest_m)
+
+    def loss(
+        self, chosen: Int64[Tensor, " v"], images: Float[Tensor, "v rows columns"], generator: torch.Generator
+    ) -> Float[Tensor, ""]:
+        """Mean over the images of the losses of masks and image, and what keeps the mesh smooth.
+
+        The image's is the mean difference of amplitudes, relative to their sum in the target's mask.
+        """
+        config, points = self.config, self._points()
+        total = points.new_zeros(())
+        for index, power in zip(chosen.tolist(), images, strict=True):
+            view, mask = self.scene.views[index], self.masks[index]
+            layers = self._layers(points, view)
+            target, shadow = ((mask == kind).to(points.dtype) for kind in (_TARGET, _SHADOW))
+            total = total + config.lit * iou_loss(layers.lit, target)
+            if bool(shadow.any()):  # without ground, nothing is known of the shadow
+                total = total + config.shadow * iou_loss(layers.shadow, shadow)
+            true = (power + _DIMMEST).sqrt()
+            away = ((self._whole(layers, view) + _DIMMEST).sqrt() - true).abs()
+            total = total + config.image * ordered_sum(away) / ordered_sum(true * target).clamp(min=1.0)
+        shape = self.start + self.moved
+        smooth = config.laplacian * laplacian_loss(shape, self.edges)
+        flat = config.flatten * flatten_loss(shape, self.faces, self.flaps)
+        return total / len(chosen) + smooth + flat
+
+    def optimiser(self) -> torch.optim.Optimizer:
+        """Adam on vertices, scattering, ground and floor alike."""
+        return torch.optim.Adam(self.parameters(), self.config.learning_rate, betas=self.config.betas)
+
+    def rate(self, iteration: int) -> float:
+        """Constant: 1."""
+        return 1.0
+
+    def image(self, view: View) -> Float[Tensor, "rows columns"]:
+        """β⁰ of target, ground and noise in units of `Scene.unit`, linear power, row 0 near range."""
+        return self._whole(self.layers(view), view)
+
+    def layers(self, view: View) -> Layers:
+        """What the mesh does to the image of a view, without ground and noise."""
+        return self._layers(self._points(), view)
+
+    def surface(self) -> tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, "f 3"]]:
+        """Vertices, m, world frame, and triangles, counter-clockwise seen from outside."""
+        return self._points().detach().double().cpu().numpy(), self.faces.cpu().numpy()
+
+    def _layers(self, points: Float[Tensor, "n 3"], view: View) -> Layers:
+        return self.renderer.layers(points, self.faces, self.log_gamma0.exp(), view)
+
+    def _points(self) -> Float[Tensor, "n 3"]:
+        return self.moved.new_tensor(self._center_m) + self._longest_m * (self.start + self.moved)
+
+    def _whole(self, layers: Layers, view: View) -> Float[Tensor, "rows columns"]:
+        ground = self.log_ground.exp() * math.tan(math.radians(view.grazing_deg))
+        return layers.target + ground * (1 - layers.hidden) + self.log_floor.exp()
+
+
+def _checked_masks(scene: Scene) -> Tensor:
+    if scene.masks is None:
+        raise SarsplatError(
+            "DSR learns from masks of the lit target and of its shadow, which this dataset lacks; give a folder of "
+            "them for its training images, or choose another method"
+        )
+    expected = (len(scene.views), scene.grid.rows, scene.grid.columns)
+    if scene.masks.shape != expected:
+        raise SarsplatError(
+            f"the masks are of shape {scene.masks.shape}, the training images {expected}; give one each"
+        )
+    if scene.masks.max() > _SHADOW:
+        raise SarsplatError(f"a mask holds the number {scene.masks.max()}; masks are 0 clutter, 1 target and 2 shadow")
+    if not (scene.masks == _TARGET).any():
+        raise SarsplatError("no mask shows the target (1), so DSR has nothing to learn from; give masks that do")
+    return torch.from_numpy(scene.masks.copy())

@@ -1,0 +1,115 @@
+"""Closed triangle meshes of the unit sphere, and which of their vertices and faces are neighbours.
+
+A solid is subdivided so that each of its edges becomes `parts` edges, then blown up to the sphere. The icosahedron
+gives 10·parts² + 2 vertices: 642 with 8 (three halvings). 1,352 is no such number, nor that of any geodesic polyhedron
+(10·T + 2 with T = 135, which is not h² + hk + k²); it is 6·parts² + 2 of the cube with 15, its squares cut in two.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from sarsplat.errors import SarsplatError
+
+_ICOSAHEDRON_PARTS, _CUBE_PARTS = 8, 15
+
+
+@dataclass(frozen=True, eq=False)
+class Template:
+    """A closed mesh around the origin.
+
+    Attributes
+    ----------
+    vertices : numpy.ndarray, float64 [N, 3]
+        On the unit sphere.
+    faces : numpy.ndarray, int64 [F, 3]
+        Counter-clockwise seen from outside.
+    edges : numpy.ndarray, int64 [E, 2]
+        Pairs of vertices, each edge once.
+    flaps : numpy.ndarray, int64 [E, 2]
+        The two faces at each edge.
+    """
+
+    vertices: Float64[np.ndarray, "n 3"]
+    faces: Int64[np.ndarray, "f 3"]
+    edges: Int64[np.ndarray, "e 2"]
+    flaps: Int64[np.ndarray, "e 2"]
+
+
+def sphere(vertices: int) -> Template:
+    """The template of 642 or 1,352 vertices.
+
+    Raises
+    ------
+    SarsplatError
+        If another number is asked for.
+    """
+    if vertices == 642:
+        return icosphere(_ICOSAHEDRON_PARTS)
+    if vertices == 1352:
+        return cube_sphere(_CUBE_PARTS)
+    raise SarsplatError(f"there is no template sphere of {vertices} vertices; choose 642 or 1352")
+
+
+def icosphere(parts: int) -> Template:
+    """The subdivided icosahedron: 10·parts² + 2 vertices, 20·parts² faces."""
+    golden = (1 + 5**0.5) / 2
+    corners = np.array([(0.0, a, b * golden) for a in (-1, 1) for b in (-1, 1)])
+    corners = np.concatenate([np.roll(corners, k, axis=1) for k in range(3)])
+    squared = ((corners[:, None] - corners) ** 2).sum(axis=2)
+    near = np.abs(squared - 4) < 1e-9  # edges of length 2
+    triangles = [
+        (a, b, c) for a in range(12) for b in range(a) for c in range(b) if near[a, b] and near[a, c] and near[b, c]
+    ]
+    vertices, faces = [], []
+    i, j = (index.ravel() for index in np.meshgrid(np.arange(parts + 1), np.arange(parts + 1), indexing="ij"))
+    inside = i + j <= parts
+    number = np.cumsum(inside).reshape(parts + 1, -1) - 1
+    i, j = i[inside], j[inside]
+    up = i + j < parts
+    down = i + j < parts - 1
+    small = np.concatenate(
+        [
+            np.column_stack([number[i[up], j[up]], number[i[up] + 1, j[up]], number[i[up], j[up] + 1]]),
+            np.column_stack(
+                [number[i[down] + 1, j[down]], number[i[down] + 1, j[down] + 1], number[i[down], j[down] + 1]]
+            ),
+        ]
+    )
+    for count, (a, b, c) in enumerate(triangles):
+        weights = np.column_stack([parts - i - j, i, j]) / parts
+        vertices.append(weights @ corners[[a, b, c]])
+        faces.append(small + count * len(i))
+    return _blown_up(np.concatenate(vertices), np.concatenate(faces))
+
+
+def cube_sphere(parts: int) -> Template:
+    """The subdivided cube: 6·parts² + 2 vertices, 12·parts² faces, at equal angles seen from its centre."""
+    tangents = np.tan(np.linspace(-np.pi / 4, np.pi / 4, parts + 1))
+    u, v = (one.ravel() for one in np.meshgrid(tangents, tangents, indexing="ij"))
+    number = np.arange(len(u)).reshape(parts + 1, -1)
+    a, b, c, d = (number[k : k + parts, n : n + parts].ravel() for k, n in ((0, 0), (1, 0), (1, 1), (0, 1)))
+    small = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    sides = [
+        np.roll(np.column_stack([u, v, np.full_like(u, side)]), axis, axis=1) for axis in range(3) for side in (-1, 1)
+    ]
+    faces = [small + k * len(u) for k in range(6)]
+    return _blown_up(np.concatenate(sides), np.concatenate(faces))
+
+
+def _blown_up(vertices: Float64[np.ndarray, "m 3"], faces: Int64[np.ndarray, "f 3"]) -> Template:
+    """On the sphere, each vertex once, all faces turned outwards."""
+    vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
+    _, first, same = np.unique(vertices.round(9) + 0.0, axis=0, return_index=True, return_inverse=True)
+    vertices, faces = vertices[first], same.reshape(-1)[faces]
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    inwards = (np.cross(b - a, c - a) * (a + b + c)).sum(axis=1) < 0
+    faces[inwards] = faces[inwards][:, [0, 2, 1]]
+    sides = np.sort(np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1)
+    order = np.lexsort(sides.T[::-1])
+    edges = sides[order[::2]]  # of a closed mesh every edge has two faces
+    flaps = (order % len(faces)).reshape(-1, 2)
+    return Template(vertices, faces.astype(np.int64), edges.astype(np.int64), flaps.astype(np.int64))
