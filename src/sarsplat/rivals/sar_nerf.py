@@ -117,7 +117,7 @@ class SarNerf(Rival):
 
     def rate(self, iteration: int) -> float:
         """See `Rival`: it falls exponentially."""
-        return 0.1 ** (iteration / self.config.decay)
+        return 0.1 ** (iteration / self.config.iterations)
 
     def image(self, view: View) -> Float[Tensor, "{self.scene.grid.rows} {self.scene.grid.columns}"]:
         """See `Rival`: from rays in the middles of their strata."""

@@ -7,12 +7,12 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from sarsplat.reconstruction.config import Count, Degree, Positive, Seed
-from sarsplat.reconstruction.record import Record
+from sarsplat.reconstruction.config import Count, Degree, Positive
+from sarsplat.rivals.config import RivalConfig
 
 
 @dataclass(frozen=True)
-class SarNerfConfig(Record):
+class SarNerfConfig(RivalConfig):
     """Settings of SAR-NeRF, those of the multi-layer perceptron where nothing else is said.
 
     Parameters
@@ -23,12 +23,8 @@ class SarNerfConfig(Record):
         The published image equation and loss, or those that hold in metres and for speckle.
     rays : int
         In elevation, for each azimuth column.
-    iterations : int
-        Length of a whole training.
     learning_rate : float
-        Of Adam.
-    decay : int
-        Iterations in which the learning rate falls tenfold.
+        Of Adam; it falls tenfold in the whole training.
     voxel : float
         Of the finest level of the grid, resolution cells.
     levels : int
@@ -37,8 +33,8 @@ class SarNerfConfig(Record):
         Of the spherical harmonics in the grid.
     surface_voxels : int
         Along the longest side of the box in which the surface is looked for.
-    seed : int
-        Of the first values of all parameters.
+    iterations, checkpoint_every, views_per_step, seed
+        As in `RivalConfig`.
 
     Raises
     ------
@@ -51,13 +47,11 @@ class SarNerfConfig(Record):
     rays: Annotated[int, Meta(ge=1, le=1000)] = 20
     iterations: Count = 250_000
     learning_rate: Positive = 5e-4
-    decay: Count = 250_000
     voxel: Positive = 0.5
     levels: Annotated[int, Meta(ge=1, le=10)] = 4
     degree: Degree = 3
     surface_voxels: Annotated[int, Meta(ge=4, le=1024)] = 256
-    seed: Seed = 0
 
 
-SAR_NERF = SarNerfConfig()
-SAR_NERF_GRID = SarNerfConfig(field="grid", mode="sound", iterations=4000, learning_rate=0.1, decay=4000)
+SAR_NERF = SarNerfConfig(checkpoint_every=10)
+SAR_NERF_GRID = SarNerfConfig(field="grid", mode="sound", iterations=4000, learning_rate=0.1)
