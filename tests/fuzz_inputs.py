@@ -36,8 +36,9 @@ from sarsplat.data import (
 from sarsplat.data.mstar_chips import read_chips
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.reconstruction.any_run import SCHEMA_VERSION
 from sarsplat.reconstruction.presets import PRESETS
-from sarsplat.reconstruction.run import SCHEMA_VERSION, Run
+from sarsplat.reconstruction.run import Run
 from sarsplat.scenes import load_mesh
 
 GRID = ImageGrid(6, 5, (0.2, 0.3), (0.25, 0.35))

@@ -94,7 +94,7 @@ def reconstruct(
     """Reconstruct Gaussians and points from the training images of a dataset."""
     from sarsplat.data import read_dataset
     from sarsplat.reconstruction import reconstruct as train
-    from sarsplat.reconstruction.run import HEADER
+    from sarsplat.reconstruction.any_run import HEADER
 
     dataset, out = options.dataset, options.out
     if options.resume and options.overwrite:

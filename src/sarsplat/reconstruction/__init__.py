@@ -9,20 +9,23 @@ from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.presets import PRESETS, preset
 
 if TYPE_CHECKING:
+    from sarsplat.reconstruction.any_run import AnyRun
+    from sarsplat.reconstruction.loop import Step
     from sarsplat.reconstruction.points import extract_points
     from sarsplat.reconstruction.run import Run
     from sarsplat.reconstruction.trainer import Trainer
-    from sarsplat.reconstruction.training import Step, reconstruct
+    from sarsplat.reconstruction.training import reconstruct
 
 _MODULE_OF = {
+    "AnyRun": "any_run",
     "extract_points": "points",
     "Run": "run",
-    "Step": "training",
+    "Step": "loop",
     "Trainer": "trainer",
     "reconstruct": "training",
 }
 
-__all__ = ["PRESETS", "Config", "Run", "Step", "Trainer", "extract_points", "preset", "reconstruct"]
+__all__ = ["PRESETS", "AnyRun", "Config", "Run", "Step", "Trainer", "extract_points", "preset", "reconstruct"]
 
 
 def __getattr__(name: str) -> Any:

@@ -31,6 +31,17 @@ ScatteringName = Literal["harmonics", "normal-lobes"]
 """The laws of `sarsplat.gaussians.SCATTERINGS`, which is not imported because that would load torch."""
 
 
+class AnyConfig(Record):
+    """Base of every method's settings: what its loop and its run need to know."""
+
+    iterations: int
+    checkpoint_every: int
+    seed: int
+
+    may_change: ClassVar[tuple[str, ...]] = ("iterations", "checkpoint_every")
+    """What a training does not depend on, so that it may differ when a run is resumed; with a dot, a section."""
+
+
 @dataclass(frozen=True)
 class Rates(Record):
     """Learning rates of Adam.
@@ -245,7 +256,7 @@ class Surroundings(Record):
 
 
 @dataclass(frozen=True)
-class Config(Record):
+class Config(AnyConfig):
     """Everything a reconstruction depends on, besides the dataset; the defaults are the preset `default`.
 
     Parameters
@@ -324,6 +335,8 @@ class Config(Record):
         If a value has the wrong type or is outside its range.
     """
 
+    may_change: ClassVar[tuple[str, ...]] = (*AnyConfig.may_change, PointExtraction._section)
+
     preset: str = "default"
     iterations: Count = 900
     views_per_step: Count = 8
@@ -368,7 +381,7 @@ class Config(Record):
             )
 
 
-def refuse_other_settings(run: Path, begun: Config, wanted: Config) -> None:
+def refuse_other_settings(run: Path, begun: AnyConfig, wanted: AnyConfig) -> None:
     """Refuse to resume a run with settings other than its own, unless the training does not depend on them.
 
     Raises
@@ -376,9 +389,11 @@ def refuse_other_settings(run: Path, begun: Config, wanted: Config) -> None:
     SarsplatError
         If another setting differs; it is named, with both values.
     """
+    free = begun.may_change
     for name, before, after in begun.changes(wanted):
-        if name not in ("iterations", "checkpoint_every") and not name.startswith(PointExtraction._section):
+        if not any(name == one or (one.endswith(".") and name.startswith(one)) for one in free):
+            names = [f"{one}…" if one.endswith(".") else one for one in free]
             raise SarsplatError(
                 f"{run} was started with {name} {shown(before)}, not {shown(after)}; resume it with the same settings, "
-                "except iterations, checkpoint_every and points.…, which may change"
+                f"except {', '.join(names[:-1])} and {names[-1]}, which may change"
             )

@@ -14,13 +14,13 @@ from sarsplat.errors import SarsplatError
 _LONGEST = 1 << 22  # bytes; a training writes some tens of thousands
 
 
-class LogLine(msgspec.Struct, frozen=True):
-    """One line of a training's log."""
+class LogLine(msgspec.Struct, frozen=True, omit_defaults=True):
+    """One line of a training's log; the number of Gaussians is there if any are learned."""
 
     iteration: Annotated[int, msgspec.Meta(ge=0, le=10**9)]
     seconds: Annotated[float, msgspec.Meta(ge=0, le=1e10)]
     loss: Annotated[float, msgspec.Meta(ge=-1e30, le=1e30)]
-    gaussians: Annotated[int, msgspec.Meta(ge=0, le=10**9)]
+    gaussians: Annotated[int, msgspec.Meta(ge=0, le=10**9)] | None = None
 
 
 def log_text(lines: Iterable[LogLine]) -> bytes:

@@ -1,146 +1,62 @@
-"""A reconstruction: what was learned, and the folder that holds it if there is one."""
+"""A reconstruction of Gaussians: what was learned, and what is made of it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NotRequired, TypedDict
+from typing import TYPE_CHECKING
 
-import msgspec
 import numpy as np
 import torch
 from jaxtyping import Float32, Float64, UInt8
 
-from sarsplat.data import (
-    Dataset,
-    read_dataset,
-    read_json,
-    read_points_ply,
-    read_versioned_json,
-    write_gaussians_ply,
-    write_json,
-    write_points_ply,
-)
-from sarsplat.data.files import plain_os_errors
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.data import write_gaussians_ply
+from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.gaussians import Gaussians
-from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.geometry import RayGrid, View
+from sarsplat.reconstruction.any_run import OURS, AnyRun, Header
 from sarsplat.reconstruction.config import Config
-from sarsplat.reconstruction.log import LogLine, read_log
+from sarsplat.reconstruction.losses import LOSSES
 from sarsplat.reconstruction.masks import scene_masks, without_imitated_ground
 from sarsplat.reconstruction.mesh import surface_mesh
 from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.normals import surface_normals
 from sarsplat.reconstruction.points import extract_points
+from sarsplat.reconstruction.saved_model import AZIMUTH_OFFSETS, saved_model
 from sarsplat.reconstruction.seen import Seen
-from sarsplat.reconstruction.snapshot import AZIMUTH_OFFSETS, Snapshot
 
 if TYPE_CHECKING:
     import trimesh
-
-SCHEMA = "sarsplat-run"
-SCHEMA_VERSION = 3
-HEADER = "config.json"
-
-_RESULTS = ("gaussians.ply", "points.ply", "metrics.json", "report/index.html")
-"""What is made from the newest checkpoint."""
 
 _NORMAL_RADIUS = 1.0  # of the neighbours that tell the normal of a point, resolution cells
 _EVALUATION_RAYS_PER_PIXEL = 4.0
 _VIEWS_AT_A_TIME = 8
 
 
-_Scores = dict[str, float | None]
-
-
-class Truth(TypedDict):
-    """What surface the points were held against: its file, unless it is the dataset's, and how they were moved."""
-
-    mesh: str | None
-    shift_m: NotRequired[tuple[float, float, float]]
-    heading_deg: NotRequired[float]
-
-
-class Metrics(TypedDict):
-    """What `metrics.json` holds: scores by test set, surface or baseline, and by metric."""
-
-    images: dict[str, _Scores]
-    points: dict[str, _Scores]
-    mesh: dict[str, _Scores]
-    baselines: dict[str, dict[str, _Scores]] | None
-    truth: NotRequired[Truth]
-    masks: NotRequired[str | None]
-    time_s: float | None
-    seed: int
-    parameters: dict[str, float]
-    definitions: dict[str, str]
-    reasons: dict[str, str]
-
-
-class _Header(msgspec.Struct, forbid_unknown_fields=True):
-    """What `config.json` holds."""
-
-    schema: str
-    schema_version: int
-    dataset: str | None
-    dataset_fingerprint: str
-    config: dict[str, Any]
-
-
 @dataclass(frozen=True)
-class InMemory:
-    """What a run without a folder holds itself."""
+class Run(AnyRun[Config]):
+    """A reconstruction of Gaussians; its folder also holds `gaussians.ply`."""
 
-    dataset: Dataset
-    snapshot: Snapshot
-    history: tuple[LogLine, ...]
+    @property
+    def method(self) -> str:
+        """See `AnyRun`."""
+        return OURS
 
-
-@dataclass(frozen=True)
-class Run:
-    """A reconstruction. Gaussians, points and renderings need nothing but itself; its images are in its dataset.
-
-    Parameters
-    ----------
-    config : Config
-        How it was made.
-    fingerprint : str
-        Fingerprint of its dataset when training began.
-    path : Path or None
-        Its folder: `config.json`, `metrics.jsonl`, `metrics.json`, `checkpoints/`, `gaussians.ply`, `points.ply`,
-        `report/`. None if it is in memory only.
-    dataset_path : Path or None
-        The dataset it was made from, if that is a folder.
-    memory : InMemory or None
-        What it holds if it has no folder.
-    device : str
-        Where it renders and extracts points, "cpu" or "cuda"; results come back as arrays either way.
-    """
-
-    config: Config
-    fingerprint: str
-    path: Path | None = None
-    dataset_path: Path | None = None
-    memory: InMemory | None = None
-    device: str = "cpu"
-
-    # ---- what was learned -------------------------------------------------------------------------------------------
-    @cached_property
-    def snapshot(self) -> Snapshot:
-        """The newest state of its training."""
-        if self.memory is not None:
-            return self.memory.snapshot
-        if self.checkpoint_path is None:
-            raise SarsplatError(f"{self.path} holds no checkpoint; run `sarsplat reconstruct` again with --overwrite")
-        return Snapshot.load(self.checkpoint_path)
+    @classmethod
+    def _read_config(cls, header: Header, source: str) -> Config:
+        if header.method != OURS:
+            raise SarsplatError(
+                f"{source} is of a run by the method {shown(header.method)}, which learned no Gaussians; give a run by "
+                f"{OURS}, or open it with sarsplat.rivals.open_run"
+            )
+        return Config.from_dict(header.config, source)
 
     @cached_property
     def model(self) -> SceneModel:
         """The learned scene."""
         try:
-            return self.snapshot.model(self.config, self.device)
+            return saved_model(self.snapshot, self.config, self.device)
         except (KeyError, ValueError, TypeError, IndexError, RuntimeError, SarsplatError) as error:
             raise SarsplatError(
                 f"{self.checkpoint_path} does not hold a whole model ({shown(str(error))}); "
@@ -151,20 +67,6 @@ class Run:
     def gaussians(self) -> Gaussians:
         """The target's Gaussians."""
         return self.model.target(self.model.degree(self.iteration)).detach()
-
-    @cached_property
-    def points(self) -> Float32[np.ndarray, "p 3"]:
-        """The reconstructed surface, world frame, m.
-
-        From `points.ply`; extracted anew if there is none, as after a training that was killed.
-        """
-        path = None if self.path is None else self.path / "points.ply"
-        return read_points_ply(path)[0] if path is not None and path.is_file() else self._extracted_points()
-
-    @cached_property
-    def normals(self) -> Float32[np.ndarray, "p 3"]:
-        """Unit normals of the points, on the side that the radar saw: of the planes through their neighbours."""
-        return self._normals_at(self.points)
 
     def mesh(self) -> trimesh.Trimesh:
         """The surface through the points as triangles, world frame, m.
@@ -219,36 +121,12 @@ class Run:
             )
         return offsets.double().numpy()
 
-    @property
-    def grid(self) -> ImageGrid:
-        """Pixels of its images."""
-        return self.snapshot.grid
-
-    @property
-    def brightest(self) -> float:
-        """Largest β⁰ of the training images, linear power: what pictures show as white."""
-        return self.snapshot.brightest
-
-    @property
-    def iteration(self) -> int:
-        """Iterations done."""
-        return self.snapshot.iteration
-
-    @property
-    def time_s(self) -> float:
-        """Training time so far, s of wall clock."""
-        return self.snapshot.seconds
-
-    @property
-    def seed(self) -> int:
-        """Seed of everything random."""
-        return self.config.seed
-
     def _extracted_points(self) -> Float32[np.ndarray, "p 3"]:
         points = extract_points(self.gaussians, self.snapshot.views, self.grid, self.config.points)
         return points.astype(np.float32)  # as the file has them
 
     def _normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
+        """Of the planes through their neighbours."""
         towards = self._seen.around(points)[1]
         return surface_normals(points, towards, _NORMAL_RADIUS * self.grid.cell_m).astype(np.float32)
 
@@ -256,132 +134,29 @@ class Run:
     def _seen(self) -> Seen:
         return Seen.of(self.gaussians, self.snapshot.views, self.grid)
 
-    # ---- what it was made from --------------------------------------------------------------------------------------
-    @cached_property
-    def dataset(self) -> Dataset:
-        """The dataset it was made from.
-
-        Raises
-        ------
-        SarsplatError
-            If it is no longer there, or has changed since.
-        """
-        if self.memory is not None:
-            return self.memory.dataset
-        if self.dataset_path is None:
-            raise SarsplatError(f"{self.path} was made from images in memory, which are gone; reconstruct a dataset")
-        if not self.dataset_path.exists():
-            raise SarsplatError(
-                f"{self.path} needs its dataset, which is no longer at {self.dataset_path}; "
-                f"say where it is with `sarsplat reconstruct DATASET --out {self.path} --resume`"
-            )
-        dataset = read_dataset(self.dataset_path)
-        if dataset.fingerprint() != self.fingerprint:
-            raise SarsplatError(
-                f"the dataset {self.dataset_path} is not what {self.path} was made from: it has changed since; "
-                "reconstruct again"
-            )
-        return dataset
-
-    # ---- its folder -------------------------------------------------------------------------------------------------
-    @classmethod
-    def load(cls, path: str | Path, device: str = "cpu") -> Run:
-        """Read a run's folder; see `Run` for the device.
-
-        Raises
-        ------
-        SarsplatError
-            If it is missing, or not a run of this version.
-        """
-        path = Path(path)
-        header = path / HEADER
-        if not header.is_file():
-            what = "does not exist" if not path.exists() else f"holds no {HEADER}, so it is not a run"
-            raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out {path}`")
-        data = read_versioned_json(
-            header, _Header, schema=SCHEMA, version=SCHEMA_VERSION, remedy="give a run, or reconstruct it again"
-        )
-        config = Config.from_dict(data.config, str(header))
-        where = None if data.dataset is None else Path(data.dataset)
-        return cls(config, data.dataset_fingerprint, path, where, device=device)
-
-    @classmethod
-    def create(cls, path: Path, dataset: Dataset, config: Config) -> Run:
-        """Make `config.json` and `checkpoints/` in a new folder."""
-        where = None if dataset.path is None else dataset.path.resolve()
-        run = cls(config, dataset.fingerprint(), path, where)
-        (path / "checkpoints").mkdir()
-        run.write_header()
-        return run
-
-    def write_header(self) -> None:
-        """Write `config.json`."""
-        where = None if self.dataset_path is None else str(self.dataset_path)
-        header = _Header(SCHEMA, SCHEMA_VERSION, where, self.fingerprint, self.config.as_dict())
-        write_json(self.folder / HEADER, header)
-
-    def taken_up(self, dataset: Dataset, config: Config) -> Run:
-        """The same run with its dataset where it is now, and settings as it goes on; noted on the disk."""
-        where = None if dataset.path is None else dataset.path.resolve()
-        changed = replace(self, dataset_path=where, config=config)
-        if changed != self:
-            changed.write_header()
-        return changed
-
-    @property
-    def folder(self) -> Path:
-        """Where it is on the disk.
-
-        Raises
-        ------
-        SarsplatError
-            If it is in memory only.
-        """
-        if self.path is None:
-            raise SarsplatError("this run is in memory and has no folder; pass `out` to reconstruct()")
-        return self.path
-
-    @property
-    def checkpoint_path(self) -> Path | None:
-        """The newest checkpoint, if there is one."""
-        found = [] if self.path is None else sorted((self.path / "checkpoints").glob("*.safetensors"))
-        return found[-1] if found else None
-
-    @property
-    def log_path(self) -> Path:
-        """Its `metrics.jsonl`."""
-        return self.folder / "metrics.jsonl"
-
-    @property
-    def history(self) -> list[LogLine]:
-        """The lines of `metrics.jsonl` (`read_log`)."""
-        if self.memory is not None:
-            return list(self.memory.history)
-        return read_log(self.log_path)
-
-    @property
-    def metrics(self) -> Metrics | None:
-        """What `sarsplat evaluate` found, if it was asked."""
-        path = None if self.path is None else self.path / "metrics.json"
-        return None if path is None or not path.is_file() else read_json(path, Metrics)
-
     def write_results(self) -> None:
         """Write `gaussians.ply` and `points.ply`."""
         write_gaussians_ply(self.folder / "gaussians.ply", self.gaussians)
-        points = self._extracted_points()
-        write_points_ply(self.folder / "points.ply", points, normals=self._normals_at(points))
+        super().write_results()
 
-    def remove_results(self) -> None:
-        """Before training goes on: results of an earlier state must not be taken for those of the next checkpoint."""
-        with plain_os_errors("write", self.folder):
-            for name in _RESULTS:
-                (self.folder / name).unlink(missing_ok=True)
+    # ---- for readers ------------------------------------------------------------------------------------------------
+    @property
+    def learned(self) -> str:
+        """See `AnyRun`."""
+        return counted(len(self.gaussians), "Gaussian")
 
+    @property
+    def facts(self) -> dict[str, str]:
+        """See `AnyRun`."""
+        config = self.config
+        return {
+            "preset": config.preset,
+            "start": config.initialisation,
+            "iterations": f"{self.iteration:,} of {config.iterations:,}, {counted(config.views_per_step, 'view')} each",
+        }
 
-def require_replaceable(out: Path) -> None:
-    """Refuse to overwrite a folder that is not a run, of whatever version: many programs keep a `config.json`."""
-    header = out / HEADER
-    if header.is_file():
-        data = read_json(header, dict[str, Any])
-        if data.get("schema") != SCHEMA:
-            raise SarsplatError(f"{header} is not the header of a run, so it will not be replaced; choose another name")
+    @property
+    def loss_title(self) -> tuple[str, str]:
+        """See `AnyRun`."""
+        known = LOSSES.get(self.config.loss)
+        return (known.title, known.unit) if known else (f"function {self.config.loss}", "loss")

@@ -19,7 +19,8 @@ from sarsplat.reconstruction.density import DensityControl
 from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss, speckle_nats
 from sarsplat.reconstruction.model import PER_GAUSSIAN, SceneModel
 from sarsplat.reconstruction.optimiser import Optimiser
-from sarsplat.reconstruction.snapshot import AZIMUTH_OFFSETS, Snapshot, region_tensors
+from sarsplat.reconstruction.saved_model import AZIMUTH_OFFSETS, region_tensors, saved_model
+from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.reconstruction.texture import Texture
 
 _FAINTEST = 1e-30
@@ -234,6 +235,11 @@ class Trainer:
         self.optimiser = self.optimiser.rebuild(self.model.parameters, source)
 
     @property
+    def gaussian_count(self) -> int:
+        """Number of the target's Gaussians."""
+        return len(self.model)
+
+    @property
     def gaussians(self) -> Gaussians:
         """The target as it is now."""
         return self.model.target(self.model.degree(self.iteration)).detach()
@@ -269,7 +275,7 @@ class Trainer:
 
     def restore(self, snapshot: Snapshot) -> None:
         """Undo `snapshot`."""
-        self.model = snapshot.model(self.config, self.device)
+        self.model = saved_model(snapshot, self.config, self.device)
         self._bounds = self.model.scene_bounds()
         self.optimiser = Optimiser(self.model.parameters, self.model.bounds, self.config, self.grid.cell_m)
         self.optimiser.load_state(snapshot.part("optimiser"))

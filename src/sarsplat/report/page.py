@@ -14,7 +14,7 @@ from sarsplat.data import Dataset
 from sarsplat.data.determined import weakest_direction
 from sarsplat.errors import counted
 from sarsplat.evaluation import NOT_THE_SAME_EXPERIMENT, Yardstick, all_metrics, paper_beside
-from sarsplat.reconstruction import Run
+from sarsplat.reconstruction import AnyRun
 from sarsplat.report.scores import Row, ScoreTable, score_tables
 
 
@@ -33,7 +33,7 @@ class Picture:
         return f"data:image/png;base64,{base64.b64encode(self.png).decode()}"
 
 
-def page(run: Run, pictures: list[Picture], training: list[Picture]) -> str:
+def page(run: AnyRun[Any], pictures: list[Picture], training: list[Picture]) -> str:
     """The whole page as HTML: pictures come before the scores, those of the training after them."""
     import jinja2
 
@@ -63,12 +63,12 @@ def page(run: Run, pictures: list[Picture], training: list[Picture]) -> str:
     )
 
 
-def _lead(run: Run) -> str:
+def _lead(run: AnyRun[Any]) -> str:
     dataset = run.dataset
     train = sum(entry.split == "train" for entry in dataset.entries)
     kind = "measured" if dataset.calibration == "relative" else "simulated"
     return (
-        f"{counted(len(run.gaussians), 'Gaussian')} and {counted(len(run.points), 'surface point')}, reconstructed "
+        f"{run.learned} and {counted(len(run.points), 'surface point')}, reconstructed "
         f"from {counted(train, f'{kind} SAR image')} in {_duration(run.time_s)}."
     )
 
@@ -128,17 +128,15 @@ def _plain(value: Any) -> str:
     return "none" if value is None else str(value)
 
 
-def _run_facts(run: Run) -> dict[str, str]:
-    config = run.config
+def _run_facts(run: AnyRun[Any]) -> dict[str, str]:
     try:
         program = version("sarsplat")
     except PackageNotFoundError:  # run from source
         program = "from source"
     return {
         "folder": str(run.path),
-        "preset": config.preset,
-        "start": config.initialisation,
-        "iterations": f"{run.iteration:,} of {config.iterations:,}, {counted(config.views_per_step, 'view')} each",
+        "method": run.method,
+        **run.facts,
         "training time": _duration(run.time_s),
         "seed": str(run.seed),
         "report by": f"sarsplat {program}",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,8 +13,7 @@ from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Alignment, UndefinedScore, Yardstick, predicted_masks, read_masks, read_truth_mesh
-from sarsplat.reconstruction import Run
-from sarsplat.reconstruction.losses import LOSSES
+from sarsplat.reconstruction import AnyRun, Run
 from sarsplat.report.azimuths import azimuths_figure
 from sarsplat.report.cloud import points_figure
 from sarsplat.report.curves import curves_figure
@@ -28,12 +28,12 @@ _SURFACE_SAMPLES = 60_000
 _STILL = Alignment((0.0, 0.0, 0.0), 0.0)
 
 
-def write_report(run: Run) -> Path:
+def write_report(run: AnyRun[Any]) -> Path:
     """Write `RUN/report/`: `index.html`, which holds all it shows, and its pictures once more as PNGs.
 
     Parameters
     ----------
-    run : Run
+    run : AnyRun
         A reconstruction; its scores are shown if `metrics.json` is there.
 
     Returns
@@ -80,7 +80,7 @@ def refuse_linked_report(run: Path) -> None:
         raise SarsplatError(f"{folder} is a link, but a report is only written inside its run; remove the link")
 
 
-def _views(run: Run) -> Picture:
+def _views(run: AnyRun[Any]) -> Picture:
     dataset = run.dataset
     splits = [split for split in dataset.splits() if split != "train"] or ["train"]
     items = [index for index, entry in enumerate(dataset.entries) if entry.split in splits]
@@ -111,7 +111,7 @@ def _views(run: Run) -> Picture:
     return Picture("views.png", "Unseen views", text, png)
 
 
-def _masks(run: Run) -> list[Picture]:
+def _masks(run: AnyRun[Any]) -> list[Picture]:
     """Of the folder that the run was evaluated with."""
     folder = None if (metrics := run.metrics) is None else metrics.get("masks")
     if folder is None:
@@ -136,7 +136,7 @@ def _masks(run: Run) -> list[Picture]:
     return [Picture("masks.png", "Target and shadow", text, png)]
 
 
-def _points(run: Run) -> Picture:
+def _points(run: AnyRun[Any]) -> Picture:
     _, farthest_m, _ = Yardstick.of(run.dataset.grid).thresholds_m
     file, motion = _truth(run)
     points = motion.moved(run.points)
@@ -153,7 +153,7 @@ def _points(run: Run) -> Picture:
     return Picture("points.png", "Points", text, points_figure(points, np.asarray(surface), farthest_m))
 
 
-def _truth(run: Run) -> tuple[Path | None, Alignment]:
+def _truth(run: AnyRun[Any]) -> tuple[Path | None, Alignment]:
     """The file of the true surface, and the motion that brought the points onto it."""
     file = run.dataset.truth_mesh
     if (metrics := run.metrics) is None or "truth" not in metrics:
@@ -164,7 +164,7 @@ def _truth(run: Run) -> tuple[Path | None, Alignment]:
     return file, Alignment(truth.get("shift_m", _STILL.shift_m), truth.get("heading_deg", _STILL.heading_deg))
 
 
-def _mesh(run: Run) -> list[Picture]:
+def _mesh(run: AnyRun[Any]) -> list[Picture]:
     truth, motion = _truth(run)
     try:
         mesh = run.mesh()
@@ -178,18 +178,17 @@ def _mesh(run: Run) -> list[Picture]:
     return [Picture("mesh.png", "Mesh", text + beside, meshes_figure(mesh, read_truth_mesh(truth) if truth else None))]
 
 
-def _curves(run: Run) -> list[Picture]:
+def _curves(run: AnyRun[Any]) -> list[Picture]:
     history = run.history
     if not history:
         return []
-    known = LOSSES.get(run.config.loss)
-    name, unit = (known.title, known.unit) if known else (f"function {run.config.loss}", "loss")
+    name, unit = run.loss_title
     text = f"The loss is the {name}, averaged over the training views."
     return [Picture("curves.png", "Training", text, curves_figure(history, unit))]
 
 
-def _azimuths(run: Run) -> list[Picture]:
-    if not run.azimuth_offset_deg.any():
+def _azimuths(run: AnyRun[Any]) -> list[Picture]:
+    if not isinstance(run, Run) or not run.azimuth_offset_deg.any():
         return []
     train = run.dataset.select("train")
     std = np.array([entry.azimuth_std_deg for entry in train.entries])

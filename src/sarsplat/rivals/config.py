@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sarsplat.reconstruction.config import Count, Seed
-from sarsplat.reconstruction.record import Record
+from sarsplat.reconstruction.config import AnyConfig, Count, Seed
 
 
 @dataclass(frozen=True)
-class RivalConfig(Record):
+class RivalConfig(AnyConfig):
     """Base of a method's settings.
 
     Parameters

@@ -1,0 +1,356 @@
+"""What every reconstruction is, whatever made it: a state, and the folder that holds it if there is one."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, NotRequired, Self, TypedDict, TypeVar
+
+import msgspec
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from sarsplat.data import (
+    Dataset,
+    read_dataset,
+    read_json,
+    read_points_ply,
+    read_versioned_json,
+    write_json,
+    write_points_ply,
+)
+from sarsplat.data.files import plain_os_errors
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.reconstruction.config import AnyConfig
+from sarsplat.reconstruction.log import LogLine, read_log
+from sarsplat.reconstruction.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    import trimesh
+
+SCHEMA = "sarsplat-run"
+SCHEMA_VERSION = 3
+HEADER = "config.json"
+
+OURS = "sar-gs"
+"""The method that learns Gaussians; a run that does not say which method made it is one of these."""
+
+_RESULTS = ("gaussians.ply", "points.ply", "metrics.json", "report/index.html")
+"""What is made from the newest checkpoint."""
+
+_Scores = dict[str, float | None]
+
+
+class Truth(TypedDict):
+    """What surface the points were held against: its file, unless it is the dataset's, and how they were moved."""
+
+    mesh: str | None
+    shift_m: NotRequired[tuple[float, float, float]]
+    heading_deg: NotRequired[float]
+
+
+class Metrics(TypedDict):
+    """What `metrics.json` holds: scores by test set, surface or baseline, and by metric."""
+
+    images: dict[str, _Scores]
+    points: dict[str, _Scores]
+    mesh: dict[str, _Scores]
+    baselines: dict[str, dict[str, _Scores]] | None
+    truth: NotRequired[Truth]
+    masks: NotRequired[str | None]
+    time_s: float | None
+    seed: int
+    parameters: dict[str, float]
+    definitions: dict[str, str]
+    reasons: dict[str, str]
+
+
+class Header(msgspec.Struct, forbid_unknown_fields=True):
+    """What `config.json` holds."""
+
+    schema: str
+    schema_version: int
+    dataset: str | None
+    dataset_fingerprint: str
+    config: dict[str, Any]
+    method: str = OURS
+
+
+@dataclass(frozen=True)
+class InMemory:
+    """What a run without a folder holds itself."""
+
+    dataset: Dataset
+    snapshot: Snapshot
+    history: tuple[LogLine, ...]
+
+
+C = TypeVar("C", bound=AnyConfig)
+
+
+@dataclass(frozen=True)
+class AnyRun(ABC, Generic[C]):
+    """A reconstruction. Points and renderings need nothing but itself; its images are in its dataset.
+
+    Parameters
+    ----------
+    config : AnyConfig
+        How it was made.
+    fingerprint : str
+        Fingerprint of its dataset when training began.
+    path : Path or None
+        Its folder: `config.json`, `metrics.jsonl`, `metrics.json`, `checkpoints/`, `points.ply`, `report/` and what
+        else its method writes. None if it is in memory only.
+    dataset_path : Path or None
+        The dataset it was made from, if that is a folder.
+    memory : InMemory or None
+        What it holds if it has no folder.
+    device : str
+        Where it renders and extracts points, "cpu" or "cuda"; results come back as arrays either way.
+    """
+
+    config: C
+    fingerprint: str
+    path: Path | None = None
+    dataset_path: Path | None = None
+    memory: InMemory | None = None
+    device: str = "cpu"
+
+    # ---- what every method must offer -------------------------------------------------------------------------------
+    @abstractmethod
+    def render(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
+        """β⁰ of any views, linear power, on its grid."""
+
+    @abstractmethod
+    def masks(self, views: Sequence[View]) -> UInt8[np.ndarray, "v rows columns"]:
+        """What the pixels of any views show: 0 clutter, 1 target, 2 shadow; on its grid, uint8."""
+
+    @abstractmethod
+    def mesh(self) -> trimesh.Trimesh:
+        """Its surface as triangles, world frame, m; perhaps without faces."""
+
+    @abstractmethod
+    def _extracted_points(self) -> Float32[np.ndarray, "p 3"]:
+        """Points of the surface, world frame, m."""
+
+    @abstractmethod
+    def _normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
+        """Unit normals of the surface at these of its points."""
+
+    @property
+    @abstractmethod
+    def learned(self) -> str:
+        """What was learned, in words: `4,123 Gaussians`."""
+
+    @property
+    @abstractmethod
+    def facts(self) -> dict[str, str]:
+        """How it was made, for readers: names and values."""
+
+    @property
+    @abstractmethod
+    def loss_title(self) -> tuple[str, str]:
+        """What its training minimised, and the unit of that."""
+
+    # ---- what was learned -------------------------------------------------------------------------------------------
+    @cached_property
+    def snapshot(self) -> Snapshot:
+        """The newest state of its training."""
+        if self.memory is not None:
+            return self.memory.snapshot
+        if self.checkpoint_path is None:
+            raise SarsplatError(f"{self.path} holds no checkpoint; run `sarsplat reconstruct` again with --overwrite")
+        return Snapshot.load(self.checkpoint_path)
+
+    @cached_property
+    def points(self) -> Float32[np.ndarray, "p 3"]:
+        """The reconstructed surface, world frame, m.
+
+        From `points.ply`; extracted anew if there is none, as after a training that was killed.
+        """
+        path = None if self.path is None else self.path / "points.ply"
+        return read_points_ply(path)[0] if path is not None and path.is_file() else self._extracted_points()
+
+    @cached_property
+    def normals(self) -> Float32[np.ndarray, "p 3"]:
+        """Unit normals of the points, on the side that the radar saw."""
+        return self._normals_at(self.points)
+
+    @property
+    def grid(self) -> ImageGrid:
+        """Pixels of its images."""
+        return self.snapshot.grid
+
+    @property
+    def brightest(self) -> float:
+        """Largest β⁰ of the training images, linear power: what pictures show as white."""
+        return self.snapshot.brightest
+
+    @property
+    def iteration(self) -> int:
+        """Iterations done."""
+        return self.snapshot.iteration
+
+    @property
+    def time_s(self) -> float:
+        """Training time so far, s of wall clock."""
+        return self.snapshot.seconds
+
+    @property
+    def seed(self) -> int:
+        """Seed of everything random."""
+        return self.config.seed
+
+    # ---- what it was made from --------------------------------------------------------------------------------------
+    @cached_property
+    def dataset(self) -> Dataset:
+        """The dataset it was made from.
+
+        Raises
+        ------
+        SarsplatError
+            If it is no longer there, or has changed since.
+        """
+        if self.memory is not None:
+            return self.memory.dataset
+        if self.dataset_path is None:
+            raise SarsplatError(f"{self.path} was made from images in memory, which are gone; reconstruct a dataset")
+        if not self.dataset_path.exists():
+            raise SarsplatError(
+                f"{self.path} needs its dataset, which is no longer at {self.dataset_path}; "
+                f"say where it is with `sarsplat reconstruct DATASET --out {self.path} --resume`"
+            )
+        dataset = read_dataset(self.dataset_path)
+        if dataset.fingerprint() != self.fingerprint:
+            raise SarsplatError(
+                f"the dataset {self.dataset_path} is not what {self.path} was made from: it has changed since; "
+                "reconstruct again"
+            )
+        return dataset
+
+    # ---- its folder -------------------------------------------------------------------------------------------------
+    @classmethod
+    def load(cls, path: str | Path, device: str = "cpu") -> Self:
+        """Read a run's folder; see `Run` for the device.
+
+        Raises
+        ------
+        SarsplatError
+            If it is missing, or not a run of this version.
+        """
+        path = Path(path)
+        header = read_header(path)
+        where = None if header.dataset is None else Path(header.dataset)
+        config = cls._read_config(header, str(path / HEADER))
+        return cls(config, header.dataset_fingerprint, path, where, device=device)
+
+    @classmethod
+    @abstractmethod
+    def _read_config(cls, header: Header, source: str) -> C:
+        """The settings in a header; refuses those of other kinds of runs."""
+
+    @property
+    @abstractmethod
+    def method(self) -> str:
+        """Name of the method that made it."""
+
+    @classmethod
+    def create(cls, path: Path, dataset: Dataset, config: C) -> Self:
+        """Make `config.json` and `checkpoints/` in a new folder."""
+        where = None if dataset.path is None else dataset.path.resolve()
+        run = cls(config, dataset.fingerprint(), path, where)
+        (path / "checkpoints").mkdir()
+        run.write_header()
+        return run
+
+    def write_header(self) -> None:
+        """Write `config.json`."""
+        where = None if self.dataset_path is None else str(self.dataset_path)
+        header = Header(SCHEMA, SCHEMA_VERSION, where, self.fingerprint, self.config.as_dict(), self.method)
+        write_json(self.folder / HEADER, header)
+
+    def taken_up(self, dataset: Dataset, config: C) -> Self:
+        """The same run with its dataset where it is now, and settings as it goes on; noted on the disk."""
+        where = None if dataset.path is None else dataset.path.resolve()
+        changed = replace(self, dataset_path=where, config=config)
+        if changed != self:
+            changed.write_header()
+        return changed
+
+    @property
+    def folder(self) -> Path:
+        """Where it is on the disk.
+
+        Raises
+        ------
+        SarsplatError
+            If it is in memory only.
+        """
+        if self.path is None:
+            raise SarsplatError("this run is in memory and has no folder; pass `out` to reconstruct()")
+        return self.path
+
+    @property
+    def checkpoint_path(self) -> Path | None:
+        """The newest checkpoint, if there is one."""
+        found = [] if self.path is None else sorted((self.path / "checkpoints").glob("*.safetensors"))
+        return found[-1] if found else None
+
+    @property
+    def log_path(self) -> Path:
+        """Its `metrics.jsonl`."""
+        return self.folder / "metrics.jsonl"
+
+    @property
+    def history(self) -> list[LogLine]:
+        """The lines of `metrics.jsonl` (`read_log`)."""
+        if self.memory is not None:
+            return list(self.memory.history)
+        return read_log(self.log_path)
+
+    @property
+    def metrics(self) -> Metrics | None:
+        """What `sarsplat evaluate` found, if it was asked."""
+        path = None if self.path is None else self.path / "metrics.json"
+        return None if path is None or not path.is_file() else read_json(path, Metrics)
+
+    def write_results(self) -> None:
+        """Write what other programs read: `points.ply`."""
+        points = self._extracted_points()
+        write_points_ply(self.folder / "points.ply", points, normals=self._normals_at(points))
+
+    def remove_results(self) -> None:
+        """Before training goes on: results of an earlier state must not be taken for those of the next checkpoint."""
+        with plain_os_errors("write", self.folder):
+            for name in _RESULTS:
+                (self.folder / name).unlink(missing_ok=True)
+
+
+def read_header(path: Path) -> Header:
+    """The header of a run's folder.
+
+    Raises
+    ------
+    SarsplatError
+        If it is missing, or not a run of this version.
+    """
+    header = path / HEADER
+    if not header.is_file():
+        what = "does not exist" if not path.exists() else f"holds no {HEADER}, so it is not a run"
+        raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out {path}`")
+    return read_versioned_json(
+        header, Header, schema=SCHEMA, version=SCHEMA_VERSION, remedy="give a run, or reconstruct it again"
+    )
+
+
+def require_replaceable(out: Path) -> None:
+    """Refuse to overwrite a folder that is not a run, of whatever version: many programs keep a `config.json`."""
+    header = out / HEADER
+    if header.is_file():
+        data = read_json(header, dict[str, Any])
+        if data.get("schema") != SCHEMA:
+            raise SarsplatError(f"{header} is not the header of a run, so it will not be replaced; choose another name")
