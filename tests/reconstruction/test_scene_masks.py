@@ -27,7 +27,7 @@ def box(height: float = 1.5) -> trimesh.Trimesh:
 
 def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> np.ndarray:
     """By the same definition where all scatters alike: areas are numbers of rays."""
-    from sarsplat.scenes.raycast import _Facets, _first_hits
+    from sarsplat.scenes.raycast import Facets, first_hits
 
     spacing, theta = min(grid.spacing_m) / 6, math.radians(view.grazing_deg)
     edges = [
@@ -35,8 +35,8 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> np.ndarr
         for centres, width in ((grid.range_m, grid.spacing_m[1]), (grid.azimuth_m, grid.spacing_m[0]))
     ]
     target, hidden = np.zeros((2, grid.rows, grid.columns))
-    facets = _Facets.of(mesh, view)
-    for position, face in _first_hits(facets, (edges[1][0], edges[1][-1]), spacing, (0.5, 0.5)):
+    facets = Facets.of(mesh, view)
+    for position, face in first_hits(facets, (edges[1][0], edges[1][-1]), spacing, (0.5, 0.5)):
         x, y = position.T
         target += np.histogram2d(facets.depth(face, position), x, edges)[0]
         hidden += np.histogram2d(y / math.tan(theta), x, edges)[0]

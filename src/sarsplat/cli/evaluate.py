@@ -42,11 +42,11 @@ def evaluate(
         metrics_table,
         paper_beside,
     )
-    from sarsplat.reconstruction import Run
     from sarsplat.report import write_report
     from sarsplat.report.write import refuse_linked_report
+    from sarsplat.rivals import open_run
 
-    done = Run.load(run)
+    done = open_run(run)
     refuse_linked_report(run)
     metrics = evaluate_run(done, mesh=mesh, alignment=align, masks=masks, lpips_weights=lpips_weights)
     with console.busy("writing the report"):

@@ -44,12 +44,15 @@ def export(
     """
     from sarsplat.data import write_gaussians_ply, write_mesh, write_points_ply
     from sarsplat.reconstruction import Run
+    from sarsplat.rivals import open_run
 
     content = _content(file, format)
-    done = Run.load(run)
+    done = open_run(run)
     refuse_existing(file, overwrite)
     _refuse_others(file, run)
     if content == "gaussians":
+        if not isinstance(done, Run):
+            raise SarsplatError(f"{run} was made by {done.method}, which learns no Gaussians; export --format points")
         gaussians = done.gaussians
         write_gaussians_ply(file, gaussians)
         console.finish(f"{file}: {len(gaussians)} Gaussians", f"open {file} in any 3D Gaussian splatting viewer")

@@ -15,6 +15,7 @@ EXTRAS: dict[str, dict[str, str]] = {
         "trimesh": "trimesh",
         "embreex": "embreex",
     },
+    "rivals": {"trimesh": "trimesh", "skimage": "scikit-image", "embreex": "embreex"},
     "report": {"matplotlib": "matplotlib", "jinja2": "jinja2", "trimesh": "trimesh", "skimage": "scikit-image"},
 }
 """Extra → modules it brings → names of their distributions."""

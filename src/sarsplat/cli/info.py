@@ -121,17 +121,19 @@ def _grid(grid: ImageGrid) -> dict[str, str]:
 
 def _run(path: Path) -> tuple[str, dict[str, str]]:
     from sarsplat.reconstruction import Run
+    from sarsplat.rivals import open_run
 
-    run = Run.load(path)
+    run = open_run(path)
     where = run.dataset_path
     dataset = "images in memory" if where is None else str(where) if where.exists() else f"{where} (no longer there)"
     rows = {
         "dataset": dataset,
-        "preset": f"{run.config.preset}, start {run.config.initialisation}, seed {run.seed}",
-        "iterations": f"{run.iteration} of {run.config.iterations}",
+        "method": run.method,
+        "learned": run.learned,
+        **run.facts,
+        "seed": str(run.seed),
         "time": f"{run.time_s:.1f} s",
-        "Gaussians": str(len(run.gaussians)),
-        **_corrections(run.azimuth_offset_deg),
+        **(_corrections(run.azimuth_offset_deg) if isinstance(run, Run) else {}),
         "points": _extent(run.points),
         "scores": "metrics.json" if run.metrics else "none yet; run sarsplat evaluate",
         "report": "report/index.html" if (path / "report" / "index.html").is_file() else "none yet",

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 
 
@@ -32,3 +34,29 @@ def interrupts_held_back() -> Iterator[Callable[[], bool]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def interruptible(dataset: Path, out: Path) -> Iterator[Callable[[object], None]]:
+    """A training that Ctrl-C ends between two steps; the yielded function is called after each.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If there was one; it says how to go on if there is something to go on from.
+    """
+    with interrupts_held_back() as interrupted:
+
+        def stop_if_asked(step: object) -> None:
+            if interrupted():
+                raise KeyboardInterrupt
+
+        try:
+            yield stop_if_asked
+        except KeyboardInterrupt as interrupt:
+            if interrupt.args or not (out / "config.json").is_file():
+                raise
+            raise KeyboardInterrupt(
+                f"stopped by Ctrl-C; {out} keeps the progress so far; continue with "
+                f"`sarsplat reconstruct {shlex.quote(str(dataset))} --out {shlex.quote(str(out))} --resume`"
+            ) from None

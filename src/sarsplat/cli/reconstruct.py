@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import MARKERS, Folder, OptionalFile, refuse_existing
-from sarsplat.cli.interrupt import interrupts_held_back
+from sarsplat.cli.arguments import MARKERS, Folder, OptionalFile, OptionalFolder, refuse_existing
+from sarsplat.cli.interrupt import interruptible
+from sarsplat.cli.rival import OURS, MethodName, asked_method, reconstruct_by
 from sarsplat.errors import SarsplatError
 from sarsplat.reconstruction.config import Config, Densification, Surroundings
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
-    from sarsplat.reconstruction import Step
 
 PresetName = Literal["auto", "default", "quick", "speckled", "paper", "measured"]
 _PARTS = {"densification": Densification, "surroundings": Surroundings}
@@ -59,6 +59,12 @@ class Options:
         Starting settings from a file written by --print-config, instead of a preset.
     print_config
         Print the settings as JSON and exit.
+    method
+        What learns: sar-gs, our Gaussians, or to compare with it sar-nerf, sar-nerf-grid or dsr (docs/rivals.md). These
+        know only the settings --iterations, --views-per-step, --checkpoint-every and --seed as options; the others are
+        in the file that --print-config writes.
+    masks
+        Folder of masks of the training images, from which dsr learns; `sarsplat simulate --masks` writes them.
     device
         Where to train; auto uses a GPU if a usable one is present.
     resume
@@ -79,6 +85,8 @@ class Options:
     preset: PresetName = "auto"
     config: OptionalFile = None
     print_config: bool = False
+    method: MethodName | None = None
+    masks: OptionalFolder = None
     device: Literal["auto", "cpu", "cuda"] = "auto"
     resume: bool = False
     overwrite: bool = False
@@ -92,13 +100,20 @@ def reconstruct(
     words: Annotated[tuple[str, ...], tyro.conf.Fixed, tyro.conf.Suppress] = (),
 ) -> None:
     """Reconstruct Gaussians and points from the training images of a dataset."""
+    dataset, out = options.dataset, options.out
+    if options.resume and options.overwrite:
+        raise SarsplatError("--resume continues the run and --overwrite discards it; give only one of them")
+    if (method := asked_method(options.method, options.resume, out)) != OURS:
+        reconstruct_by(method, options, words)
+        return
     from sarsplat.data import read_dataset
     from sarsplat.reconstruction import reconstruct as train
     from sarsplat.reconstruction.any_run import HEADER
 
-    dataset, out = options.dataset, options.out
-    if options.resume and options.overwrite:
-        raise SarsplatError("--resume continues the run and --overwrite discards it; give only one of them")
+    if options.masks is not None:
+        raise SarsplatError(
+            f"--masks {options.masks} is for methods that learn from masks; {OURS} does not, so omit it"
+        )
     images = read_dataset(dataset)
     config = _overridden(_base(options, images), options, words)
     if options.print_config:
@@ -107,34 +122,20 @@ def reconstruct(
         return
     if not options.resume:
         refuse_existing(out, options.overwrite, marker=HEADER)
-    place = shlex.quote(str(out))
-
-    def stop_if_asked(step: Step) -> None:
-        if interrupted():
-            raise KeyboardInterrupt
-
-    try:
-        with interrupts_held_back() as interrupted:
-            run = train(
-                images,
-                config,
-                out,
-                device=options.device,
-                on_step=stop_if_asked,
-                resume=options.resume,
-                overwrite=options.overwrite,
-            )
-    except KeyboardInterrupt as interrupt:
-        if interrupt.args or not (out / HEADER).is_file():
-            raise
-        raise KeyboardInterrupt(
-            f"stopped by Ctrl-C; {out} keeps the progress so far; continue with "
-            f"`sarsplat reconstruct {shlex.quote(str(dataset))} --out {place} --resume`"
-        ) from None
+    with interruptible(dataset, out) as stop_if_asked:
+        run = train(
+            images,
+            config,
+            out,
+            device=options.device,
+            on_step=stop_if_asked,
+            resume=options.resume,
+            overwrite=options.overwrite,
+        )
     console.finish(
         f"{out}: {len(run.gaussians)} Gaussians and {len(run.points)} points in {run.time_s:.0f} s "
         f"(preset {config.preset}, seed {run.seed})",
-        f"sarsplat evaluate {place}",
+        f"sarsplat evaluate {shlex.quote(str(out))}",
     )
 
 

@@ -42,14 +42,14 @@ def render(
         Replace an existing folder of rendered images.
     """
     from sarsplat.data import new_folder, write_bytes, write_power_tiff
-    from sarsplat.reconstruction import Run
     from sarsplat.report import contact_sheet, decibel_png
     from sarsplat.report.decibels import DYNAMIC_DB, to_decibels
+    from sarsplat.rivals import open_run
 
     views = views_from(azimuth, grazing, incidence)
     if len({_name(view) for view in views}) < len(views):
         raise SarsplatError("two of the views are the same to within a millionth of a degree; give each view once")
-    done = Run.load(run)
+    done = open_run(run)
     refuse_existing(out, overwrite, marker=_SHEET)
     peak = done.brightest
     with console.busy(f"rendering {counted(len(views), 'view')}"):

@@ -14,10 +14,10 @@ def report(run: RunFolder) -> None:
     run
         Folder written by `sarsplat reconstruct`.
     """
-    from sarsplat.reconstruction import Run
     from sarsplat.report import write_report
+    from sarsplat.rivals import open_run
 
-    done = Run.load(run)
+    done = open_run(run)
     with console.busy(f"writing the report of {run}"):
         page = write_report(done)
     evaluated = done.metrics is not None

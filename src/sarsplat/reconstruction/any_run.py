@@ -245,24 +245,23 @@ class AnyRun(ABC, Generic[C]):
         path = Path(path)
         header = read_header(path)
         where = None if header.dataset is None else Path(header.dataset)
-        config = cls._read_config(header, str(path / HEADER))
-        return cls(config, header.dataset_fingerprint, path, where, device=device)
+        known = cls._of_header(header, str(path / HEADER))
+        return cls(fingerprint=header.dataset_fingerprint, path=path, dataset_path=where, device=device, **known)
 
     @classmethod
     @abstractmethod
-    def _read_config(cls, header: Header, source: str) -> C:
-        """The settings in a header; refuses those of other kinds of runs."""
+    def _of_header(cls, header: Header, source: str) -> dict[str, Any]:
+        """What a header says besides: `config` and fields of its own; refuses headers of other kinds of runs."""
 
     @property
     @abstractmethod
     def method(self) -> str:
         """Name of the method that made it."""
 
-    @classmethod
-    def create(cls, path: Path, dataset: Dataset, config: C) -> Self:
-        """Make `config.json` and `checkpoints/` in a new folder."""
+    def placed(self, path: Path, dataset: Dataset) -> Self:
+        """The same run in a new folder, in which `config.json` and `checkpoints/` are made."""
         where = None if dataset.path is None else dataset.path.resolve()
-        run = cls(config, dataset.fingerprint(), path, where)
+        run = replace(self, path=path, dataset_path=where)
         (path / "checkpoints").mkdir()
         run.write_header()
         return run

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -150,16 +150,21 @@ class Training(Generic[T]):
         return LogLine(self.trainer.iteration, round(self.seconds, 3), loss, self.trainer.gaussian_count)
 
 
-def train(
-    training: Training[T],
-    run_type: type[R],
-    dataset: Dataset,
-    out: Path | None,
-    *,
-    resume: bool,
-    overwrite: bool,
-) -> R:
+def train(training: Training[Any], new: R, dataset: Dataset, out: Path | None, *, resume: bool, overwrite: bool) -> R:
     """Train to the end, in memory or, with `out`, in a folder from which it can be taken up at any time.
+
+    Parameters
+    ----------
+    training : Training
+        At its beginning; to resume, it is brought to where it stopped.
+    new : AnyRun
+        The run as it will be: settings and fingerprint of the dataset.
+    dataset : Dataset
+        Its images.
+    out : Path or None
+        Its folder.
+    resume, overwrite : bool
+        Whether the folder holds this run, or may hold another.
 
     Raises
     ------
@@ -168,32 +173,29 @@ def train(
         run was started with.
     """
     if out is not None:
-        return _on_the_disk(training, run_type, dataset, out, resume, overwrite)
+        return _on_the_disk(training, new, dataset, out, resume, overwrite)
     if resume or overwrite:
         raise SarsplatError("a run in memory can be neither resumed nor overwritten; pass a folder as `out`")
-    config, fingerprint = training.trainer.config, dataset.fingerprint()  # before the work, in case it has none
-    training.go_on_to(config.iterations)
+    training.go_on_to(training.trainer.config.iterations)
     held = InMemory(dataset, training.trainer.snapshot(training.seconds), tuple(training.history))
-    return run_type(config, fingerprint, memory=held)
+    return replace(new, memory=held)
 
 
-def _on_the_disk(
-    training: Training[T], run_type: type[R], dataset: Dataset, out: Path, resume: bool, overwrite: bool
-) -> R:
+def _on_the_disk(training: Training[Any], new: R, dataset: Dataset, out: Path, resume: bool, overwrite: bool) -> R:
     config = training.trainer.config
     stopped: BaseException | None = None
     if resume:
-        begun = run_type.load(out)
+        begun = type(new).load(out)
     else:
         if overwrite:
             require_replaceable(out)
         refuse_existing(out, overwrite, marker=HEADER)
     with only_writer(out):
         if resume:
-            _take_up(training, begun, dataset)
+            _take_up(training, begun, new.method, dataset)
         else:
             with new_folder(out, overwrite, marker=HEADER) as folder:
-                run = run_type.create(folder, dataset, config)
+                run = new.placed(folder, dataset)
                 try:
                     _train(training, run, min(config.checkpoint_every, config.iterations))
                 except BaseException as error:
@@ -208,9 +210,9 @@ def _on_the_disk(
                     stopped = error
         try:
             if stopped is None and not training.ended:
-                _train(training, run_type.load(out), config.iterations)
+                _train(training, type(new).load(out), config.iterations)
         finally:  # the run is usable as far as it has come
-            finished = run_type.load(out)
+            finished = type(new).load(out)
             if finished.checkpoint_path is not None:
                 training.shown.note("extracting the surface: points and normals")
                 finished.write_results()
@@ -219,9 +221,11 @@ def _on_the_disk(
     return finished
 
 
-def _take_up(training: Training[T], run: AnyRun[Any], dataset: Dataset) -> None:
+def _take_up(training: Training[Any], run: AnyRun[Any], method: str, dataset: Dataset) -> None:
     """Bring the training to a run's newest checkpoint."""
     config = training.trainer.config
+    if run.method != method:
+        raise SarsplatError(f"{run.path} was started with the method {run.method}, not {method}; resume it with that")
     if run.fingerprint != dataset.fingerprint():
         raise SarsplatError(
             f"{run.path} was started with another dataset ({run.dataset_path}); resume it with that one"
@@ -247,7 +251,7 @@ def _take_up(training: Training[T], run: AnyRun[Any], dataset: Dataset) -> None:
     write_bytes(run.log_path, log_text(training.history))
 
 
-def _train(training: Training[T], run: AnyRun[Any], iterations: int) -> None:
+def _train(training: Training[Any], run: AnyRun[Any], iterations: int) -> None:
     """Train on, log and save; whatever ends it between two steps, what has been learned is saved."""
     trainer = training.trainer
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -44,13 +44,13 @@ class Run(AnyRun[Config]):
         return OURS
 
     @classmethod
-    def _read_config(cls, header: Header, source: str) -> Config:
+    def _of_header(cls, header: Header, source: str) -> dict[str, Any]:
         if header.method != OURS:
             raise SarsplatError(
                 f"{source} is of a run by the method {shown(header.method)}, which learned no Gaussians; give a run by "
                 f"{OURS}, or open it with sarsplat.rivals.open_run"
             )
-        return Config.from_dict(header.config, source)
+        return {"config": Config.from_dict(header.config, source)}
 
     @cached_property
     def model(self) -> SceneModel:

@@ -88,7 +88,8 @@ def reconstruct(
         shown.note(lengths(config, dataset.grid))
         folder = None if out is None else Path(out)
         training = Training(trainer, on_step, shown)
-        return train(training, Run, dataset, folder, resume=resume, overwrite=overwrite)
+        new = Run(config, dataset.fingerprint())
+        return train(training, new, dataset, folder, resume=resume, overwrite=overwrite)
 
 
 def fitting(choice: str | Config, dataset: Dataset) -> Config:

@@ -1,8 +1,30 @@
-"""Methods of others under one interface, implemented afresh, to be compared with ours on the same data."""
+"""Methods of others under one interface, to compare with ours. What needs torch is loaded when first used."""
 
-from sarsplat.rivals.dsr import Dsr, DsrConfig
-from sarsplat.rivals.rival import Rival, Scene
-from sarsplat.rivals.sar_nerf import SarNerf
-from sarsplat.rivals.sar_nerf_config import SAR_NERF, SAR_NERF_GRID, SarNerfConfig
+from __future__ import annotations
 
-__all__ = ["SAR_NERF", "SAR_NERF_GRID", "Dsr", "DsrConfig", "Rival", "SarNerf", "SarNerfConfig", "Scene"]
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from sarsplat.rivals.config import RivalConfig
+from sarsplat.rivals.methods import METHODS, Method
+
+if TYPE_CHECKING:
+    from sarsplat.rivals.rival import Rival, Scene
+    from sarsplat.rivals.run import RivalRun, open_run
+    from sarsplat.rivals.training import reconstruct_with
+
+_MODULE_OF = {
+    "Rival": "rival",
+    "RivalRun": "run",
+    "Scene": "rival",
+    "open_run": "run",
+    "reconstruct_with": "training",
+}
+
+__all__ = ["METHODS", "Method", "Rival", "RivalConfig", "RivalRun", "Scene", "open_run", "reconstruct_with"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

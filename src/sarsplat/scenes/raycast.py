@@ -34,7 +34,7 @@ _MAX_RAYS = 1e8  # a minute a view
 
 
 @dataclass(frozen=True)
-class _Facets:
+class Facets:
     """The mesh in the radar frame: depth of every triangle's plane as z = z0 + slope·(x, y), and its |cos i|."""
 
     vertices: Float64[np.ndarray, "v 3"]
@@ -45,7 +45,7 @@ class _Facets:
     cos_incidence: Float64[np.ndarray, " f"]
 
     @classmethod
-    def of(cls, mesh: trimesh.Trimesh, view: View) -> _Facets:
+    def of(cls, mesh: trimesh.Trimesh, view: View) -> Facets:
         vertices = np.asarray(mesh.vertices, dtype=np.float64) @ radar_frame(view).T
         faces = np.asarray(mesh.faces, dtype=np.int32)
         a, b, c = (vertices[faces[:, k]] for k in range(3))
@@ -113,12 +113,12 @@ def simulate_raycast(
     if ray_spacing is None:
         ray_spacing = default_ray_spacing(mesh, grid)
     _check(mesh, ground_gamma0, ray_spacing, ray_offset)
-    facets = _Facets.of(mesh, view)
+    facets = Facets.of(mesh, view)
     gamma0 = check_reflectivity(reflectivity, len(mesh.faces)) * law.gamma0(facets.cos_incidence)
     cell_area = ray_spacing**2
     deposit = Deposit(grid, oversample)
     theta = math.radians(view.grazing_deg)
-    for position, face in _first_hits(facets, deposit.azimuth_reach, ray_spacing, ray_offset):
+    for position, face in first_hits(facets, deposit.azimuth_reach, ray_spacing, ray_offset):
         x, y = position.T
         z = facets.depth(face, position)
         if ground_gamma0 is None:
@@ -164,8 +164,8 @@ def _check(
         raise SarsplatError(f"ray_offset {ray_offset} must be two finite numbers, in ray spacings")
 
 
-def _first_hits(
-    facets: _Facets, azimuth_reach: tuple[float, float], spacing: float, offset: tuple[float, float]
+def first_hits(
+    facets: Facets, azimuth_reach: tuple[float, float], spacing: float, offset: tuple[float, float]
 ) -> Iterator[tuple[Float64[np.ndarray, "k 2"], Int32[np.ndarray, " k"]]]:
     """Batches of rays that hit the mesh: positions (x_r, y_r) float64 [K, 2] and first-hit faces [K]."""
     lower, upper = facets.vertices.min(axis=0), facets.vertices.max(axis=0)

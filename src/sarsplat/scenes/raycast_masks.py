@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.scenes.raycast import _Facets, _first_hits
+from sarsplat.scenes.raycast import Facets, first_hits
 
 if TYPE_CHECKING:
     import trimesh
@@ -56,8 +56,8 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np
     )
     lit = np.zeros((grid.rows * _PARTS, grid.columns * _PARTS), dtype=bool)
     hidden = np.zeros((grid.rows, grid.columns))
-    facets = _Facets.of(mesh, view)
-    for position, face in _first_hits(facets, (columns[0], columns[-1]), spacing, (0.5, 0.5)):
+    facets = Facets.of(mesh, view)
+    for position, face in first_hits(facets, (columns[0], columns[-1]), spacing, (0.5, 0.5)):
         x, y = position.T
         z, z_ground = facets.depth(face, position), y / math.tan(theta)
         above = z < z_ground + 1e-6

@@ -1,0 +1,252 @@
+"""One cell of the comparison: a dataset, a method, how long it may take, a seed; what it scored is one small file.
+
+`python experiments/rival_cell.py WORK < cell.json` runs a single cell; `rivals.py` gives each a process of its own, so
+that its peak memory is its own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import resource
+import statistics
+import sys
+import time
+from collections.abc import Mapping
+from contextlib import redirect_stdout
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from code_version import code_version
+from filelock import FileLock
+
+from sarsplat import Dataset, evaluate_run, import_mstar, read_dataset, reconstruct, target_mesh
+from sarsplat.data import read_masks, write_json
+from sarsplat.data.mesh import write_mesh
+from sarsplat.errors import SarsplatError
+from sarsplat.reconstruction.any_run import AnyRun, InMemory
+from sarsplat.reconstruction.loop import Step
+from sarsplat.reconstruction.training import fitting
+from sarsplat.rivals import METHODS, RivalRun, reconstruct_with
+from sarsplat.rivals.config import RivalConfig
+from sarsplat.rivals.trainer import RivalTrainer
+
+OURS = "sar-gs"
+_TIMED_STEPS = 3
+"""Steps after the first whose median says how many fit into a time."""
+
+
+@dataclass(frozen=True)
+class Images:
+    """Where a dataset comes from.
+
+    Attributes
+    ----------
+    name : str
+        For readers.
+    simulate : mapping
+        Options of `sarsplat simulate`; empty for measured chips …
+    chips : mapping
+        … which have those of `sarsplat.import_mstar`, and `masks`, the folder of their masks.
+    """
+
+    name: str
+    simulate: Mapping[str, Any] = field(default_factory=dict)
+    chips: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RivalCell:
+    """What is done once.
+
+    Attributes
+    ----------
+    images : Images
+        What is learned from and predicted.
+    method : str
+        `sar-gs`, which is trained as `sarsplat reconstruct` does it, or one of `METHODS`.
+    changes : mapping
+        Settings of a rival that differ from its defaults.
+    seconds : float or None
+        How long a rival may train; None: as long as its settings say.
+    seed : int
+        Of the training.
+    curve : tuple of float
+        Seconds of training after which it is scored on the way, on a quarter of the test images.
+    """
+
+    images: Images
+    method: str
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    seconds: float | None = None
+    seed: int = 0
+    curve: tuple[float, ...] = ()
+
+    def path(self, work: Path, code: str) -> Path:
+        """Where its scores are kept."""
+        return work / "cells" / f"{digest({**asdict(self), 'code': code})}.json"
+
+
+class Bench:
+    """A dataset with what is needed to train on it and to score it."""
+
+    def __init__(self, images: Images, work: Path, code: str) -> None:
+        self.images, self.work = images, work
+        self._folder = work / "datasets" / digest({**asdict(images), "code": code})
+        self._folder.parent.mkdir(parents=True, exist_ok=True)
+
+    @cached_property
+    def dataset(self) -> Dataset:
+        """The images, made by whoever needs them first."""
+        with FileLock(self._folder.with_suffix(".lock")):
+            if not self._folder.exists() and self.images.simulate:
+                from sarsplat.cli.simulate import simulate
+
+                simulate(out=self._folder, masks=True, **self.images.simulate)
+            elif not self._folder.exists():
+                chips = {name: value for name, value in self.images.chips.items() if name not in ("chips", "masks")}
+                import_mstar(self.images.chips["chips"], self._folder, **chips)
+        return read_dataset(self._folder)
+
+    @cached_property
+    def masks(self) -> Path:
+        """Masks of all images."""
+        _ = self.dataset
+        return Path(self.images.chips["masks"]) if self.images.chips else self._folder / "masks"
+
+    @cached_property
+    def fewer(self) -> Dataset:
+        """The same with every fourth test image."""
+        tests = [entry for entry in self.dataset.entries if entry.split != "train"]
+        kept = {id(entry) for entry in tests[::4]}
+        chosen = [
+            index
+            for index, entry in enumerate(self.dataset.entries)
+            if entry.split == "train" or id(entry) in kept
+        ]
+        entries = tuple(self.dataset.entries[index] for index in chosen)
+        return replace(self.dataset, power=self.dataset.power[chosen], entries=entries)
+
+    def scores(self, run: AnyRun[Any], *, fewer: bool = False) -> dict[str, Any]:
+        """Everything that `evaluate` says; of chips, the surface is held against the procedural model, aligned."""
+        if fewer and run.memory is not None:
+            run = replace(run, memory=replace(run.memory, dataset=self.fewer))
+        if not self.images.chips:
+            return evaluate_run(run, quiet=True)
+        model = self.work / "datasets" / f"{self.images.chips['target_class'].lower()}.ply"
+        with FileLock(model.with_suffix(".lock")):
+            if not model.exists():
+                write_mesh(model, target_mesh(self.images.chips["target_class"].lower()))
+        return evaluate_run(run, mesh=model, alignment="rigid", quiet=True)
+
+
+def run(cell: RivalCell, work: Path) -> Path:
+    """Do it, unless it has been done; returns the file that says what came of it."""
+    code = code_version()
+    path = cell.path(work, code)
+    if path.is_file():
+        return path
+    bench = Bench(cell.images, work, code)
+    learned, curve, peak = (_ours if cell.method == OURS else _rival)(cell, bench)
+    found = bench.scores(learned)
+    if code_version() != code:
+        raise SarsplatError("the package's sources changed while a cell was running; run it again")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    kept = {name: found[name] for name in ("images", "points", "baselines", "reasons")}
+    done = {
+        "code": code,
+        "cell": asdict(cell),
+        "config": learned.config.as_dict(),
+        **kept,
+        "time_s": learned.time_s - sum(point["spent_s"] for point in curve),
+        "iterations": learned.iteration,
+        "peak_bytes": peak,
+        "curve": curve,
+    }
+    write_json(path, done)
+    return path
+
+
+class _OnTheWay:
+    """Scores of a training as it goes on, without the time that scoring takes."""
+
+    def __init__(self, cell: RivalCell, bench: Bench, new: AnyRun[Any]) -> None:
+        self._left, self._bench, self._new = sorted(cell.curve), bench, new
+        self._begun, self._spent = time.monotonic(), 0.0
+        self.points: list[dict[str, Any]] = []
+
+    def __call__(self, step: Step[Any]) -> None:
+        seconds = time.monotonic() - self._begun - self._spent
+        if not self._left or seconds < self._left[0]:
+            return
+        self._left = [later for later in self._left if later > seconds]
+        begun = time.monotonic()
+        held = InMemory(self._bench.dataset, step.trainer.snapshot(seconds), ())
+        found = self._bench.scores(replace(self._new, memory=held), fewer=True)
+        spent = time.monotonic() - begun
+        self._spent += spent
+        kept = {name: found[name] for name in ("images", "points")}
+        self.points.append({"seconds": seconds, "iterations": step.iteration, "spent_s": spent, **kept})
+
+
+def _ours(cell: RivalCell, bench: Bench) -> tuple[AnyRun[Any], list[dict[str, Any]], int]:
+    from sarsplat import Run
+
+    config = replace(fitting("auto", bench.dataset), seed=cell.seed)
+    watch = _OnTheWay(cell, bench, Run(config, ""))
+    learned = reconstruct(bench.dataset, config, on_step=watch, quiet=True)
+    return learned, watch.points, _peak_bytes()
+
+
+def _rival(cell: RivalCell, bench: Bench) -> tuple[AnyRun[Any], list[dict[str, Any]], int]:
+    method = METHODS[cell.method]
+    config = replace(method.settings, seed=cell.seed, **cell.changes)
+    masks = bench.masks if cell.method == "dsr" else None
+    if cell.seconds is not None:
+        config = replace(config, iterations=min(config.iterations, _fitting_in(cell.seconds, cell, config, bench)))
+    watch = _OnTheWay(cell, bench, RivalRun(config, "", name=cell.method))
+    learned = reconstruct_with(cell.method, bench.dataset, config, masks=masks, on_step=watch, quiet=True)
+    return learned, watch.points, _peak_bytes()
+
+
+def _fitting_in(seconds: float, cell: RivalCell, config: RivalConfig, bench: Bench) -> int:
+    """Steps that fit into so many seconds; the learning rate then falls within them."""
+    import numpy as np
+
+    masks = np.stack([*read_masks(bench.masks, bench.dataset, ("train",)).values()]) if cell.method == "dsr" else None
+    trainer = RivalTrainer(bench.dataset, METHODS[cell.method], config, masks)
+    took = []
+    for _ in range(1 + _TIMED_STEPS):
+        begun = time.monotonic()
+        trainer.step()
+        took.append(time.monotonic() - begun)
+    return max(1, int(seconds / statistics.median(took[1:])))
+
+
+def _peak_bytes() -> int:
+    """Most memory that this process has held so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def digest(content: Mapping[str, Any]) -> str:
+    """Name of a file or folder for what it holds."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()[:20]
+
+
+def main() -> None:
+    """Run the cell on stdin; a refusal is one sentence on stderr, and exit code 2."""
+    data = json.load(sys.stdin)
+    cell = RivalCell(**{**data, "images": Images(**data["images"]), "curve": tuple(data["curve"])})
+    try:
+        with redirect_stdout(sys.stderr):
+            path = run(cell, Path(sys.argv[1]))
+    except SarsplatError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)
+    print(path)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,3 @@
+from sarsplat.rivals.config import RivalConfig
+
+DSR = RivalConfig()

@@ -1,0 +1,78 @@
+"""Which methods there are; a further one is a line here and a file of its own. Needs no torch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from sarsplat.rivals.config import RivalConfig
+from sarsplat.rivals.dsr_config import DSR
+from sarsplat.rivals.sar_nerf_config import SAR_NERF, SAR_NERF_GRID
+
+if TYPE_CHECKING:
+    from sarsplat.rivals.rival import Rival, Scene
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method that is not ours.
+
+    Attributes
+    ----------
+    name : str
+        On the command line and in files.
+    title : str
+        For readers.
+    learns : str
+        What it learns, for readers: `a mesh of 642 vertices`.
+    settings : RivalConfig
+        The defaults; their type is that of all its settings.
+    home : str
+        Module and class of its `Rival`, which takes a `Scene` and the settings.
+    """
+
+    name: str
+    title: str
+    learns: str
+    settings: RivalConfig
+    home: str
+
+    def build(self, scene: Scene, settings: RivalConfig) -> Rival:
+        """Its model of a scene before the first step.
+
+        Raises
+        ------
+        SarsplatError
+            If the scene lacks what it learns from.
+        """
+        module, name = self.home.split(":")
+        made: Rival = getattr(import_module(module), name)(scene, settings)
+        return made
+
+    def read_settings(self, data: Any, source: str) -> RivalConfig:
+        """Its settings as JSON has them; see `Record.from_dict`."""
+        return type(self.settings).from_dict(data, source)
+
+
+METHODS: Mapping[str, Method] = {
+    method.name: method
+    for method in (
+        Method(
+            "sar-nerf",
+            "SAR-NeRF",
+            "an attenuation and scattering field in a perceptron",
+            SAR_NERF,
+            "sarsplat.rivals.sar_nerf:SarNerf",
+        ),
+        Method(
+            "sar-nerf-grid",
+            "SAR-NeRF on a grid",
+            "an attenuation and scattering field on nested grids",
+            SAR_NERF_GRID,
+            "sarsplat.rivals.sar_nerf:SarNerf",
+        ),
+        Method("dsr", "DSR", "a closed mesh", DSR, "sarsplat.rivals.dsr:Dsr"),
+    )
+}

@@ -1,0 +1,147 @@
+"""A reconstruction by a method that is not ours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from jaxtyping import Float32, UInt8
+from scipy.spatial import cKDTree
+
+from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.geometry import View
+from sarsplat.reconstruction import AnyRun, Run
+from sarsplat.reconstruction.any_run import OURS, Header, read_header
+from sarsplat.rivals.config import RivalConfig
+from sarsplat.rivals.methods import METHODS, Method
+from sarsplat.rivals.rival import Rival
+from sarsplat.rivals.seen_points import Points, seen_points
+from sarsplat.rivals.trainer import rebuilt
+
+if TYPE_CHECKING:
+    import trimesh
+
+_RAYS_PER_CELL = 4.0
+"""Along a side; about as many points as our own method gives."""
+
+
+@dataclass(frozen=True)
+class RivalRun(AnyRun[RivalConfig]):
+    """A reconstruction by one of `METHODS`; its points are where rays of the training views meet its surface."""
+
+    name: str = ""
+
+    @property
+    def method(self) -> str:
+        """See `AnyRun`."""
+        return self.name
+
+    @classmethod
+    def _of_header(cls, header: Header, source: str) -> dict[str, Any]:
+        method = METHODS.get(header.method)
+        if method is None:
+            raise SarsplatError(
+                f"{source} is of a run by the method {shown(header.method)}; give one by {', '.join(METHODS)}"
+            )
+        return {"config": method.read_settings(header.config, source), "name": method.name}
+
+    @property
+    def _method(self) -> Method:
+        return METHODS[self.name]
+
+    # ---- what was learned -------------------------------------------------------------------------------------------
+    @cached_property
+    def model(self) -> Rival:
+        """The learned scene."""
+        try:
+            return rebuilt(self.snapshot, self._method, self.config, self.device)
+        except (KeyError, ValueError, TypeError, RuntimeError, SarsplatError) as error:
+            raise SarsplatError(
+                f"{self.checkpoint_path} does not hold a whole model ({shown(str(error))}); "
+                "reconstruct it again with --overwrite"
+            ) from error
+
+    @torch.no_grad()
+    def render(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
+        """See `AnyRun`."""
+        images = np.empty((len(views), self.grid.rows, self.grid.columns), np.float32)
+        for image, view in zip(images, views, strict=True):
+            image[:] = (self.model.image(view) * self.snapshot.unit).cpu().numpy()
+        return images
+
+    def masks(self, views: Sequence[View]) -> UInt8[np.ndarray, "v rows columns"]:
+        """See `AnyRun`: of its surface on flat ground, by ray casting.
+
+        Raises
+        ------
+        SarsplatError
+            If embreex is missing.
+        """
+        from sarsplat.scenes.raycast_masks import raycast_mask
+
+        images = np.zeros((len(views), self.grid.rows, self.grid.columns), np.uint8)
+        if len(self.surface.faces):
+            for image, view in zip(images, views, strict=True):
+                image[:] = raycast_mask(self.surface, view, self.grid)
+        return images
+
+    @cached_property
+    def surface(self) -> trimesh.Trimesh:
+        """What it takes for the target's surface, m, world frame; perhaps without faces."""
+        import trimesh
+
+        vertices, faces = self.model.surface()
+        return trimesh.Trimesh(vertices, faces, process=False)
+
+    def mesh(self) -> trimesh.Trimesh:
+        """See `AnyRun`; closed, unlike ours, so parts of it may be what no view saw."""
+        return self.surface
+
+    @cached_property
+    def _seen(self) -> tuple[Points, Points]:
+        return seen_points(self.surface, self.snapshot.views, self.grid.cell_m / _RAYS_PER_CELL)
+
+    def _extracted_points(self) -> Points:
+        return self._seen[0]
+
+    def _normals_at(self, points: Points) -> Points:
+        found, normals = self._seen
+        return normals[cKDTree(found).query(points)[1]] if len(points) and len(found) else np.zeros_like(points)
+
+    # ---- for readers ------------------------------------------------------------------------------------------------
+    @property
+    def learned(self) -> str:
+        """See `AnyRun`."""
+        return f"{self._method.title}: {self._method.learns}"
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """See `AnyRun`."""
+        config = self.config
+        return {
+            "numbers learned": f"{sum(parameter.numel() for parameter in self.model.parameters()):,}",
+            "iterations": f"{self.iteration:,} of {config.iterations:,}, {counted(config.views_per_step, 'view')} each",
+        }
+
+    @property
+    def loss_title(self) -> tuple[str, str]:
+        """See `AnyRun`."""
+        return f"loss of {self._method.title}", "loss"
+
+
+def open_run(path: str | Path, device: str = "cpu") -> Run | RivalRun:
+    """Read the folder of a run by any method.
+
+    Raises
+    ------
+    SarsplatError
+        If it is missing, or not a run of this version.
+    """
+    path = Path(path)
+    run_type = Run if read_header(path).method == OURS else RivalRun
+    return run_type.load(path, device)

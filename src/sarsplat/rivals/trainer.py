@@ -1,0 +1,210 @@
+"""Training of a method: how it advances by one step, and its whole state, exact to the bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+from torch import Tensor
+
+from sarsplat.data import Dataset, Masks
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians.initialise import bounded_region
+from sarsplat.reconstruction.snapshot import Snapshot
+from sarsplat.reconstruction.target_box import target_box
+from sarsplat.rivals.config import RivalConfig
+from sarsplat.rivals.methods import Method
+from sarsplat.rivals.rival import Rival, Scene
+
+
+class RivalTrainer:
+    """The state of a training and how it advances by one step.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Its training images are learned from.
+    method : Method
+        By what.
+    config : RivalConfig
+        How.
+    masks : numpy.ndarray, uint8 [K, rows, columns], optional
+        Of the training images: 0 clutter, 1 target, 2 shadow.
+    begun : Snapshot, optional
+        Of this training, which is then taken up: it knows the box and the masks.
+    device : torch.device or str
+        Where everything is computed and stays.
+
+    Raises
+    ------
+    SarsplatError
+        If the training images are black, or lack what the method needs.
+    """
+
+    def __init__(
+        self,
+        dataset: Dataset,
+        method: Method,
+        config: RivalConfig,
+        masks: Masks | None = None,
+        begun: Snapshot | None = None,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.config = config
+        self.iteration = 0
+        self._scene = scene_of(dataset, masks) if begun is None else saved_scene(begun)
+        self._device = torch.device(device)
+        self._images = torch.from_numpy(dataset.images("train") / np.float32(self._scene.unit)).to(self._device)
+        self._generator = torch.Generator().manual_seed(config.seed)
+        self.model = method.build(self._scene, config).to(self._device)
+        self._optimiser = self.model.optimiser()
+        self._rates = [group["lr"] for group in self._optimiser.param_groups]
+        self._queue: list[int] = []
+
+    @property
+    def gaussian_count(self) -> None:
+        """There are none."""
+        return None
+
+    def step(self) -> Float32[Tensor, ""]:
+        """One step of the optimiser on a few views; returns the loss."""
+        chosen = torch.tensor(self._next_views())
+        factor = self.model.rate(self.iteration)
+        for group, rate in zip(self._optimiser.param_groups, self._rates, strict=True):
+            group["lr"] = rate * factor
+        self._optimiser.zero_grad(set_to_none=True)
+        loss = self.model.loss(chosen, self._images[chosen.to(self._device)], self._generator)
+        loss.backward()
+        self._optimiser.step()
+        self.iteration += 1
+        return loss.detach()
+
+    def check(self) -> None:
+        """Wait for the device."""
+        if self._device.type == "cuda":
+            torch.cuda.synchronize(self._device)
+
+    def _next_views(self) -> list[int]:
+        """Every view once in a random order, then again."""
+        count = min(self.config.views_per_step, len(self._images))
+        while len(self._queue) < count:
+            self._queue += torch.randperm(len(self._images), generator=self._generator).tolist()
+        chosen, self._queue = self._queue[:count], self._queue[count:]
+        return chosen
+
+    def snapshot(self, seconds: float) -> Snapshot:
+        """Everything the next step depends on, as it is now; `seconds` is how long the training took until here."""
+        scene = self._scene
+        tensors = {f"model/{name}": tensor for name, tensor in self.model.state_dict().items()}
+        for index, state in self._optimiser.state_dict()["state"].items():
+            tensors |= {f"optimiser/{index}/{name}": tensor for name, tensor in state.items()}
+        tensors |= {"generator": self._generator.get_state(), **_scene_tensors(scene)}
+        return Snapshot(
+            self.iteration,
+            seconds,
+            tuple(self._queue),
+            scene.grid,
+            scene.views,
+            scene.unit,
+            scene.brightest * scene.unit,
+            {name: tensor.detach().cpu().clone() for name, tensor in tensors.items()},
+        )
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Undo `snapshot`.
+
+        Raises
+        ------
+        ValueError, LookupError, TypeError, RuntimeError
+            If the tensors are not those of this training.
+        """
+        self.model.load_state_dict(snapshot.part("model"))
+        states: dict[int, dict[str, Tensor]] = {}
+        for name, tensor in snapshot.part("optimiser").items():
+            index, _, what = name.partition("/")
+            states.setdefault(int(index), {})[what] = tensor
+        groups = self._optimiser.state_dict()["param_groups"]
+        self._optimiser.load_state_dict({"state": states, "param_groups": groups})
+        self._generator.set_state(snapshot.tensors["generator"])
+        self.iteration, self._queue = snapshot.iteration, list(snapshot.queue)
+        if not all(0 <= k < len(self._images) for k in self._queue):
+            raise ValueError("it queues views that are not there")
+
+
+def scene_of(dataset: Dataset, masks: Masks | None = None) -> Scene:
+    """What a dataset fixes, from its training images: the box is found as for our own method.
+
+    Raises
+    ------
+    SarsplatError
+        If the training images are black.
+    """
+    train = dataset.select("train")
+    unit = float(train.power.mean(dtype=np.float64))
+    if not np.float32(unit):
+        raise SarsplatError(f"the training images of {dataset} are black everywhere; simulate or import again")
+    if dataset.ground:
+        low, high = dataset.target_box_m or target_box(train.power, train.views, train.grid)
+    else:
+        region = bounded_region(train.power, train.views, train.grid)
+        low, high = region.low, region.high
+    return Scene(
+        train.views,
+        train.grid,
+        np.asarray(low, np.float64),
+        np.asarray(high, np.float64),
+        unit,
+        masks,
+        float(train.power.max()) / unit,
+        dataset.ground,
+        train.looks,
+    )
+
+
+def saved_scene(snapshot: Snapshot) -> Scene:
+    """The scene that a snapshot of a method's training holds.
+
+    Raises
+    ------
+    KeyError, ValueError, RuntimeError, SarsplatError
+        If it holds none.
+    """
+    kept = snapshot.part("scene")
+    looks = float(kept["looks"])
+    return Scene(
+        snapshot.views,
+        snapshot.grid,
+        kept["low_m"].double().numpy(),
+        kept["high_m"].double().numpy(),
+        snapshot.unit,
+        kept["masks"].numpy() if "masks" in kept else None,
+        snapshot.brightest / snapshot.unit,
+        bool(kept["ground"]),
+        looks or None,
+    )
+
+
+def _scene_tensors(scene: Scene) -> dict[str, Tensor]:
+    """What a snapshot does not know of a scene anyway."""
+    kept = {
+        "low_m": torch.from_numpy(scene.low_m),
+        "high_m": torch.from_numpy(scene.high_m),
+        "ground": torch.tensor(scene.ground),
+        "looks": torch.tensor(scene.looks or 0.0, dtype=torch.float64),
+    }
+    if scene.masks is not None:
+        kept["masks"] = torch.from_numpy(scene.masks)
+    return {f"scene/{name}": tensor for name, tensor in kept.items()}
+
+
+def rebuilt(snapshot: Snapshot, method: Method, config: RivalConfig, device: str) -> Rival:
+    """The model that a snapshot holds.
+
+    Raises
+    ------
+    KeyError, ValueError, RuntimeError, SarsplatError
+        If it holds another one.
+    """
+    model = method.build(saved_scene(snapshot), config)
+    model.load_state_dict(snapshot.part("model"))
+    return model.to(device)

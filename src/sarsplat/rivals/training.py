@@ -1,0 +1,95 @@
+"""From a dataset to a run by a method that is not ours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from sarsplat.data import Dataset, read_dataset, read_masks
+from sarsplat.data.plausible import suspicions, warn
+from sarsplat.errors import SarsplatError
+from sarsplat.progress import progress
+from sarsplat.reconstruction.loop import Step, Training, train
+from sarsplat.reconstruction.training import training_device
+from sarsplat.rivals.config import RivalConfig
+from sarsplat.rivals.methods import METHODS, Method
+from sarsplat.rivals.run import RivalRun
+from sarsplat.rivals.trainer import RivalTrainer
+
+
+def reconstruct_with(
+    method: str,
+    dataset: Dataset | str | Path,
+    config: RivalConfig | None = None,
+    out: str | Path | None = None,
+    *,
+    masks: str | Path | None = None,
+    device: str = "auto",
+    on_step: Callable[[Step[RivalTrainer]], object] | None = None,
+    quiet: bool = False,
+    resume: bool = False,
+    overwrite: bool = False,
+) -> RivalRun:
+    """Reconstruct a target with one of `METHODS`; everything else is as in `sarsplat.reconstruct`.
+
+    Parameters
+    ----------
+    method : str
+        Its name.
+    dataset : Dataset, str or Path
+        The images, or the folder that holds them.
+    config : RivalConfig, optional
+        Its settings; without, its defaults, or to resume, those the run was begun with.
+    out : str or Path, optional
+        Folder of the run; without it everything stays in memory.
+    masks : str or Path, optional
+        Folder of masks of the training images (`read_masks`), for methods that learn from them. The run keeps them.
+    device : {"auto", "cpu", "cuda"}
+        Where to train.
+    on_step : callable, optional
+        Called after every step (`Step`); if it returns True, the training ends there.
+    quiet, resume, overwrite : bool
+        As in `sarsplat.reconstruct`.
+
+    Raises
+    ------
+    SarsplatError
+        If there is no such method, the dataset lacks what it learns from, or as in `sarsplat.reconstruct`.
+    """
+    chosen = method_named(method)
+    dataset = dataset if isinstance(dataset, Dataset) else read_dataset(Path(dataset))
+    begun = RivalRun.load(out) if resume and out is not None else None
+    if begun is not None and begun.method != method:
+        raise SarsplatError(f"{out} was started with the method {begun.method}, not {method}; resume it with that")
+    if begun is not None and masks is not None:
+        raise SarsplatError(f"{out} keeps the masks it was started with; leave out the masks {masks}")
+    settings = config or (chosen.settings if begun is None else begun.config)
+    warn(suspicions(dataset))
+    known = None if masks is None else np.stack([*read_masks(Path(masks), dataset, ("train",)).values()])
+    trainer = RivalTrainer(
+        dataset,
+        chosen,
+        settings,
+        known,
+        begun.snapshot if begun is not None and begun.checkpoint_path is not None else None,
+        training_device(device),
+    )
+    with progress(f"reconstruct ({method})", settings.iterations, quiet) as shown:
+        new = RivalRun(settings, dataset.fingerprint(), name=method)
+        folder = None if out is None else Path(out)
+        return train(Training(trainer, on_step, shown), new, dataset, folder, resume=resume, overwrite=overwrite)
+
+
+def method_named(name: str) -> Method:
+    """One of `METHODS`.
+
+    Raises
+    ------
+    SarsplatError
+        If there is none of that name.
+    """
+    if name not in METHODS:
+        raise SarsplatError(f"there is no method {name!r}; choose one of {', '.join(METHODS)}")
+    return METHODS[name]
