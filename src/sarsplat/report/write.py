@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from sarsplat.data import write_bytes
+from sarsplat.data import read_masks, write_bytes
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluation import Alignment, UndefinedScore, Yardstick, predicted_masks, read_masks, read_truth_mesh
+from sarsplat.evaluation import Alignment, UndefinedScore, Yardstick, predicted_masks, read_truth_mesh
 from sarsplat.reconstruction import Run
 from sarsplat.reconstruction.losses import LOSSES
 from sarsplat.report.azimuths import azimuths_figure
