@@ -122,9 +122,7 @@ class Bench:
         tests = [entry for entry in self.dataset.entries if entry.split != "train"]
         kept = {id(entry) for entry in tests[::4]}
         chosen = [
-            index
-            for index, entry in enumerate(self.dataset.entries)
-            if entry.split == "train" or id(entry) in kept
+            index for index, entry in enumerate(self.dataset.entries) if entry.split == "train" or id(entry) in kept
         ]
         entries = tuple(self.dataset.entries[index] for index in chosen)
         return replace(self.dataset, power=self.dataset.power[chosen], entries=entries)

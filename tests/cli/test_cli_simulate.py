@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import trimesh
 
 from sarsplat.cli import main
 from sarsplat.cli.simulated_views import Raster, simulated_views
-from sarsplat.data import Dataset, read_dataset
+from sarsplat.data import Dataset, read_dataset, read_masks
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.scenes import paper_views
@@ -150,3 +151,31 @@ def test_test_images_are_clean_if_asked_for(box: Path, capsys: pytest.CaptureFix
     assert (speckled.images("train") != clean.images("train")).any()
     assert main(["simulate", "--target", "t72", "--clean-tests", "--out", str(box.parent / "new")]) == 2
     assert "give --looks too" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", ["", "--source splat --ground 0.2"])
+def test_masks_are_written_for_every_image(box: Path, words: str) -> None:
+    pytest.importorskip("PIL")
+    dataset = simulated(box, f"--scale 0.001 --test-azimuth 45 --masks {words}")
+    plain = simulated(box, f"--scale 0.001 --test-azimuth 45 {words}")  # replaces it, masks and all
+    assert plain.fingerprint() == dataset.fingerprint()
+    assert not (plain.path / "masks").exists()
+    dataset = simulated(box, f"--scale 0.001 --test-azimuth 45 --masks {words}")
+    masks = read_masks(dataset.path / "masks", dataset, ["train", "test"])
+    assert list(masks) == list(range(5))
+    for index, mask in masks.items():
+        assert (mask == 2).sum() > 10
+        power = dataset.power[index]
+        assert power[mask == 1].mean() > 5 * power[mask == 2].mean()
+    if not words:
+        lit = np.stack(list(masks.values())) == 1
+        assert dataset.power[lit].sum() > 0.65 * dataset.power.sum()  # the response spreads the rest
+
+
+def test_masks_without_pillow_are_refused_before_any_work(box: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    monkeypatch.setattr("sarsplat.scenes.simulate.simulate_images", None)
+    out = box.parent / "new"
+    assert main(["simulate", "--target", "t72", "--masks", "--out", str(out)]) == 2
+    assert "masks need Pillow; install it with" in " ".join(capsys.readouterr().err.split())
+    assert not out.exists()

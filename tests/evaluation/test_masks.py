@@ -1,19 +1,15 @@
-"""Masks from a folder, and how they are compared."""
+"""How masks are compared."""
 
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from datasets import dataset_of
-from sarsplat.data import Dataset, DatasetEntry
-from sarsplat.errors import SarsplatError
-from sarsplat.evaluation import MaskPair, UndefinedScore, predicted_masks, read_masks
+from sarsplat.data import Dataset
+from sarsplat.evaluation import MaskPair, UndefinedScore, predicted_masks
 from sarsplat.geometry import ImageGrid, View
-
-Image = pytest.importorskip("PIL.Image")
 
 GRID = ImageGrid(16, 12, (0.3, 0.3), (0.4, 0.4))
 
@@ -28,103 +24,6 @@ def mask() -> np.ndarray:
 def make(**fields: object) -> Dataset:
     views = [(View(0, 30), "train"), (View(90, 30), "test"), (View(180, 30), "test")]
     return dataset_of(GRID, views, np.ones((3, 16, 12), np.float32), ground=True, **fields)
-
-
-def named(dataset: Dataset, name: str) -> Dataset:
-    entries = [
-        DatasetEntry(entry.view, entry.split, f"{name}{index}.jpeg") for index, entry in enumerate(dataset.entries)
-    ]
-    return replace(dataset, entries=tuple(entries))
-
-
-def save(path: Path, pixels: np.ndarray) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(pixels).save(path)
-
-
-def test_masks_are_found_by_the_names_of_the_test_images(tmp_path):
-    for name in ("000", "002"):  # one of a training image, which is not scored
-        save(tmp_path / f"{name}.png", mask())
-    masks = read_masks(tmp_path, make())
-    assert list(masks) == [2]
-    np.testing.assert_array_equal(masks[2], mask())
-
-
-@pytest.mark.parametrize("mirrored", [False, True])
-def test_masks_of_chips_are_turned_as_the_chips_were(tmp_path, mirrored):
-    published = mask()[::-1] if mirrored else mask()[::-1, ::-1]
-    published = np.pad(published, 2)  # chips of several sizes are cut
-    save(tmp_path / "T72" / "17deg" / "hb1.png", published)
-    source = {"kind": "mstar", "mirrored": mirrored}
-    dataset = named(make(source={**source, "cut_to_common_size": True}), "T72/17deg/hb")
-    np.testing.assert_array_equal(read_masks(tmp_path, dataset)[1], mask())
-    with pytest.raises(SarsplatError, match="give masks of the images' size"):
-        read_masks(tmp_path, named(make(source=source), "T72/17deg/hb"))
-
-
-@pytest.mark.filterwarnings("ignore::sarsplat.SarsplatWarning")  # three chips alike
-def test_chips_and_their_masks_are_turned_alike(tmp_path):
-    from sarsplat import import_mstar
-
-    dn = np.full((24, 24), 30, np.uint8)
-    dn[14:20, 3:9] = 200  # near range is below
-    rows = ["path,class,serial,desired_depression_deg,measured_depression_deg,target_az_deg"]
-    for index in range(3):
-        save(tmp_path / f"chip{index}.jpeg", dn)
-        save(tmp_path / "masks" / f"chip{index}.png", (dn > 100).astype(np.uint8))
-        rows.append(f"chip{index}.jpeg,T72,1,17,17,{index * 120}")
-    (tmp_path / "labels.csv").write_text("\n".join(rows) + "\n")
-    dataset = import_mstar(
-        tmp_path, tmp_path / "out", labels=tmp_path / "labels.csv", target_class="T72", train_views=2
-    )
-    ((index, found),) = read_masks(tmp_path / "masks", dataset).items()
-    power = dataset.power[index]
-    assert found.sum() == 36
-    assert power[found == 1].min() > 4 * power[found == 0].max()
-
-
-@pytest.mark.parametrize(
-    ("pixels", "told"),
-    [
-        (np.zeros((16, 13), np.uint8), "16 × 13 pixels"),
-        (np.full((16, 12), 127, np.uint8), "holds the number 127"),
-        (np.zeros((16, 12, 3), np.uint8), "mode RGB"),
-    ],
-)
-def test_what_is_no_mask_is_refused(tmp_path, pixels, told):
-    save(tmp_path / "001.png", pixels)
-    with pytest.raises(SarsplatError, match=told):
-        read_masks(tmp_path, make())
-
-
-def test_a_mask_smaller_than_its_chip_is_refused_with_its_own_size(tmp_path):
-    save(tmp_path / "hb1.png", np.zeros((14, 40), np.uint8))
-    with pytest.raises(SarsplatError, match="14 × 40 pixels, its image 16 × 12"):
-        read_masks(tmp_path, named(make(source={"kind": "mstar"}), "hb"))
-
-
-@pytest.mark.parametrize(("content", "told"), [(b"no picture", "is not a PNG"), (b"", "is not a PNG")])
-def test_what_is_no_picture_is_refused(tmp_path, content, told):
-    (tmp_path / "001.png").write_bytes(content)
-    with pytest.raises(SarsplatError, match=told):
-        read_masks(tmp_path, make())
-    save(tmp_path / "001.png", np.random.default_rng(0).integers(0, 3, (16, 12), np.uint8))
-    whole = (tmp_path / "001.png").read_bytes()
-    (tmp_path / "001.png").write_bytes(whole[:60])
-    with pytest.raises(SarsplatError, match="damaged"):
-        read_masks(tmp_path, make())
-
-
-def test_a_folder_without_the_right_names_is_refused(tmp_path):
-    save(tmp_path / "elsewhere.png", mask())
-    with pytest.raises(SarsplatError, match=r"has no mask of any test image .*002\.png"):
-        read_masks(tmp_path, make())
-
-
-@pytest.mark.parametrize("name", ["/etc/", "../"])
-def test_names_do_not_lead_out_of_the_folder(tmp_path, name):
-    with pytest.raises(SarsplatError, match="no mask can be named after"):
-        read_masks(tmp_path, named(make(), name))
 
 
 def test_iou_is_averaged_over_images():

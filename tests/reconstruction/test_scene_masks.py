@@ -9,9 +9,9 @@ import torch
 
 from sarsplat.gaussians import Gaussians, Harmonics, join
 from sarsplat.gaussians.ground import ground_sheet
-from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, View
 from sarsplat.reconstruction import Run
-from sarsplat.reconstruction.masks import CLUTTER, SHADOW, TARGET, scene_masks
+from sarsplat.reconstruction.masks import scene_masks
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")

@@ -60,6 +60,7 @@ def simulate(
     spacing: Metres = None,
     resolution: Metres = None,
     ray_spacing: Metres = None,
+    masks: bool = False,
     seed: int = 0,
     overwrite: bool = False,
 ) -> None:
@@ -116,6 +117,9 @@ def simulate(
         3 dB width in azimuth and slant range (default: the spacing, or the protocol's).
     ray_spacing
         Distance of the rays in ray casting (default: a fifteenth of the resolution).
+    masks
+        Also write true masks of all images, by ray casting, to DIR/masks: 0 clutter, 1 target, 2 shadow on flat ground
+        (for `evaluate --masks`).
     seed
         Random seed of speckle, reflectivity and views.
     overwrite
@@ -123,16 +127,20 @@ def simulate(
     """
     from sarsplat.data import Dataset, DatasetEntry, write_dataset
     from sarsplat.data.dataset_folder import HEADER
+    from sarsplat.data.mask_files import pillow
     from sarsplat.data.plausible import suspicions, warn
     from sarsplat.progress import progress
     from sarsplat.scenes import ScatteringLaw, load_mesh, mstar_views, paper_views, target_mesh
     from sarsplat.scenes.meshes import scaled, suspicious_size
     from sarsplat.scenes.raycast import default_ray_spacing
+    from sarsplat.scenes.raycast_masks import raycast_masks
     from sarsplat.scenes.scattering import part_reflectivity
     from sarsplat.scenes.simulate import simulate_images, simulation_record
 
     if clean_tests and looks is None:
         raise SarsplatError("--clean-tests keeps speckle out of the test images, but there is none; give --looks too")
+    if masks:
+        pillow()  # if it is missing, that is told before minutes of ray casting
     theirs = paper_views() if protocol == "paper" else mstar_views()
     own, test = (azimuth, grazing, incidence), (test_azimuth, test_grazing, test_incidence)
     views = simulated_views(theirs, own, random_views, seed, test, test_protocol)
@@ -173,6 +181,10 @@ def simulate(
             clean=[index for index, (_, split) in enumerate(views) if clean_tests and split != "train"],
             progress=shown.update,
         )
+    true_masks = None
+    if masks:
+        with progress(f"masks of {name}", len(views)) as shown:
+            true_masks = raycast_masks(surface, [view for view, _ in views], grid, progress=shown.update)
     digits = max(3, len(str(len(views) - 1)))
     entries = tuple(DatasetEntry(view, split, f"{index:0{digits}d}") for index, (view, split) in enumerate(views))
     dataset = Dataset(
@@ -186,7 +198,7 @@ def simulate(
         protocol=protocol if views == theirs and grid == _grid(protocol) else None,
         source={**simulation_record(**how), "reflectivity_db": reflectivity, "scale": scale},
     )
-    dataset = write_dataset(out, dataset, truth_mesh=surface, overwrite=overwrite)
+    dataset = write_dataset(out, dataset, truth_mesh=surface, masks=true_masks, overwrite=overwrite)
     warn(suspicions(dataset))
     counts = ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits())
     run = shlex.quote(f"{out}-run")

@@ -6,6 +6,7 @@ from sarsplat.data.dataset_folder import read_dataset, write_dataset
 from sarsplat.data.files import read_json, read_versioned_json, write_bytes, write_json
 from sarsplat.data.folders import new_folder
 from sarsplat.data.image import SarImage
+from sarsplat.data.masks import Mask, Masks, read_masks
 from sarsplat.data.mesh import write_mesh
 from sarsplat.data.mstar import import_mstar
 from sarsplat.data.phoenix import PhoenixChip, read_phoenix
@@ -15,6 +16,8 @@ from sarsplat.data.tiff import read_power_tiff, write_power_tiff
 __all__ = [
     "Dataset",
     "DatasetEntry",
+    "Mask",
+    "Masks",
     "PhoenixChip",
     "SarImage",
     "import_mstar",
@@ -23,6 +26,7 @@ __all__ = [
     "read_dataset",
     "read_gaussians_ply",
     "read_json",
+    "read_masks",
     "read_phoenix",
     "read_points_ply",
     "read_power_tiff",

@@ -1,4 +1,4 @@
-"""A dataset as a folder: `dataset.json`, one float32 TIFF for each image, and the target's mesh where it is known."""
+"""A dataset as a folder: `dataset.json`, one float32 TIFF for each image; the target's mesh and masks where known."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
+from jaxtyping import UInt8
 
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.files import open_file, plain_os_errors, read_versioned_json, write_bytes, write_json
 from sarsplat.data.folders import new_folder
 from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, DatasetHeader, ViewHeader
+from sarsplat.data.mask_files import encode_masks
 from sarsplat.data.tiff import read_power_tiff, write_power_tiff
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View
@@ -28,7 +30,12 @@ _MAKE_ONE = "make one with `sarsplat simulate` or `sarsplat import mstar`"
 
 
 def write_dataset(
-    path: str | Path, dataset: Dataset, *, truth_mesh: trimesh.Trimesh | None = None, overwrite: bool = False
+    path: str | Path,
+    dataset: Dataset,
+    *,
+    truth_mesh: trimesh.Trimesh | None = None,
+    masks: UInt8[np.ndarray, "v rows columns"] | None = None,
+    overwrite: bool = False,
 ) -> Dataset:
     """Write a dataset, whole or not at all.
 
@@ -40,6 +47,9 @@ def write_dataset(
         With at least one image in the split "train".
     truth_mesh : trimesh.Trimesh, optional
         The target, m, in the target's frame; unless given, the file that `dataset.truth_mesh` names is copied.
+    masks : numpy.ndarray, uint8 [V, rows, columns], optional
+        True masks of simulated images, row 0 near: 0 clutter, 1 target, 2 shadow. They are put in the folder `masks`,
+        from where `read_masks` reads them.
     overwrite : bool
         Whether an existing dataset may be replaced.
 
@@ -51,11 +61,12 @@ def write_dataset(
     Raises
     ------
     SarsplatError
-        If there is nothing to train on, the folder exists, or it cannot be written.
+        If there is nothing to train on, the masks do not suit the images, the folder exists, or it cannot be written.
     """
     path = Path(path)
     _require_training(dataset)
     mesh = _mesh_bytes(dataset, truth_mesh)
+    pictures = {} if masks is None else encode_masks(masks, dataset)
     written = replace(dataset, path=path, truth_mesh=None if mesh is None else path / _MESH)
     header = DatasetHeader.of(written)
     with new_folder(path, overwrite, marker=HEADER) as folder:
@@ -64,6 +75,10 @@ def write_dataset(
             write_bytes(folder / _MESH, mesh)
         with plain_os_errors("write", folder):
             (folder / "images").mkdir()
+            if pictures:
+                (folder / "masks").mkdir()
+        for name, png in pictures.items():
+            write_bytes(folder / "masks" / name, png)
         for item, image in zip(header.views, dataset.power):
             description = (
                 f"SAR image, beta0 in linear power ({dataset.calibration} scale); row 0 is near range, columns grow "

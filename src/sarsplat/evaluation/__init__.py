@@ -5,7 +5,7 @@ from sarsplat.evaluation.baselines import baseline_scores, nearest_chip, rotated
 from sarsplat.evaluation.evaluate import evaluate_run
 from sarsplat.evaluation.images import UndefinedScore, log_correlation, nats_per_pixel, psnr_db, psnr_target_db, ssim
 from sarsplat.evaluation.lpips import Lpips, lpips
-from sarsplat.evaluation.masks import MaskPair, predicted_masks, read_masks
+from sarsplat.evaluation.masks import MaskPair, predicted_masks
 from sarsplat.evaluation.metric import Metric
 from sarsplat.evaluation.metrics import (
     IMAGE_METRICS,
@@ -60,7 +60,6 @@ __all__ = [
     "predicted_masks",
     "psnr_db",
     "psnr_target_db",
-    "read_masks",
     "read_truth_mesh",
     "register",
     "registered_log_correlation",

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from sarsplat.data import Dataset, write_json
+from sarsplat.data import Dataset, Mask, read_masks, write_json
 from sarsplat.data.determined import weakest_direction
 from sarsplat.data.folders import only_writer
 from sarsplat.data.plausible import warn
@@ -20,7 +20,7 @@ from sarsplat.evaluation.alignment import MOST_TURNED_DEG, align
 from sarsplat.evaluation.baselines import baseline_scores
 from sarsplat.evaluation.images import Stack, UndefinedScore
 from sarsplat.evaluation.lpips import Lpips, lpips_weights
-from sarsplat.evaluation.masks import Mask, MaskPair, predicted_masks, read_masks
+from sarsplat.evaluation.masks import MaskPair, predicted_masks
 from sarsplat.evaluation.metric import compute_all
 from sarsplat.evaluation.metrics import (
     IMAGE_METRICS,

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from jaxtyping import Float
 
-from sarsplat.data import Dataset
+from sarsplat.data import Dataset, Masks
 from sarsplat.evaluation import images, lpips
 from sarsplat.evaluation.images import Stack, UndefinedScore
-from sarsplat.evaluation.masks import SHADOW, TARGET, MaskPair, Masks
+from sarsplat.evaluation.masks import MaskPair
 from sarsplat.evaluation.metric import Metric, Requirement
 from sarsplat.evaluation.points import PointMetrics, Yardstick
 from sarsplat.evaluation.registered import REACH, register, registered_log_correlation
-from sarsplat.geometry import View
+from sarsplat.geometry import SHADOW, TARGET, View
 
 if TYPE_CHECKING:
     import trimesh

@@ -12,11 +12,8 @@ from jaxtyping import Float, Real, UInt8
 from scipy.spatial import cKDTree
 
 from sarsplat.gaussians import Gaussians
-from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, View
 from sarsplat.renderer import attenuate, project, splat
-
-CLUTTER, TARGET, SHADOW = 0, 1, 2
-"""What a pixel of a mask may be."""
 
 _SHARE = 0.5
 _LOWEST = 1.0  # height above the ground from which Gaussians count as the target, resolution cells

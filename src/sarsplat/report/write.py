@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from sarsplat.data import write_bytes
+from sarsplat.data import read_masks, write_bytes
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluation import Alignment, UndefinedScore, Yardstick, predicted_masks, read_masks, read_truth_mesh
+from sarsplat.evaluation import Alignment, UndefinedScore, Yardstick, predicted_masks, read_truth_mesh
 from sarsplat.reconstruction import AnyRun, Run
 from sarsplat.report.azimuths import azimuths_figure
 from sarsplat.report.cloud import points_figure

@@ -112,7 +112,7 @@ def simulate_raycast(
     """
     if ray_spacing is None:
         ray_spacing = default_ray_spacing(mesh, grid)
-    _check(mesh, ground_gamma0, ray_spacing, ray_offset)
+    check_rays(mesh, ground_gamma0, ray_spacing, ray_offset)
     facets = Facets.of(mesh, view)
     gamma0 = check_reflectivity(reflectivity, len(mesh.faces)) * law.gamma0(facets.cos_incidence)
     cell_area = ray_spacing**2
@@ -148,7 +148,7 @@ def default_ray_spacing(mesh: trimesh.Trimesh, grid: ImageGrid) -> float:
     return min(finest, extent / _RAYS_PER_MESH) if 0 < extent < math.inf else finest
 
 
-def _check(
+def check_rays(
     mesh: trimesh.Trimesh, ground_gamma0: float | None, ray_spacing: float, ray_offset: tuple[float, float]
 ) -> None:
     if len(mesh.faces) == 0:

@@ -3,24 +3,43 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float64, UInt8
 
-from sarsplat.geometry import ImageGrid, View
-from sarsplat.scenes.raycast import Facets, first_hits
+from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, View
+from sarsplat.scenes.raycast import Facets, check_rays, first_hits
 
 if TYPE_CHECKING:
     import trimesh
 
-_PARTS = 4
+_PARTS = 5
 """Parts of a pixel along each side that are lit or not."""
 
-_RAYS = 6
-"""Along the side of a part: a few hit it also where the surface stands steep to them."""
+_RAYS = 2
+"""Along the shorter side of a part, so that every part of a surface has one."""
 
-TARGET, SHADOW = 1, 2
+_OFFSET = 0.5, 0.5
+
+
+def raycast_masks(
+    mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid, *, progress: Callable[[int], object] | None = None
+) -> UInt8[np.ndarray, "v {grid.rows} {grid.columns}"]:
+    """Masks of a mesh from every view, see `raycast_mask`; `progress` is told the number of finished ones after each.
+
+    Raises
+    ------
+    SarsplatError
+        As in `raycast_mask`.
+    """
+    masks = np.empty((len(views), grid.rows, grid.columns), np.uint8)
+    for index, view in enumerate(views):
+        masks[index] = raycast_mask(mesh, view, grid)
+        if progress is not None:
+            progress(index + 1)
+    return masks
 
 
 def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np.ndarray, "{grid.rows} {grid.columns}"]:
@@ -34,7 +53,7 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np
     mesh : trimesh.Trimesh
         Opaque triangles, m; orientation does not matter.
     view, grid
-        From where, and where the pixels lie.
+        From where, and where the pixels lie; their resolution plays no part.
 
     Returns
     -------
@@ -44,26 +63,38 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np
     Raises
     ------
     SarsplatError
-        If the mesh needs too many rays, or embreex is missing.
+        If the mesh has no faces, is not finite or needs too many rays, or embreex is missing.
     """
-    theta = math.radians(view.grazing_deg)
-    parts = np.array(grid.spacing_m) / _PARTS
-    # a ray's next neighbour lands farther away in range where a surface slopes as the ground or as a wall does
-    spacing = float(parts.min()) / _RAYS
-    columns, rows = (
-        centers[0] + (np.arange(len(centers) * _PARTS + 1) / _PARTS - 0.5) * width
-        for centers, width in ((grid.azimuth_m, grid.spacing_m[0]), (grid.range_m, grid.spacing_m[1]))
-    )
-    lit = np.zeros((grid.rows * _PARTS, grid.columns * _PARTS), dtype=bool)
-    hidden = np.zeros((grid.rows, grid.columns))
+    spacing = min(grid.spacing_m) / _PARTS / _RAYS
+    check_rays(mesh, None, spacing, _OFFSET)
+    slope_of_ground = 1 / math.tan(math.radians(view.grazing_deg))
+    width, depth = grid.spacing_m
+    left, near = grid.azimuth_m[0] - width / 2, grid.range_m[0] - depth / 2
+    rows, columns = grid.rows * _PARTS, grid.columns * _PARTS
+    begun = np.zeros((rows + 1) * columns, dtype=np.int64)  # surfaces that begin in a part, less those that have ended
+    hidden = np.zeros(grid.rows * grid.columns, dtype=np.int64)
     facets = Facets.of(mesh, view)
-    for position, face in first_hits(facets, (columns[0], columns[-1]), spacing, (0.5, 0.5)):
+    for position, face in first_hits(facets, (left, left + grid.columns * width), spacing, _OFFSET):
         x, y = position.T
-        z, z_ground = facets.depth(face, position), y / math.tan(theta)
-        above = z < z_ground + 1e-6
-        lit |= np.histogram2d(z[above], x[above], (rows, columns))[0] > 0
-        hidden += np.histogram2d(z_ground[above], x[above], (rows[::_PARTS], columns[::_PARTS]))[0]
+        z, z_ground = facets.depth(face, position), y * slope_of_ground
+        column = np.floor((x - left) / width * _PARTS)
+        seen = (z < z_ground + 1e-6) & (column >= 0) & (column < columns)
+        z, z_ground, face, column = z[seen], z_ground[seen], face[seen], column[seen].astype(np.int64)
+        # one ray stands for a square of the surface, which on a steep one reaches over several parts in range
+        reach = np.abs(facets.slope[face]).sum(axis=1) * spacing / 2
+        ends = (np.clip(end, *facets.z_span[:, face]) for end in (z - reach, z + reach))
+        # between both ends lie the centres of the parts it covers
+        first, beyond = (np.ceil((end - near) / depth * _PARTS - 0.5) for end in ends)
+        for row, sign in ((first, 1), (beyond, -1)):
+            parts = np.clip(row, 0, rows).astype(np.int64) * columns + column
+            begun += sign * np.bincount(parts, minlength=len(begun))
+        row = np.floor((z_ground - near) / depth)
+        inside = (row >= 0) & (row < grid.rows)
+        pixels = row[inside].astype(np.int64) * grid.columns + column[inside] // _PARTS
+        hidden += np.bincount(pixels, minlength=len(hidden))
+    lit = begun.reshape(rows + 1, columns)[:-1].cumsum(axis=0) > 0
+    shares: Float64[np.ndarray, "rows columns"]
     shares = lit.reshape(grid.rows, _PARTS, grid.columns, _PARTS).mean(axis=(1, 3))
-    open_ground = math.prod(grid.spacing_m) * math.tan(theta) / spacing**2
-    mask = np.where(hidden >= 0.5 * open_ground, SHADOW, 0)
+    rays_on_open_ground = width * depth / slope_of_ground / spacing**2
+    mask = np.where(hidden.reshape(shares.shape) >= 0.5 * rays_on_open_ground, SHADOW, CLUTTER)
     return np.where(shares >= 0.5, TARGET, mask).astype(np.uint8)

@@ -1,0 +1,98 @@
+"""True masks of target and shadow, read from a folder of pictures."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Collection
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from sarsplat.data.dataset import Dataset
+from sarsplat.data.files import plain_os_errors
+from sarsplat.data.mask_files import NUMBERS, mask_names, pillow
+from sarsplat.data.mstar import as_imported
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import SHADOW
+
+Mask = UInt8[np.ndarray, "rows columns"]
+Masks = UInt8[np.ndarray, "v rows columns"]
+"""Of V images: 0 clutter, 1 target, 2 shadow."""
+
+
+def read_masks(folder: Path, dataset: Dataset, splits: Collection[str] | None = None) -> dict[int, Mask]:
+    """True masks of some sets of a dataset: of every training image, of test images as far as the folder has them.
+
+    Parameters
+    ----------
+    folder : Path
+        For each image, a grey 8-bit PNG with the image's name (`T72/17deg/hb03333.png` for the chip
+        `T72/17deg/hb03333.jpeg`): 0 clutter, 1 target, 2 shadow. Masks of MSTAR chips lie as the chips were published,
+        and are turned and cut as these were on import; those of other datasets lie as the images do, row 0 near.
+    dataset : Dataset
+        Whose images.
+    splits : collection of str, optional
+        Names of the sets; every test set unless given.
+
+    Returns
+    -------
+    dict of int to numpy.ndarray, uint8 [rows, columns]
+        By the index of the image in the dataset, in its order; row 0 near.
+
+    Raises
+    ------
+    SarsplatError
+        If there is no such set, a training image or every image lacks its mask, two images would share one, or a mask
+        is damaged, of another size or holds other numbers.
+    """
+    chosen = {split for split in dataset.splits() if split != "train"} if splits is None else set(splits)
+    for split in chosen - set(dataset.splits()):
+        raise SarsplatError(f"{dataset} has no set {split!r}; it has {', '.join(dataset.splits())}")
+    masks: dict[int, Mask] = {}
+    missing: list[Path] = []
+    asked = folder
+    for index, name in mask_names(dataset, chosen).items():
+        asked = folder / name
+        with plain_os_errors("read", folder):
+            if asked.is_file():
+                masks[index] = _read(asked, dataset)
+            elif dataset.entries[index].split == "train":
+                missing.append(asked)
+    if missing:
+        raise SarsplatError(
+            f"{folder} has no mask of {len(missing)} of {len(dataset.images('train'))} training images, the first "
+            f"{missing[0]}; give one for each, which `sarsplat simulate --masks` makes for simulated images"
+        )
+    if not masks:
+        raise SarsplatError(
+            f"{folder} has no mask of any test image of {dataset}; name them after the images, the last {asked}"
+        )
+    return masks
+
+
+def _read(path: Path, dataset: Dataset) -> Mask:
+    image, grid = pillow(), dataset.grid
+    with plain_os_errors("read", path):
+        data = path.read_bytes()
+    try:
+        picture = image.open(io.BytesIO(data), formats=("PNG",))
+        if picture.mode != "L":
+            raise SarsplatError(f"{path} is a picture of mode {picture.mode}; give masks as grey 8-bit PNGs")
+        mask = np.asarray(picture)
+    except image.UnidentifiedImageError as error:
+        raise SarsplatError(f"{path} is not a PNG; give masks as grey 8-bit PNGs") from error
+    except (OSError, SyntaxError, ValueError, image.DecompressionBombError) as error:  # what Pillow says of damage
+        raise SarsplatError(f"{path} is a damaged PNG ({error}); write it again") from error
+    size = mask.shape
+    cut = dataset.source.get("cut_to_common_size") is True and size[0] >= grid.rows and size[1] >= grid.columns
+    if cut or size == (grid.rows, grid.columns):
+        mask = as_imported(mask, dataset)
+    if mask.shape != (grid.rows, grid.columns):
+        raise SarsplatError(
+            f"{path} has {size[0]} × {size[1]} pixels, its image {grid.rows} × {grid.columns}; "
+            "give masks of the images' size"
+        )
+    if mask.max() > SHADOW:
+        raise SarsplatError(f"{path} holds the number {mask.max()}; {NUMBERS}")
+    return mask

@@ -1,0 +1,120 @@
+"""Masks by ray casting against the closed form of a box on the ground."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, View, radar_frame
+from sarsplat.scenes.raycast_masks import raycast_mask, raycast_masks
+
+trimesh = pytest.importorskip("trimesh")
+pytest.importorskip("embreex")
+
+GRIDS = [
+    ImageGrid(48, 40, (0.3, 0.3), (0.3, 0.3)),
+    ImageGrid(90, 64, (0.25, 0.12), (0.5, 0.2), center_m=(0.4, -0.3)),
+    ImageGrid(30, 100, (0.1, 0.4), (0.3, 0.4)),
+]
+LOW, HIGH = np.array([-2.1, -1.3, 0.0]), np.array([2.4, 1.2, 1.6])
+
+
+def box(low: np.ndarray = LOW, high: np.ndarray = HIGH) -> trimesh.Trimesh:
+    return trimesh.creation.box(bounds=[low, high])
+
+
+def inside(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Which points lie in the convex hull of corners, both in the imaging plane."""
+    from scipy.spatial import ConvexHull
+
+    hull = ConvexHull(corners)
+    return (points @ hull.equations[:, :2].T <= -hull.equations[:, 2]).all(axis=1)
+
+
+def shares(view: View, grid: ImageGrid) -> np.ndarray:
+    """Share of every pixel in which a lit face of the box appears, and of its ground that lies in shadow."""
+    finer = 12
+    azimuth_axis, _, range_axis = radar_frame(view)
+    within = (np.arange(finer) + 0.5) / finer - 0.5
+    azimuth = (grid.azimuth_m[:, None] + within * grid.spacing_m[0]).ravel()
+    slant_range = (grid.range_m[:, None] + within * grid.spacing_m[1]).ravel()
+    points = np.stack(np.meshgrid(azimuth, slant_range), axis=-1).reshape(-1, 2)
+    upper = np.array([(a, b, c) for a in (0, 1) for b in (0, 1) for c in (0, 1)], dtype=bool)
+    corners = np.where(upper, HIGH, LOW)
+    plane = np.column_stack([azimuth_axis, range_axis])
+    lit = np.zeros(len(points), dtype=bool)
+    for axis in range(3):
+        lit |= inside(corners[upper[:, axis] == (range_axis[axis] < 0)] @ plane, points)
+    on_ground = corners - np.outer(corners[:, 2] / range_axis[2], range_axis)
+    hidden = inside(on_ground @ plane, points)
+    both = np.stack([lit, hidden]).reshape(2, grid.rows, finer, grid.columns, finer)
+    return both.mean(axis=(2, 4))
+
+
+@pytest.mark.parametrize("grid", GRIDS, ids=lambda grid: str(grid.spacing_m))
+@pytest.mark.parametrize("view", [View(25, 17), View(250, 45), View(101, 65)], ids=str)
+def test_masks_of_a_box_are_those_of_its_outlines(view, grid):
+    mask = raycast_mask(box(), view, grid)
+    lit, hidden = shares(view, grid)
+    true = np.where(lit >= 0.5, TARGET, np.where(hidden >= 0.5, SHADOW, CLUTTER))
+    assert (true == SHADOW).sum() > 50
+    clear = (np.abs(lit - 0.5) > 0.35) & ((lit > 0.5) | (np.abs(hidden - 0.5) > 0.25))
+    np.testing.assert_array_equal(mask[clear], true[clear])
+    assert (mask != true).sum() < 0.05 * (true != CLUTTER).sum()
+
+
+@pytest.mark.parametrize("grazing", [20.0, 45.0])
+@pytest.mark.parametrize("spacing", [0.1, 0.3])
+def test_layover_and_shadow_have_the_lengths_of_the_geometry(grazing, spacing):
+    """A wall 4 m high, whose front is at x = 1 and faces the radar, and whose back is at x = −1."""
+    theta, height = math.radians(grazing), 4.0
+    grid = ImageGrid(round(30 / spacing), 5, (0.5, spacing), (0.5, spacing))
+    mask = raycast_mask(box(np.array([-1.0, -9, 0]), np.array([1.0, 9, height])), View(0, grazing), grid)
+    of_ground = math.cos(theta)  # slant range to a length on the ground, away from the radar
+    top_front, foot = -of_ground - height * math.sin(theta), -of_ground
+    top_back = of_ground - height * math.sin(theta)
+    end = (1 + height / math.tan(theta)) * of_ground
+    assert (mask == mask[:, :1]).all()
+    lit, shadow = (grid.range_m[(mask == kind).any(axis=1)] for kind in (TARGET, SHADOW))
+    for rows, begin, stop in ((lit, top_front, max(foot, top_back)), (shadow, max(foot, top_back), end)):
+        assert np.diff(rows) == pytest.approx(spacing)
+        assert (rows[0] - spacing / 2, rows[-1] + spacing / 2) == pytest.approx((begin, stop), abs=0.75 * spacing)
+
+
+@pytest.mark.parametrize("grazing", [5.0, 15.0, 45.0, 85.0])
+def test_surfaces_have_no_holes(grazing):
+    """Rays lie far apart in range on a roof seen at a low angle, and on a wall seen from above."""
+    grid = ImageGrid(16, 16, (0.3, 0.3), (0.3, 0.3))
+    plate = box(np.array([-40.0, -40, -1]), np.array([40.0, 40, 0]))
+    wall = box(np.array([-1.0, -20, 0]), np.array([0.0, 20, 60]))
+    assert (raycast_mask(plate, View(30, grazing), grid) == TARGET).all()
+    assert (raycast_mask(wall, View(0, grazing), grid)[:8] == TARGET).all()
+
+
+def test_neither_brightness_nor_orientation_nor_resolution_matters():
+    inverted = box()
+    inverted.invert()
+    blurred = ImageGrid(48, 40, (0.3, 0.3), (0.9, 0.6))
+    true = raycast_mask(box(), View(25, 30), GRIDS[0])
+    np.testing.assert_array_equal(raycast_mask(inverted, View(25, 30), blurred), true)
+
+
+def test_what_lies_below_the_ground_is_not_seen():
+    sunk = box(LOW - (0, 0, 3), HIGH)
+    for view in (View(25, 17), View(250, 45)):
+        np.testing.assert_array_equal(raycast_mask(sunk, view, GRIDS[0]), raycast_mask(box(), view, GRIDS[0]))
+    assert not raycast_mask(box(LOW - (0, 0, 5), HIGH - (0, 0, 5)), View(25, 30), GRIDS[0]).any()
+
+
+def test_progress_counts_masks():
+    told: list[int] = []
+    views = [View(25, 17), View(250, 45)]
+    masks = raycast_masks(box(), views, GRIDS[0], progress=told.append)
+    assert told == [1, 2]
+    np.testing.assert_array_equal(masks[1], raycast_mask(box(), views[1], GRIDS[0]))
+
+
+def test_a_mesh_without_faces_is_refused():
+    with pytest.raises(SarsplatError, match="0 faces"):
+        raycast_mask(trimesh.Trimesh(), View(0, 30), GRIDS[0])
