@@ -27,13 +27,13 @@ from sarsplat.data import read_masks, write_json
 from sarsplat.data.mesh import write_mesh
 from sarsplat.errors import SarsplatError
 from sarsplat.reconstruction.any_run import AnyRun, InMemory
+from sarsplat.reconstruction.config import OURS
 from sarsplat.reconstruction.loop import Step
 from sarsplat.reconstruction.training import fitting
 from sarsplat.rivals import METHODS, RivalRun, reconstruct_with
 from sarsplat.rivals.config import RivalConfig
 from sarsplat.rivals.trainer import RivalTrainer
 
-OURS = "sar-gs"
 _TIMED_STEPS = 3
 """Steps after the first whose median says how many fit into a time."""
 

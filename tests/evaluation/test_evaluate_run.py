@@ -47,6 +47,7 @@ class FakeRun:
     path: Path | None = None
     time_s: float = 12.5
     seed: int = 3
+    method: str = "sar-gs"
     has_mesh: bool = True
     asked: list[View] = field(default_factory=list)
 
@@ -103,7 +104,7 @@ def test_every_key_is_there_and_every_null_has_its_reason(make):
     metrics = evaluate_run(FakeRun(make(), power=1.1))
     assert list(metrics) == [
         *("images", "points", "mesh", "truth", "masks", "baselines"),
-        *("time_s", "seed", "definitions", "parameters", "reasons"),
+        *("time_s", "seed", "method", "definitions", "parameters", "reasons"),
     ]
     assert list(metrics["definitions"]) == [metric.key for metric in all_metrics(YARDSTICK)]
     assert list(metrics["images"]) == ["test-17", "test-15"]

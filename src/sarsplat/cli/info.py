@@ -120,7 +120,6 @@ def _grid(grid: ImageGrid) -> dict[str, str]:
 
 
 def _run(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.reconstruction import Run
     from sarsplat.rivals import open_run
 
     run = open_run(path)
@@ -133,7 +132,7 @@ def _run(path: Path) -> tuple[str, dict[str, str]]:
         **run.facts,
         "seed": str(run.seed),
         "time": f"{run.time_s:.1f} s",
-        **(_corrections(run.azimuth_offset_deg) if isinstance(run, Run) else {}),
+        **_corrections(run.azimuth_offset_deg),
         "points": _extent(run.points),
         "scores": "metrics.json" if run.metrics else "none yet; run sarsplat evaluate",
         "report": "report/index.html" if (path / "report" / "index.html").is_file() else "none yet",

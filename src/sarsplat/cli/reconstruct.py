@@ -15,9 +15,9 @@ import tyro
 from sarsplat.cli import console
 from sarsplat.cli.arguments import MARKERS, Folder, OptionalFile, OptionalFolder, refuse_existing
 from sarsplat.cli.interrupt import interruptible
-from sarsplat.cli.rival import OURS, MethodName, asked_method, reconstruct_by
+from sarsplat.cli.rival import MethodName, asked_method, reconstruct_by
 from sarsplat.errors import SarsplatError
-from sarsplat.reconstruction.config import Config, Densification, Surroundings
+from sarsplat.reconstruction.config import OURS, Config, Densification, Surroundings
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset

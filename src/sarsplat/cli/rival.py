@@ -14,12 +14,12 @@ from sarsplat.cli import console
 from sarsplat.cli.arguments import refuse_existing
 from sarsplat.cli.interrupt import interruptible
 from sarsplat.errors import SarsplatError
+from sarsplat.reconstruction.config import OURS
 
 if TYPE_CHECKING:
     from sarsplat.cli.reconstruct import Options
     from sarsplat.rivals import RivalConfig
 
-OURS = "sar-gs"
 MethodName = Literal["sar-gs", "sar-nerf", "sar-nerf-grid", "dsr"]
 
 _SETTINGS = ("iterations", "views_per_step", "checkpoint_every", "seed")

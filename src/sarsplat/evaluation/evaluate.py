@@ -76,8 +76,8 @@ def evaluate_run(
         The content of `metrics.json`: `images.<set>.<metric>`, `points.{visible, whole}.<metric>`, `mesh` (the
         same of points on the mesh), `baselines` (what methods without a third dimension score on speckled images with
         ground), `truth` (the given mesh if there is one, and the motion that brought the points onto it), `masks` (the
-        given folder), `time_s`, `seed`, `definitions` (of every metric), `parameters` (what they refer to) and
-        `reasons`: for every metric that is None, its dotted key and why. Without test images `images` is empty.
+        given folder), `time_s`, `seed`, `method`, `definitions` (of every metric), `parameters` (what they refer to)
+        and `reasons`: for every metric that is None, its dotted key and why. Without test images `images` is empty.
 
     Raises
     ------
@@ -148,6 +148,7 @@ def _evaluate(
         "baselines": baseline_scores(dataset, reasons) if speckled_tests and dataset.ground else None,
         **compute_all(RUN_METRICS, dataset, run, "", reasons),
         "seed": run.seed,
+        "method": run.method,
         "definitions": {metric.key: metric.definition for metric in all_metrics(yardstick)},
         "parameters": {**parameters, "yardstick_m": yardstick.cell_m},
         "reasons": reasons,

@@ -50,6 +50,10 @@ class EvaluatedRun(Protocol):
     @property
     def seed(self) -> int: ...
 
+    @property
+    def method(self) -> str:
+        """What made it, such as `sar-gs`."""
+
     def render(self, views: Sequence[View], /) -> Stack:
         """β⁰ power of unseen views, float32 [V, rows, columns]."""
 

@@ -12,6 +12,7 @@ from rich.table import Table
 from sarsplat.evaluation.metric import Metric
 from sarsplat.evaluation.metrics import all_metrics
 from sarsplat.evaluation.points import Yardstick
+from sarsplat.reconstruction.config import OURS
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Scores:
 
 
 def comparison(metrics: Mapping[str, Any], paper: Scores | None = None) -> list[Scores]:
-    """Ours on each test set with the baselines of that set, then the paper.
+    """The run's scores on each test set with the baselines of that set, then the paper.
 
     Parameters
     ----------
@@ -46,14 +47,20 @@ def comparison(metrics: Mapping[str, Any], paper: Scores | None = None) -> list[
     Returns
     -------
     list of Scores
-        Ours hold the scores of the images, of the points against the visible surface, and of the training.
+        The run's hold the scores of the images, of the points against the visible surface, and of the training.
     """
     common = {**metrics["points"]["visible"], "time_s": metrics["time_s"]}
     found = []
     for split, values in metrics["images"].items():
-        found.append(Scores(f"ours, {split}", {**values, **common}))
+        found.append(Scores(f"{whose(metrics)}, {split}", {**values, **common}))
         found += [Scores(f"{scores.name}, {split}", scores.values) for scores in baselines(metrics, split)]
-    return [*(found or [Scores("ours", common)]), *([paper] if paper else [])]
+    return [*(found or [Scores(whose(metrics), common)]), *([paper] if paper else [])]
+
+
+def whose(metrics: Mapping[str, Any]) -> str:
+    """What to call the method that was scored."""
+    method: str = metrics.get("method", OURS)
+    return "ours" if method == OURS else method
 
 
 def baselines(metrics: Mapping[str, Any], split: str) -> list[Scores]:

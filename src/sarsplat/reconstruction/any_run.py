@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, NotRequired, Self, TypedDict, Ty
 
 import msgspec
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32, Float64, UInt8
 
 from sarsplat.data import (
     Dataset,
@@ -25,7 +25,7 @@ from sarsplat.data import (
 from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.reconstruction.config import AnyConfig
+from sarsplat.reconstruction.config import OURS, AnyConfig
 from sarsplat.reconstruction.log import LogLine, read_log
 from sarsplat.reconstruction.snapshot import Snapshot
 
@@ -35,9 +35,6 @@ if TYPE_CHECKING:
 SCHEMA = "sarsplat-run"
 SCHEMA_VERSION = 3
 HEADER = "config.json"
-
-OURS = "sar-gs"
-"""The method that learns Gaussians; a run that does not say which method made it is one of these."""
 
 _RESULTS = ("gaussians.ply", "points.ply", "metrics.json", "report/index.html")
 """What is made from the newest checkpoint."""
@@ -64,6 +61,7 @@ class Metrics(TypedDict):
     masks: NotRequired[str | None]
     time_s: float | None
     seed: int
+    method: NotRequired[str]
     parameters: dict[str, float]
     definitions: dict[str, str]
     reasons: dict[str, str]
@@ -189,6 +187,11 @@ class AnyRun(ABC, Generic[C]):
     def brightest(self) -> float:
         """Largest β⁰ of the training images, linear power: what pictures show as white."""
         return self.snapshot.brightest
+
+    @property
+    def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"]:
+        """By how much the azimuths of the training views were corrected, degrees, float64 [K]; most methods do not."""
+        return np.zeros(len(self.snapshot.views))
 
     @property
     def iteration(self) -> int:

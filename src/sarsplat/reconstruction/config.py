@@ -31,6 +31,10 @@ ScatteringName = Literal["harmonics", "normal-lobes"]
 """The laws of `sarsplat.gaussians.SCATTERINGS`, which is not imported because that would load torch."""
 
 
+OURS = "sar-gs"
+"""The method that learns Gaussians; a run that does not say which method made it is one of these."""
+
+
 class AnyConfig(Record):
     """Base of every method's settings: what its loop and its run need to know."""
 

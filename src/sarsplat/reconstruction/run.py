@@ -15,8 +15,8 @@ from sarsplat.data import write_gaussians_ply
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import RayGrid, View
-from sarsplat.reconstruction.any_run import OURS, AnyRun, Header
-from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.any_run import AnyRun, Header
+from sarsplat.reconstruction.config import OURS, Config
 from sarsplat.reconstruction.losses import LOSSES
 from sarsplat.reconstruction.masks import scene_masks, without_imitated_ground
 from sarsplat.reconstruction.mesh import surface_mesh

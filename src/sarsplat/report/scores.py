@@ -1,4 +1,4 @@
-"""A run's scores as the page's tables: ours, and beside them what they are to be compared with."""
+"""A run's scores as the page's tables, and beside them what they are to be compared with."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sarsplat.evaluation import IMAGE_METRICS, MASK_METRICS, Metric, Scores, Yardstick, metrics_of_points
-from sarsplat.evaluation.tables import baselines
+from sarsplat.evaluation.tables import baselines, whose
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Row:
 
 @dataclass(frozen=True)
 class ScoreTable:
-    """A titled table: a column for every method, ours first, and a row for every metric."""
+    """A titled table: a column for every method, the run's first, and a row for every metric."""
 
     title: str
     columns: tuple[Scores, ...]
@@ -66,13 +66,13 @@ def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> l
         score_table(
             f"Unseen views: {split}",
             (*IMAGE_METRICS, *MASK_METRICS),
-            [Scores("ours", values), *baselines(metrics, split), *others],
+            [Scores(whose(metrics), values), *baselines(metrics, split), *others],
         )
         for split, values in metrics["images"].items()
     ]
     visible, whole = metrics["points"]["visible"], metrics["points"]["whole"]
     columns = [
-        *(Scores("ours, visible surface", visible), Scores("whole surface", whole, ranked=False)),
+        *(Scores(f"{whose(metrics)}, visible surface", visible), Scores("whole surface", whole, ranked=False)),
         *(Scores(f"mesh, {part} surface", values, ranked=False) for part, values in metrics["mesh"].items()),
         *others,
     ]

@@ -13,7 +13,7 @@ from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Alignment, UndefinedScore, Yardstick, predicted_masks, read_truth_mesh
-from sarsplat.reconstruction import AnyRun, Run
+from sarsplat.reconstruction import AnyRun
 from sarsplat.report.azimuths import azimuths_figure
 from sarsplat.report.cloud import points_figure
 from sarsplat.report.curves import curves_figure
@@ -188,7 +188,7 @@ def _curves(run: AnyRun[Any]) -> list[Picture]:
 
 
 def _azimuths(run: AnyRun[Any]) -> list[Picture]:
-    if not isinstance(run, Run) or not run.azimuth_offset_deg.any():
+    if not run.azimuth_offset_deg.any():
         return []
     train = run.dataset.select("train")
     std = np.array([entry.azimuth_std_deg for entry in train.entries])

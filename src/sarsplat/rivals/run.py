@@ -16,7 +16,8 @@ from scipy.spatial import cKDTree
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import View
 from sarsplat.reconstruction import AnyRun, Run
-from sarsplat.reconstruction.any_run import OURS, Header, read_header
+from sarsplat.reconstruction.any_run import Header, read_header
+from sarsplat.reconstruction.config import OURS
 from sarsplat.rivals.config import RivalConfig
 from sarsplat.rivals.methods import METHODS, Method
 from sarsplat.rivals.rival import Rival

@@ -1,0 +1,184 @@
+"""What all methods share: trainings that can be stopped and taken up, runs that every command understands."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from sarsplat import Dataset, Run, SarsplatError, View, evaluate_run, write_report
+from sarsplat.cli.app import run as command
+from sarsplat.data import read_points_ply
+from sarsplat.rivals import METHODS, RivalRun, open_run, reconstruct_with
+
+SHORT = {"sar-nerf": 2, "sar-nerf-grid": 12, "dsr": 6}
+EVERY = pytest.mark.parametrize("method", SHORT)
+
+
+def short(method: str):
+    return replace(METHODS[method].settings, iterations=SHORT[method], checkpoint_every=max(1, SHORT[method] // 3))
+
+
+def trained(method: str, dataset: Dataset, out: Path | None = None, **options) -> RivalRun:
+    masks = dataset.path / "masks" if method == "dsr" and not options.get("resume") else None
+    return reconstruct_with(method, dataset, short(method), out, masks=masks, device="cpu", quiet=True, **options)
+
+
+def test_every_method_is_tested():
+    assert list(SHORT) == list(METHODS)
+
+
+@EVERY
+def test_taken_up_again_it_is_what_it_would_have_been(method, dataset, tmp_path):
+    whole = trained(method, dataset)
+    stop = SHORT[method] // 2
+
+    def leave(step):
+        if step.iteration == stop:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        trained(method, dataset, tmp_path / "run", on_step=leave)
+    assert open_run(tmp_path / "run").iteration == stop
+    resumed = trained(method, dataset, tmp_path / "run", resume=True)
+    assert resumed.iteration == SHORT[method]
+    assert resumed.snapshot.tensors.keys() == whole.snapshot.tensors.keys()
+    for name, tensor in whole.snapshot.tensors.items():
+        assert torch.equal(tensor, resumed.snapshot.tensors[name]), name
+    assert [line.loss for line in resumed.history][-1] == [line.loss for line in whole.history][-1]
+
+
+@EVERY
+def test_a_seed_is_a_result(method, dataset):
+    first, again = (trained(method, dataset).snapshot.tensors for _ in range(2))
+    assert all(torch.equal(tensor, again[name]) for name, tensor in first.items())
+
+
+@EVERY
+def test_its_run_is_rendered_scored_and_shown(method, dataset, tmp_path):
+    trained(method, dataset, tmp_path / "run")
+    run = open_run(tmp_path / "run")
+    assert isinstance(run, RivalRun)
+    assert run.method == method
+    assert run.render([View(10, 40), View(200, 60)]).shape == (2, 28, 24)
+    assert set(np.unique(run.masks([View(10, 40)]))) <= {0, 1, 2}
+    metrics = evaluate_run(run, quiet=True)
+    assert metrics["method"] == method
+    assert np.isfinite(metrics["images"]["test"]["psnr_db"])
+    page = write_report(run).read_text()
+    assert METHODS[method].title in page
+    assert f"{method}, visible surface" in page or len(run.points) == 0
+    points, columns = read_points_ply(tmp_path / "run" / "points.ply")
+    np.testing.assert_array_equal(points, run.points)
+    assert {"nx", "ny", "nz"} <= set(columns)
+
+
+def test_points_lie_on_what_the_radar_sees(dataset, tmp_path):
+    run = trained("dsr", dataset, tmp_path / "run")
+    surface = run.surface
+    from trimesh.proximity import closest_point
+
+    assert len(run.points) > 200
+    _, distance, face = closest_point(surface, run.points)
+    assert distance.max() < 1e-4
+    np.testing.assert_allclose(np.linalg.norm(run.normals, axis=1), 1, atol=1e-5)
+    along = np.abs((run.normals * surface.face_normals[face]).sum(axis=1))
+    assert np.median(along) > 0.99
+    towards = np.array([view.direction for view in run.snapshot.views])
+    assert (run.normals @ towards.T).max(axis=1).min() > -1e-6
+
+
+def test_a_method_is_not_taken_for_another(dataset, tmp_path):
+    trained("sar-nerf-grid", dataset, tmp_path / "run")
+    with pytest.raises(SarsplatError, match="by the method 'sar-nerf-grid', which learned no Gaussians"):
+        Run.load(tmp_path / "run")
+    with pytest.raises(SarsplatError, match="was started with the method sar-nerf-grid, not dsr; resume it with that"):
+        trained("dsr", dataset, tmp_path / "run", resume=True)
+    header = tmp_path / "run" / "config.json"
+    header.write_text(json.dumps({**json.loads(header.read_text()), "method": "magic"}))
+    with pytest.raises(SarsplatError, match="by the method 'magic'; give one by sar-nerf"):
+        open_run(tmp_path / "run")
+    with pytest.raises(SarsplatError, match="there is no method 'magic'; choose one of sar-nerf, sar-nerf-grid, dsr"):
+        reconstruct_with("magic", dataset)
+
+
+def test_settings_must_be_those_of_the_run(dataset, tmp_path):
+    trained("sar-nerf-grid", dataset, tmp_path / "run")
+    other = replace(short("sar-nerf-grid"), degree=1)
+    with pytest.raises(SarsplatError, match="was started with degree 3, not 1; resume it with the same settings"):
+        reconstruct_with("sar-nerf-grid", dataset, other, tmp_path / "run", resume=True, quiet=True)
+
+
+@pytest.mark.parametrize("part", ["model", "scene", "optimiser"])
+def test_a_checkpoint_of_something_else_is_refused(part, dataset, tmp_path):
+    from sarsplat.data import load_checkpoint, save_checkpoint
+
+    trained("sar-nerf-grid", dataset, tmp_path / "run")
+    path = open_run(tmp_path / "run").checkpoint_path
+    assert path is not None
+    tensors, state = load_checkpoint(path)
+    kept = {name: tensor for name, tensor in tensors.items() if not name.startswith(f"{part}/")}
+    save_checkpoint(path, kept, state)
+    if part != "optimiser":
+        with pytest.raises(SarsplatError, match="does not hold a whole model"):
+            open_run(tmp_path / "run").render([View(0, 30)])
+    with pytest.raises(SarsplatError, match="does not match this version|does not hold a whole model"):
+        trained("sar-nerf-grid", dataset, tmp_path / "run", resume=True)
+
+
+def test_without_masks_dsr_says_what_to_do(dataset, tmp_path, capsys):
+    assert command(["reconstruct", str(dataset.path), "--method", "dsr", "--out", str(tmp_path / "run")]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "--masks" in said
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_command_line_trains_and_goes_on(dataset, tmp_path, capsys):
+    out = str(tmp_path / "run")
+    words = ["reconstruct", str(dataset.path), "--out", out]
+    masks = ["--masks", str(dataset.path / "masks")]
+    assert command([*words, "--method", "dsr", *masks, "--iterations", "3", "--seed", "5"]) == 0
+    assert (open_run(out).iteration, open_run(out).seed) == (3, 5)
+    assert command([*words, "--resume", "--iterations", "5"]) == 0
+    assert open_run(out).iteration == 5
+    for arguments in (["render", out, "--out", f"{out}-images", "--azimuth", "5", "--grazing", "30"], ["info", out]):
+        assert command(arguments) == 0
+    assert command(["export", out, f"{out}.glb"]) == 0
+    assert command(["export", out, f"{out}.ply", "--format", "points"]) == 0
+    capsys.readouterr()
+    assert command(["export", out, f"{out}-gaussians.ply"]) == 2
+    assert "learns no Gaussians; " in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--method", "dsr", "--gaussians", "100"], "--gaussians is a setting of sar-gs and has no effect with dsr"),
+        (["--method", "sar-nerf", "--rates.means", "0.1"], "--rates.means is a setting of sar-gs"),
+        (["--masks", "masks"], "is for methods that learn from masks, but sar-gs does not"),
+        (["--method", "magic"], "magic"),
+        (["--method", "dsr", "--masks", "nowhere"], "nowhere"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(options, message, dataset, tmp_path, capsys):
+    assert command(["reconstruct", str(dataset.path), "--out", str(tmp_path / "run"), *options]) == 2
+    assert message in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "run").exists()
+
+
+def test_settings_come_from_a_file(dataset, tmp_path, capsys):
+    words = ["reconstruct", str(dataset.path), "--method", "sar-nerf-grid", "--out", str(tmp_path / "run")]
+    assert command([*words, "--print-config"]) == 0
+    settings = json.loads(capsys.readouterr().out)
+    file = tmp_path / "settings.json"
+    file.write_text(json.dumps({**settings, "degree": 1, "iterations": 4}))
+    assert command([*words, "--config", str(file), "--iterations", "3"]) == 0
+    config = open_run(tmp_path / "run").config
+    assert (config.as_dict()["degree"], config.iterations) == (1, 3)
+    file.write_text(json.dumps({**settings, "degree": 9}))
+    assert command([*words, "--config", str(file), "--overwrite"]) == 2
+    assert "degree" in capsys.readouterr().err
