@@ -4,6 +4,8 @@
 # make bench   speed and memory against plain torch and the floor; fills the README's performance section (3 minutes)
 # make tables  every experiment, beside the paper's tables, to docs/results (hours; resumable); QUICK=1 tries it in
 #              minutes, ONLY="density loss" runs some
+# make rivals  our method beside SAR-NeRF and DSR, to docs/results/rivals.md (hours; resumable); QUICK=1 tries it in
+#              minutes; CHIPS, LABELS and MASKS are the folder of MSTAR chips, their table and the folder of their masks
 # make fuzz    malformed files for every reader; make sanitize  the engine under ASan and UBSan (needs Debian's clang-19)
 # make wheels  a wheel for every platform in dist/ (four minutes the first time)
 # make check-wheel  their contents; this machine's wheel is installed into an empty environment and tested there
@@ -25,7 +27,7 @@ define step
 @printf '\n==> %s\n' "$(1)"; begun=$$SECONDS; $(2) && printf '    (%s s)\n' $$((SECONDS - begun))
 endef
 
-.PHONY: demo setup test test-slow figures bench tables fuzz sanitize wheels check-wheel lint readme clean
+.PHONY: demo setup test test-slow figures bench tables rivals fuzz sanitize wheels check-wheel lint readme clean
 
 demo: setup
 	$(call step,simulate: a T-72-like target by ray casting (24 training views and 48 test views),\
@@ -73,6 +75,10 @@ bench: setup
 # Finished cells stay in runs/tables: end it at any time and start it again.
 tables: setup
 	$(BIN)/python experiments/tables.py $(if $(QUICK),--quick) $(if $(ONLY),--only $(ONLY))
+
+rivals: setup
+	$(BIN)/python experiments/rivals.py $(if $(QUICK),--quick) \
+	  $(if $(CHIPS),--chips $(CHIPS) --labels $(LABELS) --masks $(MASKS))
 
 lint: setup
 	$(BIN)/ruff check

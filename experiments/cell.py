@@ -71,10 +71,10 @@ class Cell:
             for section in sections:
                 place = place[section]
             place[last] = value
-        return Config.from_dict(_shortened(settings) if self.quick else settings)
+        return Config.from_dict(shortened(settings) if self.quick else settings)
 
 
-def _shortened(settings: dict[str, Any]) -> dict[str, Any]:
+def shortened(settings: dict[str, Any]) -> dict[str, Any]:
     """The same training in small: whatever counts iterations shrinks alike.
 
     It starts in the box: points still on the hemisphere are all about as far from a sample of the surface, so that

@@ -7,6 +7,7 @@ that its peak memory is its own.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import resource
 import statistics
@@ -19,11 +20,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from cell import shortened
 from code_version import code_version
 from filelock import FileLock
 
-from sarsplat import Dataset, evaluate_run, import_mstar, read_dataset, reconstruct, target_mesh
-from sarsplat.data import read_masks, write_json
+from sarsplat import Config, Dataset, Run, evaluate_run, import_mstar, read_dataset, reconstruct, target_mesh
+from sarsplat.data import read_masks, write_bytes, write_json
 from sarsplat.data.mesh import write_mesh
 from sarsplat.errors import SarsplatError
 from sarsplat.reconstruction.any_run import AnyRun, InMemory
@@ -75,6 +78,8 @@ class RivalCell:
         Of the training.
     curve : tuple of float
         Seconds of training after which it is scored on the way, on a quarter of the test images.
+    quick : bool
+        Whether it only shows that everything works: ours is then trained for few iterations.
     """
 
     images: Images
@@ -83,6 +88,7 @@ class RivalCell:
     seconds: float | None = None
     seed: int = 0
     curve: tuple[float, ...] = ()
+    quick: bool = False
 
     def path(self, work: Path, code: str) -> Path:
         """Where its scores are kept."""
@@ -163,8 +169,18 @@ def run(cell: RivalCell, work: Path) -> Path:
         "peak_bytes": peak,
         "curve": curve,
     }
+    pictured = [bench.tests[index] for index in _pictured(len(bench.tests))]
+    images = learned.render([bench.dataset.views[index] for index in pictured])
+    with io.BytesIO() as file:
+        np.savez_compressed(file, images=images, truth=bench.dataset.power[pictured], points=learned.points)
+        write_bytes(path.with_suffix(".npz"), file.getvalue())
     write_json(path, done)
     return path
+
+
+def _pictured(count: int) -> list[int]:
+    """Test images that are shown: two, far apart."""
+    return [count // 5, (3 * count) // 5]
 
 
 class _OnTheWay:
@@ -190,9 +206,9 @@ class _OnTheWay:
 
 
 def _ours(cell: RivalCell, bench: Bench) -> tuple[AnyRun[Any], list[dict[str, Any]], int]:
-    from sarsplat import Run
-
     config = replace(fitting("auto", bench.dataset), seed=cell.seed)
+    if cell.quick:
+        config = Config.from_dict(shortened(config.as_dict()))
     watch = _OnTheWay(cell, bench, Run(config, ""))
     learned = reconstruct(bench.dataset, config, on_step=watch, quiet=True)
     return learned, watch.points, _peak_bytes()
@@ -211,8 +227,6 @@ def _rival(cell: RivalCell, bench: Bench) -> tuple[AnyRun[Any], list[dict[str, A
 
 def _fitting_in(seconds: float, cell: RivalCell, config: RivalConfig, bench: Bench) -> int:
     """Steps that fit into so many seconds; the learning rate then falls within them."""
-    import numpy as np
-
     masks = np.stack([*read_masks(bench.masks, bench.dataset, ("train",)).values()]) if cell.method == "dsr" else None
     trainer = RivalTrainer(bench.dataset, METHODS[cell.method], config, masks)
     took = []

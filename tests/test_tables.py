@@ -104,7 +104,7 @@ def test_rows_of_the_paper_stand_beside_ours(made):
     assert by_name["rendered"].rows[0].paper == paper_scores("T72").values
 
 
-def test_settings_are_changed_and_shortened(made):
+def test_settings_are_changed_andshortened(made):
     cell = made.cell.Cell({"target": "t72"}, "paper", {"densification.stop": 12_000}, seed=4)
     config = cell.config(preset("paper"))
     assert (config.densification.stop, config.seed, config.iterations) == (12_000, 4, 30_000)

@@ -1,0 +1,193 @@
+"""The page of the comparison: a table for every set, quality against time, and pictures."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+from summary import METRIC
+
+from sarsplat.data import write_bytes
+from sarsplat.evaluation.paper import NOT_THE_SAME_EXPERIMENT, paper_rivals
+
+if TYPE_CHECKING:
+    from rivals import Bout, Comparison
+
+RENDERED = ("psnr_db", "psnr_target_db", "ssim", "lpips", "cd_m", "f1@0.3", "f1@0.1")
+MEASURED = ("registered_nats_per_pixel", "registered_log_correlation", "nats_per_pixel", "cd_m", "f1@0.3")
+_DRAWN = {"psnr_target_db": "PSNR of the target, dB", "registered_nats_per_pixel": "registered nats per pixel"}
+_COLOURS = ("#1f4e79", "#c0392b", "#d98e04", "#4d8c57", "#7a5195", "#8c6d5a")
+_DARKEST_DB = 40.0
+
+
+def write(comparison: Comparison, out: Path) -> Path:
+    """Write the page as far as it is finished, with its pictures.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        What was done.
+    out : Path
+        Folder of results; made if missing.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    parts = [
+        "# Rivals\n\nSAR-NeRF and DSR, written afresh ([docs/rivals.md](../rivals.md)), beside sarsplat on the same "
+        "images, scored alike, on the same two CPU cores, one training at a time. *In our time*: as many iterations as "
+        "fit into the time that sarsplat takes, the learning rate falling within them; *full*: as long as the method's "
+        "settings say. The perceptron's training would take days on these cores: it is stopped after ten minutes, and "
+        "its steps show how far it came. Mean ± sample standard deviation over the seeds. The peak memory is that of "
+        "the whole process until the end of the training; Python and its libraries alone are a third of a gigabyte.\n"
+    ]
+    curves: dict[str, list[tuple[str, list[tuple[float, float]]]]] = {}
+    for images in comparison.sets:
+        bouts = [*comparison.bouts(images)]
+        rows = [_row(bout, comparison) for bout in bouts]
+        if not any(rows):
+            continue
+        keys = MEASURED if images.chips else RENDERED
+        parts.append(f"\n## {images.name}\n\n{_table(keys, [row for row in rows if row], images.name)}")
+        if lines := _lines(bouts, comparison, keys):
+            curves[images.name] = lines
+        if drawn := _pictures(bouts, comparison):
+            name = f"rivals-{''.join(c if c.isalnum() else '-' for c in images.name.split(' by')[0])}"
+            name = f"{name}-{'measured' if images.chips else images.simulate['source']}.png"
+            _save(drawn, out / name)
+            parts.append(f"\n![Two unseen images and the points of every method]({name})\n")
+    if curves:
+        _save(_against_time(curves), out / "rivals.png")
+        parts.append(
+            "\n## Quality against time\n\nThe first seed, scored on a quarter of the unseen images as it trains (the "
+            "learning rate is then that of the full training), and at its end.\n\n![Quality against time](rivals.png)\n"
+        )
+    parts.append(f"\n{NOT_THE_SAME_EXPERIMENT}\n\nWritten by `make rivals` from code version {comparison.code}.\n")
+    page = out / "rivals.md"
+    write_bytes(page, "".join(parts).encode())
+    return page
+
+
+def _scores(found: Mapping[str, Any]) -> dict[str, float]:
+    """Of one cell, by key: the mean over its test sets, and of the points against the visible surface."""
+    sets = found["images"].values()
+    keys = {key for scores in sets for key in scores}
+    scores = {key: statistics.fmean(values) for key in keys if None not in (values := [scores[key] for scores in sets])}
+    points = {key: value for key, value in found["points"]["visible"].items() if value is not None}
+    return {**scores, **points}
+
+
+def _row(bout: Bout, comparison: Comparison) -> dict[str, Any] | None:
+    found = [one for cell in bout.cells if (one := comparison.read(cell)) is not None]
+    if not found:
+        return None
+    scores = [_scores(one) for one in found]
+    budget = "" if bout.contender.method == "sar-gs" else ", in our time" if bout.equal else ", full"
+    if bout.contender.seconds is not None and not bout.equal:
+        budget = f", stopped after {bout.contender.seconds / 60:.0f} min"
+    return {
+        "name": bout.contender.title + budget,
+        "seeds": len(found),
+        "steps": statistics.fmean(one["iterations"] for one in found),
+        "time_s": [one["time_s"] for one in found],
+        "peak": max(one["peak_bytes"] for one in found) / 1e9,
+        "scores": {key: [one[key] for one in scores] for key in scores[0] if all(key in one for one in scores)},
+    }
+
+
+def _spread(values: Sequence[float], digits: int) -> str:
+    mean = f"{statistics.fmean(values):.{digits}f}"
+    return mean if len(values) < 2 else f"{mean} ± {statistics.stdev(values):.{digits}f}"
+
+
+def _table(keys: Sequence[str], rows: Sequence[Mapping[str, Any]], images: str) -> str:
+    heads = ["", *(f"{METRIC[key].title} {METRIC[key].arrow}".strip() for key in keys)]
+    heads += ["training time, s", "steps", "peak memory, GB", "seeds"]
+    cells = []
+    for row in rows:
+        texts = [row["name"]]
+        for key in keys:
+            values = row["scores"].get(key)
+            digits = len(METRIC[key].text(values[0]).partition(".")[2]) if values else 0
+            texts.append(_spread(values, digits) if values else "–")
+        texts += [_spread(row["time_s"], 0), f"{row['steps']:,.0f}", f"{row['peak']:.2g}", str(row["seeds"])]
+        cells.append(texts)
+    for name, values in paper_rivals(images.split(",")[0]).items():
+        texts = [METRIC[key].text(values.get(key)) for key in (*keys, "time_s")]
+        if any(text != "–" for text in texts[:-1]):
+            cells.append([f"*paper: {name}*", *texts, "–", "–", "–"])
+    lines = [heads, ["---", *["---:"] * (len(heads) - 1)], *cells]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def _lines(
+    bouts: Sequence[Bout], comparison: Comparison, keys: Sequence[str]
+) -> list[tuple[str, list[tuple[float, float]]]]:
+    """Time and score of every contender of which there is a curve: those on the way, then the end."""
+    key, lines = next(key for key in keys if key in _DRAWN), []
+    for bout in bouts:
+        found = comparison.read(bout.cells[0])
+        if found is None or bout.equal or not found["curve"]:
+            continue
+        points = [(point["seconds"], _scores(point)) for point in found["curve"]]
+        points.append((found["time_s"], _scores(found)))
+        lines.append((bout.contender.title, [(seconds, scores[key]) for seconds, scores in points if key in scores]))
+    return lines
+
+
+def _against_time(curves: Mapping[str, Sequence[tuple[str, Sequence[tuple[float, float]]]]]) -> Figure:
+    figure, axes = plt.subplots(1, len(curves), figsize=(6 * len(curves), 4), squeeze=False, layout="constrained")
+    names = list(dict.fromkeys(name for lines in curves.values() for name, _ in lines))
+    for ax, (images, lines) in zip(axes[0], curves.items()):
+        for name, points in lines:
+            ax.plot(*zip(*points), "o-", ms=3.5, color=_COLOURS[names.index(name) % len(_COLOURS)], label=name)
+        measured = "chips" in images
+        ax.set(xscale="log", xlabel="training time, s", title=images)
+        ax.set_ylabel(_DRAWN[MEASURED[0] if measured else RENDERED[1]] + (" (less is better)" if measured else ""))
+        if measured:
+            ax.invert_yaxis()
+        ax.grid(alpha=0.25, which="both")
+        ax.legend(fontsize=7)
+    return figure
+
+
+def _pictures(bouts: Sequence[Bout], comparison: Comparison) -> Figure | None:
+    """A row for the truth and one for every contender at its full budget: two unseen images, and its points."""
+    shown = []
+    for bout in bouts:
+        path = bout.cells[0].path(comparison.work, comparison.code).with_suffix(".npz")
+        if path.is_file() and not bout.equal:
+            with np.load(path, allow_pickle=False) as kept:
+                shown.append((bout.contender.title, {name: kept[name] for name in kept.files}))
+    if not shown:
+        return None
+    truth = shown[0][1]["truth"]
+    figure, axes = plt.subplots(
+        len(shown) + 1, 3, figsize=(9, 2.3 * (len(shown) + 1)), width_ratios=(1, 1, 1.6), layout="constrained"
+    )
+    peak_db = 10 * np.log10(truth.max())
+    for row, (title, kept) in zip(axes, [("truth", {"images": truth}), *shown]):
+        for ax, image in zip(row, kept["images"]):
+            level = 10 * np.log10(np.maximum(image, 1e-30))
+            ax.imshow(level, cmap="gray", vmin=peak_db - _DARKEST_DB, vmax=peak_db)
+            ax.set(xticks=[], yticks=[])
+        row[0].set_ylabel(title, fontsize=8)
+        points = kept.get("points", np.empty((0, 3)))
+        row[2].scatter(points[:, 0], points[:, 2], c=points[:, 1], s=0.3, cmap="viridis", linewidths=0)
+        row[2].set_aspect("equal")
+        row[2].tick_params(labelsize=7)
+    for ax in axes[1:, 2]:
+        ax.sharex(axes[1, 2])
+        ax.sharey(axes[1, 2])
+    axes[0, 2].axis("off")
+    axes[-1, 2].set_xlabel("x, m; z, m upwards; colour: y", fontsize=8)
+    axes[0, 0].set_title("unseen images, 40 dB", fontsize=8)
+    return figure
+
+
+def _save(figure: Figure, path: Path) -> None:
+    figure.savefig(path, dpi=90, facecolor="white", metadata={"Software": None}, pil_kwargs={"optimize": True})
+    plt.close(figure)

@@ -1,0 +1,207 @@
+"""Our method and its rivals on the same data: the same images, the same scores, this machine.
+
+    python experiments/rivals.py [--quick] [--chips CHIPS --labels LABELS --masks MASKS] [--seeds 0 1 2] [--only WORDS]
+
+Vehicles are simulated; measured chips are taken if their folders are given. One training runs at a time, with all
+threads, so that times compare. Finished ones stay in runs/rivals: end it at any time and start it again. Tables and
+pictures go to docs/results/rivals.md, or with --quick, which only shows that everything works, to runs/rivals/quick.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the command line does, before torch is loaded
+
+from code_version import code_version
+from rival_cell import Bench, Images, RivalCell
+from rival_page import write
+
+from sarsplat.errors import SarsplatError
+from sarsplat.reconstruction.config import OURS
+
+HERE = Path(__file__).resolve().parent.parent
+VEHICLES = ("t72", "btr70", "kraz")
+SOURCES = {"raycast": "by ray casting", "splat": "by our own renderer"}
+CHIPS = ("T72:8", "T72:36")
+
+_CURVE = tuple(2.0**k for k in range(0, 12))
+"""Seconds of training after which the first seed of some sets is scored on the way."""
+
+_PERCEPTRON_S = 600.0
+"""How long the perceptron may learn, which would need days."""
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A line of the tables.
+
+    Attributes
+    ----------
+    title : str
+        For readers.
+    method : str
+        Its name.
+    changes : mapping
+        Settings that differ from its defaults.
+    seconds : float or None
+        All it is given; None: as long as its settings say.
+    everywhere : bool
+        Whether it is done with all seeds on all sets, or only once where curves are drawn.
+    """
+
+    title: str
+    method: str
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    seconds: float | None = None
+    everywhere: bool = True
+
+
+CONTENDERS = (
+    Contender("sarsplat", OURS),
+    Contender("SAR-NeRF on a grid, sound", "sar-nerf-grid"),
+    Contender("SAR-NeRF on a grid, published equations", "sar-nerf-grid", {"mode": "published"}),
+    Contender("DSR", "dsr"),
+    Contender("SAR-NeRF, published", "sar-nerf", {}, _PERCEPTRON_S, everywhere=False),
+    Contender("SAR-NeRF, sound", "sar-nerf", {"mode": "sound"}, _PERCEPTRON_S, everywhere=False),
+)
+
+
+@dataclass(frozen=True)
+class Bout:
+    """What was done on one set: a contender, at its full budget or in our time; for each seed a cell."""
+
+    images: Images
+    contender: Contender
+    equal: bool
+    cells: tuple[RivalCell, ...]
+
+
+class Comparison:
+    """All cells of all sets; those in our time are known once ours are finished."""
+
+    def __init__(self, sets: Sequence[Images], curves: Sequence[str], seeds: Sequence[int], work: Path, small: bool):
+        self.sets, self.seeds, self.work = sets, seeds, work
+        self._curves, self._small, self.code = curves, small, code_version()
+
+    def bouts(self, images: Images) -> Iterator[Bout]:
+        """Of one set: ours, then each rival in our time and at its own budget."""
+        for contender in CONTENDERS:
+            if not contender.everywhere and images.name not in self._curves:
+                continue
+            seeds = self.seeds if contender.everywhere else self.seeds[:1]
+            full = tuple(self._cell(images, contender, seed) for seed in seeds)
+            if contender.method == OURS:
+                ours = full
+            elif seconds := [found["time_s"] for cell in ours if (found := self.read(cell)) is not None]:
+                limit = round(sum(seconds) / len(seconds), 1)
+                cells = tuple(replace(cell, seconds=limit, curve=()) for cell in full)
+                yield Bout(images, contender, True, cells)
+            yield Bout(images, contender, False, full)
+
+    def _cell(self, images: Images, contender: Contender, seed: int) -> RivalCell:
+        curve = _CURVE if images.name in self._curves and seed == self.seeds[0] else ()
+        if self._small:  # it only shows that everything works
+            few = {"iterations": 3} | ({} if contender.method == "dsr" else {"surface_voxels": 24})
+            small = {} if contender.method == OURS else {**contender.changes, **few}
+            return RivalCell(images, contender.method, small, None, seed, curve[:2], quick=True)
+        return RivalCell(images, contender.method, contender.changes, contender.seconds, seed, curve)
+
+    def read(self, cell: RivalCell) -> dict[str, Any] | None:
+        """What came of a cell, if it is finished."""
+        path = cell.path(self.work, self.code)
+        return json.loads(path.read_bytes()) if path.is_file() else None
+
+    def run(self) -> list[str]:
+        """Do what is missing, seed after seed, so that every table is there early; returns what failed."""
+        failed: list[str] = []
+        for seed in self.seeds:
+            for images in self.sets:
+                _ = Bench(
+                    images, self.work, self.code
+                ).masks  # made here, so that no cell's memory is that of making it
+                methods = [OURS, *dict.fromkeys(one.method for one in CONTENDERS if one.method != OURS)]
+                for method in methods:  # bouts in our time are known when ours are done
+                    for bout in [*self.bouts(images)]:
+                        for cell in bout.cells:
+                            if cell.seed == seed and cell.method == method and self.read(cell) is None:
+                                self._run(bout, cell, failed)
+        return failed
+
+    def _run(self, bout: Bout, cell: RivalCell, failed: list[str]) -> None:
+        budget = "in our time" if bout.equal else "full"
+        what = f"{bout.images.name}, {bout.contender.title}, {budget}, seed {cell.seed}"
+        print(what, flush=True)
+        done = subprocess.run(
+            [sys.executable, str(HERE / "experiments" / "rival_cell.py"), str(self.work)],
+            input=json.dumps(asdict(cell)),
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode:
+            reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+            print(f"    failed: {reason}", flush=True)
+            failed.append(f"{what}: {reason}")
+
+
+def simulated(target: str, source: str, small: bool) -> Images:
+    """A vehicle as the paper has it; `small` is a few views."""
+    few = {"azimuth": ("0:360:90",), "grazing": ("30", "50"), "test_azimuth": ("45", "200"), "test_grazing": ("40",)}
+    options = {"target": target, "source": source, **({"protocol": "paper", **few} if small else {"protocol": "paper"})}
+    return Images(f"{target}, {SOURCES[source]}", options)
+
+
+def measured(name: str, chips: Path, labels: Path, masks: Path) -> Images:
+    """Chips of CLASS:VIEWS at 17°."""
+    target, views = name.split(":")
+    options = {"chips": str(chips), "labels": str(labels), "masks": str(masks), "target_class": target}
+    return Images(f"{target}, {views} measured chips", {}, {**options, "train_views": int(views)})
+
+
+def main() -> int:
+    """See the head of this file."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name, what in (("chips", "folder of MSTAR chips"), ("labels", "their table"), ("masks", "their masks")):
+        parser.add_argument(f"--{name}", type=Path, help=what)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--only", default="", help="sets whose names contain this")
+    parser.add_argument("--write", action="store_true", help="write what is finished, run nothing")
+    options = parser.parse_args()
+    quick = options.quick
+    sets = [simulated(target, source, quick) for source in SOURCES for target in (VEHICLES[:1] if quick else VEHICLES)]
+    if options.chips is not None:
+        sets += [measured(name, options.chips, options.labels, options.masks) for name in CHIPS]
+    else:
+        print("measured chips are left out: give --chips, --labels and --masks")
+    curves = [images.name for images in sets if images.name.startswith(("t72, by ray", "T72, 36"))]
+    work = HERE / "runs" / "rivals"
+    comparison = Comparison(sets, curves, options.seeds[:1] if quick else options.seeds, work, quick)
+    chosen = [images for images in sets if options.only in images.name]
+    failed: list[str] = []
+    try:
+        if not options.write:
+            comparison.sets = chosen
+            failed = comparison.run()
+            comparison.sets = sets
+        page = write(comparison, work / "quick" if quick else HERE / "docs" / "results")
+    except (SarsplatError, KeyboardInterrupt) as stopped:
+        print(f"{str(stopped) or 'stopped'}; what is finished is kept", file=sys.stderr)
+        return 2
+    print(page)
+    for failure in failed:
+        print(f"failed: {failure}", file=sys.stderr)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
