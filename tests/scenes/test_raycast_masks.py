@@ -33,9 +33,12 @@ def inside(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def shares(view: View, grid: ImageGrid) -> np.ndarray:
-    """Share of every pixel in which a lit face of the box appears, and of its ground that lies in shadow."""
-    finer = 12
-    azimuth_axis, _, range_axis = radar_frame(view)
+    """Of every pixel: the share that lit faces of the box cover, their area, and the share of its ground in shadow.
+
+    The area is that across the line of sight, in units of what open ground has.
+    """
+    finer = 8
+    azimuth_axis, elevation_axis, range_axis = radar_frame(view)
     within = (np.arange(finer) + 0.5) / finer - 0.5
     azimuth = (grid.azimuth_m[:, None] + within * grid.spacing_m[0]).ravel()
     slant_range = (grid.range_m[:, None] + within * grid.spacing_m[1]).ravel()
@@ -43,23 +46,22 @@ def shares(view: View, grid: ImageGrid) -> np.ndarray:
     upper = np.array([(a, b, c) for a in (0, 1) for b in (0, 1) for c in (0, 1)], dtype=bool)
     corners = np.where(upper, HIGH, LOW)
     plane = np.column_stack([azimuth_axis, range_axis])
-    lit = np.zeros(len(points), dtype=bool)
-    for axis in range(3):
-        lit |= inside(corners[upper[:, axis] == (range_axis[axis] < 0)] @ plane, points)
+    faces = np.array([inside(corners[upper[:, k] == (range_axis[k] < 0)] @ plane, points) for k in range(3)])
+    area = np.abs(range_axis / elevation_axis) / math.tan(math.radians(view.grazing_deg)) @ faces
     on_ground = corners - np.outer(corners[:, 2] / range_axis[2], range_axis)
     hidden = inside(on_ground @ plane, points)
-    both = np.stack([lit, hidden]).reshape(2, grid.rows, finer, grid.columns, finer)
-    return both.mean(axis=(2, 4))
+    every = np.stack([faces.any(axis=0), area, hidden]).reshape(3, grid.rows, finer, grid.columns, finer)
+    return every.mean(axis=(2, 4))
 
 
 @pytest.mark.parametrize("grid", GRIDS, ids=lambda grid: str(grid.spacing_m))
 @pytest.mark.parametrize("view", [View(25, 17), View(250, 45), View(101, 65)], ids=str)
 def test_masks_of_a_box_are_those_of_its_outlines(view, grid):
     mask = raycast_mask(box(), view, grid)
-    lit, hidden = shares(view, grid)
-    true = np.where(lit >= 0.5, TARGET, np.where(hidden >= 0.5, SHADOW, CLUTTER))
+    covered, area, hidden = shares(view, grid)
+    true = np.where((covered >= 0.5) | (area >= 0.5), TARGET, np.where(hidden >= 0.5, SHADOW, CLUTTER))
     assert (true == SHADOW).sum() > 50
-    clear = (np.abs(lit - 0.5) > 0.35) & ((lit > 0.5) | (np.abs(hidden - 0.5) > 0.25))
+    clear = (covered > 0.8) | (covered < 0.02) & (np.abs(hidden - 0.5) > 0.25)
     np.testing.assert_array_equal(mask[clear], true[clear])
     assert (mask != true).sum() < 0.05 * (true != CLUTTER).sum()
 
@@ -79,17 +81,29 @@ def test_layover_and_shadow_have_the_lengths_of_the_geometry(grazing, spacing):
     lit, shadow = (grid.range_m[(mask == kind).any(axis=1)] for kind in (TARGET, SHADOW))
     for rows, begin, stop in ((lit, top_front, max(foot, top_back)), (shadow, max(foot, top_back), end)):
         assert np.diff(rows) == pytest.approx(spacing)
-        assert (rows[0] - spacing / 2, rows[-1] + spacing / 2) == pytest.approx((begin, stop), abs=0.75 * spacing)
+        assert (rows[0] - spacing / 2, rows[-1] + spacing / 2) == pytest.approx((begin, stop), abs=0.95 * spacing)
 
 
 @pytest.mark.parametrize("grazing", [5.0, 15.0, 45.0, 85.0])
 def test_surfaces_have_no_holes(grazing):
     """Rays lie far apart in range on a roof seen at a low angle, and on a wall seen from above."""
-    grid = ImageGrid(16, 16, (0.3, 0.3), (0.3, 0.3))
+    grid = ImageGrid(16, 8, (0.3, 0.3), (0.3, 0.3))
     plate = box(np.array([-40.0, -40, -1]), np.array([40.0, 40, 0]))
     wall = box(np.array([-1.0, -20, 0]), np.array([0.0, 20, 60]))
     assert (raycast_mask(plate, View(30, grazing), grid) == TARGET).all()
     assert (raycast_mask(wall, View(0, grazing), grid)[:8] == TARGET).all()
+
+
+@pytest.mark.parametrize("grazing", [15.0, 60.0])
+def test_a_surface_that_faces_the_radar_is_target(grazing):
+    """It covers no area of the image plane, but returns more than any other."""
+    upwards = radar_frame(View(0, grazing))[1]
+    corners = np.array([(0, y, 0) + length * upwards for y in (-3, 3) for length in (0.0, 3.0)])
+    plate = trimesh.Trimesh(corners, [(0, 1, 2), (2, 1, 3)], process=False)
+    grid = ImageGrid(41, 41, (0.3, 0.3), (0.3, 0.3))
+    lit = raycast_mask(plate, View(0, grazing), grid) == TARGET
+    assert lit.any(axis=1).sum() == 1
+    assert lit.any(axis=0).sum() in (20, 21)
 
 
 def test_neither_brightness_nor_orientation_nor_resolution_matters():

@@ -45,8 +45,10 @@ def raycast_masks(
 def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np.ndarray, "{grid.rows} {grid.columns}"]:
     """Mask of a mesh that stands on flat ground at z = 0.
 
-    A pixel is target if a surface that the radar sees appears in at least half of it, layover included and however dark
-    it is; else it is shadow if the mesh hides at least half of its ground. What lies below the ground is not seen.
+    A pixel is target if surfaces that the radar sees cover at least half of it, or if it shows at least half as much of
+    them as it would of flat ground, by area across the line of sight: what faces the radar covers little of the image.
+    Layover counts, and darkness does not matter. Otherwise it is shadow if the mesh hides at least half of its ground.
+    What lies below the ground is not seen.
 
     Parameters
     ----------
@@ -72,7 +74,7 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np
     left, near = grid.azimuth_m[0] - width / 2, grid.range_m[0] - depth / 2
     rows, columns = grid.rows * _PARTS, grid.columns * _PARTS
     begun = np.zeros((rows + 1) * columns, dtype=np.int64)  # surfaces that begin in a part, less those that have ended
-    hidden = np.zeros(grid.rows * grid.columns, dtype=np.int64)
+    appearing, hidden = np.zeros((2, grid.rows, grid.columns), dtype=np.int64)  # rays
     facets = Facets.of(mesh, view)
     for position, face in first_hits(facets, (left, left + grid.columns * width), spacing, _OFFSET):
         x, y = position.T
@@ -88,13 +90,15 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np
         for row, sign in ((first, 1), (beyond, -1)):
             parts = np.clip(row, 0, rows).astype(np.int64) * columns + column
             begun += sign * np.bincount(parts, minlength=len(begun))
-        row = np.floor((z_ground - near) / depth)
-        inside = (row >= 0) & (row < grid.rows)
-        pixels = row[inside].astype(np.int64) * grid.columns + column[inside] // _PARTS
-        hidden += np.bincount(pixels, minlength=len(hidden))
-    lit = begun.reshape(rows + 1, columns)[:-1].cumsum(axis=0) > 0
+        for counts, ranges in ((appearing, z), (hidden, z_ground)):
+            row = np.floor((ranges - near) / depth)
+            inside = (row >= 0) & (row < grid.rows)
+            pixels = row[inside].astype(np.int64) * grid.columns + column[inside] // _PARTS
+            counts += np.bincount(pixels, minlength=counts.size).reshape(counts.shape)
+    covered = begun.reshape(rows + 1, columns)[:-1].cumsum(axis=0) > 0
     shares: Float64[np.ndarray, "rows columns"]
-    shares = lit.reshape(grid.rows, _PARTS, grid.columns, _PARTS).mean(axis=(1, 3))
+    shares = covered.reshape(grid.rows, _PARTS, grid.columns, _PARTS).mean(axis=(1, 3))
     rays_on_open_ground = width * depth / slope_of_ground / spacing**2
-    mask = np.where(hidden.reshape(shares.shape) >= 0.5 * rays_on_open_ground, SHADOW, CLUTTER)
-    return np.where(shares >= 0.5, TARGET, mask).astype(np.uint8)
+    mask = np.where(hidden >= 0.5 * rays_on_open_ground, SHADOW, CLUTTER)
+    lit = (shares >= 0.5) | (appearing >= 0.5 * rays_on_open_ground)
+    return np.where(lit, TARGET, mask).astype(np.uint8)
