@@ -123,13 +123,14 @@ class Bench:
         return Path(self.images.chips["masks"]) if self.images.chips else self._folder / "masks"
 
     @cached_property
+    def tests(self) -> list[int]:
+        """Numbers of the test images."""
+        return [index for index, entry in enumerate(self.dataset.entries) if entry.split != "train"]
+
+    @cached_property
     def fewer(self) -> Dataset:
         """The same with every fourth test image."""
-        tests = [entry for entry in self.dataset.entries if entry.split != "train"]
-        kept = {id(entry) for entry in tests[::4]}
-        chosen = [
-            index for index, entry in enumerate(self.dataset.entries) if entry.split == "train" or id(entry) in kept
-        ]
+        chosen = sorted({*range(len(self.dataset))} - {*self.tests} | {*self.tests[::4]})
         entries = tuple(self.dataset.entries[index] for index in chosen)
         return replace(self.dataset, power=self.dataset.power[chosen], entries=entries)
 
@@ -190,13 +191,19 @@ class _OnTheWay:
         self._left, self._bench, self._new = sorted(cell.curve), bench, new
         self._begun, self._spent = time.monotonic(), 0.0
         self.points: list[dict[str, Any]] = []
+        self._peak: int | None = None
+
+    @property
+    def peak_bytes(self) -> int:
+        """Most memory that the process has held for the training: before anything was scored on the way."""
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 if self._peak is None else self._peak
 
     def __call__(self, step: Step[Any]) -> None:
         seconds = time.monotonic() - self._begun - self._spent
         if not self._left or seconds < self._left[0]:
             return
         self._left = [later for later in self._left if later > seconds]
-        begun = time.monotonic()
+        begun, self._peak = time.monotonic(), self.peak_bytes
         held = InMemory(self._bench.dataset, step.trainer.snapshot(seconds), ())
         found = self._bench.scores(replace(self._new, memory=held), fewer=True)
         spent = time.monotonic() - begun
@@ -211,7 +218,7 @@ def _ours(cell: RivalCell, bench: Bench) -> tuple[AnyRun[Any], list[dict[str, An
         config = Config.from_dict(shortened(config.as_dict()))
     watch = _OnTheWay(cell, bench, Run(config, ""))
     learned = reconstruct(bench.dataset, config, on_step=watch, quiet=True)
-    return learned, watch.points, _peak_bytes()
+    return learned, watch.points, watch.peak_bytes
 
 
 def _rival(cell: RivalCell, bench: Bench) -> tuple[AnyRun[Any], list[dict[str, Any]], int]:
@@ -222,7 +229,7 @@ def _rival(cell: RivalCell, bench: Bench) -> tuple[AnyRun[Any], list[dict[str, A
         config = replace(config, iterations=min(config.iterations, _fitting_in(cell.seconds, cell, config, bench)))
     watch = _OnTheWay(cell, bench, RivalRun(config, "", name=cell.method))
     learned = reconstruct_with(cell.method, bench.dataset, config, masks=masks, on_step=watch, quiet=True)
-    return learned, watch.points, _peak_bytes()
+    return learned, watch.points, watch.peak_bytes
 
 
 def _fitting_in(seconds: float, cell: RivalCell, config: RivalConfig, bench: Bench) -> int:
@@ -235,11 +242,6 @@ def _fitting_in(seconds: float, cell: RivalCell, config: RivalConfig, bench: Ben
         trainer.step()
         took.append(time.monotonic() - begun)
     return max(1, int(seconds / statistics.median(took[1:])))
-
-
-def _peak_bytes() -> int:
-    """Most memory that this process has held so far."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def digest(content: Mapping[str, Any]) -> str:

@@ -112,7 +112,7 @@ class Comparison:
         if self._small:  # it only shows that everything works
             few = {"iterations": 3} | ({} if contender.method == "dsr" else {"surface_voxels": 24})
             small = {} if contender.method == OURS else {**contender.changes, **few}
-            return RivalCell(images, contender.method, small, None, seed, curve[:2], quick=True)
+            return RivalCell(images, contender.method, small, None, seed, curve[:1], quick=True)
         return RivalCell(images, contender.method, contender.changes, contender.seconds, seed, curve)
 
     def read(self, cell: RivalCell) -> dict[str, Any] | None:
@@ -155,8 +155,8 @@ class Comparison:
 
 def simulated(target: str, source: str, small: bool) -> Images:
     """A vehicle as the paper has it; `small` is a few views."""
-    few = {"azimuth": ("0:360:90",), "grazing": ("30", "50"), "test_azimuth": ("45", "200"), "test_grazing": ("40",)}
-    options = {"target": target, "source": source, **({"protocol": "paper", **few} if small else {"protocol": "paper"})}
+    few = {"azimuth": ("0:360:90",), "grazing": ("40",), "test_azimuth": ("45", "200"), "test_grazing": ("40",)}
+    options = {"target": target, "source": source, "protocol": "paper", **({"pixels": 40, **few} if small else {})}
     return Images(f"{target}, {SOURCES[source]}", options)
 
 

@@ -1,3 +1,0 @@
-from sarsplat.rivals.config import RivalConfig
-
-DSR = RivalConfig()
