@@ -44,9 +44,9 @@ class DsrConfig(RivalConfig):
     """
 
     vertices: Literal[642, 1352] = 642
-    sigma: Softness = 1e-4
+    sigma: Softness = 1.2e-5
     gamma: Softness = 1e-4
-    laplacian: NotNegative = 1.0
+    laplacian: NotNegative = 0.3
     flatten: NotNegative = 3e-4
     lit: NotNegative = 1.0
     shadow: NotNegative = 1.0
