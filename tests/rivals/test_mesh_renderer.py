@@ -29,10 +29,10 @@ def plate(center: np.ndarray, across: np.ndarray, up: np.ndarray, parts: int = 8
     return center + u[:, None] * across + v[:, None] * up, faces
 
 
-def facing_plate(side: float, away: float, up: float = 0.0) -> Mesh:
+def facing_plate(side: float, away: float, up: float = 0.0, parts: int = 8) -> Mesh:
     """A square that the radar of VIEW sees face on, at a range."""
     x, y, z = radar_frame(VIEW)
-    return plate(away * z + up * y, side * y, side * x)
+    return plate(away * z + up * y, side * y, side * x, parts)
 
 
 def box(sides: tuple[float, float, float], bottom: tuple[float, float, float] = (0.5, 0, 0)) -> Mesh:
@@ -61,13 +61,13 @@ def power_m2(found: Layers) -> float:
 
 @pytest.mark.parametrize("renderer", [SHARP, SOFT])
 def test_a_plate_facing_the_radar_returns_its_area_from_its_range(renderer):
-    image = layers(renderer, facing_plate(3.0, 1.2), gamma0=0.7)
+    image = layers(renderer, facing_plate(3.0, 1.2, parts=11), gamma0=0.7)
     assert power_m2(image) == pytest.approx(0.7 * 9.0, rel=0.04)  # ripple of samples as far apart as the response
     assert image.sections.sum().item() == pytest.approx(0.7 * 9.0, rel=1e-3)
     target = image.target.numpy()
     assert (target.sum(axis=1) @ GRID.range_m) / target.sum() == pytest.approx(1.2, abs=0.03)
     across = target.sum(axis=0) * math.prod(GRID.spacing_m)
-    np.testing.assert_allclose(across[np.abs(GRID.azimuth_m) < 1.0], 0.7 * 3.0 * GRID.spacing_m[0], rtol=0.12)
+    np.testing.assert_allclose(across[np.abs(GRID.azimuth_m) < 1.0], 0.7 * 3.0 * GRID.spacing_m[0], rtol=0.08)
     assert across[np.abs(GRID.azimuth_m) > 2.4].sum() < 1e-3
 
 
@@ -185,7 +185,8 @@ def test_a_wider_response_spreads_the_same_power():
     assert variance(second) - variance(first) == pytest.approx(missing, rel=0.05)
 
 
-def test_gradients_are_those_of_finite_differences():
+def test_gradients_are_those_of_finite_differences(monkeypatch):
+    """With what faces hide of each other held fixed."""
     template = icosphere(1)
     generator = torch.Generator().manual_seed(1)
     points = torch.from_numpy(template.vertices) * torch.tensor([1.1, 0.7, 0.6]) + torch.tensor([0.1, 0.0, 0.7])
@@ -193,6 +194,10 @@ def test_gradients_are_those_of_finite_differences():
     gamma0 = 0.5 + torch.rand(len(template.faces), generator=generator, dtype=points.dtype)
     renderer = MeshRenderer(ImageGrid(11, 13, (0.4, 0.35), (0.5, 0.5)), 0.3, 0.2)
     faces = torch.from_numpy(template.faces)
+    normals = torch.linalg.cross(points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]])
+    facing = int((normals @ torch.from_numpy(VIEW.direction) > 0).sum())
+    visible = 0.2 + 0.8 * torch.rand(facing, generator=generator, dtype=points.dtype)
+    monkeypatch.setattr(MeshRenderer, "_visible", lambda *_: visible)
 
     def scalar(points: torch.Tensor, gamma0: torch.Tensor) -> torch.Tensor:
         found = renderer.layers(points, faces, gamma0, VIEW)

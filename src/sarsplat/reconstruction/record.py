@@ -109,7 +109,7 @@ def _allowed(hint: Any) -> str:
         kind, limits = get_args(hint)
         return f"a {'whole ' if kind is int else ''}number from {limits.ge:g} to {limits.le:g}"
     if get_origin(hint) is Literal:
-        return f"one of {', '.join(get_args(hint))}"
+        return f"one of {', '.join(map(str, get_args(hint)))}"
     if get_origin(hint) is tuple:
         return f"{len(get_args(hint))} values, each {_allowed(get_args(hint)[0])}"
     if len(_choices(hint)) > 1:

@@ -7,7 +7,7 @@ published is listed in docs/rivals-dsr.md.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,56 +15,28 @@ from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import View
+from sarsplat.geometry import SHADOW, TARGET, View
+from sarsplat.rivals.dsr_config import DsrConfig
 from sarsplat.rivals.mesh_renderer import Layers, MeshRenderer
 from sarsplat.rivals.regularity import flatten_loss, iou_loss, laplacian_loss, ordered_sum
 from sarsplat.rivals.rival import Rival, Scene
 from sarsplat.rivals.template import sphere
 
-_TARGET, _SHADOW = 1, 2
 _HALF_FIELD, _DEPTH_RANGE = 1.58, 99.0
 """What σ and γ refer to, in longest sides of the target: as in soft rasterisation's usual scenes, where an object of
 side 1 stands in a field of view that is ±1.58 there (±30° from 2.73 away), between depths of 1 and 100."""
 
-_DIMMEST = 1e-4
-"""Added to powers before their root is taken, in units of the scene: −40 dB."""
+_DIMMEST = 1e-5
+"""Added to powers before their root is taken, relative to the brightest: −50 dB."""
 
-_START_GAMMA0, _START_GROUND, _START_FLOOR = 0.1, 0.1, 0.01
+_START_GAMMA0 = 0.01
+"""Of the faces, relative to the brightest power: −20 dB."""
 
+_START_GROUND, _START_FLOOR = 1.0, 0.1
+"""Of the ground around the target, most of such an image, and of the noise: relative to `Scene.unit`."""
 
-@dataclass(frozen=True)
-class DsrConfig:
-    """Settings of DSR.
-
-    Parameters
-    ----------
-    vertices : int
-        Of the template: 642 or 1352.
-    sigma : float
-        σ of the coverage, in squares of 1.58 longest sides of the target's box: √σ is the softness of edges.
-    gamma : float
-        How far a face may lie behind another and still be seen: e-fold in depth, in 99 longest sides of the box.
-    laplacian, flatten, lit, shadow, image : float
-        Weights of the losses.
-    learning_rate : float
-        Of everything; for the vertices in longest sides of the target's box.
-    betas : (float, float)
-        Of Adam.
-    iterations : int
-        Steps of the full budget.
-    """
-
-    vertices: int = 642
-    sigma: float = 1e-4
-    gamma: float = 1e-4
-    laplacian: float = 0.03
-    flatten: float = 3e-4
-    lit: float = 1.0
-    shadow: float = 1.0
-    image: float = 1.0
-    learning_rate: float = 0.01
-    betas: tuple[float, float] = (0.5, 0.99)
-    iterations: int = 2000
+_SLOWDOWN = 0.1
+"""Learning rates at the end, relative to those at the start."""
 
 
 class Dsr(Rival):
@@ -88,10 +60,11 @@ class Dsr(Rival):
     flaps: Tensor
     start: Tensor
     masks: Tensor
+    log_ground: torch.nn.Parameter | None
+    log_floor: torch.nn.Parameter | None
 
-    def __init__(self, scene: Scene, config: DsrConfig | None = None) -> None:
+    def __init__(self, scene: Scene, config: DsrConfig) -> None:
         super().__init__(scene)
-        config = config or DsrConfig()
         self.config = config
         template = sphere(config.vertices)
         sides = scene.high_m - scene.low_m
@@ -103,9 +76,13 @@ class Dsr(Rival):
         self.register_buffer("flaps", torch.from_numpy(template.flaps), persistent=False)
         self.register_buffer("masks", _checked_masks(scene), persistent=False)
         self.moved = torch.nn.Parameter(torch.zeros_like(self.start))
-        self.log_gamma0 = torch.nn.Parameter(torch.full((len(template.faces),), math.log(_START_GAMMA0)))
-        self.log_ground = torch.nn.Parameter(torch.tensor(math.log(_START_GROUND)))
-        self.log_floor = torch.nn.Parameter(torch.tensor(math.log(_START_FLOOR)))
+        self.log_gamma0 = torch.nn.Parameter(
+            torch.full((len(template.faces),), math.log(_START_GAMMA0 * scene.brightest))
+        )
+        self.log_ground = self.log_floor = None
+        if scene.ground:
+            self.log_ground = torch.nn.Parameter(torch.tensor(math.log(_START_GROUND)))
+            self.log_floor = torch.nn.Parameter(torch.tensor(math.log(_START_FLOOR)))
         softness_m = math.sqrt(config.sigma) * _HALF_FIELD * self._longest_m
         self.renderer = MeshRenderer(scene.grid, softness_m, config.gamma * _DEPTH_RANGE * self._longest_m)
 
@@ -117,29 +94,32 @@ class Dsr(Rival):
         The image's is the mean difference of amplitudes, relative to their sum in the target's mask.
         """
         config, points = self.config, self._points()
+        dimmest, least = _DIMMEST * self.scene.brightest, math.sqrt(self.scene.brightest)
         total = points.new_zeros(())
         for index, power in zip(chosen.tolist(), images, strict=True):
             view, mask = self.scene.views[index], self.masks[index]
             layers = self._layers(points, view)
-            target, shadow = ((mask == kind).to(points.dtype) for kind in (_TARGET, _SHADOW))
+            target, shadow = ((mask == kind).to(points.dtype) for kind in (TARGET, SHADOW))
             total = total + config.lit * iou_loss(layers.lit, target)
             if bool(shadow.any()):  # without ground, nothing is known of the shadow
                 total = total + config.shadow * iou_loss(layers.shadow, shadow)
-            true = (power + _DIMMEST).sqrt()
-            away = ((self._whole(layers, view) + _DIMMEST).sqrt() - true).abs()
-            total = total + config.image * ordered_sum(away) / ordered_sum(true * target).clamp(min=1.0)
+            true = (power + dimmest).sqrt()
+            away = ((self._whole(layers, view) + dimmest).sqrt() - true).abs()
+            total = total + config.image * ordered_sum(away) / ordered_sum(true * target).clamp(min=least)
         shape = self.start + self.moved
         smooth = config.laplacian * laplacian_loss(shape, self.edges)
         flat = config.flatten * flatten_loss(shape, self.faces, self.flaps)
         return total / len(chosen) + smooth + flat
 
     def optimiser(self) -> torch.optim.Optimizer:
-        """Adam on vertices, scattering, ground and floor alike."""
-        return torch.optim.Adam(self.parameters(), self.config.learning_rate, betas=self.config.betas)
+        """Adam, with a rate for the vertices and one for scattering, ground and noise."""
+        others = [one for name, one in self.named_parameters() if name != "moved"]
+        groups: list[dict[str, Any]] = [{"params": [self.moved]}, {"params": others, "lr": self.config.scattering_rate}]
+        return torch.optim.Adam(groups, self.config.learning_rate, betas=self.config.betas)
 
     def rate(self, iteration: int) -> float:
-        """Constant: 1."""
-        return 1.0
+        """Falls exponentially in the whole training."""
+        return _SLOWDOWN ** (iteration / self.config.iterations)
 
     def image(self, view: View) -> Float[Tensor, "rows columns"]:
         """β⁰ of target, ground and noise in units of `Scene.unit`, linear power, row 0 near range."""
@@ -157,9 +137,12 @@ class Dsr(Rival):
         return self.renderer.layers(points, self.faces, self.log_gamma0.exp(), view)
 
     def _points(self) -> Float[Tensor, "n 3"]:
-        return self.moved.new_tensor(self._center_m) + self._longest_m * (self.start + self.moved)
+        points = self.moved.new_tensor(self._center_m) + self._longest_m * (self.start + self.moved)
+        return torch.cat([points[:, :2], points[:, 2:].clamp(min=0)], dim=1)  # the radar sees nothing below the ground
 
     def _whole(self, layers: Layers, view: View) -> Float[Tensor, "rows columns"]:
+        if self.log_ground is None or self.log_floor is None:
+            return layers.target
         ground = self.log_ground.exp() * math.tan(math.radians(view.grazing_deg))
         return layers.target + ground * (1 - layers.hidden) + self.log_floor.exp()
 
@@ -175,8 +158,8 @@ def _checked_masks(scene: Scene) -> Tensor:
         raise SarsplatError(
             f"the masks are of shape {scene.masks.shape}, the training images {expected}; give one each"
         )
-    if scene.masks.max() > _SHADOW:
+    if scene.masks.max() > SHADOW:
         raise SarsplatError(f"a mask holds the number {scene.masks.max()}; masks are 0 clutter, 1 target and 2 shadow")
-    if not (scene.masks == _TARGET).any():
+    if not (scene.masks == TARGET).any():
         raise SarsplatError("no mask shows the target (1), so DSR has nothing to learn from; give masks that do")
     return torch.from_numpy(scene.masks.copy())

@@ -29,7 +29,7 @@ _TAME = 0.1
 """Areas below this many σ, on the plane facing the radar, lose their slope: they are seen edge-on."""
 
 _MOST_PARTS = 4
-"""Pixels of the mapping plane along the side of one of the image, at most."""
+"""Pixels of both planes along the side of one of the image, at most."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class MeshRenderer:
         Returns
         -------
         Layers
-            Differentiable in `points` and `gamma0`.
+            Differentiable in `points` and `gamma0`, with the share of each face that the radar sees held fixed.
 
         Raises
         ------
@@ -109,7 +109,8 @@ class MeshRenderer:
         normals = face_normals(seen, faces)
         areas = -normals[:, 2] / 2  # projected along the line of sight, m²; negative where turned away
         facing = torch.nonzero(areas.detach() > 0).reshape(-1)
-        visible = self._visible(seen, faces[facing])
+        with torch.no_grad():  # its slope is mostly noise, from faces smaller than the pixels: see docs/rivals-dsr.md
+            visible = self._visible(seen, faces[facing])
         sections = picked(gamma0 * areas, facing) * visible
 
         lattice = self._mapping
@@ -132,7 +133,8 @@ class MeshRenderer:
         """
         if len(faces) == 0:
             return seen.new_zeros(0)
-        lattice = Lattice.around(seen[:, :2], min(self.grid.spacing_m))
+        step_m = min(width / parts for width, parts in zip(self.grid.spacing_m, self._parts, strict=True))
+        lattice = Lattice.around(seen[:, :2], step_m)
         plane = soft_coverage(_corners(seen[:, 0], seen[:, 1], faces), lattice, self.softness_m)
         level, nearest, farthest, slope = self._depths(seen, faces, plane, lattice)
         covered = logsigmoid(plane.signed)
