@@ -285,6 +285,14 @@ def test_with_ground_the_field_reaches_over_the_image():
     assert SarNerf(scene(ground=True, looks=1.0), config()).image(VIEW).min() > 0  # the noise floor
 
 
+def test_over_ground_no_pixel_is_without_rays():
+    """Thin ground appears in every pixel, also by rays in fixed places, and however few were asked for."""
+    what = scene([View(35.0, 20.0)], ground=True, looks=1.0)
+    rival = rival_of(constant(0.0), constant(0.0), "sound", what, rays=2)
+    noise = rival.log_noise.exp().item()
+    assert rival.image(what.views[0]).min() > noise * 1.01
+
+
 def _level(view):
     u = view.direction[:2]
     return u / np.linalg.norm(u)

@@ -7,6 +7,7 @@ After Z. Lei, F. Xu et al., "SAR-NeRF: Neural Radiance Fields for Synthetic Aper
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -43,6 +44,9 @@ _LEAST_NOISE = 1e-3
 """… and, of their mean, to images of ground, beside the learned noise floor."""
 
 _FIRST_NOISE = 0.05
+
+_NOISE_RATE = 2e-3
+"""Of Adam for the noise floor: a faster one takes the clutter's place before there is ground, and shadows are lost."""
 
 
 class SarNerf(Rival):
@@ -116,8 +120,12 @@ class SarNerf(Rival):
         return _mean((_amplitude(power / brightest) - (images / brightest).sqrt()) ** 2)
 
     def optimiser(self) -> torch.optim.Optimizer:
-        """See `Rival`: Adam."""
-        return torch.optim.Adam(self.parameters(), lr=self.config.learning_rate)
+        """See `Rival`: Adam, slower for the noise floor."""
+        rate = self.config.learning_rate
+        groups = [{"params": list(self.field.parameters()), "lr": rate}]
+        if self.log_noise is not None:
+            groups.append({"params": [self.log_noise], "lr": min(rate, _NOISE_RATE)})
+        return torch.optim.Adam(groups)
 
     def rate(self, iteration: int) -> float:
         """See `Rival`: it falls exponentially."""
@@ -150,7 +158,7 @@ class SarNerf(Rival):
 
     def _image(self, view: View, generator: torch.Generator | None) -> Float[Tensor, "rows columns"]:
         grid = self.scene.grid
-        rays = Rays.through(view, grid, self.low_m, self.high_m, self.config.rays, whole=self._endless)
+        rays = self._rays(view)
         offsets = rays.offsets(generator)
         direction = torch.from_numpy(-rays.turn[2]).to(self._like)
         parts = self._parts(rays)
@@ -168,6 +176,17 @@ class SarNerf(Rival):
         below = grid.rows - rays.first_row - shown.shape[0]
         image = functional.pad(shown, (rays.first_column, right, rays.first_row, below))
         return image if self.log_noise is None else image + self.log_noise.exp()
+
+    def _rays(self, view: View) -> Rays:
+        """As many as configured; if sound, over ground at least one for each resolution cell across the line of sight.
+
+        Rays farther apart than the ground is deep would leave rows without any.
+        """
+        grid = self.scene.grid
+        rays = Rays.through(view, grid, self.low_m, self.high_m, self.config.rays, whole=self._endless)
+        if not (self._sound and self.scene.ground):
+            return rays
+        return replace(rays, count=max(rays.count, math.ceil(rays.count * rays.spacing_m / grid.cell_m)))
 
     def _columns(
         self, rays: Rays, offsets: Float64[Tensor, "a k"], part: slice, direction: Float[Tensor, " 3"]

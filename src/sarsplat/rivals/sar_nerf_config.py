@@ -22,7 +22,7 @@ class SarNerfConfig(RivalConfig):
     mode : {"published", "sound"}
         The published image equation and loss, or those that hold in metres and for speckle.
     rays : int
-        In elevation, for each azimuth column.
+        In elevation, for each azimuth column; if sound, over ground at least one per resolution cell.
     learning_rate : float
         Of Adam; it falls tenfold in the whole training.
     voxel : float
