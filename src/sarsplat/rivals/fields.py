@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -56,7 +58,7 @@ class Perceptron(Field):
         Of the first weights, on the CPU: uniform within ±1/√(number of inputs), biases too.
     """
 
-    at_once = 1 << 14
+    at_once = 1 << 16
     center: Tensor
 
     def __init__(self, center_m: Float64[np.ndarray, " 3"], unit_m: float, generator: torch.Generator) -> None:
@@ -93,20 +95,35 @@ class Perceptron(Field):
         return hidden
 
 
+@dataclass(frozen=True, eq=False)
+class Lattices:
+    """A box of a `VoxelGrid`.
+
+    Parameters
+    ----------
+    low_m, high_m : numpy.ndarray, float64 [3]
+        Corners, m, on which the outermost nodes lie.
+    voxel_m : float
+        Largest distance of neighbouring nodes of the finest lattice, m.
+    """
+
+    low_m: Float64[np.ndarray, " 3"]
+    high_m: Float64[np.ndarray, " 3"]
+    voxel_m: float
+
+
 class VoxelGrid(Field):
-    """Numbers on the nodes of nested lattices over a box, interpolated trilinearly and added up; no network.
+    """Numbers on the nodes of nested lattices over boxes, interpolated trilinearly and added up; no network.
 
     At each node lie one number for the attenuation and coefficients of spherical harmonics for the scattering; all
     are 0 at first. Interpolation is `grid_sample` with one batch: in a fixed order on the CPU, not so on a GPU.
 
     Parameters
     ----------
-    low_m, high_m : numpy.ndarray, float64 [3]
-        Corners of the box, m, on which the outermost nodes lie.
-    voxel_m : float
-        Largest distance of neighbouring nodes of the finest lattice, m.
+    boxes : sequence of Lattices
+        Where the lattices lie; they may overlap.
     levels : int
-        Lattices; each has twice the distance of the next.
+        Lattices over each box; each has twice the distance of the next.
     degree : int
         Of the harmonics.
 
@@ -117,31 +134,24 @@ class VoxelGrid(Field):
     """
 
     at_once = 1 << 20
-    low: Tensor
-    side: Tensor
+    corners: Tensor
 
-    def __init__(
-        self,
-        low_m: Float64[np.ndarray, " 3"],
-        high_m: Float64[np.ndarray, " 3"],
-        voxel_m: float,
-        levels: int,
-        degree: int,
-    ) -> None:
+    def __init__(self, boxes: Sequence[Lattices], levels: int, degree: int) -> None:
         super().__init__()
         self.degree = degree
         channels = 1 + (degree + 1) ** 2
         self.tables = nn.ParameterList()
-        for level in range(levels):
-            nodes = [math.ceil(side / (voxel_m * 2**level)) + 1 for side in high_m - low_m]
-            if math.prod(nodes) * channels > _MOST_NUMBERS:
-                raise SarsplatError(
-                    f"a grid of {' × '.join(map(str, nodes))} nodes with {channels} numbers each is too large; "
-                    f"choose a voxel larger than {voxel_m:.3g} m or a lower degree"
-                )
-            self.tables.append(nn.Parameter(torch.zeros(channels, *nodes[::-1])))  # z, y, x
-        self.register_buffer("low", torch.tensor(low_m), persistent=False)
-        self.register_buffer("side", torch.tensor(high_m - low_m), persistent=False)
+        for box in boxes:
+            for level in range(levels):
+                nodes = [math.ceil(side / (box.voxel_m * 2**level)) + 1 for side in box.high_m - box.low_m]
+                if math.prod(nodes) * channels > _MOST_NUMBERS:
+                    raise SarsplatError(
+                        f"a grid of {' × '.join(map(str, nodes))} nodes with {channels} numbers each is too large; "
+                        f"choose a voxel larger than {box.voxel_m:.3g} m or a lower degree"
+                    )
+                self.tables.append(nn.Parameter(torch.zeros(channels, *nodes[::-1])))  # z, y, x
+        corners = np.array([(box.low_m, box.high_m) for box in boxes for _ in range(levels)])
+        self.register_buffer("corners", torch.from_numpy(corners), persistent=False)
 
     def forward(
         self, places: Float[Tensor, "p 3"], direction: Float[Tensor, " 3"]
@@ -158,12 +168,11 @@ class VoxelGrid(Field):
         return self._between([table[:1] for table in self.tables], places)[0]
 
     def _between(self, tables: list[Tensor], places: Float[Tensor, "p 3"]) -> Float[Tensor, "c p"]:
-        """The sum over the levels; beyond the box as on its surface."""
-        at = (2 * (places - self.low.to(places)) / self.side.to(places) - 1)[None, :, None, None, :]
-        values = [
-            functional.grid_sample(table[None], at, padding_mode="border", align_corners=True)[0, :, :, 0, 0]
-            for table in tables
-        ]
+        """The sum over the lattices; each falls to 0 within one of its distances beyond its box."""
+        values = []
+        for table, (low, high) in zip(tables, self.corners.to(places), strict=True):
+            at = (2 * (places - low) / (high - low) - 1)[None, :, None, None, :]
+            values.append(functional.grid_sample(table[None], at, align_corners=True)[0, :, :, 0, 0])
         return torch.stack(values).sum(0)
 
 

@@ -12,13 +12,11 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 
-_LEVELS = 48
-_LOWEST = 0.02  # of the median attenuation where half is hidden
 _AT_ONCE = 1 << 18
 
 
 def level_of_half(depths: Sequence[Float[Tensor, "n r"]]) -> float:
-    """The level that, on average over the rays, is first reached nearest to where half is hidden.
+    """The median, over rays, of the optical depth of the cell in which half is first hidden.
 
     Parameters
     ----------
@@ -28,28 +26,14 @@ def level_of_half(depths: Sequence[Float[Tensor, "n r"]]) -> float:
     Returns
     -------
     float
-        Infinite if no ray is ever half hidden. A ray that reaches the level or is half hidden, but not both, counts as
-        if the other happened at its end.
+        Infinite if no ray is ever half hidden.
     """
-    half = [(depth.cumsum(1) >= math.log(2)).to(torch.int8) for depth in depths]
-    at_half = [
-        depth.gather(1, h.argmax(1, keepdim=True))[h.any(1)[:, None]] for depth, h in zip(depths, half, strict=True)
-    ]
+    at_half = []
+    for depth in depths:
+        half = depth.cumsum(1) >= math.log(2)
+        at_half.append(depth.gather(1, half.to(torch.int8).argmax(1, keepdim=True))[half.any(1)])
     typical = torch.cat(at_half)
-    if not len(typical):
-        return math.inf
-    levels = float(typical.median()) * np.geomspace(_LOWEST, 2.0, _LEVELS)
-    wrong = np.zeros(_LEVELS)
-    for depth, h in zip(depths, half, strict=True):
-        there = _first(h)
-        for i, level in enumerate(levels):
-            wrong[i] += float((_first((depth >= level).to(torch.int8)) - there).abs().sum())
-    return float(levels[wrong.argmin()])
-
-
-def _first(hit: Tensor) -> Tensor:
-    """Index of the first 1 in each row, or the row's length."""
-    return torch.where(hit.any(1), hit.argmax(1), hit.shape[1])
+    return float(typical.median()) if len(typical) else math.inf
 
 
 def isosurface(
@@ -60,7 +44,7 @@ def isosurface(
     level: float,
     like: Tensor,
 ) -> tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, "f 3"]]:
-    """Where a field falls below a level, by marching cubes, closed at the walls of the box.
+    """Where a field falls below a level, by marching cubes, open at the walls of the box.
 
     Parameters
     ----------
@@ -78,7 +62,8 @@ def isosurface(
     Returns
     -------
     vertices, faces : numpy.ndarray, float64 [N, 3], int64 [F, 3]
-        Counter-clockwise seen from where values are low; without faces where no value reaches the level.
+        Counter-clockwise seen from where values are low; without faces where no value reaches the level, or
+        all do.
 
     Raises
     ------
@@ -92,17 +77,17 @@ def isosurface(
             f"a surface needs {error.name}, which is not installed; install it with: pip install 'sarsplat[mesh]'"
         ) from error
     voxel = float((high_m - low_m).max()) / longest
-    shape = np.ceil((high_m - low_m) / voxel - 1e-9).astype(int)
+    shape = np.maximum(1, np.ceil((high_m - low_m) / voxel - 0.5 - 1e-9)).astype(int)  # whose centres lie in the box
     x, y, z = (torch.from_numpy(low + (np.arange(n) + 0.5) * voxel).to(like) for low, n in zip(low_m, shape))
-    layers = np.zeros(shape + 2, np.float32)  # with an empty rim
+    layers = np.zeros(shape, np.float32)
     step = max(1, _AT_ONCE // (len(y) * len(z)))
     for first in range(0, len(x), step):
         places = torch.stack(torch.meshgrid(x[first : first + step], y, z, indexing="ij"), dim=-1)
         some = values(places.reshape(-1, 3)).reshape(places.shape[:3])
-        layers[first + 1 : first + 1 + len(some), 1:-1, 1:-1] = some.cpu().numpy()
-    if not layers.max() > level:
+        layers[first : first + len(some)] = some.cpu().numpy()
+    if min(shape) < 2 or not layers.min() < level < layers.max():
         return np.empty((0, 3)), np.empty((0, 3), np.int64)
     vertices, faces, _, _ = marching_cubes(
         layers, level, spacing=(voxel,) * 3, gradient_direction="ascent", allow_degenerate=False
     )
-    return vertices.astype(np.float64) + (low_m - voxel / 2), faces.astype(np.int64)
+    return vertices.astype(np.float64) + (low_m + voxel / 2), faces.astype(np.int64)

@@ -7,10 +7,11 @@ After Z. Lei, F. Xu et al., "SAR-NeRF: Neural Radiance Fields for Synthetic Aper
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float64, Int64
+from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor
 from torch.nn import functional
 from torch.utils.checkpoint import checkpoint
@@ -18,7 +19,7 @@ from torch.utils.checkpoint import checkpoint
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.ground import ground_radius_m
 from sarsplat.geometry import View
-from sarsplat.rivals.fields import Field, Perceptron, VoxelGrid
+from sarsplat.rivals.fields import Field, Lattices, Perceptron, VoxelGrid
 from sarsplat.rivals.isosurface import isosurface, level_of_half
 from sarsplat.rivals.rays import Rays
 from sarsplat.rivals.rival import Rival, Scene
@@ -44,6 +45,9 @@ _LEAST_NOISE = 1e-3
 
 _FIRST_NOISE = 0.05
 
+_NOISE_RATE = 2e-3
+"""Of Adam for the noise floor: a faster one takes the clutter's place before there is ground, and shadows are lost."""
+
 
 class SarNerf(Rival):
     """SAR-NeRF on a scene.
@@ -56,8 +60,8 @@ class SarNerf(Rival):
 
         β⁰(a, r) = Σ_k S·(δy/Δr)·exp(−Σ_{r' < r} τ)·(1 − exp(−τ))
 
-    The field ends at its box, except for the published perceptron's: the box of the target, or with ground that of all
-    the ground that images show.
+    The field ends at the box of the target and, with ground, at that of all ground that images show; the published
+    perceptron's does not end.
 
     Parameters
     ----------
@@ -70,7 +74,9 @@ class SarNerf(Rival):
     def __init__(self, scene: Scene, config: SarNerfConfig) -> None:
         super().__init__(scene)
         self.config = config
-        self.low_m, self.high_m = scene_box(scene)
+        self._boxes = scene_boxes(scene)
+        self.low_m = np.min([low for low, _ in self._boxes], axis=0)
+        self.high_m = np.max([high for _, high in self._boxes], axis=0)
         self._sound = config.mode == "sound"
         self._endless = config.field == "mlp" and not self._sound
         self.field = self._new_field()
@@ -83,8 +89,10 @@ class SarNerf(Rival):
     def _new_field(self) -> Field:
         config, side = self.config, self.high_m - self.low_m
         if config.field == "grid":
-            voxel_m = config.voxel * self.scene.grid.cell_m
-            return VoxelGrid(self.low_m, self.high_m, voxel_m, config.levels, config.degree)
+            cell = self.scene.grid.cell_m
+            target, *ground = self._boxes
+            lattices = [Lattices(*target, config.voxel * cell), *(Lattices(*box, cell) for box in ground)]
+            return VoxelGrid(lattices, config.levels, config.degree)
         generator = torch.Generator().manual_seed(config.seed)
         if self._sound:
             return Perceptron((self.low_m + self.high_m) / 2, float(side.max()) / 2, generator)
@@ -112,8 +120,12 @@ class SarNerf(Rival):
         return _mean((_amplitude(power / brightest) - (images / brightest).sqrt()) ** 2)
 
     def optimiser(self) -> torch.optim.Optimizer:
-        """See `Rival`: Adam."""
-        return torch.optim.Adam(self.parameters(), lr=self.config.learning_rate)
+        """See `Rival`: Adam, slower for the noise floor."""
+        rate = self.config.learning_rate
+        groups = [{"params": list(self.field.parameters()), "lr": rate}]
+        if self.log_noise is not None:
+            groups.append({"params": [self.log_noise], "lr": min(rate, _NOISE_RATE)})
+        return torch.optim.Adam(groups)
 
     def rate(self, iteration: int) -> float:
         """See `Rival`: it falls exponentially."""
@@ -127,8 +139,7 @@ class SarNerf(Rival):
     def surface(self) -> tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, "f 3"]]:
         """See `Rival`: marching cubes of the attenuation in the target's box; without faces where nothing attenuates.
 
-        The level is the one whose surface, seen from the training views, lies where the field hides half of what is
-        behind.
+        The level is the median, over the rays of the training views, of the attenuation where half is first hidden.
         """
         low, high = self.scene.low_m, self.scene.high_m
         depths = []
@@ -143,11 +154,11 @@ class SarNerf(Rival):
 
     def attenuation(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, " p"]:
         """Optical depth of a range cell at places (world frame, m), one-way as published or two-way if sound."""
-        return self._depth(places, self.field.attenuation(places))
+        return self._depth(self.field.attenuation(places)) * self._inside(places)
 
     def _image(self, view: View, generator: torch.Generator | None) -> Float[Tensor, "rows columns"]:
         grid = self.scene.grid
-        rays = Rays.through(view, grid, self.low_m, self.high_m, self.config.rays, whole=self._endless)
+        rays = self._rays(view)
         offsets = rays.offsets(generator)
         direction = torch.from_numpy(-rays.turn[2]).to(self._like)
         parts = self._parts(rays)
@@ -166,40 +177,54 @@ class SarNerf(Rival):
         image = functional.pad(shown, (rays.first_column, right, rays.first_row, below))
         return image if self.log_noise is None else image + self.log_noise.exp()
 
+    def _rays(self, view: View) -> Rays:
+        """As many as configured; if sound, over ground at least one for each resolution cell across the line of sight.
+
+        Rays farther apart than the ground is deep would leave rows without any.
+        """
+        grid = self.scene.grid
+        rays = Rays.through(view, grid, self.low_m, self.high_m, self.config.rays, whole=self._endless)
+        if not (self._sound and self.scene.ground):
+            return rays
+        return replace(rays, count=max(rays.count, math.ceil(rays.count * rays.spacing_m / grid.cell_m)))
+
     def _columns(
         self, rays: Rays, offsets: Float64[Tensor, "a k"], part: slice, direction: Float[Tensor, " 3"]
     ) -> Float[Tensor, "c r"]:
         """Power of some azimuth columns, in units of `Scene.unit`."""
         places = rays.places(offsets, part, self._like)
-        raw_attenuation, raw_scattering = self.field(places.reshape(-1, 3), direction)
-        depth = self._depth(places.reshape(-1, 3), raw_attenuation).reshape(places.shape[:3])
-        scattering = self._scattering(raw_scattering).reshape(places.shape[:3])
+        inside = self._inside(places)
+        # elsewhere there is nothing: nothing is computed, either
+        shown = places.reshape(-1, 3) if self._endless else places[inside]
+        raw_attenuation, raw_scattering = self.field(shown, direction)
+        nothing = places.new_zeros(places.shape[:3])
+        depth = nothing.masked_scatter(inside, self._depth(raw_attenuation))
+        scattering = nothing.masked_scatter(inside, self._scattering(raw_scattering))
         if not self._sound:
-            inside = self._inside(places)
-            seen = torch.exp(-depth.cumsum(2)) * scattering * inside
+            seen = torch.exp(-depth.cumsum(2)) * scattering
             return self.scene.brightest * seen.sum(1) ** 2
         before = functional.pad(depth[..., :-1].cumsum(2), (1, 0))
         returned = scattering * torch.exp(-before) * -torch.expm1(-depth)
         return returned.sum(1) * (rays.spacing_m / self.scene.grid.spacing_m[1])
 
-    def _depth(self, places: Float[Tensor, "p 3"], raw: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
+    def _depth(self, raw: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
         if self._sound:  # α has the unit 1 / resolution cell inside, so that scenes of all scales are learned alike
             length = 2 * self.scene.grid.spacing_m[1] / self.scene.grid.cell_m
-            return functional.softplus(raw + _CLEAR) * length * self._inside(places)
-        shift = _PUBLISHED_GRID[0] if self.config.field == "grid" else 0.0
-        return (raw + shift).relu() * self._inside(places)
+            return functional.softplus(raw + _CLEAR) * length
+        return (raw + (_PUBLISHED_GRID[0] if self.config.field == "grid" else 0.0)).relu()
 
     def _scattering(self, raw: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
         if self._sound:
             return functional.softplus(raw + _DIM)
         return torch.sigmoid(raw + (_PUBLISHED_GRID[1] if self.config.field == "grid" else 0.0))
 
-    def _inside(self, places: Float[Tensor, "*p 3"]) -> Float[Tensor, "*p"]:
-        """1 where the field is, 0 beyond its box."""
-        if self._endless:
-            return places.new_ones(places.shape[:-1])
-        low, high = (torch.from_numpy(corner).to(places) for corner in (self.low_m, self.high_m))
-        return ((places >= low) & (places <= high)).all(-1).to(places)
+    def _inside(self, places: Float[Tensor, "*p 3"]) -> Bool[Tensor, "*p"]:
+        """Where the field is."""
+        inside = torch.full(places.shape[:-1], self._endless, device=places.device)
+        for box in self._boxes:
+            low, high = (torch.from_numpy(corner).to(places) for corner in box)
+            inside = inside | ((places >= low) & (places <= high)).all(-1)
+        return inside
 
     def _parts(self, rays: Rays) -> list[slice]:
         """Columns that are computed at once; none if no pixel shows the box."""
@@ -213,13 +238,13 @@ class SarNerf(Rival):
         return next(self.field.parameters())
 
 
-def scene_box(scene: Scene) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
-    """Corners of what is imaged, m: the target's box; with ground, also all ground in the images, a cell deep."""
-    if not scene.ground:
-        return scene.low_m, scene.high_m
-    radius, cell = ground_radius_m(scene.views, scene.grid), scene.grid.cell_m
-    low = np.minimum(scene.low_m, [-radius, -radius, -cell])
-    return low, np.maximum(scene.high_m, [radius, radius, cell])
+def scene_boxes(scene: Scene) -> list[tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]]:
+    """Corners of what is imaged, m: the target's box, and that of any ground in the images, ± a cell."""
+    boxes = [(scene.low_m, scene.high_m)]
+    if scene.ground:
+        radius, cell = ground_radius_m(scene.views, scene.grid), scene.grid.cell_m
+        boxes.append((np.array([-radius, -radius, -cell]), np.array([radius, radius, cell])))
+    return boxes
 
 
 def _amplitude(power: Float[Tensor, "v rows columns"]) -> Float[Tensor, "v rows columns"]:

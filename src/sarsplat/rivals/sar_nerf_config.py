@@ -22,11 +22,11 @@ class SarNerfConfig(RivalConfig):
     mode : {"published", "sound"}
         The published image equation and loss, or those that hold in metres and for speckle.
     rays : int
-        In elevation, for each azimuth column.
+        In elevation, for each azimuth column; if sound, over ground at least one per resolution cell.
     learning_rate : float
         Of Adam; it falls tenfold in the whole training.
     voxel : float
-        Of the finest level of the grid, resolution cells.
+        Of the finest level of the grid in the target's box, resolution cells; on the ground around it, it is 1.
     levels : int
         Of the grid; each is half as fine as the next.
     degree : int
@@ -49,9 +49,9 @@ class SarNerfConfig(RivalConfig):
     learning_rate: Positive = 5e-4
     voxel: Positive = 0.5
     levels: Annotated[int, Meta(ge=1, le=10)] = 4
-    degree: Degree = 3
+    degree: Degree = 2
     surface_voxels: Annotated[int, Meta(ge=4, le=1024)] = 256
 
 
 SAR_NERF = SarNerfConfig(checkpoint_every=10)
-SAR_NERF_GRID = SarNerfConfig(field="grid", mode="sound", iterations=4000, learning_rate=0.1)
+SAR_NERF_GRID = SarNerfConfig(field="grid", mode="sound", iterations=4000, learning_rate=0.2)
