@@ -69,7 +69,7 @@ CONTENDERS = (
     Contender("sarsplat", OURS),
     Contender("SAR-NeRF on a grid, sound", "sar-nerf-grid"),
     Contender("SAR-NeRF on a grid, published equations", "sar-nerf-grid", {"mode": "published"}),
-    # Contender("DSR", "dsr"),
+    Contender("DSR", "dsr"),
     Contender("SAR-NeRF, published", "sar-nerf", {}, _PERCEPTRON_S, everywhere=False),
     Contender("SAR-NeRF, sound", "sar-nerf", {"mode": "sound"}, _PERCEPTRON_S, everywhere=False),
 )
