@@ -35,7 +35,7 @@ from sarsplat.reconstruction.loop import Step
 from sarsplat.reconstruction.training import fitting
 from sarsplat.rivals import METHODS, RivalRun, reconstruct_with
 from sarsplat.rivals.config import RivalConfig
-from sarsplat.rivals.trainer import RivalTrainer
+from sarsplat.rivals.trainer import RivalTrainer, scene_of
 
 _TIMED_STEPS = 3
 """Steps after the first whose median says how many fit into a time."""
@@ -235,7 +235,7 @@ def _rival(cell: RivalCell, bench: Bench) -> tuple[AnyRun[Any], list[dict[str, A
 def _fitting_in(seconds: float, cell: RivalCell, config: RivalConfig, bench: Bench) -> int:
     """Steps that fit into so many seconds; the learning rate then falls within them."""
     masks = np.stack([*read_masks(bench.masks, bench.dataset, ("train",)).values()]) if cell.method == "dsr" else None
-    trainer = RivalTrainer(bench.dataset, METHODS[cell.method], config, masks)
+    trainer = RivalTrainer(bench.dataset, METHODS[cell.method], config, scene_of(bench.dataset, masks))
     took = []
     for _ in range(1 + _TIMED_STEPS):
         begun = time.monotonic()

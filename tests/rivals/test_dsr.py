@@ -99,7 +99,7 @@ def test_the_number_of_threads_changes_no_bit(scene_and_images):
 
 
 def test_without_masks_one_sentence_says_what_to_do(scene_and_images):
-    with pytest.raises(SarsplatError, match="which this dataset lacks; give a folder of them"):
+    with pytest.raises(SarsplatError, match="which were not given; give their folder with --masks"):
         Dsr(replace(scene_and_images[0], masks=None), DSR)
 
 

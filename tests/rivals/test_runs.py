@@ -120,7 +120,7 @@ def test_a_method_is_not_taken_for_another(dataset, tmp_path):
 def test_settings_must_be_those_of_the_run(dataset, tmp_path):
     trained("sar-nerf-grid", dataset, tmp_path / "run")
     other = replace(short("sar-nerf-grid"), degree=1)
-    with pytest.raises(SarsplatError, match="was started with degree 3, not 1; resume it with the same settings"):
+    with pytest.raises(SarsplatError, match="was started with degree 2, not 1; resume it with the same settings"):
         reconstruct_with("sar-nerf-grid", dataset, other, tmp_path / "run", resume=True, quiet=True)
 
 
@@ -170,7 +170,7 @@ def test_the_command_line_trains_and_goes_on(dataset, tmp_path, capsys):
     [
         (["--method", "dsr", "--gaussians", "100"], "--gaussians is a setting of sar-gs and has no effect with dsr"),
         (["--method", "sar-nerf", "--rates.means", "0.1"], "--rates.means is a setting of sar-gs"),
-        (["--masks", "masks"], "is for methods that learn from masks, but sar-gs does not"),
+        (["--masks", "masks"], "is for methods that learn from masks; sar-gs does not"),
         (["--method", "magic"], "magic"),
         (["--method", "dsr", "--masks", "nowhere"], "nowhere"),
     ],

@@ -150,8 +150,8 @@ class Dsr(Rival):
 def _checked_masks(scene: Scene) -> Tensor:
     if scene.masks is None:
         raise SarsplatError(
-            "DSR learns from masks of the lit target and of its shadow, which this dataset lacks; give a folder of "
-            "them for its training images, or choose another method"
+            "DSR learns from masks of the lit target and of its shadow, which were not given; give their folder with "
+            "--masks (`sarsplat simulate --masks` makes them for simulated images), or choose another method"
         )
     expected = (len(scene.views), scene.grid.rows, scene.grid.columns)
     if scene.masks.shape != expected:

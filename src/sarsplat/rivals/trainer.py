@@ -28,17 +28,15 @@ class RivalTrainer:
         By what.
     config : RivalConfig
         How.
-    masks : numpy.ndarray, uint8 [K, rows, columns], optional
-        Of the training images: 0 clutter, 1 target, 2 shadow.
-    begun : Snapshot, optional
-        Of this training, which is then taken up: it knows the box and the masks.
+    scene : Scene
+        What the dataset fixes (`scene_of`), or what an earlier part of the training has kept of it.
     device : torch.device or str
         Where everything is computed and stays.
 
     Raises
     ------
     SarsplatError
-        If the training images are black, or lack what the method needs.
+        If the scene lacks what the method needs.
     """
 
     def __init__(
@@ -46,17 +44,16 @@ class RivalTrainer:
         dataset: Dataset,
         method: Method,
         config: RivalConfig,
-        masks: Masks | None = None,
-        begun: Snapshot | None = None,
+        scene: Scene,
         device: torch.device | str = "cpu",
     ) -> None:
         self.config = config
         self.iteration = 0
-        self._scene = scene_of(dataset, masks) if begun is None else saved_scene(begun)
+        self._scene = scene
         self._device = torch.device(device)
-        self._images = torch.from_numpy(dataset.images("train") / np.float32(self._scene.unit)).to(self._device)
+        self._images = torch.from_numpy(dataset.images("train") / np.float32(scene.unit)).to(self._device)
         self._generator = torch.Generator().manual_seed(config.seed)
-        self.model = method.build(self._scene, config).to(self._device)
+        self.model = method.build(scene, config).to(self._device)
         self._optimiser = self.model.optimiser()
         self._rates = [group["lr"] for group in self._optimiser.param_groups]
         self._queue: list[int] = []
@@ -123,6 +120,8 @@ class RivalTrainer:
         for name, tensor in snapshot.part("optimiser").items():
             index, _, what = name.partition("/")
             states.setdefault(int(index), {})[what] = tensor
+        if snapshot.iteration and states.keys() != set(range(len([*self.model.parameters()]))):
+            raise ValueError("it holds the optimiser's state of other parameters")
         groups = self._optimiser.state_dict()["param_groups"]
         self._optimiser.load_state_dict({"state": states, "param_groups": groups})
         self._generator.set_state(snapshot.tensors["generator"])

@@ -16,7 +16,7 @@ from sarsplat.reconstruction.training import training_device
 from sarsplat.rivals.config import RivalConfig
 from sarsplat.rivals.methods import METHODS, Method
 from sarsplat.rivals.run import RivalRun
-from sarsplat.rivals.trainer import RivalTrainer
+from sarsplat.rivals.trainer import RivalTrainer, scene_of
 
 
 def reconstruct_with(
@@ -67,15 +67,12 @@ def reconstruct_with(
         raise SarsplatError(f"{out} keeps the masks it was started with; leave out the masks {masks}")
     settings = config or (chosen.settings if begun is None else begun.config)
     warn(suspicions(dataset))
-    known = None if masks is None else np.stack([*read_masks(Path(masks), dataset, ("train",)).values()])
-    trainer = RivalTrainer(
-        dataset,
-        chosen,
-        settings,
-        known,
-        begun.snapshot if begun is not None and begun.checkpoint_path is not None else None,
-        training_device(device),
-    )
+    if begun is not None and begun.checkpoint_path is not None:
+        scene = begun.model.scene
+    else:
+        known = None if masks is None else np.stack([*read_masks(Path(masks), dataset, ("train",)).values()])
+        scene = scene_of(dataset, known)
+    trainer = RivalTrainer(dataset, chosen, settings, scene, training_device(device))
     with progress(f"reconstruct ({method})", settings.iterations, quiet) as shown:
         new = RivalRun(settings, dataset.fingerprint(), name=method)
         folder = None if out is None else Path(out)
