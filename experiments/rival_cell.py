@@ -154,7 +154,7 @@ def run(cell: RivalCell, work: Path) -> Path:
     if path.is_file():
         return path
     bench = Bench(cell.images, work, code)
-    learned, curve, peak = (_ours if cell.method == OURS else _rival)(cell, bench)
+    learned, watch = (_ours if cell.method == OURS else _rival)(cell, bench)
     found = bench.scores(learned)
     if code_version() != code:
         raise SarsplatError("the package's sources changed while a cell was running; run it again")
@@ -165,10 +165,10 @@ def run(cell: RivalCell, work: Path) -> Path:
         "cell": asdict(cell),
         "config": learned.config.as_dict(),
         **kept,
-        "time_s": learned.time_s - sum(point["spent_s"] for point in curve),
+        "time_s": watch.trained_s,
         "iterations": learned.iteration,
-        "peak_bytes": peak,
-        "curve": curve,
+        "peak_bytes": watch.peak_bytes,
+        "curve": watch.points,
     }
     pictured = [bench.tests[index] for index in _pictured(len(bench.tests))]
     images = learned.render([bench.dataset.views[index] for index in pictured])
@@ -184,12 +184,15 @@ def _pictured(count: int) -> list[int]:
     return [count // 5, (3 * count) // 5]
 
 
-class _OnTheWay:
-    """Scores of a training as it goes on, without the time that scoring takes."""
+class _Watch:
+    """Time and memory of a training, and scores as it goes on, without what scoring takes.
+
+    Time is that of one core: cells have one thread, and whatever else runs on the machine does not count.
+    """
 
     def __init__(self, cell: RivalCell, bench: Bench, new: AnyRun[Any]) -> None:
         self._left, self._bench, self._new = sorted(cell.curve), bench, new
-        self._begun, self._spent = time.monotonic(), 0.0
+        self._begun, self._spent, self.trained_s = time.process_time(), 0.0, 0.0
         self.points: list[dict[str, Any]] = []
         self._peak: int | None = None
 
@@ -199,37 +202,36 @@ class _OnTheWay:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 if self._peak is None else self._peak
 
     def __call__(self, step: Step[Any]) -> None:
-        seconds = time.monotonic() - self._begun - self._spent
+        self.trained_s = seconds = time.process_time() - self._begun - self._spent
         if not self._left or seconds < self._left[0]:
             return
         self._left = [later for later in self._left if later > seconds]
-        begun, self._peak = time.monotonic(), self.peak_bytes
+        begun, self._peak = time.process_time(), self.peak_bytes
         held = InMemory(self._bench.dataset, step.trainer.snapshot(seconds), ())
         found = self._bench.scores(replace(self._new, memory=held), fewer=True)
-        spent = time.monotonic() - begun
-        self._spent += spent
         kept = {name: found[name] for name in ("images", "points")}
-        self.points.append({"seconds": seconds, "iterations": step.iteration, "spent_s": spent, **kept})
+        self.points.append({"seconds": seconds, "iterations": step.iteration, **kept})
+        self._spent += time.process_time() - begun
 
 
-def _ours(cell: RivalCell, bench: Bench) -> tuple[AnyRun[Any], list[dict[str, Any]], int]:
+def _ours(cell: RivalCell, bench: Bench) -> tuple[AnyRun[Any], _Watch]:
     config = replace(fitting("auto", bench.dataset), seed=cell.seed)
     if cell.quick:
         config = Config.from_dict(shortened(config.as_dict()))
-    watch = _OnTheWay(cell, bench, Run(config, ""))
+    watch = _Watch(cell, bench, Run(config, ""))
     learned = reconstruct(bench.dataset, config, on_step=watch, quiet=True)
-    return learned, watch.points, watch.peak_bytes
+    return learned, watch
 
 
-def _rival(cell: RivalCell, bench: Bench) -> tuple[AnyRun[Any], list[dict[str, Any]], int]:
+def _rival(cell: RivalCell, bench: Bench) -> tuple[AnyRun[Any], _Watch]:
     method = METHODS[cell.method]
     config = replace(method.settings, seed=cell.seed, **cell.changes)
     masks = bench.masks if cell.method == "dsr" else None
     if cell.seconds is not None:
         config = replace(config, iterations=min(config.iterations, _fitting_in(cell.seconds, cell, config, bench)))
-    watch = _OnTheWay(cell, bench, RivalRun(config, "", name=cell.method))
+    watch = _Watch(cell, bench, RivalRun(config, "", name=cell.method))
     learned = reconstruct_with(cell.method, bench.dataset, config, masks=masks, on_step=watch, quiet=True)
-    return learned, watch.points, watch.peak_bytes
+    return learned, watch
 
 
 def _fitting_in(seconds: float, cell: RivalCell, config: RivalConfig, bench: Bench) -> int:
@@ -238,9 +240,9 @@ def _fitting_in(seconds: float, cell: RivalCell, config: RivalConfig, bench: Ben
     trainer = RivalTrainer(bench.dataset, METHODS[cell.method], config, scene_of(bench.dataset, masks))
     took = []
     for _ in range(1 + _TIMED_STEPS):
-        begun = time.monotonic()
+        begun = time.process_time()
         trainer.step()
-        took.append(time.monotonic() - begun)
+        took.append(time.process_time() - begun)
     return max(1, int(seconds / statistics.median(took[1:])))
 
 

@@ -38,9 +38,9 @@ def write(comparison: Comparison, out: Path) -> Path:
     out.mkdir(parents=True, exist_ok=True)
     parts = [
         "# Rivals\n\nSAR-NeRF and DSR, written afresh ([docs/rivals.md](../rivals.md)), beside sarsplat on the same "
-        "images, scored alike, on the same two CPU cores, one training at a time. *In our time*: as many iterations as "
-        "fit into the time that sarsplat takes, the learning rate falling within them; *full*: as long as the method's "
-        "settings say. The perceptron's training would take days on these cores: it is stopped after ten minutes, and "
+        "images, scored alike. Every training has one thread, and its time is that of this core. *In our time*: as many "
+        "iterations as fit into the time that sarsplat takes, the learning rate falling within them; *full*: as long as "
+        "the method's settings say. The perceptron's training would take days: it gets ten minutes, and "
         "its steps show how far it came. Mean ± sample standard deviation over the seeds. The peak memory is that of "
         "the whole process until the end of the training; Python and its libraries alone are a third of a gigabyte.\n"
     ]
@@ -105,7 +105,7 @@ def _spread(values: Sequence[float], digits: int) -> str:
 
 def _table(keys: Sequence[str], rows: Sequence[Mapping[str, Any]], images: str) -> str:
     heads = ["", *(f"{METRIC[key].title} {METRIC[key].arrow}".strip() for key in keys)]
-    heads += ["training time, s", "steps", "peak memory, GB", "seeds"]
+    heads += ["time of one core, s", "steps", "peak memory, GB", "seeds"]
     cells = []
     for row in rows:
         texts = [row["name"]]
@@ -145,7 +145,7 @@ def _against_time(curves: Mapping[str, Sequence[tuple[str, Sequence[tuple[float,
         for name, points in lines:
             ax.plot(*zip(*points), "o-", ms=3.5, color=_COLOURS[names.index(name) % len(_COLOURS)], label=name)
         measured = "chips" in images
-        ax.set(xscale="log", xlabel="training time, s", title=images)
+        ax.set(xscale="log", xlabel="time of one core, s", title=images)
         ax.set_ylabel(_DRAWN[MEASURED[0] if measured else RENDERED[1]] + (" (less is better)" if measured else ""))
         if measured:
             ax.invert_yaxis()

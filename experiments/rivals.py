@@ -2,9 +2,10 @@
 
     python experiments/rivals.py [--quick] [--chips CHIPS --labels LABELS --masks MASKS] [--seeds 0 1 2] [--only WORDS]
 
-Vehicles are simulated; measured chips are taken if their folders are given. One training runs at a time, with all
-threads, so that times compare. Finished ones stay in runs/rivals: end it at any time and start it again. Tables and
-pictures go to docs/results/rivals.md, or with --quick, which only shows that everything works, to runs/rivals/quick.
+Vehicles are simulated; measured chips are taken if their folders are given. Every training has one thread, and its time
+is that of one core, so that times compare whatever else runs. Finished ones stay in runs/rivals: end it at any time and
+start it again. Tables and pictures go to docs/results/rivals.md, or with --quick, which only shows that everything works,
+to runs/rivals/quick.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -55,7 +57,9 @@ class Contender:
     seconds : float or None
         All it is given; None: as long as its settings say.
     everywhere : bool
-        Whether it is done with all seeds on all sets, or only once where curves are drawn.
+        Whether it is done on all sets, or only where curves are drawn.
+    once : bool
+        Whether it is done with the first seed only.
     """
 
     title: str
@@ -63,15 +67,16 @@ class Contender:
     changes: Mapping[str, Any] = field(default_factory=dict)
     seconds: float | None = None
     everywhere: bool = True
+    once: bool = False
 
 
 CONTENDERS = (
     Contender("sarsplat", OURS),
     Contender("SAR-NeRF on a grid, sound", "sar-nerf-grid"),
-    Contender("SAR-NeRF on a grid, published equations", "sar-nerf-grid", {"mode": "published"}),
+    Contender("SAR-NeRF on a grid, published equations", "sar-nerf-grid", {"mode": "published"}, everywhere=False),
     Contender("DSR", "dsr"),
-    Contender("SAR-NeRF, published", "sar-nerf", {}, _PERCEPTRON_S, everywhere=False),
-    Contender("SAR-NeRF, sound", "sar-nerf", {"mode": "sound"}, _PERCEPTRON_S, everywhere=False),
+    Contender("SAR-NeRF, published", "sar-nerf", {}, _PERCEPTRON_S, everywhere=False, once=True),
+    Contender("SAR-NeRF, sound", "sar-nerf", {"mode": "sound"}, _PERCEPTRON_S, everywhere=False, once=True),
 )
 
 
@@ -97,13 +102,12 @@ class Comparison:
         for contender in CONTENDERS:
             if not contender.everywhere and images.name not in self._curves:
                 continue
-            seeds = self.seeds if contender.everywhere else self.seeds[:1]
+            seeds = self.seeds[:1] if contender.once else self.seeds
             full = tuple(self._cell(images, contender, seed) for seed in seeds)
             if contender.method == OURS:
-                ours = full
-            elif seconds := [found["time_s"] for cell in ours if (found := self.read(cell)) is not None]:
-                limit = round(sum(seconds) / len(seconds), 1)
-                cells = tuple(replace(cell, seconds=limit, curve=()) for cell in full)
+                first = self.read(full[0])
+            elif first is not None:
+                cells = tuple(replace(cell, seconds=round(first["time_s"], 1), curve=()) for cell in full)
                 yield Bout(images, contender, True, cells)
             yield Bout(images, contender, False, full)
 
@@ -120,37 +124,43 @@ class Comparison:
         path = cell.path(self.work, self.code)
         return json.loads(path.read_bytes()) if path.is_file() else None
 
-    def run(self) -> list[str]:
+    def run(self, processes: int) -> list[str]:
         """Do what is missing, seed after seed, so that every table is there early; returns what failed."""
         failed: list[str] = []
-        for seed in self.seeds:
-            for images in self.sets:
-                _ = Bench(
-                    images, self.work, self.code
-                ).masks  # made here, so that no cell's memory is that of making it
-                methods = [OURS, *dict.fromkeys(one.method for one in CONTENDERS if one.method != OURS)]
-                for method in methods:  # bouts in our time are known when ours are done
-                    for bout in [*self.bouts(images)]:
-                        for cell in bout.cells:
-                            if cell.seed == seed and cell.method == method and self.read(cell) is None:
-                                self._run(bout, cell, failed)
+        for images in self.sets:
+            _ = Bench(images, self.work, self.code).masks  # made here: no cell's memory is that of making them
+        with ThreadPoolExecutor(processes) as pool:
+            for seed in self.seeds:
+                for ours in (True, False):  # what is done in our time is known when ours are finished
+                    todo = [
+                        (cell, f"{bout.images.name}, {bout.contender.title}{', in our time' * bout.equal}, seed {seed}")
+                        for images in self.sets
+                        for bout in self.bouts(images)
+                        for cell in bout.cells
+                        if cell.seed == seed and (cell.method == OURS) == ours and self.read(cell) is None
+                    ]
+                    futures = [pool.submit(self._run, cell, what, failed) for cell, what in todo]
+                    try:
+                        for future in futures:
+                            future.result()
+                    except BaseException:
+                        pool.shutdown(cancel_futures=True)
+                        raise
         return failed
 
-    def _run(self, bout: Bout, cell: RivalCell, failed: list[str]) -> None:
-        budget = "in our time" if bout.equal else "full"
-        what = f"{bout.images.name}, {bout.contender.title}, {budget}, seed {cell.seed}"
-        print(what, flush=True)
+    def _run(self, cell: RivalCell, what: str, failed: list[str]) -> None:
         done = subprocess.run(
             [sys.executable, str(HERE / "experiments" / "rival_cell.py"), str(self.work)],
             input=json.dumps(asdict(cell)),
+            env={**os.environ, "OMP_NUM_THREADS": "1"},
             capture_output=True,
             text=True,
             check=False,
         )
         if done.returncode:
-            reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
-            print(f"    failed: {reason}", flush=True)
-            failed.append(f"{what}: {reason}")
+            what += f" FAILED: {(done.stderr.strip().splitlines() or [f'exit code {done.returncode}'])[-1]}"
+            failed.append(what)
+        print(what, flush=True)
 
 
 def simulated(target: str, source: str, small: bool) -> Images:
@@ -176,6 +186,7 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--only", default="", help="sets whose names contain this")
     parser.add_argument("--write", action="store_true", help="write what is finished, run nothing")
+    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1, metavar="N", help="trainings at a time")
     options = parser.parse_args()
     quick = options.quick
     sets = [simulated(target, source, quick) for source in SOURCES for target in (VEHICLES[:1] if quick else VEHICLES)]
@@ -191,7 +202,7 @@ def main() -> int:
     try:
         if not options.write:
             comparison.sets = chosen
-            failed = comparison.run()
+            failed = comparison.run(options.processes)
             comparison.sets = sets
         page = write(comparison, work / "quick" if quick else HERE / "docs" / "results")
     except (SarsplatError, KeyboardInterrupt) as stopped:
