@@ -175,7 +175,9 @@ class SarNerf(Rival):
         right = grid.columns - rays.first_column - shown.shape[1]
         below = grid.rows - rays.first_row - shown.shape[0]
         image = functional.pad(shown, (rays.first_column, right, rays.first_row, below))
-        return image if self.log_noise is None else image + self.log_noise.exp()
+        if self.log_noise is None:
+            return image
+        return image + self.log_noise.exp().expand(grid.columns)  # so that its gradient is summed column by column
 
     def _rays(self, view: View) -> Rays:
         """As many as configured; if sound, over ground at least one for each resolution cell across the line of sight.
@@ -210,12 +212,12 @@ class SarNerf(Rival):
     def _depth(self, raw: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
         if self._sound:  # α has the unit 1 / resolution cell inside, so that scenes of all scales are learned alike
             length = 2 * self.scene.grid.spacing_m[1] / self.scene.grid.cell_m
-            return functional.softplus(raw + _CLEAR) * length
+            return _softplus(raw + _CLEAR) * length
         return (raw + (_PUBLISHED_GRID[0] if self.config.field == "grid" else 0.0)).relu()
 
     def _scattering(self, raw: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
         if self._sound:
-            return functional.softplus(raw + _DIM)
+            return _softplus(raw + _DIM)
         return torch.sigmoid(raw + (_PUBLISHED_GRID[1] if self.config.field == "grid" else 0.0))
 
     def _inside(self, places: Float[Tensor, "*p 3"]) -> Bool[Tensor, "*p"]:
@@ -245,6 +247,11 @@ def scene_boxes(scene: Scene) -> list[tuple[Float64[np.ndarray, " 3"], Float64[n
         radius, cell = ground_radius_m(scene.views, scene.grid), scene.grid.cell_m
         boxes.append((np.array([-radius, -radius, -cell]), np.array([radius, radius, cell])))
     return boxes
+
+
+def _softplus(raw: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
+    """log(1 + exp(raw)): the last bits of torch's own depend on the number of threads."""
+    return raw.relu() + torch.log1p(torch.exp(-raw.abs()))
 
 
 def _amplitude(power: Float[Tensor, "v rows columns"]) -> Float[Tensor, "v rows columns"]:
