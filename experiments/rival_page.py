@@ -25,6 +25,15 @@ _COLOURS = ("#1f4e79", "#c0392b", "#d98e04", "#4d8c57", "#7a5195", "#8c6d5a")
 _DARKEST_DB = 40.0
 
 
+_ABOUT = """SAR-NeRF and DSR, written afresh ([docs/rivals.md](../rivals.md)), beside sarsplat on the same images, scored
+alike. Every training has one thread, and its time is that of this core. *In our time*: as many iterations as fit into the
+time that sarsplat takes, the learning rate falling within them; *full*: as long as the method's settings say. The
+perceptron's training would take weeks: it gets ten minutes, and its steps show how far it came. Mean ± sample standard
+deviation over the seeds. The peak memory is that of the whole process until the end of the training; Python and its
+libraries alone are a third of a gigabyte. Points are held against the visible surface; those of measured chips against a
+procedural model of a T-72, brought onto it by a small motion."""
+
+
 def write(comparison: Comparison, out: Path) -> Path:
     """Write the page as far as it is finished, with its pictures.
 
@@ -36,14 +45,7 @@ def write(comparison: Comparison, out: Path) -> Path:
         Folder of results; made if missing.
     """
     out.mkdir(parents=True, exist_ok=True)
-    parts = [
-        "# Rivals\n\nSAR-NeRF and DSR, written afresh ([docs/rivals.md](../rivals.md)), beside sarsplat on the same "
-        "images, scored alike. Every training has one thread, and its time is that of this core. *In our time*: as many "
-        "iterations as fit into the time that sarsplat takes, the learning rate falling within them; *full*: as long as "
-        "the method's settings say. The perceptron's training would take days: it gets ten minutes, and "
-        "its steps show how far it came. Mean ± sample standard deviation over the seeds. The peak memory is that of "
-        "the whole process until the end of the training; Python and its libraries alone are a third of a gigabyte.\n"
-    ]
+    parts = [f"# Rivals\n\n{_ABOUT}\n"]
     curves: dict[str, list[tuple[str, list[tuple[float, float]]]]] = {}
     for images in comparison.sets:
         bouts = [*comparison.bouts(images)]
@@ -130,20 +132,23 @@ def _lines(
     key, lines = next(key for key in keys if key in _DRAWN), []
     for bout in bouts:
         found = comparison.read(bout.cells[0])
-        if found is None or bout.equal or not found["curve"]:
-            continue
-        points = [(point["seconds"], _scores(point)) for point in found["curve"]]
-        points.append((found["time_s"], _scores(found)))
-        lines.append((bout.contender.title, [(seconds, scores[key]) for seconds, scores in points if key in scores]))
-    return lines
+        if found is not None:
+            points = [(point["seconds"], _scores(point)) for point in found["curve"]]
+            points.append((found["time_s"], _scores(found)))
+            title = bout.contender.title + ", in our time" * bout.equal
+            lines.append((title, [(seconds, scores[key]) for seconds, scores in points if key in scores]))
+    return lines if any(len(points) > 1 for _, points in lines) else []
 
 
 def _against_time(curves: Mapping[str, Sequence[tuple[str, Sequence[tuple[float, float]]]]]) -> Figure:
     figure, axes = plt.subplots(1, len(curves), figsize=(6 * len(curves), 4), squeeze=False, layout="constrained")
-    names = list(dict.fromkeys(name for lines in curves.values() for name, _ in lines))
+    whose = [name.removesuffix(", in our time") for lines in curves.values() for name, _ in lines]
+    names = list(dict.fromkeys(whose))
     for ax, (images, lines) in zip(axes[0], curves.items()):
         for name, points in lines:
-            ax.plot(*zip(*points), "o-", ms=3.5, color=_COLOURS[names.index(name) % len(_COLOURS)], label=name)
+            equal, method = name.endswith(", in our time"), name.removesuffix(", in our time")
+            colour, label = _COLOURS[names.index(method) % len(_COLOURS)], None if equal else name
+            ax.plot(*zip(*points), "D" if equal else "o-", ms=5 if equal else 3.5, color=colour, label=label)
         measured = "chips" in images
         ax.set(xscale="log", xlabel="time of one core, s", title=images)
         ax.set_ylabel(_DRAWN[MEASURED[0] if measured else RENDERED[1]] + (" (less is better)" if measured else ""))

@@ -4,8 +4,8 @@
 
 Vehicles are simulated; measured chips are taken if their folders are given. Every training has one thread, and its time
 is that of one core, so that times compare whatever else runs. Finished ones stay in runs/rivals: end it at any time and
-start it again. Tables and pictures go to docs/results/rivals.md, or with --quick, which only shows that everything works,
-to runs/rivals/quick.
+start it again. Tables and pictures go to docs/results/rivals.md, or with --quick, which only shows that everything
+works, to runs/rivals/quick.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class Comparison:
             yield Bout(images, contender, False, full)
 
     def _cell(self, images: Images, contender: Contender, seed: int) -> RivalCell:
-        curve = _CURVE if images.name in self._curves and seed == self.seeds[0] else ()
+        curve = _CURVE if images.name in self._curves and seed == self.seeds[0] and not contender.once else ()
         if self._small:  # it only shows that everything works
             few = {"iterations": 3} | ({} if contender.method == "dsr" else {"surface_voxels": 24})
             small = {} if contender.method == OURS else {**contender.changes, **few}
@@ -189,7 +189,8 @@ def main() -> int:
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1, metavar="N", help="trainings at a time")
     options = parser.parse_args()
     quick = options.quick
-    sets = [simulated(target, source, quick) for source in SOURCES for target in (VEHICLES[:1] if quick else VEHICLES)]
+    kinds = [(target, source) for source in SOURCES for target in VEHICLES]
+    sets = [simulated(target, source, quick) for target, source in (kinds[:1] if quick else kinds)]
     if options.chips is not None:
         sets += [measured(name, options.chips, options.labels, options.masks) for name in CHIPS]
     else:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float, Float64, Int64
+from scipy.stats import gamma
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
@@ -83,6 +84,7 @@ class Dsr(Rival):
         if scene.ground:
             self.log_ground = torch.nn.Parameter(torch.tensor(math.log(_START_GROUND)))
             self.log_floor = torch.nn.Parameter(torch.tensor(math.log(_START_FLOOR)))
+        self._median = 1.0 if scene.looks is None else float(gamma.median(scene.looks)) / scene.looks
         softness_m = math.sqrt(config.sigma) * _HALF_FIELD * self._longest_m
         self.renderer = MeshRenderer(scene.grid, softness_m, config.gamma * _DEPTH_RANGE * self._longest_m)
 
@@ -91,7 +93,8 @@ class Dsr(Rival):
     ) -> Float[Tensor, ""]:
         """Mean over the images of the losses of masks and image, and what keeps the mesh smooth.
 
-        The image's is the mean difference of amplitudes, relative to their sum in the target's mask.
+        The image's is the mean difference of amplitudes, relative to their sum in the target's mask. It is least for the
+        median, so with speckle the rendered mean power is taken for what its median would be.
         """
         config, points = self.config, self._points()
         dimmest, least = _DIMMEST * self.scene.brightest, math.sqrt(self.scene.brightest)
@@ -104,7 +107,7 @@ class Dsr(Rival):
             if bool(shadow.any()):  # without ground, nothing is known of the shadow
                 total = total + config.shadow * iou_loss(layers.shadow, shadow)
             true = (power + dimmest).sqrt()
-            away = ((self._whole(layers, view) + dimmest).sqrt() - true).abs()
+            away = ((self._median * self._whole(layers, view) + dimmest).sqrt() - true).abs()
             total = total + config.image * ordered_sum(away) / ordered_sum(true * target).clamp(min=least)
         shape = self.start + self.moved
         smooth = config.laplacian * laplacian_loss(shape, self.edges)
