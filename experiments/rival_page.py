@@ -25,13 +25,13 @@ _COLOURS = ("#1f4e79", "#c0392b", "#d98e04", "#4d8c57", "#7a5195", "#8c6d5a")
 _DARKEST_DB = 40.0
 
 
-_ABOUT = """SAR-NeRF and DSR, written afresh ([docs/rivals.md](../rivals.md)), beside sarsplat on the same images, scored
-alike. Every training has one thread, and its time is that of this core. *In our time*: as many iterations as fit into the
-time that sarsplat takes, the learning rate falling within them; *full*: as long as the method's settings say. The
-perceptron's training would take weeks: it gets ten minutes, and its steps show how far it came. Mean ± sample standard
-deviation over the seeds. The peak memory is that of the whole process until the end of the training; Python and its
-libraries alone are a third of a gigabyte. Points are held against the visible surface; those of measured chips against a
-procedural model of a T-72, brought onto it by a small motion."""
+_ABOUT = """SAR-NeRF and DSR, written afresh ([docs/rivals.md](../rivals.md)), beside sarsplat on the same images,
+scored alike. Every training has one thread, and its time is that of this core. *In our time*: as many iterations as
+fit into the time that sarsplat takes, the learning rate falling within them; *full*: as long as the method's settings
+say. The perceptron's training would take weeks: it gets ten minutes, and its steps show how far it came. Mean ±
+sample standard deviation over the seeds. The peak memory is that of the whole process until the end of the training;
+Python and its libraries alone are a third of a gigabyte. Points are held against the visible surface; those of
+measured chips against a procedural model of a T-72, brought onto it by a small motion."""
 
 
 def write(comparison: Comparison, out: Path) -> Path:

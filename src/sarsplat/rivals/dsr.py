@@ -93,8 +93,8 @@ class Dsr(Rival):
     ) -> Float[Tensor, ""]:
         """Mean over the images of the losses of masks and image, and what keeps the mesh smooth.
 
-        The image's is the mean difference of amplitudes, relative to their sum in the target's mask. It is least for the
-        median, so with speckle the rendered mean power is taken for what its median would be.
+        The image's is the mean difference of amplitudes, relative to their sum in the target's mask. It is least for
+        the median, so with speckle the rendered mean power is taken for what its median would be.
         """
         config, points = self.config, self._points()
         dimmest, least = _DIMMEST * self.scene.brightest, math.sqrt(self.scene.brightest)
