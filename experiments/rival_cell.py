@@ -194,19 +194,17 @@ class _Watch:
         self._left, self._bench, self._new = sorted(cell.curve), bench, new
         self._begun, self._spent, self.trained_s = time.process_time(), 0.0, 0.0
         self.points: list[dict[str, Any]] = []
-        self._peak: int | None = None
-
-    @property
-    def peak_bytes(self) -> int:
-        """Most memory that the process has held for the training: before anything was scored on the way."""
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 if self._peak is None else self._peak
+        self.peak_bytes = 0
+        """Most memory that the process held for the training: before anything was scored."""
 
     def __call__(self, step: Step[Any]) -> None:
         self.trained_s = seconds = time.process_time() - self._begun - self._spent
+        if not self.points:
+            self.peak_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
         if not self._left or seconds < self._left[0]:
             return
         self._left = [later for later in self._left if later > seconds]
-        begun, self._peak = time.process_time(), self.peak_bytes
+        begun = time.process_time()
         held = InMemory(self._bench.dataset, step.trainer.snapshot(seconds), ())
         found = self._bench.scores(replace(self._new, memory=held), fewer=True)
         kept = {name: found[name] for name in ("images", "points")}

@@ -88,7 +88,7 @@ def _row(bout: Bout, comparison: Comparison) -> dict[str, Any] | None:
         return None
     scores = [_scores(one) for one in found]
     budget = "" if bout.contender.method == "sar-gs" else ", in our time" if bout.equal else ", full"
-    if bout.contender.seconds is not None and not bout.equal:
+    if bout.contender.seconds is not None and not bout.equal and not bout.cells[0].quick:
         budget = f", stopped after {bout.contender.seconds / 60:.0f} min"
     return {
         "name": bout.contender.title + budget,

@@ -186,17 +186,20 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--only", default="", help="sets whose names contain this")
     parser.add_argument("--write", action="store_true", help="write what is finished, run nothing")
+    parser.add_argument("--work", type=Path, default=HERE / "runs" / "rivals", metavar="FOLDER", help="finished cells")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1, metavar="N", help="trainings at a time")
     options = parser.parse_args()
-    quick = options.quick
+    quick, measured_from = options.quick, (options.chips, options.labels, options.masks)
+    if any(measured_from) and not all(measured_from):
+        parser.error("measured chips need --chips, --labels and --masks together")
     kinds = [(target, source) for source in SOURCES for target in VEHICLES]
     sets = [simulated(target, source, quick) for target, source in (kinds[:1] if quick else kinds)]
-    if options.chips is not None:
-        sets += [measured(name, options.chips, options.labels, options.masks) for name in CHIPS]
+    if all(measured_from):
+        sets += [measured(name, *measured_from) for name in CHIPS]
     else:
         print("measured chips are left out: give --chips, --labels and --masks")
     curves = [images.name for images in sets if images.name.startswith(("t72, by ray", "T72, 36"))]
-    work = HERE / "runs" / "rivals"
+    work = options.work
     comparison = Comparison(sets, curves, options.seeds[:1] if quick else options.seeds, work, quick)
     chosen = [images for images in sets if options.only in images.name]
     failed: list[str] = []

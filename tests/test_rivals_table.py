@@ -1,0 +1,105 @@
+"""`make rivals`: what is finished is not done again, and the page says what the cells hold."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+EXPERIMENTS = Path(__file__).parents[1] / "experiments"
+
+
+@pytest.fixture
+def rivals(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(EXPERIMENTS))
+    import rivals
+
+    return rivals
+
+
+def finished(comparison, cell, psnr: float, time_s: float) -> None:
+    """Leaves what a cell leaves."""
+    path = cell.path(comparison.work, comparison.code)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scores = {"psnr_db": psnr, "psnr_target_db": psnr - 8, "ssim": 0.9, "lpips": None}
+    points = {"cd_m": 0.2, "f1@0.3": 0.8, "f1@0.1": None}
+    found = {
+        "images": {"test": scores},
+        "points": {"visible": points},
+        "time_s": time_s,
+        "iterations": 100,
+        "peak_bytes": 5e8,
+        "curve": [{"seconds": time_s / 2, "images": {"test": scores}, "points": {"visible": points}}],
+    }
+    path.write_text(json.dumps(found))
+    pictures = {name: np.full((2, 8, 8), 0.5, np.float32) for name in ("images", "truth")}
+    np.savez(path.with_suffix(".npz"), points=np.zeros((5, 3)), **pictures)
+
+
+def test_the_page_says_what_is_finished(rivals, tmp_path):
+    images = rivals.simulated("btr70", "raycast", small=False)
+    comparison = rivals.Comparison([images], [images.name], [0, 1], tmp_path, small=False)
+    ours, *_ = comparison.bouts(images)
+    for cell, psnr in zip(ours.cells, (40.0, 42.0), strict=True):
+        finished(comparison, cell, psnr, 50.0)
+    bouts = [*comparison.bouts(images)]
+    equal = next(bout for bout in bouts if bout.equal)
+    assert equal.contender.method == "sar-nerf-grid"
+    assert [cell.seconds for cell in equal.cells] == [50.0, 50.0]
+    finished(comparison, equal.cells[0], 30.0, 49.0)
+
+    rivals.write(comparison, tmp_path / "out")
+    page = (tmp_path / "out" / "rivals.md").read_text()
+    assert "| sarsplat | 41.00 ± 1.41 | 33.00 ± 1.41 | 0.9000 ± 0.0000 | – | 0.200 ± 0.000 |" in page
+    assert "| SAR-NeRF on a grid, sound, in our time | 30.00 | 22.00 |" in page
+    assert "| *paper: SAR-NeRF* | 34.54 | – | 0.9911 | 0.0224 |" in page
+    assert "DSR, full" not in page
+    for name in re.findall(r"!\[.*?\]\((.*?)\)", page):
+        assert (tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "out" / "rivals.png").is_file()
+
+
+def test_what_is_finished_is_not_done_again(rivals, tmp_path, monkeypatch):
+    images = rivals.simulated("t72", "raycast", small=True)
+    comparison = rivals.Comparison([images], [], [0], tmp_path, small=True)
+    monkeypatch.setattr(rivals, "Bench", lambda *arguments: type("Made", (), {"masks": tmp_path}))
+    asked = []
+
+    def run(self, cell, what, failed):
+        asked.append(what)
+        finished(comparison, cell, 30.0, 5.0)
+
+    monkeypatch.setattr(rivals.Comparison, "_run", run)
+    assert comparison.run(processes=2) == []
+    assert asked[0] == "t72, by ray casting, sarsplat, seed 0"
+    assert "t72, by ray casting, DSR, in our time, seed 0" in asked
+    before = len(asked)
+    comparison.run(processes=2)
+    assert len(asked) == before
+
+
+def test_half_of_what_measured_chips_need_is_refused():
+    words = [sys.executable, str(EXPERIMENTS / "rivals.py"), "--quick", "--chips", "nowhere"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "need --chips, --labels and --masks together" in done.stderr
+
+
+@pytest.mark.slow
+def test_everything_works_in_small(tmp_path):
+    done = subprocess.run(
+        [sys.executable, str(EXPERIMENTS / "rivals.py"), "--quick", "--work", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    page = (tmp_path / "quick" / "rivals.md").read_text()
+    for method in ("sarsplat", "SAR-NeRF on a grid, sound, full", "DSR, full", "SAR-NeRF, published, full"):
+        assert f"| {method} |" in page
