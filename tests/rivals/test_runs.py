@@ -186,7 +186,7 @@ def test_settings_come_from_a_file(dataset, tmp_path, capsys):
     assert command([*words, "--print-config"]) == 0
     settings = json.loads(capsys.readouterr().out)
     file = tmp_path / "settings.json"
-    file.write_text(json.dumps({**settings, "degree": 1, "iterations": 4}))
+    file.write_text(json.dumps({**settings, "degree": 1, "iterations": 4, "surface_voxels": 24}))
     assert command([*words, "--config", str(file), "--iterations", "3"]) == 0
     config = open_run(tmp_path / "run").config
     assert (config.as_dict()["degree"], config.iterations) == (1, 3)
