@@ -86,6 +86,12 @@ class SarNerf(Rival):
             else None
         )
 
+    @property
+    def _smoothness(self) -> float:
+        """Weight of the total variation beside the nats of one pixel: the more is measured, the less it counts."""
+        scene = self.scene
+        return self.config.total_variation / (len(scene.views) * scene.grid.independent_samples * (scene.looks or 1.0))
+
     def _new_field(self) -> Field:
         config, side = self.config, self.high_m - self.low_m
         if config.field == "grid":
@@ -112,7 +118,8 @@ class SarNerf(Rival):
         images = images.to(power)
         if self._sound and self.scene.looks is not None:
             floor = _LEAST_NOISE if self.scene.ground else _FLOOR * self.scene.brightest
-            return _mean((power + floor).log() + (images + floor) / (power + floor))
+            nats = _mean((power + floor).log() + (images + floor) / (power + floor))
+            return nats + self._smoothness * self.field.total_variation()
         brightest = self.scene.brightest
         if self._sound:
             amplitude = (power / brightest + _SOFTENED**2).sqrt()
@@ -225,7 +232,10 @@ class SarNerf(Rival):
         inside = torch.full(places.shape[:-1], self._endless, device=places.device)
         for box in self._boxes:
             low, high = (torch.from_numpy(corner).to(places) for corner in box)
-            inside = inside | ((places >= low) & (places <= high)).all(-1)
+            within = torch.ones_like(inside)
+            for axis in range(3):  # many times as fast as all at once
+                within &= (places[..., axis] >= low[axis]) & (places[..., axis] <= high[axis])
+            inside = inside | within
         return inside
 
     def _parts(self, rays: Rays) -> list[slice]:
