@@ -346,6 +346,13 @@ def test_speckle_alone_is_smoothed_and_the_less_the_more_is_measured():
     assert losses(1, 0.5, None) == losses(1, 0.0, None)
 
 
+@pytest.mark.parametrize(("count", "harmonics"), [(1, 1), (7, 1), (8, 4), (17, 4), (18, 9), (36, 9)])
+def test_few_speckled_images_have_few_harmonics(count, harmonics):
+    views = [VIEW] * count
+    assert len(SarNerf(scene(views, looks=1.0), config(levels=1)).field.tables[0]) == 1 + harmonics
+    assert len(SarNerf(scene(views), config(levels=1)).field.tables[0]) == 10
+
+
 def test_the_level_is_where_half_is_hidden():
     wall = torch.tensor([0.0, 0.0, 0.1, 0.3, 0.5, 0.6, 0.0]).repeat(4, 1)  # ln 2 is reached in the fifth cell
     assert level_of_half([wall, 2 * wall[:1]]) == 0.5

@@ -87,6 +87,13 @@ class SarNerf(Rival):
         )
 
     @property
+    def _degree(self) -> int:
+        """As configured; but of speckled images, two for each harmonic at least, or it would learn their speckle."""
+        if not self._sound or self.scene.looks is None:
+            return self.config.degree
+        return max(0, min(self.config.degree, math.isqrt(len(self.scene.views) // 2) - 1))
+
+    @property
     def _smoothness(self) -> float:
         """Weight of the total variation beside the nats of one pixel: the more is measured, the less it counts."""
         scene = self.scene
@@ -98,7 +105,7 @@ class SarNerf(Rival):
             cell = self.scene.grid.cell_m
             target, *ground = self._boxes
             lattices = [Lattices(*target, config.voxel * cell), *(Lattices(*box, cell) for box in ground)]
-            return VoxelGrid(lattices, config.levels, config.degree)
+            return VoxelGrid(lattices, config.levels, self._degree)
         generator = torch.Generator().manual_seed(config.seed)
         if self._sound:
             return Perceptron((self.low_m + self.high_m) / 2, float(side.max()) / 2, generator)

@@ -30,7 +30,7 @@ class SarNerfConfig(RivalConfig):
     levels : int
         Of the grid; each is half as fine as the next.
     degree : int
-        Of the spherical harmonics in the grid.
+        Of the spherical harmonics in the grid; if sound, for speckled images less if they are fewer than two for each.
     total_variation : float
         Of the grid, if sound and for speckled images: nats that the squared difference of two neighbouring numbers
         costs beside the likelihood of all training images; 0.5 is a normal distribution of standard deviation 1.
