@@ -48,6 +48,9 @@ class Given(Field):
     def attenuation(self, places):
         return self.functions[0](places)
 
+    def total_variation(self):
+        return self.one.new_zeros(())
+
 
 def rival_of(attenuation, scattering, mode, what=None, **changes) -> SarNerf:
     """With these raw values; the published activations are those of the perceptron."""
@@ -325,6 +328,29 @@ def test_a_scene_that_is_none_is_refused(fields, message):
 def test_a_grid_too_large_is_refused():
     with pytest.raises(SarsplatError, match="choose a voxel larger than"):
         SarNerf(scene(), config(voxel=1e-3))
+
+
+def test_speckle_alone_is_smoothed_and_the_less_the_more_is_measured():
+    """One node that differs by 3 from its six neighbours costs 9 of each, as nats of one pixel of all the images."""
+
+    def losses(count, weight, looks):
+        what = scene([VIEW] * count, looks=looks)
+        rival = SarNerf(what, config(levels=1, total_variation=weight)).double()
+        with torch.no_grad():
+            rival.field.tables[0][0, 2, 2, 2] = 3.0
+        return rival.loss(torch.tensor([0]), torch.ones(1, 24, 18), torch.Generator().manual_seed(0)).item()
+
+    for count, looks in ((1, 1.0), (4, 1.0), (4, 2.0)):
+        cost = losses(count, 0.5, looks) - losses(count, 0.0, looks)
+        assert cost == pytest.approx(0.5 * 6 * 9 / (count * GRID.independent_samples * looks), rel=1e-9)
+    assert losses(1, 0.5, None) == losses(1, 0.0, None)
+
+
+@pytest.mark.parametrize(("count", "harmonics"), [(1, 1), (7, 1), (8, 4), (17, 4), (18, 9), (36, 9)])
+def test_few_speckled_images_have_few_harmonics(count, harmonics):
+    views = [VIEW] * count
+    assert len(SarNerf(scene(views, looks=1.0), config(levels=1)).field.tables[0]) == 1 + harmonics
+    assert len(SarNerf(scene(views), config(levels=1)).field.tables[0]) == 10
 
 
 def test_the_level_is_where_half_is_hidden():

@@ -44,6 +44,10 @@ class Field(nn.Module, ABC):
     def attenuation(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, " p"]:
         """Attenuation alone, which does not depend on the direction."""
 
+    @abstractmethod
+    def total_variation(self) -> Float[Tensor, ""]:
+        """Sum of the squared differences of neighbouring numbers that are learned; 0 if they have no neighbours."""
+
 
 class Perceptron(Field):
     """The published network: 8 × 256 with the input joined again, and heads of which the second sees the direction.
@@ -87,6 +91,10 @@ class Perceptron(Field):
     def attenuation(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, " p"]:
         """See `Field`."""
         return self.attenuation_head(self._trunk(places))[:, 0]
+
+    def total_variation(self) -> Float[Tensor, ""]:
+        """See `Field`."""
+        return next(self.parameters()).new_zeros(())
 
     def _trunk(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, "p w"]:
         hidden = position = encoded((places - self.center.to(places)) / self.unit_m, _POSITION_OCTAVES)
@@ -166,6 +174,12 @@ class VoxelGrid(Field):
     def attenuation(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, " p"]:
         """See `Field`."""
         return self._between([table[:1] for table in self.tables], places)[0]
+
+    def total_variation(self) -> Float[Tensor, ""]:
+        """See `Field`: of all lattices, along their three axes."""
+        squares = [table.diff(dim=axis).square() for table in self.tables for axis in (1, 2, 3)]
+        # one dimension after the other: torch splits a sum to one number by threads
+        return torch.stack([square.sum(3).sum(2).sum(1).sum(0) for square in squares]).sum()
 
     def _between(self, tables: list[Tensor], places: Float[Tensor, "p 3"]) -> Float[Tensor, "c p"]:
         """The sum over the lattices; each falls to 0 within one of its distances beyond its box."""

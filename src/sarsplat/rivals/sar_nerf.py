@@ -86,13 +86,26 @@ class SarNerf(Rival):
             else None
         )
 
+    @property
+    def _degree(self) -> int:
+        """As configured; but of speckled images, two for each harmonic at least, or it would learn their speckle."""
+        if not self._sound or self.scene.looks is None:
+            return self.config.degree
+        return max(0, min(self.config.degree, math.isqrt(len(self.scene.views) // 2) - 1))
+
+    @property
+    def _smoothness(self) -> float:
+        """Weight of the total variation beside the nats of one pixel: the more is measured, the less it counts."""
+        scene = self.scene
+        return self.config.total_variation / (len(scene.views) * scene.grid.independent_samples * (scene.looks or 1.0))
+
     def _new_field(self) -> Field:
         config, side = self.config, self.high_m - self.low_m
         if config.field == "grid":
             cell = self.scene.grid.cell_m
             target, *ground = self._boxes
             lattices = [Lattices(*target, config.voxel * cell), *(Lattices(*box, cell) for box in ground)]
-            return VoxelGrid(lattices, config.levels, config.degree)
+            return VoxelGrid(lattices, config.levels, self._degree)
         generator = torch.Generator().manual_seed(config.seed)
         if self._sound:
             return Perceptron((self.low_m + self.high_m) / 2, float(side.max()) / 2, generator)
@@ -112,7 +125,8 @@ class SarNerf(Rival):
         images = images.to(power)
         if self._sound and self.scene.looks is not None:
             floor = _LEAST_NOISE if self.scene.ground else _FLOOR * self.scene.brightest
-            return _mean((power + floor).log() + (images + floor) / (power + floor))
+            nats = _mean((power + floor).log() + (images + floor) / (power + floor))
+            return nats + self._smoothness * self.field.total_variation()
         brightest = self.scene.brightest
         if self._sound:
             amplitude = (power / brightest + _SOFTENED**2).sqrt()
@@ -225,7 +239,10 @@ class SarNerf(Rival):
         inside = torch.full(places.shape[:-1], self._endless, device=places.device)
         for box in self._boxes:
             low, high = (torch.from_numpy(corner).to(places) for corner in box)
-            inside = inside | ((places >= low) & (places <= high)).all(-1)
+            within = torch.ones_like(inside)
+            for axis in range(3):  # many times as fast as all at once
+                within &= (places[..., axis] >= low[axis]) & (places[..., axis] <= high[axis])
+            inside = inside | within
         return inside
 
     def _parts(self, rays: Rays) -> list[slice]:

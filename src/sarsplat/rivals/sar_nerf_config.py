@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from sarsplat.reconstruction.config import Count, Degree, Positive
+from sarsplat.reconstruction.config import Count, Degree, NotNegative, Positive
 from sarsplat.rivals.config import RivalConfig
 
 
@@ -30,7 +30,10 @@ class SarNerfConfig(RivalConfig):
     levels : int
         Of the grid; each is half as fine as the next.
     degree : int
-        Of the spherical harmonics in the grid.
+        Of the spherical harmonics in the grid; if sound, for speckled images less if they are fewer than two for each.
+    total_variation : float
+        Of the grid, if sound and for speckled images: nats that the squared difference of two neighbouring numbers
+        costs beside the likelihood of all training images; 0.5 is a normal distribution of standard deviation 1.
     surface_voxels : int
         Along the longest side of the box in which the surface is looked for.
     iterations, checkpoint_every, views_per_step, seed
@@ -50,6 +53,7 @@ class SarNerfConfig(RivalConfig):
     voxel: Positive = 0.5
     levels: Annotated[int, Meta(ge=1, le=10)] = 4
     degree: Degree = 2
+    total_variation: NotNegative = 0.5
     surface_voxels: Annotated[int, Meta(ge=4, le=1024)] = 256
 
 
