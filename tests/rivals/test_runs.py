@@ -113,6 +113,7 @@ def test_a_method_is_not_taken_for_another(dataset, tmp_path):
     header.write_text(json.dumps({**json.loads(header.read_text()), "method": "magic"}))
     with pytest.raises(SarsplatError, match="by the method 'magic'; give one by sar-nerf"):
         open_run(tmp_path / "run")
+    assert command(["reconstruct", str(dataset.path), "--out", str(tmp_path / "run"), "--resume"]) == 2
     with pytest.raises(SarsplatError, match="there is no method 'magic'; choose one of sar-nerf, sar-nerf-grid, dsr"):
         reconstruct_with("magic", dataset)
 
@@ -122,6 +123,72 @@ def test_settings_must_be_those_of_the_run(dataset, tmp_path):
     other = replace(short("sar-nerf-grid"), degree=1)
     with pytest.raises(SarsplatError, match="was started with degree 2, not 1; resume it with the same settings"):
         reconstruct_with("sar-nerf-grid", dataset, other, tmp_path / "run", resume=True, quiet=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("optimiser/0/exp_avg", None),
+        ("optimiser/0/exp_avg", lambda tensor: tensor[:1]),
+        ("optimiser/0/exp_avg", lambda tensor: tensor.bool()),
+        ("optimiser/0/exp_avg_sq", lambda tensor: tensor * torch.nan),
+        ("optimiser/0/step", lambda tensor: -tensor),
+        ("model/moved", lambda tensor: tensor * torch.nan),
+        ("model/moved", lambda tensor: tensor.double()),
+        ("scene/looks", lambda tensor: tensor - 1),
+        ("scene/masks", lambda tensor: tensor.float()),
+    ],
+)
+def test_a_damaged_checkpoint_is_refused_before_anything_is_lost(name, change, dataset, tmp_path):
+    from sarsplat.data import load_checkpoint, save_checkpoint
+
+    trained("dsr", dataset, tmp_path / "run")
+    path = open_run(tmp_path / "run").checkpoint_path
+    assert path is not None
+    tensors, state = load_checkpoint(path)
+    damaged = tensors.pop(name)
+    save_checkpoint(path, tensors if change is None else {**tensors, name: change(damaged)}, state)
+    with pytest.raises(SarsplatError, match=r"does not match this version|does not hold a whole model"):
+        trained("dsr", dataset, tmp_path / "run", resume=True)
+    assert (tmp_path / "run" / "points.ply").is_file()
+    if not name.startswith("optimiser"):
+        with pytest.raises(SarsplatError, match="does not hold a whole model"):
+            open_run(tmp_path / "run").render([View(0, 30)])
+
+
+def test_a_run_that_lost_its_checkpoints_takes_masks_again(dataset, tmp_path):
+    trained("dsr", dataset, tmp_path / "run")
+    for path in (tmp_path / "run" / "checkpoints").iterdir():
+        path.unlink()
+    with pytest.raises(SarsplatError, match=r"^.*run holds no checkpoint; "):
+        open_run(tmp_path / "run").render([View(0, 30)])
+    run = reconstruct_with(
+        "dsr", dataset, None, tmp_path / "run", masks=dataset.path / "masks", resume=True, quiet=True
+    )
+    assert run.iteration == SHORT["dsr"]
+    with pytest.raises(SarsplatError, match="keeps the masks it was started with"):
+        reconstruct_with("dsr", dataset, None, tmp_path / "run", masks=dataset.path / "masks", resume=True, quiet=True)
+
+
+def test_what_the_surface_is_made_of_is_kept(dataset, tmp_path):
+    trained("dsr", dataset, tmp_path / "run")
+    kept, anew = open_run(tmp_path / "run"), open_run(tmp_path / "run")
+    before = kept.surface.vertices
+    (tmp_path / "run" / "mesh.ply").unlink()
+    np.testing.assert_allclose(before, anew.surface.vertices, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"config": METHODS["dsr"].settings}, "the settings are a DsrConfig; sar-nerf-grid takes a SarNerfGridConfig"),
+        ({"masks": "masks"}, "sar-nerf-grid does not learn from masks, so leave out the masks masks"),
+        ({"out": "run", "resume": False, "overwrite": True, "device": "gpu"}, "device 'gpu' is unknown"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused(arguments, message, dataset):
+    with pytest.raises(SarsplatError, match=message):
+        reconstruct_with("sar-nerf-grid", dataset, quiet=True, **arguments)
 
 
 @pytest.mark.parametrize("part", ["model", "scene", "optimiser"])
@@ -172,7 +239,8 @@ def test_the_command_line_trains_and_goes_on(dataset, tmp_path, capsys):
         (["--method", "sar-nerf", "--rates.means", "0.1"], "--rates.means is a setting of sar-gs"),
         (["--masks", "masks"], "is for methods that learn from masks; sar-gs does not"),
         (["--method", "magic"], "magic"),
-        (["--method", "dsr", "--masks", "nowhere"], "nowhere"),
+        (["--method", "dsr", "--masks", "nowhere"], "nowhere is no folder; give one that holds a mask for each image"),
+        (["--method", "sar-nerf", "--masks", "masks"], "sar-nerf does not learn from masks"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(options, message, dataset, tmp_path, capsys):
@@ -184,12 +252,20 @@ def test_options_that_do_not_fit_are_refused(options, message, dataset, tmp_path
 def test_settings_come_from_a_file(dataset, tmp_path, capsys):
     words = ["reconstruct", str(dataset.path), "--method", "sar-nerf-grid", "--out", str(tmp_path / "run")]
     assert command([*words, "--print-config"]) == 0
-    settings = json.loads(capsys.readouterr().out)
-    file = tmp_path / "settings.json"
-    file.write_text(json.dumps({**settings, "degree": 1, "iterations": 4, "surface_voxels": 24}))
+    written = json.loads(capsys.readouterr().out)
+    assert written["method"] == "sar-nerf-grid"
+    settings, file = written["config"], tmp_path / "settings.json"
+    file.write_text(json.dumps({**written, "config": {**settings, "degree": 1, "iterations": 4, "surface_voxels": 24}}))
     assert command([*words, "--config", str(file), "--iterations", "3"]) == 0
     config = open_run(tmp_path / "run").config
     assert (config.as_dict()["degree"], config.iterations) == (1, 3)
-    file.write_text(json.dumps({**settings, "degree": 9}))
+    file.write_text(json.dumps({**written, "config": {**settings, "degree": 9}}))
     assert command([*words, "--config", str(file), "--overwrite"]) == 2
     assert "degree" in capsys.readouterr().err
+    for other in ([], ["--method", "dsr"]):
+        given = ["reconstruct", str(dataset.path), "--out", str(tmp_path / "other"), "--config", str(file), *other]
+        assert command(given) == 2
+        said = " ".join(capsys.readouterr().err.split())
+        assert (
+            f"holds settings of 'sar-nerf-grid', not of {'dsr' if other else 'sar-gs'}; give that as --method" in said
+        )

@@ -7,7 +7,10 @@ from contextlib import contextmanager
 
 from rich.console import Console, RenderableType
 from rich.markup import escape
+from rich.measure import Measurement
 from rich.table import Table
+
+_WIDEST = 200  # columns
 
 
 def say(text: str) -> None:
@@ -16,8 +19,12 @@ def say(text: str) -> None:
 
 
 def show(renderable: RenderableType) -> None:
-    """A table on stdout."""
-    Console().print(renderable)
+    """A table on stdout; in a file it may be wider than a terminal."""
+    console = Console()
+    if not console.is_terminal:
+        needed = Measurement.get(console, console.options.update(width=_WIDEST), renderable).maximum
+        console = Console(width=max(console.width, min(needed, _WIDEST)))
+    console.print(renderable)
 
 
 def facts(title: str, rows: dict[str, str]) -> None:

@@ -89,6 +89,7 @@ def _dataset(path: Path) -> tuple[str, dict[str, str]]:
         **_grid(dataset.grid),
         **{f"set {split}": _set(dataset.images(split)) for split in dataset.splits()},
         "truth": dataset.truth_mesh.name if dataset.truth_mesh else "no mesh",
+        "masks": "masks/" if (path / "masks").is_dir() else "none",
         **{f"source.{name}": str(value) for name, value in dataset.source.items() if value and name != "chips"},
     }
     return f"a dataset of {counted(len(dataset), 'image')}", rows

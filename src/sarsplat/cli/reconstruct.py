@@ -8,14 +8,14 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import MARKERS, Folder, OptionalFile, OptionalFolder, refuse_existing
 from sarsplat.cli.interrupt import interruptible
-from sarsplat.cli.rival import MethodName, asked_method, reconstruct_by
+from sarsplat.cli.rival import MethodName, asked_method, reconstruct_by, settings_in
 from sarsplat.errors import SarsplatError
 from sarsplat.reconstruction.config import OURS, Config, Densification, Surroundings
 
@@ -60,9 +60,9 @@ class Options:
     print_config
         Print the settings as JSON and exit.
     method
-        What learns: sar-gs, our Gaussians, or to compare with it sar-nerf, sar-nerf-grid or dsr (docs/rivals.md). These
-        know only the settings --iterations, --views-per-step, --checkpoint-every and --seed as options; the others are
-        in the file that --print-config writes.
+        What learns: sar-gs, our Gaussians, or to compare with it sar-nerf, sar-nerf-grid or dsr (docs/rivals.md);
+        --resume goes on with the run's. Only --iterations, --views-per-step, --checkpoint-every and --seed are options
+        of these; their other settings are in the file that --print-config writes.
     masks
         Folder of masks of the training images, from which dsr learns; `sarsplat simulate --masks` writes them.
     device
@@ -85,7 +85,7 @@ class Options:
     preset: PresetName = "auto"
     config: OptionalFile = None
     print_config: bool = False
-    method: MethodName | None = None
+    method: Annotated[MethodName | None, tyro.conf.arg(help_behavior_hint="(default: sar-gs)")] = None
     masks: OptionalFolder = None
     device: Literal["auto", "cpu", "cuda"] = "auto"
     resume: bool = False
@@ -141,7 +141,6 @@ def reconstruct(
 
 def _base(options: Options, images: Dataset) -> Config:
     """What the flags of settings override."""
-    from sarsplat.data import read_json
     from sarsplat.reconstruction import Run
     from sarsplat.reconstruction.training import fitting
 
@@ -150,8 +149,7 @@ def _base(options: Options, images: Dataset) -> Config:
             raise SarsplatError(
                 f"--config and --preset {options.preset} both choose the starting settings; give only one of them"
             )
-        settings = read_json(options.config, dict[str, Any])
-        return Config.from_dict(settings.get("config", settings), str(options.config))  # a run keeps its own there
+        return Config.from_dict(settings_in(options.config, OURS), str(options.config))
     if not options.resume:
         return fitting(options.preset, images)
     begun = Run.load(options.out).config

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from sarsplat.cli import console
 from sarsplat.cli.arguments import refuse_existing
 from sarsplat.cli.interrupt import interruptible
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.reconstruction.config import OURS
 
 if TYPE_CHECKING:
@@ -37,6 +37,22 @@ def asked_method(asked: MethodName | None, resume: bool, out: Path) -> str:
     return read_header(out).method
 
 
+def settings_in(file: Path, method: str) -> Any:
+    """The settings in a file that --print-config wrote, or in a run's `config.json`.
+
+    Raises
+    ------
+    SarsplatError
+        If they are another method's.
+    """
+    from sarsplat.data import read_json
+
+    content = read_json(file, dict[str, Any])
+    if (whose := content.get("method", OURS)) != method:
+        raise SarsplatError(f"{file} holds settings of {shown(whose)}, not of {method}; give that as --method")
+    return content.get("config", content)
+
+
 def reconstruct_by(method: str, options: Options, words: Sequence[str]) -> None:
     """Do what `sarsplat reconstruct` does, by another method.
 
@@ -50,7 +66,7 @@ def reconstruct_by(method: str, options: Options, words: Sequence[str]) -> None:
     dataset, out = options.dataset, options.out
     config = _config(method, options, words)
     if options.print_config:
-        json.dump(config.as_dict(), sys.stdout, indent=2)
+        json.dump({"method": method, "config": config.as_dict()}, sys.stdout, indent=2)
         sys.stdout.write("\n")
         return
     if not options.resume:
@@ -70,15 +86,15 @@ def reconstruct_by(method: str, options: Options, words: Sequence[str]) -> None:
             overwrite=options.overwrite,
         )
     console.finish(
-        f"{out}: {run.learned}, and {len(run.points)} points in {run.time_s:.0f} s (seed {run.seed})",
+        f"{out}: {run.learned} and {len(run.points)} points in {run.time_s:.0f} s (seed {run.seed})",
         f"sarsplat evaluate {shlex.quote(str(out))}",
     )
 
 
 def _config(method: str, options: Options, words: Sequence[str]) -> RivalConfig:
     """The method's defaults, the run's settings or those of a file, with the options that override them."""
-    from sarsplat.data import read_json
-    from sarsplat.rivals import METHODS, RivalRun
+    from sarsplat.rivals import RivalRun
+    from sarsplat.rivals.methods import method_named
 
     given = [word[2:].partition("=")[0].replace("-", "_") for word in words if word.startswith("--")]
     if (foreign := next((name for name in given if name not in (*_SETTINGS, *_OTHERS)), None)) is not None:
@@ -86,10 +102,9 @@ def _config(method: str, options: Options, words: Sequence[str]) -> RivalConfig:
             f"--{foreign.replace('_', '-')} is a setting of {OURS} and has no effect with {method}; see its settings "
             "with --print-config, and give changed ones with --config FILE"
         )
-    chosen = METHODS[method]
+    chosen = method_named(method)
     if options.config is not None:
-        settings = read_json(options.config, dict[str, Any])
-        base = chosen.read_settings(settings.get("config", settings), str(options.config))
+        base = chosen.read_settings(settings_in(options.config, method), str(options.config))
     else:
         base = RivalRun.load(options.out).config if options.resume else chosen.settings
     return replace(base, **{name: getattr(options.settings, name) for name in _SETTINGS if name in given})

@@ -119,7 +119,7 @@ def simulate(
         Distance of the rays in ray casting (default: a fifteenth of the resolution).
     masks
         Also write true masks of all images, by ray casting, to DIR/masks: 0 clutter, 1 target, 2 shadow on flat ground
-        (for `evaluate --masks`).
+        (for `evaluate --masks` and `reconstruct --method dsr --masks`).
     seed
         Random seed of speckle, reflectivity and views.
     overwrite
@@ -203,7 +203,8 @@ def simulate(
     counts = ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits())
     run = shlex.quote(f"{out}-run")
     console.finish(
-        f"{out}: {counted(len(views), 'image')} of {name} ({counts}), {grid.rows} × {grid.columns} pixels",
+        f"{out}: {counted(len(views), 'image')} of {name} ({counts}), {grid.rows} × {grid.columns} pixels"
+        + (f", and their masks in {out / 'masks'}" if masks else ""),
         f"sarsplat reconstruct {shlex.quote(str(out))} --out {run}",
     )
 

@@ -36,7 +36,10 @@ SCHEMA = "sarsplat-run"
 SCHEMA_VERSION = 3
 HEADER = "config.json"
 
-_RESULTS = ("gaussians.ply", "points.ply", "metrics.json", "report/index.html")
+MESH = "mesh.ply"
+"""The surface, of methods that learn one as such."""
+
+_RESULTS = ("gaussians.ply", MESH, "points.ply", "metrics.json", "report/index.html")
 """What is made from the newest checkpoint."""
 
 _Scores = dict[str, float | None]

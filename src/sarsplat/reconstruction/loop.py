@@ -172,6 +172,8 @@ def train(training: Training[Any], new: R, dataset: Dataset, out: Path | None, *
         If `out` exists (to resume: does not), another process is writing it, or dataset or settings are not those the
         run was started with.
     """
+    if resume and overwrite:
+        raise SarsplatError("a run is either resumed or overwritten; give only one of resume and overwrite")
     if out is not None:
         return _on_the_disk(training, new, dataset, out, resume, overwrite)
     if resume or overwrite:

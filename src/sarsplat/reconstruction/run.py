@@ -55,8 +55,9 @@ class Run(AnyRun[Config]):
     @cached_property
     def model(self) -> SceneModel:
         """The learned scene."""
+        snapshot = self.snapshot
         try:
-            return saved_model(self.snapshot, self.config, self.device)
+            return saved_model(snapshot, self.config, self.device)
         except (KeyError, ValueError, TypeError, IndexError, RuntimeError, SarsplatError) as error:
             raise SarsplatError(
                 f"{self.checkpoint_path} does not hold a whole model ({shown(str(error))}); "

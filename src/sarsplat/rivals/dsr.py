@@ -114,7 +114,7 @@ class Dsr(Rival):
         flat = config.flatten * flatten_loss(shape, self.faces, self.flaps)
         return total / len(chosen) + smooth + flat
 
-    def optimiser(self) -> torch.optim.Optimizer:
+    def optimiser(self) -> torch.optim.Adam:
         """Adam, with a rate for the vertices and one for scattering, ground and noise."""
         others = [one for name, one in self.named_parameters() if name != "moved"]
         groups: list[dict[str, Any]] = [{"params": [self.moved]}, {"params": others, "lr": self.config.scattering_rate}]

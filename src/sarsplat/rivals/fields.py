@@ -44,10 +44,6 @@ class Field(nn.Module, ABC):
     def attenuation(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, " p"]:
         """Attenuation alone, which does not depend on the direction."""
 
-    @abstractmethod
-    def total_variation(self) -> Float[Tensor, ""]:
-        """Sum of the squared differences of neighbouring numbers that are learned; 0 if they have no neighbours."""
-
 
 class Perceptron(Field):
     """The published network: 8 × 256 with the input joined again, and heads of which the second sees the direction.
@@ -91,10 +87,6 @@ class Perceptron(Field):
     def attenuation(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, " p"]:
         """See `Field`."""
         return self.attenuation_head(self._trunk(places))[:, 0]
-
-    def total_variation(self) -> Float[Tensor, ""]:
-        """See `Field`."""
-        return next(self.parameters()).new_zeros(())
 
     def _trunk(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, "p w"]:
         hidden = position = encoded((places - self.center.to(places)) / self.unit_m, _POSITION_OCTAVES)
@@ -155,7 +147,7 @@ class VoxelGrid(Field):
                 if math.prod(nodes) * channels > _MOST_NUMBERS:
                     raise SarsplatError(
                         f"a grid of {' × '.join(map(str, nodes))} nodes with {channels} numbers each is too large; "
-                        f"choose a voxel larger than {box.voxel_m:.3g} m or a lower degree"
+                        "give a larger voxel or a lower degree"
                     )
                 self.tables.append(nn.Parameter(torch.zeros(channels, *nodes[::-1])))  # z, y, x
         corners = np.array([(box.low_m, box.high_m) for box in boxes for _ in range(levels)])

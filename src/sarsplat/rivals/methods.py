@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.rivals.config import RivalConfig
 from sarsplat.rivals.dsr_config import DSR
 from sarsplat.rivals.sar_nerf_config import SAR_NERF, SAR_NERF_GRID
@@ -26,18 +27,24 @@ class Method:
     title : str
         For readers.
     learns : str
-        What it learns, for readers: `a mesh of 642 vertices`.
+        What it learns, for readers: `a closed mesh`.
+    loss : str
+        What its training minimises, for readers.
     settings : RivalConfig
         The defaults; their type is that of all its settings.
     home : str
         Module and class of its `Rival`, which takes a `Scene` and the settings.
+    masks : bool
+        Whether it learns from masks of the training images.
     """
 
     name: str
     title: str
     learns: str
+    loss: str
     settings: RivalConfig
     home: str
+    masks: bool = False
 
     def build(self, scene: Scene, settings: RivalConfig) -> Rival:
         """Its model of a scene before the first step.
@@ -56,23 +63,48 @@ class Method:
         return type(self.settings).from_dict(data, source)
 
 
+_FIELD_LOSS = "squared difference of amplitudes or, in sound mode with speckle, its negative log-likelihood"
+
 METHODS: Mapping[str, Method] = {
     method.name: method
     for method in (
         Method(
             "sar-nerf",
             "SAR-NeRF",
-            "an attenuation and scattering field in a perceptron",
+            "a perceptron that knows attenuation and scattering",
+            _FIELD_LOSS,
             SAR_NERF,
             "sarsplat.rivals.sar_nerf:SarNerf",
         ),
         Method(
             "sar-nerf-grid",
             "SAR-NeRF on a grid",
-            "an attenuation and scattering field on nested grids",
+            "nested grids of attenuation and scattering",
+            _FIELD_LOSS,
             SAR_NERF_GRID,
             "sarsplat.rivals.sar_nerf:SarNerf",
         ),
-        Method("dsr", "DSR", "a closed mesh", DSR, "sarsplat.rivals.dsr:Dsr"),
+        Method(
+            "dsr",
+            "DSR",
+            "a closed mesh",
+            "sum of the losses of both masks and of the image, and of what keeps the mesh smooth",
+            DSR,
+            "sarsplat.rivals.dsr:Dsr",
+            masks=True,
+        ),
     )
 }
+
+
+def method_named(name: str) -> Method:
+    """One of `METHODS`.
+
+    Raises
+    ------
+    SarsplatError
+        If there is none of that name.
+    """
+    if name not in METHODS:
+        raise SarsplatError(f"there is no method {shown(name)}; choose one of {', '.join(METHODS)}")
+    return METHODS[name]

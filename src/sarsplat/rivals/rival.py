@@ -60,8 +60,10 @@ class Scene:
         if corners.shape != (2, 3) or not np.isfinite(corners).all() or not (corners[0] < corners[1]).all():
             raise SarsplatError(
                 f"the target's box from {self.low_m} to {self.high_m} m is empty or not finite; "
-                "give a lower and an upper corner (x, y, z)"
+                "the training images show too little of a target"
             )
+        if self.looks is not None and not 0 < self.looks < float("inf"):
+            raise SarsplatError(f"the number of looks {self.looks} is not positive and finite; None means no speckle")
         for name in ("unit", "brightest"):
             value = getattr(self, name)
             if not 0 < value < float("inf"):  # also catches NaN
@@ -94,8 +96,8 @@ class Rival(torch.nn.Module, ABC):
         """
 
     @abstractmethod
-    def optimiser(self) -> torch.optim.Optimizer:
-        """A new optimiser of all parameters."""
+    def optimiser(self) -> torch.optim.Adam:
+        """A new optimiser of all parameters, each of which every step changes."""
 
     @abstractmethod
     def rate(self, iteration: int) -> float:

@@ -13,16 +13,18 @@ import torch
 from jaxtyping import Float32, UInt8
 from scipy.spatial import cKDTree
 
+from sarsplat.data import write_mesh
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import View
 from sarsplat.reconstruction import AnyRun, Run
-from sarsplat.reconstruction.any_run import Header, read_header
+from sarsplat.reconstruction.any_run import MESH, Header, read_header
 from sarsplat.reconstruction.config import OURS
 from sarsplat.rivals.config import RivalConfig
 from sarsplat.rivals.methods import METHODS, Method
 from sarsplat.rivals.rival import Rival
 from sarsplat.rivals.seen_points import Points, seen_points
 from sarsplat.rivals.trainer import rebuilt
+from sarsplat.scenes import load_mesh
 
 if TYPE_CHECKING:
     import trimesh
@@ -59,8 +61,9 @@ class RivalRun(AnyRun[RivalConfig]):
     @cached_property
     def model(self) -> Rival:
         """The learned scene."""
+        snapshot = self.snapshot
         try:
-            return rebuilt(self.snapshot, self._method, self.config, self.device)
+            return rebuilt(snapshot, self._method, self.config, self.device)
         except (KeyError, ValueError, TypeError, RuntimeError, SarsplatError) as error:
             raise SarsplatError(
                 f"{self.checkpoint_path} does not hold a whole model ({shown(str(error))}); "
@@ -93,9 +96,14 @@ class RivalRun(AnyRun[RivalConfig]):
 
     @cached_property
     def surface(self) -> trimesh.Trimesh:
-        """What it takes for the target's surface, m, world frame; perhaps without faces."""
+        """What it takes for the target's surface, m, world frame; perhaps without faces.
+
+        From `mesh.ply`; made anew if there is none, as after a training that was killed.
+        """
         import trimesh
 
+        if self.path is not None and (self.path / MESH).is_file():
+            return load_mesh(self.path / MESH)
         vertices, faces = self.model.surface()
         return trimesh.Trimesh(vertices, faces, process=False)
 
@@ -114,11 +122,17 @@ class RivalRun(AnyRun[RivalConfig]):
         found, normals = self._seen
         return normals[cKDTree(found).query(points)[1]] if len(points) and len(found) else np.zeros_like(points)
 
+    def write_results(self) -> None:
+        """Write `mesh.ply`, if there is a surface, and `points.ply`."""
+        if len(self.surface.faces):
+            write_mesh(self.folder / MESH, self.surface)
+        super().write_results()
+
     # ---- for readers ------------------------------------------------------------------------------------------------
     @property
     def learned(self) -> str:
         """See `AnyRun`."""
-        return f"{self._method.title}: {self._method.learns}"
+        return f"{self._method.learns} ({self._method.title})"
 
     @property
     def facts(self) -> dict[str, str]:
@@ -132,7 +146,7 @@ class RivalRun(AnyRun[RivalConfig]):
     @property
     def loss_title(self) -> tuple[str, str]:
         """See `AnyRun`."""
-        return f"loss of {self._method.title}", "loss"
+        return self._method.loss, "loss"
 
 
 def open_run(path: str | Path, device: str = "cpu") -> Run | RivalRun:

@@ -23,7 +23,7 @@ from sarsplat.rivals.fields import Field, Lattices, Perceptron, VoxelGrid
 from sarsplat.rivals.isosurface import isosurface, level_of_half
 from sarsplat.rivals.rays import Rays
 from sarsplat.rivals.rival import Rival, Scene
-from sarsplat.rivals.sar_nerf_config import SarNerfConfig
+from sarsplat.rivals.sar_nerf_config import SarNerfConfig, SarNerfGridConfig
 
 _CLEAR = -4.0
 """Added to the attenuation before its activation: e⁻⁴ per resolution cell lets light through at first."""
@@ -44,6 +44,9 @@ _LEAST_NOISE = 1e-3
 """… and, of their mean, to images of ground, beside the learned noise floor."""
 
 _FIRST_NOISE = 0.05
+
+_VIEWS_PER_HARMONIC = 2
+"""Of speckled images, at least."""
 
 _NOISE_RATE = 2e-3
 """Of Adam for the noise floor: a faster one takes the clutter's place before there is ground, and shadows are lost."""
@@ -78,35 +81,24 @@ class SarNerf(Rival):
         self.low_m = np.min([low for low, _ in self._boxes], axis=0)
         self.high_m = np.max([high for _, high in self._boxes], axis=0)
         self._sound = config.mode == "sound"
-        self._endless = config.field == "mlp" and not self._sound
+        self._speckled = self._sound and scene.looks is not None
+        self._grid = config if isinstance(config, SarNerfGridConfig) else None
+        self._endless = self._grid is None and not self._sound
         self.field = self._new_field()
         self.log_noise = (
-            torch.nn.Parameter(torch.tensor(math.log(_FIRST_NOISE)))
-            if self._sound and scene.ground and scene.looks is not None
-            else None
+            torch.nn.Parameter(torch.tensor(math.log(_FIRST_NOISE))) if self._speckled and scene.ground else None
         )
 
-    @property
-    def _degree(self) -> int:
-        """As configured; but of speckled images, two for each harmonic at least, or it would learn their speckle."""
-        if not self._sound or self.scene.looks is None:
-            return self.config.degree
-        return max(0, min(self.config.degree, math.isqrt(len(self.scene.views) // 2) - 1))
-
-    @property
-    def _smoothness(self) -> float:
-        """Weight of the total variation beside the nats of one pixel: the more is measured, the less it counts."""
-        scene = self.scene
-        return self.config.total_variation / (len(scene.views) * scene.grid.independent_samples * (scene.looks or 1.0))
-
     def _new_field(self) -> Field:
-        config, side = self.config, self.high_m - self.low_m
-        if config.field == "grid":
-            cell = self.scene.grid.cell_m
+        side = self.high_m - self.low_m
+        if self._grid is not None:
+            cell, degree = self.scene.grid.cell_m, self._grid.degree
+            if self._speckled:  # or it would learn the speckle of each image
+                degree = max(0, min(degree, math.isqrt(len(self.scene.views) // _VIEWS_PER_HARMONIC) - 1))
             target, *ground = self._boxes
-            lattices = [Lattices(*target, config.voxel * cell), *(Lattices(*box, cell) for box in ground)]
-            return VoxelGrid(lattices, config.levels, self._degree)
-        generator = torch.Generator().manual_seed(config.seed)
+            lattices = [Lattices(*target, self._grid.voxel * cell), *(Lattices(*box, cell) for box in ground)]
+            return VoxelGrid(lattices, self._grid.levels, degree)
+        generator = torch.Generator().manual_seed(self.config.seed)
         if self._sound:
             return Perceptron((self.low_m + self.high_m) / 2, float(side.max()) / 2, generator)
         return Perceptron(np.zeros(3), 1.0, generator)
@@ -123,17 +115,20 @@ class SarNerf(Rival):
                 "give the box of a target that they show"
             )
         images = images.to(power)
-        if self._sound and self.scene.looks is not None:
+        if self._speckled and self.scene.looks is not None:
             floor = _LEAST_NOISE if self.scene.ground else _FLOOR * self.scene.brightest
             nats = _mean((power + floor).log() + (images + floor) / (power + floor))
-            return nats + self._smoothness * self.field.total_variation()
+            if self._grid is None or not isinstance(self.field, VoxelGrid):
+                return nats
+            samples = len(self.scene.views) * self.scene.grid.independent_samples * self.scene.looks
+            return nats + self._grid.total_variation / samples * self.field.total_variation()
         brightest = self.scene.brightest
         if self._sound:
             amplitude = (power / brightest + _SOFTENED**2).sqrt()
             return _mean((amplitude - (images / brightest + _SOFTENED**2).sqrt()) ** 2)
         return _mean((_amplitude(power / brightest) - (images / brightest).sqrt()) ** 2)
 
-    def optimiser(self) -> torch.optim.Optimizer:
+    def optimiser(self) -> torch.optim.Adam:
         """See `Rival`: Adam, slower for the noise floor."""
         rate = self.config.learning_rate
         groups = [{"params": list(self.field.parameters()), "lr": rate}]
@@ -227,12 +222,12 @@ class SarNerf(Rival):
         if self._sound:  # α has the unit 1 / resolution cell inside, so that scenes of all scales are learned alike
             length = 2 * self.scene.grid.spacing_m[1] / self.scene.grid.cell_m
             return _softplus(raw + _CLEAR) * length
-        return (raw + (_PUBLISHED_GRID[0] if self.config.field == "grid" else 0.0)).relu()
+        return (raw + (_PUBLISHED_GRID[0] if self._grid is not None else 0.0)).relu()
 
     def _scattering(self, raw: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
         if self._sound:
             return _softplus(raw + _DIM)
-        return torch.sigmoid(raw + (_PUBLISHED_GRID[1] if self.config.field == "grid" else 0.0))
+        return torch.sigmoid(raw + (_PUBLISHED_GRID[1] if self._grid is not None else 0.0))
 
     def _inside(self, places: Float[Tensor, "*p 3"]) -> Bool[Tensor, "*p"]:
         """Where the field is."""

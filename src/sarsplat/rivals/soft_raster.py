@@ -26,6 +26,7 @@ from sarsplat.geometry import ImageGrid
 _LEAST_COVERAGE = 1e-4
 _PAIRS_AT_ONCE = 1 << 18
 _MOST_PAIRS = 1 << 27
+_MOST_PIXELS = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -57,8 +58,11 @@ class Lattice:
         """Square pixels around points, at ((k + ½)·step, (l + ½)·step)."""
         low = torch.floor(points.detach().amin(0).double() / step_m).tolist()
         high = torch.floor(points.detach().amax(0).double() / step_m).tolist()
-        if not all(map(math.isfinite, (*low, *high))):
-            raise SarsplatError("a vertex of the mesh is not finite; start again with a lower learning rate")
+        if not all(abs(end) < _MOST_PIXELS for end in (*low, *high)):  # also catches what is not finite
+            raise SarsplatError(
+                f"a vertex of the mesh is {step_m * max(map(abs, (*low, *high))):.3g} m away; start again with a lower "
+                "learning rate"
+            )
         return cls(
             ((low[0] + 0.5) * step_m, (low[1] + 0.5) * step_m),
             (step_m, step_m),

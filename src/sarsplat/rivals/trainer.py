@@ -115,14 +115,16 @@ class RivalTrainer:
         ValueError, LookupError, TypeError, RuntimeError
             If the tensors are not those of this training.
         """
-        self.model.load_state_dict(snapshot.part("model"))
+        if len(snapshot.views) != len(self._images):
+            raise ValueError(f"it has {len(snapshot.views)} views for {len(self._images)} training images")
+        _load(self.model, snapshot)
         states: dict[int, dict[str, Tensor]] = {}
         for name, tensor in snapshot.part("optimiser").items():
             index, _, what = name.partition("/")
             states.setdefault(int(index), {})[what] = tensor
-        if snapshot.iteration and states.keys() != set(range(len([*self.model.parameters()]))):
-            raise ValueError("it holds the optimiser's state of other parameters")
         groups = self._optimiser.state_dict()["param_groups"]
+        order = [parameter for group in self._optimiser.param_groups for parameter in group["params"]]
+        _check_moments(states, order, snapshot.iteration)
         self._optimiser.load_state_dict({"state": states, "param_groups": groups})
         self._generator.set_state(snapshot.tensors["generator"])
         self.iteration, self._queue = snapshot.iteration, list(snapshot.queue)
@@ -176,7 +178,7 @@ def saved_scene(snapshot: Snapshot) -> Scene:
         kept["low_m"].double().numpy(),
         kept["high_m"].double().numpy(),
         snapshot.unit,
-        kept["masks"].numpy() if "masks" in kept else None,
+        _of_type(kept["masks"], torch.uint8).numpy() if "masks" in kept else None,
         snapshot.brightest / snapshot.unit,
         bool(kept["ground"]),
         looks or None,
@@ -205,5 +207,34 @@ def rebuilt(snapshot: Snapshot, method: Method, config: RivalConfig, device: str
         If it holds another one.
     """
     model = method.build(saved_scene(snapshot), config)
-    model.load_state_dict(snapshot.part("model"))
+    _load(model, snapshot)
     return model.to(device)
+
+
+def _load(model: Rival, snapshot: Snapshot) -> None:
+    """Like torch's own, but nothing is converted, and nothing that is not finite is taken."""
+    saved, expected = snapshot.part("model"), model.state_dict()
+    for name in saved.keys() & expected.keys():
+        if not _of_type(saved[name], expected[name].dtype).isfinite().all():
+            raise ValueError(f"{name} is not finite")
+    model.load_state_dict(saved)
+
+
+def _check_moments(states: dict[int, dict[str, Tensor]], parameters: list[Tensor], iteration: int) -> None:
+    """Whether Adam can go on from these states, by the number of their parameter."""
+    if iteration and states.keys() != set(range(len(parameters))):
+        raise ValueError("it holds the optimiser's state of other parameters")
+    for index, state in states.items():
+        expected = {"step": torch.Size(()), **dict.fromkeys(("exp_avg", "exp_avg_sq"), parameters[index].shape)}
+        if {name: tensor.shape for name, tensor in state.items()} != expected:
+            raise ValueError(f"the optimiser's state {index} is not that of its parameter")
+        if not all(_of_type(tensor, torch.float32).isfinite().all() for tensor in state.values()):
+            raise ValueError(f"the optimiser's state {index} is not finite")
+        if float(state["step"]) != iteration:
+            raise ValueError(f"the optimiser has done {float(state['step']):g} steps, the training {iteration}")
+
+
+def _of_type(tensor: Tensor, dtype: torch.dtype) -> Tensor:
+    if tensor.dtype != dtype:
+        raise ValueError(f"a tensor of {tensor.dtype} instead of {dtype}")
+    return tensor

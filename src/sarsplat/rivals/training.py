@@ -11,10 +11,11 @@ from sarsplat.data import Dataset, read_dataset, read_masks
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError
 from sarsplat.progress import progress
+from sarsplat.reconstruction.config import refuse_other_settings
 from sarsplat.reconstruction.loop import Step, Training, train
 from sarsplat.reconstruction.training import training_device
 from sarsplat.rivals.config import RivalConfig
-from sarsplat.rivals.methods import METHODS, Method
+from sarsplat.rivals.methods import method_named
 from sarsplat.rivals.run import RivalRun
 from sarsplat.rivals.trainer import RivalTrainer, scene_of
 
@@ -63,11 +64,20 @@ def reconstruct_with(
     begun = RivalRun.load(out) if resume and out is not None else None
     if begun is not None and begun.method != method:
         raise SarsplatError(f"{out} was started with the method {begun.method}, not {method}; resume it with that")
-    if begun is not None and masks is not None:
+    if masks is not None and not chosen.masks:
+        raise SarsplatError(f"{method} does not learn from masks, so leave out the masks {masks}")
+    kept = begun is not None and begun.checkpoint_path is not None
+    if kept and masks is not None:
         raise SarsplatError(f"{out} keeps the masks it was started with; leave out the masks {masks}")
-    settings = config or (chosen.settings if begun is None else begun.config)
+    settings = config if config is not None else chosen.settings if begun is None else begun.config
+    if type(settings) is not type(chosen.settings):
+        raise SarsplatError(
+            f"the settings are a {type(settings).__name__}; {method} takes a {type(chosen.settings).__name__}"
+        )
+    if begun is not None:
+        refuse_other_settings(begun.folder, begun.config, settings)
     warn(suspicions(dataset))
-    if begun is not None and begun.checkpoint_path is not None:
+    if begun is not None and kept:
         scene = begun.model.scene
     else:
         known = None if masks is None else np.stack([*read_masks(Path(masks), dataset, ("train",)).values()])
@@ -77,16 +87,3 @@ def reconstruct_with(
         new = RivalRun(settings, dataset.fingerprint(), name=method)
         folder = None if out is None else Path(out)
         return train(Training(trainer, on_step, shown), new, dataset, folder, resume=resume, overwrite=overwrite)
-
-
-def method_named(name: str) -> Method:
-    """One of `METHODS`.
-
-    Raises
-    ------
-    SarsplatError
-        If there is none of that name.
-    """
-    if name not in METHODS:
-        raise SarsplatError(f"there is no method {name!r}; choose one of {', '.join(METHODS)}")
-    return METHODS[name]
