@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import resource
+import re
 import statistics
 import sys
 import time
@@ -200,7 +200,7 @@ class _Watch:
     def __call__(self, step: Step[Any]) -> None:
         self.trained_s = seconds = time.process_time() - self._begun - self._spent
         if not self.points:
-            self.peak_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+            self.peak_bytes = _peak_bytes()
         if not self._left or seconds < self._left[0]:
             return
         self._left = [later for later in self._left if later > seconds]
@@ -242,6 +242,12 @@ def _fitting_in(seconds: float, cell: RivalCell, config: RivalConfig, bench: Ben
         trainer.step()
         took.append(time.process_time() - begun)
     return max(1, int(seconds / statistics.median(took[1:])))
+
+
+def _peak_bytes() -> int:
+    """Most memory that this process has held; `getrusage` would also know that of whoever started it."""
+    status = Path("/proc/self/status").read_text()
+    return int(re.findall(r"VmHWM:\s*(\d+) kB", status)[0]) * 1024
 
 
 def digest(content: Mapping[str, Any]) -> str:

@@ -52,16 +52,6 @@ PAPER_DENSITY: dict[int, dict[str, float]] = {
 }
 """Table VII (measured T72): scores by the number of Gaussians at the start; the two times are in the text above it."""
 
-_RIVALS: dict[str, dict[str, dict[str, float]]] = {
-    "T72": {
-        "SAR-NeRF": {"psnr_db": 34.29, "ssim": 0.9894, "lpips": 0.0262, "time_s": 5599},
-        "DSR, measured chips": {**_points(0.222, 0.170, 0.196, 0.826, 0.864, 0.845), "time_s": 596},
-    },
-    "BTR70": {"SAR-NeRF": {"psnr_db": 34.54, "ssim": 0.9911, "lpips": 0.0224, "time_s": 5666}},
-    "KRAZ": {"SAR-NeRF": {"psnr_db": 36.65, "ssim": 0.9953, "lpips": 0.0178, "time_s": 5432}},
-}
-"""Tables II (rendered sets, RTX 3060 Ti) and V (measured T72; its time on an RTX 2080 Ti): other methods by target."""
-
 NOT_THE_SAME_EXPERIMENT = (
     "The paper's figures are not the same experiment: its targets and images are not published, its truth is rendered "
     "by its own method, and its F1 threshold and Chamfer distance are not defined."
@@ -95,10 +85,3 @@ def paper_beside(dataset: Dataset) -> Scores | None:
     if dataset.protocol != "paper" or dataset.ground or dataset.looks is not None:
         return None
     return paper_scores(dataset.target) if dataset.target.upper() in _PUBLISHED else None
-
-
-def paper_rivals(target: str) -> dict[str, dict[str, float]]:
-    """What the paper printed for a target: scores by method, its own first; empty if it has none."""
-    name = target.upper()
-    ours = {"SAR-GS": _PUBLISHED[name]} if name in _PUBLISHED else {}
-    return {**ours, **_RIVALS.get(name, {})}
