@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import statistics
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -70,8 +71,7 @@ def write(comparison: Comparison, out: Path) -> Path:
         if lines := _lines(bouts, comparison, keys):
             curves[images.name] = lines
         if drawn := _pictures(bouts, comparison):
-            name = f"rivals-{''.join(c if c.isalnum() else '-' for c in images.name.split(' by')[0])}"
-            name = f"{name}-{'measured' if images.chips else images.simulate['source']}.png"
+            name = f"rivals-{'-'.join(re.findall(r'[a-z0-9]+', images.name.lower()))}.png"
             _save(drawn, out / name)
             parts.append(f"\n![Two unseen images and the points of every method]({name})\n")
     if curves:
