@@ -60,7 +60,7 @@ class Cell:
         The same settings are the same file, whatever changes led to them.
         """
         settings = self.changes if self.preset == "auto" else self.config(preset(self.preset)).as_dict()
-        return work / "cells" / f"{_digest({**asdict(self), 'changes': settings, 'code': code})}.json"
+        return work / "cells" / f"{digest({**asdict(self), 'changes': settings, 'code': code})}.json"
 
     def config(self, base: Config) -> Config:
         """The preset with the changes and the seed."""
@@ -139,7 +139,7 @@ def _dataset(options: Mapping[str, Any], work: Path, code: str) -> Dataset:
     from sarsplat import read_dataset
     from sarsplat.cli.simulate import simulate
 
-    folder = work / "datasets" / _digest({"options": options, "code": code})
+    folder = work / "datasets" / digest({"options": options, "code": code})
     folder.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(folder.with_suffix(".lock")):
         if not folder.exists():
@@ -147,7 +147,8 @@ def _dataset(options: Mapping[str, Any], work: Path, code: str) -> Dataset:
     return read_dataset(folder)
 
 
-def _digest(content: Mapping[str, Any]) -> str:
+def digest(content: Mapping[str, Any]) -> str:
+    """Name of a file or folder for what it holds."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:20]
 
 

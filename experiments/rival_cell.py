@@ -6,7 +6,6 @@ that its peak memory is its own.
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 import re
@@ -21,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cell import shortened
+from cell import digest, shortened
 from code_version import code_version
 from filelock import FileLock
 
@@ -248,11 +247,6 @@ def _peak_bytes() -> int:
     """Most memory that this process has held; `getrusage` would also know that of whoever started it."""
     status = Path("/proc/self/status").read_text()
     return int(re.findall(r"VmHWM:\s*(\d+) kB", status)[0]) * 1024
-
-
-def digest(content: Mapping[str, Any]) -> str:
-    """Name of a file or folder for what it holds."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()[:20]
 
 
 def main() -> None:

@@ -3,12 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
-from sarsplat.data import Dataset, DatasetEntry
+from sarsplat import ScatteringLaw, simulate_raycast
+from sarsplat.data import Dataset, DatasetEntry, write_dataset
 from sarsplat.geometry import ImageGrid, View
+
+SMALL = ImageGrid(16, 12, (0.3, 0.3), (0.4, 0.4))
+
+
+def box_dataset(folder: Path, grid: ImageGrid, *, masks: bool = False) -> Dataset:
+    """A box on the ground, seen from twelve sides and two others, by ray casting."""
+    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("embreex")
+    from sarsplat.scenes.raycast_masks import raycast_masks
+
+    sides = (3.0, 2.0, 1.2)
+    mesh = trimesh.creation.box(sides)
+    mesh.apply_translation([0, 0, sides[2] / 2])
+    views = [(View(azimuth, grazing), "train") for azimuth in range(0, 360, 60) for grazing in (20.0, 50.0)]
+    views += [(View(azimuth, 35.0), "test") for azimuth in (30, 200)]
+    images = np.stack([simulate_raycast(mesh, view, grid, ScatteringLaw()) for view, _ in views])
+    made = dataset_of(grid, views, images, source={"kind": "raycast"})
+    true = raycast_masks(mesh, [view for view, _ in views], grid) if masks else None
+    return write_dataset(folder / "dataset", made, truth_mesh=mesh, masks=true)
+
+
+def small_dataset(**fields: Any) -> Dataset:
+    """Three images of 16 × 12 pixels of 0.3 m, one to train on."""
+    views = [(View(0, 30), "train"), (View(90, 30), "test"), (View(180, 30), "test")]
+    return dataset_of(SMALL, views, np.ones((3, 16, 12), np.float32), ground=True, **fields)
+
+
+def small_mask() -> np.ndarray:
+    """For such an image: a target above its shadow, left of the middle."""
+    found = np.zeros((16, 12), np.uint8)
+    found[5:8, 2:6], found[8:12, 2:6] = 1, 2
+    return found
 
 
 def dataset_of(grid: ImageGrid, views: Sequence[tuple[View, str]], images: np.ndarray, **fields: Any) -> Dataset:

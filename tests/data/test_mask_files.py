@@ -6,26 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import dataset_of
+from datasets import small_dataset, small_mask
 from sarsplat.data import Dataset, DatasetEntry, read_dataset, read_masks, write_dataset
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, View
 
 Image = pytest.importorskip("PIL.Image")
-
-GRID = ImageGrid(16, 12, (0.3, 0.3), (0.4, 0.4))
-
-
-def mask() -> np.ndarray:
-    """Target above its shadow, left of the middle."""
-    found = np.zeros((16, 12), np.uint8)
-    found[5:8, 2:6], found[8:12, 2:6] = 1, 2
-    return found
-
-
-def make(**fields: object) -> Dataset:
-    views = [(View(0, 30), "train"), (View(90, 30), "test"), (View(180, 30), "test")]
-    return dataset_of(GRID, views, np.ones((3, 16, 12), np.float32), ground=True, **fields)
 
 
 def named(dataset: Dataset, name: str) -> Dataset:
@@ -42,55 +27,61 @@ def save(path: Path, pixels: np.ndarray) -> None:
 
 def test_masks_are_found_by_the_names_of_the_test_images(tmp_path):
     for name in ("000", "002"):  # one of a training image, which is not scored
-        save(tmp_path / f"{name}.png", mask())
-    masks = read_masks(tmp_path, make())
+        save(tmp_path / f"{name}.png", small_mask())
+    masks = read_masks(tmp_path, small_dataset())
     assert list(masks) == [2]
-    np.testing.assert_array_equal(masks[2], mask())
+    np.testing.assert_array_equal(masks[2], small_mask())
 
 
 def test_training_images_need_a_mask_each(tmp_path):
-    dataset = named(make(), "view")
+    dataset = named(small_dataset(), "view")
     entries = (dataset.entries[0], replace(dataset.entries[1], split="train"), dataset.entries[2])
     dataset = replace(dataset, entries=entries)
-    save(tmp_path / "view1.png", mask())
+    save(tmp_path / "view1.png", small_mask())
     with pytest.raises(SarsplatError, match=r"no mask of 1 of 2 training images, the first .*view0\.png; give one for"):
         read_masks(tmp_path, dataset, ["train"])
-    save(tmp_path / "view0.png", mask()[::-1])
+    save(tmp_path / "view0.png", small_mask()[::-1])
     masks = read_masks(tmp_path, dataset, ["train"])
     assert list(masks) == [0, 1]
-    np.testing.assert_array_equal(masks[0], mask()[::-1])
+    np.testing.assert_array_equal(masks[0], small_mask()[::-1])
     assert list(read_masks(tmp_path, dataset, ["train", "test"])) == [0, 1]  # test images may lack theirs
     with pytest.raises(SarsplatError, match="has no set 'test-15'; it has train, test"):
         read_masks(tmp_path, dataset, ["test-15"])
 
 
 def test_two_images_do_not_share_a_mask(tmp_path):
-    entries = tuple(replace(entry, name=name) for entry, name in zip(make().entries, ("a", "b.1", "b.2"), strict=True))
-    save(tmp_path / "b.png", mask())
+    entries = tuple(
+        replace(entry, name=name) for entry, name in zip(small_dataset().entries, ("a", "b.1", "b.2"), strict=True)
+    )
+    save(tmp_path / "b.png", small_mask())
     with pytest.raises(SarsplatError, match=r"'b\.1' and 'b\.2' would share the mask 'b\.png'"):
-        read_masks(tmp_path, replace(make(), entries=entries))
+        read_masks(tmp_path, replace(small_dataset(), entries=entries))
 
 
 def test_masks_are_written_beside_the_images_and_found_again(tmp_path):
-    masks = np.stack([mask(), mask()[::-1], mask()[:, ::-1]])
-    written = write_dataset(tmp_path / "set", make(), masks=masks)
+    masks = np.stack([small_mask(), small_mask()[::-1], small_mask()[:, ::-1]])
+    written = write_dataset(tmp_path / "set", small_dataset(), masks=masks)
     assert sorted(path.name for path in (tmp_path / "set/masks").iterdir()) == ["000.png", "001.png", "002.png"]
     dataset = read_dataset(tmp_path / "set")
     found = read_masks(tmp_path / "set/masks", dataset, dataset.splits())
     np.testing.assert_array_equal(np.stack(list(found.values())), masks)
-    assert dataset.fingerprint() == written.fingerprint() == make().fingerprint()
-    write_dataset(tmp_path / "set", make(), overwrite=True)
+    assert dataset.fingerprint() == written.fingerprint() == small_dataset().fingerprint()
+    write_dataset(tmp_path / "set", small_dataset(), overwrite=True)
     assert not (tmp_path / "set/masks").exists()
 
 
 @pytest.mark.parametrize(
     ("dataset", "masks", "told"),
     [
-        (make(), np.zeros((2, 16, 12), np.uint8), r"uint8 of shape \(2, 16, 12\); .* must be uint8 \(3, 16, 12\)"),
-        (make(), np.zeros((3, 16, 12)), "the masks are float64"),
-        (make(), np.full((3, 16, 12), 3, np.uint8), "a mask holds the number 3"),
-        (named(make(), "T72/hb"), np.zeros((3, 16, 12), np.uint8), "'T72/hb0.png' has a folder in it"),
-        (make(source={"kind": "mstar"}), np.zeros((3, 16, 12), np.uint8), "these are measured chips"),
+        (
+            small_dataset(),
+            np.zeros((2, 16, 12), np.uint8),
+            r"uint8 of shape \(2, 16, 12\); .* must be uint8 \(3, 16, 12\)",
+        ),
+        (small_dataset(), np.zeros((3, 16, 12)), "the masks are float64"),
+        (small_dataset(), np.full((3, 16, 12), 3, np.uint8), "a mask holds the number 3"),
+        (named(small_dataset(), "T72/hb"), np.zeros((3, 16, 12), np.uint8), "'T72/hb0.png' has a folder in it"),
+        (small_dataset(source={"kind": "mstar"}), np.zeros((3, 16, 12), np.uint8), "these are measured chips"),
     ],
 )
 def test_masks_that_would_not_be_found_again_are_refused(tmp_path, dataset, masks, told):
@@ -101,14 +92,14 @@ def test_masks_that_would_not_be_found_again_are_refused(tmp_path, dataset, mask
 
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_masks_of_chips_are_turned_as_the_chips_were(tmp_path, mirrored):
-    published = mask()[::-1] if mirrored else mask()[::-1, ::-1]
+    published = small_mask()[::-1] if mirrored else small_mask()[::-1, ::-1]
     published = np.pad(published, 2)  # chips of several sizes are cut
     save(tmp_path / "T72" / "17deg" / "hb1.png", published)
     source = {"kind": "mstar", "mirrored": mirrored}
-    dataset = named(make(source={**source, "cut_to_common_size": True}), "T72/17deg/hb")
-    np.testing.assert_array_equal(read_masks(tmp_path, dataset)[1], mask())
+    dataset = named(small_dataset(source={**source, "cut_to_common_size": True}), "T72/17deg/hb")
+    np.testing.assert_array_equal(read_masks(tmp_path, dataset)[1], small_mask())
     with pytest.raises(SarsplatError, match="give masks of the images' size"):
-        read_masks(tmp_path, named(make(source=source), "T72/17deg/hb"))
+        read_masks(tmp_path, named(small_dataset(source=source), "T72/17deg/hb"))
 
 
 @pytest.mark.filterwarnings("ignore::sarsplat.SarsplatWarning")  # three chips alike
@@ -143,34 +134,34 @@ def test_chips_and_their_masks_are_turned_alike(tmp_path):
 def test_what_is_no_mask_is_refused(tmp_path, pixels, told):
     save(tmp_path / "001.png", pixels)
     with pytest.raises(SarsplatError, match=told):
-        read_masks(tmp_path, make())
+        read_masks(tmp_path, small_dataset())
 
 
 def test_a_mask_smaller_than_its_chip_is_refused_with_its_own_size(tmp_path):
     save(tmp_path / "hb1.png", np.zeros((14, 40), np.uint8))
     with pytest.raises(SarsplatError, match="14 × 40 pixels, its image 16 × 12"):
-        read_masks(tmp_path, named(make(source={"kind": "mstar"}), "hb"))
+        read_masks(tmp_path, named(small_dataset(source={"kind": "mstar"}), "hb"))
 
 
 @pytest.mark.parametrize(("content", "told"), [(b"no picture", "is not a PNG"), (b"", "is not a PNG")])
 def test_what_is_no_picture_is_refused(tmp_path, content, told):
     (tmp_path / "001.png").write_bytes(content)
     with pytest.raises(SarsplatError, match=told):
-        read_masks(tmp_path, make())
+        read_masks(tmp_path, small_dataset())
     save(tmp_path / "001.png", np.random.default_rng(0).integers(0, 3, (16, 12), np.uint8))
     whole = (tmp_path / "001.png").read_bytes()
     (tmp_path / "001.png").write_bytes(whole[:60])
     with pytest.raises(SarsplatError, match="damaged"):
-        read_masks(tmp_path, make())
+        read_masks(tmp_path, small_dataset())
 
 
 def test_a_folder_without_the_right_names_is_refused(tmp_path):
-    save(tmp_path / "elsewhere.png", mask())
+    save(tmp_path / "elsewhere.png", small_mask())
     with pytest.raises(SarsplatError, match=r"has no mask of any test image .*002\.png"):
-        read_masks(tmp_path, make())
+        read_masks(tmp_path, small_dataset())
 
 
 @pytest.mark.parametrize("name", ["/etc/", "../"])
 def test_names_do_not_lead_out_of_the_folder(tmp_path, name):
     with pytest.raises(SarsplatError, match="no mask can be named after"):
-        read_masks(tmp_path, named(make(), name))
+        read_masks(tmp_path, named(small_dataset(), name))

@@ -6,31 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from datasets import dataset_of
+from datasets import small_dataset, small_mask
 from sarsplat.data import Dataset
 from sarsplat.evaluation import MaskPair, UndefinedScore, predicted_masks
-from sarsplat.geometry import ImageGrid, View
-
-GRID = ImageGrid(16, 12, (0.3, 0.3), (0.4, 0.4))
-
-
-def mask() -> np.ndarray:
-    """Target above its shadow, left of the middle."""
-    found = np.zeros((16, 12), np.uint8)
-    found[5:8, 2:6], found[8:12, 2:6] = 1, 2
-    return found
-
-
-def make(**fields: object) -> Dataset:
-    views = [(View(0, 30), "train"), (View(90, 30), "test"), (View(180, 30), "test")]
-    return dataset_of(GRID, views, np.ones((3, 16, 12), np.float32), ground=True, **fields)
 
 
 def test_iou_is_averaged_over_images():
-    truth = np.stack([mask(), mask(), np.zeros_like(mask())])
-    half = mask()
+    truth = np.stack([small_mask(), small_mask(), np.zeros_like(small_mask())])
+    half = small_mask()
     half[5:8, 4:6] = 0
-    pair = MaskPair(truth, np.stack([half, mask(), np.zeros_like(mask())]))
+    pair = MaskPair(truth, np.stack([half, small_mask(), np.zeros_like(small_mask())]))
     assert pair.iou(1) == pytest.approx((0.5 + 1) / 2)  # the empty image does not count
     assert pair.iou(2) == 1
     with pytest.raises(UndefinedScore, match="neither"):
@@ -39,23 +24,23 @@ def test_iou_is_averaged_over_images():
 
 def moving(looks: float | None) -> tuple[Dataset, np.ndarray]:
     """A speckled chip whose target lies two rows farther and a column to the left of where it is rendered."""
-    mean = np.where(mask() == 1, 30.0, 1.0)
+    mean = np.where(small_mask() == 1, 30.0, 1.0)
     chip = np.roll(mean, (2, -1), (0, 1)) * np.random.default_rng(1).exponential(size=mean.shape)
     power = np.stack([chip] * 3).astype(np.float32)
-    return replace(make(), power=power, looks=looks, score_margin=1).select("test"), np.stack([mean] * 2)
+    return replace(small_dataset(), power=power, looks=looks, score_margin=1).select("test"), np.stack([mean] * 2)
 
 
 def test_masks_lie_where_the_images_fit_best():
     images, rendered = moving(1.0)
-    run = SimpleNamespace(masks=lambda views: np.stack([mask()] * len(views)))
+    run = SimpleNamespace(masks=lambda views: np.stack([small_mask()] * len(views)))
     found = predicted_masks(run, images, rendered)
-    np.testing.assert_array_equal(found[0], np.roll(mask(), (2, -1), (0, 1)))
+    np.testing.assert_array_equal(found[0], np.roll(small_mask(), (2, -1), (0, 1)))
 
 
 def test_masks_are_not_moved_where_there_is_no_speckle():
     images, rendered = moving(None)
-    run = SimpleNamespace(masks=lambda views: np.stack([mask()] * len(views)))
-    np.testing.assert_array_equal(predicted_masks(run, images, rendered)[0], mask())
+    run = SimpleNamespace(masks=lambda views: np.stack([small_mask()] * len(views)))
+    np.testing.assert_array_equal(predicted_masks(run, images, rendered)[0], small_mask())
 
 
 def test_clutter_comes_in_where_masks_are_moved_away():
