@@ -67,7 +67,8 @@ def write(comparison: Comparison, out: Path) -> Path:
         if not any(rows):
             continue
         keys = MEASURED if images.chips else RENDERED
-        parts.append(f"\n## {images.name}\n\n{_table(keys, [row for row in rows if row], images.name)}")
+        known = [row for row in rows if row]
+        parts.append(f"\n## {images.name}\n\n{_found(keys, known)}\n\n{_table(keys, known, images.name)}")
         if lines := _lines(bouts, comparison, keys):
             curves[images.name] = lines
         if drawn := _pictures(bouts, comparison):
@@ -111,6 +112,25 @@ def _row(bout: Bout, comparison: Comparison) -> dict[str, Any] | None:
         "peak": max(one["peak_bytes"] for one in found) / 1e9,
         "scores": {key: [one[key] for one in scores] for key in scores[0] if all(key in one for one in scores)},
     }
+
+
+def _found(keys: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
+    """Who is best, from the means."""
+    ours, *rivals = rows
+    better = []
+    for key in keys:
+        metric, own = METRIC[key], ours["scores"].get(key)
+        means = {row["name"]: statistics.fmean(row["scores"][key]) for row in rivals if key in row["scores"]}
+        if own is None or not means:
+            continue
+        best = metric.best([statistics.fmean(own), *means.values()])
+        winners = [name for name, mean in means.items() if mean == best and mean != statistics.fmean(own)]
+        better += [f"{metric.label} ({name})" for name in winners]
+    if not rivals:
+        return "No rival is finished yet."
+    if not better:
+        return "sarsplat is the best of them in every score."
+    return f"A rival is the best in: {'; '.join(better)}. In all else it is sarsplat."
 
 
 def _spread(values: Sequence[float], digits: int) -> str:

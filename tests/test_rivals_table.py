@@ -60,6 +60,11 @@ def test_the_page_says_what_is_finished(rivals, tmp_path):
     assert "| SAR-NeRF on a grid, sound, in our time | 30.00 | 22.00 |" in page
     assert "| *paper: SAR-NeRF* | 34.54 | – | 0.9911 | 0.0224 |" in page
     assert "DSR, full" not in page
+    assert "A rival is the best" not in page
+    finished(comparison, equal.cells[0], 43.0, 49.0)
+    rivals.write(comparison, tmp_path / "out")
+    page = (tmp_path / "out" / "rivals.md").read_text()
+    assert "A rival is the best in: PSNR, whole image (SAR-NeRF on a grid, sound, in our time); " in page
     for name in re.findall(r"!\[.*?\]\((.*?)\)", page):
         assert (tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "out" / "rivals.png").is_file()
