@@ -158,7 +158,10 @@ class Comparison:
             check=False,
         )
         if done.returncode:
-            what += f" FAILED: {(done.stderr.strip().splitlines() or [f'exit code {done.returncode}'])[-1]}"
+            reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+            if reason == "KeyboardInterrupt":  # it is done next time
+                return
+            what += f" FAILED: {reason}"
             failed.append(what)
         print(what, flush=True)
 
