@@ -217,5 +217,5 @@ def test_gradients_are_those_of_finite_differences(monkeypatch):
 def test_vertices_that_are_not_finite_are_refused():
     points, faces = box((2, 1.5, 1))
     points[3, 1] = np.nan
-    with pytest.raises(SarsplatError, match="not finite"):
+    with pytest.raises(SarsplatError, match="nan m away"):
         layers(SOFT, (points, faces))
