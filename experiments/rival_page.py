@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from jaxtyping import Bool
 from matplotlib.figure import Figure
 from summary import METRIC
 
@@ -37,6 +38,7 @@ _PAPER_MEASURED = {
 
 _COLOURS = ("#1f4e79", "#c0392b", "#d98e04", "#4d8c57", "#7a5195", "#8c6d5a")
 _DARKEST_DB = 40.0
+_RIM = 4  # pixels
 
 
 _ABOUT = """SAR-NeRF and DSR, written afresh ([docs/rivals.md](../rivals.md)), beside sarsplat on the same images,
@@ -215,9 +217,10 @@ def _pictures(bouts: Sequence[Bout], comparison: Comparison) -> Figure | None:
         len(shown) + 1, 3, figsize=(9, 2.3 * (len(shown) + 1)), width_ratios=(1, 1, 1.6), layout="constrained"
     )
     peak_db = 10 * np.log10(truth.max())
+    shown_part = _around(truth > truth.max() * 10 ** (-_DARKEST_DB / 10))
     for row, (title, kept) in zip(axes, [("truth", {"images": truth}), *shown]):
         for ax, image in zip(row, kept["images"]):
-            level = 10 * np.log10(np.maximum(image, 1e-30))
+            level = 10 * np.log10(np.maximum(image[shown_part], 1e-30))
             ax.imshow(level, cmap="gray", vmin=peak_db - _DARKEST_DB, vmax=peak_db)
             ax.set(xticks=[], yticks=[])
         row[0].set_ylabel(title, fontsize=8)
@@ -232,6 +235,12 @@ def _pictures(bouts: Sequence[Bout], comparison: Comparison) -> Figure | None:
     axes[-1, 2].set_xlabel("x, m; z, m upwards; colour: y", fontsize=8)
     axes[0, 0].set_title("unseen images, 40 dB", fontsize=8)
     return figure
+
+
+def _around(bright: Bool[np.ndarray, "v rows columns"]) -> tuple[slice, slice]:
+    """Rows and columns in which any of the images is bright, and some around them."""
+    rows, columns = (np.flatnonzero(bright.any(axis=axes)) for axes in ((0, 2), (0, 1)))
+    return tuple(slice(max(0, int(found[0]) - _RIM), int(found[-1]) + 1 + _RIM) for found in (rows, columns))
 
 
 def _save(figure: Figure, path: Path) -> None:
