@@ -90,6 +90,25 @@ def test_its_run_is_rendered_scored_and_shown(method, dataset, tmp_path):
     assert {"nx", "ny", "nz"} <= set(columns)
 
 
+@pytest.mark.parametrize(
+    ("method", "quick", "most", "most_m"),
+    [
+        ("sar-nerf-grid", {"iterations": 300}, 0.05, 0.2),
+        ("dsr", {"iterations": 120, "scattering_rate": 0.1}, 0.15, 0.4),
+    ],
+)
+def test_a_box_on_the_ground_is_found(method, quick, most, most_m, dataset):
+    """In unseen images, of cells of 0.3 m, and as a surface; the perceptron would take hours."""
+    masks = dataset.path / "masks" if method == "dsr" else None
+    run = reconstruct_with(
+        method, dataset, replace(METHODS[method].settings, **quick), masks=masks, device="cpu", quiet=True
+    )
+    test = dataset.select("test")
+    true = np.sqrt(test.power)
+    assert np.square(np.sqrt(run.render(test.views)) - true).sum() < most * np.square(true).sum()
+    assert evaluate_run(run, quiet=True)["points"]["visible"]["cd_m"] < most_m
+
+
 def test_points_lie_on_what_the_radar_sees(dataset, tmp_path):
     run = trained("dsr", dataset, tmp_path / "run")
     surface = run.surface
