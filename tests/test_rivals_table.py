@@ -60,6 +60,7 @@ def test_the_page_says_what_is_finished(rivals, tmp_path):
     assert "| SAR-NeRF on a grid, sound, in our time | 30.00 | 22.00 |" in page
     assert "| *paper: SAR-NeRF* | 34.54 | – | 0.9911 | 0.0224 |" in page
     assert "DSR, full" not in page
+    assert "**Not complete:** 3 of at least 18 trainings are finished" in page
     assert "A rival is the best" not in page
     finished(comparison, equal.cells[0], 43.0, 49.0)
     rivals.write(comparison, tmp_path / "out")
