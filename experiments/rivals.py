@@ -39,7 +39,7 @@ _CURVE = tuple(2.0**k for k in range(0, 12))
 """Seconds of training after which the first seed of some sets is scored on the way."""
 
 _PERCEPTRON_S = 600.0
-"""How long the perceptron may learn, which would need days."""
+"""How long the perceptron may learn, whose whole training would take months."""
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import trimesh
 
 _RAYS_PER_CELL = 4.0
-"""Along a side; about as many points as our own method gives."""
+"""Along a side."""
 
 
 @dataclass(frozen=True)
