@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from sarsplat import Dataset, Run, SarsplatError, View, evaluate_run, visible_surface, write_report
 from sarsplat.cli.app import run as command
-from sarsplat.data import read_points_ply
+from sarsplat.data import read_points_ply, write_points_ply
 from sarsplat.evaluation.points import surface_distance
 from sarsplat.rivals import METHODS, RivalRun, open_run, reconstruct_with
 
@@ -288,3 +288,19 @@ def test_settings_come_from_a_file(dataset, tmp_path, capsys):
         assert (
             f"holds settings of 'sar-nerf-grid', not of {'dsr' if other else 'sar-gs'}; give that as --method" in said
         )
+
+
+def test_no_points_are_not_exported(dataset, tmp_path, capsys):
+    trained("sar-nerf", dataset, tmp_path / "run")
+    write_points_ply(tmp_path / "run" / "points.ply", np.zeros((0, 3), np.float32))
+    assert command(["export", str(tmp_path / "run"), str(tmp_path / "points.ply"), "--format", "points"]) == 2
+    assert "has no points of a surface yet" in capsys.readouterr().err
+    assert not (tmp_path / "points.ply").exists()
+
+
+@EVERY
+def test_a_run_is_opened_on_a_device_that_there_is(method, dataset, tmp_path):
+    trained(method, dataset, tmp_path / "run")
+    with pytest.raises(SarsplatError, match="device 'gpu' is unknown; choose auto, cpu or cuda"):
+        open_run(tmp_path / "run", "gpu")
+    assert open_run(tmp_path / "run", "auto").device in ("cpu", "cuda")

@@ -57,6 +57,8 @@ def export(
         write_gaussians_ply(file, gaussians)
         console.finish(f"{file}: {len(gaussians)} Gaussians", f"open {file} in any 3D Gaussian splatting viewer")
     elif content == "points":
+        if not len(done.points):
+            raise SarsplatError(f"{run} has no points of a surface yet; train it longer, or look at its report")
         with console.busy(f"points of {run} with their normals"):
             write_points_ply(file, done.points, normals=done.normals)
         console.finish(f"{file}: {len(done.points)} points, metres", f"open {file} in any point cloud or mesh viewer")

@@ -91,7 +91,7 @@ def bounded_region(
     if not all(corner.success for corner in corners):
         raise SarsplatError(
             "no region of space could explain the bright pixels of all views; check the sense of the azimuths and the "
-            "image orientation (row 0 = near range), or use --initialisation hemisphere"
+            "image orientation (row 0 = near range)"
         )
     extremes = np.array([corner.fun for corner in corners]).reshape(3, 2)
     return Region(a, b, extremes[:, 0], -extremes[:, 1])

@@ -26,6 +26,7 @@ from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction.config import OURS, AnyConfig
+from sarsplat.reconstruction.device import device_named
 from sarsplat.reconstruction.log import LogLine, read_log
 from sarsplat.reconstruction.snapshot import Snapshot
 
@@ -241,18 +242,19 @@ class AnyRun(ABC, Generic[C]):
     # ---- its folder -------------------------------------------------------------------------------------------------
     @classmethod
     def load(cls, path: str | Path, device: str = "cpu") -> Self:
-        """Read a run's folder; see `Run` for the device.
+        """Read a run's folder; see `Run` for the device, of which "auto" is the best there is.
 
         Raises
         ------
         SarsplatError
-            If it is missing, or not a run of this version.
+            If it is missing, or not a run of this version, or the device cannot be used.
         """
         path = Path(path)
         header = read_header(path)
         where = None if header.dataset is None else Path(header.dataset)
         known = cls._of_header(header, str(path / HEADER))
-        return cls(fingerprint=header.dataset_fingerprint, path=path, dataset_path=where, device=device, **known)
+        on = device_named(device).type
+        return cls(fingerprint=header.dataset_fingerprint, path=path, dataset_path=where, device=on, **known)
 
     @classmethod
     @abstractmethod

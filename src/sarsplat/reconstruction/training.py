@@ -6,20 +6,17 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import torch
-
 from sarsplat.data import Dataset, read_dataset
 from sarsplat.data.plausible import suspicions, warn
-from sarsplat.errors import SarsplatError
 from sarsplat.progress import progress
 from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.device import device_named
 from sarsplat.reconstruction.lengths import lengths
 from sarsplat.reconstruction.loop import Step, Training, train
 from sarsplat.reconstruction.losses import LOSSES, Loss
 from sarsplat.reconstruction.presets import preset
 from sarsplat.reconstruction.run import Run
 from sarsplat.reconstruction.trainer import Trainer
-from sarsplat.renderer.cuda_device import require_cuda
 
 
 def reconstruct(
@@ -83,7 +80,7 @@ def reconstruct(
         name = getattr(loss, "__name__", type(loss).__name__)
         config = replace(config, loss=f"own {name}" if name in LOSSES else name)
     warn(suspicions(dataset))
-    trainer = Trainer(dataset, config, loss, training_device(device))
+    trainer = Trainer(dataset, config, loss, device_named(device))
     with progress(f"reconstruct ({config.preset})", config.iterations, quiet) as shown:
         shown.note(lengths(config, dataset.grid))
         folder = None if out is None else Path(out)
@@ -99,23 +96,3 @@ def fitting(choice: str | Config, dataset: Dataset) -> Config:
     if choice != "auto":
         return preset(choice)
     return preset("measured" if dataset.ground else "default" if dataset.looks is None else "speckled")
-
-
-def training_device(name: str) -> torch.device:
-    """The device of that name; "auto" is "cuda" where it can be used.
-
-    Raises
-    ------
-    SarsplatError
-        If there is no such device, or it cannot be used.
-    """
-    if name not in ("auto", "cpu", "cuda"):
-        raise SarsplatError(f"device {name!r} is unknown; choose auto, cpu or cuda")
-    if name != "cpu":
-        try:
-            require_cuda()
-        except SarsplatError:
-            if name == "cuda":
-                raise
-            name = "cpu"
-    return torch.device("cpu" if name == "cpu" else "cuda:0")

@@ -150,12 +150,12 @@ class RivalRun(AnyRun[RivalConfig]):
 
 
 def open_run(path: str | Path, device: str = "cpu") -> Run | RivalRun:
-    """Read the folder of a run by any method.
+    """Read the folder of a run by any method; everything else is as in `Run.load`.
 
     Raises
     ------
     SarsplatError
-        If it is missing, or not a run of this version.
+        As in `Run.load`.
     """
     path = Path(path)
     run_type = Run if read_header(path).method == OURS else RivalRun

@@ -12,8 +12,8 @@ from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError
 from sarsplat.progress import progress
 from sarsplat.reconstruction.config import refuse_other_settings
+from sarsplat.reconstruction.device import device_named
 from sarsplat.reconstruction.loop import Step, Training, train
-from sarsplat.reconstruction.training import training_device
 from sarsplat.rivals.config import RivalConfig
 from sarsplat.rivals.methods import method_named
 from sarsplat.rivals.run import RivalRun
@@ -82,7 +82,7 @@ def reconstruct_with(
     else:
         known = None if masks is None else np.stack([*read_masks(Path(masks), dataset, ("train",)).values()])
         scene = scene_of(dataset, known)
-    trainer = RivalTrainer(dataset, chosen, settings, scene, training_device(device))
+    trainer = RivalTrainer(dataset, chosen, settings, scene, device_named(device))
     with progress(f"reconstruct ({method})", settings.iterations, quiet) as shown:
         new = RivalRun(settings, dataset.fingerprint(), name=method)
         folder = None if out is None else Path(out)
