@@ -23,6 +23,7 @@ ORDER = (
     ("reconstruction",),
     ("rivals",),
     ("evaluation",),
+    ("exports",),
     ("report",),
     ("cli",),
 )

@@ -17,6 +17,8 @@ EXTRAS: dict[str, dict[str, str]] = {
     },
     "rivals": {"trimesh": "trimesh", "skimage": "scikit-image", "embreex": "embreex"},
     "report": {"matplotlib": "matplotlib", "jinja2": "jinja2", "trimesh": "trimesh", "skimage": "scikit-image"},
+    "las": {"laspy": "laspy"},
+    "video": {"PIL": "pillow", "cv2": "opencv-python-headless"},
 }
 """Extra → modules it brings → names of their distributions."""
 

@@ -11,8 +11,8 @@ from sarsplat.errors import SarsplatError
 if TYPE_CHECKING:
     import trimesh
 
-MESH_FORMATS = {".ply": b"ply", ".glb": b"glTF", ".obj": b"# sarsplat"}
-"""Kinds of mesh files, and how those that we write begin."""
+MESH_FORMATS = (".ply", ".glb", ".obj")
+"""How names of mesh files end."""
 
 
 def write_mesh(path: str | Path, mesh: trimesh.Trimesh) -> None:

@@ -2,21 +2,18 @@
 
 A Gaussian's vertex holds, as float32,
 
-* x y z, nx ny nz (zero), f_dc_0..2, f_rest_*, opacity, scale_0..2, rot_0..3 — what 3DGS programs read: scales as
-  natural logarithms, opacity as the logit of 1 − e^{−κ}, quaternions wxyz, harmonics channel by channel, with one
-  channel repeated three times. 3DGS evaluates harmonics at the direction *from* the camera, we at the direction *to*
-  the radar, so odd degrees change sign in the file. (It shows ½ + Σ, we mean p_min + softplus(Σ): same order, no more.)
+* x y z, nx ny nz (zero), f_dc_0..2, f_rest_0..44, opacity, scale_0..2, rot_0..3 — what viewers read: scales as natural
+  logarithms, opacity as the logit of 1 − e^{−κ}, quaternions wxyz, and harmonics of degree 3, channel by channel, whose
+  colours show γ⁰ in decibels or the height (see viewer_colours.py);
 * optical_depth, scale_m_0..2, scattering_0.. — κ, the standard deviations (m) and the parameters of the scattering as
   they are, so that what we read back is what we wrote.
 
-The header's comments carry the version and, as JSON, which law of scattering it is. Of a law other than harmonics,
-f_dc and f_rest are the harmonics of degree 3 that come nearest to it.
+The header's comments carry the version, as JSON which law of scattering it is, and what the colours stand for.
 """
 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -28,19 +25,19 @@ from torch import Tensor
 
 from sarsplat.data.files import decode_json
 from sarsplat.data.ply_table import read_ply, write_ply
+from sarsplat.data.viewer_colours import ODD, Colour, viewer_colours
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, SCATTERINGS, Gaussians, Harmonics, Scattering
-from sarsplat.gaussians.harmonics import harmonic_basis
 
 _VERSION = "sarsplat gaussians 2"
 _LAW = "scattering "
-_ODD = [1, 2, 3, 9, 10, 11, 12, 13, 14, 15]  # harmonics of degree 1 and 3
 _FARTHEST = 1e9  # m from the origin, of points: squares of it stay finite
 _MIN_LOGIT = -30.0  # stands for an opacity of zero, whose logit is −∞
-_DIRECTIONS = 200  # in which a law is compared with harmonics
 
 
-def write_gaussians_ply(path: str | Path, gaussians: Gaussians, comments: Iterable[str] = ()) -> None:
+def write_gaussians_ply(
+    path: str | Path, gaussians: Gaussians, comments: Iterable[str] = (), *, colour: Colour = "db"
+) -> None:
     """Write Gaussians, whole or not at all.
 
     Parameters
@@ -51,6 +48,8 @@ def write_gaussians_ply(path: str | Path, gaussians: Gaussians, comments: Iterab
         Stored as float32.
     comments : iterable of str
         Lines for the header.
+    colour : "db" or "height"
+        What viewers show: γ⁰ in decibels, or the height. Reading the file back does not depend on it.
 
     Raises
     ------
@@ -62,12 +61,12 @@ def write_gaussians_ply(path: str | Path, gaussians: Gaussians, comments: Iterab
     depth = values["optical_depth"].astype(np.float64)
     with np.errstate(divide="ignore"):
         opacity = np.maximum(np.log(np.expm1(depth)), _MIN_LOGIT)  # logit(1 − e^{−κ}) = ln(e^κ − 1)
-    seen = _flip_odd(_as_harmonics(gaussians))
-    rest = np.tile(seen[:, 1:], (1, 3))
+    shown_as = viewer_colours(gaussians, colour)
+    rest = shown_as.harmonics[:, :, 1:].reshape(len(gaussians), 45)
     columns = {
         **_columns(("x", "y", "z"), values["means"]),
         **_columns(("nx", "ny", "nz"), np.zeros_like(values["means"])),
-        **_columns((f"f_dc_{c}" for c in range(3)), np.repeat(seen[:, :1], 3, axis=1)),
+        **_columns((f"f_dc_{c}" for c in range(3)), shown_as.harmonics[:, :, 0]),
         **_columns((f"f_rest_{k}" for k in range(rest.shape[1])), rest),
         "opacity": opacity,
         **_columns((f"scale_{k}" for k in range(3)), np.log(values["scales"])),
@@ -77,7 +76,7 @@ def write_gaussians_ply(path: str | Path, gaussians: Gaussians, comments: Iterab
         **_columns((f"scattering_{k}" for k in range(values["scattering"].shape[1])), values["scattering"]),
     }
     law = {"kind": gaussians.scattering.kind, **gaussians.scattering.settings()}
-    write_ply(Path(path), columns, [_VERSION, _LAW + json.dumps(law), *comments])
+    write_ply(Path(path), columns, [_VERSION, _LAW + json.dumps(law), shown_as.legend, *comments])
 
 
 def read_gaussians_ply(path: str | Path) -> Gaussians:
@@ -219,7 +218,7 @@ def _stack(path: Path, columns: dict[str, np.ndarray], names: list[str]) -> Floa
 def _flip_odd(harmonics: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
     """Coefficients for the opposite direction: Y_k(−u) = (−1)^degree Y_k(u)."""
     flipped = harmonics.copy()
-    flipped[:, [k for k in _ODD if k < harmonics.shape[1]]] *= -1
+    flipped[:, [k for k in ODD if k < harmonics.shape[1]]] *= -1
     return flipped
 
 
@@ -252,20 +251,3 @@ def _law(path: Path, comments: list[str], parameters: Tensor) -> Scattering:
         return SCATTERINGS[law.pop("kind")](parameters, **law)
     except (TypeError, SarsplatError) as error:
         raise SarsplatError(f"{path} has an invalid scattering law ({shown(str(error))}); create it again") from error
-
-
-def _as_harmonics(gaussians: Gaussians) -> Float[np.ndarray, "n k"]:
-    """The scattering as harmonics, for programs that know nothing else."""
-    law = gaussians.scattering
-    if isinstance(law, Harmonics):
-        return law.parameters.detach().cpu().numpy().astype(np.float32)
-    golden = math.pi * (3 - math.sqrt(5))  # a spiral of directions, evenly spread
-    index = np.arange(_DIRECTIONS)
-    z = 1 - (2 * index + 1) / _DIRECTIONS
-    ring = np.sqrt(1 - z**2)
-    u = torch.from_numpy(np.column_stack([ring * np.cos(golden * index), ring * np.sin(golden * index), z]))
-    with torch.no_grad():
-        excess = (gaussians.to("cpu").to(torch.float64).gamma0(u) - law.p_min).clamp(min=1e-6)
-    raw = torch.log(torch.expm1(excess))  # softplus undone
-    solution = torch.linalg.lstsq(harmonic_basis(u, 3), raw).solution.T.numpy()
-    return np.round(solution, 6).astype(np.float32) + 0  # rounding errors, which differ from call to call, are not kept

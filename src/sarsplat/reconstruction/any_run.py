@@ -183,6 +183,11 @@ class AnyRun(ABC, Generic[C]):
         return self._normals_at(self.points)
 
     @property
+    def points_gamma0(self) -> Float32[np.ndarray, " p"] | None:
+        """γ⁰ of the points, linear, as the training views saw it; None for methods that do not tell."""
+        return None
+
+    @property
     def grid(self) -> ImageGrid:
         """Pixels of its images."""
         return self.snapshot.grid

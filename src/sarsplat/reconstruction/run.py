@@ -132,6 +132,11 @@ class Run(AnyRun[Config]):
         return surface_normals(points, towards, _NORMAL_RADIUS * self.grid.cell_m).astype(np.float32)
 
     @cached_property
+    def points_gamma0(self) -> Float32[np.ndarray, " p"]:
+        """See `AnyRun`: the mean over the views that see the Gaussians there, weighted by how much they see."""
+        return self._seen.around(self.points)[0].astype(np.float32)
+
+    @cached_property
     def _seen(self) -> Seen:
         return Seen.of(self.gaussians, self.snapshot.views, self.grid)
 

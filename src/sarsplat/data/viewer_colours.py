@@ -1,0 +1,118 @@
+"""Colours of Gaussians for viewers of 3D Gaussian splatting, which know colours but no γ⁰.
+
+A viewer shows max(0, ½ + Σ_k h_k Y_k) in each channel, as it stands, at the direction from the camera. Scattering spans
+decades, so what it is shown are decibels: grey from black to white over most of what there is. A viewer also turns below
+the horizon, where no radar looked: what it sees there resembles the mirror image of what is above.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32, Float64
+
+from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians.harmonics import CONSTANTS, harmonic_basis
+
+Colour = Literal["db", "height"]
+"""What colours show: γ⁰ in decibels, in grey, or the height, from blue (low) to yellow (high)."""
+
+ODD = (1, 2, 3, 9, 10, 11, 12, 13, 14, 15)
+"""Harmonics of degree 1 and 3: those that change sign with the direction."""
+
+_DIRECTIONS = 200  # above the horizon
+_SPAN = (0.02, 0.995)  # of all that is seen: black and white; a glint must not darken everything else
+_DARKEST = 0.08  # of a shade: what is dark stays visible before a black background
+_BELOW = 0.03  # weight of the mirror image below the horizon
+_DEGREE = 3
+_RAMP = np.array([[0.19, 0.29, 0.60], [0.13, 0.57, 0.55], [0.37, 0.79, 0.38], [0.99, 0.91, 0.14]])  # even in lightness
+
+
+@dataclass(frozen=True)
+class ViewerColours:
+    """Colours of N Gaussians as a viewer takes them.
+
+    Attributes
+    ----------
+    harmonics : numpy.ndarray, float32 [N, 3, 16]
+        Coefficients of degree 3 for each channel, for the direction from the camera.
+    mean : numpy.ndarray, float32 [N, 3]
+        Mean colour over all directions, 0 to 1, for formats with one colour only.
+    legend : str
+        What black and white, or the ends of the colours, stand for.
+    """
+
+    harmonics: Float32[np.ndarray, "n 3 16"]
+    mean: Float32[np.ndarray, "n 3"]
+    legend: str
+
+
+def viewer_colours(gaussians: Gaussians, colour: Colour = "db") -> ViewerColours:
+    """What a viewer is to show of Gaussians; coefficients are rounded, so that they are the same in every call.
+
+    Parameters
+    ----------
+    gaussians : Gaussians
+        On any device.
+    colour : "db" or "height"
+        Grey by γ⁰ in decibels in the direction that is looked from, or colours by height alone.
+    """
+    if colour == "height":
+        height = gaussians.means[:, 2].detach().double().cpu().numpy()
+        low, high = _span(height, _weight(gaussians))
+        place = np.interp(height, (low, high), (0, len(_RAMP) - 1)) if len(height) else height
+        mean = np.stack([np.interp(place, np.arange(len(_RAMP)), channel) for channel in _RAMP.T], axis=1)
+        constant = np.zeros((len(mean), 3, len(CONSTANTS)))
+        constant[:, :, 0] = (mean - 0.5) / CONSTANTS[0]
+        return _rounded(constant, mean, f"colours: height, blue = {low:.3g} m, yellow = {high:.3g} m")
+    directions = _hemisphere()
+    with torch.no_grad():
+        gamma0 = gaussians.detach().to("cpu").to(torch.float64).gamma0(torch.from_numpy(directions)).numpy()
+    level_db = 10 * np.log10(np.maximum(gamma0, np.finfo(np.float32).tiny))  # [V, N]
+    low, high = _span(level_db, np.broadcast_to(_weight(gaussians), level_db.shape))
+    shade = np.interp(level_db, (low, high), (_DARKEST, 1.0))
+    above, below = (harmonic_basis(torch.from_numpy(u), _DEGREE).numpy() for u in (directions, directions * (1, 1, -1)))
+    moments = above.T @ above + _BELOW * below.T @ below
+    wanted = (above + _BELOW * below).T @ (shade - 0.5)  # ½ is what viewers add
+    grey = np.linalg.solve(moments, wanted).T
+    grey[:, ODD] *= -1  # the direction from the camera is opposite to that to the radar
+    mean = shade.mean(axis=0)
+    return _rounded(
+        np.repeat(grey[:, None], 3, axis=1),
+        np.repeat(mean[:, None], 3, axis=1),
+        f"colours: gamma0 in dB, black = {low - _DARKEST / (1 - _DARKEST) * (high - low):.3g} dB, white = {high:.3g} dB",
+    )
+
+
+def _rounded(harmonics: Float64[np.ndarray, "n 3 16"], mean: Float64[np.ndarray, "n 3"], legend: str) -> ViewerColours:
+    return ViewerColours(np.round(harmonics, 6).astype(np.float32) + 0, np.round(mean, 6).astype(np.float32), legend)
+
+
+def _hemisphere() -> Float64[np.ndarray, "v 3"]:
+    """A spiral of directions above the horizon, evenly spread."""
+    golden, index = math.pi * (3 - math.sqrt(5)), np.arange(_DIRECTIONS)
+    z = (index + 0.5) / _DIRECTIONS
+    ring = np.sqrt(1 - z**2)
+    return np.column_stack([ring * np.cos(golden * index), ring * np.sin(golden * index), z])
+
+
+def _weight(gaussians: Gaussians) -> Float[np.ndarray, " n"]:
+    """How much of a picture a Gaussian fills: its opacity times its largest cross-section."""
+    scales = gaussians.scales.detach().double().cpu().numpy()
+    area = np.sort(scales, axis=1)[:, 1:].prod(axis=1)
+    return area * -np.expm1(-gaussians.optical_depth.detach().double().cpu().numpy())
+
+
+def _span(values: Float[np.ndarray, "*any"], weight: Float[np.ndarray, "*any"]) -> tuple[float, float]:
+    """Between which values most of the weight lies; never one and the same."""
+    values, weight = values.ravel(), weight.ravel()
+    if not weight.any():
+        return 0.0, 1.0
+    order = np.argsort(values, kind="stable")
+    share = np.cumsum(weight[order]) / weight.sum()
+    low, high = (float(values[order][np.searchsorted(share, part)]) for part in _SPAN)
+    return (low, high) if high - low > 1e-3 else (low - 0.5, high + 0.5)

@@ -1,0 +1,92 @@
+"""What of a run there is to export: Gaussians, points, a mesh, each at least one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float32
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians
+from sarsplat.reconstruction import AnyRun, Run
+
+if TYPE_CHECKING:
+    import trimesh
+
+
+@dataclass(frozen=True)
+class Points:
+    """Points of a surface.
+
+    Attributes
+    ----------
+    positions, normals : numpy.ndarray, float32 [P, 3]
+        World frame, m, and unit normals.
+    gamma0 : numpy.ndarray, float32 [P], or None
+        γ⁰, linear, where the method tells.
+    """
+
+    positions: Float32[np.ndarray, "p 3"]
+    normals: Float32[np.ndarray, "p 3"]
+    gamma0: Float32[np.ndarray, " p"] | None
+
+    def columns(self) -> dict[str, Float32[np.ndarray, " p"]]:
+        """What there is of each point besides its position, by name."""
+        normals = dict(zip(("nx", "ny", "nz"), self.normals.T, strict=True))
+        return normals if self.gamma0 is None else {**normals, "gamma0": self.gamma0}
+
+
+def name_of(run: AnyRun) -> str:
+    """What errors call a run."""
+    return "the run in memory" if run.path is None else str(run.path)
+
+
+def gaussians_of(run: AnyRun) -> Gaussians:
+    """Its Gaussians.
+
+    Raises
+    ------
+    SarsplatError
+        If its method learns none, or none are left.
+    """
+    if not isinstance(run, Run):
+        raise SarsplatError(
+            f"{name_of(run)} was made by {run.method}, which learns no Gaussians; export --format points"
+        )
+    gaussians = run.gaussians
+    if len(gaussians) == 0:
+        raise SarsplatError(f"{name_of(run)} has no Gaussians left; reconstruct it again, or look at its report")
+    return gaussians
+
+
+def points_of(run: AnyRun) -> Points:
+    """The points of its surface.
+
+    Raises
+    ------
+    SarsplatError
+        If there are none.
+    """
+    if len(run.points) == 0:
+        raise SarsplatError(
+            f"{name_of(run)} has no points of a surface yet; train it longer, or look at its report"
+        )
+    return Points(run.points.astype(np.float32), run.normals, run.points_gamma0)
+
+
+def mesh_of(run: AnyRun) -> trimesh.Trimesh:
+    """Its surface as triangles.
+
+    Raises
+    ------
+    SarsplatError
+        If there are none, or a package is missing.
+    """
+    mesh = run.mesh()
+    if len(mesh.faces) == 0:
+        raise SarsplatError(
+            f"{name_of(run)} has too few points of a surface for a mesh; train it longer, or look at its report"
+        )
+    return mesh

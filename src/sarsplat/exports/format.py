@@ -1,0 +1,41 @@
+"""What a file format for other programs is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from sarsplat.data.viewer_colours import Colour
+    from sarsplat.reconstruction import AnyRun
+
+Content = Literal["gaussians", "points", "mesh", "everything"]
+"""What of a run a file holds."""
+
+Write = Callable[["AnyRun", Path, "Colour"], str]
+"""Writes a run to a file, whole or not at all, and says what it wrote; the colour is that of Gaussians."""
+
+
+@dataclass(frozen=True)
+class Format:
+    """A file format. To add one, put a module `format_NAME.py` beside this one, with its `FORMAT`.
+
+    Attributes
+    ----------
+    ending : str
+        How names of such files end: `.ply`.
+    writers : mapping of Content to Write
+        What it can hold, and who writes that; the first is what is written unless asked otherwise.
+    opened_with : str
+        Programs that open it.
+    recognises : callable (bytes, int) -> bool
+        Whether a file that begins with these bytes, and has that many, is of this kind as we write it: no other is
+        replaced.
+    """
+
+    ending: str
+    writers: Mapping[Content, Write]
+    opened_with: str
+    recognises: Callable[[bytes, int], bool]

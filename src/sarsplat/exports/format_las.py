@@ -1,0 +1,77 @@
+"""`.las`: points as LAS 1.4, for programs that know laser scans."""
+
+from __future__ import annotations
+
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+
+from sarsplat.data import write_bytes
+from sarsplat.data.viewer_colours import Colour
+from sarsplat.errors import SarsplatError, counted
+from sarsplat.exports.contents import Points, points_of
+from sarsplat.exports.format import Format
+from sarsplat.reconstruction import AnyRun
+
+_DARKEST_DB = -30.0  # of the brightest point: intensity 0, as black in a mesh
+_FINEST_M = 1e-4  # of coordinates, which are whole numbers of such steps
+_LARGEST = 2**31 - 1
+_FRAME = (
+    'LOCAL_CS["target frame: x nose, y left, z up",LOCAL_DATUM["target",0],UNIT["metre",1],'
+    'AXIS["x",OTHER],AXIS["y",OTHER],AXIS["z",UP]]'
+)
+_DESCRIBED = {"nx": "unit normal", "ny": "unit normal", "nz": "unit normal", "gamma0": "gamma0, linear"}
+
+
+def las_bytes(points: Points) -> bytes:
+    """The content of such a file: coordinates, intensity by γ⁰ in decibels, and normals and γ⁰ as extra dimensions.
+
+    Raises
+    ------
+    SarsplatError
+        If laspy is missing.
+    """
+    try:
+        import laspy
+    except ImportError as error:
+        raise SarsplatError(
+            f".las files need {error.name}, which is not installed; install it with: pip install 'sarsplat[las]'"
+        ) from error
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    farthest = max(float(np.abs(points.positions).max()), _FINEST_M)
+    step = max(_FINEST_M, 10.0 ** math.ceil(math.log10(farthest / _LARGEST)))
+    header.scales, header.offsets = np.full(3, step), np.zeros(3)
+    header.generating_software = header.system_identifier = "sarsplat"
+    header.global_encoding.wkt = True
+    header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(_FRAME))
+    columns = points.columns()
+    header.add_extra_dims(
+        [laspy.ExtraBytesParams(name=name, type=np.float32, description=_DESCRIBED[name]) for name in columns]
+    )
+    cloud = laspy.LasData(header)
+    cloud.xyz = points.positions.astype(np.float64)
+    for name, column in columns.items():
+        cloud[name] = column
+    if points.gamma0 is not None:
+        brightest = max(float(points.gamma0.max()), float(np.finfo(np.float32).tiny))
+        level_db = 10 * np.log10(np.maximum(points.gamma0 / brightest, 10 ** (_DARKEST_DB / 10)))
+        cloud.intensity = np.round(65535 * (1 - level_db / _DARKEST_DB)).astype(np.uint16)
+    content = io.BytesIO()
+    cloud.write(content, do_compress=False)
+    return content.getvalue()
+
+
+def _write(run: AnyRun, path: Path, _: Colour) -> str:
+    points = points_of(run)
+    write_bytes(path, las_bytes(points))
+    return f"{counted(len(points.positions), 'point')}, metres, in the target's own frame"
+
+
+FORMAT = Format(
+    ending=".las",
+    writers={"points": _write},
+    opened_with="CloudCompare, QGIS or any viewer of laser scans",
+    recognises=lambda head, _: head.startswith(b"LASF"),
+)

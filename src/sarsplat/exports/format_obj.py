@@ -1,0 +1,11 @@
+"""`.obj`: a mesh as Wavefront text."""
+
+from sarsplat.exports.format import Format
+from sarsplat.exports.meshes import write_mesh_of
+
+FORMAT = Format(
+    ending=".obj",
+    writers={"mesh": write_mesh_of},
+    opened_with="any mesh viewer",
+    recognises=lambda head, _: head.startswith(b"# sarsplat"),
+)

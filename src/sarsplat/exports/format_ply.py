@@ -1,0 +1,33 @@
+"""`.ply`: Gaussians for viewers of 3D Gaussian splatting, points, or a mesh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sarsplat.data import write_gaussians_ply, write_points_ply
+from sarsplat.data.viewer_colours import Colour
+from sarsplat.errors import counted
+from sarsplat.exports.contents import gaussians_of, points_of
+from sarsplat.exports.format import Format
+from sarsplat.exports.meshes import write_mesh_of
+from sarsplat.reconstruction import AnyRun
+
+
+def _gaussians(run: AnyRun, path: Path, colour: Colour) -> str:
+    gaussians = gaussians_of(run)
+    write_gaussians_ply(path, gaussians, colour=colour)
+    return counted(len(gaussians), "Gaussian")
+
+
+def _points(run: AnyRun, path: Path, _: Colour) -> str:
+    points = points_of(run)
+    write_points_ply(path, points.positions, **points.columns())
+    return f"{counted(len(points.positions), 'point')}, metres"
+
+
+FORMAT = Format(
+    ending=".ply",
+    writers={"gaussians": _gaussians, "points": _points, "mesh": write_mesh_of},
+    opened_with="a 3D Gaussian splatting viewer, or a point cloud or mesh viewer",
+    recognises=lambda head, _: head.startswith(b"ply\n"),
+)

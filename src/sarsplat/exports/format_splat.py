@@ -1,0 +1,53 @@
+"""`.splat`: Gaussians as the web viewer antimatter15/splat takes them, 32 bytes each and nothing else.
+
+Position and standard deviations (six float32, m), colour and opacity (RGBA, uint8), and the quaternion wxyz as
+uint8, 128 + 128·q. A colour cannot depend on the direction: it is the mean over all directions above the horizon.
+The viewer shows the first ones first while it loads, so the largest and densest come first.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from sarsplat.data import write_bytes
+from sarsplat.data.viewer_colours import Colour, viewer_colours
+from sarsplat.errors import counted
+from sarsplat.exports.contents import gaussians_of
+from sarsplat.exports.format import Format
+from sarsplat.gaussians import Gaussians
+from sarsplat.reconstruction import AnyRun
+
+RECORD = np.dtype(
+    [("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)],
+)
+"""One Gaussian."""
+
+
+def splat_bytes(gaussians: Gaussians, colour: Colour) -> bytes:
+    """The content of such a file."""
+    values = {name: tensor.detach().double().cpu().numpy() for name, tensor in gaussians.tensors().items()}
+    opacity = -np.expm1(-values["optical_depth"])
+    rgba = np.column_stack([viewer_colours(gaussians, colour).mean, opacity])
+    turn = values["quaternions"] / np.linalg.norm(values["quaternions"], axis=1, keepdims=True)
+    table = np.empty(len(gaussians), RECORD)
+    table["position"], table["scale"] = values["means"], values["scales"]
+    table["rgba"] = np.round(255 * rgba)
+    table["rotation"] = np.clip(np.round(128 + 128 * turn), 0, 255)
+    importance = values["scales"].prod(axis=1) * opacity
+    return table[np.argsort(-importance, kind="stable")].tobytes()
+
+
+def _write(run: AnyRun, path: Path, colour: Colour) -> str:
+    gaussians = gaussians_of(run)
+    write_bytes(path, splat_bytes(gaussians, colour))
+    return counted(len(gaussians), "Gaussian")
+
+
+FORMAT = Format(
+    ending=".splat",
+    writers={"gaussians": _write},
+    opened_with="a web viewer of .splat files",
+    recognises=lambda _, size: size % RECORD.itemsize == 0,  # it has no signature
+)

@@ -1,0 +1,34 @@
+"""`.xyz`: points as text, one a line, below a line of names."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from sarsplat.data import write_bytes
+from sarsplat.data.viewer_colours import Colour
+from sarsplat.errors import counted
+from sarsplat.exports.contents import points_of
+from sarsplat.exports.format import Format
+from sarsplat.reconstruction import AnyRun
+
+_BEGINS = "# x_m y_m z_m"
+
+
+def _write(run: AnyRun, path: Path, _: Colour) -> str:
+    points = points_of(run)
+    columns = points.columns()
+    text = io.StringIO()
+    np.savetxt(text, np.column_stack([points.positions, *columns.values()]), fmt="%.7g")
+    write_bytes(path, f"{' '.join([_BEGINS, *columns])}\n{text.getvalue()}".encode("ascii"))
+    return f"{counted(len(points.positions), 'point')}, metres"
+
+
+FORMAT = Format(
+    ending=".xyz",
+    writers={"points": _write},
+    opened_with="any point cloud viewer or spreadsheet",
+    recognises=lambda head, _: head.startswith(_BEGINS.encode()),
+)

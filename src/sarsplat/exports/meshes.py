@@ -1,0 +1,18 @@
+"""A run's mesh in any format of meshes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sarsplat.data import write_mesh
+from sarsplat.data.viewer_colours import Colour
+from sarsplat.errors import counted
+from sarsplat.exports.contents import mesh_of
+from sarsplat.reconstruction import AnyRun
+
+
+def write_mesh_of(run: AnyRun, path: Path, _: Colour) -> str:
+    """See `Write`; the ending of the path says in which format."""
+    mesh = mesh_of(run)
+    write_mesh(path, mesh)
+    return f"{counted(len(mesh.faces), 'triangle')}, metres, z up"
