@@ -39,12 +39,13 @@ def export(
         Replace an existing file of the same kind.
     """
     from sarsplat import exports
+    from sarsplat.data.replaceable import refuse_other_kinds
     from sarsplat.rivals import open_run
 
-    exports.format_of(file, format)
+    known, _ = exports.format_of(file, format)
     done = open_run(run)
     refuse_existing(file, overwrite)
-    exports.refuse_others(file, run)
+    refuse_other_kinds(file, run, known.recognises)
     with console.busy(f"writing {file}"):
         written = exports.export(done, file, format, colour=colour)
     console.finish(f"{file}: {written.summary}", f"open {file} with {written.opened_with}")

@@ -1,36 +1,54 @@
-"""`sarsplat render`: a run and a direction in, images out."""
+"""`sarsplat render`: a run and directions in; images, or an animation, out."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import Angles, Folder, RunFolder, refuse_existing, views_from
+from sarsplat.cli.arguments import Angles, Metres, OptionalName, RunFolder, angles, refuse_existing, views_from
 from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
-    from sarsplat.geometry import View
+    import numpy as np
 
-_SHEET = "contact-sheet.png"
+    from sarsplat.geometry import ImageGrid, View
+    from sarsplat.reconstruction import AnyRun
+
+_AT_A_TIME = 4  # views, between two steps of the progress
 
 
 def render(
     run: RunFolder,
     *,
-    out: Folder,
-    azimuth: Angles,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR|FILE")],
+    azimuth: Angles = (),
     grazing: Angles = (),
     incidence: Angles = (),
+    sweep: Annotated[Literal["azimuth", "grazing"] | None, tyro.conf.arg(help_behavior_hint="(optional)")] = None,
+    frames: int = 90,
+    seconds: float = 6.0,
+    pixels: Annotated[
+        tuple[int, int] | None, tyro.conf.arg(metavar="ROWS COLUMNS", help_behavior_hint="(optional)")
+    ] = None,
+    spacing: Metres = None,
+    resolution: Metres = None,
+    range_db: Annotated[float, tyro.conf.arg(name="range", metavar="DB")] = 40.0,
+    cmap: OptionalName = None,
     overwrite: bool = False,
 ) -> None:
-    """Render a run from any direction: float32 TIFFs (β⁰), PNGs (dB) and a contact sheet.
+    """Render a run from any direction: a folder of images, one image, or an animation.
 
     Parameters
     ----------
     run
         Folder written by `sarsplat reconstruct`.
     out
-        Folder to write.
+        What to write. A folder: float32 TIFFs (β⁰), PNGs (dB) and a contact sheet. A .mp4, .gif or .webp file: an
+        animation. A .png or .tif file: one image.
     azimuth
         Azimuths: degrees or start:stop:step (stop excluded), e.g. 30 or 0:360:15; each is combined with every grazing
         angle.
@@ -38,42 +56,100 @@ def render(
         Grazing angles, degrees, between 0 and 90.
     incidence
         Incidence angles (90° − grazing), instead of grazing angles.
+    sweep
+        Views along a path that ends where it began, instead of a list: all around, or up and down between the lowest
+        and the highest training view. Two values of that angle are the ends between which it goes there and back; one
+        value of the other angle replaces the middle of the training views' grazing angles, or their first azimuth.
+    frames
+        Number of views of a sweep.
+    seconds
+        How long an animation takes.
+    pixels
+        Rows (slant range) and columns (azimuth) (default: as many as show what the run's images show).
+    spacing
+        Pixel spacing in azimuth and slant range (default: the run's).
+    resolution
+        3 dB width in azimuth and slant range (default: the run's).
+    range_db
+        What PNGs and animations show, in dB below the brightest training pixel.
+    cmap
+        Colours of PNGs and animations, by matplotlib's names, such as viridis (default: gray).
     overwrite
-        Replace an existing folder of rendered images.
+        Replace an existing folder of rendered images, or an existing file of the same kind.
     """
-    from sarsplat.data import new_folder, write_bytes, write_power_tiff
-    from sarsplat.report import contact_sheet, decibel_png
-    from sarsplat.report.decibels import DYNAMIC_DB, to_decibels
+    from sarsplat.data.replaceable import refuse_other_kinds
+    from sarsplat.report.decibels import Look, to_decibels
+    from sarsplat.report.render_grid import asked_grid
+    from sarsplat.report.rendered import FILES, SHEET, Rendered, require_distinct, require_output
     from sarsplat.rivals import open_run
 
-    views = views_from(azimuth, grazing, incidence)
-    if len({_name(view) for view in views}) < len(views):
-        raise SarsplatError("two of the views are the same to within a millionth of a degree; give each view once")
+    views = None if sweep else views_from(azimuth, grazing, incidence)
+    require_output(out, frames if views is None else len(views))
+    recognises = FILES.get(out.suffix.lower())
+    if views is not None and recognises is None:
+        require_distinct(views)
     done = open_run(run)
-    refuse_existing(out, overwrite, marker=_SHEET)
-    peak = done.brightest
-    with console.busy(f"rendering {counted(len(views), 'view')}"):
-        images = done.render(views)
-        with new_folder(out, overwrite, marker=_SHEET) as folder:
-            for view, image in zip(views, images, strict=True):
-                description = (
-                    f"rendered SAR image, beta0 in linear power; row 0 is near range; "
-                    f"azimuth {view.azimuth_deg:.6g} deg, grazing {view.grazing_deg:.6g} deg"
-                )
-                write_power_tiff(folder / f"{_name(view)}.tif", image, description)
-                write_bytes(folder / f"{_name(view)}.png", decibel_png(image, peak))
-            write_bytes(folder / _SHEET, contact_sheet(images, views, done.grid, peak))
+    refuse_existing(out, overwrite, marker=None if recognises else SHEET)
+    if recognises is not None:
+        refuse_other_kinds(out, run, recognises)
+    if views is None:
+        assert sweep is not None
+        views = _swept(sweep, frames, done.snapshot.views, azimuth, grazing, incidence)
+        views = views if recognises else list(dict.fromkeys(views))  # a folder holds each once
+    look = Look(done.brightest, range_db, cmap or "gray")
+    look.palette()  # an unknown colour map is told before the work
+    grid = asked_grid(done.grid, pixels, spacing, resolution)
+    rendered = Rendered(_rendered(done, views, grid), views, grid, look)
+    with console.busy(f"writing {out}"):
+        wrote = rendered.write(out, seconds=seconds, overwrite=overwrite)
+    ends = ("grey", "black", "white") if look.cmap == "gray" else (look.cmap, "its lower end", "its upper end")
     console.say(
-        f"PNGs: grey from −{DYNAMIC_DB:g} dB (black) to 0 dB (white), where 0 dB is the brightest training pixel, "
-        f"β⁰ = {float(to_decibels(peak)):.1f} dB; row 0 is near range"
+        f"pictures: {ends[0]} from −{look.range_db:g} dB ({ends[1]}) to 0 dB ({ends[2]}), where 0 dB is the brightest "
+        f"training pixel, β⁰ = {float(to_decibels(look.peak)):.1f} dB; row 0 is near range"
     )
-    console.finish(f"{out}: {counted(len(views), 'image')} as TIFF and PNG, and {_SHEET}", f"look at {out / _SHEET}")
+    console.finish(f"{out}: {wrote}", f"look at {out if recognises else out / SHEET}")
 
 
-def _name(view: View) -> str:
-    """E.g. az030_gr17.5: sorts by azimuth."""
+def _swept(
+    sweep: Literal["azimuth", "grazing"],
+    frames: int,
+    known: Sequence[View],
+    azimuth: Sequence[str],
+    grazing: Sequence[str],
+    incidence: Sequence[str],
+) -> list[View]:
+    """The views of a sweep, with the angles that were given."""
+    from sarsplat.report.sweep import sweep_views
 
-    def digits(angle: float, width: int) -> str:
-        return f"{angle:0{width}.6f}".rstrip("0").rstrip(".")
+    if grazing and incidence:
+        views_from(azimuth, grazing, incidence)  # which refuses that
+    elevation = [90 - angle for angle in angles(incidence, "incidence")] if incidence else None
+    given = {
+        "azimuth": angles(azimuth, "azimuth") if azimuth else [],
+        "grazing": elevation or (angles(grazing, "grazing") if grazing else []),
+    }
+    other = "grazing" if sweep == "azimuth" else "azimuth"
+    if len(given[sweep]) not in (0, 2) or len(given[other]) > 1:
+        raise SarsplatError(
+            f"--sweep {sweep} was given {counted(len(given[sweep]), 'angle')} of its own and {len(given[other])} of the "
+            f"other; give none or the two ends of --{sweep}, and at most one --{other}"
+        )
+    ends = (given[sweep][0], given[sweep][1]) if given[sweep] else None
+    return sweep_views(sweep, frames, known, ends_deg=ends, other_deg=given[other][0] if given[other] else None)
 
-    return f"az{digits(view.azimuth_deg, 10)}_gr{digits(view.grazing_deg, 9)}"
+
+def _rendered(run: AnyRun, views: Sequence[View], grid: ImageGrid) -> np.ndarray:
+    """Images of the views; those that come again are rendered once."""
+    import numpy as np
+
+    from sarsplat.progress import progress
+
+    different = list(dict.fromkeys(views))
+    images = []
+    with progress("rendering", len(different)) as reporter:
+        for first in range(0, len(different), _AT_A_TIME):
+            some = different[first : first + _AT_A_TIME]
+            images.append(run.render(some, grid))
+            reporter.advance(len(some))
+    place = {view: number for number, view in enumerate(different)}
+    return np.concatenate(images)[[place[view] for view in views]]

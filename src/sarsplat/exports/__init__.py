@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import os
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 from typing import NamedTuple
 
-from sarsplat.data.files import open_file
 from sarsplat.data.viewer_colours import Colour
 from sarsplat.errors import SarsplatError
 from sarsplat.exports.format import Content, Format
 from sarsplat.reconstruction import AnyRun
 
-__all__ = ["FORMATS", "Content", "Format", "Written", "export", "format_of", "refuse_others"]
+__all__ = ["FORMATS", "Content", "Format", "Written", "export", "format_of"]
 
 _FOUND = [
     import_module(f"{__name__}.{info.name}").FORMAT for info in iter_modules(__path__) if info.name[:7] == "format_"
 ]
 FORMATS: dict[str, Format] = {known.ending: known for known in _FOUND}
 """Every format by the ending of its files."""
-
-_HEAD = 64  # bytes by which a kind of file is recognised
 
 
 class Written(NamedTuple):
@@ -74,24 +70,3 @@ def export(run: AnyRun, path: str | Path, content: Content | None = None, *, col
     if colour is not None and holds != "gaussians":
         raise SarsplatError(f"{path} will hold {holds}, whose colours are not chosen; leave out the colour")
     return Written(known.writers[holds](run, path, colour or "db"), known.opened_with)
-
-
-def refuse_others(path: Path, folder: Path) -> None:
-    """A slip must not cost the run in `folder`, nor a file that is no export of the kind that `path` names.
-
-    Raises
-    ------
-    SarsplatError
-        If writing there would.
-    """
-    if Path(os.path.realpath(path)).is_relative_to(folder.resolve()):
-        raise SarsplatError(f"{path} is inside the run; choose a path outside {folder}")
-    if path.exists():
-        known, _ = format_of(path)
-        with open_file(path) as content:
-            head, size = content.read(_HEAD), content.seek(0, 2)
-        if not known.recognises(head, size):
-            raise SarsplatError(
-                f"{path} exists and is not a {known.ending} file as exported, so it will not be replaced; "
-                "choose another name"
-            )

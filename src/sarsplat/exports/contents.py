@@ -70,9 +70,7 @@ def points_of(run: AnyRun) -> Points:
         If there are none.
     """
     if len(run.points) == 0:
-        raise SarsplatError(
-            f"{name_of(run)} has no points of a surface yet; train it longer, or look at its report"
-        )
+        raise SarsplatError(f"{name_of(run)} has no points of a surface yet; train it longer, or look at its report")
     return Points(run.points.astype(np.float32), run.normals, run.points_gamma0)
 
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from sarsplat.data.replaceable import Recognises
+
 if TYPE_CHECKING:
     from sarsplat.data.viewer_colours import Colour
     from sarsplat.reconstruction import AnyRun
@@ -31,11 +33,10 @@ class Format:
     opened_with : str
         Programs that open it.
     recognises : callable (bytes, int) -> bool
-        Whether a file that begins with these bytes, and has that many, is of this kind as we write it: no other is
-        replaced.
+        Whether a file that begins with these bytes, and has that many, is of this kind: no other is replaced.
     """
 
     ending: str
     writers: Mapping[Content, Write]
     opened_with: str
-    recognises: Callable[[bytes, int], bool]
+    recognises: Recognises

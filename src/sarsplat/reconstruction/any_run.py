@@ -124,8 +124,19 @@ class AnyRun(ABC, Generic[C]):
 
     # ---- what every method must offer -------------------------------------------------------------------------------
     @abstractmethod
-    def render(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
-        """β⁰ of any views, linear power, on its grid."""
+    def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
+        """β⁰ of any views, linear power, on its grid or another one.
+
+        Raises
+        ------
+        SarsplatError
+            If the method cannot render on that grid.
+
+        Warns
+        -----
+        SarsplatWarning
+            If the grid is finer than what the run was made from.
+        """
 
     @abstractmethod
     def masks(self, views: Sequence[View]) -> UInt8[np.ndarray, "v rows columns"]:

@@ -260,7 +260,7 @@ class SceneModel:
             images = images * gain[chips, None, None].expand(-1, 1, grid.columns)
         images = images + floor.expand(grid.columns)  # so that its gradient is summed column by column
         if self.texture is not None and textured:
-            images = images * (self.texture.factor(views) if chips is None else self.texture.among_chips[chips])
+            images = images * (self.texture.factor(views, grid) if chips is None else self.texture.among_chips[chips])
         return images if self.unit == 1 else images * self.unit, rendering
 
     @property

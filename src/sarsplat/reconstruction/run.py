@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,9 +13,9 @@ import torch
 from jaxtyping import Float32, Float64, UInt8
 
 from sarsplat.data import write_gaussians_ply
-from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 from sarsplat.gaussians import Gaussians
-from sarsplat.geometry import RayGrid, View
+from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruction.any_run import AnyRun, Header
 from sarsplat.reconstruction.config import OURS, Config
 from sarsplat.reconstruction.losses import LOSSES
@@ -82,14 +83,21 @@ class Run(AnyRun[Config]):
         """
         return surface_mesh(self.points, self.normals, self._seen, self.grid.cell_m)
 
-    def render(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
-        """β⁰ of any views, linear power, on its grid; rays at a quarter of the pixel spacing."""
+    def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
+        """See `AnyRun`.
+
+        Rays are at a quarter of its own pixel spacing on every grid: they measure how much each Gaussian is lit, which
+        has nothing to do with the pixels.
+        """
+        grid = grid or self.grid
+        if any(asked < 0.999 * own for asked, own in zip(grid.resolution_m, self.grid.resolution_m, strict=True)):
+            warnings.warn(_finer(grid, self.grid), SarsplatWarning, stacklevel=2)
         rays, degree = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL), self.model.degree(self.iteration)
-        images = [np.empty((0, self.grid.rows, self.grid.columns), np.float32)]
+        images = [np.empty((0, grid.rows, grid.columns), np.float32)]
         with torch.no_grad():
             for first in range(0, len(views), _VIEWS_AT_A_TIME):  # memory stays small
                 some = views[first : first + _VIEWS_AT_A_TIME]
-                images.append(self.model.render(some, self.grid, degree, rays=rays)[0].cpu().numpy())
+                images.append(self.model.render(some, grid, degree, rays=rays)[0].cpu().numpy())
         return np.concatenate(images)
 
     def masks(self, views: Sequence[View]) -> UInt8[np.ndarray, "v rows columns"]:
@@ -166,3 +174,13 @@ class Run(AnyRun[Config]):
         """See `AnyRun`."""
         known = LOSSES.get(self.config.loss)
         return (known.title, known.unit) if known else (f"function {self.config.loss}", "loss")
+
+
+def _finer(asked: ImageGrid, own: ImageGrid) -> str:
+    def metres(pair: tuple[float, float]) -> str:
+        return " × ".join(f"{width:.3g}" for width in dict.fromkeys(pair)) + " m"
+
+    return (
+        f"a resolution of {metres(asked.resolution_m)} is finer than the {metres(own.resolution_m)} of the training "
+        "images, so the images show single Gaussians rather than the target; ask for no finer one"
+    )

@@ -97,14 +97,14 @@ class Texture:
             settings,
         )
 
-    def factor(self, views: Sequence[View]) -> Float32[Tensor, "v rows columns"]:
-        """For images from any views."""
-        return torch.stack([self._factor(view, self._shifts_m.mean(axis=0), None) for view in views])
+    def factor(self, views: Sequence[View], grid: ImageGrid) -> Float32[Tensor, "v {grid.rows} {grid.columns}"]:
+        """For images from any views, on any grid; 1 where no chip reaches."""
+        return torch.stack([self._factor(view, self._shifts_m.mean(axis=0), None, grid) for view in views])
 
     @cached_property
     def among_chips(self) -> Float32[Tensor, "k rows columns"]:
         """For each training chip, from all others: it must not explain its own speckle."""
-        return torch.stack([self._factor(view, self._shifts_m[k], k) for k, view in enumerate(self._views)])
+        return torch.stack([self._factor(view, self._shifts_m[k], k, self._grid) for k, view in enumerate(self._views)])
 
     def _chip_at(
         self, layers: Float32[Tensor, "2 rows columns"], k: int, ground_m: Float64[np.ndarray, "y x 2"]
@@ -116,15 +116,15 @@ class Texture:
         return _sampled(layers, place / (np.array(grid.spacing_m) * size / 2))
 
     def _factor(
-        self, view: View, shift_m: Float64[np.ndarray, " 2"], left_out: int | None
-    ) -> Float32[Tensor, "rows columns"]:
+        self, view: View, shift_m: Float64[np.ndarray, " 2"], left_out: int | None, grid: ImageGrid
+    ) -> Float32[Tensor, "{grid.rows} {grid.columns}"]:
         total = torch.zeros_like(self._maps[0])
         for k, source in enumerate(self._views):
             turn_deg = (source.azimuth_deg - view.azimuth_deg + 180) % 360 - 180
             weight = math.exp(-abs(turn_deg) / self._settings.texture_reach_deg)
             if k != left_out and weight > _NEGLIGIBLE:
                 total += weight * self._maps[k]
-        pixels = np.stack(np.meshgrid(self._grid.azimuth_m, self._grid.range_m), axis=-1)
+        pixels = np.stack(np.meshgrid(grid.azimuth_m, grid.range_m), axis=-1)
         ground_m = (pixels - shift_m) @ np.linalg.inv(_onto_image(view)).T
         ratios, weights = _sampled(total, ground_m / (self._pitch_m * (self._half + 0.5)))
         return (self._settings.texture_looks + ratios) / (self._settings.texture_looks + weights)

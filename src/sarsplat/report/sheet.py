@@ -10,8 +10,8 @@ from jaxtyping import Real
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.report.canvas import colour_bar, dress, new_figure, ramp, to_png
-from sarsplat.report.decibels import DYNAMIC_DB, to_decibels
+from sarsplat.report.canvas import colour_bar, dress, new_figure, to_png
+from sarsplat.report.decibels import Look, to_decibels
 from sarsplat.report.window import target_window
 
 _SIDE = 1.6  # inches
@@ -19,7 +19,7 @@ _MAX_COLUMNS = 8
 
 
 def contact_sheet(
-    images: Real[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid, peak: float
+    images: Real[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid, look: Look
 ) -> bytes:
     """All images in decibels, the same part of each with the target in it, labelled with their views, as PNG.
 
@@ -29,19 +29,21 @@ def contact_sheet(
         β⁰, linear power.
     views, grid
         From where, and where the pixels lie.
-    peak : float
-        The power shown white.
+    look : Look
+        Which power is white, and which is black.
 
     Raises
     ------
     SarsplatError
         If there are no images.
     """
+    from matplotlib import colormaps
+
     if len(images) == 0:
         raise SarsplatError("there are no images to put on a contact sheet; give at least one")
     columns = min(len(views), _MAX_COLUMNS, max(3, math.ceil(math.sqrt(len(views)))))
     lines = math.ceil(len(views) / columns)
-    window = target_window(images, peak)
+    window = target_window(images, look.peak)
     shown = images[(slice(None), *window)]
     aspect = (shown.shape[1] * grid.spacing_m[1]) / (shown.shape[2] * grid.spacing_m[0])
     width, height = max(columns * _SIDE, 3.6), lines * (_SIDE * aspect + 0.22) + 0.66
@@ -51,9 +53,9 @@ def contact_sheet(
         axes.set_axis_off()
     for axes, image, view in zip(panels.flat, shown, views):  # empty places stay dark
         axes.imshow(
-            to_decibels(image, peak),
-            cmap="gray",
-            vmin=-DYNAMIC_DB,
+            to_decibels(image, look.peak),
+            cmap=look.cmap,
+            vmin=-look.range_db,
             vmax=0,
             aspect=grid.spacing_m[1] / grid.spacing_m[0],
         )
@@ -63,7 +65,5 @@ def contact_sheet(
         left=0.02, right=0.98, top=1 - 0.24 / height, bottom=0.6 / height, wspace=0.05, hspace=0.2 / _SIDE
     )
     bar = figure.add_axes(((1 - 2.6 / width) / 2, 0.44 / height, 2.6 / width, 0.08 / height))
-    colour_bar(
-        figure, bar, ramp("grey", "black", "white"), (-DYNAMIC_DB, 0), "power, dB of the brightest training pixel"
-    )
+    colour_bar(figure, bar, colormaps[look.cmap], (-look.range_db, 0), "power, dB of the brightest training pixel")
     return to_png(figure)

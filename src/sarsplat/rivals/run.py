@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from sarsplat.data import write_mesh
 from sarsplat.errors import SarsplatError, counted, shown
-from sarsplat.geometry import View
+from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction import AnyRun, Run
 from sarsplat.reconstruction.any_run import MESH, Header, read_header
 from sarsplat.reconstruction.config import OURS
@@ -71,8 +71,19 @@ class RivalRun(AnyRun[RivalConfig]):
             ) from error
 
     @torch.no_grad()
-    def render(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
-        """See `AnyRun`."""
+    def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
+        """See `AnyRun`; on its own grid only.
+
+        Raises
+        ------
+        SarsplatError
+            If another grid is asked for.
+        """
+        if grid not in (None, self.grid):
+            raise SarsplatError(
+                f"{self._method.title} renders the pixels that it was trained with, and no others; "
+                "leave out the size, spacing and resolution"
+            )
         images = np.empty((len(views), self.grid.rows, self.grid.columns), np.float32)
         for image, view in zip(images, views, strict=True):
             image[:] = (self.model.image(view) * self.snapshot.unit).cpu().numpy()

@@ -1,0 +1,111 @@
+"""Frames as an animation that plays in browsers: GIF, WebP or MP4."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from sarsplat.data import write_bytes
+from sarsplat.data.files import plain_os_errors
+from sarsplat.data.replaceable import Recognises
+from sarsplat.errors import SarsplatError
+
+Frame = UInt8[np.ndarray, "height width"]
+Palette = UInt8[np.ndarray, "256 3"]
+
+_SHORTEST_MS = 20  # of a frame: browsers slow shorter ones down
+
+
+def _gif(frames: Sequence[Frame], palette: Palette, durations_ms: list[int]) -> bytes:
+    from PIL import Image
+
+    pictures = [Image.fromarray(frame) for frame in frames]
+    for picture in pictures:
+        picture.putpalette(palette.tobytes())
+    buffer = io.BytesIO()
+    pictures[0].save(
+        buffer, "GIF", save_all=True, append_images=pictures[1:], duration=durations_ms, loop=0, optimize=False
+    )
+    return buffer.getvalue()
+
+
+def _webp(frames: Sequence[Frame], palette: Palette, durations_ms: list[int]) -> bytes:
+    from PIL import Image
+
+    pictures = [Image.fromarray(palette[frame]) for frame in frames]
+    buffer = io.BytesIO()
+    pictures[0].save(buffer, "WEBP", save_all=True, append_images=pictures[1:], duration=durations_ms, loop=0)
+    return buffer.getvalue()
+
+
+def _mp4(frames: Sequence[Frame], palette: Palette, durations_ms: list[int]) -> bytes:
+    """VP9 in MP4: browsers play it, and its encoder is free of the GPL, unlike those of H.264 in Python packages."""
+    try:
+        import cv2
+    except ImportError as error:
+        raise SarsplatError(
+            ".mp4 files need OpenCV, which is not installed; install it with: pip install 'sarsplat[video]', or write "
+            "a .gif or .webp file"
+        ) from error
+    height, width = frames[0].shape
+    with tempfile.TemporaryDirectory() as folder, plain_os_errors("write", Path(folder)):
+        path = Path(folder) / "animation.mp4"
+        rate = 1000 * len(frames) / sum(durations_ms)
+        video = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"vp09"), rate, (width, height))
+        if not video.isOpened():
+            raise SarsplatError("this OpenCV cannot write .mp4 files; write a .gif or .webp file")
+        for frame in frames:
+            video.write(np.ascontiguousarray(palette[frame][:, :, ::-1]))  # BGR
+        video.release()
+        return path.read_bytes()
+
+
+_WRITERS: dict[str, Callable[[Sequence[Frame], Palette, list[int]], bytes]] = {
+    ".mp4": _mp4,
+    ".gif": _gif,
+    ".webp": _webp,
+}
+
+ANIMATIONS: dict[str, Recognises] = {
+    ".mp4": lambda head, _: head[4:8] == b"ftyp",
+    ".gif": lambda head, _: head.startswith(b"GIF8"),
+    ".webp": lambda head, _: head.startswith(b"RIFF") and head[8:12] == b"WEBP",
+}
+"""How names of animations end, and how such files are recognised."""
+
+
+def write_animation(path: Path, frames: Sequence[Frame], palette: Palette, seconds: float) -> None:
+    """Write frames as an animation that begins again when it has ended, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        A .mp4, .gif or .webp file; an existing one is replaced. Players of .mp4 decide themselves what follows its end.
+    frames : sequence of numpy.ndarray, uint8 [height, width]
+        At least one; indices into the palette; sizes are even.
+    palette : numpy.ndarray, uint8 [256, 3]
+        RGB.
+    seconds : float
+        How long it takes.
+
+    Raises
+    ------
+    SarsplatError
+        If they would follow each other too fast, a package is missing, or the file
+        cannot be written.
+    """
+    if not 0 < seconds < 3600:
+        raise SarsplatError(f"an animation cannot take {seconds:g} s; give more than 0 and less than 3600")
+    ends_ms = 10 * np.round(100 * seconds * np.arange(len(frames) + 1) / len(frames)).astype(int)  # GIF counts 10 ms
+    durations_ms = np.diff(ends_ms).tolist()
+    if min(durations_ms) < _SHORTEST_MS:
+        raise SarsplatError(
+            f"{len(frames)} frames in {seconds:g} s are more than {1000 // _SHORTEST_MS} a second; give more seconds "
+            "or fewer frames"
+        )
+    write_bytes(path, _WRITERS[path.suffix.lower()](frames, palette, durations_ms))

@@ -1,0 +1,39 @@
+"""The pixels that a rendering is asked for, where they differ from those of the run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from sarsplat.geometry import ImageGrid
+
+
+def asked_grid(
+    own: ImageGrid, pixels: tuple[int, int] | None, spacing_m: float | None, resolution_m: float | None
+) -> ImageGrid:
+    """A run's own grid with another number, spacing or sharpness of pixels.
+
+    Parameters
+    ----------
+    own : ImageGrid
+        Of the run.
+    pixels : (int, int), optional
+        Rows and columns; by default as many as show what the run's images show.
+    spacing_m : float, optional
+        Pixel spacing in azimuth and slant range, m.
+    resolution_m : float, optional
+        3 dB width in azimuth and slant range, m.
+
+    Raises
+    ------
+    SarsplatError
+        If a length or a number of pixels is not possible.
+    """
+    spacing = own.spacing_m if spacing_m is None else (spacing_m, spacing_m)
+    resolution = own.resolution_m if resolution_m is None else (resolution_m, resolution_m)
+    changed = replace(own, spacing_m=spacing, resolution_m=resolution)
+    if pixels is None:
+        pixels = (
+            max(1, round(own.rows * own.spacing_m[1] / changed.spacing_m[1])),
+            max(1, round(own.columns * own.spacing_m[0] / changed.spacing_m[0])),
+        )
+    return replace(changed, rows=pixels[0], columns=pixels[1])

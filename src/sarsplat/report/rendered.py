@@ -1,0 +1,125 @@
+"""Rendered images as files: a folder of them, a single one, or an animation."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from sarsplat.data import new_folder, write_bytes, write_power_tiff
+from sarsplat.data.replaceable import Recognises
+from sarsplat.errors import SarsplatError, counted
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.report.animation import ANIMATIONS, write_animation
+from sarsplat.report.decibels import Look, decibel_png
+from sarsplat.report.frames import Framing
+from sarsplat.report.sheet import contact_sheet
+
+SHEET = "contact-sheet.png"
+"""The file that marks a folder of rendered images."""
+
+IMAGES: dict[str, Recognises] = {
+    ".png": lambda head, _: head.startswith(b"\x89PNG"),
+    ".tif": lambda head, _: head.startswith((b"II*\0", b"MM\0*")),
+}
+"""How names of single images end, and how such files are recognised."""
+
+FILES = {**ANIMATIONS, **IMAGES}
+"""Every ending of a file that can be written; other names are those of folders."""
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """What was rendered, and how it is to be shown.
+
+    Parameters
+    ----------
+    images : numpy.ndarray, float32 [V, rows, columns]
+        β⁰, linear power.
+    views : sequence of View
+        From where.
+    grid : ImageGrid
+        Its pixels.
+    look : Look
+        Which power is white, and which is black.
+    """
+
+    images: Float32[np.ndarray, "v rows columns"]
+    views: list[View]
+    grid: ImageGrid
+    look: Look
+
+    def write(self, out: Path, *, seconds: float, overwrite: bool) -> str:
+        """Write what the name stands for, whole or not at all, and say what that is; an animation takes `seconds`.
+
+        Raises
+        ------
+        SarsplatError
+            If the name is refused by `require_output`, the images do not suit it, or it cannot be written.
+        """
+        ending = out.suffix.lower()
+        require_output(out, len(self.views))
+        if ending in ANIMATIONS:
+            framing = Framing(self.grid, self.look)
+            frames = [framing.shades(image, view) for image, view in zip(self.images, self.views, strict=True)]
+            write_animation(out, frames, self.look.palette(), seconds)
+            return f"{counted(len(frames), 'frame')}, {seconds:g} s, {out.stat().st_size / 1e6:.1f} MB"
+        if ending in IMAGES:
+            if ending == ".tif":
+                write_power_tiff(out, self.images[0], _description(self.views[0]))
+            else:
+                write_bytes(out, decibel_png(self.images[0], self.look))
+            return f"{self.grid.rows} × {self.grid.columns} pixels"
+        with new_folder(out, overwrite, marker=SHEET) as folder:
+            for view, image in zip(self.views, self.images, strict=True):
+                write_power_tiff(folder / f"{_name(view)}.tif", image, _description(view))
+                write_bytes(folder / f"{_name(view)}.png", decibel_png(image, self.look))
+            write_bytes(folder / SHEET, contact_sheet(self.images, self.views, self.grid, self.look))
+        return f"{counted(len(self.views), 'image')} as TIFF and PNG, and {SHEET}"
+
+
+def require_output(out: Path, views: int) -> None:
+    """Refuse a name that looks like a file of an unknown kind, and files that cannot hold that many views.
+
+    Raises
+    ------
+    SarsplatError
+        If so; folders that are there may have any name.
+    """
+    ending = out.suffix.lower()
+    if ending not in FILES and re.fullmatch(r"\.[a-z]{2,5}\d?", ending) and not out.is_dir():
+        raise SarsplatError(
+            f"{out} looks like a file, but images are written to {', '.join(FILES)} files or to a folder; choose one "
+            "of these endings, or a folder's name without an ending"
+        )
+    if ending in IMAGES and views > 1:
+        raise SarsplatError(
+            f"{out} holds one image but {views} views were asked for; give one view, or the name of a folder"
+        )
+    if ending in ANIMATIONS and views < 2:
+        raise SarsplatError(f"{out} is an animation but one view was asked for; give more of them, or --sweep azimuth")
+
+
+def require_distinct(views: list[View]) -> None:
+    """Refuse views that would have one file name in a folder."""
+    if len({_name(view) for view in views}) < len(views):
+        raise SarsplatError("two of the views are the same to within a millionth of a degree; give each view once")
+
+
+def _description(view: View) -> str:
+    return (
+        f"rendered SAR image, beta0 in linear power; row 0 is near range; "
+        f"azimuth {view.azimuth_deg:.6g} deg, grazing {view.grazing_deg:.6g} deg"
+    )
+
+
+def _name(view: View) -> str:
+    """E.g. az030_gr17.5: sorts by azimuth."""
+
+    def digits(angle: float, width: int) -> str:
+        return f"{angle:0{width}.6f}".rstrip("0").rstrip(".")
+
+    return f"az{digits(view.azimuth_deg, 10)}_gr{digits(view.grazing_deg, 9)}"
