@@ -65,7 +65,8 @@ def render(
     seconds
         How long an animation takes.
     pixels
-        Rows (slant range) and columns (azimuth) (default: as many as show what the run's images show).
+        Rows (slant range) and columns (azimuth) (default: as many as show what the run's images show, of which an
+        animation shows the part with the target).
     spacing
         Pixel spacing in azimuth and slant range (default: the run's).
     resolution
@@ -78,6 +79,7 @@ def render(
         Replace an existing folder of rendered images, or an existing file of the same kind.
     """
     from sarsplat.data.replaceable import refuse_other_kinds
+    from sarsplat.report.animation import ANIMATIONS
     from sarsplat.report.decibels import Look, to_decibels
     from sarsplat.report.render_grid import asked_grid
     from sarsplat.report.rendered import FILES, SHEET, Rendered, require_distinct, require_output
@@ -100,6 +102,8 @@ def render(
     look.palette()  # an unknown colour map is told before the work
     grid = asked_grid(done.grid, pixels, spacing, resolution)
     rendered = Rendered(_rendered(done, views, grid), views, grid, look)
+    if pixels is None and out.suffix.lower() in ANIMATIONS:
+        rendered = rendered.around_target()
     with console.busy(f"writing {out}"):
         wrote = rendered.write(out, seconds=seconds, overwrite=overwrite)
     ends = ("grey", "black", "white") if look.cmap == "gray" else (look.cmap, "its lower end", "its upper end")
@@ -122,7 +126,7 @@ def _swept(
     from sarsplat.report.sweep import sweep_views
 
     if grazing and incidence:
-        views_from(azimuth, grazing, incidence)  # which refuses that
+        raise SarsplatError("both --grazing and --incidence were given, two ways to give one angle; leave out one")
     elevation = [90 - angle for angle in angles(incidence, "incidence")] if incidence else None
     given = {
         "azimuth": angles(azimuth, "azimuth") if azimuth else [],
@@ -131,8 +135,8 @@ def _swept(
     other = "grazing" if sweep == "azimuth" else "azimuth"
     if len(given[sweep]) not in (0, 2) or len(given[other]) > 1:
         raise SarsplatError(
-            f"--sweep {sweep} was given {counted(len(given[sweep]), 'angle')} of its own and {len(given[other])} of the "
-            f"other; give none or the two ends of --{sweep}, and at most one --{other}"
+            f"--sweep {sweep} was given {counted(len(given[sweep]), f'{sweep} angle')} and {len(given[other])} of "
+            f"{other}; give none or the two ends of --{sweep}, and at most one --{other}"
         )
     ends = (given[sweep][0], given[sweep][1]) if given[sweep] else None
     return sweep_views(sweep, frames, known, ends_deg=ends, other_deg=given[other][0] if given[other] else None)

@@ -1,8 +1,8 @@
 """Colours of Gaussians for viewers of 3D Gaussian splatting, which know colours but no γ⁰.
 
-A viewer shows max(0, ½ + Σ_k h_k Y_k) in each channel, as it stands, at the direction from the camera. Scattering spans
-decades, so what it is shown are decibels: grey from black to white over most of what there is. A viewer also turns below
-the horizon, where no radar looked: what it sees there resembles the mirror image of what is above.
+A viewer shows max(0, ½ + Σ_k h_k Y_k) in each channel, as it stands, at the direction from the camera. Scattering
+spans decades, so what it is shown are decibels: grey from black to white over most of what there is. A viewer also
+turns below the horizon, where no radar looked: what it sees there resembles the mirror image of what is above.
 """
 
 from __future__ import annotations
@@ -81,10 +81,11 @@ def viewer_colours(gaussians: Gaussians, colour: Colour = "db") -> ViewerColours
     grey = np.linalg.solve(moments, wanted).T
     grey[:, ODD] *= -1  # the direction from the camera is opposite to that to the radar
     mean = shade.mean(axis=0)
+    black = low - _DARKEST / (1 - _DARKEST) * (high - low)
     return _rounded(
         np.repeat(grey[:, None], 3, axis=1),
         np.repeat(mean[:, None], 3, axis=1),
-        f"colours: gamma0 in dB, black = {low - _DARKEST / (1 - _DARKEST) * (high - low):.3g} dB, white = {high:.3g} dB",
+        f"colours: gamma0 in dB, black = {black:.3g} dB, white = {high:.3g} dB",
     )
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _SIDE, _LARGEST = (
     480,
     1920,
-)  # of the picture's longer side: small images grow to the one, large ones shrink to the other
+)  # of the picture's longer side: small images grow to the one, large ones shrink
 _NARROWEST = 440  # what is written below needs that much
 _FOOT, _TEXT, _MARGIN = 30, 14, 10
 _BAR = (64, 6)  # of the decibels
@@ -84,7 +84,7 @@ class Framing:
         for x in (right - pixels, right):
             draw.line([(x, middle - 3), (x, middle + 3)], fill=_INK)
         write(right - pixels - 6, f"{length_m:g} m", "rm")
-        left = (width - _BAR[0]) // 2 + 8
+        left = (width - _BAR[0]) // 2 + 24
         for x in range(_BAR[0]):
             top, bottom = middle - _BAR[1] // 2, middle + _BAR[1] // 2
             draw.line([(left + x, top), (left + x, bottom)], fill=round(255 * x / (_BAR[0] - 1)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from sarsplat.report.animation import ANIMATIONS, write_animation
 from sarsplat.report.decibels import Look, decibel_png
 from sarsplat.report.frames import Framing
 from sarsplat.report.sheet import contact_sheet
+from sarsplat.report.window import target_window
 
 SHEET = "contact-sheet.png"
 """The file that marks a folder of rendered images."""
@@ -51,6 +52,18 @@ class Rendered:
     views: list[View]
     grid: ImageGrid
     look: Look
+
+    def around_target(self) -> Rendered:
+        """The same part of every image, with the target in it; all of them where they show ground as well."""
+        rows, columns = target_window(self.images, self.look.peak)
+        azimuth_m, range_m = self.grid.azimuth_m[columns], self.grid.range_m[rows]
+        grid = replace(
+            self.grid,
+            rows=len(range_m),
+            columns=len(azimuth_m),
+            center_m=((azimuth_m[0] + azimuth_m[-1]) / 2, (range_m[0] + range_m[-1]) / 2),
+        )
+        return replace(self, images=self.images[:, rows, columns], grid=grid)
 
     def write(self, out: Path, *, seconds: float, overwrite: bool) -> str:
         """Write what the name stands for, whole or not at all, and say what that is; an animation takes `seconds`.
