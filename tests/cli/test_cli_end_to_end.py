@@ -99,9 +99,10 @@ def test_export_and_info(workshop: Path, tmp_path: Path, capsys: pytest.CaptureF
     assert len(read_gaussians_ply(tmp_path / "plain.ply")) == count
     assert (tmp_path / "plain.ply").read_bytes() == (tmp_path / "gaussians.ply").read_bytes()
     points, columns = read_points_ply(tmp_path / "points.ply")
-    assert list(columns) == ["nx", "ny", "nz"]
-    np.testing.assert_allclose(sum(column**2 for column in columns.values()), 1, atol=1e-5)
-    assert (tmp_path / "points.ply").read_bytes() == (workshop / "run" / "points.ply").read_bytes()
+    assert list(columns) == ["nx", "ny", "nz", "gamma0"]
+    np.testing.assert_allclose(sum(columns[name] ** 2 for name in ("nx", "ny", "nz")), 1, atol=1e-5)
+    assert (columns["gamma0"] >= 0).all() and columns["gamma0"].max() > 0
+    np.testing.assert_array_equal(points, read_points_ply(workshop / "run" / "points.ply")[0])
     assert main(["export", run, str(tmp_path / "points.ply"), "--format", "points"]) == 2
     capsys.readouterr()
     expected = {
@@ -184,7 +185,7 @@ def test_export_replaces_nothing_but_its_like(
     (tmp_path / "inside").symlink_to(workshop / "run")
     assert "is inside the run" in refusal([*export, str(tmp_path / "inside" / "new.ply")], capsys)
     assert own.read_bytes() == before
-    for kind in ("ply", "glb", "obj"):
+    for kind in ("ply", "glb", "obj", "splat", "las", "xyz", "npz"):
         (tmp_path / f"thesis.{kind}").write_text("\\documentclass")
         assert f"not a .{kind} file as exported" in refusal([*export, str(tmp_path / f"thesis.{kind}")], capsys)
     (tmp_path / "null.ply").symlink_to("/dev/null")
@@ -192,13 +193,13 @@ def test_export_replaces_nothing_but_its_like(
     assert Path("/dev/null").is_char_device()
     (tmp_path / "folder.ply").mkdir()
     assert "folder" in refusal([*export, str(tmp_path / "folder.ply")], capsys)
-    for name in ("new.ply", "new.glb", "new.obj"):
+    for name in ("new.ply", "new.glb", "new.obj", "new.splat", "new.las", "new.xyz", "new.npz"):
         for _ in range(2):
             assert main([*export, str(tmp_path / name)]) == 0
-    assert "no name for points; choose one that ends in .ply" in refusal(
+    assert "no name for points; choose one that ends in .las, .ply or .xyz" in refusal(
         [*export, str(tmp_path / "points.glb"), "--format", "points"], capsys
     )
-    assert "no name for a mesh; choose one that ends in .ply, .glb or .obj" in refusal(
+    assert "no name for a mesh; choose one that ends in .glb, .obj or .ply" in refusal(
         [*export, str(tmp_path / "mesh.stl"), "--format", "mesh"], capsys
     )
 

@@ -2,6 +2,7 @@
 
 import re
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import torch
 
 from sarsplat.data import read_gaussians_ply, read_points_ply, write_gaussians_ply, write_points_ply
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians, Harmonics
+from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians, Harmonics, NormalLobes
 from sarsplat.gaussians.harmonics import harmonic_basis
 
 
@@ -61,17 +62,45 @@ def test_layout_is_that_of_3dgs(tmp_path):
     np.testing.assert_array_equal(vertex["rot_0"], gaussians.quaternions[:, 0])
 
 
-def test_harmonics_mean_the_same_seen_from_the_camera(tmp_path):
-    """A 3DGS program evaluates the file at the direction from the camera, −u; every channel must give our sum at u."""
-    gaussians = some()
-    write_gaussians_ply(tmp_path / "a.ply", gaussians)
-    vertex = columns_of(tmp_path / "a.ply")
-    u = torch.nn.functional.normalize(torch.tensor([0.3, -0.8, 0.4]), dim=0)
-    ours = (gaussians.scattering.parameters * harmonic_basis(u, 3)).sum(-1)
+def in_a_viewer(path: Path, towards: torch.Tensor) -> np.ndarray:
+    """What a 3DGS program shows of each Gaussian, [N, 3], looking at it from unit vectors u: max(0, ½ + Σ h Y(−u))."""
+    vertex = columns_of(path)
+    shown = []
     for channel in range(3):
         names = [f"f_dc_{channel}", *(f"f_rest_{15 * channel + k}" for k in range(15))]
         in_file = torch.from_numpy(np.stack([vertex[name] for name in names], axis=1))
-        torch.testing.assert_close((in_file * harmonic_basis(-u, 3)).sum(-1), ours)
+        shown.append((in_file @ harmonic_basis(-towards, 3)).clamp(min=-0.5) + 0.5)
+    return torch.stack(shown, dim=1).numpy()
+
+
+@pytest.mark.parametrize("strength", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("u", [(0.3, -0.8, 0.4), (-0.7, 0.1, 0.6), (0.1, 0.2, 0.9)])
+def test_viewers_show_decibels_whatever_the_calibration(tmp_path, u, strength):
+    """Lobes to all sides, over 20 dB: greys in their order, none of them black, and hardly one that is blown out."""
+    some_of_them = some(400)
+    generator = torch.Generator().manual_seed(1)
+    raw = torch.log(torch.expm1(strength * 10 ** (2 * torch.rand(400, 2, generator=generator) - 2)))
+    flat = torch.tensor([0.3, 0.3, 0.02]).expand(400, 3)
+    gaussians = replace(some_of_them, scales=flat, scattering=NormalLobes(raw), optical_depth=torch.full((400,), 2.0))
+    write_gaussians_ply(tmp_path / "a.ply", gaussians)
+    towards = torch.nn.functional.normalize(torch.tensor(u), dim=0)
+    shown = in_a_viewer(tmp_path / "a.ply", towards)
+    np.testing.assert_array_equal(shown[:, 0], shown[:, 2])
+    level_db = 10 * torch.log10(gaussians.gamma0(towards[None])[0]).numpy()
+    assert np.corrcoef(shown[:, 0], level_db)[0, 1] > 0.95
+    assert shown.min() > 0.02
+    assert (shown > 1.02).mean() < 0.02
+    assert (shown[:, 0].max() - shown[:, 0].min()) > 0.6
+
+
+def test_viewers_may_show_the_height_instead(tmp_path):
+    gaussians = some(200)
+    write_gaussians_ply(tmp_path / "a.ply", gaussians, colour="height")
+    shown = in_a_viewer(tmp_path / "a.ply", torch.tensor([0.6, 0.0, 0.8]))
+    np.testing.assert_allclose(shown, in_a_viewer(tmp_path / "a.ply", torch.tensor([0.0, -0.6, 0.8])), atol=1e-5)
+    height = gaussians.means[:, 2].numpy()
+    assert np.corrcoef(shown[:, 0] - shown[:, 2], height)[0, 1] > 0.8  # from blue to yellow
+    assert b"comment colours: height, blue = " in (tmp_path / "a.ply").read_bytes()
 
 
 def test_foreign_files(tmp_path):

@@ -42,7 +42,7 @@ def test_a_pattern_on_the_ground_is_seen_from_anywhere(grazing_deg: float) -> No
     texture = Texture(chips(VIEWS, shifts_m), GRID, SETTINGS)
     wanted = View(4.0, grazing_deg)
     inside = (slice(8, -8), slice(8, -8))
-    found = texture.factor([wanted])[0].numpy()[inside]
+    found = texture.factor([wanted], GRID)[0].numpy()[inside]
     assert np.abs(found - pattern(wanted, shifts_m.mean(axis=0))[inside]).max() < 0.06
     own = texture.among_chips[7].numpy()[inside]
     assert np.abs(own - pattern(VIEWS[7], shifts_m[7])[inside]).max() < 0.06
@@ -61,7 +61,7 @@ def test_few_looks_are_believed_less_and_distant_ones_not_at_all() -> None:
     settings = replace(SETTINGS, texture_looks=2.0)
     views, ratio = [View(350.0, 30.0)], torch.full((1, 48, 60), 4.0)
     texture = Texture.estimated(ratio, torch.zeros(1, 2), views, GRID, settings)
-    near, farther, opposite = texture.factor([View(350.0, 45.0), View(10.0, 30.0), View(170.0, 30.0)])
+    near, farther, opposite = texture.factor([View(350.0, 45.0), View(10.0, 30.0), View(170.0, 30.0)], GRID)
     assert float(near[24, 30]) == pytest.approx((2 + 4) / (2 + 1))
     weight = np.exp(-1)  # 20° away
     assert float(farther[24, 30]) == pytest.approx((2 + 4 * weight) / (2 + weight), rel=1e-5)

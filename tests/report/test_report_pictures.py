@@ -9,7 +9,7 @@ from PIL import Image
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction.log import LogLine
-from sarsplat.report import contact_sheet, decibel_png
+from sarsplat.report import Look, contact_sheet, decibel_png
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.decibels import to_decibels
 from sarsplat.report.views import _difference_db, evenly
@@ -23,7 +23,7 @@ def test_decibels_of_power() -> None:
 
 def test_grey_levels_of_the_png() -> None:
     power = np.array([[100.0, 1.0], [0.01, 0.0]])  # 0, −20, −40 dB and nothing
-    picture = Image.open(io.BytesIO(decibel_png(power, 100.0)))
+    picture = Image.open(io.BytesIO(decibel_png(power, Look(100.0))))
     assert np.asarray(picture).tolist() == [[255, 128], [0, 0]]
     assert "-40 dB" in picture.text["Description"]
 
@@ -57,7 +57,7 @@ def test_the_difference_ignores_what_is_too_dark_to_see() -> None:
 def test_a_contact_sheet_of_any_length(count: int) -> None:
     grid = ImageGrid(16, 24, spacing_m=(0.3, 0.2), resolution_m=(0.3, 0.3))
     views = [View(10.0 * k, 30.0) for k in range(count)]
-    sheet = Image.open(io.BytesIO(contact_sheet(np.ones((count, 16, 24)), views, grid, 1.0)))
+    sheet = Image.open(io.BytesIO(contact_sheet(np.ones((count, 16, 24)), views, grid, Look(1.0))))
     assert min(sheet.size) > 100
 
 
@@ -66,7 +66,7 @@ def test_a_contact_sheet_shows_the_target_large() -> None:
     images = np.zeros((6, 128, 128))
     images[:, 60:68, 60:68] = 1.0  # 0.4 % of the image
     views = [View(60.0 * k, 30.0) for k in range(6)]
-    sheet = np.asarray(Image.open(io.BytesIO(contact_sheet(images, views, grid, 1.0))).convert("L"))
+    sheet = np.asarray(Image.open(io.BytesIO(contact_sheet(images, views, grid, Look(1.0)))).convert("L"))
     assert (sheet > 250).mean() > 0.08
 
 
@@ -89,4 +89,4 @@ def test_minor_ticks_can_be_read_on_the_dark_panel() -> None:
 def test_a_contact_sheet_of_nothing_is_refused() -> None:
     grid = ImageGrid(16, 16, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
     with pytest.raises(SarsplatError, match="no images"):
-        contact_sheet(np.empty((0, 16, 16)), [], grid, 1.0)
+        contact_sheet(np.empty((0, 16, 16)), [], grid, Look(1.0))

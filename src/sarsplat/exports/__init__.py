@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
-from typing import NamedTuple
 
 from sarsplat.data.viewer_colours import Colour
 from sarsplat.errors import SarsplatError
@@ -21,7 +21,8 @@ FORMATS: dict[str, Format] = {known.ending: known for known in _FOUND}
 """Every format by the ending of its files."""
 
 
-class Written(NamedTuple):
+@dataclass(frozen=True)
+class Written:
     """What an export wrote, and which programs open it."""
 
     summary: str
@@ -42,7 +43,7 @@ def format_of(path: Path, content: Content | None = None) -> tuple[Format, Conte
         what = {None: "an export", "mesh": "a mesh"}.get(content, content)
         endings = " or ".join(", ".join(fit).rsplit(", ", 1))
         raise SarsplatError(f"{path} is no name for {what}; choose one that ends in {endings}")
-    return known, content or next(iter(known.writers))
+    return known, next(iter(known.writers)) if content is None else content
 
 
 def export(run: AnyRun, path: str | Path, content: Content | None = None, *, colour: Colour | None = None) -> Written:

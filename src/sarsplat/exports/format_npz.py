@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +30,7 @@ _MEANING = {
 
 
 def _write(run: AnyRun, path: Path, _: Colour) -> str:
-    arrays: dict[str, np.ndarray] = {}
+    arrays: dict[str, Any] = {}
     law = None
     if isinstance(run, Run):
         gaussians = gaussians_of(run)

@@ -1,0 +1,183 @@
+"""`sarsplat render`: what a name stands for, sweeps, and other pixels than the run's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+import trimesh
+from PIL import Image
+
+from sarsplat.cli import main
+from sarsplat.errors import SarsplatWarning
+from sarsplat.geometry import View
+from sarsplat.reconstruction import Run
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of a box, in images that are not square."""
+    folder = tmp_path_factory.mktemp("render")
+    box = trimesh.creation.box(extents=(2.4, 1.2, 1.0))
+    box.apply_translation((0, 0, 0.5))
+    box.export(folder / "box.obj")
+    simulate = ["simulate", "--mesh", str(folder / "box.obj"), "--out", str(folder / "dataset"), "--pixels", "32"]
+    assert main([*simulate, "--azimuth", "10:370:90", "--grazing", "30", "60"]) == 0
+    assert main(["reconstruct", str(folder / "dataset"), "--out", str(folder / "run"), "--iterations", "4"]) == 0
+    return folder / "run"
+
+
+def refusal(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    capsys.readouterr()
+    assert main(words) == 2
+    complaint = capsys.readouterr().err
+    assert complaint.startswith("error: ") and complaint.count("\n") == 1
+    return complaint
+
+
+def frames_of(path: Path) -> list[np.ndarray]:
+    if path.suffix == ".mp4":
+        cv2 = pytest.importorskip("cv2")
+        video, frames = cv2.VideoCapture(str(path)), []
+        while (read := video.read())[0]:
+            frames.append(read[1].mean(axis=2))
+        return frames
+    frames = []
+    with Image.open(path) as animation:
+        assert animation.info["loop"] == 0  # for ever
+        for number in range(animation.n_frames):
+            animation.seek(number)
+            frames.append(np.asarray(animation.convert("L"), dtype=float))
+    return frames
+
+
+@pytest.mark.parametrize("ending", ["gif", "webp", "mp4"])
+def test_a_sweep_all_around_is_an_animation_without_a_jump(run: Path, tmp_path: Path, ending: str) -> None:
+    out = tmp_path / f"sweep.{ending}"
+    sweep = ["render", str(run), "--sweep", "azimuth", "--frames", "12", "--seconds", "1.2", "--out", str(out)]
+    assert main(sweep) == 0
+    assert [path.name for path in tmp_path.iterdir()] == [out.name]
+    frames = frames_of(out)
+    assert len(frames) == 12
+    picture = np.stack(frames)[:, :400]  # without what is written below
+    assert picture.max() > 100
+    steps = [np.abs(picture[k] - picture[k - 1]).mean() for k in range(12)]
+    assert 0 < steps[0] < 2 * np.median(steps[1:])  # from the last one to the first
+
+
+def test_a_grazing_sweep_goes_there_and_back(run: Path, tmp_path: Path) -> None:
+    out = tmp_path / "sweep.gif"
+    sweep = ["render", str(run), "--sweep", "grazing", "--grazing", "20", "70", "--azimuth", "33", "--frames", "8"]
+    assert main([*sweep, "--out", str(out)]) == 0
+    frames = frames_of(out)
+    for number in (1, 2, 3):
+        np.testing.assert_array_equal(frames[number], frames[8 - number])
+    assert np.abs(frames[0] - frames[4]).mean() > 0.5
+
+
+def test_a_sweep_in_a_folder_has_each_view_once(run: Path, tmp_path: Path) -> None:
+    sweep = ["render", str(run), "--sweep", "grazing", "--frames", "6", "--out", str(tmp_path / "images")]
+    assert main(sweep) == 0
+    names = sorted(path.name for path in (tmp_path / "images").glob("*.tif"))
+    assert names == [f"az010_gr{grazing}.tif" for grazing in ("30", "37.5", "52.5", "60")]
+
+
+def test_one_image(run: Path, tmp_path: Path) -> None:
+    view = ["--azimuth", "40", "--grazing", "45"]
+    for name in ("one.tif", "one.png"):
+        assert main(["render", str(run), *view, "--range", "20", "--out", str(tmp_path / name)]) == 0
+    power = tifffile.imread(tmp_path / "one.tif")
+    np.testing.assert_array_equal(power, Run.load(run).render([View(40, 45)])[0])
+    shade = np.clip(1 + 10 * np.log10(np.maximum(power, 1e-30) / Run.load(run).brightest) / 20, 0, 1)
+    np.testing.assert_allclose(np.asarray(Image.open(tmp_path / "one.png")), 255 * shade, atol=0.51)
+    coloured = ["render", str(run), *view, "--range", "20", "--cmap", "viridis", "--out", str(tmp_path / "c.png")]
+    assert main(coloured) == 0
+    assert Image.open(tmp_path / "c.png").convert("RGB").getpixel((0, 0)) == (68, 1, 84)  # viridis begins there
+
+
+def test_other_pixels_show_the_same_power(run: Path) -> None:
+    """The cross-section, β⁰ times the area of the pixels, is that of the run's own images."""
+    from sarsplat.report.render_grid import asked_grid
+
+    done = Run.load(run)
+    own = done.grid
+    expected = done.render([View(40, 45)]).sum() * np.prod(own.spacing_m)
+    for pixels, spacing, resolution in [((90, 70), 0.15, None), (None, 0.2, 0.9), ((20, 41), None, None)]:
+        grid = asked_grid(own, pixels, spacing, resolution)
+        image = done.render([View(40, 45)], grid)[0]
+        assert image.shape == (pixels or (48, 48))
+        assert image.sum() * np.prod(grid.spacing_m) == pytest.approx(expected, rel=0.01)
+    with pytest.warns(SarsplatWarning, match=r"a resolution of 0\.1 m is finer than the 0\.3 m of the training images"):
+        done.render([View(40, 45)], asked_grid(own, None, 0.1, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ("--azimuth 0 --grazing 45 --out r.avi", "looks like a file, but images are written to .mp4, .gif, .webp"),
+        ("--azimuth 0 --grazing 45 --out r.mp4", "is an animation but one view was asked for"),
+        ("--azimuth 0:90:30 --grazing 45 --out r.png", "holds one image but 3 views were asked for"),
+        ("--sweep azimuth --frames 1 --out r", "a sweep of 1 frames does not move"),
+        ("--sweep azimuth --azimuth 0:40:10 --out r.gif", "was given 4 azimuth angles and 0 of grazing"),
+        ("--sweep azimuth --azimuth 5 5 --out r.gif", "begins and ends at 5°"),
+        ("--sweep azimuth --grazing 30 --incidence 60 --out r.gif", "both --grazing and --incidence were given"),
+        ("--sweep azimuth --seconds 0 --out r.gif", "cannot take 0 s"),
+        ("--sweep azimuth --seconds 0.5 --out r.gif", "are more than 50 a second"),
+        ("--sweep azimuth --cmap plaid --out r.gif", "there is no colour map 'plaid'"),
+        ("--sweep azimuth --range 0 --out r.gif", "a range of 0.0 dB cannot be shown"),
+        ("--azimuth 0 --grazing 45 --pixels 0 20 --out r", "is empty"),
+        ("--azimuth 0 --grazing 45 --spacing -1 --out r", "pixel spacing"),
+    ],
+)
+def test_what_is_refused(
+    run: Path,
+    tmp_path: Path,
+    words: str,
+    complaint: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if "--seconds" not in words:
+        monkeypatch.setattr(Run, "render", lambda *_: pytest.fail("must not get here"))
+    assert complaint in refusal(["render", str(run), *words.split()], capsys)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_files_of_other_kinds_are_spared(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    thesis = tmp_path / "thesis.gif"
+    thesis.write_text("\\documentclass")
+    sweep = ["render", str(run), "--sweep", "azimuth", "--frames", "4", "--seconds", "1"]
+    assert "already exists" in refusal([*sweep, "--out", str(thesis)], capsys)
+    assert "not a .gif file as exported" in refusal([*sweep, "--overwrite", "--out", str(thesis)], capsys)
+    assert "is inside the run" in refusal([*sweep, "--out", str(run / "new.gif")], capsys)
+    assert thesis.read_text() == "\\documentclass"
+    for _ in range(2):
+        assert main([*sweep, "--overwrite", "--out", str(tmp_path / "new.gif")]) == 0
+
+
+def test_folders_may_have_a_dot(run: Path, tmp_path: Path) -> None:
+    for name in ("images.v2", "az_0.5"):
+        assert main(["render", str(run), "--azimuth", "0", "--grazing", "45", "--out", str(tmp_path / name)]) == 0
+        assert (tmp_path / name / "contact-sheet.png").is_file()
+
+
+def test_without_opencv_other_animations_are_offered(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "cv2", None)
+    sweep = ["render", str(run), "--sweep", "azimuth", "--frames", "4", "--out", str(tmp_path / "r.mp4")]
+    assert "pip install 'sarsplat[video]', or write a .gif or .webp file" in refusal(sweep, capsys)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_of_one_grazing_angle_needs_the_ends_of_its_sweep() -> None:
+    from sarsplat.errors import SarsplatError
+    from sarsplat.report.sweep import sweep_views
+
+    known = [View(azimuth, 17.0) for azimuth in (0, 90)]
+    with pytest.raises(SarsplatError, match=r"all training views have the grazing angle 17°.*--grazing 10 60"):
+        sweep_views("grazing", 8, known)
+    assert {view.grazing_deg for view in sweep_views("azimuth", 8, known)} == {17.0}

@@ -1,0 +1,184 @@
+"""Every export, read back by a program that is not ours."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from datasets import box_dataset
+from sarsplat import Dataset, ImageGrid
+from sarsplat.data import read_gaussians_ply
+from sarsplat.errors import SarsplatError
+from sarsplat.exports import FORMATS, export, format_of
+from sarsplat.reconstruction import Run, preset, reconstruct
+from sarsplat.rivals import METHODS, reconstruct_with
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return box_dataset(tmp_path_factory.mktemp("box"), ImageGrid(28, 24, (0.3, 0.35), (0.3, 0.35)))
+
+
+@pytest.fixture(scope="module")
+def run(dataset: Dataset) -> Run:
+    return reconstruct(dataset, replace(preset("quick"), iterations=25), quiet=True)
+
+
+def without_points(run: Run) -> Run:
+    bare = replace(run)
+    bare.__dict__["points"] = np.empty((0, 3), np.float32)
+    return bare
+
+
+def test_gaussians_come_back_exactly_whatever_their_colour(run: Run, tmp_path: Path) -> None:
+    for colour in ("db", "height"):
+        export(run, tmp_path / f"{colour}.ply", colour=colour)
+        read = read_gaussians_ply(tmp_path / f"{colour}.ply")
+        for name, tensor in run.gaussians.tensors().items():
+            assert torch.equal(read.tensors()[name], tensor), name
+    assert (tmp_path / "db.ply").read_bytes() != (tmp_path / "height.ply").read_bytes()
+
+
+@pytest.mark.parametrize("ending", ["glb", "obj", "ply"])
+def test_meshes_are_read_by_trimesh(run: Run, tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"mesh.{ending}"
+    assert "triangles, metres" in export(run, path, "mesh").summary
+    read = trimesh.load(path, force="mesh")
+    expected = run.mesh()
+    np.testing.assert_allclose(read.bounds, expected.bounds, atol=1e-5)
+    assert read.area == pytest.approx(expected.area, rel=1e-4)
+    assert len(read.faces) == len(expected.faces)
+
+
+def test_points_are_read_by_trimesh(run: Run, tmp_path: Path) -> None:
+    export(run, tmp_path / "points.ply", "points")
+    read = trimesh.load(tmp_path / "points.ply")
+    np.testing.assert_array_equal(np.float32(read.vertices), run.points)
+    values = read.metadata["_ply_raw"]["vertex"]["data"]
+    np.testing.assert_array_equal(np.ravel(values["gamma0"]), run.points_gamma0)
+    np.testing.assert_array_equal(np.ravel(values["nz"]), run.normals[:, 2])
+
+
+def test_las_is_read_by_laspy(run: Run, tmp_path: Path) -> None:
+    laspy = pytest.importorskip("laspy")
+    export(run, tmp_path / "points.las")
+    read = laspy.read(tmp_path / "points.las")
+    assert (str(read.header.version), read.header.point_format.id) == ("1.4", 6)
+    np.testing.assert_allclose(read.xyz, run.points, atol=0.5001e-4)  # m
+    for name, expected in zip(("nx", "ny", "nz"), run.normals.T, strict=True):
+        np.testing.assert_array_equal(read[name], expected)
+    np.testing.assert_array_equal(read["gamma0"], run.points_gamma0)
+    level_db = 10 * np.log10(run.points_gamma0 / run.points_gamma0.max())
+    np.testing.assert_allclose(read.intensity, 65535 * np.clip(1 + level_db / 30, 0, 1), atol=1)
+    (frame,) = [record for record in read.header.vlrs if "WktCoordinate" in type(record).__name__]
+    assert frame.string.startswith("LOCAL_CS[") and 'UNIT["metre",1]' in frame.string
+    assert read.header.global_encoding.wkt
+
+
+def test_las_bears_targets_of_any_size(run: Run, tmp_path: Path) -> None:
+    laspy = pytest.importorskip("laspy")
+    large = replace(run)
+    large.__dict__.update(points=run.points * np.float32(1e6), normals=run.normals, points_gamma0=None)
+    export(large, tmp_path / "large.las")
+    np.testing.assert_allclose(laspy.read(tmp_path / "large.las").xyz, run.points * 1e6, atol=1, rtol=1e-6)
+
+
+def test_xyz_is_read_by_numpy(run: Run, tmp_path: Path) -> None:
+    export(run, tmp_path / "points.xyz")
+    names = (tmp_path / "points.xyz").read_text().splitlines()[0]
+    assert names == "# x_m y_m z_m nx ny nz gamma0"
+    expected = np.column_stack([run.points, run.normals, run.points_gamma0])
+    np.testing.assert_allclose(np.loadtxt(tmp_path / "points.xyz"), expected, rtol=1e-6)
+
+
+def test_npz_has_every_tensor_and_says_what_it_is(run: Run, tmp_path: Path) -> None:
+    export(run, tmp_path / "all.npz")
+    with np.load(tmp_path / "all.npz", allow_pickle=False) as file:
+        description = json.loads(str(file["description"]))
+        assert set(file.files) == {"description", *description["arrays"]}
+        for name, tensor in run.gaussians.tensors().items():
+            np.testing.assert_array_equal(file[name], tensor)
+        np.testing.assert_array_equal(file["points"], run.points)
+        np.testing.assert_array_equal(file["points_gamma0"], run.points_gamma0)
+    assert description["arrays"]["scales"].endswith(", m")
+    assert description["scattering_law"]["p_min"] == run.config.p_min
+
+
+def test_splat_holds_what_its_viewer_reads(run: Run, tmp_path: Path) -> None:
+    """As antimatter15/splat reads it: six floats, four colours, four bytes of a rotation; the most important first."""
+    export(run, tmp_path / "all.splat")
+    content = (tmp_path / "all.splat").read_bytes()
+    gaussians = run.gaussians
+    assert len(content) == 32 * len(gaussians)
+    rows = np.frombuffer(content, np.uint8).reshape(-1, 32)
+    lengths = rows[:, :24].copy().view("<f4")
+    means, scales = gaussians.means.numpy(), gaussians.scales.numpy()
+    alpha = 1 - np.exp(-gaussians.optical_depth.double().numpy())
+    order = np.argsort(-(scales.astype(float).prod(axis=1) * alpha), kind="stable")
+    np.testing.assert_array_equal(lengths[:, :3], means[order])
+    np.testing.assert_array_equal(lengths[:, 3:], scales[order])
+    np.testing.assert_allclose(rows[:, 27], 255 * alpha[order], atol=0.51)
+    turn = (rows[:, 28:].astype(float) - 128) / 128
+    expected = torch.nn.functional.normalize(gaussians.quaternions, dim=1).numpy()[order]
+    np.testing.assert_allclose(turn, expected, atol=1.01 / 128)
+    assert rows[:, 24:27].std() > 5  # not all alike
+    np.testing.assert_array_equal(rows[:, 24], rows[:, 26])  # grey
+    export(run, tmp_path / "height.splat", colour="height")
+    coloured = np.frombuffer((tmp_path / "height.splat").read_bytes(), np.uint8).reshape(-1, 32)
+    low, high = (means[order][:, 2].argsort()[k] for k in (0, -1))
+    assert coloured[low, 26] > coloured[low, 24]  # blue below
+    assert coloured[high, 24] > coloured[high, 26]  # yellow above
+
+
+def test_unknown_endings_are_told_which_there_are(tmp_path: Path) -> None:
+    known = ".glb, .las, .npz, .obj, .ply, .splat or .xyz"
+    for name in ("a.stl", "a", "a.PLYX"):
+        with pytest.raises(SarsplatError, match=rf"is no name for an export; choose one that ends in {known}"):
+            format_of(Path(name))
+    with pytest.raises(SarsplatError, match=r"is no name for gaussians; choose one that ends in \.ply or \.splat"):
+        format_of(Path("a.glb"), "gaussians")
+    assert format_of(Path("A.PLY"))[1] == "gaussians"
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+def test_nothing_is_exported_of_nothing(run: Run, tmp_path: Path, ending: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Run, "gaussians", run.gaussians[:0])
+    for content in FORMATS[ending].writers:
+        with pytest.raises(SarsplatError, match=r"the run in memory has (no|too few) "):
+            export(without_points(run), tmp_path / f"a{ending}", content)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_only_gaussians_have_colours_to_choose(run: Run, tmp_path: Path) -> None:
+    with pytest.raises(SarsplatError, match=r"a\.xyz will hold points, whose colours are not chosen"):
+        export(run, tmp_path / "a.xyz", colour="height")
+
+
+def test_other_methods_have_points_but_no_gaussians(dataset: Dataset, tmp_path: Path) -> None:
+    method = "sar-nerf-grid"
+    settings = replace(METHODS[method].settings, iterations=2)
+    other = reconstruct_with(method, dataset, settings, device="cpu", quiet=True)
+    other.__dict__.update(points=np.eye(3, dtype=np.float32), normals=np.eye(3, dtype=np.float32))
+    for name in ("a.ply", "a.splat"):
+        with pytest.raises(SarsplatError, match=r"was made by sar-nerf-grid, which learns no Gaussians; export --for"):
+            export(other, tmp_path / name)
+    export(other, tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as file:
+        assert set(file.files) == {"description", "points", "normals"}
+    export(other, tmp_path / "a.xyz")
+    assert np.loadtxt(tmp_path / "a.xyz").shape == (3, 6)
+    pytest.importorskip("laspy")
+    export(other, tmp_path / "a.las")
+
+
+def test_las_without_laspy_says_what_to_install(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "laspy", None)
+    with pytest.raises(SarsplatError, match=r"pip install 'sarsplat\[las\]'"):
+        export(run, tmp_path / "a.las")
+    assert list(tmp_path.iterdir()) == []
