@@ -25,7 +25,7 @@ ODD = (1, 2, 3, 9, 10, 11, 12, 13, 14, 15)
 """Harmonics of degree 1 and 3: those that change sign with the direction."""
 
 _DIRECTIONS = 200  # above the horizon
-_SPAN = (0.02, 0.995)  # of all that is seen: black and white; a glint must not darken everything else
+_SPAN = (0.1, 0.995)  # of all that is seen: black and white; a glint must not darken everything else
 _DARKEST = 0.08  # of a shade: what is dark stays visible before a black background
 _BELOW = 0.03  # weight of the mirror image below the horizon
 _DEGREE = 3
