@@ -49,7 +49,7 @@ def _write(run: AnyRun, path: Path, _: Colour) -> str:
         "frame": "x nose, y left, z up, ground at z = 0",
     }
     content = io.BytesIO()
-    np.savez(content, **{_DESCRIPTION: np.array(json.dumps(description))}, **arrays)
+    np.savez(content, **({_DESCRIPTION: np.array(json.dumps(description))} | arrays))
     write_bytes(path, content.getvalue())
     return counted(len(arrays), "array")
 
