@@ -70,4 +70,4 @@ def export(run: AnyRun, path: str | Path, content: Content | None = None, *, col
     known, holds = format_of(path, content)
     if colour is not None and holds != "gaussians":
         raise SarsplatError(f"{path} will hold {holds}, whose colours are not chosen; leave out the colour")
-    return Written(known.writers[holds](run, path, colour or "db"), known.opened_with)
+    return Written(known.writers[holds](run, path, colour or "db"), known.opened_with[holds])

@@ -53,7 +53,8 @@ def gaussians_of(run: AnyRun) -> Gaussians:
     """
     if not isinstance(run, Run):
         raise SarsplatError(
-            f"{name_of(run)} was made by {run.method}, which learns no Gaussians; export --format points"
+            f"{name_of(run)} was made by {run.method}, which learns no Gaussians; export its points or its "
+            "mesh, such as with --format points to a .ply file"
         )
     gaussians = run.gaussians
     if len(gaussians) == 0:

@@ -30,7 +30,7 @@ class Format:
         How names of such files end: `.ply`.
     writers : mapping of Content to Write
         What it can hold, and who writes that; the first is what is written unless asked otherwise.
-    opened_with : str
+    opened_with : mapping of Content to str
         Programs that open it.
     recognises : callable (bytes, int) -> bool
         Whether a file that begins with these bytes, and has that many, is of this kind: no other is replaced.
@@ -38,5 +38,5 @@ class Format:
 
     ending: str
     writers: Mapping[Content, Write]
-    opened_with: str
+    opened_with: Mapping[Content, str]
     recognises: Recognises

@@ -28,6 +28,10 @@ def _points(run: AnyRun, path: Path, _: Colour) -> str:
 FORMAT = Format(
     ending=".ply",
     writers={"gaussians": _gaussians, "points": _points, "mesh": write_mesh_of},
-    opened_with="a 3D Gaussian splatting viewer, or a point cloud or mesh viewer",
+    opened_with={
+        "gaussians": "any 3D Gaussian splatting viewer",
+        "points": "any point cloud viewer",
+        "mesh": "any mesh viewer",
+    },
     recognises=lambda head, _: head.startswith(b"ply\n"),
 )

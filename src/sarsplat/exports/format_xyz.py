@@ -29,6 +29,6 @@ def _write(run: AnyRun, path: Path, _: Colour) -> str:
 FORMAT = Format(
     ending=".xyz",
     writers={"points": _write},
-    opened_with="any point cloud viewer or spreadsheet",
+    opened_with={"points": "any point cloud viewer or spreadsheet"},
     recognises=lambda head, _: head.startswith(_BEGINS.encode()),
 )
