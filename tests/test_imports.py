@@ -21,10 +21,11 @@ ORDER = (
     ("renderer",),
     ("scenes", "data"),
     ("reconstruction",),
-    ("rivals",),
+    ("radar", "rivals"),
     ("evaluation",),
     ("exports",),
     ("report",),
+    ("viewer",),
     ("cli",),
 )
 RANK = {folder: rank for rank, folders in enumerate(ORDER) for folder in folders}

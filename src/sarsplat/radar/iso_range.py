@@ -1,0 +1,129 @@
+"""Where the power of one pixel may come from: the line of one azimuth and one range, and what lies on it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float64, Real
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians
+from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.renderer import attenuate, project
+from sarsplat.renderer.constants import IMAGE_CUT
+
+_PARALLEL = 1e-12
+
+
+@dataclass(frozen=True)
+class Pixel:
+    """One pixel of an image.
+
+    Parameters
+    ----------
+    row, column : int
+        Slant range and azimuth; row 0 is near range.
+    """
+
+    row: int
+    column: int
+
+    def place_m(self, grid: ImageGrid) -> tuple[float, float]:
+        """Azimuth and slant range of its centre, m.
+
+        Raises
+        ------
+        SarsplatError
+            If the grid has no such pixel.
+        """
+        if not (0 <= self.row < grid.rows and 0 <= self.column < grid.columns):
+            raise SarsplatError(
+                f"there is no pixel in row {self.row} and column {self.column} of an image of {grid.rows} × "
+                f"{grid.columns} pixels; give one inside"
+            )
+        return float(grid.azimuth_m[self.column]), float(grid.range_m[self.row])
+
+
+def iso_range_line(
+    view: View,
+    grid: ImageGrid,
+    pixel: Pixel,
+    low: Real[np.ndarray, " 3"],
+    high: Real[np.ndarray, " 3"],
+) -> Float64[np.ndarray, "2 3"] | None:
+    """All places in a box that appear in a pixel, whatever their height.
+
+    They lie on an arc around the radar. It is so far away that the arc is a straight line along elevation, at right
+    angles to the line of sight.
+
+    Parameters
+    ----------
+    view, grid, pixel
+        Which pixel of which image.
+    low, high : numpy.ndarray [3]
+        Corners of the box, world frame, m.
+
+    Returns
+    -------
+    numpy.ndarray, float64 [2, 3], or None
+        Both ends, the lower one first, m; None if the line misses the box.
+
+    Raises
+    ------
+    SarsplatError
+        If the grid has no such pixel.
+    """
+    azimuth, slant_range = pixel.place_m(grid)
+    frame = radar_frame(view)
+    origin, direction = azimuth * frame[0] + slant_range * frame[2], frame[1]
+    first, last = -math.inf, math.inf
+    for start, step, a, b in zip(origin, direction, low, high, strict=True):
+        if abs(step) < _PARALLEL:
+            if not a <= start <= b:
+                return None
+            continue
+        enter, leave = sorted(((a - start) / step, (b - start) / step))
+        first, last = max(first, enter), min(last, leave)
+    return np.stack([origin + first * direction, origin + last * direction]) if first <= last else None
+
+
+@torch.no_grad()
+def contributions(
+    gaussians: Gaussians, view: View, grid: ImageGrid, pixel: Pixel, *, rays: RayGrid | None = None
+) -> Float[np.ndarray, " n"]:
+    """How much each Gaussian adds to the power of one pixel; the sum is the pixel of `render`.
+
+    Parameters
+    ----------
+    gaussians : Gaussians
+        The scene, N Gaussians.
+    view, grid, pixel
+        Which pixel of which image.
+    rays : RayGrid, optional
+        As for `render`.
+
+    Returns
+    -------
+    numpy.ndarray, float [N]
+        β⁰, linear power. Divided by their sum they are shares of the pixel.
+
+    Raises
+    ------
+    SarsplatError
+        If the grid has no such pixel.
+    """
+    place, rays = pixel.place_m(grid), rays or RayGrid.for_image(grid)
+    if len(gaussians) == 0:
+        return np.zeros(0, np.float32)
+    gaussians = gaussians.detach()
+    projection = project(gaussians, [view], grid, rays=rays)
+    sections = (attenuate(projection, rays).lit_area * projection.gamma0)[0]
+    a, b, c = projection.pixels.roots[0].unbind(-1)
+    x, y = (projection.pixels.centers.new_tensor(place) - projection.pixels.centers[0]).unbind(-1)
+    squared = (a * x + b * y) ** 2 + (c * y) ** 2
+    mass = 2 * math.pi * (1 - math.exp(-IMAGE_CUT / 2))  # of a footprint, cut where the renderer cuts it
+    weight = torch.where(squared <= IMAGE_CUT, torch.exp(-squared / 2), 0) * a * c / mass
+    return (sections * weight).cpu().numpy()

@@ -1,0 +1,90 @@
+"""A target's surface as opaque Gaussians that know their normals: what radar maps are made from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians
+from sarsplat.reconstruction import AnyRun
+from sarsplat.reconstruction.masks import without_imitated_ground
+from sarsplat.reconstruction.run import Run
+from sarsplat.scenes.splat_truth import surface_gaussians
+
+if TYPE_CHECKING:
+    import trimesh
+
+_PIECE = 0.5  # edges of a mesh's pieces, resolution cells
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Gaussians on a surface.
+
+    Parameters
+    ----------
+    gaussians : Gaussians
+        N of them, on the CPU; only where they are, how large and how opaque counts here.
+    normals : numpy.ndarray, float [N, 3]
+        Unit normal of the surface at each, world frame; of either side.
+
+    Raises
+    ------
+    SarsplatError
+        If there is not one normal for each Gaussian.
+    """
+
+    gaussians: Gaussians
+    normals: Float[np.ndarray, "n 3"]
+
+    def __post_init__(self) -> None:
+        if np.shape(self.normals) != (len(self.gaussians), 3):
+            raise SarsplatError(
+                f"normals has shape {np.shape(self.normals)}; for {len(self.gaussians)} Gaussians it must be "
+                f"({len(self.gaussians)}, 3)"
+            )
+
+
+def surface_of_run(run: AnyRun[Any]) -> Surface:
+    """What a run takes for the target's surface: its Gaussians, or the triangles of a method that has none.
+
+    The normal of a Gaussian is that of the nearest of the run's points. Gaussians that may stand for ground as well as
+    the learned ground does are left out.
+
+    Raises
+    ------
+    SarsplatError
+        If there is neither a point nor a triangle.
+    """
+    if not isinstance(run, Run):
+        return surface_of_mesh(run.mesh(), run.grid.cell_m)
+    scene = run.model.scene(run.model.degree(run.iteration)).detach().to("cpu")
+    kept, count = without_imitated_ground(scene, len(run.gaussians), run.points, run.grid.cell_m)
+    if count == 0:
+        raise SarsplatError(f"{run.path or 'the run'} has no points of a target; train it for longer")
+    target = kept[:count]
+    nearest = cKDTree(run.points).query(target.means.double().numpy())[1]
+    return Surface(target, np.asarray(run.normals, np.float64)[nearest])
+
+
+def surface_of_mesh(mesh: trimesh.Trimesh, cell_m: float) -> Surface:
+    """The surface of triangles, m, in pieces of half a resolution cell of `cell_m`.
+
+    Raises
+    ------
+    SarsplatError
+        If the mesh has no area, or would take too many pieces.
+    """
+    gaussians, faces = surface_gaussians(mesh, _PIECE * cell_m)
+    return Surface(gaussians, np.asarray(mesh.face_normals, np.float64)[faces])
+
+
+def above_ground(gaussians: Gaussians) -> Gaussians:
+    """The Gaussians whose centres are above z = 0: only they can throw a shadow on it."""
+    return gaussians[torch.nonzero(gaussians.means[:, 2] > 0)[:, 0]]

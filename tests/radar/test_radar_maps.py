@@ -1,0 +1,118 @@
+"""Radar maps of a slope, a box and a wall, against what geometry says of them."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.radar import RadarMaps, Surface, radar_maps, surface_of_mesh
+
+trimesh = pytest.importorskip("trimesh")
+
+GRID = ImageGrid(48, 40, (0.25, 0.25), (0.3, 0.3))
+VIEW = View(0.0, 40.0)  # the radar is at +x
+THETA = math.radians(VIEW.grazing_deg)
+
+
+def maps_of(mesh: "trimesh.Trimesh", view: View = VIEW, grid: ImageGrid = GRID) -> RadarMaps:
+    return radar_maps(surface_of_mesh(mesh, grid.cell_m), view, grid)
+
+
+def plate(tilt_deg: float, size: tuple[float, float] = (5.0, 5.0), height: float = 3.0) -> "trimesh.Trimesh":
+    """A rectangle whose side towards the radar is lowered by `tilt_deg`."""
+    mesh = trimesh.Trimesh(
+        [[x * size[0] / 2, y * size[1] / 2, 0.0] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))],
+        [[0, 1, 2], [0, 2, 3]],
+        process=False,
+    )
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(math.radians(tilt_deg), [0, 1, 0]))
+    mesh.apply_translation([0, 0, height])
+    return mesh
+
+
+def box(sides: tuple[float, float, float] = (4.0, 4.0, 2.0)) -> "trimesh.Trimesh":
+    return trimesh.creation.box(sides, trimesh.transformations.translation_matrix((0, 0, sides[2] / 2)))
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 25.0, -15.0])
+@pytest.mark.parametrize("view", [VIEW, View(180.0, 60.0)])
+def test_a_slope_has_its_height_and_incidence_and_no_layover(tilt_deg, view):
+    mesh = plate(tilt_deg)
+    found = maps_of(mesh, view)
+    inside = ~np.isnan(found.height_m)
+    assert inside.sum() > 100
+    # z and range grow linearly with x: so does z with range
+    frame, along = radar_frame(view), mesh.vertices[1] - mesh.vertices[0]
+    slope = along[2] / (frame[2] @ along)
+    middle = mesh.vertices.mean(axis=0)
+    expected = middle[2] + slope * (GRID.range_m[:, None] - frame[2] @ middle)
+    core = np.zeros_like(inside)
+    core[1:-1, 1:-1] = inside[1:-1, 1:-1] & inside[2:, 1:-1] & inside[:-2, 1:-1] & inside[1:-1, 2:] & inside[1:-1, :-2]
+    error = (found.height_m - expected)[core]
+    assert abs(error.mean()) < 0.02
+    assert error.std() < 0.05  # of pixels of 0.25 m
+    incidence = math.degrees(math.acos(abs(mesh.face_normals[0] @ view.direction)))
+    assert np.allclose(found.incidence_deg[core], incidence, atol=0.1)
+    assert not found.layover[core].any()
+
+
+def test_a_box_is_laid_over_in_front_and_throws_a_shadow_behind():
+    depth, height = 4.0, 2.0
+    found = maps_of(box((depth, 4.0, height)))
+    middle = slice(GRID.columns // 2 - 3, GRID.columns // 2 + 3)
+    near = -depth / 2 * math.cos(THETA)
+    top = near - height * math.sin(THETA)  # of the wall: the nearest range
+    roof_end = depth / 2 * math.cos(THETA) - height * math.sin(THETA)
+    shadow_end = (depth / 2 + height / math.tan(THETA)) * math.cos(THETA)
+    r, margin = GRID.range_m, GRID.spacing_m[1]
+    wall_and_roof = (r > top + margin) & (r < near - margin)
+    roof = (r > near + margin) & (r < roof_end - margin)
+    shadow = (r > max(roof_end, depth / 2 * math.cos(THETA)) + margin) & (r < shadow_end - margin)
+    beyond = (r > shadow_end + margin) | (r < top - margin)
+    assert min(wall_and_roof.sum(), roof.sum(), shadow.sum()) >= 2
+    assert found.layover[wall_and_roof][2:, middle].all()  # at its top, wall and roof are near one another
+    assert not found.layover[roof][:, middle].any()
+    assert np.allclose(found.height_m[roof][:, middle], height, atol=0.05)
+    assert np.allclose(found.incidence_deg[roof][:, middle], 90 - VIEW.grazing_deg, atol=0.5)
+    assert found.shadow[shadow][:, middle].all()
+    assert not found.shadow[beyond][:, middle].any()
+    assert np.isnan(found.height_m[beyond | shadow][:, middle]).all()
+
+
+def test_the_spread_of_two_plates_is_their_distance_along_elevation():
+    # displaced along elevation, so both have the same ranges, and neither hides the other
+    apart, frame = 3.0, radar_frame(VIEW)
+    plates = [plate(0.0, (2.0, 3.0)) for _ in range(2)]
+    for mesh, side in zip(plates, (-1, 1), strict=True):
+        mesh.apply_translation(side * apart / 2 * frame[1])
+    found = maps_of(trimesh.util.concatenate(plates))
+    row = int(abs(GRID.range_m + 3.0 * math.sin(THETA)).argmin())
+    seen = (slice(row - 1, row + 2), slice(GRID.columns // 2 - 3, GRID.columns // 2 + 3))
+    assert np.allclose(found.spread_m[seen], apart, rtol=0.02)
+    assert np.allclose(found.height_m[seen], 3.0, atol=0.1)  # the mean of both
+    assert found.layover[seen].all()
+
+
+def test_what_hides_behind_something_else_does_not_count():
+    frame = radar_frame(VIEW)
+    front, back = plate(50.0, (3.0, 3.0), 6.0), plate(50.0, (1.0, 1.0), 6.0)  # they face the radar
+    back.apply_translation(3.0 * frame[2])
+    alone, both = maps_of(front), maps_of(trimesh.util.concatenate([front, back]))
+    assert np.array_equal(np.isnan(alone.height_m), np.isnan(both.height_m))
+
+
+def test_the_maps_of_nothing_are_empty():
+    nothing = Gaussians(*(torch.zeros(0, k) for k in (3, 4, 3)), torch.zeros(0), Harmonics(torch.zeros(0, 1)))
+    found = radar_maps(Surface(nothing, np.zeros((0, 3))), VIEW, GRID)
+    assert np.isnan(found.height_m).all()
+    assert not found.shadow.any()
+
+
+def test_every_gaussian_needs_a_normal():
+    one = Gaussians(torch.zeros(1, 3), torch.ones(1, 4), torch.ones(1, 3), torch.ones(1), Harmonics(torch.zeros(1, 1)))
+    with pytest.raises(SarsplatError, match=r"normals has shape \(2, 3\); for 1 Gaussians it must be \(1, 3\)"):
+        Surface(one, np.zeros((2, 3)))
