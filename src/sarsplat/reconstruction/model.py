@@ -190,6 +190,13 @@ class SceneModel:
     def __len__(self) -> int:
         return self.parameters["means"].shape[0]
 
+    def copy(self, *, ground: bool = True) -> SceneModel:
+        """The same scene in tensors of its own, with or without its ground."""
+        copied = SceneModel(self.config, self.setting, self.parameters, self.device)
+        copied.texture = self.texture  # which is replaced, never changed
+        copied._ground = copied._ground if ground else None
+        return copied
+
     def degree(self, iteration: int) -> int:
         """Degree of the harmonics in use at an iteration."""
         config = self.config

@@ -1,0 +1,149 @@
+"""The images of one view side by side: what is rendered, what was measured near it, and how they differ."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Real, UInt8
+from scipy.ndimage import uniform_filter
+
+from sarsplat.geometry import ImageGrid
+from sarsplat.radar import Pixel, RadarMaps
+from sarsplat.report.decibels import to_decibels
+from sarsplat.viewer.colours import DIFFERENCE, Scale
+
+_SIDE = 256  # pixels of the longer side of a panel, at least half of it
+_GAP = 6  # pixels between panels
+_GREY = 24  # of the gaps
+_MARK = (255, 176, 32)
+
+MAPS = ("height", "incidence", "layover", "shadow and layover")
+"""What a radar map can show, by its name on the page."""
+
+_SHADOW, _LAYOVER, _TARGET = (64, 92, 160), (240, 120, 60), (150, 160, 172)
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One picture of a strip.
+
+    Parameters
+    ----------
+    title : str
+        What it shows, for people.
+    rgb : numpy.ndarray, uint8 [rows, columns, 3]
+        Its colours.
+    legend : str
+        What the colours mean, as HTML.
+    """
+
+    title: str
+    rgb: UInt8[np.ndarray, "rows columns 3"]
+    legend: str
+
+
+def power_panel(
+    title: str, power: Real[np.ndarray, "rows columns"], peak: float, limits_db: tuple[float, float], colours: str
+) -> Panel:
+    """An image in decibels of `peak`."""
+    scale = Scale("power, dB (0: brightest training pixel)", *limits_db, colours)
+    return Panel(title, scale.rgb(to_decibels(power, peak)), scale.bar())
+
+
+def difference_panel(
+    rendered: Real[np.ndarray, "rows columns"],
+    measured: Real[np.ndarray, "rows columns"],
+    peak: float,
+    darkest_db: float,
+    *,
+    speckled: bool,
+) -> Panel:
+    """Rendered over measured in decibels; what is darker than the pictures show counts as equally dark."""
+    floor, widest = peak * 10 ** (darkest_db / 10), 10.0 if speckled else 6.0
+    if speckled:
+        rendered, measured = (uniform_filter(power, 3) for power in (rendered, measured))
+    difference = to_decibels(np.maximum(rendered, floor)) - to_decibels(np.maximum(measured, floor))
+    scale = Scale(f"rendered over image, dB{' (3×3 means)' if speckled else ''}", -widest, widest, DIFFERENCE)
+    return Panel("difference", scale.rgb(difference), scale.bar())
+
+
+def map_panel(name: str, maps: RadarMaps, highest_m: float, cell_m: float) -> Panel:
+    """One of `MAPS`; heights are coloured up to `highest_m`."""
+    if name == "height":
+        scale = Scale("height of the first return, m", 0.0, highest_m, "viridis")
+        return Panel("first-return height", scale.rgb(maps.height_m), scale.bar())
+    if name == "incidence":
+        scale = Scale("local incidence angle, degrees", 0.0, 90.0, "cividis")
+        return Panel("local incidence", scale.rgb(maps.incidence_deg), scale.bar())
+    if name == "layover":
+        scale = Scale(f"apart in elevation, m (cell {cell_m:.2g} m)", 0.0, max(highest_m, 2 * cell_m), "inferno")
+        return Panel("layover", scale.rgb(maps.spread_m), scale.bar())
+    kinds = ((maps.shadow, _SHADOW, "shadow"), (~np.isnan(maps.height_m), _TARGET, "target"))
+    rgb = np.full((*maps.shadow.shape, 3), 22, np.uint8)
+    for where, colour, _ in (*kinds, (maps.layover, _LAYOVER, "layover")):
+        rgb[where] = colour
+    names = ((_SHADOW, "shadow on flat ground"), (_TARGET, "target"), (_LAYOVER, "layover"))
+    legend = "".join(
+        f'<span style="display:inline-block;width:10px;height:10px;border-radius:2px;background:rgb{colour};'
+        f'margin:0 5px 0 0"></span>{text}<br>'
+        for colour, text in names
+    )
+    return Panel("shadow and layover", rgb, f'<div style="font-size:12px;margin:2px 0 6px">{legend}</div>')
+
+
+class Strip:
+    """Panels of one grid beside each other, in pixels as square as the ground they show.
+
+    Parameters
+    ----------
+    grid : ImageGrid
+        Of every panel.
+    count : int
+        How many there are.
+    """
+
+    def __init__(self, grid: ImageGrid, count: int) -> None:
+        self.grid, self.count = grid, count
+        finest = min(grid.spacing_m)
+        size = np.array([grid.rows * grid.spacing_m[1], grid.columns * grid.spacing_m[0]]) / finest
+        factor = max(_SIDE / size.max(), 1.0)
+        factor = math.floor(factor) if factor < 8 else 8.0  # whole multiples keep all pixels alike
+        self._height, self._width = (max(round(side * factor), 1) for side in size.tolist())
+
+    def drawn(self, panels: list[Panel], pixel: Pixel | None) -> UInt8[np.ndarray, "height width 3"]:
+        """All panels in one picture; a pixel that was picked has a frame in each."""
+        row = np.arange(self._height) * self.grid.rows // self._height
+        column = np.arange(self._width) * self.grid.columns // self._width
+        pictures = [panel.rgb[row[:, None], column] for panel in panels]
+        if pixel is not None:
+            for picture in pictures:
+                self._frame(picture, pixel)
+        gap = np.full((self._height, _GAP, 3), _GREY, np.uint8)
+        parts = [part for picture in pictures for part in (picture, gap)][:-1]
+        return np.concatenate(parts, axis=1)
+
+    def pixel_at(self, x: float, y: float) -> Pixel | None:
+        """The pixel at parts of the width and height of the whole picture, or None between two panels."""
+        total = self.count * (self._width + _GAP) - _GAP
+        place = int(x * total) % (self._width + _GAP)
+        if place >= self._width or not 0 <= y < 1:
+            return None
+        return Pixel(int(y * self._height) * self.grid.rows // self._height, place * self.grid.columns // self._width)
+
+    def _frame(self, picture: UInt8[np.ndarray, "height width 3"], pixel: Pixel) -> None:
+        reach = max(self._height, self._width) // 40 + 1
+        top, bottom = ((pixel.row + k) * self._height // self.grid.rows for k in (0, 1))
+        left, right = ((pixel.column + k) * self._width // self.grid.columns for k in (0, 1))
+        top, bottom = max(top - reach, 0), min(bottom + reach, self._height) - 1
+        left, right = max(left - reach, 0), min(right + reach, self._width) - 1
+        for y in (top, bottom):
+            picture[y, left : right + 1] = _MARK
+        for x in (left, right):
+            picture[top : bottom + 1, x] = _MARK
+
+
+def heights_up_to(height_m: Float[np.ndarray, " n"]) -> float:
+    """The number that a colour bar of heights ends with, m."""
+    return float(max(np.quantile(height_m, 0.995), 1e-3)) if len(height_m) else 1.0

@@ -1,0 +1,231 @@
+"""The scene of the page: the target, a dome with all views, the radar, and the image on its own plane below."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import viser.transforms as transforms
+from jaxtyping import Float, UInt8
+
+from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.viewer.subject import Cloud, Contributors
+
+if TYPE_CHECKING:
+    import viser
+
+_TRAIN, _TEST, _RADAR, _LIT = (92, 200, 255), (190, 150, 255), (255, 92, 70), (255, 176, 32)
+_FAINT = (110, 122, 136)
+_DOME = 1.9  # radius, in those of the target
+_STEPS = 72  # of a circle of latitude
+_LOWEST_DEG, _HIGHEST_DEG = 1.0, 89.0
+_LEAST_SHARE = 0.01  # of a pixel: who adds less is not lit
+
+
+class Stage:
+    """Everything in three dimensions.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        The page.
+    box_m : pair of numpy.ndarray [3]
+        Corners of the space that the target takes, m.
+    views : list of (View, str)
+        Known views with their sets.
+    on_aim : callable
+        Told of the view that the radar was dragged to, or whose dot was clicked.
+    on_plane : callable
+        Told of the ray of a click on the image's plane: origin and direction, m.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        box_m: tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]],
+        views: list[tuple[View, str]],
+        on_aim: Callable[[View], None],
+        on_plane: Callable[[np.ndarray, np.ndarray], None],
+    ) -> None:
+        self._scene = scene = server.scene
+        self.low, self.high = box_m
+        self.centre = (self.low + self.high) / 2
+        self.size_m = float(np.linalg.norm(self.high - self.low)) / 2
+        self._radius = _DOME * self.size_m
+        self._foot = np.array([*self.centre[:2], 0.0])
+        self._on_plane = on_plane
+        server.initial_camera.position = self._foot + self._radius * np.array([-0.8, -2.4, 1.5])
+        server.initial_camera.look_at = self._foot + [0, 0, 0.3 * self._radius]
+        server.initial_camera.fov = np.radians(50)
+        scene.set_up_direction("+z")
+        scene.world_axes.visible = False
+        self._grid(scene)
+        self._dome(scene, views, on_aim)
+        self._radar(scene, on_aim)
+        self._plane: Any = None
+        self._line = scene.add_line_segments("/pixel/line", np.zeros((1, 2, 3)), _LIT, thickness=0.004 * self._radius)
+        self._lit = scene.add_point_cloud(
+            "/pixel/lit", np.zeros((1, 3)), _LIT, point_size=0.01 * self._radius, point_shape="circle", precision="float32"
+        )
+        self._line.visible = self._lit.visible = False
+        self._cloud: Any = None
+
+    def _grid(self, scene: Any) -> None:
+        step = float(10 ** np.floor(np.log10(self.size_m)))  # 1 m for a vehicle, 10 m for a ship
+        self.grid = scene.add_grid(
+            "/ground",
+            *(2 * self._radius,) * 2,
+            cell_size=step,
+            section_size=5 * step,
+            cell_color=_FAINT,
+            section_color=_FAINT,
+            position=self._foot,
+        )
+        nose = self._foot + [self._radius, 0, 0]
+        self._nose = scene.add_label("/nose", f"+x (nose); squares of {step:g} m", position=nose)
+
+    def _dome(self, scene: Any, views: list[tuple[View, str]], on_aim: Callable[[View], None]) -> None:
+        turns = np.linspace(0, 2 * np.pi, _STEPS + 1)
+        segments = []
+        for grazing in (0.0, 30.0, 60.0):
+            c, s = np.cos(np.radians(grazing)), np.sin(np.radians(grazing))
+            ring = self._foot + self._radius * np.column_stack(
+                [c * np.cos(turns), c * np.sin(turns), np.full_like(turns, s)]
+            )
+            segments.append(np.stack([ring[:-1], ring[1:]], axis=1))
+        self._rings = scene.add_line_segments(
+            "/dome/rings", np.concatenate(segments), _FAINT, thickness=0.0015 * self._radius
+        )
+        import trimesh
+
+        ball = trimesh.creation.icosphere(subdivisions=1)
+        self._dots = []
+        for name, colour, chosen in (
+            ("train", _TRAIN, [view for view, split in views if split == "train"]),
+            ("test", _TEST, [view for view, split in views if split != "train"]),
+        ):
+            if not chosen:
+                continue
+            places = np.stack([self._at(view) for view in chosen])
+            size = 0.02 * self._radius * min(1.0, (120 / len(views)) ** 0.5)
+            dots = scene.add_batched_meshes_simple(
+                f"/dome/{name}",
+                ball.vertices,
+                ball.faces,
+                np.tile([1.0, 0, 0, 0], (len(chosen), 1)),
+                places,
+                batched_scales=np.full(len(chosen), size),
+                batched_colors=colour,
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+
+            @dots.on_click
+            def clicked(event: Any, chosen: list[View] = chosen) -> None:
+                if event.instance_index is not None:
+                    on_aim(chosen[event.instance_index])
+
+            self._dots.append(dots)
+
+    def _radar(self, scene: Any, on_aim: Callable[[View], None]) -> None:
+        r = self._radius
+        self._arrow = scene.add_arrows(
+            "/radar/line", np.zeros((1, 2, 3)), _RADAR, shaft_radius=0.008 * r, head_radius=0.022 * r, head_length=0.06 * r
+        )
+        self._handle = scene.add_icosphere("/radar/handle", 0.05 * r, _RADAR, cast_shadow=False, receive_shadow=False)
+        self._label = scene.add_label("/radar/label", "radar")
+
+        @self._handle.on_drag
+        async def dragged(event: Any) -> None:
+            on_aim(self.view_under(np.array(event.client.camera.position), np.array(event.end_position)))
+
+    def _at(self, view: View) -> Float[np.ndarray, " 3"]:
+        return self._foot + self._radius * view.direction
+
+    def view_under(self, camera: Float[np.ndarray, " 3"], pointer: Float[np.ndarray, " 3"]) -> View:
+        """The view whose place on the dome is under the mouse: the nearer side, or the place nearest to its ray."""
+        ray = (pointer - camera) / np.linalg.norm(pointer - camera)
+        origin = camera - self._foot
+        half = float(origin @ ray)
+        root = half**2 - float(origin @ origin) + self._radius**2
+        place = origin + (-half - np.sqrt(max(root, 0.0))) * ray
+        flat = float(np.hypot(place[0], place[1]))
+        grazing = np.degrees(np.arctan2(place[2], flat))
+        azimuth = float(np.degrees(np.arctan2(-place[1], place[0]))) % 360.0
+        return View(azimuth, float(np.clip(grazing, _LOWEST_DEG, _HIGHEST_DEG)))
+
+    # ---- what changes ------------------------------------------------------------------------------------------------
+    def aim(self, view: View) -> None:
+        """Put the radar in its place."""
+        place = self._at(view)
+        self._handle.position = place
+        self._arrow.points = np.stack([place, self._foot + 0.45 * (place - self._foot)])[None].astype(np.float32)
+        self._label.position = place + [0, 0, 0.08 * self._radius]
+        self._label.text = f"radar: azimuth {view.azimuth_deg:.1f}°, grazing {view.grazing_deg:.1f}°"
+
+    def show_dome(self, visible: bool) -> None:
+        """Show or hide the views and the lines between them."""
+        for node in (self._rings, *self._dots):
+            node.visible = visible
+
+    def show_ground(self, visible: bool) -> None:
+        """Show or hide the lines on the ground."""
+        self.grid.visible = self._nose.visible = visible
+
+    def draw_cloud(self, cloud: Cloud, colours: UInt8[np.ndarray, "n 3"], scale: float) -> None:
+        """Show one cloud; only its colours are sent if it is there already."""
+        size = cloud.size_m * scale
+        if self._cloud is not None and self._cloud[0] is cloud:
+            handle = self._cloud[1]
+            if not np.array_equal(handle.colors, colours):
+                handle.colors = colours
+            if handle.point_size != size:
+                handle.point_size = size
+            return
+        handle = self._scene.add_point_cloud(
+            "/target", cloud.places_m, colours, point_size=size, point_shape="circle", precision="float32"
+        )
+        self._cloud = (cloud, handle)
+
+    def plane_depth(self, view: View) -> float:
+        """Elevation y_r at which the image lies: below all of the target, seen along the lines of one range, m."""
+        corners = np.array([[x, y, z] for x in self._ends(0) for y in self._ends(1) for z in self._ends(2)])
+        return float((corners @ radar_frame(view)[1]).min()) - 0.12 * self._radius
+
+    def _ends(self, axis: int) -> tuple[float, float]:
+        return float(self.low[axis]), float(self.high[axis])
+
+    def lay_image(self, rgb: UInt8[np.ndarray, "rows columns 3"], view: View, part: ImageGrid, visible: bool) -> None:
+        """Lay an image on its plane, azimuth × slant range, through which the lines of one range pass squarely."""
+        frame = radar_frame(view)
+        place = np.array([part.center_m[0], self.plane_depth(view), part.center_m[1]]) @ frame
+        turn = transforms.SO3.from_matrix(np.stack([frame[0], frame[2], -frame[1]], axis=1)).wxyz
+        size = part.columns * part.spacing_m[0], part.rows * part.spacing_m[1]
+        if self._plane is not None and self._plane[1] == size:
+            plane = self._plane[0]
+            plane.image, plane.position, plane.wxyz = rgb, place, turn
+        else:
+            plane = self._scene.add_image(
+                "/image", rgb, *size, format="png", cast_shadow=False, receive_shadow=False, wxyz=turn, position=place
+            )
+
+            @plane.on_click
+            def clicked(event: Any) -> None:
+                self._on_plane(np.array(event.ray_origin), np.array(event.ray_direction))
+
+            self._plane = (plane, size)
+        plane.visible = visible
+
+    def light(self, view: View, line: Float[np.ndarray, "2 3"] | None, found: Contributors | None) -> None:
+        """Show the line of one azimuth and range, from the image's plane on, and who is on it."""
+        self._line.visible = line is not None
+        self._lit.visible = found is not None and len(found.shares) > 0
+        if line is not None:
+            up = radar_frame(view)[1]
+            start = line[0] + (self.plane_depth(view) - float(line[0] @ up)) * up
+            self._line.points = np.stack([start, line[1]])[None].astype(np.float32)
+        if found is not None and len(found.shares):
+            some = found.shares >= min(_LEAST_SHARE, found.shares[0])
+            self._lit.points = found.places_m[some].astype(np.float32)
+            self._lit.colors = np.tile(np.array(_LIT, np.uint8), (int(some.sum()), 1))

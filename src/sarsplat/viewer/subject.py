@@ -1,0 +1,216 @@
+"""What there is to look at: a run, a dataset or a training, as the page sees them all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from sarsplat.data import Dataset, read_dataset
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.radar import Pixel, RadarMaps, Surface, radar_maps, surface_of_mesh
+from sarsplat.radar.iso_range import contributions
+from sarsplat.scenes.mesh_files import read_mesh
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from sarsplat.gaussians import Gaussians
+
+MAX_POINTS = 60_000
+"""Most points drawn: more would only look more solid."""
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Places in the world with what colours them.
+
+    Parameters
+    ----------
+    name : str
+        What they are, in words.
+    places_m : numpy.ndarray, float32 [N, 3]
+        World frame, m.
+    size_m : float
+        How large to draw each, m.
+    """
+
+    name: str
+    places_m: Float32[np.ndarray, "n 3"]
+    size_m: float
+
+
+@dataclass(frozen=True)
+class Contributors:
+    """Who makes a pixel: places with their shares, the largest first, and the share of the learned ground."""
+
+    places_m: Float[np.ndarray, "n 3"]
+    shares: Float[np.ndarray, " n"]
+    ground_share: float
+
+
+class Subject:
+    """A dataset, and everything that a run of it knows besides.
+
+    Parameters
+    ----------
+    title : str
+        What to call it.
+    grid : ImageGrid
+        Pixels of its images.
+    train_views : tuple of View
+        From where the training images were taken.
+    peak : float
+        Power shown white.
+    dataset : Dataset or None
+        Its images; None if they are no longer there.
+    """
+
+    renders = False
+    """Whether `render` can be asked."""
+
+    has_ground = False
+    """Whether ground was learned, which can be left out."""
+
+    scatters = False
+    """Whether the clouds have a γ⁰."""
+
+    def __init__(
+        self, title: str, grid: ImageGrid, train_views: tuple[View, ...], peak: float, dataset: Dataset | None
+    ) -> None:
+        self.title, self.grid, self.train_views, self.peak, self.dataset = title, grid, train_views, peak, dataset
+
+    # ---- what its dataset knows -------------------------------------------------------------------------------------
+    @property
+    def speckled(self) -> bool:
+        """Whether the images of the dataset are speckled."""
+        return self.dataset is not None and self.dataset.looks is not None
+
+    @property
+    def views(self) -> list[tuple[View, str]]:
+        """Every known view with the name of its set."""
+        if self.dataset is None:
+            return [(view, "train") for view in self.train_views]
+        return [(entry.view, entry.split) for entry in self.dataset.entries]
+
+    def nearest(self, view: View) -> tuple[int, float]:
+        """The known view nearest to one: its index in `views`, and the angle between the two, degrees."""
+        cosines = self._directions @ view.direction
+        index = int(cosines.argmax())
+        apart = np.linalg.norm(self._directions[index] - view.direction)  # arccos loses the digits of small angles
+        return index, float(np.degrees(2 * np.arcsin(min(apart / 2, 1.0))))
+
+    @cached_property
+    def _directions(self) -> Float[np.ndarray, "v 3"]:
+        return np.stack([view.direction for view, _ in self.views])
+
+    @cached_property
+    def truth(self) -> trimesh.Trimesh | None:
+        """The true surface, if it is known and can be read."""
+        if self.dataset is None or self.dataset.truth_mesh is None:
+            return None
+        try:
+            return read_mesh(self.dataset.truth_mesh)
+        except SarsplatError:
+            return None
+
+    # ---- what it shows ----------------------------------------------------------------------------------------------
+    @cached_property
+    def clouds(self) -> list[Cloud]:
+        """What can be drawn in the scene, the best first."""
+        if self.surface is None:
+            return []
+        places = self.surface.gaussians.means.numpy()
+        return [Cloud("true surface", at_most(places), self.grid.cell_m / 2)]
+
+    @cached_property
+    def surface(self) -> Surface | None:
+        """What radar maps are made from, if anything is known of the target's shape."""
+        return None if self.truth is None else surface_of_mesh(self.truth, self.grid.cell_m)
+
+    def gamma0(self, cloud: Cloud, view: View) -> Float[np.ndarray, " n"]:
+        """γ⁰ of every place of a cloud towards the radar, linear; asked only if `scatters`."""
+        raise NotImplementedError
+
+    def error_m(self, cloud: Cloud) -> Float[np.ndarray, " n"] | None:
+        """Distance of every place of a cloud from the true surface, m; None if that is not known."""
+        return None
+
+    def render(self, view: View, *, ground: bool = True, shadow: bool = True) -> Float32[np.ndarray, "rows columns"]:
+        """β⁰ of any view, linear power; asked only if `renders`.
+
+        Without `shadow`, target and ground are each seen as if the other were not there.
+        """
+        raise NotImplementedError
+
+    # ---- why a pixel shows what it shows ----------------------------------------------------------------------------
+    @property
+    def maps_grid(self) -> ImageGrid:
+        """Where the pixels of its images lie on an undisplaced scene."""
+        return self.grid
+
+    def maps(self, view: View) -> RadarMaps | None:
+        """Radar maps of any view, if the target's shape is known."""
+        return None if self.surface is None else radar_maps(self.surface, view, self.maps_grid)
+
+    def contributors(self, view: View, pixel: Pixel) -> Contributors | None:
+        """Who makes a pixel: here, by area alone."""
+        return None if self.surface is None else self._shares(self.surface.gaussians, len(self.surface.normals), view, pixel)
+
+    def _shares(self, scene: Gaussians, target: int, view: View, pixel: Pixel) -> Contributors | None:
+        power = contributions(scene, view, self.maps_grid, pixel)
+        total = float(power.sum())
+        if not total > 0:
+            return None
+        order = power[:target].argsort()[::-1]
+        order = order[power[order] > 0]
+        places = scene.means.double().cpu().numpy()[order]
+        return Contributors(places, power[order] / total, float(power[target:].sum()) / total)
+
+    @property
+    def box_m(self) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
+        """Corners of the space that the target takes, from the ground up, m; without a shape, that of the images."""
+        cloud = self.clouds[0].places_m if self.clouds else np.zeros((0, 3))
+        if len(cloud) == 0:
+            half = min(self.grid.rows * self.grid.spacing_m[1], self.grid.columns * self.grid.spacing_m[0]) / 4
+            return np.array([-half, -half, 0.0]), np.array([half, half, half])
+        low, high = np.quantile(cloud.astype(np.float64), (0.002, 0.998), axis=0)
+        return np.minimum(low - self.grid.cell_m, [np.inf, np.inf, 0.0]), high + self.grid.cell_m
+
+
+def subject_at(path: str | Path) -> Subject:
+    """The run or dataset in a folder.
+
+    Raises
+    ------
+    SarsplatError
+        If it is neither, or cannot be read.
+    """
+    path = Path(path)
+    if (path / "config.json").is_file():
+        from sarsplat.rivals import open_run
+        from sarsplat.viewer.run_subject import subject_of_run
+
+        return subject_of_run(open_run(path))
+    if (path / "dataset.json").is_file():
+        return dataset_subject(read_dataset(path))
+    what = "does not exist" if not path.exists() else "is neither a run nor a dataset"
+    raise SarsplatError(f"{path} {what}; give the folder of one, which `sarsplat simulate` or `sarsplat reconstruct` writes")
+
+
+def dataset_subject(dataset: Dataset) -> Subject:
+    """The images of a dataset, and its true surface where there is one."""
+    train = dataset.select("train") if "train" in dataset.splits() else dataset
+    name = dataset.path.name if dataset.path else dataset.target
+    return Subject(f"{name}: dataset of {dataset.target}", dataset.grid, train.views, float(train.power.max()), dataset)
+
+
+def at_most(places: Any, most: int = MAX_POINTS) -> Float32[np.ndarray, "n 3"]:
+    """At most so many of the places, evenly chosen by chance."""
+    places = np.asarray(places, np.float32)
+    return places if len(places) <= most else places[np.random.default_rng(0).permutation(len(places))[:most]]

@@ -1,0 +1,262 @@
+"""The page: a radar that is dragged around a target, and the image that it would take."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+from html import escape
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.radar import Pixel, iso_range_line
+from sarsplat.report.decibels import to_decibels
+from sarsplat.viewer.colours import Scale
+from sarsplat.viewer.controls import _ERROR, _GAMMA0, Choices, Controls
+from sarsplat.viewer.newest import Newest
+from sarsplat.viewer.pictures import Panel, Strip, difference_panel, heights_up_to, map_panel, power_panel
+from sarsplat.viewer.server import HOST, start_server, stop_server
+from sarsplat.viewer.stage import Stage
+from sarsplat.viewer.subject import Cloud, Contributors, Subject
+
+_MARGIN = 1.1  # of the part of an image around the target
+_GAMMA0_DB = 30.0  # shown below the strongest
+_MOST_OF_IT = 0.9
+_DIMMED = 0.35
+_FIRST_AZIMUTH_DEG = 45.0
+
+
+class Viewer:
+    """A page on this machine; it works until `close`.
+
+    Parameters
+    ----------
+    subject : Subject
+        What to look at.
+    port : int
+        Of 127.0.0.1; 0 is any that is free.
+
+    Attributes
+    ----------
+    frame_s : float
+        How long the newest image took, from the request to what is sent to the browser, s.
+
+    Raises
+    ------
+    SarsplatError
+        If the port is taken.
+    """
+
+    def __init__(self, subject: Subject, port: int = 0) -> None:
+        self._subject = subject
+        self._view, self._pixel = _first_view(subject), None  # type: tuple[View, Pixel | None]
+        self._picked: tuple[View, Pixel, Contributors | None] | None = None
+        self._strip, self._part = Strip(subject.grid, 1), subject.grid
+        self.frame_s = 0.0
+        self._server = start_server(port, self._pick_at)
+        self._newest = Newest(self._draw)
+        self._stage = Stage(self._server, subject.box_m, subject.views, self.look_from, self._pick_on_plane)
+        self._controls = Controls(self._server, subject, self._view, self._newest.ask, self.look_from)
+        self._newest.ask()
+
+    @property
+    def address(self) -> str:
+        """What to open in a browser."""
+        return f"http://{HOST}:{self._server.get_port()}"
+
+    @property
+    def view(self) -> View:
+        """Where the radar is."""
+        return self._view
+
+    @property
+    def pixel(self) -> Pixel | None:
+        """The pixel that was picked."""
+        return self._pixel
+
+    def look_from(self, view: View) -> None:
+        """Bring the radar to a view; the images follow."""
+        self._view = view
+        self._newest.ask()
+
+    def pick(self, pixel: Pixel | None) -> None:
+        """Light up what makes a pixel; None puts it out."""
+        self._pixel = pixel
+        self._newest.ask()
+
+    def show(self, subject: Subject) -> None:
+        """Go on with a newer state of the same subject."""
+        self._subject, self._picked = subject, None
+        self._newest.ask()
+
+    def wait(self, timeout_s: float = 10.0) -> bool:
+        """Wait until everything that was asked for is drawn; whether that came in time."""
+        return self._newest.wait(timeout_s)
+
+    def close(self) -> None:
+        """End the page."""
+        self._newest.close()
+        stop_server(self._server)
+
+    # ---- drawing, all of it on one thread ---------------------------------------------------------------------------
+    def _draw(self) -> None:
+        begun = time.perf_counter()
+        subject, view, pixel, choices = self._subject, self._view, self._pixel, self._controls.choices
+        part, window = self._window(view, choices.zoom)
+        heads, panels = self._panels(subject, view, choices)
+        cut = [replace(panel, rgb=panel.rgb[window]) for panel in panels]
+        self._strip, self._part = Strip(part, len(cut)), part
+        inside = None if pixel is None else _within(pixel, window)
+        on_plane = cut[-1 if choices.map else 0]
+        with self._server.atomic():
+            self._controls.show_strip(self._strip.drawn(cut, inside))
+            self._controls.show_heads(heads)
+            self._controls.follow(view)
+            self._stage.aim(view)
+            self._stage.lay_image(on_plane.rgb, view, part, choices.plane)
+            found = self._light(subject, view, pixel)
+            self._draw_target(subject, view, choices, dimmed=found is not None)
+            self._stage.show_dome(choices.views)
+            self._stage.show_ground(choices.lines)
+            self.frame_s = time.perf_counter() - begun
+            self._controls.show_foot([panel.legend for panel in cut], self._text(subject, view, pixel, found))
+
+    def _panels(self, subject: Subject, view: View, choices: Choices) -> tuple[list[tuple[str, str]], list[Panel]]:
+        """Every picture of the strip with its title and the line below that."""
+        heads, panels = [], []
+        here = f"azimuth {view.azimuth_deg:.1f}°, grazing {view.grazing_deg:.1f}°"
+        style = subject.peak, choices.limits_db, choices.colours
+        rendered = None
+        if subject.renders:
+            rendered = subject.render(view, ground=choices.ground, shadow=choices.shadow)
+            panels.append(power_panel("rendered", rendered, *style))
+            heads.append(("rendered", here))
+        if subject.dataset is not None:
+            index, apart_deg = subject.nearest(view)
+            entry, power = subject.dataset.entries[index], subject.dataset.power[index]
+            kind = "training" if entry.split == "train" else entry.split
+            panels.append(power_panel("nearest image", power, *style))
+            there = f"azimuth {entry.view.azimuth_deg:.1f}°, grazing {entry.view.grazing_deg:.1f}°"
+            heads.append((f"nearest {kind} image", f"{there}; {apart_deg:.1f}° away"))
+            if rendered is not None and not choices.map:
+                panels.append(difference_panel(rendered, power, subject.peak, choices.limits_db[0], speckled=subject.speckled))
+                heads.append(("difference", "rendered over nearest"))
+        if choices.map and (maps := subject.maps(view)) is not None:
+            panels.append(map_panel(choices.map, maps, heights_up_to(subject.clouds[0].places_m[:, 2]), subject.grid.cell_m))
+            heads.append((panels[-1].title, here))
+        return heads, panels
+
+    def _window(self, view: View, zoom: bool) -> tuple[ImageGrid, tuple[slice, slice]]:
+        """The part of an image that shows the target, of the same size from everywhere; its grid and its indices."""
+        grid, radius = self._subject.grid, _MARGIN * self._stage.size_m
+        azimuth, _, slant_range = radar_frame(view) @ self._stage.centre
+        size, first = [], []
+        sides = ((slant_range, grid.range_m, grid.spacing_m[1]), (azimuth, grid.azimuth_m, grid.spacing_m[0]))
+        for middle, places, spacing in sides:
+            count = min(2 * math.ceil(radius / spacing) + 1, len(places)) if zoom else len(places)
+            start = round((middle - places[0]) / spacing) - count // 2
+            size.append(count)
+            first.append(min(max(start, 0), len(places) - count))
+        rows, columns = (slice(a, a + n) for a, n in zip(first, size, strict=True))
+        centre = float(grid.azimuth_m[columns].mean()), float(grid.range_m[rows].mean())
+        return replace(grid, rows=size[0], columns=size[1], center_m=centre), (rows, columns)
+
+    def _draw_target(self, subject: Subject, view: View, choices: Choices, *, dimmed: bool) -> None:
+        cloud = next((cloud for cloud in subject.clouds if cloud.name == choices.cloud), None)
+        if cloud is None or len(cloud.places_m) == 0:
+            return
+        values, scale = _coloured(subject, cloud, view, choices.coloured_by)
+        colours: UInt8[np.ndarray, "n 3"] = scale.rgb(values)
+        if dimmed:
+            colours = np.rint(_DIMMED * colours).astype(np.uint8)
+        self._stage.draw_cloud(cloud, colours, choices.point_size)
+        bar = f'<div style="padding:0 10px">{scale.bar()}</div>'
+        if self._controls.legend.content != bar:
+            self._controls.legend.content = bar
+
+    # ---- picking ----------------------------------------------------------------------------------------------------
+    def _pick_at(self, x: float, y: float) -> None:
+        self.pick(self._of_part(self._strip.pixel_at(x, y)))
+
+    def _pick_on_plane(self, origin: Float[np.ndarray, " 3"], direction: Float[np.ndarray, " 3"]) -> None:
+        frame, part = radar_frame(self._view), self._part
+        down = (self._stage.plane_depth(self._view) - float(origin @ frame[1])) / float(direction @ frame[1])
+        azimuth, _, slant_range = frame @ (origin + down * direction)
+        column = round((azimuth - part.azimuth_m[0]) / part.spacing_m[0])
+        row = round((slant_range - part.range_m[0]) / part.spacing_m[1])
+        inside = 0 <= row < part.rows and 0 <= column < part.columns
+        self.pick(self._of_part(Pixel(row, column)) if inside else None)
+
+    def _of_part(self, pixel: Pixel | None) -> Pixel | None:
+        """The same pixel in the whole image; None if it was picked already, which puts it out."""
+        if pixel is None:
+            return None
+        grid, part = self._subject.grid, self._part
+        row = round((part.range_m[pixel.row] - grid.range_m[0]) / grid.spacing_m[1])
+        found = Pixel(row, round((part.azimuth_m[pixel.column] - grid.azimuth_m[0]) / grid.spacing_m[0]))
+        return None if found == self._pixel else found
+
+    def _light(self, subject: Subject, view: View, pixel: Pixel | None) -> Contributors | None:
+        if pixel is None:
+            self._stage.light(view, None, None)
+            return None
+        if self._picked is None or self._picked[:2] != (view, pixel):
+            self._picked = (view, pixel, subject.contributors(view, pixel))
+        found = self._picked[2]
+        line = iso_range_line(view, subject.maps_grid, pixel, self._stage.low, self._stage.high)
+        self._stage.light(view, line, found)
+        return found
+
+    def _text(self, subject: Subject, view: View, pixel: Pixel | None, found: Contributors | None) -> str:
+        took = f'<span style="opacity:.6">drawn in {1e3 * self.frame_s:.0f} ms</span>'
+        if pixel is None:
+            return f"Click on a pixel to see what makes it: all places of one azimuth and one range. {took}"
+        azimuth, slant_range = pixel.place_m(subject.grid)
+        where = f"<b>Row {pixel.row}, column {pixel.column}</b>: azimuth {azimuth:.2f} m, slant range {slant_range:.2f} m"
+        if subject.renders:
+            power = subject.render(view)[pixel.row, pixel.column]
+            where += f"; {float(to_decibels(power, subject.peak)):.1f} dB"
+        if found is None:
+            return f"{where}. Nothing is known to be there. {took}"
+        return f"{where}. {escape(_who(found, subject.scatters))} {took}".replace("-", "−")
+
+
+def _first_view(subject: Subject) -> View:
+    """A known view from the front left, at an elevation that is usual among them."""
+    usual = float(np.median([view.grazing_deg for view, _ in subject.views]))
+    return subject.views[subject.nearest(View(_FIRST_AZIMUTH_DEG, usual))[0]][0]
+
+
+def _who(found: Contributors, gaussians: bool) -> str:
+    """Who makes a pixel, in a sentence."""
+    ground = f" {found.ground_share:.0%} comes from the ground." if found.ground_share >= 0.005 else ""
+    if len(found.shares) == 0:
+        return f"No part of the target is there.{ground}"
+    target = found.shares.sum()
+    count = int(np.searchsorted(found.shares.cumsum(), _MOST_OF_IT * target)) + 1
+    heights = found.places_m[: count, 2]
+    what = "Gaussians" if gaussians else "pieces of the surface"
+    return (
+        f"{_MOST_OF_IT:.0%} of what the target adds comes from {count} {what} at heights of {heights.min():.2f} to "
+        f"{heights.max():.2f} m.{ground}"
+    )
+
+
+def _coloured(subject: Subject, cloud: Cloud, view: View, way: str) -> tuple[np.ndarray, Scale]:
+    """A number for each place, and how it is coloured."""
+    if way == _GAMMA0 and cloud.name != "true surface":
+        level = to_decibels(subject.gamma0(cloud, view))
+        top = float(np.ceil(np.quantile(level, 0.995)))
+        return level, Scale("γ⁰ towards the radar, dB", top - _GAMMA0_DB, top, "inferno")
+    if way == _ERROR and cloud.name != "true surface" and (error := subject.error_m(cloud)) is not None:
+        return error, Scale("distance to the true surface, m", 0.0, subject.grid.cell_m, "magma")
+    return cloud.places_m[:, 2], Scale("height, m", 0.0, heights_up_to(cloud.places_m[:, 2]), "viridis")
+
+
+def _within(pixel: Pixel, window: tuple[slice, slice]) -> Pixel | None:
+    """The same pixel in a part of an image."""
+    row, column = pixel.row - window[0].start, pixel.column - window[1].start
+    size = window[0].stop - window[0].start, window[1].stop - window[1].start
+    return Pixel(row, column) if 0 <= row < size[0] and 0 <= column < size[1] else None
