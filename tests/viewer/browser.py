@@ -78,9 +78,7 @@ class Page:
 
     def mouse(self, kind: str, x: float, y: float) -> None:
         pressed = {"mousePressed": 1, "mouseMoved": 1, "mouseReleased": 0}[kind]
-        self.call(
-            "Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=pressed, clickCount=1
-        )
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=pressed, clickCount=1)
 
     def click(self, x: float, y: float) -> None:
         self.mouse("mousePressed", x, y)

@@ -26,6 +26,7 @@ from sarsplat.cli.reconstruct import reconstruct
 from sarsplat.cli.render import render
 from sarsplat.cli.report import report
 from sarsplat.cli.simulate import simulate
+from sarsplat.cli.view import view
 from sarsplat.errors import SarsplatError
 
 
@@ -42,6 +43,7 @@ COMMANDS: dict[str, Callable[..., None] | dict[str, Callable[..., None]]] = {
     "evaluate": evaluate,
     "report": report,
     "render": render,
+    "view": view,
     "export": export,
     "info": info,
     "doctor": doctor,

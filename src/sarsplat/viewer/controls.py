@@ -7,17 +7,25 @@ from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from sarsplat.geometry import View
 from sarsplat.report.decibels import DYNAMIC_DB
 from sarsplat.viewer.colours import POWER_MAPS
 from sarsplat.viewer.pictures import MAPS
+from sarsplat.viewer.stage import TEST, TRAIN
 from sarsplat.viewer.subject import Subject
 
 if TYPE_CHECKING:
     import viser
 
-_HEIGHT, _GAMMA0, _ERROR = "height", "γ⁰ towards the radar", "distance to the true surface"
+HEIGHT, GAMMA0, ERROR = "height", "γ⁰ towards the radar", "distance to the true surface"
 _NO_MAP = "none"
+
+_HINT = (
+    '<div style="font-size:12px;line-height:1.5;padding:0 10px;opacity:.85">Drag the red ball, or click on a dot: '
+    f'<span style="color:rgb{TRAIN}">●</span> training view, <span style="color:rgb{TEST}">●</span> test view.</div>'
+)
 
 
 @dataclass(frozen=True)
@@ -69,10 +77,11 @@ class Controls:
         gui.set_panel_label("sarsplat view")
         gui.main_panel.dock_left()
         gui.main_panel.set_width(290)
-        self.title = gui.add_markdown(f"**{subject.title}**")
-        self._radar(subject, view)
-        self._target(subject)
-        self._image(subject)
+        self.title = gui.add_markdown("")
+        self._radar(subject.views, view)
+        self._target()
+        self._image()
+        self.offer(subject)
         with gui.add_folder("Scene", expand_by_default=False):
             self._views = self._watched(gui.add_checkbox("views", True))
             self._plane = self._watched(gui.add_checkbox("image plane", True))
@@ -97,11 +106,12 @@ class Controls:
         handle.on_update(lambda _: self._on_change())
         return handle
 
-    def _radar(self, subject: Subject, view: View) -> None:
+    def _radar(self, views: list[tuple[View, str]], view: View) -> None:
         gui = self._gui
         with gui.add_folder("Radar"):
             self._azimuth = gui.add_slider("azimuth, °", 0.0, 360.0, 0.1, round(view.azimuth_deg % 360, 1))
             self._grazing = gui.add_slider("grazing, °", 1.0, 89.0, 0.1, round(min(max(view.grazing_deg, 1), 89), 1))
+            gui.add_html(_HINT)
             steps = gui.add_button_group("known views", ("◀ previous", "next ▶"))
 
         def slid(event: Any) -> None:
@@ -113,32 +123,42 @@ class Controls:
 
         @steps.on_click
         def stepped(event: Any) -> None:
-            index, _ = subject.nearest(View(self._azimuth.value, self._grazing.value))
-            step = 1 if event.target.value == "next ▶" else -1
-            self._on_aim(subject.views[(index + step) % len(subject.views)][0])
+            here = View(self._azimuth.value, self._grazing.value).direction
+            index = int(np.argmax([view.direction @ here for view, _ in views]))
+            self._on_aim(views[(index + (1 if event.target.value == "next ▶" else -1)) % len(views)][0])
 
-    def _target(self, subject: Subject) -> None:
+    def _target(self) -> None:
         gui = self._gui
-        names = [cloud.name for cloud in subject.clouds]
-        ways = [_HEIGHT, *([_GAMMA0] if subject.scatters else []), *([_ERROR] if subject.truth is not None else [])]
         with gui.add_folder("Target"):
-            self._cloud = self._watched(gui.add_dropdown("show", names or ["nothing"], visible=len(names) > 0))
-            self._coloured = self._watched(gui.add_dropdown("colour", ways, visible=len(names) > 0))
-            self._size = self._watched(gui.add_slider("point size", 0.25, 4.0, 0.25, 1.0, visible=len(names) > 0))
+            self._cloud = self._watched(gui.add_dropdown("show", ["nothing"]))
+            self._coloured = self._watched(gui.add_dropdown("colour", [HEIGHT]))
+            self._size = self._watched(gui.add_slider("point size", 0.25, 4.0, 0.25, 1.0))
             self.legend = gui.add_html("")
 
-    def _image(self, subject: Subject) -> None:
-        gui, ground = self._gui, subject.has_ground
-        maps = (_NO_MAP, *MAPS)
+    def _image(self) -> None:
+        gui = self._gui
         with gui.add_folder("Image"):
             self._limits = self._watched(
                 gui.add_multi_slider("power, dB", -80.0, 20.0, 1.0, (-DYNAMIC_DB, 0.0), min_range=5.0)
             )
             self._colours = self._watched(gui.add_dropdown("colours", POWER_MAPS))
-            self._map = self._watched(gui.add_dropdown("radar map", maps, visible=len(subject.clouds) > 0))
-            self._zoom = self._watched(gui.add_checkbox("zoom to the target", True))
-            self._ground = self._watched(gui.add_checkbox("ground", True, visible=ground))
-            self._shadow = self._watched(gui.add_checkbox("shadow on the ground", True, visible=ground))
+            self._map = self._watched(gui.add_dropdown("radar map", (_NO_MAP, *MAPS)))
+            self._zoom = self._watched(gui.add_checkbox("zoom to target", True))
+            self._ground = self._watched(gui.add_checkbox("ground", True))
+            self._shadow = self._watched(gui.add_checkbox("its shadow", True))
+
+    def offer(self, subject: Subject) -> None:
+        """Show what can be set for a subject, and hide the rest."""
+        self.title.content = f"**{subject.title}**"
+        names = tuple(cloud.name for cloud in subject.clouds)
+        ways = (HEIGHT, *((GAMMA0,) if subject.scatters else ()), *((ERROR,) if subject.knows_errors else ()))
+        for handle, options in ((self._cloud, names or ("nothing",)), (self._coloured, ways)):
+            if tuple(handle.options) != options:
+                handle.options = options
+        for handle in (self._cloud, self._coloured, self._size, self.legend):
+            handle.visible = len(names) > 0
+        self._map.visible = subject.surface is not None
+        self._ground.visible = self._shadow.visible = subject.has_ground
 
     @property
     def choices(self) -> Choices:
@@ -161,6 +181,7 @@ class Controls:
 
     def follow(self, view: View) -> None:
         """Bring the sliders to where the radar is."""
+        slider: Any
         for slider, angle in ((self._azimuth, view.azimuth_deg % 360), (self._grazing, view.grazing_deg)):
             if slider.value != round(angle, 1):
                 slider.value = round(angle, 1)
@@ -180,7 +201,8 @@ class Controls:
             f'<div style="font-size:11px;opacity:.75">{escape(line)}</div></div>'
             for title, line in heads
         )
-        text = f'<div id="heads" style="display:flex;gap:6px;padding:0 10px;font-size:13px;line-height:1.35">{cells}</div>'
+        style = "display:flex;gap:6px;padding:0 10px;min-height:54px;font-size:13px;line-height:1.35"
+        text = f'<div id="heads" style="{style}">{cells}</div>'
         if self.heads.content != text:
             self.heads.content = text
 

@@ -48,7 +48,7 @@ def power_panel(
     title: str, power: Real[np.ndarray, "rows columns"], peak: float, limits_db: tuple[float, float], colours: str
 ) -> Panel:
     """An image in decibels of `peak`."""
-    scale = Scale("power, dB (0: brightest training pixel)", *limits_db, colours)
+    scale = Scale("dB of the brightest pixel", *limits_db, colours)
     return Panel(title, scale.rgb(to_decibels(power, peak)), scale.bar())
 
 
@@ -65,7 +65,7 @@ def difference_panel(
     if speckled:
         rendered, measured = (uniform_filter(power, 3) for power in (rendered, measured))
     difference = to_decibels(np.maximum(rendered, floor)) - to_decibels(np.maximum(measured, floor))
-    scale = Scale(f"rendered over image, dB{' (3×3 means)' if speckled else ''}", -widest, widest, DIFFERENCE)
+    scale = Scale(f"dB{', of 3×3 means' if speckled else ''}", -widest, widest, DIFFERENCE)
     return Panel("difference", scale.rgb(difference), scale.bar())
 
 
@@ -114,15 +114,19 @@ class Strip:
 
     def drawn(self, panels: list[Panel], pixel: Pixel | None) -> UInt8[np.ndarray, "height width 3"]:
         """All panels in one picture; a pixel that was picked has a frame in each."""
-        row = np.arange(self._height) * self.grid.rows // self._height
-        column = np.arange(self._width) * self.grid.columns // self._width
-        pictures = [panel.rgb[row[:, None], column] for panel in panels]
+        pictures = [self.enlarged(panel) for panel in panels]
         if pixel is not None:
             for picture in pictures:
                 self._frame(picture, pixel)
         gap = np.full((self._height, _GAP, 3), _GREY, np.uint8)
         parts = [part for picture in pictures for part in (picture, gap)][:-1]
         return np.concatenate(parts, axis=1)
+
+    def enlarged(self, panel: Panel) -> UInt8[np.ndarray, "height width 3"]:
+        """One panel as large as it is drawn."""
+        row = np.arange(self._height) * self.grid.rows // self._height
+        column = np.arange(self._width) * self.grid.columns // self._width
+        return panel.rgb[row[:, None], column]
 
     def pixel_at(self, x: float, y: float) -> Pixel | None:
         """The pixel at parts of the width and height of the whole picture, or None between two panels."""

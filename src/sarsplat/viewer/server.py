@@ -89,8 +89,9 @@ def _served_on(listener: socket.socket, port: int, on_pick: Callable[[float, flo
     same browser could otherwise listen in.
     """
     from websockets.asyncio import server as library
+    from websockets.typing import Origin
 
-    own = [f"http://{name}:{port}" for name in (HOST, "localhost")]
+    own = [Origin(f"http://{name}:{port}") for name in (HOST, "localhost")]
     policy = _POLICY.format(sockets=" ".join(origin.replace("http", "ws") for origin in own))
     real, addition = library.serve, files("sarsplat.viewer").joinpath("page.html").read_bytes()
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import viser.transforms as transforms
 from jaxtyping import Float, UInt8
+from scipy.spatial.transform import Rotation
 
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.viewer.subject import Cloud, Contributors
@@ -15,8 +15,8 @@ from sarsplat.viewer.subject import Cloud, Contributors
 if TYPE_CHECKING:
     import viser
 
-_TRAIN, _TEST, _RADAR, _LIT = (92, 200, 255), (190, 150, 255), (255, 92, 70), (255, 176, 32)
-_FAINT = (110, 122, 136)
+TRAIN, TEST, _RADAR, _LIT = (60, 170, 255), (190, 110, 255), (255, 92, 70), (255, 176, 32)
+_FAINT, _LINES = (110, 122, 136), (52, 60, 70)
 _DOME = 1.9  # radius, in those of the target
 _STEPS = 72  # of a circle of latitude
 _LOWEST_DEG, _HIGHEST_DEG = 1.0, 89.0
@@ -55,18 +55,24 @@ class Stage:
         self._radius = _DOME * self.size_m
         self._foot = np.array([*self.centre[:2], 0.0])
         self._on_plane = on_plane
-        server.initial_camera.position = self._foot + self._radius * np.array([-0.8, -2.4, 1.5])
-        server.initial_camera.look_at = self._foot + [0, 0, 0.3 * self._radius]
+        server.initial_camera.position = self._foot + self._radius * np.array([-2.1, -2.35, 1.9])
+        server.initial_camera.look_at = self._foot + np.array([0, 0, 0.25 * self._radius])
         server.initial_camera.fov = np.radians(50)
         scene.set_up_direction("+z")
         scene.world_axes.visible = False
+        scene.configure_default_lights(cast_shadow=False)
         self._grid(scene)
         self._dome(scene, views, on_aim)
         self._radar(scene, on_aim)
         self._plane: Any = None
         self._line = scene.add_line_segments("/pixel/line", np.zeros((1, 2, 3)), _LIT, thickness=0.004 * self._radius)
         self._lit = scene.add_point_cloud(
-            "/pixel/lit", np.zeros((1, 3)), _LIT, point_size=0.01 * self._radius, point_shape="circle", precision="float32"
+            "/pixel/lit",
+            np.zeros((1, 3)),
+            _LIT,
+            point_size=0.01 * self._radius,
+            point_shape="circle",
+            precision="float32",
         )
         self._line.visible = self._lit.visible = False
         self._cloud: Any = None
@@ -78,11 +84,11 @@ class Stage:
             *(2 * self._radius,) * 2,
             cell_size=step,
             section_size=5 * step,
-            cell_color=_FAINT,
-            section_color=_FAINT,
+            cell_color=_LINES,
+            section_color=_LINES,
             position=self._foot,
         )
-        nose = self._foot + [self._radius, 0, 0]
+        nose = self._foot + np.array([self._radius, 0, 0])
         self._nose = scene.add_label("/nose", f"+x (nose); squares of {step:g} m", position=nose)
 
     def _dome(self, scene: Any, views: list[tuple[View, str]], on_aim: Callable[[View], None]) -> None:
@@ -102,8 +108,8 @@ class Stage:
         ball = trimesh.creation.icosphere(subdivisions=1)
         self._dots = []
         for name, colour, chosen in (
-            ("train", _TRAIN, [view for view, split in views if split == "train"]),
-            ("test", _TEST, [view for view, split in views if split != "train"]),
+            ("train", TRAIN, [view for view, split in views if split == "train"]),
+            ("test", TEST, [view for view, split in views if split != "train"]),
         ):
             if not chosen:
                 continue
@@ -131,7 +137,12 @@ class Stage:
     def _radar(self, scene: Any, on_aim: Callable[[View], None]) -> None:
         r = self._radius
         self._arrow = scene.add_arrows(
-            "/radar/line", np.zeros((1, 2, 3)), _RADAR, shaft_radius=0.008 * r, head_radius=0.022 * r, head_length=0.06 * r
+            "/radar/line",
+            np.zeros((1, 2, 3)),
+            _RADAR,
+            shaft_radius=0.008 * r,
+            head_radius=0.022 * r,
+            head_length=0.06 * r,
         )
         self._handle = scene.add_icosphere("/radar/handle", 0.05 * r, _RADAR, cast_shadow=False, receive_shadow=False)
         self._label = scene.add_label("/radar/label", "radar")
@@ -161,7 +172,7 @@ class Stage:
         place = self._at(view)
         self._handle.position = place
         self._arrow.points = np.stack([place, self._foot + 0.45 * (place - self._foot)])[None].astype(np.float32)
-        self._label.position = place + [0, 0, 0.08 * self._radius]
+        self._label.position = place + np.array([0, 0, 0.08 * self._radius])
         self._label.text = f"radar: azimuth {view.azimuth_deg:.1f}°, grazing {view.grazing_deg:.1f}°"
 
     def show_dome(self, visible: bool) -> None:
@@ -197,10 +208,10 @@ class Stage:
         return float(self.low[axis]), float(self.high[axis])
 
     def lay_image(self, rgb: UInt8[np.ndarray, "rows columns 3"], view: View, part: ImageGrid, visible: bool) -> None:
-        """Lay an image on its plane, azimuth × slant range, through which the lines of one range pass squarely."""
+        """Lay an image on its plane, azimuth × slant range, which the lines of one range cross at right angles."""
         frame = radar_frame(view)
         place = np.array([part.center_m[0], self.plane_depth(view), part.center_m[1]]) @ frame
-        turn = transforms.SO3.from_matrix(np.stack([frame[0], frame[2], -frame[1]], axis=1)).wxyz
+        turn = Rotation.from_matrix(np.stack([frame[0], frame[2], -frame[1]], axis=1)).as_quat(scalar_first=True)
         size = part.columns * part.spacing_m[0], part.rows * part.spacing_m[1]
         if self._plane is not None and self._plane[1] == size:
             plane = self._plane[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,15 +13,20 @@ from jaxtyping import Float, Float32
 
 from sarsplat.data import Dataset, read_dataset
 from sarsplat.errors import SarsplatError
+from sarsplat.gaussians.initialise import bounded_region
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.radar import Pixel, RadarMaps, Surface, radar_maps, surface_of_mesh
 from sarsplat.radar.iso_range import contributions
+from sarsplat.reconstruction.target_box import target_box
 from sarsplat.scenes.mesh_files import read_mesh
 
 if TYPE_CHECKING:
     import trimesh
 
     from sarsplat.gaussians import Gaussians
+
+TRUTH = "true surface"
+"""Name of the cloud that is no reconstruction."""
 
 MAX_POINTS = 60_000
 """Most points drawn: more would only look more solid."""
@@ -102,8 +108,8 @@ class Subject:
         """The known view nearest to one: its index in `views`, and the angle between the two, degrees."""
         cosines = self._directions @ view.direction
         index = int(cosines.argmax())
-        apart = np.linalg.norm(self._directions[index] - view.direction)  # arccos loses the digits of small angles
-        return index, float(np.degrees(2 * np.arcsin(min(apart / 2, 1.0))))
+        apart = math.dist(self._directions[index], view.direction)  # arccos loses the digits of small angles
+        return index, math.degrees(2 * math.asin(min(apart / 2, 1.0)))
 
     @cached_property
     def _directions(self) -> Float[np.ndarray, "v 3"]:
@@ -126,7 +132,7 @@ class Subject:
         if self.surface is None:
             return []
         places = self.surface.gaussians.means.numpy()
-        return [Cloud("true surface", at_most(places), self.grid.cell_m / 2)]
+        return [Cloud(TRUTH, at_most(places), self.grid.cell_m / 2)]
 
     @cached_property
     def surface(self) -> Surface | None:
@@ -137,9 +143,14 @@ class Subject:
         """γ⁰ of every place of a cloud towards the radar, linear; asked only if `scatters`."""
         raise NotImplementedError
 
-    def error_m(self, cloud: Cloud) -> Float[np.ndarray, " n"] | None:
-        """Distance of every place of a cloud from the true surface, m; None if that is not known."""
-        return None
+    @property
+    def knows_errors(self) -> bool:
+        """Whether `error_m` is known for any cloud."""
+        return False
+
+    def error_m(self, cloud: Cloud) -> Float[np.ndarray, " n"]:
+        """Distance of every place of a cloud from the true surface, m; asked only if `knows_errors`."""
+        raise NotImplementedError
 
     def render(self, view: View, *, ground: bool = True, shadow: bool = True) -> Float32[np.ndarray, "rows columns"]:
         """β⁰ of any view, linear power; asked only if `renders`.
@@ -160,7 +171,11 @@ class Subject:
 
     def contributors(self, view: View, pixel: Pixel) -> Contributors | None:
         """Who makes a pixel: here, by area alone."""
-        return None if self.surface is None else self._shares(self.surface.gaussians, len(self.surface.normals), view, pixel)
+        return (
+            None
+            if self.surface is None
+            else self._shares(self.surface.gaussians, len(self.surface.normals), view, pixel)
+        )
 
     def _shares(self, scene: Gaussians, target: int, view: View, pixel: Pixel) -> Contributors | None:
         power = contributions(scene, view, self.maps_grid, pixel)
@@ -174,13 +189,23 @@ class Subject:
 
     @property
     def box_m(self) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
-        """Corners of the space that the target takes, from the ground up, m; without a shape, that of the images."""
-        cloud = self.clouds[0].places_m if self.clouds else np.zeros((0, 3))
-        if len(cloud) == 0:
-            half = min(self.grid.rows * self.grid.spacing_m[1], self.grid.columns * self.grid.spacing_m[0]) / 4
-            return np.array([-half, -half, 0.0]), np.array([half, half, half])
+        """Corners of the space that the target takes, m; without a shape, where the images show it."""
+        if not self.clouds or len(self.clouds[0].places_m) == 0:
+            return self._box_of_images()
+        cloud = self.clouds[0].places_m
         low, high = np.quantile(cloud.astype(np.float64), (0.002, 0.998), axis=0)
         return np.minimum(low - self.grid.cell_m, [np.inf, np.inf, 0.0]), high + self.grid.cell_m
+
+    def _box_of_images(self) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
+        if self.dataset is None:
+            half = min(self.grid.rows * self.grid.spacing_m[1], self.grid.columns * self.grid.spacing_m[0]) / 4
+            return np.array([-half, -half, 0.0]), np.array([half, half, half])
+        train = self.dataset.select("train")
+        if self.dataset.target_box_m is not None or self.dataset.ground or self.dataset.looks is not None:
+            low, high = self.dataset.target_box_m or target_box(train.power, train.views, train.grid)
+            return np.array(low), np.array(high)
+        region = bounded_region(train.power, train.views, train.grid)
+        return region.low, region.high
 
 
 def subject_at(path: str | Path) -> Subject:
@@ -200,12 +225,14 @@ def subject_at(path: str | Path) -> Subject:
     if (path / "dataset.json").is_file():
         return dataset_subject(read_dataset(path))
     what = "does not exist" if not path.exists() else "is neither a run nor a dataset"
-    raise SarsplatError(f"{path} {what}; give the folder of one, which `sarsplat simulate` or `sarsplat reconstruct` writes")
+    raise SarsplatError(
+        f"{path} {what}; give the folder of one, which `sarsplat simulate` or `sarsplat reconstruct` writes"
+    )
 
 
 def dataset_subject(dataset: Dataset) -> Subject:
     """The images of a dataset, and its true surface where there is one."""
-    train = dataset.select("train") if "train" in dataset.splits() else dataset
+    train = dataset.select("train")
     name = dataset.path.name if dataset.path else dataset.target
     return Subject(f"{name}: dataset of {dataset.target}", dataset.grid, train.views, float(train.power.max()), dataset)
 

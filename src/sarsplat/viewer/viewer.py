@@ -14,17 +14,19 @@ from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.radar import Pixel, iso_range_line
 from sarsplat.report.decibels import to_decibels
 from sarsplat.viewer.colours import Scale
-from sarsplat.viewer.controls import _ERROR, _GAMMA0, Choices, Controls
+from sarsplat.viewer.controls import ERROR, GAMMA0, Choices, Controls
 from sarsplat.viewer.newest import Newest
 from sarsplat.viewer.pictures import Panel, Strip, difference_panel, heights_up_to, map_panel, power_panel
 from sarsplat.viewer.server import HOST, start_server, stop_server
 from sarsplat.viewer.stage import Stage
-from sarsplat.viewer.subject import Cloud, Contributors, Subject
+from sarsplat.viewer.subject import TRUTH, Cloud, Contributors, Subject
 
 _MARGIN = 1.1  # of the part of an image around the target
 _GAMMA0_DB = 30.0  # shown below the strongest
 _MOST_OF_IT = 0.9
 _DIMMED = 0.35
+_FRAME = 96  # grey
+_SAME_DEG = 0.05
 _FIRST_AZIMUTH_DEG = 45.0
 
 
@@ -54,6 +56,7 @@ class Viewer:
         self._view, self._pixel = _first_view(subject), None  # type: tuple[View, Pixel | None]
         self._picked: tuple[View, Pixel, Contributors | None] | None = None
         self._strip, self._part = Strip(subject.grid, 1), subject.grid
+        self._offered = True
         self.frame_s = 0.0
         self._server = start_server(port, self._pick_at)
         self._newest = Newest(self._draw)
@@ -88,7 +91,7 @@ class Viewer:
 
     def show(self, subject: Subject) -> None:
         """Go on with a newer state of the same subject."""
-        self._subject, self._picked = subject, None
+        self._subject, self._picked, self._offered = subject, None, False
         self._newest.ask()
 
     def wait(self, timeout_s: float = 10.0) -> bool:
@@ -103,7 +106,11 @@ class Viewer:
     # ---- drawing, all of it on one thread ---------------------------------------------------------------------------
     def _draw(self) -> None:
         begun = time.perf_counter()
-        subject, view, pixel, choices = self._subject, self._view, self._pixel, self._controls.choices
+        subject, view, pixel = self._subject, self._view, self._pixel
+        if not self._offered:
+            self._offered = True
+            self._controls.offer(subject)
+        choices = self._controls.choices
         part, window = self._window(view, choices.zoom)
         heads, panels = self._panels(subject, view, choices)
         cut = [replace(panel, rgb=panel.rgb[window]) for panel in panels]
@@ -115,7 +122,7 @@ class Viewer:
             self._controls.show_heads(heads)
             self._controls.follow(view)
             self._stage.aim(view)
-            self._stage.lay_image(on_plane.rgb, view, part, choices.plane)
+            self._stage.lay_image(_framed(self._strip.enlarged(on_plane)), view, part, choices.plane)
             found = self._light(subject, view, pixel)
             self._draw_target(subject, view, choices, dimmed=found is not None)
             self._stage.show_dome(choices.views)
@@ -126,7 +133,7 @@ class Viewer:
     def _panels(self, subject: Subject, view: View, choices: Choices) -> tuple[list[tuple[str, str]], list[Panel]]:
         """Every picture of the strip with its title and the line below that."""
         heads, panels = [], []
-        here = f"azimuth {view.azimuth_deg:.1f}°, grazing {view.grazing_deg:.1f}°"
+        here = _name(view)
         style = subject.peak, choices.limits_db, choices.colours
         rendered = None
         if subject.renders:
@@ -138,13 +145,17 @@ class Viewer:
             entry, power = subject.dataset.entries[index], subject.dataset.power[index]
             kind = "training" if entry.split == "train" else entry.split
             panels.append(power_panel("nearest image", power, *style))
-            there = f"azimuth {entry.view.azimuth_deg:.1f}°, grazing {entry.view.grazing_deg:.1f}°"
-            heads.append((f"nearest {kind} image", f"{there}; {apart_deg:.1f}° away"))
+            there = "the same view" if apart_deg < _SAME_DEG else f"{apart_deg:.1f}° away: {_name(entry.view)}"
+            heads.append((f"nearest {kind} image", there))
             if rendered is not None and not choices.map:
-                panels.append(difference_panel(rendered, power, subject.peak, choices.limits_db[0], speckled=subject.speckled))
-                heads.append(("difference", "rendered over nearest"))
+                panels.append(
+                    difference_panel(rendered, power, subject.peak, choices.limits_db[0], speckled=subject.speckled)
+                )
+                heads.append(("difference", "rendered over nearest image"))
         if choices.map and (maps := subject.maps(view)) is not None:
-            panels.append(map_panel(choices.map, maps, heights_up_to(subject.clouds[0].places_m[:, 2]), subject.grid.cell_m))
+            panels.append(
+                map_panel(choices.map, maps, heights_up_to(subject.clouds[0].places_m[:, 2]), subject.grid.cell_m)
+            )
             heads.append((panels[-1].title, here))
         return heads, panels
 
@@ -214,7 +225,9 @@ class Viewer:
         if pixel is None:
             return f"Click on a pixel to see what makes it: all places of one azimuth and one range. {took}"
         azimuth, slant_range = pixel.place_m(subject.grid)
-        where = f"<b>Row {pixel.row}, column {pixel.column}</b>: azimuth {azimuth:.2f} m, slant range {slant_range:.2f} m"
+        where = (
+            f"<b>Row {pixel.row}, column {pixel.column}</b>: azimuth {azimuth:.2f} m, slant range {slant_range:.2f} m"
+        )
         if subject.renders:
             power = subject.render(view)[pixel.row, pixel.column]
             where += f"; {float(to_decibels(power, subject.peak)):.1f} dB"
@@ -236,7 +249,7 @@ def _who(found: Contributors, gaussians: bool) -> str:
         return f"No part of the target is there.{ground}"
     target = found.shares.sum()
     count = int(np.searchsorted(found.shares.cumsum(), _MOST_OF_IT * target)) + 1
-    heights = found.places_m[: count, 2]
+    heights = found.places_m[:count, 2]
     what = "Gaussians" if gaussians else "pieces of the surface"
     return (
         f"{_MOST_OF_IT:.0%} of what the target adds comes from {count} {what} at heights of {heights.min():.2f} to "
@@ -246,13 +259,24 @@ def _who(found: Contributors, gaussians: bool) -> str:
 
 def _coloured(subject: Subject, cloud: Cloud, view: View, way: str) -> tuple[np.ndarray, Scale]:
     """A number for each place, and how it is coloured."""
-    if way == _GAMMA0 and cloud.name != "true surface":
+    if way == GAMMA0 and cloud.name != TRUTH:
         level = to_decibels(subject.gamma0(cloud, view))
         top = float(np.ceil(np.quantile(level, 0.995)))
         return level, Scale("γ⁰ towards the radar, dB", top - _GAMMA0_DB, top, "inferno")
-    if way == _ERROR and cloud.name != "true surface" and (error := subject.error_m(cloud)) is not None:
-        return error, Scale("distance to the true surface, m", 0.0, subject.grid.cell_m, "magma")
+    if way == ERROR and cloud.name != TRUTH:
+        return subject.error_m(cloud), Scale("distance to the true surface, m", 0.0, subject.grid.cell_m, "magma")
     return cloud.places_m[:, 2], Scale("height, m", 0.0, heights_up_to(cloud.places_m[:, 2]), "viridis")
+
+
+def _name(view: View) -> str:
+    return f"azimuth {view.azimuth_deg:.1f}°, grazing {view.grazing_deg:.1f}°"
+
+
+def _framed(picture: UInt8[np.ndarray, "rows columns 3"]) -> UInt8[np.ndarray, "rows columns 3"]:
+    """With a thin line around it: a dark image on a dark page has no edge."""
+    framed = np.full_like(picture, _FRAME)
+    framed[1:-1, 1:-1] = picture[1:-1, 1:-1]
+    return framed
 
 
 def _within(pixel: Pixel, window: tuple[slice, slice]) -> Pixel | None:

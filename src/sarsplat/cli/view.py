@@ -1,0 +1,42 @@
+"""`sarsplat view`: a page on this machine in which the radar is dragged around the target."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from sarsplat.cli import console
+
+_LOOK_AGAIN_S = 0.5
+DEFAULT_PORT = 8765
+
+
+def view(
+    path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN|DATASET")],
+    *,
+    port: Annotated[int, tyro.conf.arg(metavar="PORT")] = DEFAULT_PORT,
+) -> None:
+    """Look at a run or a dataset in the browser: drag the radar, and see the image that it would take.
+
+    Parameters
+    ----------
+    path
+        Folder of a run or of a dataset.
+    port
+        Port of 127.0.0.1 for the page, which no other machine can open; 0 takes any that is free.
+    """
+    from sarsplat.viewer import Viewer, subject_at
+
+    with console.busy(f"reading {path}"):
+        viewer = Viewer(subject_at(path), port)
+    try:
+        console.say(f"open {viewer.address} in a browser on this machine; Ctrl-C ends it")
+        while True:
+            time.sleep(_LOOK_AGAIN_S)
+    except KeyboardInterrupt:
+        console.say(f"\nended; {viewer.address} no longer answers")
+    finally:
+        viewer.close()
