@@ -33,7 +33,9 @@ def test_what_is_unknown_is_neither_end_of_the_scale():
 
 
 def test_a_scale_of_no_width_colours_all_the_same():
-    assert (Scale("height, m", 0.0, 0.0, "viridis").rgb(np.zeros(3)) == Scale("", 0, 1, "viridis").rgb(np.zeros(3))).all()
+    assert (
+        Scale("height, m", 0.0, 0.0, "viridis").rgb(np.zeros(3)) == Scale("", 0, 1, "viridis").rgb(np.zeros(3))
+    ).all()
 
 
 def test_equal_images_differ_nowhere_and_what_is_dark_in_both_is_equal():

@@ -30,6 +30,9 @@ Metres = Annotated[float | None, tyro.conf.arg(metavar="METRES", help_behavior_h
 Angles = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DEG …", help_behavior_hint="")]
 """Numbers or ranges start:stop:step, degrees, with spaces or commas between them; see `angles`."""
 
+DEFAULT_PORT = 8765
+"""Of the pages that `view` and `reconstruct --view` show."""
+
 _MAX_ANGLES = 10_000
 
 

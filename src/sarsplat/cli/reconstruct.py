@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import MARKERS, Folder, OptionalFile, OptionalFolder, refuse_existing
+from sarsplat.cli.arguments import DEFAULT_PORT, MARKERS, Folder, OptionalFile, OptionalFolder, refuse_existing
 from sarsplat.cli.interrupt import interruptible
 from sarsplat.cli.rival import MethodName, asked_method, reconstruct_by, settings_in
 from sarsplat.errors import SarsplatError
@@ -21,6 +22,7 @@ from sarsplat.reconstruction.config import OURS, Config, Densification, Surround
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
+    from sarsplat.reconstruction import Step, Trainer
 
 PresetName = Literal["auto", "default", "quick", "speckled", "paper", "measured"]
 _PARTS = {"densification": Densification, "surroundings": Surroundings}
@@ -67,6 +69,10 @@ class Options:
         Folder of masks of the training images, from which dsr learns; `sarsplat simulate --masks` writes them.
     device
         Where to train; auto uses a GPU if a usable one is present.
+    view
+        Show the training in the browser while it goes on; its result is the same.
+    port
+        Port of 127.0.0.1 for --view; 0 takes any that is free.
     resume
         Continue the run in --out with the settings it was started with; DATASET may have moved. A larger --iterations
         extends the run; other --points.* extract its points anew.
@@ -88,6 +94,8 @@ class Options:
     method: Annotated[MethodName | None, tyro.conf.arg(help_behavior_hint="(default: sar-gs)")] = None
     masks: OptionalFolder = None
     device: Literal["auto", "cpu", "cuda"] = "auto"
+    view: bool = False
+    port: Annotated[int, tyro.conf.arg(metavar="PORT")] = DEFAULT_PORT
     resume: bool = False
     overwrite: bool = False
     densify: Annotated[Literal["on", "off"] | None, _switch("densification")] = None
@@ -122,13 +130,18 @@ def reconstruct(
         return
     if not options.resume:
         refuse_existing(out, options.overwrite, marker=HEADER)
-    with interruptible(dataset, out) as stop_if_asked:
+    with interruptible(dataset, out) as stop_if_asked, _shown(images, options) as show:
+
+        def after_step(step: Step[Trainer]) -> None:
+            stop_if_asked(step)
+            show(step)
+
         run = train(
             images,
             config,
             out,
             device=options.device,
-            on_step=stop_if_asked,
+            on_step=after_step,
             resume=options.resume,
             overwrite=options.overwrite,
         )
@@ -137,6 +150,15 @@ def reconstruct(
         f"(preset {config.preset}, seed {run.seed})",
         f"sarsplat evaluate {shlex.quote(str(out))}",
     )
+
+
+def _shown(images: Dataset, options: Options) -> AbstractContextManager[Callable[[Step[Trainer]], object]]:
+    """What is called after each step, to show it if that was asked for."""
+    if not options.view:
+        return nullcontext(lambda step: None)
+    from sarsplat.viewer import watched
+
+    return watched(images, options.port, console.say)
 
 
 def _base(options: Options, images: Dataset) -> Config:

@@ -25,7 +25,7 @@ MethodName = Literal["sar-gs", "sar-nerf", "sar-nerf-grid", "dsr"]
 _SETTINGS = ("iterations", "views_per_step", "checkpoint_every", "seed")
 """Those that all methods have, and that are options."""
 
-_OTHERS = ("out", "method", "masks", "config", "print_config", "device", "resume", "overwrite")
+_OTHERS = ("out", "method", "masks", "config", "print_config", "device", "view", "port", "resume", "overwrite")
 
 
 def asked_method(asked: MethodName | None, resume: bool, out: Path) -> str:
@@ -64,6 +64,8 @@ def reconstruct_by(method: str, options: Options, words: Sequence[str]) -> None:
     from sarsplat.reconstruction.any_run import HEADER
 
     dataset, out = options.dataset, options.out
+    if options.view:
+        raise SarsplatError(f"--view shows trainings by {OURS} only, not by {method}; leave it out, and view the run")
     config = _config(method, options, words)
     if options.print_config:
         json.dump({"method": method, "config": config.as_dict()}, sys.stdout, indent=2)

@@ -9,9 +9,9 @@ from typing import Annotated
 import tyro
 
 from sarsplat.cli import console
+from sarsplat.cli.arguments import DEFAULT_PORT
 
 _LOOK_AGAIN_S = 0.5
-DEFAULT_PORT = 8765
 
 
 def view(

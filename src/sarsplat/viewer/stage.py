@@ -89,7 +89,7 @@ class Stage:
             position=self._foot,
         )
         nose = self._foot + np.array([self._radius, 0, 0])
-        self._nose = scene.add_label("/nose", f"+x (nose); squares of {step:g} m", position=nose)
+        self._nose = scene.add_label("/nose", f"nose (+x); squares: {step:g} m", position=nose)
 
     def _dome(self, scene: Any, views: list[tuple[View, str]], on_aim: Callable[[View], None]) -> None:
         turns = np.linspace(0, 2 * np.pi, _STEPS + 1)
@@ -173,7 +173,6 @@ class Stage:
         self._handle.position = place
         self._arrow.points = np.stack([place, self._foot + 0.45 * (place - self._foot)])[None].astype(np.float32)
         self._label.position = place + np.array([0, 0, 0.08 * self._radius])
-        self._label.text = f"radar: azimuth {view.azimuth_deg:.1f}°, grazing {view.grazing_deg:.1f}°"
 
     def show_dome(self, visible: bool) -> None:
         """Show or hide the views and the lines between them."""

@@ -56,13 +56,14 @@ class Viewer:
         self._view, self._pixel = _first_view(subject), None  # type: tuple[View, Pixel | None]
         self._picked: tuple[View, Pixel, Contributors | None] | None = None
         self._strip, self._part = Strip(subject.grid, 1), subject.grid
-        self._offered = True
+        self._offered, self._ready = True, False
         self.frame_s = 0.0
         self._server = start_server(port, self._pick_at)
         self._newest = Newest(self._draw)
         self._stage = Stage(self._server, subject.box_m, subject.views, self.look_from, self._pick_on_plane)
-        self._controls = Controls(self._server, subject, self._view, self._newest.ask, self.look_from)
-        self._newest.ask()
+        self._controls = Controls(self._server, subject, self._view, self._ask, self.look_from)
+        self._ready = True
+        self._ask()
 
     @property
     def address(self) -> str:
@@ -82,17 +83,17 @@ class Viewer:
     def look_from(self, view: View) -> None:
         """Bring the radar to a view; the images follow."""
         self._view = view
-        self._newest.ask()
+        self._ask()
 
     def pick(self, pixel: Pixel | None) -> None:
         """Light up what makes a pixel; None puts it out."""
         self._pixel = pixel
-        self._newest.ask()
+        self._ask()
 
     def show(self, subject: Subject) -> None:
         """Go on with a newer state of the same subject."""
         self._subject, self._picked, self._offered = subject, None, False
-        self._newest.ask()
+        self._ask()
 
     def wait(self, timeout_s: float = 10.0) -> bool:
         """Wait until everything that was asked for is drawn; whether that came in time."""
@@ -102,6 +103,10 @@ class Viewer:
         """End the page."""
         self._newest.close()
         stop_server(self._server)
+
+    def _ask(self) -> None:
+        if self._ready:  # viser reports even what we set ourselves, and a browser may be early
+            self._newest.ask()
 
     # ---- drawing, all of it on one thread ---------------------------------------------------------------------------
     def _draw(self) -> None:
@@ -221,7 +226,7 @@ class Viewer:
         return found
 
     def _text(self, subject: Subject, view: View, pixel: Pixel | None, found: Contributors | None) -> str:
-        took = f'<span style="opacity:.6">drawn in {1e3 * self.frame_s:.0f} ms</span>'
+        took = f'<span style="opacity:.6">Drawn in {1e3 * self.frame_s:.0f} ms.</span>' if self._newest.done else ""
         if pixel is None:
             return f"Click on a pixel to see what makes it: all places of one azimuth and one range. {took}"
         azimuth, slant_range = pixel.place_m(subject.grid)

@@ -1,0 +1,41 @@
+"""A short training on a small box, to look at."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+
+from datasets import box_dataset
+from sarsplat import Dataset, ImageGrid, Run, preset, reconstruct
+from sarsplat.reconstruction import Config
+
+GRID = ImageGrid(40, 32, (0.3, 0.24), (0.45, 0.4))
+
+
+@pytest.fixture(scope="session")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return box_dataset(tmp_path_factory.mktemp("box"), GRID)
+
+
+@pytest.fixture(scope="session")
+def config() -> Config:
+    return replace(preset("default"), iterations=80, gaussians=600, harmonics_every=20, checkpoint_every=1000)
+
+
+@pytest.fixture(scope="session")
+def finished(dataset: Dataset, config: Config, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    pytest.importorskip("sklearn")
+    return reconstruct(dataset, config, tmp_path_factory.mktemp("run") / "run", quiet=True)
+
+
+@pytest.fixture
+def viewer(finished: Run) -> Iterator[Viewer]:  # noqa: F821
+    pytest.importorskip("viser")
+    from sarsplat.viewer import Viewer, subject_at
+
+    shown = Viewer(subject_at(finished.folder))
+    assert shown.wait(60)
+    yield shown
+    shown.close()

@@ -1,0 +1,118 @@
+"""Runs and datasets as the page sees them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import View
+from sarsplat.radar import Pixel
+from sarsplat.reconstruction import preset, reconstruct
+from sarsplat.viewer import subject_at
+from sarsplat.viewer.subject import TRUTH, dataset_subject
+
+VIEW = View(40.0, 30.0)
+
+
+def test_a_run_renders_what_it_renders_elsewhere(finished):
+    subject = subject_at(finished.folder)
+    image, exact = subject.render(VIEW), finished.render([VIEW])[0]
+    assert image.shape == exact.shape
+    assert np.abs(image - exact).max() < 0.02 * exact.max()  # of coarser rays
+    assert not subject.has_ground
+
+
+def test_its_clouds_have_colours_for_everything_that_is_known(finished):
+    subject = subject_at(finished.folder)
+    points, gaussians, truth = subject.clouds
+    assert truth.name == TRUTH
+    assert len(gaussians.places_m) <= len(finished.gaussians)
+    for cloud in (points, gaussians):
+        gamma0, error = subject.gamma0(cloud, VIEW), subject.error_m(cloud)
+        assert gamma0.shape == error.shape == (len(cloud.places_m),)
+        assert (gamma0 > 0).all()
+    on_top = np.array([[0.0, 0.0, 1.5]], np.float32)  # the box ends at 1.2 m
+    assert subject.error_m(replace(points, name="one", places_m=on_top)) == pytest.approx(0.3, abs=1e-3)
+
+
+def test_the_shares_of_a_pixel_add_up_and_lie_on_its_line(finished):
+    subject = subject_at(finished.folder)
+    image = subject.render(VIEW)
+    row, column = np.unravel_index(image.argmax(), image.shape)
+    found = subject.contributors(VIEW, Pixel(int(row), int(column)))
+    assert found.shares.sum() == pytest.approx(1.0, abs=1e-4)
+    assert (np.diff(found.shares) <= 0).all()
+    assert found.ground_share == 0
+    assert subject.contributors(VIEW, Pixel(0, 0)) is None
+
+
+def test_the_nearest_view_is_an_angle_away(dataset):
+    subject = dataset_subject(dataset)
+    index, apart_deg = subject.nearest(View(120.0, 24.0))
+    assert subject.views[index] == (View(120.0, 20.0), "train")
+    assert apart_deg == pytest.approx(4.0)
+    assert subject.nearest(subject.views[3][0])[1] < 1e-6
+
+
+def test_a_dataset_has_its_images_and_its_true_surface(dataset):
+    subject = subject_at(dataset.path)
+    assert not subject.renders and not subject.scatters and not subject.knows_errors
+    assert [cloud.name for cloud in subject.clouds] == [TRUTH]
+    maps = subject.maps(VIEW)
+    assert np.nanmax(maps.height_m) == pytest.approx(1.2, abs=0.1)
+    assert maps.shadow.any()
+
+
+def test_without_a_shape_the_box_is_where_the_images_show_something(dataset):
+    subject = dataset_subject(replace(dataset, truth_mesh=None))
+    low, high = subject.box_m
+    assert subject.clouds == [] and subject.maps(VIEW) is None and subject.contributors(VIEW, Pixel(20, 16)) is None
+    assert (low < [-1, -0.6, 1.2]).all() and (high > [1, 0.6, 0.5]).all()
+    assert (high - low < 8).all()
+
+
+def test_a_run_needs_no_dataset(finished, tmp_path):
+    import shutil
+
+    shutil.copytree(finished.folder, tmp_path / "run")
+    header = tmp_path / "run" / "config.json"
+    header.write_text(header.read_text().replace(str(finished.dataset_path), str(tmp_path / "gone")))
+    subject = subject_at(tmp_path / "run")
+    assert subject.dataset is None
+    assert {split for _, split in subject.views} == {"train"}
+    assert subject.render(VIEW).max() > 0
+
+
+def test_ground_and_its_shadow_can_be_left_out(dataset):
+    ground = replace(dataset, power=dataset.power + np.float32(0.05), ground=True, looks=1.0)
+    config = replace(preset("measured"), iterations=30, gaussians=300)
+    run = reconstruct(ground, config, quiet=True)
+    from sarsplat.viewer.run_subject import subject_of_run
+
+    subject = subject_of_run(run)
+    assert subject.has_ground
+    whole, bare = subject.render(VIEW), subject.render(VIEW, ground=False)
+    unshadowed = subject.render(VIEW, shadow=False)
+    assert bare.mean() < 0.7 * whole.mean()
+    assert (unshadowed >= whole * (1 - 1e-3)).all()  # nothing hides anything
+    assert unshadowed.sum() > whole.sum()
+    assert np.isclose(unshadowed[0], whole[0], rtol=0.05).all()  # far from the target
+
+
+def test_a_copied_scene_stays_when_the_original_is_trained_on(finished):
+    model = finished.model
+    copied, before = model.copy(), model.parameters["means"].detach().clone()
+    with torch.no_grad():
+        model.parameters["means"].add_(1.0)
+    assert torch.equal(copied.parameters["means"], before)
+    with torch.no_grad():
+        model.parameters["means"].copy_(before)
+
+
+def test_a_folder_that_is_neither_is_refused(tmp_path):
+    with pytest.raises(SarsplatError, match="is neither a run nor a dataset; give the folder of one"):
+        subject_at(tmp_path)
+    with pytest.raises(SarsplatError, match="does not exist"):
+        subject_at(tmp_path / "nothing")
