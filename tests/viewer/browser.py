@@ -84,35 +84,48 @@ class Page:
         self.mouse("mousePressed", x, y)
         self.mouse("mouseReleased", x, y)
 
-    def picture(self, path: Path) -> None:
+    def shot(self) -> bytes:
         """What the page looks like, as PNG."""
-        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot")["data"]))
-
-    @property
-    def asked_for(self) -> list[str]:
-        """Addresses of everything that was requested so far, sockets included."""
-        self.value("0")  # so that all events have come
-        found = [e["params"]["request"]["url"] for e in self.events if e["method"] == "Network.requestWillBeSent"]
-        return found + [e["params"]["url"] for e in self.events if e["method"] == "Network.webSocketCreated"]
+        return base64.b64decode(self.call("Page.captureScreenshot")["data"])
 
 
 @contextmanager
-def browser() -> Iterator[Page]:
-    """A tab of a browser of its own; skips the test if there is none."""
+def browser(net_log: Path | None = None) -> Iterator[Page]:
+    """A tab of a browser of its own; skips the test if there is none.
+
+    With `net_log`, `page.close()` ends the browser and returns the addresses of everything it asked for, in its pages
+    and in their workers.
+    """
     program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if program is None:
         pytest.skip("no Chromium was found")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        words = [program, *_FLAGS, f"--user-data-dir={profile}", "about:blank"]
-        process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        words = [program, *_FLAGS, f"--user-data-dir={profile}"]
+        words += [f"--log-net-log={net_log}"] if net_log else []
+        process = subprocess.Popen([*words, "about:blank"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
             port = _port(Path(profile) / "DevToolsActivePort")
             with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
                 tabs = [tab for tab in json.load(answer) if tab["type"] == "page"]
-            yield Page(tabs[0]["webSocketDebuggerUrl"])
+            page = Page(tabs[0]["webSocketDebuggerUrl"])
+
+            def close() -> list[str]:
+                page.call("Browser.close")
+                process.wait(60)
+                return _addresses(Path(net_log or ""))
+
+            page.close = close  # type: ignore[attr-defined]
+            yield page
         finally:
             process.terminate()
-            process.wait(20)
+            process.wait(60)
+
+
+def _addresses(net_log: Path) -> list[str]:
+    """Of every request that a page or its workers made, by Chromium's log of its network; not of its own errands."""
+    events = json.loads(net_log.read_text())["events"]
+    asked = [event["params"] for event in events if {"url", "initiator"} <= event.get("params", {}).keys()]
+    return list(dict.fromkeys(request["url"] for request in asked if request["initiator"] != "not an origin"))
 
 
 def _port(file: Path) -> int:

@@ -21,7 +21,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.fixture(scope="session")
 def config() -> Config:
-    return replace(preset("default"), iterations=80, gaussians=600, harmonics_every=20, checkpoint_every=1000)
+    return replace(preset("default"), iterations=40, gaussians=600, harmonics_every=10, checkpoint_every=1000)
 
 
 @pytest.fixture(scope="session")

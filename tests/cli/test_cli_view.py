@@ -1,0 +1,77 @@
+"""`sarsplat view`: where it is, how it ends, and what it says if it cannot be."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from datasets import small_dataset
+from sarsplat.cli import main
+from sarsplat.data import write_dataset
+
+pytest.importorskip("viser")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_dataset(tmp_path / "dataset", small_dataset())
+    return tmp_path / "dataset"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends an interrupt")
+def test_it_serves_until_ctrl_c_and_ends_with_one_sentence(folder):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "sarsplat", "view", str(folder), "--port", "0"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    said = []
+    for line in process.stdout:
+        said.append(line)
+        if "open http" in line:
+            break
+    address = said[-1].split()[1]
+    with urllib.request.urlopen(address) as answer:
+        assert b"sarsplat view" in answer.read()
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert "".join(out.split("\n")).strip() == f"ended; {address} no longer answers"
+    assert err == ""
+
+
+def test_a_port_in_use_is_one_sentence(folder, capsys):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert main(["view", str(folder), "--port", str(port)]) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert (
+        told
+        == f"error: port {port} of this machine cannot be used (address already in use); choose another with --port"
+    )
+
+
+def test_what_is_neither_run_nor_dataset_is_one_sentence(tmp_path, capsys):
+    assert main(["view", str(tmp_path)]) == 2
+    assert "is neither a run nor a dataset" in " ".join(capsys.readouterr().err.split())
+
+
+def test_the_extra_is_named_if_it_is_missing(folder, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert main(["view", str(folder)]) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert told == "error: this needs viser, which is not installed; install it with: pip install 'sarsplat[view]'"
+
+
+def test_other_methods_cannot_be_watched(folder, capsys):
+    words = ["reconstruct", str(folder), "--out", str(folder / "run"), "--method", "dsr", "--view"]
+    assert main(words) == 2
+    assert "--view shows trainings by sar-gs only, not by dsr" in " ".join(capsys.readouterr().err.split())

@@ -1,0 +1,105 @@
+"""The page in a headless Chromium: it loads, follows the mouse, and asks nobody else for anything."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from browser import browser
+
+from sarsplat.geometry import View
+
+pytest.importorskip("viser")
+
+HEADS = "document.querySelector('#heads')?.innerText ?? ''"
+FOOT = "document.querySelector('#foot')?.innerText ?? ''"
+PICTURE = "document.querySelector('img[src^=\"blob:\"]')"
+PLACE = "(b => [b.left, b.top, b.width, b.height])({}.getBoundingClientRect())"
+
+
+@pytest.fixture
+def page(viewer, tmp_path):
+    with browser(tmp_path / "net.json") as page:
+        page.size(1100, 500)
+        page.open(viewer.address)
+        page.until(HEADS, lambda text: "rendered" in text)
+        page.until(f"{PICTURE} !== null && {PICTURE}.complete")
+        yield page
+
+
+def pixels(page) -> str:
+    """Of the strip of images as the browser shows it."""
+    return page.value(
+        f"(i => {{const c = document.createElement('canvas'); c.width = i.naturalWidth; c.height = i.naturalHeight;"
+        f"c.getContext('2d').drawImage(i, 0, 0); return c.toDataURL()}})({PICTURE})"
+    )
+
+
+def test_a_drag_changes_the_image_and_a_click_lights_what_makes_a_pixel(viewer, page, tmp_path):
+    before, heads = pixels(page), page.value(HEADS)
+    assert heads.count("azimuth") >= 1 and "difference" in heads
+
+    # the first slider, azimuth: its thumb is dragged to the right
+    left, top, width, height = page.until(PLACE.format("document.querySelector('[role=slider]')"))
+    page.mouse("mousePressed", left + width / 2, top + height / 2)
+    for step in range(1, 6):
+        page.mouse("mouseMoved", left + width / 2 + 6 * step, top + height / 2)
+    page.mouse("mouseReleased", left + width / 2 + 30, top + height / 2)
+    page.until(HEADS, lambda text: text != heads)
+    assert viewer.wait(60)
+    assert viewer.view.azimuth_deg != 60.0
+    page.until(HEADS, lambda text: f"azimuth {viewer.view.azimuth_deg:.1f}°" in text)
+    assert pixels(page) != before
+
+    # the brightest pixel of the rendered image is clicked
+    image = viewer._subject.render(viewer.view)
+    row, column = np.unravel_index(image.argmax(), image.shape)
+    x, y, width, height = page.value(PLACE.format(PICTURE))
+    strip, part = viewer._strip, viewer._part
+    row_in = round((viewer._subject.grid.range_m[row] - part.range_m[0]) / part.spacing_m[1])
+    column_in = round((viewer._subject.grid.azimuth_m[column] - part.azimuth_m[0]) / part.spacing_m[0])
+    total = strip.count * (strip._width + 6) - 6
+    page.click(
+        x + width * (column_in + 0.5) / part.columns * strip._width / total, y + height * (row_in + 0.5) / part.rows
+    )
+    page.until(FOOT, lambda text: f"Row {row}, column {column}" in text)
+    assert "Gaussians at heights of" in page.value(FOOT)
+    assert (viewer.pixel.row, viewer.pixel.column) == (row, column)
+
+    _only_this_machine(page, viewer)
+
+
+def test_the_radar_is_dragged_in_the_scene(viewer, page):
+    viewer.look_from(View(20.0, 40.0))
+    page.until(HEADS, lambda text: "azimuth 20.0°, grazing 40.0°" in text)
+    place = _on_the_screen(viewer, page, viewer._stage._at(viewer.view))
+    page.mouse("mousePressed", *place)
+    for step in range(1, 8):
+        page.mouse("mouseMoved", place[0] - 6 * step, place[1] + 2 * step)
+        page.value("new Promise(done => setTimeout(done, 120))")
+    page.mouse("mouseReleased", place[0] - 42, place[1] + 14)
+    page.until(HEADS, lambda text: "azimuth 20.0°, grazing 40.0°" not in text)
+    assert viewer.wait(60)
+    dragged_to = _on_the_screen(viewer, page, viewer._stage._at(viewer.view))
+    assert np.hypot(dragged_to[0] - place[0] + 42, dragged_to[1] - place[1] - 14) < 25
+
+
+def _on_the_screen(viewer, page, place: np.ndarray) -> tuple[float, float]:
+    """Where the page shows a place of the scene."""
+    client = next(iter(viewer._server.get_clients().values()))
+    camera, wxyz = client.camera, client.camera.wxyz
+    from scipy.spatial.transform import Rotation
+
+    x, y, z = Rotation.from_quat(wxyz, scalar_first=True).as_matrix().T @ (place - camera.position)
+    left, top, width, height = page.value(PLACE.format("document.querySelector('canvas')"))
+    scale = height / 2 / np.tan(camera.fov / 2)
+    return left + width / 2 + scale * x / z, top + height / 2 + scale * y / z
+
+
+def _only_this_machine(page, viewer) -> None:
+    """By what the browser itself wrote down, workers included."""
+    asked = page.close()
+    assert any(address.startswith(viewer.address.replace("http", "ws")) for address in asked)
+    strangers = [a for a in asked if not a.startswith((viewer.address, viewer.address.replace("http", "ws")))]
+    assert strangers == [], json.dumps(strangers)

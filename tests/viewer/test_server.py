@@ -1,0 +1,89 @@
+"""The server: this machine only, one port or none."""
+
+import http.client
+import socket
+
+import pytest
+
+from sarsplat.errors import SarsplatError
+
+pytest.importorskip("viser")
+
+from sarsplat.viewer.server import start_server, stop_server
+
+
+@pytest.fixture
+def served():
+    picked = []
+    server = start_server(0, lambda *place: picked.append(place))
+    yield server.get_port(), picked
+    stop_server(server)
+
+
+def ask(port: int, path: str, **headers: str) -> http.client.HTTPResponse:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
+    connection.request("GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()})
+    answer = connection.getresponse()
+    answer.content = answer.read()
+    connection.close()
+    return answer
+
+
+def test_the_page_may_load_nothing_from_elsewhere(served):
+    port, _ = served
+    answer = ask(port, "/", Accept_Encoding="gzip")
+    assert answer.status == 200
+    policy = answer.headers["Content-Security-Policy"]
+    assert "default-src 'none'" in policy and f"ws://127.0.0.1:{port}" in policy
+    assert not [word for word in policy.replace(";", "").split() if word.startswith("http") or word == "*"]
+    assert b"sarsplat view</title>" in answer.content and b"/pick?" in answer.content
+    assert len(answer.content) == int(answer.headers["Content-Length"])
+
+
+def test_a_click_is_told_as_parts_of_the_picture(served):
+    port, picked = served
+    assert ask(port, "/pick?x=0.25&y=0.5").status == 204
+    assert picked == [(0.25, 0.5)]
+
+
+@pytest.mark.parametrize("words", ["", "?x=1", "?x=a&y=0", "?x=1.5&y=0.5", "?x=nan&y=0.5"])
+def test_what_is_no_click_is_refused(served, words):
+    port, picked = served
+    assert ask(port, f"/pick{words}").status == 400
+    assert picked == []
+
+
+def test_another_site_may_neither_click_nor_listen(served):
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    port, picked = served
+    assert ask(port, "/pick?x=0.25&y=0.5", Sec_Fetch_Site="cross-site").status == 400
+    assert picked == []
+    with pytest.raises(InvalidStatus) as refused:
+        connect(f"ws://127.0.0.1:{port}", origin="https://example.org", subprotocols=["viser-v1.1.1"])
+    assert refused.value.response.status_code == 403
+
+
+def test_no_other_machine_can_connect(served):
+    port, _ = served
+    with socket.socket(socket.AF_INET) as probe:  # every other address of this machine is another interface
+        assert probe.connect_ex(("127.0.0.2", port)) != 0
+
+
+def test_a_port_in_use_is_refused_and_not_replaced_by_the_next(served):
+    port, _ = served
+    with pytest.raises(SarsplatError, match=rf"^port {port} of this machine cannot be used \(.*\); choose another"):
+        start_server(port, lambda *place: None)
+
+
+@pytest.mark.parametrize("port", [-1, 65536])
+def test_a_number_that_is_no_port_is_refused(port):
+    with pytest.raises(SarsplatError, match=f"--port {port} is no port"):
+        start_server(port, lambda *place: None)
+
+
+def test_nothing_of_the_library_stays_changed(served):
+    from websockets.asyncio import server as library
+
+    assert library.serve.__module__ == "websockets.asyncio.server"
