@@ -76,7 +76,7 @@ class Controls:
         self._dark()
         gui.set_panel_label("sarsplat view")
         gui.main_panel.dock_left()
-        gui.main_panel.set_width(290)
+        gui.main_panel.set_width(280)
         self.title = gui.add_markdown("")
         self._radar(subject.views, view)
         self._target()
@@ -90,7 +90,7 @@ class Controls:
             dark.on_update(lambda _: self._dark(dark.value))
         panel = gui.add_panel()
         panel.dock_right()
-        panel.set_width(580)
+        panel.set_width(520)
         with panel.add_tab("SAR image"):
             self.heads = gui.add_html("")
             self.strip: Any = None

@@ -21,7 +21,7 @@ from sarsplat.viewer.server import HOST, start_server, stop_server
 from sarsplat.viewer.stage import Stage
 from sarsplat.viewer.subject import TRUTH, Cloud, Contributors, Subject
 
-_MARGIN = 1.1  # of the part of an image around the target
+_MARGIN = 1.4  # of the part of an image around the target: its shadow is behind it
 _GAMMA0_DB = 30.0  # shown below the strongest
 _MOST_OF_IT = 0.9
 _DIMMED = 0.35
