@@ -37,7 +37,8 @@ MISTAKES = {
     "render: grazing": (["render", "full", "--azimuth", "0", "--grazing", "0", "--out", "new"], "grazing angle 0.0"),
     "export: not a run": (["export", "full", "new.ply"], "not a run"),
     "info: nothing there": (["info", "nowhere"], "does not exist"),
-    "info: unknown folder": (["info", "full"], "neither a dataset nor a run"),
+    "info: unknown folder": (["info", "empty"], "neither a dataset nor a run"),
+    "info: plot of no dataset": (["info", "full", "--plot", "new.png"], "draws the views of a dataset"),
     "info: picture": (["info", "full/picture.png"], "is a picture without units"),
     "info: broken TIFF": (["info", "full/broken.tif"], "not a readable TIFF"),
     "chips: no folder": (

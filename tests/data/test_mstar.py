@@ -216,7 +216,7 @@ def rewrite(labels: Path, change) -> None:
 
 def test_labels_with_empty_fields_are_counted_once(chips):
     def blank(rows):
-        rows[2][5], rows[5][4] = "", " "  # azimuth of the second chip, depression of the fifth
+        rows[2][5], rows[5][3] = "", " "  # azimuth of the second chip, planned depression of the fifth
         return rows
 
     rewrite(chips / "labels.csv", blank)
@@ -226,6 +226,16 @@ def test_labels_with_empty_fields_are_counted_once(chips):
         dataset = run(chips)
     assert sum("fields" in str(item.message) for item in caught) == 1
     assert len(dataset) == 8
+
+
+def test_a_measured_depression_that_is_empty_is_as_planned_and_said_once(chips):
+    rewrite(chips / "labels.csv", lambda rows: [rows[0], *([*row[:4], "", row[5]] for row in rows[1:9]), *rows[9:]])
+    with pytest.warns(SarsplatWarning, match="no measured_depression_deg for 8 of 10 chips .*line 2") as caught:
+        dataset = run(chips)
+    assert sum("measured_depression_deg" in str(item.message) for item in caught) == 1
+    assert len(dataset) == 10  # nothing is left out
+    assert {view.grazing_deg for view in dataset.select("train").views} == {17.0}
+    assert {view.grazing_deg for view in dataset.select("test-15").views} == {15.1}
 
 
 def test_a_chip_without_a_class_has_no_label(chips):
@@ -317,7 +327,7 @@ def test_wrong_folders(tmp_path, chips):
             ",".join(COLUMNS).encode() + b"\nT72/chip000.jpeg,T72,132,17,17.1,north\n",
             "line 2: target_az_deg is 'north'",
         ),
-        (",".join(COLUMNS).encode() + b"\nT72/chip000.jpeg,T72,132,17\n", "line 2: measured_depression_deg is empty"),
+        (",".join(COLUMNS).encode() + b"\nT72/chip000.jpeg,T72,132,17\n", "line 2: target_az_deg is empty"),
         (",".join(COLUMNS).encode() + b"\nT72/chip000.jpeg,T72,132,17,95,3\n", "T72/chip000.jpeg: grazing angle 95"),
     ],
 )

@@ -8,47 +8,88 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from sarsplat.cli import console
+from sarsplat.cli.arguments import OptionalFile
+from sarsplat.cli.info_dataset import describe_dataset
 from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from sarsplat.geometry import ImageGrid
+    from sarsplat.data.chip_folder import Recognised
 
-_UNDERSTOOD = "a dataset, a run, rendered images, a PLY of Gaussians or points, a Phoenix chip, a power TIFF or a mesh"
+_MARKERS = ("config.json", "contact-sheet.png")
+"""Of folders that we make, besides datasets."""
+
+_UNDERSTOOD = (
+    "a dataset, a run, rendered images, a folder of chips, a PLY of Gaussians or points, a Phoenix chip, a power TIFF "
+    "or a mesh"
+)
 
 
-def info(path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]) -> None:
-    """Describe a file or folder (dataset, run, PLY, Phoenix chip, TIFF or mesh) with its sizes and units.
+def info(
+    path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")], *, plot: OptionalFile = None
+) -> None:
+    """Describe a file or folder: dataset with its views, run, chips to import, PLY, Phoenix chip, TIFF or mesh.
 
     Parameters
     ----------
     path
         File or folder to describe.
+    plot
+        For a dataset: also draw its views on the sky, to a .png or .svg file, which is replaced if it exists.
     """
     if not path.exists():
         raise SarsplatError(f"{path} does not exist; give {_UNDERSTOOD}")
+    if path.is_dir() and (path / "dataset.json").is_file():
+        describe_dataset(path, plot)
+        return
+    if plot is not None:
+        raise SarsplatError(f"--plot {plot} draws the views of a dataset, and {path} is none; omit it")
+    if (found := _to_import(path)) is not None:
+        console.facts(f"{path}: {found.kind}", found.facts)
+        if found.command is not None:
+            console.say(f"import with: {found.command}")
+        return
     kind, rows = _folder(path) if path.is_dir() else _file(path)
     console.facts(f"{path}: {kind}", rows)
 
 
+def _to_import(path: Path) -> Recognised | None:
+    """What a folder, or the table of labels in it, can be imported as."""
+    from sarsplat.data.chip_folder import recognised
+    from sarsplat.data.mstar_chips import has_label_columns
+
+    if path.is_dir():
+        ours = any((path / name).is_file() for name in _MARKERS)
+        return None if ours or _part_of(path) is not None else recognised(path)
+    if path.suffix.lower() == ".csv" and has_label_columns(path):
+        return recognised(path.absolute().parent)
+    return None
+
+
 def _folder(path: Path) -> tuple[str, dict[str, str]]:
-    if (path / "dataset.json").is_file():
-        return _dataset(path)
     if (path / "config.json").is_file():
         return _run(path)
     if (path / "contact-sheet.png").is_file():
         return _renderings(path)
     _refuse_part(path)
-    raise SarsplatError(f"{path} is a folder but neither a dataset nor a run; give {_UNDERSTOOD}")
+    raise SarsplatError(
+        f"{path} is a folder but neither a dataset nor a run, and there are no images in it; give {_UNDERSTOOD}"
+    )
 
 
 def _refuse_part(path: Path) -> None:
     """Point from a part of a dataset or run to the whole."""
+    if (whole := _part_of(path)) is not None:
+        raise SarsplatError(f"{path} is part of the {whole}; give that folder instead")
+
+
+def _part_of(path: Path) -> str | None:
     for folder in path.absolute().parents[:2]:
         for header, whole in (("dataset.json", "dataset"), ("config.json", "run")):
             if (folder / header).is_file():
-                raise SarsplatError(f"{path} is part of the {whole} {folder}; give that folder instead")
+                return f"{whole} {folder}"
+    return None
 
 
 def _file(path: Path) -> tuple[str, dict[str, str]]:
@@ -62,62 +103,13 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
         case ".ply":
             return _ply(path)
         case ".png" | ".jpg" | ".jpeg":
-            raise SarsplatError(f"{path} is a picture without units; to read measured chips, use `sarsplat import`")
+            raise SarsplatError(
+                f"{path} is a picture without units; give its folder, and you are told whether it can be imported"
+            )
         case ".json" | ".jsonl" | ".safetensors" | ".html" | ".csv" | ".txt" | ".md":
             _refuse_part(path)
             raise SarsplatError(f"{path} is not a file that this command recognises; give {_UNDERSTOOD}")
     return _mesh(path)
-
-
-def _dataset(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.data import read_dataset
-    from sarsplat.data.determined import weakest_direction
-    from sarsplat.data.plausible import suspicions
-
-    dataset = read_dataset(path)
-    for text in suspicions(dataset):
-        console.warn(text)
-    rows = {
-        "target": dataset.target,
-        "calibration": _CALIBRATIONS[dataset.calibration],
-        "speckle": dataset.speckle,
-        "ground": "shown" if dataset.ground else "not shown",
-        **_uncertainty([entry.azimuth_std_deg for entry in dataset.entries]),
-        "weakest direction": str(weakest_direction(dataset.select("train").views)),
-        "protocol": dataset.protocol or "none",
-        "quantity": "β⁰, linear power, float32; row 0 near range",
-        **_grid(dataset.grid),
-        **{f"set {split}": _set(dataset.images(split)) for split in dataset.splits()},
-        "truth": dataset.truth_mesh.name if dataset.truth_mesh else "no mesh",
-        "masks": "masks/" if (path / "masks").is_dir() else "none",
-        **{f"source.{name}": str(value) for name, value in dataset.source.items() if value and name != "chips"},
-    }
-    return f"a dataset of {counted(len(dataset), 'image')}", rows
-
-
-def _uncertainty(std_deg: list[float]) -> dict[str, str]:
-    low, high = min(std_deg), max(std_deg)
-    if not high:
-        return {}
-    return {"azimuth": f"± {low:g}°" if low == high else f"± {low:g}° to {high:g}°"}
-
-
-_CALIBRATIONS = {"absolute": "absolute", "relative": "relative: β⁰ up to one common factor"}
-
-
-def _set(images: np.ndarray) -> str:
-    return f"{counted(len(images), 'image')}, mean β⁰ {images.mean():.4g}, largest {images.max():.4g}"
-
-
-def _grid(grid: ImageGrid) -> dict[str, str]:
-    def pair(values: tuple[float, float]) -> str:
-        return f"{values[0]:g} m in azimuth, {values[1]:g} m in slant range"
-
-    return {
-        "pixels": f"{grid.rows} rows (range) × {grid.columns} columns (azimuth)",
-        "spacing": pair(grid.spacing_m),
-        "resolution": f"{pair(grid.resolution_m)} (3 dB)",
-    }
 
 
 def _run(path: Path) -> tuple[str, dict[str, str]]:

@@ -19,8 +19,10 @@ from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.data.phoenix import is_phoenix, read_phoenix
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 
-_ANGLES = ("desired_depression_deg", "measured_depression_deg", "target_az_deg")
-_COLUMNS = ("path", "class", "serial", *_ANGLES)
+_DESIRED, _MEASURED = "desired_depression_deg", "measured_depression_deg"
+_ANGLES = (_DESIRED, _MEASURED, "target_az_deg")
+LABEL_COLUMNS = ("path", "class", "serial", *_ANGLES)
+"""That a table of labels must have."""
 _AZIMUTH_STD = "azimuth_std_deg"
 """A column that may be missing, and empty."""
 _DN_PER_MAGNITUDE = "dn_per_magnitude"
@@ -28,6 +30,7 @@ _DN_PER_MAGNITUDE = "dn_per_magnitude"
 _LEAST_SCALE, _LARGEST_SCALE = 1e-9, 1e9  # the square of no magnitude leaves float32
 _MAX_PIXELS_PER_SIDE = 4096
 _MAX_LABELS = 100_000
+_LONGEST_LINE = 10_000  # bytes
 
 
 @dataclass(frozen=True)
@@ -77,9 +80,10 @@ def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chi
         Where the chips lie, in subfolders or not.
     labels : Path or None
         Table (CSV) of the JPEGs: path relative to `folder`, class, serial, desired_depression_deg,
-        measured_depression_deg, target_az_deg; where azimuths are uncertain, azimuth_std_deg; and if chips are scaled
-        each in its own way, dn_per_magnitude: digital numbers per unit of magnitude, in any unit that all chips have in
-        common (none for any chip: 1). None: read Phoenix files, which carry all that in their headers.
+        measured_depression_deg (where it is empty, the desired one counts), target_az_deg; where azimuths are
+        uncertain, azimuth_std_deg; and if chips are scaled each in its own way, dn_per_magnitude: digital numbers per
+        unit of magnitude, in any unit that all chips have in common (none for any chip: 1). None: read Phoenix files,
+        which carry all that in their headers.
     target_class : str
         E.g. `T72`; a Phoenix header's `t72_tank` is the same class.
 
@@ -97,8 +101,8 @@ def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chi
     Warns
     -----
     SarsplatWarning
-        Once each, with their number, for JPEGs without a label, labels of the class without a chip, labels with empty
-        fields and labels that are there twice.
+        Once each, with their number, for JPEGs without a label, labels of the class without a chip, labels without a
+        measured depression, labels with other empty fields and labels that are there twice.
     """
     with plain_os_errors("read", folder):
         if not folder.is_dir():
@@ -163,7 +167,7 @@ def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_clas
 
 
 def _jpeg_chips(folder: Path, jpegs: list[Path], labels: Path, target_class: str) -> list[Chip]:
-    table = _read_labels(labels)
+    table = read_labels(labels)
     rows = [(line, row) for line, row in table if _same_class(target_class, row["class"])]
     if not rows:
         raise _refuse_class(target_class, labels, {row["class"] for _, row in table})
@@ -184,8 +188,8 @@ def _jpeg_chips(folder: Path, jpegs: list[Path], labels: Path, target_class: str
         Chip(
             name=row["path"],
             serial=row["serial"],
-            depression=round(_number(labels, line, row, "desired_depression_deg")),
-            grazing_deg=_number(labels, line, row, "measured_depression_deg"),
+            depression=round(_number(labels, line, row, _DESIRED)),
+            grazing_deg=_number(labels, line, row, _MEASURED),
             target_az_deg=_number(labels, line, row, "target_az_deg") % 360,
             magnitude=read_jpeg(folder / row["path"]) * np.float32(step),
             step=step,
@@ -203,7 +207,21 @@ _Rows = list[tuple[int, dict[str, str]]]
 
 
 def _complete(labels: Path, rows: _Rows) -> _Rows:
-    """The rows that have all their angles; those with empty fields are counted."""
+    """The rows that have all their angles; those with empty fields are counted.
+
+    A measured depression that is empty is taken to be as planned: it differs from that by tenths of a degree.
+    """
+    planned = [
+        (line, row)
+        for line, row in rows
+        if not row[_MEASURED].strip() and all(row[name].strip() for name in _ANGLES if name != _MEASURED)
+    ]
+    if planned:
+        _warn(
+            f"{labels} has no {_MEASURED} for {len(planned)} of {counted(len(rows), 'chip')} (the first in line "
+            f"{planned[0][0]}), for which {_DESIRED} is used"
+        )
+        rows = [(line, row if row[_MEASURED].strip() else {**row, _MEASURED: row[_DESIRED]}) for line, row in rows]
     whole = [(line, row) for line, row in rows if all(row[name].strip() for name in _ANGLES)]
     if len(whole) < len(rows):
         line, row = next(item for item in rows if item not in whole)
@@ -220,7 +238,7 @@ def _once(labels: Path, rows: _Rows) -> _Rows:
     first: dict[Path, tuple[int, dict[str, str]]] = {}
     for line, row in rows:
         other_line, other = first.setdefault(Path(row["path"]), (line, row))
-        if any(row.get(name) != other.get(name) for name in (*_COLUMNS[1:], _AZIMUTH_STD, _DN_PER_MAGNITUDE)):
+        if any(row.get(name) != other.get(name) for name in (*LABEL_COLUMNS[1:], _AZIMUTH_STD, _DN_PER_MAGNITUDE)):
             raise SarsplatError(
                 f"{labels} gives {shown(row['path'])} two labels, in lines {other_line} and {line}; remove one"
             )
@@ -229,15 +247,28 @@ def _once(labels: Path, rows: _Rows) -> _Rows:
     return list(first.values())
 
 
-def _read_labels(path: Path) -> _Rows:
-    """Rows of the table with their line numbers."""
+def has_label_columns(path: Path) -> bool:
+    """Whether a file begins as a table of labels does."""
+    with open_file(path) as file:
+        first = file.readline(_LONGEST_LINE).decode("utf-8-sig", "replace")
+    return {"path", "class"} <= {name.strip() for name in next(csv.reader([first]), [])}
+
+
+def read_labels(path: Path) -> _Rows:
+    """Rows of the table with their line numbers.
+
+    Raises
+    ------
+    SarsplatError
+        If it cannot be read, a column is missing, there are no rows or too many, or a path leads out of the folder.
+    """
     with open_file(path) as file:
         data = file.read()
     try:
         reader = csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), restval="")
-        missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
+        missing = [name for name in LABEL_COLUMNS if name not in (reader.fieldnames or ())]
         if missing:
-            raise SarsplatError(f"{path} is missing the column {missing[0]!r}; it needs {', '.join(_COLUMNS)}")
+            raise SarsplatError(f"{path} is missing the column {missing[0]!r}; it needs {', '.join(LABEL_COLUMNS)}")
         rows = [(reader.line_num, row) for row in itertools.islice(reader, _MAX_LABELS + 1)]
     except (UnicodeDecodeError, csv.Error) as error:
         raise SarsplatError(f"{path} is not a readable CSV table ({error}); give the table of labels") from error

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import Real
 
+from sarsplat.data.coverage import largest_gap
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.determined import weak_directions
 from sarsplat.errors import SarsplatWarning, counted
@@ -117,15 +118,13 @@ def _gap(views: Sequence[View]) -> list[str]:
     given = np.array([view.azimuth_deg for view in views if view.grazing_deg < _FROM_ABOVE_DEG])
     if len(given) == 0:
         return []
-    azimuths = np.unique(np.round(given % 360, 6))
-    gaps = np.diff([*azimuths, azimuths[0] + 360])
-    widest = int(gaps.argmax())
-    if gaps[widest] <= _HALF_CIRCLE_DEG + 1e-6:
+    gap = largest_gap(given)
+    if gap.width_deg <= _HALF_CIRCLE_DEG + 1e-6:
         return []
     question = " (or are the azimuths radians?)" if _within_a_turn(given) else ""
     return [
-        f"the training views leave a gap of {gaps[widest]:.4g}° in azimuth, from {azimuths[widest]:.4g}° clockwise to "
-        f"{(azimuths[widest] + gaps[widest]) % 360:.4g}°, where the shape is a guess; add views there{question}"
+        f"the training views leave a gap of {gap.width_deg:.4g}° in azimuth, from {gap.first_deg:.4g}° clockwise to "
+        f"{gap.last_deg:.4g}°, where the shape is a guess; add views there{question}"
     ]
 
 

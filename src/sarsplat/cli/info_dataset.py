@@ -1,0 +1,144 @@
+"""What `sarsplat info` tells of a dataset: its properties, its views, and where on the sky they are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.table import Table
+
+from sarsplat.cli import console
+from sarsplat.cli.sky import legend, sky_chart, symbols_for
+from sarsplat.errors import SarsplatError, counted
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from sarsplat.data import Dataset
+    from sarsplat.data.coverage import ViewGroup
+    from sarsplat.geometry import ImageGrid
+
+_CALIBRATIONS = {"absolute": "absolute", "relative": "relative: β⁰ up to one common factor"}
+
+_LISTED = 8
+"""Azimuths of a set at one grazing angle are listed up to this number, and described beyond."""
+
+_ARC = 2.5
+"""Views go all around if their largest gap is no wider, in steps."""
+
+
+def describe_dataset(path: Path, plot: Path | None) -> None:
+    """Say what is in a dataset, and draw its views as a picture if asked to.
+
+    Raises
+    ------
+    SarsplatError
+        If it cannot be read, or the picture's name has another ending or it cannot be written.
+    """
+    from sarsplat.data import read_dataset
+    from sarsplat.data.coverage import view_groups
+    from sarsplat.data.plausible import suspicions
+
+    kind = None if plot is None else _format(plot)
+    dataset = read_dataset(path)
+    for text in suspicions(dataset):
+        console.warn(text)
+    console.facts(f"{path}: a dataset of {counted(len(dataset), 'image')}", _facts(dataset, path))
+    console.show(_table(view_groups(dataset)))
+    terminal = Console()
+    symbols = symbols_for(terminal.encoding)
+    train = dataset.select("train").views
+    tests = [entry.view for entry in dataset.entries if entry.split != "train"]
+    console.show(sky_chart(train, tests, terminal.width, symbols))
+    console.say(legend([split for split in dataset.splits() if split != "train"], symbols))
+    if plot is not None and kind is not None:
+        from sarsplat.data import write_bytes
+        from sarsplat.report.sky import sky_picture
+
+        write_bytes(plot, sky_picture(train, tests, f"{dataset.target}: {counted(len(dataset), 'view')}", kind))
+        console.say(f"wrote {plot}")
+
+
+def _format(plot: Path) -> str:
+    kind = plot.suffix.lower().removeprefix(".")
+    if kind not in ("png", "svg"):
+        raise SarsplatError(f"--plot {plot} does not end in .png or .svg; choose a name that does")
+    return kind
+
+
+def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
+    from sarsplat.data.coverage import largest_gap
+    from sarsplat.data.determined import weakest_direction
+
+    train = dataset.select("train").views
+    return {
+        "target": dataset.target,
+        "calibration": _CALIBRATIONS[dataset.calibration],
+        "speckle": dataset.speckle,
+        "ground": "shown" if dataset.ground else "not shown",
+        **_uncertainty([entry.azimuth_std_deg for entry in dataset.entries]),
+        "largest gap": f"{largest_gap(view.azimuth_deg for view in train)} (azimuths of the training views)",
+        "weakest direction": str(weakest_direction(train)),
+        "protocol": dataset.protocol or "none",
+        "quantity": "β⁰, linear power, float32; row 0 near range",
+        **_grid(dataset.grid),
+        **{f"set {split}": _set(dataset.images(split)) for split in dataset.splits()},
+        "truth": dataset.truth_mesh.name if dataset.truth_mesh else "no mesh",
+        "masks": "masks/" if (path / "masks").is_dir() else "none",
+        **{f"source.{name}": str(value) for name, value in dataset.source.items() if value and name != "chips"},
+    }
+
+
+def _uncertainty(std_deg: list[float]) -> dict[str, str]:
+    low, high = min(std_deg), max(std_deg)
+    if not high:
+        return {}
+    return {"azimuth": f"± {low:g}°" if low == high else f"± {low:g}° to {high:g}°"}
+
+
+def _set(images: np.ndarray) -> str:
+    return f"{counted(len(images), 'image')}, mean β⁰ {images.mean():.4g}, largest {images.max():.4g}"
+
+
+def _grid(grid: ImageGrid) -> dict[str, str]:
+    def pair(values: tuple[float, float]) -> str:
+        return f"{values[0]:g} m in azimuth, {values[1]:g} m in slant range"
+
+    return {
+        "pixels": f"{grid.rows} rows (range) × {grid.columns} columns (azimuth)",
+        "spacing": pair(grid.spacing_m),
+        "resolution": f"{pair(grid.resolution_m)} (3 dB)",
+    }
+
+
+def _table(groups: list[ViewGroup]) -> Table:
+    """One line for every set and grazing angle."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
+    for name in ("set", "grazing", "views", "azimuths", "step", "largest gap"):
+        table.add_column(name, justify="right" if name == "views" else "left", overflow="fold")
+    for group in groups:
+        low, high = group.grazing_deg
+        table.add_row(
+            group.split,
+            _angle(low) if _angle(low) == _angle(high) else f"{low:.4g}° … {high:.4g}°",
+            str(len(group.views)),
+            _azimuths(group),
+            "–" if group.step_deg is None else _angle(group.step_deg),
+            str(group.gap) if group.step_deg is not None else "–",
+        )
+    return table
+
+
+def _azimuths(group: ViewGroup) -> str:
+    azimuths = sorted(set(group.azimuths_deg))
+    if len(azimuths) <= _LISTED:
+        return ", ".join(f"{azimuth:.4g}" for azimuth in azimuths) + "°"
+    gap, step = group.gap, group.step_deg
+    if step is not None and gap.width_deg > _ARC * step:
+        return f"{_angle(gap.last_deg)} … {_angle(gap.first_deg)}, clockwise"
+    return f"{_angle(azimuths[0])} … {_angle(azimuths[-1])}"
+
+
+def _angle(degrees: float) -> str:
+    return f"{degrees:.4g}°"

@@ -1,0 +1,103 @@
+"""Views as points on the sky, drawn with characters: what `sarsplat info` shows of a dataset."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from rich.text import Text
+
+from sarsplat.geometry import View
+
+_WIDEST, _NARROWEST = 48, 24  # columns
+_RINGS_DEG = (0.0, 30.0, 60.0)
+_DOTS_ACROSS, _DOTS_DOWN = 2, 4  # of a braille character
+_BRAILLE = 0x2800
+_BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
+
+
+@dataclass(frozen=True)
+class Symbols:
+    """What points are drawn with; rings are of braille dots unless `ring` is given."""
+
+    train: str
+    test: str
+    ring: str | None = None
+
+
+PLAIN = Symbols("o", "x", ".")
+"""Of ASCII alone."""
+
+PRETTY = Symbols("●", "○")
+
+
+def symbols_for(encoding: str) -> Symbols:
+    """Those that a terminal of this encoding can show."""
+    try:
+        (PRETTY.train + PRETTY.test + chr(_BRAILLE)).encode(encoding)
+    except (UnicodeEncodeError, LookupError):
+        return PLAIN
+    return PRETTY
+
+
+def sky_chart(train: Sequence[View], test: Sequence[View], width: int, symbols: Symbols) -> Text:
+    """The sky from above: straight overhead in the middle, the horizon around, azimuth 0° (the nose) at the top.
+
+    Parameters
+    ----------
+    train, test : sequence of View
+        Where points are drawn; a training view hides a test view in the same place.
+    width : int
+        Columns that there are.
+    symbols : Symbols
+        What to draw with.
+    """
+    columns = max(_NARROWEST, min(width, _WIDEST)) - 10  # labels at the sides
+    rows = columns * _DOTS_ACROSS // _DOTS_DOWN + 1
+    middle = (columns * _DOTS_ACROSS // 2, rows * _DOTS_DOWN // 2)
+    radius = min(middle) - 1
+
+    def place(azimuth_deg: float, grazing_deg: float) -> tuple[int, int]:
+        """Dot of a direction."""
+        distance = radius * (90 - grazing_deg) / 90
+        angle = math.radians(azimuth_deg)
+        return round(middle[0] + distance * math.sin(angle)), round(middle[1] - distance * math.cos(angle))
+
+    cells = [[" "] * columns for _ in range(rows)]
+    for ring in _RINGS_DEG:
+        count = max(24, round(radius * (90 - ring) / 90 * 1.6))
+        for x, y in {place(360 * k / count, ring) for k in range(count)}:
+            row, column = y // _DOTS_DOWN, x // _DOTS_ACROSS
+            if symbols.ring is not None:
+                cells[row][column] = symbols.ring
+            else:
+                before = 0 if cells[row][column] == " " else ord(cells[row][column]) - _BRAILLE
+                cells[row][column] = chr(_BRAILLE + (before | _BITS[y % _DOTS_DOWN][x % _DOTS_ACROSS]))
+    styles: dict[tuple[int, int], str] = {}
+    for views, symbol, style in ((test, symbols.test, "yellow"), (train, symbols.train, "bold cyan")):
+        for view in views:
+            x, y = place(view.azimuth_deg, view.grazing_deg)
+            cells[y // _DOTS_DOWN][x // _DOTS_ACROSS] = symbol
+            styles[y // _DOTS_DOWN, x // _DOTS_ACROSS] = style
+    return _labelled(cells, styles)
+
+
+def _labelled(cells: Sequence[Sequence[str]], styles: dict[tuple[int, int], str]) -> Text:
+    columns, margin = len(cells[0]), 5
+    text = Text("0° (nose)".center(columns + 2 * margin).rstrip() + "\n", no_wrap=True)
+    for row, line in enumerate(cells):
+        at_the_middle = row == len(cells) // 2
+        text.append("270° ".rjust(margin) if at_the_middle else " " * margin)
+        for column, symbol in enumerate(line):
+            text.append(symbol, style=styles.get((row, column), "dim"))
+        text.append(" 90°\n" if at_the_middle else "\n")
+    text.append("180°".center(columns + 2 * margin).rstrip())
+    return text
+
+
+def legend(tests: Iterable[str], symbols: Symbols) -> str:
+    """What the symbols and rings mean, with the names of the test sets that there are."""
+    named = ", ".join(tests)
+    points = f"{symbols.train} train" + (f"  {symbols.test} {named}" if named else "")
+    return f"{points}; middle: straight from above; rings: grazing 60°, 30° and 0°"

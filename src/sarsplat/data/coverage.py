@@ -1,0 +1,110 @@
+"""From where the images of a dataset were taken: views by set and grazing angle, and the gaps between them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sarsplat.data.dataset import Dataset
+from sarsplat.geometry import View
+
+_SAME_GRAZING_DEG = 1.0
+"""Grazing angles that differ by no more belong together: those of measured chips scatter."""
+
+_FEW_GROUPS, _FEW_EACH = 3, 3
+"""If there would be more groups, of fewer views on average, the angles are random ones and all views one group."""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """The widest range of azimuths without a view.
+
+    Attributes
+    ----------
+    width_deg : float
+        Its width, degrees; 360 if all views have the same azimuth.
+    first_deg, last_deg : float
+        Azimuths of the views on either side, degrees in [0, 360); clockwise from the first to the last.
+    """
+
+    width_deg: float
+    first_deg: float
+    last_deg: float
+
+    def __str__(self) -> str:
+        return f"{self.width_deg:.4g}°, from {self.first_deg:.4g}° clockwise to {self.last_deg:.4g}°"
+
+
+def largest_gap(azimuths_deg: Iterable[float]) -> Gap:
+    """The largest gap between azimuths, of which there must be at least one.
+
+    Parameters
+    ----------
+    azimuths_deg : iterable of float
+        In any order and of any turn, degrees.
+    """
+    azimuths = np.unique(np.round(np.array(list(azimuths_deg)) % 360, 6) % 360)
+    gaps = np.diff([*azimuths, azimuths[0] + 360])
+    widest = int(gaps.argmax())
+    return Gap(float(gaps[widest]), float(azimuths[widest]), float((azimuths[widest] + gaps[widest]) % 360))
+
+
+@dataclass(frozen=True)
+class ViewGroup:
+    """Views of one set at (nearly) one grazing angle.
+
+    Attributes
+    ----------
+    split : str
+        The set.
+    views : tuple of View
+        In order of azimuth.
+    """
+
+    split: str
+    views: tuple[View, ...]
+
+    @property
+    def azimuths_deg(self) -> list[float]:
+        """In [0, 360), ascending."""
+        return [view.azimuth_deg % 360 for view in self.views]
+
+    @property
+    def grazing_deg(self) -> tuple[float, float]:
+        """The lowest and the highest grazing angle, degrees."""
+        angles = [view.grazing_deg for view in self.views]
+        return min(angles), max(angles)
+
+    @property
+    def gap(self) -> Gap:
+        """The largest gap in azimuth."""
+        return largest_gap(self.azimuths_deg)
+
+    @property
+    def step_deg(self) -> float | None:
+        """Median distance of neighbouring azimuths, degrees, without the largest gap; None if there is none."""
+        azimuths = np.unique(np.round(self.azimuths_deg, 6))
+        steps = np.sort(np.diff([*azimuths, azimuths[0] + 360]))[:-1]
+        return float(np.median(steps)) if len(steps) else None
+
+
+def view_groups(dataset: Dataset) -> list[ViewGroup]:
+    """The views of a dataset by set and, within each, by grazing angle, from low to high."""
+    return [
+        ViewGroup(split, tuple(sorted(group, key=lambda view: view.azimuth_deg % 360)))
+        for split in dataset.splits()
+        for group in _by_grazing([entry.view for entry in dataset.entries if entry.split == split])
+    ]
+
+
+def _by_grazing(views: Sequence[View]) -> list[list[View]]:
+    ordered = sorted(views, key=lambda view: view.grazing_deg)
+    steps = np.diff([view.grazing_deg for view in ordered])
+    starts = [0, *(np.flatnonzero(steps > _SAME_GRAZING_DEG) + 1).tolist(), len(ordered)]
+    groups = len(starts) - 1
+    if groups > _FEW_GROUPS and len(ordered) < _FEW_EACH * groups:
+        return [ordered]
+    return [ordered[first:last] for first, last in itertools.pairwise(starts)]

@@ -1,0 +1,77 @@
+"""What `sarsplat info` says of a dataset's views, in letters and as a picture."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from datasets import dataset_of
+from sarsplat.cli import main
+from sarsplat.cli.sky import PLAIN, PRETTY, sky_chart, symbols_for
+from sarsplat.data import write_dataset
+from sarsplat.geometry import ImageGrid, View
+
+GRID = ImageGrid(8, 8, (0.3, 0.3), (0.3, 0.3))
+RING = [View(float(azimuth), 45.0) for azimuth in range(0, 360, 15) if not 100 < azimuth < 200]
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Path:
+    views = [(view, "train") for view in RING] + [(View(150, 30), "test")]
+    images = np.random.default_rng(0).random((len(views), 8, 8), np.float32)
+    write_dataset(tmp_path / "data", dataset_of(GRID, views, images))
+    return tmp_path / "data"
+
+
+def test_views_gap_and_chart(dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", str(dataset)]) == 0
+    told = capsys.readouterr().out
+    assert "largest gap        120°, from 90° clockwise to 210° (azimuths of the training views)" in " ".join(
+        told.split(" ")
+    )
+    assert re.search(r"train +45° +17 +210° … 90°, clockwise +15° +120°", told)
+    assert re.search(r"test +30° +1 +150° +– +–", told)
+    assert "0° (nose)" in told
+
+
+def rows(symbols=PRETTY, train=(), test=(), width=80) -> list[str]:
+    return sky_chart(train, test, width, symbols).plain.splitlines()
+
+
+def test_north_is_up_and_azimuths_go_clockwise() -> None:
+    def place(view: View) -> tuple[int, int]:
+        ((row, line),) = ((r, line) for r, line in enumerate(rows(train=[view])) if "●" in line)
+        return row, line.index("●")
+
+    up, right, down, left, middle = (place(View(*angles)) for angles in ((0, 5), (90, 5), (180, 5), (270, 5), (0, 89)))
+    assert up[0] < right[0] == left[0] == middle[0] < down[0]
+    assert left[1] < up[1] < right[1]
+    assert abs(up[1] - middle[1]) <= 1 >= abs(down[1] - middle[1])
+
+
+def test_narrow_terminals_and_few_letters() -> None:
+    assert max(map(len, rows(width=40))) <= 40 < max(map(len, rows(width=80)))
+    assert symbols_for("utf-8") is PRETTY
+    assert symbols_for("ascii") is symbols_for("latin-1") is PLAIN
+    chart = "\n".join(rows(PLAIN, train=RING, test=[View(150, 30)])).replace("°", "")
+    assert chart.isascii()
+    assert chart.count("o") >= len(RING) - 2  # and the o of nose
+    assert chart.count("x") == 1
+    assert Console(width=40).width == 40
+
+
+def test_pictures(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib")
+    assert main(["info", str(dataset), "--plot", str(tmp_path / "sky.png")]) == 0
+    assert (tmp_path / "sky.png").read_bytes().startswith(b"\x89PNG")
+    for _ in range(2):
+        assert main(["info", str(dataset), "--plot", str(tmp_path / "sky.svg")]) == 0
+    assert b"<svg" in (tmp_path / "sky.svg").read_bytes()
+    capsys.readouterr()
+    assert main(["info", str(dataset), "--plot", str(tmp_path / "sky.bmp")]) == 2
+    assert "does not end in .png or .svg" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "sky.bmp").exists()

@@ -1,0 +1,52 @@
+"""Views by set and grazing angle, and the widest gap between them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from datasets import dataset_of
+from sarsplat.data import Dataset
+from sarsplat.data.coverage import largest_gap, view_groups
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.scenes import mstar_views, paper_views
+from sarsplat.scenes.protocols import random_views
+
+GRID = ImageGrid(4, 4, (0.3, 0.3), (0.3, 0.3))
+
+
+def dataset(views: list[tuple[View, str]]) -> Dataset:
+    return dataset_of(GRID, views, np.ones((len(views), 4, 4), np.float32))
+
+
+def test_the_largest_gap_is_named_clockwise():
+    gap = largest_gap([350, 10, 40, -90])
+    assert (gap.width_deg, gap.first_deg, gap.last_deg) == (230, 40, 270)
+    assert str(gap) == "230°, from 40° clockwise to 270°"
+    assert str(largest_gap([300, 20, 30])) == "270°, from 30° clockwise to 300°"
+    assert largest_gap([5, 365, -355]).width_deg == 360  # one direction, three times
+
+
+def test_groups_of_the_protocols():
+    groups = view_groups(dataset(list(paper_views())))
+    assert [(group.split, *group.grazing_deg, len(group.views), group.step_deg) for group in groups] == [
+        *(("train", grazing, grazing, 8, 45) for grazing in (15, 45, 75)),
+        *(("test", grazing, grazing, 16, 15) for grazing in (15, 45, 75)),
+    ]
+    assert groups[0].azimuths_deg == list(range(0, 360, 45))
+    groups = view_groups(dataset(list(mstar_views())))
+    counts = [(group.split, round(group.grazing_deg[0]), len(group.views)) for group in groups]
+    assert counts == [("train", 17, 36), ("test-17", 17, 36), ("test-15", 15, 36)]
+
+
+def test_measured_grazing_angles_belong_together_and_random_ones_too():
+    scattered = [(View(10.0 * k, 17 + 0.2 * (k % 3)), "train") for k in range(36)]
+    assert len(view_groups(dataset(scattered))) == 1
+    drawn = [(view, "train") for view in random_views(24, 15, 75, 0)]
+    (group,) = view_groups(dataset(drawn))
+    assert group.grazing_deg[1] - group.grazing_deg[0] > 30
+
+
+@pytest.mark.parametrize("views", [[(View(30, 45), "train")], [(View(30, 45), "train"), (View(30, 45), "test")]])
+def test_one_direction_has_no_step(views):
+    assert all(group.step_deg is None for group in view_groups(dataset(views)))
