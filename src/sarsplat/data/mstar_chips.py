@@ -20,8 +20,8 @@ from sarsplat.data.phoenix import is_phoenix, read_phoenix
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 
 _DESIRED, _MEASURED = "desired_depression_deg", "measured_depression_deg"
-_ANGLES = (_DESIRED, _MEASURED, "target_az_deg")
-LABEL_COLUMNS = ("path", "class", "serial", *_ANGLES)
+_NEEDED = (_DESIRED, "target_az_deg")
+LABEL_COLUMNS = ("path", "class", "serial", _DESIRED, _MEASURED, "target_az_deg")
 """That a table of labels must have."""
 _AZIMUTH_STD = "azimuth_std_deg"
 """A column that may be missing, and empty."""
@@ -207,30 +207,24 @@ _Rows = list[tuple[int, dict[str, str]]]
 
 
 def _complete(labels: Path, rows: _Rows) -> _Rows:
-    """The rows that have all their angles; those with empty fields are counted.
+    """The rows that have the angles they need; those with empty fields are counted.
 
     A measured depression that is empty is taken to be as planned: it differs from that by tenths of a degree.
     """
-    planned = [
-        (line, row)
-        for line, row in rows
-        if not row[_MEASURED].strip() and all(row[name].strip() for name in _ANGLES if name != _MEASURED)
-    ]
-    if planned:
-        _warn(
-            f"{labels} has no {_MEASURED} for {len(planned)} of {counted(len(rows), 'chip')} (the first in line "
-            f"{planned[0][0]}), for which {_DESIRED} is used"
-        )
-        rows = [(line, row if row[_MEASURED].strip() else {**row, _MEASURED: row[_DESIRED]}) for line, row in rows]
-    whole = [(line, row) for line, row in rows if all(row[name].strip() for name in _ANGLES)]
+    whole = [(line, row) for line, row in rows if all(row[name].strip() for name in _NEEDED)]
     if len(whole) < len(rows):
         line, row = next(item for item in rows if item not in whole)
-        missing = next(name for name in _ANGLES if not row[name].strip())
+        missing = next(name for name in _NEEDED if not row[name].strip())
         what = f"{labels} has empty fields for {len(rows) - len(whole)} of {counted(len(rows), 'chip')}"
         if not whole:
             raise SarsplatError(f"{what} (line {line}: {missing} is empty); fill them in")
         _warn(f"{what} (the first: {missing} in line {line}), which are ignored; fill them in if you need them")
-    return whole
+    if planned := [line for line, row in whole if not row[_MEASURED].strip()]:
+        _warn(
+            f"{labels} has no {_MEASURED} for {len(planned)} of {counted(len(whole), 'chip')} (the first in line "
+            f"{planned[0]}), so their {_DESIRED} is used; fill them in if you know better"
+        )
+    return [(line, row if row[_MEASURED].strip() else {**row, _MEASURED: row[_DESIRED]}) for line, row in whole]
 
 
 def _once(labels: Path, rows: _Rows) -> _Rows:
