@@ -6,7 +6,7 @@ import signal
 import sys
 from collections.abc import Sequence
 
-_INTERRUPTED = 128 + signal.SIGINT  # as shells have it
+_INTERRUPTED, _TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM  # as shells have it
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -20,8 +20,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code: 0, or 2 after a mistake in the input, or 130 after Ctrl-C. Options that do not parse end the process
-        with code 2.
+        Exit code: 0, or 2 after a mistake in the input, 130 after Ctrl-C, 143 after being terminated. Options that do
+        not parse end the process with code 2.
     """
     try:
         from sarsplat.cli.app import run  # here, because Ctrl-C may come while this is imported
@@ -30,8 +30,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as interrupt:
         from sarsplat.cli import console
 
-        console.complain(str(interrupt) or "stopped by Ctrl-C; nothing half-written was left behind")
-        return _INTERRUPTED
+        terminated = getattr(interrupt, "number", signal.SIGINT) == signal.SIGTERM
+        by = "terminated" if terminated else "stopped by Ctrl-C"
+        console.complain(str(interrupt) or f"{by}; nothing half-written was left behind")
+        return _TERMINATED if terminated else _INTERRUPTED
     finally:
         if arguments is None:  # the process ends: a late Ctrl-C must not make it look as if it had not done its work
             signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -20,6 +20,7 @@ EXTRAS: dict[str, dict[str, str]] = {
     "report": {"matplotlib": "matplotlib", "jinja2": "jinja2", "trimesh": "trimesh", "skimage": "scikit-image"},
     "las": {"laspy": "laspy"},
     "video": {"PIL": "pillow", "cv2": "opencv-python-headless"},
+    "tensorboard": {"tensorboard": "tensorboard"},
 }
 """Extra → modules it brings → names of their distributions."""
 

@@ -12,22 +12,35 @@ from pathlib import Path
 from types import FrameType
 
 
+class Stopped(KeyboardInterrupt):
+    """A signal that ended a training between two steps; the exit code tells which, as shells have it."""
+
+    def __init__(self, number: int, text: str = "") -> None:
+        super().__init__(*([text] if text else []))
+        self.number = number
+
+    @property
+    def by(self) -> str:
+        """What happened, in words."""
+        return "terminated" if self.number == signal.SIGTERM else "stopped by Ctrl-C"
+
+
 @contextmanager
-def interrupts_held_back() -> Iterator[Callable[[], bool]]:
-    """Hold back Ctrl-C (and a polite kill) inside the block; the yielded function says whether there was one.
+def interrupts_held_back() -> Iterator[Callable[[], int]]:
+    """Hold back Ctrl-C (and a polite kill) inside the block; the yielded function gives the signal's number, or 0.
 
     A second Ctrl-C is not held back. Outside the main thread, where no signal arrives, nothing changes.
     """
     if threading.current_thread() is not threading.main_thread():
-        yield lambda: False
+        yield lambda: 0
         return
-    asked = False
+    asked = 0
 
     def hold(number: int, frame: FrameType | None) -> None:
         nonlocal asked
         if asked:
-            raise KeyboardInterrupt
-        asked = True
+            raise Stopped(number)
+        asked = number
         os.write(2, b"\nstopping after this step; once more stops at once\n")  # print must not be called in here
 
     before = {number: signal.signal(number, hold) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -50,15 +63,17 @@ def interruptible(dataset: Path, out: Path) -> Iterator[Callable[[object], None]
     with interrupts_held_back() as interrupted:
 
         def stop_if_asked(step: object) -> None:
-            if interrupted():
-                raise KeyboardInterrupt
+            if number := interrupted():
+                raise Stopped(number)
 
         try:
             yield stop_if_asked
         except KeyboardInterrupt as interrupt:
             if interrupt.args or not (out / "config.json").is_file():
                 raise
-            raise KeyboardInterrupt(
-                f"stopped by Ctrl-C; {out} keeps the progress so far; continue with "
-                f"`sarsplat reconstruct {shlex.quote(str(dataset))} --out {shlex.quote(str(out))} --resume`"
+            stopped = interrupt if isinstance(interrupt, Stopped) else Stopped(signal.SIGINT)
+            raise Stopped(
+                stopped.number,
+                f"{stopped.by}; {out} keeps the progress so far; continue with "
+                f"`sarsplat reconstruct {shlex.quote(str(dataset))} --out {shlex.quote(str(out))} --resume`",
             ) from None

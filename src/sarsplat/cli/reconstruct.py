@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -15,14 +14,13 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import DEFAULT_PORT, MARKERS, Folder, OptionalFile, OptionalFolder, refuse_existing
-from sarsplat.cli.interrupt import interruptible
 from sarsplat.cli.rival import MethodName, asked_method, reconstruct_by, settings_in
+from sarsplat.cli.watch import watched
 from sarsplat.errors import SarsplatError
 from sarsplat.reconstruction.config import OURS, Config, Densification, Surroundings
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
-    from sarsplat.reconstruction import Step, Trainer
 
 PresetName = Literal["auto", "default", "quick", "speckled", "paper", "measured"]
 _PARTS = {"densification": Densification, "surroundings": Surroundings}
@@ -76,6 +74,8 @@ class Options:
     resume
         Continue the run in --out with the settings it was started with; DATASET may have moved. A larger --iterations
         extends the run; other --points.* extract its points anew.
+    tensorboard
+        Also write a log for TensorBoard to the run's folder `tensorboard`: curves, and images of a few fixed views.
     overwrite
         Replace an existing run, which is kept until the new one has its first checkpoint.
     densify
@@ -97,6 +97,7 @@ class Options:
     view: bool = False
     port: Annotated[int, tyro.conf.arg(metavar="PORT")] = DEFAULT_PORT
     resume: bool = False
+    tensorboard: bool = False
     overwrite: bool = False
     densify: Annotated[Literal["on", "off"] | None, _switch("densification")] = None
     surround: Annotated[Literal["on", "off"] | None, _switch("surroundings")] = None
@@ -130,18 +131,13 @@ def reconstruct(
         return
     if not options.resume:
         refuse_existing(out, options.overwrite, marker=HEADER)
-    with interruptible(dataset, out) as stop_if_asked, _shown(images, options) as show:
-
-        def after_step(step: Step[Trainer]) -> None:
-            stop_if_asked(step)
-            show(step)
-
+    with watched(options, images) as on_step:
         run = train(
             images,
             config,
             out,
             device=options.device,
-            on_step=after_step,
+            on_step=on_step,
             resume=options.resume,
             overwrite=options.overwrite,
         )
@@ -150,15 +146,6 @@ def reconstruct(
         f"(preset {config.preset}, seed {run.seed})",
         f"sarsplat evaluate {shlex.quote(str(out))}",
     )
-
-
-def _shown(images: Dataset, options: Options) -> AbstractContextManager[Callable[[Step[Trainer]], object]]:
-    """What is called after each step, to show it if that was asked for."""
-    if not options.view:
-        return nullcontext(lambda step: None)
-    from sarsplat.viewer import watched
-
-    return watched(images, options.port, console.say)
 
 
 def _base(options: Options, images: Dataset) -> Config:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import refuse_existing
-from sarsplat.cli.interrupt import interruptible
+from sarsplat.cli.watch import watched
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.reconstruction.config import OURS
 
@@ -25,7 +25,10 @@ MethodName = Literal["sar-gs", "sar-nerf", "sar-nerf-grid", "dsr"]
 _SETTINGS = ("iterations", "views_per_step", "checkpoint_every", "seed")
 """Those that all methods have, and that are options."""
 
-_OTHERS = ("out", "method", "masks", "config", "print_config", "device", "view", "port", "resume", "overwrite")
+_OTHERS = (
+    *("out", "method", "masks", "config", "print_config", "device"),
+    *("view", "port", "resume", "tensorboard", "overwrite"),
+)
 
 
 def asked_method(asked: MethodName | None, resume: bool, out: Path) -> str:
@@ -73,17 +76,19 @@ def reconstruct_by(method: str, options: Options, words: Sequence[str]) -> None:
         return
     if not options.resume:
         refuse_existing(out, options.overwrite, marker=HEADER)
+    from sarsplat.data import read_dataset
     from sarsplat.rivals import reconstruct_with
 
-    with interruptible(dataset, out) as stop_if_asked:
+    images = read_dataset(dataset)
+    with watched(options, images) as on_step:
         run = reconstruct_with(
             method,
-            dataset,
+            images,
             config,
             out,
             masks=options.masks,
             device=options.device,
-            on_step=stop_if_asked,
+            on_step=on_step,
             resume=options.resume,
             overwrite=options.overwrite,
         )

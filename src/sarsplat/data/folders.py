@@ -20,7 +20,7 @@ _LAYOUTS = {
     "dataset.json": r"dataset\.json|truth\.ply|images/[^/]+\.tif|masks/[^/]+\.png",
     "config.json": (
         r"config\.json|metrics\.jsonl?|gaussians\.ply|points\.ply|checkpoints/\d+\.safetensors|"
-        r"report/(index\.html|[^/]+\.png)"
+        r"report/(index\.html|[^/]+\.png)|tensorboard/events\.out\.tfevents\.[^/]+"
     ),
     "contact-sheet.png": r"contact-sheet\.png|az[\d.]+_gr[\d.]+\.(tif|png)",
 }

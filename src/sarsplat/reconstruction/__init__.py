@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from sarsplat.reconstruction.loop import Step
     from sarsplat.reconstruction.points import extract_points
     from sarsplat.reconstruction.run import Run
+    from sarsplat.reconstruction.tensorboard import TensorBoard
     from sarsplat.reconstruction.trainer import Trainer
     from sarsplat.reconstruction.training import reconstruct
 
@@ -21,11 +22,23 @@ _MODULE_OF = {
     "extract_points": "points",
     "Run": "run",
     "Step": "loop",
+    "TensorBoard": "tensorboard",
     "Trainer": "trainer",
     "reconstruct": "training",
 }
 
-__all__ = ["PRESETS", "AnyRun", "Config", "Run", "Step", "Trainer", "extract_points", "preset", "reconstruct"]
+__all__ = [
+    "PRESETS",
+    "AnyRun",
+    "Config",
+    "Run",
+    "Step",
+    "TensorBoard",
+    "Trainer",
+    "extract_points",
+    "preset",
+    "reconstruct",
+]
 
 
 def __getattr__(name: str) -> Any:

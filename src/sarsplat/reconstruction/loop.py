@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
+import numpy as np
 import torch
+from jaxtyping import Float32
 from torch import Tensor
 
 from sarsplat.data import Dataset, new_folder, write_bytes
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer, refuse_existing
 from sarsplat.errors import SarsplatError
+from sarsplat.geometry import View
 from sarsplat.progress import Reporter
 from sarsplat.reconstruction.any_run import HEADER, AnyRun, InMemory, require_replaceable
 from sarsplat.reconstruction.config import AnyConfig, refuse_other_settings
@@ -50,6 +53,17 @@ class Trainable(Protocol):
     def check(self) -> None:
         """Wait for the device, and raise what went wrong there."""
 
+    @property
+    def terms(self) -> dict[str, Tensor]:
+        """What the last step minimised besides the loss: single numbers by name, still on the device."""
+
+    @property
+    def learning_rates(self) -> dict[str, float]:
+        """Of the next step, by parameter."""
+
+    def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
+        """β⁰ of any views as they are now, linear power; nothing random is drawn."""
+
     def snapshot(self, seconds: float) -> Snapshot:
         """Everything the next step depends on, after so many seconds of training."""
 
@@ -73,11 +87,18 @@ class Step(Generic[T]):
         Its loss, a single number; reading it waits for the device.
     trainer : Trainable
         The training itself, between two steps; of Gaussians, `trainer.gaussians` is the target as it is now.
+    line : LogLine or None
+        The line that the log gets after this step; None after most.
+    folder_to_come : Path or None
+        The run's folder as long as it is being built elsewhere, which is until after the first checkpoint: nothing may
+        be written there yet. Then, and for a run in memory, None.
     """
 
     iteration: int
     loss: Tensor
     trainer: T
+    line: LogLine | None = None
+    folder_to_come: Path | None = None
 
 
 class Training(Generic[T]):
@@ -88,6 +109,7 @@ class Training(Generic[T]):
         self.history: list[LogLine] = []
         self.between_steps = True
         self.ended = False  # by whoever watches
+        self.folder_to_come: Path | None = None
         self._begun = self._shown_at = time.monotonic()
 
     @property
@@ -129,9 +151,11 @@ class Training(Generic[T]):
                 self._show(loss.item())
             if save is not None and saves:
                 save()
-            if self._on_step is not None and self._on_step(Step(trainer.iteration, loss, trainer)) is True:
-                self.ended = True
-                return
+            if self._on_step is not None:
+                step = Step(trainer.iteration, loss, trainer, line, self.folder_to_come)
+                if self._on_step(step) is True:
+                    self.ended = True
+                    return
 
     def _show(self, loss: float) -> None:
         count = self.trainer.gaussian_count
@@ -198,6 +222,7 @@ def _on_the_disk(training: Training[Any], new: R, dataset: Dataset, out: Path, r
         else:
             with new_folder(out, overwrite, marker=HEADER) as folder:
                 run = new.placed(folder, dataset)
+                training.folder_to_come = out
                 try:
                     _train(training, run, min(config.checkpoint_every, config.iterations))
                 except BaseException as error:
@@ -210,6 +235,7 @@ def _on_the_disk(training: Training[Any], new: R, dataset: Dataset, out: Path, r
                             f"stopped before the first checkpoint; {out} is still as it was"
                         ) from error
                     stopped = error
+            training.folder_to_come = None
         try:
             if stopped is None and not training.ended:
                 _train(training, type(new).load(out), config.iterations)

@@ -78,6 +78,13 @@ class Optimiser:
         low, high = (bound.to(tensor).expand(columns) for bound in bounds)
         return adam.Stepped(tensor, mean, square, tensor.new_tensor(rates), low, high, name in LOGARITHMIC)
 
+    def rates(self, iteration: int) -> dict[str, float]:
+        """Rates of this iteration by parameter, each of its first column; of means and shifts in m."""
+        return {
+            name: learning_rate(name, 0, self._config, self._cell_m) * decay(name, iteration, self._config)
+            for name in self._parameters
+        }
+
     def step(self, iteration: int) -> None:
         """One update, with the rates of this iteration; gradients are cleared."""
         self._steps += 1

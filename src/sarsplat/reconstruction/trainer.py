@@ -75,6 +75,7 @@ class Trainer:
         self._loss = loss or named_loss(config, ImageScale(self._brightest, self.model.unit))
         self._black_loss = _of_black(self._loss, self._truth[: config.views_per_step])
         self.iteration = 0
+        self.terms: dict[str, Tensor] = {}
         self._queue: list[int] = []
 
     def step(self) -> Float32[Tensor, ""]:
@@ -102,11 +103,14 @@ class Trainer:
                 f"the loss returned {what}; it must return one real number, a tensor of shape () computed from the "
                 "rendered images by torch"
             )
-        total, penalty = loss, self.model.penalty()
+        total, penalty, self.terms = loss, self.model.penalty(), {}
         if penalty is not None:
             total = total + penalty
+            self.terms["priors"] = penalty.detach()
         if self.config.scattering_penalty:
-            total = total + self.config.scattering_penalty * self._black_loss * self.model.scattering_spread()
+            spread = self.config.scattering_penalty * self._black_loss * self.model.scattering_spread()
+            total = total + spread
+            self.terms["scattering penalty"] = spread.detach()
         total.backward()
         if gather and self.density is not None:
             self.density.gather(rendering, self.grid)
@@ -233,6 +237,21 @@ class Trainer:
         self.model.texture = shared
         self.model.constrain()
         self.optimiser = self.optimiser.rebuild(self.model.parameters, source)
+
+    @property
+    def learning_rates(self) -> dict[str, float]:
+        """Of the next step, by parameter: of its first column; of means and shifts in m."""
+        return self.optimiser.rates(self.iteration)
+
+    @torch.no_grad()
+    def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
+        """β⁰ of any views as they are now, linear power, with the rays of the training."""
+        degree, some = self.model.degree(self.iteration), self.config.views_per_step
+        images = [
+            self.model.render(views[first : first + some], self.grid, degree, rays=self._rays)[0].cpu().numpy()
+            for first in range(0, len(views), some)  # what a step takes fits into memory
+        ]
+        return np.concatenate(images or [np.empty((0, self.grid.rows, self.grid.columns), np.float32)])
 
     @property
     def gaussian_count(self) -> int:

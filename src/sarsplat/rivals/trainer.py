@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from jaxtyping import Float32
@@ -10,6 +12,7 @@ from torch import Tensor
 from sarsplat.data import Dataset, Masks
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.initialise import bounded_region
+from sarsplat.geometry import View
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.reconstruction.target_box import target_box
 from sarsplat.rivals.config import RivalConfig
@@ -75,6 +78,26 @@ class RivalTrainer:
         self._optimiser.step()
         self.iteration += 1
         return loss.detach()
+
+    @property
+    def terms(self) -> dict[str, Tensor]:
+        """What the methods minimise is one number."""
+        return {}
+
+    @property
+    def learning_rates(self) -> dict[str, float]:
+        """Of the next step, by group of parameters."""
+        factor = self.model.rate(self.iteration)
+        return {f"group {index}": rate * factor for index, rate in enumerate(self._rates)}
+
+    @torch.no_grad()
+    def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
+        """β⁰ of any views as they are now, linear power."""
+        grid = self._scene.grid
+        images = np.empty((len(views), grid.rows, grid.columns), np.float32)
+        for image, view in zip(images, views, strict=True):
+            image[:] = (self.model.image(view) * self._scene.unit).cpu().numpy()
+        return images
 
     def check(self) -> None:
         """Wait for the device."""

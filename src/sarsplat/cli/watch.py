@@ -1,0 +1,51 @@
+"""What is called after every step of a training that the command line started."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any
+
+from sarsplat.cli import console
+from sarsplat.cli.interrupt import interruptible
+
+if TYPE_CHECKING:
+    from sarsplat.cli.reconstruct import Options
+    from sarsplat.data import Dataset
+    from sarsplat.reconstruction import Step
+
+LOG_FOLDER = "tensorboard"
+"""In the run's folder."""
+
+
+@contextmanager
+def watched(options: Options, images: Dataset) -> Iterator[Callable[[Step[Any]], object]]:
+    """A training that Ctrl-C ends between two steps, logged for TensorBoard and shown in a browser if asked for.
+
+    Raises
+    ------
+    SarsplatError
+        If tensorboard is asked for but not installed, or the page's port is taken.
+    KeyboardInterrupt
+        If there was one; it says how to go on if there is something to go on from.
+    """
+    with ExitStack() as stack:
+        stop_if_asked = stack.enter_context(interruptible(options.dataset, options.out))
+        watchers: list[Callable[[Step[Any]], object]] = []
+        if options.tensorboard:
+            from sarsplat.reconstruction.tensorboard import TensorBoard
+
+            board = TensorBoard(options.out / LOG_FOLDER, images)
+            stack.callback(board.close)
+            watchers.append(board)
+        if options.view:
+            from sarsplat.viewer import watched as shown
+
+            watchers.append(stack.enter_context(shown(images, options.port, console.say)))
+        watchers.append(stop_if_asked)
+
+        def on_step(step: Step[Any]) -> None:
+            for watcher in watchers:
+                watcher(step)
+
+        yield on_step

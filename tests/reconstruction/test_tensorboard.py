@@ -1,0 +1,172 @@
+"""The log for TensorBoard, read back with TensorBoard's own reader."""
+
+from __future__ import annotations
+
+import io
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets import dataset_of
+from sarsplat.cli import main
+from sarsplat.data import Dataset, write_dataset
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.reconstruction import Config, TensorBoard, preset, reconstruct
+
+pytest.importorskip("tensorboard")
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+GRID = ImageGrid(16, 14, (0.3, 0.3), (0.4, 0.4))
+CONFIG: Config = replace(preset("quick"), gaussians=40, iterations=12, checkpoint_every=6, scattering_penalty=0.1)
+
+
+@pytest.fixture(scope="module")
+def dataset() -> Dataset:
+    views = [(View(azimuth, 40.0), "train") for azimuth in range(0, 360, 60)] + [(View(20, 30), "test")]
+    images = np.zeros((7, 16, 14), np.float32)
+    images[:, 6:10, 5:9] = np.random.default_rng(0).uniform(0.5, 1.5, (7, 4, 4))
+    return dataset_of(GRID, views, images)
+
+
+def read(folder: Path) -> EventAccumulator:
+    found = EventAccumulator(str(folder), size_guidance={"images": 0, "scalars": 0})
+    found.Reload()
+    return found
+
+
+def steps(found: EventAccumulator, tag: str) -> list[int]:
+    return [event.step for event in found.Scalars(tag)]
+
+
+def test_curves_and_images(dataset: Dataset, tmp_path: Path) -> None:
+    run = reconstruct(dataset, CONFIG, on_step=TensorBoard(tmp_path / "log", dataset), quiet=True)
+    found = read(tmp_path / "log")
+    assert steps(found, "loss") == list(range(1, 13))
+    logged = [event.value for event in found.Scalars("loss")]
+    np.testing.assert_allclose(logged, [line.loss for line in run.history], rtol=1e-6)
+    assert [event.value for event in found.Scalars("Gaussians")] == [len(run.gaussians)] * 12
+    assert all(event.value > 0 for event in found.Scalars("seconds per step"))
+    assert found.Scalars("terms/scattering penalty")[0].value > 0
+    rates = [event.value for event in found.Scalars("learning rate/means")]
+    assert rates == sorted(rates, reverse=True)
+    assert rates[-1] < rates[0]
+    tags = found.Tags()["images"]
+    assert {tag.split(",")[0] for tag in tags} == {"train 000", "train 003", "test 006"}
+    rendered = found.Images("test 006, azimuth 20°, grazing 30°/rendered")
+    assert [event.step for event in rendered] == [1, 2, 3, 4, 6, 8, 11, 12]
+    (truth,) = found.Images("train 003, azimuth 180°, grazing 40°/truth")
+    image = pytest.importorskip("PIL.Image").open(io.BytesIO(truth.encoded_image_string))
+    shown = np.asarray(image.convert("L"))
+    assert shown.shape == (16, 14)
+    assert (shown[6:10, 5:9] > 200).all()  # within 10 dB of the brightest
+    assert shown[0].max() == 0
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_nothing_changes_and_resuming_appends(dataset: Dataset, tmp_path: Path, inside: bool) -> None:
+    """A training that dies at step 9 goes on from its checkpoint at step 6; what it logged since is hidden."""
+
+    def die(step: object) -> None:
+        board(step)
+        if step.iteration == 9:
+            raise RuntimeError
+
+    out = tmp_path / "run"
+    log = out / "tensorboard" if inside else tmp_path / "log"
+    whole = reconstruct(dataset, CONFIG, tmp_path / "whole", quiet=True)
+    board = TensorBoard(log, dataset)
+    with pytest.raises(RuntimeError):
+        reconstruct(dataset, CONFIG, out, on_step=die, quiet=True)
+    assert steps(read(log), "loss") == list(range(1, 10))  # flushed, though nobody closed it
+    (out / "checkpoints" / "00000009.safetensors").unlink()  # as if killed
+    resumed = reconstruct(dataset, CONFIG, out, on_step=TensorBoard(log, dataset), resume=True, quiet=True)
+    assert steps(read(log), "loss") == list(range(1, 13))
+    for name, tensor in whole.snapshot.tensors.items():
+        assert bool((resumed.snapshot.tensors[name] == tensor).all()), name
+
+
+def test_a_run_that_is_overwritten_keeps_its_log_until_the_new_one_is_there(dataset: Dataset, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+
+    def once(config: Config, **options: object) -> None:
+        reconstruct(dataset, config, out, on_step=TensorBoard(out / "tensorboard", dataset), quiet=True, **options)
+
+    once(CONFIG)
+    before = sorted((out / "tensorboard").iterdir())
+    board = TensorBoard(out / "tensorboard", dataset)
+
+    def die(step: object) -> None:
+        board(step)
+        if step.iteration == 3:
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        reconstruct(dataset, CONFIG, out, on_step=die, quiet=True, overwrite=True)
+    board.close()
+    assert sorted((out / "tensorboard").iterdir()) == before
+    once(replace(CONFIG, iterations=8), overwrite=True)
+    assert steps(read(out / "tensorboard"), "loss") == list(range(1, 9))
+
+
+def test_other_methods_are_logged_too(dataset: Dataset, tmp_path: Path) -> None:
+    from sarsplat.rivals import reconstruct_with
+    from sarsplat.rivals.methods import method_named
+
+    settings = replace(method_named("sar-nerf-grid").settings, iterations=3)
+    reconstruct_with(
+        "sar-nerf-grid", dataset, settings, on_step=TensorBoard(tmp_path, dataset, test_views=0), quiet=True
+    )
+    found = read(tmp_path)
+    assert steps(found, "loss") == [1, 2, 3]
+    assert "learning rate/group 0" in found.Tags()["scalars"]
+    assert "Gaussians" not in found.Tags()["scalars"]
+    assert len(found.Images("train 000, azimuth 0°, grazing 40°/rendered")) == 3
+
+
+KILLED = """
+import os, signal, sys
+from sarsplat.cli import main
+from sarsplat.reconstruction import tensorboard
+look = tensorboard.TensorBoard.__call__
+def until(self, step):
+    look(self, step)
+    if step.iteration == 9:
+        os.kill(os.getpid(), getattr(signal, sys.argv[1]))
+tensorboard.TensorBoard.__call__ = until
+sys.exit(main(sys.argv[2:]))
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGKILL", "SIGTERM"])
+def test_a_killed_process_leaves_a_log_that_can_be_read(dataset: Dataset, tmp_path: Path, name: str) -> None:
+    write_dataset(tmp_path / "data", dataset)
+    out = tmp_path / "run"
+    words = ["reconstruct", str(tmp_path / "data"), "--preset", "quick", "--gaussians", "40", "--iterations", "12"]
+    words += ["--checkpoint-every", "6", "--out", str(out), "--tensorboard"]
+    done = subprocess.run(
+        [sys.executable, "-c", KILLED, name, *words], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert steps(read(out / "tensorboard"), "loss") == list(range(1, 10))
+    if name == "SIGTERM":
+        assert done.returncode == 128 + signal.SIGTERM
+        told = " ".join(done.stderr.split())
+        assert f"terminated; {out} keeps the progress so far; continue with" in told
+        assert "Ctrl-C" not in told
+
+
+def test_without_tensorboard_it_is_said_before_the_training(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    with pytest.raises(SarsplatError, match=r"pip install 'sarsplat\[tensorboard\]'"):
+        TensorBoard(tmp_path, dataset)
+    write_dataset(tmp_path / "data", dataset)
+    assert main(["reconstruct", str(tmp_path / "data"), "--out", str(tmp_path / "run"), "--tensorboard"]) == 2
+    assert "sarsplat[tensorboard]" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
