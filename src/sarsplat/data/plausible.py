@@ -42,7 +42,7 @@ def suspicions(dataset: Dataset) -> list[str]:
         measured power. Empty if nothing is odd.
     """
     views = dataset.select("train").views
-    return [*suspicious_angles(views), *_coverage(views), *_images(dataset), *_tested_on_training(dataset)]
+    return [*suspicious_angles(views), *suspicious_coverage(views), *suspicious_images(dataset)]
 
 
 def suspicious_angles(views: Sequence[View]) -> list[str]:
@@ -96,8 +96,13 @@ def _multiples(values: np.ndarray, of: float) -> bool:
     return bool((np.abs(values - of * np.round(values / of)) <= 1e-6).all())
 
 
-def _coverage(views: Sequence[View]) -> list[str]:
-    """What the training directions leave open."""
+def suspicious_images(dataset: Dataset) -> list[str]:
+    """What is odd about the images: constant, all the same, zero where they are measured, or trained and tested on."""
+    return [*_images(dataset), *_tested_on_training(dataset)]
+
+
+def suspicious_coverage(views: Sequence[View]) -> list[str]:
+    """What the training directions leave open; one sentence each."""
     first = views[0]
     if len(views) == 1:
         return [

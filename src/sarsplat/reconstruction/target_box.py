@@ -81,14 +81,14 @@ def target_box(
     SarsplatError
         If an image does not show the world's origin.
     """
-    half = _seen_by_all(views, grid)
+    half = seen_by_all(views, grid)
     if half <= 0:
         raise SarsplatError(
             f"the images, with their middle at {grid.center_m} m, do not show the world's origin, around which the "
             "target is looked for; say where it is in target_box_m, or give images that show the origin"
         )
     axis = np.linspace(-half, half, 2 * math.ceil(2 * half / grid.cell_m) + 1)
-    level_db = _above_ground_db(power, grid)
+    level_db = above_ground_db(power, grid)
     bright_db = np.maximum(level_db, _DARKEST_DB)
     extents = []
     for i in range(2):
@@ -159,18 +159,18 @@ def _height(
     return max(min(top, narrow), top - narrow / 2 * float(tangents.min())) + grid.cell_m
 
 
-def _seen_by_all(views: Sequence[View], grid: ImageGrid) -> float:
-    """Radius of the largest disc of ground around the origin that lies in every image, m."""
+def seen_by_all(views: Sequence[View], grid: ImageGrid) -> float:
+    """Radius of the largest disc of ground around the origin that lies in every image, m; ≤ 0 if there is none."""
     flattest = math.cos(math.radians(min(view.grazing_deg for view in views)))
     across = grid.columns * grid.spacing_m[0] / 2 - abs(grid.center_m[0])
     along = (grid.rows * grid.spacing_m[1] / 2 - abs(grid.center_m[1])) / flattest
     return min(across, along)
 
 
-def _above_ground_db(
+def above_ground_db(
     power: Float[np.ndarray, "v rows columns"], grid: ImageGrid
 ) -> Float64[np.ndarray, "v rows columns"]:
-    """Decibels above each image's median, smoothed."""
+    """Decibels above each image's median, smoothed over a resolution cell; `power` is linear."""
     # one cell wide, each way: speckle is smoothed, and what is larger stays
     width = (0.0, grid.resolution_m[1] / grid.spacing_m[1], grid.resolution_m[0] / grid.spacing_m[0])
     smooth = gaussian_filter(power.astype(np.float64), width, mode="nearest")

@@ -1,0 +1,131 @@
+"""What the statistics of images say of their unit and resolution: the contrast of speckle, and how sharp they are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Real
+from scipy.ndimage import binary_dilation
+
+from sarsplat.geometry import ImageGrid
+from sarsplat.reconstruction.outlines import Outline
+
+_CELLS_PER_BLOCK, _SMALLEST_BLOCK = 6, 8
+"""Side of the blocks of clutter, in resolution widths and in pixels: ground hardly changes within one."""
+
+_FEWEST_BLOCKS = 20
+_WHITE = 0.1
+"""Neighbouring pixels of speckle that correlate less are taken as drawn independently of each other."""
+
+_BRIGHT_DB = 25.0
+"""Below the brightest of an image: what is darker is not looked at for its sharpness."""
+
+_SHARPEST = 0.9999
+"""Quantile of curvatures: that of the sharpest structure, but not of a single pixel."""
+
+
+@dataclass(frozen=True)
+class Clutter:
+    """What blocks of ground look like, away from target and shadow.
+
+    Attributes
+    ----------
+    contrast : float
+        Standard deviation over mean, the median of all blocks.
+    width_m : (float or None, float or None)
+        3 dB width in azimuth and slant range of the response that correlates neighbouring pixels of speckle so much;
+        None if they hardly do.
+    blocks : int
+        Number of blocks.
+    """
+
+    contrast: float
+    width_m: tuple[float | None, float | None]
+    blocks: int
+
+
+def clutter(
+    power: Real[np.ndarray, "v rows columns"],
+    levels: Float64[np.ndarray, "v rows columns"],
+    outlines: Sequence[Outline],
+    grid: ImageGrid,
+) -> Clutter | None:
+    """Statistics of the ground around the target; None if too little of it is seen.
+
+    Parameters
+    ----------
+    power, levels : numpy.ndarray [V, rows, columns]
+        Linear power, and decibels above the ground.
+    outlines : sequence of Outline
+        Target and shadow of the same images.
+    grid : ImageGrid
+        Where the pixels lie.
+    """
+    across, along = (
+        max(_SMALLEST_BLOCK, math.ceil(_CELLS_PER_BLOCK * width / spacing))
+        for width, spacing in zip(grid.resolution_m, grid.spacing_m, strict=True)
+    )
+    contrasts, correlations = [], []
+    for image, level, outline in zip(power, levels, outlines, strict=True):
+        other = binary_dilation(outline.target | outline.shadow | (np.abs(level) > 6.0))
+        for row in range(0, grid.rows - along + 1, along):
+            for column in range(0, grid.columns - across + 1, across):
+                place = slice(row, row + along), slice(column, column + across)
+                block = image[place].astype(np.float64)
+                if other[place].any() or not block.mean() > 0:
+                    continue
+                contrasts.append(float(block.std(ddof=1) / block.mean()))
+                correlations.append(_neighbours(block))
+    if len(contrasts) < _FEWEST_BLOCKS:
+        return None
+    widths = [
+        _response_width(float(value), spacing)
+        for value, spacing in zip(np.mean(correlations, axis=0), grid.spacing_m, strict=True)
+    ]
+    return Clutter(float(np.median(contrasts)), (widths[0], widths[1]), len(contrasts))
+
+
+def _neighbours(block: Float64[np.ndarray, "rows columns"]) -> tuple[float, float]:
+    """Correlation of neighbours in azimuth and in range."""
+    rest = block - block.mean()
+    variance = float((rest**2).mean())
+    if not variance > 0:
+        return 0.0, 0.0
+    return float((rest[:, 1:] * rest[:, :-1]).mean()) / variance, float((rest[1:] * rest[:-1]).mean()) / variance
+
+
+def _response_width(correlation: float, spacing_m: float) -> float | None:
+    """Of a Gaussian response: that of the power of speckle correlates over √2 of its 3 dB width."""
+    if not _WHITE < correlation < 1:
+        return None
+    return spacing_m * math.sqrt(2 * math.log(2) / -math.log(correlation))
+
+
+def contrast_of(looks: float) -> tuple[float, float]:
+    """Standard deviation over mean of speckle of so many looks: of power, and of amplitude."""
+    ratio = math.exp(math.lgamma(looks) + math.lgamma(looks + 1) - 2 * math.lgamma(looks + 0.5))
+    return 1 / math.sqrt(looks), math.sqrt(ratio - 1)
+
+
+def sharpest_widths_m(power: Real[np.ndarray, "v rows columns"], grid: ImageGrid) -> tuple[float, float] | None:
+    """3 dB widths in azimuth and slant range of the sharpest structure in images without speckle, m.
+
+    However scatterers lie, the logarithm of a sum of Gaussian responses is nowhere curved more than that of one. None
+    if there is nothing to look at.
+    """
+    peak = power.max(axis=(1, 2), keepdims=True)
+    bright = (power > peak * 10 ** (-_BRIGHT_DB / 10)) & (power > 0)
+    logarithm = np.log(np.where(bright, power, 1.0), dtype=np.float64)
+    widths = []
+    for axis, spacing in zip((2, 1), grid.spacing_m, strict=True):
+        values, shown = np.moveaxis(logarithm, axis, 2), np.moveaxis(bright, axis, 2)
+        curvature = (2 * values[..., 1:-1] - values[..., 2:] - values[..., :-2]) / spacing**2
+        curvature = curvature[shown[..., 1:-1] & shown[..., 2:] & shown[..., :-2]]
+        most = float(np.quantile(curvature, _SHARPEST)) if len(curvature) else 0.0
+        if not most > 0:
+            return None
+        widths.append(math.sqrt(8 * math.log(2) / most))
+    return widths[0], widths[1]
