@@ -17,7 +17,10 @@ _READER_LEFT = 141  # as shells have it
 
 
 def run(words: list[str]) -> int:
-    """Do what the words after the program's name ask for; the exit code is 0, or 2 after a mistake in the input."""
+    """Do what the words after the program's name ask for; the exit code is 0, or 2 after a mistake in the input.
+
+    `sarsplat check` ends with 1 if it has found contradictions.
+    """
     # before torch is loaded: threads that spin while they wait cost tens of milliseconds a step on a shared machine
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     for stream in (
@@ -33,7 +36,7 @@ def run(words: list[str]) -> int:
         warnings.simplefilter("default", SarsplatWarning)
         warnings.showwarning = _show_warning
         try:
-            parse(words)()
+            code = parse(words)()
         except SarsplatError as error:
             console.complain(str(error))
             return _MISUSED
@@ -56,7 +59,7 @@ def run(words: list[str]) -> int:
                 raise
             console.complain("not enough memory; ask for fewer or smaller images, or fewer Gaussians")
             return _MISUSED
-    return 0
+    return code or 0
 
 
 def _show_warning(

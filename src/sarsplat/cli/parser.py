@@ -16,6 +16,7 @@ import tyro
 
 from sarsplat import cli
 from sarsplat.cli.arguments import MARKERS
+from sarsplat.cli.check import check
 from sarsplat.cli.completion import completion
 from sarsplat.cli.doctor import doctor
 from sarsplat.cli.evaluate import evaluate
@@ -36,9 +37,10 @@ def _importers() -> dict[str, Callable[..., None]]:
     return {name.removeprefix("import_"): getattr(import_module(f"{cli.__name__}.{name}"), name) for name in found}
 
 
-COMMANDS: dict[str, Callable[..., None] | dict[str, Callable[..., None]]] = {
+COMMANDS: dict[str, Callable[..., int | None] | dict[str, Callable[..., None]]] = {
     "simulate": simulate,
     "import": _importers(),
+    "check": check,
     "reconstruct": reconstruct,
     "evaluate": evaluate,
     "report": report,
@@ -56,8 +58,10 @@ _GROUPS = {"import": "Import measured chips as a dataset."}
 _DESCRIPTION = "From SAR images to a 3D target and back: simulate or import → reconstruct → evaluate → render."
 
 
-def parse(words: Sequence[str]) -> Callable[[], None]:
+def parse(words: Sequence[str]) -> Callable[[], int | None]:
     """The command that the words ask for, ready to be called; asked for help, it is printed and the process ends.
+
+    What it returns is its exit code if that is not 0.
 
     Raises
     ------
@@ -88,8 +92,8 @@ def options() -> Level:
     return level
 
 
-def _read(words: Sequence[str]) -> Callable[[], None]:
-    called: Callable[[], None] = _app(COMMANDS, words).cli(
+def _read(words: Sequence[str]) -> Callable[[], int | None]:
+    called: Callable[[], int | None] = _app(COMMANDS, words).cli(
         prog="sarsplat", description=_DESCRIPTION, args=words, config=MARKERS
     )
     return called
@@ -105,11 +109,11 @@ def _app(commands: dict[str, Any], words: Sequence[str]) -> tyro.extras.Subcomma
     return app
 
 
-def _later(command: Callable[..., None], words: Sequence[str]) -> Callable[..., Callable[[], None]]:
+def _later(command: Callable[..., int | None], words: Sequence[str]) -> Callable[..., Callable[[], int | None]]:
     """The same signature, but not carried out yet; a command that has `words` gets those after its name."""
 
     @wraps(command)
-    def bound(*arguments: Any, **options: Any) -> Callable[[], None]:
+    def bound(*arguments: Any, **options: Any) -> Callable[[], int | None]:
         if "words" in options:
             options["words"] = tuple(words[1:])
         return partial(command, *arguments, **options)

@@ -28,6 +28,9 @@ _WIDTH_RATIOS = {"speckle": (0.5, 1.7), "structure": (0.8, 2.0)}
 """Measured over stated resolution, within which they agree: by how far pixels of speckle correlate, and by the sharpest
 structure, which may be smoother than a point but not sharper."""
 
+_LEAST_PIXEL = 0.5
+"""Least resolution, in pixels: finer ones are those of other images."""
+
 
 @dataclass(frozen=True)
 class Examination:
@@ -144,7 +147,8 @@ def _statistics(
     if smooth.any() and "resolution" not in found.checks:
         widths = sharpest_widths_m(some.power[smooth], some.grid)
         _resolution(some, widths or (None, None), "structure", found)
-    found.checks.setdefault("resolution", "cannot be told from these images")
+    if "resolution" not in found.checks:
+        _resolution(some, (None, None), "speckle", found)
 
 
 def _speckle(
@@ -166,7 +170,6 @@ def _speckle(
                 f"the {measured}, as of speckle with {1 / ground.contrast**2:.1f} looks, but the dataset states no "
                 "speckle; give the number of looks"
             )
-            found.checks["resolution"] = "cannot be told with speckle of unknown looks"
         return
     of_power, of_amplitude = contrast_of(some.looks)
     stated = f"{some.looks:g} look{'' if some.looks == 1 else 's'}"
@@ -197,6 +200,12 @@ def _resolution(some: Dataset, widths: tuple[float | None, float | None], by: st
     for name, width, spacing, stated in zip(
         ("azimuth", "range"), widths, some.grid.spacing_m, some.grid.resolution_m, strict=True
     ):
+        if stated < _LEAST_PIXEL * spacing:
+            found.contradictions.append(
+                f"the resolution of {stated:.3g} m in {name} is less than half a pixel of {spacing:.3g} m, which such "
+                f"pixels cannot show; correct the resolution or the pixel spacing in {name}"
+            )
+            continue
         if width is None:
             continue
         told.append(f"{width:.2g} m in {name}")
@@ -208,5 +217,5 @@ def _resolution(some: Dataset, widths: tuple[float | None, float | None], by: st
             )
     if told:
         found.checks["resolution"] = f"{how} of {' and '.join(told)}"
-    elif by == "speckle":
-        found.checks["resolution"] = "cannot be told: neighbouring pixels of the speckle do not correlate"
+    else:
+        found.checks["resolution"] = "cannot be told: neighbouring pixels do not correlate, or too little is seen"

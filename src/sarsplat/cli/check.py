@@ -1,0 +1,71 @@
+"""`sarsplat check`: do the images of a dataset contradict what it says of them?"""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from sarsplat.cli import console
+from sarsplat.cli.arguments import OptionalFile, refuse_existing
+from sarsplat.errors import SarsplatError, counted
+
+_CONTRADICTED = 1
+
+
+def check(
+    dataset: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")],
+    *,
+    out: OptionalFile = None,
+    images: int = 12,
+    overwrite: bool = False,
+) -> int:
+    """Hold a dataset's images against what it says of them; the exit code is 1 if they contradict each other.
+
+    Checked are near range (shadow lies beyond the target), the sense of the azimuths (neighbouring images match), the
+    unit (speckle of power has another contrast than that of amplitude), the resolution, and whether images are constant
+    or the same.
+
+    Parameters
+    ----------
+    dataset
+        Folder written by `sarsplat simulate` or `sarsplat import`.
+    out
+        Also draw a contact sheet (PNG) with target and shadow outlined, and the directions to the radar and of the
+        target's nose.
+    images
+        Number of images on the sheet, evenly chosen.
+    overwrite
+        Replace an existing sheet.
+    """
+    from sarsplat.data import read_dataset, write_bytes
+    from sarsplat.data.plausible import suspicious_coverage
+    from sarsplat.reconstruction.contradictions import examine
+
+    if out is not None:
+        if out.suffix.lower() != ".png":
+            raise SarsplatError(f"--out {out} does not end in .png; choose a name that does")
+        refuse_existing(out, overwrite)
+    read = read_dataset(dataset)
+    with console.busy(f"looking at {counted(len(read), 'image')} of {dataset}"):
+        found = examine(read)
+        if out is not None:
+            from sarsplat.report.check_sheet import check_sheet
+
+            write_bytes(out, check_sheet(read, images))
+    console.facts(f"{dataset}: {counted(len(read), 'image')}", found.checks)
+    for text in suspicious_coverage(read.select("train").views):
+        console.warn(text)
+    for text in found.contradictions:
+        console.complain(text)
+    if out is not None:
+        console.say(f"wrote {out}")
+    if found.contradictions:
+        console.say(f"{counted(len(found.contradictions), 'contradiction')} found")
+        return _CONTRADICTED
+    console.say(
+        f"no contradictions; next: sarsplat reconstruct {shlex.quote(str(dataset))} --out {shlex.quote(f'{dataset}-run')}"
+    )
+    return 0
