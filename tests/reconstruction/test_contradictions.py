@@ -33,7 +33,7 @@ def simulated(ground: float | None, grid: ImageGrid = GRID, scale: float = 1.0, 
     mesh = trimesh.util.concatenate(parts)
     views = [View(float(azimuth), grazing) for azimuth in range(0, 360, step) for grazing in (30.0,)]
     images = [
-        simulate_raycast(mesh, view, grid, ScatteringLaw(), ground_gamma0=ground, ray_spacing_m=min(grid.spacing_m) / 5)
+        simulate_raycast(mesh, view, grid, ScatteringLaw(), ground_gamma0=ground, ray_spacing=min(grid.spacing_m) / 5)
         for view in views
     ]
     return dataset_of(grid, [(view, "train") for view in views], np.stack(images), ground=ground is not None)

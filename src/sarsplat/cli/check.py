@@ -65,7 +65,6 @@ def check(
     if found.contradictions:
         console.say(f"{counted(len(found.contradictions), 'contradiction')} found")
         return _CONTRADICTED
-    console.say(
-        f"no contradictions; next: sarsplat reconstruct {shlex.quote(str(dataset))} --out {shlex.quote(f'{dataset}-run')}"
-    )
+    words = ["sarsplat", "reconstruct", str(dataset), "--out", f"{dataset}-run"]
+    console.say(f"no contradictions; next: {shlex.join(words)}")
     return 0

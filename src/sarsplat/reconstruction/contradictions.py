@@ -170,6 +170,7 @@ def _speckle(
                 f"the {measured}, as of speckle with {1 / ground.contrast**2:.1f} looks, but the dataset states no "
                 "speckle; give the number of looks"
             )
+            found.checks["resolution"] = "cannot be told from speckle of unknown looks"
         return
     of_power, of_amplitude = contrast_of(some.looks)
     stated = f"{some.looks:g} look{'' if some.looks == 1 else 's'}"
@@ -209,7 +210,8 @@ def _resolution(some: Dataset, widths: tuple[float | None, float | None], by: st
         if width is None:
             continue
         told.append(f"{width:.2g} m in {name}")
-        ratio = width / (max(stated, spacing) if width > stated else stated)
+        blurred = by == "structure" and width > stated  # by the pixels, as speckle is not
+        ratio = width / (max(stated, spacing) if blurred else stated)
         if not low_high[0] <= ratio <= low_high[1]:
             found.contradictions.append(
                 f"{how} of a resolution of {width:.2g} m in {name}, but {stated:.3g} m is stated, with pixels of "

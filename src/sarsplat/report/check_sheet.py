@@ -91,8 +91,9 @@ def check_sheet(dataset: Dataset, most: int = 12) -> bytes:
         angles = f"azimuth {view.azimuth_deg:.1f}°, grazing {view.grazing_deg:.1f}°"
         axes.set_title(f"{angles} ({entry.split})", size=8, pad=4)
     wide, high = grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1]
+    legend = _LEGEND.format(shadow=_SHADOW if dataset.ground else "")
     text = (
-        f"{_LEGEND.format(shadow=_SHADOW if dataset.ground else '')}\n{dataset.target}: {count} of {len(dataset)} images, "
+        f"{legend}\n{dataset.target}: {count} of {len(dataset)} images, "
         f"{wide:.3g} m of azimuth × {high:.3g} m of slant range; {DYNAMIC_DB:g} dB from black to white."
     )
     figure.text(0.02, 0.1 / height, text, color=MUTED, size=8 if columns > 2 else 6, va="bottom", linespacing=1.35)
