@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import shlex
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -110,7 +111,7 @@ def _pixels(chip: PhoenixChip) -> dict[str, str]:
 
 
 def _choice(
-    folder: Path, planned: list[tuple[str, int | None]], labels: Path | None
+    folder: Path, planned: Sequence[tuple[str, int | None]], labels: Path | None
 ) -> tuple[dict[str, str], str | None]:
     """Classes and depressions with their numbers, and the command for the largest class."""
     by_class = Counter(name for name, _ in planned)

@@ -16,6 +16,9 @@ from sarsplat.reconstruction.outlines import Outline
 _CELLS_PER_BLOCK, _SMALLEST_BLOCK = 6, 8
 """Side of the blocks of clutter, in resolution widths and in pixels: ground hardly changes within one."""
 
+_BLOCKS_PER_SIDE = 4
+"""Of an image at least, if that is large enough: the resolution stated may be far too coarse."""
+
 _FEWEST_BLOCKS = 20
 _WHITE = 0.1
 """Neighbouring pixels of speckle that correlate less are taken as drawn independently of each other."""
@@ -65,8 +68,8 @@ def clutter(
         Where the pixels lie.
     """
     across, along = (
-        max(_SMALLEST_BLOCK, math.ceil(_CELLS_PER_BLOCK * width / spacing))
-        for width, spacing in zip(grid.resolution_m, grid.spacing_m, strict=True)
+        max(_SMALLEST_BLOCK, min(math.ceil(_CELLS_PER_BLOCK * width / spacing), pixels // _BLOCKS_PER_SIDE))
+        for width, spacing, pixels in zip(grid.resolution_m, grid.spacing_m, (grid.columns, grid.rows), strict=True)
     )
     contrasts, correlations = [], []
     for image, level, outline in zip(power, levels, outlines, strict=True):

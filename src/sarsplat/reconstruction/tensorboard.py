@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from operator import methodcaller
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -121,11 +122,11 @@ class TensorBoard:
             values["seconds per step"] = (line.seconds - self._last[1]) / (line.iteration - self._last[0])
         self._last = (line.iteration, line.seconds)
         for name, value in values.items():
-            self._waiting.append(lambda writer, name=name, value=value: writer.add_scalar(name, value, line.iteration))
+            self._waiting.append(methodcaller("add_scalar", name, value, line.iteration))
 
     def _image(self, tag: str, power: Float32[np.ndarray, "rows columns"], iteration: int) -> None:
         grey = _grey(power, self._brightest)
-        self._waiting.append(lambda writer: writer.add_image(tag, grey, iteration, dataformats="HW"))
+        self._waiting.append(methodcaller("add_image", tag, grey, iteration, dataformats="HW"))
 
     def _write(self) -> None:
         with plain_os_errors("write", self._folder):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Sequence
+from typing import Any
 
 from sarsplat.data.coverage import largest_gap
 from sarsplat.errors import SarsplatError
@@ -37,7 +38,7 @@ def sky_picture(train: Sequence[View], test: Sequence[View], title: str, kind: s
     if kind not in FORMATS:
         raise SarsplatError(f"pictures of format {kind!r} cannot be drawn; choose one of {', '.join(FORMATS)}")
     figure = new_figure(*_SIZE)
-    axes = figure.add_axes((0.1, 0.12, 0.8, 0.72), projection="polar")
+    axes: Any = figure.add_axes((0.1, 0.12, 0.8, 0.72), projection="polar")  # PolarAxes
     dress(axes)
     axes.set_theta_zero_location("N")
     axes.set_theta_direction(-1)
