@@ -24,7 +24,6 @@ from browser import browser  # noqa: E402
 PICTURE = HERE / "images" / "view.png"
 SIZE = (1400, 800)
 VIEW = View(50.0, 35.0)
-COLOURS = 200
 SECONDS = 60  # in which the scene fades in, drawn in software
 
 
@@ -45,7 +44,7 @@ def main(run: str) -> None:
         time.sleep(SECONDS)
         shot = Image.open(io.BytesIO(page.shot()))
     viewer.close()
-    shot.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(PICTURE, optimize=True)
+    shot.convert("RGB").save(PICTURE, optimize=True)
 
 
 if __name__ == "__main__":

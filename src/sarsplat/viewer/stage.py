@@ -65,12 +65,12 @@ class Stage:
         self._dome(scene, views, on_aim)
         self._radar(scene, on_aim)
         self._plane: Any = None
-        self._line = scene.add_line_segments("/pixel/line", np.zeros((1, 2, 3)), _LIT, thickness=0.004 * self._radius)
+        self._line = scene.add_line_segments("/pixel/line", np.zeros((1, 2, 3)), _LIT, thickness=0.01 * self._radius)
         self._lit = scene.add_point_cloud(
             "/pixel/lit",
             np.zeros((1, 3)),
             _LIT,
-            point_size=0.01 * self._radius,
+            point_size=0.02 * self._radius,
             point_shape="circle",
             precision="float32",
         )
