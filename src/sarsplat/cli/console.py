@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import re
+import shlex
+import shutil
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from rich.console import Console, RenderableType
 from rich.markup import escape
@@ -39,9 +45,31 @@ def facts(title: str, rows: dict[str, str]) -> None:
 
 
 def finish(wrote: str, next_step: str) -> None:
-    """How a command ends: what it wrote, and what to do next."""
+    """How a command ends: what it wrote, and what to do next; a command of ours is shown as it can be typed here."""
+    typed = re.sub(r"^sarsplat(?= )", lambda _: program(), next_step)
     _print(Console(), f"[green]wrote[/] {_safe(wrote)}")
-    _print(Console(), f"[dim]next:[/] {_safe(next_step)}")
+    _print(Console(), f"[dim]next:[/] {_safe(typed)}")
+
+
+def program() -> str:
+    """What to type for `sarsplat` in the shell that called it: its path where the shell does not find it by name."""
+    called = Path(sys.argv[0])
+    if called.name == "__main__.py" and called.parent.name == "sarsplat":
+        found = shutil.which("python")
+        # by folder: the pythons of all environments are links to one file
+        same = found is not None and Path(found).absolute().parent == Path(sys.executable).parent
+        python = "python" if same else _near(Path(sys.executable))
+        return f"{python} -m sarsplat"
+    if called.stem != "sarsplat" or not called.is_file():
+        return "sarsplat"  # called from Python, by a program that is not ours
+    found = shutil.which("sarsplat")
+    return "sarsplat" if found and Path(found).samefile(called) else _near(called)
+
+
+def _near(path: Path) -> str:
+    """A program's path as a shell takes it, from the current folder if it lies there."""
+    near = path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+    return shlex.quote(str(near) if len(near.parts) > 1 else f".{os.sep}{near}")
 
 
 def complain(text: str) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+
 from sarsplat.cli import console
 from sarsplat.cli.arguments import RunFolder
 
@@ -22,5 +24,5 @@ def report(run: RunFolder) -> None:
         page = write_report(done)
     evaluated = done.metrics is not None
     console.finish(
-        str(page), f"open {page} in a browser" if evaluated else f"sarsplat evaluate {run} (adds the scores)"
+        str(page), f"open {page} in a browser" if evaluated else f"sarsplat evaluate {shlex.quote(str(run))}"
     )

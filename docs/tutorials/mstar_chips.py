@@ -1,0 +1,5 @@
+# %% [markdown]
+# # tutorials/mstar_chips
+
+# %%
+print(1)

@@ -1,0 +1,5 @@
+# %% [markdown]
+# # tutorials/own_arrays
+
+# %%
+print(1)

@@ -1,0 +1,5 @@
+# %% [markdown]
+# # tutorials/own_loss
+
+# %%
+print(1)

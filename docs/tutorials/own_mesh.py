@@ -1,0 +1,5 @@
+# %% [markdown]
+# # tutorials/own_mesh
+
+# %%
+print(1)
