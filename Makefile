@@ -1,7 +1,7 @@
 # make demo    the whole workflow once: simulate, reconstruct, evaluate, report
 # make test    the test suite without the slow tests; make test-slow runs those
 # make figures pictures with their tables: buildings, vehicles, splatting against ray casting, reconstructions
-# make bench   speed and memory against plain torch and the floor; fills the README's performance section (3 minutes)
+# make bench   speed and memory beside plain PyTorch and beside the arithmetic alone; fills docs/performance.md (3 minutes)
 # make tables  every experiment, beside the paper's tables, to docs/results (hours; resumable); QUICK=1 tries it in
 #              minutes, ONLY="density loss" runs some
 # make rivals  our method beside SAR-NeRF and DSR, to docs/results/rivals.md (hours; resumable); QUICK=1 tries it in
@@ -9,6 +9,8 @@
 # make fuzz    malformed files for every reader; make sanitize  the engine under ASan and UBSan (needs Debian's clang-19)
 # make wheels  a wheel for every platform in dist/ (four minutes the first time)
 # make check-wheel  their contents; this machine's wheel is installed into an empty environment and tested there
+# make docs    the documentation as a site, site/index.html, its tutorials executed (minutes the first time)
+# make primer  the pictures of docs/primer.md; make sweep  the README's animation, from the last `make demo`
 # make lint    style and types
 # make clean   remove everything created here, including the environment
 #
@@ -27,7 +29,7 @@ define step
 @printf '\n==> %s\n' "$(1)"; begun=$$SECONDS; $(2) && printf '    (%s s)\n' $$((SECONDS - begun))
 endef
 
-.PHONY: demo setup test test-slow figures bench tables rivals fuzz sanitize wheels check-wheel lint readme clean
+.PHONY: demo setup test test-slow figures bench tables rivals fuzz sanitize wheels check-wheel docs notebooks primer sweep lint readme clean
 
 demo: setup
 	$(call step,simulate: a T-72-like target by ray casting (24 training views and 48 test views),\
@@ -70,7 +72,7 @@ figures: setup
 bench: setup
 	$(call step,bench: speed and memory of every part (takes minutes; keep the machine idle),\
 	  $(BIN)/python benchmarks/bench.py --out benchmarks/results)
-	$(call step,README: the performance section from benchmarks/results,$(BIN)/python benchmarks/readme_performance.py)
+	$(call step,docs/performance.md from benchmarks/results,$(BIN)/python benchmarks/performance_page.py)
 
 # Finished cells stay in runs/tables: end it at any time and start it again.
 tables: setup
@@ -79,6 +81,21 @@ tables: setup
 rivals: setup
 	$(BIN)/python experiments/rivals.py $(if $(QUICK),--quick) \
 	  $(if $(CHIPS),--chips $(CHIPS) --labels $(LABELS) --masks $(MASKS))
+
+# Warnings are errors: links and anchors that lead nowhere among them.
+docs: notebooks
+	$(call step,docs: the site,NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet)
+	@echo 'next: open site/index.html in a browser'
+
+# Kept in build/notebooks until the tutorial or the library changes.
+notebooks: setup
+	$(call step,notebooks: execute the tutorials that changed,$(BIN)/python docs/site_tutorials.py)
+
+primer: setup
+	$(BIN)/python docs/draw_primer.py
+
+sweep: setup
+	$(BIN)/python docs/draw_sweep.py $(DEMO)/run
 
 lint: setup
 	$(BIN)/ruff check
@@ -91,7 +108,7 @@ readme: setup
 	$(BIN)/python docs/readme_results.py $(DEMO)/run
 
 clean:
-	rm -rf .venv $(DEMO) figures build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis src/sarsplat/renderer/_engine.*
+	rm -rf .venv $(DEMO) figures build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis src/sarsplat/renderer/_engine.*
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 setup: $(READY)
