@@ -28,7 +28,8 @@ def frame(run: Run, view: View, power: np.ndarray, points: np.ndarray, reach_m: 
     figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.75), layout="constrained", facecolor=BACK)
     decibels = 10 * np.log10(np.maximum(power / run.brightest, 1e-9))
     (azimuth, slant), spacing = (run.grid.azimuth_m, run.grid.range_m), run.grid.spacing_m
-    extent = (azimuth[0] - spacing[0] / 2, azimuth[-1] + spacing[0] / 2, slant[-1] + spacing[1] / 2, slant[0] - spacing[1] / 2)
+    near, far = slant[0] - spacing[1] / 2, slant[-1] + spacing[1] / 2
+    extent = (azimuth[0] - spacing[0] / 2, azimuth[-1] + spacing[0] / 2, far, near)
     left.imshow(decibels, cmap="gray", vmin=-DYNAMIC_DB, vmax=0, extent=extent)
     left.set(xlim=(-reach_m, reach_m), ylim=(reach_m, -reach_m))
     left.set_title(f"SAR image, azimuth {view.azimuth_deg:3.0f}°", color=INK, fontsize=12)
@@ -62,7 +63,8 @@ def main() -> None:
     reach_m = 1.08 * float(np.linalg.norm(points, axis=1).max())
     frames = [frame(run, view, image, points, reach_m) for view, image in zip(views, images)]
     # one palette for all frames, or colours would flicker; few colours, no dithering: a megabyte
-    palette = frames[0].quantize(64, dither=Image.Dither.NONE)
+    few = np.concatenate([np.asarray(each) for each in frames[:: FRAMES // 4]])
+    palette = Image.fromarray(few).quantize(96, dither=Image.Dither.NONE)
     first, *rest = (each.quantize(palette=palette, dither=Image.Dither.NONE) for each in frames)
     first.save(OUTPUT, save_all=True, append_images=rest, duration=FRAME_MS, loop=0, optimize=True)
     print(f"{OUTPUT}: {OUTPUT.stat().st_size / 1e6:.2f} MB")

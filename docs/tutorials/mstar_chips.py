@@ -26,6 +26,7 @@ from sarsplat import View
 # angle called TargetAz labels each chip; it runs the other way round than sarsplat's azimuth
 # ([conventions](../conventions.md#6-measured-chips-mstar)).
 
+
 # %%
 def make_chips(folder: Path) -> None:
     """Simulated chips, and their table."""
@@ -35,7 +36,9 @@ def make_chips(folder: Path) -> None:
     folder.mkdir(exist_ok=True)
     with (folder / "labels.csv").open("w", newline="") as file:
         table = csv.writer(file)
-        table.writerow(["path", "class", "serial", "desired_depression_deg", "measured_depression_deg", "target_az_deg"])
+        table.writerow(
+            ["path", "class", "serial", "desired_depression_deg", "measured_depression_deg", "target_az_deg"]
+        )
         for azimuth, image in zip(azimuths, power):
             name = f"{azimuth:03.0f}.jpeg"
             magnitude = np.rot90(np.sqrt(image / np.quantile(power, 0.999)), 2)  # near range at the bottom

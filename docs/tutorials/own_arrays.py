@@ -50,6 +50,7 @@ images[0]
 # target is a blur. A quick test needs no truth: hold one view out. If it is predicted well, the geometry is consistent;
 # compare with azimuths that run the wrong way round.
 
+
 # %%
 def held_out_error_db(views: list[View]) -> float:
     """How far off the last view is after learning from all others, dB of amplitude error below the brightest pixel."""

@@ -44,7 +44,11 @@ runs, curves = {}, {}
 for name, loss in (("the preset's", None), ("decibels", decibels)):
     curve = curves[name] = []
     runs[name] = reconstruct(
-        dataset, settings, loss=loss, quiet=True, on_step=lambda step, curve=curve: curve.append(float(step.loss)) and None
+        dataset,
+        settings,
+        loss=loss,
+        quiet=True,
+        on_step=lambda step, curve=curve: curve.append(float(step.loss)) and None,
     )
 
 figure, ax = plt.subplots(figsize=(6, 2.8), layout="constrained")
