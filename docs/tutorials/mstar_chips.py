@@ -2,9 +2,10 @@
 # # Measured chips (MSTAR)
 #
 # From a folder of chips to a target, with a fair answer to the question whether it is any good. The public MSTAR chips
-# are not part of sarsplat, so this notebook makes chips of its own in the same form: JPEGs of single-look magnitude with
-# near range at the bottom, and a table of labels. To use real ones, set the environment variable `MSTAR_CHIPS` to their
-# folder, with `labels.csv` in it ([its columns](../datasets-and-runs.md#the-table-of-labels)), and run the notebook again.
+# are not part of sarsplat, so this notebook makes chips of its own in the same form: JPEGs of single-look magnitude
+# with near range at the bottom, and a table of labels. To use real ones, set the environment variable `MSTAR_CHIPS` to
+# their folder, with `labels.csv` in it ([its columns](../datasets-and-runs.md#the-table-of-labels)), and run the
+# notebook again.
 
 # %%
 import csv
@@ -16,8 +17,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from PIL import Image
 
-from sarsplat import evaluate_run, import_mstar, mstar_grid, preset, reconstruct, simulate_images, target_mesh
-from sarsplat import View
+from sarsplat import View, evaluate_run, import_mstar, mstar_grid, preset, reconstruct, simulate_images, target_mesh
 
 # %% [markdown]
 # ## Chips
@@ -54,7 +54,8 @@ len(list(chips.rglob("*.jpeg")))
 # %% [markdown]
 # ## Import
 #
-# The chips nearest to twelve evenly spaced azimuths are trained on; all others are test images, named by their depression.
+# The chips nearest to twelve evenly spaced azimuths are trained on; all others are test images, named by their
+# depression.
 
 # %%
 dataset = import_mstar(
@@ -63,8 +64,8 @@ dataset = import_mstar(
 {name: len(dataset.select(name)) for name in dataset.splits()}
 
 # %% [markdown]
-# Look at one before anything else: near range is at the top now, and the shadow must fall downwards. If it does not, the
-# chips lie differently, and everything after this would be nonsense.
+# Look at one before anything else: near range is at the top now, and the shadow must fall downwards. If it does not,
+# the chips lie differently, and everything after this would be nonsense.
 
 # %%
 dataset[0]
@@ -72,8 +73,8 @@ dataset[0]
 # %% [markdown]
 # ## Reconstruct
 #
-# The preset `measured` models speckle, ground, side lobes, shifts and gains of the chips
-# ([term by term](../measured-data.md)). It takes 800 iterations; 200 are enough to see how it goes.
+# The preset `measured` models speckle, ground, side lobes, shifts and gains of the chips ([term by
+# term](../measured-data.md)). It takes 800 iterations; 200 are enough to see how it goes.
 
 # %%
 run = reconstruct(dataset, replace(preset("measured"), iterations=200), quiet=True)
@@ -96,9 +97,10 @@ plt.show()
 #
 # ## Is it any good?
 #
-# Compare it with predictions that know nothing of a third dimension. *Rotated average*: the training chips turned to the
-# wanted azimuth, averaged. *Nearest chip*: the one with the nearest azimuth, smoothed. Nats per pixel are lower, and the
-# correlation higher, for better predictions; both leave out where a chip lies in its frame and how bright it is.
+# Compare it with predictions that know nothing of a third dimension. *Rotated average*: the training chips turned to
+# the wanted azimuth, averaged. *Nearest chip*: the one with the nearest azimuth, smoothed. Nats per pixel are lower,
+# and the correlation higher, for better predictions; both leave out where a chip lies in its frame and how bright it
+# is.
 
 # %%
 scores = evaluate_run(run, quiet=True)
@@ -108,7 +110,7 @@ for name, score in found.items():
     print(f"{name:20s} {nats:7.3f} nats per pixel   correlation {correlation:.3f}")
 
 # %% [markdown]
-# More chips, more iterations (`preset("measured")` as it is) and several depressions (`train_depression=[15, 17, 30]`) help.
-# What was measured on the real chips is in [Measured chips, term by term](../measured-data.md) and in the
-# [README](../../README.md#measured-images). On the command line the same is
-# `sarsplat import mstar`, `sarsplat reconstruct`, `sarsplat evaluate`.
+# More chips, more iterations (`preset("measured")` as it is) and several depressions (`train_depression=[15, 17, 30]`)
+# help. What was measured on the real chips is in [Measured chips, term by term](../measured-data.md) and in the
+# [README](../../README.md#measured-images). On the command line the same is `sarsplat import mstar`, `sarsplat
+# reconstruct`, `sarsplat evaluate`.

@@ -46,9 +46,9 @@ images[0]
 # %% [markdown]
 # ## Are the views right?
 #
-# A wrong azimuth convention is the commonest mistake, and it does not announce itself: the training goes through, and the
-# target is a blur. A quick test needs no truth: hold one view out. If it is predicted well, the geometry is consistent;
-# compare with azimuths that run the wrong way round.
+# A wrong azimuth convention is the commonest mistake, and it does not announce itself: the training goes through, and
+# the target is a blur. A quick test needs no truth: hold one view out. If it is predicted well, the geometry is
+# consistent; compare with azimuths that run the wrong way round.
 
 
 # %%
@@ -88,6 +88,6 @@ for ax, up in zip(axes, (2, 1)):
 plt.show()
 
 # %% [markdown]
-# The run is in the folder `my-run`: `sarsplat report my-run` writes its page, `sarsplat export my-run vehicle.glb` a mesh.
-# Images with speckle or ground need two more words, `looks=1` and `ground=True`
+# The run is in the folder `my-run`: `sarsplat report my-run` writes its page, `sarsplat export my-run vehicle.glb` a
+# mesh. Images with speckle or ground need two more words, `looks=1` and `ground=True`
 # ([how](../how-to/ground-and-speckle.md)).

@@ -1,9 +1,9 @@
 # %% [markdown]
 # # Your own loss
 #
-# A reconstruction minimises a loss between rendered and true images. You can give your own: any function of two stacks of
-# β⁰ that torch can differentiate. Here, one that compares decibels instead of amplitudes, so that faint parts count as
-# much as bright ones.
+# A reconstruction minimises a loss between rendered and true images. You can give your own: any function of two stacks
+# of β⁰ that torch can differentiate. Here, one that compares decibels instead of amplitudes, so that faint parts count
+# as much as bright ones.
 
 # %%
 from dataclasses import replace

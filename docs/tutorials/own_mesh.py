@@ -1,9 +1,9 @@
 # %% [markdown]
 # # Your own mesh
 #
-# You have a 3D model, and want to know how it looks to a radar, and how well it could be reconstructed from radar images.
-# Any triangle mesh will do: metres, nose towards +x, left towards +y, standing on z = 0. Here it is a small boat, made of
-# two boxes and a mast.
+# You have a 3D model, and want to know how it looks to a radar, and how well it could be reconstructed from radar
+# images. Any triangle mesh will do: metres, nose towards +x, left towards +y, standing on z = 0. Here it is a small
+# boat, made of two boxes and a mast.
 
 # %%
 import matplotlib.pyplot as plt
@@ -65,9 +65,10 @@ plt.show()
 # %%
 yardstick = Yardstick.of(grid)
 truth = visible_surface(mesh, train, yardstick.ray_spacing_m)
-scores = point_metrics(run.points, truth, yardstick)
-for name in ("cd_m", "accuracy_m", "completeness_m"):
-    print(f"{name:15s} {scores[name]:.3f} m")
+scores = point_metrics(run.points, truth.triangles, truth.samples, yardstick)
+print(
+    f"Chamfer distance {scores.cd_m:.3f} m: accuracy {scores.accuracy_m:.3f} m, completeness {scores.completeness_m:.3f} m"
+)
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
@@ -79,6 +80,6 @@ for ax, points, title in zip(axes, (truth.samples, run.points), ("what the radar
 plt.show()
 
 # %% [markdown]
-# `run.mesh()` is a surface through the points, and `run.mesh().export("boat.ply")` writes it. To simulate ground, speckle or
-# other scattering laws, see `help(sarsplat.simulate_images)`; on the command line all of this is
-# `sarsplat simulate --mesh boat.obj …` and [what follows](../command-line.md).
+# `run.mesh()` is a surface through the points, and `run.mesh().export("boat.ply")` writes it. To simulate ground,
+# speckle or other scattering laws, see `help(sarsplat.simulate_images)`; on the command line all of this is `sarsplat
+# simulate --mesh boat.obj …` and [what follows](../command-line.md).

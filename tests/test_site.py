@@ -1,0 +1,179 @@
+"""The documentation as a site: it builds without a warning, leads everywhere, and asks nothing of other machines."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+from html.parser import HTMLParser
+from importlib import import_module
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+import sarsplat
+
+for needed in ("material", "mkdocstrings", "jupytext", "nbconvert"):
+    pytest.importorskip(needed, reason="the site needs the extra docs")
+
+ROOT = Path(__file__).parents[1]
+MODULES = ("data", "evaluation", "gaussians", "geometry", "reconstruction", "renderer", "report", "rivals", "scenes")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+class Page(HTMLParser):
+    """What a page names, links to, and loads."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.ids: set[str] = set()
+        self.links: list[str] = []
+        self.loaded: list[str] = []
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = {name: value for name, value in attrs if value}
+        self.ids |= {found[name] for name in ("id", "name") if name in found}
+        if tag == "a" and "href" in found:
+            self.links.append(found["href"])
+        elif "src" in found:
+            self.loaded.append(found["src"])
+        elif tag == "link" and found.get("rel") in ("stylesheet", "icon", "preload", "preconnect", "manifest"):
+            self.loaded.append(found["href"])
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(made)]
+    quiet = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(command, cwd=ROOT, env=quiet, capture_output=True, text=True, check=False, timeout=600)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return made
+
+
+@pytest.fixture(scope="module")
+def pages(site: Path) -> dict[Path, Page]:
+    return {path: Page(path) for path in sorted(site.rglob("*.html"))}
+
+
+def test_every_link_and_picture_leads_somewhere(site, pages):
+    wrong = []
+    for path, page in pages.items():
+        for link in [*page.links, *page.loaded]:
+            address = urlsplit(link)
+            if address.scheme or path.name == "404.html":
+                continue
+            target = (path.parent / unquote(address.path)).resolve() if address.path else path
+            if not target.is_file() or (
+                address.fragment and target in pages and unquote(address.fragment) not in pages[target].ids
+            ):
+                wrong.append(f"{path.relative_to(site)}: {link}")
+    assert len(pages) > 50
+    assert not wrong
+
+
+def test_nothing_is_loaded_from_elsewhere(site, pages):
+    for path, page in pages.items():
+        assert not [link for link in page.loaded if urlsplit(link).netloc], path
+    for sheet in site.rglob("*.css"):
+        assert not re.search(r"(?:url\(|@import)\s*[\"']?(?:https?:)?//", sheet.read_text(encoding="utf-8")), sheet
+
+
+def test_every_public_name_is_in_the_reference(site, pages):
+    known = set().union(*(page.ids for path, page in pages.items() if path.parent.name == "api"))
+    missing = []
+    for module in MODULES:
+        for name in import_module(f"sarsplat.{module}").__all__:
+            own = f"sarsplat.{module}.{name}"  # of a function in a module of the same name it is the longer one
+            missing += [own] * (not {own, f"{own}.{name}"} & known)
+    assert not missing
+    shown = {name.rpartition(".")[2] for name in known}
+    assert not set(sarsplat.__all__) - shown
+
+
+def test_the_home_page_is_the_readme_and_search_needs_no_server(site):
+    home = (site / "index.html").read_text(encoding="utf-8")
+    assert 'src="images/sweep.gif"' in home
+    assert 'href="getting-started.html"' in home
+    index = json.loads((site / "search" / "search_index.js").read_text(encoding="utf-8").removeprefix("var __index = "))
+    assert {"primer.html", "tutorials/own_mesh.html", "api/renderer.html"} <= {
+        entry["location"].partition("#")[0] for entry in index["docs"]
+    }
+
+
+def test_tutorials_are_pages_and_notebooks(site):
+    for script in sorted((ROOT / "docs" / "tutorials").glob("*.py")):
+        notebook = json.loads((site / "tutorials" / f"{script.stem}.ipynb").read_text(encoding="utf-8"))
+        assert sum(cell["cell_type"] == "code" for cell in notebook["cells"]) > 3
+        page = (site / "tutorials" / f"{script.stem}.html").read_text(encoding="utf-8")
+        assert f'href="{script.stem}.ipynb"' in page
+
+
+def test_a_link_that_leads_nowhere_stops_the_build(tmp_path):
+    copy = tmp_path / "repository"
+    copy.mkdir()
+    shutil.copytree(ROOT / "docs", copy / "docs")
+    for name in (
+        "README.md",
+        "CONTRIBUTING.md",
+        "CHANGELOG.md",
+        "src",
+        "examples",
+        "benchmarks",
+        "experiments",
+        "tests",
+        "LICENSE",
+        "CITATION.cff",
+    ):
+        (copy / name).symlink_to(ROOT / name)
+    settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    (copy / "mkdocs.yml").write_text(re.sub(r"  - mkdocstrings:\n(?:    .*\n)+", "", settings), encoding="utf-8")
+    with (copy / "docs" / "limits.md").open("a", encoding="utf-8") as page:
+        page.write("\n[nowhere](conventions.md#nowhere-at-all) [gone](gone.md) [out](../examples/gone.py)\n")
+    command = [sys.executable, "-m", "mkdocs", "build", "--site-dir", str(tmp_path / "site")]
+    done = subprocess.run(command, cwd=copy, capture_output=True, text=True, check=False, timeout=600)
+    assert done.returncode != 0
+    for link in ("#nowhere-at-all", "gone.md", "gone.py"):
+        assert link in done.stdout + done.stderr
+
+
+def asked_of_others(page: Path, profile: Path) -> str:
+    """What a browser that opens a page asks a proxy for: the first lines of its requests."""
+    with socket.create_server(("127.0.0.1", 0)) as proxy:
+        proxy.settimeout(0.1)
+        flags = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run")
+        flags += (
+            "--disable-component-update",
+            "--disable-sync",
+            "--disable-default-apps",
+            "--virtual-time-budget=3000",
+        )
+        where = (f"--user-data-dir={profile}", f"--proxy-server=http://127.0.0.1:{proxy.getsockname()[1]}")
+        command = [str(CHROMIUM), *flags, *where, "--proxy-bypass-list=<-loopback>", "--dump-dom", page.as_uri()]
+        browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        heard = ""
+        while browser.poll() is None:
+            try:
+                asking, _ = proxy.accept()
+            except TimeoutError:
+                continue
+            with asking:
+                asking.settimeout(1)
+                heard += asking.recv(500).decode(errors="replace").partition("\r\n")[0] + "\n"
+        return heard
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")
+def test_a_browser_asks_nothing_of_other_machines(site, tmp_path):
+    control = tmp_path / "control.html"
+    control.write_text('<img src="http://elsewhere.invalid/picture.png">', encoding="utf-8")
+    assert "elsewhere.invalid" in asked_of_others(control, tmp_path / "first")
+    for name in ("index.html", "tutorials/own_mesh.html", "api/renderer.html"):
+        assert asked_of_others(site / name, tmp_path / "second") == "", name
