@@ -25,7 +25,8 @@ BACK, INK = "#14171f", "#d8dce6"
 
 def frame(run: Run, view: View, power: np.ndarray, points: np.ndarray, reach_m: float) -> Image.Image:
     """One view: what the radar records, and what stands there."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.75), layout="constrained", facecolor=BACK)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.95), layout="constrained", facecolor=BACK)
+    figure.get_layout_engine().set(h_pad=0.12)  # inches: titles stay clear of the edge
     decibels = 10 * np.log10(np.maximum(power / run.brightest, 1e-9))
     (azimuth, slant), spacing = (run.grid.azimuth_m, run.grid.range_m), run.grid.spacing_m
     near, far = slant[0] - spacing[1] / 2, slant[-1] + spacing[1] / 2

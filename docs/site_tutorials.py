@@ -18,7 +18,6 @@ from mkdocs.structure.files import File, Files
 from nbclient import NotebookClient
 from nbconvert import MarkdownExporter
 from nbformat import NotebookNode
-from traitlets.config import Config
 
 REPOSITORY = Path(__file__).parents[1]
 SOURCES = sorted((REPOSITORY / "docs" / "tutorials").glob("*.py"))
@@ -43,10 +42,7 @@ def execute(source: Path) -> None:
     folder = EXECUTED / source.stem
     folder.mkdir(parents=True, exist_ok=True)
     notebook = jupytext.read(source)
-    # by pipes: over TCP others on the machine could listen, and the kernel says so
-    pipes = Config({"KernelManager": {"transport": "ipc"}})
-    place = {"metadata": {"path": str(folder)}}
-    NotebookClient(notebook, timeout=LIMIT_S, resources=place, config=pipes).execute()
+    NotebookClient(notebook, timeout=LIMIT_S, resources={"metadata": {"path": str(folder)}}).execute()
     for old in EXECUTED.glob(f"{source.stem}-*.ipynb"):
         old.unlink()
     jupytext.write(notebook, done)

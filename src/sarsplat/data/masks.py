@@ -17,6 +17,8 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import SHADOW
 
 Mask = UInt8[np.ndarray, "rows columns"]
+"""Of an image: 0 clutter, 1 target, 2 shadow."""
+
 Masks = UInt8[np.ndarray, "v rows columns"]
 """Of V images: 0 clutter, 1 target, 2 shadow."""
 

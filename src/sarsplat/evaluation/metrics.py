@@ -202,6 +202,7 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
         requires=SPECKLED,
     ),
 )
+"""Of images of unseen views, those without speckle first."""
 
 
 MASK_METRICS: tuple[Metric[MaskPair], ...] = (
@@ -224,6 +225,7 @@ MASK_METRICS: tuple[Metric[MaskPair], ...] = (
         place="headline",
     ),
 )
+"""Of images whose true masks are known: how well target and shadow are told apart."""
 
 
 def metrics_of_points(yardstick: Yardstick) -> tuple[Metric[PointMetrics], ...]:
@@ -309,6 +311,7 @@ RUN_METRICS: tuple[Metric[EvaluatedRun], ...] = (
         short="time",
     ),
 )
+"""Of a run as a whole."""
 
 
 def all_metrics(yardstick: Yardstick) -> tuple[Metric[Any], ...]:
