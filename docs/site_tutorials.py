@@ -8,6 +8,7 @@ executed appears without its outputs.
 from __future__ import annotations
 
 import hashlib
+import os
 import time
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,9 @@ def execute(source: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     notebook = jupytext.read(source)
     NotebookClient(notebook, timeout=LIMIT_S, resources={"metadata": {"path": str(folder)}}).execute()
+    for output in (output for cell in notebook.cells for output in cell.get("outputs", [])):
+        if "text" in output:  # warnings name the file they come from
+            output["text"] = output["text"].replace(f"{REPOSITORY}{os.sep}", "")
     for old in EXECUTED.glob(f"{source.stem}-*.ipynb"):
         old.unlink()
     jupytext.write(notebook, done)
@@ -65,6 +69,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for source in SOURCES:
         done = kept(source)
         notebook = jupytext.read(done if done.is_file() else source)
+        notebook.metadata.setdefault("language_info", {"name": "python"})  # a kernel would have said so
         text, pictures = page(notebook, source.stem)
         made = {f"{source.stem}.md": text, f"{source.stem}.ipynb": jupytext.writes(notebook, fmt="ipynb"), **pictures}
         for name, content in made.items():

@@ -95,6 +95,7 @@ METHODS: Mapping[str, Method] = {
         ),
     )
 }
+"""By name, as on the command line: everything but our own."""
 
 
 def method_named(name: str) -> Method:
