@@ -20,6 +20,7 @@ class Reporter:
         self._task = bar.add_task(description, total=total, status="") if bar else None
         self._begun = self._last = time.monotonic()
         self._first = self._done = 0
+        self._ended = False
 
     def note(self, text: str) -> None:
         """A line that stays."""
@@ -44,9 +45,9 @@ class Reporter:
             self._bar.update(self._task, completed=done, status=status)
             return
         now = time.monotonic()
-        if self._quiet or (now - self._last < _SECONDS_BETWEEN_LINES and done < self._total):
+        if self._quiet or self._ended or (now - self._last < _SECONDS_BETWEEN_LINES and done < self._total):
             return
-        self._last = now
+        self._last, self._ended = now, done >= self._total  # the last line once, however often the end is told
         left = (now - self._begun) / max(done - self._first, 1) * (self._total - done)
         print(f"{self._description}: {done}/{self._total}  {status}  {left:.0f} s left", flush=True)
 

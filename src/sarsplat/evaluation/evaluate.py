@@ -30,6 +30,7 @@ from sarsplat.evaluation.metrics import (
     ImagePair,
     all_metrics,
     image_parameters,
+    leading_metric,
     metrics_of_points,
 )
 from sarsplat.evaluation.points import PointMetrics, Yardstick, point_metrics
@@ -73,7 +74,8 @@ def evaluate_run(
     Returns
     -------
     dict
-        The content of `metrics.json`: `images.<set>.<metric>`, `points.{visible, whole}.<metric>`, `mesh` (the
+        The content of `metrics.json`: `images.<set>.<metric>`, `by_image` (of each set the leading metric and its value
+        for each image, in the dataset's order), `points.{visible, whole}.<metric>`, `mesh` (the
         same of points on the mesh), `baselines` (what methods without a third dimension score on speckled images with
         ground), `truth` (the given mesh if there is one, and the motion that brought the points onto it), `masks` (the
         given folder), `time_s`, `seed`, `method`, `definitions` (of every metric), `parameters` (what they refer to)
@@ -128,6 +130,7 @@ def _evaluate(
     if not test_sets:
         reasons["images"] = "the dataset has no test images, so nothing is unseen; simulate it with --test-azimuth"
     images: dict[str, dict[str, float | None]] = {}
+    by_image: dict[str, dict[str, Any]] = {}
     tests = sum(len(dataset.images(split)) for split in test_sets)
     steps = tests + len(masks) + (1 + _SAMPLES) * len(dataset.images("train")) + 4 * _DISTANCES
     with progress(f"evaluate {run.path or dataset.target}", steps, quiet) as shown:
@@ -136,6 +139,7 @@ def _evaluate(
             pair = ImagePair(tested.power, _rendered(run, tested.views, shown), **parameters, network=network)
             shown.advance(0, "scores of the test images")
             images[split] = compute_all(IMAGE_METRICS, tested, pair, f"images.{split}.", reasons)
+            by_image[split] = _by_image(tested, pair)
             numbers = [index for index, entry in enumerate(dataset.entries) if entry.split == split]
             compared = _masks(run, tested, pair.rendered, [masks.get(index) for index in numbers], shown)
             images[split] |= compute_all(MASK_METRICS, tested, compared, f"images.{split}.", reasons)
@@ -143,6 +147,7 @@ def _evaluate(
         shown.update(steps)
     return {
         "images": images,
+        "by_image": by_image,
         **surfaces,
         "masks": None if masks_dir is None else str(masks_dir.resolve()),
         "baselines": baseline_scores(dataset, reasons) if speckled_tests and dataset.ground else None,
@@ -163,6 +168,18 @@ def _rendered(run: EvaluatedRun, views: Sequence[View], shown: Reporter) -> Stac
         images.append(run.render(some))
         shown.advance(len(some), "test views")
     return np.concatenate(images)
+
+
+def _by_image(tested: Dataset, pair: ImagePair) -> dict[str, Any]:
+    """The score that leads, of each image alone; None where it does not exist."""
+    metric = leading_metric(tested)
+    scores: list[float | None] = []
+    for truth, rendered in zip(pair.truth, pair.rendered, strict=True):
+        try:
+            scores.append(metric.compute(replace(pair, truth=truth[None], rendered=rendered[None])))
+        except UndefinedScore:
+            scores.append(None)
+    return {"metric": metric.key, "scores": scores}
 
 
 def _masks(

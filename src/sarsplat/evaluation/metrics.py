@@ -205,6 +205,11 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
 """Of images of unseen views, those without speckle first."""
 
 
+def leading_metric(dataset: Dataset) -> Metric[ImagePair]:
+    """The score of images that stands first wherever this dataset's results are shown."""
+    return next(metric for metric in IMAGE_METRICS if metric.place == "headline" and metric.requires.met(dataset))
+
+
 MASK_METRICS: tuple[Metric[MaskPair], ...] = (
     Metric(
         "target_iou",

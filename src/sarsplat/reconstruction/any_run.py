@@ -54,10 +54,18 @@ class Truth(TypedDict):
     heading_deg: NotRequired[float]
 
 
+class ByImage(TypedDict):
+    """One metric of each image of a test set, in the dataset's order."""
+
+    metric: str
+    scores: list[float | None]
+
+
 class Metrics(TypedDict):
     """What `metrics.json` holds: scores by test set, surface or baseline, and by metric."""
 
     images: dict[str, _Scores]
+    by_image: NotRequired[dict[str, ByImage]]
     points: dict[str, _Scores]
     mesh: dict[str, _Scores]
     baselines: dict[str, dict[str, _Scores]] | None

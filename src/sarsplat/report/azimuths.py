@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from sarsplat.report.canvas import BLUE, FAINT, MUTED, ORANGE, dress, new_figure, to_png
+from sarsplat.report.figure import Block, Figure, axis, chart, polyline
 
 
 def azimuths_figure(
     azimuth_deg: Sequence[float], offset_deg: Float[np.ndarray, " k"], std_deg: Float[np.ndarray, " k"]
-) -> bytes:
-    """Corrections of azimuths against the azimuths, as PNG.
+) -> Figure:
+    """Corrections of azimuths against the azimuths.
 
     Parameters
     ----------
@@ -26,23 +26,28 @@ def azimuths_figure(
     """
     azimuth = np.asarray(azimuth_deg) % 360
     order = np.argsort(azimuth, kind="stable")
-    azimuth, offset, std = azimuth[order], offset_deg[order], std_deg[order]
-    figure = new_figure(11, 3.2)
-    axes = figure.subplots()
-    axes.fill_between(azimuth, -std, std, color=BLUE, alpha=0.2, linewidth=0, step="mid")
-    axes.axhline(0, color=MUTED, linewidth=0.8)
-    axes.vlines(azimuth, 0, offset, color=ORANGE, linewidth=1)
-    axes.plot(azimuth, offset, "o", color=ORANGE, markersize=4)
-    rms, largest = np.sqrt((offset**2).mean()), np.abs(offset).max()
-    axes.set(
-        xlabel="azimuth as labelled, degrees",
-        ylabel="correction, degrees",
-        title=f"Azimuth corrections: rms {rms:.2f}°, largest {largest:.2f}°",
-        xlim=(0, 360),
-        xticks=range(0, 361, 45),
+    azimuth, offset, std = azimuth[order] / 360, offset_deg[order], std_deg[order]
+    largest = 1.1 * max(float(np.abs(offset).max()), float(std.max()))
+
+    def share(value: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        return (value / largest + 1) / 2
+
+    band = polyline(np.concatenate([azimuth, azimuth[::-1]]), share(np.concatenate([std, -std[::-1]])), "band")
+    stems = [
+        polyline(np.array([x, x]), share(np.array([0.0, y])), "line second") for x, y in zip(azimuth, offset, strict=True)
+    ]
+    dots = [polyline(np.array([x, x]), share(np.array([y, y])), "dot second") for x, y in zip(azimuth, offset, strict=True)]
+    rms, most = np.sqrt((offset**2).mean()), np.abs(offset).max()
+    title = f"rms {rms:.2f}°, largest {most:.2f}°"
+    panel = chart(
+        title,
+        f"corrections of {len(offset)} azimuths, {title}",
+        axis("azimuth as labelled, degrees", 0, 360, 5),
+        axis("correction, degrees", largest, -largest, 5),
+        [band, *stems, *dots],
     )
-    dress(axes)
-    axes.grid(color=FAINT, linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.tight_layout()
-    return to_png(figure)
+    text = (
+        "By how much the training found each training image's azimuth to differ from its label. "
+        "The band is ± one standard deviation, as the dataset gives it."
+    )
+    return Figure("Azimuth corrections", text, (Block("", (panel,)),))

@@ -2,78 +2,77 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from sarsplat.report.canvas import colour_bar, ramp, to_png
-from sarsplat.report.sides import SIDES, Board, drawing_boards
+from sarsplat.errors import counted
+from sarsplat.report.colours import DISTANCE, HEIGHT, palette
+from sarsplat.report.figure import Block, ColourBar, colour_bar
+from sarsplat.report.raster import data_uri, hollow, indexed, png
+from sarsplat.report.sides import Corner, Raster, Side
 
-if TYPE_CHECKING:
-    from matplotlib.colors import Colormap
+Points = Float[np.ndarray, "p 3"]
 
-_DRAWN = 30_000
-"""Most points drawn of a cloud."""
-
+_LEAST_PIXELS, _MOST_PIXELS = 120, 400  # along the longest side of what is shown
 _MARGIN = 0.025
 """Around the points, as a part of the longest side."""
 
 
-def points_figure(
-    points: Float[np.ndarray, "p 3"], surface: Float[np.ndarray, "s 3"] | None, farthest_m: float
-) -> bytes:
-    """Points from the side, the front and the top, on equal axes in metres, as PNG.
+def point_boards(
+    clouds: Mapping[str, Points], surface: Points | None, farthest_m: float
+) -> tuple[tuple[Block, ...], tuple[ColourBar, ...]]:
+    """Points from the side, the front and the top, coloured by height; then their distances to the true surface.
 
     Parameters
     ----------
-    points : numpy.ndarray, float [P, 3]
-        Reconstructed points, m; coloured by distance to `surface`, or by height without one.
+    clouds : mapping of str to numpy.ndarray, float [P, 3]
+        Reconstructed points, m, by what they are called.
     surface : numpy.ndarray, float [S, 3] or None
-        Samples of the true surface, m; drawn beside the points.
+        Samples of the true surface, m; drawn before the points.
     farthest_m : float
         Distances to the surface from here on look alike, m.
     """
-    shown = points if surface is None else np.concatenate([points, surface])
-    low, high = _limits(shown)
-    heights = ramp("height", "#1d3a6b", "#2f86b8", "#7fd6c2", "#f4f1c6")
-    blocks: list[tuple[str, np.ndarray, np.ndarray, tuple[float, float], str, str]] = []
-    top = max(float(shown[:, 2].max(initial=0)), _MARGIN * float((high - low).max()))
-    if surface is None:
-        blocks.append((_title(points), points, points[:, 2], (0, top), "height", "height, m"))
-        colours = {"height": heights}
-    else:
-        distance = KDTree(surface).query(points)[0]
-        blocks.append(("true surface", surface, surface[:, 2], (0, top), "height", "height, m"))
-        label = "distance to truth, m"
-        blocks.append((f"reconstruction, {_title(points)}", points, distance, (0, farthest_m), "distance", label))
-        colours = {"height": heights, "distance": ramp("distance", "#37c9a4", "#d9d37a", "#ff9248", "#f0386b")}
-    figure, boards = drawing_boards([name for name, *_ in blocks], low, high)
-    chance = np.random.default_rng(0)
-    for board, (_, cloud, value, limits, kind, label) in zip(boards, blocks, strict=True):
-        some = chance.permutation(len(cloud))[:_DRAWN]  # a denser cloud would only look more solid
-        _draw(board, cloud[some], np.clip(value[some], *limits), colours[kind])
-        colour_bar(figure, board.corner.inset_axes((0.08, 0.5, 0.84, 0.05)), colours[kind], limits, label)
-    return to_png(figure)
+    by_height = {f"{name}, {counted(len(points), 'point')}": points for name, points in clouds.items()}
+    if surface is not None:
+        by_height = {"true surface": surface, **by_height}
+    low, high = _limits(np.concatenate(list(by_height.values())))
+    fewest = min((len(points) for points in by_height.values() if len(points)), default=0)
+    raster = Raster.around(low, high, int(np.clip(2 * np.sqrt(fewest), _LEAST_PIXELS, _MOST_PIXELS)))
+    heights = palette(HEIGHT, hollow=True)
+    blocks = [
+        _board(raster, name, points, points[:, 2], (float(low[2]), float(high[2])), HEIGHT)
+        for name, points in by_height.items()
+    ]
+    bars = [colour_bar("height z, m", heights, float(low[2]), float(high[2]))]
+    if surface is not None:
+        tree = KDTree(surface)
+        for name, points in clouds.items():
+            distance = tree.query(points)[0] if len(points) else np.empty(0)
+            blocks.append(_board(raster, f"error of the {name}", points, distance, (0.0, farthest_m), DISTANCE))
+        bars.append(colour_bar("distance to the true surface, m", palette(DISTANCE), 0, farthest_m))
+    return tuple(blocks), tuple(bars)
 
 
-def _title(points: Float[np.ndarray, "p 3"]) -> str:
-    return f"{len(points):,} points" + (f", {_DRAWN:,} drawn" if len(points) > _DRAWN else "")
+def _board(
+    raster: Raster, title: str, points: Points, value: Float[np.ndarray, " p"], limits: tuple[float, float],
+    colours: tuple[str, ...],
+) -> Block:  # fmt: skip
+    def picture(side: Side) -> str:
+        seen, there = raster.nearest(points, side)
+        shades = np.zeros(seen.shape, np.uint8)
+        shades[there] = indexed(value[seen[there]], *limits)
+        return data_uri(png(hollow(shades, there), palette(colours, hollow=True)))
+
+    return raster.board(title, picture)
 
 
-def _limits(points: Float[np.ndarray, "p 3"]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
+def _limits(points: Points) -> tuple[Corner, Corner]:
     """Corners of the space shown, m; a few strays do not shrink everything else."""
     if len(points) == 0:
         return np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 1.0])
     low, high = np.quantile(points, (0.001, 0.999), axis=0)
     margin = _MARGIN * float((high - low).max()) or 1.0  # of a single point
     return low - margin, high + margin
-
-
-def _draw(board: Board, points: Float[np.ndarray, "p 3"], value: Float[np.ndarray, " p"], colours: Colormap) -> None:
-    """The points on each side, the nearest on top."""
-    for axes, side in zip(board.sides, SIDES, strict=True):
-        order = np.argsort(side.sign * points[:, side.towards])
-        x, y = points[order, side.across], points[order, side.up]
-        axes.scatter(x, y, c=value[order], cmap=colours, s=1.2, linewidths=0, rasterized=True)

@@ -4,40 +4,63 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from sarsplat.reconstruction.log import LogLine
-from sarsplat.report.canvas import BLUE, FAINT, ORANGE, dress, new_figure, to_png
+from sarsplat.report.figure import Axis, Figure, Block, Panel, axis, chart, polyline, written
+
+_FALLS_FAR = 5.0  # times: the loss then gets a logarithmic axis
 
 
-def curves_figure(history: Sequence[LogLine], loss_name: str) -> bytes:
-    """Loss and, if any are learned, number of Gaussians against the iteration, as PNG.
+def curves_figure(history: Sequence[LogLine], loss_name: str, loss_unit: str) -> Figure:
+    """Loss and, if any are learned, number of Gaussians against the iteration.
 
     Parameters
     ----------
     history : sequence of LogLine
         Lines of `metrics.jsonl`, at least one.
-    loss_name : str
-        What the loss is, with its unit; it gets a logarithmic axis if it falls far.
+    loss_name, loss_unit : str
+        What the loss is, and its unit; it gets a logarithmic axis if it falls far.
     """
-    iteration = [line.iteration for line in history]
-    loss = [line.loss for line in history]
-    counts = [line.gaussians for line in history if line.gaussians is not None]
-    figure = new_figure(11, 3.2)
-    every = figure.subplots(1, 2, width_ratios=(2, 1)) if counts else [figure.subplots()]
-    left = every[0]
-    left.plot(iteration, loss, color=BLUE, linewidth=1.4)
-    if min(loss) > 0 and max(loss) > 5 * min(loss):
-        left.set_yscale("log")
-    left.set(xlabel="iteration", ylabel=loss_name, title=f"Loss: {loss[0]:.3g} → {loss[-1]:.3g}")
-    if counts:
-        right = every[1]
-        right.plot(iteration, counts, color=ORANGE, linewidth=1.4)
-        right.set_ylim(bottom=0)
-        right.yaxis.set_major_formatter("{x:,.0f}")
-        right.set(xlabel="iteration", title=f"Gaussians: {counts[-1]:,}")
-    for axes in every:
-        dress(axes)
-        axes.set_xlim(0, max(1, *iteration))
-        axes.grid(color=FAINT, linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
-    figure.tight_layout()
-    return to_png(figure)
+    iteration = np.array([line.iteration for line in history], dtype=float)
+    loss = np.array([line.loss for line in history], dtype=float)
+    counts = np.array([line.gaussians for line in history if line.gaussians is not None], dtype=float)
+    panels = [_curve(f"loss: {loss[0]:.3g} → {loss[-1]:.3g}", loss_unit, iteration, loss)]
+    if len(counts) == len(history):
+        panels.append(_curve(f"Gaussians: {counts[-1]:,.0f}", "Gaussians", iteration, counts, zero=True))
+    text = f"The loss is the {loss_name}, averaged over the training views."
+    return Figure("Training", text, (Block("", tuple(panels)),))
+
+
+def _curve(title: str, label: str, x: np.ndarray, y: np.ndarray, *, zero: bool = False) -> Panel:
+    across = axis("iteration", 0, max(1.0, float(x.max())))
+    if not zero and y.min() > 0 and y.max() > _FALLS_FAR * y.min():
+        y = np.log10(y)
+        low, high = _around(y)
+        down = _powers_of_ten(label, low, high)
+    else:
+        low, high = (0.0, max(1.0, 1.05 * float(y.max()))) if zero else _around(y)
+        down = axis(label, high, low)
+    share = (y - low) / (high - low)
+    line = polyline(x / max(1.0, float(x.max())), share, "line accent" if not zero else "line second")
+    return chart(title, f"{title}, over {x.max():,.0f} iterations", across, down, [line])
+
+
+def _around(values: np.ndarray) -> tuple[float, float]:
+    """Limits with a little room; different ones even if all values are the same."""
+    low, high = float(values.min()), float(values.max())
+    room = 0.05 * (high - low) or 0.05 * abs(high) or 1.0
+    return low - room, high + room
+
+
+def _powers_of_ten(label: str, low: float, high: float) -> Axis:
+    """Ticks of a logarithmic axis between powers of ten; of many decades some are left out."""
+    step = max(1, int((high - low) // 5))
+    factors = (1, 2, 5) if high - low < 2 else (1,)
+    numbers = [(k + np.log10(f), f * 10.0**k) for k in range(int(low) - 1, int(high) + 2, step) for f in factors]
+    shown = [((high - place) / (high - low), _short(number)) for place, number in numbers if low <= place <= high]
+    return Axis(label, tuple(shown))
+
+
+def _short(number: float) -> str:
+    return written(number) if 1e-4 < number < 1e6 else f"{number:.0e}"

@@ -1,74 +1,84 @@
-"""Unseen chips with the outlines of target and shadow, true and predicted."""
+"""Unseen images with the outlines of target and shadow, true and predicted."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from jaxtyping import Real, UInt8
+from jaxtyping import UInt8
 
-from sarsplat.geometry import ImageGrid, View
-from sarsplat.report.canvas import BLUE, INK, ORANGE, dress, new_figure, to_png
-from sarsplat.report.decibels import DYNAMIC_DB, to_decibels
-from sarsplat.report.views import view_name
+from sarsplat.data import read_masks
+from sarsplat.evaluation import UndefinedScore, predicted_masks
+from sarsplat.reconstruction import AnyRun
+from sarsplat.report.figure import Block, Figure, polyline
+from sarsplat.report.images import Part, power_bar, view_name
+from sarsplat.report.views import evenly
 
-_SIDE, _BESIDE, _TITLE, _FOOT = 2.6, 3, 0.3, 0.35  # inches; panels side by side
+_VIEWS = 8
+_LARGEST = 256
 _MARGIN = 5  # pixels around everything that a mask shows
-_LINES = {1: "solid", 2: "dotted"}
+_KINDS = {1: "target", 2: "shadow"}
+
+Mask = UInt8[np.ndarray, "rows columns"]
 
 
-def masks_figure(
-    images: Real[np.ndarray, "v rows columns"],
-    truth: UInt8[np.ndarray, "v rows columns"],
-    predicted: UInt8[np.ndarray, "v rows columns"],
-    views: Sequence[View],
-    grid: ImageGrid,
-    peak: float,
-) -> bytes:
-    """Images with the outlines of both masks, as PNG.
+def masks_figure(run: AnyRun[Any], folder: Path) -> Figure | None:
+    """Test images with the outlines of both masks; None if the run has no masks to draw.
 
     Parameters
     ----------
-    images : numpy.ndarray, float [V, rows, columns]
-        β⁰, linear power.
-    truth, predicted : numpy.ndarray, uint8 [V, rows, columns]
-        0 clutter, 1 target, 2 shadow.
-    views, grid
-        From where, and where the pixels lie.
-    peak : float
-        The power shown white.
+    run : AnyRun
+        A reconstruction with its dataset.
+    folder : Path
+        True masks, as `evaluate --masks` was given.
     """
+    dataset = run.dataset
+    masks = read_masks(folder, dataset)
+    known = list(masks)
+    chosen = [known[index] for index in evenly(len(known), _VIEWS)]
+    entries = tuple(dataset.entries[index] for index in chosen)
+    looks = dataset.select(entries[0].split).looks
+    images = replace(dataset, power=dataset.power[chosen], entries=entries, looks=looks, clean_tests=False)
+    try:
+        predicted = predicted_masks(run, images, run.render(images.views))
+    except UndefinedScore:  # the evaluation gives the reason
+        return None
+    truth = np.stack([masks[index] for index in chosen])
     anything = np.maximum(truth, predicted).max(axis=0)
-    rows, columns = (_window(np.max(anything, axis=1 - axis)) for axis in (0, 1))
-    aspect = grid.spacing_m[1] / grid.spacing_m[0]
-    beside = min(_BESIDE, len(views))
-    lines = -(-len(views) // beside)
-    panel = _SIDE * aspect * (rows.stop - rows.start) / (columns.stop - columns.start)
-    width, height = max(beside * _SIDE, 2 * _SIDE), lines * (panel + _TITLE) + _FOOT
-    figure = new_figure(width, height)
-    panels = figure.subplots(lines, beside, squeeze=False)
-    figure.subplots_adjust(
-        left=0.02, right=0.98, top=1 - _TITLE / height, bottom=_FOOT / height, wspace=0.04, hspace=_TITLE / panel
+    rows, columns = (_window(anything.max(axis=1 - axis)) for axis in (0, 1))
+    part = Part.of(dataset.grid, (rows, columns), _LARGEST)
+    peak = float(dataset.images("train").max())
+    panels = []
+    for image, view, true, own in zip(images.power, images.views, truth, predicted, strict=True):
+        drawing = _outlines(true[rows, columns], "true") + _outlines(own[rows, columns], "own")
+        alt = f"{view_name(view)}, with the outlines of the true and the predicted target and shadow"
+        panels.append(part.power(view_name(view), alt, image, peak, drawing))
+    text = (
+        f"{len(chosen)} of {len(known)} test views with true masks, evenly chosen. The predicted outlines are those of "
+        "the learned geometry"
     )
-    for axes in panels.flat:
-        axes.set_axis_off()
-    for axes, image, true, own, view in zip(panels.flat, images, truth, predicted, views):
-        dress(axes)
-        shown = to_decibels(image, peak)[rows, columns]
-        axes.imshow(shown, cmap="gray", vmin=-DYNAMIC_DB, vmax=0, aspect=aspect, interpolation="nearest")
-        for mask, colour in ((true, BLUE), (own, ORANGE)):
-            for kind, line in _LINES.items():
-                pixels = np.asarray(mask == kind)[rows, columns]
-                if pixels.any() and not pixels.all():
-                    axes.contour(pixels, [0.5], colors=colour, linestyles=line, linewidths=1.2)
-        axes.set_title(view_name(view), size=9)
-    text = {"true": BLUE, "predicted": ORANGE, "solid: target, dotted: shadow": INK}
-    for place, (words, colour) in zip((0.06, 0.2, 0.42), text.items(), strict=True):
-        figure.text(place, 0.1 / height, words, color=colour, size=9)
-    return to_png(figure)
+    if looks is not None:
+        text += ", at the whole pixel where the rendered image suits the measured one best"
+    return Figure("Target and shadow", f"{text}.", (Block("", tuple(panels)),), (power_bar(),), legend="outlines")
 
 
-def _window(there: Real[np.ndarray, " n"]) -> slice:
+def _outlines(mask: Mask, whose: str) -> str:
+    """The outlines of target and shadow as SVG, in a square that the mask fills."""
+    from skimage.measure import find_contours
+
+    drawn = ""
+    rows, columns = mask.shape
+    for value, name in _KINDS.items():
+        there = np.pad((mask == value).astype(float), 1)
+        for line in find_contours(there, 0.5):
+            places = line - 0.5  # pixel k of the padded mask has its centre at k − 0.5 pixels of the mask
+            drawn += polyline(places[:, 1] / columns, 1 - places[:, 0] / rows, f"outline {whose} {name}")
+    return drawn
+
+
+def _window(there: UInt8[np.ndarray, " n"]) -> slice:
     """From the first to the last that is there, with a margin; all if nothing is."""
     found = np.flatnonzero(there)
     if len(found) == 0:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -15,31 +13,44 @@ from sarsplat.data.determined import weakest_direction
 from sarsplat.errors import counted
 from sarsplat.evaluation import NOT_THE_SAME_EXPERIMENT, Yardstick, all_metrics, paper_beside
 from sarsplat.reconstruction import AnyRun
+from sarsplat.report.figure import Figure
 from sarsplat.report.scores import Row, ScoreTable, score_tables
+from sarsplat.report.widget import Widget
 
 
-@dataclass(frozen=True)
-class Picture:
-    """A figure of the report: file name, heading, what is seen, PNG."""
-
-    file: str
-    title: str
-    text: str
-    png: bytes
-
-    @property
-    def data(self) -> str:
-        """The PNG as an address that holds it."""
-        return f"data:image/png;base64,{base64.b64encode(self.png).decode()}"
-
-
-def page(run: AnyRun[Any], pictures: list[Picture], training: list[Picture]) -> str:
-    """The whole page as HTML: pictures come before the scores, those of the training after them."""
-    import jinja2
-
+def page(run: AnyRun[Any], figures: list[Figure], training: list[Figure], widget: Widget | None) -> str:
+    """The whole page as HTML: figures come before the scores, those of the training after them."""
     metrics, dataset = run.metrics, run.dataset
     paper = paper_beside(dataset)
     tables = score_tables(metrics, [paper] if paper else []) if metrics else []
+    return rendered(
+        "page.html.j2",
+        target=dataset.target,
+        lead=_lead(run),
+        headlines=[
+            _card(table, row, metrics["definitions"])
+            for table in tables
+            for row in table.rows
+            if metrics and row.metric.place == "headline"
+        ],
+        widget=widget,
+        figures=figures,
+        evaluated=metrics is not None,
+        caution=NOT_THE_SAME_EXPERIMENT if paper else None,
+        tables=tables,
+        definitions=metrics["definitions"] if metrics else {},
+        notes=_notes(metrics) if metrics else [],
+        training=training,
+        dataset=_dataset_facts(dataset),
+        run=_run_facts(run),
+        configuration=json.dumps(run.config.as_dict(), indent=2),
+    )
+
+
+def rendered(template: str, **values: Any) -> str:
+    """A template of this package with its values as HTML that needs no other file."""
+    import jinja2
+
     templates = jinja2.Environment(
         loader=jinja2.PackageLoader("sarsplat.report", ""),
         autoescape=True,
@@ -47,20 +58,7 @@ def page(run: AnyRun[Any], pictures: list[Picture], training: list[Picture]) -> 
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return templates.get_template("page.html.j2").render(
-        target=dataset.target,
-        lead=_lead(run),
-        headlines=[_card(table, row) for table in tables for row in table.rows if row.metric.place == "headline"],
-        pictures=pictures,
-        evaluated=metrics is not None,
-        caution=NOT_THE_SAME_EXPERIMENT if paper else None,
-        tables=tables,
-        notes=_notes(metrics, tables) if metrics else [],
-        training=training,
-        dataset=_dataset_facts(dataset),
-        run=_run_facts(run),
-        configuration=json.dumps(run.config.as_dict(), indent=2),
-    )
+    return templates.get_template(template).render(**values)
 
 
 def _lead(run: AnyRun[Any]) -> str:
@@ -73,28 +71,33 @@ def _lead(run: AnyRun[Any]) -> str:
     )
 
 
-def _card(table: ScoreTable, row: Row) -> dict[str, Any]:
-    """A headline: our value, and below it those it competes with."""
+def _card(table: ScoreTable, row: Row, definitions: Mapping[str, str]) -> dict[str, Any]:
+    """A headline: our value, those it competes with, and who won."""
     ours, *others = row.cells
     known = [cell for cell in others if cell.column.ranked and cell.column.values.get(row.metric.key) is not None]
+    winners = [cell.column.name for cell in known if cell.best]
+    if ours.best:
+        verdict = "This run is the best." if not winners else f"As good as {' and '.join(winners)}."
+    else:
+        verdict = f"Better than this run: {' and '.join(winners)}."
     return {
         "name": row.metric.title,
+        "definition": definitions.get(row.metric.key),
         "value": ours.text,
-        "others": [f"{cell.column.name} {cell.text}" for cell in known],
-        "table": table.title.lower(),
+        "others": [{"name": cell.column.name, "text": cell.text, "best": cell.best} for cell in known],
+        "verdict": verdict,
+        "table": table.title,
     }
 
 
-def _notes(metrics: Mapping[str, Any], tables: list[ScoreTable]) -> list[str]:
-    """What was left out and why, what was computed, and what images were divided by."""
-    known = all_metrics(Yardstick(metrics["parameters"]["yardstick_m"]))
+def _notes(metrics: Mapping[str, Any]) -> list[str]:
+    """What was left out and why, and what images were divided by."""
+    labels = {metric.key: metric.label for metric in all_metrics(Yardstick(metrics["parameters"]["yardstick_m"]))}
     missing: dict[str, list[str]] = {}
     for key, reason in metrics["reasons"].items():
-        label = next((metric.label for metric in known if key.endswith(f".{metric.key}")), key)
-        missing.setdefault(reason, []).append(label)
-    notes = [f"{'; '.join(dict.fromkeys(labels))}: {reason}" for reason, labels in missing.items()]
-    shown = {row.metric.key: row.metric.label for table in tables for row in table.rows}
-    notes += [f"{label}: {metrics['definitions'][key]}" for key, label in shown.items()]
+        found = next((metric for metric in labels if key.endswith(f".{metric}")), None)
+        missing.setdefault(reason, []).append(key if found is None else labels[found])
+    notes = [f"{'; '.join(dict.fromkeys(names))}: {reason}" for reason, names in missing.items()]
     return [*notes, ", ".join(f"{name} = {value:.6g}" for name, value in metrics["parameters"].items())]
 
 

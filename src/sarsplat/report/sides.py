@@ -1,21 +1,16 @@
-"""Three sides of a target, as on a drawing board, for one or more blocks side by side."""
+"""Three sides of a target, as on a drawing board, from pictures of what the world holds."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int64
 
-from sarsplat.report.canvas import INK, MUTED, dress, new_figure
+from sarsplat.report.figure import Block, Panel, axis, scale_bar
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-_INCHES = 5.4  # of the two sides that stand next to each other
+Corner = Float[np.ndarray, " 3"]
 
 
 @dataclass(frozen=True)
@@ -33,46 +28,48 @@ SIDES = (Side("side", 0, 2, 1, -1), Side("front", 1, 2, 0, 1), Side("top", 0, 1,
 
 
 @dataclass(frozen=True)
-class Board:
-    """Where one block is drawn: axes in metres for each of `SIDES`, and a free corner."""
+class Raster:
+    """The space between the corners `low` and `high`, m, in square pixels."""
 
-    sides: tuple[Axes, ...]
-    corner: Axes
+    low: Corner
+    high: Corner
+    pixel_m: float
 
+    @classmethod
+    def around(cls, low: Corner, high: Corner, pixels: int) -> Raster:
+        """With so many pixels along the longest side."""
+        return cls(low, high, float((high - low).max()) / pixels)
 
-def drawing_boards(
-    names: Sequence[str], low: Float[np.ndarray, " 3"], high: Float[np.ndarray, " 3"]
-) -> tuple[Figure, list[Board]]:
-    """A figure with a board for each name, side by side; all show the space between the corners `low` and `high`, m."""
-    size = high - low
-    scale = _INCHES / (size[0] + size[1])
-    height = (size[2] + size[1]) * scale + 1.2
-    figure, boards = new_figure(len(names) * 6.4, height), []
-    for block, name in zip(figure.subfigures(1, len(names), squeeze=False)[0], names, strict=True):
-        block.set_facecolor("none")
-        grid = block.add_gridspec(
-            2,
-            2,
-            width_ratios=(size[0], size[1]),
-            height_ratios=(size[2], size[1]),
-            left=0.09,
-            right=0.985,
-            top=1 - 0.5 / height,
-            bottom=0.34 / height,
-            wspace=0.12,
-            hspace=0.24,
-        )
-        sides = []
-        for side, place in zip(SIDES, (grid[0, 0], grid[0, 1], grid[1, 0]), strict=True):
-            axes = block.add_subplot(place)
-            axes.set_xlim(low[side.across], high[side.across])
-            axes.set_ylim(low[side.up], high[side.up])
-            axes.set_aspect("equal")
-            dress(axes)
-            axes.set_title(f"{side.name}, m", loc="left", size=9, color=MUTED, pad=3)
-            sides.append(axes)
-        corner = block.add_subplot(grid[1, 1])
-        corner.set_axis_off()
-        block.text(0.09, 1 - 0.24 / height, name, color=INK, size=11, weight="bold")
-        boards.append(Board(tuple(sides), corner))
-    return figure, boards
+    def nearest(
+        self, points: Float[np.ndarray, "p 3"], side: Side
+    ) -> tuple[Int64[np.ndarray, "rows columns"], Bool[np.ndarray, "rows columns"]]:
+        """Index of the point that is seen in each pixel from a side, row 0 at the top, and whether there is one."""
+        across, up = side.across, side.up
+        shape = [max(1, int(np.ceil((self.high - self.low)[axis] / self.pixel_m))) for axis in (up, across)]
+        place = np.floor((points[:, (up, across)] - self.low[[up, across]]) / self.pixel_m).astype(int)
+        inside = np.flatnonzero(((place >= 0) & (place < shape)).all(axis=1))
+        far_first = inside[np.argsort(side.sign * points[inside, side.towards], kind="stable")]
+        seen = np.full(shape, -1)
+        seen[place[far_first, 0], place[far_first, 1]] = far_first
+        return seen[::-1], seen[::-1] >= 0
+
+    def board(self, title: str, picture: Callable[[Side], str]) -> Block:
+        """The three sides as panels, side and front above the top; `picture` gives the address of each."""
+        size, panels = self.high - self.low, []
+        names = ("x, m", "y, m", "z, m")
+        for side in SIDES:
+            width, height = (float(size[k]) for k in (side.across, side.up))
+            down = axis(names[side.up], float(self.high[side.up]), float(self.low[side.up]), 2 if height < width else 4)
+            across = axis(names[side.across], float(self.low[side.across]), float(self.high[side.across]))
+            panels.append(
+                Panel(
+                    side.name,
+                    f"{title}, from the {side.name}",
+                    across,
+                    down,
+                    aspect=width / height,
+                    image=picture(side),
+                    scale=scale_bar(width),
+                )
+            )
+        return Block(title, tuple(panels), (float(size[0]), float(size[1])))

@@ -2,34 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from sarsplat.data import read_masks, write_bytes
+from sarsplat.data import write_bytes
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluation import Alignment, UndefinedScore, Yardstick, predicted_masks, read_truth_mesh
+from sarsplat.evaluation import Alignment, Yardstick, read_truth_mesh
 from sarsplat.reconstruction import AnyRun
 from sarsplat.report.azimuths import azimuths_figure
-from sarsplat.report.cloud import points_figure
+from sarsplat.report.cloud import point_boards
 from sarsplat.report.curves import curves_figure
+from sarsplat.report.figure import Figure
 from sarsplat.report.masks import masks_figure
-from sarsplat.report.page import Picture, page
-from sarsplat.report.solid import meshes_figure
-from sarsplat.report.views import evenly, views_figure
+from sarsplat.report.page import page
+from sarsplat.report.solid import mesh_boards
+from sarsplat.report.views import chosen_views, views_figure
+from sarsplat.report.widget import widget
 
 _FOLDER = "report"
-_VIEWS = 8
-_SURFACE_SAMPLES = 60_000
+_SURFACE_SAMPLES = 200_000
 _STILL = Alignment((0.0, 0.0, 0.0), 0.0)
 
 
 def write_report(run: AnyRun[Any]) -> Path:
-    """Write `RUN/report/`: `index.html`, which holds all it shows, and its pictures once more as PNGs.
+    """Write `RUN/report/index.html`: one page that holds all it shows and needs no network.
 
     Parameters
     ----------
@@ -50,19 +53,14 @@ def write_report(run: AnyRun[Any]) -> Path:
     refuse_linked_report(run.folder)
     folder = run.folder / _FOLDER
     with only_writer(run.folder):
-        with plain_os_errors("write", folder):
+        with _scores_expected(run):
+            chosen = chosen_views(run.dataset, run.metrics)
+        figures = [views_figure(run, chosen), *_masks(run), _points(run), *_mesh(run)]
+        training, turning = [*_curves(run), *_azimuths(run)], widget(run)
+        with _scores_expected(run):
+            html = page(run, figures, training, turning)
+        with plain_os_errors("write", folder):  # last, so that whoever ends this earlier leaves no empty folder
             folder.mkdir(exist_ok=True)
-        pictures = [_views(run), *_masks(run), _points(run), *_mesh(run)]
-        training = [*_curves(run), *_azimuths(run)]
-        for picture in (*pictures, *training):
-            write_bytes(folder / picture.file, picture.png)
-        try:
-            html = page(run, pictures, training)
-        except (KeyError, TypeError, AttributeError, ValueError) as error:
-            raise SarsplatError(
-                f"{run.folder / 'metrics.json'} does not contain all scores ({error!r}); write it again with "
-                f"`sarsplat evaluate {run.path}`"
-            ) from error
         write_bytes(folder / "index.html", html.encode())
     return folder / "index.html"
 
@@ -80,77 +78,46 @@ def refuse_linked_report(run: Path) -> None:
         raise SarsplatError(f"{folder} is a link, but a report is only written inside its run; remove the link")
 
 
-def _views(run: AnyRun[Any]) -> Picture:
-    dataset = run.dataset
-    splits = [split for split in dataset.splits() if split != "train"] or ["train"]
-    items = [index for index, entry in enumerate(dataset.entries) if entry.split in splits]
-    chosen = [items[index] for index in evenly(len(items), _VIEWS)]
-    truth, views = dataset.power[chosen], [dataset.views[index] for index in chosen]
-    speckled = dataset.select(splits[0]).looks is not None
-    png = views_figure(
-        truth,
-        run.render(views),
-        views,
-        dataset.grid,
-        float(dataset.images("train").max()),
-        speckled=speckled,
-        margin=dataset.score_margin,
-    )
-    unseen = (
-        f"{len(chosen)} of {len(items)} test views, evenly chosen; none of them was trained on."
-        if splits != ["train"]
-        else "The dataset has no test views, so these are training views."
-    )
-    what = (
-        "The truth has its speckle; the rendering is the expected power, without speckle, so the "
-        "difference compares 3×3 means."
-        if speckled
-        else "Orange: too bright; blue: too dark; what is darker than the pictures show counts as equal."
-    )
-    text = f"{unseen} Power in decibels, radar at the top, near range first. {what}"
-    return Picture("views.png", "Unseen views", text, png)
+@contextmanager
+def _scores_expected(run: AnyRun[Any]) -> Iterator[None]:
+    """Say in one sentence that `metrics.json` is of another make."""
+    try:
+        yield
+    except (KeyError, TypeError, AttributeError, ValueError, StopIteration) as error:
+        raise SarsplatError(
+            f"{run.folder / 'metrics.json'} does not contain all scores ({error!r}); write it again with "
+            f"`sarsplat evaluate {run.path}`"
+        ) from error
 
 
-def _masks(run: AnyRun[Any]) -> list[Picture]:
+def _masks(run: AnyRun[Any]) -> list[Figure]:
     """Of the folder that the run was evaluated with."""
     folder = None if (metrics := run.metrics) is None else metrics.get("masks")
-    if folder is None:
-        return []
-    dataset = run.dataset
-    masks = read_masks(Path(folder), dataset)
-    known = list(masks)
-    chosen = [known[index] for index in evenly(len(known), _VIEWS)]
-    entries = tuple(dataset.entries[index] for index in chosen)
-    looks = dataset.select(entries[0].split).looks
-    images = replace(dataset, power=dataset.power[chosen], entries=entries, looks=looks, clean_tests=False)
-    try:
-        predicted = predicted_masks(run, images, run.render(images.views))
-    except UndefinedScore:  # the evaluation gives the reason
-        return []
-    peak = float(dataset.images("train").max())
-    png = masks_figure(images.power, np.stack([masks[i] for i in chosen]), predicted, images.views, dataset.grid, peak)
-    text = (
-        f"{len(chosen)} of {len(known)} test views with true masks, evenly chosen. The predicted outlines are those of "
-        "the learned geometry, at the whole pixel where the rendered image suits its chip best."
-    )
-    return [Picture("masks.png", "Target and shadow", text, png)]
+    drawn = None if folder is None else masks_figure(run, Path(folder))
+    return [] if drawn is None else [drawn]
 
 
-def _points(run: AnyRun[Any]) -> Picture:
+def _points(run: AnyRun[Any]) -> Figure:
     _, farthest_m, _ = Yardstick.of(run.dataset.grid).thresholds_m
     file, motion = _truth(run)
-    points = motion.moved(run.points)
-    if file is None:
-        text = "Where the rays of the training views return, from three sides. No true surface is known here."
-        return Picture("points.png", "Points", text, points_figure(points, None, farthest_m))
-    import trimesh
-
-    mesh = read_truth_mesh(file)
-    surface, _ = trimesh.sample.sample_surface(mesh, _SURFACE_SAMPLES, seed=0)
-    text = "The reconstruction beside the true surface, which it never saw: images and their views were all it had."
+    clouds = {"reconstruction": motion.moved(run.points)}
+    surface = None if file is None else sampled(file)
+    text = "Where the rays of the training views return, from three sides"
+    if surface is None:
+        text += "; no true surface is known here."
+    else:
+        text += ", and the true surface, which the training never saw. Height and error have colours of their own."
     if motion != _STILL:
-        text += f" To compare them, it was {motion}."
-    return Picture("points.png", "Points", text, points_figure(points, np.asarray(surface), farthest_m))
+        text += f" To compare them, the points were {motion}."
+    blocks, bars = point_boards(clouds, surface, farthest_m)
+    return Figure("Points", text, blocks, bars)
+
+
+def sampled(mesh: Path) -> Float[np.ndarray, "s 3"]:
+    """Points on a true surface, spread by area, m."""
+    from trimesh.sample import sample_surface
+
+    return np.asarray(sample_surface(read_truth_mesh(mesh), _SURFACE_SAMPLES, seed=0)[0])
 
 
 def _truth(run: AnyRun[Any]) -> tuple[Path | None, Alignment]:
@@ -164,7 +131,7 @@ def _truth(run: AnyRun[Any]) -> tuple[Path | None, Alignment]:
     return file, Alignment(truth.get("shift_m", _STILL.shift_m), truth.get("heading_deg", _STILL.heading_deg))
 
 
-def _mesh(run: AnyRun[Any]) -> list[Picture]:
+def _mesh(run: AnyRun[Any]) -> list[Figure]:
     truth, motion = _truth(run)
     try:
         mesh = run.mesh()
@@ -175,26 +142,17 @@ def _mesh(run: AnyRun[Any]) -> list[Picture]:
     mesh.vertices = motion.moved(mesh.vertices)
     text = "The surface through the points, shaded; `sarsplat export` writes it. It is open where no view looked"
     beside = "; the true surface is whole." if truth else "."
-    return [Picture("mesh.png", "Mesh", text + beside, meshes_figure(mesh, read_truth_mesh(truth) if truth else None))]
+    return [Figure("Mesh", text + beside, mesh_boards(mesh, read_truth_mesh(truth) if truth else None))]
 
 
-def _curves(run: AnyRun[Any]) -> list[Picture]:
+def _curves(run: AnyRun[Any]) -> list[Figure]:
     history = run.history
-    if not history:
-        return []
-    name, unit = run.loss_title
-    text = f"The loss is the {name}, averaged over the training views."
-    return [Picture("curves.png", "Training", text, curves_figure(history, unit))]
+    return [curves_figure(history, *run.loss_title)] if history else []
 
 
-def _azimuths(run: AnyRun[Any]) -> list[Picture]:
+def _azimuths(run: AnyRun[Any]) -> list[Figure]:
     if not run.azimuth_offset_deg.any():
         return []
     train = run.dataset.select("train")
     std = np.array([entry.azimuth_std_deg for entry in train.entries])
-    text = (
-        "By how much the training found each training image's azimuth to differ from its label. "
-        "The band is ± one standard deviation, as the dataset gives it."
-    )
-    figure = azimuths_figure([view.azimuth_deg for view in train.views], run.azimuth_offset_deg, std)
-    return [Picture("azimuths.png", "Azimuth corrections", text, figure)]
+    return [azimuths_figure([view.azimuth_deg for view in train.views], run.azimuth_offset_deg, std)]

@@ -1,0 +1,149 @@
+"""What a figure of a page is: panels with axes, and colour bars. `figure.html.j2` turns it into HTML.
+
+Only what is inside a panel's frame is a picture or a drawing; axes, scale bars and labels are text of the page, so they
+keep their size on a phone and follow light and dark.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from sarsplat.report.colours import Palette, gradient
+
+_SIDE_UNITS = 1000  # of a drawing
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Label with its unit, and ticks: places from 0 (left or top) to 1, and what is written there."""
+
+    label: str
+    ticks: tuple[tuple[float, str], ...]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One frame with axes.
+
+    Attributes
+    ----------
+    title : str
+        What is written above it.
+    alt : str
+        What is seen in it, for those who do not see it.
+    across, down : Axis
+        Its axes.
+    aspect : float or None
+        Width over height; None for a chart, which is as high as the page says.
+    image : str
+        Address of the picture in it.
+    drawing : str
+        SVG paths in a square of 1000 units, stretched to the frame; classes give their colours.
+    scale : (float, str) or None
+        Scale bar: part of the width, and its length with the unit.
+    radar : bool
+        Whether it is a SAR image: the radar is above it, near range first.
+    canvas : str
+        Name of a canvas that a program fills, instead of a picture.
+    """
+
+    title: str
+    alt: str
+    across: Axis
+    down: Axis
+    aspect: float | None = None
+    image: str = ""
+    drawing: str = ""
+    scale: tuple[float, str] | None = None
+    radar: bool = False
+    canvas: str = ""
+
+
+@dataclass(frozen=True)
+class ColourBar:
+    """What the colours mean: label with its unit, CSS gradient, and ticks from 0 (left) to 1."""
+
+    label: str
+    gradient: str
+    ticks: tuple[tuple[float, str], ...]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Panels that belong together, and what they have in common; `columns` are their relative widths."""
+
+    title: str
+    panels: tuple[Panel, ...]
+    columns: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of a page: heading, what is seen, blocks of panels, what their colours mean, and a legend's name."""
+
+    title: str
+    text: str
+    blocks: tuple[Block, ...]
+    bars: tuple[ColourBar, ...] = ()
+    legend: str = ""
+
+
+def nice(length: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is at most `length`."""
+    power = 10.0 ** math.floor(math.log10(length))
+    return next(step * power for step in (5, 2, 1) if step * power <= length * (1 + 1e-9))
+
+
+def axis(label: str, low: float, high: float, wanted: int = 4) -> Axis:
+    """An axis from `low` (left or top) to `high`, with about `wanted` round ticks."""
+    if not abs(high - low) > 0:
+        return Axis(label, ((0.5, f"{low:.3g}"),))
+    step = nice(abs(high - low) / max(wanted - 1, 1))
+    first, last = sorted((low, high))
+    numbers = [k * step for k in range(math.ceil(first / step - 1e-9), math.floor(last / step + 1e-9) + 1)]
+    while len(numbers) > wanted + 1:
+        numbers = [number for number in numbers if round(number / step) % 2 == 0]
+        step *= 2
+    return Axis(label, tuple(((number - low) / (high - low), written(number)) for number in numbers))
+
+
+def written(number: float) -> str:
+    """A round number, with a true minus sign."""
+    return f"{number + 0.0:,.6g}".replace("-", "−") if number else "0"
+
+
+def scale_bar(width_m: float) -> tuple[float, str]:
+    """A bar of a round length, about a quarter of a picture's width in metres."""
+    length = nice(width_m / 3)
+    return length / width_m, metres(length)
+
+
+def metres(length: float) -> str:
+    """A round length with a unit that suits it."""
+    for unit, size in (("km", 1000.0), ("m", 1.0), ("cm", 0.01), ("mm", 0.001)):
+        if length >= size * (1 - 1e-9):
+            return f"{length / size:g} {unit}"
+    return f"{length:g} m"
+
+
+def colour_bar(label: str, colours: Palette, low: float, high: float) -> ColourBar:
+    """A colour bar from `low` to `high`."""
+    return ColourBar(label, gradient(colours), axis("", low, high, 5).ticks)
+
+
+def polyline(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], style: str) -> str:
+    """A line through points from 0 to 1, y upwards."""
+    places = " ".join(f"{_SIDE_UNITS * a:.4g},{_SIDE_UNITS * (1 - b):.4g}" for a, b in zip(x, y, strict=True))
+    return f'<polyline class="{style}" points="{places}"/>'
+
+
+def chart(title: str, alt: str, across: Axis, down: Axis, parts: Sequence[str]) -> Panel:
+    """A chart: grid lines at the ticks, then the parts of its drawing."""
+    lines = [f"M{_SIDE_UNITS * place:.4g} 0v{_SIDE_UNITS}" for place, _ in across.ticks]
+    lines += [f"M0 {_SIDE_UNITS * place:.4g}h{_SIDE_UNITS}" for place, _ in down.ticks]
+    return Panel(title, alt, across, down, drawing=f'<path class="grid" d="{"".join(lines)}"/>' + "".join(parts))

@@ -1,0 +1,94 @@
+"""SAR images as panels: decibels in grey, axes in metres, a scale bar, and the radar above."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Real
+
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.report.colours import GREY, diverging, palette
+from sarsplat.report.decibels import DYNAMIC_DB, to_decibels
+from sarsplat.report.figure import Axis, ColourBar, Panel, axis, colour_bar, scale_bar
+from sarsplat.report.raster import block_means, data_uri, indexed, png
+from sarsplat.report.residual import Difference
+
+Image = Real[np.ndarray, "rows columns"]
+
+
+def view_name(view: View) -> str:
+    """E.g. azimuth 30°, grazing 17.4°."""
+    return f"azimuth {round(view.azimuth_deg, 1):g}°, grazing {round(view.grazing_deg, 1):g}°"
+
+
+@dataclass(frozen=True)
+class Part:
+    """The part of images that is shown, and how many pixels of a side become one."""
+
+    grid: ImageGrid
+    rows: slice
+    columns: slice
+    factor: int = 1
+
+    @classmethod
+    def of(cls, grid: ImageGrid, window: tuple[slice, slice], largest: int) -> Part:
+        """A window, averaged over blocks of pixels until neither side has more than `largest` pixels."""
+        rows, columns = (
+            slice(*part.indices(size)) for part, size in zip(window, (grid.rows, grid.columns), strict=True)
+        )
+        side = max(rows.stop - rows.start, columns.stop - columns.start)
+        return cls(grid, rows, columns, -(-side // largest))
+
+    def of_images(self, images: Real[np.ndarray, "v rows columns"]) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
+        """This part of images of any quantity that may be averaged."""
+        return block_means(images[:, self.rows, self.columns], self.factor)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Rows and columns of what is shown."""
+        return (self.rows.stop - self.rows.start) // self.factor, (self.columns.stop - self.columns.start) // self.factor
+
+    @property
+    def extent_m(self) -> tuple[float, float, float, float]:
+        """Azimuth on the left and on the right, slant range at the top and at the bottom, m."""
+        (rows, columns), (across, down) = self.size, self.grid.spacing_m
+        left = float(self.grid.azimuth_m[self.columns.start]) - across / 2
+        top = float(self.grid.range_m[self.rows.start]) - down / 2
+        return left, left + columns * self.factor * across, top, top + rows * self.factor * down
+
+    def panel(self, title: str, alt: str, image: str = "", **content: str) -> Panel:
+        """A panel with the axes of this part."""
+        left, right, top, bottom = self.extent_m
+        return Panel(
+            title,
+            alt,
+            axis("azimuth, m", left, right),
+            axis("slant range, m", top, bottom),
+            aspect=(right - left) / (bottom - top),
+            image=image,
+            scale=scale_bar(right - left),
+            radar=True,
+            **content,
+        )
+
+    def power(self, title: str, alt: str, image: Image, peak: float, drawing: str = "") -> Panel:
+        """An image in decibels below the peak."""
+        decibels = to_decibels(self.of_images(image[None])[0], peak)
+        uri = data_uri(png(indexed(decibels, -DYNAMIC_DB, 0)))
+        return self.panel(title, alt, uri, drawing=drawing)
+
+    def difference(self, title: str, alt: str, difference: Image, largest: float) -> Panel:
+        """An error with a sign."""
+        shown = indexed(self.of_images(difference[None])[0], -largest, largest)
+        return self.panel(title, alt, data_uri(png(shown, diverging())))
+
+
+def power_bar() -> ColourBar:
+    """What the greys of `Part.power` mean."""
+    return colour_bar("power, dB of the brightest training pixel", palette(GREY), -DYNAMIC_DB, 0)
+
+
+def difference_bar(difference: Difference) -> ColourBar:
+    """What the colours of `Part.difference` mean."""
+    return colour_bar(difference.label, diverging(), -difference.largest, difference.largest)

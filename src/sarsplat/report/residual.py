@@ -1,0 +1,116 @@
+"""How far a rendered image is from the true one: in decibels, or where there is speckle in its standard deviations."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Real
+from scipy.ndimage import correlate
+
+from sarsplat.evaluation import UndefinedScore, register
+from sarsplat.geometry import ImageGrid
+from sarsplat.report.decibels import DYNAMIC_DB, to_decibels
+
+Stack = Real[np.ndarray, "v rows columns"]
+
+_LARGEST_DB, _LARGEST_SIGMA = 6.0, 4.0
+"""Larger differences look alike."""
+
+_LEAST_WINDOW = 3
+_DARKEST_DB = -60.0  # of the brightest pixel: what a rendering without ground is taken for, to divide by
+
+
+@dataclass(frozen=True)
+class Window:
+    """Rows and columns of pixels that a residual is averaged over, and how many of them are independent."""
+
+    rows: int
+    columns: int
+    independent: float
+
+    @classmethod
+    def of(cls, grid: ImageGrid) -> Window:
+        """The smallest window of at least 3 × 3 pixels with a pixel in the middle that holds a resolution cell.
+
+        Its pixels are independent as far as `ImageGrid.independent_samples` says.
+        """
+        columns, rows = (
+            max(_LEAST_WINDOW, 2 * math.ceil((width / spacing - 1) / 2) + 1)
+            for width, spacing in zip(grid.resolution_m, grid.spacing_m, strict=True)
+        )
+        share = grid.independent_samples / (grid.rows * grid.columns)
+        return cls(rows, columns, max(1.0, share * rows * columns))
+
+
+@dataclass(frozen=True)
+class Difference:
+    """What is shown as the error: what it is called, how large values may be, and what readers must know.
+
+    Attributes
+    ----------
+    looks : float or None
+        Looks of the true images; None if these are without speckle.
+    grid : ImageGrid
+        Pixels of all images.
+    peak : float
+        Power shown white.
+    """
+
+    looks: float | None
+    grid: ImageGrid
+    peak: float
+
+    @property
+    def largest(self) -> float:
+        """Larger values look alike."""
+        return _LARGEST_DB if self.looks is None else _LARGEST_SIGMA
+
+    @property
+    def label(self) -> str:
+        """What the colour bar says."""
+        return "reconstruction over truth, dB" if self.looks is None else "residual ÷ σ of the speckle"
+
+    @property
+    def explained(self) -> str:
+        """What the caption says."""
+        colours = "Orange: too bright; purple: too dark."
+        if self.looks is None:
+            return f"{colours} What is more than {DYNAMIC_DB:g} dB below the brightest training pixel counts as equal."
+        window = Window.of(self.grid)
+        return (
+            "Each reconstruction is moved by up to 3 pixels and scaled as suits its image best, as for the score. "
+            f"{colours} The residual, reconstruction minus measured power averaged over {window.rows} × "
+            f"{window.columns} pixels (the smallest odd window that holds a resolution cell), is divided by σ, the "
+            f"standard deviation that speckle of {self.looks:g} look{'' if self.looks == 1 else 's'} leaves in that "
+            f"average of {window.independent:.1f} independent samples: values within ±2 are what speckle alone makes."
+        )
+
+    def of(self, truth: Stack, rendered: Stack) -> Float64[np.ndarray, "v rows columns"]:
+        """Rendered against true images, of β⁰ in linear power [V, rows, columns]; both as shown.
+
+        Without speckle 10·log10(rendered / truth), both at least −40 dB of the peak. With speckle of L looks (mean(S) −
+        mean(I)) / √(mean(S²) / (L·n)), means over a window with n independent samples: I scatters around S by S/√L.
+        """
+        truth, rendered = truth.astype(np.float64), rendered.astype(np.float64)
+        if self.looks is None:
+            floor = self.peak * 10 ** (-DYNAMIC_DB / 10)
+            return to_decibels(np.maximum(rendered, floor)) - to_decibels(np.maximum(truth, floor))
+        rendered = np.maximum(rendered, self.peak * 10 ** (_DARKEST_DB / 10))
+        window = Window.of(self.grid)
+        weights = np.full((1, window.rows, window.columns), 1 / (window.rows * window.columns))
+        sigma = np.sqrt(correlate(rendered**2, weights) / (self.looks * window.independent))
+        return correlate(rendered - truth, weights) / sigma
+
+
+def fitted(truth: Stack, rendered: Stack, looks: float | None, margin: int) -> Stack:
+    """The rendered images as they are scored: of speckled ones each is moved and scaled as suits its image best."""
+    if looks is None:
+        return rendered
+    try:
+        best = register(truth, rendered, margin)
+    except UndefinedScore:  # the evaluation gives the reason
+        return rendered
+    moved = [np.roll(image, tuple(shift), (0, 1)) for image, shift in zip(rendered, best.shift, strict=True)]
+    return np.stack(moved) * best.gain[:, None, None]

@@ -1,0 +1,183 @@
+"""What turns on a page: the points, and beside them the SAR image from where the radar then is.
+
+Images are rendered beforehand, at the views of some of the dataset's images and on a raster over the directions that the
+dataset spans; as many as a number of bytes allows, whatever the size of an image.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Real, UInt8
+
+from sarsplat.data import Dataset
+from sarsplat.geometry import View
+from sarsplat.reconstruction import AnyRun
+from sarsplat.report.colours import HEIGHT, TOO_BRIGHT, TOO_DARK, diverging, palette
+from sarsplat.report.decibels import to_decibels
+from sarsplat.report.figure import ColourBar, Panel, axis, colour_bar
+from sarsplat.report.images import Part, difference_bar
+from sarsplat.report.raster import data_uri, indexed, png
+from sarsplat.report.residual import Difference, fitted
+from sarsplat.report.views import evenly
+from sarsplat.report.window import target_window
+
+_BYTES = 900_000
+"""Of the PNGs of the raster, and again of those of the true images with their errors."""
+
+_LARGEST = 128  # pixels along a side
+_MOST_RENDERED = 8_000_000  # pixels of all images on the raster: larger images take longer
+_DEEPEST_DB = 60.0  # below the brightest training pixel
+_LEVELS = 120  # of brightness: half a decibel each
+_FINEST_DEG = 5.0  # of the raster
+_MOST_GRAZING = 5  # angles of the raster
+_POINTS = 20_000
+_TRIED = 4  # images that tell how many bytes one takes
+
+
+@dataclass(frozen=True)
+class Widget:
+    """What the page is given: panels to draw in, colour bars, and the data for `widget.js`."""
+
+    panels: tuple[Panel, ...]
+    heights: ColourBar
+    errors: ColourBar
+    what: str
+    text: str
+    data: dict[str, Any]
+
+
+def widget(run: AnyRun[Any]) -> Widget | None:
+    """The widget of a run with its dataset; None if it has no points to turn."""
+    points, dataset = run.points, run.dataset
+    if len(points) == 0:
+        return None
+    peak = float(dataset.images("train").max())
+    looks = None if dataset.clean_tests else dataset.looks  # then only test images are shown
+    window = target_window(dataset.power, peak, dataset.score_margin)
+    part = Part.of(dataset.grid, window, _LARGEST)
+    difference = Difference(looks, dataset.grid, peak)
+
+    chosen = _affordable(dataset, part, peak)
+    views = [dataset.views[index] for index in chosen]
+    truth, rendered = dataset.power[chosen], run.render(views)
+    errors = difference.of(truth, fitted(truth, rendered, looks, dataset.score_margin))
+    raster = _raster(dataset.views, _count(part, rendered, peak))
+    shown = [_codes(part.of_images(rendered), peak)]
+    shown += [_codes(part.of_images(run.render([view])), peak) for view in raster]  # one at a time: memory stays small
+
+    rows, columns = part.size
+    low, high = np.quantile(points, (0.001, 0.999), axis=0)
+    some = np.random.default_rng(0).permutation(points)[:_POINTS]
+    some = some[((some >= low) & (some <= high)).all(axis=1)]
+    name = "measured" if dataset.calibration == "relative" else "true"
+    panels = (
+        part.panel("", "rendered SAR image at the radar's direction", canvas="sar-rendered"),
+        part.panel("", f"nearest {name} SAR image", canvas="sar-true"),
+        part.panel("", f"error of the reconstruction at the view of that {name} image", canvas="sar-error"),
+    )
+    data = {
+        "low": low.tolist(),
+        "high": high.tolist(),
+        "points": base64.b64encode(_quantised(some, low, high).tobytes()).decode(),
+        "rows": rows,
+        "columns": columns,
+        "deepest": _DEEPEST_DB,
+        "levels": _LEVELS,
+        "views": [_angles(view) for view in (*views, *raster)],
+        "sets": [dataset.entries[index].split for index in chosen],
+        "dots": [[*_angles(entry.view), int(entry.split != "train")] for entry in dataset.entries],
+        "rendered": _sheet(np.concatenate(shown)),
+        "true": _sheet(_codes(part.of_images(truth), peak)),
+        "errors": _sheet(indexed(part.of_images(errors), -difference.largest, difference.largest)),
+        "errorColours": diverging().tolist(),
+        "heightColours": palette(HEIGHT)[:, :3].tolist(),
+        "name": name,
+    }
+    text = (
+        f"Drag the points, or use the sliders, to move the radar around the target. Beside them is the reconstruction's "
+        f"SAR image from the nearest of {len(shown) + len(views) - 1} directions that were rendered beforehand, then the nearest "
+        f"{name} image, and the error at its view ({difference.label}; orange: too bright, purple: too dark)."
+    )
+    heights = colour_bar("height z, m", palette(HEIGHT), float(low[2]), float(high[2]))
+    return Widget(panels, heights, difference_bar(difference), name, text, data)
+
+
+def _angles(view: View) -> list[float]:
+    return [round(view.azimuth_deg % 360, 2), round(view.grazing_deg, 2)]
+
+
+def _codes(power: Real[np.ndarray, "v rows columns"], peak: float) -> UInt8[np.ndarray, "v rows columns"]:
+    """Decibels below the peak in steps of half a decibel: 0 is the darkest."""
+    share = np.clip(1 + to_decibels(power, peak) / _DEEPEST_DB, 0, 1)
+    return np.round(_LEVELS * share).astype(np.uint8)
+
+
+def _bytes_each(codes: UInt8[np.ndarray, "v rows columns"]) -> float:
+    return len(png(codes.reshape(-1, codes.shape[2]))) / len(codes)
+
+
+def _affordable(dataset: Dataset, part: Part, peak: float) -> list[int]:
+    """Indices of the images that fit into the budget, evenly over the training and over the test views."""
+    sample = dataset.power[evenly(len(dataset), _TRIED)]
+    # an error takes about as many bytes as its image
+    count = max(2, int(_BYTES / (2 * _bytes_each(_codes(part.of_images(sample), peak)))))
+    train, test = [], []
+    for index, entry in enumerate(dataset.entries):
+        (train if entry.split == "train" else test).append(index)
+    if dataset.clean_tests and test:
+        train = []
+    for some in (train, test):
+        some.sort(key=lambda index: (dataset.views[index].azimuth_deg % 360, dataset.views[index].grazing_deg))
+    of_train = evenly(len(train), max(count - len(test), count // 2)) if train else []
+    of_test = evenly(len(test), count - len(of_train)) if test else []
+    return [train[k] for k in of_train] + [test[k] for k in of_test]
+
+
+def _count(part: Part, rendered: Real[np.ndarray, "v rows columns"], peak: float) -> int:
+    """How many images of the raster fit into the budget."""
+    sample = rendered[evenly(len(rendered), _TRIED)]
+    by_bytes = _BYTES / _bytes_each(_codes(part.of_images(sample), peak)) - len(rendered)
+    return max(0, int(min(by_bytes, _MOST_RENDERED / (part.grid.rows * part.grid.columns))))
+
+
+def _raster(views: Sequence[View], count: int) -> list[View]:
+    """At most `count` directions: evenly over the azimuths and the grazing angles that these views span."""
+    if count < 1:
+        return []
+    azimuths = np.sort([view.azimuth_deg % 360 for view in views])
+    gaps = np.diff(azimuths, append=azimuths[0] + 360)
+    widest = int(gaps.argmax())
+    all_around = gaps[widest] <= 90
+    first, span = (0.0, 360.0) if all_around else (azimuths[(widest + 1) % len(azimuths)], 360 - gaps[widest])
+    lowest, highest = (bound(view.grazing_deg for view in views) for bound in (min, max))
+    levels = min(_MOST_GRAZING, 1 + round((highest - lowest) / _FINEST_DEG))
+    finest = math.ceil(span / _FINEST_DEG) + (not all_around)
+    while levels > 1 and count // levels < min(finest, 24):
+        levels -= 1
+    steps = max(1, min(finest, count // levels))
+    grazing = np.linspace(lowest, highest, levels) if levels > 1 else [(lowest + highest) / 2]
+    around = first + np.linspace(0, span, steps, endpoint=not all_around)
+    return [View(float(azimuth), float(angle)) for angle in grazing for azimuth in around]
+
+
+def _sheet(images: UInt8[np.ndarray, "v rows columns"]) -> dict[str, Any]:
+    """All images in one PNG, row by row of a grid that is about square."""
+    count, rows, columns = images.shape
+    across = math.ceil(math.sqrt(count * rows / columns))
+    down = math.ceil(count / across)
+    filled = np.zeros((across * down, rows, columns), np.uint8)
+    filled[:count] = images
+    sheet = filled.reshape(down, across, rows, columns).swapaxes(1, 2).reshape(down * rows, across * columns)
+    return {"uri": data_uri(png(sheet)), "across": across}
+
+
+def _quantised(points: Real[np.ndarray, "p 3"], low: np.ndarray, high: np.ndarray) -> UInt8[np.ndarray, "p six"]:
+    """16 bits for each coordinate between the corners, little-endian."""
+    share = (points - low) / np.maximum(high - low, 1e-9)
+    return np.round(65535 * share).astype("<u2").view(np.uint8).reshape(len(points), 6)
