@@ -17,6 +17,7 @@ import tyro
 from sarsplat import cli
 from sarsplat.cli.arguments import MARKERS
 from sarsplat.cli.check import check
+from sarsplat.cli.compare import compare
 from sarsplat.cli.completion import completion
 from sarsplat.cli.doctor import doctor
 from sarsplat.cli.evaluate import evaluate
@@ -44,6 +45,7 @@ COMMANDS: dict[str, Callable[..., int | None] | dict[str, Callable[..., None]]] 
     "reconstruct": reconstruct,
     "evaluate": evaluate,
     "report": report,
+    "compare": compare,
     "render": render,
     "view": view,
     "export": export,

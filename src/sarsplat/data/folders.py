@@ -22,6 +22,7 @@ _LAYOUTS = {
         r"config\.json|metrics\.jsonl?|gaussians\.ply|points\.ply|checkpoints/\d+\.safetensors|"
         r"report/(index\.html|[^/]+\.png)|tensorboard/events\.out\.tfevents\.[^/]+"
     ),
+    "comparison.html": r"comparison\.html",
     "contact-sheet.png": r"contact-sheet\.png|az[\d.]+_gr[\d.]+\.(tif|png)",
 }
 """The kinds of folder we make, by the file that marks them, and what may be in them."""
@@ -68,7 +69,8 @@ def new_folder(path: Path, overwrite: bool, *, marker: str) -> Iterator[Path]:
     overwrite : bool
         Whether an existing folder of the same kind may be replaced, as a whole.
     marker : str
-        Name of the file that marks this kind of folder: dataset.json, config.json (a run) or contact-sheet.png.
+        Name of the file that marks this kind of folder: dataset.json, config.json (a run), comparison.html or
+        contact-sheet.png.
 
     Yields
     ------

@@ -34,9 +34,12 @@ def azimuths_figure(
 
     band = polyline(np.concatenate([azimuth, azimuth[::-1]]), share(np.concatenate([std, -std[::-1]])), "band")
     stems = [
-        polyline(np.array([x, x]), share(np.array([0.0, y])), "line second") for x, y in zip(azimuth, offset, strict=True)
+        polyline(np.array([x, x]), share(np.array([0.0, y])), "line second")
+        for x, y in zip(azimuth, offset, strict=True)
     ]
-    dots = [polyline(np.array([x, x]), share(np.array([y, y])), "dot second") for x, y in zip(azimuth, offset, strict=True)]
+    dots = [
+        polyline(np.array([x, x]), share(np.array([y, y])), "dot second") for x, y in zip(azimuth, offset, strict=True)
+    ]
     rms, most = np.sqrt((offset**2).mean()), np.abs(offset).max()
     title = f"rms {rms:.2f}°, largest {most:.2f}°"
     panel = chart(

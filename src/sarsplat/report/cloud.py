@@ -41,12 +41,11 @@ def point_boards(
     low, high = _limits(np.concatenate(list(by_height.values())))
     fewest = min((len(points) for points in by_height.values() if len(points)), default=0)
     raster = Raster.around(low, high, int(np.clip(2 * np.sqrt(fewest), _LEAST_PIXELS, _MOST_PIXELS)))
-    heights = palette(HEIGHT, hollow=True)
     blocks = [
         _board(raster, name, points, points[:, 2], (float(low[2]), float(high[2])), HEIGHT)
         for name, points in by_height.items()
     ]
-    bars = [colour_bar("height z, m", heights, float(low[2]), float(high[2]))]
+    bars = [colour_bar("height z, m", palette(HEIGHT), float(low[2]), float(high[2]))]
     if surface is not None:
         tree = KDTree(surface)
         for name, points in clouds.items():

@@ -63,4 +63,4 @@ def _powers_of_ten(label: str, low: float, high: float) -> Axis:
 
 
 def _short(number: float) -> str:
-    return written(number) if 1e-4 < number < 1e6 else f"{number:.0e}"
+    return written(number) if 1e-5 < number < 1e6 else f"{number:.0e}"

@@ -48,6 +48,8 @@ class Panel:
         Scale bar: part of the width, and its length with the unit.
     radar : bool
         Whether it is a SAR image: the radar is above it, near range first.
+    black : bool
+        Whether what is written on it is to be white, whatever the page's colours are.
     canvas : str
         Name of a canvas that a program fills, instead of a picture.
     """
@@ -61,6 +63,7 @@ class Panel:
     drawing: str = ""
     scale: tuple[float, str] | None = None
     radar: bool = False
+    black: bool = False
     canvas: str = ""
 
 
@@ -133,7 +136,7 @@ def metres(length: float) -> str:
 
 def colour_bar(label: str, colours: Palette, low: float, high: float) -> ColourBar:
     """A colour bar from `low` to `high`."""
-    return ColourBar(label, gradient(colours), axis("", low, high, 5).ticks)
+    return ColourBar(label, gradient(colours), axis("", low, high, 7).ticks)
 
 
 def polyline(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], style: str) -> str:

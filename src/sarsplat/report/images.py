@@ -47,7 +47,9 @@ class Part:
     @property
     def size(self) -> tuple[int, int]:
         """Rows and columns of what is shown."""
-        return (self.rows.stop - self.rows.start) // self.factor, (self.columns.stop - self.columns.start) // self.factor
+        return (self.rows.stop - self.rows.start) // self.factor, (
+            self.columns.stop - self.columns.start
+        ) // self.factor
 
     @property
     def extent_m(self) -> tuple[float, float, float, float]:
@@ -57,7 +59,9 @@ class Part:
         top = float(self.grid.range_m[self.rows.start]) - down / 2
         return left, left + columns * self.factor * across, top, top + rows * self.factor * down
 
-    def panel(self, title: str, alt: str, image: str = "", **content: str) -> Panel:
+    def panel(
+        self, title: str, alt: str, image: str = "", drawing: str = "", canvas: str = "", black: bool = True
+    ) -> Panel:
         """A panel with the axes of this part."""
         left, right, top, bottom = self.extent_m
         return Panel(
@@ -69,7 +73,9 @@ class Part:
             image=image,
             scale=scale_bar(right - left),
             radar=True,
-            **content,
+            drawing=drawing,
+            canvas=canvas,
+            black=black,
         )
 
     def power(self, title: str, alt: str, image: Image, peak: float, drawing: str = "") -> Panel:
@@ -81,7 +87,7 @@ class Part:
     def difference(self, title: str, alt: str, difference: Image, largest: float) -> Panel:
         """An error with a sign."""
         shown = indexed(self.of_images(difference[None])[0], -largest, largest)
-        return self.panel(title, alt, data_uri(png(shown, diverging())))
+        return self.panel(title, alt, data_uri(png(shown, diverging())), black=False)
 
 
 def power_bar() -> ColourBar:

@@ -44,7 +44,9 @@ def data_uri(image: bytes) -> str:
     return f"data:image/png;base64,{base64.b64encode(image).decode()}"
 
 
-def block_means(images: Real[np.ndarray, "v rows columns"], factor: int) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
+def block_means(
+    images: Real[np.ndarray, "v rows columns"], factor: int
+) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
     """Means over blocks of `factor` × `factor` pixels; what is left over at the far edges is cut off."""
     if factor == 1:
         return images

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sarsplat.evaluation import IMAGE_METRICS, MASK_METRICS, Metric, Scores, Yardstick, metrics_of_points
+from sarsplat.evaluation import IMAGE_METRICS, MASK_METRICS, RUN_METRICS, Metric, Scores, Yardstick, metrics_of_points
 from sarsplat.evaluation.tables import baselines, whose
 
 
@@ -37,12 +37,10 @@ class ScoreTable:
 
 
 def score_table(title: str, metrics: Sequence[Metric[Any]], columns: Sequence[Scores]) -> ScoreTable:
-    """The metrics that the page shows and the first column has, across all columns."""
+    """These metrics across all columns."""
     rows = []
     for metric in metrics:
         values = [column.values.get(metric.key) for column in columns]
-        if metric.place == "file" or values[0] is None:
-            continue
         best = metric.best([value for value, column in zip(values, columns, strict=True) if column.ranked])
         cells = (
             Cell(column, metric.text(value), column.ranked and value is not None and value == best)
@@ -50,6 +48,15 @@ def score_table(title: str, metrics: Sequence[Metric[Any]], columns: Sequence[Sc
         )
         rows.append(Row(metric, tuple(cells)))
     return ScoreTable(title, tuple(columns), tuple(rows))
+
+
+def shown(metrics: Sequence[Metric[Any]], columns: Sequence[Scores]) -> list[Metric[Any]]:
+    """The metrics that pages show and that any of these columns has."""
+    return [
+        metric
+        for metric in metrics
+        if metric.place != "file" and any(column.values.get(metric.key) is not None for column in columns)
+    ]
 
 
 def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> list[ScoreTable]:
@@ -62,14 +69,12 @@ def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> l
     others : sequence of Scores
         Other methods that compare; each gets a column in every table.
     """
-    tables = [
-        score_table(
-            f"Unseen views: {split}",
-            (*IMAGE_METRICS, *MASK_METRICS),
-            [Scores(whose(metrics), values), *baselines(metrics, split), *others],
-        )
-        for split, values in metrics["images"].items()
-    ]
+    tables = []
+    for split, values in metrics["images"].items():
+        ours = Scores(whose(metrics), values)
+        rows = shown((*IMAGE_METRICS, *MASK_METRICS), [ours])
+        columns = [ours, *baselines(metrics, split), *others]
+        tables.append(score_table(f"Unseen views: {split}", rows, columns))
     visible, whole = metrics["points"]["visible"], metrics["points"]["whole"]
     columns = [
         *(Scores(f"{whose(metrics)}, visible surface", visible), Scores("whole surface", whole, ranked=False)),
@@ -77,5 +82,29 @@ def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> l
         *others,
     ]
     of_points = metrics_of_points(Yardstick(metrics["parameters"]["yardstick_m"]))
-    tables.append(score_table("Reconstructed surface", of_points, columns))
+    tables.append(score_table("Reconstructed surface", shown(of_points, columns[:1]), columns))
+    return [table for table in tables if table.rows]
+
+
+def compared_tables(names: Sequence[str], every: Sequence[Mapping[str, Any]]) -> list[ScoreTable]:
+    """Scores of several runs: a table for each test set that any of them has, one for the surface, one for the training.
+
+    Parameters
+    ----------
+    names : sequence of str
+        What to call the runs.
+    every : sequence of mapping
+        Content of the `metrics.json` of each.
+    """
+    tables = []
+    for split in dict.fromkeys(split for metrics in every for split in metrics["images"]):
+        columns = [Scores(name, metrics["images"].get(split, {})) for name, metrics in zip(names, every, strict=True)]
+        rows = shown((*IMAGE_METRICS, *MASK_METRICS), columns)
+        tables.append(score_table(f"Unseen views: {split}", rows, columns))
+    columns = [Scores(name, metrics["points"]["visible"]) for name, metrics in zip(names, every, strict=True)]
+    cells = dict.fromkeys(metrics["parameters"]["yardstick_m"] for metrics in every)
+    of_points = {metric.key: metric for cell in cells for metric in metrics_of_points(Yardstick(cell))}
+    tables.append(score_table("Points, visible surface", shown([*of_points.values()], columns), columns))
+    columns = [Scores(name, {"time_s": metrics["time_s"]}) for name, metrics in zip(names, every, strict=True)]
+    tables.append(score_table("Training", shown(RUN_METRICS, columns), columns))
     return [table for table in tables if table.rows]

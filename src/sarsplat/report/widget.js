@@ -5,7 +5,7 @@
   const byId = (name) => document.getElementById(name);
   const stage = byId("stage"), cloud = byId("cloud");
   const inputs = { azimuth: byId("azimuth"), grazing: byId("grazing"), depth: byId("depth") };
-  const state = { azimuth: data.views[0][0], grazing: data.views[0][1] };
+  const state = { azimuth: data.start[0], grazing: data.start[1] };
 
   const CAMERA_ASIDE = 50, CAMERA_UP = 24;      // where the reader looks from, degrees from the radar and above the horizon
   const DEGREES_PER_PIXEL = 0.5, DEGREES_PER_KEY = 5;
@@ -93,13 +93,13 @@
       return [x / ratio, y / ratio, azimuth, grazing];
     });
     context.globalAlpha = 1;
-    arrow(context, project(onDome(state.azimuth, state.grazing)), project([0, 0, ground]), colour("--ink"), ratio);
+    arrow(context, project(onDome(state.azimuth, state.grazing)), project([0, 0, ground]), colour, ratio);
     scaleBar(scale / ratio, box.width);
   }
   function arrow(context, from, to, colour, ratio) {
     const end = [from[0] + 0.45 * (to[0] - from[0]), from[1] + 0.45 * (to[1] - from[1])];
     const angle = Math.atan2(to[1] - from[1], to[0] - from[0]), head = 11 * ratio;
-    context.strokeStyle = context.fillStyle = colour;
+    context.strokeStyle = context.fillStyle = colour("--ink");
     context.lineWidth = 2.5 * ratio;
     context.beginPath(); context.moveTo(from[0], from[1]); context.lineTo(end[0], end[1]); context.stroke();
     context.beginPath(); context.moveTo(end[0] + head * Math.cos(angle), end[1] + head * Math.sin(angle));
@@ -108,6 +108,9 @@
     context.beginPath(); context.arc(from[0], from[1], 5 * ratio, 0, 7); context.fill();
     context.font = `600 ${13 * ratio}px system-ui, sans-serif`;
     context.textAlign = "center";
+    context.strokeStyle = colour("--card");
+    context.lineWidth = 4 * ratio;
+    context.strokeText("radar", from[0], from[1] - 11 * ratio);
     context.fillText("radar", from[0], from[1] - 11 * ratio);
   }
   function scaleBar(pixelsPerMetre, width) {

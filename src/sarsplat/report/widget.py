@@ -79,7 +79,9 @@ def widget(run: AnyRun[Any]) -> Widget | None:
     panels = (
         part.panel("", "rendered SAR image at the radar's direction", canvas="sar-rendered"),
         part.panel("", f"nearest {name} SAR image", canvas="sar-true"),
-        part.panel("", f"error of the reconstruction at the view of that {name} image", canvas="sar-error"),
+        part.panel(
+            "", f"error of the reconstruction at the view of that {name} image", canvas="sar-error", black=False
+        ),
     )
     data = {
         "low": low.tolist(),
@@ -98,6 +100,7 @@ def widget(run: AnyRun[Any]) -> Widget | None:
         "errorColours": diverging().tolist(),
         "heightColours": palette(HEIGHT)[:, :3].tolist(),
         "name": name,
+        "start": _angles(views[len(views) // 3]),
     }
     text = (
         f"Drag the points, or use the sliders, to move the radar around the target. Beside them is the reconstruction's "

@@ -53,11 +53,11 @@ def write_report(run: AnyRun[Any]) -> Path:
     refuse_linked_report(run.folder)
     folder = run.folder / _FOLDER
     with only_writer(run.folder):
-        with _scores_expected(run):
+        with scores_expected(run):
             chosen = chosen_views(run.dataset, run.metrics)
         figures = [views_figure(run, chosen), *_masks(run), _points(run), *_mesh(run)]
         training, turning = [*_curves(run), *_azimuths(run)], widget(run)
-        with _scores_expected(run):
+        with scores_expected(run):
             html = page(run, figures, training, turning)
         with plain_os_errors("write", folder):  # last, so that whoever ends this earlier leaves no empty folder
             folder.mkdir(exist_ok=True)
@@ -79,7 +79,7 @@ def refuse_linked_report(run: Path) -> None:
 
 
 @contextmanager
-def _scores_expected(run: AnyRun[Any]) -> Iterator[None]:
+def scores_expected(run: AnyRun[Any]) -> Iterator[None]:
     """Say in one sentence that `metrics.json` is of another make."""
     try:
         yield
@@ -140,7 +140,7 @@ def _mesh(run: AnyRun[Any]) -> list[Figure]:
     if len(mesh.faces) == 0:
         return []
     mesh.vertices = motion.moved(mesh.vertices)
-    text = "The surface through the points, shaded; `sarsplat export` writes it. It is open where no view looked"
+    text = "The surface through the points, shaded (sarsplat export writes it). It is open where no view looked"
     beside = "; the true surface is whole." if truth else "."
     return [Figure("Mesh", text + beside, mesh_boards(mesh, read_truth_mesh(truth) if truth else None))]
 
