@@ -1,4 +1,4 @@
-"""A headless Chromium over its DevTools protocol: just enough to load a page, use it, look at it and watch the network."""
+"""A headless Chromium over its DevTools protocol: enough to load a page, use it, look at it and watch the network."""
 
 from __future__ import annotations
 

@@ -12,7 +12,9 @@ from sarsplat.reconstruction.log import LogLine
 from sarsplat.report import Look, contact_sheet, decibel_png
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.decibels import to_decibels
-from sarsplat.report.views import _difference_db, evenly
+from sarsplat.report.figure import axis, nice, scale_bar
+from sarsplat.report.residual import Difference, Window
+from sarsplat.report.views import evenly
 from sarsplat.report.window import target_window
 
 
@@ -32,7 +34,9 @@ def test_grey_levels_of_the_png() -> None:
 @pytest.mark.parametrize("counts", [(0, 0), (0, 10**9), (10**9, 10**9)])
 def test_curves_of_whatever_a_history_may_hold(losses: tuple[float, float], counts: tuple[int, int]) -> None:
     history = [LogLine(n, 0.0, loss, n) for loss, n in zip(losses, counts, strict=True)]
-    assert curves_figure(history, "loss").startswith(b"\x89PNG")
+    for panel in curves_figure(history, "loss", "loss").blocks[0].panels:
+        assert "nan" not in panel.drawing
+        assert all(0 <= place <= 1 for axis in (panel.across, panel.down) for place, _ in axis.ticks)
 
 
 @pytest.mark.parametrize(("count", "wanted", "expected"), [(48, 3, [0, 24, 47]), (2, 6, [0, 1]), (1, 6, [0])])
@@ -49,8 +53,46 @@ def test_the_window_holds_every_bright_pixel() -> None:
 
 
 def test_the_difference_ignores_what_is_too_dark_to_see() -> None:
-    truth, rendered = np.array([[1.0, 1e-9]]), np.array([[2.0, 1e-7]])
-    np.testing.assert_allclose(_difference_db(truth, rendered, 1.0, False), [[3.0103, 0]], atol=1e-4)
+    truth, rendered = np.array([[[1.0, 1e-9]]]), np.array([[[2.0, 1e-7]]])
+    grid = ImageGrid(1, 2, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
+    np.testing.assert_allclose(Difference(None, grid, 1.0).of(truth, rendered), [[[3.0103, 0]]], atol=1e-4)
+
+
+@pytest.mark.parametrize(("looks", "cells"), [(1.0, 1.0), (4.0, 1.0), (1.0, 2.0)])
+def test_speckle_alone_gives_residuals_of_one_sigma(looks: float, cells: float) -> None:
+    """Speckle that is independent from one resolution cell of `cells` pixels to the next."""
+    rng = np.random.default_rng(0)
+    blocks = rng.gamma(looks, 1 / looks, (1, 300, 300))
+    measured = np.kron(blocks, np.ones((1, int(cells), int(cells))))
+    grid = ImageGrid(*measured.shape[1:], spacing_m=(0.3, 0.3), resolution_m=(0.3 * cells, 0.3 * cells))
+    residual = Difference(looks, grid, 10.0).of(5.0 * measured, np.full(measured.shape, 5.0))
+    assert residual.mean() == pytest.approx(0, abs=0.05)
+    assert residual.std() == pytest.approx(1, rel=0.2)
+
+
+def test_the_window_of_a_residual_holds_a_resolution_cell() -> None:
+    window = Window.of(ImageGrid(128, 128, spacing_m=(0.2031, 0.2021), resolution_m=(0.3229, 0.3013)))
+    assert (window.rows, window.columns) == (3, 3)
+    assert window.independent == pytest.approx(9 * 0.2031 / 0.3229 * 0.2021 / 0.3013)
+    assert Window.of(ImageGrid(64, 64, spacing_m=(0.1, 0.1), resolution_m=(0.42, 0.1))).columns == 5
+
+
+@pytest.mark.parametrize(("low", "high"), [(-6.0, 6.0), (0.0, 1e-4), (3.2, 7.9), (12.0, -3.0), (0.0, 4500.0)])
+def test_ticks_are_round_and_within(low: float, high: float) -> None:
+    ticks = axis("x, m", low, high).ticks
+    assert 2 <= len(ticks) <= 6
+    for place, text in ticks:
+        number = float(text.replace("−", "-").replace(",", ""))
+        assert number == pytest.approx(low + place * (high - low), abs=1e-5 * abs(high - low))
+
+
+@pytest.mark.parametrize("width_m", [0.07, 9.3, 25.6, 384.0, 12_000.0])
+def test_scale_bars_fit(width_m: float) -> None:
+    share, text = scale_bar(width_m)
+    assert 0.1 < share <= 1 / 3
+    number, unit = text.split()
+    assert float(number) * {"km": 1e3, "m": 1, "cm": 1e-2}[unit] == pytest.approx(share * width_m)
+    assert nice(width_m) <= width_m
 
 
 @pytest.mark.parametrize("count", [1, 7])

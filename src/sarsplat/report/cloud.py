@@ -22,7 +22,7 @@ _MARGIN = 0.025
 
 
 def point_boards(
-    clouds: Mapping[str, Points], surface: Points | None, farthest_m: float
+    clouds: Mapping[str, Points], surface: Float[np.ndarray, "s 3"] | None, farthest_m: float
 ) -> tuple[tuple[Block, ...], tuple[ColourBar, ...]]:
     """Points from the side, the front and the top, coloured by height; then their distances to the true surface.
 

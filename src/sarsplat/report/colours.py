@@ -17,6 +17,8 @@ DISTANCE = ("#7f8fa3", "#e69f00", "#c51b7d")
 TOO_DARK, TOO_BRIGHT = "#8f6be0", "#e66101"
 """Errors with a sign: each is the more opaque the larger the error is, so that none looks like the page."""
 
+_FAINTER = 1.5
+
 Palette = UInt8[np.ndarray, "256 4"]
 """Red, green, blue and opacity of the 256 indices of a picture."""
 
@@ -37,10 +39,10 @@ def palette(stops: tuple[str, ...], *, hollow: bool = False) -> Palette:
 
 
 def diverging() -> Palette:
-    """From `TOO_DARK` through nothing to `TOO_BRIGHT`."""
+    """From `TOO_DARK` through nothing to `TOO_BRIGHT`; small errors are fainter than in proportion."""
     signed = np.linspace(-1, 1, 256)[:, None]
     colours = np.where(signed < 0, channels(TOO_DARK), channels(TOO_BRIGHT))
-    return np.concatenate([colours, 255 * np.abs(signed)], axis=1).round().astype(np.uint8)
+    return np.concatenate([colours, 255 * np.abs(signed) ** _FAINTER], axis=1).round().astype(np.uint8)
 
 
 def gradient(colours: Palette) -> str:

@@ -122,7 +122,7 @@ def _caution(runs: Sequence[AnyRun[Any]], names: Sequence[str]) -> str | None:
 
 
 def _views(comparison: Comparison) -> Figure:
-    """The same views rendered by every run, beside the first run's true images; errors where the dataset is the same."""
+    """The same views rendered by every run, and errors of those that share the first one's dataset."""
     first, names = comparison.runs[0], comparison.names
     dataset = first.dataset
     chosen = _chosen(comparison)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sarsplat.reconstruction.log import LogLine
-from sarsplat.report.figure import Axis, Figure, Block, Panel, axis, chart, polyline, written
+from sarsplat.report.figure import Axis, Block, Figure, Panel, axis, chart, polyline, written
 
 _FALLS_FAR = 5.0  # times: the loss then gets a logarithmic axis
 

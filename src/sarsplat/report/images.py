@@ -10,7 +10,7 @@ from jaxtyping import Real
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.report.colours import GREY, diverging, palette
 from sarsplat.report.decibels import DYNAMIC_DB, to_decibels
-from sarsplat.report.figure import Axis, ColourBar, Panel, axis, colour_bar, scale_bar
+from sarsplat.report.figure import ColourBar, Panel, axis, colour_bar, scale_bar
 from sarsplat.report.raster import block_means, data_uri, indexed, png
 from sarsplat.report.residual import Difference
 
@@ -41,7 +41,7 @@ class Part:
         return cls(grid, rows, columns, -(-side // largest))
 
     def of_images(self, images: Real[np.ndarray, "v rows columns"]) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
-        """This part of images of any quantity that may be averaged."""
+        """The part of images of any quantity that may be averaged."""
         return block_means(images[:, self.rows, self.columns], self.factor)
 
     @property

@@ -87,7 +87,7 @@ def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> l
 
 
 def compared_tables(names: Sequence[str], every: Sequence[Mapping[str, Any]]) -> list[ScoreTable]:
-    """Scores of several runs: a table for each test set that any of them has, one for the surface, one for the training.
+    """Scores of several runs: a table for each test set that any has, one for the surface, one for the training.
 
     Parameters
     ----------

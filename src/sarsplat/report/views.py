@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from sarsplat.evaluation import IMAGE_METRICS
 from sarsplat.data import Dataset
 from sarsplat.errors import counted
+from sarsplat.evaluation import IMAGE_METRICS
 from sarsplat.reconstruction import AnyRun
 from sarsplat.report.figure import Block, Figure
 from sarsplat.report.images import Part, difference_bar, power_bar, view_name

@@ -1,7 +1,7 @@
 """What turns on a page: the points, and beside them the SAR image from where the radar then is.
 
-Images are rendered beforehand, at the views of some of the dataset's images and on a raster over the directions that the
-dataset spans; as many as a number of bytes allows, whatever the size of an image.
+Images are rendered beforehand, at the views of some of the dataset's images and on a raster over the directions that
+these span; as many as a number of bytes allows, whatever the size of an image.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from jaxtyping import Real, UInt8
 from sarsplat.data import Dataset
 from sarsplat.geometry import View
 from sarsplat.reconstruction import AnyRun
-from sarsplat.report.colours import HEIGHT, TOO_BRIGHT, TOO_DARK, diverging, palette
+from sarsplat.report.colours import HEIGHT, diverging, palette
 from sarsplat.report.decibels import to_decibels
-from sarsplat.report.figure import ColourBar, Panel, axis, colour_bar
+from sarsplat.report.figure import ColourBar, Panel, colour_bar
 from sarsplat.report.images import Part, difference_bar
 from sarsplat.report.raster import data_uri, indexed, png
 from sarsplat.report.residual import Difference, fitted
@@ -103,9 +103,10 @@ def widget(run: AnyRun[Any]) -> Widget | None:
         "start": _angles(views[len(views) // 3]),
     }
     text = (
-        f"Drag the points, or use the sliders, to move the radar around the target. Beside them is the reconstruction's "
-        f"SAR image from the nearest of {len(shown) + len(views) - 1} directions that were rendered beforehand, then the nearest "
-        f"{name} image, and the error at its view ({difference.label}; orange: too bright, purple: too dark)."
+        "Drag the points, or use the sliders, to move the radar around the target. Beside them is the SAR image of the "
+        f"reconstruction from the nearest of {len(views) + len(raster)} directions that were rendered beforehand, then "
+        f"the nearest {name} image, and the error at its view ({difference.label}; orange: too bright, purple: too "
+        "dark)."
     )
     heights = colour_bar("height z, m", palette(HEIGHT), float(low[2]), float(high[2]))
     return Widget(panels, heights, difference_bar(difference), name, text, data)
