@@ -59,7 +59,8 @@ class Raster:
         names = ("x, m", "y, m", "z, m")
         for side in SIDES:
             width, height = (float(size[k]) for k in (side.across, side.up))
-            down = axis(names[side.up], float(self.high[side.up]), float(self.low[side.up]), 2 if height < width else 4)
+            wanted = int(np.clip(round(4 * height / width), 2, 4))
+            down = axis(names[side.up], float(self.high[side.up]), float(self.low[side.up]), wanted)
             across = axis(names[side.across], float(self.low[side.across]), float(self.high[side.across]))
             panels.append(
                 Panel(

@@ -1,0 +1,99 @@
+"""Runs side by side."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from reports import make_dataset, make_metrics, make_run
+from sarsplat.errors import SarsplatError
+from sarsplat.report import compare, write_comparison
+from sarsplat.report.scores import compared_tables
+
+
+@pytest.fixture(autouse=True)
+def few_samples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures that are quick to draw."""
+    monkeypatch.setattr("sarsplat.report.write._SURFACE_SAMPLES", 500)
+
+
+def two_runs(folder: Path, **changes: Any) -> list[Any]:
+    dataset = make_dataset(folder)
+    runs = []
+    for name, psnr in (("one", 50.0), ("two", 40.0)):
+        (folder / name).mkdir()
+        metrics = make_metrics(psnr_db=psnr) | {"time_s": psnr}
+        metrics["by_image"] = {"test": {"metric": "psnr_db", "scores": [psnr, psnr, psnr - 10, psnr, psnr]}}
+        run = make_run(
+            folder / name, dataset, metrics, fingerprint="same", grid=dataset.grid, dataset_path=dataset.path
+        )
+        run.folder = run.path = run.path.rename(folder / f"run-{name}")
+        runs.append(run)
+    for name, value in changes.items():
+        setattr(runs[1], name, value)
+    return runs
+
+
+def test_the_best_of_a_row_is_marked_and_every_run_has_its_column(tmp_path: Path) -> None:
+    images, points, training = compare(two_runs(tmp_path)).tables
+    assert [column.name for column in images.columns] == ["run-one", "run-two"]
+    assert [(cell.text, cell.best) for cell in images.rows[0].cells] == [("50.00", True), ("40.00", False)]
+    assert [cell.best for cell in points.rows[0].cells] == [True, True]
+    assert [(cell.text, cell.best) for cell in training.rows[0].cells] == [("50", False), ("40", True)]
+
+
+def test_runs_with_different_thresholds_and_test_sets_keep_theirs() -> None:
+    one, two = make_metrics(psnr_db=50.0) | {"time_s": 1.0}, make_metrics(ssim=0.5) | {"time_s": None}
+    two["images"] = {"test-15": two["images"]["test"]}
+    two["parameters"] = two["parameters"] | {"yardstick_m": 3.0}
+    two["points"] = {"visible": {"f1@3": 0.75}}
+    titles = {table.title: [row.metric.title for row in table.rows] for table in compared_tables("ab", [one, two])}
+    assert titles["Unseen views: test"] == ["PSNR, whole image, dB"]
+    assert titles["Unseen views: test-15"] == ["SSIM"]
+    assert titles["Points, visible surface"] == ["Chamfer distance, m", "F1 at 0.3 m", "F1 at 3 m"]
+
+
+def test_the_page_shows_the_same_views_of_every_run(tmp_path: Path) -> None:
+    comparison = compare(two_runs(tmp_path))
+    assert comparison.caution is None
+    page = write_comparison(comparison, tmp_path / "page")
+    text = page.read_text()
+    assert not re.search(r"https?:|@import|<link|<script", text)
+    assert "(worst of run-one, run-two)" in text
+    for name in ("run-one", "run-two"):
+        assert len(re.findall(f'alt="{name}, azimuth', text)) == 5
+        assert len(re.findall(f'alt="error of {name}, azimuth', text)) == 5
+        assert f'alt="error of the {name}, from the top"' in text
+    with pytest.raises(SarsplatError, match="already exists"):
+        write_comparison(comparison, tmp_path / "page")
+    write_comparison(comparison, tmp_path / "page", overwrite=True)
+
+
+def test_runs_of_different_datasets_are_compared_with_a_caution(tmp_path: Path) -> None:
+    comparison = compare(two_runs(tmp_path, fingerprint="other"))
+    assert "different datasets" in str(comparison.caution)
+    text = write_comparison(comparison, tmp_path / "page").read_text()
+    assert str(comparison.caution).split(":")[0] in text
+    assert "error of run-one, azimuth" in text
+    assert "error of run-two, azimuth" not in text
+
+
+@pytest.mark.parametrize("change", [{"metrics": None}, {"metrics": {"images": {}}}, {"folder": None}, {"alone": True}])
+def test_what_cannot_be_compared_is_refused_in_one_sentence(tmp_path: Path, change: dict[str, Any]) -> None:
+    expected = "run-two has no scores yet; run `sarsplat evaluate"
+    runs = two_runs(tmp_path)
+    if change == {"folder": None}:
+        runs, expected = [runs[0], replace_folder(runs)], "given twice"
+    elif change == {"alone": True}:
+        runs, expected = runs[:1], "at least two"
+    else:
+        runs[1].metrics = change["metrics"]
+        expected = expected if change["metrics"] is None else "does not contain all scores"
+    with pytest.raises(SarsplatError, match=expected):
+        compare(runs)
+
+
+def replace_folder(runs: list[Any]) -> Any:
+    runs[1].folder = runs[0].folder
+    return runs[1]

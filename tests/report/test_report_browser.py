@@ -1,0 +1,107 @@
+"""The report in a browser: it works offline, turns, and can be read on a phone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from chromium import Page, browser
+from reports import make_dataset, make_metrics, make_run
+from sarsplat.report import write_report
+
+pytestmark = pytest.mark.slow  # a browser starts, once for all tests
+
+SMALL_TEXT = """
+(() => {
+  const small = [], walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) {
+    const node = walker.currentNode, parent = node.parentElement;
+    if (!node.data.trim() || ["SCRIPT", "STYLE", "NOSCRIPT"].includes(parent.tagName)) continue;
+    const style = getComputedStyle(parent), box = parent.getBoundingClientRect();
+    if (style.visibility === "hidden" || box.width === 0 || box.height === 0) continue;
+    if (parseFloat(style.fontSize) < 11) small.push(node.data.trim() + " " + style.fontSize);
+  }
+  return small;
+})()
+"""
+
+FIRST_OVERFLOWING = """
+[...document.querySelectorAll("body *")].filter((e) => e.getBoundingClientRect().right > innerWidth + 1
+  && !e.closest("pre") && getComputedStyle(e).position !== "absolute").slice(0, 5).map((e) => e.className || e.tagName)
+"""
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> str:
+    folder = tmp_path_factory.mktemp("report")
+    metrics = make_metrics(registered_nats_per_pixel=0.5, registered_log_correlation=0.8)
+    metrics["baselines"] = {"test": {"rotated_average": {"registered_nats_per_pixel": 0.6}}}
+    return write_report(make_run(folder, make_dataset(folder, measured=True), metrics)).as_uri()
+
+
+@pytest.fixture(scope="module")
+def tab() -> Iterator[Page]:
+    with browser() as page:
+        yield page
+
+
+def pixels(tab: Page, canvas: str) -> str:
+    return str(tab.value(f"document.getElementById('{canvas}').toDataURL()"))
+
+
+def test_a_drag_turns_the_points_and_changes_the_images(tab: Page, report: str) -> None:
+    tab.events.clear()
+    tab.size(1400, 900)
+    tab.open(report)
+    tab.until("document.getElementById('sar-true-title').textContent.startsWith('measured, azimuth')")
+    canvases = ("cloud", "sar-rendered", "sar-true", "sar-error")
+    before = {name: pixels(tab, name) for name in canvases}
+    tab.value("document.getElementById('stage').scrollIntoView({block: 'center'})")
+    box = tab.value("(({x, y, width, height}) => [x, y, width, height])(stage.getBoundingClientRect())")
+    x, y = box[0] + box[2] / 2, box[1] + box[3] / 2
+    tab.mouse("mousePressed", x, y)
+    for step in range(1, 5):
+        tab.mouse("mouseMoved", x + 25 * step, y)
+    tab.mouse("mouseReleased", x + 100, y)
+    tab.until(f"document.getElementById('cloud').toDataURL() !== {before['cloud']!r}")
+    assert float(tab.value("document.getElementById('azimuth').value")) == pytest.approx(20 + 50, abs=1)
+    assert "azimuth 60°" in tab.value("document.getElementById('sar-true-title').textContent")
+    assert {name for name in canvases if pixels(tab, name) != before[name]} >= {"cloud", "sar-rendered", "sar-true"}
+    assert tab.complaints == []
+    assert [address for address in tab.asked_for if not address.startswith(("file:", "data:"))] == []
+
+
+def test_keys_turn_it_and_the_range_darkens_it(tab: Page, report: str) -> None:
+    tab.size(1400, 900)
+    tab.open(report)
+    tab.until("document.getElementById('sar-true-title').textContent.startsWith('measured, azimuth')")
+    azimuth = float(tab.value("document.getElementById('azimuth').value"))
+    tab.value("document.getElementById('stage').focus()")
+    tab.key("ArrowRight")
+    tab.until(f"Number(document.getElementById('azimuth').value) === {azimuth + 5}")
+    before = pixels(tab, "sar-rendered")
+    tab.value("document.getElementById('depth').value = 12; depth.dispatchEvent(new Event('input'))")
+    tab.until(f"document.getElementById('sar-rendered').toDataURL() !== {before!r}")
+    assert tab.value("document.querySelector('#power-bar .tick').textContent") == "−12"
+
+
+def test_a_score_explains_itself_by_keyboard(tab: Page, report: str) -> None:
+    tab.open(report)
+    tab.value("document.querySelector('.card summary').focus()")
+    assert not tab.value("document.querySelector('.card details').open")
+    tab.value("document.activeElement.click()")
+    assert "as suits its chip best" in tab.value("document.querySelector('.card details p').innerText")
+
+
+@pytest.mark.parametrize("width", [390, 1400])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_can_be_read_and_nothing_sticks_out(tab: Page, report: str, width: int, scheme: str) -> None:
+    tab.scheme(scheme)
+    tab.size(width, 900)
+    tab.open(report)
+    tab.until("document.getElementById('sar-true-title').textContent.startsWith('measured, azimuth')")
+    assert tab.value(SMALL_TEXT) == []
+    assert tab.value("document.documentElement.scrollWidth") <= width, tab.value(FIRST_OVERFLOWING)
+    light = tab.value("getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number)")
+    assert (min(light) > 200) == (scheme == "light")
