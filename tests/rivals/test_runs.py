@@ -26,6 +26,8 @@ EVERY = pytest.mark.parametrize("method", SHORT)
 def few_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     """Scores and pictures that are quick to make."""
     monkeypatch.setattr("sarsplat.report.write._SURFACE_SAMPLES", 500)
+    monkeypatch.setattr("sarsplat.report.solid._PIXELS", 40)
+    monkeypatch.setattr("sarsplat.report.widget._MOST_RENDERED", 20_000)
     monkeypatch.setattr("sarsplat.evaluation.evaluate._MESH_SAMPLES", 2000)
     monkeypatch.setattr("sarsplat.evaluation.evaluate.visible_surface", partial(visible_surface, samples=2000))
 

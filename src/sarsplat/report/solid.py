@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _LIGHT = np.array([0.4, -0.5, 0.77])
 _AMBIENT = 0.25
 _PIXELS = 300  # along the longest side
-_SAMPLES_PER_PIXEL, _MOST_SAMPLES = 12, 4_000_000  # a pixel without any is a hole
+_SAMPLES_PER_PIXEL, _MOST_SAMPLES = 8, 2_000_000  # a pixel without any is a hole
 _MARGIN = 0.03  # of the longest side
 
 
