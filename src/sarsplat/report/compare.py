@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from sarsplat.data import new_folder, write_bytes
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluation import Yardstick
+from sarsplat.evaluation import IMAGE_METRICS, Yardstick
 from sarsplat.reconstruction import AnyRun
 from sarsplat.report.cloud import point_boards
 from sarsplat.report.figure import Block, Figure
@@ -67,13 +67,11 @@ def compare(runs: Sequence[AnyRun[Any]]) -> Comparison:
     for index, (run, path) in enumerate(zip(runs, paths, strict=True)):
         if path in paths[:index]:
             raise SarsplatError(f"{run.folder} is given twice; give each run once")
-        if run.metrics is None:
-            raise SarsplatError(f"{run.folder} has no scores yet; run `sarsplat evaluate {run.folder}` first")
         with scores_expected(run):
-            compared_tables([""], [run.metrics])
+            compared_tables([""], [scores_of(run)])
     short = [path.name for path in paths]
     names = short if len(set(short)) == len(short) else [str(run.folder) for run in runs]
-    tables = compared_tables(names, [run.metrics for run in runs if run.metrics is not None])
+    tables = compared_tables(names, [scores_of(run) for run in runs])
     return Comparison(tuple(runs), tuple(names), tuple(tables), _caution(runs, names))
 
 
@@ -97,7 +95,7 @@ def write_comparison(comparison: Comparison, out: Path, *, overwrite: bool = Fal
     first = comparison.runs[0]
     definitions: dict[str, str] = {}
     for run in comparison.runs:
-        definitions |= (run.metrics or {}).get("definitions", {})
+        definitions |= scores_of(run)["definitions"]
     html = rendered(
         "compare.html.j2",
         target=first.dataset.target,
@@ -110,6 +108,19 @@ def write_comparison(comparison: Comparison, out: Path, *, overwrite: bool = Fal
     with new_folder(out, overwrite, marker=PAGE) as folder:
         write_bytes(folder / PAGE, html.encode())
     return out / PAGE
+
+
+def scores_of(run: AnyRun[Any]) -> Mapping[str, Any]:
+    """Content of a run's `metrics.json`.
+
+    Raises
+    ------
+    SarsplatError
+        If it has not been evaluated.
+    """
+    if (metrics := run.metrics) is None:
+        raise SarsplatError(f"{run.folder} has no scores yet; run `sarsplat evaluate {run.folder}` first")
+    return metrics
 
 
 def _caution(runs: Sequence[AnyRun[Any]], names: Sequence[str]) -> str | None:
@@ -171,7 +182,7 @@ def _chosen(comparison: Comparison) -> list[Chosen]:
     first = comparison.runs[0]
     dataset, found = first.dataset, dict[int, str]()
     for name, run in zip(comparison.names, comparison.runs, strict=True):
-        scored = ((run.metrics or {}).get("by_image") or {}) if run.fingerprint == first.fingerprint else {}
+        scored = scores_of(run).get("by_image", {}) if run.fingerprint == first.fingerprint else {}
         for split, worst in ((split, _worst(scores)) for split, scores in list(scored.items())[:1]):
             if worst is not None:
                 index = [k for k, entry in enumerate(dataset.entries) if entry.split == split][worst]
@@ -181,9 +192,7 @@ def _chosen(comparison: Comparison) -> list[Chosen]:
     return [Chosen(index, why) for index, why in found.items()] + [Chosen(index) for index in others]
 
 
-def _worst(scores: dict[str, Any]) -> int | None:
-    from sarsplat.evaluation import IMAGE_METRICS
-
+def _worst(scores: Mapping[str, Any]) -> int | None:
     metric = next(metric for metric in IMAGE_METRICS if metric.key == scores["metric"])
     known = [(value, k) for k, value in enumerate(scores["scores"]) if value is not None]
     if not known:

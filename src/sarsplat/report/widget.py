@@ -131,7 +131,8 @@ def _affordable(dataset: Dataset, part: Part, peak: float) -> list[int]:
     sample = dataset.power[evenly(len(dataset), _TRIED)]
     # an error takes about as many bytes as its image
     count = max(2, int(_BYTES / (2 * _bytes_each(_codes(part.of_images(sample), peak)))))
-    train, test = [], []
+    train: list[int] = []
+    test: list[int] = []
     for index, entry in enumerate(dataset.entries):
         (train if entry.split == "train" else test).append(index)
     if dataset.clean_tests and test:
