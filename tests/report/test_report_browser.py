@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from chromium import Page, browser
 from reports import make_dataset, make_metrics, make_run
+from sarsplat.geometry import View
 from sarsplat.report import write_report
 
 pytestmark = pytest.mark.slow  # a browser starts, once for all tests
@@ -37,7 +40,14 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> str:
     folder = tmp_path_factory.mktemp("report")
     metrics = make_metrics(registered_nats_per_pixel=0.5, registered_log_correlation=0.8)
     metrics["baselines"] = {"test": {"rotated_average": {"registered_nats_per_pixel": 0.6}}}
-    return write_report(make_run(folder, make_dataset(folder, measured=True), metrics)).as_uri()
+    dataset = make_dataset(folder, measured=True)
+    brighter = np.arange(1, 1 + len(dataset), dtype=np.float32)[:, None, None]  # no two images are the same
+    dataset = replace(dataset, power=dataset.power * brighter)
+
+    def render(views: Sequence[View]) -> np.ndarray:
+        return np.stack([np.full((32, 32), 0.1 + view.azimuth_deg / 20, np.float32) for view in views])
+
+    return write_report(make_run(folder, dataset, metrics, render=render)).as_uri()
 
 
 @pytest.fixture(scope="module")

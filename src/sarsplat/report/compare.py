@@ -165,12 +165,12 @@ def _views(comparison: Comparison) -> Figure:
         where = view_name(views[k])
         panels = [part.power(true, f"{true}, {where}", truth[k], peak)]
         panels += [parts[name].power(name, f"{name}, {where}", stacks[name][k], peak) for name in names]
-        blocks.append(Block(f"{where}{f' ({one.why})' if one.why else ''}", tuple(panels)))
+        blocks.append(Block(f"{where}{f' ({one.why})' if one.why else ''}", tuple(panels), across=1 + len(names)))
         wrong = [
             part.difference(name, f"error of {name}, {where}", error[k], difference.largest)
             for name, error in errors.items()
         ]
-        blocks.append(Block("error", tuple(wrong)))
+        blocks.append(Block("error", tuple(wrong), across=1 + len(names)))
     text = f"{true.capitalize()} and reconstructions on one scale, the radar above. {difference.explained}"
     if comparison.caution:
         text += f" The true images are those of {names[0]}; errors are shown of the runs that share them."

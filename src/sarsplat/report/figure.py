@@ -78,11 +78,15 @@ class ColourBar:
 
 @dataclass(frozen=True)
 class Block:
-    """Panels that belong together, and what they have in common; `columns` are their relative widths."""
+    """Panels that belong together, and what they have in common.
+
+    `columns` are the relative widths of the sides of a target; other panels are as wide as if `across` stood in a row.
+    """
 
     title: str
     panels: tuple[Panel, ...]
     columns: tuple[float, ...] = ()
+    across: int = 3
 
 
 @dataclass(frozen=True)
