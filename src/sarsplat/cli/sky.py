@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from sarsplat.geometry import View
+if TYPE_CHECKING:
+    from sarsplat.geometry import View
 
 _WIDEST, _NARROWEST = 48, 24  # columns
 _RINGS_DEG = (0.0, 30.0, 60.0)
