@@ -103,7 +103,7 @@ def make(tmp_path, monkeypatch):
 def test_every_key_is_there_and_every_null_has_its_reason(make):
     metrics = evaluate_run(FakeRun(make(), power=1.1))
     assert list(metrics) == [
-        *("images", "points", "mesh", "truth", "masks", "baselines"),
+        *("images", "by_image", "points", "mesh", "truth", "masks", "baselines"),
         *("time_s", "seed", "method", "definitions", "parameters", "reasons"),
     ]
     assert list(metrics["definitions"]) == [metric.key for metric in all_metrics(YARDSTICK)]
@@ -118,6 +118,13 @@ def test_every_key_is_there_and_every_null_has_its_reason(make):
     assert set(metrics["reasons"]) == {key for key, value in leaves.items() if value is None}
     assert (metrics["time_s"], metrics["seed"]) == (12.5, 3)
     assert json.loads(json.dumps(metrics, allow_nan=False)) == metrics
+
+
+def test_the_score_that_leads_is_there_for_every_image(make):
+    metrics = evaluate_run(FakeRun(make(), power=1.1))
+    for split, scored in metrics["by_image"].items():
+        assert scored["metric"] == "psnr_db"
+        assert np.mean(scored["scores"]) == pytest.approx(metrics["images"][split]["psnr_db"])
 
 
 def test_a_rendered_set_is_scored_by_protocol_r(make):
