@@ -114,6 +114,7 @@ class Page:
 @contextmanager
 def browser() -> Iterator[Page]:
     """A tab of a browser of its own; skips the test if there is none."""
+    pytest.importorskip("websockets", reason="the browser is driven with websockets")
     program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if program is None:
         pytest.skip("no Chromium was found")
