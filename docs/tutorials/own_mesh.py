@@ -58,8 +58,8 @@ unseen = [
 images[1]
 
 # %% [markdown]
-# The mast leans towards the radar, over the cabin and the hull: its top is nearer than
-# its foot ([layover](../primer.md#2-layover)).
+# Cabin and mast lean towards the radar: their tops are nearer than their feet
+# ([layover](../primer.md#2-layover)).
 #
 # ## Reconstruct
 
