@@ -143,8 +143,12 @@ def test_a_link_that_leads_nowhere_stops_the_build(tmp_path):
         assert link in done.stdout + done.stderr
 
 
+OWN = re.compile(r"(clients\d*|accounts|update|www|content-autofill|optimizationguide-pa)\.google(apis)?\.com")
+"""Hosts that Chromium asks by itself, whatever the page is; not those of fonts and scripts."""
+
+
 def asked_of_others(page: Path, profile: Path) -> str:
-    """What a browser that opens a page asks a proxy for: the first lines of its requests."""
+    """What a browser asks a proxy for on behalf of a page that it opens: the first lines of its requests."""
     with socket.create_server(("127.0.0.1", 0)) as proxy:
         proxy.settimeout(0.1)
         flags = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run")
@@ -165,7 +169,8 @@ def asked_of_others(page: Path, profile: Path) -> str:
                 continue
             with asking:
                 asking.settimeout(1)
-                heard += asking.recv(500).decode(errors="replace").partition("\r\n")[0] + "\n"
+                line = asking.recv(500).decode(errors="replace").partition("\r\n")[0]
+                heard += "" if OWN.search(line) else f"{line}\n"
         return heard
 
 
