@@ -17,12 +17,24 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 import sarsplat
+import sarsplat.radar
 
 for needed in ("material", "mkdocstrings", "jupytext", "nbconvert"):
     pytest.importorskip(needed, reason="the site needs the extra docs")
 
 ROOT = Path(__file__).parents[1]
-MODULES = ("data", "evaluation", "gaussians", "geometry", "reconstruction", "renderer", "report", "rivals", "scenes")
+MODULES = (
+    "data",
+    "evaluation",
+    "exports",
+    "gaussians",
+    "geometry",
+    "reconstruction",
+    "renderer",
+    "report",
+    "rivals",
+    "scenes",
+)
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
@@ -94,7 +106,7 @@ def test_every_public_name_is_in_the_reference(site, pages):
             missing += [own] * (not {own, f"{own}.{name}"} & known)
     assert not missing
     shown = {name.rpartition(".")[2] for name in known}
-    assert not set(sarsplat.__all__) - shown
+    assert not {*sarsplat.__all__, *sarsplat.radar.__all__} - shown
 
 
 def test_the_home_page_is_the_readme_and_search_needs_no_server(site):

@@ -116,8 +116,8 @@ def test_files_keep_the_law(name, tmp_path):
     assert torch.equal(read.scattering.parameters, written.scattering.parameters)
 
 
-def test_other_programs_see_nearly_the_same(tmp_path):
-    """Of lobes, which they do not know, the nearest harmonics."""
+def test_other_programs_see_decibels(tmp_path):
+    """Of lobes, which they do not know, harmonics whose grey follows them."""
     wide = NormalLobes(torch.randn(6, 2, generator=generator()), 0.0)
     written = scene(replace(wide, parameters=wide.parameters.double())).to(torch.float32)
     write_gaussians_ply(tmp_path / "a.ply", written)
@@ -126,8 +126,8 @@ def test_other_programs_see_nearly_the_same(tmp_path):
     foreign = read_gaussians_ply(tmp_path / "b.ply")
     assert isinstance(foreign.scattering, Harmonics)
     u = directions().float()
-    off = (foreign.gamma0(u) / written.gamma0(u) - 1).abs()
-    assert off.median() < 0.05
+    seen = torch.stack([foreign.gamma0(u).ravel(), written.gamma0(u).log10().ravel()])
+    assert torch.corrcoef(seen)[0, 1] > 0.85  # the brightest and the darkest are clipped
 
 
 def test_joining():
