@@ -179,7 +179,7 @@ def test_cheap_commands_in_pages_work(bench, capfd):
         named = [word for word in words[1:2] if words[0] not in ("completion", "doctor")]
         if any(not Path(name).exists() for name in named):
             continue  # of a dataset or a run that a dear command makes
-        assert main([*words, *(["--overwrite"] if "--out" in words else [])]) == 0, words
+        assert main([*words, *(["--overwrite"] if "--out" in words or words[0] == "export" else [])]) == 0, words
         done.add(words[0])
     assert done == set(CHEAP)
     assert Path("t72.glb").stat().st_size > 0
