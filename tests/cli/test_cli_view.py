@@ -25,6 +25,7 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.mark.skipif(os.name != "posix", reason="sends an interrupt")
 def test_it_serves_until_ctrl_c_and_ends_with_one_sentence(folder):
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a child inherits it where a shell ignores Ctrl-C
     process = subprocess.Popen(
         [sys.executable, "-m", "sarsplat", "view", str(folder), "--port", "0"],
         stdout=subprocess.PIPE,
