@@ -36,8 +36,8 @@ from sarsplat.rivals import METHODS, RivalRun, reconstruct_with
 from sarsplat.rivals.config import RivalConfig
 from sarsplat.rivals.trainer import RivalTrainer, scene_of
 
-_TIMED_STEPS = 3
-"""Steps after the first whose median says how many fit into a time."""
+_TIMED_SHARE = 0.05
+"""Share of a time in which steps are timed, to say how many fit into the whole; three at least, after the first."""
 
 
 @dataclass(frozen=True)
@@ -235,12 +235,12 @@ def _fitting_in(seconds: float, cell: RivalCell, config: RivalConfig, bench: Ben
     """Steps that fit into so many seconds; the learning rate then falls within them."""
     masks = np.stack([*read_masks(bench.masks, bench.dataset, ("train",)).values()]) if cell.method == "dsr" else None
     trainer = RivalTrainer(bench.dataset, METHODS[cell.method], config, scene_of(bench.dataset, masks))
-    took = []
-    for _ in range(1 + _TIMED_STEPS):
+    took: list[float] = []
+    while len(took) < 4 or sum(took) < _TIMED_SHARE * seconds:
         begun = time.process_time()
         trainer.step()
         took.append(time.process_time() - begun)
-    return max(1, int(seconds / statistics.median(took[1:])))
+    return max(1, int(seconds / statistics.mean(took[1:])))
 
 
 def _peak_bytes() -> int:
