@@ -130,8 +130,7 @@ class Bench:
     def fewer(self) -> Dataset:
         """The same with every fourth test image."""
         chosen = sorted({*range(len(self.dataset))} - {*self.tests} | {*self.tests[::4]})
-        entries = tuple(self.dataset.entries[index] for index in chosen)
-        return replace(self.dataset, power=self.dataset.power[chosen], entries=entries)
+        return self.dataset.take(chosen)
 
     def scores(self, run: AnyRun[Any], *, fewer: bool = False) -> dict[str, Any]:
         """Everything that `evaluate` says; of chips, the surface is held against the procedural model, aligned."""

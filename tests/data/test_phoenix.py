@@ -56,7 +56,8 @@ def test_reads_magnitudes_and_header(path):
 def test_a_chip_is_an_image(path):
     path.write_bytes(phoenix_bytes())
     image = read_phoenix(path).image
-    np.testing.assert_array_equal(image.power, MAGNITUDE[::-1, ::-1] ** 2)  # row 0 near range
+    np.testing.assert_allclose(image.power, MAGNITUDE[::-1, ::-1] ** 2, rtol=1e-6)  # row 0 near range
+    np.testing.assert_allclose(image.signal, MAGNITUDE[::-1, ::-1] * np.exp(3j), rtol=1e-6)
     assert (image.view.azimuth_deg, image.view.grazing_deg) == (pytest.approx(349.209343), 17.09375)
     assert image.grid.spacing_m == (0.203125, 0.202148)
     path.write_bytes(phoenix_bytes(RadarPosition="left"))

@@ -63,7 +63,7 @@ def test_black_images_and_wrong_names(tmp_path: Path) -> None:
     ("power", "told"),
     [
         ([[1.0, 1, 1], [1, 1, 1]], "the image is of type list; give power as an array"),
-        (np.ones((2, 3), complex), "the image is of type complex128; give power as .*for complex data"),
+        (np.ones((2, 3), complex), "the image is of type complex128; give power as .*SarImage.of_complex"),
         (np.ones((3, 2)), r"shape \(3, 2\) but its grid has \(2, 3\)"),
         (np.array([[1, 1, 1], [1, -1, 1.0]]), r"holds -1 at \(1, 1\)"),
         (np.array([[1, 1, 1], [1, 1, np.nan]]), "holds nan at \\(1, 2\\)"),

@@ -11,7 +11,7 @@ from sarsplat.data.mesh import write_mesh
 from sarsplat.data.mstar import import_mstar
 from sarsplat.data.phoenix import PhoenixChip, read_phoenix
 from sarsplat.data.ply import read_gaussians_ply, read_points_ply, write_gaussians_ply, write_points_ply
-from sarsplat.data.tiff import read_power_tiff, write_power_tiff
+from sarsplat.data.tiff import read_power_tiff, read_signal_tiff, write_power_tiff, write_signal_tiff
 
 __all__ = [
     "Dataset",
@@ -30,6 +30,7 @@ __all__ = [
     "read_phoenix",
     "read_points_ply",
     "read_power_tiff",
+    "read_signal_tiff",
     "read_versioned_json",
     "save_checkpoint",
     "write_bytes",
@@ -39,4 +40,5 @@ __all__ = [
     "write_mesh",
     "write_points_ply",
     "write_power_tiff",
+    "write_signal_tiff",
 ]

@@ -10,14 +10,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from numbers import Real as RealNumber
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import msgspec
 import numpy as np
-from jaxtyping import Real
+from jaxtyping import Complex, Complex64, Real
 
 from sarsplat.data.header import Box, Calibration, DatasetHeader
-from sarsplat.data.image import SarImage, check_power
+from sarsplat.data.image import SarImage, as_signal, check_power, check_signal, power_of
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import ImageGrid, View
 
@@ -73,6 +73,8 @@ class Dataset:
         One for each image.
     power : numpy.ndarray, float32 [V, rows, columns]
         β⁰, linear power, ≥ 0, row 0 near range; not to be written to.
+    signal : numpy.ndarray, complex64 [V, rows, columns], or None
+        Complex amplitudes, if the phases are known: |signal|² is the power. See `of_complex`.
     target : str
         What the images show.
     calibration : {"absolute", "relative"}
@@ -106,6 +108,7 @@ class Dataset:
     entries: tuple[DatasetEntry, ...]
     power: Real[np.ndarray, "v rows columns"]
     _: KW_ONLY
+    signal: Complex64[np.ndarray, "v rows columns"] | None = None
     target: str = "unnamed"
     calibration: Calibration = "absolute"
     looks: float | None = None
@@ -128,6 +131,7 @@ class Dataset:
                 f"{np.shape(self.power)}; "
                 f"for {counted(len(self.entries), 'view')} they must be float32 {expected}"
             )
+        check_signal(self.signal, self.power, "the images")
         for entry, image in zip(self.entries, self.power):
             check_power(image, f"the image {shown(entry.name)}")
             if not re.fullmatch(r"train|test[A-Za-z0-9.-]*", entry.split):
@@ -155,6 +159,33 @@ class Dataset:
             raise SarsplatError(f"target_box_m {box} must be a lower and an upper corner (x, y, z) in metres")
 
     @classmethod
+    def of_complex(
+        cls,
+        grid: ImageGrid,
+        entries: tuple[DatasetEntry, ...],
+        signal: Complex[np.ndarray, "v rows columns"],
+        **fields: Any,
+    ) -> Self:
+        """A dataset that keeps the phases.
+
+        Parameters
+        ----------
+        grid, entries
+            See `Dataset`.
+        signal : numpy.ndarray, complex [V, rows, columns]
+            Complex amplitudes √β⁰·e^jψ, row 0 near range.
+        **fields
+            All others of `Dataset`.
+
+        Raises
+        ------
+        SarsplatError
+            As for `Dataset`.
+        """
+        signal = as_signal(signal, "the images")
+        return cls(grid, entries, power_of(signal), signal=signal, **fields)
+
+    @classmethod
     def from_images(
         cls,
         images: Sequence[SarImage],
@@ -176,7 +207,7 @@ class Dataset:
         Parameters
         ----------
         images, test : sequence of SarImage
-            All on the same grid.
+            All on the same grid; either all with their phase (`SarImage.of_complex`) or all without.
         target, calibration, looks, clean_tests, ground, score_margin, target_box_m, truth_mesh, source
             See `Dataset`.
         azimuth_std_deg : float or sequence of float
@@ -185,8 +216,8 @@ class Dataset:
         Raises
         ------
         SarsplatError
-            If there are no training images, there are more or fewer standard deviations than images, grids differ, or
-            a field is out of range.
+            If there are no training images, there are more or fewer standard deviations than images, grids differ,
+            only some images have their phase, or a field is out of range.
         """
         every = [*images, *test]
         if not images:
@@ -203,6 +234,12 @@ class Dataset:
         stds = list(azimuth_std_deg) if isinstance(azimuth_std_deg, Iterable) else [azimuth_std_deg] * len(every)
         if len(stds) != len(every):
             raise SarsplatError(f"azimuth_std_deg holds {len(stds)} numbers for {len(every)} images; give one for each")
+        signals = [image.signal for image in every if image.signal is not None]
+        if signals and len(signals) < len(every):
+            raise SarsplatError(
+                f"{len(signals)} of {len(every)} images have their phase and the others do not; give all with it, or "
+                "the power of all"
+            )
         digits = max(3, len(str(len(every) - 1)))
         entries = tuple(
             DatasetEntry(image.view, "train" if index < len(images) else "test", f"{index:0{digits}d}", std)
@@ -212,6 +249,7 @@ class Dataset:
             grid,
             entries,
             np.stack([image.power for image in every]).astype(np.float32, copy=False),
+            signal=np.stack(signals) if signals else None,
             target=target,
             calibration=calibration,
             looks=looks,
@@ -233,7 +271,8 @@ class Dataset:
             raise SarsplatError(
                 f"{shown(index)} is no index of one image; give a whole number, or take a set with select('train')"
             ) from error
-        return SarImage(self.power[index], self.entries[index].view, self.grid)
+        signal = None if self.signal is None else self.signal[index]
+        return SarImage(self.power[index], self.entries[index].view, self.grid, signal)
 
     def __str__(self) -> str:
         return f"the dataset of {self.target} in memory" if self.path is None else str(self.path)
@@ -267,10 +306,21 @@ class Dataset:
         SarsplatError
             If there is no such set.
         """
-        entries = tuple(entry for entry in self.entries if entry.split == split)
         clean = self.clean_tests and split != "train"
         looks = None if clean else self.looks
-        return replace(self, power=self.images(split), entries=entries, path=None, looks=looks, clean_tests=False)
+        return replace(self.take(self._of_set(split)), looks=looks, clean_tests=False)
+
+    def take(self, indices: Sequence[int]) -> Dataset:
+        """The dataset of some of its images, in memory, in the order of `indices`."""
+        chosen = [*indices]
+        part = _part(chosen)
+        return replace(
+            self,
+            entries=tuple(self.entries[index] for index in chosen),
+            power=self.power[part],
+            signal=None if self.signal is None else self.signal[part],
+            path=None,
+        )
 
     def images(self, split: str) -> Real[np.ndarray, "v {self.grid.rows} {self.grid.columns}"]:
         """β⁰ of one set, linear power, float32 [V, rows, columns], row 0 near range; not to be written to.
@@ -280,15 +330,25 @@ class Dataset:
         SarsplatError
             If there is no such set.
         """
+        return self.power[_part(self._of_set(split))]
+
+    def _of_set(self, split: str) -> list[int]:
         chosen = [index for index, entry in enumerate(self.entries) if entry.split == split]
         if not chosen:
             raise SarsplatError(f"{self} has no set {split!r}; it has {', '.join(self.splits())}")
-        together = chosen[-1] - chosen[0] + 1 == len(chosen)
-        return self.power[chosen[0] : chosen[-1] + 1] if together else self.power[chosen]
+        return chosen
 
     def fingerprint(self) -> str:
         """SHA-256 over header and pixels, in hexadecimal: the same if the data are the same, wherever they lie."""
         header = msgspec.structs.replace(DatasetHeader.of(self), truth_mesh=None)
         digest = hashlib.sha256(msgspec.json.encode(header, order="deterministic"))
-        digest.update(self.power.astype("<f4").tobytes())
+        digest.update(
+            self.power.astype("<f4").tobytes() if self.signal is None else self.signal.astype("<c8").tobytes()
+        )
         return digest.hexdigest()
+
+
+def _part(indices: list[int]) -> slice | list[int]:
+    """The same for numpy; a slice where possible, which copies nothing."""
+    together = bool(indices) and indices == [*range(indices[0], indices[0] + len(indices))]
+    return slice(indices[0], indices[-1] + 1) if together else indices

@@ -1,4 +1,4 @@
-"""A dataset as a folder: `dataset.json`, one float32 TIFF for each image; the target's mesh and masks where known."""
+"""A dataset as a folder: `dataset.json`, a TIFF for each image; the target's mesh and masks where known."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sarsplat.data.files import open_file, plain_os_errors, read_versioned_json,
 from sarsplat.data.folders import new_folder
 from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, DatasetHeader, ViewHeader
 from sarsplat.data.mask_files import encode_masks
-from sarsplat.data.tiff import read_power_tiff, write_power_tiff
+from sarsplat.data.tiff import read_power_tiff, read_signal_tiff, write_power_tiff, write_signal_tiff
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View
 
@@ -79,14 +79,18 @@ def write_dataset(
                 (folder / "masks").mkdir()
         for name, png in pictures.items():
             write_bytes(folder / "masks" / name, png)
-        for item, image in zip(header.views, dataset.power):
+        for index, item in enumerate(header.views):
+            what = "beta0 in linear power" if dataset.signal is None else "complex amplitude, root of beta0,"
             description = (
-                f"SAR image, beta0 in linear power ({dataset.calibration} scale); row 0 is near range, columns grow "
+                f"SAR image, {what} ({dataset.calibration} scale); row 0 is near range, columns grow "
                 f"along the flight direction; azimuth {item.azimuth_deg:.6g} deg, grazing {item.grazing_deg:.6g} deg; "
                 f"pixel spacing {dataset.grid.spacing_m[0]:.6g} m (azimuth) x {dataset.grid.spacing_m[1]:.6g} m "
                 f"(slant range); set {item.split}"
             )
-            write_power_tiff(folder / item.file, image, description)
+            if dataset.signal is None:
+                write_power_tiff(folder / item.file, dataset.power[index], description)
+            else:
+                write_signal_tiff(folder / item.file, dataset.signal[index], description)
     return written
 
 
@@ -141,12 +145,14 @@ def read_dataset(path: str | Path) -> Dataset:
     with plain_os_errors("read", path):  # a name may be longer than the system has names
         if mesh is not None and not mesh.is_file():
             raise SarsplatError(f"{path} is missing its mesh {shown(mesh.name)}; {_MAKE_ONE}")
-    images = [read_power_tiff(file, (grid.rows, grid.columns)) for file in files]
+    complex_ = header.pixels == "complex"
+    read, pixel = (read_signal_tiff, np.complex64) if complex_ else (read_power_tiff, np.float32)
+    images = [read(file, (grid.rows, grid.columns)) for file in files]
     with _blamed_on(path / HEADER):
-        dataset = Dataset(
+        dataset = (Dataset.of_complex if complex_ else Dataset)(
             grid,
             entries,
-            np.stack(images) if images else np.empty((0, grid.rows, grid.columns), np.float32),
+            np.stack(images) if images else np.empty((0, grid.rows, grid.columns), pixel),
             target=header.target,
             calibration=header.calibration,
             looks=header.looks,

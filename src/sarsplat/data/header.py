@@ -64,6 +64,7 @@ class DatasetHeader(Strict, frozen=True, omit_defaults=True):
     source: dict[str, Any]
     views: tuple[ViewHeader, ...]
     clean_tests: bool = False
+    pixels: Literal["power", "complex"] = "power"
 
     @classmethod
     def of(cls, dataset: Dataset) -> DatasetHeader:
@@ -81,6 +82,7 @@ class DatasetHeader(Strict, frozen=True, omit_defaults=True):
             "quantity": "beta0",
             "unit": "linear power",
             **{name: getattr(dataset, name) for name in _AS_THEY_ARE},
+            "pixels": "power" if dataset.signal is None else "complex",
             "truth_mesh": None if dataset.truth_mesh is None else dataset.truth_mesh.name,
             "grid": vars(dataset.grid),
             "views": [

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
-from jaxtyping import Float, Real
+from jaxtyping import Complex, Complex64, Float, Float32, Real
 from torch import Tensor
 
 from sarsplat.data.files import write_bytes
@@ -32,17 +33,20 @@ class SarImage:
         From where it was taken.
     grid : ImageGrid
         Where its pixels lie.
+    signal : numpy.ndarray, complex64 [rows, columns], or None
+        Complex amplitude, if the phase is known: |signal|² is the power. See `of_complex`.
 
     Raises
     ------
     SarsplatError
-        If it is no array of real numbers, its shape does not fit the grid, or a pixel is negative, above 10¹⁸ or
-        not finite.
+        If it is no array of real numbers, its shape does not fit the grid, a pixel is negative, above 10¹⁸ or
+        not finite, or the power is not that of the signal.
     """
 
     power: Real[np.ndarray, "rows columns"]
     view: View
     grid: ImageGrid
+    signal: Complex64[np.ndarray, "rows columns"] | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.power, Tensor):
@@ -50,12 +54,33 @@ class SarImage:
         if not isinstance(self.power, np.ndarray) or self.power.dtype.kind not in "fiu":
             kind = self.power.dtype if isinstance(self.power, np.ndarray) else type(self.power).__name__
             raise SarsplatError(
-                f"the image is of type {kind}; give power as an array of real numbers (for complex data, |x|²)"
+                f"the image is of type {kind}; give power as an array of real numbers (complex amplitudes go to "
+                "SarImage.of_complex)"
             )
         expected = (self.grid.rows, self.grid.columns)
         if self.power.shape != expected:
             raise SarsplatError(f"the image has shape {self.power.shape} but its grid has {expected} (range × azimuth)")
         check_power(self.power, "the image")
+        check_signal(self.signal, self.power, "the image")
+
+    @classmethod
+    def of_complex(cls, signal: Complex[np.ndarray, "rows columns"], view: View, grid: ImageGrid) -> Self:
+        """An image that keeps its phase.
+
+        Parameters
+        ----------
+        signal : numpy.ndarray, complex [rows, columns]
+            Complex amplitude √β⁰·e^jψ, row 0 near range.
+        view, grid
+            See `SarImage`.
+
+        Raises
+        ------
+        SarsplatError
+            As for `SarImage`.
+        """
+        signal = as_signal(signal, "the image")
+        return cls(power_of(signal), view, grid, signal)
 
     @property
     def amplitude(self) -> Float[np.ndarray, "rows columns"]:
@@ -116,3 +141,29 @@ def check_power(power: Real[np.ndarray, "*shape"], name: str) -> None:
     raise SarsplatError(
         f"{name} holds {power[place]:.6g} at {place}; power must be finite and ≥ 0, at most {_LARGEST_POWER:g}"
     )
+
+
+def as_signal(signal: Complex[np.ndarray, "*shape"], name: str) -> Complex64[np.ndarray, "*shape"]:
+    """Complex amplitudes as they are stored; raises SarsplatError if they are no complex numbers."""
+    if not isinstance(signal, np.ndarray) or signal.dtype.kind != "c":
+        kind = signal.dtype if isinstance(signal, np.ndarray) else type(signal).__name__
+        raise SarsplatError(f"{name} is of type {kind}; give an array of complex amplitudes")
+    with np.errstate(over="ignore"):  # what becomes infinite is refused with its place
+        return signal.astype(np.complex64, copy=False)
+
+
+def power_of(signal: Complex64[np.ndarray, "*shape"]) -> Float32[np.ndarray, "*shape"]:
+    """|signal|², linear power."""
+    with np.errstate(over="ignore"):
+        return np.square(signal.real) + np.square(signal.imag)
+
+
+def check_signal(signal: Complex64[np.ndarray, "*shape"] | None, power: Real[np.ndarray, "*shape"], name: str) -> None:
+    """Raise SarsplatError if the power is not that of the signal, where there is one."""
+    if signal is None:
+        return
+    if signal.dtype != np.complex64 or signal.shape != power.shape or not np.array_equal(power_of(signal), power):
+        raise SarsplatError(
+            f"the power of {name} is not the squared magnitude of its signal, {signal.dtype} of shape {signal.shape}; "
+            "make it with of_complex"
+        )

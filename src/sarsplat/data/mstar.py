@@ -11,7 +11,7 @@ well, so no likelihood can tell them apart; only something known to be on one si
 Power. The chips carry no absolute calibration here. Power is magnitude² over its mean over all pixels of the training
 chips: β⁰ up to one common factor. Of JPEGs, the magnitude is max(DN, 2) / `dn_per_magnitude`, a column of the table of
 labels; without it all JPEGs are taken as scaled alike. Phoenix magnitudes are not quantised, but some are zero: their
-power is at least 0.001 (−30 dB) of its mean.
+power is at least 0.001 (−30 dB) of its mean. Their phases are kept: the images are complex.
 """
 
 from __future__ import annotations
@@ -86,7 +86,8 @@ def import_mstar(
     Returns
     -------
     Dataset
-        Of relative calibration, single look, with ground; power with mean 1 over the training views. Each image bears
+        Of relative calibration, single look, with ground; power with mean 1 over the training views; complex if the
+        chips are Phoenix files. Each image bears
         the name of its chip; `source` says what was assumed.
 
     Raises
@@ -141,10 +142,11 @@ def import_mstar(
         "cut_to_common_size": any(chip.magnitude.shape != (grid.rows, grid.columns) for chip in ordered),
         "chips": [{"name": chip.name, "target_az_deg": chip.target_az_deg} for chip in ordered],
     }
-    dataset = Dataset(
+    relative, phases = np.ascontiguousarray(power / np.float32(scale)), _phases(ordered, grid, mirrored)
+    dataset = (Dataset if phases is None else Dataset.of_complex)(
         grid,
         entries,
-        np.ascontiguousarray(power / np.float32(scale)),
+        relative if phases is None else np.sqrt(relative) * np.exp(1j * phases),
         target=target_class,
         calibration="relative",
         looks=1.0,
@@ -175,6 +177,12 @@ def _power(
     if not steps.any():
         power = np.maximum(power, np.float32(MIN_POWER * power[:training].mean(dtype=np.float64)))
     return power
+
+
+def _phases(chips: list[Chip], grid: ImageGrid, mirrored: bool) -> Float32[np.ndarray, "chips rows columns"] | None:
+    """As the chips are turned and cut; None if they have none."""
+    known = [chip.phase for chip in chips if chip.phase is not None]
+    return np.stack([_turned(_central(phase, grid), mirrored) for phase in known]) if known else None
 
 
 def _calibration(steps: Float32[np.ndarray, " chips"]) -> dict[str, Any]:

@@ -57,6 +57,8 @@ class Chip:
         Pixel spacing and 3 dB width (cross-range, slant range), m.
     azimuth_std_deg : float or None
         Standard deviation of `target_az_deg`, degrees; None where the table says nothing of it.
+    phase : numpy.ndarray, float32 [rows, columns], or None
+        Radians; None if it is not known.
     """
 
     name: str
@@ -69,6 +71,7 @@ class Chip:
     spacing_m: tuple[float, float] = (0.203125, 0.202148)
     resolution_m: tuple[float, float] = (0.3229, 0.3013)
     azimuth_std_deg: float | None = None
+    phase: Float32[np.ndarray, "rows columns"] | None = None
 
 
 def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chip]:
@@ -161,6 +164,7 @@ def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_clas
             step=0.0,
             spacing_m=chip.spacing_m,
             resolution_m=chip.resolution_m,
+            phase=chip.phase,
         )
         for chip in chosen
     ]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Complex64, Float32
 
 from sarsplat.data.files import open_file
 from sarsplat.data.image import SarImage
@@ -23,6 +23,7 @@ _MAGIC = b"[PhoenixHeaderVer"
 _END = "[EndofPhoenixHeader]"
 _LONGEST_HEADER = 65_536
 _MAX_PIXELS_PER_SIDE = 4096
+_LARGEST_PHASE = 100.0  # radians: any further turn has been taken off
 _LARGEST = 1e9  # no magnitude and no number of a header comes near it, and its square still fits into float32
 
 
@@ -38,11 +39,14 @@ class PhoenixChip:
         Every `Key= value` of the header, stripped.
     magnitude : numpy.ndarray, float32 [rows, columns]
         Linear magnitude (not power) in the file's order: rows are range, near range on the side `radar_position` names.
+    phase : numpy.ndarray, float32 [rows, columns]
+        Radians, in the same order.
     """
 
     path: Path
     header: dict[str, str]
     magnitude: Float32[np.ndarray, "rows columns"]
+    phase: Float32[np.ndarray, "rows columns"]
 
     @property
     def target_type(self) -> str:
@@ -88,8 +92,13 @@ class PhoenixChip:
         return _number(self.path, self.header, "CrossRange3dBWidth"), _number(self.path, self.header, "Range3dBWidth")
 
     @property
+    def signal(self) -> Complex64[np.ndarray, "rows columns"]:
+        """magnitude·e^(j·phase), in the file's order."""
+        return self.magnitude * np.exp(1j * self.phase)
+
+    @property
     def image(self) -> SarImage:
-        """The chip as an image: magnitude², β⁰ up to a factor, turned by 180° so that row 0 is near range.
+        """The chip as a complex image, √β⁰ up to a factor, turned by 180° so that row 0 is near range.
 
         Its azimuth is −TargetAz (see `sarsplat.data.mstar`).
 
@@ -105,7 +114,7 @@ class PhoenixChip:
         rows, columns = self.magnitude.shape
         view = View(-self.target_az_deg % 360, self.measured_depression_deg)
         grid = ImageGrid(rows, columns, self.spacing_m, self.resolution_m)
-        return SarImage(np.square(self.magnitude[::-1, ::-1]), view, grid)
+        return SarImage.of_complex(self.signal[::-1, ::-1], view, grid)
 
 
 def is_phoenix(path: Path) -> bool:
@@ -129,13 +138,14 @@ def read_phoenix(path: str | Path) -> PhoenixChip:
     Returns
     -------
     PhoenixChip
-        Header and magnitudes; phases are not read.
+        Header, magnitudes and phases.
 
     Raises
     ------
     SarsplatError
         If it is no Phoenix file, its header is garbled, its sizes do not fit the file (a truncated chip), it is a full
-        scene rather than a chip, a field is stated twice, or a magnitude is negative, absurdly large or not finite.
+        scene rather than a chip, a field is stated twice, a magnitude is negative, absurdly large or not finite, or a
+        phase is no angle.
     """
     path = Path(path)
     with open_file(path) as file:
@@ -158,8 +168,8 @@ def read_phoenix(path: str | Path) -> PhoenixChip:
                 "download it again"
             )
         file.seek(length)
-        data = file.read(4 * rows * columns)
-    magnitude = np.frombuffer(data, dtype=">f4").reshape(rows, columns).astype(np.float32)
+        data = file.read(8 * rows * columns)
+    magnitude, phase = np.frombuffer(data, dtype=">f4").reshape(2, rows, columns).astype(np.float32)
     bad = ~((magnitude >= 0) & (magnitude <= _LARGEST))  # also catches NaN
     if bad.any():
         row, column = np.argwhere(bad)[0]
@@ -167,7 +177,13 @@ def read_phoenix(path: str | Path) -> PhoenixChip:
             f"{path} holds the magnitude {magnitude[row, column]:.6g} at row {row}, column {column}; "
             f"magnitudes must be between 0 and {_LARGEST:g}, so download it again"
         )
-    return PhoenixChip(path, header, magnitude)
+    if not (np.abs(phase) <= _LARGEST_PHASE).all():  # also catches NaN
+        row, column = np.argwhere(~(np.abs(phase) <= _LARGEST_PHASE))[0]
+        raise SarsplatError(
+            f"{path} holds the phase {phase[row, column]:.6g} at row {row}, column {column}; phases must be radians "
+            f"within ±{_LARGEST_PHASE:g}, so download it again"
+        )
+    return PhoenixChip(path, header, magnitude, phase)
 
 
 def _parse_header(path: Path, start: bytes) -> tuple[int, dict[str, str]]:

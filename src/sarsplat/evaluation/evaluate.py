@@ -189,9 +189,8 @@ def _masks(
     known = [index for index, mask in enumerate(masks) if mask is not None]
     if not known:
         return UndefinedScore("no true masks; give their folder with --masks")
-    entries = tuple(tested.entries[index] for index in known)
     try:
-        predicted = predicted_masks(run, replace(tested, power=tested.power[known], entries=entries), rendered[known])
+        predicted = predicted_masks(run, tested.take(known), rendered[known])
     except UndefinedScore as undefined:
         return undefined
     shown.advance(len(known), "masks of the test views")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float64
@@ -81,7 +81,7 @@ def examine(dataset: Dataset) -> Examination:
 def _evenly(dataset: Dataset) -> Dataset:
     count = min(len(dataset), _MOST_IMAGES)
     chosen = [k * len(dataset) // count for k in range(count)]
-    return replace(dataset, entries=tuple(dataset.entries[k] for k in chosen), power=dataset.power[chosen], path=None)
+    return dataset.take(chosen)
 
 
 def _orientation(

@@ -38,9 +38,8 @@ def masks_figure(run: AnyRun[Any], folder: Path) -> Figure | None:
     masks = read_masks(folder, dataset)
     known = list(masks)
     chosen = [known[index] for index in evenly(len(known), _VIEWS)]
-    entries = tuple(dataset.entries[index] for index in chosen)
-    looks = dataset.select(entries[0].split).looks
-    images = replace(dataset, power=dataset.power[chosen], entries=entries, looks=looks, clean_tests=False)
+    looks = dataset.select(dataset.entries[chosen[0]].split).looks
+    images = replace(dataset.take(chosen), looks=looks, clean_tests=False)
     try:
         predicted = predicted_masks(run, images, run.render(images.views))
     except UndefinedScore:  # the evaluation gives the reason
