@@ -23,7 +23,14 @@ from pathlib import Path
 
 _MAX_SECONDS = 1.0
 _FREE_BYTES = 64 << 20
-_INSTRUMENTED = ["sarsplat.data", "sarsplat.reconstruction.run", "sarsplat.scenes", "tifffile", "trimesh"]
+_INSTRUMENTED = [
+    "sarsplat.data",
+    "sarsplat.importers",
+    "sarsplat.reconstruction.run",
+    "sarsplat.scenes",
+    "tifffile",
+    "trimesh",
+]
 
 
 @dataclass

@@ -8,12 +8,14 @@ import random
 import re
 import struct
 import tempfile
+import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 import safetensors.torch
+import scipy.io
 import tifffile
 import torch
 import trimesh
@@ -36,6 +38,7 @@ from sarsplat.data import (
 from sarsplat.data.mstar_chips import read_chips
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.importers.mat import read_mat
 from sarsplat.reconstruction.any_run import SCHEMA_VERSION
 from sarsplat.reconstruction.presets import PRESETS
 from sarsplat.reconstruction.run import Run
@@ -373,6 +376,32 @@ def _read_chips(folder: Path) -> object:
     return read_chips(folder / "chips", folder / "labels.csv", "T72")
 
 
+# ---- MATLAB files ----
+
+
+def _mats() -> list[bytes]:
+    made = []
+    record = {"fp": IMAGE * (1 + 2j), "freq": np.arange(6.0), "af": {"r": IMAGE}, "text": ["ab", "cd"], "no": {}}
+    for compressed in (False, True):
+        buffer = io.BytesIO()
+        cells = np.array([1.0, "x", IMAGE], object)
+        scipy.io.savemat(buffer, {"data": record, "cells": cells}, do_compression=compressed)
+        made.append(buffer.getvalue())
+    return [*made, made[0][:128] + _packed_mat(made[0][128:] + bytes(1 << 22))]  # a bomb: 4 MiB in 5 KiB
+
+
+def _packed_mat(data: bytes) -> bytes:
+    inner = zlib.compress(data)
+    return struct.pack("<II", 15, len(inner)) + inner
+
+
+def _spoil_mat(data: bytes, rng: random.Random) -> bytes:
+    """A tag, a dimension or another number, at a place where one may be; perhaps compressed afterwards."""
+    place = 128 + 4 * rng.randrange(max(1, (len(data) - 128) // 4))
+    data = data[:place] + struct.pack("<I", rng.choice((*range(20), *NUMBERS)) % 2**32) + data[place + 4 :]
+    return data[:128] + _packed_mat(data[128:]) if rng.random() < 0.3 else data
+
+
 READERS = (
     Reader("phoenix", "HB00001.000", _read_phoenix, lambda: [phoenix()], (_phoenix_fits,)),
     Reader("dataset.json", "set/dataset.json", _read_dataset, _dataset_header, (spoil_json,), prepare_dataset),
@@ -410,4 +439,5 @@ READERS = (
     _mesh_reader("glb", _spoil_glb),
     Reader("labels.csv", "labels.csv", _read_chips, lambda: [_LABELS], (), _chips),
     Reader("chip.jpeg", "chips/a.jpeg", _read_chips, lambda: [_jpeg()], (), _chips),
+    Reader("mat", "a.mat", lambda folder: read_mat(folder / "a.mat"), _mats, (_spoil_mat,)),
 )

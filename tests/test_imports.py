@@ -20,6 +20,7 @@ ORDER = (
     ("gaussians",),
     ("renderer",),
     ("scenes", "data"),
+    ("importers",),
     ("reconstruction",),
     ("radar", "rivals"),
     ("evaluation",),

@@ -1,0 +1,1 @@
+"""Formats of measured images: each becomes a dataset."""

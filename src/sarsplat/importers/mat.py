@@ -1,0 +1,238 @@
+"""MATLAB 5 files (`save -v6` and `-v7`): numbers, text, structs and cells.
+
+A file is a list of elements, each a tag (type, bytes) and data; an array is an element that holds further ones: flags,
+dimensions, name, values. The files come from strangers: a size is believed only if it fits what holds it, and what is
+made of a file is bounded by the file's size, however much a compressed element promises.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from sarsplat.data.files import open_file
+from sarsplat.errors import SarsplatError, shown
+
+_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+"""Types of elements that hold numbers, with what numpy calls them."""
+_INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED = 1, 5, 6, 14, 15
+_TEXT = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
+"""Types of elements that hold text, with its encoding."""
+_CELL, _STRUCT, _CHAR = 1, 2, 4
+_CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
+"""Classes of arrays of numbers, with what numpy calls them; a file may hold their values in a narrower type."""
+_COMPLEX = 0x800
+_DEEPEST = 16
+_EXPANSION, _FREE_BYTES = 16, 16 << 20
+"""What is made of a file may be this many times as large, and some bytes more: measured data compress far less."""
+_BYTES_PER_ARRAY = 512
+"""What an array costs beside its values."""
+
+
+def read_mat(path: str | Path) -> dict[str, Any]:
+    """Read a MATLAB 5 file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file, as `save -v6` or `save -v7` (MATLAB's default) writes it.
+
+    Returns
+    -------
+    dict of str to value
+        Its variables. Numbers are arrays of MATLAB's shape and type, complex ones included; text is `str`, of several
+        rows a list of `str`; a struct is a dict of its fields; an array of structs, or of cells, is an object array of
+        these. What has no counterpart here (sparse matrices, objects, functions) is None, and as a variable left out.
+
+    Raises
+    ------
+    SarsplatError
+        If it is not such a file, is truncated or garbled, or expands to far more than measured data do.
+    """
+    path = Path(path)
+    with open_file(path) as file:
+        size = file.seek(0, 2)
+        file.seek(0)
+        decoder = _Decoder(path, _byte_order(path, file.read(128)), _EXPANSION * size + _FREE_BYTES)
+        variables: dict[str, Any] = {}
+        while len(tag := file.read(8)) == 8:
+            kind, length = np.frombuffer(tag, decoder.order + "u4").tolist()
+            if length > size - file.tell():
+                decoder.refuse(f"an element of {length} bytes where {size - file.tell()} are left")
+            data = memoryview(file.read(length))
+            if kind == _COMPRESSED:
+                kind, data = decoder.decompress(data)
+            if kind != _MATRIX:
+                decoder.refuse(f"an element of type {kind} among its variables")
+            name, value = decoder.array(data, 0)
+            if not name.isidentifier():
+                continue  # MATLAB's own notes on objects
+            if name in variables:
+                decoder.refuse(f"the variable {name!r} twice")
+            variables[name] = value
+        if tag:
+            decoder.refuse(f"{len(tag)} bytes after its last variable")
+    return variables
+
+
+def _byte_order(path: Path, header: bytes) -> str:
+    """The byte order that the 128 bytes of the header tell."""
+    if header.startswith((b"MATLAB 7.3", b"\x89HDF")):
+        raise SarsplatError(f"{path} is a MATLAB 7.3 (HDF5) file; load it in MATLAB and save it with -v7")
+    order = {b"IM": "<", b"MI": ">"}.get(header[126:128])
+    if order is None:
+        raise SarsplatError(f"{path} is not a MATLAB 5 file; save it in MATLAB with -v7")
+    return order
+
+
+class _Decoder:
+    """Makes values of a file's bytes, until its allowance is spent."""
+
+    def __init__(self, path: Path, order: str, allowance: int) -> None:
+        self.path = path
+        self.order = order
+        self.allowance = allowance
+
+    def refuse(self, what: str) -> NoReturn:
+        raise SarsplatError(f"{self.path} is damaged: it holds {what}; download or save it again")
+
+    def spend(self, amount: int) -> None:
+        self.allowance -= amount
+        if self.allowance < 0:
+            raise SarsplatError(
+                f"{self.path} expands to more than {_EXPANSION} times its size, as no measured data do; "
+                "save it in MATLAB with -v6"
+            )
+
+    def decompress(self, data: memoryview) -> tuple[int, memoryview]:
+        """The one element in a compressed one: its type and its data."""
+        stream = zlib.decompressobj()
+        try:
+            start = stream.decompress(data, 8)
+            if len(start) < 8:
+                self.refuse("a compressed element with nothing in it")
+            kind, length = np.frombuffer(start, self.order + "u4").tolist()
+            self.spend(length)
+            rest = stream.decompress(stream.unconsumed_tail, length) if length else b""
+        except zlib.error as error:
+            self.refuse(f"a compressed element that cannot be read ({shown(str(error))})")
+        if len(rest) < length:
+            self.refuse(f"a compressed element of {len(rest)} bytes where {length} are stated")
+        return kind, memoryview(rest)
+
+    def element(self, data: memoryview) -> tuple[int, memoryview, memoryview]:
+        """The type and the data of the first element, and what follows it."""
+        if len(data) < 8:
+            self.refuse(f"{len(data)} bytes where an element should begin")
+        kind, length = np.frombuffer(data[:8], self.order + "u4").tolist()
+        if kind > 0xFFFF:  # up to 4 bytes are packed into the tag
+            kind, length, start, end = kind & 0xFFFF, kind >> 16, 4, 8
+        else:
+            start, end = 8, 8 + length + -length % 8
+        if length > len(data) - start or (start == 4 and length > 4):
+            self.refuse(f"an element of {length} bytes where {len(data) - start} are left")
+        return kind, data[start : start + length], data[end:]
+
+    def array(self, data: memoryview, depth: int) -> tuple[str, Any]:
+        """The name and the value of an array."""
+        self.spend(_BYTES_PER_ARRAY)
+        if depth > _DEEPEST:
+            self.refuse(f"structs nested more than {_DEEPEST} deep")
+        if not data:
+            return "", np.zeros((0, 0))
+        flags, data = self.whole(data, _UINT32)
+        kind = flags[0] & 0xFF if len(flags) == 2 else 0
+        if kind not in (_CELL, _STRUCT, _CHAR, *_CLASSES):
+            return "", None
+        shape, data = self.whole(data, _INT32)
+        if not 2 <= len(shape) <= 32 or min(shape) < 0:
+            self.refuse(f"an array of the shape {shown(shape)}")
+        name, data = self.name(data)
+        if kind == _CHAR:
+            return name, self.text(data, shape)
+        if kind in _CLASSES:
+            values, data = self.numbers(data, shape, np.dtype(_CLASSES[kind]))
+            if not flags[0] & _COMPLEX:
+                return name, values
+            imaginary, _ = self.numbers(data, shape, values.dtype)
+            self.spend(2 * values.nbytes)
+            joined = np.empty_like(values, np.complex64 if values.dtype == np.float32 else np.complex128)
+            joined.real, joined.imag = values, imaginary
+            return name, joined
+        return name, self.holder(data, shape, kind, depth)
+
+    def whole(self, data: memoryview, wanted: int) -> tuple[list[int], memoryview]:
+        """An element of whole numbers, and what follows it."""
+        kind, values, rest = self.element(data)
+        if kind != wanted or len(values) % 4 or len(values) > 4 * 32:
+            self.refuse(f"{len(values)} bytes of type {kind} where an array's flags or dimensions should be")
+        return np.frombuffer(values, self.order + _NUMBERS[kind]).tolist(), rest
+
+    def name(self, data: memoryview) -> tuple[str, memoryview]:
+        kind, letters, rest = self.element(data)
+        if kind != _INT8 or not bytes(letters).isascii():
+            self.refuse(f"{shown(bytes(letters[:40]))} where a name should be")
+        return bytes(letters).decode(), rest
+
+    def numbers(self, data: memoryview, shape: list[int], wanted: np.dtype) -> tuple[np.ndarray, memoryview]:
+        kind, values, rest = self.element(data)
+        stored = np.dtype(self.order + _NUMBERS.get(kind, "V1"))
+        if stored.kind == "V" or (stored.kind == "f" and wanted.kind != "f"):
+            self.refuse(f"values of type {kind} in an array of {wanted.name}")
+        if len(values) != math.prod(shape) * stored.itemsize:
+            self.refuse(f"{len(values)} bytes of {stored.name} in an array of the shape {shown(shape)}")
+        self.spend(math.prod(shape) * wanted.itemsize)
+        if not values:  # numpy minds empty arrays that are long in another dimension
+            return np.zeros((0, 0), wanted), rest
+        with np.errstate(over="ignore"):
+            return np.frombuffer(values, stored).reshape(shape, order="F").astype(wanted), rest
+
+    def text(self, data: memoryview, shape: list[int]) -> str | list[str]:
+        kind, letters, _ = self.element(data)
+        self.spend(4 * len(letters))
+        encoding = _TEXT.get(kind, "")
+        if encoding.startswith("utf-") and encoding != "utf-8":
+            encoding += "-le" if self.order == "<" else "-be"
+        try:
+            text = bytes(letters).decode(encoding) if encoding else None
+        except UnicodeDecodeError:
+            text = None
+        if text is None or (shape[0] != 1 and len(text) != math.prod(shape)):
+            self.refuse(f"text of type {kind} that cannot be read")
+        rows = shape[0]
+        return text if rows <= 1 or not text else [text[row::rows] for row in range(rows)]
+
+    def holder(self, data: memoryview, shape: list[int], kind: int, depth: int) -> Any:
+        """A struct, or an array of structs or of cells."""
+        fields = [""]
+        if kind == _STRUCT:
+            fields, data = self.fields(data)
+        count = math.prod(shape)
+        self.spend(count * _BYTES_PER_ARRAY)
+        found = np.empty(count, object)
+        for index in range(count):
+            values = {}
+            for field in fields:
+                _, value, data = self.element(data)
+                values[field] = self.array(value, depth + 1)[1]
+            found[index] = values if kind == _STRUCT else values[""]
+        if kind == _STRUCT and count == 1:
+            return found[0]
+        return found.reshape(shape, order="F") if count else np.empty((0, 0), object)
+
+    def fields(self, data: memoryview) -> tuple[list[str], memoryview]:
+        """The names of a struct's fields: one length for all, then each filled up with zeros."""
+        lengths, data = self.whole(data, _INT32)
+        _, letters, data = self.element(data)
+        longest = lengths[0] if len(lengths) == 1 else 0
+        if longest < 1 or len(letters) % longest or not bytes(letters).isascii():
+            self.refuse("names of fields that cannot be read")
+        self.spend(len(letters) // longest * _BYTES_PER_ARRAY)
+        names = [bytes(letters[k : k + longest]).partition(b"\0")[0].decode() for k in range(0, len(letters), longest)]
+        if len(set(names)) < len(names):
+            self.refuse("two fields of one name")
+        return names, data

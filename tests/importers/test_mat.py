@@ -1,0 +1,145 @@
+"""MATLAB 5 files: what SciPy writes is read as it was, and garbled ones are refused."""
+
+import io
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+
+from sarsplat.errors import SarsplatError
+from sarsplat.importers.mat import read_mat
+
+
+def write(path: Path, compressed: bool = False, **variables: object) -> Path:
+    scipy.io.savemat(path, variables, do_compression=compressed)
+    return path
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize("kind", ["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "c8", "c16"])
+@pytest.mark.parametrize("shape", [(1, 1), (3, 1), (4, 5), (2, 3, 4)])
+def test_numbers(tmp_path, kind, shape, compressed):
+    rng = np.random.default_rng(1)
+    values = (100 * rng.random(shape)).astype(kind)
+    if values.dtype.kind == "c":
+        values = values + (1j * rng.random(shape)).astype(kind)
+    found = read_mat(write(tmp_path / "a.mat", compressed, values=values, other=1.5))
+    np.testing.assert_array_equal(found["values"], values)
+    assert found["values"].dtype == values.dtype
+    assert found["other"] == [[1.5]]
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_structs_cells_and_text(tmp_path, compressed):
+    inner = {"name": "M1 ü", "sizes": np.arange(3.0), "deeper": {"n": np.int32(7)}}
+    cells = np.array([np.ones((2, 2)), "two"], object)
+    many = np.zeros(2, [("az", object)])
+    many["az"] = [1.0, 2.0]
+    found = read_mat(
+        write(
+            tmp_path / "a.mat", compressed, one=inner, cells=cells, many=many, rows=["ab", "cd"], none=np.zeros((0, 3))
+        )
+    )
+    assert found["one"]["name"] == "M1 ü"
+    assert found["one"]["deeper"]["n"] == [[7]]
+    np.testing.assert_array_equal(found["one"]["sizes"], [[0, 1, 2]])
+    assert (found["cells"][0, 1], found["cells"][0, 0].shape) == ("two", (2, 2))
+    assert [element["az"][0, 0] for element in found["many"][0]] == [1, 2]
+    assert found["rows"] == ["ab", "cd"]
+    assert found["none"].size == 0
+
+
+def element(kind: int, data: bytes, order: str = "<") -> bytes:
+    return struct.pack(order + "II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+
+def matrix(shape=(1, 2), values=b"\1\2", kind=2, array_class=6, name=b"a", order="<") -> bytes:
+    flags = element(6, struct.pack(order + "II", array_class, 0), order)
+    sizes = element(5, struct.pack(f"{order}{len(shape)}i", *shape), order)
+    return element(14, flags + sizes + element(1, name, order) + element(kind, values, order), order)
+
+
+def mat(*elements: bytes, order: str = "<") -> bytes:
+    mark = b"\0\1IM" if order == "<" else b"\1\0MI"
+    return b"MATLAB 5.0 MAT-file, made up".ljust(124) + mark + b"".join(elements)
+
+
+def packed(data: bytes, level: int = 9) -> bytes:
+    inner = zlib.compress(data, level)
+    return struct.pack("<II", 15, len(inner)) + inner
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_either_byte_order_and_values_in_a_narrower_type(tmp_path, order):
+    (tmp_path / "a.mat").write_bytes(
+        mat(matrix(values=struct.pack(order + "2h", 3, -500), kind=3, order=order), order=order)
+    )
+    (values,) = read_mat(tmp_path / "a.mat").values()
+    assert values.dtype == np.float64
+    assert values.tolist() == [[3, -500]]
+
+
+def test_what_has_no_counterpart_is_none(tmp_path):
+    found = read_mat(write(tmp_path / "a.mat", a={"sparse": scipy.sparse.eye_array(3).tocsc(), "x": 1.0}))
+    assert found["a"]["sparse"] is None
+    assert found["a"]["x"] == [[1]]
+
+
+HUGE = 2**31 - 1
+DAMAGED = {
+    "not such a file": (b"nothing of the kind", "is not a MATLAB 5 file"),
+    "empty": (b"", "is not a MATLAB 5 file"),
+    "7.3": (b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\2IM\x89HDF", "save it with -v7"),
+    "truncated": (mat(matrix())[:-8], "an element of 64 bytes where 56 are left"),
+    "cut in a tag": (mat(matrix()) + b"\1\2", "2 bytes after its last variable"),
+    "no array": (mat(element(9, bytes(8))), "an element of type 9 among its variables"),
+    "twice": (mat(matrix(), matrix()), "the variable 'a' twice"),
+    "too large": (mat(matrix((HUGE, HUGE))), "2 bytes of uint8 in an array of the shape"),
+    "negative": (mat(matrix((-1, -2))), r"an array of the shape \[-1, -2\]"),
+    "one dimension": (mat(matrix((2,))), r"the shape \[2\]"),
+    "text as numbers": (mat(matrix(kind=16)), "values of type 16 in an array of float64"),
+    "fractions as integers": (mat(matrix((1, 1), bytes(4), 7, 12)), "values of type 7 in an array of int32"),
+    "text": (mat(matrix(values=b"\xff\xff", kind=16, array_class=4)), "text of type 16 that cannot be read"),
+    "endless cells": (mat(matrix((HUGE, HUGE), b"", 14, 1)), "expands to more than"),
+    "cells that are not there": (mat(matrix((3, 3), b"", 14, 1)), "0 bytes where an element should begin"),
+    "garbled": (mat(element(15, b"not zlib")), "a compressed element that cannot be read"),
+    "nothing compressed": (mat(packed(b"")), "a compressed element with nothing in it"),
+    "less than stated": (mat(packed(matrix()[:-9])), "a compressed element of 55 bytes where 64 are stated"),
+    "a bomb": (mat(packed(matrix((1, 2**26), bytes(2**26)))), "expands to more than 16 times its size"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_damaged_files(tmp_path, name):
+    data, words = DAMAGED[name]
+    (tmp_path / "a.mat").write_bytes(data)
+    with pytest.raises(SarsplatError, match=words):
+        read_mat(tmp_path / "a.mat")
+
+
+def test_structs_may_not_be_nested_without_end(tmp_path):
+    value: dict = {}
+    for _ in range(20):
+        value = {"a": value}
+    with pytest.raises(SarsplatError, match="nested more than 16 deep"):
+        read_mat(write(tmp_path / "a.mat", a=value))
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_every_cut_and_every_changed_byte_is_read_or_refused(tmp_path, compressed):
+    buffer = io.BytesIO()
+    record = {"fp": np.arange(6).reshape(2, 3) + 1j, "text": "ab", "cells": np.array([1.0, "x"], object)}
+    scipy.io.savemat(buffer, {"data": record}, do_compression=compressed)
+    whole, path = buffer.getvalue(), tmp_path / "a.mat"
+    refused = 0
+    for place in range(len(whole)):
+        for data in (whole[:place], whole[:place] + bytes([whole[place] ^ 0x55]) + whole[place + 1 :]):
+            path.write_bytes(data)
+            try:
+                read_mat(path)
+            except SarsplatError:
+                refused += 1
+    assert refused > len(whole)
