@@ -33,9 +33,12 @@ from sarsplat.errors import SarsplatError
 
 
 def _importers() -> dict[str, Callable[..., None]]:
-    """`import NAME` is the function `import_NAME` of the module of that name in this folder."""
+    """`import SOME-NAME` is the function `import_SOME_NAME` of the module of that name in this folder."""
     found = sorted(info.name for info in iter_modules(cli.__path__) if info.name.startswith("import_"))
-    return {name.removeprefix("import_"): getattr(import_module(f"{cli.__name__}.{name}"), name) for name in found}
+    return {
+        name.removeprefix("import_").replace("_", "-"): getattr(import_module(f"{cli.__name__}.{name}"), name)
+        for name in found
+    }
 
 
 COMMANDS: dict[str, Callable[..., int | None] | dict[str, Callable[..., None]]] = {
@@ -54,7 +57,7 @@ COMMANDS: dict[str, Callable[..., int | None] | dict[str, Callable[..., None]]] 
     "completion": completion,
 }
 
-_GROUPS = {"import": "Import measured chips as a dataset."}
+_GROUPS = {"import": "Import measured images as a dataset."}
 """What the commands that have commands of their own are for."""
 
 _DESCRIPTION = "From SAR images to a 3D target and back: simulate or import → reconstruct → evaluate → render."

@@ -23,10 +23,10 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, Real
-from scipy.optimize import linear_sum_assignment
 
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.dataset_folder import write_dataset
+from sarsplat.data.evenly import nearest_to
 from sarsplat.data.header import Box
 from sarsplat.data.mstar_chips import Chip, read_chips
 from sarsplat.data.plausible import suspicions, warn
@@ -234,7 +234,6 @@ def _training_chips(chips: list[Chip], count: int, depressions: Sequence[int]) -
     """The distinct chips nearest to k·360°/count, in the order of k; each k asks the next depression in turn."""
     if not depressions or len(set(depressions)) < len(depressions):
         raise SarsplatError(f"the training depressions {list(depressions)} must be at least one, each named once")
-    wanted = np.arange(count) * 360 / count
     chosen: dict[int, Chip] = {}
     for first, depression in enumerate(depressions):
         there = sorted((chip for chip in chips if chip.depression == depression), key=lambda chip: chip.name)
@@ -250,11 +249,9 @@ def _training_chips(chips: list[Chip], count: int, depressions: Sequence[int]) -
                 f"{share} training views were requested, but there are {len(there)} chips at {depression}°; "
                 f"request between {len(depressions)} and {len(there) * len(depressions)} in all"
             )
-        azimuths = np.array([chip.target_az_deg for chip in there])
-        distance = np.abs((azimuths[None, :] - wanted[numbers, None] + 180) % 360 - 180)
-        # Least total distance: each azimuth gets its nearest chip, and where two want the same one, they share out.
-        _, index = linear_sum_assignment(distance)
-        chosen |= {k: there[i] for k, i in zip(numbers, index, strict=True)}
+        wanted = [k * 360 / count for k in numbers]
+        nearest = nearest_to([chip.target_az_deg for chip in there], wanted)
+        chosen |= {k: there[i] for k, i in zip(numbers, nearest, strict=True)}
     return [chosen[k] for k in sorted(chosen)]
 
 

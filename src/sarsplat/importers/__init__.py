@@ -1,1 +1,8 @@
-"""Formats of measured images: each becomes a dataset."""
+"""Measured images of other formats become datasets: a file for each format, and what they have in common.
+
+MSTAR's chips are read in `sarsplat.data`.
+"""
+
+from sarsplat.importers.images import MeasuredImage, dataset_of, ready, write_imported
+
+__all__ = ["MeasuredImage", "dataset_of", "ready", "write_imported"]

@@ -1,0 +1,256 @@
+"""What every format ends in: images with their views, which become a dataset on one grid and one scale."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Num, Shaped
+
+from sarsplat.data.coverage import largest_gap
+from sarsplat.data.dataset import Dataset, DatasetEntry
+from sarsplat.data.dataset_folder import write_dataset
+from sarsplat.data.evenly import nearest_to
+from sarsplat.data.header import Calibration
+from sarsplat.data.image import power_of
+from sarsplat.data.plausible import suspicions, warn
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.importers.resampling import resample
+
+_SAME = 1e-3
+"""Relative difference of lengths that are meant to be the same."""
+
+_SAME_PLACE = 1e-2
+"""Of a pixel: images that lie no further apart are not moved."""
+
+_LEAST_POWER = 1e-3
+"""Of the median: what is zero is raised to it, for zero has no logarithm and no radar measures it."""
+
+_MARGIN = 3 / 16
+"""Share of a side that is left out when speckled images are scored: around the target there is only ground."""
+
+
+@dataclass(frozen=True)
+class MeasuredImage:
+    """One image as a reader has found it.
+
+    Parameters
+    ----------
+    name : str
+        What to call it, e.g. its file.
+    pixels : numpy.ndarray, complex64 or float32 [rows, columns]
+        Complex amplitude where the phase is known, otherwise linear power; row 0 near range, columns rising along the
+        flight of a right-looking radar.
+    view : View
+        From where it was taken.
+    spacing_m, resolution_m : (float, float)
+        Pixel spacing and 3 dB width of the power response (azimuth, slant range), m.
+    center_m : (float, float)
+        Where the centre of the image lies (azimuth, slant range), m from the scene centre.
+    azimuth_std_deg : float
+        Standard deviation of the azimuth, degrees.
+    split : str or None
+        Its set, if the source says so.
+    """
+
+    name: str
+    pixels: Num[np.ndarray, "rows columns"]
+    view: View
+    spacing_m: tuple[float, float]
+    resolution_m: tuple[float, float]
+    center_m: tuple[float, float] = (0.0, 0.0)
+    azimuth_std_deg: float = 0.0
+    split: str | None = None
+
+    @property
+    def grid(self) -> ImageGrid:
+        """Where its pixels lie."""
+        rows, columns = self.pixels.shape
+        return ImageGrid(rows, columns, self.spacing_m, self.resolution_m, self.center_m)
+
+
+def dataset_of(
+    images: Sequence[MeasuredImage],
+    *,
+    target: str,
+    source: dict[str, Any],
+    train_views: int | None = None,
+    calibration: Calibration = "relative",
+    looks: float | None = 1.0,
+    ground: bool = True,
+) -> Dataset:
+    """A dataset in memory: images on one grid, assigned to sets, on one scale.
+
+    Parameters
+    ----------
+    images : sequence of MeasuredImage
+        All complex, or all power. If their spacings differ, all are resampled to the finest; if their sizes or centres
+        differ, all are cut to what they have in common.
+    target : str
+        What they show.
+    source : dict
+        Where they come from and what was assumed (`assumptions`, a list of sentences); what is decided here is added.
+    train_views : int, optional
+        Number K of training views: those nearest to azimuths k·360°/K; the others are test views. Not if the images
+        name their sets. Without either, all are training views.
+    calibration, looks, ground
+        See `Dataset`. Relative power has mean 1 over the training views.
+
+    Raises
+    ------
+    SarsplatError
+        If there are no images or fewer than `train_views`, some are complex and some not, the sets are given twice,
+        they have no common part, or all training images are black.
+
+    Warns
+    -----
+    SarsplatWarning
+        If images are resampled, cut, have different resolutions or pixels that are zero.
+    """
+    if not images:
+        raise SarsplatError("there are no images; give at least one")
+    if len({image.pixels.dtype.kind for image in images}) > 1:
+        raise SarsplatError("some images are complex and others are not; import images of one kind")
+    assumptions = [*source.get("assumptions", ())]
+    images = _with_sets(images, train_views)
+    grid = _common_grid(images, assumptions)
+    pixels = np.stack([_on(image, grid) for image in images])
+    power = _power(pixels)
+    zeros = power == 0
+    if zeros.all():
+        raise SarsplatError(f"all {counted(len(images), 'image')} are black; give images of something")
+    if zeros.any():
+        pixels[zeros] = _brought_to(_LEAST_POWER * float(np.median(power[~zeros])), pixels.dtype)
+        _say(
+            assumptions,
+            f"{counted(int(zeros.sum()), 'pixel')} of {zeros.size} were zero, which no radar measures; they are raised "
+            f"to {10 * math.log10(_LEAST_POWER):g} dB of the median power",
+        )
+    if calibration == "relative":
+        trained = _power(pixels[[image.split == "train" for image in images]])
+        scale = float(trained.mean(dtype=np.float64)) if trained.size else 1.0
+        pixels /= np.sqrt(scale, dtype=np.float32) if pixels.dtype.kind == "c" else np.float32(scale)
+        source = {**source, "mean_power": scale}
+    entries = tuple(
+        DatasetEntry(image.view, image.split or "train", image.name, image.azimuth_std_deg) for image in images
+    )
+    return (Dataset.of_complex if pixels.dtype.kind == "c" else Dataset)(
+        grid,
+        entries,
+        pixels,
+        target=target,
+        calibration=calibration,
+        looks=looks,
+        ground=ground,
+        score_margin=round(_MARGIN * min(grid.rows, grid.columns)) if ground else 0,
+        source={**source, "assumptions": assumptions},
+    )
+
+
+def write_imported(out: str | Path, dataset: Dataset, *, overwrite: bool) -> Dataset:
+    """Write the dataset, and warn of what looks like a mistake in it."""
+    dataset = write_dataset(out, dataset, overwrite=overwrite)
+    warn(suspicions(dataset))
+    return dataset
+
+
+def ready(dataset: Dataset) -> str:
+    """What was made, in a line: "36 views (24 train, 12 test), largest gap of the training views 14°, ready"."""
+    sets = [f"{len(dataset.images(split))} {split}" for split in dataset.splits()]
+    training = [entry.view.azimuth_deg for entry in dataset.entries if entry.split == "train"]
+    shares, whose = (f" ({', '.join(sets)})", " of the training views") if len(sets) > 1 else ("", "")
+    gap = largest_gap(training).width_deg
+    return f"{counted(len(dataset), 'view')}{shares}, largest gap{whose} {gap:.3g}°, ready"
+
+
+def _with_sets(images: Sequence[MeasuredImage], train_views: int | None) -> list[MeasuredImage]:
+    """Each in a set, those to train on first."""
+    if any(image.split for image in images):
+        if train_views is not None:
+            raise SarsplatError(
+                f"{train_views} training views were asked for, but the images name their sets; give one or the other"
+            )
+        sets = [image.split or "train" for image in images]
+    elif train_views is None:
+        sets = ["train"] * len(images)
+    else:
+        if not 1 <= train_views <= len(images):
+            raise SarsplatError(
+                f"{train_views} training views were asked for, but there are {counted(len(images), 'image')}; ask for "
+                f"1 to {len(images)}"
+            )
+        even = [k * 360 / train_views for k in range(train_views)]
+        chosen = nearest_to([image.view.azimuth_deg for image in images], even)
+        sets = ["train" if index in chosen else "test" for index in range(len(images))]
+    named = [replace(image, split=split) for image, split in zip(images, sets, strict=True)]
+    return sorted(named, key=lambda image: image.split != "train")  # stable
+
+
+def _common_grid(images: Sequence[MeasuredImage], assumptions: list[str]) -> ImageGrid:
+    grids = [image.grid for image in images]
+    spacing = np.array([grid.spacing_m for grid in grids])
+    resolution = np.array([grid.resolution_m for grid in grids])
+    finest = spacing.min(axis=0)
+    if np.ptp(spacing, axis=0).max() > _SAME * finest.min():
+        _say(assumptions, f"pixel spacings differ; all images are resampled to the finest, {_metres(finest)}")
+    else:
+        finest = spacing[0]
+    typical = np.median(resolution, axis=0)
+    if (np.abs(resolution / typical - 1) > 0.05).any():
+        _say(
+            assumptions,
+            f"resolutions differ, from {_metres(resolution.min(axis=0))} to {_metres(resolution.max(axis=0))}; "
+            f"{_metres(typical)} is used for all",
+        )
+    low = np.max([_edges(grid)[0] for grid in grids], axis=0)
+    high = np.min([_edges(grid)[1] for grid in grids], axis=0)
+    columns, rows = np.floor((high - low) / finest + _SAME_PLACE).astype(int) + 1
+    if min(rows, columns) < 1:
+        raise SarsplatError("the images have no part in common; give images around one spot")
+    if len({(grid.rows, grid.columns) for grid in grids}) > 1 or (rows, columns) < (grids[0].rows, grids[0].columns):
+        _say(assumptions, f"all images are cut to what they have in common, {rows} × {columns} pixels")
+    return ImageGrid(int(rows), int(columns), tuple(finest), tuple(typical), tuple((low + high) / 2))
+
+
+def _edges(grid: ImageGrid) -> tuple[np.ndarray, np.ndarray]:
+    """The centres of the first and of the last pixel (azimuth, range), m."""
+    return (
+        np.array([grid.azimuth_m[0], grid.range_m[0]]),
+        np.array([grid.azimuth_m[-1], grid.range_m[-1]]),
+    )
+
+
+def _on(image: MeasuredImage, grid: ImageGrid) -> Shaped[np.ndarray, "{grid.rows} {grid.columns}"]:
+    """The pixels of an image where those of a grid lie."""
+    own = image.grid
+    rows = (grid.range_m - own.range_m[0]) / own.spacing_m[1]
+    columns = (grid.azimuth_m - own.azimuth_m[0]) / own.spacing_m[0]
+    top, left = round(rows[0]), round(columns[0])
+    whole_rows, whole_columns = top + np.arange(grid.rows), left + np.arange(grid.columns)
+    if max(np.abs(rows - whole_rows).max(), np.abs(columns - whole_columns).max()) < _SAME_PLACE:
+        return image.pixels[top : top + grid.rows, left : left + grid.columns]
+    found = resample(image.pixels, rows, columns)
+    return found if found.dtype.kind == "c" else np.maximum(found, 0)  # a sinc undershoots beside what is bright
+
+
+def _power(pixels: Num[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
+    return power_of(pixels) if pixels.dtype.kind == "c" else pixels
+
+
+def _brought_to(power: float, dtype: np.dtype[Any]) -> np.generic:
+    return dtype.type(math.sqrt(power) if dtype.kind == "c" else power)
+
+
+def _say(assumptions: list[str], text: str) -> None:
+    assumptions.append(text)
+    warnings.warn(text, SarsplatWarning, stacklevel=4)
+
+
+def _metres(pair: np.ndarray) -> str:
+    return f"{pair[0]:.4g} m × {pair[1]:.4g} m (azimuth × range)"
