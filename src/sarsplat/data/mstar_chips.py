@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import itertools
 import math
 import os
 import re
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32
 
-from sarsplat.data.files import open_file, plain_os_errors
+from sarsplat.data.csv_table import Row, column_names, parsed, read_table, relative_path
+from sarsplat.data.files import plain_os_errors
 from sarsplat.data.phoenix import is_phoenix, read_phoenix
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 
@@ -29,8 +28,6 @@ _DN_PER_MAGNITUDE = "dn_per_magnitude"
 """A column that may be missing, and empty, but not for some chips only."""
 _LEAST_SCALE, _LARGEST_SCALE = 1e-9, 1e9  # the square of no magnitude leaves float32
 _MAX_PIXELS_PER_SIDE = 4096
-_MAX_LABELS = 100_000
-_LONGEST_LINE = 10_000  # bytes
 
 
 @dataclass(frozen=True)
@@ -207,10 +204,7 @@ def _warn(text: str) -> None:
     warnings.warn(text, SarsplatWarning, stacklevel=5)  # whoever called import_mstar
 
 
-_Rows = list[tuple[int, dict[str, str]]]
-
-
-def _complete(labels: Path, rows: _Rows) -> _Rows:
+def _complete(labels: Path, rows: Sequence[Row]) -> list[Row]:
     """The rows that have the angles they need; those with empty fields are counted.
 
     A measured depression that is empty is taken to be as planned: it differs from that by tenths of a degree.
@@ -231,7 +225,7 @@ def _complete(labels: Path, rows: _Rows) -> _Rows:
     return [(line, row if row[_MEASURED].strip() else {**row, _MEASURED: row[_DESIRED]}) for line, row in whole]
 
 
-def _once(labels: Path, rows: _Rows) -> _Rows:
+def _once(labels: Path, rows: Sequence[Row]) -> list[Row]:
     """Each chip once: one that is there twice could be trained on and tested on."""
     first: dict[Path, tuple[int, dict[str, str]]] = {}
     for line, row in rows:
@@ -247,12 +241,10 @@ def _once(labels: Path, rows: _Rows) -> _Rows:
 
 def has_label_columns(path: Path) -> bool:
     """Whether a file begins as a table of labels does."""
-    with open_file(path) as file:
-        first = file.readline(_LONGEST_LINE).decode("utf-8-sig", "replace")
-    return {"path", "class"} <= {name.strip() for name in next(csv.reader([first]), [])}
+    return {"path", "class"} <= set(column_names(path))
 
 
-def read_labels(path: Path) -> _Rows:
+def read_labels(path: Path) -> tuple[Row, ...]:
     """Rows of the table with their line numbers.
 
     Raises
@@ -260,38 +252,20 @@ def read_labels(path: Path) -> _Rows:
     SarsplatError
         If it cannot be read, a column is missing, there are no rows or too many, or a path leads out of the folder.
     """
-    with open_file(path) as file:
-        data = file.read()
-    try:
-        reader = csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), restval="")
-        missing = [name for name in LABEL_COLUMNS if name not in (reader.fieldnames or ())]
-        if missing:
-            raise SarsplatError(f"{path} is missing the column {missing[0]!r}; it needs {', '.join(LABEL_COLUMNS)}")
-        rows = [(reader.line_num, row) for row in itertools.islice(reader, _MAX_LABELS + 1)]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise SarsplatError(f"{path} is not a readable CSV table ({error}); give the table of labels") from error
-    if len(rows) > _MAX_LABELS:
-        raise SarsplatError(f"{path} has more than {_MAX_LABELS} rows; split the table of labels into smaller ones")
-    if not rows:
-        raise SarsplatError(f"{path} has no rows; give the table of labels")
-    for line, row in rows:
-        inside = PurePosixPath(row["path"])
-        if inside.is_absolute() or ".." in inside.parts or "\0" in row["path"]:
-            raise SarsplatError(
-                f"{path}, line {line}: the path {shown(row['path'])} points outside the folder of chips; "
-                "use paths relative to it"
-            )
-    return rows
+    table = read_table(path, "the table of labels", LABEL_COLUMNS)
+    for row in table.rows:
+        relative_path(table, row, "path", of="chips")
+    return table.rows
 
 
 def _number(path: Path, line: int, row: dict[str, str], column: str) -> float:
-    value = _parsed(row[column])
+    value = parsed(row[column])
     if not math.isfinite(value):
         raise SarsplatError(f"{path}, line {line}: {column} is {shown(row[column])}; it must be a number of degrees")
     return value
 
 
-def _steps(path: Path, rows: _Rows) -> list[float]:
+def _steps(path: Path, rows: Sequence[Row]) -> list[float]:
     """Magnitude of one digital number of each chip; 1 if the table scales none of them."""
     given = [row.get(_DN_PER_MAGNITUDE, "").strip() for _, row in rows]
     if not any(given):
@@ -302,20 +276,12 @@ def _steps(path: Path, rows: _Rows) -> list[float]:
                 f"{path}, line {line}: {_DN_PER_MAGNITUDE} of {shown(row['path'])} is empty, so this chip does not "
                 "compare with the others; fill it in for every chip of the class, or for none"
             )
-        if not _LEAST_SCALE <= _parsed(text) <= _LARGEST_SCALE:
+        if not _LEAST_SCALE <= parsed(text) <= _LARGEST_SCALE:
             raise SarsplatError(
                 f"{path}, line {line}: {_DN_PER_MAGNITUDE} is {shown(text)}; it must be a positive number "
                 f"({_LEAST_SCALE:g} to {_LARGEST_SCALE:g})"
             )
     return [1 / float(text) for text in given]
-
-
-def _parsed(text: str) -> float:
-    """The number, or NaN."""
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
 
 
 def read_jpeg(path: Path) -> Float32[np.ndarray, "rows columns"]:

@@ -1,0 +1,159 @@
+"""A table of text (CSV) as others write it: any line ends, separators and quotes, with a byte-order mark or not."""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import math
+import os
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from sarsplat.data.files import open_file
+from sarsplat.errors import SarsplatError, counted, shown
+
+_SEPARATORS = ",;\t"
+_MAX_ROWS = 100_000
+_LARGEST = 64 << 20  # bytes
+_LONGEST_LINE = 10_000  # bytes
+
+Row = tuple[int, dict[str, str]]
+"""A row's line in the file and its cells by column, stripped; a cell that is not there is empty."""
+
+
+@dataclass(frozen=True)
+class CsvTable:
+    """What a file of comma-separated values holds.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    columns : tuple of str
+        Names of the columns, in their order.
+    rows : tuple of (int, dict of str to str)
+        Line and cells of each row; there is at least one.
+    decimal_comma : bool
+        Whether `1,5` is a number: where commas do not separate the cells.
+    """
+
+    path: Path
+    columns: tuple[str, ...]
+    rows: tuple[Row, ...]
+    decimal_comma: bool = False
+
+    def number(self, row: Row, column: str) -> float:
+        """A cell as a finite number.
+
+        Raises
+        ------
+        SarsplatError
+            If it is none.
+        """
+        value = parsed(row[1][column], self.decimal_comma)
+        if not math.isfinite(value):
+            raise SarsplatError(f"{self.path}, line {row[0]}: {column} is {shown(row[1][column])}; it must be a number")
+        return value
+
+
+def read_table(path: Path, purpose: str, needed: Sequence[str] = ()) -> CsvTable:
+    """Read a table with a line of column names.
+
+    Parameters
+    ----------
+    path : Path
+        UTF-8 text; cells that contain the separator are quoted.
+    purpose : str
+        What to give instead if it is no such table, such as "the table of labels".
+    needed : sequence of str
+        Columns that must be there.
+
+    Raises
+    ------
+    SarsplatError
+        If it cannot be read, is too large, lacks a column, has no rows or too many, a column is there twice, or a row
+        has more cells than there are columns.
+    """
+    with open_file(path) as file:
+        if file.seek(0, os.SEEK_END) > _LARGEST:
+            raise SarsplatError(f"{path} has more than {_LARGEST >> 20} MiB; split it into smaller tables")
+        file.seek(0)
+        data = file.read()
+    try:
+        text = data.decode("utf-8-sig")
+        separator = _separator(text)
+        reader = _reader(text, separator)
+        columns = tuple(name.strip() for name in next(reader, []))
+        if missing := [name for name in needed if name not in columns]:
+            raise SarsplatError(f"{path} is missing the column {missing[0]!r}; it needs {', '.join(needed)}")
+        rows = []
+        for cells in itertools.islice((cells for cells in reader if cells), _MAX_ROWS + 1):
+            rows.append((reader.line_num, _row(path, reader.line_num, columns, cells)))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise SarsplatError(f"{path} is not a readable CSV table ({error}); give {purpose}") from error
+    if len(rows) > _MAX_ROWS:
+        raise SarsplatError(f"{path} has more than {_MAX_ROWS} rows; split {purpose} into smaller ones")
+    if twice := [name for name, times in Counter(columns).items() if name and times > 1]:
+        raise SarsplatError(f"{path} has the column {shown(twice[0])} twice; rename or remove one of them")
+    if not rows:
+        raise SarsplatError(f"{path} has no rows; give {purpose}")
+    return CsvTable(path, columns, tuple(rows), separator != ",")
+
+
+def column_names(path: Path) -> tuple[str, ...]:
+    """The names that the first line of a file would give to columns, whatever kind of file it is."""
+    with open_file(path) as file:
+        first = file.readline(_LONGEST_LINE).decode("utf-8-sig", "replace")
+    try:
+        return tuple(name.strip() for name in next(_reader(first, _separator(first)), []))
+    except csv.Error:
+        return ()
+
+
+def relative_path(table: CsvTable, row: Row, column: str, of: str) -> str:
+    """A cell that names a file in a folder; `of` is what the folder holds, such as "chips".
+
+    Raises
+    ------
+    SarsplatError
+        If the path leads out of the folder.
+    """
+    text = row[1][column]
+    path = PurePosixPath(text)
+    if path.is_absolute() or ".." in path.parts or "\0" in text:
+        raise SarsplatError(
+            f"{table.path}, line {row[0]}: the path {shown(text)} points outside the folder of {of}; "
+            "use paths relative to it"
+        )
+    return text
+
+
+def parsed(text: str, decimal_comma: bool = False) -> float:
+    """The number that a text is, or NaN."""
+    try:
+        return float(text.replace(",", ".") if decimal_comma else text)
+    except ValueError:
+        return math.nan
+
+
+def _reader(text: str, separator: str) -> Any:
+    return csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=True)
+
+
+def _separator(text: str) -> str:
+    """That which occurs most often among the names of columns, which contain none as a rule."""
+    first = text.lstrip("\r\n").partition("\n")[0].partition("\r")[0]
+    return max(_SEPARATORS, key=first.count)
+
+
+def _row(path: Path, line: int, columns: tuple[str, ...], cells: list[str]) -> dict[str, str]:
+    if any(cell.strip() for cell in cells[len(columns) :]):
+        raise SarsplatError(
+            f"{path}, line {line}: there are {counted(len(cells), 'cell')} for {counted(len(columns), 'column')}; "
+            "put cells that contain the separator into quotes"
+        )
+    return dict(zip(columns, itertools.chain((cell.strip() for cell in cells), itertools.repeat(""))))
