@@ -1,0 +1,126 @@
+"""Pixels of PNG, JPEG, TIFF and NPY files, as they are stored; what a header promises is believed only if it fits."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import math
+from pathlib import Path
+
+import numpy as np
+import tifffile
+from jaxtyping import Shaped
+
+from sarsplat.data.files import open_file, plain_os_errors
+from sarsplat.errors import SarsplatError, shown
+
+PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy")
+"""Files that `read_pixels` reads."""
+
+_FREE_BYTES, _BYTES_PER_BYTE = 4 << 20, 64
+"""Measured images do not compress much: what unpacks to more than this, and so many times its size, is a bomb."""
+_MOST_PAGES = 16
+_MANY_WRONG = (OSError, SyntaxError, ValueError, ZeroDivisionError, OverflowError, EOFError)
+_TIFF, _NPY = (".tif", ".tiff"), ".npy"
+
+
+def read_pixels(path: Path) -> Shaped[np.ndarray, "*shape"]:
+    """The pixels of one image: [rows, columns], or with a third dimension of 2 on either side of these: two bands.
+
+    Parameters
+    ----------
+    path : Path
+        Its ending decides the format. Grey pictures that are stored in colour are grey here; of a GeoTIFF, reduced
+        copies (overviews) and where it lies on the earth are not looked at.
+
+    Returns
+    -------
+    numpy.ndarray
+        Of whatever type of numbers the file has.
+
+    Raises
+    ------
+    SarsplatError
+        If it cannot be read, is damaged or of another format, in colour, of several pages, holds Python objects, or
+        unpacks to far more than its size.
+    """
+    ending = path.suffix.lower()
+    if ending not in PICTURE_ENDINGS:
+        raise SarsplatError(f"{path} does not end in one of {', '.join(PICTURE_ENDINGS)}; save it as one of these")
+    pixels = _npy(path) if ending == _NPY else _tiff(path) if ending in _TIFF else _picture(path)
+    if pixels.ndim == 3 and 1 in pixels.shape[::2]:
+        pixels = pixels[0] if pixels.shape[0] == 1 else pixels[..., 0]
+    bands = pixels.ndim == 3 and 2 in pixels.shape[::2]
+    if pixels.dtype.kind not in "iufc" or not (pixels.ndim == 2 or bands) or pixels.size == 0:
+        raise SarsplatError(
+            f"{path} holds {pixels.dtype} of shape {shown(pixels.shape)}; give numbers in rows and columns (or two "
+            "bands of them, the real and the imaginary part)"
+        )
+    return pixels
+
+
+def _npy(path: Path) -> Shaped[np.ndarray, "*shape"]:
+    with open_file(path) as file:
+        if file.read(6) != b"\x93NUMPY":
+            raise SarsplatError(f"{path} is not a NumPy file; write it with numpy.save")
+    try:
+        # mapped: an array that is larger than the file is refused before there is memory for it
+        return np.array(np.load(path, mmap_mode="r", allow_pickle=False))
+    except MemoryError as error:
+        raise SarsplatError(f"{path} does not fit into memory; cut the image") from error
+    except Exception as error:  # a garbled header can fail anywhere inside the parser, with any exception
+        raise SarsplatError(
+            f"{path} is not a readable array of numbers ({shown(str(error))}); write it again with numpy.save"
+        ) from error
+
+
+def _tiff(path: Path) -> Shaped[np.ndarray, "*shape"]:
+    with open_file(path) as file:
+        data = file.read()
+    try:
+        with tifffile.TiffFile(io.BytesIO(data)) as tiff:
+            found = [page.aspage() for page in itertools.islice(tiff.pages, _MOST_PAGES)]
+            pages = [page for page in found if not page.is_reduced]
+            if len(pages) != 1:
+                raise SarsplatError(f"{path} has several pages; give one image for each file")
+            page = pages[0]
+            whole, part = (math.prod(shape) * np.dtype(page.dtype).itemsize for shape in (page.shape, page.chunks))
+            packed = page.compression != tifffile.COMPRESSION.NONE
+            _refuse_bomb(path, max(whole, part), len(data), packed)
+            return np.asarray(page.asarray(maxworkers=1))
+    except SarsplatError:
+        raise
+    except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
+        raise SarsplatError(
+            f"{path} is not a readable TIFF ({shown(str(error))}); write it again, without compression"
+        ) from error
+
+
+def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise SarsplatError(
+            "reading PNG and JPEG needs Pillow; install it with pip install 'sarsplat[mstar]'"
+        ) from error
+    with plain_os_errors("read", path), open_file(path) as file:
+        data = file.read()
+    try:
+        image = Image.open(io.BytesIO(data), formats=("PNG", "JPEG"))
+        _refuse_bomb(path, math.prod(image.size) * len(image.getbands()) * 2, len(data), True)
+        if image.mode == "L" or image.mode[0] in "IF":
+            return np.asarray(image)
+        colours = np.asarray(image.convert("RGB"))
+    except (*_MANY_WRONG, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:  # what Pillow says
+        raise SarsplatError(f"{path} is no PNG or JPEG, or damaged ({shown(str(error))}); save it again") from error
+    if (colours != colours[..., :1]).any():
+        raise SarsplatError(f"{path} is a picture in colour; give the measured values, in grey")
+    return colours[..., 0]
+
+
+def _refuse_bomb(path: Path, unpacked: int, size: int, packed: bool) -> None:
+    if unpacked > (max(_FREE_BYTES, _BYTES_PER_BYTE * size) if packed else size):
+        raise SarsplatError(
+            f"{path} has {size} bytes but claims to hold {unpacked}; it is damaged or no measured image: write it "
+            "again, without compression"
+        )
