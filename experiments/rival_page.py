@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import re
 import statistics
 from collections.abc import Mapping, Sequence
@@ -71,6 +73,7 @@ def write(comparison: Comparison, out: Path) -> Path:
         keys = MEASURED if images.chips else RENDERED
         known = [row for row in rows if row]
         parts.append(f"\n## {images.name}\n\n{_found(keys, known)}\n\n{_table(keys, known, images.name)}")
+        parts += [f"\n–: {text}\n" for text in _missing(keys, known)]
         if lines := _lines(bouts, comparison, keys):
             curves[images.name] = lines
         if drawn := _pictures(bouts, comparison):
@@ -83,7 +86,11 @@ def write(comparison: Comparison, out: Path) -> Path:
             "\n## Quality against time\n\nThe first seed, scored on a quarter of the unseen images as it trains (the "
             "learning rate is then that of the full training), and at its end.\n\n![Quality against time](rivals.png)\n"
         )
-    parts.append(f"\n{NOT_THE_SAME_EXPERIMENT}\n\nWritten by `make rivals` from code version {comparison.code}.\n")
+    parts.append(
+        f"\n{NOT_THE_SAME_EXPERIMENT}\n\nEvery training with all its scores: "
+        f"[rivals-runs.csv](rivals-runs.csv). Written by `make rivals` from code version {comparison.code}.\n"
+    )
+    write_bytes(out / "rivals-runs.csv", _runs(comparison).encode())
     page = out / "rivals.md"
     write_bytes(page, "".join(parts).encode())
     return page
@@ -123,6 +130,7 @@ def _row(bout: Bout, comparison: Comparison) -> dict[str, Any] | None:
         "steps": statistics.fmean(one["iterations"] for one in found),
         "time_s": [one["time_s"] for one in found],
         "peak": max(one["peak_bytes"] for one in found) / 1e9,
+        "reasons": found[0]["reasons"],
         "scores": {key: [one[key] for one in scores] for key in scores[0] if all(key in one for one in scores)},
     }
 
@@ -144,6 +152,36 @@ def _found(keys: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
     if not better:
         return "sarsplat is the best of them in every score."
     return f"A rival is the best in: {'; '.join(better)}. In all else it is sarsplat."
+
+
+def _missing(keys: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Why rows lack scores: each reason that the evaluation gave, and who lacks which scores for it."""
+    lacking: dict[str, list[str]] = {}
+    for row in rows:
+        for key in (key for key in keys if key not in row["scores"]):
+            reason = next((text for name, text in row["reasons"].items() if name.endswith(f".{key}")), "not known")
+            reason = re.sub(r"\d+ of \d+ scored pixels", "some scored pixels", reason)  # alike for all test sets
+            lacking.setdefault(reason, []).append(f"{row['name']}: {METRIC[key].label}")
+    return [f"{reason} ({'; '.join(who)})." for reason, who in lacking.items()]
+
+
+def _runs(comparison: Comparison) -> str:
+    """Every finished training, a line each, as CSV."""
+    lines = []
+    for images in comparison.sets:
+        for bout in comparison.bouts(images):
+            for cell in bout.cells:
+                if (one := comparison.read(cell)) is not None:
+                    budget = "in our time" if bout.equal else "stopped" if cell.seconds else "full"
+                    about = {"set": images.name, "method": bout.contender.title, "budget": budget, "seed": cell.seed}
+                    cost = {"steps": one["iterations"], "time_s": one["time_s"], "peak_bytes": one["peak_bytes"]}
+                    lines.append({**about, **cost, **_scores(one)})
+    heads = list(dict.fromkeys(name for line in lines for name in line))
+    with io.StringIO(newline="") as file:
+        table = csv.DictWriter(file, heads, lineterminator="\n")
+        table.writeheader()
+        table.writerows(lines)
+        return file.getvalue()
 
 
 def _spread(values: Sequence[float], digits: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import subprocess
@@ -32,6 +33,7 @@ def finished(comparison, cell, psnr: float, time_s: float) -> None:
     found = {
         "images": {"test": scores},
         "points": {"visible": points},
+        "reasons": {"images.test.lpips": "no LPIPS weights", "points.visible.f1@0.1": "no mesh"},
         "time_s": time_s,
         "iterations": 100,
         "peak_bytes": 5e8,
@@ -60,6 +62,15 @@ def test_the_page_says_what_is_finished(rivals, tmp_path):
     assert "| SAR-NeRF on a grid, sound, in our time | 30.00 | 22.00 |" in page
     assert "| *paper: SAR-NeRF* | 34.54 | – | 0.9911 | 0.0224 |" in page
     assert "DSR, full" not in page
+    who = "sarsplat: LPIPS; SAR-NeRF on a grid, sound, in our time: LPIPS"
+    assert f"\n–: no LPIPS weights ({who}).\n" in page
+    with (tmp_path / "out" / "rivals-runs.csv").open() as file:
+        runs = [*csv.DictReader(file)]
+    assert [(run["method"], run["budget"], run["seed"], run["psnr_db"]) for run in runs] == [
+        ("sarsplat", "full", "0", "40.0"),
+        ("sarsplat", "full", "1", "42.0"),
+        ("SAR-NeRF on a grid, sound", "in our time", "0", "30.0"),
+    ]
     assert "**Not complete:** 3 of at least 18 trainings are finished" in page
     assert "A rival is the best" not in page
     finished(comparison, equal.cells[0], 43.0, 49.0)
