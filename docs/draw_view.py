@@ -18,8 +18,8 @@ from sarsplat.radar import Pixel
 from sarsplat.viewer import Viewer, subject_at
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parent / "tests" / "viewer"))
-from browser import browser  # noqa: E402
+sys.path.insert(0, str(HERE.parent / "tests"))
+from chromium import chromium  # noqa: E402
 
 PICTURE = HERE / "images" / "view.png"
 SIZE = (1400, 800)
@@ -35,14 +35,15 @@ def main(run: str) -> None:
     row, column = np.unravel_index(image.argmax(), image.shape)
     viewer.pick(Pixel(int(row), int(column)))
     viewer.wait(60)
-    with browser() as page:
+    with chromium() as browser:
+        page = browser.page
         page.size(*SIZE)
-        page.open(viewer.address)
+        page.open(f"{viewer.address}/")
         page.until("document.querySelector('#heads') !== null")
         page.until("document.querySelector('.mantine-Notification-closeButton') !== null", timeout_s=SECONDS)
         page.value("document.querySelector('.mantine-Notification-closeButton').click()")  # "software rendering"
         time.sleep(SECONDS)
-        shot = Image.open(io.BytesIO(page.shot()))
+        shot = Image.open(io.BytesIO(page.picture()))
     viewer.close()
     shot.convert("RGB").save(PICTURE, optimize=True)
 

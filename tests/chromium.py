@@ -20,12 +20,15 @@ import pytest
 _FLAGS = (
     "--headless",
     "--no-sandbox",
-    "--disable-gpu",
+    "--use-angle=swiftshader",  # WebGL in software
+    "--enable-unsafe-swiftshader",
     "--disable-background-networking",
     "--disable-component-update",
     "--no-first-run",
     "--remote-debugging-port=0",
 )
+_PATIENCE_S = 60.0  # for whatever a loaded machine may take long for
+_OWN_ERRANDS = "not an origin"  # what Chromium calls the origin of requests that no page made
 
 
 class Page:
@@ -36,20 +39,25 @@ class Page:
 
         self._socket = connect(address, max_size=None)
         self._numbers = itertools.count(1)
-        self.events: list[dict[str, Any]] = []
-        for domain in ("Page", "Runtime", "Network", "Log"):
+        self._events: list[dict[str, Any]] = []
+        for domain in ("Page", "Runtime", "Log"):
             self.call(f"{domain}.enable")
 
     def call(self, method: str, **parameters: Any) -> Any:
         """A command's result; events that come meanwhile are kept."""
-        number = next(self._numbers)
-        self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+        number = self.tell(method, **parameters)
         while True:
-            message = json.loads(self._socket.recv(timeout=60))
+            message = json.loads(self._socket.recv(timeout=_PATIENCE_S))
             if message.get("id") == number:
                 assert "error" not in message, message
                 return message["result"]
-            self.events.append(message)
+            self._events.append(message)
+
+    def tell(self, method: str, **parameters: Any) -> int:
+        """Send a command, and do not wait."""
+        number = next(self._numbers)
+        self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+        return number
 
     def size(self, width: int, height: int) -> None:
         self.call(
@@ -61,6 +69,8 @@ class Page:
         self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": name}])
 
     def open(self, address: str) -> None:
+        """Load a page with everything that it names."""
+        self._events.clear()
         self.call("Page.navigate", url=address)
         self.until(f"document.readyState === 'complete' && location.href === {json.dumps(address)}")
 
@@ -70,7 +80,7 @@ class Page:
         assert "exceptionDetails" not in found, found["exceptionDetails"]
         return found["result"].get("value")
 
-    def until(self, expression: str, wanted: Callable[[Any], bool] = bool, timeout_s: float = 60.0) -> Any:
+    def until(self, expression: str, wanted: Callable[[Any], bool] = bool, timeout_s: float = _PATIENCE_S) -> Any:
         """Wait for an expression to become what is wanted."""
         end = time.monotonic() + timeout_s
         while True:
@@ -92,47 +102,66 @@ class Page:
         for kind in ("keyDown", "keyUp"):
             self.call("Input.dispatchKeyEvent", type=kind, key=name, code=name)
 
-    def picture(self, path: Path) -> None:
-        """What the whole page looks like, as PNG."""
-        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", captureBeyondViewport=True)["data"]))
+    def picture(self) -> bytes:
+        """What the page looks like, as PNG."""
+        return base64.b64decode(self.call("Page.captureScreenshot")["data"])
 
     @property
     def complaints(self) -> list[dict[str, Any]]:
-        """Uncaught errors, and what was written to the console or its log."""
+        """Uncaught errors of the page, and what it wrote to the console or its log."""
         self.value("0")  # so that all events have come
         told = ("Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded")
-        return [event["params"] for event in self.events if event["method"] in told]
+        return [event["params"] for event in self._events if event["method"] in told]
 
-    @property
-    def asked_for(self) -> list[str]:
-        """Addresses of everything that was requested so far, sockets included."""
-        self.value("0")  # so that all events have come
-        found = [e["params"]["request"]["url"] for e in self.events if e["method"] == "Network.requestWillBeSent"]
-        return found + [e["params"]["url"] for e in self.events if e["method"] == "Network.webSocketCreated"]
+
+class Browser:
+    """A running Chromium.
+
+    Parameters
+    ----------
+    process : subprocess.Popen
+        Its process.
+    page : Page
+        Its only tab.
+    net_log : Path
+        Where it writes down what it asks the network for.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes], page: Page, net_log: Path) -> None:
+        self._process, self.page, self._net_log = process, page, net_log
+
+    def quit(self) -> list[str]:
+        """End it; the addresses of all that its pages and their workers had asked for, sockets included, files not."""
+        self.page.tell("Browser.close")  # so that it completes its log
+        self._process.wait(_PATIENCE_S)
+        events = json.loads(self._net_log.read_text(encoding="utf-8"))["events"]
+        asked = [event["params"] for event in events if {"url", "initiator"} <= event.get("params", {}).keys()]
+        return list(dict.fromkeys(request["url"] for request in asked if request["initiator"] != _OWN_ERRANDS))
 
 
 @contextmanager
-def browser() -> Iterator[Page]:
-    """A tab of a browser of its own; skips the test if there is none."""
+def chromium() -> Iterator[Browser]:
+    """A browser of one's own; skips the test if there is none."""
     pytest.importorskip("websockets", reason="the browser is driven with websockets")
     program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if program is None:
         pytest.skip("no Chromium was found")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        words = [program, *_FLAGS, f"--user-data-dir={profile}", "about:blank"]
+        net_log = Path(profile) / "net.json"
+        words = [program, *_FLAGS, f"--user-data-dir={profile}", f"--log-net-log={net_log}", "about:blank"]
         process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
             port = _port(Path(profile) / "DevToolsActivePort")
             with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
                 tabs = [tab for tab in json.load(answer) if tab["type"] == "page"]
-            yield Page(tabs[0]["webSocketDebuggerUrl"])
+            yield Browser(process, Page(tabs[0]["webSocketDebuggerUrl"]), net_log)
         finally:
             process.terminate()
-            process.wait(20)
+            process.wait(_PATIENCE_S)
 
 
 def _port(file: Path) -> int:
-    end = time.monotonic() + 60
+    end = time.monotonic() + _PATIENCE_S
     while time.monotonic() < end:
         if file.is_file() and (lines := file.read_text().splitlines()):
             return int(lines[0])
