@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Real, UInt8
+from jaxtyping import Float, Float64, Real, UInt8
 
 from sarsplat.errors import SarsplatError, shown
 
@@ -19,6 +19,14 @@ def to_decibels(power: np.ndarray | float, peak: float = 1.0) -> np.ndarray:
     """10·log10(power / peak), dB; powers below float32's smallest count as that, so that nothing is −inf."""
     smallest = float(np.finfo(np.float32).tiny)
     return 10 * np.log10(np.maximum(np.asarray(power, dtype=np.float64) / peak, smallest))
+
+
+def difference_db(
+    rendered: Real[np.ndarray, "*pixels"], truth: Real[np.ndarray, "*pixels"], peak: float, darkest_db: float
+) -> Float64[np.ndarray, "*pixels"]:
+    """Rendered over true power, dB; whatever is darker than `darkest_db` of the peak counts as equally dark."""
+    floor = peak * 10 ** (darkest_db / 10)
+    return to_decibels(np.maximum(rendered, floor)) - to_decibels(np.maximum(truth, floor))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from scipy.ndimage import correlate
 
 from sarsplat.evaluation import UndefinedScore, register
 from sarsplat.geometry import ImageGrid
-from sarsplat.report.decibels import DYNAMIC_DB, to_decibels
+from sarsplat.report.decibels import DYNAMIC_DB, difference_db
 
 Stack = Real[np.ndarray, "v rows columns"]
 
@@ -95,8 +95,7 @@ class Difference:
         """
         truth, rendered = truth.astype(np.float64), rendered.astype(np.float64)
         if self.looks is None:
-            floor = self.peak * 10 ** (-DYNAMIC_DB / 10)
-            return to_decibels(np.maximum(rendered, floor)) - to_decibels(np.maximum(truth, floor))
+            return difference_db(rendered, truth, self.peak, -DYNAMIC_DB)
         rendered = np.maximum(rendered, self.peak * 10 ** (_DARKEST_DB / 10))
         window = Window.of(self.grid)
         weights = np.full((1, window.rows, window.columns), 1 / (window.rows * window.columns))

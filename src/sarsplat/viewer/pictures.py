@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter
 
 from sarsplat.geometry import ImageGrid
 from sarsplat.radar import Pixel, RadarMaps
-from sarsplat.report.decibels import to_decibels
+from sarsplat.report.decibels import difference_db, to_decibels
 from sarsplat.viewer.colours import DIFFERENCE, Scale
 
 _SIDE = 256  # pixels of the longer side of a panel, at least half of it
@@ -61,12 +61,11 @@ def difference_panel(
     speckled: bool,
 ) -> Panel:
     """Rendered over measured in decibels; what is darker than the pictures show counts as equally dark."""
-    floor, widest = peak * 10 ** (darkest_db / 10), 10.0 if speckled else 6.0
+    widest = 10.0 if speckled else 6.0
     if speckled:
         rendered, measured = (uniform_filter(power, 3) for power in (rendered, measured))
-    difference = to_decibels(np.maximum(rendered, floor)) - to_decibels(np.maximum(measured, floor))
     scale = Scale(f"dB{', of 3×3 means' if speckled else ''}", -widest, widest, DIFFERENCE)
-    return Panel("difference", scale.rgb(difference), scale.bar())
+    return Panel("difference", scale.rgb(difference_db(rendered, measured, peak, darkest_db)), scale.bar())
 
 
 def map_panel(name: str, maps: RadarMaps, highest_m: float, cell_m: float) -> Panel:
