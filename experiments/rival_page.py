@@ -46,7 +46,8 @@ _RIM = 4  # pixels
 _ABOUT = """SAR-NeRF and DSR, written afresh ([docs/rivals.md](../rivals.md)), beside sarsplat on the same images,
 scored alike. Every training has one thread, and its time is that of this core. *In our time*: as many iterations as
 fit into the time that sarsplat takes, the learning rate falling within them; *full*: as long as the method's settings
-say. The perceptron's training would take months: it gets ten minutes, and its steps show how far it came. Mean ±
+say. The perceptron's training would take months: it gets ten minutes, and its steps show how far it came; it is
+left out where hundreds of chips would have to be rendered, each of which takes it ten seconds. Mean ±
 sample standard deviation over the seeds. The peak memory is that of the whole process until the end of the training,
 Python and its libraries included. Points are held against the visible surface; those of measured chips against a
 procedural model of a T-72, brought onto it by a small motion."""

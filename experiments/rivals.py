@@ -58,8 +58,8 @@ class Contender:
         All it is given; None: as long as its settings say.
     everywhere : bool
         Whether it is done on all sets, or only where curves are drawn.
-    once : bool
-        Whether it is done with the first seed only.
+    slow : bool
+        Whether an image takes it seconds: it is done last, once, and on simulated images, of which there are few.
     """
 
     title: str
@@ -67,7 +67,7 @@ class Contender:
     changes: Mapping[str, Any] = field(default_factory=dict)
     seconds: float | None = None
     everywhere: bool = True
-    once: bool = False
+    slow: bool = False
 
 
 CONTENDERS = (
@@ -75,8 +75,8 @@ CONTENDERS = (
     Contender("SAR-NeRF on a grid, sound", "sar-nerf-grid"),
     Contender("SAR-NeRF on a grid, published equations", "sar-nerf-grid", {"mode": "published"}, everywhere=False),
     Contender("DSR", "dsr"),
-    Contender("SAR-NeRF, published", "sar-nerf", {}, _PERCEPTRON_S, everywhere=False, once=True),
-    Contender("SAR-NeRF, sound", "sar-nerf", {"mode": "sound"}, _PERCEPTRON_S, everywhere=False, once=True),
+    Contender("SAR-NeRF, published", "sar-nerf", {}, _PERCEPTRON_S, everywhere=False, slow=True),
+    Contender("SAR-NeRF, sound", "sar-nerf", {"mode": "sound"}, _PERCEPTRON_S, everywhere=False, slow=True),
 )
 
 
@@ -100,9 +100,9 @@ class Comparison:
     def bouts(self, images: Images) -> Iterator[Bout]:
         """Of one set: ours, then each rival in our time and at its own budget."""
         for contender in CONTENDERS:
-            if not contender.everywhere and images.name not in self._curves:
+            if (images.chips and contender.slow) or (images.name not in self._curves and not contender.everywhere):
                 continue
-            seeds = self.seeds[:1] if contender.once else self.seeds
+            seeds = self.seeds[:1] if contender.slow else self.seeds
             full = tuple(self._cell(images, contender, seed) for seed in seeds)
             if contender.method == OURS:
                 first = self.read(full[0])
@@ -112,7 +112,7 @@ class Comparison:
             yield Bout(images, contender, False, full)
 
     def _cell(self, images: Images, contender: Contender, seed: int) -> RivalCell:
-        curve = _CURVE if images.name in self._curves and seed == self.seeds[0] and not contender.once else ()
+        curve = _CURVE if images.name in self._curves and seed == self.seeds[0] and not contender.slow else ()
         if self._small:  # it only shows that everything works
             few = {"iterations": 3} | ({} if contender.method == "dsr" else {"surface_voxels": 24})
             small = {} if contender.method == OURS else {**contender.changes, **few}
@@ -130,22 +130,23 @@ class Comparison:
         for images in self.sets:
             _ = Bench(images, self.work, self.code).masks  # made here: no cell's memory is that of making them
         with ThreadPoolExecutor(processes) as pool:
-            for seed in self.seeds:
-                for ours in (True, False):  # what is done in our time is known when ours are finished
-                    todo = [
-                        (cell, f"{bout.images.name}, {bout.contender.title}{', in our time' * bout.equal}, seed {seed}")
-                        for images in self.sets
-                        for bout in self.bouts(images)
-                        for cell in bout.cells
-                        if cell.seed == seed and (cell.method == OURS) == ours and self.read(cell) is None
-                    ]
-                    futures = [pool.submit(self._run, cell, what, failed) for cell, what in todo]
-                    try:
-                        for future in futures:
-                            future.result()
-                    except BaseException:
-                        pool.shutdown(cancel_futures=True)
-                        raise
+            turns = [(seed, ours, False) for seed in self.seeds for ours in (True, False)]
+            for seed, ours, slow in [*turns, (self.seeds[0], False, True)]:  # those in our time need ours finished
+                todo = [
+                    (cell, f"{bout.images.name}, {bout.contender.title}{', in our time' * bout.equal}, seed {seed}")
+                    for images in self.sets
+                    for bout in self.bouts(images)
+                    for cell in bout.cells
+                    if (cell.seed, cell.method == OURS, bout.contender.slow) == (seed, ours, slow)
+                    and self.read(cell) is None
+                ]
+                futures = [pool.submit(self._run, cell, what, failed) for cell, what in todo]
+                try:
+                    for future in futures:
+                        future.result()
+                except BaseException:
+                    pool.shutdown(cancel_futures=True)
+                    raise
         return failed
 
     def _run(self, cell: RivalCell, what: str, failed: list[str]) -> None:
