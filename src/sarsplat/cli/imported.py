@@ -1,4 +1,4 @@
-"""How every import ends: what was assumed, what was made, what to do next."""
+"""How every import ends: what was assumed, how the images lie, what was made, what to do next."""
 
 from __future__ import annotations
 
@@ -7,17 +7,30 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sarsplat.cli import console
+from sarsplat.cli.extras import install_command
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
 
 
 def finish(out: Path, dataset: Dataset) -> None:
-    """Tell it."""
+    """Tell it, and draw a sheet of the images on which one sees whether they lie as they should."""
     from sarsplat.importers import ready
 
     for assumption in dataset.source["assumptions"]:
         console.say(f"assumed: {assumption}")
+    try:
+        _draw(out / "preview.png", dataset)
+    except ModuleNotFoundError as error:
+        console.say(f"no preview.png was drawn, for {error.name} is not installed; {install_command('report')}")
     console.finish(
         f"{out}: {ready(dataset)}", f"sarsplat reconstruct {shlex.quote(str(out))} --out {shlex.quote(f'{out}-run')}"
     )
+
+
+def _draw(preview: Path, dataset: Dataset) -> None:
+    from sarsplat.data import write_bytes
+    from sarsplat.report.check_sheet import check_sheet
+
+    write_bytes(preview, check_sheet(dataset))
+    console.say(f"look at {preview}: shadows must fall downwards, and noses point along the dotted arrows")

@@ -114,20 +114,19 @@ def column_names(path: Path) -> tuple[str, ...]:
         return ()
 
 
-def relative_path(table: CsvTable, row: Row, column: str, of: str) -> str:
-    """A cell that names a file in a folder; `of` is what the folder holds, such as "chips".
+def relative_path(path: Path, row: Row, column: str, of: str) -> str:
+    """A cell of the table `path` that names a file in a folder; `of` is what the folder holds, such as "chips".
 
     Raises
     ------
     SarsplatError
-        If the path leads out of the folder.
+        If it leads out of the folder.
     """
-    text = row[1][column]
-    path = PurePosixPath(text)
-    if path.is_absolute() or ".." in path.parts or "\0" in text:
+    line, text = row[0], row[1][column]
+    inside = PurePosixPath(text.replace("\\", "/"))
+    if inside.is_absolute() or ".." in inside.parts or "\0" in text:
         raise SarsplatError(
-            f"{table.path}, line {row[0]}: the path {shown(text)} points outside the folder of {of}; "
-            "use paths relative to it"
+            f"{path}, line {line}: the path {shown(text)} points outside the folder of {of}; use paths relative to it"
         )
     return text
 

@@ -17,7 +17,7 @@ from sarsplat.data.files import locked, plain_os_errors, sync
 from sarsplat.errors import SarsplatError
 
 _LAYOUTS = {
-    "dataset.json": r"dataset\.json|truth\.ply|images/[^/]+\.tif|masks/[^/]+\.png",
+    "dataset.json": r"dataset\.json|truth\.ply|preview\.png|images/[^/]+\.tif|masks/[^/]+\.png",
     "config.json": (
         r"config\.json|metrics\.jsonl?|gaussians\.ply|points\.ply|checkpoints/\d+\.safetensors|"
         r"report/(index\.html|[^/]+\.png)|tensorboard/events\.out\.tfevents\.[^/]+"

@@ -254,7 +254,7 @@ def read_labels(path: Path) -> tuple[Row, ...]:
     """
     table = read_table(path, "the table of labels", LABEL_COLUMNS)
     for row in table.rows:
-        relative_path(table, row, "path", of="chips")
+        relative_path(path, row, "path", of="chips")
     return table.rows
 
 

@@ -86,6 +86,7 @@ def check_sheet(dataset: Dataset, most: int = 12) -> bytes:
             _contour(axes, found.shadow, grid, BLUE)
         entry = dataset.entries[index]
         _directions(axes, entry.view, grid)
+        _scale_bar(axes, grid)
         dress(axes)
         view = entry.view
         angles = f"azimuth {view.azimuth_deg:.1f}°, grazing {view.grazing_deg:.1f}°"
@@ -127,6 +128,16 @@ def _directions(axes: Axes, view: View, grid: ImageGrid) -> None:
     nose: Float64[np.ndarray, " 3"] = radar_frame(view)[:, 0] * _NOSE * min(right - left, high)
     middle = grid.center_m
     _arrow(axes, middle, (middle[0] + float(nose[0]), middle[1] + float(nose[2])), INK, ":")
+
+
+def _scale_bar(axes: Axes, grid: ImageGrid) -> None:
+    """A round length along azimuth, a fifth of the image or more, at the bottom on the right."""
+    left, right, bottom, top = _extent(grid)
+    unit = 10 ** math.floor(math.log10(0.4 * (right - left)))
+    length = unit * max(round_ for round_ in (1, 2, 4) if round_ * unit <= 0.4 * (right - left))
+    end, y = right - 0.05 * (right - left), bottom - 0.04 * (bottom - top)
+    axes.plot([end - length, end], [y, y], color=INK, linewidth=1.5, scalex=False, scaley=False)
+    axes.text(end, y - 0.04 * (bottom - top), f"{length:g} m", **{**_PLATE, "ha": "right"}, color=INK)
 
 
 def _arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float], colour: str, style: str) -> None:

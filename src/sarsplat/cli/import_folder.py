@@ -1,0 +1,144 @@
+"""`sarsplat import folder`: pictures and a table in, a dataset out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from sarsplat.cli import console
+from sarsplat.cli.arguments import Folder, OptionalCount, OptionalFile, OptionalName, OptionalNumber, refuse_existing
+from sarsplat.errors import SarsplatError
+
+Lengths = Annotated[tuple[float, ...], tyro.conf.arg(metavar="METRES [METRES]", help_behavior_hint="(optional)")]
+
+
+def import_folder(
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+    *,
+    out: Folder,
+    table: OptionalFile = None,
+    columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="MEANING=NAME …", help_behavior_hint="(optional)")] = (),
+    quantity: Annotated[
+        Literal["amplitude", "power", "db", "complex"] | None, tyro.conf.arg(help_behavior_hint="(optional)")
+    ] = None,
+    scale: float = 1.0,
+    offset: float = 0.0,
+    spacing: Lengths = (),
+    resolution: Lengths = (),
+    ground_range: bool = False,
+    grazing: OptionalNumber = None,
+    near: Literal["top", "bottom", "left", "right"] = "top",
+    mirrored: bool = False,
+    azimuth_offset: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 0.0,
+    counter_clockwise: bool = False,
+    azimuth_std: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 0.0,
+    train_views: OptionalCount = None,
+    target: OptionalName = None,
+    calibrated: bool = False,
+    looks: Annotated[float, tyro.conf.arg(metavar="NUMBER")] = 1.0,
+    target_only: bool = False,
+    overwrite: bool = False,
+) -> None:
+    """Import pictures (PNG, JPEG, TIFF, GeoTIFF, NPY) with a table (CSV) of angles.
+
+    Parameters
+    ----------
+    folder
+        Folder of the pictures.
+    out
+        Dataset folder to write.
+    table
+        Table (CSV) with a row for each picture; without it, the only one in the folder.
+    columns
+        What the table calls its columns, e.g. az=heading,graz=elev; meanings are file, azimuth, grazing or incidence,
+        spacing, resolution (or azimuth-spacing, range-spacing …), split, azimuth-std, look (left or right), scale and
+        offset. The usual names are recognised without it.
+    quantity
+        What scale · pixel + offset is; without it, complex numbers are complex amplitude, whole numbers amplitude.
+    scale
+        Factor on the pixels.
+    offset
+        Added to the pixels after that.
+    spacing
+        Pixel spacing in the slant plane, m: one number, or azimuth and range.
+    resolution
+        3 dB width, m: one number, or azimuth and range; without it, the pixel spacing.
+    ground_range
+        Lengths in range are along the ground.
+    grazing
+        Grazing angle of all pictures, degrees, if the table has none.
+    near
+        Side of the pictures that is near the radar.
+    mirrored
+        The pictures, turned with the near side up, are mirror images; so are columns in the order of time of a radar
+        that looks to the left.
+    azimuth_offset
+        What the azimuth 0 of the table is here, degrees clockwise from the target's nose.
+    counter_clockwise
+        Azimuths of the table grow counter-clockwise, seen from above.
+    azimuth_std
+        Standard deviation of the azimuths, degrees.
+    train_views
+        Number of training views, evenly chosen; the others are test views. Without it, the column split decides, or all
+        are training views.
+    target
+        What is shown; without it, the folder's name.
+    calibrated
+        The power is β⁰ itself, not only up to a factor.
+    looks
+        Looks of the speckle; 0 if there is no speckle.
+    target_only
+        The pictures show the target alone, without ground.
+    overwrite
+        Replace an existing dataset.
+    """
+    from sarsplat.cli.imported import finish
+    from sarsplat.data.dataset_folder import HEADER
+    from sarsplat.importers import import_folder as read_folder
+
+    refuse_existing(out, overwrite, marker=HEADER)
+    with console.busy(f"reading pictures from {folder}"):
+        dataset = read_folder(
+            folder,
+            out,
+            table=table,
+            columns=_named(columns),
+            quantity=quantity,
+            scale=scale,
+            offset=offset,
+            spacing_m=_pair(spacing, "spacing"),
+            resolution_m=_pair(resolution, "resolution"),
+            ground_range=ground_range,
+            grazing_deg=grazing,
+            near=near,
+            mirrored=mirrored,
+            azimuth_offset_deg=azimuth_offset,
+            counter_clockwise=counter_clockwise,
+            azimuth_std_deg=azimuth_std,
+            train_views=train_views,
+            target=target,
+            calibration="absolute" if calibrated else "relative",
+            looks=looks or None,
+            ground=not target_only,
+            overwrite=overwrite,
+        )
+    finish(out, dataset)
+
+
+def _named(words: tuple[str, ...]) -> dict[str, str]:
+    """`az=heading,graz=elev` as a mapping; names may contain spaces, but no commas."""
+    named = {}
+    for word in filter(None, ",".join(words).split(",")):
+        meaning, equals, name = word.partition("=")
+        if not equals or not name:
+            raise SarsplatError(f"--columns {word!r} is not of the form MEANING=NAME, such as azimuth=heading")
+        named[meaning.strip()] = name.strip()
+    return named
+
+
+def _pair(lengths: tuple[float, ...], name: str) -> tuple[float, float] | None:
+    if len(lengths) > 2:
+        raise SarsplatError(f"--{name} has {len(lengths)} numbers; give one, or two: azimuth and range")
+    return (lengths[0], lengths[-1]) if lengths else None

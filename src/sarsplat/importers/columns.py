@@ -1,0 +1,122 @@
+"""Which column of a table of images says what: as the user names them, or recognised by their usual names."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping
+
+from sarsplat.data.csv_table import CsvTable
+from sarsplat.errors import SarsplatError, shown
+
+MEANINGS: dict[str, tuple[str, ...]] = {
+    "file": ("filename", "path", "image", "imagefile", "imagepath", "chip", "picture"),
+    "azimuth": ("az", "azim", "aspect", "bearing"),
+    "grazing": ("graz", "elevation", "elev", "el", "depression", "measureddepression"),
+    "incidence": ("inc", "incident"),
+    "spacing": ("pixelspacing", "pixel"),
+    "azimuth-spacing": ("spacingazimuth", "azimuthpixelspacing", "crossrangespacing", "crossrangepixelspacing"),
+    "range-spacing": ("spacingrange", "rangepixelspacing"),
+    "resolution": ("res",),
+    "azimuth-resolution": ("resolutionazimuth", "crossrangeresolution"),
+    "range-resolution": ("resolutionrange",),
+    "split": ("set", "subset"),
+    "azimuth-std": ("azstd", "azimuthuncertainty"),
+    "look": ("lookside", "lookdirection"),
+    "scale": (),
+    "offset": (),
+}
+"""What a column can say, and other usual names of such columns, without units."""
+
+_SHORT = {"az": "azimuth", "graz": "grazing", "elev": "grazing", "inc": "incidence", "std": "azimuth-std"}
+_UNITS = {"deg", "degree", "degrees", "m", "metre", "metres", "meter", "meters", "angle"}
+_ONLY_IF_NAMED = ("scale", "offset")
+"""Too many things are called that."""
+
+Columns = dict[str, str]
+"""Meaning → name of the column."""
+
+
+def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
+    """The columns that matter.
+
+    Parameters
+    ----------
+    table : CsvTable
+        The table.
+    named : mapping of str to str
+        Meanings (keys of `MEANINGS`, or az, graz, inc, std) and the columns that have them; all others are recognised.
+
+    Raises
+    ------
+    SarsplatError
+        If there is no such meaning or column, or two columns look alike.
+    """
+    chosen: Columns = {}
+    for key, column in named.items():
+        meaning = _SHORT.get(key, key)
+        if meaning not in MEANINGS:
+            raise SarsplatError(f"no column can be a {shown(key)}{_guess(key, MEANINGS)}; choose {', '.join(MEANINGS)}")
+        if column not in table.columns:
+            raise SarsplatError(
+                f"{table.path} has no column {shown(column)}{_guess(column, table.columns)}; it has {_listed(table)}"
+            )
+        chosen[meaning] = column
+    elevations = {"grazing", "incidence"}
+    if elevations <= set(chosen):
+        raise SarsplatError("--columns names both a grazing and an incidence angle; name one of them")
+    for meaning in MEANINGS:
+        told_otherwise = meaning in elevations and elevations & set(chosen)
+        if meaning not in (*chosen, *_ONLY_IF_NAMED) and not told_otherwise:
+            found = _recognised(table, meaning, chosen)
+            if found is not None:
+                chosen[meaning] = found
+    return chosen
+
+
+def _recognised(table: CsvTable, meaning: str, chosen: Columns) -> str | None:
+    """The one column that has a usual name."""
+    usual = (meaning.replace("-", ""), *MEANINGS[meaning])
+    found = [name for name in table.columns if _plain(name) in usual and name not in chosen.values()]
+    if len(found) > 1 and (exact := [name for name in found if _plain(name) == usual[0]]):
+        found = exact
+    if len(found) > 1:
+        raise SarsplatError(
+            f"{table.path} has several columns that may be the {meaning}: {', '.join(map(shown, found))}; "
+            f"say which with --columns {meaning}=NAME"
+        )
+    return found[0] if found else None
+
+
+def require(table: CsvTable, columns: Columns, meaning: str, or_else: str = "") -> None:
+    """Refuse a table that does not say something; `or_else` is another way to say it.
+
+    Raises
+    ------
+    SarsplatError
+        If no column has this meaning.
+    """
+    if meaning not in columns:
+        raise SarsplatError(
+            f"{table.path} has no column that looks like the {meaning}; name it with --columns {meaning}=NAME{or_else} "
+            f"(there are {_listed(table)})"
+        )
+
+
+def _plain(name: str) -> str:
+    """`Azimuth (deg)` and `azimuth_angle_deg` are `azimuth`."""
+    words = re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
+    while len(words) > 1 and words[-1] in _UNITS:
+        words.pop()
+    return "".join(words)
+
+
+def _guess(word: str, known: Mapping[str, object] | tuple[str, ...]) -> str:
+    by_lower = {name.lower(): name for name in known if name}
+    close = difflib.get_close_matches(word.lower(), by_lower, n=1)
+    return f" (did you mean {shown(by_lower[close[0]])}?)" if close else ""
+
+
+def _listed(table: CsvTable) -> str:
+    named = [name if name.isprintable() else shown(name) for name in table.columns if name]
+    return ", ".join(named[:20])[:400] + (", …" if len(named) > 20 else "")

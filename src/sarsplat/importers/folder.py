@@ -1,0 +1,204 @@
+"""Import pictures of any origin: a folder of PNG, JPEG, TIFF or NPY files, and a table of their angles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Shaped
+
+from sarsplat.data.dataset import Dataset
+from sarsplat.data.header import Calibration
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import View
+from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
+from sarsplat.importers.pictures import read_pixels
+from sarsplat.importers.quantity import Quantity, likely_quantity, power_or_signal
+from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
+
+Side = Literal["top", "bottom", "left", "right"]
+
+_QUARTER_TURNS: dict[Side, int] = {"top": 0, "right": 1, "bottom": 2, "left": 3}
+"""Counter-clockwise, to bring a side to the top."""
+
+Pair = tuple[float, float]
+
+
+def import_folder(
+    folder: str | Path,
+    out: str | Path,
+    *,
+    table: str | Path | None = None,
+    columns: Mapping[str, str] | None = None,
+    quantity: Quantity | None = None,
+    scale: float = 1.0,
+    offset: float = 0.0,
+    spacing_m: Pair | None = None,
+    resolution_m: Pair | None = None,
+    ground_range: bool = False,
+    grazing_deg: float | None = None,
+    near: Side = "top",
+    mirrored: bool = False,
+    azimuth_offset_deg: float = 0.0,
+    counter_clockwise: bool = False,
+    azimuth_std_deg: float = 0.0,
+    train_views: int | None = None,
+    target: str | None = None,
+    calibration: Calibration = "relative",
+    looks: float | None = 1.0,
+    ground: bool = True,
+    overwrite: bool = False,
+) -> Dataset:
+    """Make a dataset of pictures and a table with a row for each.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the pictures lie.
+    out : Path
+        Dataset to make.
+    table : Path, optional
+        CSV file; unless given, the only one in the folder.
+    columns : mapping of str to str, optional
+        What columns say → their names (see `sarsplat.importers.columns.MEANINGS`). Those not named are recognised by
+        their usual names. What a column says of a picture goes before what is said here of all.
+    quantity : {"amplitude", "power", "db", "complex"}, optional
+        What `scale`·pixels + `offset` is. Unless given: complex for complex pixels, amplitude for whole numbers.
+    scale, offset : float
+        For decibels in 8 bits, for example, 60/255 and −60.
+    spacing_m, resolution_m : (float, float), optional
+        Pixel spacing and 3 dB width (azimuth, range), m. Without a resolution it is taken to be the spacing.
+    ground_range : bool
+        Whether lengths in range are along the ground; those in the slant plane are cos(grazing) times as long.
+    grazing_deg : float, optional
+        Degrees.
+    near : {"top", "bottom", "left", "right"}
+        Side of the pictures that is near the radar.
+    mirrored : bool
+        Whether the pictures, turned with the near side up, are mirror images of what one sees from above. So are those
+        of a radar that looks to the left and writes column after column; a column `look` says so picture by picture.
+    azimuth_offset_deg, counter_clockwise : float, bool
+        The radar's azimuth, clockwise from the target's nose, is the offset plus the azimuth of the table, or minus it.
+    azimuth_std_deg : float
+        Standard deviation of the azimuths, degrees.
+    train_views : int, optional
+        Number of training views, evenly chosen; the others are test views. Not if a column names the sets.
+    target : str, optional
+        What is shown; unless given, the folder's name.
+    calibration, looks, ground
+        See `Dataset`.
+    overwrite : bool
+        Whether an existing dataset may be replaced.
+
+    Raises
+    ------
+    SarsplatError
+        If the table or a picture is missing, damaged or says too little, a path leads out of the folder, a number is
+        out of range, or the output exists.
+
+    Warns
+    -----
+    SarsplatWarning
+        Once each, for rows without a picture, pictures without a row, and what `dataset_of` warns of.
+    """
+    folder = Path(folder)
+    listed = read_picture_table(folder, None if table is None else Path(table), columns or {})
+    guessed = quantity
+    images = []
+    for picture in listed.pictures:
+        pixels = read_pixels(picture.path)
+        guessed = guessed or likely_quantity(pixels, str(picture.path))
+        image = power_or_signal(
+            pixels, guessed, str(picture.path), _either(picture.scale, scale), _either(picture.offset, offset)
+        )
+        turn = -picture.azimuth_deg if counter_clockwise else picture.azimuth_deg
+        view = _view(listed.path, picture, azimuth_offset_deg + turn, grazing_deg)
+        slant = math.cos(math.radians(view.grazing_deg)) if ground_range else 1.0
+        spacing = _lengths(listed.path, picture, "spacing", spacing_m, slant)
+        known = resolution_m is not None or any(picture.resolution_m)
+        resolution = _lengths(listed.path, picture, "resolution", resolution_m, slant) if known else spacing
+        images.append(
+            MeasuredImage(
+                picture.name,
+                _oriented(image, near, mirrored != bool(picture.looks_left)),
+                view,
+                spacing,
+                resolution,
+                azimuth_std_deg=_either(picture.azimuth_std_deg, azimuth_std_deg),
+                split=picture.split,
+            )
+        )
+    source: dict[str, Any] = {
+        "kind": "folder",
+        "table": listed.path.name,
+        "columns": listed.columns,
+        "quantity": guessed,
+        "scale": scale,
+        "offset": offset,
+        "ground_range": ground_range,
+        "assumptions": [
+            _said_by(listed),
+            *([f"the numbers are {guessed}"] if quantity is None else []),
+            f"the radar is at the {near} of the pictures, which are {'' if mirrored else 'not '}mirrored",
+            f"azimuths are directions to the radar, {'counter-' if counter_clockwise else ''}clockwise; 0 is "
+            f"{azimuth_offset_deg:g}° from the target's nose",
+            *([] if _resolution_known(listed, resolution_m) else ["the resolution is the pixel spacing"]),
+        ],
+    }
+    dataset = dataset_of(
+        images,
+        target=folder.resolve().name if target is None else target,
+        source=source,
+        train_views=train_views,
+        calibration=calibration,
+        looks=looks,
+        ground=ground,
+    )
+    return write_imported(out, dataset, overwrite=overwrite)
+
+
+def _either(own: float | None, common: float) -> float:
+    return common if own is None else own
+
+
+def _oriented(image: Shaped[np.ndarray, "rows columns"], near: Side, mirrored: bool) -> Shaped[np.ndarray, "m n"]:
+    if near not in _QUARTER_TURNS:
+        raise SarsplatError(f"near is {near!r}; it must be one of {', '.join(_QUARTER_TURNS)}")
+    turned = np.rot90(image, _QUARTER_TURNS[near])
+    return np.ascontiguousarray(turned[:, ::-1] if mirrored else turned)
+
+
+def _view(table: Path, picture: ListedPicture, azimuth_deg: float, grazing_deg: float | None) -> View:
+    grazing = grazing_deg if picture.grazing_deg is None else picture.grazing_deg
+    if grazing is None:
+        raise SarsplatError(
+            f"{table} does not say from what grazing angle {picture.name} is; name the column with "
+            "--columns grazing=NAME (or incidence=NAME), or give one angle for all with --grazing"
+        )
+    try:
+        return View(azimuth_deg, grazing)
+    except SarsplatError as error:
+        raise SarsplatError(f"{table}: {picture.name}: {error}") from error
+
+
+def _lengths(table: Path, picture: ListedPicture, what: str, common: Pair | None, slant: float) -> Pair:
+    """Spacing or resolution in the slant plane, m; those of the picture first."""
+    own: tuple[float | None, float | None] = getattr(picture, f"{what}_m")
+    azimuth, slant_range = (a if b is None else b for a, b in zip(common or (None, None), own, strict=True))
+    if azimuth is None or slant_range is None:
+        raise SarsplatError(
+            f"{table} does not say what the pixel {what} of {picture.name} is; give it with --{what}, or name its "
+            f"column with --columns {what}=NAME"
+        )
+    return azimuth, slant_range * slant
+
+
+def _resolution_known(listed: PictureTable, resolution_m: Pair | None) -> bool:
+    return resolution_m is not None or any("resolution" in meaning for meaning in listed.columns)
+
+
+def _said_by(listed: PictureTable) -> str:
+    return "columns of the table: " + ", ".join(f"{meaning} = {name}" for meaning, name in listed.columns.items())

@@ -1,0 +1,206 @@
+"""A table with a row for each picture: the picture's file, and what the columns say of it."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from sarsplat.data.csv_table import CsvTable, Row, read_table, relative_path
+from sarsplat.data.files import plain_os_errors
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
+from sarsplat.importers.columns import Columns, chosen_columns, require
+from sarsplat.importers.pictures import PICTURE_ENDINGS
+
+_MOST_FILES = 100_000
+_SIDES = {"left": True, "l": True, "right": False, "r": False}
+
+
+@dataclass(frozen=True)
+class ListedPicture:
+    """One row of the table; None where no column says it, or the cell is empty.
+
+    Attributes
+    ----------
+    name : str
+        As the table names it.
+    path : Path
+        The file, which exists.
+    azimuth_deg : float
+        As it stands in the table, degrees.
+    grazing_deg : float or None
+        Degrees; 90° − incidence where the table has that.
+    spacing_m, resolution_m : (float or None, float or None)
+        Azimuth, range, m.
+    azimuth_std_deg : float or None
+        Degrees.
+    split : str or None
+        "train" or "test…".
+    looks_left : bool or None
+        Whether the radar looks to the left of its flight.
+    scale, offset : float or None
+        What the pixels are multiplied by, and then added to.
+    """
+
+    name: str
+    path: Path
+    azimuth_deg: float
+    grazing_deg: float | None
+    spacing_m: tuple[float | None, float | None]
+    resolution_m: tuple[float | None, float | None]
+    azimuth_std_deg: float | None
+    split: str | None
+    looks_left: bool | None
+    scale: float | None
+    offset: float | None
+
+
+@dataclass(frozen=True)
+class PictureTable:
+    """All rows that have a picture.
+
+    Attributes
+    ----------
+    path : Path
+        The table.
+    columns : dict of str to str
+        What columns say → their names.
+    pictures : tuple of ListedPicture
+        In the order of the table.
+    """
+
+    path: Path
+    columns: Columns
+    pictures: tuple[ListedPicture, ...]
+
+
+def read_picture_table(folder: Path, path: Path | None, named: Mapping[str, str]) -> PictureTable:
+    """Read the table and find the pictures.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the pictures lie, in subfolders or not.
+    path : Path or None
+        The table (CSV); None for the only one in the folder.
+    named : mapping of str to str
+        See `chosen_columns`.
+
+    Raises
+    ------
+    SarsplatError
+        If the table is missing, damaged or lacks a column, names a file twice, none that exists or one outside the
+        folder, or a cell is not what its column should hold.
+
+    Warns
+    -----
+    SarsplatWarning
+        Once each, for rows without a picture and pictures without a row.
+    """
+    with plain_os_errors("read", folder):
+        if not folder.is_dir():
+            raise SarsplatError(f"{folder} is not a folder; give the folder of the pictures")
+        inside = [item for item in itertools.islice(folder.rglob("*"), _MOST_FILES) if item.is_file()]
+    table = read_table(_the_table(folder, inside) if path is None else path, "a table with a row for each picture")
+    columns = chosen_columns(table, named)
+    require(table, columns, "file")
+    require(table, columns, "azimuth")
+    found: dict[Path, Row] = {}
+    for row in table.rows:
+        picture = _file(folder, table, row, columns["file"])
+        if picture is not None and found.setdefault(picture, row) is not row:
+            raise SarsplatError(
+                f"{table.path} has two rows for {shown(row[1][columns['file']])}, lines {found[picture][0]} and "
+                f"{row[0]}; remove one"
+            )
+    if not found:
+        first = table.rows[0][1][columns["file"]]
+        raise SarsplatError(
+            f"{folder} has none of {counted(len(table.rows), 'picture')} in {table.path} (the first is "
+            f"{shown(first)}); give the folder that they are relative to"
+        )
+    _count_strays(folder, table, inside, found)
+    return PictureTable(table.path, columns, tuple(_listed(table, row, columns, at) for at, row in found.items()))
+
+
+def _the_table(folder: Path, files: list[Path]) -> Path:
+    tables = [path for path in files if path.suffix.lower() == ".csv"]
+    if len(tables) != 1:
+        there = "no table (CSV) of its pictures" if not tables else f"{len(tables)} tables (CSV)"
+        raise SarsplatError(f"{folder} has {there}; name it with --table")
+    return tables[0]
+
+
+def _file(folder: Path, table: CsvTable, row: Row, column: str) -> Path | None:
+    """The picture of a row, its ending left out or not; None if there is none."""
+    text = relative_path(table.path, row, column, of="pictures").replace("\\", "/")
+    for ending in ("", *PICTURE_ENDINGS):
+        path = folder / f"{text}{ending}"
+        # os.path's: pathlib's raises if a name is too long for the system, as if something were wrong with the folder
+        if text and os.path.isfile(path):  # noqa: PTH113
+            if not path.resolve().is_relative_to(folder.resolve()):
+                raise SarsplatError(
+                    f"{table.path}, line {row[0]}: {shown(text)} is a link out of the folder of pictures; copy the file"
+                )
+            return path
+    return None
+
+
+def _count_strays(folder: Path, table: CsvTable, inside: list[Path], found: Mapping[Path, Row]) -> None:
+    if missing := len(table.rows) - len(found):
+        _warn(f"{folder} lacks {missing} of {counted(len(table.rows), 'picture')} in {table.path}; the others are used")
+    pictures = {path for path in inside if path.suffix.lower() in PICTURE_ENDINGS}
+    if unlisted := len(pictures - set(found)):
+        _warn(f"{table.path} has no row for {counted(unlisted, 'picture')} in {folder}, which are left out")
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, SarsplatWarning, stacklevel=5)  # whoever called import_folder
+
+
+def _listed(table: CsvTable, row: Row, columns: Columns, path: Path) -> ListedPicture:
+    def text(meaning: str) -> str:
+        return row[1][columns[meaning]] if meaning in columns else ""
+
+    def number(meaning: str) -> float | None:
+        return table.number(row, columns[meaning]) if text(meaning) else None
+
+    def pair(meaning: str) -> tuple[float | None, float | None]:
+        both = number(meaning)
+        azimuth, slant = number(f"azimuth-{meaning}"), number(f"range-{meaning}")
+        return (both if azimuth is None else azimuth), (both if slant is None else slant)
+
+    incidence = number("incidence")
+    return ListedPicture(
+        name=text("file"),
+        path=path,
+        azimuth_deg=table.number(row, columns["azimuth"]),
+        grazing_deg=number("grazing") if incidence is None else 90 - incidence,
+        spacing_m=pair("spacing"),
+        resolution_m=pair("resolution"),
+        azimuth_std_deg=number("azimuth-std"),
+        split=_split(table, row, text("split")),
+        looks_left=_looks_left(table, row, text("look")),
+        scale=number("scale"),
+        offset=number("offset"),
+    )
+
+
+def _split(table: CsvTable, row: Row, text: str) -> str | None:
+    name = text.lower()
+    if name in ("train", "training"):
+        return "train"
+    if not name or name.startswith("test"):
+        return name or None
+    raise SarsplatError(
+        f"{table.path}, line {row[0]}: the set is {shown(text)}; it must be train, or a name that starts with test"
+    )
+
+
+def _looks_left(table: CsvTable, row: Row, text: str) -> bool | None:
+    if text and text.lower() not in _SIDES:
+        raise SarsplatError(f"{table.path}, line {row[0]}: the look side is {shown(text)}; it must be left or right")
+    return _SIDES[text.lower()] if text else None

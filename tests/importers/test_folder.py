@@ -1,0 +1,203 @@
+"""A folder of pictures and a table, written in many ways, become one dataset."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from sarsplat.cli import main
+from sarsplat.data import Dataset, read_dataset
+from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.importers import import_folder
+
+AZIMUTHS = (0.0, 90.0, 180.0, 270.0)
+POWER = np.random.default_rng(0).gamma(1.0, size=(4, 20, 26)).astype(np.float32) + 0.1
+PHASE = np.random.default_rng(1).uniform(0, 2 * np.pi, POWER.shape)
+SIGNAL = (np.sqrt(POWER) * np.exp(1j * PHASE)).astype(np.complex64)
+LENGTHS = {"spacing_m": (0.1, 0.3), "resolution_m": (0.2, 0.4)}
+
+
+def write(folder: Path, pixels: np.ndarray, rows: list[list] | None = None, names="file,azimuth,grazing", ending="npy"):
+    folder.mkdir(exist_ok=True)
+    for index, image in enumerate(pixels):
+        path = folder / f"{index}.{ending}"
+        if ending == "npy":
+            np.save(path, image)
+        elif ending == "tif":
+            tifffile.imwrite(path, image)
+        else:
+            Image.fromarray(image).save(path)
+    with (folder / "angles.csv").open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(names.split(","))
+        table.writerows(rows or [[f"{index}.{ending}", azimuth, 30] for index, azimuth in enumerate(AZIMUTHS)])
+    return folder
+
+
+def imported(folder: Path, **options) -> Dataset:
+    options = {"quantity": "power", "calibration": "absolute", **LENGTHS, **options}
+    return import_folder(folder, folder.parent / "out", overwrite=True, **options)
+
+
+def test_what_is_written_is_what_was_there(tmp_path):
+    made = imported(write(tmp_path / "in", POWER))
+    np.testing.assert_array_equal(made.power, POWER)
+    assert [(view.azimuth_deg, view.grazing_deg) for view in made.views] == [(azimuth, 30) for azimuth in AZIMUTHS]
+    assert (made.grid.rows, made.grid.columns) == (20, 26)
+    assert (made.grid.spacing_m, made.grid.resolution_m) == ((0.1, 0.3), (0.2, 0.4))
+    assert (made.target, made.looks, made.ground, made.splits()) == ("in", 1.0, True, ("train",))
+    assert read_dataset(tmp_path / "out").fingerprint() == made.fingerprint()
+    assert "columns of the table: file = file, azimuth = azimuth, grazing = grazing" in made.source["assumptions"]
+
+
+@pytest.mark.parametrize("ending", ["npy", "tif"])
+def test_the_phase_is_kept(tmp_path, ending):
+    made = imported(write(tmp_path / "in", SIGNAL, ending=ending), quantity=None)
+    np.testing.assert_array_equal(made.signal, SIGNAL)
+    np.testing.assert_array_equal(read_dataset(tmp_path / "out").signal, SIGNAL)
+    assert "the numbers are complex" in made.source["assumptions"]
+
+
+def test_sixteen_bits_of_amplitude_are_relative_power(tmp_path):
+    amplitude = np.round(np.sqrt(POWER) * 9000).astype(np.uint16)
+    made = imported(write(tmp_path / "in", amplitude, ending="png"), quantity=None, calibration="relative")
+    np.testing.assert_allclose(made.power, POWER / POWER.mean(), rtol=2e-3)
+    assert "the numbers are amplitude" in made.source["assumptions"]
+
+
+def test_eight_bits_of_decibels(tmp_path):
+    decibels = np.round((10 * np.log10(POWER) + 20) * 255 / 40).astype(np.uint8)
+    made = imported(write(tmp_path / "in", decibels, ending="png"), quantity="db", scale=40 / 255, offset=-20)
+    np.testing.assert_allclose(made.power, POWER, rtol=0.02)
+
+
+@pytest.mark.parametrize(("near", "turns"), [("top", 0), ("left", 1), ("bottom", 2), ("right", 3)])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_orientation(tmp_path, near, turns, mirrored):
+    """What is turned or mirrored in the file is not so in the dataset."""
+    lying = np.rot90(POWER[..., ::-1] if mirrored else POWER, turns, axes=(1, 2))
+    made = imported(write(tmp_path / "in", lying), near=near, mirrored=mirrored)
+    np.testing.assert_array_equal(made.power, POWER)
+
+
+def test_a_left_looking_radar_writes_mirror_images(tmp_path):
+    sides = ["left", "R", "right", "l"]
+    lying = [image[:, ::-1] if side[0].lower() == "l" else image for image, side in zip(POWER, sides, strict=True)]
+    rows = [[f"{k}.npy", azimuth, 30, side] for k, (azimuth, side) in enumerate(zip(AZIMUTHS, sides, strict=True))]
+    folder = write(tmp_path / "in", np.stack(lying), rows, "file,azimuth,grazing,look_side")
+    np.testing.assert_array_equal(imported(folder).power, POWER)
+
+
+def test_names_angles_and_lengths_of_a_table_of_ones_own(tmp_path):
+    rows = [[f"{k}", 90 - azimuth, 60, 0.2, "Train" if k else "test-a", 1.5] for k, azimuth in enumerate(AZIMUTHS)]
+    folder = write(tmp_path / "in", POWER, rows, "shot,heading,Incidence Angle (deg),px,set,az_std_deg")
+    made = imported(
+        folder,
+        columns={"file": "shot", "az": "heading", "spacing": "px"},
+        azimuth_offset_deg=90,
+        counter_clockwise=True,
+        spacing_m=None,
+        resolution_m=None,
+    )
+    assert [entry.view.azimuth_deg for entry in made.entries] == [90, 180, 270, 0]  # training views come first
+    assert [entry.split for entry in made.entries] == ["train"] * 3 + ["test-a"]
+    assert {entry.view.grazing_deg for entry in made.entries} == {30}
+    assert {entry.azimuth_std_deg for entry in made.entries} == {1.5}
+    assert made.grid.spacing_m == made.grid.resolution_m == (0.2, 0.2)
+    assert "the resolution is the pixel spacing" in made.source["assumptions"]
+
+
+def test_ranges_along_the_ground_are_shorter_in_the_slant_plane(tmp_path):
+    made = imported(write(tmp_path / "in", POWER), ground_range=True, resolution_m=None)
+    assert made.grid.spacing_m == pytest.approx((0.1, 0.3 * np.cos(np.radians(30))))
+    assert made.grid.resolution_m == made.grid.spacing_m
+
+
+def test_a_row_goes_before_what_is_said_of_all(tmp_path):
+    rows = [[f"{k}.npy", azimuth, "", 2 if k == 1 else ""] for k, azimuth in enumerate(AZIMUTHS)]
+    folder = write(tmp_path / "in", POWER, rows, "file,azimuth,grazing,gain")
+    made = imported(folder, columns={"scale": "gain"}, grazing_deg=20.0, scale=3.0)
+    np.testing.assert_allclose(made.power[[0, 1]], POWER[[0, 1]] * np.array([3, 2])[:, None, None], rtol=1e-6)
+    assert made.views[0].grazing_deg == 20
+
+
+def test_strays_are_counted_once(tmp_path):
+    folder = write(tmp_path / "in", POWER)
+    (folder / "0.npy").unlink()
+    np.save(folder / "more.npy", POWER[0])
+    with pytest.warns(SarsplatWarning) as told:
+        assert len(imported(folder)) == 3
+    texts = [str(one.message) for one in told]
+    assert sum("lacks 1 of 4 pictures" in text for text in texts) == 1
+    assert sum("has no row for 1 picture" in text for text in texts) == 1
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "words"),
+    [
+        ("file,heading,grazing", {}, r"no column that looks like the azimuth; name it .* \(there are file, heading"),
+        ("file,azimuth,x", {}, "does not say from what grazing angle 0.npy is"),
+        ("file,azimuth,grazing", {"columns": {"az": "azimut"}}, r"no column 'azimut' \(did you mean 'azimuth'\?\)"),
+        ("file,azimuth,grazing", {"columns": {"azimut": "x"}}, r"can be a 'azimut' \(did you mean 'azimuth'\?\)"),
+        ("file,azimuth,az", {"grazing_deg": 3}, None),
+        ("file,az,aspect", {}, "several columns that may be the azimuth: 'az', 'aspect'"),
+        ("file,azimuth,grazing", {"spacing_m": None}, "does not say what the pixel spacing of 0.npy is"),
+        ("file,azimuth,grazing", {"spacing_m": (0.1, -1)}, "pixel spacing"),
+        ("file,azimuth,grazing", {"near": "north"}, "near is 'north'"),
+        ("file,azimuth,grazing", {"quantity": None}, "holds float32 numbers, which may be anything"),
+        ("file,azimuth,split", {"grazing_deg": 3}, "line 2: the set is '30'; it must be train"),
+        ("file,azimuth,look", {"grazing_deg": 3}, "line 2: the look side is '30'"),
+        ("file,split,azimuth", {"grazing_deg": 3}, "the set is '0.0'"),
+        ("azimuth,file,grazing", {}, "has none of 4 pictures"),
+    ],
+)
+def test_what_a_table_may_lack(tmp_path, names, options, words):
+    folder = write(tmp_path / "in", POWER, names=names)
+    if words is None:
+        assert len(imported(folder, **options)) == 4  # the name itself goes before its synonyms
+        return
+    with pytest.raises(SarsplatError, match=words):
+        imported(folder, **options)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("file", "words"),
+    [("../secret.npy", "points outside"), ("link.npy", "is a link out of the folder"), ("./1.npy", "has two rows")],
+)
+def test_tables_from_strangers(tmp_path, file, words):
+    np.save(tmp_path / "secret.npy", POWER[0])
+    folder = write(tmp_path / "in", POWER, [["1.npy", 0, 30], [file, 10, 30]])
+    (folder / "link.npy").symlink_to(tmp_path / "secret.npy")
+    with pytest.raises(SarsplatError, match=words):
+        imported(folder)
+
+
+def test_folders_without_one_table(tmp_path):
+    folder = write(tmp_path / "in", POWER)
+    (folder / "other.csv").write_text("a\n1\n")
+    with pytest.raises(SarsplatError, match=r"has 2 tables .* --table"):
+        imported(folder)
+    assert len(imported(folder, table=folder / "angles.csv")) == 4
+    with pytest.raises(SarsplatError, match="is not a folder"):
+        imported(tmp_path / "none")
+
+
+def test_the_command_draws_a_preview_and_says_what_it_took(tmp_path, capsys):
+    folder, out = write(tmp_path / "in", POWER), tmp_path / "out"
+    words = ["import", "folder", str(folder), "--out", str(out), "--quantity", "power", "--spacing", "0.1", "0.3"]
+    words += ["--columns", "az=azimuth,graz=grazing", "--train-views", "3"]
+    assert main(words) == 0
+    told = capsys.readouterr().out
+    assert "assumed: columns of the table: azimuth = azimuth, grazing = grazing, file = file" in told
+    assert f"wrote {out}: 4 views (3 train, 1 test), largest gap of the training views 180°, ready" in told
+    with Image.open(out / "preview.png") as preview:
+        assert preview.size[0] > 500
+    assert main([*words, "--overwrite"]) == 0  # the preview is ours, and replaced with the rest
+    assert main([*words, "--overwrite", "--columns", "az"]) == 2
+    assert "'az' is not of the form MEANING=NAME" in capsys.readouterr().err
