@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from datasets import dataset_of
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction.log import LogLine
 from sarsplat.report import Look, contact_sheet, decibel_png
+from sarsplat.report.check_sheet import check_sheet
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.decibels import to_decibels
 from sarsplat.report.figure import axis, nice, scale_bar
@@ -110,6 +112,24 @@ def test_a_contact_sheet_shows_the_target_large() -> None:
     views = [View(60.0 * k, 30.0) for k in range(6)]
     sheet = np.asarray(Image.open(io.BytesIO(contact_sheet(images, views, grid, Look(1.0)))).convert("L"))
     assert (sheet > 250).mean() > 0.08
+
+
+@pytest.mark.parametrize("spacing_m", [0.01, 0.3, 4.0])
+def test_sheets_have_a_scale_bar_as_long_as_it_says(spacing_m: float) -> None:
+    grid = ImageGrid(32, 48, spacing_m=(spacing_m, spacing_m), resolution_m=(spacing_m, spacing_m))
+    dark = dataset_of(grid, [(View(20.0, 30.0), "train")], np.full((1, 32, 48), 1e-9, np.float32))
+    sheets = [contact_sheet(dark.power, dark.views, grid, Look(1.0))]
+    dark.power[0, 16, 24] = 1.0
+    sheets.append(check_sheet(dark))
+    share, _ = scale_bar(48 * spacing_m)
+    for png in sheets:
+        sheet = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), int)
+        black = (sheet == 0).all(axis=2)
+        rows = np.flatnonzero(black.sum(axis=1) > 0.4 * black.sum(axis=1).max())
+        panel = np.ptp(np.flatnonzero(black[rows[0]])) + 1
+        lower = slice(rows[0] + 9 * len(rows) // 10, rows[-1])  # below all words
+        bar = max((sheet[lower] > 200).all(axis=2).sum(axis=1))
+        assert bar / panel == pytest.approx(share, abs=3 / panel)
 
 
 def test_minor_ticks_can_be_read_on_the_dark_panel() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -12,27 +12,20 @@ from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.reconstruction.outlines import levels_db, outline
-from sarsplat.report.canvas import BLUE, INK, MUTED, ORANGE, PANEL, dress, new_figure, to_png
+from sarsplat.report.canvas import BLUE, MUTED, ORANGE, colour_bar, dress, new_figure, to_png
 from sarsplat.report.decibels import DYNAMIC_DB, to_decibels
+from sarsplat.report.marks import arrow, mark_radar, mark_scale
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_WIDTH, _FOOT, _TITLE = 2.4, 0.75, 0.3  # inches
+_WIDTH, _FOOT, _TITLE = 2.4, 1.3, 0.3  # inches
 _MOST_COLUMNS = 4
 _NOSE = 0.36
 """Length of the nose's arrow on the ground, of the shorter side of the images."""
 
-_PLATE: dict[str, Any] = {
-    "size": 8,
-    "ha": "left",
-    "va": "center",
-    "bbox": {"facecolor": PANEL, "edgecolor": "none", "alpha": 0.75, "pad": 1.5},
-}
-"""Of words on an image, however bright that is."""
-
 _LEGEND = (
-    "Near range (row 0) is on top: the radar looks down along the arrow. Orange: detected target.{shadow}\n"
+    "Near range (row 0) is on top: the radar looks down along its arrow. Orange: detected target.{shadow}\n"
     "Dotted: where the target's +x (its nose) points if the azimuth is right."
 )
 _SHADOW = " Blue: dark beside it; shadow should lie below the target."
@@ -63,6 +56,8 @@ def check_sheet(dataset: Dataset, most: int = 12) -> bytes:
     aspect = grid.rows * grid.spacing_m[1] / (grid.columns * grid.spacing_m[0])
     tall = min(max(_WIDTH * aspect, 0.8), 3 * _WIDTH)
     width, height = max(columns * _WIDTH, 2 * _WIDTH), lines * (tall + _TITLE) + _FOOT
+    from matplotlib import colormaps
+
     figure = new_figure(width, height)
     panels = figure.subplots(lines, columns, squeeze=False)
     figure.subplots_adjust(
@@ -85,17 +80,20 @@ def check_sheet(dataset: Dataset, most: int = 12) -> bytes:
         if dataset.ground:
             _contour(axes, found.shadow, grid, BLUE)
         entry = dataset.entries[index]
-        _directions(axes, entry.view, grid)
-        _scale_bar(axes, grid)
+        _nose(axes, entry.view, grid)
+        mark_radar(axes)
+        mark_scale(axes, grid.columns * grid.spacing_m[0])
         dress(axes)
         view = entry.view
         angles = f"azimuth {view.azimuth_deg:.1f}°, grazing {view.grazing_deg:.1f}°"
         axes.set_title(f"{angles} ({entry.split})", size=8, pad=4)
+    bar = figure.add_axes((0.03, 1.08 / height, 2.6 / width, 0.08 / height))
+    colour_bar(figure, bar, colormaps["gray"], (-DYNAMIC_DB, 0), "power, dB of the brightest pixel shown")
     wide, high = grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1]
     legend = _LEGEND.format(shadow=_SHADOW if dataset.ground else "")
     text = (
         f"{legend}\n{dataset.target}: {count} of {len(dataset)} images, "
-        f"{wide:.3g} m of azimuth × {high:.3g} m of slant range; {DYNAMIC_DB:g} dB from black to white."
+        f"{wide:.3g} m of azimuth × {high:.3g} m of slant range."
     )
     figure.text(0.02, 0.1 / height, text, color=MUTED, size=8 if columns > 2 else 6, va="bottom", linespacing=1.35)
     return to_png(figure)
@@ -116,30 +114,10 @@ def _contour(axes: Axes, mask: Bool[np.ndarray, "rows columns"], grid: ImageGrid
         axes.contour(grid.azimuth_m, grid.range_m, mask.astype(float), levels=[0.5], colors=[colour], linewidths=1.1)
 
 
-def _directions(axes: Axes, view: View, grid: ImageGrid) -> None:
-    """The radar's line of sight at the left, and the nose from the middle."""
+def _nose(axes: Axes, view: View, grid: ImageGrid) -> None:
+    """Where the nose points, from the middle."""
     left, right, bottom, top = _extent(grid)
-    high = bottom - top
-    x = left + 0.07 * (right - left)
-    start, end = (x, top + 0.1 * high), (x, top + 0.32 * high)
-    _arrow(axes, start, end, INK, "-")
-    axes.text(x, top + 0.04 * high, "radar", **_PLATE, color=INK)
-    axes.text(x, bottom - 0.04 * high, "far", **_PLATE, color=INK)
-    nose: Float64[np.ndarray, " 3"] = radar_frame(view)[:, 0] * _NOSE * min(right - left, high)
+    nose: Float64[np.ndarray, " 3"] = radar_frame(view)[:, 0] * _NOSE * min(right - left, bottom - top)
     middle = grid.center_m
-    _arrow(axes, middle, (middle[0] + float(nose[0]), middle[1] + float(nose[2])), INK, ":")
-
-
-def _scale_bar(axes: Axes, grid: ImageGrid) -> None:
-    """A round length along azimuth, a fifth of the image or more, at the bottom on the right."""
-    left, right, bottom, top = _extent(grid)
-    unit = 10 ** math.floor(math.log10(0.4 * (right - left)))
-    length = unit * max(round_ for round_ in (1, 2, 4) if round_ * unit <= 0.4 * (right - left))
-    end, y = right - 0.05 * (right - left), bottom - 0.04 * (bottom - top)
-    axes.plot([end - length, end], [y, y], color=INK, linewidth=1.5, scalex=False, scaley=False)
-    axes.text(end, y - 0.04 * (bottom - top), f"{length:g} m", **{**_PLATE, "ha": "right"}, color=INK)
-
-
-def _arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float], colour: str, style: str) -> None:
-    properties = {"arrowstyle": "->", "color": colour, "linestyle": style, "linewidth": 1.1, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", xy=end, xytext=start, arrowprops=properties)
+    end = (middle[0] + float(nose[0]), middle[1] + float(nose[2]))
+    arrow(axes, middle, end, ":")

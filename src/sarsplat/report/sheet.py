@@ -12,16 +12,18 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.report.canvas import colour_bar, dress, new_figure, to_png
 from sarsplat.report.decibels import Look, to_decibels
+from sarsplat.report.marks import mark_radar, mark_scale
 from sarsplat.report.window import target_window
 
 _SIDE = 1.6  # inches
 _MAX_COLUMNS = 8
+_TEXT = 7.5  # points
 
 
 def contact_sheet(
     images: Real[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid, look: Look
 ) -> bytes:
-    """All images in decibels, the same part of each with the target in it, labelled with their views, as PNG.
+    """All images in decibels, the same part of each with the target in it, with view, scale and radar, as PNG.
 
     Parameters
     ----------
@@ -60,7 +62,9 @@ def contact_sheet(
             aspect=grid.spacing_m[1] / grid.spacing_m[0],
         )
         dress(axes)
-        axes.set_title(f"{view.azimuth_deg:g}°, grazing {view.grazing_deg:g}°", size=7.5, pad=3)
+        mark_radar(axes, _TEXT)
+        mark_scale(axes, shown.shape[2] * grid.spacing_m[0], _TEXT)
+        axes.set_title(f"{round(view.azimuth_deg, 1):g}°, grazing {round(view.grazing_deg, 1):g}°", size=_TEXT, pad=3)
     figure.subplots_adjust(
         left=0.02, right=0.98, top=1 - 0.24 / height, bottom=0.6 / height, wspace=0.05, hspace=0.2 / _SIDE
     )
