@@ -18,6 +18,7 @@ EXTRAS: dict[str, dict[str, str]] = {
     "rivals": {"trimesh": "trimesh", "skimage": "scikit-image", "embreex": "embreex"},
     "view": {"viser": "viser", "websockets": "websockets", "matplotlib": "matplotlib", "trimesh": "trimesh"},
     "report": {"matplotlib": "matplotlib", "jinja2": "jinja2", "trimesh": "trimesh", "skimage": "scikit-image"},
+    "sicd": {"sarkit": "sarkit", "lxml": "lxml"},
     "las": {"laspy": "laspy"},
     "video": {"PIL": "pillow", "cv2": "opencv-python-headless"},
     "tensorboard": {"tensorboard": "tensorboard"},

@@ -1,0 +1,88 @@
+"""`sarsplat import sicd`: complex images with their geometry in, a dataset out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from sarsplat.cli import console, imported
+from sarsplat.cli.arguments import Folder, OptionalCount, refuse_existing
+from sarsplat.errors import SarsplatError, counted
+
+
+def import_sicd(
+    files: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILES", help_behavior_hint="")],
+    *,
+    out: Folder,
+    size: Annotated[str, tyro.conf.arg(metavar="METRES")],
+    around: Annotated[str | None, tyro.conf.arg(metavar="LAT,LON[,HAE]", help_behavior_hint="(optional)")] = None,
+    pixel: Annotated[str | None, tyro.conf.arg(metavar="ROW,COL", help_behavior_hint="(optional)")] = None,
+    heading: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 90.0,
+    target: Annotated[str, tyro.conf.arg(metavar="NAME")] = "unnamed",
+    train_views: OptionalCount = None,
+    no_ground: bool = False,
+    overwrite: bool = False,
+) -> None:
+    """Import SICD files: what one or several complex SAR images show of one spot.
+
+    Parameters
+    ----------
+    files
+        SICD files (NITF), one for each view.
+    out
+        Dataset folder to write.
+    size
+        Side of the images in azimuth and slant range, e.g. 64m.
+    around
+        The spot, which becomes the origin: latitude and longitude, degrees, and height above the ellipsoid, m. South
+        and west are negative; write --around=-33.9,18.4 then.
+    pixel
+        The spot as a pixel of the first file, counted from 0. With neither, the spot is its scene centre point.
+    heading
+        Compass heading of the scene's x axis, degrees; 90 is east.
+    target
+        What the images show.
+    train_views
+        Number of training views, evenly around; the others are test views. Without it, all are for training.
+    no_ground
+        The images show nothing but the target.
+    overwrite
+        Replace an existing dataset.
+    """
+    from sarsplat.data.dataset_folder import HEADER
+    from sarsplat.importers import import_sicd as read_files
+
+    refuse_existing(out, overwrite, marker=HEADER)
+    place, spot = _numbers(around, "around", (2, 3)), _numbers(pixel, "pixel", (2,))
+    side = _numbers(size.removesuffix("m"), "size", (1,))
+    assert side is not None
+    with console.busy(f"reading {counted(len(files), 'file')}"):
+        dataset = read_files(
+            files,
+            out,
+            size_m=side[0],
+            around=place,
+            pixel=None if spot is None else (spot[0], spot[1]),
+            heading_deg=heading,
+            target=target,
+            train_views=train_views,
+            ground=not no_ground,
+            overwrite=overwrite,
+        )
+    imported.finish(out, dataset)
+
+
+def _numbers(text: str | None, name: str, counts: tuple[int, ...]) -> tuple[float, ...] | None:
+    """Numbers with commas between them."""
+    if text is None:
+        return None
+    try:
+        values = tuple(map(float, text.split(",")))
+    except ValueError:
+        values = ()
+    if len(values) not in counts:
+        example = {"around": "47.3769,8.5417", "pixel": "1200,800", "size": "64m"}[name]
+        raise SarsplatError(f"--{name} {text!r} is not what it should be; write it as {example}")
+    return values

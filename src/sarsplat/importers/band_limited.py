@@ -1,0 +1,79 @@
+"""Complex images between their pixels, exactly but for what rounding leaves: windowed-sinc interpolation.
+
+An image that was sampled densely enough for its bandwidth is known everywhere. The interpolating kernel passes the band
+and suppresses its repetitions; the more an image is oversampled, the shorter it may be.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Complex64, Float64
+
+_SUPPRESSION_DB = 100.0  # of the repetitions of the band
+_FEWEST, _MOST = 8, 64  # pixels that one interpolated value is made of, along one axis
+_BLOCK = 1 << 14  # values interpolated at a time
+
+
+def taps(occupied: float) -> int:
+    """Pixels along one axis that a value is made of, an even number.
+
+    Parameters
+    ----------
+    occupied : float
+        Share of the sampled band that the image fills, 0 to 1.
+    """
+    # Kaiser's formula: the transition is from the edge of the band to that of its repetition
+    needed = (_SUPPRESSION_DB - 8) / (2.285 * 2 * math.pi * max(1 - occupied, 1e-3))
+    return 2 * math.ceil(min(max(needed, _FEWEST), _MOST) / 2)
+
+
+def interpolate(
+    image: Complex64[np.ndarray, "rows columns"],
+    row: Float64[np.ndarray, " n"],
+    column: Float64[np.ndarray, " n"],
+    occupied: tuple[float, float],
+) -> Complex64[np.ndarray, " n"]:
+    """Values of an image at places between its pixels.
+
+    Parameters
+    ----------
+    image : numpy.ndarray, complex64 [rows, columns]
+        Its band must be centred at zero; outside it is zero.
+    row, column : numpy.ndarray, float64 [n]
+        Places, in pixels from the centre of the first one.
+    occupied : (float, float)
+        Shares of the sampled band that the image fills along rows and columns (see `taps`).
+
+    Returns
+    -------
+    numpy.ndarray, complex64 [n]
+    """
+    high, wide = (taps(share) for share in occupied)
+    padded = np.pad(image, ((high, high), (wide, wide)))
+    made = np.empty(len(row), np.complex64)
+    for start in range(0, len(row), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        first_row, along_rows = _weights(row[block], high, len(image))
+        first_column, along_columns = _weights(column[block], wide, image.shape[1])
+        corner = (first_row + high) * padded.shape[1] + first_column + wide
+        total = np.zeros(len(corner), np.complex64)
+        for i in range(high):
+            line = np.zeros(len(corner), np.complex64)
+            for j in range(wide):
+                line += along_columns[j] * padded.ravel()[corner + (i * padded.shape[1] + j)]
+            total += along_rows[i] * line
+        made[block] = total
+    return made
+
+
+def _weights(place: Float64[np.ndarray, " n"], count: int, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """First of the pixels that a value at each place is made of, and their weights [count, n]."""
+    first = np.floor(place).astype(np.int64) - (count // 2 - 1)
+    away = place - first - np.arange(count)[:, None]
+    beta = 0.1102 * (_SUPPRESSION_DB - 8.7)
+    window = np.i0(beta * np.sqrt(np.maximum(1 - (2 * away / count) ** 2, 0))) / np.i0(beta)
+    weights = np.sinc(away) * window
+    outside = (first < -count) | (first > size)  # nothing of the image is near
+    return np.clip(first, -count, size), np.where(outside, 0, weights).astype(np.float32)

@@ -1,0 +1,243 @@
+"""SICD files (complex SAR images with their geometry): the surroundings of one spot become a dataset.
+
+Each image is laid out anew as our frame has it, in slant range and level azimuth of its own view, by band-limited
+interpolation of the complex pixels (`sicd_chip`; where they lie is found in `sicd_geometry`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sarsplat.data import folders
+from sarsplat.data.dataset import Dataset
+from sarsplat.data.dataset_folder import HEADER
+from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
+from sarsplat.importers.sicd_chip import chip, resolution_of, spacing_of
+from sarsplat.importers.sicd_file import Sicd, read_sicd
+from sarsplat.importers.sicd_geometry import Layout, Spot, layout_around, spot_of_centre, spot_of_pixel
+
+_MOST_PIXELS_PER_SIDE = 4096
+_LARGEST_SIZE_M = 1e5
+_LEANS = 0.05
+"""m for each metre of height: what leans less is not worth a word."""
+
+
+def import_sicd(
+    files: Sequence[str | Path],
+    out: str | Path,
+    *,
+    size_m: float,
+    around: tuple[float, ...] | None = None,
+    pixel: tuple[float, float] | None = None,
+    heading_deg: float = 90.0,
+    target: str = "unnamed",
+    train_views: int | None = None,
+    looks: float | None = 1.0,
+    ground: bool = True,
+    overwrite: bool = False,
+) -> Dataset:
+    """Make a dataset of what one or several SICDs show of one spot.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        SICD files, one for each view.
+    out : Path
+        Dataset to make.
+    size_m : float
+        Side of the images in azimuth and in slant range, m.
+    around : (latitude, longitude) or (latitude, longitude, height), optional
+        The spot, which becomes the origin of the scene: WGS 84, degrees, and metres above the ellipsoid (that of the
+        first image's scene centre point if it is left out).
+    pixel : (row, column), optional
+        The spot as a pixel of the first image, counted from 0; it is as high as that image's scene centre point. With
+        neither, the spot is this point.
+    heading_deg : float
+        Compass heading of the scene's x axis, degrees clockwise from north; 90 is east.
+    target : str
+        What the images show.
+    train_views : int, optional
+        Number of training views, as evenly around as there are; the others become test views. None: all are for
+        training.
+    looks : float or None
+        Number of looks of the speckle; None if there is none.
+    ground : bool
+        Whether the images show the ground around the target.
+    overwrite : bool
+        Whether an existing dataset may be replaced.
+
+    Returns
+    -------
+    Dataset
+        Complex images; β⁰ (calibration "absolute") if every file says how to get it. `source["assumptions"]` says what
+        was assumed.
+
+    Raises
+    ------
+    SarsplatError
+        If sarkit is not installed, a file is not a valid SICD or does not show the whole of what is asked for, or the
+        output exists.
+    """
+    _check_installed()
+    folders.refuse_existing(Path(out), overwrite, marker=HEADER)
+    paths = [Path(file) for file in files]
+    _check_request(paths, size_m, around, pixel, heading_deg)
+    sicds = [read_sicd(path) for path in paths]
+    spot = _spot(sicds[0], around, pixel, heading_deg)
+    layouts = [layout_around(sicd, spot, size_m / 2) for sicd in sicds]
+    finest = np.min([spacing_of(sicd, layout) for sicd, layout in zip(sicds, layouts, strict=True)], axis=0)
+    spacing = float(finest[0]), float(finest[1])
+    columns, rows = (max(1, round(size_m / step)) for step in spacing)
+    if max(columns, rows) > _MOST_PIXELS_PER_SIDE:
+        raise SarsplatError(
+            f"{size_m:g} m are {columns} × {rows} pixels of {spacing[0]:.3g} m × {spacing[1]:.3g} m (azimuth × range); "
+            f"at most {_MOST_PIXELS_PER_SIDE} per side are supported, so give a smaller size"
+        )
+    absolute = all(sicd.beta_zero is not None for sicd in sicds)
+    images = [
+        MeasuredImage(
+            name,
+            chip(sicd, layout, (rows, columns), spacing, absolute),
+            layout.view,
+            spacing,
+            resolution_of(sicd, layout),
+        )
+        for name, sicd, layout in zip(_names(paths), sicds, layouts, strict=True)
+    ]
+    source: dict[str, Any] = {
+        "kind": "sicd",
+        "spot": {"latitude_deg": spot.latitude_deg, "longitude_deg": spot.longitude_deg, "height_m": spot.height_m},
+        "heading_deg": spot.heading_deg,
+        "assumptions": _assumptions(sicds, layouts, spot, (around, pixel), absolute),
+        "images": [
+            {"name": image.name, **_facts(sicd, layout)}
+            for image, sicd, layout in zip(images, sicds, layouts, strict=True)
+        ],
+    }
+    dataset = dataset_of(
+        images,
+        target=target,
+        source=source,
+        train_views=train_views,
+        calibration="absolute" if absolute else "relative",
+        looks=looks,
+        ground=ground,
+    )
+    return write_imported(out, dataset, overwrite=overwrite)
+
+
+def _check_installed() -> None:
+    try:
+        import sarkit.sicd  # noqa: F401
+    except ImportError as error:
+        raise SarsplatError(
+            f"SICD files need sarkit, which cannot be imported ({error}); install it with: pip install 'sarsplat[sicd]'"
+        ) from error
+
+
+def _check_request(
+    paths: Sequence[Path],
+    size_m: float,
+    around: tuple[float, ...] | None,
+    pixel: tuple[float, float] | None,
+    heading_deg: float,
+) -> None:
+    if not paths:
+        raise SarsplatError("there are no files; give at least one SICD")
+    path, times = Counter(paths).most_common(1)[0]
+    if times > 1:
+        raise SarsplatError(f"{path} is given {times} times; give each file once")
+    if not 0 < size_m <= _LARGEST_SIZE_M:  # also catches NaN
+        raise SarsplatError(f"the size {size_m:g} m must be positive and at most {_LARGEST_SIZE_M:g} m")
+    if not abs(heading_deg) <= 360:
+        raise SarsplatError(f"the heading {heading_deg:g}° must be a compass heading, 0 to 360°")
+    if around is not None and pixel is not None:
+        raise SarsplatError("both a place (around) and a pixel were given; give one of them")
+    if around is not None:
+        valid = len(around) in (2, 3) and all(map(math.isfinite, around))
+        if not valid or abs(around[0]) > 90 or abs(around[1]) > 360 or abs((*around, 0.0)[2]) > 1e5:
+            raise SarsplatError(
+                f"the place {shown(around)} is not a latitude (−90 to 90°), a longitude and, if need be, a height in "
+                "metres"
+            )
+
+
+def _spot(first: Sicd, around: tuple[float, ...] | None, pixel: tuple[float, float] | None, heading_deg: float) -> Spot:
+    if pixel is not None:
+        return spot_of_pixel(first, pixel, heading_deg)
+    centre = spot_of_centre(first, heading_deg)
+    if around is None:
+        return centre
+    return Spot(around[0], around[1], around[2] if len(around) == 3 else centre.height_m, heading_deg)
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """Of images: their files' names without ending, numbered where they are the same."""
+    stems = [path.stem for path in paths]
+    same = Counter(stems)
+    return [stem if same[stem] == 1 else f"{stem}-{number}" for number, stem in enumerate(stems, 1)]
+
+
+def _facts(sicd: Sicd, layout: Layout) -> dict[str, Any]:
+    """What is known of one image, for people to read."""
+    known = sicd.projection
+    return {
+        "file": sicd.path.name,
+        **sicd.collection,
+        "look": layout.look,
+        "distance_m": round(layout.distance_m, 1),
+        "tilt_deg": round(layout.tilt_deg, 4),
+        "leaning_m_per_m": [round(value, 5) for value in layout.leaning],
+        "grid": known.Grid_Type,
+        "pixel_type": sicd.pixel_type,
+        "weighting": [sicd.column.window or "not stated", sicd.row.window or "not stated"],
+        "resolution_m": list(resolution_of(sicd, layout)),
+        "spacing_m": list(spacing_of(sicd, layout)),
+    }
+
+
+def _assumptions(
+    sicds: Sequence[Sicd],
+    layouts: Sequence[Layout],
+    spot: Spot,
+    given: tuple[object, object],
+    absolute: bool,
+) -> list[str]:
+    """What was taken for granted, in plain English."""
+    around, pixel = given
+    how = "as given" if around else f"what pixel {pixel} shows" if pixel else "the first image's scene centre point"
+    if around and len(around) == 2:  # type: ignore[arg-type]
+        how += ", as high as the first image's scene centre point"
+    looks = Counter(layout.look for layout in layouts)
+    windows = sorted({axis.window or "not stated" for sicd in sicds for axis in (sicd.column, sicd.row)})
+    said = [
+        f"the origin of the scene is {spot.latitude_deg:.6f}°, {spot.longitude_deg:.6f}°, {spot.height_m:.1f} m above "
+        f"the ellipsoid ({how}), and the ground there is level at z = 0",
+        f"the x axis points to the compass heading {spot.heading_deg:g}°, so azimuth = compass bearing of the radar − "
+        f"{spot.heading_deg:g}°",
+        f"radars look to the {' and '.join(f'{look} ({count})' for look, count in sorted(looks.items()))}; images of "
+        "left-looking ones are laid out as a right-looking radar at the same place would record them: columns run "
+        "against the flight, and nothing is mirrored",
+        f"the weighting is {', '.join(windows)}; widths of the response are those that the files state",
+        "power is β⁰ by the files' own polynomials"
+        if absolute
+        else f"{sum(sicd.beta_zero is None for sicd in sicds)} of {counted(len(sicds), 'file')} do not say how to get "
+        "β⁰, so power is known up to one factor, which is taken to be the same for all",
+    ]
+    leaning = [(math.hypot(*layout.leaning), sicd, layout) for sicd, layout in zip(sicds, layouts, strict=True)]
+    worst, sicd, layout = max(leaning, key=lambda item: item[0])
+    if worst > _LEANS:
+        several = sum(value > _LEANS for value, _, _ in leaning)
+        said.append(
+            f"in {counted(several, 'image')} the slant plane is tilted about the line of sight; level ground is laid "
+            f"out right, but what stands 1 m high appears up to {worst:.2f} m beside its place (tilt "
+            f"{layout.tilt_deg:.1f}° in {sicd.path.name})"
+        )
+    return said

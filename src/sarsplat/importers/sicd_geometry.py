@@ -1,0 +1,253 @@
+"""Where the ground around a spot lies in a SICD, and from where the radar saw it.
+
+The world frame is level at the spot: z up, and x towards a compass heading, east unless stated otherwise. A pixel of a
+SICD is a range and a range rate of one antenna position, whatever plane its rows and columns span, so a place on the
+ground is found in it by sarkit's projection, not by angles between axes. Our images have parallel rays and a level
+azimuth axis x_r. Level ground is laid out so that it agrees with them exactly. What stands on it then agrees too if the
+radar's velocity across the line of sight is level; if it is not (a radar that looks ahead or back, or climbs), the
+slant plane is tilted about the line of sight, and what stands one metre high appears `leaning` metres beside its place.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import View, radar_frame
+from sarsplat.importers.sicd_file import Sicd, sarkit_errors
+
+_LATTICE = 9  # places to a side that a layout is fitted to
+_DEGREE = 3  # of the polynomials that are fitted
+_FINE = 1e-5  # m: how closely places are found
+_BENT = 0.02  # pixels: how far a layout may be from its fit
+_STEEPEST_TILT_DEG = 60.0
+_DIGITS = 9  # of angles in degrees: what is left is rounding
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A place on the ground, and the level frame there.
+
+    Parameters
+    ----------
+    latitude_deg, longitude_deg, height_m : float
+        WGS 84; the height is that above the ellipsoid.
+    heading_deg : float
+        Compass heading of the world's x axis, degrees clockwise from north.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+    heading_deg: float = 90.0
+
+    @property
+    def ecef(self) -> Float64[np.ndarray, " 3"]:
+        """Position, m."""
+        from sarkit import wgs84
+
+        return wgs84.geodetic_to_cartesian(self._llh)
+
+    @property
+    def axes(self) -> Float64[np.ndarray, "3 3"]:
+        """Rows: the world's x, y and z in ECEF."""
+        from sarkit import wgs84
+
+        east, north, up = wgs84.east(self._llh), wgs84.north(self._llh), wgs84.up(self._llh)
+        heading = math.radians(self.heading_deg)
+        x = math.sin(heading) * east + math.cos(heading) * north
+        return np.array([x, np.cross(up, x), up])
+
+    @property
+    def _llh(self) -> tuple[float, float, float]:
+        return self.latitude_deg, self.longitude_deg, self.height_m
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How level ground around the spot lies in an image.
+
+    Parameters
+    ----------
+    view : View
+        From where the radar saw it.
+    look : {"left", "right"}
+        Which side of its track the spot is on.
+    distance_m : float
+        From the radar to the spot.
+    tilt_deg : float
+        Of the slant plane about the line of sight; 0 if the image's azimuth is level.
+    leaning : (float, float)
+        How far (azimuth, range), m, what stands one metre high appears from where parallel rays and a level azimuth
+        axis have it.
+    extent_m : float
+        Half a side of the square that the fit is for.
+    coefficients : numpy.ndarray, float64 [n, 2]
+        Of the polynomials that lead from (azimuth, range), in units of `extent_m`, to (xrow, ycol), m.
+    """
+
+    view: View
+    look: str
+    distance_m: float
+    tilt_deg: float
+    leaning: tuple[float, float]
+    extent_m: float
+    coefficients: Float64[np.ndarray, "n 2"]
+
+    def place_of(
+        self, azimuth_m: Float64[np.ndarray, "*n"], range_m: Float64[np.ndarray, "*n"]
+    ) -> Float64[np.ndarray, "*n 2"]:
+        """(xrow, ycol), m, of what our frame has at (azimuth, slant range), m."""
+        return _terms(azimuth_m / self.extent_m, range_m / self.extent_m) @ self.coefficients
+
+    @property
+    def slopes(self) -> Float64[np.ndarray, "2 2"]:
+        """Derivatives of (xrow, ycol) with respect to (azimuth, range) at the spot: rows are xrow and ycol."""
+        step = 1e-3 * self.extent_m
+        ahead = self.place_of(np.array([step, 0.0]), np.array([0.0, step]))
+        return (ahead - self.place_of(np.zeros(1), np.zeros(1))).T / step
+
+
+def spot_of_pixel(sicd: Sicd, pixel: tuple[float, float], heading_deg: float) -> Spot:
+    """The place on the ground, as high as the scene centre point, that a pixel shows.
+
+    Raises
+    ------
+    SarsplatError
+        If the pixel is outside the image or shows no such place.
+    """
+    from sarkit import wgs84
+    from sarkit.sicd import projection
+
+    if not all(0 <= value <= size - 1 for value, size in zip(pixel, sicd.shape, strict=True)):
+        raise SarsplatError(
+            f"the pixel {pixel[0]:g}, {pixel[1]:g} is outside {sicd.path}, which has {sicd.shape[0]} rows and "
+            f"{sicd.shape[1]} columns; count from 0"
+        )
+    known = sicd.projection
+    with sarkit_errors(sicd.path):
+        seen = projection.compute_projection_sets(known, sicd.place_of(np.array(pixel, float)))
+        if sicd.offsets is not None:
+            seen = projection.apply_apos(known, seen, sicd.offsets)
+        found, _, _ = projection.r_rdot_to_constant_hae_surface(
+            known.LOOK, known.SCP, seen, known.SCP_HAE, delta_hae_max=1e-3, nlim=20
+        )
+        latitude, longitude, height = map(float, wgs84.cartesian_to_geodetic(np.squeeze(found)))
+    if not all(map(math.isfinite, (latitude, longitude, height))):
+        raise SarsplatError(f"the pixel {pixel[0]:g}, {pixel[1]:g} of {sicd.path} shows no place on the ground")
+    return Spot(latitude, longitude, height, heading_deg)
+
+
+def spot_of_centre(sicd: Sicd, heading_deg: float) -> Spot:
+    """The scene centre point of an image."""
+    known = sicd.projection
+    return Spot(float(known.SCP_Lat), float(known.SCP_Lon), float(known.SCP_HAE), heading_deg)
+
+
+def layout_around(sicd: Sicd, spot: Spot, extent_m: float) -> Layout:
+    """Where the ground up to `extent_m` from the spot, in azimuth and slant range, lies in an image.
+
+    Raises
+    ------
+    SarsplatError
+        If the image does not show the spot, its radar is below the horizon there, its metadata contradict themselves,
+        or its slant plane is tilted by more than 60° about the line of sight.
+    """
+    with sarkit_errors(sicd.path):
+        place = _locate(sicd, spot, np.zeros((1, 3)))
+        toward, velocity, distance = _radar(sicd, spot, place[0])
+        if not toward[2] > 0:  # also catches NaN
+            raise SarsplatError(f"the radar of {sicd.path} is below the horizon of the spot; give a spot that it shows")
+        exact = View.towards(toward)
+        view = View(round(exact.azimuth_deg, _DIGITS) % 360, round(exact.grazing_deg, _DIGITS))
+        frame = radar_frame(view)
+        across = frame @ (velocity - (velocity @ toward) * toward)  # range component 0
+        tilt = math.degrees(math.atan2(across[1], abs(across[0])))
+        tilt = math.copysign(tilt, tilt * across[0])
+        look = "right" if across[0] > 0 else "left"
+        if not abs(tilt) <= _STEEPEST_TILT_DEG:
+            raise SarsplatError(
+                f"{sicd.path} has a slant plane that is tilted by {tilt:.0f}° about the line of sight, because its "
+                f"radar looks ahead or back or climbs; at most {_STEEPEST_TILT_DEG:g}° is supported, so leave it out"
+            )
+        if sicd.projection.SideOfTrack != ("L" if look == "left" else "R"):
+            raise SarsplatError(
+                f"{sicd.path} says that its radar looks to side {sicd.projection.SideOfTrack} of its track, but its "
+                f"position and velocity are those of a {look}-looking one; get it again"
+            )
+        coefficients = _fit(sicd, spot, view, extent_m)
+        layout = Layout(view, look, distance, tilt, (0.0, 0.0), extent_m, coefficients)
+        leaning = _leaning(sicd, spot, layout)
+    return Layout(view, look, distance, tilt, leaning, extent_m, coefficients)
+
+
+def _locate(sicd: Sicd, spot: Spot, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
+    """(xrow, ycol) of places in the world frame."""
+    from sarkit.sicd import projection
+
+    places, _, found = projection.scene_to_image(
+        sicd.projection,
+        spot.ecef + points @ spot.axes,
+        adjust_param_offsets=sicd.offsets,
+        delta_gp_s2i=_FINE,
+        maxiter=30,
+    )
+    if not found or not np.isfinite(places).all():
+        raise SarsplatError(
+            f"{sicd.path} does not show the spot {spot.latitude_deg:.6f}, {spot.longitude_deg:.6f}; give one that it "
+            "does"
+        )
+    return places
+
+
+def _radar(
+    sicd: Sicd, spot: Spot, place: Float64[np.ndarray, " 2"]
+) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"], float]:
+    """Direction to the radar when it saw the spot, its velocity, both in the world frame, and its distance."""
+    from sarkit.sicd import projection
+
+    time = projection.compute_coa_time(sicd.projection.cT_COA, place)
+    state = projection.compute_coa_pos_vel(sicd.projection, time)
+    assert isinstance(state, projection.CoaPosVelsMono)  # read_sicd refuses others
+    line = spot.axes @ (state.ARP_COA - spot.ecef)
+    distance = float(np.linalg.norm(line))
+    return line / distance, spot.axes @ state.VARP_COA, distance
+
+
+def _on_ground(view: View, azimuth_m: np.ndarray, range_m: np.ndarray) -> Float64[np.ndarray, "n 3"]:
+    """The places on level ground that a view has at these azimuths and ranges."""
+    across, elevation, away = radar_frame(view)
+    rise = -away[2] / elevation[2]  # along the elevation axis for each metre of range
+    return np.outer(azimuth_m, across) + np.outer(range_m, away + rise * elevation)
+
+
+def _fit(sicd: Sicd, spot: Spot, view: View, extent_m: float) -> Float64[np.ndarray, "n 2"]:
+    steps = np.linspace(-1, 1, _LATTICE)
+    azimuth, away = (part.ravel() for part in np.meshgrid(steps, steps))
+    places = _locate(sicd, spot, _on_ground(view, azimuth * extent_m, away * extent_m))
+    terms = _terms(azimuth, away)
+    coefficients = np.linalg.lstsq(terms, places, rcond=None)[0]
+    left = np.abs(terms @ coefficients - places) / [sicd.row.spacing_m, sicd.column.spacing_m]
+    if left.max() > _BENT:
+        raise SarsplatError(
+            f"{sicd.path} bends so much around the spot that {left.max():.2f} pixels are left unexplained; give a "
+            "smaller size"
+        )
+    return coefficients
+
+
+def _terms(azimuth: Float64[np.ndarray, "*n"], away: Float64[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n terms"]:
+    powers = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
+    return np.stack([azimuth**i * away**j for i, j in powers], axis=-1)
+
+
+def _leaning(sicd: Sicd, spot: Spot, layout: Layout) -> tuple[float, float]:
+    height = max(1.0, layout.extent_m / 16)
+    top = np.array([[0.0, 0.0, height]])
+    seen = np.linalg.solve(layout.slopes, (_locate(sicd, spot, top) - _locate(sicd, spot, 0 * top))[0])
+    azimuth, _, away = radar_frame(layout.view) @ top[0]
+    return float((seen[0] - azimuth) / height), float((seen[1] - away) / height)

@@ -1,0 +1,280 @@
+"""SICDs become datasets: scatterers land where the frame of the dataset says, with their power and phase."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("sarkit")
+
+from sarsplat.cli import main
+from sarsplat.data import Dataset, read_dataset
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import radar_frame
+from sarsplat.importers import import_sicd
+from sicds import FREQUENCY, LIGHT, SPOT, Recording, Track, axes, describe, ecef, write_sicd
+
+pytestmark = pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")  # of one view alone, for instance
+
+PLACES = [(0.0, 0.0, 0.0), (8.0, -5.0, 0.0), (-12.0, 9.0, 3.0)]  # m east, north and above the spot
+SIZE = 48.0  # m
+
+
+def imported(folder: Path, track: Track, recording: Recording, places=PLACES, **options) -> Dataset:
+    """The dataset of one SICD."""
+    path = write_sicd(folder / "image.nitf", track, places, recording)
+    options = {"around": SPOT, "looks": None, "ground": False, "size_m": SIZE} | options
+    return import_sicd([path], folder / "set", overwrite=True, **options)
+
+
+def misses(dataset: Dataset, places=PLACES) -> np.ndarray:
+    """How far the brightest pixels are from where the radar frame has the places, in widths of the response."""
+    grid, [entry] = dataset.grid, dataset.entries
+    rows, columns = grid.rows, grid.columns
+    spectrum = np.fft.fftshift(np.fft.fft2(dataset.signal[0]))
+    times = 16
+    wide = np.zeros((times * rows, times * columns), complex)
+    start = [times * size // 2 - size // 2 for size in (rows, columns)]
+    wide[start[0] : start[0] + rows, start[1] : start[1] + columns] = spectrum
+    fine = np.abs(np.fft.ifft2(np.fft.ifftshift(wide)))
+    found = []
+    for place in places:
+        azimuth, _, away = radar_frame(entry.view) @ place
+        row, column = (away - grid.range_m[0]) / grid.spacing_m[1], (azimuth - grid.azimuth_m[0]) / grid.spacing_m[0]
+        top, left = (round(times * value) - 2 * times for value in (row, column))
+        part = fine[top : top + 4 * times, left : left + 4 * times]
+        peak = np.unravel_index(part.argmax(), part.shape)
+        vertical, horizontal = _vertex(part[:, peak[1]], peak[0]), _vertex(part[peak[0]], peak[1])
+        off = (
+            ((left + horizontal) / times - column) * grid.spacing_m[0],
+            ((top + vertical) / times - row) * grid.spacing_m[1],
+        )
+        found.append(np.divide(off, grid.resolution_m))
+    return np.array(found)
+
+
+def _vertex(line: np.ndarray, place: int) -> float:
+    """Of the parabola through a maximum and its neighbours."""
+    before, here, after = line[place - 1 : place + 2]
+    return place + (before - after) / (2 * (before - 2 * here + after))
+
+
+@pytest.mark.parametrize("look", ["R", "L"])
+@pytest.mark.parametrize("bearing", [90.0, 283.0])  # from the east and from the west: ascending and descending
+@pytest.mark.parametrize(
+    "recording",
+    [
+        Recording(),
+        Recording(turn=30, offset=(20.0, -15.0, 4.0)),
+        Recording(turn=-8, tilt=20),
+        Recording(turn=-75, ground_plane=True, rows=600, columns=600),
+        Recording(kind="RGAZIM"),
+        Recording(kind="RGZERO", offset=(-6.0, 10.0, 0.0)),
+    ],
+    ids=["slant", "turned", "tilted", "ground", "polar format", "zero Doppler"],
+)
+def test_scatterers_land_where_the_frame_has_them(tmp_path, look, bearing, recording):
+    dataset = imported(tmp_path, Track(bearing, 35.0, look), recording)
+    [view] = dataset.views
+    assert view.azimuth_deg == pytest.approx(bearing - 90, abs=1e-6)
+    assert view.grazing_deg == pytest.approx(35, abs=1e-6)
+    assert dataset.source["images"][0]["look"] == {"R": "right", "L": "left"}[look]
+    assert np.abs(misses(dataset)).max() < 0.02
+
+
+def test_a_near_radar_and_its_round_wavefronts(tmp_path):
+    dataset = imported(tmp_path, Track(200.0, 50.0, distance=4e3), Recording(offset=(3.0, 2.0, 1.0)))
+    assert np.abs(misses(dataset)).max() < 0.05
+
+
+@pytest.mark.parametrize("track", [Track(squint=12), Track(bearing=20, look="L", squint=-20), Track(climb=6)])
+def test_tilted_slant_planes_lean_as_stated(tmp_path, track):
+    places = [(5.0, -7.0, 0.0), (0.0, 0.0, 2.0)]
+    dataset = imported(tmp_path, track, Recording(), places)
+    low, high = misses(dataset, places)
+    assert np.abs(low).max() < 0.04
+    [facts] = dataset.source["images"]
+    assert high * dataset.grid.resolution_m == pytest.approx(2.0 * np.array(facts["leaning_m_per_m"]), abs=0.04)
+    tilt = math.radians(facts["tilt_deg"])
+    assert facts["leaning_m_per_m"][0] == pytest.approx(math.tan(tilt) / math.cos(math.radians(35)), rel=1e-3)
+    assert any("tilted about the line of sight" in text for text in dataset.source["assumptions"])
+
+
+@pytest.mark.parametrize("doppler", [(0.0, 0.0), (0.4, -0.9)], ids=["centred band", "band elsewhere"])
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_resampling_keeps_amplitude_and_phase(tmp_path, doppler, sign):
+    """Against the response itself, at the places of the dataset's pixels."""
+    track = Track(90.0, 35.0, distance=50e3)
+    recording = Recording(turn=20, doppler=doppler, sign=sign, offset=(2.0, -3.0, 0.0), window="TAYLOR")
+    place = (4.0, 6.0, 1.5)
+    dataset = imported(tmp_path, track, recording, [place], size_m=24.0)
+    _, grid_of = describe(track, recording)
+    view, grid = dataset.views[0], dataset.grid
+    across, rise, away = radar_frame(view)
+    azimuth, slant = np.meshgrid(grid.azimuth_m[::4], grid.range_m[::4])
+    ground = azimuth[..., None] * across + slant[..., None] * (away - away[2] / rise[2] * rise)
+    centre = grid_of(ecef(place))
+    expected = np.empty(azimuth.shape, complex)
+    for index in np.ndindex(azimuth.shape):
+        off = grid_of(ecef(ground[index])) - centre
+        lines = []
+        for axis in (0, 1):
+            band, phase = (
+                recording.bandwidth[axis] * off[axis],
+                -sign * 2j * np.pi * recording.doppler[axis] * off[axis],
+            )
+            lines.append((np.sinc(band) + 0.3 * (np.sinc(band + 1) + np.sinc(band - 1))) * np.exp(phase))
+        expected[index] = np.prod(lines)
+    expected *= np.exp(sign * 4j * np.pi * FREQUENCY / LIGHT * centre[0])
+    found = dataset.signal[0, ::4, ::4] * math.sqrt(dataset.source["mean_power"])
+    error = np.abs(found - expected).max()
+    print(20 * math.log10(error / np.abs(expected).max()))
+    assert 20 * math.log10(error / np.abs(expected).max()) < -75
+
+
+@pytest.mark.parametrize(
+    ("pixel_type", "table", "tolerance"),
+    [
+        ("RE32F_IM32F", False, 1e-6),
+        ("RE16I_IM16I", False, 1e-3),
+        ("AMP8I_PHS8I", False, 0.02),
+        ("AMP8I_PHS8I", True, 0.02),
+    ],
+)
+def test_every_pixel_type_means_the_same(tmp_path, pixel_type, table, tolerance):
+    dataset = imported(tmp_path, Track(), Recording(pixel_type=pixel_type, amplitude_table=table))
+    reference = imported(tmp_path, Track(), Recording())
+    found, expected = dataset.signal[0], reference.signal[0]
+    scale = np.vdot(expected, found) / np.vdot(expected, expected)  # quantisation moves the mean power a little
+    assert abs(scale - 1) < 0.05 and abs(np.angle(scale)) < 0.01
+    assert np.abs(found - scale * expected).max() < tolerance * np.abs(expected).max() + 1e-6
+    assert dataset.source["images"][0]["pixel_type"] == pixel_type
+
+
+def test_widths_weighting_and_beta_zero(tmp_path):
+    recording = Recording(window="TAYLOR", beta_zero=3.0, bandwidth=(2.0, 1.0), rows=400, columns=200)
+    dataset = imported(tmp_path, Track(), recording)
+    assert dataset.calibration == "absolute"
+    assert dataset.grid.resolution_m == pytest.approx((0.886, 0.443), rel=1e-3)
+    assert dataset.grid.spacing_m == pytest.approx((0.8, 0.4), rel=1e-3)
+    assert dataset.source["images"][0]["weighting"] == ["TAYLOR", "TAYLOR"]
+    relative = imported(tmp_path, Track(), replace(recording, beta_zero=None))
+    assert relative.calibration == "relative"
+    assert relative.power.mean() == pytest.approx(1, rel=1e-3)
+    as_stored = relative.signal * math.sqrt(relative.source["mean_power"])
+    assert dataset.signal == pytest.approx(as_stored * math.sqrt(3.0), abs=1e-5)
+
+
+def test_a_stack_is_on_one_grid_with_headings_and_sets(tmp_path):
+    files = [
+        write_sicd(tmp_path / f"{bearing}.nitf", Track(bearing, 30.0, "RL"[bearing // 90 % 2]), PLACES, recording)
+        for bearing, recording in zip(
+            (0, 90, 180, 270),
+            (Recording(), Recording(turn=12), Recording(bandwidth=(1.4, 1.5)), Recording()),
+            strict=True,
+        )
+    ]
+    dataset = import_sicd(files, tmp_path / "set", size_m=SIZE, around=SPOT, heading_deg=0.0, train_views=2)
+    assert dataset.splits() == ("train", "test")
+    assert [round(view.azimuth_deg) % 360 for view in dataset.views] == [0, 180, 90, 270]
+    assert dataset.signal is not None and read_dataset(tmp_path / "set").signal is not None
+    for index, entry in enumerate(dataset.entries):
+        there = np.abs(misses(dataset.take([index]), _turned(PLACES)))
+        assert there.max() < 0.05, entry.name
+
+
+def _turned(places) -> list[tuple[float, float, float]]:
+    """East, north and up as x, y and z of a world whose x axis points north."""
+    return [(north, -east, up) for east, north, up in places]
+
+
+def test_the_spot_may_be_a_pixel_or_the_centre(tmp_path):
+    offset = (11.0, -6.0, 0.0)
+    recording = Recording(offset=offset)
+    by_centre = imported(tmp_path, Track(), recording, [offset], around=None)
+    assert np.abs(misses(by_centre, [(0.0, 0.0, 0.0)])).max() < 0.04
+    _, grid_of = describe(Track(), recording)
+    spot = grid_of(ecef(PLACES[1])) / recording.spacing + [recording.rows // 2, recording.columns // 2]
+    by_pixel = imported(tmp_path, Track(), recording, PLACES[1:2], around=None, pixel=tuple(spot))
+    assert np.abs(misses(by_pixel, [(0.0, 0.0, 0.0)])).max() < 0.04
+    without_height = imported(tmp_path, Track(), recording, around=SPOT[:2])
+    assert without_height.source["spot"]["height_m"] == pytest.approx(SPOT[2], abs=1e-3)
+
+
+def test_axes_of_the_world_are_level_and_right_handed():
+    east, north, up = axes()
+    assert np.cross(east, north) == pytest.approx(up, abs=1e-12)
+
+
+def test_only_what_is_needed_is_read(tmp_path):
+    """A chip of a large image: neither memory nor reading grows with it."""
+    import sarkit.sicd
+
+    from fuzz import watched
+
+    path = write_sicd(tmp_path / "large.nitf", Track(), [(0.0, 0.0, 0.0)], Recording(rows=4000, columns=4000))
+    assert path.stat().st_size > 120e6
+    import_sicd([path], tmp_path / "first", around=SPOT, size_m=10.0)  # imports are not counted
+    assert sarkit.sicd
+    with watched() as cost:
+        import_sicd([path], tmp_path / "set", around=SPOT, size_m=10.0)
+    assert cost.bytes < 60e6
+    assert cost.seconds < 2
+
+
+def test_the_command_says_what_it_assumed(tmp_path, capsys):
+    files = [
+        str(write_sicd(tmp_path / f"{bearing}.nitf", Track(bearing, look="L"), PLACES, Recording()))
+        for bearing in (0, 120, 240)
+    ]
+    latitude, longitude, height = SPOT
+    words = [
+        "import",
+        "sicd",
+        *files,
+        f"--around={latitude},{longitude},{height}",
+        "--size",
+        "48m",
+        "--target",
+        "sphere",
+    ]
+    assert main([*words, "--out", str(tmp_path / "set")]) == 0
+    said = capsys.readouterr().out
+    assert "look to the left (3)" in said and "nothing is mirrored" in said
+    assert "compass heading 90°" in said and "one factor" in said and "UNIFORM" in said
+    assert "3 views, largest gap 120°, ready" in said
+    assert "next: " in said and "reconstruct" in said
+    assert read_dataset(tmp_path / "set").target == "sphere"
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--size", "48m", "--around", "47.3"], "write it as 47.3769,8.5417"),
+        (["--size", "large"], "write it as 64m"),
+        (["--size", "-3"], "must be positive"),
+        (["--size", "500m"], "give a smaller size or another spot"),
+        (["--size", "48m", "--around", "48,8.5"], "another spot"),
+        (["--size", "48m", "--around=-47.3,-171"], "does not show the spot|below the horizon|another spot"),
+        (["--size", "48m", "--pixel", "400,10"], "is outside .* 300 rows and 280 columns"),
+        (["--size", "48m", "--pixel", "1,1", "--around", "47.3,8.5"], "give one of them"),
+        (["--size", "48m", "--around", "147.3,8.5"], "is not a latitude"),
+    ],
+)  # fmt: skip
+def test_requests_that_cannot_be_met(tmp_path, capsys, options, told):
+    path = write_sicd(tmp_path / "image.nitf", Track(), PLACES, Recording())
+    assert main(["import", "sicd", str(path), *options, "--out", str(tmp_path / "set")]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert re.search(told, line), line
+    assert not (tmp_path / "set").exists()
+
+
+def test_the_same_file_twice(tmp_path):
+    path = write_sicd(tmp_path / "image.nitf", Track(), PLACES, Recording())
+    with pytest.raises(SarsplatError, match="given 2 times"):
+        import_sicd([path, path], tmp_path / "set", size_m=SIZE)
