@@ -35,7 +35,7 @@ def completion(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         ("", set(COMMANDS)),
         ("rec", {"reconstruct"}),
-        ("import ", {"mstar"}),
+        ("import ", set(COMMANDS["import"])),
         ("import mstar chips --tr", {"--train-views", "--train-depression"}),
         ("reconstruct ds --preset ", {"auto", *PRESETS}),
         ("reconstruct ds --preset pa", {"paper"}),

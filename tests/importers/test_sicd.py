@@ -133,8 +133,7 @@ def test_resampling_keeps_amplitude_and_phase(tmp_path, doppler, sign):
     expected *= np.exp(sign * 4j * np.pi * FREQUENCY / LIGHT * centre[0])
     found = dataset.signal[0, ::4, ::4] * math.sqrt(dataset.source["mean_power"])
     error = np.abs(found - expected).max()
-    print(20 * math.log10(error / np.abs(expected).max()))
-    assert 20 * math.log10(error / np.abs(expected).max()) < -75
+    assert 20 * math.log10(error / np.abs(expected).max()) < -95
 
 
 @pytest.mark.parametrize(
