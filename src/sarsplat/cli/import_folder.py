@@ -38,7 +38,7 @@ def import_folder(
     target: OptionalName = None,
     calibrated: bool = False,
     looks: Annotated[float, tyro.conf.arg(metavar="NUMBER")] = 1.0,
-    target_only: bool = False,
+    no_ground: bool = False,
     overwrite: bool = False,
 ) -> None:
     """Import pictures (PNG, JPEG, TIFF, GeoTIFF, NPY) with a table (CSV) of angles.
@@ -89,8 +89,8 @@ def import_folder(
         The power is β⁰ itself, not only up to a factor.
     looks
         Looks of the speckle; 0 if there is no speckle.
-    target_only
-        The pictures show the target alone, without ground.
+    no_ground
+        The pictures show nothing but the target.
     overwrite
         Replace an existing dataset.
     """
@@ -121,7 +121,7 @@ def import_folder(
             target=target,
             calibration="absolute" if calibrated else "relative",
             looks=looks or None,
-            ground=not target_only,
+            ground=not no_ground,
             overwrite=overwrite,
         )
     finish(out, dataset)

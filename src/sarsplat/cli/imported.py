@@ -14,11 +14,14 @@ if TYPE_CHECKING:
 
 
 def finish(out: Path, dataset: Dataset) -> None:
-    """Tell it, and draw a sheet of the images on which one sees whether they lie as they should."""
+    """Tell it, also what contradicts it, and draw a sheet on which one sees whether the images lie as they should."""
     from sarsplat.importers import ready
+    from sarsplat.reconstruction.contradictions import examine
 
     for assumption in dataset.source["assumptions"]:
         console.say(f"assumed: {assumption}")
+    for contradiction in examine(dataset).contradictions:
+        console.warn(contradiction)
     try:
         _draw(out / "preview.png", dataset)
     except ModuleNotFoundError as error:

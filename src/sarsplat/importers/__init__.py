@@ -5,6 +5,7 @@ MSTAR's chips are read in `sarsplat.data`.
 
 from sarsplat.importers.folder import import_folder
 from sarsplat.importers.images import MeasuredImage, dataset_of, ready, write_imported
+from sarsplat.importers.sample import import_sample
 from sarsplat.importers.sicd import import_sicd
 
-__all__ = ["MeasuredImage", "dataset_of", "import_folder", "import_sicd", "ready", "write_imported"]
+__all__ = ["MeasuredImage", "dataset_of", "import_folder", "import_sample", "import_sicd", "ready", "write_imported"]

@@ -15,7 +15,7 @@ from jaxtyping import Num, Shaped
 from sarsplat.data.coverage import largest_gap
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.dataset_folder import write_dataset
-from sarsplat.data.evenly import nearest_to
+from sarsplat.data.evenly import even_azimuths, nearest_to
 from sarsplat.data.header import Calibration
 from sarsplat.data.image import power_of
 from sarsplat.data.plausible import suspicions, warn
@@ -97,8 +97,8 @@ def dataset_of(
     source : dict
         Where they come from and what was assumed (`assumptions`, a list of sentences); what is decided here is added.
     train_views : int, optional
-        Number K of training views: those nearest to azimuths k·360°/K; the others are test views. Not if the images
-        name their sets. Without either, all are training views.
+        Number K of training views: those nearest to azimuths k·360°/K or, where images are missing on one side, to K
+        azimuths evenly spaced over the rest; the others are test views. Not if the images name their sets.
     calibration, looks, ground
         See `Dataset`. Relative power has mean 1 over the training views.
 
@@ -185,8 +185,8 @@ def _with_sets(images: Sequence[MeasuredImage], train_views: int | None) -> list
                 f"{train_views} training views were asked for, but there are {counted(len(images), 'image')}; ask for "
                 f"1 to {len(images)}"
             )
-        even = [k * 360 / train_views for k in range(train_views)]
-        chosen = nearest_to([image.view.azimuth_deg for image in images], even)
+        azimuths = [image.view.azimuth_deg for image in images]
+        chosen = nearest_to(azimuths, even_azimuths(azimuths, train_views))
         sets = ["train" if index in chosen else "test" for index in range(len(images))]
     named = [replace(image, split=split) for image, split in zip(images, sets, strict=True)]
     return sorted(named, key=lambda image: image.split != "train")  # stable

@@ -1,0 +1,62 @@
+"""`sarsplat import sample`: the SAMPLE set's MATLAB files in, a dataset out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from sarsplat.cli import console
+from sarsplat.cli.arguments import Folder, OptionalCount, refuse_existing
+
+
+def import_sample(
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+    *,
+    out: Folder,
+    target_class: Annotated[str, tyro.conf.arg(name="class", metavar="NAME")],
+    kind: Literal["real", "synthetic"] = "real",
+    train_views: OptionalCount = None,
+    near: Literal["top", "bottom"] = "bottom",
+    mirrored: bool = False,
+    overwrite: bool = False,
+) -> None:
+    """Import images of AFRL's SAMPLE set: measured MSTAR chips and simulated ones (.mat), complex.
+
+    Parameters
+    ----------
+    folder
+        Folder of the set.
+    out
+        Dataset folder to write.
+    target_class
+        Vehicle, e.g. t72.
+    kind
+        Measured or simulated images.
+    train_views
+        Number of training images, evenly chosen; the others are test images. Without it, all are for training.
+    near
+        Rows that are near the radar; MSTAR's chips have them at the bottom.
+    mirrored
+        Treat the images as mirror images.
+    overwrite
+        Replace an existing dataset.
+    """
+    from sarsplat.cli.imported import finish
+    from sarsplat.data.dataset_folder import HEADER
+    from sarsplat.importers import import_sample as read_sample
+
+    refuse_existing(out, overwrite, marker=HEADER)
+    with console.busy(f"reading images from {folder}"):
+        dataset = read_sample(
+            folder,
+            out,
+            target=target_class,
+            kind=kind,
+            train_views=train_views,
+            near=near,
+            mirrored=mirrored,
+            overwrite=overwrite,
+        )
+    finish(out, dataset)

@@ -1,0 +1,199 @@
+"""Import the public SAMPLE set of AFRL: measured MSTAR chips and simulated images of the same vehicles, complex.
+
+Written from the set's public description: how its files are called (such as
+`t72_real_A_elevDeg_016_azCenter_041_77_serial_812.mat`) and which variables they hold. It does not say how the images
+lie. As the measured ones were made of MSTAR's chips, they are taken to lie as these do (see `sarsplat.data.mstar`): near
+range is the bottom row, and the nose turns clockwise with growing azimuth. `near` and `mirrored` say otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from sarsplat.data.dataset import Dataset
+from sarsplat.data.files import plain_os_errors
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
+from sarsplat.geometry import View
+from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
+from sarsplat.importers.mat import read_mat
+from sarsplat.importers.quantity import power_or_signal
+
+Kind = Literal["real", "synthetic"]
+
+_NAME = re.compile(
+    r"(?P<target>[A-Za-z0-9]+)_(?P<kind>real|synth)_.*elevDeg_(?P<elevation>\d{3})_azCenter_(?P<azimuth>\d{3})_.*\.mat"
+)
+_KINDS: dict[Kind, str] = {"real": "real", "synthetic": "synth"}
+_MOST_OFF_DEG = 1.0
+"""Names hold whole degrees."""
+
+
+@dataclass(frozen=True)
+class _Named:
+    """What the name of a file says."""
+
+    path: Path
+    target: str
+    kind: str
+    azimuth_deg: int
+    elevation_deg: int
+
+
+def import_sample(
+    folder: str | Path,
+    out: str | Path,
+    *,
+    target: str,
+    kind: Kind = "real",
+    train_views: int | None = None,
+    near: Literal["top", "bottom"] = "bottom",
+    mirrored: bool = False,
+    overwrite: bool = False,
+) -> Dataset:
+    """Make a dataset of the images of one vehicle.
+
+    Parameters
+    ----------
+    folder : Path
+        The set, its `mat_files`, or any folder below it; MATLAB files with other names are left out.
+    out : Path
+        Dataset to make.
+    target : str
+        E.g. `t72`; the set has 2s1, bmp2, btr70, m1, m2, m35, m548, m60, t72 and zsu23.
+    kind : {"real", "synthetic"}
+        Measured or simulated images.
+    train_views : int, optional
+        Number of training views, evenly chosen; the others are test views. Unless given, all are training views.
+    near : {"top", "bottom"}
+        Rows that are near the radar.
+    mirrored : bool
+        Take the images for mirror images, with azimuths that grow clockwise.
+    overwrite : bool
+        Whether an existing dataset may be replaced.
+
+    Returns
+    -------
+    Dataset
+        Complex, of relative calibration, single look, with ground.
+
+    Raises
+    ------
+    SarsplatError
+        If there are no such images, one is damaged, or its angles are not those of its name.
+    """
+    folder = Path(folder)
+    chosen = _chosen(folder, target, kind)
+    read = [_read(named, folder, near, mirrored) for named in chosen]
+    images = [image for image, _ in read]
+    facts = read[0][1]
+    source: dict[str, Any] = {
+        "kind": "sample",
+        "images": kind,
+        **facts,
+        "azimuth": f"azimuth = {'+' if mirrored else '-'}azimuth of the file",
+        "near": near,
+        "mirrored": mirrored,
+        "assumptions": [
+            f"near range is the {near} row, and the images are {'' if mirrored else 'not '}mirrored, "
+            "which the set's description does not say",
+            "azimuth 0 is the nose towards the radar, as in MSTAR",
+        ],
+    }
+    dataset = dataset_of(images, target=chosen[0].target, source=source, train_views=train_views)
+    return write_imported(out, dataset, overwrite=overwrite)
+
+
+def _chosen(folder: Path, target: str, kind: Kind) -> list[_Named]:
+    with plain_os_errors("read", folder):
+        if not folder.is_dir():
+            raise SarsplatError(f"{folder} is not a folder; give the folder of the SAMPLE set")
+        files = sorted(path for path in folder.rglob("*.mat") if path.is_file())
+    if kind not in _KINDS:
+        raise SarsplatError(f"the kind is {shown(kind)}; it must be one of {', '.join(_KINDS)}")
+    named = [found for found in map(_by_name, files) if found is not None]
+    if not named:
+        raise SarsplatError(
+            f"{folder} has no file that is called as those of the SAMPLE set; give its folder mat_files"
+        )
+    if other := len(files) - len(named):
+        warnings.warn(
+            f"{counted(other, 'MATLAB file')} in {folder} with names unlike those of the SAMPLE set are left out",
+            SarsplatWarning,
+            stacklevel=3,
+        )
+    chosen = [one for one in named if one.target.lower() == target.lower() and one.kind == _KINDS[kind]]
+    if not chosen:
+        there = sorted(
+            {f"{one.target} ({kind})" for one in named for kind, short in _KINDS.items() if short == one.kind}
+        )
+        raise SarsplatError(f"{folder} has no {kind} images of {shown(target)}; it has {', '.join(there)[:500]}")
+    return chosen
+
+
+def _by_name(path: Path) -> _Named | None:
+    found = _NAME.fullmatch(path.name)
+    if found is None:
+        return None
+    return _Named(path, found["target"], found["kind"], int(found["azimuth"]), int(found["elevation"]))
+
+
+def _read(named: _Named, folder: Path, near: str, mirrored: bool) -> tuple[MeasuredImage, dict[str, Any]]:
+    """The image, and facts to keep."""
+    variables = read_mat(named.path)
+    pixels = variables.get("complex_img")
+    if not isinstance(pixels, np.ndarray) or pixels.ndim != 2 or pixels.dtype.kind != "c":
+        raise SarsplatError(f"{named.path} has no complex matrix complex_img; give files of the SAMPLE set")
+    signal = power_or_signal(pixels, "complex", str(named.path))
+    signal = signal[::-1, ::-1] if near == "bottom" else signal
+    azimuth = _angle(named, variables, "azimuth", named.azimuth_deg)
+    spacing = _lengths(named, variables, "pixel_spacing")
+    try:
+        view = View(azimuth if mirrored else -azimuth % 360, _angle(named, variables, "elevation", named.elevation_deg))
+    except SarsplatError as error:
+        raise SarsplatError(f"{named.path}: {error}") from error
+    image = MeasuredImage(
+        str(named.path.relative_to(folder)),
+        np.ascontiguousarray(signal[:, ::-1] if mirrored else signal),
+        view,
+        spacing,
+        _lengths(named, variables, "resolution"),
+    )
+    kept = {name: _number(variables, name) for name in ("center_freq", "bandwidth", "taylor_weights")}
+    return image, {name: value for name, value in kept.items() if value is not None}
+
+
+def _angle(named: _Named, variables: Mapping[str, Any], name: str, whole_deg: int) -> float:
+    """Degrees; the file's name, which gives whole ones, tells radians from degrees."""
+    value = _number(variables, name)
+    for degrees in () if value is None else (value, math.degrees(value)):
+        if abs((degrees - whole_deg + 180) % 360 - 180) <= _MOST_OFF_DEG:
+            return degrees
+    raise SarsplatError(
+        f"{named.path}: {name} is {shown(value)}, but its name says {whole_deg}°; download the file again"
+    )
+
+
+def _lengths(named: _Named, variables: Mapping[str, Any], name: str) -> tuple[float, float]:
+    """Azimuth and range, m; files made of MSTAR's leave one of them 0 where its header lacked it."""
+    both = [_number(variables, f"{axis}_{name}") or 0.0 for axis in ("xrange", "range")]
+    azimuth, slant_range = (own if own > 0 else max(both) for own in both)
+    if azimuth <= 0:
+        raise SarsplatError(f"{named.path} has no {name.replace('_', ' ')} in xrange_{name} and range_{name}, m")
+    return azimuth, slant_range
+
+
+def _number(variables: Mapping[str, Any], name: str) -> float | None:
+    """A scalar, if it is one and finite."""
+    value = variables.get(name)
+    if not isinstance(value, np.ndarray) or value.size != 1 or value.dtype.kind not in "iuf":
+        return None
+    number = float(value.item())
+    return number if math.isfinite(number) else None
