@@ -46,6 +46,8 @@ def check_sheet(dataset: Dataset, most: int = 12) -> bytes:
     SarsplatError
         If the number is not positive.
     """
+    from matplotlib import colormaps
+
     if most < 1:
         raise SarsplatError(f"a sheet of {most} images cannot be drawn; ask for at least one")
     count = min(most, len(dataset))
@@ -56,8 +58,6 @@ def check_sheet(dataset: Dataset, most: int = 12) -> bytes:
     aspect = grid.rows * grid.spacing_m[1] / (grid.columns * grid.spacing_m[0])
     tall = min(max(_WIDTH * aspect, 0.8), 3 * _WIDTH)
     width, height = max(columns * _WIDTH, 2 * _WIDTH), lines * (tall + _TITLE) + _FOOT
-    from matplotlib import colormaps
-
     figure = new_figure(width, height)
     panels = figure.subplots(lines, columns, squeeze=False)
     figure.subplots_adjust(
