@@ -22,7 +22,8 @@ import trimesh
 from PIL import Image
 
 from datasets import dataset_of
-from fuzz_mutations import NUMBERS, Mutation, spoil_bytes, spoil_json
+from fuzz_mutations import FLOATS, NUMBERS, Mutation, spoil_bytes, spoil_json
+from pulses import FREQUENCIES, circle, record
 from sarsplat.data import (
     load_checkpoint,
     read_dataset,
@@ -38,7 +39,11 @@ from sarsplat.data import (
 from sarsplat.data.mstar_chips import read_chips
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.importers.apertures import apertures
+from sarsplat.importers.focus import focus
+from sarsplat.importers.gotcha import read_gotcha
 from sarsplat.importers.mat import read_mat
+from sarsplat.importers.phase_history import flights
 from sarsplat.reconstruction.any_run import SCHEMA_VERSION
 from sarsplat.reconstruction.presets import PRESETS
 from sarsplat.reconstruction.run import Run
@@ -402,6 +407,40 @@ def _spoil_mat(data: bytes, rng: random.Random) -> bytes:
     return data[:128] + _packed_mat(data[128:]) if rng.random() < 0.3 else data
 
 
+def _pulses() -> list[bytes]:
+    """Eight pulses of one flight past a point."""
+    made = []
+    for kind in (np.float64, np.float32):
+        data = record(circle(np.linspace(10, 11, 8)), [(1.0, 0.0, 0.0)], FREQUENCIES[::8])
+        data |= {"af": {"r_correct": np.zeros(8), "ph_correct": np.ones(8)}}
+        buffer = io.BytesIO()
+        single = {
+            k: v.astype(kind) if isinstance(v, np.ndarray) and v.dtype.kind == "f" else v for k, v in data.items()
+        }
+        scipy.io.savemat(buffer, {"data": single})
+        made.append(buffer.getvalue())
+    return made
+
+
+def _spoil_pulses(data: bytes, rng: random.Random) -> bytes:
+    """A number among the values."""
+    value = np.array(rng.choice((*FLOATS, 1e-300, 3e3, 1e10)))
+    with np.errstate(over="ignore"):
+        packed = value.astype(rng.choice(("<f4", "<f8"))).tobytes()
+    place = len(data) // 8 * 8 - 8 * rng.randrange(1, max(2, len(data) // 8 - 16))
+    return data[:place] + packed + data[place + len(packed) :]
+
+
+def _read_pulses(folder: Path) -> object:
+    made = []
+    for flight in flights([read_gotcha(folder / "a.mat")]):
+        for aperture in apertures(flight, np.zeros(3), None):
+            aperture.tilt_deg, aperture.resolution_m("taylor")
+            made.append(focus(aperture, ImageGrid(3, 3, (0.1, 0.1), (0.1, 0.1)), "taylor"))
+    assert np.isfinite(made).all()
+    return made
+
+
 READERS = (
     Reader("phoenix", "HB00001.000", _read_phoenix, lambda: [phoenix()], (_phoenix_fits,)),
     Reader("dataset.json", "set/dataset.json", _read_dataset, _dataset_header, (spoil_json,), prepare_dataset),
@@ -440,4 +479,5 @@ READERS = (
     Reader("labels.csv", "labels.csv", _read_chips, lambda: [_LABELS], (), _chips),
     Reader("chip.jpeg", "chips/a.jpeg", _read_chips, lambda: [_jpeg()], (), _chips),
     Reader("mat", "a.mat", lambda folder: read_mat(folder / "a.mat"), _mats, (_spoil_mat,)),
+    Reader("gotcha", "a.mat", _read_pulses, _pulses, (_spoil_mat, _spoil_pulses)),
 )

@@ -1,0 +1,79 @@
+"""`sarsplat import phase-history`: pulses in, a dataset of focused images out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from sarsplat.cli.arguments import Folder, Metres, OptionalCount, OptionalNumber, refuse_existing
+from sarsplat.cli.imported import finish
+from sarsplat.errors import SarsplatError
+
+
+def import_phase_history(
+    files: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILES")],
+    *,
+    out: Folder,
+    size: Annotated[float, tyro.conf.arg(metavar="METRES")],
+    around: Annotated[str, tyro.conf.arg(metavar="X,Y[,Z]")] = "0,0",
+    aperture: OptionalNumber = None,
+    spacing: Metres = None,
+    weighting: Literal["uniform", "taylor"] = "taylor",
+    target: Annotated[str, tyro.conf.arg(metavar="NAME")] = "scene",
+    train_views: OptionalCount = None,
+    overwrite: bool = False,
+) -> None:
+    """Import phase history, in the layout of AFRL's GOTCHA: one focused image for every few degrees of flight.
+
+    Parameters
+    ----------
+    files
+        MATLAB files (.mat, not v7.3), in any order.
+    out
+        Dataset folder to write.
+    size
+        Side of the images in the slant plane, m.
+    around
+        What the images show the surroundings of: x, y and height (0 if left out), m from the scene centre.
+    aperture
+        Azimuths that make one image, degrees. Without it, as many as make the pixels' resolution square.
+    spacing
+        Pixel spacing, m. Without it, two thirds of the narrower resolution.
+    weighting
+        The narrowest response, or side lobes 35 dB down.
+    target
+        What is there.
+    train_views
+        Number of training images, nearest to azimuths k·360°/K; the others are test images. Without it, all are for
+        training.
+    overwrite
+        Replace an existing dataset.
+    """
+    from sarsplat.data.dataset_folder import HEADER
+    from sarsplat.importers import import_phase_history as read_files
+
+    refuse_existing(out, overwrite, marker=HEADER)
+    dataset = read_files(
+        files,
+        out,
+        size_m=size,
+        around_m=_place(around),
+        aperture_deg=aperture,
+        spacing_m=spacing,
+        weighting=weighting,
+        target=target,
+        train_views=train_views,
+        overwrite=overwrite,
+        quiet=False,
+    )
+    finish(out, dataset)
+
+
+def _place(text: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = map(float, text.split(",") if text.count(",") > 1 else (*text.split(","), "0"))
+    except ValueError:
+        raise SarsplatError(f"--around {text!r} is no place; give x,y or x,y,z in metres, such as 12,-7.5") from None
+    return x, y, z

@@ -1,0 +1,111 @@
+"""Image formation by back-projection: every pixel gathers from every pulse the echo of its own distance.
+
+The echo of one pulse at all distances, Σ_f s(f)·exp(4πj f/c·d), is a Fourier sum at uneven places; `finufft` evaluates
+it to the accuracy asked for, as a direct sum would, without a range profile to interpolate in. Nothing is approximated
+in the geometry: the wavefronts are spheres.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Complex64, Float64
+
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, radar_frame
+from sarsplat.importers.apertures import Aperture
+from sarsplat.importers.phase_history import SPEED_OF_LIGHT
+from sarsplat.importers.tapers import Weighting, weights
+
+_ACCURACY = 1e-7
+
+
+def focus(
+    aperture: Aperture, grid: ImageGrid, weighting: Weighting
+) -> Complex64[np.ndarray, "{grid.rows} {grid.columns}"]:
+    """The complex image of an aperture.
+
+    Parameters
+    ----------
+    aperture : Aperture
+        Its pulses and view.
+    grid : ImageGrid
+        Pixels of the slant plane, relative to the place that the aperture looks at.
+    weighting : {"uniform", "taylor"}
+        Of frequencies and pulses.
+
+    Returns
+    -------
+    numpy.ndarray, complex64 [rows, columns]
+        Row 0 near range, columns along the view's x_r. A scatterer of amplitude A on the ground has A as its peak. The
+        carrier's phase, 4π f/c times slant range, is taken out, so that the spectrum is around zero.
+
+    Raises
+    ------
+    SarsplatError
+        If the grid reaches beyond what the frequencies or the pulses show unambiguously, or finufft is not installed.
+
+    Notes
+    -----
+    A pixel is focused on the place of the ground, at the height of the aperture's place, that the radar frame maps to
+    it. What stands on the ground in range and Doppler is thus where `radar_frame` says, without wavefront curvature.
+    """
+    try:
+        import finufft
+    except ImportError as error:
+        raise SarsplatError(
+            "phase history needs finufft; install it with: pip install 'sarsplat[phase-history]'"
+        ) from error
+    _check_extent(aperture, grid)
+    history = aperture.history
+    frequencies = history.frequencies_hz
+    places = (np.arange(len(frequencies)) + 0.5) / len(frequencies) - 0.5
+    cross = aperture.cross
+    shares = np.abs(np.gradient(cross)) * weights(weighting, (cross - _middle(cross)) / aperture.extent)
+    across = weights(weighting, places)
+    samples = history.samples * np.outer(across / across.sum(), shares / shares.sum())
+    wave = 4 * math.pi / SPEED_OF_LIGHT
+    pixels = ground_points(aperture, grid)
+    centre = frequencies[len(frequencies) // 2]
+    total = np.zeros(len(pixels), np.complex128)
+    for antenna, reference, echo in zip(history.antenna_m, history.reference_m, samples.T, strict=True):
+        beyond = np.linalg.norm(pixels - antenna, axis=1) - reference
+        profile = finufft.nufft1d2(
+            wave * history.step_hz * beyond, np.ascontiguousarray(echo), eps=_ACCURACY, isign=1, nthreads=1
+        )
+        total += profile * np.exp(1j * wave * centre * beyond)
+    carrier = np.exp(-1j * wave * history.carrier_hz * grid.range_m)
+    return (total.reshape(grid.rows, grid.columns) * carrier[:, None]).astype(np.complex64)
+
+
+def ground_points(aperture: Aperture, grid: ImageGrid) -> Float64[np.ndarray, "pixels 3"]:
+    """Where each pixel is on the ground, row by row, world frame, m."""
+    azimuth, _, away = radar_frame(aperture.view)
+    grazing = math.radians(aperture.view.grazing_deg)
+    ahead = np.array([away[0], away[1], 0.0]) / math.cos(grazing) ** 2  # per metre of slant range
+    rows = grid.range_m[:, None, None] * ahead
+    return (aperture.around_m + rows + grid.azimuth_m[None, :, None] * azimuth).reshape(-1, 3)
+
+
+def _check_extent(aperture: Aperture, grid: ImageGrid) -> None:
+    corners = ground_points(aperture, grid).reshape(grid.rows, grid.columns, 3)[[0, 0, -1, -1], [0, -1, 0, -1]]
+    history = aperture.history
+    distance = np.linalg.norm(corners[:, None] - history.antenna_m, axis=2) - history.reference_m
+    farthest, limit = float(np.abs(distance).max()), history.unambiguous_m / 2
+    if farthest > limit:
+        raise SarsplatError(
+            f"{history.name}: the image reaches {farthest:.1f} m in range from the scene centre, but frequencies in "
+            f"steps of {history.step_hz / 1e6:.3g} MHz show ±{limit:.1f} m; give a smaller --size, or an --around "
+            "nearer to it"
+        )
+    across = grid.columns * grid.spacing_m[0]
+    if across > aperture.unambiguous_m:
+        raise SarsplatError(
+            f"{history.name}: the image is {across:.1f} m wide, but pulses so far apart show "
+            f"{aperture.unambiguous_m:.1f} m; give a smaller --size"
+        )
+
+
+def _middle(values: Float64[np.ndarray, " n"]) -> float:
+    return float(values.min() + values.max()) / 2

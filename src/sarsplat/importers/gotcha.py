@@ -1,0 +1,84 @@
+"""Phase history as AFRL's GOTCHA volumetric data set has it: MATLAB files with one record `data`.
+
+Its fields: `fp`, samples [frequency, pulse]; `freq`, Hz; `x`, `y`, `z`, the antenna, m; `r0`, its distance from the
+scene centre, where x = y = z = 0; `af`, what an autofocus found: `r_correct`, to be added to `r0`, and `ph_correct`,
+to be added to the samples' phases. These two belong together: `ph_correct` brings back most of the phase that a longer
+`r0` takes away at mid-band, so that either alone blurs the image more than neither. `th` and `phi` repeat x, y and z.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from sarsplat.errors import SarsplatError
+from sarsplat.importers.mat import read_mat
+from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory
+
+
+def read_gotcha(path: str | Path) -> PhaseHistory:
+    """Read one file, and apply the autofocus that it states.
+
+    Raises
+    ------
+    SarsplatError
+        If it is no MATLAB 5 file, a field is missing or of the wrong kind, sizes contradict one another, `r0` is not
+        the distance from the scene centre, or a number is not finite.
+    """
+    path = Path(path)
+    record = read_mat(path).get("data")
+    if not isinstance(record, dict):
+        raise SarsplatError(f"{path} holds no record named data; give files of GOTCHA's layout")
+    samples = _array(path, record, "fp", "c")
+    if samples.ndim != 2:
+        raise SarsplatError(f"{path} has a field fp of the shape {samples.shape}; it must be frequencies × pulses")
+    antenna = np.stack(_of_pulses(path, record, ("x", "y", "z"), samples.shape[1]), axis=1)
+    (reference,) = _of_pulses(path, record, ("r0",), samples.shape[1])
+    with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is refused
+        samples, reference = _focused(path, record, samples, reference)
+        samples = samples.astype(np.complex64)
+    history = PhaseHistory(str(path), _line(path, record, "freq"), antenna, reference, samples)
+    off = np.abs(np.linalg.norm(antenna, axis=1) - _line(path, record, "r0")).max()
+    if off > SPEED_OF_LIGHT / (2 * history.bandwidth_hz):
+        raise SarsplatError(
+            f"{path} has antenna positions whose distance from the scene centre differs from r0 by {off:.3g} m, more "
+            "than a range cell; only data with the scene centre at x = y = z = 0 are supported"
+        )
+    return history
+
+
+def _focused(
+    path: Path, record: dict[str, Any], samples: np.ndarray, reference: Float64[np.ndarray, " pulses"]
+) -> tuple[np.ndarray, Float64[np.ndarray, " pulses"]]:
+    """Samples and reference ranges with the autofocus applied, if there is one."""
+    found = record.get("af")
+    if not isinstance(found, dict):
+        return samples, reference
+    distance, phase = _of_pulses(path, found, ("r_correct", "ph_correct"), samples.shape[1])
+    return samples * np.exp(1j * phase), reference + distance
+
+
+def _of_pulses(path: Path, record: dict[str, Any], names: tuple[str, ...], pulses: int) -> list[np.ndarray]:
+    """Fields with a number for each pulse."""
+    found = [_line(path, record, name) for name in names]
+    for name, values in zip(names, found, strict=True):
+        if len(values) != pulses:
+            raise SarsplatError(f"{path} has {len(values)} values of {name} for {pulses} pulses; download it again")
+        if not np.isfinite(values).all():
+            raise SarsplatError(f"{path} has values of {name} that are not finite; download it again")
+    return found
+
+
+def _line(path: Path, record: dict[str, Any], name: str) -> Float64[np.ndarray, " n"]:
+    return _array(path, record, name, "fiu").astype(np.float64).ravel()
+
+
+def _array(path: Path, record: dict[str, Any], name: str, kinds: str) -> np.ndarray:
+    values = record.get(name)
+    if not isinstance(values, np.ndarray) or values.dtype.kind not in kinds:
+        missing = "no field" if name not in record else f"no {'complex' if kinds == 'c' else 'real'} numbers in"
+        raise SarsplatError(f"{path} has {missing} {name}; give files of GOTCHA's layout")
+    return values

@@ -1,0 +1,171 @@
+"""From phase history to a dataset: flights are cut into apertures, and each becomes an image."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sarsplat.data.dataset import Dataset
+from sarsplat.data.folders import refuse_existing
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted
+from sarsplat.geometry import ImageGrid
+from sarsplat.importers.apertures import Aperture, apertures
+from sarsplat.importers.focus import focus
+from sarsplat.importers.gotcha import read_gotcha
+from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
+from sarsplat.importers.phase_history import flights
+from sarsplat.importers.tapers import TAYLOR_DB, TAYLOR_NBAR, Weighting
+from sarsplat.progress import progress
+
+_SPACING = 2 / 3
+"""Of the narrower 3 dB width, where nobody says otherwise: power has twice the band of the signal."""
+_PIXELS = (8, 4096)
+"""Fewest and most on a side."""
+_TILT_DEG = 3.0
+"""Turn of the slant plane from which on it is worth a word: what is 2 m high moves across by a decimetre."""
+
+
+def import_phase_history(
+    files: Sequence[str | Path],
+    out: str | Path,
+    *,
+    size_m: float,
+    around_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    aperture_deg: float | None = None,
+    spacing_m: float | None = None,
+    weighting: Weighting = "taylor",
+    target: str = "scene",
+    train_views: int | None = None,
+    overwrite: bool = False,
+    quiet: bool = True,
+) -> Dataset:
+    """Make a dataset from phase history in GOTCHA's layout (see `sarsplat.importers.gotcha`).
+
+    Parameters
+    ----------
+    files : sequence of Path
+        MATLAB files, in any order. Those that go on with one another are one flight.
+    out : Path
+        Dataset to make.
+    size_m : float
+        Side of the images in the slant plane, m.
+    around_m : (x, y, z)
+        What the images show the surroundings of: the origin of the dataset. Pixels are focused on the ground at its
+        height. From the scene centre, m.
+    aperture_deg : float, optional
+        Azimuths that make one image, degrees. None: equal parts of each flight, about as wide as makes the azimuth
+        resolution that of slant range.
+    spacing_m : float, optional
+        Pixel spacing, m. None: two thirds of the narrower 3 dB width.
+    weighting : {"uniform", "taylor"}
+        Of frequencies and pulses: the narrowest response, or side lobes 35 dB down.
+    target : str
+        What is there.
+    train_views : int, optional
+        Number K of training views, nearest to azimuths k·360°/K; the others are test views. None: all are for training.
+    overwrite : bool
+        Whether an existing dataset may be replaced.
+    quiet : bool
+        Whether to show no progress.
+
+    Returns
+    -------
+    Dataset
+        Complex, of relative calibration, single look, with ground.
+
+    Raises
+    ------
+    SarsplatError
+        If finufft is not installed, a file cannot be used, an option does not suit the files, or the output exists.
+
+    Warns
+    -----
+    SarsplatWarning
+        If the slant plane is tilted, or the dataset looks odd (`sarsplat.data.plausible`).
+    """
+    refuse_existing(Path(out), overwrite, marker="dataset.json")
+    if not files:
+        raise SarsplatError("there are no files; give at least one")
+    around = np.array(around_m, np.float64)
+    if not np.isfinite(around).all():
+        raise SarsplatError(f"--around {around_m} must be finite metres from the scene centre")
+    found = [
+        aperture
+        for flight in flights([read_gotcha(path) for path in files])
+        for aperture in apertures(flight, around, aperture_deg)
+    ]
+    spacing = _spacing(found, weighting) if spacing_m is None else spacing_m
+    images = []
+    with progress("focusing", len(found), quiet) as reporter:
+        for index, aperture in enumerate(found):
+            images.append(_image(index, aperture, size_m, spacing, weighting))
+            reporter.advance(1)
+    dataset = dataset_of(
+        images, target=target, source=_source(files, found, around_m, weighting), train_views=train_views
+    )
+    return write_imported(out, dataset, overwrite=overwrite)
+
+
+def _spacing(found: list[Aperture], weighting: Weighting) -> float:
+    return _SPACING * min(min(aperture.resolution_m(weighting)) for aperture in found)
+
+
+def _image(index: int, aperture: Aperture, size_m: float, spacing_m: float, weighting: Weighting) -> MeasuredImage:
+    resolution = aperture.resolution_m(weighting)
+    fewest, most = _PIXELS
+    pixels = size_m / spacing_m if size_m > 0 and spacing_m > 0 else 0.0  # also of NaN
+    if not fewest <= round(pixels) <= most:
+        raise SarsplatError(
+            f"--size {size_m:g} with a pixel spacing of {spacing_m:.3g} m makes {pixels:.0f} pixels a side; give a "
+            f"size and a --spacing that make {fewest} to {most}"
+        )
+    grid = ImageGrid(round(pixels), round(pixels), (spacing_m, spacing_m), resolution)
+    signal = focus(aperture, grid, weighting)
+    return MeasuredImage(f"{index:03d}", signal, aperture.view, grid.spacing_m, resolution)
+
+
+def _source(
+    files: Sequence[str | Path], found: list[Aperture], around_m: tuple[float, float, float], weighting: Weighting
+) -> dict[str, Any]:
+    """What is known of the images, and what was assumed."""
+    assumptions = ["the ground is flat, at the height of the place that the images are around"]
+    left = sum(aperture.looks_left for aperture in found)
+    if left:
+        whose = "the radar" if left == len(found) else f"in {counted(left, 'image')} the radar"
+        assumptions.append(
+            f"{whose} looked to its left; columns run against its flight, as they would for one that looks right"
+        )
+    steepest = max(abs(aperture.tilt_deg) for aperture in found)
+    if steepest > _TILT_DEG:
+        text = (
+            f"the flight is inclined, so that the slant plane is turned by up to {steepest:.1f}° about the line of "
+            "sight; what stands up is displaced across by the tangent of it"
+        )
+        assumptions.append(text)
+        warnings.warn(text, SarsplatWarning, stacklevel=3)
+    taper = f"Taylor, {TAYLOR_DB:g} dB, nbar {TAYLOR_NBAR}" if weighting == "taylor" else "uniform"
+    return {
+        "kind": "phase-history",
+        "files": [Path(path).name for path in files],
+        "carrier_hz": found[0].history.carrier_hz,
+        "bandwidth_hz": found[0].history.bandwidth_hz,
+        "around_m": [*around_m],
+        "image_formation": "back-projection to the ground, in the slant plane; the carrier's phase is taken out",
+        "weighting": taper,
+        "apertures": [
+            {
+                "name": f"{index:03d}",
+                "width_deg": aperture.width_deg,
+                "pulses": len(aperture.history),
+                "looks": "left" if aperture.looks_left else "right",
+                "tilt_deg": aperture.tilt_deg,
+                "resolution_m": [*aperture.resolution_m(weighting)],
+            }
+            for index, aperture in enumerate(found)
+        ],
+        "assumptions": assumptions,
+    }

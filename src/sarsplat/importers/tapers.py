@@ -1,0 +1,34 @@
+"""How samples are weighted across band and aperture: narrow response, or low side lobes."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.optimize import brentq
+from scipy.signal.windows import taylor
+
+Weighting = Literal["uniform", "taylor"]
+
+TAYLOR_DB = 35.0
+TAYLOR_NBAR = 4
+"""Side lobes of the weighting `taylor`, dB below the peak, and how many of them are as high."""
+
+_POINTS = 2001
+
+
+def weights(weighting: Weighting, places: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+    """Weights at places from −½ to ½ of the band or aperture."""
+    if weighting == "uniform":
+        return np.ones_like(places)
+    curve = taylor(_POINTS, nbar=TAYLOR_NBAR, sll=TAYLOR_DB)
+    return np.interp(places, np.linspace(-0.5, 0.5, _POINTS), curve)
+
+
+def width(weighting: Weighting) -> float:
+    """3 dB width of the power response, in units of 1/extent: of a band B it is `width`·c/2B."""
+    places = (np.arange(_POINTS) + 0.5) / _POINTS - 0.5
+    shares = weights(weighting, places)
+    half = brentq(lambda t: float(shares @ np.cos(2 * np.pi * t * places)) / shares.sum() - np.sqrt(0.5), 0, 1)
+    return 2 * half

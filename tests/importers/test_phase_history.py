@@ -1,0 +1,276 @@
+"""Phase history: points are focused where the radar frame says, as sharp as theory says, and bad files are refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pulses import FREQUENCIES, C, circle, record, write
+from sarsplat.cli import main
+from sarsplat.data import read_dataset
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.importers import import_phase_history
+from sarsplat.importers.apertures import apertures
+from sarsplat.importers.focus import focus, ground_points
+from sarsplat.importers.gotcha import read_gotcha
+from sarsplat.importers.mat import read_mat
+from sarsplat.importers.phase_history import flights
+from sarsplat.importers.tapers import width
+
+MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "gotcha"
+needs_measured = pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured GOTCHA files are not here")
+ORIGIN = np.zeros(3)
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:(the training views leave|there is one training view|resolutions differ)"
+)
+
+
+def aperture(path, antenna, points, around=(0.0, 0.0, 0.0)):
+    (flight,) = flights([read_gotcha(write(path / "a.mat", record(antenna, points)))])
+    (found,) = apertures(flight, np.array(around), None)
+    return found
+
+
+def peak(image: np.ndarray, grid: ImageGrid) -> tuple[float, float]:
+    """(azimuth, range) of the brightest point, between pixels by a parabola through the logarithms."""
+    level = np.log(np.abs(image) + 1e-12)
+    row, column = np.unravel_index(level.argmax(), level.shape)
+
+    def between(three):
+        return (three[0] - three[2]) / (2 * (three[0] - 2 * three[1] + three[2]))
+
+    return (
+        grid.azimuth_m[column] + grid.spacing_m[0] * between(level[row, column - 1 : column + 2]),
+        grid.range_m[row] + grid.spacing_m[1] * between(level[row - 1 : row + 2, column]),
+    )
+
+
+@pytest.mark.parametrize("weighting", ["uniform", "taylor"])
+def test_agrees_with_a_direct_sum(tmp_path, weighting):
+    found = aperture(tmp_path, circle(np.linspace(50, 52, 40)), [(1, 2, 0), (-2, 0.5, 1)])
+    grid = ImageGrid(20, 24, (0.15, 0.1), (0.1, 0.1), (0.3, -0.2))
+    image = focus(found, grid, weighting)
+    assert_close_to_direct_sum(found, grid, image, weighting)
+
+
+def assert_close_to_direct_sum(found, grid, image, weighting):
+    from sarsplat.importers.tapers import weights
+
+    history, cross = found.history, found.cross
+    middle = (cross.min() + cross.max()) / 2
+    pulses = np.abs(np.gradient(cross)) * weights(weighting, (cross - middle) / found.extent)
+    count = len(history.frequencies_hz)
+    band = weights(weighting, (np.arange(count) - (count - 1) / 2) / count)
+    beyond = np.linalg.norm(ground_points(found, grid)[:, None] - history.antenna_m, axis=2) - history.reference_m
+    phase = 4 * np.pi / C * history.frequencies_hz[:, None, None] * beyond
+    direct = np.einsum("fp,f,p,fnp->n", history.samples, band / band.sum(), pulses / pulses.sum(), np.exp(1j * phase))
+    direct = direct.reshape(image.shape) * np.exp(-4j * np.pi / C * history.carrier_hz * grid.range_m)[:, None]
+    assert np.abs(image - direct).max() < 1e-5 * np.abs(direct).max()
+
+
+GEOMETRIES = {
+    "left": (np.linspace(-1, 1, 60), 30.0, (0.0, 0.0, 0.0)),
+    "right": (np.linspace(1, -1, 60), 30.0, (0.0, 0.0, 0.0)),
+    "from the back, steep": (np.linspace(171, 174, 80), 60.0, (0.0, 0.0, 0.0)),
+    "across the turn of 180°": (np.linspace(181, 179, 60), 20.0, (0.0, 0.0, 0.0)),
+    "beside the centre": (np.linspace(-101, -98, 80), 45.0, (3.0, -2.0, 0.5)),
+}
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_a_point_is_where_the_radar_frame_says(tmp_path, name):
+    degrees, grazing, around = GEOMETRIES[name]
+    for offset in ((0.0, 0.0, 0.0), (0.7, 0.4, 0.0), (-0.5, 0.8, 0.6)):
+        point = np.array(around) + offset
+        found = aperture(tmp_path, circle(degrees, grazing), [tuple(point)], around)
+        antenna = found.history.antenna_m
+        to_middle = antenna.mean(axis=0) - around
+        turn = found.view.azimuth_deg - View.towards(to_middle).azimuth_deg
+        assert (turn + 180) % 360 - 180 == pytest.approx(0, abs=1e-3)
+        assert found.view.grazing_deg == pytest.approx(View.towards(to_middle).grazing_deg, abs=0.02)
+        assert found.looks_left == (degrees[-1] > degrees[0])
+        grid = ImageGrid(100, 100, (0.03, 0.03), found.resolution_m("taylor"))
+        image = focus(found, grid, "taylor")
+        azimuth, _, distance = radar_frame(found.view) @ np.array(offset)
+        assert peak(image, grid) == pytest.approx((azimuth, distance), abs=0.01)  # of cells of 0.15 m and more
+        assert np.abs(image).max() == pytest.approx(1, abs=0.03)  # its amplitude
+
+
+@pytest.mark.parametrize(("weighting", "side_lobe_db"), [("uniform", -13.26), ("taylor", -35.0)])
+def test_width_and_side_lobes_are_those_of_theory(tmp_path, weighting, side_lobe_db):
+    found = aperture(tmp_path, circle(np.linspace(10, 11.5, 150)), [(0, 0, 0)])
+    resolution = found.resolution_m(weighting)
+    factor = 0.8859 if weighting == "uniform" else width("taylor")
+    bandwidth = np.ptp(FREQUENCIES) * 64 / 63
+    sweep = np.radians(1.5) * 150 / 149 * np.cos(np.radians(30))
+    assert resolution == pytest.approx((factor * C / 35e9 / 2 / sweep, factor * C / 2 / bandwidth), rel=1e-3)
+    fine = tuple(value / 20 for value in resolution)
+    for rows, columns in ((201, 1), (1, 201)):
+        image = focus(found, ImageGrid(rows, columns, fine, resolution), weighting).ravel()
+        power = 20 * np.log10(np.abs(image) / np.abs(image).max())
+        above = np.interp(0, power[100:120][::-1] + 10 * np.log10(2), np.arange(119, 99, -1))
+        assert 2 * (above - 100) / 20 == pytest.approx(1, abs=0.01)  # in resolutions
+        beyond = power[100 + int(np.argmax(np.diff(power[100:]) > 0)) :]  # from the first zero on
+        assert beyond.max() == pytest.approx(side_lobe_db, abs=0.7)
+
+
+def test_the_taylor_weighting_is_wider_by_what_is_known_of_it():
+    assert width("uniform") == pytest.approx(0.8859, abs=1e-4)
+    assert width("taylor") == pytest.approx(1.18, abs=0.01)
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Twelve degrees of flight in four files, each going on with the one before; a point 1 m towards +x."""
+    edges = np.linspace(-6, 6, 481)
+    return [write(tmp_path / f"{k}.mat", record(circle(edges[120 * k : 120 * k + 120]), [(1, 0, 0)])) for k in range(4)]
+
+
+def test_sub_apertures(files, tmp_path):
+    dataset = import_phase_history(files[::-1], tmp_path / "out", size_m=5, aperture_deg=3, train_views=3)
+    assert [entry.split for entry in dataset.entries].count("train") == 3
+    views = {entry.name: entry.view for entry in dataset.entries}
+    azimuths = [views[f"{k:03d}"].azimuth_deg for k in range(4)]
+    assert azimuths == pytest.approx([4.5, 1.5, 358.5, 355.5], abs=0.03)  # theirs are counter-clockwise, ours are not
+    assert [view.grazing_deg for view in views.values()] == pytest.approx([30] * 4, abs=0.02)
+    assert dataset.signal is not None
+    assert dataset.calibration == "relative"
+    parts = dataset.source["apertures"]
+    assert [part["pulses"] for part in parts] == pytest.approx([120] * 4, abs=1)
+    assert {part["looks"] for part in parts} == {"left"}
+    assert any("looked to its left" in text for text in dataset.source["assumptions"])
+    for index in range(4):
+        image = dataset[index]
+        azimuth, _, distance = radar_frame(image.view) @ np.array([1.0, 0, 0])
+        assert peak(image.signal, image.grid) == pytest.approx((azimuth, distance), abs=0.02)
+    np.testing.assert_array_equal(read_dataset(tmp_path / "out").signal, dataset.signal)
+
+
+def test_the_default_aperture_makes_square_cells_of_all_pulses(files, tmp_path):
+    dataset = import_phase_history(files, tmp_path / "out", size_m=5, weighting="uniform")
+    square = np.degrees(1e9 * 64 / 63 / 35e9 / np.cos(np.radians(30)))  # 1.92°
+    assert len(dataset) == round(12 / square)
+    assert sum(part["pulses"] for part in dataset.source["apertures"]) == 480
+    azimuth, distance = dataset.grid.resolution_m
+    assert azimuth == pytest.approx(distance, rel=0.1)
+    assert dataset.grid.spacing_m == pytest.approx([2 / 3 * min(azimuth, distance)] * 2, rel=0.01)
+
+
+def test_other_flights_are_kept_apart(files, tmp_path):
+    higher = write(tmp_path / "higher.mat", record(circle(np.linspace(-6, 6, 480), 50.0), [(1, 0, 0)]))
+    dataset = import_phase_history([files[0], higher, files[1]], tmp_path / "out", size_m=4, aperture_deg=6)
+    assert [round(entry.view.grazing_deg) for entry in dataset.entries] == [30, 50, 50]
+
+
+def test_the_autofocus_is_applied(tmp_path):
+    antenna, rng = circle(np.linspace(-1, 1, 50)), np.random.default_rng(2)
+    clean = record(antenna, [(0.5, 0.3, 0.0)])
+    distance, phase = rng.normal(0, 0.05, 50), rng.uniform(-3, 3, 50)
+    shaken = {**clean, "af": {"r_correct": distance, "ph_correct": phase}}
+    turned = np.exp(-1j * phase - 4j * np.pi / C * FREQUENCIES[:, None] * -distance)
+    shaken["fp"] = (clean["fp"] * turned).astype(np.complex64)
+    datasets = [
+        import_phase_history([write(tmp_path / "a.mat", data)], tmp_path / "out", size_m=4, overwrite=True)
+        for data in (clean, shaken)
+    ]
+    np.testing.assert_allclose(datasets[1].signal, datasets[0].signal, atol=1e-3 * np.abs(datasets[0].signal).max())
+
+
+def test_an_inclined_flight_is_told(tmp_path):
+    antenna = circle(np.linspace(-1, 1, 50))
+    antenna[:, 2] += np.linspace(-10, 10, 50)
+    write(tmp_path / "a.mat", record(antenna, [(0, 0, 0)]))
+    with pytest.warns(UserWarning, match=r"turned by up to \d+\.\d° about the line of sight"):
+        import_phase_history([tmp_path / "a.mat"], tmp_path / "out", size_m=4)
+
+
+def changed(**changes):
+    data = record(circle(np.linspace(-1, 1, 20)), [(0, 0, 0)])
+    return {name: value for name, value in {**data, **changes}.items() if value is not None}
+
+
+GOOD = changed()
+BAD = {
+    "no record": (None, "holds no record named data"),
+    "no samples": (changed(fp=None), "has no field fp"),
+    "no height": (changed(z=None), "has no field z"),
+    "text": (changed(freq="X band"), "has no real numbers in freq"),
+    "not complex": (changed(fp=GOOD["fp"].real), "has no complex numbers in fp"),
+    "three dimensions": (changed(fp=GOOD["fp"][..., None].repeat(2, 2)), r"fp of the shape \(64, 20, 2\)"),
+    "one pulse missing": (changed(x=GOOD["x"][:-1]), "has 19 values of x for 20 pulses"),
+    "one frequency missing": (changed(freq=FREQUENCIES[1:]), "samples of 64 frequencies × 20 pulses, but 63 freq"),
+    "half an autofocus": (changed(af={"r_correct": np.zeros(20)}), "has no field ph_correct"),
+    "short autofocus": (changed(af={"r_correct": np.zeros(3), "ph_correct": np.zeros(20)}), "3 values of r_correct"),
+    "not finite": (changed(fp=GOOD["fp"] * np.nan), "holds a sample of nan"),
+    "endless antenna": (changed(y=GOOD["y"] * np.inf), "values of y that are not finite"),
+    "falling frequencies": (changed(freq=FREQUENCIES[::-1]), "only rising, evenly spaced ones"),
+    "uneven frequencies": (changed(freq=np.geomspace(30e9, 40e9, 64)), "only rising, evenly spaced ones"),
+    "megahertz": (changed(freq=FREQUENCIES / 1e6), "give them in hertz"),
+    "another centre": (changed(r0=GOOD["r0"] + 5), "differs from r0 by 5 m"),
+    "turning back": (changed(y=np.abs(GOOD["y"]), r0=GOOD["r0"]), "the azimuth turns back after pulse"),
+    "underground": (changed(z=-GOOD["z"]), "the antenna is not above"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_files(tmp_path, name):
+    data, words = BAD[name]
+    write(tmp_path / "a.mat", data) if data else (tmp_path / "a.mat").write_bytes(b"MATLAB".ljust(126) + b"IM")
+    with pytest.raises(SarsplatError, match=words):
+        import_phase_history([tmp_path / "a.mat"], tmp_path / "out", size_m=4)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mat"]
+
+
+OPTIONS = {
+    "too large": (["--size", "40"], "show ±4.7 m; give a smaller --size"),
+    "too few pixels": (["--size", "0.2"], "makes 2 pixels a side"),
+    "too many pixels": (["--size", "4", "--spacing", "1e-4"], "makes 40000 pixels a side"),
+    "no size": (["--size", "nan"], "makes 0 pixels a side"),
+    "too wide": (["--size", "4", "--aperture", "9"], "an aperture of 9° is more than the 2.11°"),
+    "no aperture": (["--size", "4", "--aperture", "0"], "an aperture of 0° is not possible"),
+    "too narrow": (["--size", "4", "--aperture", "0.05"], "holds 0 of 20 pulses"),
+    "no place": (["--size", "4", "--around", "here"], "--around 'here' is no place"),
+    "too many views": (["--size", "2", "--train-views", "2"], "2 training views were asked for"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_bad_options(tmp_path, name, capsys):
+    words, told = OPTIONS[name]
+    path = write(tmp_path / "a.mat", GOOD)
+    assert main(["import", "phase-history", str(path), "--out", str(tmp_path / "out"), *words]) == 2
+    complaint = capsys.readouterr().err
+    assert told in complaint
+    assert complaint.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mat"]
+
+
+def test_the_command(files, tmp_path, capsys):
+    words = [*map(str, files), "--out", str(tmp_path / "out"), "--size", "4", "--aperture", "4", "--around", "1,0"]
+    assert main(["import", "phase-history", *words]) == 0
+    told = capsys.readouterr().out
+    assert "3 views" in told
+    assert "looked to its left" in told
+    dataset = read_dataset(tmp_path / "out")
+    assert dataset.source["around_m"] == [1, 0, 0]
+    assert peak(dataset[0].signal, dataset.grid) == pytest.approx((0, 0), abs=0.02)
+
+
+@needs_measured
+def test_measured_pulses_are_sharp_and_the_autofocus_makes_them_so():
+    path = next(MEASURED.glob("*az001*.mat"))
+    (found,) = apertures(*flights([read_gotcha(path)]), ORIGIN, None)
+    grid = ImageGrid(60, 60, (0.3, 0.3), (0.3, 0.3), (-21.0, 10.5))  # around a trihedral
+    as_flown = read_mat(path)["data"]
+    raw = replace(
+        found.history,
+        reference_m=as_flown["r0"].ravel().astype(float),
+        samples=as_flown["fp"],
+    )
+    contrast = []
+    for history in (raw, found.history):
+        power = np.abs(focus(replace(found, history=history), grid, "taylor")) ** 2
+        contrast.append(np.square(power).mean() / power.mean() ** 2)
+    assert contrast[1] > 1.05 * contrast[0] > 100
