@@ -82,7 +82,7 @@ WORDS = {
     "recontruct": "'recontruct' is not a command of sarsplat; did you mean reconstruct?",
     "bogus": "'bogus' is not a command of sarsplat; choose one of ",
     "": "sarsplat needs a command; choose one of ",
-    "import": "sarsplat import needs a command; choose one of folder, mstar",
+    "import": "sarsplat import needs a command; choose one of folder, mstar, phase-history, ",
     "import mstr": "'mstr' is not a command of sarsplat import; did you mean mstar?",
     "simulate --target t72 --oout x": "--oout is not an option of sarsplat simulate; did you mean --out?",
     "simulate --target t27 --out new": "--target 't27' is unknown; did you mean t72?",
