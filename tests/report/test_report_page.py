@@ -203,7 +203,11 @@ def test_a_report_is_replaced(tmp_path: Path) -> None:
     run = make_run(tmp_path, dataset, None)
     write_report(run)
     run.metrics = make_metrics(psnr_db=44.44)
-    assert "44.44" in write_report(run).read_text()
+    (tmp_path / "run" / "report" / "views.png").write_bytes(b"of an earlier version")
+    (tmp_path / "run" / "report" / "notes.txt").write_text("the user's")
+    page = write_report(run)
+    assert "44.44" in page.read_text()
+    assert {path.name for path in page.parent.iterdir()} == {"index.html", "notes.txt"}
 
 
 def test_scores_that_do_not_apply_have_no_row() -> None:

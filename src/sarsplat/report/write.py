@@ -27,12 +27,17 @@ from sarsplat.report.views import chosen_views, views_figure
 from sarsplat.report.widget import widget
 
 _FOLDER = "report"
+_FORMER = tuple(f"{name}.png" for name in ("views", "masks", "points", "mesh", "curves", "azimuths"))
+"""Figures that earlier versions wrote beside the page."""
+
 _SURFACE_SAMPLES = 200_000
 _STILL = Alignment((0.0, 0.0, 0.0), 0.0)
 
 
 def write_report(run: AnyRun[Any]) -> Path:
     """Write `RUN/report/index.html`: one page that holds all it shows and needs no network.
+
+    Figures that an earlier version left beside it are removed.
 
     Parameters
     ----------
@@ -62,6 +67,9 @@ def write_report(run: AnyRun[Any]) -> Path:
         with plain_os_errors("write", folder):  # last, so that whoever ends this earlier leaves no empty folder
             folder.mkdir(exist_ok=True)
         write_bytes(folder / "index.html", html.encode())
+        with plain_os_errors("replace", folder):
+            for name in _FORMER:
+                (folder / name).unlink(missing_ok=True)
     return folder / "index.html"
 
 
