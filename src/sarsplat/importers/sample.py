@@ -2,8 +2,8 @@
 
 Written from the set's public description: how its files are called (such as
 `t72_real_A_elevDeg_016_azCenter_041_77_serial_812.mat`) and which variables they hold. It does not say how the images
-lie. As the measured ones were made of MSTAR's chips, they are taken to lie as these do (see `sarsplat.data.mstar`): near
-range is the bottom row, and the nose turns clockwise with growing azimuth. `near` and `mirrored` say otherwise.
+lie. As the measured ones were made of MSTAR's chips, they are taken to lie as these do (see `sarsplat.data.mstar`):
+near range is the bottom row, and the nose turns clockwise with growing azimuth. `near` and `mirrored` say otherwise.
 """
 
 from __future__ import annotations
