@@ -29,6 +29,7 @@ MODULES = (
     "exports",
     "gaussians",
     "geometry",
+    "importers",
     "reconstruction",
     "renderer",
     "report",

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Complex, Complex64, Real
 
-from sarsplat.data.header import Box, Calibration, DatasetHeader
+from sarsplat.data.header import SPLIT, Box, Calibration, DatasetHeader
 from sarsplat.data.image import SarImage, as_signal, check_power, check_signal, power_of
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import ImageGrid, View
@@ -134,7 +134,7 @@ class Dataset:
         check_signal(self.signal, self.power, "the images")
         for entry, image in zip(self.entries, self.power):
             check_power(image, f"the image {shown(entry.name)}")
-            if not re.fullmatch(r"train|test[A-Za-z0-9.-]*", entry.split):
+            if not re.fullmatch(SPLIT, entry.split):
                 raise SarsplatError(
                     f'split {shown(entry.split)} of the image {shown(entry.name)} must be "train" or a name that '
                     'starts with "test"'

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 
@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 SCHEMA = "sarsplat-dataset"
 SCHEMA_VERSION = 2
+SPLIT = "train|test[A-Za-z0-9.-]*"
+"""Names of sets."""
 
 Calibration = Literal["absolute", "relative"]
 Pair = tuple[float, float]
@@ -20,51 +22,83 @@ Point = tuple[float, float, float]
 Box = tuple[Point, Point]
 
 
+def about(text: str, **limits: Any) -> msgspec.Meta:
+    """What a field means, for docs/dataset.schema.json; whoever builds the value from it holds it to the limits."""
+    return msgspec.Meta(description=text, extra_json_schema=limits)
+
+
 class Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A JSON object: every field there, none unknown, each of its type."""
 
 
 class GridHeader(Strict, frozen=True):
-    """`ImageGrid` in JSON."""
+    """Where the pixels of every image lie; pairs are (azimuth, slant range)."""
 
-    rows: int
-    columns: int
-    spacing_m: Pair
-    resolution_m: Pair
-    center_m: Pair
+    rows: Annotated[int, about("rows of every image: slant range, row 0 near", minimum=1)]
+    columns: Annotated[int, about("columns of every image: azimuth, rising along the flight", minimum=1)]
+    spacing_m: Annotated[Pair, about("pixel spacing, m, > 0")]
+    resolution_m: Annotated[Pair, about("3 dB width of the power response, m, > 0")]
+    center_m: Annotated[Pair, about("where the middle of the images lies, from the scene's origin, m")]
 
 
 class ViewHeader(Strict, frozen=True, omit_defaults=True):
-    """One image: its file, and `DatasetEntry`. What came later has a default, as in `DatasetHeader`."""
+    """One image: its file, and from where it was taken."""
 
-    file: str
-    azimuth_deg: float
-    grazing_deg: float
-    split: str
-    name: str
-    azimuth_std_deg: float | None = None  # of 0: msgspec leaves out a default only if it is the very object
+    file: Annotated[str, about("path of the TIFF inside the folder, different for each image")]
+    azimuth_deg: Annotated[
+        float,
+        about("φ, direction to the radar, degrees clockwise from +x seen from above", minimum=-3600, maximum=3600),
+    ]
+    grazing_deg: Annotated[
+        float,
+        about("θ, elevation of the radar above the horizon, degrees", exclusiveMinimum=0, exclusiveMaximum=90),
+    ]
+    split: Annotated[
+        str,
+        about('"train", or a test set: a name that starts with "test", such as "test-17"', pattern=f"^({SPLIT})$"),
+    ]
+    name: Annotated[str, about("what to call the image, such as the path of the measured chip")]
+    azimuth_std_deg: Annotated[
+        float | None, about("standard deviation of the azimuth, degrees, at most 10; null if it is known exactly")
+    ] = None  # of 0: msgspec leaves out a default only if it is the very object
 
 
 class DatasetHeader(Strict, frozen=True, omit_defaults=True):
-    """`Dataset` without its pixels. A field that came later has a default, which the fingerprint leaves out."""
+    """A dataset without its pixels. What came later has a default, which the fingerprint leaves out."""
 
-    schema: str
-    schema_version: int
-    quantity: Literal["beta0"]
-    unit: Literal["linear power"]
-    target: str
-    calibration: Calibration
-    looks: float | None
-    ground: bool
-    score_margin: int
-    target_box_m: Box | None
-    protocol: str | None
-    truth_mesh: str | None
-    grid: GridHeader
-    source: dict[str, Any]
-    views: tuple[ViewHeader, ...]
-    clean_tests: bool = False
-    pixels: Literal["power", "complex"] = "power"
+    schema: Annotated[str, about("kind of file", const=SCHEMA)]
+    schema_version: Annotated[int, about("version of this schema", const=SCHEMA_VERSION)]
+    quantity: Annotated[Literal["beta0"], about("what the power is: cross-section per area of the slant plane")]
+    unit: Annotated[Literal["linear power"], about("unit of the power")]
+    target: Annotated[str, about("what the images show")]
+    calibration: Annotated[Calibration, about("β⁰ itself, or β⁰ up to an unknown common factor")]
+    looks: Annotated[float | None, about("looks of the speckle in the images, > 0; null for images without speckle")]
+    ground: Annotated[bool, about("whether the images show the ground around the target")]
+    score_margin: Annotated[
+        int, about("pixels left out on each side of an image when speckled images are scored; 0 for none", minimum=0)
+    ]
+    target_box_m: Annotated[
+        Box | None, about("lower and upper corner of the box that contains the target; null to find it in the images")
+    ]
+    protocol: Annotated[
+        str | None, about('"paper" or "mstar" if views and grid are those of that experiment, otherwise null')
+    ]
+    truth_mesh: Annotated[str | None, about('"truth.ply", the mesh of the target (m, its own frame), or null')]
+    grid: Annotated[GridHeader, about("where the pixels of every image lie")]
+    source: Annotated[
+        dict[str, Any],
+        about(
+            "where the images come from and what was assumed, for people; may be empty (decides how masks are turned)"
+        ),
+    ]
+    views: Annotated[tuple[ViewHeader, ...], about("the images, at least one of them in the set train", minItems=1)]
+    clean_tests: Annotated[
+        bool, about("whether the test images are without speckle although the training images have it")
+    ] = False
+    pixels: Annotated[
+        Literal["power", "complex"],
+        about("float32 linear power, or complex64 amplitudes, whose squared magnitude is the power"),
+    ] = "power"
 
     @classmethod
     def of(cls, dataset: Dataset) -> DatasetHeader:

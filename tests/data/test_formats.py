@@ -1,0 +1,109 @@
+"""docs/formats.md and docs/dataset.schema.json say what `read_dataset` reads."""
+
+from __future__ import annotations
+
+import copy
+import importlib.util
+import json
+import re
+import sys
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+from datasets import dataset_of
+from sarsplat.data import Dataset, DatasetEntry, read_dataset, write_dataset
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, View
+
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE = (DOCS / "formats.md").read_text(encoding="utf-8")
+SCHEMA = json.loads((DOCS / "dataset.schema.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def foreign(tmp_path_factory) -> Path:
+    """The folder that the page's program writes, which knows nothing of sarsplat."""
+    (program,) = re.findall(r"^```python\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
+    assert "sarsplat import" not in program
+    assert "import sarsplat" not in program
+    place = tmp_path_factory.mktemp("foreign")
+    exec(program.replace('Path("mine")', f"Path({str(place / 'mine')!r})"), {})
+    return place / "mine"
+
+
+def test_the_schema_is_made_from_what_reads_the_file(monkeypatch):
+    monkeypatch.syspath_prepend(str(DOCS))
+    spec = importlib.util.spec_from_file_location("write_schema", DOCS / "write_schema.py")
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert json.loads(module.schema_text()) == SCHEMA, "run python docs/write_schema.py"
+    assert module.field_table() in PAGE, "run python docs/write_schema.py"
+    sys.modules.pop("fill_block", None)
+
+
+def test_a_folder_of_another_program_is_read(foreign):
+    header = json.loads((foreign / "dataset.json").read_text())
+    jsonschema.Draft202012Validator.check_schema(SCHEMA)
+    jsonschema.validate(header, SCHEMA)
+    made = read_dataset(foreign)
+    assert (made.target, made.looks, made.ground, made.splits()) == ("mine", 1.0, True, ("train", "test"))
+    assert (made.grid.rows, made.grid.columns, made.grid.spacing_m) == (64, 96, (0.1, 0.3))
+    assert [view.azimuth_deg for view in made.views] == list(range(0, 360, 30))
+    first = np.random.default_rng(0).exponential(size=(64, 96)).astype(np.float32)
+    np.testing.assert_array_equal(made.power[0], first)
+
+
+def test_what_sarsplat_writes_fits_the_schema(tmp_path):
+    grid = ImageGrid(6, 5, (0.2, 0.3), (0.25, 0.35))
+    views = [(View(10.0 * k, 20.0), "train" if k else "test-17") for k in range(4)]
+    write_dataset(tmp_path / "power", dataset_of(grid, views, np.ones((4, 6, 5), np.float32)))
+    entries = tuple(DatasetEntry(view, split, f"{k}", 1.5 * k) for k, (view, split) in enumerate(views))
+    signal = np.full((4, 6, 5), 1 + 1j, np.complex64)
+    more = {"looks": 2.0, "clean_tests": True, "target_box_m": ((-1.0, -1, 0), (1.0, 1, 2))}
+    write_dataset(tmp_path / "complex", Dataset.of_complex(grid, entries, signal, **more))
+    for folder in ("power", "complex"):
+        jsonschema.validate(json.loads((tmp_path / folder / "dataset.json").read_text()), SCHEMA)
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("schema",), "another"),
+        (("schema_version",), 3),
+        (("unit",), "dB"),
+        (("pixels",), "phase"),
+        (("looks",), "one"),
+        (("more",), 1),
+        (("views",), []),
+        (("views", 0, "split"), "validation"),
+        (("views", 0, "grazing_deg"), 90),
+        (("views", 0, "azimuth_deg"), 4000),
+        (("views", 0, "azimuth_std_deg"), "none"),
+        (("grid", "rows"), 0),
+        (("grid", "spacing_m"), [0.1]),
+        (("score_margin",), -1),
+        (("target_box_m",), [[0, 0, 0]]),
+        (("source",), None),
+    ],
+)
+def test_what_the_schema_refuses_the_reader_refuses(foreign, place, value):
+    """And neither refuses the file as it was."""
+    path = foreign / "dataset.json"
+    whole = path.read_text()
+    header = json.loads(whole)
+    inner = header
+    for key in place[:-1]:
+        inner = inner[key]
+    inner[place[-1]] = copy.copy(value)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(header, SCHEMA)
+    try:
+        path.write_text(json.dumps(header))
+        with pytest.raises(SarsplatError):
+            read_dataset(foreign)
+    finally:
+        path.write_text(whole)
