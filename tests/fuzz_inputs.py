@@ -21,6 +21,7 @@ import torch
 import trimesh
 from PIL import Image
 
+import fuzz_pictures as pics
 from datasets import dataset_of
 from fuzz_mutations import FLOATS, NUMBERS, Mutation, spoil_bytes, spoil_json
 from pulses import FREQUENCIES, circle, record
@@ -480,4 +481,7 @@ READERS = (
     Reader("chip.jpeg", "chips/a.jpeg", _read_chips, lambda: [_jpeg()], (), _chips),
     Reader("mat", "a.mat", lambda folder: read_mat(folder / "a.mat"), _mats, (_spoil_mat,)),
     Reader("gotcha", "a.mat", _read_pulses, _pulses, (_spoil_mat, _spoil_pulses)),
+    Reader("folder table", "shots/t.csv", pics.read_table, pics.tables, (pics.spoil_cell,), pics.prepare_table),
+    Reader("folder picture", "picture", pics.read_picture, pics.pictures, (_spoil_tiff, pics.spoil_npy)),
+    Reader("sample", pics.SAMPLE_FILE, pics.read_sample, pics.samples, (_spoil_mat,), pics.prepare_sample),
 )

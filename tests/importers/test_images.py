@@ -101,3 +101,10 @@ def test_what_cannot_be_a_dataset():
         imported([measured(0, pixels=black), measured(1, pixels=black.copy())])
     with pytest.raises(SarsplatError, match="no part in common"):
         imported([measured(0), measured(1, center=(50.0, 0.0))])
+
+
+@pytest.mark.parametrize("factor", [1e-18, 1e18])
+def test_powers_that_float32_hardly_holds_are_refused(factor):
+    images = [measured(index, pixels=np.full((4, 4), factor, np.complex64)) for index in range(4)]
+    with pytest.raises(SarsplatError, match=r"mean power of .*no measurement in any unit"):
+        imported(images)

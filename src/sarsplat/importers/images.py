@@ -32,6 +32,9 @@ _SAME_PLACE = 1e-2
 _LEAST_POWER = 1e-3
 """Of the median: what is zero is raised to it, for zero has no logarithm and no radar measures it."""
 
+_FAINTEST = 1e-30
+"""Mean power, in whatever unit; far below it, and far above its reciprocal, float32 loses digits."""
+
 _MARGIN = 3 / 16
 """Share of a side that is left out when speckled images are scored: around the target there is only ground."""
 
@@ -135,7 +138,12 @@ def dataset_of(
     if calibration == "relative":
         trained = _power(pixels[[image.split == "train" for image in images]])
         scale = float(trained.mean(dtype=np.float64)) if trained.size else 1.0
-        pixels /= np.sqrt(scale, dtype=np.float32) if pixels.dtype.kind == "c" else np.float32(scale)
+        if not _FAINTEST < scale < 1 / _FAINTEST:  # also catches what is not finite
+            raise SarsplatError(
+                f"the training images have a mean power of {scale:.3g}, which is no measurement in any unit; scale them"
+            )
+        with np.errstate(over="ignore"):  # what is brighter than float32 holds is refused by the dataset
+            pixels /= np.sqrt(scale, dtype=np.float32) if pixels.dtype.kind == "c" else np.float32(scale)
         source = {**source, "mean_power": scale}
     entries = tuple(
         DatasetEntry(image.view, image.split or "train", image.name, image.azimuth_std_deg) for image in images

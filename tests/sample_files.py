@@ -34,6 +34,12 @@ def sample_bytes(image: np.ndarray, azimuth: float, changes: dict[str, object] |
     return buffer.getvalue()
 
 
+def sample_path(folder: Path, azimuth: float, kind: str = "real", target: str = "t72") -> Path:
+    """Where the set has it."""
+    name = f"{target}_{kind}_A_elevDeg_016_azCenter_{round(azimuth):03d}_77_serial_812.mat"
+    return folder / "mat_files" / kind / target / name
+
+
 def write_sample(
     folder: Path,
     image: np.ndarray,
@@ -41,10 +47,8 @@ def write_sample(
     kind: str = "real",
     target: str = "t72",
     changes: dict[str, object] | None = None,
-) -> Path:
-    """One file where the set has it."""
-    name = f"{target}_{kind}_A_elevDeg_016_azCenter_{round(azimuth):03d}_77_serial_812.mat"
-    path = folder / "mat_files" / kind / target / name
+) -> None:
+    """One file in its place."""
+    path = sample_path(folder, azimuth, kind, target)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(sample_bytes(image, azimuth, changes))
-    return path
