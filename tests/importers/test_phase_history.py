@@ -262,7 +262,7 @@ def test_the_command(files, tmp_path, capsys):
 def test_measured_pulses_are_sharp_and_the_autofocus_makes_them_so():
     path = next(MEASURED.glob("*az001*.mat"))
     (found,) = apertures(*flights([read_gotcha(path)]), ORIGIN, None)
-    grid = ImageGrid(60, 60, (0.3, 0.3), (0.3, 0.3), (-21.0, 10.5))  # around a trihedral
+    grid = ImageGrid(60, 60, (0.3, 0.3), (0.3, 0.3), (-21.0, 10.5))  # around a calibration target
     as_flown = read_mat(path)["data"]
     raw = replace(
         found.history,

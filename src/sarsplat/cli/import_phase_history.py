@@ -13,7 +13,7 @@ from sarsplat.errors import SarsplatError
 
 
 def import_phase_history(
-    files: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILES")],
+    files: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILES", help_behavior_hint="")],
     *,
     out: Folder,
     size: Annotated[float, tyro.conf.arg(metavar="METRES")],
@@ -21,7 +21,7 @@ def import_phase_history(
     aperture: OptionalNumber = None,
     spacing: Metres = None,
     weighting: Literal["uniform", "taylor"] = "taylor",
-    target: Annotated[str, tyro.conf.arg(metavar="NAME")] = "scene",
+    target: Annotated[str, tyro.conf.arg(metavar="NAME")] = "unnamed",
     train_views: OptionalCount = None,
     overwrite: bool = False,
 ) -> None:
@@ -38,7 +38,7 @@ def import_phase_history(
     around
         What the images show the surroundings of: x, y and height (0 if left out), m from the scene centre.
     aperture
-        Azimuths that make one image, degrees. Without it, as many as make the pixels' resolution square.
+        Azimuths that make one image, degrees. Without it, about as many as resolve azimuth as finely as slant range.
     spacing
         Pixel spacing, m. Without it, two thirds of the narrower resolution.
     weighting

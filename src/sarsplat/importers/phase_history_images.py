@@ -38,7 +38,7 @@ def import_phase_history(
     aperture_deg: float | None = None,
     spacing_m: float | None = None,
     weighting: Weighting = "taylor",
-    target: str = "scene",
+    target: str = "unnamed",
     train_views: int | None = None,
     overwrite: bool = False,
     quiet: bool = True,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -28,7 +29,15 @@ def weights(weighting: Weighting, places: Float64[np.ndarray, " n"]) -> Float64[
 
 def width(weighting: Weighting) -> float:
     """3 dB width of the power response, in units of 1/extent: of a band B it is `width`·c/2B."""
-    places = (np.arange(_POINTS) + 0.5) / _POINTS - 0.5
-    shares = weights(weighting, places)
-    half = brentq(lambda t: float(shares @ np.cos(2 * np.pi * t * places)) / shares.sum() - np.sqrt(0.5), 0, 1)
-    return 2 * half
+    return 2 * brentq(lambda t: float(_transform(weighting, np.array([t]))[0]) - math.sqrt(0.5), 0, 1)
+
+
+def response(weighting: Weighting, places: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+    """Amplitude of a point in the image, 1 at its place; `places` in units of the 3 dB width."""
+    return _transform(weighting, places * width(weighting))
+
+
+def _transform(weighting: Weighting, places: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+    samples = (np.arange(_POINTS) + 0.5) / _POINTS - 0.5
+    shares = weights(weighting, samples)
+    return np.cos(2 * np.pi * places[:, None] * samples) @ shares / shares.sum()
