@@ -22,6 +22,7 @@ import trimesh
 from PIL import Image
 
 import fuzz_pictures as pics
+import fuzz_sicd
 from datasets import dataset_of
 from fuzz_mutations import FLOATS, NUMBERS, Mutation, spoil_bytes, spoil_json
 from pulses import FREQUENCIES, circle, record
@@ -479,6 +480,7 @@ READERS = (
     _mesh_reader("glb", _spoil_glb),
     Reader("labels.csv", "labels.csv", _read_chips, lambda: [_LABELS], (), _chips),
     Reader("chip.jpeg", "chips/a.jpeg", _read_chips, lambda: [_jpeg()], (), _chips),
+    Reader("sicd", "a.nitf", fuzz_sicd.read, fuzz_sicd.seeds, (fuzz_sicd.spoil,)),
     Reader("mat", "a.mat", lambda folder: read_mat(folder / "a.mat"), _mats, (_spoil_mat,)),
     Reader("gotcha", "a.mat", _read_pulses, _pulses, (_spoil_mat, _spoil_pulses)),
     Reader("folder table", "shots/t.csv", pics.read_table, pics.tables, (pics.spoil_cell,), pics.prepare_table),

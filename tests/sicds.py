@@ -23,6 +23,8 @@ SPOT = (47.3, 8.5, 420.0)  # latitude and longitude, degrees, and height above t
 SPEED = 200.0  # m/s
 FREQUENCY = 9.6e9  # Hz
 LIGHT = 299_792_458.0
+WIDTHS = {"UNIFORM": 0.886, "TAYLOR": 1.130, None: 0.886}
+"""Of responses at half power, for a bandwidth of 1."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +120,18 @@ def write_sicd(
     return path
 
 
+def xml_of(data: bytes) -> bytes:
+    """The metadata of a SICD that `write_sicd` made: the last part of the file."""
+    return data[len(data) - int(data[395:404]) :]
+
+
+def with_xml(data: bytes, xml: bytes) -> bytes:
+    """Such a file with other metadata, and lengths in its header that fit them."""
+    kept = data[: len(data) - int(data[395:404])]
+    length = b"%012d" % (len(kept) + len(xml))
+    return kept[:342] + length + kept[354:395] + b"%09d" % len(xml) + kept[404:] + xml
+
+
 @contextmanager
 def _deprecations_ignored() -> Iterator[None]:
     """Sarkit reads its schemas in a way that Python 3.11 warns of."""
@@ -206,7 +220,7 @@ def describe(track: Track, recording: Recording) -> tuple[lxml.etree._ElementTre
         sicd["Grid"][name] = {
             "UVectECF": vector,
             "SS": step,
-            "ImpRespWid": 0.886 / band,
+            "ImpRespWid": WIDTHS[recording.window] / band,
             "Sgn": recording.sign,
             "ImpRespBW": band,
             "KCtr": centre,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from dataclasses import replace
@@ -12,12 +13,14 @@ import pytest
 
 pytest.importorskip("sarkit")
 
+from fuzz import sentence_faults, watched
+from sarsplat import preset, reconstruct
 from sarsplat.cli import main
 from sarsplat.data import Dataset, read_dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import radar_frame
 from sarsplat.importers import import_sicd
-from sicds import FREQUENCY, LIGHT, SPOT, Recording, Track, axes, describe, ecef, write_sicd
+from sicds import FREQUENCY, LIGHT, SPOT, Recording, Track, axes, describe, ecef, with_xml, write_sicd, xml_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")  # of one view alone, for instance
 
@@ -73,10 +76,11 @@ def _vertex(line: np.ndarray, place: int) -> float:
         Recording(turn=30, offset=(20.0, -15.0, 4.0)),
         Recording(turn=-8, tilt=20),
         Recording(turn=-75, ground_plane=True, rows=600, columns=600),
+        Recording(kind="XRGYCR", offset=(30.0, 0.0, 0.0)),
         Recording(kind="RGAZIM"),
         Recording(kind="RGZERO", offset=(-6.0, 10.0, 0.0)),
     ],
-    ids=["slant", "turned", "tilted", "ground", "polar format", "zero Doppler"],
+    ids=["slant", "turned", "tilted", "ground", "another plane", "polar format", "zero Doppler"],
 )
 def test_scatterers_land_where_the_frame_has_them(tmp_path, look, bearing, recording):
     dataset = imported(tmp_path, Track(bearing, 35.0, look), recording)
@@ -159,7 +163,7 @@ def test_widths_weighting_and_beta_zero(tmp_path):
     recording = Recording(window="TAYLOR", beta_zero=3.0, bandwidth=(2.0, 1.0), rows=400, columns=200)
     dataset = imported(tmp_path, Track(), recording)
     assert dataset.calibration == "absolute"
-    assert dataset.grid.resolution_m == pytest.approx((0.886, 0.443), rel=1e-3)
+    assert dataset.grid.resolution_m == pytest.approx((1.130, 0.565), rel=1e-3)
     assert dataset.grid.spacing_m == pytest.approx((0.8, 0.4), rel=1e-3)
     assert dataset.source["images"][0]["weighting"] == ["TAYLOR", "TAYLOR"]
     relative = imported(tmp_path, Track(), replace(recording, beta_zero=None))
@@ -213,8 +217,6 @@ def test_axes_of_the_world_are_level_and_right_handed():
 def test_only_what_is_needed_is_read(tmp_path):
     """A chip of a large image: neither memory nor reading grows with it."""
     import sarkit.sicd
-
-    from fuzz import watched
 
     path = write_sicd(tmp_path / "large.nitf", Track(), [(0.0, 0.0, 0.0)], Recording(rows=4000, columns=4000))
     assert path.stat().st_size > 120e6
@@ -277,3 +279,99 @@ def test_the_same_file_twice(tmp_path):
     path = write_sicd(tmp_path / "image.nitf", Track(), PLACES, Recording())
     with pytest.raises(SarsplatError, match="given 2 times"):
         import_sicd([path, path], tmp_path / "set", size_m=SIZE)
+
+
+@pytest.mark.slow
+def test_reconstructed_gaussians_are_where_the_scatterers_were(tmp_path):
+    """Both looks, slant planes and turned ones, two grazing angles: together they fix places in three dimensions."""
+    places = [(0.0, 0.0, 0.5), (6.0, -4.0, 2.0), (-7.0, 5.0, 3.5), (3.0, 8.0, 1.0)]
+    files = [
+        write_sicd(
+            tmp_path / f"{number}.nitf",
+            Track(30.0 * number, (30.0, 50.0)[number % 2], "RL"[number // 2 % 2]),
+            places,
+            Recording(160, 160, window="TAYLOR", turn=(0.0, 25.0, -40.0)[number % 3], offset=(1.0, 2.0, 0.0)),
+        )
+        for number in range(12)
+    ]
+    dataset = import_sicd(files, tmp_path / "set", size_m=24.0, around=SPOT, looks=None, ground=False)
+    means = reconstruct(dataset, preset("quick"), quiet=True).gaussians.means.numpy()
+    cell = dataset.grid.cell_m
+    for place in places:
+        around = means[np.linalg.norm(means - place, axis=1) < 1.5 * cell]
+        assert len(around) > 20
+        assert np.abs(np.median(around, axis=0) - place).max() < 0.1 * cell
+
+
+# ---- files that are no good ----
+
+
+def changed(old: str, new: str):
+    """A change of the metadata: every match of a pattern."""
+
+    def change(data: bytes) -> bytes:
+        text, times = re.subn(old, new, xml_of(data).decode(), flags=re.DOTALL)
+        assert times
+        return with_xml(data, text.encode())
+
+    return change
+
+
+def with_pixel(data: bytes, value: float) -> bytes:
+    """Another real part of the pixel in the middle of 64 × 60."""
+    place = int(data[354:360]) + int(data[363:369]) + 8 * (32 * 60 + 30)  # header, header of the image, pixels
+    return data[:place] + np.array(value, ">f4").tobytes() + data[place + 4 :]
+
+
+BOMB = '<!DOCTYPE a [<!ENTITY a "aaaaaaaaaa">' + "".join(
+    f'<!ENTITY {b} "{f"&{a};" * 10}">' for a, b in itertools.pairwise("abcdefghij")
+)
+SIDD = changed("<SICD .*", '<SIDD xmlns="urn:SIDD:3.0.0"/>')
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda data: data[:-100], "is truncated: .* bytes where its header says"),
+        (lambda data: data + b"more", "is too long"),
+        (lambda data: data[:300], "header whose lengths do not fit"),
+        (lambda data: b"", "is not a NITF file"),
+        (lambda data: b"CPHD/1.0.1\n" + data, "phase history"),
+        (lambda data: b"II*\0" + data, "a TIFF picture"),
+        (lambda data: data[:360] + b"009" + data[363:], "header whose lengths do not fit"),
+        (lambda data: data[:395] + b"999999999" + data[404:], "header whose lengths do not fit"),
+        (changed("</Grid>", "</Gird>"), "metadata that are no XML"),
+        (changed("^.*$", ""), "metadata that are no XML"),
+        (changed("^", BOMB + "]>"), "DOCTYPE|no XML"),
+        (changed("^", '<!DOCTYPE a SYSTEM "file:///etc/passwd">'), "DOCTYPE"),
+        (changed("<SICD .*", "<a/>"), "holds 'a', not a SICD"),
+        (SIDD, "is a SIDD"),
+        (changed('exponent1="1"', 'exponent1="400000000"'), "exponent '400000000'"),
+        (changed("<NumRows>64</NumRows>", "<NumRows>65</NumRows>"), "segments hold other numbers of bytes"),
+        (changed("<NumCols>60</NumCols>", "<NumCols>61</NumCols>"), "segments hold other numbers of bytes"),
+        (changed("RE32F_IM32F", "RE16I_IM16I"), "segments hold other numbers of bytes"),
+        (changed("RE32F_IM32F", "RE64F_IM64F"), "pixels of type 'RE64F_IM64F'"),
+        (changed("<NumRows>64", "<NumRows>6400000000"), "must be 1 to"),
+        (changed("MONOSTATIC", "BISTATIC"), "bistatic"),
+        (changed("<SideOfTrack>R", "<SideOfTrack>L"), "a right-looking one"),
+        (changed("<SS>[^<]*</SS>", "<SS>nan</SS>"), "nan"),
+        (changed("<SS>[^<]*</SS>", ""), "Row_SS"),
+        (changed("<ImpRespWid>[^<]*</ImpRespWid>", "<ImpRespWid>-1</ImpRespWid>"), "ImpRespWid"),
+        (changed("<ARPPoly>.*</ARPPoly>", ""), "ARP_Poly"),
+        (changed("<UVectECF>.*?</UVectECF>", "<UVectECF><X>1</X><Y>0</Y><Z>0</Z></UVectECF>"), "span no plane"),
+        (changed("<Type>PLANE", "<Type>SPIRAL"), "not a valid SICD"),
+        (lambda data: with_pixel(data, math.nan), "must be finite"),
+        (lambda data: with_pixel(data, 1e30), "must be finite"),
+    ],
+)
+def test_bad_files_are_refused_in_a_sentence(tmp_path, capfd, spoil, told):
+    path = write_sicd(tmp_path / "image.nitf", Track(), [(0, 0, 0)], Recording(rows=64, columns=60))
+    path.write_bytes(spoil(path.read_bytes()))
+    words = ["import", "sicd", str(path), f"--around={SPOT[0]},{SPOT[1]},{SPOT[2]}", "--size", "8", "--out"]
+    with watched() as cost:
+        assert main([*words, str(tmp_path / "set")]) == 2
+    [line] = capfd.readouterr().err.splitlines()
+    assert re.search(told, line), line
+    assert sentence_faults(line) == []
+    assert not (tmp_path / "set").exists()
+    assert cost.seconds < 1 and cost.bytes < 64 << 20

@@ -36,8 +36,7 @@ def import_sicd(
     size
         Side of the images in azimuth and slant range, e.g. 64m.
     around
-        The spot, which becomes the origin: latitude and longitude, degrees, and height above the ellipsoid, m. South
-        and west are negative; write --around=-33.9,18.4 then.
+        The spot, which becomes the origin: latitude and longitude, degrees, and height above the ellipsoid, m.
     pixel
         The spot as a pixel of the first file, counted from 0. With neither, the spot is its scene centre point.
     heading

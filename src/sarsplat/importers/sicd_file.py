@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import warnings
 from collections.abc import Iterator
@@ -202,7 +203,10 @@ def read_sicd(path: Path) -> Sicd:
 
 @contextmanager
 def sarkit_errors(path: Path) -> Iterator[None]:
-    """One sentence in place of whatever sarkit raises: it trusts its files. What it warns of is not for users."""
+    """One sentence in place of whatever sarkit raises: it trusts its files. What it warns of and logs is kept back."""
+    log = logging.getLogger("jbpy")
+    level = log.level
+    log.setLevel(logging.CRITICAL + 1)
     try:
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -212,6 +216,8 @@ def sarkit_errors(path: Path) -> Iterator[None]:
     except Exception as error:
         told = shown(f"{type(error).__name__}: {error}")
         raise SarsplatError(f"{path} is not a valid SICD (sarkit says {told}); get it again") from error
+    finally:
+        log.setLevel(level)
 
 
 def _check(path: Path, known: MetadataParams) -> None:
@@ -224,7 +230,8 @@ def _check(path: Path, known: MetadataParams) -> None:
         if value is None and not any(word in str(item.type) for word in optional):
             raise SarsplatError(f"{path} has no {item.name} (in sarkit's words) in its metadata; get it again")
         if isinstance(value, int | float | np.ndarray) and not np.all(np.abs(value) <= _FARTHEST):  # also NaN
-            raise SarsplatError(f"{path} has the impossible {item.name} {shown(value)} in its metadata; get it again")
+            told = shown(np.asarray(value).tolist())
+            raise SarsplatError(f"{path} has the impossible {item.name} {told} in its metadata; get it again")
     for name in ("NumRows", "NumCols"):
         if not 1 <= getattr(known, name) <= _MOST_PIXELS_PER_SIDE:
             raise SarsplatError(f"{path} has {getattr(known, name)} as {name}; it must be 1 to {_MOST_PIXELS_PER_SIDE}")
@@ -233,6 +240,12 @@ def _check(path: Path, known: MetadataParams) -> None:
         raise SarsplatError(f"{path} has row and column directions that span no plane; get it again")
     if known.ARP_Poly.ndim != 2 or known.ARP_Poly.shape[1] != 3 or len(known.ARP_Poly) < 2:
         raise SarsplatError(f"{path} does not say how its radar moved (Position/ARPPoly); get it again")
+    left = np.cross(known.ARP_SCP_COA, known.VARP_SCP_COA) @ (known.SCP - known.ARP_SCP_COA) > 0
+    if known.SideOfTrack != ("L" if left else "R"):
+        raise SarsplatError(
+            f"{path} says that its radar looks to side {shown(known.SideOfTrack)} of its track, but its position and "
+            f"velocity are those of a {'left' if left else 'right'}-looking one; get it again"
+        )
 
 
 class _Fields:

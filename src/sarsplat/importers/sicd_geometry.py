@@ -174,11 +174,6 @@ def layout_around(sicd: Sicd, spot: Spot, extent_m: float) -> Layout:
                 f"{sicd.path} has a slant plane that is tilted by {tilt:.0f}° about the line of sight, because its "
                 f"radar looks ahead or back or climbs; at most {_STEEPEST_TILT_DEG:g}° is supported, so leave it out"
             )
-        if sicd.projection.SideOfTrack != ("L" if look == "left" else "R"):
-            raise SarsplatError(
-                f"{sicd.path} says that its radar looks to side {sicd.projection.SideOfTrack} of its track, but its "
-                f"position and velocity are those of a {look}-looking one; get it again"
-            )
         coefficients = _fit(sicd, spot, view, extent_m)
         layout = Layout(view, look, distance, tilt, (0.0, 0.0), extent_m, coefficients)
         leaning = _leaning(sicd, spot, layout)
