@@ -38,7 +38,8 @@ def main(files: list[str]) -> None:
         for weighting, colour in (("uniform", "tab:gray"), ("taylor", "tab:blue")):
             draw_cut(axes, aperture, weighting, along, colour)
     figure.savefig(PICTURE, dpi=100)
-    Image.open(PICTURE).convert("RGB").convert("P", palette=Image.Palette.ADAPTIVE, colors=48).save(PICTURE, optimize=True)
+    few = Image.open(PICTURE).convert("RGB").convert("P", palette=Image.Palette.ADAPTIVE, colors=48)
+    few.save(PICTURE, optimize=True)
 
 
 def draw_image(axes: plt.Axes, aperture: Aperture) -> None:
