@@ -25,6 +25,7 @@ from sarsplat.evaluation import (
 )
 from sarsplat.evaluation.lpips import WEIGHTS_VARIABLE
 from sarsplat.geometry import ImageGrid, View
+from scoring import few_samples
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -77,14 +78,7 @@ def no_weights(monkeypatch):
 
 
 @pytest.fixture
-def make(tmp_path, monkeypatch):
-    def coarse(mesh, views, ray_spacing, each_view):  # the same protocol with fewer rays and samples
-        return visible_surface(mesh, views, ray_spacing=5 * ray_spacing, samples=5000, each_view=each_view)
-
-    from sarsplat.evaluation.surface import visible_surface
-
-    monkeypatch.setattr("sarsplat.evaluation.evaluate.visible_surface", coarse)
-
+def make(tmp_path):
     def dataset(looks=None, ground=False, mesh=CUBE, scale=1.0, clean_tests=False) -> Dataset:
         splits = ("train", "test-17", "train", "test-15", "test-17")
         views = [(View(80.0 * k, 45), split) for k, split in enumerate(splits)]
@@ -97,7 +91,8 @@ def make(tmp_path, monkeypatch):
         made = dataset_of(grid, views, images, **fields)
         return write_dataset(tmp_path / "dataset", made, truth_mesh=mesh, overwrite=True)
 
-    return dataset
+    with few_samples():
+        yield dataset
 
 
 def test_every_key_is_there_and_every_null_has_its_reason(make):

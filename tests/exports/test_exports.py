@@ -27,7 +27,9 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.fixture(scope="module")
 def run(dataset: Dataset) -> Run:
-    return reconstruct(dataset, replace(preset("quick"), iterations=25), quiet=True)
+    quick = preset("quick")
+    few = replace(quick, iterations=25, gaussians=600, points=replace(quick.points, voxel=0.25))
+    return reconstruct(dataset, few, quiet=True)
 
 
 def without_points(run: Run) -> Run:

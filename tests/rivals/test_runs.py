@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import shutil
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,24 +14,21 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from sarsplat import Dataset, Run, SarsplatError, View, evaluate_run, visible_surface, write_report
+from sarsplat import Dataset, Run, SarsplatError, View, evaluate_run, write_report
 from sarsplat.cli.app import run as command
 from sarsplat.data import read_points_ply, write_points_ply
 from sarsplat.evaluation.points import surface_distance
 from sarsplat.rivals import METHODS, RivalRun, open_run, reconstruct_with
+from scoring import few_samples
 
 SHORT = {"sar-nerf": 2, "sar-nerf-grid": 12, "dsr": 6}
 EVERY = pytest.mark.parametrize("method", SHORT)
 
 
 @pytest.fixture(autouse=True)
-def few_samples(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Scores and pictures that are quick to make."""
-    monkeypatch.setattr("sarsplat.report.write._SURFACE_SAMPLES", 500)
-    monkeypatch.setattr("sarsplat.report.solid._PIXELS", 40)
-    monkeypatch.setattr("sarsplat.report.widget._MOST_RENDERED", 20_000)
-    monkeypatch.setattr("sarsplat.evaluation.evaluate._MESH_SAMPLES", 2000)
-    monkeypatch.setattr("sarsplat.evaluation.evaluate.visible_surface", partial(visible_surface, samples=2000))
+def quick() -> Iterator[None]:
+    with few_samples():
+        yield
 
 
 def short(method: str):
@@ -43,13 +42,32 @@ def trained(method: str, dataset: Dataset, out: Path | None = None, **options) -
     return reconstruct_with(method, dataset, short(method), out, masks=masks, device="cpu", quiet=True, **options)
 
 
+@pytest.fixture(scope="module")
+def finished(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """The folder of a method's run, trained once."""
+
+    @cache
+    def of(method: str) -> Path:
+        folder = tmp_path_factory.mktemp(method) / "run"
+        trained(method, dataset, folder)
+        return folder
+
+    return of
+
+
+@pytest.fixture
+def run_of(finished: Callable[[str], Path], tmp_path: Path) -> Callable[[str], Path]:
+    """A copy of it, to work on: tmp_path/run."""
+    return lambda method: shutil.copytree(finished(method), tmp_path / "run")
+
+
 def test_every_method_is_tested():
     assert list(SHORT) == list(METHODS)
 
 
 @EVERY
-def test_taken_up_again_it_is_what_it_would_have_been(method, dataset, tmp_path):
-    whole = trained(method, dataset)
+def test_taken_up_again_it_is_what_it_would_have_been(method, dataset, tmp_path, finished):
+    whole = open_run(finished(method))
     stop = SHORT[method] // 2
 
     def leave(step):
@@ -68,14 +86,15 @@ def test_taken_up_again_it_is_what_it_would_have_been(method, dataset, tmp_path)
 
 
 @EVERY
-def test_a_seed_is_a_result(method, dataset):
-    first, again = (trained(method, dataset).snapshot.tensors for _ in range(2))
+def test_a_seed_is_a_result(method, dataset, finished):
+    first, again = open_run(finished(method)).snapshot.tensors, trained(method, dataset).snapshot.tensors
+    assert first.keys() == again.keys()
     assert all(torch.equal(tensor, again[name]) for name, tensor in first.items())
 
 
 @EVERY
-def test_its_run_is_rendered_scored_and_shown(method, dataset, tmp_path):
-    trained(method, dataset, tmp_path / "run")
+def test_its_run_is_rendered_scored_and_shown(method, tmp_path, run_of):
+    run_of(method)
     run = open_run(tmp_path / "run")
     assert isinstance(run, RivalRun)
     assert run.method == method
@@ -111,8 +130,8 @@ def test_a_box_on_the_ground_is_found(method, quick, most, most_m, dataset):
     assert evaluate_run(run, quiet=True)["points"]["visible"]["cd_m"] < most_m
 
 
-def test_points_lie_on_what_the_radar_sees(dataset, tmp_path):
-    run = trained("dsr", dataset, tmp_path / "run")
+def test_points_lie_on_what_the_radar_sees(run_of):
+    run = open_run(run_of("dsr"))
     surface = run.surface
     assert len(run.points) > 200
     assert surface_distance(run.points, np.asarray(surface.triangles)).max() < 1e-4
@@ -124,8 +143,8 @@ def test_points_lie_on_what_the_radar_sees(dataset, tmp_path):
     assert (run.normals @ towards.T).max(axis=1).min() > -1e-6
 
 
-def test_a_method_is_not_taken_for_another(dataset, tmp_path):
-    trained("sar-nerf-grid", dataset, tmp_path / "run")
+def test_a_method_is_not_taken_for_another(dataset, tmp_path, run_of):
+    run_of("sar-nerf-grid")
     with pytest.raises(SarsplatError, match="by the method 'sar-nerf-grid', which learned no Gaussians"):
         Run.load(tmp_path / "run")
     with pytest.raises(SarsplatError, match="was started with the method sar-nerf-grid, not dsr; resume it with that"):
@@ -139,8 +158,8 @@ def test_a_method_is_not_taken_for_another(dataset, tmp_path):
         reconstruct_with("magic", dataset)
 
 
-def test_settings_must_be_those_of_the_run(dataset, tmp_path):
-    trained("sar-nerf-grid", dataset, tmp_path / "run")
+def test_settings_must_be_those_of_the_run(dataset, tmp_path, run_of):
+    run_of("sar-nerf-grid")
     other = replace(short("sar-nerf-grid"), degree=1)
     with pytest.raises(SarsplatError, match="was started with degree 2, not 1; resume it with the same settings"):
         reconstruct_with("sar-nerf-grid", dataset, other, tmp_path / "run", resume=True, quiet=True)
@@ -160,10 +179,10 @@ def test_settings_must_be_those_of_the_run(dataset, tmp_path):
         ("scene/masks", lambda tensor: tensor.float()),
     ],
 )
-def test_a_damaged_checkpoint_is_refused_before_anything_is_lost(name, change, dataset, tmp_path):
+def test_a_damaged_checkpoint_is_refused_before_anything_is_lost(name, change, dataset, tmp_path, run_of):
     from sarsplat.data import load_checkpoint, save_checkpoint
 
-    trained("dsr", dataset, tmp_path / "run")
+    run_of("dsr")
     path = open_run(tmp_path / "run").checkpoint_path
     assert path is not None
     tensors, state = load_checkpoint(path)
@@ -177,8 +196,8 @@ def test_a_damaged_checkpoint_is_refused_before_anything_is_lost(name, change, d
             open_run(tmp_path / "run").render([View(0, 30)])
 
 
-def test_a_run_that_lost_its_checkpoints_takes_masks_again(dataset, tmp_path):
-    trained("dsr", dataset, tmp_path / "run")
+def test_a_run_that_lost_its_checkpoints_takes_masks_again(dataset, tmp_path, run_of):
+    run_of("dsr")
     for path in (tmp_path / "run" / "checkpoints").iterdir():
         path.unlink()
     with pytest.raises(SarsplatError, match=r"^.*run holds no checkpoint; "):
@@ -191,8 +210,8 @@ def test_a_run_that_lost_its_checkpoints_takes_masks_again(dataset, tmp_path):
         reconstruct_with("dsr", dataset, None, tmp_path / "run", masks=dataset.path / "masks", resume=True, quiet=True)
 
 
-def test_what_the_surface_is_made_of_is_kept(dataset, tmp_path):
-    trained("dsr", dataset, tmp_path / "run")
+def test_what_the_surface_is_made_of_is_kept(tmp_path, run_of):
+    run_of("dsr")
     kept, anew = open_run(tmp_path / "run"), open_run(tmp_path / "run")
     before = kept.surface.vertices
     (tmp_path / "run" / "mesh.ply").unlink()
@@ -213,10 +232,10 @@ def test_arguments_that_do_not_fit_are_refused(arguments, message, dataset):
 
 
 @pytest.mark.parametrize("part", ["model", "scene", "optimiser"])
-def test_a_checkpoint_of_something_else_is_refused(part, dataset, tmp_path):
+def test_a_checkpoint_of_something_else_is_refused(part, dataset, tmp_path, run_of):
     from sarsplat.data import load_checkpoint, save_checkpoint
 
-    trained("sar-nerf-grid", dataset, tmp_path / "run")
+    run_of("sar-nerf-grid")
     path = open_run(tmp_path / "run").checkpoint_path
     assert path is not None
     tensors, state = load_checkpoint(path)
@@ -292,8 +311,8 @@ def test_settings_come_from_a_file(dataset, tmp_path, capsys):
         )
 
 
-def test_no_points_are_not_exported(dataset, tmp_path, capsys):
-    trained("sar-nerf", dataset, tmp_path / "run")
+def test_no_points_are_not_exported(tmp_path, capsys, run_of):
+    run_of("sar-nerf")
     write_points_ply(tmp_path / "run" / "points.ply", np.zeros((0, 3), np.float32))
     assert command(["export", str(tmp_path / "run"), str(tmp_path / "points.ply"), "--format", "points"]) == 2
     assert "has no points of a surface yet" in capsys.readouterr().err
@@ -301,8 +320,8 @@ def test_no_points_are_not_exported(dataset, tmp_path, capsys):
 
 
 @EVERY
-def test_a_run_is_opened_on_a_device_that_there_is(method, dataset, tmp_path):
-    trained(method, dataset, tmp_path / "run")
+def test_a_run_is_opened_on_a_device_that_there_is(method, tmp_path, run_of):
+    run_of(method)
     with pytest.raises(SarsplatError, match="device 'gpu' is unknown; choose auto, cpu or cuda"):
         open_run(tmp_path / "run", "gpu")
     assert open_run(tmp_path / "run", "auto").device in ("cpu", "cuda")
