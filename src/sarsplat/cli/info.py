@@ -21,15 +21,15 @@ _MARKERS = ("config.json", "contact-sheet.png")
 """Of folders that we make, besides datasets."""
 
 _UNDERSTOOD = (
-    "a dataset, a run, rendered images, a folder of chips, a PLY of Gaussians or points, a Phoenix chip, a power TIFF "
-    "or a mesh"
+    "a dataset, a run, rendered images, a folder of images to import, a PLY of Gaussians or points, a Phoenix chip, a "
+    "power TIFF or a mesh"
 )
 
 
 def info(
     path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")], *, plot: OptionalFile = None
 ) -> None:
-    """Describe a file or folder: dataset with its views, run, chips to import, PLY, Phoenix chip, TIFF or mesh.
+    """Describe a file or folder: dataset with its views, run, images to import, PLY, Phoenix chip, TIFF or mesh.
 
     Parameters
     ----------
@@ -56,8 +56,8 @@ def info(
 
 def _to_import(path: Path) -> Recognised | None:
     """What a folder, or the table of labels in it, can be imported as."""
-    from sarsplat.data.chip_folder import recognised
     from sarsplat.data.mstar_chips import has_label_columns
+    from sarsplat.importers.recognise import recognised
 
     if path.is_dir():
         ours = any((path / name).is_file() for name in _MARKERS)

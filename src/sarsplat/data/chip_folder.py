@@ -1,4 +1,4 @@
-"""What a folder of images that is no dataset seems to hold, and which command makes a dataset of it."""
+"""Whether a folder holds MSTAR chips, and which command makes a dataset of them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _JPEGS, _PICTURES = (".jpg", ".jpeg"), (".tif", ".tiff", ".png")
 
 @dataclass(frozen=True)
 class Recognised:
-    """What a folder seems to be.
+    """What a folder of images seems to be.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Recognised:
 
 
 def recognised(folder: Path) -> Recognised | None:
-    """What is in a folder that is neither dataset nor run; None if there are no images in it.
+    """What chips are in a folder; None if there are none.
 
     Parameters
     ----------
@@ -70,8 +70,6 @@ def recognised(folder: Path) -> Recognised | None:
         return _phoenix(folder, phoenix)
     if jpegs:
         return _unlabelled(folder, jpegs)
-    if pictures := sum(by_ending[ending] for ending in _PICTURES):
-        return _foreign(pictures, by_ending)
     return None
 
 
@@ -154,16 +152,4 @@ def _unlabelled(folder: Path, count: int) -> Recognised:
             "(docs/datasets-and-runs.md)"
         },
         shlex.join([*words, "--train-views", "36", "--out", "chips-dataset"]),
-    )
-
-
-def _foreign(count: int, by_ending: Counter[str]) -> Recognised:
-    endings = ", ".join(f"{by_ending[ending]} {ending}" for ending in _PICTURES if by_ending[ending])
-    return Recognised(
-        f"{counted(count, 'picture')} ({endings}) without directions and units",
-        {
-            "missing": "from where each was taken, the pixel spacing and the resolution; no import command reads them",
-            "instead": "in Python, make SarImage(power, View(azimuth, grazing), grid) of each, then "
-            "write_dataset(folder, Dataset.from_images(images)): see examples/own_arrays.py",
-        },
     )

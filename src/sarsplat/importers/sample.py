@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -31,18 +31,17 @@ Kind = Literal["real", "synthetic"]
 _NAME = re.compile(
     r"(?P<target>[A-Za-z0-9]+)_(?P<kind>real|synth)_.*elevDeg_(?P<elevation>\d{3})_azCenter_(?P<azimuth>\d{3})_.*\.mat"
 )
-_KINDS: dict[Kind, str] = {"real": "real", "synthetic": "synth"}
 _MOST_OFF_DEG = 1.0
 """Names hold whole degrees."""
 
 
 @dataclass(frozen=True)
-class _Named:
+class SampleName:
     """What the name of a file says."""
 
     path: Path
     target: str
-    kind: str
+    kind: Kind
     azimuth_deg: int
     elevation_deg: int
 
@@ -111,14 +110,14 @@ def import_sample(
     return write_imported(out, dataset, overwrite=overwrite)
 
 
-def _chosen(folder: Path, target: str, kind: Kind) -> list[_Named]:
+def _chosen(folder: Path, target: str, kind: Kind) -> list[SampleName]:
     with plain_os_errors("read", folder):
         if not folder.is_dir():
             raise SarsplatError(f"{folder} is not a folder; give the folder of the SAMPLE set")
         files = sorted(path for path in folder.rglob("*.mat") if path.is_file())
-    if kind not in _KINDS:
-        raise SarsplatError(f"the kind is {shown(kind)}; it must be one of {', '.join(_KINDS)}")
-    named = [found for found in map(_by_name, files) if found is not None]
+    if kind not in get_args(Kind):
+        raise SarsplatError(f"the kind is {shown(kind)}; it must be one of {', '.join(get_args(Kind))}")
+    named = [found for found in map(named_as_sample, files) if found is not None]
     if not named:
         raise SarsplatError(
             f"{folder} has no file that is called as those of the SAMPLE set; give its folder mat_files"
@@ -129,23 +128,23 @@ def _chosen(folder: Path, target: str, kind: Kind) -> list[_Named]:
             SarsplatWarning,
             stacklevel=3,
         )
-    chosen = [one for one in named if one.target.lower() == target.lower() and one.kind == _KINDS[kind]]
+    chosen = [one for one in named if one.target.lower() == target.lower() and one.kind == kind]
     if not chosen:
-        there = sorted(
-            {f"{one.target} ({kind})" for one in named for kind, short in _KINDS.items() if short == one.kind}
-        )
+        there = sorted({f"{one.target} ({one.kind})" for one in named})
         raise SarsplatError(f"{folder} has no {kind} images of {shown(target)}; it has {', '.join(there)[:500]}")
     return chosen
 
 
-def _by_name(path: Path) -> _Named | None:
+def named_as_sample(path: Path) -> SampleName | None:
+    """What the name says; None if the set has no such names."""
     found = _NAME.fullmatch(path.name)
     if found is None:
         return None
-    return _Named(path, found["target"], found["kind"], int(found["azimuth"]), int(found["elevation"]))
+    kind: Kind = "real" if found["kind"] == "real" else "synthetic"
+    return SampleName(path, found["target"], kind, int(found["azimuth"]), int(found["elevation"]))
 
 
-def _read(named: _Named, folder: Path, near: str, mirrored: bool) -> tuple[MeasuredImage, dict[str, Any]]:
+def _read(named: SampleName, folder: Path, near: str, mirrored: bool) -> tuple[MeasuredImage, dict[str, Any]]:
     """The image, and facts to keep."""
     variables = read_mat(named.path)
     pixels = variables.get("complex_img")
@@ -170,7 +169,7 @@ def _read(named: _Named, folder: Path, near: str, mirrored: bool) -> tuple[Measu
     return image, {name: value for name, value in kept.items() if value is not None}
 
 
-def _angle(named: _Named, variables: Mapping[str, Any], name: str, whole_deg: int) -> float:
+def _angle(named: SampleName, variables: Mapping[str, Any], name: str, whole_deg: int) -> float:
     """Degrees; the file's name, which gives whole ones, tells radians from degrees."""
     value = _number(variables, name)
     for degrees in () if value is None else (value, math.degrees(value)):
@@ -181,7 +180,7 @@ def _angle(named: _Named, variables: Mapping[str, Any], name: str, whole_deg: in
     )
 
 
-def _lengths(named: _Named, variables: Mapping[str, Any], name: str) -> tuple[float, float]:
+def _lengths(named: SampleName, variables: Mapping[str, Any], name: str) -> tuple[float, float]:
     """Azimuth and range, m; files made of MSTAR's leave one of them 0 where its header lacked it."""
     both = [_number(variables, f"{axis}_{name}") or 0.0 for axis in ("xrange", "range")]
     azimuth, slant_range = (own if own > 0 else max(both) for own in both)

@@ -1,0 +1,86 @@
+"""`sarsplat info FOLDER` says which import fits, and its command can be typed."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sample_files import write_sample
+from sarsplat.cli import main
+from sarsplat.importers.recognise import recognised
+
+POWER = np.random.default_rng(0).gamma(1.0, size=(4, 12, 10)).astype(np.float32) + 0.1
+
+
+def typed(command: str | None, out: Path, **words: str) -> int:
+    """Carry out what was proposed, elsewhere, with words in capitals replaced."""
+    assert command is not None
+    program, *rest = shlex.split(command)
+    assert program == "sarsplat"
+    rest = [words.get(word, word) for word in rest]
+    rest[rest.index("--out") + 1] = str(out)
+    return main(rest)
+
+
+@pytest.fixture
+def shots(tmp_path: Path) -> Path:
+    folder = tmp_path / "my shots"  # a name that must be quoted
+    folder.mkdir()
+    for index, image in enumerate(POWER):
+        Image.fromarray((image * 40).astype(np.uint8)).save(folder / f"{index}.png")
+    (folder / "t.csv").write_text("file;Azimuth (deg)\n" + "".join(f"{k}.png;{90 * k}\n" for k in range(4)))
+    return folder
+
+
+def test_pictures_with_a_table(shots, tmp_path, capsys):
+    found = recognised(shots)
+    assert found is not None
+    assert found.kind == "pictures with a table of their angles"
+    assert found.facts["columns"] == "file = file, azimuth = Azimuth (deg)"
+    assert "--grazing DEGREES --spacing METRES" in str(found.command)
+    assert main(["info", str(shots)]) == 0
+    assert f"import with: {found.command}\n" in capsys.readouterr().out
+    assert typed(found.command, tmp_path / "out", DEGREES="30", METRES="0.2") == 0
+    assert (tmp_path / "out" / "dataset.json").is_file()
+
+
+def test_pictures_without_a_table(shots):
+    (shots / "t.csv").write_text("some,thing\n1,2\n")
+    found = recognised(shots)
+    assert found is not None
+    assert found.kind == "4 pictures (4 .png) without a table of their angles"
+    assert "the columns file, azimuth, grazing, spacing" in found.facts["missing"]
+    assert "--table TABLE.csv" in str(found.command)
+
+
+def test_the_sample_set(tmp_path):
+    for azimuth in (11.0, 30.0, 44.0, 60.0):
+        write_sample(tmp_path / "set", POWER[0] * (1 + 1j), azimuth)
+    write_sample(tmp_path / "set", POWER[0] * (1 + 1j), 30.0, kind="synth", target="m1")
+    found = recognised(tmp_path / "set")
+    assert found is not None
+    assert found.facts == {"class m1": "1 synthetic", "class t72": "4 real"}
+    assert "--class t72 --kind real --train-views 2" in str(found.command)
+    assert typed(found.command, tmp_path / "out") == 0
+
+
+@pytest.mark.parametrize(
+    ("ending", "command"), [(".nitf", "import sicd"), (".NTF", "import sicd"), (".mat", "import phase-history")]
+)
+def test_files_of_other_formats(tmp_path, ending, command):
+    (tmp_path / "a b").mkdir()
+    for k in range(3):
+        (tmp_path / "a b" / f"{k}{ending}").write_bytes(b"\0")
+    found = recognised(tmp_path)
+    assert found is not None
+    assert found.kind.startswith(f"3 {ending} files")
+    assert f"sarsplat {command} {shlex.quote(str(tmp_path / 'a b'))}/*{ending} --size METRES" in str(found.command)
+
+
+def test_no_images_are_nothing(tmp_path):
+    (tmp_path / "notes.txt").write_text("nothing")
+    assert recognised(tmp_path) is None
