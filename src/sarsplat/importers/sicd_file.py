@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,44 +16,12 @@ from jaxtyping import Complex64, Float64
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.importers.nitf import read_sicd_xml
+from sarsplat.importers.sicd_fields import FARTHEST, LARGEST, Axis, SicdFields
 
 if TYPE_CHECKING:
     from sarkit.sicd.projection import AdjustableParameterOffsets, MetadataParams
 
 _MOST_PIXELS_PER_SIDE = 1_000_000
-_LARGEST = 1e9  # no amplitude comes near it, and its square still fits into float32
-_FARTHEST = 1e12  # nor does any number of the metadata that is used here
-
-
-@dataclass(frozen=True)
-class Axis:
-    """What the metadata say of the rows or the columns of an image.
-
-    Parameters
-    ----------
-    spacing_m, resolution_m : float
-        Of pixels, and 3 dB width of the power response, m, within the image plane.
-    bandwidth : float
-        Of the response, cycles/m.
-    sign : int
-        Of the exponent of the Fourier transform that leads to spatial frequencies, 1 or −1.
-    carrier : numpy.ndarray, float64 [m, n]
-        Where the band is centred, cycles/m: a polynomial in (xrow, ycol), m.
-    window : str
-        How the band was weighted, in the file's words; "" where it does not say.
-    """
-
-    spacing_m: float
-    resolution_m: float
-    bandwidth: float
-    sign: int
-    carrier: Float64[np.ndarray, "m n"]
-    window: str
-
-    @property
-    def occupied(self) -> float:
-        """Share of the sampled band that the image fills."""
-        return min(self.bandwidth * self.spacing_m, 1.0)
 
 
 @dataclass(frozen=True)
@@ -138,12 +105,12 @@ class Sicd:
             amplitude = raw["amp"].astype(np.float64) if self.amplitudes is None else self.amplitudes[raw["amp"]]
             values = (amplitude * np.exp(2j * np.pi / 256 * raw["phase"])).astype(np.complex64)
         # also catches NaN
-        bad = ~((np.abs(values.real) <= _LARGEST) & (np.abs(values.imag) <= _LARGEST))
+        bad = ~((np.abs(values.real) <= LARGEST) & (np.abs(values.imag) <= LARGEST))
         if bad.any():
             row, column = np.argwhere(bad)[0]
             raise SarsplatError(
                 f"{self.path} holds {values[row, column]:.6g} at row {rows[0] + row}, column {columns[0] + column}; "
-                f"amplitudes must be finite and at most {_LARGEST:g}, so get it again"
+                f"amplitudes must be finite and at most {LARGEST:g}, so get it again"
             )
         return values
 
@@ -186,7 +153,7 @@ def read_sicd(path: Path) -> Sicd:
         known = projection.MetadataParams.from_xml(tree)
         offsets = projection.AdjustableParameterOffsets
         moved = offsets.from_xml(tree) if offsets.exists(tree) else None
-        fields_of = _Fields(path, tree)
+        fields_of = SicdFields(path, tree)
         _check(path, known)
         return Sicd(
             path,
@@ -229,7 +196,7 @@ def _check(path: Path, known: MetadataParams) -> None:
         value = getattr(known, item.name)
         if value is None and not any(word in str(item.type) for word in optional):
             raise SarsplatError(f"{path} has no {item.name} (in sarkit's words) in its metadata; get it again")
-        if isinstance(value, int | float | np.ndarray) and not np.all(np.abs(value) <= _FARTHEST):  # also NaN
+        if isinstance(value, int | float | np.ndarray) and not np.all(np.abs(value) <= FARTHEST):  # also NaN
             told = shown(np.asarray(value).tolist())
             raise SarsplatError(f"{path} has the impossible {item.name} {told} in its metadata; get it again")
     for name in ("NumRows", "NumCols"):
@@ -246,85 +213,3 @@ def _check(path: Path, known: MetadataParams) -> None:
             f"{path} says that its radar looks to side {shown(known.SideOfTrack)} of its track, but its position and "
             f"velocity are those of a {'left' if left else 'right'}-looking one; get it again"
         )
-
-
-class _Fields:
-    """Single fields of the XML."""
-
-    def __init__(self, path: Path, tree: Any) -> None:
-        from sarkit.sicd import XmlHelper
-
-        self._path, self._tree, self._helper = path, tree, XmlHelper(tree)
-
-    def _load(self, name: str) -> Any:
-        return self._helper.load("/".join("{*}" + part for part in name.split("/")))
-
-    def _text(self, name: str) -> str:
-        text = self._tree.findtext("/".join("{*}" + part for part in name.split("/"))) or ""
-        return "".join(letter if letter.isprintable() else "?" for letter in text.strip())[:80]
-
-    def _number(self, name: str, least: float, most: float) -> float:
-        value = self._load(name)
-        if not isinstance(value, int | float) or not least <= value <= most:  # also catches NaN
-            raise SarsplatError(
-                f"{self._path} has {shown(value)} as {name}; it must be a number from {least:g} to {most:g}, so get it "
-                "again"
-            )
-        return float(value)
-
-    def polynomial(self, name: str) -> Float64[np.ndarray, "m n"] | None:
-        """A polynomial in two variables; None where there is none."""
-        value = self._load(name)
-        if value is not None and not np.all(np.abs(value) <= _FARTHEST):
-            raise SarsplatError(f"{self._path} has a polynomial {name} that is not finite; get it again")
-        return value
-
-    def axis(self, name: str) -> Axis:
-        """Rows (`Row`) or columns (`Col`)."""
-        carrier = self.polynomial(f"Grid/{name}/DeltaKCOAPoly")
-        window = self._text(f"Grid/{name}/WgtType/WindowName")
-        sign = self._load(f"Grid/{name}/Sgn")
-        if sign not in (1, -1):
-            raise SarsplatError(f"{self._path} has {shown(sign)} as Grid/{name}/Sgn; it must be 1 or -1")
-        return Axis(
-            self._number(f"Grid/{name}/SS", 1e-4, 1e4),
-            self._number(f"Grid/{name}/ImpRespWid", 1e-4, 1e4),
-            self._number(f"Grid/{name}/ImpRespBW", 1e-5, 1e4),
-            sign,
-            np.zeros((1, 1)) if carrier is None else carrier,
-            "" if window == "UNKNOWN" else window,
-        )
-
-    def pixel_type(self) -> str:
-        """One of those that sarkit knows."""
-        from sarkit.sicd import PIXEL_TYPES
-
-        name = self._text("ImageData/PixelType")
-        if name not in PIXEL_TYPES:
-            raise SarsplatError(f"{self._path} has pixels of type {shown(name)}; give {', '.join(PIXEL_TYPES)}")
-        return name
-
-    def amplitudes(self) -> Float64[np.ndarray, " 256"] | None:
-        """The table of amplitudes, if there is one."""
-        element = self._tree.find("{*}ImageData/{*}AmpTable")
-        if element is None:
-            return None
-        table = np.full(256, math.nan)
-        for item in element:
-            index = item.get("index") or ""
-            if index.isascii() and index.isdigit() and int(index[:9]) < len(table):
-                table[int(index)] = float(item.text)
-        if not np.all((table >= 0) & (table <= _LARGEST)):
-            raise SarsplatError(f"{self._path} has a table of amplitudes that is not 256 numbers ≥ 0; get it again")
-        return table
-
-    def collection(self) -> dict[str, str]:
-        """Who took it, when and how."""
-        names = {
-            "sensor": "CollectionInfo/CollectorName",
-            "collection": "CollectionInfo/CoreName",
-            "mode": "CollectionInfo/RadarMode/ModeType",
-            "start": "Timeline/CollectStart",
-            "polarization": "ImageFormation/TxRcvPolarizationProc",
-        }
-        return {key: text for key, name in names.items() if (text := self._text(name))}
