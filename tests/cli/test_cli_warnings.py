@@ -50,7 +50,7 @@ def test_importing_counts_what_lacks_labels(chips: Path, capsys: pytest.CaptureF
     assert "has no label for 1 JPEG" in lines[0]
     assert "empty fields for 1 of 6 chips (the first: target_az_deg in line 7)" in lines[1]
     assert "one training view (azimuth 0°)" in lines[2]
-    assert "5 chips of T72 (1 train, 4 test-17)" in told.out
+    assert "5 views (1 train, 4 test-17)" in told.out
     assert len(read_dataset(chips / "out").views) == 5
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +9,7 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import Angles, Folder, OptionalFile, OptionalName, angles, refuse_existing
+from sarsplat.cli.imported import finish
 from sarsplat.errors import SarsplatError
 
 
@@ -61,7 +61,6 @@ def import_mstar(
     """
     from sarsplat.data import import_mstar as read_chips
     from sarsplat.data.dataset_folder import HEADER
-    from sarsplat.errors import counted
 
     refuse_existing(out, overwrite, marker=HEADER)
     with console.busy(f"reading chips from {chips}"):
@@ -78,12 +77,7 @@ def import_mstar(
             mirrored=mirrored,
             overwrite=overwrite,
         )
-    counts = ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits())
-    console.finish(
-        f"{out}: {counted(len(dataset), 'chip')} of {target_class} ({counts}); relative power, mean 1 over the "
-        "training set",
-        f"sarsplat reconstruct {shlex.quote(str(out))} --out {shlex.quote(f'{out}-run')}",
-    )
+    finish(out, dataset)
 
 
 def _whole(angle: float) -> int:

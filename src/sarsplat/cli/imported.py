@@ -18,7 +18,7 @@ def finish(out: Path, dataset: Dataset) -> None:
     from sarsplat.importers import ready
     from sarsplat.reconstruction.contradictions import examine
 
-    for assumption in dataset.source["assumptions"]:
+    for assumption in dataset.source.get("assumptions", ()):
         console.say(f"assumed: {assumption}")
     for contradiction in examine(dataset).contradictions:
         console.warn(contradiction)
