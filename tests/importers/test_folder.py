@@ -11,10 +11,11 @@ import tifffile
 from PIL import Image
 
 from sarsplat.cli import main
-from sarsplat.data import Dataset, read_dataset
+from sarsplat.data import Dataset, import_mstar, read_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.importers import import_folder
 
+MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
 AZIMUTHS = (0.0, 90.0, 180.0, 270.0)
 POWER = np.random.default_rng(0).gamma(1.0, size=(4, 20, 26)).astype(np.float32) + 0.1
 PHASE = np.random.default_rng(1).uniform(0, 2 * np.pi, POWER.shape)
@@ -201,3 +202,29 @@ def test_the_command_draws_a_preview_and_says_what_it_took(tmp_path, capsys):
     assert main([*words, "--overwrite"]) == 0  # the preview is ours, and replaced with the rest
     assert main([*words, "--overwrite", "--columns", "az"]) == 2
     assert "'az' is not of the form MEANING=NAME" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured MSTAR chips are not here")
+@pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")
+def test_measured_chips_are_as_their_own_importer_has_them(tmp_path):
+    with (MEASURED / "labels.csv").open() as file:
+        rows = list(csv.reader(file))
+    chosen = [row for row in rows[1:] if row[1:3] == ["T72", "132"] and row[4] == "17"][::40]
+    with (tmp_path / "labels.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([rows[0], *chosen])
+    shared = {"train_views": len(chosen), "overwrite": True}
+    own = import_mstar(MEASURED, tmp_path / "a", labels=tmp_path / "labels.csv", target_class="T72", **shared)
+    made = import_folder(
+        MEASURED,
+        tmp_path / "b",
+        table=tmp_path / "labels.csv",
+        columns={"az": "target_az_deg"},
+        near="bottom",
+        counter_clockwise=True,
+        spacing_m=own.grid.spacing_m,
+        resolution_m=own.grid.resolution_m,
+        **shared,
+    )
+    order = [[entry.name for entry in made.entries].index(entry.name) for entry in own.entries]
+    assert made.take(order).views == own.views
+    assert np.corrcoef(made.power[order].ravel(), own.power.ravel())[0, 1] > 0.999999  # but for what was zero

@@ -115,7 +115,7 @@ def import_folder(
             pixels, guessed, str(picture.path), _either(picture.scale, scale), _either(picture.offset, offset)
         )
         turn = -picture.azimuth_deg if counter_clockwise else picture.azimuth_deg
-        view = _view(listed.path, picture, azimuth_offset_deg + turn, grazing_deg)
+        view = _view(listed.path, picture, (azimuth_offset_deg + turn) % 360, grazing_deg)
         slant = math.cos(math.radians(view.grazing_deg)) if ground_range else 1.0
         spacing = _lengths(listed.path, picture, "spacing", spacing_m, slant)
         known = resolution_m is not None or any(picture.resolution_m)
