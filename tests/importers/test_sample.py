@@ -6,8 +6,8 @@ import shutil
 
 import numpy as np
 import pytest
-from sample_files import write_sample
 
+from sample_files import write_sample
 from sarsplat.cli import main
 from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning

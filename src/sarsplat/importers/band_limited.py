@@ -7,13 +7,17 @@ and suppresses its repetitions; the more an image is oversampled, the shorter it
 from __future__ import annotations
 
 import math
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Complex64, Float64
 
+Pixels = TypeVar("Pixels", bound=np.ndarray)
+
 _SUPPRESSION_DB = 100.0  # of the repetitions of the band
 _FEWEST, _MOST = 8, 64  # pixels that one interpolated value is made of, along one axis
 _BLOCK = 1 << 14  # values interpolated at a time
+_USUALLY_OCCUPIED = 1 / 1.2  # share of the sampled band that radars fill at most
 
 
 def taps(occupied: float) -> int:
@@ -66,6 +70,36 @@ def interpolate(
             total += along_rows[i] * line
         made[block] = total
     return made
+
+
+def resample(pixels: Pixels, rows: Float64[np.ndarray, " m"], columns: Float64[np.ndarray, " n"]) -> Pixels:
+    """An image on another lattice that is parallel to its own; beyond its edge there is nothing.
+
+    Parameters
+    ----------
+    pixels : numpy.ndarray [rows, columns]
+        Its band must be centred at zero. Of power, which has twice the band of the signal, the result is not quite that
+        of the signal's.
+    rows, columns : numpy.ndarray, float64 [m], [n]
+        Where to sample it, in pixels from the centre of its first one; not more coarsely than it is sampled.
+
+    Returns
+    -------
+    numpy.ndarray [m, n]
+        Of the type of `pixels`.
+    """
+    height, width = pixels.shape
+    sampled = _matrix(rows, height) @ pixels.astype(np.result_type(pixels, np.float64)) @ _matrix(columns, width).T
+    return sampled.astype(pixels.dtype)
+
+
+def _matrix(places: Float64[np.ndarray, " m"], size: int) -> Float64[np.ndarray, "m {size}"]:
+    """What each of `size` pixels contributes to each place."""
+    count = taps(_USUALLY_OCCUPIED)
+    first, weights = _weights(places, count, size)
+    matrix = np.zeros((len(places), size + 4 * count))  # wide enough for what lies beyond the edges
+    matrix[np.arange(len(places))[:, None], 2 * count + first[:, None] + np.arange(count)] = weights.T
+    return matrix[:, 2 * count : 2 * count + size]
 
 
 def _weights(place: Float64[np.ndarray, " n"], count: int, size: int) -> tuple[np.ndarray, np.ndarray]:

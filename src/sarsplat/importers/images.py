@@ -21,7 +21,7 @@ from sarsplat.data.image import power_of
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.importers.resampling import resample
+from sarsplat.importers.band_limited import resample
 
 _SAME = 1e-3
 """Relative difference of lengths that are meant to be the same."""

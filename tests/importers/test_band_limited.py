@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sarsplat.importers.resampling import resample
+from sarsplat.importers.band_limited import resample
 
 
 @pytest.mark.parametrize("oversampling", [1.2, 1.5, 3.0])
