@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from sarsplat import ScatteringLaw, simulate_raycast
+from sarsplat import ScatteringLaw, preset, simulate_raycast
 from sarsplat.data import Dataset, DatasetEntry, write_dataset
 from sarsplat.geometry import ImageGrid, View
+
+FEW_POINTS = replace(preset("default").points, voxel=0.3, rays_per_pixel=2.0)
+"""Of small targets: points and their normals would otherwise take ten times as long as a short training."""
 
 SMALL = ImageGrid(16, 12, (0.3, 0.3), (0.4, 0.4))
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from datasets import FEW_POINTS
 from sarsplat import Dataset, ImageGrid, SarImage, View, preset, reconstruct, simulate_images, write_dataset
 from sarsplat.cli import main
 from sarsplat.cli.parser import COMMANDS, parse
@@ -73,7 +74,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mesh = target_mesh("t72")
     images = [SarImage(power, view, grid) for power, view in zip(simulate_images(mesh, views, grid), views)]
     dataset = write_dataset(folder / "t72", Dataset.from_images(images, target="t72"))
-    few = replace(preset("quick"), iterations=20, gaussians=400)
+    few = replace(preset("quick"), iterations=20, gaussians=400, points=FEW_POINTS)
     reconstruct(dataset, few, folder / "t72-run", quiet=True)
     return folder
 

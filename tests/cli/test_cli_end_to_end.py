@@ -35,7 +35,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     simulate = ["simulate", "--mesh", str(folder / "box.obj"), "--out", str(folder / "dataset")]
     simulate += ["--azimuth", "0:360:90", "--grazing", "30", "60", "--test-azimuth", "0:360:45", "--pixels", "32"]
     assert main(simulate) == 0
-    few = ["--iterations", "4", "--points.voxel", "0.25"]
+    few = ["--iterations", "4", "--points.voxel", "0.3", "--points.rays-per-pixel", "2"]
     assert main(["reconstruct", str(folder / "dataset"), "--out", str(folder / "run"), *few]) == 0
     with few_samples():
         assert main(["evaluate", str(folder / "run")]) == 0

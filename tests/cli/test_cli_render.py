@@ -25,7 +25,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     box.export(folder / "box.obj")
     simulate = ["simulate", "--mesh", str(folder / "box.obj"), "--out", str(folder / "dataset"), "--pixels", "32"]
     assert main([*simulate, "--azimuth", "10:370:90", "--grazing", "30", "60"]) == 0
-    assert main(["reconstruct", str(folder / "dataset"), "--out", str(folder / "run"), "--iterations", "4"]) == 0
+    few = ["--iterations", "4", "--points.voxel", "0.3", "--points.rays-per-pixel", "2"]
+    assert main(["reconstruct", str(folder / "dataset"), "--out", str(folder / "run"), *few]) == 0
     return folder / "run"
 
 

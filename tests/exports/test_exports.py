@@ -11,7 +11,7 @@ import pytest
 import torch
 import trimesh
 
-from datasets import box_dataset
+from datasets import FEW_POINTS, box_dataset
 from sarsplat import Dataset, ImageGrid
 from sarsplat.data import read_gaussians_ply
 from sarsplat.errors import SarsplatError
@@ -27,8 +27,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.fixture(scope="module")
 def run(dataset: Dataset) -> Run:
-    quick = preset("quick")
-    few = replace(quick, iterations=25, gaussians=600, points=replace(quick.points, voxel=0.25))
+    few = replace(preset("quick"), iterations=25, gaussians=600, points=FEW_POINTS)
     return reconstruct(dataset, few, quiet=True)
 
 

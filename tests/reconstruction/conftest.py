@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from datasets import box_dataset
+from datasets import FEW_POINTS, box_dataset
 from sarsplat import Dataset, ImageGrid, Run, preset, reconstruct
 from sarsplat.reconstruction import Config
 
@@ -20,7 +20,8 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.fixture(scope="session")
 def config() -> Config:
-    return replace(preset("default"), iterations=60, gaussians=600, harmonics_every=20, checkpoint_every=20)
+    short = {"iterations": 60, "gaussians": 600, "harmonics_every": 20, "checkpoint_every": 20}
+    return replace(preset("default"), **short, points=FEW_POINTS)
 
 
 @pytest.fixture(scope="session")

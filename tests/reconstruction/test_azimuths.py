@@ -12,7 +12,7 @@ import pytest
 import torch
 from jaxtyping import Float64
 
-from datasets import dataset_of
+from datasets import FEW_POINTS, dataset_of
 from sarsplat import Dataset, ImageGrid, Run, View, preset, reconstruct, simulate_images
 from sarsplat.data import load_checkpoint, save_checkpoint
 from sarsplat.errors import SarsplatError
@@ -24,7 +24,8 @@ pytest.importorskip("embreex")
 
 GRID = ImageGrid(48, 48, (0.25, 0.25), (0.3, 0.3))
 STD_DEG = 3.0
-CONFIG = replace(preset("measured"), iterations=90, gaussians=1000, harmonics_every=30, checkpoint_every=40)
+SHORT = {"iterations": 90, "gaussians": 1000, "harmonics_every": 30, "checkpoint_every": 40}
+CONFIG = replace(preset("measured"), **SHORT, points=FEW_POINTS)
 AROUND = np.arange(0, 360, 20)
 
 

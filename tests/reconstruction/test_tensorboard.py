@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import dataset_of
+from datasets import FEW_POINTS, dataset_of
 from sarsplat.cli import main
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.errors import SarsplatError
@@ -23,7 +23,8 @@ pytest.importorskip("tensorboard")
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 GRID = ImageGrid(16, 14, (0.3, 0.3), (0.4, 0.4))
-CONFIG: Config = replace(preset("quick"), gaussians=40, iterations=12, checkpoint_every=6, scattering_penalty=0.1)
+SHORT = {"gaussians": 40, "iterations": 12, "checkpoint_every": 6}
+CONFIG: Config = replace(preset("quick"), **SHORT, scattering_penalty=0.1, points=FEW_POINTS)
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from datasets import box_dataset
+from datasets import FEW_POINTS, box_dataset
 from sarsplat import Dataset, ImageGrid, Run, preset, reconstruct
 from sarsplat.reconstruction import Config
 
@@ -21,7 +21,8 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.fixture(scope="session")
 def config() -> Config:
-    return replace(preset("default"), iterations=40, gaussians=600, harmonics_every=10, checkpoint_every=1000)
+    short = {"iterations": 40, "gaussians": 600, "harmonics_every": 10, "checkpoint_every": 1000}
+    return replace(preset("default"), **short, points=FEW_POINTS)
 
 
 @pytest.fixture(scope="session")
