@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 import statistics
 from collections.abc import Mapping, Sequence
@@ -14,6 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from jaxtyping import Bool
 from matplotlib.figure import Figure
+from rival_runs import scores_of, write_runs
 from summary import METRIC
 
 from sarsplat.data import write_bytes
@@ -53,19 +52,19 @@ Python and its libraries included. Points are held against the visible surface; 
 procedural model of a T-72, brought onto it by a small motion."""
 
 
-def write(comparison: Comparison, out: Path) -> Path:
-    """Write the page as far as it is finished, with its pictures.
+def write(comparison: Comparison) -> Path:
+    """Write the page as far as it is finished, with its pictures; those that need what another machine has stay.
 
     Parameters
     ----------
     comparison : Comparison
         What was done.
-    out : Path
-        Folder of results; made if missing.
     """
+    out = comparison.out
     out.mkdir(parents=True, exist_ok=True)
     parts = [f"# Rivals\n\n{_ABOUT}\n{_unfinished(comparison)}"]
     curves: dict[str, list[tuple[str, list[tuple[float, float]]]]] = {}
+    all_here = True
     for images in comparison.sets:
         bouts = [*comparison.bouts(images)]
         rows = [_row(bout, comparison) for bout in bouts]
@@ -77,12 +76,16 @@ def write(comparison: Comparison, out: Path) -> Path:
         parts += [f"\n–: {text}\n" for text in _missing(keys, known)]
         if lines := _lines(bouts, comparison, keys):
             curves[images.name] = lines
-        if drawn := _pictures(bouts, comparison):
-            name = f"rivals-{'-'.join(re.findall(r'[a-z0-9]+', images.name.lower()))}.png"
+        name = f"rivals-{'-'.join(re.findall(r'[a-z0-9]+', images.name.lower()))}.png"
+        here = all(comparison.is_here(bout.cells[0]) for bout, row in zip(bouts, rows, strict=True) if row)
+        all_here = all_here and here
+        if here and (drawn := _pictures(bouts, comparison)):
             _save(drawn, out / name)
+        if (out / name).is_file():
             parts.append(f"\n![Two unseen images and the points of every method]({name})\n")
-    if curves:
+    if curves and all_here:
         _save(_against_time(curves), out / "rivals.png")
+    if (out / "rivals.png").is_file():
         parts.append(
             "\n## Quality against time\n\nThe first seed, scored on a quarter of the unseen images as it trains (the "
             "learning rate is then that of the full training), and at its end.\n\n![Quality against time](rivals.png)\n"
@@ -91,7 +94,7 @@ def write(comparison: Comparison, out: Path) -> Path:
         f"\n{NOT_THE_SAME_EXPERIMENT}\n\nEvery training with all its scores: "
         f"[rivals-runs.csv](rivals-runs.csv). Written by `make rivals` from code version {comparison.code}.\n"
     )
-    write_bytes(out / "rivals-runs.csv", _runs(comparison).encode())
+    write_runs(comparison)
     page = out / "rivals.md"
     write_bytes(page, "".join(parts).encode())
     return page
@@ -108,20 +111,11 @@ def _unfinished(comparison: Comparison) -> str:
     )
 
 
-def _scores(found: Mapping[str, Any]) -> dict[str, float]:
-    """Of one cell, by key: the mean over its test sets, and of the points against the visible surface."""
-    sets = found["images"].values()
-    keys = {key for scores in sets for key in scores}
-    scores = {key: statistics.fmean(values) for key in keys if None not in (values := [scores[key] for scores in sets])}
-    points = {key: value for key, value in found["points"]["visible"].items() if value is not None}
-    return {**scores, **points}
-
-
 def _row(bout: Bout, comparison: Comparison) -> dict[str, Any] | None:
     found = [one for cell in bout.cells if (one := comparison.read(cell)) is not None]
     if not found:
         return None
-    scores = [_scores(one) for one in found]
+    scores = [scores_of(one) for one in found]
     budget = "" if bout.contender.method == "sar-gs" else ", in our time" if bout.equal else ", full"
     if bout.contender.seconds is not None and not bout.equal and not bout.cells[0].quick:
         budget = f", stopped after {bout.contender.seconds / 60:.0f} min"
@@ -158,31 +152,12 @@ def _found(keys: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
 def _missing(keys: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Why rows lack scores: each reason that the evaluation gave, and who lacks which scores for it."""
     lacking: dict[str, list[str]] = {}
-    for row in rows:
+    for row in (row for row in rows if row["reasons"]):  # there are none of what was done elsewhere
         for key in (key for key in keys if key not in row["scores"]):
             reason = next((text for name, text in row["reasons"].items() if name.endswith(f".{key}")), "not known")
             reason = re.sub(r"\d+ of \d+ scored pixels", "some scored pixels", reason)  # alike for all test sets
             lacking.setdefault(reason, []).append(f"{row['name']}: {METRIC[key].label}")
     return [f"{reason} ({'; '.join(who)})." for reason, who in lacking.items()]
-
-
-def _runs(comparison: Comparison) -> str:
-    """Every finished training, a line each, as CSV."""
-    lines = []
-    for images in comparison.sets:
-        for bout in comparison.bouts(images):
-            for cell in bout.cells:
-                if (one := comparison.read(cell)) is not None:
-                    budget = "in our time" if bout.equal else "stopped" if cell.seconds else "full"
-                    about = {"set": images.name, "method": bout.contender.title, "budget": budget, "seed": cell.seed}
-                    cost = {"steps": one["iterations"], "time_s": one["time_s"], "peak_bytes": one["peak_bytes"]}
-                    lines.append({**about, **cost, **_scores(one)})
-    heads = list(dict.fromkeys(name for line in lines for name in line))
-    with io.StringIO(newline="") as file:
-        table = csv.DictWriter(file, heads, lineterminator="\n")
-        table.writeheader()
-        table.writerows(lines)
-        return file.getvalue()
 
 
 def _spread(values: Sequence[float], digits: int) -> str:
@@ -226,8 +201,8 @@ def _lines(
     for bout in bouts:
         found = comparison.read(bout.cells[0])
         if found is not None:
-            points = [(point["seconds"], _scores(point)) for point in found["curve"]]
-            points.append((found["time_s"], _scores(found)))
+            points = [(point["seconds"], scores_of(point)) for point in found["curve"]]
+            points.append((found["time_s"], scores_of(found)))
             title = bout.contender.title + ", in our time" * bout.equal
             lines.append((title, [(seconds, scores[key]) for seconds, scores in points if key in scores]))
     return lines if any(len(points) > 1 for _, points in lines) else []

@@ -3,9 +3,9 @@
     python experiments/rivals.py [--quick] [--chips CHIPS --labels LABELS --masks MASKS] [--seeds 0 1 2] [--only WORDS]
 
 Vehicles are simulated; measured chips are taken if their folders are given. Every training has one thread, and its time
-is that of one core, so that times compare whatever else runs. Finished ones stay in runs/rivals: end it at any time and
-start it again. Tables and pictures go to docs/results/rivals.md, or with --quick, which only shows that everything
-works, to runs/rivals/quick.
+is that of one core, so that times compare whatever else runs. Tables and pictures go to docs/results/rivals.md, or with
+--quick, which only shows that everything works, to runs/rivals/quick. Finished trainings stay in runs/rivals and beside
+the page, in rivals-runs.csv: end it at any time and start it again, here or, with the same code, on another machine.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the command line does,
 from code_version import code_version
 from rival_cell import Bench, Images, RivalCell
 from rival_page import write
+from rival_runs import read_runs
 
 from sarsplat.errors import SarsplatError
 from sarsplat.reconstruction.config import OURS
@@ -93,9 +94,12 @@ class Bout:
 class Comparison:
     """All cells of all sets; those in our time are known once ours are finished."""
 
-    def __init__(self, sets: Sequence[Images], curves: Sequence[str], seeds: Sequence[int], work: Path, small: bool):
-        self.sets, self.seeds, self.work = sets, seeds, work
+    def __init__(
+        self, sets: Sequence[Images], curves: Sequence[str], seeds: Sequence[int], work: Path, out: Path, small: bool
+    ):
+        self.sets, self.seeds, self.work, self.out = sets, seeds, work, out
         self._curves, self._small, self.code = curves, small, code_version()
+        self._elsewhere = read_runs(out)
 
     def bouts(self, images: Images) -> Iterator[Bout]:
         """Of one set: ours, then each rival in our time and at its own budget."""
@@ -120,9 +124,13 @@ class Comparison:
         return RivalCell(images, contender.method, contender.changes, contender.seconds, seed, curve)
 
     def read(self, cell: RivalCell) -> dict[str, Any] | None:
-        """What came of a cell, if it is finished."""
+        """What came of a cell, if it is finished; done on another machine, it lacks what only pictures need."""
         path = cell.path(self.work, self.code)
-        return json.loads(path.read_bytes()) if path.is_file() else None
+        return json.loads(path.read_bytes()) if path.is_file() else self._elsewhere.get(path.stem)
+
+    def is_here(self, cell: RivalCell) -> bool:
+        """Whether all that came of a cell is on this machine."""
+        return cell.path(self.work, self.code).is_file()
 
     def run(self, processes: int) -> list[str]:
         """Do what is missing, seed after seed, so that every table is there early; returns what failed."""
@@ -204,7 +212,8 @@ def main() -> int:
         print("measured chips are left out: give --chips, --labels and --masks")
     curves = [images.name for images in sets if images.name.startswith(("t72, by ray", "T72, 36"))]
     work = options.work
-    comparison = Comparison(sets, curves, options.seeds[:1] if quick else options.seeds, work, quick)
+    out = work / "quick" if quick else HERE / "docs" / "results"
+    comparison = Comparison(sets, curves, options.seeds[:1] if quick else options.seeds, work, out, quick)
     chosen = [images for images in sets if options.only in images.name]
     failed: list[str] = []
     try:
@@ -212,7 +221,7 @@ def main() -> int:
             comparison.sets = chosen
             failed = comparison.run(options.processes)
             comparison.sets = sets
-        page = write(comparison, work / "quick" if quick else HERE / "docs" / "results")
+        page = write(comparison)
     except (SarsplatError, KeyboardInterrupt) as stopped:
         print(f"{str(stopped) or 'stopped'}; what is finished is kept", file=sys.stderr)
         return 2

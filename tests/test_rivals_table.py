@@ -36,7 +36,7 @@ def finished(comparison, cell, psnr: float, time_s: float) -> None:
         "reasons": {"images.test.lpips": "no LPIPS weights", "points.visible.f1@0.1": "no mesh"},
         "time_s": time_s,
         "iterations": 100,
-        "peak_bytes": 5e8,
+        "peak_bytes": 500_000_000,
         "curve": [{"seconds": time_s / 2, "images": {"test": scores}, "points": {"visible": points}}],
     }
     path.write_text(json.dumps(found))
@@ -46,7 +46,7 @@ def finished(comparison, cell, psnr: float, time_s: float) -> None:
 
 def test_the_page_says_what_is_finished(rivals, tmp_path):
     images = rivals.simulated("btr70", "raycast", small=False)
-    comparison = rivals.Comparison([images], [images.name], [0, 1], tmp_path, small=False)
+    comparison = rivals.Comparison([images], [images.name], [0, 1], tmp_path, tmp_path / "out", small=False)
     ours, *_ = comparison.bouts(images)
     for cell, psnr in zip(ours.cells, (40.0, 42.0), strict=True):
         finished(comparison, cell, psnr, 50.0)
@@ -56,7 +56,7 @@ def test_the_page_says_what_is_finished(rivals, tmp_path):
     assert [cell.seconds for cell in equal.cells] == [50.0, 50.0]
     finished(comparison, equal.cells[0], 30.0, 49.0)
 
-    rivals.write(comparison, tmp_path / "out")
+    rivals.write(comparison)
     page = (tmp_path / "out" / "rivals.md").read_text()
     assert "| sarsplat | 41.00 ± 1.41 | 33.00 ± 1.41 | 0.9000 ± 0.0000 | – | 0.200 ± 0.000 |" in page
     assert "| SAR-NeRF on a grid, sound, in our time | 30.00 | 22.00 |" in page
@@ -74,7 +74,7 @@ def test_the_page_says_what_is_finished(rivals, tmp_path):
     assert "**Not complete:** 3 of at least 18 trainings are finished" in page
     assert "A rival is the best" not in page
     finished(comparison, equal.cells[0], 43.0, 49.0)
-    rivals.write(comparison, tmp_path / "out")
+    rivals.write(comparison)
     page = (tmp_path / "out" / "rivals.md").read_text()
     assert "A rival is the best in: PSNR, whole image (SAR-NeRF on a grid, sound, in our time); " in page
     for name in re.findall(r"!\[.*?\]\((.*?)\)", page):
@@ -82,9 +82,32 @@ def test_the_page_says_what_is_finished(rivals, tmp_path):
     assert (tmp_path / "out" / "rivals.png").is_file()
 
 
+def test_what_another_machine_finished_counts_too(rivals, tmp_path):
+    images = rivals.simulated("btr70", "raycast", small=False)
+
+    def comparison(machine: str):
+        return rivals.Comparison([images], [], [0, 1], tmp_path / machine, tmp_path / "out", small=False)
+
+    first = comparison("first")
+    ours, *_ = first.bouts(images)
+    finished(first, ours.cells[0], 40.0, 50.0)
+    rivals.write(first)
+    picture = (tmp_path / "out" / "rivals-btr70-by-ray-casting.png").read_bytes()
+    second = comparison("second")
+    ours, equal, *_ = second.bouts(images)
+    assert (second.is_here(ours.cells[0]), second.read(ours.cells[1])) == (False, None)
+    assert equal.cells[0].seconds == 50.0
+    finished(second, ours.cells[1], 42.0, 55.0)
+    finished(second, equal.cells[0], 30.0, 49.0)
+    page = rivals.write(second).read_text()
+    assert "| sarsplat | 41.00 ± 1.41 | 33.00 ± 1.41 |" in page
+    assert (tmp_path / "out" / "rivals-btr70-by-ray-casting.png").read_bytes() == picture
+    assert "](rivals-btr70-by-ray-casting.png)" in page
+
+
 def test_what_is_finished_is_not_done_again(rivals, tmp_path, monkeypatch):
     images = rivals.simulated("t72", "raycast", small=True)
-    comparison = rivals.Comparison([images], [], [0], tmp_path, small=True)
+    comparison = rivals.Comparison([images], [], [0], tmp_path, tmp_path / "out", small=True)
     monkeypatch.setattr(rivals, "Bench", lambda *arguments: type("Made", (), {"masks": tmp_path}))
     asked = []
 
