@@ -21,6 +21,7 @@ from sarsplat.cli.arguments import views_from
 from sarsplat.cli.simulate import simulate
 from sarsplat.evaluation import Yardstick, all_metrics, paper_scores
 from sarsplat.reconstruction import preset
+from scoring import few_samples
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 MODULES = ("catalogue", "cell", "code_version", "draw", "finding", "runner", "summary", "tables", "write")
@@ -272,15 +273,13 @@ def test_a_refused_cell_is_one_sentence(made, tmp_path):
     assert done.stderr.count("\n") == 1
 
 
-def test_a_whole_cell(made, tmp_path, monkeypatch):
+def test_a_whole_cell(made, tmp_path):
     pytest.importorskip("embreex")
-    import sarsplat.evaluation.evaluate as evaluate
-
-    monkeypatch.setattr(evaluate, "visible_surface", partial(evaluate.visible_surface, samples=2000))
     views = {"azimuth": ("0:360:120",), "grazing": ("45",), "test_azimuth": ("60",)}
     cell = made.cell.Cell({"target": "t72", "pixels": 32, "spacing": 1.2, **views}, "auto", {"gaussians": 3000})
     cell = replace(cell, quick=True)
-    path = made.cell.run(cell, tmp_path)
+    with few_samples():
+        path = made.cell.run(cell, tmp_path)
     assert path == cell.path(tmp_path, made.code_version.code_version())
     found = made.summary.scores(json.loads(path.read_text()))
     assert found["psnr_db"] > 15
