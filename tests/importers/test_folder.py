@@ -204,6 +204,13 @@ def test_the_command_draws_a_preview_and_says_what_it_took(tmp_path, capsys):
     assert "'az' is not of the form MEANING=NAME" in capsys.readouterr().err
 
 
+def test_the_command_says_every_oddity_once(tmp_path, capsys):
+    folder = write(tmp_path / "in", [np.ones_like(image) for image in POWER])
+    words = ["import", "folder", str(folder), "--out", str(tmp_path / "out"), "--quantity", "power", "--spacing", "0.1"]
+    assert main(words) == 0
+    assert capsys.readouterr().err.count("images are constant") == 1
+
+
 @pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured MSTAR chips are not here")
 @pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")
 def test_measured_chips_are_as_their_own_importer_has_them(tmp_path):

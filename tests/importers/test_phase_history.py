@@ -228,11 +228,13 @@ OPTIONS = {
     "too few pixels": (["--size", "0.2"], "makes 2 pixels a side"),
     "too many pixels": (["--size", "4", "--spacing", "1e-4"], "makes 40000 pixels a side"),
     "no size": (["--size", "nan"], "makes 0 pixels a side"),
+    "endless": (["--size", "inf"], "makes inf pixels a side"),
     "too wide": (["--size", "4", "--aperture", "9"], "an aperture of 9° is more than the 2.11°"),
     "no aperture": (["--size", "4", "--aperture", "0"], "an aperture of 0° is not possible"),
     "too narrow": (["--size", "4", "--aperture", "0.05"], "holds 0 of 20 pulses"),
     "no place": (["--size", "4", "--around", "here"], "--around 'here' is no place"),
-    "too many views": (["--size", "2", "--train-views", "2"], "2 training views were asked for"),
+    "beyond the world": (["--size", "4", "--around", "1e308,0"], "must be metres from the scene centre, at most 1e+08"),
+    "too many views": (["--size", "2", "--train-views", "2"], "2 training views asked for"),
 }  # fmt: skip
 
 
@@ -245,6 +247,12 @@ def test_bad_options(tmp_path, name, capsys):
     assert told in complaint
     assert complaint.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["a.mat"]
+
+
+def test_the_same_file_twice(tmp_path):
+    path = write(tmp_path / "a.mat", GOOD)
+    with pytest.raises(SarsplatError, match=r"a\.mat is given twice; give each file once"):
+        import_phase_history([path, path], tmp_path / "out", size_m=4)
 
 
 def test_the_command(files, tmp_path, capsys):

@@ -126,6 +126,11 @@ def test_numbers_that_do_not_fit(pixels, quantity, words):
         power_or_signal(pixels, quantity, "it")
 
 
+def test_a_scale_that_is_to_blame_is_named():
+    with pytest.raises(SarsplatError, match=r"at \(0, 0\), times nan plus 0, as power"):
+        power_or_signal(REAL, "power", "it", scale=float("nan"))
+
+
 def test_real_numbers_may_be_anything():
     with pytest.raises(SarsplatError, match=r"it holds float32 numbers, .* --quantity"):
         likely_quantity(REAL, "it")
@@ -166,6 +171,7 @@ def tiff_of(pixels: np.ndarray, **options) -> bytes:
         ("a.tif", tiff_of(REAL)[:100], "not a readable TIFF"),
         ("a.npy", b"no", "not a NumPy file"),
         ("a.npy", npy("{'descr': '<f4', 'fortran_order': False, 'shape': (90000, 90000)}"), "not a readable array"),
+        ("a.tif", b"II*\0" + bytes(4), "no image in it"),
         ("a.npy", npy("{'descr': '|O', 'fortran_order': False, 'shape': (2, 2)}"), "not a readable array"),
         ("a.npy", npy("{'descr': '<f4', 'fortran_order': False, 'shape': (-1, 2)}"), "not a readable array"),
         ("a.npy", npy("{'descr': '<f4', 'fortran_order': False, 'shape': (0, 2)}"), "a.npy"),

@@ -13,7 +13,7 @@ pytest.importorskip("sarkit")
 
 from fuzz import sentence_faults, watched
 from sarsplat.cli import main
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.importers import import_sicd
 from sicds import SPOT, Recording, Track, with_xml, write_sicd, xml_of
 
@@ -26,6 +26,7 @@ PLACES = [(0.0, 0.0, 0.0), (8.0, -5.0, 0.0)]  # m east, north and above the spot
         (["--size", "48m", "--around", "47.3"], "write it as 47.3769,8.5417"),
         (["--size", "large"], "write it as 64m"),
         (["--size", "-3"], "must be positive"),
+        (["--size", "1e-9"], "give a size that makes 8 to 4096 a side"),
         (["--size", "500m"], "give a smaller size or another spot"),
         (["--size", "48m", "--around", "48,8.5"], "another spot"),
         (["--size", "48m", "--around=-47.3,-171"], "does not show the spot|below the horizon|another spot"),
@@ -44,8 +45,20 @@ def test_requests_that_cannot_be_met(tmp_path, capsys, options, told):
 
 def test_the_same_file_twice(tmp_path):
     path = write_sicd(tmp_path / "image.nitf", Track(), PLACES, Recording())
-    with pytest.raises(SarsplatError, match="given 2 times"):
-        import_sicd([path, path], tmp_path / "set", size_m=48.0)
+    (tmp_path / "other.nitf").symlink_to(path)
+    for same, told in ((path, "given twice;"), (tmp_path / "other.nitf", "given twice, also as .*image.nitf")):
+        with pytest.raises(SarsplatError, match=told):
+            import_sicd([path, same], tmp_path / "set", size_m=48.0)
+
+
+@pytest.mark.filterwarnings("ignore:the (2 )?training views")
+def test_other_polarisations_are_said(tmp_path):
+    paths = [write_sicd(tmp_path / f"{k}.nitf", Track(bearing=90 * k), PLACES, Recording()) for k in range(2)]
+    paths[1].write_bytes(changed("V:V", "H:V")(paths[1].read_bytes()))
+    with pytest.warns(SarsplatWarning, match="polarisations differ") as told:
+        made = import_sicd(paths, tmp_path / "set", size_m=20.0)
+    assert sum("polarisations" in str(one.message) for one in told) == 1
+    assert "polarisations differ (H:V, V:V), but are taken to show the same power" in made.source["assumptions"]
 
 
 def changed(old: str, new: str):

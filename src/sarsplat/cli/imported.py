@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 def finish(out: Path, dataset: Dataset) -> None:
     """Tell it, also what contradicts it, and draw a sheet on which one sees whether the images lie as they should."""
+    from sarsplat.data.plausible import warn
     from sarsplat.importers import ready
     from sarsplat.reconstruction.contradictions import examine
 
     for assumption in dataset.source.get("assumptions", ()):
         console.say(f"assumed: {assumption}")
-    for contradiction in examine(dataset).contradictions:
-        console.warn(contradiction)
+    warn(examine(dataset).contradictions)  # not what was said when the dataset was written
     try:
         _draw(out / "preview.png", dataset)
     except ModuleNotFoundError as error:

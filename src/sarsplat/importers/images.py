@@ -132,7 +132,7 @@ def dataset_of(
         pixels[zeros] = _brought_to(_LEAST_POWER * float(np.median(power[~zeros])), pixels.dtype)
         _say(
             assumptions,
-            f"{counted(int(zeros.sum()), 'pixel')} of {zeros.size} were zero, which no radar measures; they are raised "
+            f"{counted(int(zeros.sum()), 'pixel')} of {zeros.size} held zero, which no radar measures; raised "
             f"to {10 * math.log10(_LEAST_POWER):g} dB of the median power",
         )
     if calibration == "relative":
@@ -182,7 +182,8 @@ def _with_sets(images: Sequence[MeasuredImage], train_views: int | None) -> list
     if any(image.split for image in images):
         if train_views is not None:
             raise SarsplatError(
-                f"{train_views} training views were asked for, but the images name their sets; give one or the other"
+                f"{counted(train_views, 'training view')} asked for, but the images name their sets; give one or "
+                "the other"
             )
         sets = [image.split or "train" for image in images]
     elif train_views is None:
@@ -190,8 +191,8 @@ def _with_sets(images: Sequence[MeasuredImage], train_views: int | None) -> list
     else:
         if not 1 <= train_views <= len(images):
             raise SarsplatError(
-                f"{train_views} training views were asked for, but there are {counted(len(images), 'image')}; ask for "
-                f"1 to {len(images)}"
+                f"{counted(train_views, 'training view')} asked for, but there are {counted(len(images), 'image')}; "
+                f"ask for 1 to {len(images)}"
             )
         azimuths = [image.view.azimuth_deg for image in images]
         chosen = nearest_to(azimuths, even_azimuths(azimuths, train_views))

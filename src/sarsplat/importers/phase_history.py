@@ -13,7 +13,7 @@ from jaxtyping import Complex64, Float64
 from sarsplat.errors import SarsplatError
 
 SPEED_OF_LIGHT = 299_792_458.0
-_FARTHEST_M = 1e8
+FARTHEST_M = 1e8
 _LARGEST = 1e9  # no amplitude comes near it, and its square still fits into float32
 _FREQUENCIES_HZ = (1e6, 1e12)
 _LONGEST_GAP = 3
@@ -66,8 +66,8 @@ class PhaseHistory:
                 f"{self.name} has {frequencies} frequencies and {pulses} pulses; an image needs at least two of each"
             )
         for what, values, limit in (
-            ("an antenna position", self.antenna_m, _FARTHEST_M),
-            ("a reference range", self.reference_m, _FARTHEST_M),
+            ("an antenna position", self.antenna_m, FARTHEST_M),
+            ("a reference range", self.reference_m, FARTHEST_M),
             ("a sample", self.samples, _LARGEST),
         ):
             wrong = ~(np.abs(values) <= limit)  # also catches NaN

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,10 +15,11 @@ from sarsplat.data.folders import refuse_existing
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry import ImageGrid
 from sarsplat.importers.apertures import Aperture, apertures
+from sarsplat.importers.each_once import each_once
 from sarsplat.importers.focus import focus
 from sarsplat.importers.gotcha import read_gotcha
 from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
-from sarsplat.importers.phase_history import flights
+from sarsplat.importers.phase_history import FARTHEST_M, flights
 from sarsplat.importers.tapers import TAYLOR_DB, TAYLOR_NBAR, Weighting
 from sarsplat.progress import progress
 
@@ -88,14 +90,14 @@ def import_phase_history(
         If the slant plane is tilted, or the dataset looks odd (`sarsplat.data.plausible`).
     """
     refuse_existing(Path(out), overwrite, marker="dataset.json")
-    if not files:
-        raise SarsplatError("there are no files; give at least one")
     around = np.array(around_m, np.float64)
-    if not np.isfinite(around).all():
-        raise SarsplatError(f"--around {around_m} must be finite metres from the scene centre")
+    if not (np.abs(around) <= FARTHEST_M).all():  # also catches NaN
+        raise SarsplatError(
+            f"--around {around_m} must be metres from the scene centre, at most {FARTHEST_M:g}; give x, y and height"
+        )
     found = [
         aperture
-        for flight in flights([read_gotcha(path) for path in files])
+        for flight in flights([read_gotcha(path) for path in each_once(files)])
         for aperture in apertures(flight, around, aperture_deg)
     ]
     spacing = _spacing(found, weighting) if spacing_m is None else spacing_m
@@ -118,7 +120,7 @@ def _image(index: int, aperture: Aperture, size_m: float, spacing_m: float, weig
     resolution = aperture.resolution_m(weighting)
     fewest, most = _PIXELS
     pixels = size_m / spacing_m if size_m > 0 and spacing_m > 0 else 0.0  # also of NaN
-    if not fewest <= round(pixels) <= most:
+    if not (math.isfinite(pixels) and fewest <= round(pixels) <= most):
         raise SarsplatError(
             f"--size {size_m:g} with a pixel spacing of {spacing_m:.3g} m makes {pixels:.0f} pixels a side; give a "
             f"size and a --spacing that make {fewest} to {most}"

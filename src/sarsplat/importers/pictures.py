@@ -82,7 +82,8 @@ def _tiff(path: Path) -> Shaped[np.ndarray, "*shape"]:
             found = [page.aspage() for page in itertools.islice(tiff.pages, _MOST_PAGES)]
             pages = [page for page in found if not page.is_reduced]
             if len(pages) != 1:
-                raise SarsplatError(f"{path} has several pages; give one image for each file")
+                there = "several pages" if pages else "no image in it"
+                raise SarsplatError(f"{path} has {there}; give one image for each file")
             page = pages[0]
             whole, part = (math.prod(shape) * np.dtype(page.dtype).itemsize for shape in (page.shape, page.chunks))
             packed = page.compression != tifffile.COMPRESSION.NONE

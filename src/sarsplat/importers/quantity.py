@@ -70,9 +70,10 @@ def power_or_signal(
         value = value**2 if quantity == "amplitude" else value
     if not fits.all():
         place = tuple(int(index) for index in np.argwhere(~fits)[0])
+        scaled = "" if (scale, offset) == (1, 0) else f", times {scale:g} plus {offset:g},"
         raise SarsplatError(
-            f"{name} holds {shown(pixels[place].tolist())} at {place} as {quantity}; if that is what the numbers are, "
-            "cut the image or fill the gap"
+            f"{name} holds {shown(pixels[place].tolist())} at {place}{scaled} as {quantity}; if that is what the "
+            "numbers are, cut the image or fill the gap"
         )
     return value
 

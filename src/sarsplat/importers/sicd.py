@@ -7,6 +7,7 @@ interpolation of the complex pixels (`sicd_chip`; where they lie is found in `si
 from __future__ import annotations
 
 import math
+import warnings
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,13 +18,15 @@ import numpy as np
 from sarsplat.data import folders
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.dataset_folder import HEADER
-from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
+from sarsplat.importers.each_once import each_once
 from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
 from sarsplat.importers.sicd_chip import chip, resolution_of, spacing_of
 from sarsplat.importers.sicd_file import Sicd, read_sicd
 from sarsplat.importers.sicd_geometry import Layout, Spot, layout_around, spot_of_centre, spot_of_pixel
 
-_MOST_PIXELS_PER_SIDE = 4096
+_PIXELS = (8, 4096)
+"""Fewest and most on a side."""
 _LARGEST_SIZE_M = 1e5
 _LEANS = 0.05
 """m for each metre of height: what leans less is not worth a word."""
@@ -87,18 +90,19 @@ def import_sicd(
     """
     _check_installed()
     folders.refuse_existing(Path(out), overwrite, marker=HEADER)
-    paths = [Path(file) for file in files]
-    _check_request(paths, size_m, around, pixel, heading_deg)
+    paths = each_once(files)
+    _check_request(size_m, around, pixel, heading_deg)
     sicds = [read_sicd(path) for path in paths]
     spot = _spot(sicds[0], around, pixel, heading_deg)
     layouts = [layout_around(sicd, spot, size_m / 2) for sicd in sicds]
     finest = np.min([spacing_of(sicd, layout) for sicd, layout in zip(sicds, layouts, strict=True)], axis=0)
     spacing = float(finest[0]), float(finest[1])
-    columns, rows = (max(1, round(size_m / step)) for step in spacing)
-    if max(columns, rows) > _MOST_PIXELS_PER_SIDE:
+    columns, rows = (round(size_m / step) for step in spacing)
+    fewest, most = _PIXELS
+    if min(columns, rows) < fewest or max(columns, rows) > most:
         raise SarsplatError(
             f"{size_m:g} m are {columns} × {rows} pixels of {spacing[0]:.3g} m × {spacing[1]:.3g} m (azimuth × range); "
-            f"at most {_MOST_PIXELS_PER_SIDE} per side are supported, so give a smaller size"
+            f"give a size that makes {fewest} to {most} a side"
         )
     absolute = all(sicd.beta_zero is not None for sicd in sicds)
     images = [
@@ -143,17 +147,11 @@ def _check_installed() -> None:
 
 
 def _check_request(
-    paths: Sequence[Path],
     size_m: float,
     around: tuple[float, ...] | None,
     pixel: tuple[float, float] | None,
     heading_deg: float,
 ) -> None:
-    if not paths:
-        raise SarsplatError("there are no files; give at least one SICD")
-    path, times = Counter(paths).most_common(1)[0]
-    if times > 1:
-        raise SarsplatError(f"{path} is given {times} times; give each file once")
     if not 0 < size_m <= _LARGEST_SIZE_M:  # also catches NaN
         raise SarsplatError(f"the size {size_m:g} m must be positive and at most {_LARGEST_SIZE_M:g} m")
     if not abs(heading_deg) <= 360:
@@ -228,9 +226,15 @@ def _assumptions(
         f"the weighting is {', '.join(windows)}; widths of the response are those that the files state",
         "power is β⁰ by the files' own polynomials"
         if absolute
-        else f"{sum(sicd.beta_zero is None for sicd in sicds)} of {counted(len(sicds), 'file')} do not say how to get "
-        "β⁰, so power is known up to one factor, which is taken to be the same for all",
+        else "how to get β⁰ is not said by "
+        f"{sum(sicd.beta_zero is None for sicd in sicds)} of {counted(len(sicds), 'file')}, so power is known up to "
+        "one factor, which is taken to be the same for all",
     ]
+    polarizations = sorted({sicd.collection.get("polarization", "not stated") for sicd in sicds})
+    if len(polarizations) > 1:
+        text = f"polarisations differ ({', '.join(polarizations)}), but are taken to show the same power"
+        said.append(text)
+        warnings.warn(f"{text}; give files of one", SarsplatWarning, stacklevel=3)
     leaning = [(math.hypot(*layout.leaning), sicd, layout) for sicd, layout in zip(sicds, layouts, strict=True)]
     worst, sicd, layout = max(leaning, key=lambda item: item[0])
     if worst > _LEANS:
