@@ -12,7 +12,7 @@ from rich.console import Console
 from datasets import dataset_of
 from sarsplat.cli import main
 from sarsplat.cli.sky import PLAIN, PRETTY, sky_chart, symbols_for
-from sarsplat.data import write_dataset
+from sarsplat.data import Dataset, read_dataset, write_dataset
 from sarsplat.geometry import ImageGrid, View
 
 GRID = ImageGrid(8, 8, (0.3, 0.3), (0.3, 0.3))
@@ -40,6 +40,14 @@ def test_views_gap_and_chart(dataset: Path, capsys: pytest.CaptureFixture[str]) 
 
 def rows(symbols=PRETTY, train=(), test=(), width=80) -> list[str]:
     return sky_chart(train, test, width, symbols).plain.splitlines()
+
+
+def test_images_with_phase_say_so(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    power = read_dataset(dataset)
+    write_dataset(tmp_path / "complex", Dataset.of_complex(GRID, power.entries, power.power.astype(np.complex64)))
+    for path, told in ((dataset, "linear power, float32"), (tmp_path / "complex", "is β⁰, complex64")):
+        assert main(["info", str(path)]) == 0
+        assert told in capsys.readouterr().out
 
 
 def test_north_is_up_and_azimuths_go_clockwise() -> None:

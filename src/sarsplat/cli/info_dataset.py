@@ -27,6 +27,9 @@ _LISTED = 8
 _ARC = 2.5
 """Views go all around if their largest gap is no wider, in steps."""
 
+_QUANTITIES = {False: "β⁰, linear power, float32", True: "complex amplitude, whose squared magnitude is β⁰, complex64"}
+"""What pixels are, by whether their phase is known."""
+
 
 def describe_dataset(path: Path, plot: Path | None) -> None:
     """Say what is in a dataset, and draw its views as a picture if asked to.
@@ -81,7 +84,7 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
         "largest gap": f"{largest_gap(view.azimuth_deg for view in train)} (azimuths of the training views)",
         "weakest direction": str(weakest_direction(train)),
         "protocol": dataset.protocol or "none",
-        "quantity": "β⁰, linear power, float32; row 0 near range",
+        "quantity": f"{_QUANTITIES[dataset.signal is not None]}; row 0 near range",
         **_grid(dataset.grid),
         **{f"set {split}": _set(dataset.images(split)) for split in dataset.splits()},
         "truth": dataset.truth_mesh.name if dataset.truth_mesh else "no mesh",
