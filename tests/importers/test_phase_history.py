@@ -232,6 +232,7 @@ OPTIONS = {
     "too wide": (["--size", "4", "--aperture", "9"], "an aperture of 9° is more than the 2.11°"),
     "no aperture": (["--size", "4", "--aperture", "0"], "an aperture of 0° is not possible"),
     "too narrow": (["--size", "4", "--aperture", "0.05"], "holds 0 of 20 pulses"),
+    "no length": (["--size", "wide"], "--size 'wide' is no length; give metres, such as 64 or 64m"),
     "no place": (["--size", "4", "--around", "here"], "--around 'here' is no place"),
     "beyond the world": (["--size", "4", "--around", "1e308,0"], "must be metres from the scene centre, at most 1e+08"),
     "too many views": (["--size", "2", "--train-views", "2"], "2 training views asked for"),
@@ -255,8 +256,19 @@ def test_the_same_file_twice(tmp_path):
         import_phase_history([path, path], tmp_path / "out", size_m=4)
 
 
+def test_other_bands_are_refused(tmp_path):
+    wide = np.linspace(60, 62, 20)
+    paths = [
+        write(tmp_path / "a.mat", record(circle(wide), [(0, 0, 0)])),
+        write(tmp_path / "b.mat", record(circle(wide + 20), [(0, 0, 0)], FREQUENCIES - 25e9)),
+    ]
+    told = r"b\.mat covers 1016 MHz about 10 GHz but .*a\.mat 1016 MHz about 35 GHz; import each band on its own"
+    with pytest.raises(SarsplatError, match=told):
+        import_phase_history(paths, tmp_path / "out", size_m=4)
+
+
 def test_the_command(files, tmp_path, capsys):
-    words = [*map(str, files), "--out", str(tmp_path / "out"), "--size", "4", "--aperture", "4", "--around", "1,0"]
+    words = [*map(str, files), "--out", str(tmp_path / "out"), "--size", "4m", "--aperture", "4", "--around", "1,0"]
     assert main(["import", "phase-history", *words]) == 0
     told = capsys.readouterr().out
     assert "3 views" in told

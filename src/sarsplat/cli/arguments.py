@@ -63,6 +63,20 @@ def angles(texts: Sequence[str], name: str) -> list[float]:
     return values
 
 
+def metres(text: str, name: str) -> float:
+    """A length from `64m` or `64`.
+
+    Raises
+    ------
+    SarsplatError
+        If it is neither.
+    """
+    try:
+        return float(text.strip().removesuffix("m"))
+    except ValueError:
+        raise SarsplatError(f"--{name} {text!r} is no length; give metres, such as 64 or 64m") from None
+
+
 def views_from(
     azimuth: Sequence[str], grazing: Sequence[str], incidence: Sequence[str], prefix: str = ""
 ) -> list[View]:

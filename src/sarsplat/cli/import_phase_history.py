@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from sarsplat.cli.arguments import Folder, Metres, OptionalCount, OptionalNumber, refuse_existing
+from sarsplat.cli.arguments import Folder, Metres, OptionalCount, OptionalNumber, metres, refuse_existing
 from sarsplat.cli.imported import finish
 from sarsplat.errors import SarsplatError
 
@@ -16,7 +16,7 @@ def import_phase_history(
     files: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILES", help_behavior_hint="")],
     *,
     out: Folder,
-    size: Annotated[float, tyro.conf.arg(metavar="METRES")],
+    size: Annotated[str, tyro.conf.arg(metavar="METRES")],
     around: Annotated[str, tyro.conf.arg(metavar="X,Y[,Z]")] = "0,0",
     aperture: OptionalNumber = None,
     spacing: Metres = None,
@@ -34,7 +34,7 @@ def import_phase_history(
     out
         Dataset folder to write.
     size
-        Side of the images in the slant plane, m.
+        Side of the images in azimuth and slant range, e.g. 64m.
     around
         What the images show the surroundings of: x, y and height (0 if left out), m from the scene centre.
     aperture
@@ -58,7 +58,7 @@ def import_phase_history(
     dataset = read_files(
         files,
         out,
-        size_m=size,
+        size_m=metres(size, "size"),
         around_m=_place(around),
         aperture_deg=aperture,
         spacing_m=spacing,

@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from sarsplat.cli import console, imported
-from sarsplat.cli.arguments import Folder, OptionalCount, refuse_existing
+from sarsplat.cli.arguments import Folder, OptionalCount, metres, refuse_existing
 from sarsplat.errors import SarsplatError, counted
 
 
@@ -55,13 +55,11 @@ def import_sicd(
 
     refuse_existing(out, overwrite, marker=HEADER)
     place, spot = _numbers(around, "around", (2, 3)), _numbers(pixel, "pixel", (2,))
-    side = _numbers(size.removesuffix("m"), "size", (1,))
-    assert side is not None
     with console.busy(f"reading {counted(len(files), 'file')}"):
         dataset = read_files(
             files,
             out,
-            size_m=side[0],
+            size_m=metres(size, "size"),
             around=place,
             pixel=None if spot is None else (spot[0], spot[1]),
             heading_deg=heading,
@@ -82,6 +80,6 @@ def _numbers(text: str | None, name: str, counts: tuple[int, ...]) -> tuple[floa
     except ValueError:
         values = ()
     if len(values) not in counts:
-        example = {"around": "47.3769,8.5417", "pixel": "1200,800", "size": "64m"}[name]
+        example = {"around": "47.3769,8.5417", "pixel": "1200,800"}[name]
         raise SarsplatError(f"--{name} {text!r} is not what it should be; write it as {example}")
     return values

@@ -153,7 +153,8 @@ def _images(dataset: Dataset) -> list[str]:
                 "raise them to the smallest power that the sensor resolves"
             )
     if constant:
-        found.append(f"{constant} of {counted(len(dataset), 'image')} are constant ({first}); check the files")
+        are = "is" if constant == 1 else "are"
+        found.append(f"{constant} of {counted(len(dataset), 'image')} {are} constant ({first}); check the files")
     return found
 
 

@@ -18,6 +18,7 @@ _LARGEST = 1e9  # no amplitude comes near it, and its square still fits into flo
 _FREQUENCIES_HZ = (1e6, 1e12)
 _LONGEST_GAP = 3
 """Between two pieces of a flight, in steps from pulse to pulse."""
+_OTHER_BAND = 0.1  # of the bandwidth: what may differ between passes of one radar
 _UNEVEN = 0.01
 """Of a step: how far a frequency may be from its place among evenly spaced ones. Single precision costs 0.03 %."""
 
@@ -130,8 +131,14 @@ def flights(histories: Sequence[PhaseHistory]) -> list[PhaseHistory]:
     """Whole flights, out of pieces in any order: a piece that begins where another ends goes on with it.
 
     "Where" is a gap of up to three steps from pulse to pulse, with the same frequencies on both sides.
+
+    Raises
+    ------
+    SarsplatError
+        If pieces are of different bands, whose images show a target differently.
     """
     waiting = [*histories]
+    _require_one_band(histories)
     found = []
     while waiting:
         chain = [waiting.pop(0)]
@@ -143,6 +150,20 @@ def flights(histories: Sequence[PhaseHistory]) -> list[PhaseHistory]:
             waiting = [other for other in waiting if other is not before]
         found.append(_joined(chain))
     return found
+
+
+def _require_one_band(histories: Sequence[PhaseHistory]) -> None:
+    first = histories[0]
+    for other in histories[1:]:
+        apart = abs(other.carrier_hz - first.carrier_hz) + abs(other.bandwidth_hz - first.bandwidth_hz)
+        if apart > _OTHER_BAND * first.bandwidth_hz:
+            raise SarsplatError(
+                f"{other.name} covers {_band(other)} but {first.name} {_band(first)}; import each band on its own"
+            )
+
+
+def _band(history: PhaseHistory) -> str:
+    return f"{history.bandwidth_hz / 1e6:.4g} MHz about {history.carrier_hz / 1e9:.4g} GHz"
 
 
 def _goes_on(first: PhaseHistory, second: PhaseHistory) -> bool:
