@@ -52,6 +52,6 @@ def read(folder: Path) -> object:
     """A chip of a few metres, and all that is told about it."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SarsplatWarning)  # there is but one view
-        dataset = import_sicd([folder / "a.nitf"], folder / "set", size_m=4.0, around=sicds.SPOT, overwrite=True)
+        dataset = import_sicd([folder / "a.nitf"], folder / "set", size_m=5.0, around=sicds.SPOT, overwrite=True)
     assert dataset.signal is not None and np.isfinite(dataset.signal).all()
     return str(dataset.source).encode(), dataset.power.mean()
