@@ -88,3 +88,15 @@ def test_a_reader_that_leaves_is_no_mistake() -> None:
     done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, check=False)
     os.close(write)
     assert (done.returncode, done.stderr) == (141, "")
+
+
+@pytest.mark.parametrize(
+    ("command", "shown"),
+    [("import folder", "{amplitude,power,db,complex}"), ("export", "{db,height}"), ("render", "{azimuth,grazing}")],
+)
+def test_choices_are_names_only(command: str, shown: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main([*command.split(), "--help"])
+    told = capsys.readouterr().out
+    assert shown in told
+    assert not re.search(r"\bNone\b", told)

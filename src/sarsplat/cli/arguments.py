@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import tyro
 
@@ -34,6 +34,11 @@ DEFAULT_PORT = 8765
 """Of the pages that `view` and `reconstruct --view` show."""
 
 _MAX_ANGLES = 10_000
+
+
+def one_of(literal: Any, hint: str = "(optional)") -> Any:
+    """How help shows an option that is one name of a `Literal` or left out; tyro would list None as well."""
+    return tyro.conf.arg(metavar=f"{{{','.join(get_args(literal))}}}", help_behavior_hint=hint)
 
 
 def angles(texts: Sequence[str], name: str) -> list[float]:

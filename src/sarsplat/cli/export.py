@@ -8,17 +8,18 @@ from typing import Annotated, Literal
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import RunFolder, refuse_existing
+from sarsplat.cli.arguments import RunFolder, one_of, refuse_existing
+
+Content = Literal["gaussians", "points", "mesh"]
+Colour = Literal["db", "height"]
 
 
 def export(
     run: RunFolder,
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")],
     *,
-    format: Annotated[
-        Literal["gaussians", "points", "mesh"] | None, tyro.conf.arg(help_behavior_hint="(optional)")
-    ] = None,
-    colour: Annotated[Literal["db", "height"] | None, tyro.conf.arg(help_behavior_hint="(default: db)")] = None,
+    format: Annotated[Content | None, one_of(Content)] = None,
+    colour: Annotated[Colour | None, one_of(Colour, hint="(default: db)")] = None,
     overwrite: bool = False,
 ) -> None:
     """Write a run's Gaussians, points or mesh to one file for other programs.

@@ -8,9 +8,18 @@ from typing import Annotated, Literal
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import Folder, OptionalCount, OptionalFile, OptionalName, OptionalNumber, refuse_existing
+from sarsplat.cli.arguments import (
+    Folder,
+    OptionalCount,
+    OptionalFile,
+    OptionalName,
+    OptionalNumber,
+    one_of,
+    refuse_existing,
+)
 from sarsplat.errors import SarsplatError
 
+Quantity = Literal["amplitude", "power", "db", "complex"]
 Lengths = Annotated[tuple[float, ...], tyro.conf.arg(metavar="METRES [METRES]", help_behavior_hint="(optional)")]
 
 
@@ -20,9 +29,7 @@ def import_folder(
     out: Folder,
     table: OptionalFile = None,
     columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="MEANING=NAME …", help_behavior_hint="(optional)")] = (),
-    quantity: Annotated[
-        Literal["amplitude", "power", "db", "complex"] | None, tyro.conf.arg(help_behavior_hint="(optional)")
-    ] = None,
+    quantity: Annotated[Quantity | None, one_of(Quantity)] = None,
     scale: float = 1.0,
     offset: float = 0.0,
     spacing: Lengths = (),

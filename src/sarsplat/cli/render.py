@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import Angles, Metres, OptionalName, RunFolder, angles, refuse_existing, views_from
+from sarsplat.cli.arguments import Angles, Metres, OptionalName, RunFolder, angles, one_of, refuse_existing, views_from
 from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from sarsplat.geometry import ImageGrid, View
     from sarsplat.reconstruction import AnyRun
+
+Sweep = Literal["azimuth", "grazing"]
 
 _AT_A_TIME = 4  # views, between two steps of the progress
 
@@ -28,7 +30,7 @@ def render(
     azimuth: Angles = (),
     grazing: Angles = (),
     incidence: Angles = (),
-    sweep: Annotated[Literal["azimuth", "grazing"] | None, tyro.conf.arg(help_behavior_hint="(optional)")] = None,
+    sweep: Annotated[Sweep | None, one_of(Sweep)] = None,
     frames: int = 90,
     seconds: float = 6.0,
     pixels: Annotated[
@@ -115,7 +117,7 @@ def render(
 
 
 def _swept(
-    sweep: Literal["azimuth", "grazing"],
+    sweep: Sweep,
     frames: int,
     known: Sequence[View],
     azimuth: Sequence[str],
