@@ -56,6 +56,18 @@ def target_az(dataset: Dataset) -> list[float]:
     return [published[entry.name] for entry in dataset.entries]
 
 
+def test_what_was_assumed_is_said(chips, originals):
+    assert run(chips).source["assumptions"] == [
+        "near range is the bottom row of the published chips, and they are not mirror images",
+        "azimuth = −TargetAz; the grazing angle is the measured depression",
+        "pixels are 0.2031 m × 0.2021 m, the resolution is 0.3229 m × 0.3013 m (azimuth × range)",
+        "all JPEGs are scaled alike",
+        "azimuths are exact",
+    ]
+    mirrored = run(originals, labels=None, mirrored=True, overwrite=True).source["assumptions"]
+    assert (len(mirrored), mirrored[1].split(";")[0]) == (3, "azimuth = +TargetAz")
+
+
 def test_splits_angles_and_order(chips):
     dataset = run(chips)
     assert dataset.splits() == ("train", "test-17", "test-15")

@@ -1,5 +1,7 @@
 """Images of any format on one grid, in sets, on one scale."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -81,6 +83,18 @@ def test_sets():
             imported(images, train_views=count)
     with pytest.raises(SarsplatError, match="the images name their sets"):
         imported(named, train_views=2)
+
+
+def test_training_views_are_of_every_grazing_angle():
+    images = [
+        replace(measured(index, count=12), name=f"{grazing} {index}", view=View(30 * index, grazing))
+        for grazing in (15.0, 45.0, 75.0)
+        for index in range(12)
+    ]
+    views = [entry.view for entry in imported(images, train_views=6).entries if entry.split == "train"]
+    assert sorted((view.azimuth_deg, view.grazing_deg) for view in views) == [
+        *((0, 15), (60, 45), (120, 75), (180, 15), (240, 45), (300, 75))
+    ]
 
 
 def test_zeros_are_raised_and_that_is_said():

@@ -57,6 +57,17 @@ def test_pictures_without_a_table(shots):
     assert "--table TABLE.csv" in str(found.command)
 
 
+def test_a_table_with_columns_of_other_names(tmp_path):
+    shots = tmp_path / "shots"
+    shots.mkdir()
+    Image.fromarray(np.ones((5, 4), np.uint8)).save(shots / "a.png")
+    (shots / "flights.csv").write_text("picture,pointing,elev,comment\na.png,10,30,fine\n")
+    found = recognised(shots)
+    assert found is not None
+    assert found.facts["missing"].endswith("it has picture, pointing, elev, comment")
+    assert "azimuth=NAME --spacing METRES" in str(found.command)
+
+
 def test_the_sample_set(tmp_path):
     for azimuth in (11.0, 30.0, 44.0, 60.0):
         write_sample(tmp_path / "set", POWER[0] * (1 + 1j), azimuth)

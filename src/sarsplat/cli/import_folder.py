@@ -59,7 +59,7 @@ def import_folder(
     table
         Table (CSV) with a row for each picture; without it, the only one in the folder.
     columns
-        What the table calls its columns, e.g. az=heading,graz=elev; meanings are file, azimuth, grazing or incidence,
+        What the table calls its columns, e.g. az=aspect,graz=elev; meanings are file, azimuth, grazing or incidence,
         spacing, resolution (or azimuth-spacing, range-spacing …), split, azimuth-std, look (left or right), scale and
         offset. The usual names are recognised without it.
     quantity
@@ -135,7 +135,7 @@ def import_folder(
 
 
 def _named(words: tuple[str, ...]) -> dict[str, str]:
-    """`az=heading,graz=elev` as a mapping; names may contain spaces, but no commas."""
+    """`az=aspect,graz=elev` as a mapping; names may contain spaces, but no commas."""
     named = {}
     for word in filter(None, ",".join(words).split(",")):
         meaning, equals, name = word.partition("=")

@@ -93,16 +93,18 @@ class ViewGroup:
 
 def view_groups(dataset: Dataset) -> list[ViewGroup]:
     """The views of a dataset by set and, within each, by grazing angle, from low to high."""
-    return [
-        ViewGroup(split, tuple(sorted(group, key=lambda view: view.azimuth_deg % 360)))
-        for split in dataset.splits()
-        for group in _by_grazing([entry.view for entry in dataset.entries if entry.split == split])
-    ]
+    found = []
+    for split in dataset.splits():
+        views = [entry.view for entry in dataset.entries if entry.split == split]
+        for group in by_grazing(views):
+            found.append(ViewGroup(split, tuple(sorted((views[k] for k in group), key=lambda v: v.azimuth_deg % 360))))
+    return found
 
 
-def _by_grazing(views: Sequence[View]) -> list[list[View]]:
-    ordered = sorted(views, key=lambda view: view.grazing_deg)
-    steps = np.diff([view.grazing_deg for view in ordered])
+def by_grazing(views: Sequence[View]) -> list[list[int]]:
+    """Numbers of the views, in groups of (nearly) one grazing angle, from low to high; one group if they are random."""
+    ordered = sorted(range(len(views)), key=lambda k: views[k].grazing_deg)
+    steps = np.diff([views[k].grazing_deg for k in ordered])
     starts = [0, *(np.flatnonzero(steps > _SAME_GRAZING_DEG) + 1).tolist(), len(ordered)]
     groups = len(starts) - 1
     if groups > _FEW_GROUPS and len(ordered) < _FEW_EACH * groups:

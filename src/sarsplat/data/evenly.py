@@ -7,7 +7,29 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from sarsplat.data.coverage import largest_gap
+from sarsplat.data.coverage import by_grazing, largest_gap
+from sarsplat.geometry import View
+
+
+def evenly_chosen(views: Sequence[View], count: int) -> list[int]:
+    """Numbers of the views to train on: even in azimuth, and at every grazing angle alike.
+
+    Parameters
+    ----------
+    views : sequence of View
+        At least `count`.
+    count : int
+        How many are wanted; of several grazing angles, each gets the next azimuth in turn.
+    """
+    groups = by_grazing(views)
+    if any(len(range(first, count, len(groups))) > len(group) for first, group in enumerate(groups)):
+        groups = [[*range(len(views))]]
+    wanted = even_azimuths([view.azimuth_deg for view in views], count)
+    return [
+        group[index]
+        for first, group in enumerate(groups)
+        for index in nearest_to([views[k].azimuth_deg for k in group], wanted[first :: len(groups)])
+    ]
 
 
 def even_azimuths(azimuths_deg: Sequence[float], count: int) -> list[float]:

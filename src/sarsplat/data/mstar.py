@@ -141,6 +141,7 @@ def import_mstar(
         "mean_power": scale,
         "cut_to_common_size": any(chip.magnitude.shape != (grid.rows, grid.columns) for chip in ordered),
         "chips": [{"name": chip.name, "target_az_deg": chip.target_az_deg} for chip in ordered],
+        "assumptions": _assumptions(ordered, entries, steps, mirrored),
     }
     relative, phases = np.ascontiguousarray(power / np.float32(scale)), _phases(ordered, grid, mirrored)
     dataset = (Dataset if phases is None else Dataset.of_complex)(
@@ -177,6 +178,25 @@ def _power(
     if not steps.any():
         power = np.maximum(power, np.float32(MIN_POWER * power[:training].mean(dtype=np.float64)))
     return power
+
+
+def _assumptions(
+    chips: list[Chip], entries: tuple[DatasetEntry, ...], steps: Float32[np.ndarray, " chips"], mirrored: bool
+) -> list[str]:
+    """What neither chips nor labels say, in words."""
+    first = chips[0]
+    lengths = (f"{length:.4g}" for length in (*first.spacing_m, *first.resolution_m))
+    found = [
+        f"near range is the bottom row of the published chips, and they are {'' if mirrored else 'not '}mirror images",
+        f"azimuth = {'+' if mirrored else '−'}TargetAz; the grazing angle is the measured depression",
+    ]
+    if steps.any():
+        found.append("pixels are {} m × {} m, the resolution is {} m × {} m (azimuth × range)".format(*lengths))
+    if (steps == 1).all():
+        found.append("all JPEGs are scaled alike")
+    if not any(entry.azimuth_std_deg for entry in entries):
+        found.append("azimuths are exact")
+    return found
 
 
 def _phases(chips: list[Chip], grid: ImageGrid, mirrored: bool) -> Float32[np.ndarray, "chips rows columns"] | None:

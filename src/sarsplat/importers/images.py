@@ -15,7 +15,7 @@ from jaxtyping import Num, Shaped
 from sarsplat.data.coverage import largest_gap
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.dataset_folder import write_dataset
-from sarsplat.data.evenly import even_azimuths, nearest_to
+from sarsplat.data.evenly import evenly_chosen
 from sarsplat.data.header import Calibration
 from sarsplat.data.image import power_of
 from sarsplat.data.plausible import suspicions, warn
@@ -101,7 +101,8 @@ def dataset_of(
         Where they come from and what was assumed (`assumptions`, a list of sentences); what is decided here is added.
     train_views : int, optional
         Number K of training views: those nearest to azimuths k·360°/K or, where images are missing on one side, to K
-        azimuths evenly spaced over the rest; the others are test views. Not if the images name their sets.
+        azimuths evenly spaced over the rest; of several grazing angles, each gets the next azimuth in turn. The others
+        are test views. Not if the images name their sets.
     calibration, looks, ground
         See `Dataset`. Relative power has mean 1 over the training views.
 
@@ -194,8 +195,7 @@ def _with_sets(images: Sequence[MeasuredImage], train_views: int | None) -> list
                 f"{counted(train_views, 'training view')} asked for, but there are {counted(len(images), 'image')}; "
                 f"ask for 1 to {len(images)}"
             )
-        azimuths = [image.view.azimuth_deg for image in images]
-        chosen = nearest_to(azimuths, even_azimuths(azimuths, train_views))
+        chosen = evenly_chosen([image.view for image in images], train_views)
         sets = ["train" if index in chosen else "test" for index in range(len(images))]
     named = [replace(image, split=split) for image, split in zip(images, sets, strict=True)]
     return sorted(named, key=lambda image: image.split != "train")  # stable

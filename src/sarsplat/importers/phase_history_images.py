@@ -100,6 +100,11 @@ def import_phase_history(
         for flight in flights([read_gotcha(path) for path in each_once(files)])
         for aperture in apertures(flight, around, aperture_deg)
     ]
+    if train_views is not None and not 1 <= train_views <= len(found):  # said before minutes of work
+        raise SarsplatError(
+            f"{counted(train_views, 'training view')} asked for, but the flight makes {counted(len(found), 'image')}; "
+            f"ask for 1 to {len(found)}, or for a narrower --aperture"
+        )
     spacing = _spacing(found, weighting) if spacing_m is None else spacing_m
     images = []
     with progress("focusing", len(found), quiet) as reporter:

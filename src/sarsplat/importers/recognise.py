@@ -59,7 +59,7 @@ def recognised(folder: Path) -> Recognised | None:
 
 
 def _with_table(folder: Path, files: list[Path], pictures: int) -> Recognised | None:
-    """Pictures and one table that says at least which file is from which azimuth."""
+    """Pictures and one table with at least one column that is of use."""
     tables = [path for path in files if path.suffix.lower() == ".csv"]
     if len(tables) != 1:
         return None
@@ -68,15 +68,19 @@ def _with_table(folder: Path, files: list[Path], pictures: int) -> Recognised | 
         columns = chosen_columns(table, {})
     except SarsplatError:
         return None  # whatever table that is
-    if not {"file", "azimuth"} <= set(columns):
+    if not columns:
         return None
     facts = {"pictures": str(pictures), "table": f"{table.path} ({counted(len(table.rows), 'row')})"}
     facts["columns"] = ", ".join(f"{meaning} = {name}" for meaning, name in columns.items())
-    return Recognised("pictures with a table of their angles", facts, _folder_command(folder, table, columns))
+    if lacking := [meaning for meaning in ("file", "azimuth") if meaning not in columns]:
+        facts["missing"] = f"which column is the {' and which the '.join(lacking)}; it has {', '.join(table.columns)}"
+    return Recognised("pictures with a table of their angles", facts, _folder_command(folder, table, columns, lacking))
 
 
-def _folder_command(folder: Path, table: CsvTable, columns: Columns) -> str:
+def _folder_command(folder: Path, table: CsvTable, columns: Columns, lacking: list[str]) -> str:
     words = ["sarsplat", "import", "folder", str(folder)]
+    if lacking:
+        words += ["--columns", ",".join(f"{meaning}=NAME" for meaning in lacking)]
     if "grazing" not in columns and "incidence" not in columns:
         words += ["--grazing", "DEGREES"]
     if not any("spacing" in meaning for meaning in columns):
