@@ -36,4 +36,4 @@ def _draw(preview: Path, dataset: Dataset) -> None:
     from sarsplat.report.check_sheet import check_sheet
 
     write_bytes(preview, check_sheet(dataset))
-    console.say(f"look at {preview}: shadows must fall downwards, and noses point along the dotted arrows")
+    console.say(f"look at {preview}: shadows must fall downwards, and a target's nose point along the dotted arrow")
