@@ -114,7 +114,7 @@ def test_its_run_is_rendered_scored_and_shown(method, tmp_path, run_of):
 @pytest.mark.parametrize(
     ("method", "quick", "most", "most_m"),
     [
-        ("sar-nerf-grid", {"iterations": 300}, 0.05, 0.2),
+        ("sar-nerf-grid", {"iterations": 300, "surface_voxels": 64}, 0.05, 0.2),
         ("dsr", {"iterations": 120, "scattering_rate": 0.1}, 0.15, 0.4),
     ],
 )
