@@ -13,7 +13,7 @@ from sarsplat.reconstruction.log import LogLine
 from sarsplat.report import Look, contact_sheet, decibel_png
 from sarsplat.report.check_sheet import check_sheet
 from sarsplat.report.curves import curves_figure
-from sarsplat.report.decibels import to_decibels
+from sarsplat.report.decibels import bright_level, to_decibels
 from sarsplat.report.figure import axis, nice, scale_bar
 from sarsplat.report.residual import Difference, Window
 from sarsplat.report.views import evenly
@@ -118,8 +118,8 @@ def test_a_contact_sheet_shows_the_target_large() -> None:
 def test_sheets_have_a_scale_bar_as_long_as_it_says(spacing_m: float) -> None:
     grid = ImageGrid(32, 48, spacing_m=(spacing_m, spacing_m), resolution_m=(spacing_m, spacing_m))
     dark = dataset_of(grid, [(View(20.0, 30.0), "train")], np.full((1, 32, 48), 1e-9, np.float32))
+    dark.power[0, [2, 27, 16, 16], [24, 24, 0, 47]] = 1.0  # more than 0.1 %, and as far apart as the image is wide
     sheets = [contact_sheet(dark.power, dark.views, grid, Look(1.0))]
-    dark.power[0, 16, 24] = 1.0
     sheets.append(check_sheet(dark))
     share, _ = scale_bar(48 * spacing_m)
     for png in sheets:
@@ -130,6 +130,23 @@ def test_sheets_have_a_scale_bar_as_long_as_it_says(spacing_m: float) -> None:
         lower = slice(rows[0] + 9 * len(rows) // 10, rows[-1])  # below all words
         bar = max((sheet[lower] > 200).all(axis=2).sum(axis=1))
         assert bar / panel == pytest.approx(share, abs=3 / panel)
+
+
+def test_one_corner_reflector_does_not_darken_a_sheet() -> None:
+    grid = ImageGrid(64, 64, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
+    images = np.full((1, 64, 64), 1e-9, np.float32)
+    images[0, 16:48, 16:48] = 1.0
+    images[0, 5, 5] = 1e4  # 40 dB above the rest
+    data = dataset_of(grid, [(View(20.0, 30.0), "train")], images)
+    for png in (contact_sheet(images, data.views, grid, Look(1e4)), check_sheet(data)):
+        assert (np.asarray(Image.open(io.BytesIO(png)).convert("L")) > 250).mean() > 0.05
+
+
+def test_something_is_white_on_a_sheet_of_few_bright_pixels() -> None:
+    assert bright_level(np.zeros(9)) == 1.0
+    few = np.zeros(10_000)
+    few[3] = 5.0
+    assert bright_level(few) == 5.0
 
 
 def test_minor_ticks_can_be_read_on_the_dark_panel() -> None:

@@ -13,7 +13,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.reconstruction.outlines import levels_db, outline
 from sarsplat.report.canvas import BLUE, MUTED, ORANGE, colour_bar, dress, new_figure, to_png
-from sarsplat.report.decibels import DYNAMIC_DB, to_decibels
+from sarsplat.report.decibels import DYNAMIC_DB, OF_THE_BRIGHTEST, bright_level, to_decibels
 from sarsplat.report.marks import arrow, mark_radar, mark_scale
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def check_sheet(dataset: Dataset, most: int = 12) -> bytes:
     figure.subplots_adjust(
         left=0.02, right=0.98, top=1 - _TITLE / height, bottom=_FOOT / height, wspace=0.06, hspace=_TITLE / tall
     )
-    peak = float(power.max()) or 1.0
+    peak = bright_level(power)
     for axes in panels.flat:
         axes.set_axis_off()
     for axes, index, image, level in zip(panels.flat, chosen, power, levels_db(power, grid, dataset.ground)):
@@ -88,7 +88,7 @@ def check_sheet(dataset: Dataset, most: int = 12) -> bytes:
         angles = f"azimuth {view.azimuth_deg:.1f}°, grazing {view.grazing_deg:.1f}°"
         axes.set_title(f"{angles} ({entry.split})", size=8, pad=4)
     bar = figure.add_axes((0.03, 1.08 / height, 2.6 / width, 0.08 / height))
-    colour_bar(figure, bar, colormaps["gray"], (-DYNAMIC_DB, 0), "power, dB of the brightest pixel shown")
+    colour_bar(figure, bar, colormaps["gray"], (-DYNAMIC_DB, 0), OF_THE_BRIGHTEST)
     wide, high = grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1]
     legend = _LEGEND.format(shadow=_SHADOW if dataset.ground else "")
     text = (

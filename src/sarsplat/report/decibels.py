@@ -15,6 +15,15 @@ DYNAMIC_DB = 40.0
 """Pictures show this range below the brightest training pixel, dB; what is darker is black."""
 
 
+OF_THE_BRIGHTEST = "power, dB of the brightest 0.1 %"
+"""What 0 dB is on sheets, in words; see `bright_level`."""
+
+
+def bright_level(power: Real[np.ndarray, "*pixels"]) -> float:
+    """What the brightest 0.1 % of pixels exceed: a corner reflector does not darken all the rest; never 0."""
+    return float(np.quantile(power, 0.999)) or float(power.max()) or 1.0
+
+
 def to_decibels(power: np.ndarray | float, peak: float = 1.0) -> np.ndarray:
     """10·log10(power / peak), dB; powers below float32's smallest count as that, so that nothing is −inf."""
     smallest = float(np.finfo(np.float32).tiny)

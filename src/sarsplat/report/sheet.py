@@ -11,7 +11,7 @@ from jaxtyping import Real
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.report.canvas import colour_bar, dress, new_figure, to_png
-from sarsplat.report.decibels import Look, to_decibels
+from sarsplat.report.decibels import OF_THE_BRIGHTEST, Look, bright_level, to_decibels
 from sarsplat.report.marks import mark_radar, mark_scale
 from sarsplat.report.window import target_window
 
@@ -32,7 +32,7 @@ def contact_sheet(
     views, grid
         From where, and where the pixels lie.
     look : Look
-        Which power is white, and which is black.
+        The colours, and how far down they go; white is what the brightest 0.1 % of all shown pixels exceed.
 
     Raises
     ------
@@ -45,8 +45,9 @@ def contact_sheet(
         raise SarsplatError("there are no images to put on a contact sheet; give at least one")
     columns = min(len(views), _MAX_COLUMNS, max(3, math.ceil(math.sqrt(len(views)))))
     lines = math.ceil(len(views) / columns)
-    window = target_window(images, look.peak)
+    window = target_window(images, bright_level(images))
     shown = images[(slice(None), *window)]
+    peak = bright_level(shown)
     aspect = (shown.shape[1] * grid.spacing_m[1]) / (shown.shape[2] * grid.spacing_m[0])
     width, height = max(columns * _SIDE, 3.6), lines * (_SIDE * aspect + 0.22) + 0.66
     figure = new_figure(width, height)
@@ -55,7 +56,7 @@ def contact_sheet(
         axes.set_axis_off()
     for axes, image, view in zip(panels.flat, shown, views):  # empty places stay dark
         axes.imshow(
-            to_decibels(image, look.peak),
+            to_decibels(image, peak),
             cmap=look.cmap,
             vmin=-look.range_db,
             vmax=0,
@@ -69,5 +70,5 @@ def contact_sheet(
         left=0.02, right=0.98, top=1 - 0.24 / height, bottom=0.6 / height, wspace=0.05, hspace=0.2 / _SIDE
     )
     bar = figure.add_axes(((1 - 2.6 / width) / 2, 0.44 / height, 2.6 / width, 0.08 / height))
-    colour_bar(figure, bar, colormaps[look.cmap], (-look.range_db, 0), "power, dB of the brightest training pixel")
+    colour_bar(figure, bar, colormaps[look.cmap], (-look.range_db, 0), OF_THE_BRIGHTEST)
     return to_png(figure)
