@@ -50,6 +50,27 @@ def test_images_with_phase_say_so(dataset: Path, tmp_path: Path, capsys: pytest.
         assert told in capsys.readouterr().out
 
 
+def test_where_images_come_from_is_told_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = {
+        "kind": "phase-history",
+        "around_m": [1.5, 2.0],
+        "columns": {"azimuth": "heading"},
+        "apertures": [{"name": "000", "pulses": 117}, {"name": "001", "pulses": 118}],
+        "assumptions": ["the nose is at 0°", "the ground is flat"],
+        "offset": 0.0,
+    }
+    one = dataset_of(GRID, [(RING[0], "train")], np.ones((1, 8, 8), np.float32), source=source)
+    write_dataset(tmp_path / "data", one)
+    assert main(["info", str(tmp_path / "data")]) == 0
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    first = lines.index("assumed the nose is at 0°")
+    assert lines[first + 1] == "the ground is flat"
+    assert "source.apertures 2, listed in dataset.json" in lines
+    assert "source.around_m 1.5, 2.0" in lines
+    assert "source.columns azimuth = heading" in lines
+    assert not [line for line in lines if line.startswith("source.") and set(line) & set("[]{}'")]
+
+
 def test_north_is_up_and_azimuths_go_clockwise() -> None:
     def place(view: View) -> tuple[int, int]:
         ((row, line),) = ((r, line) for r, line in enumerate(rows(train=[view])) if "●" in line)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
@@ -89,8 +90,30 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
         **{f"set {split}": _set(dataset.images(split)) for split in dataset.splits()},
         "truth": dataset.truth_mesh.name if dataset.truth_mesh else "no mesh",
         "masks": "masks/" if (path / "masks").is_dir() else "none",
-        **{f"source.{name}": str(value) for name, value in dataset.source.items() if value and name != "chips"},
+        **_source(dataset.source),
     }
+
+
+def _source(source: Mapping[str, Any]) -> dict[str, str]:
+    """Where the images come from: assumptions take a line each, and what is told of every image is only counted."""
+    from sarsplat.data.dataset_folder import HEADER
+
+    told = {}
+    for name, value in source.items():
+        if not value:
+            continue
+        parts = [*value.values()] if isinstance(value, dict) else value
+        if not isinstance(parts, list):
+            told[f"source.{name}"] = str(value)
+        elif name == "assumptions":
+            told["assumed"] = "\n".join(map(str, parts))
+        elif any(isinstance(part, dict | list) for part in parts):
+            told[f"source.{name}"] = f"{len(parts)}, listed in {HEADER}"
+        elif isinstance(value, dict):
+            told[f"source.{name}"] = ", ".join(f"{key} = {one}" for key, one in value.items())
+        else:
+            told[f"source.{name}"] = ", ".join(map(str, parts))
+    return told
 
 
 def _uncertainty(std_deg: list[float]) -> dict[str, str]:
