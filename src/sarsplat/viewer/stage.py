@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 TRAIN, TEST, _RADAR, _LIT = (60, 170, 255), (190, 110, 255), (255, 92, 70), (255, 176, 32)
 _FAINT, _LINES = (110, 122, 136), (52, 60, 70)
 _DOME = 1.9  # radius, in those of the target
+_REACH = 0.6  # of the dome's radius: how far above the target the line of one range goes on
 _STEPS = 72  # of a circle of latitude
 _LOWEST_DEG, _HIGHEST_DEG = 1.0, 89.0
 _LEAST_SHARE = 0.01  # of a pixel: who adds less is not lit
@@ -65,12 +66,12 @@ class Stage:
         self._dome(scene, views, on_aim)
         self._radar(scene, on_aim)
         self._plane: Any = None
-        self._line = scene.add_line_segments("/pixel/line", np.zeros((1, 2, 3)), _LIT, thickness=0.01 * self._radius)
+        self._line = scene.add_line_segments("/pixel/line", np.zeros((1, 2, 3)), _LIT, thickness=0.02 * self._radius)
         self._lit = scene.add_point_cloud(
             "/pixel/lit",
             np.zeros((1, 3)),
             _LIT,
-            point_size=0.02 * self._radius,
+            point_size=0.03 * self._radius,
             point_shape="circle",
             precision="float32",
         )
@@ -200,8 +201,22 @@ class Stage:
 
     def plane_depth(self, view: View) -> float:
         """Elevation y_r at which the image lies: below all of the target, seen along the lines of one range, m."""
+        return self._elevations(view)[0] - 0.12 * self._radius
+
+    def _elevations(self, view: View) -> tuple[float, float]:
+        """The lowest and the highest elevation y_r of the target's box, m."""
         corners = np.array([[x, y, z] for x in self._ends(0) for y in self._ends(1) for z in self._ends(2)])
-        return float((corners @ radar_frame(view)[1]).min()) - 0.12 * self._radius
+        elevations = corners @ radar_frame(view)[1]
+        return float(elevations.min()), float(elevations.max())
+
+    def iso_range_line(self, view: View, place_m: tuple[float, float]) -> Float[np.ndarray, "2 3"]:
+        """All places of one azimuth and slant range, from the image's plane to well above the target, m.
+
+        It is as long for pixels beside the target as for those on it: what it misses tells as much as what it meets.
+        """
+        azimuth, slant_range = place_m
+        ends = self.plane_depth(view), self._elevations(view)[1] + _REACH * self._radius
+        return np.array([[azimuth, elevation, slant_range] for elevation in ends]) @ radar_frame(view)
 
     def _ends(self, axis: int) -> tuple[float, float]:
         return float(self.low[axis]), float(self.high[axis])
@@ -227,14 +242,12 @@ class Stage:
             self._plane = (plane, size)
         plane.visible = visible
 
-    def light(self, view: View, line: Float[np.ndarray, "2 3"] | None, found: Contributors | None) -> None:
-        """Show the line of one azimuth and range, from the image's plane on, and who is on it."""
+    def light(self, line: Float[np.ndarray, "2 3"] | None, found: Contributors | None) -> None:
+        """Show the line of one azimuth and range, and who is on it."""
         self._line.visible = line is not None
         self._lit.visible = found is not None and len(found.shares) > 0
         if line is not None:
-            up = radar_frame(view)[1]
-            start = line[0] + (self.plane_depth(view) - float(line[0] @ up)) * up
-            self._line.points = np.stack([start, line[1]])[None].astype(np.float32)
+            self._line.points = line[None].astype(np.float32)
         if found is not None and len(found.shares):
             some = found.shares >= min(_LEAST_SHARE, found.shares[0])
             self._lit.points = found.places_m[some].astype(np.float32)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from sarsplat.geometry import ImageGrid, View, radar_frame
-from sarsplat.radar import Pixel, iso_range_line
+from sarsplat.radar import Pixel
 from sarsplat.report.decibels import to_decibels
 from sarsplat.viewer.colours import Scale
 from sarsplat.viewer.controls import ERROR, GAMMA0, Choices, Controls
@@ -216,13 +216,12 @@ class Viewer:
 
     def _light(self, subject: Subject, view: View, pixel: Pixel | None) -> Contributors | None:
         if pixel is None:
-            self._stage.light(view, None, None)
+            self._stage.light(None, None)
             return None
         if self._picked is None or self._picked[:2] != (view, pixel):
             self._picked = (view, pixel, subject.contributors(view, pixel))
         found = self._picked[2]
-        line = iso_range_line(view, subject.maps_grid, pixel, self._stage.low, self._stage.high)
-        self._stage.light(view, line, found)
+        self._stage.light(self._stage.iso_range_line(view, pixel.place_m(subject.maps_grid)), found)
         return found
 
     def _text(self, subject: Subject, view: View, pixel: Pixel | None, found: Contributors | None) -> str:

@@ -1,0 +1,31 @@
+"""What is drawn in three dimensions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sarsplat.geometry import View, radar_frame
+from sarsplat.radar import Pixel
+
+pytest.importorskip("viser")
+
+
+@pytest.mark.parametrize("pixel", [Pixel(18, 15), Pixel(0, 0)], ids=["on the target", "beside it"])
+@pytest.mark.parametrize("grazing_deg", [5.0, 40.0, 85.0])
+def test_the_line_of_a_pixel_runs_from_the_image_to_well_above_the_target(viewer, pixel, grazing_deg):
+    view = View(50.0, grazing_deg)
+    viewer.look_from(view)
+    viewer.pick(pixel)
+    assert viewer.wait(60)
+    stage = viewer._stage
+    assert stage._line.visible
+    azimuth, elevation, slant_range = radar_frame(view) @ stage._line.points[0].T
+    place = pixel.place_m(viewer._subject.maps_grid)
+    np.testing.assert_allclose(np.stack([azimuth, slant_range]).T, [place] * 2, atol=1e-5)
+    assert elevation[0] == pytest.approx(stage.plane_depth(view), abs=1e-5)
+    highest = max(
+        (np.array([stage.low, stage.high]) @ radar_frame(view)[1]).max(),
+        stage.high[2] * np.cos(np.radians(grazing_deg)),
+    )
+    assert elevation[1] > highest + stage.size_m
