@@ -73,12 +73,22 @@ def test_the_page_shows_the_same_views_of_every_run(tmp_path: Path) -> None:
 
 
 def test_runs_of_different_datasets_are_compared_with_a_caution(tmp_path: Path) -> None:
-    comparison = compare(two_runs(tmp_path, fingerprint="other"))
+    (tmp_path / "ship").mkdir()
+    ship = make_dataset(tmp_path / "ship", tests=2, target="ship", mesh=False)
+    runs = two_runs(tmp_path, fingerprint="other", dataset=ship)
+    runs[1].metrics["by_image"]["test"]["scores"] = [40.0, 30.0]
+    comparison = compare(runs)
     assert "different datasets" in str(comparison.caution)
+    assert not [cell for table in comparison.tables for row in table.rows for cell in row.cells if cell.best]
     text = write_comparison(comparison, tmp_path / "page").read_text()
     assert str(comparison.caution).split(":")[0] in text
-    assert "error of run-one, azimuth" in text
-    assert "error of run-two, azimuth" not in text
+    assert "<h1>t72 and ship</h1>" in text
+    assert "The best of a row" not in text
+    for name, views in (("run-one", 5), ("run-two", 2)):  # each against the images of its own dataset
+        assert len(re.findall(f'alt="error of {name}, azimuth', text)) == views
+        assert f"The same views: {name}" in text
+    assert 'alt="error of the run-one, from the top"' in text
+    assert 'alt="error of the run-two, from the top"' not in text
 
 
 @pytest.mark.parametrize("change", [{"metrics": None}, {"metrics": {"images": {}}}, {"folder": None}, {"alone": True}])

@@ -59,7 +59,11 @@ def _table(comparison: Comparison) -> Table:
     from rich.table import Table
 
     table = Table(
-        box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, caption="* best of its row", caption_justify="left"
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        collapse_padding=True,
+        caption=None if comparison.caution else "* best of its row",
+        caption_justify="left",
     )
     table.add_column("")
     for name in comparison.names:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,8 +71,9 @@ def compare(runs: Sequence[AnyRun[Any]]) -> Comparison:
             compared_tables([""], [scores_of(run)])
     short = [path.name for path in paths]
     names = short if len(set(short)) == len(short) else [str(run.folder) for run in runs]
-    tables = compared_tables(names, [scores_of(run) for run in runs])
-    return Comparison(tuple(runs), tuple(names), tuple(tables), _caution(runs, names))
+    caution = _caution(runs, names)
+    tables = compared_tables(names, [scores_of(run) for run in runs], ranked=caution is None)
+    return Comparison(tuple(runs), tuple(names), tuple(tables), caution)
 
 
 def write_comparison(comparison: Comparison, out: Path, *, overwrite: bool = False) -> Path:
@@ -92,18 +93,17 @@ def write_comparison(comparison: Comparison, out: Path, *, overwrite: bool = Fal
     SarsplatError
         If the dataset of a run is missing, or `out` exists and may not be replaced.
     """
-    first = comparison.runs[0]
     definitions: dict[str, str] = {}
     for run in comparison.runs:
         definitions |= scores_of(run)["definitions"]
     html = rendered(
         "compare.html.j2",
-        target=first.dataset.target,
+        target=" and ".join(dict.fromkeys(run.dataset.target for run in comparison.runs)),
         lead=f"{', '.join(comparison.names[:-1])} and {comparison.names[-1]} side by side.",
         caution=comparison.caution,
         tables=comparison.tables,
         definitions=definitions,
-        figures=[_views(comparison), _points(comparison)],
+        figures=[draw(part) for part in _by_dataset(comparison) for draw in (_views, _points)],
     )
     with new_folder(out, overwrite, marker=PAGE) as folder:
         write_bytes(folder / PAGE, html.encode())
@@ -132,39 +132,48 @@ def _caution(runs: Sequence[AnyRun[Any]], names: Sequence[str]) -> str | None:
     return f"These runs were made from different datasets, so their scores do not compare one to one: {made}."
 
 
+def _by_dataset(comparison: Comparison) -> list[Comparison]:
+    """The runs of each dataset on their own: no picture stands beside another dataset's truth."""
+    shared: dict[str | None, list[int]] = {}
+    for index, run in enumerate(comparison.runs):
+        shared.setdefault(run.fingerprint, []).append(index)
+    return [
+        replace(
+            comparison,
+            runs=tuple(comparison.runs[k] for k in indices),
+            names=tuple(comparison.names[k] for k in indices),
+        )
+        for indices in shared.values()
+    ]
+
+
+def _title(what: str, comparison: Comparison) -> str:
+    """Says whose pictures these are where the page shows several datasets."""
+    return f"{what}: {', '.join(comparison.names)}" if comparison.caution else what
+
+
 def _views(comparison: Comparison) -> Figure:
-    """The same views rendered by every run, and errors of those that share the first one's dataset."""
-    first, names = comparison.runs[0], comparison.names
-    dataset = first.dataset
+    """The same views rendered by every run of one dataset, and their errors."""
+    names, dataset = comparison.names, comparison.runs[0].dataset
     chosen = _chosen(comparison)
     indices = [one.index for one in chosen]
     views = [dataset.views[index] for index in indices]
     looks = dataset.select(dataset.entries[indices[0]].split).looks
     peak = float(dataset.images("train").max())
     truth, difference = dataset.power[indices], Difference(looks, dataset.grid, peak)
-    stacks = {}
-    for name, run in zip(names, comparison.runs, strict=True):
-        images = run.render(views)
-        same = run.fingerprint == first.fingerprint
-        stacks[name] = fitted(truth, images, looks, dataset.score_margin) if same else images
-    of_first = [stack for stack, run in zip(stacks.values(), comparison.runs, strict=True) if run.grid == dataset.grid]
-    brightest = np.maximum.reduce([truth, *of_first])
+    stacks = {
+        name: fitted(truth, run.render(views), looks, dataset.score_margin)
+        for name, run in zip(names, comparison.runs, strict=True)
+    }
+    brightest = np.maximum.reduce([truth, *stacks.values()])
     part = Part.of(dataset.grid, target_window(brightest, peak, dataset.score_margin), _LARGEST)
-    parts = {
-        name: part if run.grid == dataset.grid else Part.of(run.grid, (slice(None), slice(None)), _LARGEST)
-        for name, run in zip(names, comparison.runs, strict=True)
-    }
-    errors = {
-        name: difference.of(truth, stacks[name])
-        for name, run in zip(names, comparison.runs, strict=True)
-        if run.fingerprint == first.fingerprint
-    }
+    errors = {name: difference.of(truth, stack) for name, stack in stacks.items()}
     true = "measured" if dataset.calibration == "relative" else "truth"
     blocks = []
     for k, one in enumerate(chosen):
         where = view_name(views[k])
         panels = [part.power(true, f"{true}, {where}", truth[k], peak)]
-        panels += [parts[name].power(name, f"{name}, {where}", stacks[name][k], peak) for name in names]
+        panels += [part.power(name, f"{name}, {where}", stacks[name][k], peak) for name in names]
         blocks.append(Block(f"{where}{f' ({one.why})' if one.why else ''}", tuple(panels), across=1 + len(names)))
         wrong = [
             part.difference(name, f"error of {name}, {where}", error[k], difference.largest)
@@ -172,17 +181,14 @@ def _views(comparison: Comparison) -> Figure:
         ]
         blocks.append(Block("error", tuple(wrong), across=1 + len(names)))
     text = f"{true.capitalize()} and reconstructions on one scale, the radar above. {difference.explained}"
-    if comparison.caution:
-        text += f" The true images are those of {names[0]}; errors are shown of the runs that share them."
-    return Figure("The same views", text, tuple(blocks), (power_bar(), difference_bar(difference)))
+    return Figure(_title("The same views", comparison), text, tuple(blocks), (power_bar(), difference_bar(difference)))
 
 
 def _chosen(comparison: Comparison) -> list[Chosen]:
-    """The worst unseen view of each run that shares the first one's dataset, then others, evenly spread."""
-    first = comparison.runs[0]
-    dataset, found = first.dataset, dict[int, str]()
+    """The worst unseen view of each run of one dataset, then others, evenly spread."""
+    dataset, found = comparison.runs[0].dataset, dict[int, str]()
     for name, run in zip(comparison.names, comparison.runs, strict=True):
-        scored = scores_of(run).get("by_image", {}) if run.fingerprint == first.fingerprint else {}
+        scored = scores_of(run).get("by_image", {})
         for split, worst in ((split, _worst(scores)) for split, scores in list(scored.items())[:1]):
             if worst is not None:
                 index = [k for k, entry in enumerate(dataset.entries) if entry.split == split][worst]
@@ -206,7 +212,6 @@ def _points(comparison: Comparison) -> Figure:
     clouds = {name: run.points for name, run in zip(comparison.names, comparison.runs, strict=True)}
     farthest_m = Yardstick.of(first.dataset.grid).thresholds_m[1]
     blocks, bars = point_boards(clouds, None if truth is None else sampled(truth), farthest_m)
-    text = "The surface points of every run, in the same space and colours"
-    return Figure(
-        "Points", f"{text}{'' if truth is None else ', and their distances from the true surface'}.", blocks, bars
-    )
+    compared = "" if truth is None else ", and their distances from the true surface"
+    text = f"The surface points of every run, in the same space and colours{compared}."
+    return Figure(_title("Points", comparison), text, blocks, bars)

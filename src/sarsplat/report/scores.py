@@ -86,7 +86,9 @@ def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> l
     return [table for table in tables if table.rows]
 
 
-def compared_tables(names: Sequence[str], every: Sequence[Mapping[str, Any]]) -> list[ScoreTable]:
+def compared_tables(
+    names: Sequence[str], every: Sequence[Mapping[str, Any]], *, ranked: bool = True
+) -> list[ScoreTable]:
     """Scores of several runs: a table for each test set that any has, one for the surface, one for the training.
 
     Parameters
@@ -95,16 +97,22 @@ def compared_tables(names: Sequence[str], every: Sequence[Mapping[str, Any]]) ->
         What to call the runs.
     every : sequence of mapping
         Content of the `metrics.json` of each.
+    ranked : bool
+        Whether to mark the best of a row: not if the runs saw different data.
     """
+
+    def column(name: str, values: Mapping[str, Any]) -> Scores:
+        return Scores(name, values, ranked=ranked)
+
     tables = []
     for split in dict.fromkeys(split for metrics in every for split in metrics["images"]):
-        columns = [Scores(name, metrics["images"].get(split, {})) for name, metrics in zip(names, every, strict=True)]
+        columns = [column(name, metrics["images"].get(split, {})) for name, metrics in zip(names, every, strict=True)]
         rows = shown((*IMAGE_METRICS, *MASK_METRICS), columns)
         tables.append(score_table(f"Unseen views: {split}", rows, columns))
-    columns = [Scores(name, metrics["points"]["visible"]) for name, metrics in zip(names, every, strict=True)]
+    columns = [column(name, metrics["points"]["visible"]) for name, metrics in zip(names, every, strict=True)]
     cells = dict.fromkeys(metrics["parameters"]["yardstick_m"] for metrics in every)
     of_points = {metric.key: metric for cell in cells for metric in metrics_of_points(Yardstick(cell))}
     tables.append(score_table("Points, visible surface", shown([*of_points.values()], columns), columns))
-    columns = [Scores(name, {"time_s": metrics["time_s"]}) for name, metrics in zip(names, every, strict=True)]
+    columns = [column(name, {"time_s": metrics["time_s"]}) for name, metrics in zip(names, every, strict=True)]
     tables.append(score_table("Training", shown(RUN_METRICS, columns), columns))
     return [table for table in tables if table.rows]
