@@ -46,7 +46,8 @@ def recognised(folder: Path) -> Recognised | None:
         files = sorted(itertools.islice((path for path in folder.rglob("*") if path.is_file()), _MOST_FILES))
     by_ending = Counter(path.suffix.lower() for path in files)
     pictures = sum(by_ending[ending] for ending in PICTURE_ENDINGS)
-    if pictures and (listed := _with_table(folder, files, pictures)) is not None:
+    listed = _with_table(folder, files, pictures) if pictures else None
+    if listed is not None and "missing" not in listed.facts:
         return listed
     if (chips := recognised_chips(folder)) is not None:
         return chips
@@ -55,7 +56,7 @@ def recognised(folder: Path) -> Recognised | None:
     for endings, command, kind in _OTHERS:
         if found := [path for path in files if path.suffix.lower() in endings]:
             return _of_files(kind, command, found)
-    return _without_table(folder, pictures, by_ending) if pictures else None
+    return listed or (_without_table(folder, pictures, by_ending) if pictures else None)
 
 
 def _with_table(folder: Path, files: list[Path], pictures: int) -> Recognised | None:
