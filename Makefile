@@ -24,9 +24,13 @@ READY := .venv/.installed
 DEMO := demo
 TARGETS := linux-x86_64 linux-aarch64 macos-arm64 windows-x86_64
 
+# Of what pip says, the names: it takes a minute or two.
+NAMES := awk '/^Collecting/ { sub(/[^a-zA-Z0-9_.-].*/, "", $$2); printf " %s", $$2 } \
+  /^Installing/ { print " ... installing" } { fflush() }'
+
 # Says what is done, does it, and says how long it took.
 define step
-@printf '\n==> %s\n' "$(1)"; begun=$$SECONDS; $(2) && printf '    (%s s)\n' $$((SECONDS - begun))
+@set -o pipefail; printf '\n==> %s\n' "$(1)"; begun=$$SECONDS; $(2) && printf '    (%s s)\n' $$((SECONDS - begun))
 endef
 
 .PHONY: demo setup test test-slow figures bench tables rivals fuzz sanitize wheels check-wheel docs notebooks primer sweep lint readme clean
@@ -120,5 +124,6 @@ $(READY): pyproject.toml constraints.txt build_engine.py $(wildcard src/sarsplat
 	$(call step,set up .venv (once; a minute or two),\
 	  "$(PYTHON)" -m venv .venv \
 	  && $(BIN)/python -m pip install --quiet -c constraints.txt hatchling editables ziglang \
-	  && $(BIN)/python -m pip install --quiet --no-build-isolation -c constraints.txt -e '.[dev]')
+	  && $(BIN)/python -m pip install --no-build-isolation -c constraints.txt -e '.[dev]' \
+    | $(NAMES))
 	@touch $@
