@@ -204,7 +204,8 @@ def _lines(
             points = [(point["seconds"], scores_of(point)) for point in found["curve"]]
             points.append((found["time_s"], scores_of(found)))
             title = bout.contender.title + ", in our time" * bout.equal
-            lines.append((title, [(seconds, scores[key]) for seconds, scores in points if key in scores]))
+            if scored := [(seconds, scores[key]) for seconds, scores in points if key in scores]:
+                lines.append((title, scored))
     return lines if any(len(points) > 1 for _, points in lines) else []
 
 
@@ -238,17 +239,22 @@ def _pictures(bouts: Sequence[Bout], comparison: Comparison) -> Figure | None:
     if not shown:
         return None
     truth = shown[0][1]["truth"]
-    figure, axes = plt.subplots(
-        len(shown) + 1, 3, figsize=(9, 2.3 * (len(shown) + 1)), width_ratios=(1, 1, 1.6), layout="constrained"
-    )
     peak_db = 10 * np.log10(truth.max())
     shown_part = _around(truth > truth.max() * 10 ** (-_DARKEST_DB / 10))
-    for row, (title, kept) in zip(axes, [("truth", {"images": truth}), *shown]):
+    height, width = truth[0][shown_part].shape
+    figure, axes = plt.subplots(
+        len(shown) + 1,
+        3,
+        figsize=(9, max(1.5, 2.5 * height / width) * (len(shown) + 1)),
+        width_ratios=(1, 1, 1.6),
+        layout="constrained",
+    )
+    for row, (title, kept) in zip(axes, [("truth: two unseen images, 40 dB", {"images": truth}), *shown]):
         for ax, image in zip(row, kept["images"]):
             level = 10 * np.log10(np.maximum(image[shown_part], 1e-30))
             ax.imshow(level, cmap="gray", vmin=peak_db - _DARKEST_DB, vmax=peak_db)
             ax.set(xticks=[], yticks=[])
-        row[0].set_ylabel(title, fontsize=8)
+        row[0].set_title(title, fontsize=8, loc="left", pad=3)
         points = kept.get("points", np.empty((0, 3)))
         row[2].scatter(points[:, 0], points[:, 2], c=points[:, 1], s=0.3, cmap="viridis", linewidths=0)
         row[2].set_aspect("equal")
@@ -258,7 +264,6 @@ def _pictures(bouts: Sequence[Bout], comparison: Comparison) -> Figure | None:
         ax.sharey(axes[1, 2])
     axes[0, 2].axis("off")
     axes[-1, 2].set_xlabel("x, m; z, m upwards; colour: y", fontsize=8)
-    axes[0, 0].set_title("unseen images, 40 dB", fontsize=8)
     return figure
 
 
