@@ -151,13 +151,16 @@ def _found(keys: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
 
 def _missing(keys: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Why rows lack scores: each reason that the evaluation gave, and who lacks which scores for it."""
-    lacking: dict[str, list[str]] = {}
+    lacking: dict[str, dict[str, list[str]]] = {}
     for row in (row for row in rows if row["reasons"]):  # there are none of what was done elsewhere
         for key in (key for key in keys if key not in row["scores"]):
             reason = next((text for name, text in row["reasons"].items() if name.endswith(f".{key}")), "not known")
             reason = re.sub(r"\d+ of \d+ scored pixels", "some scored pixels", reason)  # alike for all test sets
-            lacking.setdefault(reason, []).append(f"{row['name']}: {METRIC[key].label}")
-    return [f"{reason} ({'; '.join(who)})." for reason, who in lacking.items()]
+            lacking.setdefault(reason, {}).setdefault(row["name"], []).append(METRIC[key].label)
+    return [
+        f"{reason} ({'; '.join(f'{name}: ' + ', '.join(labels) for name, labels in whose.items())})."
+        for reason, whose in lacking.items()
+    ]
 
 
 def _spread(values: Sequence[float], digits: int) -> str:
