@@ -168,6 +168,9 @@ class PointExtraction(Record):
         Remove a point if this share of the views have their first return behind it ("rays") …
     behind : float
         … by more than this distance, in resolution cells.
+    seen_by : int
+        Remove a point unless this many of the views, or a fifth of them if that is fewer, have their first return
+        within this distance of it ("rays"): each view takes speckle for something else. 0: keep it.
     cluster_radius : float or None
         Keep only the largest cluster (DBSCAN with this ε, in resolution cells); None: keep all points.
     cluster_size : int
@@ -183,6 +186,7 @@ class PointExtraction(Record):
     rays_per_pixel: Positive = 7.0
     seen_through: Share = 0.17
     behind: NotNegative = 0.17
+    seen_by: Iteration = 0
     cluster_radius: Positive | None = None
     cluster_size: Count = 10
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Float64
 from scipy.spatial import cKDTree
 
 from sarsplat.errors import SarsplatError
@@ -14,6 +14,9 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.reconstruction.config import PointExtraction
 from sarsplat.renderer import render
+
+_FIFTH = 5
+"""Of all views: a part of them that sees every side of a convex body, so that few views have points, too."""
 
 
 def extract_points(
@@ -48,11 +51,14 @@ def extract_points(
         ]
         points = np.concatenate([found.points() for found in returns])
         points = _thin(points[points[:, 2] >= how.min_height * cell], how.voxel * cell)
-        # haze that one view takes for a surface is looked through by others
-        through = sum(
-            (found.behind(points, how.behind * cell).astype(int) for found in returns), np.zeros(len(points), int)
-        )
-        points = points[through <= how.seen_through * len(returns)]
+        # haze that one view takes for a surface is looked through by others, or seen by no other
+        through, seen = np.zeros((2, len(points)), int)
+        for found in returns:
+            beyond = found.beyond(points)
+            through += beyond > how.behind * cell
+            seen += abs(beyond) <= how.behind * cell
+        enough = min(how.seen_by, len(returns) // _FIFTH)
+        points = points[(through <= how.seen_through * len(returns)) & (seen >= enough)]
     return points if how.cluster_radius is None else _cluster(points, how.cluster_radius * cell, how.cluster_size)
 
 
@@ -96,15 +102,15 @@ class _FirstReturns:
         plane = self.origin + np.column_stack([column, row]) * self.spacing_m
         return np.column_stack([plane, self.range_m[row, column]]) @ self.frame
 
-    def behind(self, points: Float64[np.ndarray, "p 3"], margin: float) -> Bool[np.ndarray, " p"]:
-        """Whether the ray through each point returns more than `margin` behind it, or never; bool [P]."""
+    def beyond(self, points: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, " p"]:
+        """How far behind each point the ray through it returns, m; infinite where it never does, [P]."""
         local = points @ self.frame.T
         column, row = np.rint((local[:, :2] - self.origin) / self.spacing_m).astype(int).T
         rows, columns = self.range_m.shape
         inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
         found = np.full(len(points), np.inf)
         found[inside] = np.nan_to_num(self.range_m[row[inside], column[inside]], nan=np.inf)
-        return found > local[:, 2] + margin
+        return found - local[:, 2]
 
 
 def _thin(points: Float64[np.ndarray, "p 3"], voxel: float) -> Float64[np.ndarray, "fewer 3"]:

@@ -1,0 +1,57 @@
+"""Which of the returns that rays have become points."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from sarsplat import Gaussians, Harmonics, ImageGrid, View
+from sarsplat.reconstruction import extract_points
+from sarsplat.reconstruction.config import PointExtraction
+
+GRID = ImageGrid(32, 32, (0.3, 0.3), (0.3, 0.3))
+VIEWS = [View(45.0 * k, 30.0) for k in range(8)]
+HEIGHT, RADIUS = 1.5, 1.2
+KEPT = PointExtraction(rays_per_pixel=4.0, seen_through=0.25)
+
+
+@pytest.fixture(scope="module")
+def ball_with_a_hole() -> Gaussians:
+    """An opaque shell; through a hole in it the first view alone sees what is at its centre."""
+    turns = np.arange(1500)
+    z = 1 - 2 * (turns + 0.5) / len(turns)
+    angle = turns * np.pi * (3 - 5**0.5)
+    outwards = np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], axis=1)
+    shell = RADIUS * outwards[outwards @ VIEWS[0].direction < np.cos(np.radians(15))]
+    means = np.concatenate([shell, np.zeros((1, 3))]) + [0, 0, HEIGHT]
+    count = len(means)
+    return Gaussians(
+        torch.tensor(means, dtype=torch.float32),
+        torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
+        torch.full((count, 3), 0.06),
+        torch.full((count,), 6.0),
+        Harmonics(torch.ones(count, 1)),
+    )
+
+
+def near_centre(points: np.ndarray) -> int:
+    return int(np.sum(np.linalg.norm(points - [0, 0, HEIGHT], axis=1) < 0.4))
+
+
+def test_what_one_view_alone_sees_is_left_out_if_others_must_see_it(ball_with_a_hole: Gaussians) -> None:
+    all_points = extract_points(ball_with_a_hole, VIEWS, GRID, KEPT)
+    assert near_centre(all_points) > 0
+    points = extract_points(ball_with_a_hole, VIEWS, GRID, replace(KEPT, seen_by=3))
+    assert near_centre(points) == 0
+    assert len(points) > 0.8 * len(all_points)  # the shell, each part of which faces several views
+    assert np.allclose(np.linalg.norm(points - [0, 0, HEIGHT], axis=1), RADIUS, atol=0.3)
+
+
+def test_of_few_views_a_fifth_is_enough(ball_with_a_hole: Gaussians) -> None:
+    views = VIEWS[::4]  # opposite ones, which see nothing in common
+    usual = extract_points(ball_with_a_hole, views, GRID, KEPT)
+    assert len(usual) > 0
+    assert np.array_equal(extract_points(ball_with_a_hole, views, GRID, replace(KEPT, seen_by=3)), usual)
