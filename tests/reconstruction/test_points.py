@@ -26,7 +26,8 @@ def ball_with_a_hole() -> Gaussians:
     angle = turns * np.pi * (3 - 5**0.5)
     outwards = np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], axis=1)
     shell = RADIUS * outwards[outwards @ VIEWS[0].direction < np.cos(np.radians(15))]
-    means = np.concatenate([shell, np.zeros((1, 3))]) + [0, 0, HEIGHT]
+    means = np.concatenate([shell, np.zeros((1, 3))])
+    means[:, 2] += HEIGHT
     count = len(means)
     return Gaussians(
         torch.tensor(means, dtype=torch.float32),
