@@ -24,8 +24,8 @@ READY := .venv/.installed
 DEMO := demo
 TARGETS := linux-x86_64 linux-aarch64 macos-arm64 windows-x86_64
 
-# Of what pip says, the names: it takes a minute or two.
-NAMES := awk '/^Collecting/ { sub(/[^a-zA-Z0-9_.-].*/, "", $$2); printf " %s", $$2 } \
+# Of what pip says, the packages' names: it takes a minute or two.
+NAMES := awk '/^(Collecting|Processing)/ { sub(/.*\//, "", $$2); sub(/(-[0-9]|[^a-zA-Z0-9_.-]).*/, "", $$2); printf " %s", $$2 } \
   /^Installing/ { print " ... installing" } { fflush() }'
 
 # Says what is done, does it, and says how long it took.
