@@ -1,11 +1,12 @@
 """Measured chips: how well unseen ones are predicted, beside simpler methods, and what each term of the model is worth.
 
-    python experiments/measured.py CHIPS LABELS SET… [--seeds 0 1 2] [--terms] [--readme]
+    python experiments/measured.py CHIPS LABELS SET… [--seeds 0 1 2] [--terms | --shape] [--readme]
 
 A SET is CLASS:VIEWS, as T72:36, or CLASS:VIEWS:DEPRESSION,…. It is trained on, and all other chips are predicted. With
 --terms no test chip is looked at: of every four training chips three are trained on and one is predicted, with one term
-of the model after the other switched off. Tables go to docs/results/measured-CLASS….md, or measured-CLASS…-terms.md;
-finished trainings stay in runs/measured.
+of the model after the other switched off. With --shape the points are held against a model of the target. Tables go to
+docs/results/measured-CLASS….md, measured-CLASS…-terms.md or measured-CLASS…-shape.md; finished trainings stay in
+runs/measured.
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ from typing import Any
 import numpy as np
 from code_version import code_version
 
-from sarsplat import Config, Dataset, evaluate_run, import_mstar, preset, read_dataset, reconstruct
+from sarsplat import Config, Dataset, evaluate_run, import_mstar, preset, read_dataset, reconstruct, target_mesh
 from sarsplat.data.files import write_bytes
+from sarsplat.data.mesh import write_mesh
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "docs"))
 
@@ -53,6 +55,10 @@ SCORES = {
     "log_correlation": "plain correlation ↑",
 }
 """Keys of `metrics.json`, and what tables call them."""
+
+SHAPE = {"cd_m": "Chamfer distance, m ↓", "accuracy_m": "accuracy, m ↓", "completeness_m": "completeness, m ↓"}
+SHAPE |= {"f1@0.3": "F1 at 0.3 m ↑"}
+"""The same for points, against the visible surface."""
 
 
 def changed(config: Config, changes: Mapping[str, Any]) -> Config:
@@ -87,32 +93,32 @@ def folded(dataset: Dataset) -> Dataset:
     return replace(train, entries=entries)
 
 
-def scores(dataset: Dataset, config: Config, name: str) -> dict[str, Any]:
-    """Train and evaluate, unless that was done already."""
+def scores(dataset: Dataset, config: Config, name: str, mesh: Path | None = None) -> dict[str, Any]:
+    """Train and evaluate, with points against a mesh if there is one, unless that was done already."""
     path = WORK / code_version() / f"{name}.json"
     if not path.exists():
         print(name, flush=True)
         run = reconstruct(dataset, config, quiet=True)
-        found = evaluate_run(run, quiet=True)
+        found = evaluate_run(run, mesh=mesh, alignment="rigid" if mesh else "none", quiet=True)
         path.parent.mkdir(parents=True, exist_ok=True)
-        kept = {"images": found["images"], "baselines": found["baselines"], "time_s": run.time_s}
+        kept = {"time_s": run.time_s, **{part: found[part] for part in ("images", "baselines", "points")}}
         write_bytes(path, json.dumps(kept).encode())
     return json.loads(path.read_bytes())
 
 
-def row(label: str, found: Sequence[Mapping[str, float]]) -> str:
+def row(label: str, found: Sequence[Mapping[str, float]], keys: Mapping[str, str] = SCORES) -> str:
     """One line of a table: means over the seeds, with their standard deviation if there are several."""
     cells = []
-    for key in SCORES:
+    for key in keys:
         values = np.array([scores[key] for scores in found])
         spread = f" ± {values.std(ddof=1):.4f}" if len(values) > 1 else ""
         cells.append(f"{values.mean():.3f}{spread}")
     return f"| {label} | {' | '.join(cells)} |"
 
 
-def table(first: str, rows: Sequence[str]) -> str:
+def table(first: str, rows: Sequence[str], keys: Mapping[str, str] = SCORES) -> str:
     """Markdown."""
-    return "\n".join([f"| {first} | {' | '.join(SCORES.values())} |", "|---|" + "---:|" * len(SCORES), *rows, ""])
+    return "\n".join([f"| {first} | {' | '.join(keys.values())} |", "|---|" + "---:|" * len(keys), *rows, ""])
 
 
 def predictions(datasets: Mapping[str, Dataset], seeds: Sequence[int]) -> str:
@@ -165,6 +171,22 @@ def terms(datasets: Mapping[str, Dataset], seeds: Sequence[int]) -> str:
     return "\n".join(parts)
 
 
+def shape(datasets: Mapping[str, Dataset], seeds: Sequence[int]) -> str:
+    """Points against our model of the target, brought onto it by a small motion."""
+    rows = []
+    for name, dataset in datasets.items():
+        target = name.split(":")[0].split("-")[0].lower()
+        model = WORK / "datasets" / f"{target}.ply"
+        write_mesh(model, target_mesh(target))
+        train = [index for index, entry in enumerate(dataset.entries) if entry.split == "train"]
+        alone = dataset.take([*train, next(index for index in range(len(dataset)) if index not in train)])
+        runs = [
+            scores(alone, replace(preset("measured"), seed=seed), f"{name}-shape-{seed}", mesh=model) for seed in seeds
+        ]
+        rows.append(row(f"{name}, against the model `{target}`", [run["points"]["visible"] for run in runs], SHAPE))
+    return table("", rows, SHAPE)
+
+
 def main() -> None:
     """See the head of this file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -172,7 +194,9 @@ def main() -> None:
     parser.add_argument("labels", type=Path)
     parser.add_argument("sets", nargs="+", metavar="SET")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--terms", action="store_true")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--terms", action="store_true")
+    kind.add_argument("--shape", action="store_true")
     parser.add_argument("--readme", action="store_true", help="also fill the README's table with these sets")
     options = parser.parse_args()
     datasets = {name: imported(options.chips, options.labels, name) for name in options.sets}
@@ -181,6 +205,9 @@ def main() -> None:
     if options.terms:
         page, title = f"{page}-terms", f"What each term of the model is worth: {', '.join(classes)}"
         text = terms(datasets, options.seeds)
+    elif options.shape:
+        page, title = f"{page}-shape", f"Shape of {', '.join(classes)}"
+        text = shape(datasets, options.seeds)
     else:
         title = f"Measured chips of {', '.join(classes)}"
         text = predictions(datasets, options.seeds)

@@ -58,3 +58,23 @@ def test_rows_are_means_over_seeds(measured):
     lines = measured.table("", [two]).splitlines()
     assert [line.count("|") for line in lines] == [6, 6, 6]
     assert lines[0].startswith("|  | registered nats ↓ | registered correlation ↑ | plain nats ↓ |")
+
+
+def test_shape_is_that_of_the_training_views_against_the_targets_model(measured, monkeypatch, tmp_path):
+    asked = []
+
+    def scores(dataset, config, name, mesh):
+        asked.append((name, len(dataset.select("train")), len(dataset), mesh.name, config.seed))
+        return {"points": {"visible": dict.fromkeys(measured.SHAPE, float(config.seed))}}
+
+    monkeypatch.setattr(measured, "scores", scores)
+    monkeypatch.setattr(measured, "WORK", tmp_path)
+    (tmp_path / "datasets").mkdir()
+    grid = ImageGrid(16, 16, (0.2, 0.2), (0.3, 0.3))
+    views = [(View(20.0 * k, 17.0), "test-17" if k in (0, 5) else "train") for k in range(10)]
+    images = np.ones((10, 16, 16), np.float32)
+    dataset = dataset_of(grid, views, images, calibration="relative", looks=1.0, ground=True)
+    lines = measured.shape({"T72-A64:8": dataset}, [1, 3]).splitlines()
+    assert asked == [(f"T72-A64:8-shape-{seed}", 8, 9, "t72.ply", seed) for seed in (1, 3)]
+    assert (tmp_path / "datasets" / "t72.ply").is_file()
+    assert lines[-1] == "| T72-A64:8, against the model `t72` |" + " 2.000 ± 1.4142 |" * len(measured.SHAPE)

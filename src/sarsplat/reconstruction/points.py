@@ -15,9 +15,6 @@ from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.reconstruction.config import PointExtraction
 from sarsplat.renderer import render
 
-_FIFTH = 5
-"""Of all views: a part of them that sees every side of a convex body, so that few views have points, too."""
-
 
 def extract_points(
     gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, how: PointExtraction
@@ -57,7 +54,7 @@ def extract_points(
             beyond = found.beyond(points)
             through += beyond > how.behind * cell
             seen += abs(beyond) <= how.behind * cell
-        enough = min(how.seen_by, len(returns) // _FIFTH)
+        enough = min(how.seen_by, len(returns) // 5)  # a fifth, so that of few views there are points, too
         points = points[(through <= how.seen_through * len(returns)) & (seen >= enough)]
     return points if how.cluster_radius is None else _cluster(points, how.cluster_radius * cell, how.cluster_size)
 
