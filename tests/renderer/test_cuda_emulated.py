@@ -107,7 +107,7 @@ def test_steps_refuse_bad_values(library):
         return changed
 
     wrong = replace(p, rays=replace(p.rays, roots=bad(p.rays.roots, (2, 3, 0), 0.0)))
-    with pytest.raises(SarsplatError, match=r"rays.roots\[2, 3\] is \[0.0.*; it must be .* at least 1e-8"):
+    with pytest.raises(SarsplatError, match=r"rays.roots\[2, 3\] is \[0.0.*; it must be .* at least 1e-08"):
         attenuate_with(new_pass, wrong, rays, first_return_depth=None)
     with pytest.raises(SarsplatError, match=r"range_m\[1, 0\] is nan; it must be finite metres"):
         attenuate_with(new_pass, replace(p, range_m=bad(p.range_m, (1, 0), math.nan)), rays, first_return_depth=None)

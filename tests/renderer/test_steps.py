@@ -250,7 +250,7 @@ def test_values_out_of_range(engine):
         r"rays.centers\[1, 4\] is \[.*nan.*\]; it must be finite metres": replace(
             p, rays=replace(p.rays, centers=bad(p.rays.centers, (1, 4, 0), nan))
         ),
-        r"rays.roots\[2, 0\] is \[.*\]; it must be .* at least 1e-8": replace(
+        r"rays.roots\[2, 0\] is \[.*\]; it must be .* at least 1e-08": replace(
             p, rays=replace(p.rays, roots=bad(p.rays.roots, (2, 0, 2), 0.0))
         ),
         r"rays.roots\[0, 9\] is \[.*inf.*\]; it must be": replace(

@@ -14,41 +14,45 @@ from sarsplat.geometry import ImageGrid, View
 INSTRUCTION_SETS = ("auto", "base", "avx2", "avx512")
 
 MAX_SCALE = 1e6
-"""m: beyond it a variance's square overflows float32; the CPU engine has the same bound."""
+"""m: beyond it a variance's square overflows float32."""
 
-_QUATERNION_LENGTHS = (1e-15, 1e15)
+FARTHEST, STRONGEST = 1e9, 1e15
+"""Beyond these, in metres and of everything else, float32 overflows on the way."""
 
-_FAR, _STRONG = 1e9, 1e15  # beyond these, float32 overflows on the way
-_MAX_ABS = {"means": _FAR, "shift": _FAR, "scattering": _STRONG, "gamma0": _STRONG, "gain": _STRONG}
+FLATTEST, STEEPEST = 1e-8, 1e8
+"""Limits of the roots of footprints, 1/m."""
+_MAX_ABS = {"means": FARTHEST, "shift": FARTHEST, "scattering": STRONGEST, "gamma0": STRONGEST, "gain": STRONGEST}
 
 _POSITIVE = "optimise logarithms, or clamp"
 ALLOWED = {
-    "means": f"finite metres, at most {_FAR:g}",
-    "quaternions": "finite and not zero, of a length between 1e-15 and 1e15",
+    "means": f"finite metres, at most {FARTHEST:g}",
+    "quaternions": f"finite and not zero, of a length between {1 / STRONGEST:g} and {STRONGEST:g}",
     "scales": f"finite and at least MIN_SCALE = {MIN_SCALE} m, at most {MAX_SCALE:g} m: {_POSITIVE}",
     "optical_depth": f"between 0 and MAX_OPTICAL_DEPTH = {MAX_OPTICAL_DEPTH:g}: {_POSITIVE}",
-    "scattering": f"finite, at most {_STRONG:g}",
-    "gamma0": f"finite, at most {_STRONG:g}",
-    "shift": f"finite metres, at most {_FAR:g}",
-    "gain": f"finite, at most {_STRONG:g}",
-    "centers": f"finite metres, at most {2 * _FAR:g}",
-    "roots": "finite, at most 1e8 per metre, and the first and the last of the three at least 1e-8 per metre",
-    "range_m": f"finite metres, at most {2 * _FAR:g}",
-    "tilt": f"finite, at most {_STRONG:g}",
-    "amplitudes": f"finite, at most {_STRONG:g}",
+    "scattering": f"finite, at most {STRONGEST:g}",
+    "gamma0": f"finite, at most {STRONGEST:g}",
+    "shift": f"finite metres, at most {FARTHEST:g}",
+    "gain": f"finite, at most {STRONGEST:g}",
+    "centers": f"finite metres, at most {2 * FARTHEST:g}",
+    "roots": (
+        f"finite, at most {STEEPEST:g} per metre, and the first and the last of the three at least {FLATTEST:g} "
+        "per metre"
+    ),
+    "range_m": f"finite metres, at most {2 * FARTHEST:g}",
+    "tilt": f"finite, at most {STRONGEST:g}",
+    "amplitudes": f"finite, at most {STRONGEST:g}",
 }
 """What each tensor must be."""
 
-_FLATTEST, _STEEPEST = 1e-8, 1e8
 _STEP_LIMITS = {
-    "centers": (-2 * _FAR, 2 * _FAR),  # a mean and a shift
-    "roots": (-_STEEPEST, _STEEPEST),
+    "centers": (-2 * FARTHEST, 2 * FARTHEST),  # a mean and a shift
+    "roots": (-STEEPEST, STEEPEST),
     "optical_depth": (0.0, MAX_OPTICAL_DEPTH * (1 + 1e-6)),
-    "range_m": (-2 * _FAR, 2 * _FAR),
-    "tilt": (-_STRONG, _STRONG),
-    "amplitudes": (-_STRONG, _STRONG),
+    "range_m": (-2 * FARTHEST, 2 * FARTHEST),
+    "tilt": (-STRONGEST, STRONGEST),
+    "amplitudes": (-STRONGEST, STRONGEST),
 }
-"""Of footprints and amplitudes; the CPU engine has the same."""
+"""Of footprints and amplitudes."""
 
 _MAX_PIXELS = 32_767
 """Of an image's side, on the CPU engine; 4,096 is the largest that was measured."""
@@ -151,7 +155,7 @@ def check_values(tensors: dict[str, Tensor | None]) -> None:
         elif name == "optical_depth":
             good = (tensor >= 0) & (tensor <= MAX_OPTICAL_DEPTH * (1 + 1e-6))
         elif name == "quaternions":
-            shortest, longest = _QUATERNION_LENGTHS
+            shortest, longest = 1 / STRONGEST, STRONGEST
             length = tensor.double().norm(dim=1, keepdim=True)
             good = (length >= shortest) & (length <= longest)
         if not bool(good.all()):
@@ -167,7 +171,7 @@ def check_step_values(tensors: dict[str, Tensor | None]) -> None:
         low, high = _STEP_LIMITS[kind]
         good = (tensor >= low) & (tensor <= high)
         if kind == "roots":
-            good &= tensor[..., [0, 0, 2]] >= _FLATTEST  # a and c
+            good &= tensor[..., [0, 0, 2]] >= FLATTEST  # a and c
         good = good.reshape(*tensor.shape[:2], -1).all(-1).flatten()
         if not bool(good.all()):
             raise SarsplatError(complaint_by_view(name, tensor, int((~good).nonzero()[0])))

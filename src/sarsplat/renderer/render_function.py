@@ -19,14 +19,23 @@ from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians, Harmonic
 from sarsplat.gaussians.harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.renderer import structs
-from sarsplat.renderer.checks import check_values, complaint, complaint_by_view
+from sarsplat.renderer.checks import (
+    FARTHEST,
+    FLATTEST,
+    MAX_SCALE,
+    STEEPEST,
+    STRONGEST,
+    check_values,
+    complaint,
+    complaint_by_view,
+)
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
 from sarsplat.renderer.cpu import FAULTS
 from sarsplat.renderer.engines import Pass
 from sarsplat.renderer.once import differentiable_once
 from sarsplat.renderer.rendering import RayMap, Rendering
 
-ARRAYS = ("means", "quaternions", "scales", "kappa", "harmonics", "gamma0", "shift")
+ARRAYS = ("means", "quaternions", "scales", "kappa", "harmonics", "amplitudes", "shift")
 """Inputs by their names in a problem."""
 
 
@@ -241,12 +250,18 @@ def new_problem(
         peak,
         views,
         gaussians,
+        channels=1,
         cell_widening=CELL_WIDENING,
         min_ray_depth=MIN_RAY_DEPTH,
         min_transmittance=MIN_TRANSMITTANCE,
         image_cut=IMAGE_CUT,
         min_scale=MIN_SCALE * (1 - 1e-6),
+        max_scale=MAX_SCALE,
         max_depth=MAX_OPTICAL_DEPTH * (1 + 1e-6),
+        farthest=FARTHEST,
+        strongest=STRONGEST,
+        flattest=FLATTEST,
+        steepest=STEEPEST,
     )
     if grid is not None:
         problem.rows, problem.columns = grid.rows, grid.columns

@@ -17,19 +17,22 @@ def structure(name: str, *fields: tuple[str, type]) -> type[ctypes.Structure]:
 _PAIR = c_float * 2
 Problem = structure(
     "sg_problem",
-    *((name, c_int32) for name in ("peak", "views", "gaussians", "coefficients", "rows", "columns")),
-    *((name, c_void_p) for name in ("means", "quaternions", "scales", "kappa", "harmonics", "gamma0")),
+    *((name, c_int32) for name in ("peak", "views", "gaussians", "coefficients", "channels", "rows", "columns")),
+    *((name, c_void_p) for name in ("means", "quaternions", "scales", "kappa", "harmonics", "amplitudes")),
     *((name, c_void_p) for name in ("frames", "basis", "shift")),
     ("p_min", c_float),
     *((name, _PAIR) for name in ("pixel", "center", "response_var", "ray")),
     *((name, c_float) for name in ("cell_widening", "min_ray_depth", "min_transmittance", "image_cut")),
-    *((name, c_float) for name in ("min_scale", "max_depth")),
+    *(
+        (name, c_float)
+        for name in ("min_scale", "max_scale", "max_depth", "farthest", "strongest", "flattest", "steepest")
+    ),
 )
 Outputs = structure("sg_outputs", *((name, c_void_p) for name in ("images", "cross_sections", "lit_area")))
 Gradients = structure(
     "sg_gradients",
     *((name, c_void_p) for name in ("images", "cross_sections", "transmittance")),
-    *((name, c_void_p) for name in ("means", "quaternions", "scales", "kappa", "harmonics", "gamma0")),
+    *((name, c_void_p) for name in ("means", "quaternions", "scales", "kappa", "harmonics", "amplitudes")),
     *((name, c_void_p) for name in ("shift", "planes")),
 )
 Projection = structure(
@@ -37,7 +40,7 @@ Projection = structure(
     *((name, c_void_p) for name in ("ray_centers", "ray_roots", "optical_depth", "range", "tilt")),
     *((name, c_void_p) for name in ("pixel_centers", "pixel_roots", "gamma0")),
 )
-Channels = structure("sg_channels", ("count", c_int32), ("amplitudes", c_void_p))
+Channels = structure("sg_channels", ("count", c_int32), ("cross_sections", c_void_p))
 Lattice = structure("sg_lattice", ("k0x", c_int64), ("k0y", c_int64), ("rows", c_int32), ("columns", c_int32))
 Statistics = structure(
     "sg_statistics",

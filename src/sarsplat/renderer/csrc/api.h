@@ -9,14 +9,15 @@ struct sg_problem {
   int32_t peak;           // 1: imaging weight without the norm (ablation)
   int32_t views;          // V
   int32_t gaussians;      // N
-  int32_t coefficients;   // K harmonics per Gaussian; 0 when gamma0 is given
+  int32_t coefficients;   // K harmonics per Gaussian; 0 when amplitudes are given
+  int32_t channels;       // C; 1 with harmonics
   int32_t rows, columns;  // image size: range, azimuth
   const float* means;        // [N, 3]
   const float* quaternions;  // [N, 4] wxyz
   const float* scales;       // [N, 3]
   const float* kappa;        // [N] two-way peak optical depth
   const float* harmonics;    // [N, K]
-  const float* gamma0;       // [V, N] P(u) itself, or null
+  const float* amplitudes;   // [V, N, C] what a channel returns per lit area, or null: then P(u) of the harmonics
   const float* frames;       // [V, 9] radar frames, row-major
   const float* basis;        // [V, K] harmonic basis at the direction to the radar
   const float* shift;        // [V, 2] image shift (x, r)
@@ -24,22 +25,24 @@ struct sg_problem {
   float pixel[2], center[2], response_var[2];  // spacing, image centre, system response variance: (azimuth, range)
   float ray[2];                                // ray spacing (x, y)
   float cell_widening, min_ray_depth, min_transmittance, image_cut;
-  float min_scale, max_depth;                  // limits the input is checked against
+  float min_scale, max_scale, max_depth;       // limits the input is checked against (checks.py)
+  float farthest, strongest;                   // metres; everything else
+  float flattest, steepest;                    // roots, 1/m
 };
 
 struct sg_outputs {       // forward
-  float* images;          // [V, rows, columns]
-  float* cross_sections;  // [V, N]
+  float* images;          // [V, C, rows, columns]
+  float* cross_sections;  // [V, N, C]
   float* lit_area;        // [V, N]
 };
 
 struct sg_gradients {
-  const float* images;          // dL/dS [V, rows, columns]
-  const float* cross_sections;  // dL/dsigma [V, N], or null
+  const float* images;          // dL/dS [V, C, rows, columns]
+  const float* cross_sections;  // dL/dsigma [V, N, C], or null
   const float* transmittance;   // dL/dT_end of all views' lattices one after the other, or null
   float *means, *quaternions, *scales, *kappa;  // out
   float* harmonics;             // out [N, K], or null
-  float* gamma0;                // out [V, N], or null
+  float* amplitudes;            // out [V, N, C], or null
   float* shift;                 // out [V, 2]
   float* planes;                // out [V, N, 4]: dL/d(mu_C, mu_I), or null
 };
@@ -80,9 +83,6 @@ struct sg_loss {          // of V images; see loss.h
   float* gradient;        // out [V, rows, columns]
 };
 
-// What footprints in arrays may be (checks.py): metres, roots in 1/m, and everything else.
-constexpr float kFar = 2e9f, kFlattest = 1e-8f, kSteepest = 1e8f, kStrong = 1e15f;
-
 // Footprints of V views of N Gaussians: what `project` makes and the other steps read; backward, the gradients of them.
 struct sg_projection {
   float* ray_centers;     // [V, N, 2] on the computation plane
@@ -97,13 +97,13 @@ struct sg_projection {
 
 struct sg_channels {      // what is splatted
   int32_t count;          // C
-  const float* amplitudes;  // [V, N, C], m^2
+  const float* cross_sections;  // [V, N, C], m^2
 };
 
 struct sg_context;        // what backward needs; opaque
 
-enum sg_status { SG_OK = 0, SG_MEANS, SG_QUATERNIONS, SG_SCALES, SG_KAPPA, SG_SCATTERING, SG_GAMMA0, SG_SHIFT, SG_LATTICE, SG_MEMORY,
-                 SG_CENTERS, SG_ROOTS, SG_DEPTH, SG_RANGE, SG_TILT, SG_AMPLITUDES };
+enum sg_status { SG_OK = 0, SG_MEANS, SG_QUATERNIONS, SG_SCALES, SG_KAPPA, SG_SCATTERING, SG_AMPLITUDES, SG_SHIFT, SG_LATTICE, SG_MEMORY,
+                 SG_CENTERS, SG_ROOTS, SG_DEPTH, SG_RANGE, SG_TILT, SG_CROSS_SECTIONS };
 
 }  // extern "C"
 

@@ -48,12 +48,12 @@ extern "C" __global__ void __launch_bounds__(kThreads) differentiate(sg_problem 
       accumulate(project(b, f, u), f, u, rays, pixels, p.peak != 0, total, planes);
       total.kappa += rays.m0;
       d_gamma0 = s.d_sigma[j] * lit;
-      const float d_sum = p.gamma0 ? 0.0f : d_gamma0 * softplus(sum_of_harmonics(p, v, i)).slope;
+      const float d_sum = p.amplitudes ? 0.0f : d_gamma0 * softplus(sum_of_harmonics(p, v, i)).slope;
       for (int k = 0; k < kMaxCoefficients; k++)
         if (k < p.coefficients) d_harmonics[k] += d_sum * p.basis[v * p.coefficients + k];
     }
     for (int k = 0; k < 4; k++) s.planes[4 * j + k] = planes[k];
-    if (g.gamma0) g.gamma0[j] = d_gamma0;
+    if (g.amplitudes) g.amplitudes[j] = d_gamma0;
   }
   write_gradients(p, i, b, unit, norm, total, p.kappa[i] > 0.0f ? total.kappa / p.kappa[i] : 0.0f, d_harmonics, g);
 }

@@ -16,14 +16,13 @@ SG_FN void check(const State& s, const float* values, int count, float low, floa
   if (!good) report(s, status, index);
 }
 SG_FN void check_gaussian(const sg_problem& p, const State& s, int64_t i) {
-  const float far = 1e9f, strong = 1e15f;  // beyond these, float32 overflows on the way
   const float* q = p.quaternions + 4 * i;
-  check(s, p.means + 3 * i, 3, -far, far, SG_MEANS, i);
-  check(s, q, 4, -1e15f, 1e15f, SG_QUATERNIONS, i);
-  if (!(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] >= 1e-30f)) report(s, SG_QUATERNIONS, i);
-  check(s, p.scales + 3 * i, 3, p.min_scale, 1e6f, SG_SCALES, i);
+  check(s, p.means + 3 * i, 3, -p.farthest, p.farthest, SG_MEANS, i);
+  check(s, q, 4, -p.strongest, p.strongest, SG_QUATERNIONS, i);
+  if (!(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] >= 1.0f / (p.strongest * p.strongest))) report(s, SG_QUATERNIONS, i);
+  check(s, p.scales + 3 * i, 3, p.min_scale, p.max_scale, SG_SCALES, i);
   check(s, p.kappa + i, 1, 0.0f, p.max_depth, SG_KAPPA, i);
-  check(s, p.harmonics + p.coefficients * i, p.coefficients, -strong, strong, SG_SCATTERING, i);
+  check(s, p.harmonics + p.coefficients * i, p.coefficients, -p.strongest, p.strongest, SG_SCATTERING, i);
 }
 
 // ---- projection ------------------------------------------------------------------------------------------------------
@@ -53,9 +52,9 @@ SG_FN void place_on_rays(const sg_problem& p, const State& s, int64_t j, const P
 }
 
 SG_FN float gamma0_of(const sg_problem& p, const State& s, int view, int64_t i, int64_t j) {
-  if (p.gamma0) {
-    check(s, p.gamma0 + j, 1, -1e15f, 1e15f, SG_GAMMA0, j);
-    return p.gamma0[j];
+  if (p.amplitudes) {
+    check(s, p.amplitudes + j, 1, -p.strongest, p.strongest, SG_AMPLITUDES, j);
+    return p.amplitudes[j];
   }
   return softplus(sum_of_harmonics(p, view, i)).value + p.p_min;
 }

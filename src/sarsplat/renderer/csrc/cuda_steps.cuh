@@ -13,7 +13,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) write_projections(sg_prob
   const int64_t j = pair_index(p, &view, &i);
   if (j < 0) return;
   if (view == 0) check_gaussian(p, s, i);
-  if (i == 0) check(s, p.shift + 2 * view, 2, -1e9f, 1e9f, SG_SHIFT, view);
+  if (i == 0) check(s, p.shift + 2 * view, 2, -p.farthest, p.farthest, SG_SHIFT, view);
   const PlaneUnits u = units(p);
   float unit[4], norm, slope[2];
   const Projection<float> g = project(body(p, i, unit, norm), frame(p, view), u);
@@ -59,20 +59,20 @@ differentiate_projections(sg_problem p, State s, sg_projection seeds, sg_gradien
 }
 
 // ---- attenuate -------------------------------------------------------------------------------------------------------
-SG_FN void check_footprint(const State& s, const float* center, const float* roots, int64_t j) {
-  check(s, center, 2, -kFar, kFar, SG_CENTERS, j);
-  check(s, roots, 3, -kSteepest, kSteepest, SG_ROOTS, j);
-  if (!(roots[0] >= kFlattest && roots[2] >= kFlattest)) report(s, SG_ROOTS, j);
+SG_FN void check_footprint(const sg_problem& p, const State& s, const float* center, const float* roots, int64_t j) {
+  check(s, center, 2, -2.0f * p.farthest, 2.0f * p.farthest, SG_CENTERS, j);
+  check(s, roots, 3, -p.steepest, p.steepest, SG_ROOTS, j);
+  if (!(roots[0] >= p.flattest && roots[2] >= p.flattest)) report(s, SG_ROOTS, j);
 }
 
 extern "C" __global__ void __launch_bounds__(kThreads) place_rays(sg_problem p, State s, sg_projection in) {
   int view, i;
   const int64_t j = pair_index(p, &view, &i);
   if (j >= 0) {
-    check_footprint(s, in.ray_centers + 2 * j, in.ray_roots + 3 * j, j);
+    check_footprint(p, s, in.ray_centers + 2 * j, in.ray_roots + 3 * j, j);
     check(s, in.optical_depth + j, 1, 0.0f, p.max_depth, SG_DEPTH, j);
-    check(s, in.range + j, 1, -kFar, kFar, SG_RANGE, j);
-    check(s, in.tilt + 2 * j, 2, -kStrong, kStrong, SG_TILT, j);
+    check(s, in.range + j, 1, -2.0f * p.farthest, 2.0f * p.farthest, SG_RANGE, j);
+    check(s, in.tilt + 2 * j, 2, -p.strongest, p.strongest, SG_TILT, j);
     Placed<float> at = placed_from(in.ray_centers + 2 * j, in.ray_roots + 3 * j, p.ray);
     at.x *= 1.0f / p.ray[0];
     at.y *= 1.0f / p.ray[1];
@@ -111,8 +111,8 @@ extern "C" __global__ void __launch_bounds__(kThreads) place_pixels(sg_problem p
   int view, i;
   const int64_t j = pair_index(p, &view, &i);
   if (j < 0) return;
-  check_footprint(s, in.pixel_centers + 2 * j, in.pixel_roots + 3 * j, j);
-  check(s, a.amplitudes + j * a.count, a.count, -kStrong, kStrong, SG_AMPLITUDES, j);
+  check_footprint(p, s, in.pixel_centers + 2 * j, in.pixel_roots + 3 * j, j);
+  check(s, a.cross_sections + j * a.count, a.count, -p.strongest, p.strongest, SG_CROSS_SECTIONS, j);
   Placed<float> at = placed_from(in.pixel_centers + 2 * j, in.pixel_roots + 3 * j, p.pixel);
   at.x = pixel_x(p, at.x);
   at.y = pixel_y(p, at.y);
@@ -138,7 +138,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) image_channels(sg_problem
       const int32_t j = s.pixels.owners[s.pixels.order[first + begin + thread()]];
       const Footprint g = staged[thread()] = placed(s.pixels.splats[j].g, lattice);
       for (int c = 0; c < kTogether; c++)
-        heights[thread()][c] = first_channel + c < a.count ? a.amplitudes[(int64_t)j * a.count + first_channel + c] * g.height : 0.0f;
+        heights[thread()][c] = first_channel + c < a.count ? a.cross_sections[(int64_t)j * a.count + first_channel + c] * g.height : 0.0f;
     }
     __syncthreads();
     for (int k = 0; k < size; k++) {
@@ -163,7 +163,7 @@ image_channels_backward(sg_problem p, State s, sg_channels a, int32_t first_chan
   const float cut = image_cut(p);
   const int64_t size = (int64_t)p.rows * p.columns;
   const float* dS = d_images + (j / n * a.count + first_channel) * size;
-  const float* amplitudes = a.amplitudes + j * a.count + first_channel;
+  const float* amplitudes = a.cross_sections + j * a.count + first_channel;
   Moments<float> m{};
   float sums[kTogether] = {};
   if (!empty(box)) {

@@ -91,8 +91,8 @@ void differentiate(const sg_context& c, const sg_problem& p, const sg_gradients&
       if (g.planes)
         for (int k = 0; k < real; k++)
           for (int q = 0; q < 4; q++) g.planes[((int64_t)v * n + i + k) * 4 + q] = planes[q][k];
-      if (g.gamma0)
-        for (int k = 0; k < real; k++) g.gamma0[(int64_t)v * n + i + k] = d_gamma0[k];
+      if (g.amplitudes)
+        for (int k = 0; k < real; k++) g.amplitudes[(int64_t)v * n + i + k] = d_gamma0[k];
       for (int k = 0; k < p.coefficients; k++) d_harmonics[k] += d_sum * p.basis[v * p.coefficients + k];
     }
     write_gradients(bodies, total, choose(kappa > 0.0f, total.kappa / choose(kappa > 0.0f, kappa, splat(1.0f)), zero), g, i, real);

@@ -7,22 +7,22 @@
 
 namespace {
 
-struct Layout { const char* name; int32_t numbers[32]; };  // the size, the offset of every field, -1
+struct Layout { const char* name; int32_t numbers[40]; };  // the size, the offset of every field, -1
 
 #define AT(field) offsetof(S, field)
 #define LAYOUT(type, ...) [] { typedef type S; return Layout{#type, {sizeof(S), __VA_ARGS__, -1}}; }()
 
 const Layout kLayouts[] = {
-    LAYOUT(sg_problem, AT(peak), AT(views), AT(gaussians), AT(coefficients), AT(rows), AT(columns), AT(means), AT(quaternions),
-           AT(scales), AT(kappa), AT(harmonics), AT(gamma0), AT(frames), AT(basis), AT(shift), AT(p_min), AT(pixel), AT(center),
+    LAYOUT(sg_problem, AT(peak), AT(views), AT(gaussians), AT(coefficients), AT(channels), AT(rows), AT(columns), AT(means),
+           AT(quaternions), AT(scales), AT(kappa), AT(harmonics), AT(amplitudes), AT(frames), AT(basis), AT(shift), AT(p_min), AT(pixel), AT(center),
            AT(response_var), AT(ray), AT(cell_widening), AT(min_ray_depth), AT(min_transmittance), AT(image_cut), AT(min_scale),
-           AT(max_depth)),
+           AT(max_scale), AT(max_depth), AT(farthest), AT(strongest), AT(flattest), AT(steepest)),
     LAYOUT(sg_outputs, AT(images), AT(cross_sections), AT(lit_area)),
     LAYOUT(sg_gradients, AT(images), AT(cross_sections), AT(transmittance), AT(means), AT(quaternions), AT(scales), AT(kappa),
-           AT(harmonics), AT(gamma0), AT(shift), AT(planes)),
+           AT(harmonics), AT(amplitudes), AT(shift), AT(planes)),
     LAYOUT(sg_projection, AT(ray_centers), AT(ray_roots), AT(optical_depth), AT(range), AT(tilt), AT(pixel_centers), AT(pixel_roots),
            AT(gamma0)),
-    LAYOUT(sg_channels, AT(count), AT(amplitudes)),
+    LAYOUT(sg_channels, AT(count), AT(cross_sections)),
     LAYOUT(sg_lattice, AT(k0x), AT(k0y), AT(rows), AT(columns)),
     LAYOUT(sg_statistics, AT(blocks_attenuation), AT(live_attenuation), AT(blocks_imaging), AT(live_imaging), AT(lanes)),
     LAYOUT(sg_loss, AT(views), AT(rows), AT(columns), AT(power), AT(truth), AT(window), AT(reference), AT(floor), AT(ssim_weight),

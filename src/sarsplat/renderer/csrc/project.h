@@ -22,19 +22,18 @@ void find_outside(const float* p, int64_t first, int64_t end, int64_t per, float
 // what is wrong with the Gaussians [first, end)
 Fault check(const sg_problem& p, int64_t first, int64_t end) {
   const int64_t n = p.gaussians;
-  const float far = 1e9f, strong = 1e15f;  // beyond these, float32 overflows on the way
   Fault fault{SG_OK, -1};
-  find_outside(p.means, first, end, 3, -far, far, SG_MEANS, fault);
-  find_outside(p.quaternions, first, end, 4, -1e15f, 1e15f, SG_QUATERNIONS, fault);
-  find_outside(p.scales, first, end, 3, p.min_scale, 1e6f, SG_SCALES, fault);
+  find_outside(p.means, first, end, 3, -p.farthest, p.farthest, SG_MEANS, fault);
+  find_outside(p.quaternions, first, end, 4, -p.strongest, p.strongest, SG_QUATERNIONS, fault);
+  find_outside(p.scales, first, end, 3, p.min_scale, p.max_scale, SG_SCALES, fault);
   find_outside(p.kappa, first, end, 1, 0.0f, p.max_depth, SG_KAPPA, fault);
-  find_outside(p.harmonics, first, end, p.coefficients, -strong, strong, SG_SCATTERING, fault);
-  for (int64_t v = 0; p.gamma0 && v < p.views; v++)
-    find_outside(p.gamma0, v * n + first, v * n + end, 1, -strong, strong, SG_GAMMA0, fault);
-  if (first == 0) find_outside(p.shift, 0, p.views, 2, -far, far, SG_SHIFT, fault);
+  find_outside(p.harmonics, first, end, p.coefficients, -p.strongest, p.strongest, SG_SCATTERING, fault);
+  for (int64_t v = 0; p.amplitudes && v < p.views; v++)
+    find_outside(p.amplitudes, v * n + first, v * n + end, 1, -p.strongest, p.strongest, SG_AMPLITUDES, fault);
+  if (first == 0) find_outside(p.shift, 0, p.views, 2, -p.farthest, p.farthest, SG_SHIFT, fault);
   for (int64_t i = first; i < end; i++) {
     const float* q = p.quaternions + 4 * i;
-    const bool rotates = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] >= 1e-30f;
+    const bool rotates = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] >= 1.0f / (p.strongest * p.strongest);
     if (!rotates && (!fault.status || fault.status > SG_QUATERNIONS)) fault = {SG_QUATERNIONS, i};
   }
   return fault;
@@ -149,8 +148,8 @@ void project_view(const ViewState& s, const sg_problem& p, const Cuts& cuts, int
 // P(u) of kWidth Gaussians in a view, and its slope over the sum of harmonics; `harmonics`: read unless gamma0 is given.
 SG_FN Softplus<F> scatter(const sg_problem& p, int v, int64_t i, int real, const F* harmonics) {
   Softplus<F> gamma0;
-  if (p.gamma0) {
-    gamma0 = {load_some(p.gamma0 + v * (int64_t)p.gaussians + i, real), splat(0.0f)};
+  if (p.amplitudes) {
+    gamma0 = {load_some(p.amplitudes + v * (int64_t)p.gaussians + i, real), splat(0.0f)};
   } else {
     F sum = splat(0.0f);
     for (int k = 0; k < p.coefficients; k++) sum += harmonics[k] * p.basis[v * p.coefficients + k];
@@ -169,7 +168,7 @@ void project_chunk(const sg_context& c, const sg_problem& p, int chunk, int64_t 
     const int real = smaller(kWidth, (int)(end - i));
     const Bodies bodies = read_bodies(p, i, real);
     F harmonics[kFields];
-    if (!p.gamma0) read_rows(p.harmonics + p.coefficients * i, p.coefficients, real, harmonics);
+    if (!p.amplitudes) read_rows(p.harmonics + p.coefficients * i, p.coefficients, real, harmonics);
     for (int v = 0; v < p.views; v++) {
       project_view(c.views[v], p, cuts, v, bodies, scatter(p, v, i, real, harmonics), i, real, c.views[v].bounds[chunk]);
     }

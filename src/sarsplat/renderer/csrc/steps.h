@@ -128,11 +128,11 @@ int32_t project_step_backward(sg_context* context, const sg_problem* problem, co
 
 // ---- what attenuate and splat have in common ---------------------------------------------------------------------------
 // What is wrong with the rows [first, end) of footprints. Two of the three roots must be positive.
-void check_footprints(const float* centers, const float* roots, int64_t first, int64_t end, Fault& fault) {
-  find_outside(centers, first, end, 2, -kFar, kFar, SG_CENTERS, fault);
-  find_outside(roots, first, end, 3, -kSteepest, kSteepest, SG_ROOTS, fault);
+void check_footprints(const sg_problem& p, const float* centers, const float* roots, int64_t first, int64_t end, Fault& fault) {
+  find_outside(centers, first, end, 2, -2.0f * p.farthest, 2.0f * p.farthest, SG_CENTERS, fault);
+  find_outside(roots, first, end, 3, -p.steepest, p.steepest, SG_ROOTS, fault);
   for (int64_t i = first; i < end; i++)
-    if (!(roots[3 * i] >= kFlattest && roots[3 * i + 2] >= kFlattest) && (!fault.status || fault.status > SG_ROOTS)) fault = {SG_ROOTS, i};
+    if (!(roots[3 * i] >= p.flattest && roots[3 * i + 2] >= p.flattest) && (!fault.status || fault.status > SG_ROOTS)) fault = {SG_ROOTS, i};
 }
 
 Placed<F> read_footprints(const float* centers, const float* roots, int64_t at, int real, const float* spacing) {
@@ -169,10 +169,10 @@ template <class Task> void over_chunks(const sg_problem& p, Task task) {
 Fault place_rays(const sg_context& c, const sg_problem& p, const sg_projection& in, int v, int64_t first, int64_t end) {
   const int64_t base = v * (int64_t)p.gaussians;
   Fault fault{SG_OK, -1};
-  check_footprints(in.ray_centers, in.ray_roots, base + first, base + end, fault);
+  check_footprints(p, in.ray_centers, in.ray_roots, base + first, base + end, fault);
   find_outside(in.optical_depth, base + first, base + end, 1, 0.0f, p.max_depth, SG_DEPTH, fault);
-  find_outside(in.range, base + first, base + end, 1, -kFar, kFar, SG_RANGE, fault);
-  find_outside(in.tilt, base + first, base + end, 2, -kStrong, kStrong, SG_TILT, fault);
+  find_outside(in.range, base + first, base + end, 1, -2.0f * p.farthest, 2.0f * p.farthest, SG_RANGE, fault);
+  find_outside(in.tilt, base + first, base + end, 2, -p.strongest, p.strongest, SG_TILT, fault);
   if (fault.status) return fault;
   const Cuts cuts = cuts_of(p);
   const F beyond = splat(3e38f);
@@ -270,8 +270,8 @@ int32_t trace_step(const sg_context* c, const sg_problem* p, const sg_projection
 Fault place_pixels(const sg_context& c, const sg_problem& p, const sg_projection& in, const sg_channels& a, int v, int64_t first, int64_t end) {
   const int64_t base = v * (int64_t)p.gaussians;
   Fault fault{SG_OK, -1};
-  check_footprints(in.pixel_centers, in.pixel_roots, base + first, base + end, fault);
-  find_outside(a.amplitudes, base + first, base + end, a.count, -kStrong, kStrong, SG_AMPLITUDES, fault);
+  check_footprints(p, in.pixel_centers, in.pixel_roots, base + first, base + end, fault);
+  find_outside(a.cross_sections, base + first, base + end, a.count, -p.strongest, p.strongest, SG_CROSS_SECTIONS, fault);
   if (fault.status) return fault;
   const Cuts cuts = cuts_of(p);
   const F zero = splat(0.0f);
@@ -313,7 +313,7 @@ int32_t splat_stages(sg_context& c, const sg_problem& p, const sg_projection& in
     if (i % parts >= s.pixel_parts) return;
     const Part& part = s.pixel_groups[i % parts];
     for_channels(a.count, [&](int first, auto count) {
-      image_channels<count>(s, part, {a.amplitudes + v * n * a.count + first, a.count}, image_cut(p), part.memory + first * part.strips.size());
+      image_channels<count>(s, part, {a.cross_sections + v * n * a.count + first, a.count}, image_cut(p), part.memory + first * part.strips.size());
     });
   });
   const int groups = tasks_of(p.rows, kRowsPerTask);
@@ -347,7 +347,7 @@ int32_t splat_backward_stages(sg_context& c, const sg_problem& p, const sg_chann
     if (i % parts >= s.pixel_parts) return;
     for_channels(a.count, [&](int first, auto count) {
       const int64_t at = v * n * a.count + first;
-      image_channels_backward<count>(s, s.pixel_groups[i % parts], c.image, {a.amplitudes + at, a.count}, image_cut(p),
+      image_channels_backward<count>(s, s.pixel_groups[i % parts], c.image, {a.cross_sections + at, a.count}, image_cut(p),
                                      scratch[v].dS + first * size, first == 0, scratch[v].pixel_moments, d_amplitudes + at);
     });
   });
