@@ -141,7 +141,7 @@ def pace(scene: Scene, repeats: int, peak: float) -> dict[str, Any]:
     seed = torch.rand(views, grid.rows, grid.columns, device="cuda")
 
     def step() -> None:
-        images = render(leaves, scene.views, grid, engine="cuda").images
+        images = render(leaves, scene.views, grid, engine="cuda").channel(0)
         torch.autograd.grad(images, list(leaves.tensors().values()), seed)
 
     step()
@@ -224,7 +224,7 @@ def beside_gsplat(scene: Scene, repeats: int) -> dict[str, Any] | None:
         torch.autograd.grad(images, wanted, seed[..., None].expand_as(images))
 
     def radar() -> None:
-        images = render(leaves, scene.views, grid, engine="cuda").images
+        images = render(leaves, scene.views, grid, engine="cuda").channel(0)
         torch.autograd.grad(images, list(leaves.tensors().values()), seed)
 
     view_s = timed({"gsplat": optical, "engine": radar}, repeats, count)

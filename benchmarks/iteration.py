@@ -17,7 +17,7 @@ from recipes import COUNT, halfway
 from sarsplat.reconstruction.losses import amplitude_loss
 from sarsplat.reconstruction.optimiser import Optimiser
 from sarsplat.reconstruction.presets import preset
-from sarsplat.renderer import cpu
+from sarsplat.renderer import channel_of, cpu
 from sarsplat.scenes import paper_grid, paper_views
 
 COUNTS, VIEWS = (COUNT, 4 * COUNT), (1, 8)
@@ -41,6 +41,7 @@ def training(count: int, views_per_step: int, clock: Clock) -> Callable[[int], N
     def iterate(k: int) -> None:
         chosen = [(k * views_per_step + i) % len(views) for i in range(views_per_step)]
         images, _ = model.render([views[i] for i in chosen], grid, 3, chips=torch.tensor(chosen))
+        images = channel_of(images, model.power_channel)
         images.backward(loss(images, torch.stack([truth[i] for i in chosen])))
         step(0)
 

@@ -43,7 +43,7 @@ class Scene:
 
     def images(self) -> Tensor:
         """β⁰ [V, rows, columns] from the CPU engine."""
-        return render(self.leaves, self.views, self.grid, rays=self.rays, engine="cpu").images
+        return render(self.leaves, self.views, self.grid, rays=self.rays, engine="cpu").channel(0)
 
     def gradients(self, images: Tensor) -> list[Tensor]:
         """Of the images' inner product with the cotangent, to every tensor of the Gaussians."""

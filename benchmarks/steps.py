@@ -22,8 +22,10 @@ def chain(scene: Scene) -> Callable[[], object]:
     def step() -> object:
         g = scene.leaves
         projection = project(g, scene.views, scene.grid, rays=scene.rays, engine="cpu")
-        cross_sections = projection.gamma0 * attenuate(projection, scene.rays, engine="cpu").lit_area
-        images = splat(projection.pixels, cross_sections[..., None], scene.grid, engine="cpu").squeeze(1)
+        lit_area = attenuate(projection, scene.rays, engine="cpu").lit_area
+        images = splat(
+            projection.pixels, projection.amplitudes * lit_area[..., None], scene.grid, engine="cpu"
+        ).squeeze(1)
         return [images.detach(), *scene.gradients(images)]
 
     return step
@@ -35,12 +37,12 @@ def splatting(scene: Scene, channels: int) -> Callable[[], object]:
         pixels = project(scene.gaussians, scene.views, scene.grid, engine="cpu").pixels
     leaves = [pixels.centers.requires_grad_(), pixels.roots.requires_grad_()]
     generator = torch.Generator().manual_seed(channels)
-    amplitudes = torch.rand(*leaves[0].shape[:2], channels, generator=generator).requires_grad_()
+    cross_sections = torch.rand(*leaves[0].shape[:2], channels, generator=generator).requires_grad_()
     cotangent = torch.rand(len(scene.views), channels, scene.grid.rows, scene.grid.columns, generator=generator)
 
     def step() -> object:
-        images = splat(pixels, amplitudes, scene.grid, engine="cpu")
-        return torch.autograd.grad(images, [*leaves, amplitudes], cotangent)
+        images = splat(pixels, cross_sections, scene.grid, engine="cpu")
+        return torch.autograd.grad(images, [*leaves, cross_sections], cotangent)
 
     return step
 

@@ -223,9 +223,9 @@ def gaussian_picture() -> Figure:
     )
     where, view = grid(9), View(0, 35)
     rendered = render(gaussians, [view], where)
-    show(image, rendered.images[0].numpy() + 1e-9, where, "rendered", 20)
-    alone = render(gaussians[:1], [view], where).cross_sections[0, 0]
-    a, b, c = (100 * rendered.cross_sections[0] / alone).tolist()
+    show(image, rendered.channel(0)[0].numpy() + 1e-9, where, "rendered", 20)
+    alone = render(gaussians[:1], [view], where).cross_sections[0, 0, 0]
+    a, b, c = (100 * rendered.cross_sections[0, :, 0] / alone).tolist()
     ranges = (-(place - place.mean(axis=0)) @ u).tolist()
     for text, distance in ((f"A {a:.0f} % + C {c:.0f} %", ranges[0]), (f"B {b:.0f} %", ranges[1])):
         label(image, np.array([0, distance - 1.5]), text, "white", fontsize=11, bbox={"alpha": 0})

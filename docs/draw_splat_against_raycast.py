@@ -44,11 +44,11 @@ def raycast(spacing: float, offset: tuple[float, float] = (0.5, 0.5)) -> list[np
 
 def splat(gaussians: Gaussians, faces: np.ndarray, spacing: float, farther: float = 0.0) -> np.ndarray:
     """β⁰ of every view by the renderer, moved away from the radar by so many metres."""
-    scattering = torch.from_numpy(law_scattering(MESH.face_normals, VIEWS, LAW)[:, faces]).float()
+    scattering = torch.from_numpy(law_scattering(MESH.face_normals, VIEWS, LAW)[:, faces, None]).float()
     shift = torch.tensor([[0.0, farther]] * len(VIEWS))
     rays = RayGrid((spacing, spacing))
     with torch.no_grad():
-        return render(gaussians, VIEWS, GRID, rays=rays, scattering=scattering, shift=shift).images.numpy()
+        return render(gaussians, VIEWS, GRID, rays=rays, amplitudes=scattering, shift=shift).channel(0).numpy()
 
 
 def scores(truth: Sequence[np.ndarray], images: Sequence[np.ndarray]) -> np.ndarray:

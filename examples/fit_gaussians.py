@@ -30,7 +30,7 @@ harmonics = torch.zeros(COUNT, 4).requires_grad_()
 optimiser = torch.optim.Adam([means, quaternions, log_scales, log_depth, harmonics], lr=0.02)
 for iteration in range(ITERATIONS):
     scene = Gaussians(means, quaternions, log_scales.exp(), log_depth.clamp(max=2.0).exp(), Harmonics(harmonics, 0.03))
-    amplitude = (render(scene, views, grid).images + 1e-6).sqrt()
+    amplitude = (render(scene, views, grid).channel(0) + 1e-6).sqrt()
     loss = (amplitude - truth).abs().mean()
     optimiser.zero_grad()
     loss.backward()

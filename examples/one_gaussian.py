@@ -15,8 +15,8 @@ view = View(azimuth_deg=30.0, grazing_deg=40.0)
 grid = ImageGrid(rows=64, columns=64, spacing_m=(0.2, 0.2), resolution_m=(0.3, 0.3))  # m
 
 rendering = render(gaussian, [view], grid)
-image = rendering.images[0]  # β⁰, linear power; row 0 is near range
-print(f"cross-section {rendering.cross_sections[0, 0]:.3f} m², image sum {image.sum() * 0.2 * 0.2:.3f} m²")
+image = rendering.channel(0)[0]  # β⁰, linear power; row 0 is near range
+print(f"cross-section {rendering.cross_sections[0, 0, 0]:.3f} m², image sum {image.sum() * 0.2 * 0.2:.3f} m²")
 
 target = image.detach().roll(3, dims=0)  # the same, three pixels farther away
 (image - target).square().mean().backward()

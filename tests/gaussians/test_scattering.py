@@ -84,11 +84,11 @@ def test_gradients_reach_parameters_and_orientation(name):
     law = LAWS[name]
     gaussians, u = scene(law), directions(3)
 
-    def gamma0(parameters: torch.Tensor, quaternions: torch.Tensor) -> torch.Tensor:
-        return replace(law, parameters=parameters).gamma0(u, quaternions, gaussians.scales)
+    def amplitudes(parameters: torch.Tensor, quaternions: torch.Tensor) -> torch.Tensor:
+        return replace(law, parameters=parameters).amplitudes(u, quaternions, gaussians.scales)
 
     leaves = law.parameters.clone().requires_grad_(), gaussians.quaternions.clone().requires_grad_()
-    assert torch.autograd.gradcheck(gamma0, leaves)
+    assert torch.autograd.gradcheck(amplitudes, leaves)
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -175,15 +175,15 @@ def test_threads_change_nothing(kind):
     directions = torch.nn.functional.normalize(torch.randn(8, 3, generator=generator), dim=1)
     quaternions = torch.randn(count, 4, generator=generator)
     scales = torch.rand(count, 3, generator=generator) + 0.1
-    cotangent = torch.randn(8, count, generator=generator)
+    cotangent = torch.randn(8, count, len(law.channels), generator=generator)
     usual, found = torch.get_num_threads(), []
     try:
         for threads in (1, 2, 3):
             torch.set_num_threads(threads)
             leaves = start.clone().requires_grad_(), quaternions.clone().requires_grad_()
-            gamma0 = replace(law, parameters=leaves[0]).gamma0(directions, leaves[1], scales)
-            gamma0.backward(cotangent)
-            found.append([gamma0.detach(), *(leaf.grad for leaf in leaves if leaf.grad is not None)])
+            amplitudes = replace(law, parameters=leaves[0]).amplitudes(directions, leaves[1], scales)
+            amplitudes.backward(cotangent)
+            found.append([amplitudes.detach(), *(leaf.grad for leaf in leaves if leaf.grad is not None)])
     finally:
         torch.set_num_threads(usual)
     for others in found[1:]:

@@ -55,7 +55,7 @@ def test_two_scatterers_at_one_range_light_up_and_a_third_does_not():
 def test_the_contributions_add_up_to_the_pixel():
     chance = np.random.default_rng(3)
     scene = balls(chance.uniform(-1.5, 1.5, (200, 3)))
-    image = render(scene, [VIEW], GRID).images[0]
+    image = render(scene, [VIEW], GRID).channel(0)[0]
     for pixel in (PIXEL, Pixel(16, 12), Pixel(0, 0)):
         parts = contributions(scene, VIEW, GRID, pixel)
         assert parts.shape == (200,)

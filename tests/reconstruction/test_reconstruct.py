@@ -212,7 +212,7 @@ def test_gaussians_left_out_are_made_up_for(dataset: Dataset) -> None:
     for left_out in (None, torch.tensor([True, False, False, True])):
         with torch.no_grad():
             _, rendering = model.render([View(0.0, 30.0)], dataset.grid, 0, left_out=left_out)
-        seen[left_out is None] = rendering.cross_sections[0, :4]
+        seen[left_out is None] = rendering.cross_sections[0, :4, 0]
     assert seen[False][[0, 3]].tolist() == [0, 0]
     assert bool((seen[False][[1, 2]] > seen[True][[1, 2]]).all())
 

@@ -60,11 +60,11 @@ def render_nothing(
     """As far as shapes, devices and autograd are concerned, a renderer for the device that has no memory."""
     count, device = (len(views), len(gaussians)), gaussians.means.device
     level = sum(tensor.sum() for tensor in gaussians.tensors().values())
-    images = level.expand(len(views), grid.rows, grid.columns)
+    images = level.expand(len(views), 1, grid.rows, grid.columns)
     if shift is not None and gain is not None:
-        images = images * gain[:, None, None] + shift.sum(1)[:, None, None]
-    cross_sections, lit_area = torch.ones(2, *count, device=device)
-    return Rendering(images, cross_sections, lit_area, plane_gradients=torch.ones(*count, 4, device=device))
+        images = images * gain[:, None, None, None] + shift.sum(1)[:, None, None, None]
+    lit_area = torch.ones(count, device=device)
+    return Rendering(images, lit_area[..., None], lit_area, plane_gradients=torch.ones(*count, 4, device=device))
 
 
 @pytest.mark.parametrize("name", CONFIGS)

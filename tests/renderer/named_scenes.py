@@ -24,7 +24,7 @@ class Scene:
     views: tuple[View, ...] = VIEWS
     grid: ImageGrid = GRID
     rays: RayGrid | None = None
-    gamma0: Tensor | None = None
+    amplitudes: Tensor | None = None
     shift: Tensor | None = None
     gain: Tensor | None = None
     imaging_weight: str = "area"
@@ -40,9 +40,9 @@ class Scene:
 
     def leaves(self, dtype: torch.dtype) -> dict[str, Tensor]:
         """Differentiable arguments by name, as fresh leaves."""
-        optional = {"gamma0": self.gamma0, "shift": self.shift, "gain": self.gain}
+        optional = {"amplitudes": self.amplitudes, "shift": self.shift, "gain": self.gain}
         tensors = self.gaussians.tensors() | {k: t for k, t in optional.items() if t is not None}
-        if self.gamma0 is not None:
+        if self.amplitudes is not None:
             del tensors["scattering"]  # unused then
         return {name: tensor.detach().to(dtype, copy=True).requires_grad_() for name, tensor in tensors.items()}
 
@@ -50,7 +50,7 @@ class Scene:
         """Render with these leaves."""
         fields = self.gaussians.tensors()
         own = {name: leaves.get(name, tensor.to(leaves["means"].dtype)) for name, tensor in fields.items()}
-        arguments = {name: leaves[name] for name in ("gamma0", "shift", "gain") if name in leaves}
+        arguments = {name: leaves[name] for name in ("amplitudes", "shift", "gain") if name in leaves}
         return renderer(
             self.gaussians.with_tensors(**own), self.views, self.grid, **arguments, **self.options(), **more
         )
@@ -131,8 +131,8 @@ GRADCHECK: dict[str, Callable[[], Scene]] = {
     "opaque, peak weight": lambda: _gradcheck(
         cloud(4, 4, size=(0.4, 0.4, 0.6), scale=0.2, kappa=(2.0, 6.0), degree=1), imaging_weight="peak"
     ),
-    "gamma0 given": lambda: _gradcheck(
-        cloud(4, 6, size=(0.5, 0.5, 0.5), scale=0.2, kappa=(0.5, 2.0)), gamma0=0.5 + _random(3, 2, 4).abs()
+    "amplitudes given": lambda: _gradcheck(
+        cloud(4, 6, size=(0.5, 0.5, 0.5), scale=0.2, kappa=(0.5, 2.0)), amplitudes=0.5 + _random(3, 2, 4, 1).abs()
     ),
 }
 """A handful of Gaussians each, with overlap and occlusion, small enough for finite differences of every parameter."""
@@ -161,7 +161,7 @@ MATRIX: dict[str, Callable[[], Scene]] = {
     "degree 1": lambda: Scene(cloud(40, 17, degree=1)),
     "degree 2": lambda: Scene(cloud(40, 18, degree=2)),
     "no least scattering": lambda: Scene(replace(cloud(40, 19), scattering=Harmonics(4 * _random(19, 40, 16)))),
-    "gamma0 given": lambda: Scene(cloud(40, 20), gamma0=_random(5, 3, 40).abs()),
+    "amplitudes given": lambda: Scene(cloud(40, 20), amplitudes=_random(5, 3, 40, 1).abs()),
     "peak weight": lambda: Scene(cloud(40, 23), imaging_weight="peak"),
     "shift and gain": lambda: Scene(cloud(40, 44), shift=0.2 * _random(6, 3, 2), gain=torch.tensor([1.3, 0.2, 4.0])),
     "image off centre": lambda: Scene(cloud(40, 25), grid=replace(GRID, center_m=(0.37, -0.61))),

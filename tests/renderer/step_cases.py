@@ -20,7 +20,7 @@ CHANNELS = 3
 
 def tensors_of(p: Projection) -> Tensors:
     """Every tensor of a projection by name."""
-    own = {"optical_depth": p.optical_depth, "range_m": p.range_m, "tilt": p.tilt, "gamma0": p.gamma0}
+    own = {"optical_depth": p.optical_depth, "range_m": p.range_m, "tilt": p.tilt, "amplitudes": p.amplitudes}
     planes = {"rays": p.rays, "pixels": p.pixels}
     return own | {f"{n}.{part}": getattr(plane, part) for n, plane in planes.items() for part in ("centers", "roots")}
 
@@ -28,7 +28,7 @@ def tensors_of(p: Projection) -> Tensors:
 def projection_of(tensors: Tensors) -> Projection:
     """The other way round."""
     planes = {n: Footprints(tensors[f"{n}.centers"], tensors[f"{n}.roots"]) for n in ("rays", "pixels")}
-    return Projection(**planes, **{n: tensors[n] for n in ("optical_depth", "range_m", "tilt", "gamma0")})
+    return Projection(**planes, **{n: tensors[n] for n in ("optical_depth", "range_m", "tilt", "amplitudes")})
 
 
 def _leaves(tensors: Tensors, dtype: torch.dtype) -> Tensors:
@@ -62,11 +62,11 @@ def _double(tensor: Tensor | None) -> Tensor | None:
     return None if tensor is None else tensor.double()
 
 
-def _amplitudes(name: str) -> Tensor:
+def _cross_sections(name: str) -> Tensor:
     views, n = _projected(name)["range_m"].shape
-    amplitudes = torch.randn(views, n, CHANNELS, generator=torch.Generator().manual_seed(97))
-    amplitudes[:, 1::5] = 0.0  # a dark Gaussian has a gradient all the same
-    return amplitudes
+    cross_sections = torch.randn(views, n, CHANNELS, generator=torch.Generator().manual_seed(97))
+    cross_sections[:, 1::5] = 0.0  # a dark Gaussian has a gradient all the same
+    return cross_sections
 
 
 def project_case(name: str, dtype: torch.dtype, project: Callable, norms: dict[str, float]) -> Tensors:
@@ -93,12 +93,12 @@ def attenuate_case(name: str, dtype: torch.dtype, attenuate: Callable, norms: di
 
 
 def splat_case(name: str, dtype: torch.dtype, splat: Callable, norms: dict[str, float]) -> Tensors:
-    """The step `splat` on a scene's footprints, with random amplitudes."""
+    """The step `splat` on a scene's footprints, with random cross-sections."""
     scene = MATRIX[name]()
     footprints = {key: t for key, t in _projected(name).items() if key.startswith("pixels.")}
-    leaves = _leaves(footprints | {"amplitudes": _amplitudes(name)}, dtype)
+    leaves = _leaves(footprints | {"cross_sections": _cross_sections(name)}, dtype)
     on_pixels = Footprints(leaves["pixels.centers"], leaves["pixels.roots"])
-    images = splat(on_pixels, leaves["amplitudes"], scene.grid, imaging_weight=scene.imaging_weight)
+    images = splat(on_pixels, leaves["cross_sections"], scene.grid, imaging_weight=scene.imaging_weight)
     return _run({"images": images}, leaves, norms)
 
 

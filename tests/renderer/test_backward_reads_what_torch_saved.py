@@ -25,7 +25,7 @@ def scene(*parameters: torch.Tensor) -> Gaussians:
 
 
 def images(*parameters: torch.Tensor) -> torch.Tensor:
-    return render(scene(*(tensor * 1.0 for tensor in parameters)), VIEWS, GRID, engine="cpu").images
+    return render(scene(*(tensor * 1.0 for tensor in parameters)), VIEWS, GRID, engine="cpu").channel(0)
 
 
 def gradients(rendered: torch.Tensor, parameters: list[torch.Tensor], **options: bool) -> tuple[torch.Tensor, ...]:
@@ -47,7 +47,7 @@ def test_checkpointing_without_images():
     parameters = leaves()
 
     def sections(*parameters: torch.Tensor) -> torch.Tensor:
-        return render(scene(*(t * 1.0 for t in parameters)), VIEWS, GRID, engine="cpu").cross_sections
+        return render(scene(*(t * 1.0 for t in parameters)), VIEWS, GRID, engine="cpu").cross_sections[..., 0]
 
     expected = torch.autograd.grad(sections(*parameters).square().sum(1).sum(0), parameters)
     again = checkpoint(sections, *parameters, use_reentrant=False)

@@ -114,7 +114,7 @@ def test_finite_differences_of_the_engine_itself(argument):
     scene = MATRIX["shift and gain"]()
     leaves = scene.leaves(torch.float32)
     tensor = leaves[argument]
-    target = 0.5 * scene.call(render, leaves, engine="cpu").images.detach().flip(1)
+    target = 0.5 * scene.call(render, leaves, engine="cpu").images.detach().flip(2)
 
     def loss(value: torch.Tensor) -> torch.Tensor:
         images = scene.call(render, leaves | {argument: value}, engine="cpu").images

@@ -132,12 +132,12 @@ def test_a_footprint_of_more_tiles_than_there_is_room_for(change, library):
         bounds.check()
 
 
-def test_a_bad_gamma0_is_told(library):
-    gamma0 = torch.ones(3, 10)
-    gamma0[1, 4] = math.nan
+def test_a_bad_amplitude_is_reported(library):
+    amplitudes = torch.ones(3, 10, 1)
+    amplitudes[1, 4] = math.nan
     bounds = bounds_of(cloud(10, 0))
-    render_on(Emulator(library), cloud(10, 0), VIEWS, GRID, gamma0=gamma0, bounds=bounds)
-    with pytest.raises(SarsplatError, match=r"gamma0.flatten\(\)\[14\] was out of range"):
+    render_on(Emulator(library), cloud(10, 0), VIEWS, GRID, amplitudes=amplitudes, bounds=bounds)
+    with pytest.raises(SarsplatError, match=r"amplitudes.flatten\(\)\[14\] was out of range"):
         bounds.check()
 
 

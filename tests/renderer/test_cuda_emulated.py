@@ -82,19 +82,19 @@ def test_channels_are_single_splats(channels, library):
     new_pass, generator = partial(cuda.Pass, Emulator(library)), torch.Generator().manual_seed(channels)
     pixels = project(cloud(40, 1), VIEWS, GRID).pixels
 
-    def run(amplitudes, seeds):
-        leaves = [t.detach().clone().requires_grad_() for t in (pixels.centers, pixels.roots, amplitudes)]
+    def run(cross_sections, seeds):
+        leaves = [t.detach().clone().requires_grad_() for t in (pixels.centers, pixels.roots, cross_sections)]
         images = splat_with(new_pass, Footprints(*leaves[:2]), leaves[2], GRID, imaging_weight="area")
         return [images.detach().double(), *(g.double() for g in torch.autograd.grad(images, leaves, seeds))]
 
-    amplitudes = torch.randn(3, 40, channels, generator=generator)
+    cross_sections = torch.randn(3, 40, channels, generator=generator)
     seeds = torch.randn(3, channels, GRID.rows, GRID.columns, generator=generator)
-    images, d_centers, d_roots, d_amplitudes = run(amplitudes, seeds)
-    single = [run(amplitudes[..., c : c + 1], seeds[:, c : c + 1]) for c in range(channels)]
+    images, d_centers, d_roots, d_cross_sections = run(cross_sections, seeds)
+    single = [run(cross_sections[..., c : c + 1], seeds[:, c : c + 1]) for c in range(channels)]
     assert relative(images, torch.cat([each[0] for each in single], dim=1)) <= 1e-6
     assert relative(d_centers, sum(each[1] for each in single)) <= 1e-5
     assert relative(d_roots, sum(each[2] for each in single)) <= 1e-5
-    assert relative(d_amplitudes, torch.cat([each[3] for each in single], dim=2)) <= 1e-6
+    assert relative(d_cross_sections, torch.cat([each[3] for each in single], dim=2)) <= 1e-6
 
 
 def test_steps_refuse_bad_values(library):
@@ -114,7 +114,7 @@ def test_steps_refuse_bad_values(library):
     far = replace(p, rays=replace(p.rays, centers=bad(p.rays.centers, (1, 0, 0), 1e6)))
     with pytest.raises(SarsplatError, match=r"view 1 would need too many rays .* reach 1e\+06 m"):
         attenuate_with(new_pass, far, rays, first_return_depth=None)
-    with pytest.raises(SarsplatError, match=r"amplitudes\[0, 9\] is \[inf\]; it must be finite"):
+    with pytest.raises(SarsplatError, match=r"cross_sections\[0, 9\] is \[inf\]; it must be finite"):
         splat_with(new_pass, p.pixels, bad(torch.ones(3, 10, 1), (0, 9, 0), math.inf), GRID, imaging_weight="area")
     with pytest.raises(SarsplatError, match=r"means\[4\] is \[nan.*\]; it must be finite metres"):
         scene = cloud(10, 0)
@@ -226,10 +226,10 @@ def test_values_out_of_range(name, index, value, message, emulated):
 
 
 def test_values_beside_the_gaussians(emulated):
-    bad = torch.ones(3, 10)
+    bad = torch.ones(3, 10, 1)
     bad[1, 4] = bad[2, 2] = float("nan")
-    with pytest.raises(SarsplatError, match=r"gamma0\[1, 4\] is nan; it must be finite"):
-        emulated(cloud(10, 0), VIEWS, GRID, gamma0=bad)
+    with pytest.raises(SarsplatError, match=r"amplitudes\[1, 4\] is \[nan\]; it must be finite"):
+        emulated(cloud(10, 0), VIEWS, GRID, amplitudes=bad)
     with pytest.raises(SarsplatError, match=r"shift\[2\] is \[0.0, inf\]; it must be finite metres"):
         emulated(cloud(10, 0), VIEWS, GRID, shift=torch.tensor([[0.0, 0.0], [0.0, 0.0], [0.0, float("inf")]]))
     with pytest.raises(SarsplatError, match="too many rays at a spacing of"):
@@ -262,7 +262,7 @@ def test_no_driver_and_no_nvrtc(monkeypatch):
 
 def test_tensors_that_the_engine_does_not_take():
     on_gpu = SimpleNamespace(dtype=torch.float32, device=torch.device("cuda", 0))
-    assert check_for_cuda({"means": on_gpu, "gamma0": None}) == 0
+    assert check_for_cuda({"means": on_gpu, "amplitudes": None}) == 0
     with pytest.raises(
         SarsplatError, match=r"scales is torch.float32 on cpu; the CUDA engine takes .* on a GPU \(move"
     ):

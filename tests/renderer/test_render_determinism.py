@@ -149,6 +149,6 @@ def test_gradient_of_the_gain_of_one_large_image(threads):
     for count in (1, 2, 3):
         threads(count)
         gain = torch.ones(1, requires_grad=True)
-        images = render(scene, VIEWS[:1], grid, rays=RayGrid((0.05, 0.05)), gain=gain).images
+        images = render(scene, VIEWS[:1], grid, rays=RayGrid((0.05, 0.05)), gain=gain).channel(0)
         found.append([torch.autograd.grad(images, gain, seed, retain_graph=True)[0].item() for seed in seeds])
     assert found[0] == found[1] == found[2]

@@ -54,10 +54,10 @@ def test_limits_themselves_are_allowed():
 
 def test_values_beside_the_gaussians():
     scene = cloud(10, 0)
-    bad = torch.ones(3, 10)
+    bad = torch.ones(3, 10, 1)
     bad[1, 4] = float("nan")
-    with pytest.raises(SarsplatError, match=r"gamma0\[1, 4\] is nan; it must be finite"):
-        render(scene, VIEWS, GRID, gamma0=bad, engine="cpu")
+    with pytest.raises(SarsplatError, match=r"amplitudes\[1, 4\] is \[nan\]; it must be finite"):
+        render(scene, VIEWS, GRID, amplitudes=bad, engine="cpu")
     with pytest.raises(SarsplatError, match=r"shift\[2\] is \[0.0, inf\]; it must be finite metres"):
         render(scene, VIEWS, GRID, shift=torch.tensor([[0.0, 0.0], [0.0, 0.0], [0.0, float("inf")]]), engine="cpu")
 
@@ -66,7 +66,7 @@ def test_values_beside_the_gaussians():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"gamma0": torch.ones(2, 10)}, r"gamma0 has shape \(2, 10\); .* it must be \(3, 10\)"),
+        ({"amplitudes": torch.ones(2, 10, 1)}, r"amplitudes has shape \(2, 10, 1\); .* it must be \(3, 10, C\)"),
         ({"shift": torch.ones(3)}, r"shift has shape \(3,\); .* it must be \(3, 2\)"),
         ({"gain": torch.ones(1)}, r"gain has shape \(1,\); .* it must be \(3,\)"),
         ({"imaging_weight": "round"}, r"imaging_weight 'round' is unknown; choose one of area, peak"),

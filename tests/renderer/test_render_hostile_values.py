@@ -24,13 +24,13 @@ def _random(seed: int, *shape: int) -> torch.Tensor:
 
 
 SCENE = Scene(cloud(12, 0, size=(1.0, 1.0, 1.0)), shift=0.1 * _random(1, 3, 2), gain=torch.tensor([1.3, 0.7, 2.0]))
-DIRECT = Scene(cloud(12, 0, size=(1.0, 1.0, 1.0)), gamma0=_random(2, 3, 12).abs())
-ARGUMENTS = ["means", "quaternions", "scales", "optical_depth", "scattering", "shift", "gain", "gamma0"]
+DIRECT = Scene(cloud(12, 0, size=(1.0, 1.0, 1.0)), amplitudes=_random(2, 3, 12, 1).abs())
+ARGUMENTS = ["means", "quaternions", "scales", "optical_depth", "scattering", "shift", "gain", "amplitudes"]
 
 
 def with_value(argument: str, index: int, value: float, engine: str) -> tuple[Scene, dict[str, torch.Tensor]]:
     """The scene with one number of one argument replaced, as leaves of the engine's dtype."""
-    scene = DIRECT if argument == "gamma0" else SCENE
+    scene = DIRECT if argument == "amplitudes" else SCENE
     leaves = scene.leaves(torch.float32 if engine == "cpu" else torch.float64)
     with torch.no_grad():
         leaves[argument].view(-1)[index % leaves[argument].numel()] = value
@@ -95,10 +95,10 @@ def test_a_cotangent_that_is_not_finite_stays_in_its_view():
     images = DIRECT.call(render, leaves, engine="cpu").images
     seed = torch.ones_like(images)
     seed[0].view(-1)[images[0].argmax()] = math.nan
-    (gradient,) = torch.autograd.grad(images, [leaves["gamma0"]], seed, retain_graph=True)
+    (gradient,) = torch.autograd.grad(images, [leaves["amplitudes"]], seed, retain_graph=True)
     assert torch.isnan(gradient[0]).any()
     assert torch.isfinite(gradient[1:]).all()
-    (gradient,) = torch.autograd.grad(images, [leaves["gamma0"]], torch.ones_like(images))  # the next call is clean
+    (gradient,) = torch.autograd.grad(images, [leaves["amplitudes"]], torch.ones_like(images))  # the next call is clean
     assert torch.isfinite(gradient).all()
 
 

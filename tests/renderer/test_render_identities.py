@@ -78,7 +78,7 @@ LOOK = 0.0  # the radar stands at +x
 @pytest.mark.parametrize("grazing", [30.0, 45.0, 60.0])
 def test_opaque_ground(engine, grazing):
     ground = sheet((-4.0, -3.2, 0.0), (1, 0, 0), (0, 1, 0), (20, 16), gamma0=0.3, spacing=0.5)
-    image = render(ground.to(DTYPE[engine]), [View(LOOK, grazing)], GRID, rays=RAYS, engine=engine).images[0]
+    image = render(ground.to(DTYPE[engine]), [View(LOOK, grazing)], GRID, rays=RAYS, engine=engine).channel(0)[0]
     expected = 0.3 * math.tan(math.radians(grazing))
     lit = abs(GRID.range_m) < 4.0 * math.cos(math.radians(grazing)) - 1.5  # away from the sheet's ends
     assert lit.sum() >= 2
@@ -90,7 +90,7 @@ def test_opaque_ground(engine, grazing):
 @pytest.mark.parametrize("grazing", [30.0, 45.0, 60.0])
 def test_opaque_wall(engine, grazing):
     wall = sheet((0.0, -3.2, 0.0), (0, 1, 0), (0, 0, 1), (16, 20), gamma0=0.3, spacing=0.5)
-    image = render(wall.to(DTYPE[engine]), [View(LOOK, grazing)], GRID, rays=RAYS, engine=engine).images[0]
+    image = render(wall.to(DTYPE[engine]), [View(LOOK, grazing)], GRID, rays=RAYS, engine=engine).channel(0)[0]
     # height z comes in at range −z sin θ: the wall's top is nearest
     top = 8.0 * math.sin(math.radians(grazing))
     lit = (GRID.range_m < -1.0) & (GRID.range_m > 1.0 - top)
@@ -108,7 +108,7 @@ def test_layover_adds_and_the_shadow_is_as_long_as_geometry_says(engine):
     ground = sheet((-reach, -1.6, 0.0), (1, 0, 0), (0, 1, 0), (65, 20), gamma0=0.3, spacing=0.2)
     wall = sheet((0.0, -1.6, 0.0), (0, 1, 0), (0, 0, 1), (20, 12), gamma0=0.3, spacing=0.2)
     rendering = render(joined(ground, wall).to(DTYPE[engine]), [View(LOOK, 50.0)], grid, engine=engine)
-    level = rendering.images[0, :, 3:5].mean(1).numpy() / 0.3
+    level = rendering.channel(0)[0, :, 3:5].mean(1).numpy() / 0.3
     g = grid.range_m / cos  # ground range from the wall's foot, away from the radar
     assert level[(g > -height * tan + 0.6) & (g < -0.6)] == pytest.approx(tan + 1 / tan, rel=0.02)
     assert level[(g < -height * tan - 0.6) & (g > 0.6 - reach)] == pytest.approx(tan, rel=0.02)
@@ -122,8 +122,8 @@ def test_layover_adds_and_the_shadow_is_as_long_as_geometry_says(engine):
 def test_the_image_holds_the_cross_section(engine):
     grid = ImageGrid(40, 44, spacing_m=(0.2, 0.25), resolution_m=(0.3, 0.4))  # ρ ≥ 1.5 Δ
     rendering = render(one().to(DTYPE[engine]), VIEWS, grid, engine=engine)
-    total = rendering.images.sum((1, 2)) * 0.2 * 0.25
-    assert total.numpy() == pytest.approx(rendering.cross_sections[:, 0].numpy(), rel=2e-3)
+    total = rendering.channel(0).sum((1, 2)) * 0.2 * 0.25
+    assert total.numpy() == pytest.approx(rendering.cross_sections[:, 0, 0].numpy(), rel=2e-3)
 
 
 def test_moving_by_whole_pixels_moves_the_image(engine):
@@ -135,11 +135,11 @@ def test_moving_by_whole_pixels_moves_the_image(engine):
     moved = render(replace(scene, means=scene.means + step), VIEWS[:1], grid, rays=rays, engine=engine)
     # float32 moves the Gaussians by up to 1e-7 m against the rays; a pair on a cut may change sides
     assert relative(moved.cross_sections, still.cross_sections) <= 1e-5
-    assert relative(moved.images[:, 3:, 2:], still.images[:, :-3, :-2]) <= 1e-5
+    assert relative(moved.images[..., 3:, 2:], still.images[..., :-3, :-2]) <= 1e-5
     shifted = render(
         scene, VIEWS[:1], grid, rays=rays, engine=engine, shift=torch.tensor([[0.4, 0.75]], dtype=DTYPE[engine])
     )
-    assert relative(shifted.images[:, 3:, 2:], still.images[:, :-3, :-2]) <= 1e-5
+    assert relative(shifted.images[..., 3:, 2:], still.images[..., :-3, :-2]) <= 1e-5
 
 
 def test_cross_section_of_a_thin_gaussian(engine):
@@ -153,7 +153,7 @@ def test_cross_section_of_a_thin_gaussian(engine):
         whole = scattering * kappa * 2 * math.pi * math.sqrt(float(torch.linalg.det(plane)))
         # the cut at τ = 1e-3 loses its share 1e-3/κ of the integral, saturation κ/4 of it
         expected = whole * (1 - 1e-3 / kappa - kappa / 4)
-        assert float(rendering.cross_sections[v, 0]) == pytest.approx(expected, rel=1e-3)
+        assert float(rendering.cross_sections[v, 0, 0]) == pytest.approx(expected, rel=1e-3)
 
 
 # ---- 3. attenuation --------------------------------------------------------------------------------------------------
@@ -176,8 +176,8 @@ def test_behind_a_wall(engine, kappa):
     wall = one(kappa, scales=(3.0, 3.0, 3.0), mean=tuple(5.0 * VIEWS[0].direction))
     rays = RayGrid((0.05, 0.05))
     dtype = DTYPE[engine]
-    free = render(small.to(dtype), VIEWS[:1], GRID, rays=rays, engine=engine).cross_sections[0, 0]
-    behind = render(joined(small, wall).to(dtype), VIEWS[:1], GRID, rays=rays, engine=engine).cross_sections[0, 0]
+    free = render(small.to(dtype), VIEWS[:1], GRID, rays=rays, engine=engine).cross_sections[0, 0, 0]
+    behind = render(joined(small, wall).to(dtype), VIEWS[:1], GRID, rays=rays, engine=engine).cross_sections[0, 0, 0]
     if kappa == 30.0:
         assert float(behind) == 0.0  # past the early stop
     else:
@@ -209,10 +209,10 @@ def test_turning_scene_and_radar_together(engine, angle):
 
 
 def test_images_are_linear_in_the_scattering(engine):
-    scene = MATRIX["gamma0 given"]()
+    scene = MATRIX["amplitudes given"]()
     leaves = {k: t.to(DTYPE[engine]) for k, t in scene.leaves(torch.float64).items()}
     once = scene.call(render, leaves, engine=engine)
-    twice = scene.call(render, leaves | {"gamma0": 3 * leaves["gamma0"]}, engine=engine)
+    twice = scene.call(render, leaves | {"amplitudes": 3 * leaves["amplitudes"]}, engine=engine)
     assert relative(twice.images, 3 * once.images) <= EXACT[engine]
     assert torch.equal(twice.lit_area, once.lit_area)
 
@@ -229,7 +229,9 @@ def test_views_do_not_know_of_each_other(engine):
     scene = cloud(40, 2).to(DTYPE[engine])
     together = render(scene, VIEWS, GRID, engine=engine)
     for v, view in enumerate(VIEWS):
-        assert relative(together.images[v], render(scene, [view], GRID, engine=engine).images[0]) <= EXACT[engine]
+        assert (
+            relative(together.channel(0)[v], render(scene, [view], GRID, engine=engine).channel(0)[0]) <= EXACT[engine]
+        )
 
 
 def test_finer_rays_change_nothing(engine):

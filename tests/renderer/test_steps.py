@@ -46,10 +46,10 @@ def chained(scene: Scene, leaves: dict[str, Tensor], **engine: str) -> dict[str,
     rays = scene.rays or RayGrid.for_image(scene.grid)
     p = project(gaussians, scene.views, scene.grid, rays=rays, shift=leaves.get("shift"), **engine)
     lit = attenuate(p, rays, first_return_depth=scene.first_return_depth, **engine)
-    cross_sections = leaves.get("gamma0", p.gamma0) * lit.lit_area
-    images = splat(p.pixels, cross_sections[..., None], scene.grid, imaging_weight=scene.imaging_weight, **engine)[:, 0]
+    cross_sections = leaves.get("amplitudes", p.amplitudes) * lit.lit_area[..., None]
+    images = splat(p.pixels, cross_sections, scene.grid, imaging_weight=scene.imaging_weight, **engine)
     if "gain" in leaves:
-        images = images * leaves["gain"][:, None, None]
+        images = images * leaves["gain"][:, None, None, None]
     return collected(images, cross_sections, lit.lit_area, lit.ray_maps)
 
 
@@ -122,7 +122,7 @@ def test_finite_differences_of_every_twin(name):
     def footprints(*tensors):
         p = project_reference(g.with_tensors(**dict(zip(g.tensors(), tensors))), scene.views, scene.grid,
                               rays=scene.rays, shift=tensors[-1])  # fmt: skip
-        return p.rays.centers, p.rays.roots, p.optical_depth, p.pixels.centers, p.pixels.roots, p.gamma0
+        return p.rays.centers, p.rays.roots, p.optical_depth, p.pixels.centers, p.pixels.roots, p.amplitudes
 
     assert gradcheck(footprints, tuple(t.clone().requires_grad_() for t in (*g.tensors().values(), shift)))
     p = project_reference(g, scene.views, scene.grid, rays=scene.rays, shift=shift)
@@ -133,18 +133,20 @@ def test_finite_differences_of_every_twin(name):
         return found.lit_area, *(ray_map.transmittance for ray_map in found.ray_maps)
 
     assert gradcheck(seen, tuple(t.clone().requires_grad_() for t in (p.rays.centers, p.rays.roots, p.optical_depth)))
-    amplitudes = torch.randn(2, len(g), 2, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
+    cross_sections = torch.randn(2, len(g), 2, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
 
-    def images(centers, roots, amplitudes):
+    def images(centers, roots, cross_sections):
         made = Footprints(centers, roots)
-        return splat_reference(made, amplitudes, scene.grid, imaging_weight=scene.imaging_weight, cuts=False)
+        return splat_reference(made, cross_sections, scene.grid, imaging_weight=scene.imaging_weight, cuts=False)
 
-    assert gradcheck(images, tuple(t.clone().requires_grad_() for t in (p.pixels.centers, p.pixels.roots, amplitudes)))
+    assert gradcheck(
+        images, tuple(t.clone().requires_grad_() for t in (p.pixels.centers, p.pixels.roots, cross_sections))
+    )
 
 
 # ---- channels --------------------------------------------------------------------------------------------------------
-def splat_with_gradients(footprints: Footprints, amplitudes: Tensor, seeds: Tensor, grid=GRID) -> list[Tensor]:
-    leaves = [t.detach().clone().requires_grad_() for t in (footprints.centers, footprints.roots, amplitudes)]
+def splat_with_gradients(footprints: Footprints, cross_sections: Tensor, seeds: Tensor, grid=GRID) -> list[Tensor]:
+    leaves = [t.detach().clone().requires_grad_() for t in (footprints.centers, footprints.roots, cross_sections)]
     images = splat(Footprints(*leaves[:2]), leaves[2], grid, engine="cpu")
     return [images.detach(), *torch.autograd.grad(images, leaves, seeds)]
 
@@ -153,17 +155,19 @@ def splat_with_gradients(footprints: Footprints, amplitudes: Tensor, seeds: Tens
 def test_channels_are_single_splats(channels):
     pixels = project(cloud(60, 1), VIEWS, GRID).pixels
     generator = torch.Generator().manual_seed(channels)
-    amplitudes = torch.randn(3, 60, channels, generator=generator)
+    cross_sections = torch.randn(3, 60, channels, generator=generator)
     seeds = torch.randn(3, channels, GRID.rows, GRID.columns, generator=generator)
-    images, d_centers, d_roots, d_amplitudes = splat_with_gradients(pixels, amplitudes, seeds)
-    singles = [splat_with_gradients(pixels, amplitudes[..., c : c + 1], seeds[:, c : c + 1]) for c in range(channels)]
+    images, d_centers, d_roots, d_cross_sections = splat_with_gradients(pixels, cross_sections, seeds)
+    singles = [
+        splat_with_gradients(pixels, cross_sections[..., c : c + 1], seeds[:, c : c + 1]) for c in range(channels)
+    ]
     assert torch.equal(images, torch.cat([single[0] for single in singles], dim=1))
-    assert relative(d_amplitudes, torch.cat([single[3] for single in singles], dim=2).double()) <= 1e-6
+    assert relative(d_cross_sections, torch.cat([single[3] for single in singles], dim=2).double()) <= 1e-6
     assert relative(d_centers, sum(single[1].double() for single in singles)) <= 1e-5
     assert relative(d_roots, sum(single[2].double() for single in singles)) <= 1e-5
 
 
-def test_splat_is_linear_in_the_amplitudes():
+def test_splat_is_linear_in_the_cross_sections():
     pixels = project(cloud(60, 1), VIEWS, GRID).pixels
     first, second = torch.randn(2, 3, 60, 2, generator=torch.Generator().manual_seed(1))
     both = splat(pixels, 2.0 * first - 3.0 * second, GRID)
@@ -172,9 +176,9 @@ def test_splat_is_linear_in_the_amplitudes():
 
 def test_a_dark_gaussian_has_a_gradient():
     pixels = project(cloud(5, 1), VIEWS, GRID).pixels
-    amplitudes = torch.zeros(3, 5, 1, requires_grad=True)
-    splat(pixels, amplitudes, GRID).sum().backward()
-    assert (amplitudes.grad > 0).all()
+    cross_sections = torch.zeros(3, 5, 1, requires_grad=True)
+    splat(pixels, cross_sections, GRID).sum().backward()
+    assert (cross_sections.grad > 0).all()
 
 
 # ---- on their own ----------------------------------------------------------------------------------------------------
@@ -205,12 +209,12 @@ def test_no_gaussians(engine):
     found = attenuate(p, RAYS, first_return_depth=1.0, engine=engine)
     assert found.lit_area.shape == (3, 0)
     assert found.ray_maps[0].transmittance.shape == (0, 0)
-    amplitudes = torch.zeros(3, 0, 2, requires_grad=True)
-    images = splat(p.pixels, amplitudes, GRID, engine=engine)
+    cross_sections = torch.zeros(3, 0, 2, requires_grad=True)
+    images = splat(p.pixels, cross_sections, GRID, engine=engine)
     assert images.shape == (3, 2, GRID.rows, GRID.columns)
     assert not images.any()
     images.sum().backward()
-    assert amplitudes.grad.shape == (3, 0, 2)
+    assert cross_sections.grad.shape == (3, 0, 2)
 
 
 def test_gradients_of_gradients_are_refused():
@@ -226,13 +230,13 @@ def test_gradients_of_gradients_are_refused():
 
 def test_steps_between_forward_and_backward_do_not_disturb():
     pixels = project(cloud(60, 1), VIEWS, GRID).pixels
-    amplitudes = torch.rand(3, 60, 1, requires_grad=True)
-    images = splat(pixels, amplitudes, GRID)
-    expected = torch.autograd.grad(images.square().sum(), amplitudes, retain_graph=True)[0]
+    cross_sections = torch.rand(3, 60, 1, requires_grad=True)
+    images = splat(pixels, cross_sections, GRID)
+    expected = torch.autograd.grad(images.square().sum(), cross_sections, retain_graph=True)[0]
     for seed in range(4):
         attenuate(project(cloud(90, seed), VIEWS, GRID), RAYS)
         splat(project(cloud(90, seed), VIEWS, GRID).pixels, torch.rand(3, 90, 2), GRID)
-    assert torch.equal(torch.autograd.grad(images.square().sum(), amplitudes)[0], expected)
+    assert torch.equal(torch.autograd.grad(images.square().sum(), cross_sections)[0], expected)
 
 
 # ---- refusals --------------------------------------------------------------------------------------------------------
@@ -265,11 +269,11 @@ def test_values_out_of_range(engine):
     for message, projection in cases.items():
         with pytest.raises(SarsplatError, match=message):
             attenuate(projection, RAYS, engine=engine)
-    amplitudes = torch.ones(3, 10, 2)
-    with pytest.raises(SarsplatError, match=r"amplitudes\[2, 7\] is \[1.0, inf\]; it must be finite"):
-        splat(p.pixels, bad(amplitudes, (2, 7, 1), float("inf")), GRID, engine=engine)
+    cross_sections = torch.ones(3, 10, 2)
+    with pytest.raises(SarsplatError, match=r"cross_sections\[2, 7\] is \[1.0, inf\]; it must be finite"):
+        splat(p.pixels, bad(cross_sections, (2, 7, 1), float("inf")), GRID, engine=engine)
     with pytest.raises(SarsplatError, match=r"footprints.roots\[0, 0\] is \[nan.*\]; it must be finite"):
-        splat(replace(p.pixels, roots=bad(p.pixels.roots, (0, 0, 0), nan)), amplitudes, GRID, engine=engine)
+        splat(replace(p.pixels, roots=bad(p.pixels.roots, (0, 0, 0), nan)), cross_sections, GRID, engine=engine)
     g = cloud(10, 0)
     with pytest.raises(SarsplatError, match=r"means\[3\] is \[nan.*\]; it must be finite metres"):
         project(replace(g, means=bad(g.means, (3, 0), nan)), VIEWS, GRID, engine=engine)
@@ -278,7 +282,7 @@ def test_values_out_of_range(engine):
 
 
 def test_shapes_dtypes_and_options():
-    p, amplitudes = project(cloud(10, 0), VIEWS, GRID), torch.ones(3, 10, 1)
+    p, cross_sections = project(cloud(10, 0), VIEWS, GRID), torch.ones(3, 10, 1)
     with pytest.raises(SarsplatError, match=r"roots has shape \(3, 9, 3\); for 3 views of 10 Gaussians it must be"):
         Footprints(p.rays.centers, p.rays.roots[:, :9])
     with pytest.raises(SarsplatError, match=r"tilt has shape \(3, 10\); for 3 views of 10 Gaussians it must be"):
@@ -289,22 +293,22 @@ def test_shapes_dtypes_and_options():
         replace(p, pixels=Footprints(p.pixels.centers[:2], p.pixels.roots[:2]))
     with pytest.raises(SarsplatError, match=r"roots is torch.float64 on cpu but centers is torch.float32 on cpu"):
         replace(p.rays, roots=p.rays.roots.double())
-    with pytest.raises(SarsplatError, match=r"amplitudes has shape \(3, 10\); .* it must be \(3, 10, C\)"):
-        splat(p.pixels, amplitudes[..., 0], GRID)
-    with pytest.raises(SarsplatError, match=r"amplitudes has shape \(3, 10, 0\); .* at least one channel"):
-        splat(p.pixels, amplitudes[..., :0], GRID)
+    with pytest.raises(SarsplatError, match=r"cross_sections has shape \(3, 10\); .* it must be \(3, 10, C\)"):
+        splat(p.pixels, cross_sections[..., 0], GRID)
+    with pytest.raises(SarsplatError, match=r"cross_sections has shape \(3, 10, 0\); .* at least one channel"):
+        splat(p.pixels, cross_sections[..., :0], GRID)
     with pytest.raises(
-        SarsplatError, match=r"amplitudes is torch.float64 on cpu but footprints.centers is torch.float32"
+        SarsplatError, match=r"cross_sections is torch.float64 on cpu but footprints.centers is torch.float32"
     ):
-        splat(p.pixels, amplitudes.double(), GRID)
+        splat(p.pixels, cross_sections.double(), GRID)
     with pytest.raises(SarsplatError, match=r"footprints is a Projection; give Projection.pixels"):
-        splat(p, amplitudes, GRID)
+        splat(p, cross_sections, GRID)
     with pytest.raises(SarsplatError, match=r"projection is a Footprints; give what sarsplat.project returned"):
         attenuate(p.rays, RAYS)
     with pytest.raises(SarsplatError, match="rays is a ImageGrid; give the RayGrid"):
         attenuate(p, GRID)
     with pytest.raises(SarsplatError, match="imaging_weight 'round' is unknown"):
-        splat(p.pixels, amplitudes, GRID, imaging_weight="round")
+        splat(p.pixels, cross_sections, GRID, imaging_weight="round")
     with pytest.raises(SarsplatError, match="first_return_depth 0 must be a positive"):
         attenuate(p, RAYS, first_return_depth=0)
     with pytest.raises(SarsplatError, match="engine 'gpu' is unknown"):
@@ -314,7 +318,7 @@ def test_shapes_dtypes_and_options():
     with pytest.raises(SarsplatError, match=r"shift has shape \(3,\); .* it must be \(3, 2\)"):
         project(cloud(10, 0), VIEWS, GRID, shift=torch.zeros(3))
     with pytest.raises(SarsplatError, match=r"shape \(0, 10, 2\), which has no views"):
-        splat(Footprints(p.pixels.centers[:0], p.pixels.roots[:0]), amplitudes[:0], GRID)
+        splat(Footprints(p.pixels.centers[:0], p.pixels.roots[:0]), cross_sections[:0], GRID)
     with pytest.raises(SarsplatError, match=r"means is torch.float64 on cpu; the CPU engine takes torch.float32"):
         project(cloud(10, 0).to(torch.float64), VIEWS, GRID, engine="cpu")
 
@@ -334,7 +338,7 @@ def test_grids_that_are_too_large():
 def test_a_projection_is_made_of_footprints():
     p = project(cloud(10, 0), VIEWS, GRID)
     with pytest.raises(SarsplatError, match="rays is a Tensor; give Footprints"):
-        Projection(p.rays.centers, p.optical_depth, p.range_m, p.tilt, p.pixels, p.gamma0)
+        Projection(p.rays.centers, p.optical_depth, p.range_m, p.tilt, p.pixels, p.amplitudes)
     with pytest.raises(SarsplatError, match=r"optical_depth is a list; give a torch.Tensor"):
         replace(p, optical_depth=[1.0])
 

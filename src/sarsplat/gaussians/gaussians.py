@@ -38,7 +38,8 @@ class Gaussians:
     optical_depth : Tensor [N]
         Two-way peak optical depth κ = k⁺ + k⁻, 0 ≤ κ ≤ `MAX_OPTICAL_DEPTH`.
     scattering : Scattering
-        γ⁰ against direction, such as `Harmonics` or `NormalLobes`, with a row of parameters for each Gaussian.
+        How much against direction, by a law such as `Harmonics` or `NormalLobes` with a row of parameters for each
+        Gaussian.
 
     Raises
     ------
@@ -96,9 +97,13 @@ class Gaussians:
         law = replace(self.scattering, parameters=merged.pop("scattering"))
         return Gaussians(**merged, scattering=law)
 
+    def amplitudes(self, directions: Float[Tensor, "v 3"]) -> Float[Tensor, "v n c"]:
+        """What each channel returns per lit area [V, N, C] towards unit vectors u [V, 3] (`Scattering.amplitudes`)."""
+        return self.scattering.amplitudes(directions, self.quaternions, self.scales)
+
     def gamma0(self, directions: Float[Tensor, "v 3"]) -> Float[Tensor, "v n"]:
-        """γ⁰ [V, N] towards unit vectors u [V, 3] of the world frame; differentiable."""
-        return self.scattering.gamma0(directions, self.quaternions, self.scales)
+        """γ⁰ [V, N] towards unit vectors u [V, 3] of the world frame, the power channel of it; differentiable."""
+        return self.amplitudes(directions)[..., self.scattering.power_channel]
 
     def detach(self) -> Gaussians:
         """The same Gaussians outside the autograd graph."""

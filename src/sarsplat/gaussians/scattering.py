@@ -1,4 +1,4 @@
-"""How strongly Gaussians scatter towards the radar: laws of γ⁰ against direction, each with its table of parameters."""
+"""How strongly Gaussians scatter towards the radar: laws of it against direction, each with its table of parameters."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ differ, come out worse, because Gaussians turn before their law is known; with l
 
 @dataclass(frozen=True)
 class Scattering(ABC):
-    """γ⁰(u) of N Gaussians: backscatter per area projected along the line of sight, dimensionless, never negative.
+    """What N Gaussians scatter towards u per area projected along the line of sight, dimensionless; first of all γ⁰(u).
 
     To add a law, derive from this class, name its `kind`, add it to `SCATTERINGS` (sarsplat/gaussians/__init__.py), and
     its name to `ScatteringName` (sarsplat/reconstruction/config.py). Everything else finds it there. Settings of a law
@@ -52,6 +52,12 @@ class Scattering(ABC):
     kind: ClassVar[str]
     """Its name in files and configurations."""
 
+    channels: ClassVar[tuple[str, ...]] = ("power",)
+    """What the channels of its images are, C of them."""
+
+    power_channel: ClassVar[int] = 0
+    """Which of them is γ⁰, the power: what is shown, scored and trained on."""
+
     oriented: ClassVar[bool] = False
     """Whether γ⁰ depends on which axis of a Gaussian is the shortest."""
 
@@ -71,13 +77,17 @@ class Scattering(ABC):
         """What the parameters' shape must be, if it is another."""
 
     @abstractmethod
-    def gamma0(
+    def amplitudes(
         self,
         directions: Float[Tensor, "v 3"],
         quaternions: Float[Tensor, "n 4"],
         scales: Float[Tensor, "n 3"],
-    ) -> Float[Tensor, "v n"]:
-        """γ⁰ [V, N] towards unit vectors u [V, 3], of Gaussians turned and shaped like this; differentiable."""
+    ) -> Float[Tensor, "v n c"]:
+        """What each channel returns per lit area [V, N, C], of Gaussians turned and shaped like this; differentiable.
+
+        Towards unit vectors u [V, 3] of the world frame; dimensionless. `power_channel` of them is γ⁰, which is never
+        negative; the others may have any sign.
+        """
 
     @classmethod
     @abstractmethod
@@ -121,14 +131,14 @@ class Harmonics(Scattering):
             return None
         return "for N Gaussians it must be (N, K) with K = 1, 4, 9 or 16 (harmonics of degree 0 to 3)"
 
-    def gamma0(
+    def amplitudes(
         self,
         directions: Float[Tensor, "v 3"],
         quaternions: Float[Tensor, "n 4"],
         scales: Float[Tensor, "n 3"],
-    ) -> Float[Tensor, "v n"]:
-        """See `Scattering.gamma0`; how a Gaussian is turned does not matter."""
-        return self.p_min + _softplus(harmonic_basis(directions, self.degree) @ self.parameters.T)
+    ) -> Float[Tensor, "v n 1"]:
+        """See `Scattering.amplitudes`; how a Gaussian is turned does not matter."""
+        return (self.p_min + _softplus(harmonic_basis(directions, self.degree) @ self.parameters.T))[..., None]
 
     @classmethod
     def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
@@ -186,13 +196,13 @@ class NormalLobes(Scattering):
             return None
         return f"for N Gaussians and {len(self.sharpness)} lobes it must be (N, {wanted})"
 
-    def gamma0(
+    def amplitudes(
         self,
         directions: Float[Tensor, "v 3"],
         quaternions: Float[Tensor, "n 4"],
         scales: Float[Tensor, "n 3"],
-    ) -> Float[Tensor, "v n"]:
-        """See `Scattering.gamma0`."""
+    ) -> Float[Tensor, "v n 1"]:
+        """See `Scattering.amplitudes`."""
         axes, shortest = rotation_matrix(quaternions), scales.detach().argmin(dim=1)
         normals = axes.gather(2, shortest[:, None, None].expand(-1, 3, 1))[:, :, 0]
         squared = (directions @ normals.T) ** 2  # [V, N]
@@ -200,7 +210,7 @@ class NormalLobes(Scattering):
         total = self.p_min + b[:, 0].expand(len(directions), -1)
         for j, sharpness in enumerate(self.sharpness, start=1):
             total = total + b[:, j] * (squared if sharpness == 0 else torch.exp(sharpness * (squared - 1)))
-        return total
+        return total[..., None]
 
     @classmethod
     def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
@@ -212,7 +222,7 @@ class NormalLobes(Scattering):
 
 
 def _softplus(values: Tensor) -> Tensor:
-    """log(1 + e^x). torch's own rounds the last numbers of a thread's share otherwise, so bits hang on their number."""
+    """log(1 + e^x). torch rounds the last numbers of a thread's share otherwise: bits would depend on threads."""
     return -logsigmoid(-values)
 
 

@@ -120,7 +120,8 @@ def contributions(
         return np.zeros(0, np.float32)
     gaussians = gaussians.detach()
     projection = project(gaussians, [view], grid, rays=rays)
-    sections = (attenuate(projection, rays).lit_area * projection.gamma0)[0]
+    gamma0 = projection.amplitudes[..., gaussians.scattering.power_channel]
+    sections = (attenuate(projection, rays).lit_area * gamma0)[0]
     a, b, c = projection.pixels.roots[0].unbind(-1)
     x, y = (projection.pixels.centers.new_tensor(place) - projection.pixels.centers[0]).unbind(-1)
     squared = (a * x + b * y) ** 2 + (c * y) ** 2

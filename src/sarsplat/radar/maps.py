@@ -93,8 +93,8 @@ def radar_maps(surface: Surface, view: View, grid: ImageGrid, *, rays: RayGrid |
         return RadarMaps(nothing, nothing, nothing, none, none)
     projection = project(gaussians, [view], sharp, rays=rays)
     lit = attenuate(projection, rays).lit_area[0]
-    amplitudes = lit[:, None] * torch.from_numpy(_columns(surface, view)).to(lit)
-    sums = splat(projection.pixels, amplitudes[None], sharp)[0].double().numpy()
+    weighted = lit[:, None] * torch.from_numpy(_columns(surface, view)).to(lit)
+    sums = splat(projection.pixels, weighted[None], sharp)[0].double().numpy()
     area = sums[_AREA]
     shown = (area >= _SHARE * math.tan(math.radians(view.grazing_deg))) | (sums[_COVER] >= _SHARE)
     means = np.divide(sums, area, out=np.full_like(sums, np.nan), where=shown)

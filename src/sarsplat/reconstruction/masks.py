@@ -106,7 +106,7 @@ def _returns(
     projection = project(scene, [view], grid, rays=rays)
     sections = attenuate(projection, rays).lit_area
     if not alike:
-        sections = sections * projection.gamma0
+        sections = sections * projection.amplitudes[..., scene.scattering.power_channel]
     kind = torch.zeros(len(scene), 2, device=sections.device)
     kind[:target, 0] = kind[target:, 1] = 1
     return splat(projection.pixels, sections[..., None] * kind, grid)[0].cpu().numpy()

@@ -236,8 +236,8 @@ class SceneModel:
         bounds: Bounds | None = None,
         left_out: Bool[Tensor, " n"] | None = None,
         textured: bool = True,
-    ) -> tuple[Float[Tensor, "v {grid.rows} {grid.columns}"], Rendering]:
-        """Power images [V, rows, columns] with noise floor, and the rendering behind them.
+    ) -> tuple[Float[Tensor, "v c {grid.rows} {grid.columns}"], Rendering]:
+        """Images [V, C, rows, columns], in the power channel with noise floor, and the rendering behind them.
 
         `chips` are the indices of training views, whose own shift and gain then apply. Of an unseen chip only the
         distribution of its shift and gain is known: its expected image is seen through a response widened by that
@@ -259,16 +259,28 @@ class SceneModel:
         rendering = render(scene, views, grid, rays=rays, shift=shift, plane_gradients=plane_gradients, bounds=bounds)
         images, floor = rendering.images, p["noise"].exp()
         if "log_side_lobes" in p:
-            images = with_side_lobes(images, p["log_side_lobes"].exp(), grid)
+            images = with_side_lobes(images.flatten(0, 1), p["log_side_lobes"].exp(), grid).view_as(images)
         if chips is None:
             floor = floor * gain.reciprocal().mean()
         else:  # not by `render`, which would look at its values, and a GPU would be waited for
             # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
-            images = images * gain[chips, None, None].expand(-1, 1, grid.columns)
-        images = images + floor.expand(grid.columns)  # so that its gradient is summed column by column
+            images = images * gain[chips, None, None, None].expand(-1, images.shape[1], 1, grid.columns)
+        # expanded, so that its gradient is summed column by column
+        images = images + (floor * self._power(images)).expand(-1, 1, grid.columns)
         if self.texture is not None and textured:
-            images = images * (self.texture.factor(views, grid) if chips is None else self.texture.among_chips[chips])
+            factor = self.texture.factor(views, grid) if chips is None else self.texture.among_chips[chips]
+            images = images * factor[:, None]
         return images if self.unit == 1 else images * self.unit, rendering
+
+    @property
+    def power_channel(self) -> int:
+        """The channel of the images that is shown, scored and trained on."""
+        return self._law.power_channel
+
+    def _power(self, images: Float[Tensor, "v c rows columns"]) -> Float[Tensor, "c 1 1"]:
+        """1 for the power channel, 0 for the others."""
+        channels = torch.arange(images.shape[1], device=images.device)
+        return (channels == self.power_channel).to(images)[:, None, None]
 
     @property
     def gains(self) -> Float[Tensor, " v"]:
@@ -319,7 +331,8 @@ class SceneModel:
                     surprises.append(len(deviations) * _column_means(deviations**2).sum() / 2)
         if self.config.directional_std is not None and p["scattering"].shape[1] > 1:
             uniform = self._scattering(p["scattering"].detach(), 0)
-            level = uniform.gamma0(p["means"].new_tensor([[0.0, 0.0, 1.0]]), p["quaternions"], p["scales"])[0]
+            upwards = p["means"].new_tensor([[0.0, 0.0, 1.0]])
+            level = uniform.amplitudes(upwards, p["quaternions"], p["scales"])[0, :, uniform.power_channel]
             deviations = p["scattering"][:, 1:] / (self.config.directional_std * level[:, None].detach())
             surprises.append(len(deviations) * _column_means(deviations**2).sum() / 2)
         return torch.stack(surprises).sum() / self.setting.samples if surprises else None

@@ -26,6 +26,7 @@ from sarsplat.reconstruction.normals import surface_normals
 from sarsplat.reconstruction.points import extract_points
 from sarsplat.reconstruction.saved_model import AZIMUTH_OFFSETS, saved_model
 from sarsplat.reconstruction.seen import Seen
+from sarsplat.renderer import channel_of
 
 if TYPE_CHECKING:
     import trimesh
@@ -97,7 +98,8 @@ class Run(AnyRun[Config]):
         with torch.no_grad():
             for first in range(0, len(views), _VIEWS_AT_A_TIME):  # memory stays small
                 some = views[first : first + _VIEWS_AT_A_TIME]
-                images.append(self.model.render(some, grid, degree, rays=rays)[0].cpu().numpy())
+                rendered = self.model.render(some, grid, degree, rays=rays)[0]
+                images.append(channel_of(rendered, self.model.power_channel).cpu().numpy())
         return np.concatenate(images)
 
     def masks(self, views: Sequence[View]) -> UInt8[np.ndarray, "v rows columns"]:

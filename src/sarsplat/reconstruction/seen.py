@@ -54,7 +54,8 @@ class Seen:
             with torch.no_grad():
                 done = render(gaussians, views[first : first + _VIEWS_AT_A_TIME], grid, rays=rays)
             areas.append(done.lit_area.double().cpu().numpy())
-            cross_section += done.cross_sections.double().sum(0).cpu().numpy()
+            power = done.cross_sections[..., gaussians.scattering.power_channel]
+            cross_section += power.double().sum(0).cpu().numpy()
         area = np.concatenate(areas)
         directions = np.stack([view.direction for view in views])
         means = gaussians.means.double().cpu().numpy()

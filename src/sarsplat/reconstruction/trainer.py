@@ -22,6 +22,7 @@ from sarsplat.reconstruction.optimiser import Optimiser
 from sarsplat.reconstruction.saved_model import AZIMUTH_OFFSETS, region_tensors, saved_model
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.reconstruction.texture import Texture
+from sarsplat.renderer import channel_of
 
 _FAINTEST = 1e-30
 """Largest β⁰ below which images count as black: squares and reciprocals of it would leave float32."""
@@ -96,7 +97,7 @@ class Trainer:
             left_out=self._left_out(),
         )
         truth = torch.stack([self._truth[i] for i in chosen])  # much faster than an index
-        loss = self._loss(images, truth)
+        loss = self._loss(channel_of(images, self.model.power_channel), truth)
         if not isinstance(loss, Tensor) or loss.ndim != 0 or not loss.requires_grad or loss.is_complex():
             what = f"{tuple(loss.shape)} of {loss.dtype}" if isinstance(loss, Tensor) else type(loss).__name__
             raise SarsplatError(
@@ -189,7 +190,7 @@ class Trainer:
             images, _ = self.model.render(
                 views[some], self.grid, degree, rays=rays, chips=numbers, bounds=self._bounds, textured=False
             )
-            yield self._truth[numbers] / self.model.unit, images / self.model.unit
+            yield self._truth[numbers] / self.model.unit, channel_of(images, self.model.power_channel) / self.model.unit
 
     def _densify(self, density: DensityControl) -> None:
         self.check()
@@ -227,7 +228,8 @@ class Trainer:
         for first in range(0, len(self.views), self.config.views_per_step):  # what a step takes fits into memory
             some = self.views[first : first + self.config.views_per_step]
             _, rendering = self.model.render(some, self.grid, degree, rays=rays, textured=False)
-            total += rendering.cross_sections[:, : len(total)].sum(0)  # the ground's come after the target's
+            sections = rendering.cross_sections[..., self.model.power_channel]
+            total += sections[:, : len(total)].sum(0)  # the ground's come after the target's
         return total / len(self.views)
 
     def _replace(self, parameters: dict[str, Tensor], source: Int64[Tensor, " n"]) -> None:
@@ -247,8 +249,11 @@ class Trainer:
     def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
         """β⁰ of any views as they are now, linear power, with the rays of the training."""
         degree, some = self.model.degree(self.iteration), self.config.views_per_step
+        power = self.model.power_channel
         images = [
-            self.model.render(views[first : first + some], self.grid, degree, rays=self._rays)[0].cpu().numpy()
+            self.model.render(views[first : first + some], self.grid, degree, rays=self._rays)[0][:, power]
+            .cpu()
+            .numpy()
             for first in range(0, len(views), some)  # what a step takes fits into memory
         ]
         return np.concatenate(images or [np.empty((0, self.grid.rows, self.grid.columns), np.float32)])

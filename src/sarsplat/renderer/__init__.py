@@ -17,7 +17,7 @@ from sarsplat.renderer.engines import ENGINES, chosen_engine
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
 from sarsplat.renderer.reference import render_reference
 from sarsplat.renderer.render_function import render_with
-from sarsplat.renderer.rendering import RayMap, Rendering
+from sarsplat.renderer.rendering import RayMap, Rendering, channel_of
 from sarsplat.renderer.steps import attenuate, project, splat
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "RayMap",
     "Rendering",
     "attenuate",
+    "channel_of",
     "project",
     "render",
     "splat",
@@ -41,7 +42,7 @@ def render(
     grid: ImageGrid,
     *,
     rays: RayGrid | None = None,
-    gamma0: Float[Tensor, "v n"] | None = None,
+    amplitudes: Float[Tensor, "v n c"] | None = None,
     shift: Float[Tensor, "v 2"] | None = None,
     gain: Float[Tensor, " v"] | None = None,
     imaging_weight: str = "area",
@@ -55,7 +56,7 @@ def render(
 
     On the computation plane rays attenuate through the Gaussians front to back and give each its radar cross-section;
     on the imaging plane (azimuth × slant range) the cross-sections are splatted additively. Differentiable with respect
-    to every tensor of `gaussians`, and to `gamma0`, `shift` and `gain`; footprint cuts, depth order and the early
+    to every tensor of `gaussians`, and to `amplitudes`, `shift` and `gain`; footprint cuts, depth order and the early
     stop are held constant.
 
     Parameters
@@ -68,8 +69,9 @@ def render(
         Pixels and system response, the same for all views.
     rays : RayGrid, optional
         Rays of the computation plane; two to a pixel spacing unless given. An accuracy setting: finer is better.
-    gamma0 : Tensor [V, N], optional
-        γ⁰ (P, dimensionless) of each Gaussian in each view, instead of what `gaussians.scattering` says.
+    amplitudes : Tensor [V, N, C], optional
+        What each Gaussian returns per lit area in each view and channel (γ⁰ in a channel of power), dimensionless,
+        instead of what `gaussians.scattering` says. Channels share the work: C images cost little more than one.
     shift : Tensor [V, 2], optional
         Displacement (azimuth, range) of each image, m.
     gain : Tensor [V], optional
@@ -93,7 +95,7 @@ def render(
     Returns
     -------
     Rendering
-        Images are β⁰, linear power.
+        Images [V, C, rows, columns] are β⁰, linear power, where a channel is power.
 
     Raises
     ------
@@ -117,9 +119,9 @@ def render(
         first_return_depth=first_return_depth,
         instruction_set=instruction_set,
     )
-    check_shapes(gaussians, views, gamma0, shift, gain)
+    check_shapes(gaussians, views, amplitudes, shift, gain)
     engine = chosen_engine(engine, gaussians.means)
-    tensors = {**gaussians.tensors(), "gamma0": gamma0, "shift": shift, "gain": gain}
+    tensors = {**gaussians.tensors(), "amplitudes": amplitudes, "shift": shift, "gain": gain}
     if engine in ENGINES:
         new_pass = ENGINES[engine].prepare(tensors, grid, instruction_set)
         if bounds is not None and ENGINES[engine].takes_bounds:
@@ -134,7 +136,7 @@ def render(
             views,
             grid,
             rays=rays,
-            gamma0=gamma0,
+            amplitudes=amplitudes,
             shift=shift,
             gain=gain,
             imaging_weight=imaging_weight,
@@ -152,7 +154,7 @@ def render(
         views,
         grid,
         rays=rays,
-        gamma0=gamma0,
+        amplitudes=amplitudes,
         shift=shift,
         gain=gain,
         imaging_weight=imaging_weight,

@@ -87,7 +87,7 @@ class Bounds:
             raise SarsplatError(f"a Gaussian has left its bounds, {self}; clamp the parameters or give wider bounds")
         if code >= 0:
             name, index = FAULTS[code >> 56], code & (1 << 56) - 1
-            where = f"{name}.flatten()" if name == "gamma0" else name
+            where = f"{name}.flatten()" if name == "amplitudes" else name
             raise SarsplatError(f"{where}[{index}] was out of range when it was rendered; it must be {ALLOWED[name]}")
 
     def capacity(self, gaussians: int, views: Sequence[View], grid: ImageGrid, rays: RayGrid) -> Capacity | None:

@@ -21,7 +21,7 @@ FARTHEST, STRONGEST = 1e9, 1e15
 
 FLATTEST, STEEPEST = 1e-8, 1e8
 """Limits of the roots of footprints, 1/m."""
-_MAX_ABS = {"means": FARTHEST, "shift": FARTHEST, "scattering": STRONGEST, "gamma0": STRONGEST, "gain": STRONGEST}
+_MAX_ABS = {"means": FARTHEST, "shift": FARTHEST, "scattering": STRONGEST, "amplitudes": STRONGEST, "gain": STRONGEST}
 
 _POSITIVE = "optimise logarithms, or clamp"
 ALLOWED = {
@@ -30,7 +30,6 @@ ALLOWED = {
     "scales": f"finite and at least MIN_SCALE = {MIN_SCALE} m, at most {MAX_SCALE:g} m: {_POSITIVE}",
     "optical_depth": f"between 0 and MAX_OPTICAL_DEPTH = {MAX_OPTICAL_DEPTH:g}: {_POSITIVE}",
     "scattering": f"finite, at most {STRONGEST:g}",
-    "gamma0": f"finite, at most {STRONGEST:g}",
     "shift": f"finite metres, at most {FARTHEST:g}",
     "gain": f"finite, at most {STRONGEST:g}",
     "centers": f"finite metres, at most {2 * FARTHEST:g}",
@@ -41,6 +40,7 @@ ALLOWED = {
     "range_m": f"finite metres, at most {2 * FARTHEST:g}",
     "tilt": f"finite, at most {STRONGEST:g}",
     "amplitudes": f"finite, at most {STRONGEST:g}",
+    "cross_sections": f"finite, at most {STRONGEST:g}",
 }
 """What each tensor must be."""
 
@@ -50,9 +50,9 @@ _STEP_LIMITS = {
     "optical_depth": (0.0, MAX_OPTICAL_DEPTH * (1 + 1e-6)),
     "range_m": (-2 * FARTHEST, 2 * FARTHEST),
     "tilt": (-STRONGEST, STRONGEST),
-    "amplitudes": (-STRONGEST, STRONGEST),
+    "cross_sections": (-STRONGEST, STRONGEST),
 }
-"""Of footprints and amplitudes."""
+"""Of footprints and cross-sections."""
 
 _MAX_PIXELS = 32_767
 """Of an image's side, on the CPU engine; 4,096 is the largest that was measured."""
@@ -61,7 +61,7 @@ _MAX_PIXELS = 32_767
 def check_shapes(
     gaussians: Gaussians,
     views: Sequence[View],
-    gamma0: Tensor | None,
+    amplitudes: Tensor | None,
     shift: Tensor | None,
     gain: Tensor | None,
 ) -> None:
@@ -73,19 +73,23 @@ def check_shapes(
             raise SarsplatError(f"views holds {view!r}; each must be a View(azimuth_deg, grazing_deg)")
     if not views:
         raise SarsplatError("there are no views to render; give at least one View")
-    for name, tensor in {"means": gaussians.means, "gamma0": gamma0, "shift": shift, "gain": gain}.items():
+    v, n = len(views), len(gaussians)
+    for name, tensor in {"means": gaussians.means, "amplitudes": amplitudes, "shift": shift, "gain": gain}.items():
         if tensor is not None and tensor.is_meta:
             raise SarsplatError(f"{name} is on torch's meta device, which holds no values; make it on the CPU")
+    if amplitudes is not None and (amplitudes.ndim != 3 or amplitudes.shape[:2] != (v, n) or amplitudes.shape[2] < 1):
+        raise SarsplatError(
+            f"amplitudes has shape {tuple(amplitudes.shape)}; for {v} views and {n} Gaussians it must be ({v}, {n}, C) "
+            "with at least one channel"
+        )
     expected = {
-        "gamma0": (gamma0, (len(views), len(gaussians))),
-        "shift": (shift, (len(views), 2)),
-        "gain": (gain, (len(views),)),
+        "shift": (shift, (v, 2)),
+        "gain": (gain, (v,)),
     }
     for name, (tensor, shape) in expected.items():
         if tensor is not None and tuple(tensor.shape) != shape:
             raise SarsplatError(
-                f"{name} has shape {tuple(tensor.shape)}; for {len(views)} views and {len(gaussians)} Gaussians "
-                f"it must be {shape}"
+                f"{name} has shape {tuple(tensor.shape)}; for {v} views and {n} Gaussians it must be {shape}"
             )
 
 

@@ -31,8 +31,8 @@ LIBRARY = Path(__file__).with_name("_engine.dll" if sys.platform == "win32" else
 
 _TORCH = {"win32": "torch_cpu.dll", "darwin": "libtorch_cpu.dylib"}.get(sys.platform, "libtorch_cpu.so")
 
-_INPUTS = ("means", "quaternions", "scales", "optical_depth", "scattering", "gamma0", "shift")
-_FOOTPRINTS = ("centers", "roots", "optical_depth", "range_m", "tilt", "amplitudes")
+_INPUTS = ("means", "quaternions", "scales", "optical_depth", "scattering", "amplitudes", "shift")
+_FOOTPRINTS = ("centers", "roots", "optical_depth", "range_m", "tilt", "cross_sections")
 FAULTS = ("", *_INPUTS, "lattice", "memory", *_FOOTPRINTS)
 """What a pass can reject, by status code."""
 
@@ -213,7 +213,7 @@ class Pass:
     def splat(
         self, problem: ctypes.Structure, footprints: ctypes.Structure, channels: ctypes.Structure, images: int
     ) -> tuple[str, int]:
-        """Amplitudes to images, alone; returns as `forward` does."""
+        """Cross-sections to images, alone; returns as `forward` does."""
         return self._run(self._library.sg_splat, problem, footprints, channels, images)
 
     def splat_backward(
@@ -222,11 +222,11 @@ class Pass:
         channels: ctypes.Structure,
         d_images: int,
         gradients: ctypes.Structure,
-        d_amplitudes: int,
+        d_cross_sections: int,
     ) -> None:
         """The adjoint of the last `splat`."""
         self._library.sg_set_threads(torch.get_num_threads())
-        arguments = problem, channels, d_images, gradients, d_amplitudes
+        arguments = problem, channels, d_images, gradients, d_cross_sections
         _require_memory(self._library.sg_splat_backward(self._handle, *arguments))
 
     def _run(self, function: Any, *arguments: object) -> tuple[str, int]:

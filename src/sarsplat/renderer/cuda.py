@@ -200,7 +200,7 @@ class Pass:
     def splat(
         self, problem: ctypes.Structure, footprints: ctypes.Structure, channels: ctypes.Structure, images: int
     ) -> tuple[str, int]:
-        """Amplitudes to images, alone; returns as `forward` does."""
+        """Cross-sections to images, alone; returns as `forward` does."""
         try:
             faults = self._begin(problem)
             self._new_plane("pixels", self._state.pixels, problem)
@@ -222,7 +222,7 @@ class Pass:
         channels: ctypes.Structure,
         d_images: int,
         gradients: ctypes.Structure,
-        d_amplitudes: int,
+        d_cross_sections: int,
     ) -> None:
         """The adjoint of the last `splat`."""
         try:
@@ -230,7 +230,7 @@ class Pass:
         except torch.OutOfMemoryError as error:
             raise _no_memory(self._launcher.device) from error
         for first in range(0, channels.count, _TOGETHER):
-            arguments = channels, c_int32(first), c_void_p(d_images), c_void_p(d_amplitudes)
+            arguments = channels, c_int32(first), c_void_p(d_images), c_void_p(d_cross_sections)
             self._launch("image_channels_backward", -(-self._pairs // _WARPS), problem, self._state, *arguments)
         self._over_pairs("write_pixel_gradients", problem, problem, self._state, gradients)
         del self._arrays["pixel_moments"]

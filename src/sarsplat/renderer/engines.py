@@ -72,7 +72,7 @@ class Pass(Protocol):
         channels: ctypes.Structure,
         d_images: int,
         gradients: ctypes.Structure,
-        d_amplitudes: int,
+        d_cross_sections: int,
     ) -> None: ...
 
 

@@ -84,8 +84,8 @@ class Projection:
         Slope of the range of the densest point against (x_r, y_r), for first returns. Not differentiable.
     pixels : Footprints
         On the imaging plane (x_r, z_r), widened by the system's response and shifted; differentiable.
-    gamma0 : Tensor [V, N]
-        γ⁰ towards the radar, by the scattering law of the Gaussians; differentiable.
+    amplitudes : Tensor [V, N, C]
+        What each channel returns per lit area, by the scattering law of the Gaussians; differentiable.
 
     Raises
     ------
@@ -98,14 +98,15 @@ class Projection:
     range_m: Float[Tensor, "v n"]
     tilt: Float[Tensor, "v n 2"]
     pixels: Footprints
-    gamma0: Float[Tensor, "v n"]
+    amplitudes: Float[Tensor, "v n c"]
 
     def __post_init__(self) -> None:
         for name in ("rays", "pixels"):
             if not isinstance(getattr(self, name), Footprints):
                 raise SarsplatError(f"{name} is a {type(getattr(self, name)).__name__}; give Footprints")
         v, n = _sizes(self.optical_depth)
-        _check_fields(self, {"optical_depth": (v, n), "range_m": (v, n), "tilt": (v, n, 2), "gamma0": (v, n)})
+        c = self.amplitudes.shape[-1] if isinstance(self.amplitudes, Tensor) and self.amplitudes.ndim == 3 else 1
+        _check_fields(self, {"optical_depth": (v, n), "range_m": (v, n), "tilt": (v, n, 2), "amplitudes": (v, n, c)})
         for name in ("rays", "pixels"):
             centers = getattr(self, name).centers
             if (
@@ -126,8 +127,8 @@ class Attenuation:
     Parameters
     ----------
     lit_area : Tensor [V, N]
-        A_c Σ_ρ w, m²: the area across the line of sight over which a Gaussian is seen; differentiable. Times γ⁰ it is
-        the radar cross-section.
+        A_c Σ_ρ w, m²: the area across the line of sight over which a Gaussian is seen; differentiable. Times the
+        amplitudes it is the radar cross-section in each channel.
     ray_maps : tuple of RayMap, one per view, or None
         On request (`first_return_depth`).
     """

@@ -35,7 +35,7 @@ def render_reference(
     grid: ImageGrid,
     *,
     rays: RayGrid | None = None,
-    gamma0: Float[Tensor, "v n"] | None = None,
+    amplitudes: Float[Tensor, "v n c"] | None = None,
     shift: Float[Tensor, "v 2"] | None = None,
     gain: Float[Tensor, " v"] | None = None,
     imaging_weight: str = "area",
@@ -50,11 +50,11 @@ def render_reference(
     rays = rays or RayGrid.for_image(grid)
     projection = project_reference(gaussians, views, grid, rays=rays, shift=shift)
     attenuation = attenuate_reference(projection, rays, first_return_depth=first_return_depth, cuts=cuts)
-    cross_sections = (projection.gamma0 if gamma0 is None else gamma0) * attenuation.lit_area  # σ = P A_c Σ w
-    amplitudes = cross_sections[..., None]
-    images = splat_reference(projection.pixels, amplitudes, grid, imaging_weight=imaging_weight, cuts=cuts)[:, 0]
+    amplitudes = projection.amplitudes if amplitudes is None else amplitudes
+    cross_sections = amplitudes * attenuation.lit_area[..., None]  # σ = P A_c Σ w
+    images = splat_reference(projection.pixels, cross_sections, grid, imaging_weight=imaging_weight, cuts=cuts)
     return Rendering(
-        images if gain is None else images * gain[:, None, None],
+        images if gain is None else images * gain[:, None, None, None],
         cross_sections,
         attenuation.lit_area.detach(),
         attenuation.ray_maps,
@@ -87,8 +87,8 @@ def project_reference(
         u, v = _whitened(cov[..., :2, 2], roots)
         a, b, c = roots.unbind(-1)
         tilt = torch.stack([a * u, b * u + c * v], dim=-1)
-        gamma0 = gaussians.gamma0(-frames[:, 0, 2])  # P(u), §2
-    return Projection(Footprints(mean[..., :2], roots), kappa, mean[..., 2].detach(), tilt.detach(), pixels, gamma0)
+        amplitudes = gaussians.amplitudes(-frames[:, 0, 2])  # P(u), §2
+    return Projection(Footprints(mean[..., :2], roots), kappa, mean[..., 2].detach(), tilt.detach(), pixels, amplitudes)
 
 
 def attenuate_reference(
@@ -107,18 +107,18 @@ def attenuate_reference(
 
 def splat_reference(
     footprints: Footprints,
-    amplitudes: Float[Tensor, "v n c"],
+    cross_sections: Float[Tensor, "v n c"],
     grid: ImageGrid,
     *,
     imaging_weight: str = "area",
     cuts: bool = True,
 ) -> Float[Tensor, "v c {grid.rows} {grid.columns}"]:
     """Splat as `sarsplat.splat` does; `cuts` as at `render_reference`."""
-    x, r = (torch.from_numpy(axis).to(amplitudes) for axis in (grid.azimuth_m, grid.range_m))
+    x, r = (torch.from_numpy(axis).to(cross_sections) for axis in (grid.azimuth_m, grid.range_m))
     pixel = torch.stack(torch.meshgrid(x, r, indexing="xy"), dim=-1)  # [rows, columns, 2]
     images = []
-    with torch.autocast(amplitudes.device.type, enabled=False):
-        for centers, roots, amplitude in zip(footprints.centers, footprints.roots, amplitudes, strict=True):
+    with torch.autocast(cross_sections.device.type, enabled=False):
+        for centers, roots, sigma in zip(footprints.centers, footprints.roots, cross_sections, strict=True):
             u, v = _whitened(pixel - centers[:, None, None], roots[:, None, None])
             q = u**2 + v**2
             weight = torch.exp(-0.5 * q)
@@ -126,7 +126,7 @@ def splat_reference(
                 weight = torch.where(q <= IMAGE_CUT, weight, torch.zeros_like(weight)) / (1 - math.exp(-IMAGE_CUT / 2))
             if imaging_weight == "area":
                 weight = weight * (roots[:, 0] * roots[:, 2] / (2 * math.pi))[:, None, None]  # 1/(2π √det Σ_I')
-            images.append(torch.einsum("nc,nyx->cyx", amplitude, weight))
+            images.append(torch.einsum("nc,nyx->cyx", sigma, weight))
     return torch.stack(images)
 
 

@@ -60,7 +60,7 @@ def render_with(
     grid: ImageGrid,
     *,
     rays: RayGrid,
-    gamma0: Float[Tensor, "v n"] | None,
+    amplitudes: Float[Tensor, "v n c"] | None,
     shift: Float[Tensor, "v 2"] | None,
     gain: Float[Tensor, " v"] | None,
     imaging_weight: str,
@@ -71,10 +71,14 @@ def render_with(
     check_values({"gain": gain})  # the rest is checked on the way in
     planes = gaussians.means.new_zeros(len(views), len(gaussians), 4) if plane_gradients else None
     law, harmonics = gaussians.scattering, None
-    if gamma0 is None and isinstance(law, Harmonics):
+    if amplitudes is None and isinstance(law, Harmonics):
         harmonics = law.parameters  # kernels evaluate these themselves
-    elif gamma0 is None:
-        gamma0 = gaussians.gamma0(directions_to(views, gaussians.means))
+    elif amplitudes is None:
+        amplitudes = gaussians.amplitudes(directions_to(views, gaussians.means))
+    if amplitudes is not None and amplitudes.shape[2] > 1:
+        return _by_steps(
+            new_pass, gaussians, views, grid, rays, amplitudes, shift, gain, imaging_weight, first_return_depth
+        )
     setting = _Setting(
         tuple(views), grid, rays, law.p_min, imaging_weight == "peak", first_return_depth, new_pass, planes
     )
@@ -85,15 +89,38 @@ def render_with(
         gaussians.scales,
         gaussians.optical_depth,
         harmonics,
-        gamma0,
+        amplitudes,
         shift,
         setting,
     )
     if gain is not None:
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
-        images = images * gain[:, None, None].expand(-1, 1, grid.columns)
+        images = images * gain[:, None, None, None].expand(-1, images.shape[1], 1, grid.columns)
     ray_maps = ray_maps_of(transmittance, first_return, lattices, rays) if first_return_depth is not None else None
     return Rendering(images, cross_sections, lit_area, ray_maps, planes)
+
+
+def _by_steps(
+    new_pass: Any,
+    gaussians: Any,
+    views: Any,
+    grid: Any,
+    rays: Any,
+    amplitudes: Any,
+    shift: Any,
+    gain: Any,
+    imaging_weight: Any,
+    first_return_depth: Any,
+) -> Rendering:
+    from sarsplat.renderer.step_functions import attenuate_with, project_with, splat_with
+
+    projection = project_with(new_pass, gaussians, views, grid, rays=rays, shift=shift)
+    attenuation = attenuate_with(new_pass, projection, rays, first_return_depth=first_return_depth)
+    cross_sections = amplitudes * attenuation.lit_area[..., None]
+    images = splat_with(new_pass, projection.pixels, cross_sections, grid, imaging_weight=imaging_weight)
+    if gain is not None:
+        images = images * gain[:, None, None, None].expand(-1, images.shape[1], 1, grid.columns)
+    return Rendering(images, cross_sections, attenuation.lit_area.detach(), attenuation.ray_maps)
 
 
 def ray_maps_of(
@@ -122,18 +149,19 @@ class _Render(torch.autograd.Function):
         scales: Tensor,
         optical_depth: Tensor,
         harmonics: Tensor | None,
-        gamma0: Float[Tensor, "v n"] | None,
+        amplitudes: Float[Tensor, "v n c"] | None,
         shift: Tensor,
         setting: _Setting,
     ) -> tuple[Any, ...]:
         inputs = [
-            t if t is None else t.contiguous() for t in (means, quaternions, scales, optical_depth, harmonics, gamma0)
+            t if t is None else t.contiguous()
+            for t in (means, quaternions, scales, optical_depth, harmonics, amplitudes)
         ]
         inputs.append(shift.contiguous())
         problem, constants = problem_of(inputs, setting.views, setting.grid, setting.rays, setting.p_min, setting.peak)
-        views, n, grid = len(setting.views), means.shape[0], setting.grid
-        images = means.new_empty(views, grid.rows, grid.columns)  # never torch's default dtype or device
-        cross_sections, lit_area = means.new_empty(views, n), means.new_empty(views, n)
+        views, n, channels, grid = len(setting.views), means.shape[0], problem.channels, setting.grid
+        images = means.new_empty(views, channels, grid.rows, grid.columns)  # never torch's default dtype or device
+        cross_sections, lit_area = means.new_empty(views, n, channels), means.new_empty(views, n)
         kernel = setting.new_pass()
         outputs = structs.Outputs(images.data_ptr(), cross_sections.data_ptr(), lit_area.data_ptr())
         fault, index = kernel.forward(problem, outputs)
@@ -160,7 +188,9 @@ class _Render(torch.autograd.Function):
         inputs = saved_inputs(ctx)
         setting: _Setting = ctx.setting
         if d_images is None:
-            d_images = inputs[0].new_zeros(len(setting.views), setting.grid.rows, setting.grid.columns)
+            d_images = inputs[0].new_zeros(
+                len(setting.views), ctx.problem.channels, setting.grid.rows, setting.grid.columns
+            )
         seeds = [t if t is None else t.contiguous() for t in (d_images, d_cross_sections, d_transmittance)]
         results = [None if t is None else torch.empty_like(t) for t in inputs]
         gradients = structs.Gradients(*(pointer(t) for t in (*seeds, *results, setting.planes)))
@@ -230,13 +260,14 @@ def problem_of(
     peak: bool = False,
 ) -> tuple[ctypes.Structure, tuple[Tensor, ...]]:
     """The kernel's view of a call, and the tensors it points at that must outlive it."""
-    means, harmonics = inputs[0], inputs[4]
+    means, _, _, _, harmonics, amplitudes, _ = inputs
     assert means is not None
     degree = 0 if harmonics is None else math.isqrt(harmonics.shape[1]) - 1
     by_view = zip(*(_frame_and_basis(view, degree, means.device) for view in views))
     frames, basis = (torch.stack(part) for part in by_view)
     problem = new_problem(len(views), len(means), grid=grid, rays=rays, peak=peak)
     problem.coefficients = 0 if harmonics is None else harmonics.shape[1]
+    problem.channels = 1 if amplitudes is None else amplitudes.shape[2]
     problem.frames, problem.basis, problem.p_min = pointer(frames), pointer(basis), p_min
     point_at(problem, inputs)
     return problem, (frames, basis)
@@ -303,6 +334,6 @@ def explain(fault: str, index: int, inputs: Sequence[Tensor | None], rays: RayGr
         return too_many_rays(index, rays, float(means.abs().max()), float(scales.max()))
     tensor = inputs[FAULTS.index(fault) - 1]
     assert tensor is not None
-    if fault == "gamma0":
+    if fault == "amplitudes":
         return complaint_by_view(fault, tensor, index)
     return complaint(fault, tensor, index)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
+from sarsplat.errors import SarsplatError
+
 
 @dataclass(frozen=True)
 class RayMap:
@@ -34,10 +36,10 @@ class Rendering:
 
     Parameters
     ----------
-    images : Tensor [V, rows, columns]
-        β⁰, linear power; differentiable. Amplitude is its root.
-    cross_sections : Tensor [V, N]
-        Radar cross-section σ of each Gaussian, m²; differentiable.
+    images : Tensor [V, C, rows, columns]
+        One for each channel of the scattering, differentiable; β⁰, linear power, of the channel that is power.
+    cross_sections : Tensor [V, N, C]
+        Radar cross-section σ of each Gaussian in each channel, m²; differentiable.
     lit_area : Tensor [V, N]
         A_c Σ_ρ w, m²: the area across the line of sight over which a Gaussian is seen. Not differentiable.
     ray_maps : tuple of RayMap, one per view, or None
@@ -46,8 +48,26 @@ class Rendering:
         On request: zeros until backward, then ∂L/∂(μ_C,x, μ_C,y, μ_I,x, μ_I,z) per view, per m. For density control.
     """
 
-    images: Float[Tensor, "v rows columns"]
-    cross_sections: Float[Tensor, "v n"]
+    images: Float[Tensor, "v c rows columns"]
+    cross_sections: Float[Tensor, "v n c"]
     lit_area: Float[Tensor, "v n"]
     ray_maps: tuple[RayMap, ...] | None = None
     plane_gradients: Float[Tensor, "v n 4"] | None = None
+
+    def channel(self, index: int) -> Float[Tensor, "v rows columns"]:
+        """The images of one channel: see `channel_of`."""
+        return channel_of(self.images, index)
+
+
+def channel_of(images: Float[Tensor, "v c rows columns"], index: int) -> Float[Tensor, "v rows columns"]:
+    """The images of one channel [V, rows, columns].
+
+    Raises
+    ------
+    SarsplatError
+        If there is no such channel.
+    """
+    count = images.shape[1]
+    if not 0 <= index < count:
+        raise SarsplatError(f"there is no channel {index} in images of {count}; give one from 0 to {count - 1}")
+    return images.squeeze(1) if count == 1 else images[:, index]  # the gradient of a slice is filled up with zeros

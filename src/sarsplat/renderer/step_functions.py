@@ -53,10 +53,9 @@ def project_with(
         *(g.means, g.quaternions, g.scales, g.optical_depth, harmonics, shift),
         *(tuple(views), grid, rays, law.p_min, new_pass),
     )
-    if harmonics is None:
-        gamma0 = g.gamma0(directions_to(views, g.means))
+    amplitudes = gamma0[..., None] if harmonics is not None else g.amplitudes(directions_to(views, g.means))
     return Projection(
-        Footprints(ray_centers, ray_roots), depth, range_m, tilt, Footprints(pixel_centers, pixel_roots), gamma0
+        Footprints(ray_centers, ray_roots), depth, range_m, tilt, Footprints(pixel_centers, pixel_roots), amplitudes
     )
 
 
@@ -76,13 +75,13 @@ def attenuate_with(
 def splat_with(
     new_pass: Callable[[], Pass],
     footprints: Footprints,
-    amplitudes: Float[Tensor, "v n c"],
+    cross_sections: Float[Tensor, "v n c"],
     grid: ImageGrid,
     *,
     imaging_weight: str,
 ) -> Float[Tensor, "v c {grid.rows} {grid.columns}"]:
     """`sarsplat.splat` on an engine's passes."""
-    return _Splat.apply(footprints.centers, footprints.roots, amplitudes, grid, imaging_weight == "peak", new_pass)
+    return _Splat.apply(footprints.centers, footprints.roots, cross_sections, grid, imaging_weight == "peak", new_pass)
 
 
 class _Project(torch.autograd.Function):
@@ -102,7 +101,7 @@ class _Project(torch.autograd.Function):
         new_pass: Callable[[], Pass],
     ) -> tuple[Tensor | None, ...]:
         inputs = [t if t is None else t.contiguous() for t in (means, quaternions, scales, optical_depth, harmonics)]
-        inputs += [None, shift.contiguous()]  # no γ⁰
+        inputs += [None, shift.contiguous()]  # no amplitudes
         problem, constants = problem_of(inputs, views, grid, rays, p_min)
         outputs = [_by_view(means, problem, width) for width in _WIDTHS]
         kernel = new_pass()
@@ -196,15 +195,15 @@ class _Splat(torch.autograd.Function):
         ctx: Any,
         centers: Tensor,
         roots: Tensor,
-        amplitudes: Tensor,
+        cross_sections: Tensor,
         grid: ImageGrid,
         peak: bool,
         new_pass: Callable[[], Pass],
     ) -> Tensor:
-        inputs = [t.contiguous() for t in (centers, roots, amplitudes)]
-        views, n, channels = amplitudes.shape
+        inputs = [t.contiguous() for t in (centers, roots, cross_sections)]
+        views, n, channels = cross_sections.shape
         problem = new_problem(views, n, grid=grid, peak=peak)
-        images = amplitudes.new_empty(views, channels, grid.rows, grid.columns)
+        images = cross_sections.new_empty(views, channels, grid.rows, grid.columns)
         kernel = new_pass()
         fault, index = kernel.splat(
             problem,
@@ -213,11 +212,11 @@ class _Splat(torch.autograd.Function):
             images.data_ptr(),
         )
         if fault:
-            names = ("footprints.centers", "footprints.roots", "amplitudes")
+            names = ("footprints.centers", "footprints.roots", "cross_sections")
             found = {name.rpartition(".")[2]: (name, tensor) for name, tensor in zip(names, inputs, strict=True)}
             raise SarsplatError(complaint_by_view(*found[fault], index))
         ctx.kernel, ctx.problem = kernel, problem
-        ctx.names, ctx.shapes = ("amplitudes",), [amplitudes.shape]
+        ctx.names, ctx.shapes = ("cross_sections",), [cross_sections.shape]
         ctx.one_at_a_time = threading.Lock()
         ctx.save_for_backward(inputs[2])
         return images
@@ -225,19 +224,19 @@ class _Splat(torch.autograd.Function):
     @staticmethod
     @differentiable_once
     def backward(ctx: Any, d_images: Tensor) -> tuple[Tensor | None, ...]:
-        (amplitudes,) = saved_inputs(ctx)
-        views, n, channels = amplitudes.shape
-        d_images, d_amplitudes = d_images.contiguous(), torch.empty_like(amplitudes)
-        centers, roots = amplitudes.new_empty(views, n, 2), amplitudes.new_empty(views, n, 3)
+        (cross_sections,) = saved_inputs(ctx)
+        views, n, channels = cross_sections.shape
+        d_images, d_cross_sections = d_images.contiguous(), torch.empty_like(cross_sections)
+        centers, roots = cross_sections.new_empty(views, n, 2), cross_sections.new_empty(views, n, 3)
         with ctx.one_at_a_time:
             ctx.kernel.splat_backward(
                 ctx.problem,
-                structs.Channels(channels, pointer(amplitudes)),
+                structs.Channels(channels, pointer(cross_sections)),
                 d_images.data_ptr(),
                 structs.Projection(pixel_centers=pointer(centers), pixel_roots=pointer(roots)),
-                d_amplitudes.data_ptr(),
+                d_cross_sections.data_ptr(),
             )
-        return centers, roots, d_amplitudes, None, None, None
+        return centers, roots, d_cross_sections, None, None, None
 
 
 def _by_view(like: Tensor, problem: Any, width: int | None) -> Tensor:

@@ -32,15 +32,15 @@ def project(
     shift: Float[Tensor, "v 2"] | None = None,
     engine: str = "auto",
 ) -> Projection:
-    """Footprints of Gaussians on the computation plane and on the imaging plane of several views, and their γ⁰.
+    """Footprints of Gaussians on the computation plane and on the imaging plane of several views, and their amplitudes.
 
     The first of three steps that together do what `render` does, with the values in between in the open; `render` is
     the faster::
 
         projection = project(gaussians, views, grid)
         lit_area = attenuate(projection, RayGrid.for_image(grid)).lit_area
-        cross_sections = projection.gamma0 * lit_area  # [V, N], m²
-        images = splat(projection.pixels, cross_sections[..., None], grid)  # [V, 1, rows, columns]
+        cross_sections = projection.amplitudes * lit_area[..., None]  # [V, N, C], m²
+        images = splat(projection.pixels, cross_sections, grid)  # [V, C, rows, columns]
 
     Differentiable with respect to `means`, `quaternions`, `scales`, `optical_depth`, the
     parameters of `scattering`, and `shift`.
@@ -135,27 +135,27 @@ def attenuate(
 
 def splat(
     footprints: Footprints,
-    amplitudes: Float[Tensor, "v n c"],
+    cross_sections: Float[Tensor, "v n c"],
     grid: ImageGrid,
     *,
     imaging_weight: str = "area",
     engine: str = "auto",
 ) -> Float[Tensor, "v c {grid.rows} {grid.columns}"]:
-    """Add footprints to images, each with as many amplitudes as there are channels: linear in them, in any order.
+    """Add footprints to images, each with a cross-section for every channel: linear in them, in any order.
 
-    Differentiable with respect to the centres, the roots and the amplitudes; footprint cuts are held constant.
+    Differentiable with respect to the centres, the roots and the cross-sections; footprint cuts are held constant.
     Channels share the work on a footprint: polarisations, looks or features cost little more than one image.
 
     Parameters
     ----------
     footprints : Footprints
         On the imaging plane: `Projection.pixels`, N Gaussians in V views.
-    amplitudes : Tensor [V, N, C]
-        What each Gaussian holds in each view and channel: its cross-section, m², for an image of β⁰. Any sign.
+    cross_sections : Tensor [V, N, C]
+        Of each Gaussian in each view and channel, m² for an image of β⁰. Any sign.
     grid : ImageGrid
         Pixels; the same as for `project`, which widened the footprints by its response.
     imaging_weight : {"area", "peak"}
-        "area" divides by the footprint's area, so that amplitudes are conserved; "peak" does not, for ablations only.
+        "area" divides by the footprint's area, which conserves cross-sections; "peak" does not, for ablations only.
     engine : {"auto", "cpu", "cuda", "reference"}
         As at `render`.
 
@@ -172,32 +172,32 @@ def splat(
     check_options(imaging_weight=imaging_weight)
     if not isinstance(footprints, Footprints):
         raise SarsplatError(f"footprints is a {type(footprints).__name__}; give Projection.pixels")
-    if not isinstance(amplitudes, Tensor):
-        raise SarsplatError(f"amplitudes is a {type(amplitudes).__name__}; give a torch.Tensor")
+    if not isinstance(cross_sections, Tensor):
+        raise SarsplatError(f"cross_sections is a {type(cross_sections).__name__}; give a torch.Tensor")
     v, n, _ = footprints.centers.shape
-    if amplitudes.ndim != 3 or tuple(amplitudes.shape[:2]) != (v, n) or amplitudes.shape[2] < 1:
+    if cross_sections.ndim != 3 or tuple(cross_sections.shape[:2]) != (v, n) or cross_sections.shape[2] < 1:
         raise SarsplatError(
-            f"amplitudes has shape {tuple(amplitudes.shape)}; for {v} views of {n} Gaussians it must be ({v}, {n}, C) "
-            "with at least one channel"
+            f"cross_sections has shape {tuple(cross_sections.shape)}; for {v} views of {n} Gaussians it must be "
+            f"({v}, {n}, C) with at least one channel"
         )
     centers = footprints.centers
-    if amplitudes.dtype != centers.dtype or amplitudes.device != centers.device:
+    if cross_sections.dtype != centers.dtype or cross_sections.device != centers.device:
         raise SarsplatError(
-            f"amplitudes is {amplitudes.dtype} on {amplitudes.device} but footprints.centers is {centers.dtype} on "
-            f"{centers.device}; use one floating dtype and one device for all tensors"
+            f"cross_sections is {cross_sections.dtype} on {cross_sections.device} but footprints.centers is "
+            f"{centers.dtype} on {centers.device}; use one floating dtype and one device for all tensors"
         )
     tensors: dict[str, Tensor | None] = {
         "footprints.centers": centers,
         "footprints.roots": footprints.roots,
-        "amplitudes": amplitudes,
+        "cross_sections": cross_sections,
     }
     _check_batch("footprints.centers", centers)
-    if (engine := chosen_engine(engine, amplitudes)) in ENGINES:
+    if (engine := chosen_engine(engine, cross_sections)) in ENGINES:
         new_pass = ENGINES[engine].prepare(tensors, grid, "auto")
-        return splat_with(new_pass, footprints, amplitudes, grid, imaging_weight=imaging_weight)
-    check_for_reference("amplitudes", amplitudes.dtype)
+        return splat_with(new_pass, footprints, cross_sections, grid, imaging_weight=imaging_weight)
+    check_for_reference("cross_sections", cross_sections.dtype)
     check_step_values(tensors)
-    return splat_reference(footprints, amplitudes, grid, imaging_weight=imaging_weight)
+    return splat_reference(footprints, cross_sections, grid, imaging_weight=imaging_weight)
 
 
 def _check_batch(name: str, tensor: Tensor) -> None:

@@ -169,8 +169,8 @@ def _splat(
         gaussians = join(gaussians, ground_sheet(ground_radius_m(views, grid), pixel / _GROUND_PER_PIXEL))
     rays = RayGrid.for_image(grid, _RAYS_PER_PIXEL)
     for view in views:
-        gamma0 = torch.full((1, len(gaussians)), ground_gamma0 or 0.0)
+        gamma0 = torch.full((1, len(gaussians), 1), ground_gamma0 or 0.0)
         of_faces = reflectivity * law_scattering(mesh.face_normals, [view], law)
-        gamma0[:, :target] = torch.from_numpy(of_faces[:, faces])
+        gamma0[:, :target, 0] = torch.from_numpy(of_faces[:, faces])
         with torch.no_grad():
-            yield render(gaussians, [view], grid, rays=rays, gamma0=gamma0).images[0].numpy()
+            yield render(gaussians, [view], grid, rays=rays, amplitudes=gamma0).channel(0)[0].numpy()

@@ -71,7 +71,7 @@ class SceneImages:
         rays = RayGrid.for_image(self._grid)
         left_out = torch.ones(len(self.target), dtype=torch.bool, device=model.device) if empty else None
         images, _ = model.render([view], self._grid, self._degree, rays=rays, left_out=left_out)
-        found: Float32[np.ndarray, "rows columns"] = images[0].cpu().numpy()
+        found: Float32[np.ndarray, "rows columns"] = images[0, model.power_channel].cpu().numpy()
         return found
 
 
