@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from ctypes import c_float, c_int32, c_void_p
 from typing import Protocol
 
@@ -14,13 +15,13 @@ from sarsplat.errors import SarsplatError
 from sarsplat.renderer.bounds import LEFT_BOUNDS, Capacity
 from sarsplat.renderer.cpu import FAULTS
 from sarsplat.renderer.cuda_lattices import cut_into_tiles, ordered_bits, smallest_lattice, tiles_of, total
-from sarsplat.renderer.structs import Lattice, structure
+from sarsplat.renderer.structs import Channels, Lattice, Outputs, Projection, structure
 
 # of csrc/cuda_state.cuh
 _THREADS, _WARPS = 256, 8
 _SPLAT_FLOATS = 8
 _TOGETHER = 4
-"""Channels to a launch, of csrc/cuda_steps.cuh."""
+"""The most channels to a launch, of csrc/cuda_pixels.cuh."""
 
 _MAX_SIDE, _MAX_RAYS = 131_068, 1 << 28
 """Of a view's ray lattice, as on the CPU engine."""
@@ -32,8 +33,8 @@ _NOTHING = (1 << 63) - 1
 
 _PLANE = ("splats", "reach", "lattices", "counts", "ends", "keys", "owners", "order", "starts")
 _Plane = structure("Plane", *((name, c_void_p) for name in _PLANE))
-_FORWARD = ("gamma0", "slope", "transmittance", "last", "slot_weights", "weight")
-_BACKWARD = ("d_sigma", "h", "slot_moments", "pixel_moments", "planes")
+_FORWARD = ("slope", "transmittance", "last", "slot_weights", "lit_area")
+_BACKWARD = ("h", "slot_moments", "pixel_moments", "planes")
 _State = structure(
     "State",
     ("minima", c_void_p),
@@ -75,44 +76,37 @@ class Pass:
         SarsplatError
             If there is not enough memory, here and below.
         """
-        state = self._state
-        try:
+        with self._memory():
             bounds = self._begin(problem)
-            self._new_plane("rays", state.rays, problem)
-            self._new_plane("pixels", state.pixels, problem)
-            self._fill(gamma0=(self._pairs,), slope=(self._pairs, 2), weight=(self._pairs,))
-            self._over_pairs("project_gaussians", problem, problem, state)
+            self._new_planes("rays", "pixels")
+            self._fill(slope=(self._pairs, 2), lit_area=(self._pairs,))
+            if problem.coefficients:
+                self._new("gamma0", self._pairs)
+            channels = self._channels(problem)
+            self._over_pairs("project_gaussians", problem, problem, self._state, self._gamma0("gamma0"))
             if (fault := self._place_lattices(bounds)) is not None:
                 return fault
             pixels = self._pixels(problem)
             self._arrange(problem, {"rays": self._rays, "pixels": pixels})
             if self._capacity is not None:
                 self._report(self._capacity, bounds)
-            self._attenuate(problem)
-            self._over_pairs("illuminate", problem, problem, state, outputs)
-            self._launch("image_tiles", total(pixels)[1], problem, state, c_void_p(outputs.images))
-        except torch.OutOfMemoryError as error:
-            raise _no_memory(self._launcher.device) from error
+            self._attenuate(problem, channels, outputs)
+            self._splat(problem, channels, pixels, outputs.images)
         return "", -1
 
     def backward(self, problem: ctypes.Structure, gradients: ctypes.Structure) -> None:
         """Run the adjoint of the last forward pass."""
-        pairs, state = problem.views * problem.gaussians, self._state
-        try:
-            slots = len(self._arrays["slot_weights"])
-            self._fill(d_sigma=(pairs,), h=(pairs,), slot_moments=(slots, 6), pixel_moments=(pairs, 6))
-            self._arrays["slot_moments"].zero_()  # of tiles whose rays have all stopped
-            state.planes = gradients.planes or self._new("planes", pairs, 4).data_ptr()
-            seeds = c_void_p(gradients.images), c_void_p(gradients.cross_sections)
-            self._launch("image_backward", -(-pairs // _WARPS), problem, state, *seeds)
-            tiles = total(self._rays)[1]
-            self._launch("attenuate_tiles_backward", tiles, problem, state, c_void_p(gradients.transmittance))
-            self._launch("differentiate", -(-problem.gaussians // _THREADS), problem, state, gradients)
-            self._launch("sum_shift", problem.views, problem, state, c_void_p(gradients.shift))
-        except torch.OutOfMemoryError as error:
-            raise _no_memory(self._launcher.device) from error
-        for name in _BACKWARD:
-            self._arrays.pop(name, None)
+        with self._memory("gamma0 gradient", "d_cross_sections"):
+            channels = self._channels(problem)
+            through_images = self._new("d_cross_sections", self._pairs, channels.count).data_ptr()
+            if problem.coefficients:
+                d_amplitudes = self._new("gamma0 gradient", self._pairs).data_ptr()
+            else:
+                d_amplitudes = gradients.amplitudes
+            self._splat_backward(problem, channels, gradients.images, through_images)
+            seeds = (c_void_p(p) for p in (None, through_images, gradients.cross_sections, d_amplitudes))
+            self._attenuate_backward(problem, channels, gradients.transmittance, *seeds)
+            self._project_backward(problem, self._gamma0("gamma0 gradient"), gradients)
 
     def lattice(self, view: int) -> ctypes.Structure:
         """Where the rays of a view stand."""
@@ -131,38 +125,27 @@ class Pass:
     # ---- one step alone
     def project(self, problem: ctypes.Structure, out: ctypes.Structure) -> tuple[str, int]:
         """Gaussians to footprints, alone; returns as `forward` does."""
-        try:
+        with self._memory():
             faults = self._begin(problem)
-            self._over_pairs("write_projections", problem, problem, self._state, out)
-        except torch.OutOfMemoryError as error:
-            raise _no_memory(self._launcher.device) from error
-        return _fault(faults.tolist()[0])
+            self._over_pairs("project_gaussians", problem, problem, self._state, out)
+            return _fault(faults.tolist()[0])
 
     def project_backward(self, problem: ctypes.Structure, seeds: ctypes.Structure, gradients: ctypes.Structure) -> None:
         """The adjoint of `project`, which keeps nothing: of any problem."""
-        try:
-            self._fill(planes=(problem.views * problem.gaussians, 4))
-        except torch.OutOfMemoryError as error:
-            raise _no_memory(self._launcher.device) from error
-        blocks = -(-problem.gaussians // _THREADS)
-        self._launch("differentiate_projections", blocks, problem, self._state, seeds, gradients)
-        self._launch("sum_shift", problem.views, problem, self._state, c_void_p(gradients.shift))
-        del self._arrays["planes"]
+        with self._memory():
+            self._project_backward(problem, seeds, gradients)
 
     def attenuate(self, problem: ctypes.Structure, footprints: ctypes.Structure, lit_area: int) -> tuple[str, int]:
         """Footprints on rays to lit areas, alone; returns as `forward` does."""
-        try:
+        with self._memory():
             bounds = self._begin(problem)
-            self._new_plane("rays", self._state.rays, problem)
+            self._new_planes("rays")
             self._fill(slope=(self._pairs, 2))
-            self._over_pairs("place_rays", problem, problem, self._state, footprints)
+            self._over_pairs("place_footprints", problem, problem, self._state, footprints, Channels())
             if (fault := self._place_lattices(bounds)) is not None:
                 return fault
             self._arrange(problem, {"rays": self._rays})
-            self._attenuate(problem)
-            self._over_pairs("write_lit_areas", problem, problem, self._state, c_void_p(lit_area))
-        except torch.OutOfMemoryError as error:
-            raise _no_memory(self._launcher.device) from error
+            self._attenuate(problem, Channels(), Outputs(lit_area=lit_area))
         return "", -1
 
     def attenuate_backward(
@@ -173,17 +156,10 @@ class Pass:
         gradients: ctypes.Structure,
     ) -> None:
         """The adjoint of the last `attenuate`."""
-        try:
-            self._fill(h=(self._pairs,), slot_moments=(len(self._arrays["slot_weights"]), 6))
-        except torch.OutOfMemoryError as error:
-            raise _no_memory(self._launcher.device) from error
-        self._arrays["slot_moments"].zero_()  # of tiles whose rays have all stopped
-        self._over_pairs("seed_weights", problem, problem, self._state, c_void_p(d_lit_area))
-        tiles = total(self._rays)[1]
-        self._launch("attenuate_tiles_backward", tiles, problem, self._state, c_void_p(d_transmittance))
-        self._over_pairs("write_ray_gradients", problem, problem, self._state, gradients)
-        for name in ("h", "slot_moments"):
-            del self._arrays[name]
+        with self._memory():
+            seeds = (c_void_p(p) for p in (d_lit_area, None, None, None))
+            self._attenuate_backward(problem, Channels(), d_transmittance, *seeds)
+            self._over_pairs("write_footprint_gradients", problem, problem, self._state, gradients)
 
     def trace_step(
         self,
@@ -201,19 +177,15 @@ class Pass:
         self, problem: ctypes.Structure, footprints: ctypes.Structure, channels: ctypes.Structure, images: int
     ) -> tuple[str, int]:
         """Cross-sections to images, alone; returns as `forward` does."""
-        try:
+        with self._memory():
             faults = self._begin(problem)
-            self._new_plane("pixels", self._state.pixels, problem)
-            self._over_pairs("place_pixels", problem, problem, self._state, footprints, channels)
+            self._new_planes("pixels")
+            self._over_pairs("place_footprints", problem, problem, self._state, footprints, channels)
             if (status := faults.tolist()[0]) >= 0:
                 return _fault(status)
             pixels = self._pixels(problem)
             self._arrange(problem, {"pixels": pixels})
-        except torch.OutOfMemoryError as error:
-            raise _no_memory(self._launcher.device) from error
-        for first in range(0, channels.count, _TOGETHER):
-            arguments = channels, c_int32(first), c_void_p(images)
-            self._launch("image_channels", total(pixels)[1], problem, self._state, *arguments)
+            self._splat(problem, channels, pixels, images)
         return "", -1
 
     def splat_backward(
@@ -225,15 +197,9 @@ class Pass:
         d_cross_sections: int,
     ) -> None:
         """The adjoint of the last `splat`."""
-        try:
-            self._fill(pixel_moments=(self._pairs, 6))
-        except torch.OutOfMemoryError as error:
-            raise _no_memory(self._launcher.device) from error
-        for first in range(0, channels.count, _TOGETHER):
-            arguments = channels, c_int32(first), c_void_p(d_images), c_void_p(d_cross_sections)
-            self._launch("image_channels_backward", -(-self._pairs // _WARPS), problem, self._state, *arguments)
-        self._over_pairs("write_pixel_gradients", problem, problem, self._state, gradients)
-        del self._arrays["pixel_moments"]
+        with self._memory():
+            self._splat_backward(problem, channels, d_images, d_cross_sections)
+            self._over_pairs("write_footprint_gradients", problem, problem, self._state, gradients)
 
     # ---- what they are made of
     def _begin(self, problem: ctypes.Structure) -> Tensor:
@@ -246,9 +212,33 @@ class Pass:
         self._state.minima = minima.data_ptr()
         return minima
 
-    def _new_plane(self, name: str, plane: ctypes.Structure, problem: ctypes.Structure) -> None:
-        plane.splats = self._new(f"{name} splats", self._pairs, _SPLAT_FLOATS).data_ptr()
-        plane.reach = self._new(f"{name} reach", self._pairs, 2).data_ptr()
+    @contextmanager
+    def _memory(self, *scratch: str) -> Iterator[None]:
+        """Say in a sentence that there is not enough; afterwards, forget what only a backward pass needs."""
+        try:
+            yield
+        except torch.OutOfMemoryError as error:
+            raise SarsplatError(
+                f"the memory of {self._launcher.device} is not enough for the rendering; render fewer views at a time "
+                "or use coarser rays"
+            ) from error
+        for name in (*scratch, *_BACKWARD):
+            self._arrays.pop(name, None)
+
+    def _new_planes(self, *names: str) -> None:
+        for name in names:
+            plane = getattr(self._state, name)
+            plane.splats = self._new(f"{name} splats", self._pairs, _SPLAT_FLOATS).data_ptr()
+            plane.reach = self._new(f"{name} reach", self._pairs, 2).data_ptr()
+
+    def _gamma0(self, name: str) -> ctypes.Structure:
+        """What the kernels of a whole rendering read and write of a projection; the rest is never written out."""
+        array = self._arrays.get(name)
+        return Projection(gamma0=None if array is None else array.data_ptr())
+
+    def _channels(self, problem: ctypes.Structure) -> ctypes.Structure:
+        """What is multiplied by lit areas in a whole rendering."""
+        return Channels(problem.channels, problem.amplitudes or self._arrays["gamma0"].data_ptr())
 
     def _place_lattices(self, minima: Tensor) -> tuple[str, int] | None:
         """Rays that hold all footprints; or what was rejected."""
@@ -291,14 +281,50 @@ class Pass:
             plane = getattr(self._state, name)
             self._list(name, plane, slots, total(tiles)[1], problem, by_depth=name == "rays")
 
-    def _attenuate(self, problem: ctypes.Structure) -> None:
-        """Pass A, once the rays are arranged."""
+    def _attenuate(self, problem: ctypes.Structure, channels: ctypes.Structure, outputs: ctypes.Structure) -> None:
+        """Once the rays are arranged."""
         rays, tiles = total(self._rays)
         self._fill(transmittance=(rays,))
         self._fill(torch.int32, last=(rays,))
         self._fill(slot_weights=(len(self._arrays["rays owners"]),))
         self._arrays["slot_weights"].zero_()  # of tiles whose rays have all stopped
         self._launch("attenuate_tiles", tiles, problem, self._state)
+        self._over_pairs("light_gaussians", problem, problem, self._state, channels, outputs)
+
+    def _splat(
+        self, problem: ctypes.Structure, channels: ctypes.Structure, pixels: list[ctypes.Structure], images: int
+    ) -> None:
+        """Once the pixels are arranged."""
+        for first, together in _in_groups(channels.count):
+            arguments = channels, c_int32(first), c_void_p(images)
+            self._launch(f"splat_tiles_{together}", total(pixels)[1], problem, self._state, *arguments)
+
+    def _splat_backward(
+        self, problem: ctypes.Structure, channels: ctypes.Structure, d_images: int, d_cross_sections: int
+    ) -> None:
+        self._fill(pixel_moments=(self._pairs, 6))
+        for first, together in _in_groups(channels.count):
+            arguments = channels, c_int32(first), c_void_p(d_images), c_void_p(d_cross_sections)
+            blocks = -(-self._pairs // _WARPS)
+            self._launch(f"splat_tiles_{together}_backward", blocks, problem, self._state, *arguments)
+
+    def _attenuate_backward(
+        self, problem: ctypes.Structure, channels: ctypes.Structure, d_transmittance: int | None, *seeds: c_void_p
+    ) -> None:
+        self._fill(h=(self._pairs,), slot_moments=(len(self._arrays["slot_weights"]), 6))
+        self._arrays["slot_moments"].zero_()  # of tiles whose rays have all stopped
+        self._over_pairs("light_gaussians_backward", problem, problem, self._state, channels, *seeds)
+        tiles = total(self._rays)[1]
+        self._launch("attenuate_tiles_backward", tiles, problem, self._state, c_void_p(d_transmittance))
+
+    def _project_backward(
+        self, problem: ctypes.Structure, seeds: ctypes.Structure, gradients: ctypes.Structure
+    ) -> None:
+        planes = gradients.planes or self._new("planes", problem.views * problem.gaussians, 4).data_ptr()
+        self._state.planes = planes
+        blocks = -(-problem.gaussians // _THREADS)
+        self._launch("project_gaussians_backward", blocks, problem, self._state, seeds, gradients)
+        self._launch("sum_shift", problem.views, problem, self._state, c_void_p(gradients.shift))
 
     def _count(
         self, name: str, plane: ctypes.Structure, lattices: Sequence[ctypes.Structure], problem: ctypes.Structure
@@ -357,10 +383,10 @@ class Pass:
             setattr(self._state, name, self._new(name, *shape, dtype=dtype).data_ptr())
 
 
-def _no_memory(device: torch.device) -> SarsplatError:
-    return SarsplatError(
-        f"the memory of {device} is not enough for the rendering; render fewer views at a time or use coarser rays"
-    )
+def _in_groups(channels: int) -> Iterator[tuple[int, int]]:
+    """The first channel of every launch, and for how many its kernel is."""
+    for first in range(0, channels, _TOGETHER):
+        yield first, 1 if channels - first == 1 else _TOGETHER
 
 
 def _fault(code: int) -> tuple[str, int]:

@@ -8,13 +8,10 @@ const char* emulate(const char* name, int blocks, int count, const int* order, i
 
 #define DRIVER __attribute__((visibility("default"))) int
 
-static const char* const kNames[] = {"project_gaussians", "count_tiles", "list_tiles", "attenuate_tiles", "illuminate",
-                                     "image_tiles", "image_backward", "attenuate_tiles_backward", "trace_tiles",
-                                     "differentiate", "sum_shift",
-                                     "write_projections", "differentiate_projections", "place_rays",
-                                     "write_lit_areas", "seed_weights", "write_ray_gradients",
-                                     "place_pixels", "image_channels", "image_channels_backward",
-                                     "write_pixel_gradients"};
+static const char* const kNames[] = {
+#define KERNEL(name) #name,
+#include "kernels.h"
+};
 static int context, module;
 static void* const kStream = (void*)0x1234;
 

@@ -89,16 +89,10 @@ template <class... A> void call(void (*kernel)(A...), void** arguments) {
   call(kernel, arguments, std::index_sequence_for<A...>());
 }
 struct Named { const char* name; void (*run)(void*); };
-#define KERNEL(name) {#name, [](void* arguments) { call(name, (void**)arguments); }}
 using namespace sarsplat::cuda;
 const Named kernels[] = {
-    KERNEL(project_gaussians), KERNEL(count_tiles), KERNEL(list_tiles), KERNEL(attenuate_tiles), KERNEL(illuminate),
-    KERNEL(image_tiles), KERNEL(trace_tiles), KERNEL(image_backward), KERNEL(attenuate_tiles_backward),
-    KERNEL(differentiate), KERNEL(sum_shift),
-    KERNEL(write_projections), KERNEL(differentiate_projections), KERNEL(place_rays),
-    KERNEL(write_lit_areas), KERNEL(seed_weights), KERNEL(write_ray_gradients),
-    KERNEL(place_pixels), KERNEL(image_channels), KERNEL(image_channels_backward),
-    KERNEL(write_pixel_gradients),
+#define KERNEL(name) {#name, [](void* arguments) { call(name, (void**)arguments); }},
+#include "kernels.h"
 };
 
 }  // namespace

@@ -1,73 +1,110 @@
-// cuda_pixels.cuh: pass B. Forward a block is a tile of pixels; backward a warp is a Gaussian that reads its pixels.
+// cuda_pixels.cuh: the step `splat`, K channels in one pass over the pixels. Forward a block is a tile of pixels; backward a
+// warp is a Gaussian that reads its pixels.
 #pragma once
 #include "cuda_state.cuh"
 
 namespace sarsplat {
 namespace SG_ISA {
 
-// From the sums of w to cross-sections, and to the amplitudes of pass B.
-extern "C" __global__ void __launch_bounds__(kThreads) illuminate(sg_problem p, State s, sg_outputs out) {
-  int view, i;
-  const int64_t j = pair_index(p, &view, &i);
-  if (j < 0) return;
-  const float w = sum_of_weights(s, j);
-  const float lit = w * (p.ray[0] * p.ray[1]), sigma = s.gamma0[j] * lit;
-  s.weight[j] = w;
-  out.lit_area[j] = lit;
-  out.cross_sections[j] = sigma;
-  s.pixels.splats[j].g.height = s.pixels.splats[j].extra * sigma;
-}
+constexpr int kTogether = 4;  // the most channels in one pass; a single one has kernels of its own
 
-extern "C" __global__ void __launch_bounds__(kThreads) image_tiles(sg_problem p, State s, float* images) {
-  __shared__ Footprint staged[kThreads];
+// What channels are multiplied by: the lit area where they are given per area.
+SG_FN float area(const State& s, int64_t j) { return s.lit_area ? s.lit_area[j] : 1.0f; }
+
+template <int K>
+SG_FN void splat_tile(const sg_problem& p, const State& s, const sg_channels& a, int first_channel, float* images,
+                      Footprint* staged, float (*heights)[K]) {
   const Lattice lattice = lattice_of_tile(s.pixels.lattices, p.views, blockIdx.x);
   const Point pixel = point_of_thread(lattice, blockIdx.x);
   const int64_t first = s.pixels.starts[blockIdx.x];
   const int count = (int)(s.pixels.starts[blockIdx.x + 1] - first);
+  const int channels = a.count - first_channel < K ? a.count - first_channel : K;
   const float cut = image_cut(p);
-  float S = 0.0f;
+  float S[K] = {};
   for (int begin = 0; begin < count; begin += kThreads) {
     const int size = count - begin < kThreads ? count - begin : kThreads;
     __syncthreads();  // nobody still reads what was staged before
-    if (thread() < size)
-      staged[thread()] = placed(s.pixels.splats[s.pixels.owners[s.pixels.order[first + begin + thread()]]].g, lattice);
+    if (thread() < size) {
+      const int32_t j = s.pixels.owners[s.pixels.order[first + begin + thread()]];
+      Footprint g = placed(s.pixels.splats[j].g, lattice);
+      const float norm = g.height * area(s, j), *amplitudes = a.cross_sections + (int64_t)j * a.count + first_channel;
+      g.height = norm;
+      for (int c = 0; c < K; c++) heights[thread()][c] = c < channels ? amplitudes[c] * norm : 0.0f;
+      staged[thread()] = g;
+    }
     __syncthreads();
     for (int k = 0; k < size; k++) {
       const Footprint& g = staged[k];
       if (g.height == 0.0f) continue;  // unlit
-      const Offset<float> d = offset(g, (float)pixel.x, (float)pixel.y);
-      S += imaging_weight(distance(d), cut) * g.height;
+      const float weight = imaging_weight(distance(offset(g, (float)pixel.x, (float)pixel.y)), cut);
+      for (int c = 0; c < K; c++) S[c] += weight * heights[k][c];
     }
   }
-  if (pixel.inside) images[pixel.index] = S;
+  if (!pixel.inside) return;
+  const int64_t size = (int64_t)p.rows * p.columns, image = lattice.first_point / size * a.count + first_channel;
+  for (int c = 0; c < K; c++)
+    if (c < channels) images[(image + c) * size + (pixel.index - lattice.first_point)] = S[c];
 }
 
-// dL/dS and dL/dsigma (or null) to the moments of every Gaussian, to dL/dsigma through both, and to dL/dw.
-extern "C" __global__ void __launch_bounds__(kThreads)
-image_backward(sg_problem p, State s, const float* d_images, const float* d_cross_sections) {
+// From dL/dS to dL/dsigma and the moments of every Gaussian: those of the first channels are written, of others added.
+template <int K>
+SG_FN void gather_pixels(const sg_problem& p, const State& s, const sg_channels& a, int first_channel, const float* d_images,
+                         float* d_cross_sections) {
   const int64_t j = (int64_t)blockIdx.x * kWarps + warp(), n = p.gaussians;
   if (j >= n * p.views) return;
-  const Splat splat = s.pixels.splats[j];
   const Lattice lattice = s.pixels.lattices[j / n];
-  const Footprint g = placed(splat.g, lattice);
+  const Footprint g = placed(s.pixels.splats[j].g, lattice);
   const Box box = points(g, s.pixels.reach + 2 * j, lattice);
-  const float cut = image_cut(p);
+  const int channels = a.count - first_channel < K ? a.count - first_channel : K;
+  const float cut = image_cut(p), lit = area(s, j);
+  const int64_t size = (int64_t)p.rows * p.columns;
+  const float* dS = d_images + (j / n * a.count + first_channel) * size;
+  const float* amplitudes = a.cross_sections + j * a.count + first_channel;
   Moments<float> m{};
-  if (s.weight[j] != 0.0f && !empty(box)) {  // an unlit Gaussian has no gradient
+  float sums[K] = {};
+  if (lit != 0.0f && !empty(box)) {  // an unlit Gaussian has no gradient
     const int64_t width = box.x.last - box.x.first + 1, pixels = width * (box.y.last - box.y.first + 1);
     for (int64_t k = lane(); k < pixels; k += kWarp) {
       const int x = box.x.first + (int)(k % width), y = box.y.first + (int)(k / width);
       const Offset<float> d = offset(g, (float)x, (float)y);
-      m.add(d, imaging_weight(distance(d), cut) * d_images[lattice.first_point + (int64_t)y * lattice.columns + x]);
+      const float weight = imaging_weight(distance(d), cut), *seen = dS + (int64_t)y * lattice.columns + x;
+      float along = 0.0f;
+      for (int c = 0; c < K; c++)
+        if (c < channels) {
+          sums[c] += weight * seen[c * size];
+          along += seen[c * size] * amplitudes[c];
+        }
+      m.add(d, weight * (K == 1 ? *seen : along));
     }
   }
+  // of a single channel, the sum is the lowest moment; its amplitude is multiplied in at the end
   const float sum = sum6(m.m0, m.mu, m.mv, m.muu, m.muv, m.mvv, lane());
+  const float moment = sum * g.height * lit * (K == 1 ? amplitudes[0] : 1.0f);
   const int sixth = sixth_of(lane());
-  if (sixth >= 0) s.pixel_moments[6 * j + sixth] = sum;
-  if (lane() != 0) return;
-  const float d_sigma = sum * splat.extra + (d_cross_sections ? d_cross_sections[j] : 0.0f);
-  s.d_sigma[j] = d_sigma;
-  s.h[j] = d_sigma * s.gamma0[j] * (p.ray[0] * p.ray[1]);
+  if (sixth >= 0) s.pixel_moments[6 * j + sixth] = first_channel ? s.pixel_moments[6 * j + sixth] + moment : moment;
+  for (int c = 0; c < K; c++) {
+    const float total = K == 1 ? sum : warp_sum(sums[c]);
+    if (lane() == 0 && c < channels) d_cross_sections[j * a.count + first_channel + c] = total * g.height;
+  }
+}
+
+extern "C" __global__ void __launch_bounds__(kThreads) splat_tiles_1(sg_problem p, State s, sg_channels a, int32_t first, float* images) {
+  __shared__ Footprint staged[kThreads];
+  __shared__ float heights[kThreads][1];
+  splat_tile<1>(p, s, a, first, images, staged, heights);
+}
+extern "C" __global__ void __launch_bounds__(kThreads) splat_tiles_4(sg_problem p, State s, sg_channels a, int32_t first, float* images) {
+  __shared__ Footprint staged[kThreads];
+  __shared__ float heights[kThreads][kTogether];
+  splat_tile<kTogether>(p, s, a, first, images, staged, heights);
+}
+extern "C" __global__ void __launch_bounds__(kThreads)
+splat_tiles_1_backward(sg_problem p, State s, sg_channels a, int32_t first, const float* d_images, float* d_cross_sections) {
+  gather_pixels<1>(p, s, a, first, d_images, d_cross_sections);
+}
+extern "C" __global__ void __launch_bounds__(kThreads)
+splat_tiles_4_backward(sg_problem p, State s, sg_channels a, int32_t first, const float* d_images, float* d_cross_sections) {
+  gather_pixels<kTogether>(p, s, a, first, d_images, d_cross_sections);
 }
 
 }  // namespace SG_ISA

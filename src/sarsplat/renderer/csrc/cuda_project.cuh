@@ -1,20 +1,11 @@
-// cuda_project.cuh: from a problem's arrays to footprints on both planes, and to the slots of their tiles.
+// cuda_project.cuh: the step `project` and its adjoint: Gaussians to footprints on both planes. In a whole rendering a
+// footprint stays in registers and is placed at once (cuda_place.cuh); alone, the step writes it out.
 #pragma once
-#include "cuda_state.cuh"
+#include "cuda_place.cuh"
 
 namespace sarsplat {
 namespace SG_ISA {
 
-// ---- input -----------------------------------------------------------------------------------------------------------
-// The first fault wins whatever the order of threads: an integer minimum.
-SG_FN void report(const State& s, int status, int64_t index) {
-  atomicMin(s.minima, (unsigned long long)status << 56 | (unsigned long long)index);
-}
-SG_FN void check(const State& s, const float* values, int count, float low, float high, int status, int64_t index) {
-  bool good = true;
-  for (int k = 0; k < count; k++) good = good && values[k] >= low && values[k] <= high;  // false for NaN
-  if (!good) report(s, status, index);
-}
 SG_FN void check_gaussian(const sg_problem& p, const State& s, int64_t i) {
   const float* q = p.quaternions + 4 * i;
   check(s, p.means + 3 * i, 3, -p.farthest, p.farthest, SG_MEANS, i);
@@ -25,119 +16,106 @@ SG_FN void check_gaussian(const sg_problem& p, const State& s, int64_t i) {
   check(s, p.harmonics + p.coefficients * i, p.coefficients, -p.strongest, p.strongest, SG_SCATTERING, i);
 }
 
-// ---- projection ------------------------------------------------------------------------------------------------------
-SG_FN uint32_t ordered(float x) {  // floats to unsigned, order kept; -0 equals 0
-  const uint32_t bits = __float_as_uint(x + 0.0f);
-  return bits & 0x80000000u ? ~bits : bits | 0x80000000u;
-}
-
-// at: in cells or pixels; reach: in standard deviations
-SG_FN void write_splat(const Plane& plane, int64_t j, const Placed<float>& at, float reach, float height, float extra) {
-  plane.splats[j] = {{at.x, at.y, at.w.ux, at.w.uy, at.w.vy, height}, extra};
-  plane.reach[2 * j] = reach < 0.0f ? -1.0f : reach * at.deviation_x;
-  plane.reach[2 * j + 1] = reach < 0.0f ? -1.0f : reach * at.deviation_y;
-}
-SG_FN Placed<float> placed_at(float x, float y, const Sym2<float>& cov, float det) {
-  return {x, y, whitening(cov, det), root(cov.xx), root(cov.yy)};
-}
-SG_FN float pixel_x(const sg_problem& p, float x_m) { return (x_m - p.center[0]) * (1.0f / p.pixel[0]) + 0.5f * (float)(p.columns - 1); }
-SG_FN float pixel_y(const sg_problem& p, float r_m) { return (r_m - p.center[1]) * (1.0f / p.pixel[1]) + 0.5f * (float)(p.rows - 1); }
-SG_FN float lost_to_cut(const sg_problem& p) { return 1.0f / (1.0f - expf(-0.5f * p.image_cut)); }
-
-SG_FN void place_on_rays(const sg_problem& p, const State& s, int64_t j, const Placed<float>& at, float kappa, float range) {
-  const bool touching = kappa >= p.min_ray_depth;
-  const float height = natural_log((touching ? kappa : p.min_ray_depth) * kLog2e) * kLog2e;
-  const float reach = touching ? root(larger(height - min_log_tau(p), 0.0f) * (2.0f * kLn2)) : -1.0f;
-  write_splat(s.rays, j, at, reach, height, range);
-}
-
-SG_FN float gamma0_of(const sg_problem& p, const State& s, int view, int64_t i, int64_t j) {
-  if (p.amplitudes) {
-    check(s, p.amplitudes + j, 1, -p.strongest, p.strongest, SG_AMPLITUDES, j);
-    return p.amplitudes[j];
-  }
-  return softplus(sum_of_harmonics(p, view, i)).value + p.p_min;
-}
-
-SG_FN void project_pair(const sg_problem& p, const State& s, int view, int64_t i, int64_t j) {
+SG_FN void project_pair(const sg_problem& p, int view, int64_t i, OnRays& rays, OnPixels& pixels) {
   const PlaneUnits u = units(p);
   float unit[4], norm;
   const Projection<float> g = project(body(p, i, unit, norm), frame(p, view), u);
-  const Placed<float> on_rays = placed_at(g.mean[0] * (1.0f / u.ray[0]), g.mean[1] * (1.0f / u.ray[1]), g.cov_c, g.det_cw);
-  place_on_rays(p, s, j, on_rays, p.kappa[i] * widening_ratio(g, u), g.mean[2]);
-  densest(g, u, s.slope + 2 * j);
-  s.gamma0[j] = gamma0_of(p, s, view, i, j);
-  const float* shift = p.shift + 2 * view;
-  const float lost = lost_to_cut(p);
-  write_splat(s.pixels, j, placed_at(pixel_x(p, g.mean[0] + shift[0]), pixel_y(p, g.mean[2] + shift[1]), g.cov_i, g.det_iw),
-              root(p.image_cut), 0.0f,
-              p.peak ? lost : lost / (6.2831853f * p.pixel[0] * p.pixel[1] * root(g.det_iw)));
+  rays.center[0] = g.mean[0];
+  rays.center[1] = g.mean[1];
+  roots_in_metres(whitening(g.cov_c, g.det_cw), u.ray, rays.roots);
+  rays.depth = p.kappa[i] * widening_ratio(g, u);
+  rays.range = g.mean[2];
+  densest(g, u, rays.tilt);
+  for (int k = 0; k < 2; k++) rays.tilt[k] /= u.ray[k];
+  pixels.center[0] = g.mean[0] + p.shift[2 * view];
+  pixels.center[1] = g.mean[2] + p.shift[2 * view + 1];
+  roots_in_metres(whitening(g.cov_i, g.det_iw), u.pixel, pixels.roots);
 }
 
-constexpr float kNever = 3e38f;  // the bound of what touches no ray
-
-// All threads of a block, which serves one view: the lattice has to hold this thread's footprint, if j >= 0.
-SG_FN void bound_rays(const State& s, int view, int64_t j) {
-  float lowest[4] = {kNever, kNever, kNever, kNever};
-  if (j >= 0) {
-    const Footprint g = s.rays.splats[j].g;
-    const float *reach = s.rays.reach + 2 * j;
-    if (reach[0] >= 0.0f) {
-      lowest[0] = g.x - reach[0];
-      lowest[1] = g.y - reach[1];
-      lowest[2] = -(g.x + reach[0]);
-      lowest[3] = -(g.y + reach[1]);
-    }
-  }
-  for (int k = 0; k < 4; k++) {
-    const float minimum = warp_min(lowest[k]);
-    if (lane() == 0 && minimum < kNever) atomicMin(s.minima + 1 + 4 * view + k, (unsigned long long)ordered(minimum));
-  }
-}
-
-extern "C" __global__ void __launch_bounds__(kThreads) project_gaussians(sg_problem p, State s) {
+// out: of a whole rendering, gamma0 alone
+extern "C" __global__ void __launch_bounds__(kThreads) project_gaussians(sg_problem p, State s, sg_projection out) {
   int view, i;
   const int64_t j = pair_index(p, &view, &i);
   if (j >= 0) {
     if (view == 0) check_gaussian(p, s, i);
-    if (i == 0) check(s, p.shift + 2 * view, 2, -1e9f, 1e9f, SG_SHIFT, view);
-    project_pair(p, s, view, i, j);
-  }
-  bound_rays(s, view, j);
-}
-
-// ---- tiles -----------------------------------------------------------------------------------------------------------
-SG_FN Box tiles(const Plane& plane, const Lattice& lattice, int64_t j) {
-  const Footprint g = placed(plane.splats[j].g, lattice);
-  const Box b = points(g, plane.reach + 2 * j, lattice);
-  if (empty(b)) return {{0, -1}, {0, -1}};
-  return {{b.x.first / kTile, b.x.last / kTile}, {b.y.first / kTile, b.y.last / kTile}};
-}
-
-extern "C" __global__ void __launch_bounds__(kThreads) count_tiles(sg_problem p, Plane plane) {
-  int view, i;
-  const int64_t j = pair_index(p, &view, &i);
-  if (j < 0) return;
-  const Box t = tiles(plane, plane.lattices[view], j);
-  plane.counts[j] = (int64_t)(t.x.last - t.x.first + 1) * (t.y.last - t.y.first + 1);
-}
-
-// by_depth: front to back inside a tile; otherwise, and for ties, by index, since the sort is stable. A footprint whose
-// count was clipped (cuda.py) has no more slots than that.
-extern "C" __global__ void __launch_bounds__(kThreads) list_tiles(sg_problem p, Plane plane, int32_t by_depth) {
-  int view, i;
-  const int64_t j = pair_index(p, &view, &i);
-  if (j < 0) return;
-  const Lattice lattice = plane.lattices[view];
-  const Box t = tiles(plane, lattice, j);
-  const int64_t depth = by_depth ? (int64_t)ordered(plane.splats[j].extra) : 0;
-  const int64_t end = plane.ends[j];
-  int64_t slot = end - plane.counts[j];
-  for (int y = t.y.first; y <= t.y.last; y++)
-    for (int x = t.x.first; x <= t.x.last && slot < end; x++, slot++) {
-      plane.keys[slot] = (int64_t)(lattice.first_tile + y * lattice.tiles_x + x) << 32 | depth;
-      plane.owners[slot] = (int32_t)j;
+    if (i == 0) check(s, p.shift + 2 * view, 2, -p.farthest, p.farthest, SG_SHIFT, view);
+    if (p.amplitudes) check(s, p.amplitudes + j * p.channels, p.channels, -p.strongest, p.strongest, SG_AMPLITUDES, j);
+    if (p.coefficients) out.gamma0[j] = softplus(sum_of_harmonics(p, view, i)).value + p.p_min;
+    OnRays rays;
+    OnPixels pixels;
+    project_pair(p, view, i, rays, pixels);
+    if (out.ray_centers) {
+      write(out, j, rays);
+      write(out, j, pixels);
+      out.range[j] = rays.range;
+      for (int k = 0; k < 2; k++) out.tilt[2 * j + k] = rays.tilt[k];
+    } else {
+      place(p, s, j, rays);
+      place(p, s, j, pixels);
     }
+  }
+  if (!out.ray_centers) bound_rays(s, view, j);
+}
+
+// One thread a Gaussian; views are summed in order. seeds: of a whole rendering, gamma0 alone; the rest follows from the
+// moments of both planes.
+extern "C" __global__ void __launch_bounds__(kThreads)
+project_gaussians_backward(sg_problem p, State s, sg_projection seeds, sg_gradients g) {
+  constexpr int kMaxCoefficients = 16;
+  const int64_t n = p.gaussians, i = (int64_t)blockIdx.x * kThreads + thread();
+  if (i >= n) return;
+  const PlaneUnits u = units(p);
+  float unit[4], norm;
+  const Body<float> b = body(p, i, unit, norm);
+  BodyGradient<float> total{};
+  float d_harmonics[kMaxCoefficients] = {};
+  for (int v = 0; v < p.views; v++) {
+    const int64_t j = v * n + i;
+    float* planes = s.planes + 4 * j;
+    if (s.lit_area && s.lit_area[j] == 0.0f) {  // what no ray sees has no gradient
+      for (int k = 0; k < 4; k++) planes[k] = 0.0f;
+      continue;
+    }
+    const OnRays rays = seeds.ray_centers ? rays_of(seeds, j) : ray_gradient(p, s, j);
+    const OnPixels pixels = seeds.ray_centers ? pixels_of(seeds, j) : pixel_gradient(p, s, j);
+    const ViewFrame f = frame(p, v);
+    const Projection<float> proj = project(b, f, u);
+    const float ratio = widening_ratio(proj, u), m0 = p.kappa[i] * ratio * rays.depth;
+    for (int k = 0; k < 2; k++) { planes[k] = rays.center[k]; planes[2 + k] = pixels.center[k]; }
+    const Sym2<float> gc = from_root_gradient(whitening(proj.cov_c, proj.det_cw), u.ray, rays.roots, m0);
+    const Sym2<float> gi = from_root_gradient(whitening(proj.cov_i, proj.det_iw), u.pixel, pixels.roots, 0.0f);
+    spread(proj, f, u, planes, gc, gi, m0, total);
+    total.kappa += ratio * rays.depth;
+    const float d_sum = p.coefficients ? seeds.gamma0[j] * softplus(sum_of_harmonics(p, v, i)).slope : 0.0f;
+    for (int k = 0; k < kMaxCoefficients; k++)
+      if (k < p.coefficients) d_harmonics[k] += d_sum * p.basis[v * p.coefficients + k];
+  }
+  float d_scale[3], d_quaternion[4];
+  finish(b, unit, norm, total, d_scale, d_quaternion);
+  for (int k = 0; k < 3; k++) { g.means[3 * i + k] = total.mean[k]; g.scales[3 * i + k] = d_scale[k]; }
+  for (int k = 0; k < 4; k++) g.quaternions[4 * i + k] = d_quaternion[k];
+  g.kappa[i] = total.kappa;
+  for (int k = 0; k < kMaxCoefficients; k++)
+    if (k < p.coefficients) g.harmonics[p.coefficients * i + k] = d_harmonics[k];
+}
+
+// A block is a view: dL/dshift, the sum of dL/dmu_I.
+extern "C" __global__ void __launch_bounds__(kThreads) sum_shift(sg_problem p, State s, float* d_shift) {
+  __shared__ float sums[kWarps][2];
+  float x = 0.0f, r = 0.0f;
+  for (int64_t i = thread(); i < p.gaussians; i += kThreads) {
+    const float* planes = s.planes + 4 * (blockIdx.x * (int64_t)p.gaussians + i);
+    x += planes[2];
+    r += planes[3];
+  }
+  x = warp_sum(x);
+  r = warp_sum(r);
+  if (lane() == 0) { sums[warp()][0] = x; sums[warp()][1] = r; }
+  __syncthreads();
+  if (thread() >= 2) return;
+  float total = 0.0f;
+  for (int k = 0; k < kWarps; k++) total += sums[k][thread()];
+  d_shift[2 * blockIdx.x + thread()] = total;
 }
 
 }  // namespace SG_ISA

@@ -1,4 +1,4 @@
-// cuda_rays.cuh: pass A. A block is a tile of rays; what a ray carries (T, the last Gaussian, the suffix sum) lives in
+// cuda_rays.cuh: the step `attenuate`. A block is a tile of rays; what a ray carries (T, the last Gaussian, the suffix sum) lives in
 // registers, and what the block's warps add up per Gaussian is summed in the order of the warps into the slot.
 #pragma once
 #include "cuda_state.cuh"
@@ -49,6 +49,34 @@ extern "C" __global__ void __launch_bounds__(kThreads) attenuate_tiles(sg_proble
   if (!ray.inside) return;
   s.transmittance[ray.index] = T;
   s.last[ray.index] = last;
+}
+
+// From the sums of w to lit areas; in a whole rendering (a.count > 0) also to cross-sections, a being per lit area.
+extern "C" __global__ void __launch_bounds__(kThreads) light_gaussians(sg_problem p, State s, sg_channels a, sg_outputs out) {
+  int view, i;
+  const int64_t j = pair_index(p, &view, &i);
+  if (j < 0) return;
+  float w = 0.0f;
+  for (int64_t slot = s.rays.ends[j] - s.rays.counts[j]; slot < s.rays.ends[j]; slot++) w += s.slot_weights[slot];
+  const float lit = out.lit_area[j] = w * (p.ray[0] * p.ray[1]);
+  if (a.count) s.lit_area[j] = lit;
+  for (int64_t k = j * a.count; k < (j + 1) * a.count; k++) out.cross_sections[k] = a.cross_sections[k] * lit;
+}
+
+// The adjoint, to dL/dw and dL/da. Either d_lit_area, or null, is given, or dL/dsigma through the images and, or null, on its own.
+extern "C" __global__ void __launch_bounds__(kThreads)
+light_gaussians_backward(sg_problem p, State s, sg_channels a, const float* d_lit_area, const float* through_images,
+                         const float* d_cross_sections, float* d_amplitudes) {
+  int view, i;
+  const int64_t j = pair_index(p, &view, &i);
+  if (j < 0) return;
+  float d_lit = d_lit_area ? d_lit_area[j] : 0.0f;
+  for (int64_t k = j * a.count; k < (j + 1) * a.count; k++) {
+    const float d_sigma = through_images[k] + (d_cross_sections ? d_cross_sections[k] : 0.0f);
+    d_lit += d_sigma * a.cross_sections[k];
+    if (d_amplitudes) d_amplitudes[k] = d_sigma * s.lit_area[j];
+  }
+  s.h[j] = d_lit * (p.ray[0] * p.ray[1]);
 }
 
 // Back to front. `from`: dL/dT_end, or null.

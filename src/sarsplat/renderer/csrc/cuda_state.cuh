@@ -15,7 +15,7 @@ constexpr int kThreads = kTile * kTile;         // of every block
 constexpr int kWarps = kThreads / kWarp;
 constexpr int kBatch = 64;                      // Gaussians staged in shared memory at a time
 
-// extra: z_r on rays, the weight's norm on pixels
+// extra: z_r on rays
 struct alignas(16) Splat { Footprint g; float extra; };
 
 struct Lattice {          // the rays or pixels of one view
@@ -40,14 +40,12 @@ struct Plane {
 struct State {
   unsigned long long* minima;  // [1 + 4 V] the first fault; lowest x, y, -x, -y of each view's footprints on rays
   Plane rays, pixels;
-  float* gamma0;             // [V N] P(u)
   float* slope;             // [V N, 2] tilt of the densest surface: z_r per ray
   float* transmittance;     // [rays] behind everything
   int32_t* last;            // [rays] place in its tile's list of the last Gaussian that touched the ray, -1 for none
   float* slot_weights;      // [ray slots] sum of w
-  float* weight;            // [V N] sum of w
+  float* lit_area;          // [V N] of a whole rendering; null when a step runs alone
   // backward
-  float* d_sigma;           // [V N] dL/dsigma
   float* h;                 // [V N] dL/dw
   float* slot_moments;      // [ray slots, 6]
   float* pixel_moments;     // [V N, 6]
@@ -90,12 +88,6 @@ SG_FN float sum_of_harmonics(const sg_problem& p, int view, int64_t i) {
   float sum = 0.0f;
   for (int k = 0; k < p.coefficients; k++) sum += p.harmonics[p.coefficients * i + k] * p.basis[view * p.coefficients + k];
   return sum;
-}
-
-SG_FN float sum_of_weights(const State& s, int64_t j) {
-  float w = 0.0f;
-  for (int64_t slot = s.rays.ends[j] - s.rays.counts[j]; slot < s.rays.ends[j]; slot++) w += s.slot_weights[slot];
-  return w;
 }
 
 // inclusive range of lattice points within `reach` of `at`
