@@ -58,7 +58,7 @@ def draw_cut(axes: plt.Axes, aperture: Aperture, name: str, weighting: Taylor, a
     which = ("azimuth", "range").index(along)
     resolution = aperture.resolution_m(weighting)
     place, power = cut(aperture, weighting, which)
-    theory = weighting.density(place / resolution[which]) / weighting.density(np.zeros(()))
+    theory = weighting.density(place / resolution[which]) / weighting.density(np.zeros(1))
     axes.plot(place, 10 * np.log10(power), color=colour, label=name)
     axes.plot(place, 10 * np.log10(theory + 1e-18), ":", color=colour)
     axes.set(ylim=(-45, 1), xlim=(-REACH, REACH), xlabel=f"{along}, m", ylabel="dB")

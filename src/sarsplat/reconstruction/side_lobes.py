@@ -47,6 +47,6 @@ def _matrices(grid: ImageGrid) -> tuple[Tensor, Tensor]:
 
 def _matrix(response: Response, count: int, spacing_m: float, width_m: float) -> Float[Tensor, "{count} {count}"]:
     distance = np.arange(count) * spacing_m / width_m
-    peak = GAUSSIAN.density(np.zeros(())) * spacing_m / width_m  # of what the renderer sees through
+    peak = GAUSSIAN.density(np.zeros(1)) * spacing_m / width_m  # of what the renderer sees through
     row = peak * response.side_lobes(distance)
     return torch.from_numpy(row[np.abs(np.subtract.outer(np.arange(count), np.arange(count)))]).float()
