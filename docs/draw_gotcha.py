@@ -14,11 +14,11 @@ import numpy as np
 from PIL import Image
 
 from sarsplat.geometry import ImageGrid
+from sarsplat.geometry.responses import UNIFORM, Taylor
 from sarsplat.importers.apertures import Aperture, apertures
 from sarsplat.importers.focus import focus
 from sarsplat.importers.gotcha import read_gotcha
 from sarsplat.importers.phase_history import flights
-from sarsplat.importers.tapers import Weighting, response
 
 PICTURE = Path(__file__).parent / "images" / "gotcha.png"
 ROWS, COLUMNS, SPACING = 400, 520, 0.18  # m: a little less than the resolution
@@ -35,8 +35,8 @@ def main(files: list[str]) -> None:
     left, right = figure.subfigures(1, 2, width_ratios=(2.2, 1))
     draw_image(left.subplots(), aperture)
     for axes, along in zip(right.subplots(2, sharey=True), ("azimuth", "range"), strict=True):
-        for weighting, colour in (("uniform", "tab:gray"), ("taylor", "tab:blue")):
-            draw_cut(axes, aperture, weighting, along, colour)
+        for name, weighting, colour in (("uniform", UNIFORM, "tab:gray"), ("taylor", Taylor(), "tab:blue")):
+            draw_cut(axes, aperture, name, weighting, along, colour)
     figure.savefig(PICTURE, dpi=100)
     few = Image.open(PICTURE).convert("RGB").convert("P", palette=Image.Palette.ADAPTIVE, colors=48)
     few.save(PICTURE, optimize=True)
@@ -44,8 +44,8 @@ def main(files: list[str]) -> None:
 
 def draw_image(axes: plt.Axes, aperture: Aperture) -> None:
     """The lot, in decibels."""
-    grid = ImageGrid(ROWS, COLUMNS, (SPACING, SPACING), aperture.resolution_m("taylor"))
-    power = np.abs(focus(aperture, grid, "taylor")) ** 2
+    grid = ImageGrid(ROWS, COLUMNS, (SPACING, SPACING), aperture.resolution_m(Taylor()))
+    power = np.abs(focus(aperture, grid, Taylor())) ** 2
     extent = (grid.azimuth_m[0], grid.azimuth_m[-1], grid.range_m[-1], grid.range_m[0])
     level = 10 * np.log10(power / np.median(power))
     axes.imshow(level, cmap="gray", extent=extent, vmin=DECIBELS[0], vmax=DECIBELS[1])
@@ -53,23 +53,23 @@ def draw_image(axes: plt.Axes, aperture: Aperture) -> None:
     axes.set(xlabel="azimuth, m", ylabel="slant range, m")
 
 
-def draw_cut(axes: plt.Axes, aperture: Aperture, weighting: Weighting, along: str, colour: str) -> None:
+def draw_cut(axes: plt.Axes, aperture: Aperture, name: str, weighting: Taylor, along: str, colour: str) -> None:
     """A line through the target beside theory; its width and highest side lobe are printed."""
     which = ("azimuth", "range").index(along)
     resolution = aperture.resolution_m(weighting)
     place, power = cut(aperture, weighting, which)
-    theory = response(weighting, place / resolution[which])
-    axes.plot(place, 10 * np.log10(power), color=colour, label=weighting)
-    axes.plot(place, 20 * np.log10(np.abs(theory) + 1e-9), ":", color=colour)
+    theory = weighting.density(place / resolution[which]) / weighting.density(np.zeros(1))
+    axes.plot(place, 10 * np.log10(power), color=colour, label=name)
+    axes.plot(place, 10 * np.log10(theory + 1e-18), ":", color=colour)
     axes.set(ylim=(-45, 1), xlim=(-REACH, REACH), xlabel=f"{along}, m", ylabel="dB")
     axes.legend(frameon=False)
     print(
-        f"{along:8}{weighting:8} width {width(place, power):.3f} m (theory {resolution[which]:.3f}), "
-        f"side lobe {side_lobe(power):.1f} dB (theory {side_lobe(theory**2):.1f})"
+        f"{along:8}{name:8} width {width(place, power):.3f} m (theory {resolution[which]:.3f}), "
+        f"side lobe {side_lobe(power):.1f} dB (theory {side_lobe(theory):.1f})"
     )
 
 
-def cut(aperture: Aperture, weighting: Weighting, along: int) -> tuple[np.ndarray, np.ndarray]:
+def cut(aperture: Aperture, weighting: Taylor, along: int) -> tuple[np.ndarray, np.ndarray]:
     """Distance from the target along azimuth (0) or range (1), and power, 1 at its peak."""
     centre = TARGET
     for axis in (0, 1, 0, 1, along):

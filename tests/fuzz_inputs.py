@@ -41,6 +41,7 @@ from sarsplat.data import (
 from sarsplat.data.mstar_chips import read_chips
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry.responses import Taylor
 from sarsplat.importers.apertures import apertures
 from sarsplat.importers.focus import focus
 from sarsplat.importers.gotcha import read_gotcha
@@ -437,8 +438,8 @@ def _read_pulses(folder: Path) -> object:
     made = []
     for flight in flights([read_gotcha(folder / "a.mat")]):
         for aperture in apertures(flight, np.zeros(3), None):
-            aperture.tilt_deg, aperture.resolution_m("taylor")
-            made.append(focus(aperture, ImageGrid(3, 3, (0.1, 0.1), (0.1, 0.1)), "taylor"))
+            aperture.tilt_deg, aperture.resolution_m(Taylor())
+            made.append(focus(aperture, ImageGrid(3, 3, (0.1, 0.1), (0.1, 0.1)), Taylor()))
     assert np.isfinite(made).all()
     return made
 

@@ -77,7 +77,7 @@ def test_nothing_imports_the_package_itself():
 def test_the_renderer_imports_torch_and_numpy_only():
     allowed = {"torch", "numpy", "jaxtyping", "sarsplat"} | set(sys.stdlib_module_names)
     for folder in ("geometry", "gaussians", "renderer"):
-        for path in (PACKAGE / folder).glob("*.py"):
+        for path in (PACKAGE / folder).rglob("*.py"):
             third_party = {module.split(".")[0] for module in imported(path)} - allowed
             assert third_party <= ({"scipy"} if path.name == "initialise.py" else set()), path
 

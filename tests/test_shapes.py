@@ -12,6 +12,7 @@ from sarsplat import Gaussians, Harmonics, SarsplatError, View, radar_frame
 from sarsplat.evaluation.lpips import Lpips
 from sarsplat.gaussians import covariance as covariance_module
 from sarsplat.gaussians.covariance import covariance, rotation_matrix
+from sarsplat.geometry.responses import GAUSSIAN
 from sarsplat.scenes._deposit import _Axis
 
 
@@ -25,7 +26,7 @@ def test_calls_are_counted():
 
 def test_initialisers_and_calls_are_watched():
     with pytest.raises(shapes.ShapeError, match=r"_Axis\.__init__ accepted centers"):
-        _Axis(np.zeros(3, np.float32), 0.1, 0.3)
+        _Axis(np.zeros(3, np.float32), 0.1, 0.3, GAUSSIAN)
     assert Lpips.__call__.__wrapped__ is not None
 
 

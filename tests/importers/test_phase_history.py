@@ -11,13 +11,13 @@ from sarsplat.cli import main
 from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.geometry.responses import UNIFORM, Taylor
 from sarsplat.importers import import_phase_history
 from sarsplat.importers.apertures import apertures
 from sarsplat.importers.focus import focus, ground_points
 from sarsplat.importers.gotcha import read_gotcha
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.phase_history import flights
-from sarsplat.importers.tapers import width
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "gotcha"
 needs_measured = pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured GOTCHA files are not here")
@@ -47,7 +47,7 @@ def peak(image: np.ndarray, grid: ImageGrid) -> tuple[float, float]:
     )
 
 
-@pytest.mark.parametrize("weighting", ["uniform", "taylor"])
+@pytest.mark.parametrize("weighting", [UNIFORM, Taylor()])
 def test_agrees_with_a_direct_sum(tmp_path, weighting):
     found = aperture(tmp_path, circle(np.linspace(50, 52, 40)), [(1, 2, 0), (-2, 0.5, 1)])
     grid = ImageGrid(20, 24, (0.15, 0.1), (0.1, 0.1), (0.3, -0.2))
@@ -56,13 +56,11 @@ def test_agrees_with_a_direct_sum(tmp_path, weighting):
 
 
 def assert_close_to_direct_sum(found, grid, image, weighting):
-    from sarsplat.importers.tapers import weights
-
     history, cross = found.history, found.cross
     middle = (cross.min() + cross.max()) / 2
-    pulses = np.abs(np.gradient(cross)) * weights(weighting, (cross - middle) / found.extent)
+    pulses = np.abs(np.gradient(cross)) * weighting.window((cross - middle) / found.extent)
     count = len(history.frequencies_hz)
-    band = weights(weighting, (np.arange(count) - (count - 1) / 2) / count)
+    band = weighting.window((np.arange(count) - (count - 1) / 2) / count)
     beyond = np.linalg.norm(ground_points(found, grid)[:, None] - history.antenna_m, axis=2) - history.reference_m
     phase = 4 * np.pi / C * history.frequencies_hz[:, None, None] * beyond
     direct = np.einsum("fp,f,p,fnp->n", history.samples, band / band.sum(), pulses / pulses.sum(), np.exp(1j * phase))
@@ -91,18 +89,18 @@ def test_a_point_is_where_the_radar_frame_says(tmp_path, name):
         assert (turn + 180) % 360 - 180 == pytest.approx(0, abs=1e-3)
         assert found.view.grazing_deg == pytest.approx(View.towards(to_middle).grazing_deg, abs=0.02)
         assert found.looks_left == (degrees[-1] > degrees[0])
-        grid = ImageGrid(100, 100, (0.03, 0.03), found.resolution_m("taylor"))
-        image = focus(found, grid, "taylor")
+        grid = ImageGrid(100, 100, (0.03, 0.03), found.resolution_m(Taylor()))
+        image = focus(found, grid, Taylor())
         azimuth, _, distance = radar_frame(found.view) @ np.array(offset)
         assert peak(image, grid) == pytest.approx((azimuth, distance), abs=0.01)  # of cells of 0.15 m and more
         assert np.abs(image).max() == pytest.approx(1, abs=0.03)  # its amplitude
 
 
-@pytest.mark.parametrize(("weighting", "side_lobe_db"), [("uniform", -13.26), ("taylor", -35.0)])
+@pytest.mark.parametrize(("weighting", "side_lobe_db"), [(UNIFORM, -13.26), (Taylor(), -35.0)])
 def test_width_and_side_lobes_are_those_of_theory(tmp_path, weighting, side_lobe_db):
     found = aperture(tmp_path, circle(np.linspace(10, 11.5, 150)), [(0, 0, 0)])
     resolution = found.resolution_m(weighting)
-    factor = 0.8859 if weighting == "uniform" else width("taylor")
+    factor = weighting.width
     bandwidth = np.ptp(FREQUENCIES) * 64 / 63
     sweep = np.radians(1.5) * 150 / 149 * np.cos(np.radians(30))
     assert resolution == pytest.approx((factor * C / 35e9 / 2 / sweep, factor * C / 2 / bandwidth), rel=1e-3)
@@ -117,8 +115,8 @@ def test_width_and_side_lobes_are_those_of_theory(tmp_path, weighting, side_lobe
 
 
 def test_the_taylor_weighting_is_wider_by_what_is_known_of_it():
-    assert width("uniform") == pytest.approx(0.8859, abs=1e-4)
-    assert width("taylor") == pytest.approx(1.18, abs=0.01)
+    assert UNIFORM.width == pytest.approx(0.8859, abs=1e-4)
+    assert Taylor().width == pytest.approx(1.184, abs=1e-3)
 
 
 @pytest.fixture
@@ -291,6 +289,6 @@ def test_measured_pulses_are_sharp_and_the_autofocus_makes_them_so():
     )
     contrast = []
     for history in (raw, found.history):
-        power = np.abs(focus(replace(found, history=history), grid, "taylor")) ** 2
+        power = np.abs(focus(replace(found, history=history), grid, Taylor())) ** 2
         contrast.append(np.square(power).mean() / power.mean() ** 2)
     assert contrast[1] > 1.05 * contrast[0] > 100

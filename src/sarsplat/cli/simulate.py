@@ -59,6 +59,7 @@ def simulate(
     pixels: OptionalCount = None,
     spacing: Metres = None,
     resolution: Metres = None,
+    response: str = "gaussian",
     ray_spacing: Metres = None,
     masks: bool = False,
     seed: int = 0,
@@ -115,6 +116,8 @@ def simulate(
         Pixel spacing in azimuth and slant range (default: the protocol's).
     resolution
         3 dB width in azimuth and slant range (default: the spacing, or the protocol's).
+    response
+        Shape of the system's response: gaussian, or taylor, with side lobes at −35 dB (ray casting only).
     ray_spacing
         Distance of the rays in ray casting (default: a fifteenth of the resolution).
     masks
@@ -129,6 +132,7 @@ def simulate(
     from sarsplat.data.dataset_folder import HEADER
     from sarsplat.data.mask_files import pillow
     from sarsplat.data.plausible import suspicions, warn
+    from sarsplat.geometry.responses import response_of
     from sarsplat.progress import progress
     from sarsplat.scenes import ScatteringLaw, load_mesh, mstar_views, paper_views, target_mesh
     from sarsplat.scenes.meshes import scaled, suspicious_size
@@ -144,7 +148,7 @@ def simulate(
     theirs = paper_views() if protocol == "paper" else mstar_views()
     own, test = (azimuth, grazing, incidence), (test_azimuth, test_grazing, test_incidence)
     views = simulated_views(theirs, own, random_views, seed, test, test_protocol)
-    grid = _grid(protocol, pixels, spacing, resolution)
+    grid = replace(_grid(protocol, pixels, spacing, resolution), response=response_of({"kind": response}))
     refuse_existing(out, overwrite, marker=HEADER)
     if mesh is not None and target is None:
         surface, name = load_mesh(mesh), mesh.name

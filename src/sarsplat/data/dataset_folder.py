@@ -133,7 +133,7 @@ def read_dataset(path: str | Path) -> Dataset:
         path / HEADER, DatasetHeader, schema=SCHEMA, version=SCHEMA_VERSION, remedy="simulate or import it again"
     )
     with _blamed_on(path / HEADER):
-        grid = ImageGrid(**msgspec.structs.asdict(header.grid))
+        grid = ImageGrid.of(**msgspec.structs.asdict(header.grid))
         entries = tuple(
             DatasetEntry(_view(index, item), item.split, item.name, item.azimuth_std_deg or 0.0)
             for index, item in enumerate(header.views)

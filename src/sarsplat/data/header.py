@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import msgspec
 
 from sarsplat.errors import SarsplatError
+from sarsplat.geometry.responses import RESPONSES
 
 if TYPE_CHECKING:
     from sarsplat.data.dataset import Dataset
@@ -31,7 +32,7 @@ class Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A JSON object: every field there, none unknown, each of its type."""
 
 
-class GridHeader(Strict, frozen=True):
+class GridHeader(Strict, frozen=True, omit_defaults=True):
     """Where the pixels of every image lie; pairs are (azimuth, slant range)."""
 
     rows: Annotated[int, about("rows of every image: slant range, row 0 near", minimum=1)]
@@ -39,6 +40,15 @@ class GridHeader(Strict, frozen=True):
     spacing_m: Annotated[Pair, about("pixel spacing, m, > 0")]
     resolution_m: Annotated[Pair, about("3 dB width of the power response, m, > 0")]
     center_m: Annotated[Pair, about("where the middle of the images lies, from the scene's origin, m")]
+    response: Annotated[
+        dict[str, Any] | None,
+        about(
+            "shape of the power response: its kind and the settings of that, such as "
+            '{"kind": "taylor", "level_db": 35, "sidelobes": 4}; null for a Gaussian',
+            required=["kind"],
+            properties={"kind": {"enum": [*RESPONSES]}},
+        ),
+    ] = None
 
 
 class ViewHeader(Strict, frozen=True, omit_defaults=True):
@@ -118,7 +128,7 @@ class DatasetHeader(Strict, frozen=True, omit_defaults=True):
             **{name: getattr(dataset, name) for name in _AS_THEY_ARE},
             "pixels": "power" if dataset.signal is None else "complex",
             "truth_mesh": None if dataset.truth_mesh is None else dataset.truth_mesh.name,
-            "grid": vars(dataset.grid),
+            "grid": dataset.grid.as_dict(),
             "views": [
                 {"file": f"images/{index:0{digits}d}.tif", **vars(entry.view)}
                 | {"split": entry.split, "name": entry.name, "azimuth_std_deg": entry.azimuth_std_deg or None}

@@ -294,7 +294,7 @@ def _common_grid(chips: list[Chip]) -> ImageGrid:
             SarsplatWarning,
             stacklevel=3,
         )
-    return ImageGrid(rows, columns, first.spacing_m, first.resolution_m)
+    return ImageGrid(rows, columns, first.spacing_m, first.resolution_m, response=first.response)
 
 
 def _central(

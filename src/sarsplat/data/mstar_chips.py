@@ -17,6 +17,7 @@ from sarsplat.data.csv_table import Row, column_names, parsed, read_table, relat
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.phoenix import is_phoenix, read_phoenix
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
+from sarsplat.geometry.responses import Response, Taylor
 
 _DESIRED, _MEASURED = "desired_depression_deg", "measured_depression_deg"
 _NEEDED = (_DESIRED, "target_az_deg")
@@ -28,6 +29,7 @@ _DN_PER_MAGNITUDE = "dn_per_magnitude"
 """A column that may be missing, and empty, but not for some chips only."""
 _LEAST_SCALE, _LARGEST_SCALE = 1e-9, 1e9  # the square of no magnitude leaves float32
 _MAX_PIXELS_PER_SIDE = 4096
+_RESPONSE = Taylor(level_db=35, sidelobes=4)
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,8 @@ class Chip:
         Magnitude of one digital number; 0 if magnitudes are not quantised.
     spacing_m, resolution_m : (float, float)
         Pixel spacing and 3 dB width (cross-range, slant range), m.
+    response : Response
+        Its shape; of JPEGs, which do not say, that which the Phoenix files' headers state.
     azimuth_std_deg : float or None
         Standard deviation of `target_az_deg`, degrees; None where the table says nothing of it.
     phase : numpy.ndarray, float32 [rows, columns], or None
@@ -67,6 +71,7 @@ class Chip:
     step: float
     spacing_m: tuple[float, float] = (0.203125, 0.202148)
     resolution_m: tuple[float, float] = (0.3229, 0.3013)
+    response: Response = _RESPONSE
     azimuth_std_deg: float | None = None
     phase: Float32[np.ndarray, "rows columns"] | None = None
 
@@ -161,6 +166,7 @@ def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_clas
             step=0.0,
             spacing_m=chip.spacing_m,
             resolution_m=chip.resolution_m,
+            response=chip.response,
             phase=chip.phase,
         )
         for chip in chosen

@@ -18,6 +18,7 @@ from sarsplat.data.files import open_file
 from sarsplat.data.image import SarImage
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry.responses import GAUSSIAN, Response, Taylor
 
 _MAGIC = b"[PhoenixHeaderVer"
 _END = "[EndofPhoenixHeader]"
@@ -92,6 +93,13 @@ class PhoenixChip:
         return _number(self.path, self.header, "CrossRange3dBWidth"), _number(self.path, self.header, "Range3dBWidth")
 
     @property
+    def response(self) -> Response:
+        """That of the Taylor window of the level that the header states, with the usual n̄; otherwise a Gaussian."""
+        stated = {self.header.get(f"{axis}Weighting", "") for axis in ("Range", "CrossRange")}
+        level = re.fullmatch(r"-?([1-9]\d)dB_Taylor", stated.pop()) if len(stated) == 1 else None
+        return Taylor(float(level[1])) if level else GAUSSIAN
+
+    @property
     def signal(self) -> Complex64[np.ndarray, "rows columns"]:
         """magnitude·e^(j·phase), in the file's order."""
         return self.magnitude * np.exp(1j * self.phase)
@@ -113,7 +121,7 @@ class PhoenixChip:
             )
         rows, columns = self.magnitude.shape
         view = View(-self.target_az_deg % 360, self.measured_depression_deg)
-        grid = ImageGrid(rows, columns, self.spacing_m, self.resolution_m)
+        grid = ImageGrid(rows, columns, self.spacing_m, self.resolution_m, response=self.response)
         return SarImage.of_complex(self.signal[::-1, ::-1], view, grid)
 
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
+from typing import Any, Self
 
 import numpy as np
 from jaxtyping import Float64
 
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry.responses import GAUSSIAN, Response, response_of, variance_of, width_of
 
 _MIN_LENGTH, _MAX_LENGTH = 1e-6, 1e6  # m: beyond these, float32 squares go wrong long before physics does
 _MAX_PIXELS = 1 << 17
@@ -45,6 +47,8 @@ class ImageGrid:
         3 dB width of the power response (ρa, ρr), m. Not the same thing as the spacing.
     center_m : (float, float)
         Position (a0, r0) of the image centre in the radar frame, m; (0, 0) is the scene centre.
+    response : Response
+        Shape of the power response, the same along both axes: what its 3 dB widths do not say.
     """
 
     rows: int
@@ -52,6 +56,7 @@ class ImageGrid:
     spacing_m: tuple[float, float]
     resolution_m: tuple[float, float]
     center_m: tuple[float, float] = (0.0, 0.0)
+    response: Response = GAUSSIAN
 
     def __post_init__(self) -> None:
         if not isinstance(self.rows, int) or not isinstance(self.columns, int):
@@ -69,6 +74,29 @@ class ImageGrid:
         _positive("resolution", self.resolution_m)
         for name in ("spacing_m", "resolution_m", "center_m"):  # numpy's numbers do not fit into JSON
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+        if not isinstance(self.response, Response):
+            raise SarsplatError(f"the response {shown(self.response)} is not one; give Gaussian() or Taylor()")
+
+    @classmethod
+    def of(cls, *, response: Any = None, **fields: Any) -> Self:
+        """The grid that `as_dict` described."""
+        return cls(**fields, response=response_of(response))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Its fields, for JSON; a Gaussian response is not mentioned."""
+        settings = {} if self.response == GAUSSIAN else {"response": self.response.as_dict()}
+        return {name: value for name, value in vars(self).items() if name != "response"} | settings
+
+    @property
+    def response_variance_m2(self) -> tuple[float, float]:
+        """Variance of the Gaussian of the response's 3 dB width along azimuth and range, m²."""
+        azimuth, slant_range = self.resolution_m
+        return variance_of(azimuth), variance_of(slant_range)
+
+    def widened(self, azimuth_m2: float, range_m2: float) -> Self:
+        """The same pixels, seen through a response whose variances are larger by so much."""
+        azimuth, slant_range = self.resolution_m
+        return replace(self, resolution_m=(width_of(azimuth_m2, azimuth), width_of(range_m2, slant_range)))
 
     @property
     def independent_samples(self) -> float:

@@ -11,8 +11,8 @@ from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View, radar_frame
+from sarsplat.geometry.responses import Taylor
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory
-from sarsplat.importers.tapers import Weighting, width
 
 WIDEST_DEG = 60.0
 """Of an aperture: beyond it the radar has no one direction."""
@@ -65,9 +65,9 @@ class Aperture:
         """Extent along the columns beyond which echoes come back at the other side."""
         return SPEED_OF_LIGHT / (2 * self.history.carrier_hz * float(np.abs(np.diff(self.cross)).max()))
 
-    def resolution_m(self, weighting: Weighting) -> tuple[float, float]:
+    def resolution_m(self, weighting: Taylor) -> tuple[float, float]:
         """3 dB width of the power response (azimuth, slant range), m."""
-        factor = width(weighting) * SPEED_OF_LIGHT / 2
+        factor = weighting.width * SPEED_OF_LIGHT / 2
         return factor / (self.history.carrier_hz * self.extent), factor / self.history.bandwidth_hz
 
     def _directions(self) -> Float64[np.ndarray, "pulses 3"]:

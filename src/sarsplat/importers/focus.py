@@ -14,15 +14,15 @@ from jaxtyping import Complex64, Float64
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, radar_frame
+from sarsplat.geometry.responses import Taylor
 from sarsplat.importers.apertures import Aperture
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT
-from sarsplat.importers.tapers import Weighting, weights
 
 _ACCURACY = 1e-7
 
 
 def focus(
-    aperture: Aperture, grid: ImageGrid, weighting: Weighting
+    aperture: Aperture, grid: ImageGrid, weighting: Taylor
 ) -> Complex64[np.ndarray, "{grid.rows} {grid.columns}"]:
     """The complex image of an aperture.
 
@@ -32,7 +32,7 @@ def focus(
         Its pulses and view.
     grid : ImageGrid
         Pixels of the slant plane, relative to the place that the aperture looks at.
-    weighting : {"uniform", "taylor"}
+    weighting : Taylor
         Of frequencies and pulses.
 
     Returns
@@ -62,8 +62,8 @@ def focus(
     frequencies = history.frequencies_hz
     places = (np.arange(len(frequencies)) + 0.5) / len(frequencies) - 0.5
     cross = aperture.cross
-    shares = np.abs(np.gradient(cross)) * weights(weighting, (cross - _middle(cross)) / aperture.extent)
-    across = weights(weighting, places)
+    shares = np.abs(np.gradient(cross)) * weighting.window((cross - _middle(cross)) / aperture.extent)
+    across = weighting.window(places)
     samples = history.samples * np.outer(across / across.sum(), shares / shares.sum())
     wave = 4 * math.pi / SPEED_OF_LIGHT
     pixels = ground_points(aperture, grid)

@@ -21,6 +21,7 @@ from sarsplat.data.image import power_of
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.importers.band_limited import resample
 
 _SAME = 1e-3
@@ -60,6 +61,8 @@ class MeasuredImage:
         Standard deviation of the azimuth, degrees.
     split : str or None
         Its set, if the source says so.
+    response : Response
+        Shape of the power response; a Gaussian if nothing is known of it.
     """
 
     name: str
@@ -70,12 +73,13 @@ class MeasuredImage:
     center_m: tuple[float, float] = (0.0, 0.0)
     azimuth_std_deg: float = 0.0
     split: str | None = None
+    response: Response = GAUSSIAN
 
     @property
     def grid(self) -> ImageGrid:
         """Where its pixels lie."""
         rows, columns = self.pixels.shape
-        return ImageGrid(rows, columns, self.spacing_m, self.resolution_m, self.center_m)
+        return ImageGrid(rows, columns, self.spacing_m, self.resolution_m, self.center_m, self.response)
 
 
 def dataset_of(
@@ -217,6 +221,10 @@ def _common_grid(images: Sequence[MeasuredImage], assumptions: list[str]) -> Ima
             f"resolutions differ, from {_metres(resolution.min(axis=0))} to {_metres(resolution.max(axis=0))}; "
             f"{_metres(typical)} is used for all",
         )
+    response = grids[0].response
+    if any(grid.response != response for grid in grids):
+        _say(assumptions, "responses differ in their shape, which is taken for that of a Gaussian")
+        response = GAUSSIAN
     low = np.max([_edges(grid)[0] for grid in grids], axis=0)
     high = np.min([_edges(grid)[1] for grid in grids], axis=0)
     columns, rows = np.floor((high - low) / finest + _SAME_PLACE).astype(int) + 1
@@ -224,7 +232,7 @@ def _common_grid(images: Sequence[MeasuredImage], assumptions: list[str]) -> Ima
         raise SarsplatError("the images have no part in common; give images around one spot")
     if len({(grid.rows, grid.columns) for grid in grids}) > 1 or (rows, columns) < (grids[0].rows, grids[0].columns):
         _say(assumptions, f"all images are cut to what they have in common, {rows} × {columns} pixels")
-    return ImageGrid(int(rows), int(columns), tuple(finest), tuple(typical), tuple((low + high) / 2))
+    return ImageGrid(int(rows), int(columns), tuple(finest), tuple(typical), tuple((low + high) / 2), response)
 
 
 def _edges(grid: ImageGrid) -> tuple[np.ndarray, np.ndarray]:

@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -14,15 +14,16 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.data.folders import refuse_existing
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry import ImageGrid
+from sarsplat.geometry.responses import UNIFORM, Taylor
 from sarsplat.importers.apertures import Aperture, apertures
 from sarsplat.importers.each_once import each_once
 from sarsplat.importers.focus import focus
 from sarsplat.importers.gotcha import read_gotcha
 from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
 from sarsplat.importers.phase_history import FARTHEST_M, flights
-from sarsplat.importers.tapers import TAYLOR_DB, TAYLOR_NBAR, Weighting
 from sarsplat.progress import progress
 
+_WEIGHTINGS = {"uniform": UNIFORM, "taylor": Taylor()}
 _SPACING = 2 / 3
 """Of the narrower 3 dB width, where nobody says otherwise: power has twice the band of the signal."""
 _PIXELS = (8, 4096)
@@ -39,7 +40,7 @@ def import_phase_history(
     around_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
     aperture_deg: float | None = None,
     spacing_m: float | None = None,
-    weighting: Weighting = "taylor",
+    weighting: Literal["uniform", "taylor"] = "taylor",
     target: str = "unnamed",
     train_views: int | None = None,
     overwrite: bool = False,
@@ -90,7 +91,9 @@ def import_phase_history(
         If the slant plane is tilted, or the dataset looks odd (`sarsplat.data.plausible`).
     """
     refuse_existing(Path(out), overwrite, marker="dataset.json")
-    around = np.array(around_m, np.float64)
+    if weighting not in _WEIGHTINGS:
+        raise SarsplatError(f"the weighting {weighting!r} is unknown; choose {' or '.join(_WEIGHTINGS)}")
+    taper, around = _WEIGHTINGS[weighting], np.array(around_m, np.float64)
     if not (np.abs(around) <= FARTHEST_M).all():  # also catches NaN
         raise SarsplatError(
             f"--around {around_m} must be metres from the scene centre, at most {FARTHEST_M:g}; give x, y and height"
@@ -105,23 +108,21 @@ def import_phase_history(
             f"{counted(train_views, 'training view')} asked for, but the flight makes {counted(len(found), 'image')}; "
             f"ask for 1 to {len(found)}, or for a narrower --aperture"
         )
-    spacing = _spacing(found, weighting) if spacing_m is None else spacing_m
+    spacing = _spacing(found, taper) if spacing_m is None else spacing_m
     images = []
     with progress("focusing", len(found), quiet) as reporter:
         for index, aperture in enumerate(found):
-            images.append(_image(index, aperture, size_m, spacing, weighting))
+            images.append(_image(index, aperture, size_m, spacing, taper))
             reporter.advance(1)
-    dataset = dataset_of(
-        images, target=target, source=_source(files, found, around_m, weighting), train_views=train_views
-    )
+    dataset = dataset_of(images, target=target, source=_source(files, found, around_m, taper), train_views=train_views)
     return write_imported(out, dataset, overwrite=overwrite)
 
 
-def _spacing(found: list[Aperture], weighting: Weighting) -> float:
+def _spacing(found: list[Aperture], weighting: Taylor) -> float:
     return _SPACING * min(min(aperture.resolution_m(weighting)) for aperture in found)
 
 
-def _image(index: int, aperture: Aperture, size_m: float, spacing_m: float, weighting: Weighting) -> MeasuredImage:
+def _image(index: int, aperture: Aperture, size_m: float, spacing_m: float, weighting: Taylor) -> MeasuredImage:
     resolution = aperture.resolution_m(weighting)
     fewest, most = _PIXELS
     pixels = size_m / spacing_m if size_m > 0 and spacing_m > 0 else 0.0  # also of NaN
@@ -132,11 +133,11 @@ def _image(index: int, aperture: Aperture, size_m: float, spacing_m: float, weig
         )
     grid = ImageGrid(round(pixels), round(pixels), (spacing_m, spacing_m), resolution)
     signal = focus(aperture, grid, weighting)
-    return MeasuredImage(f"{index:03d}", signal, aperture.view, grid.spacing_m, resolution)
+    return MeasuredImage(f"{index:03d}", signal, aperture.view, grid.spacing_m, resolution, response=weighting)
 
 
 def _source(
-    files: Sequence[str | Path], found: list[Aperture], around_m: tuple[float, float, float], weighting: Weighting
+    files: Sequence[str | Path], found: list[Aperture], around_m: tuple[float, float, float], weighting: Taylor
 ) -> dict[str, Any]:
     """What is known of the images, and what was assumed."""
     assumptions = ["the ground is flat, at the height of the place that the images are around"]
@@ -154,7 +155,7 @@ def _source(
         )
         assumptions.append(text)
         warnings.warn(text, SarsplatWarning, stacklevel=3)
-    taper = f"Taylor, {TAYLOR_DB:g} dB, nbar {TAYLOR_NBAR}" if weighting == "taylor" else "uniform"
+    taper = "uniform" if weighting == UNIFORM else f"Taylor, {weighting.level_db:g} dB, nbar {weighting.sidelobes}"
     return {
         "kind": "phase-history",
         "files": [Path(path).name for path in files],

@@ -21,7 +21,7 @@ from sarsplat.data.dataset_folder import HEADER
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 from sarsplat.importers.each_once import each_once
 from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
-from sarsplat.importers.sicd_chip import chip, resolution_of, spacing_of
+from sarsplat.importers.sicd_chip import chip, resolution_of, response_along, spacing_of
 from sarsplat.importers.sicd_file import Sicd, read_sicd
 from sarsplat.importers.sicd_geometry import Layout, Spot, layout_around, spot_of_centre, spot_of_pixel
 
@@ -112,6 +112,7 @@ def import_sicd(
             layout.view,
             spacing,
             resolution_of(sicd, layout),
+            response=response_along(sicd, layout),
         )
         for name, sicd, layout in zip(_names(paths), sicds, layouts, strict=True)
     ]

@@ -14,9 +14,13 @@ import numpy.polynomial.polynomial as polynomials
 from jaxtyping import Complex64, Float64
 
 from sarsplat.errors import SarsplatError
+from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.importers.band_limited import interpolate, taps
 from sarsplat.importers.sicd_file import Axis, Sicd
 from sarsplat.importers.sicd_geometry import Layout
+
+_ASKEW = 0.05
+"""Slope of an image's axes against ours from which on its side lobes run beside these."""
 
 
 def spacing_of(sicd: Sicd, layout: Layout) -> tuple[float, float]:
@@ -31,6 +35,13 @@ def resolution_of(sicd: Sicd, layout: Layout) -> tuple[float, float]:
     falls = layout.slopes / [[sicd.row.resolution_m], [sicd.column.resolution_m]]
     azimuth, away = 1 / np.linalg.norm(falls, axis=0)
     return float(azimuth), float(away)
+
+
+def response_along(sicd: Sicd, layout: Layout) -> Response:
+    """Shape of the response along azimuth and range: that of rows and columns, unless they differ or are askew."""
+    one, other = np.sort(np.abs(layout.slopes), axis=0).max(axis=1)
+    same = sicd.row.response == sicd.column.response and one < _ASKEW * other
+    return sicd.row.response if same else GAUSSIAN
 
 
 def chip(

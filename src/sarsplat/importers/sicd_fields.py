@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry.responses import GAUSSIAN, UNIFORM, Response, Taylor
 
 LARGEST = 1e9
 """No amplitude comes near it, and its square still fits into float32."""
@@ -34,6 +35,8 @@ class Axis:
         Where the band is centred, cycles/m: a polynomial in (xrow, ycol), m.
     window : str
         How the band was weighted, in the file's words; "" where it does not say.
+    response : Response
+        What follows from that; a Gaussian where the file does not say enough.
     """
 
     spacing_m: float
@@ -42,6 +45,7 @@ class Axis:
     sign: int
     carrier: Float64[np.ndarray, "m n"]
     window: str
+    response: Response
 
     @property
     def occupied(self) -> float:
@@ -102,7 +106,19 @@ class SicdFields:
             sign,
             np.zeros((1, 1)) if carrier is None else carrier,
             "" if window == "UNKNOWN" else window,
+            self._response(f"Grid/{name}/WgtType", window),
         )
+
+    def _response(self, name: str, window: str) -> Response:
+        """Of a window, if it is one of ours and stated with its parameters."""
+        if window == "UNIFORM":
+            return UNIFORM
+        elements = self._tree.iterfind("/".join("{*}" + part for part in f"{name}/Parameter".split("/")))
+        stated = {element.get("name"): element.text for element in elements}
+        try:
+            return Taylor(abs(float(stated["SLL"])), int(stated["NBAR"])) if window == "TAYLOR" else GAUSSIAN
+        except (KeyError, TypeError, ValueError, SarsplatError):
+            return GAUSSIAN
 
     def pixel_type(self) -> str:
         """One of those that sarkit knows."""

@@ -11,6 +11,7 @@ from jaxtyping import Float64, Real
 from scipy.ndimage import binary_dilation
 
 from sarsplat.geometry import ImageGrid
+from sarsplat.geometry.responses import width_of
 from sarsplat.reconstruction.outlines import Outline
 
 _CELLS_PER_BLOCK, _SMALLEST_BLOCK = 6, 8
@@ -130,5 +131,5 @@ def sharpest_widths_m(power: Real[np.ndarray, "v rows columns"], grid: ImageGrid
         most = float(np.quantile(curvature, _SHARPEST)) if len(curvature) else 0.0
         if not most > 0:
             return None
-        widths.append(math.sqrt(8 * math.log(2) / most))
+        widths.append(width_of(1 / most))
     return widths[0], widths[1]

@@ -252,7 +252,7 @@ class SceneModel:
             return rendering.images if self.unit == 1 else rendering.images * self.unit, rendering
         p, gain = self.parameters, self.gains
         if chips is None:
-            grid = self._widened(grid)
+            grid = grid.widened(*p["shift"].detach().var(dim=0, correction=0).tolist())
             shift = p["shift"].mean(0).expand(len(views), 2)
         else:
             shift = p["shift"][chips]
@@ -299,14 +299,6 @@ class SceneModel:
             return grid
         azimuth, slant_range = self.parameters["shift"].detach().mean(0).tolist()
         return replace(grid, center_m=(grid.center_m[0] - azimuth, grid.center_m[1] - slant_range))
-
-    def _widened(self, grid: ImageGrid) -> ImageGrid:
-        """The grid whose response includes the spread of the training chips' shifts."""
-        spread = self.parameters["shift"].detach().var(dim=0, correction=0).tolist()
-        azimuth, slant_range = (
-            math.sqrt(width**2 + 8 * math.log(2) * variance) for width, variance in zip(grid.resolution_m, spread)
-        )
-        return replace(grid, resolution_m=(azimuth, slant_range))
 
     def scattering_spread(self) -> Float[Tensor, ""]:
         """How much the Gaussians' scattering differs: of small differences the variance, of large ones little more.

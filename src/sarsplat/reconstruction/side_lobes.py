@@ -7,17 +7,14 @@ from functools import lru_cache
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float64
-from scipy.signal.windows import taylor
+from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.geometry import ImageGrid
+from sarsplat.geometry.responses import GAUSSIAN, Response, Taylor
 
-_LEVEL_DB, _NEAR = 35, 4
-"""Taylor weighting, the commonest of all: side lobes below the main lobe, and how many of them are equally high."""
-
-_SAMPLES, _FINE = 512, 16
-"""Of the aperture, and of the response in each of its 1/_SAMPLES of bandwidth."""
+_COMMONEST = Taylor(level_db=35, sidelobes=4)
+"""Whose side lobes are taken where the response of the images is said to have none."""
 
 
 def with_side_lobes(
@@ -30,7 +27,8 @@ def with_side_lobes(
     images : Tensor [V, rows, columns]
         Power, seen through a Gaussian response.
     level : Tensor [2]
-        Power of the side lobes in azimuth and in range, relative to those of a −35 dB Taylor window; differentiable.
+        Power of the side lobes in azimuth and in range, relative to those of the grid's response, or if that has none,
+        of a −35 dB Taylor window; differentiable.
     grid : ImageGrid
         Of the images.
     """
@@ -42,24 +40,13 @@ def with_side_lobes(
 @lru_cache(maxsize=16)
 def _matrices(grid: ImageGrid) -> tuple[Tensor, Tensor]:
     """What a pixel gives to the others of its row, and of its column; symmetric."""
+    response = grid.response if math.isfinite(grid.response.main_lobe) else _COMMONEST
     sizes = zip((grid.columns, grid.rows), grid.spacing_m, grid.resolution_m, strict=True)
-    return tuple(_matrix(*size) for size in sizes)  # type: ignore[return-value]
+    return tuple(_matrix(response, *size) for size in sizes)  # type: ignore[return-value]
 
 
-def _matrix(count: int, spacing_m: float, width_m: float) -> Float[Tensor, "{count} {count}"]:
-    distance, power = _response()
-    reach = np.arange(count) * spacing_m / width_m
-    peak = 2 * math.sqrt(math.log(2) / math.pi) * spacing_m / width_m  # of the Gaussian whose sum over all pixels is 1
-    row = peak * np.interp(reach, distance, power, right=0.0)
+def _matrix(response: Response, count: int, spacing_m: float, width_m: float) -> Float[Tensor, "{count} {count}"]:
+    distance = np.arange(count) * spacing_m / width_m
+    peak = GAUSSIAN.density(np.zeros(1)) * spacing_m / width_m  # of what the renderer sees through
+    row = peak * response.side_lobes(distance)
     return torch.from_numpy(row[np.abs(np.subtract.outer(np.arange(count), np.arange(count)))]).float()
-
-
-@lru_cache(maxsize=1)
-def _response() -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Distances in widths of the main lobe at half its power, and the power there; the main lobe itself is left out."""
-    window = taylor(_SAMPLES, nbar=_NEAR, sll=_LEVEL_DB, norm=False)
-    amplitude = np.abs(np.fft.rfft(window, _SAMPLES * _FINE)) / window.sum()
-    power = amplitude**2
-    first_null = int(np.argmax(np.diff(power) > 0))
-    half = np.interp(-0.5, -power[:first_null], np.arange(first_null))
-    return np.arange(len(power)) / (2 * half), np.where(np.arange(len(power)) < first_null, 0.0, power)

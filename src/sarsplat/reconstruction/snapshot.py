@@ -10,6 +10,7 @@ import msgspec
 from torch import Tensor
 
 from sarsplat.data import load_checkpoint, save_checkpoint
+from sarsplat.data.header import GridHeader
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View
 
@@ -62,7 +63,7 @@ class Snapshot:
             "iteration": self.iteration,
             "seconds": round(self.seconds, 3),
             "queue": self.queue,
-            "grid": asdict(self.grid),
+            "grid": self.grid.as_dict(),
             "views": [asdict(view) for view in self.views],
             "unit": self.unit,
             "brightest": self.brightest,
@@ -85,7 +86,7 @@ class Snapshot:
                 known.iteration,
                 known.seconds,
                 known.queue,
-                known.grid,
+                ImageGrid.of(**msgspec.structs.asdict(known.grid)),
                 known.views,
                 known.unit,
                 known.brightest,
@@ -104,7 +105,7 @@ class _State(msgspec.Struct, forbid_unknown_fields=True):
     iteration: _Count
     seconds: _Seconds
     queue: tuple[_Count, ...]
-    grid: ImageGrid
+    grid: GridHeader
     views: tuple[View, ...]
     unit: _Power
     brightest: _Power

@@ -98,8 +98,8 @@ class Bounds:
             for spacing in rays.spacing_m
         ]
         on_pixels = [
-            _MARGIN * math.sqrt(IMAGE_CUT * (self.scale_m**2 + width**2 / (8 * math.log(2)))) / spacing
-            for spacing, width in zip(grid.spacing_m, grid.resolution_m, strict=True)
+            _MARGIN * math.sqrt(IMAGE_CUT * (self.scale_m**2 + variance)) / spacing
+            for spacing, variance in zip(grid.spacing_m, grid.response_variance_m2, strict=True)
         ]
         lattices = tuple(_lattice(view, rays, self.low_m, self.high_m, (reach[0], reach[1])) for view in views)
         sides = [max(columns for *_, columns in lattices), max(rows for *_, rows, _ in lattices)]

@@ -72,7 +72,7 @@ def project_reference(
     """Project as `sarsplat.project` does."""
     means = gaussians.means
     spacing = means.new_tensor((rays or RayGrid.for_image(grid)).spacing_m)
-    response = means.new_tensor(grid.resolution_m) ** 2 / (8 * math.log(2))
+    response = means.new_tensor(grid.response_variance_m2)
     with torch.autocast(means.device.type, enabled=False):  # a judge does not round to 16 bits
         frames = torch.from_numpy(np.stack([radar_frame(view) for view in views])).to(means)[:, None]
         mean = (frames @ means[..., None])[..., 0]  # §1: x_r = R_r x_w, [V, N, 3]

@@ -297,7 +297,7 @@ def new_problem(
     if grid is not None:
         problem.rows, problem.columns = grid.rows, grid.columns
         problem.pixel, problem.center = grid.spacing_m, grid.center_m
-        problem.response_var = tuple(width**2 / (8 * math.log(2)) for width in grid.resolution_m)
+        problem.response_var = grid.response_variance_m2
     if rays is not None:
         problem.ray = rays.spacing_m
     return problem

@@ -192,8 +192,8 @@ class MeshRenderer:
         They are what the system's response is wider than soft edges.
         """
         kernels = []
-        for step, width, parts in zip(self.grid.spacing_m, self.grid.resolution_m, self._parts, strict=True):
-            variance = max(width**2 / (8 * math.log(2)) - self.softness_m**2, (0.5 * step / parts) ** 2)
+        for step, response, parts in zip(self.grid.spacing_m, self.grid.response_variance_m2, self._parts, strict=True):
+            variance = max(response - self.softness_m**2, (0.5 * step / parts) ** 2)
             if parts == 1 and variance == (0.5 * step) ** 2:
                 kernels.append([1.0])
                 continue

@@ -10,18 +10,16 @@ from scipy.sparse import coo_matrix
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid
-
-# Half width of the response that is carried beyond the image, in its standard deviations: e⁻³² of the peak.
-_MARGIN_SIGMA = 8.0
+from sarsplat.geometry.responses import Response, variance_of, width_of
 
 
 class Deposit:
-    """Cross-section collected on nodes finer than the pixels and seen through a Gaussian response of the 3 dB widths.
+    """Cross-section collected on nodes finer than the pixels and seen through the grid's response.
 
     Parameters
     ----------
     grid : ImageGrid
-        Pixels and resolution.
+        Pixels and response.
     oversample : int
         Nodes per pixel and axis; pixel centres are nodes.
 
@@ -39,8 +37,8 @@ class Deposit:
     def __init__(self, grid: ImageGrid, oversample: int) -> None:
         if oversample < 1 or oversample != int(oversample):
             raise SarsplatError(f"oversample {oversample} must be a whole number of at least 1")
-        self._columns = _Axis(grid.azimuth_m, grid.spacing_m[0] / oversample, grid.resolution_m[0])
-        self._rows = _Axis(grid.range_m, grid.spacing_m[1] / oversample, grid.resolution_m[1])
+        self._columns = _Axis(grid.azimuth_m, grid.spacing_m[0] / oversample, grid.resolution_m[0], grid.response)
+        self._rows = _Axis(grid.range_m, grid.spacing_m[1] / oversample, grid.resolution_m[1], grid.response)
         self.image = np.zeros((grid.rows, grid.columns))
 
     @property
@@ -81,19 +79,19 @@ class Deposit:
 class _Axis:
     """Nodes along one image axis, and the response from nodes to pixels."""
 
-    def __init__(self, centers: Float64[np.ndarray, " pixels"], step: float, resolution: float) -> None:
+    def __init__(
+        self, centers: Float64[np.ndarray, " pixels"], step: float, resolution: float, response: Response
+    ) -> None:
         if step > resolution / 2:
             raise SarsplatError(
                 f"a resolution of {resolution:.3g} m is too fine for image nodes {step:.3g} m apart; use smaller "
                 f"pixels or a resolution of at least {2 * step:.3g} m (in Python, a larger oversample works too)"
             )
         # Bilinear sharing widens a point by step²/6 on average; the response is narrowed by as much.
-        variance = resolution**2 / (8 * math.log(2)) - step**2 / 6
-        margin = math.ceil(_MARGIN_SIGMA * math.sqrt(variance) / step)
+        variance = variance_of(resolution) - step**2 / 6
+        margin = math.ceil(response.reach * width_of(variance) / step)
         self.step = step
         self.first = centers[0] - margin * step
         self.count = round((centers[-1] - centers[0]) / step) + 2 * margin + 1
         offset = centers[:, None] - (self.first + step * np.arange(self.count))
-        self.response = np.exp(-(offset**2) / (2 * variance)) / math.sqrt(
-            2 * math.pi * variance
-        )  # [pixels, nodes], 1/m
+        self.response = response.density(offset, variance)  # [pixels, nodes], 1/m

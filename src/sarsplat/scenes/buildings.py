@@ -16,6 +16,8 @@ import numpy as np
 from jaxtyping import Float, Float64
 from scipy.special import ndtr
 
+from sarsplat.geometry.responses import variance_of
+
 if TYPE_CHECKING:
     import trimesh
 
@@ -129,7 +131,7 @@ class Building:
         numpy.ndarray, float64 [K]
         """
         cos = math.cos(math.radians(grazing_deg))
-        std_m = resolution / math.sqrt(8 * math.log(2))
+        std_m = math.sqrt(variance_of(resolution))
         return sum(
             (
                 region.beta0

@@ -13,6 +13,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import join
 from sarsplat.gaussians.ground import ground_radius_m, ground_sheet
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.geometry.responses import GAUSSIAN
 from sarsplat.renderer import render
 from sarsplat.scenes._random import generator
 from sarsplat.scenes.raycast import simulate_raycast
@@ -95,6 +96,10 @@ def simulate_images(
         raise SarsplatError(
             f"the ray spacing {ray_spacing} m is for ray casting, but the source is 'splat', whose rays follow from "
             "the pixels; leave it out"
+        )
+    elif grid.response != GAUSSIAN:
+        raise SarsplatError(
+            f"the renderer sees through a Gaussian, but the response is {grid.response}; choose the source 'raycast'"
         )
     else:
         images = _splat(mesh, views, grid, law, reflectivity, ground_gamma0)

@@ -1,0 +1,36 @@
+"""A Gaussian: what the renderer sees through, whatever the response, with its 3 dB width."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from sarsplat.geometry.responses.response import Response, variance_of
+
+_SIGMAS = 8.0
+"""Standard deviations at which it ends: e⁻³² of the peak."""
+
+
+@dataclass(frozen=True)
+class Gaussian(Response):
+    """A Gaussian: no side lobes."""
+
+    kind = "gaussian"
+
+    def table(self) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+        """In standard deviations."""
+        distance = np.linspace(0.0, _SIGMAS, 513)
+        return distance, np.exp(-(distance**2) / 2)
+
+    def density(
+        self, distance: Float64[np.ndarray, "*n"], variance: float = variance_of(1.0)
+    ) -> Float64[np.ndarray, "*n"]:
+        """In closed form."""
+        return np.exp(-(distance**2) / (2 * variance)) / math.sqrt(2 * math.pi * variance)
+
+
+GAUSSIAN = Gaussian()
+"""The response where nothing else is said."""

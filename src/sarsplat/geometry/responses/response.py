@@ -1,0 +1,94 @@
+"""What an image shows of a point scatterer: the power response of the system along one axis."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import fields
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float64
+
+_RATIO = 8 * math.log(2)
+"""Of the squared 3 dB width of a Gaussian to its variance."""
+
+
+def variance_of(width: float) -> float:
+    """Variance of the Gaussian of a 3 dB width, in the square of its unit."""
+    return width**2 / _RATIO
+
+
+def width_of(variance: float, width: float = 0.0) -> float:
+    """3 dB width of a Gaussian of this variance, or of one of a width that is widened by it."""
+    return math.sqrt(width**2 + _RATIO * variance)
+
+
+class Response(ABC):
+    """Shape of |h|², the same along both axes and symmetric; its 3 dB width is that of the grid.
+
+    To add one, put a frozen dataclass in a file of its own beside this one. Its fields, numbers or tuples of numbers
+    that it checks, become the settings in files.
+
+    Attributes
+    ----------
+    kind : str
+        Its name in files.
+    """
+
+    kind: ClassVar[str]
+
+    @abstractmethod
+    def table(self) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+        """Distances from the peak, rising from 0, and the power there, each in any unit; beyond them there is none."""
+
+    @cached_property
+    def _lobes(self) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"], int]:
+        """Distances in 3 dB widths, power relative to the peak, and how many of them are of the main lobe."""
+        distance, power = self.table()
+        power = power / power[0]
+        below = int(np.argmax(power < 0.5))
+        half = np.interp(-0.5, -power[below - 1 : below + 1], distance[below - 1 : below + 1])
+        rising = np.flatnonzero(np.diff(power[below:]) > 0)
+        return distance / (2 * half), power, below + int(rising[0]) if len(rising) else len(power)
+
+    @property
+    def reach(self) -> float:
+        """Distance beyond which there is nothing, in 3 dB widths."""
+        return float(self._lobes[0][-1])
+
+    @property
+    def main_lobe(self) -> float:
+        """Distance at which the main lobe ends and the side lobes begin, in 3 dB widths; infinite if there are none."""
+        distance, _, own = self._lobes
+        return float(distance[own]) if own < len(distance) else math.inf
+
+    def density(self, distance: Float64[np.ndarray, "*n"], variance: float = 1 / _RATIO) -> Float64[np.ndarray, "*n"]:
+        """|h|² at distances from the peak, whose integral is 1: what is seen through it keeps its cross-section.
+
+        Parameters
+        ----------
+        distance : numpy.ndarray, float64 [*n]
+            In any unit; in 3 dB widths unless a variance is given.
+        variance : float
+            Of the Gaussian of the same 3 dB width, in that unit squared.
+
+        Returns
+        -------
+        numpy.ndarray, float64 [*n]
+            Per unit of distance.
+        """
+        places, power, _ = self._lobes
+        area = ((power[1:] + power[:-1]) * np.diff(places)).sum()
+        width = width_of(variance)
+        return np.interp(np.abs(distance) / width, places, power, right=0.0) / (area * width)
+
+    def side_lobes(self, distance: Float64[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
+        """The side lobes alone, relative to the peak of the main lobe, at distances ≥ 0 in 3 dB widths."""
+        places, power, own = self._lobes
+        return np.interp(distance, places, np.where(np.arange(len(power)) < own, 0.0, power), right=0.0)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Its kind and settings, for JSON; `response_of` reads them."""
+        return {"kind": self.kind} | {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
