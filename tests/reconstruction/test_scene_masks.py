@@ -1,6 +1,5 @@
 """Masks of a scene against those of the mesh that it was made of, by ray casting."""
 
-import math
 from types import SimpleNamespace
 
 import numpy as np
