@@ -44,6 +44,10 @@ def imported(path: Path) -> set[str]:
     return found
 
 
+def fresh_python(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
+
+
 def rooms(module: str) -> str | None:
     parts = module.split(".")
     return parts[1] if parts[0] == "sarsplat" and len(parts) > 1 else None
@@ -82,20 +86,13 @@ def test_the_renderer_imports_torch_and_numpy_only():
             assert third_party <= ({"scipy"} if path.name == "initialise.py" else set()), path
 
 
-def test_importing_the_renderer_loads_nothing_more():
-    loaded = subprocess.run(
-        [sys.executable, "-c", "import sys, sarsplat.renderer; print(*sorted(sys.modules))"],
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout.split()
-    heavy = {"scipy", "safetensors", "tifffile", "rich", "tyro", "trimesh", "matplotlib", "PIL", "sklearn"}
-    assert not {module.split(".")[0] for module in loaded} & heavy
-    assert not [
-        m
-        for m in loaded
-        if m.startswith("sarsplat.") and m.split(".")[1] not in ("errors", "geometry", "gaussians", "renderer")
-    ]
+@pytest.mark.parametrize(("folder", "more"), [("renderer", set()), ("scenes", {"scipy"})])
+def test_importing_the_renderer_or_scenes_loads_little_more(folder, more):
+    """And scenes, which are truth, never the renderer."""
+    loaded = fresh_python("-c", f"import sys, sarsplat.{folder}; print(*sorted(sys.modules))").stdout.split()
+    heavy = {"scipy", "safetensors", "tifffile", "rich", "tyro", "trimesh", "embreex", "matplotlib", "PIL", "sklearn"}
+    assert not {module.split(".")[0] for module in loaded} & heavy - more
+    assert {rooms(module) for module in loaded} & set(RANK) == {"geometry", "gaussians", folder}
 
 
 WITHOUT_EXTRAS = """
@@ -127,12 +124,7 @@ sys.exit(main(["simulate", "--target", "t72", "--out", sys.argv[2]]))
 
 def test_everything_imports_and_renders_with_the_core_dependencies_alone(tmp_path):
     extras = {module for modules in EXTRAS.values() for module in modules}
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", WITHOUT_EXTRAS, ",".join(sorted(extras)), str(tmp_path / "out")],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = fresh_python("-W", "error", "-c", WITHOUT_EXTRAS, ",".join(sorted(extras)), str(tmp_path / "out"))
     assert done.returncode == 2, done.stderr
     assert "which is not installed; install it with: pip install 'sarsplat[simulate]'" in " ".join(done.stderr.split())
     assert not list(tmp_path.iterdir())
@@ -165,12 +157,7 @@ UNIX_NAMES = (
 
 @pytest.mark.skipif(sys.platform != "linux", reason="takes from Linux what Windows lacks")
 def test_everything_imports_without_what_windows_lacks():
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", AS_ON_WINDOWS, ",".join(UNIX_NAMES)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = fresh_python("-W", "error", "-c", AS_ON_WINDOWS, ",".join(UNIX_NAMES))
     assert done.returncode == 0, done.stderr
 
 

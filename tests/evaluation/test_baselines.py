@@ -49,6 +49,17 @@ def test_turned_chips_match_the_ground_seen_from_the_other_azimuth(turn, grazing
     assert np.corrcoef(unturned[inside].ravel(), spots(wanted)[inside].ravel())[0, 1] < 0.9
 
 
+@pytest.mark.parametrize("wanted", [1.0, 353.0, -4.5])
+def test_chips_count_by_their_azimuth(wanted):
+    """Of even chips nothing but the weights is left: a Gaussian of 0.4 spacings, down to a thousandth."""
+    azimuths, levels = np.arange(0, 360, 20), np.arange(18) % 5 + 1.0
+    train, grid = np.ones((18, 20, 20)) * levels[:, None, None], ImageGrid(20, 20, (0.2, 0.2), (0.3, 0.3))
+    (predicted,) = rotated_average(train, [View(a, 17) for a in azimuths], [View(wanted, 17)], grid)
+    weights = np.exp(-0.5 * (((azimuths - wanted + 180) % 360 - 180) / 8) ** 2)
+    weights[weights < 1e-3 * weights.max()] = 0
+    np.testing.assert_allclose(predicted, np.average(levels, weights=weights), rtol=1e-6)
+
+
 def test_a_view_far_from_every_chip_takes_the_nearest():
     train = np.stack([np.full((20, 20), float(k + 1)) for k in range(36)])
     grid = ImageGrid(20, 20, (0.2, 0.2), (0.3, 0.3))

@@ -115,19 +115,14 @@ def test_every_key_is_there_and_every_null_has_its_reason(make):
     assert json.loads(json.dumps(metrics, allow_nan=False)) == metrics
 
 
-def test_the_score_that_leads_is_there_for_every_image(make):
-    metrics = evaluate_run(FakeRun(make(), power=1.1))
-    for split, scored in metrics["by_image"].items():
-        assert scored["metric"] == "psnr_db"
-        assert np.mean(scored["scores"]) == pytest.approx(metrics["images"][split]["psnr_db"])
-
-
 def test_a_rendered_set_is_scored_by_protocol_r(make):
     run = FakeRun(make(), power=1.1)
     metrics = evaluate_run(run)
     truth, train = run.dataset.images("test-17"), run.dataset.images("train")
-    scores = metrics["images"]["test-17"]
+    scores, each = metrics["images"]["test-17"], metrics["by_image"]["test-17"]
+    assert [view.azimuth_deg for view in run.asked] == [80, 320, 240]  # set by set, in order
     assert scores["psnr_db"] == pytest.approx(psnr_db(truth, np.float32(1.1) * truth, float(np.sqrt(train.max()))))
+    assert (each["metric"], np.mean(each["scores"])) == ("psnr_db", pytest.approx(scores["psnr_db"]))
     assert 0.9 < scores["ssim"] < 1
     assert metrics["parameters"]["reference_amplitude"] == pytest.approx(float(np.sqrt(train.max())))
     assert [scores[key] for key in SPECKLED_ONLY] == [None] * 4
@@ -135,12 +130,6 @@ def test_a_rendered_set_is_scored_by_protocol_r(make):
     assert scores["lpips"] is None
     assert "--lpips-weights" in metrics["reasons"]["images.test-17.lpips"]
     assert WEIGHTS_VARIABLE in metrics["reasons"]["images.test-17.lpips"]
-
-
-def test_views_of_each_set_are_rendered_in_order(make):
-    run = FakeRun(make())
-    evaluate_run(run)
-    assert [view.azimuth_deg for view in run.asked] == [80, 320, 240]
 
 
 def test_what_is_being_done_is_told_and_how_far(make, capsys, monkeypatch):
@@ -184,12 +173,6 @@ def test_a_measured_set_is_scored_by_protocol_m_whatever_its_unit(make, tmp_path
     assert "no true mesh" in metrics["reasons"]["points.whole.count"]
 
 
-def test_a_speckled_simulation_is_scored_as_speckled_images_are(make):
-    metrics = evaluate_run(FakeRun(make(looks=1)))
-    assert [key for key in IMAGE_KEYS if metrics["images"]["test-15"][key] is None] == NOISE_FREE_ONLY
-    assert metrics["baselines"] is None
-
-
 def test_clean_test_images_are_scored_as_such_though_the_training_was_speckled(make):
     run = FakeRun(make(looks=1, ground=True, clean_tests=True), power=1.1)
     metrics = evaluate_run(run)
@@ -202,8 +185,11 @@ def test_clean_test_images_are_scored_as_such_though_the_training_was_speckled(m
     assert metrics["baselines"] is None
 
 
-def test_speckled_images_with_ground_stand_beside_the_baselines(make):
-    assert list(evaluate_run(FakeRun(make(looks=1, ground=True)))["baselines"]) == ["test-17", "test-15"]
+@pytest.mark.parametrize("ground", [False, True])
+def test_a_speckled_simulation_is_scored_as_such_and_on_ground_beside_the_baselines(make, ground):
+    metrics = evaluate_run(FakeRun(make(looks=1, ground=ground)))
+    assert [key for key in IMAGE_KEYS if metrics["images"]["test-15"][key] is None] == NOISE_FREE_ONLY
+    assert [*(metrics["baselines"] or ())] == (["test-17", "test-15"] if ground else [])
 
 
 def test_what_is_returned_is_written_into_the_run(make, tmp_path):
@@ -218,13 +204,6 @@ def test_what_is_returned_is_written_into_the_run(make, tmp_path):
         evaluate_run(run)
 
 
-def test_black_pixels_leave_the_likelihood_null_with_the_reason(make):
-    metrics = evaluate_run(FakeRun(make(looks=1), power=0.0))
-    assert metrics["images"]["test-17"]["nats_per_pixel"] is None
-    assert "noise floor" in metrics["reasons"]["images.test-17.nats_per_pixel"]
-    assert metrics["images"]["test-17"]["log_correlation"] is None
-
-
 def test_the_mesh_is_scored_as_points_spread_over_it(make):
     metrics = evaluate_run(FakeRun(make()))
     mesh, points = metrics["mesh"]["visible"], metrics["points"]["visible"]
@@ -234,32 +213,24 @@ def test_the_mesh_is_scored_as_points_spread_over_it(make):
     assert mesh["cd_m"] == pytest.approx((mesh["accuracy_m"] + mesh["completeness_m"]) / 2)
 
 
-def test_no_mesh_is_a_result_not_an_error(make):
-    metrics = evaluate_run(FakeRun(make(), has_mesh=False))
-    assert metrics["points"]["visible"]["cd_m"] is not None
-    assert metrics["mesh"]["visible"]["cd_m"] is None
-    assert metrics["reasons"]["mesh.visible.cd_m"] == "the points make no surface"
+class Strays(FakeRun):
+    def mesh(self):
+        raise SarsplatError("too many voxels")
 
 
-def test_a_mesh_that_cannot_be_made_is_a_result_not_an_error(make):
-    class Strays(FakeRun):
-        def mesh(self):
-            raise SarsplatError("too many voxels")
-
-    metrics = evaluate_run(Strays(make()))
-    assert metrics["points"]["visible"]["cd_m"] is not None
-    assert metrics["reasons"]["mesh.whole.f1@0.3"] == "too many voxels"
-
-
-def test_no_points_is_a_result_not_an_error(make):
-    metrics = evaluate_run(FakeRun(make(), points=np.empty((0, 3))))
-    assert metrics["points"]["whole"]["cd_m"] is None
-    assert "no points" in metrics["reasons"]["points.whole.cd_m"]
-
-
-def test_unsound_renderings_are_errors_not_nulls(make):
-    with pytest.raises(SarsplatError, match="non-finite"):
-        evaluate_run(FakeRun(make(), power=float("nan")))
+def test_no_mesh_no_points_and_black_pixels_are_results_not_errors(make):
+    for run, key, reason in (
+        (FakeRun(make(), has_mesh=False), "mesh.visible.cd_m", "the points make no surface"),
+        (Strays(make()), "mesh.whole.f1@0.3", "too many voxels"),
+        (FakeRun(make(), points=np.empty((0, 3))), "points.whole.cd_m", "no points"),
+        (FakeRun(make(looks=1), power=0.0), "images.test-17.nats_per_pixel", "noise floor"),
+        (FakeRun(make(looks=1), power=0.0), "images.test-17.log_correlation", "noise floor"),
+    ):
+        metrics = evaluate_run(run)
+        kind, part, score = key.split(".", 2)
+        assert metrics[kind][part][score] is None
+        assert reason in metrics["reasons"][key]
+        assert (metrics["points"]["visible"]["cd_m"] is None) == (len(run.points) == 0)
 
 
 def test_given_but_broken_weights_are_errors(make, tmp_path, monkeypatch):

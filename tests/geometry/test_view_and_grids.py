@@ -83,19 +83,34 @@ def test_rays_to_a_pixel():
     assert RayGrid((0.1, 0.3)).cell_area == pytest.approx(0.03)
 
 
+@given(views, st.floats(1e-3, 1e3))
+def test_a_view_towards_a_direction_is_the_view_from_there(view, length):
+    again = View.towards(length * view.direction)
+    assert 0 <= again.azimuth_deg <= 360
+    assert again.direction == pytest.approx(view.direction, abs=1e-9)
+    assert again.grazing_deg == pytest.approx(view.grazing_deg, abs=1e-6)
+
+
+def test_straight_above_is_just_beside():
+    assert View.towards(np.array([0.0, 0.0, 3.0])).grazing_deg == 89.999
+
+
 @pytest.mark.parametrize(
-    ("angles", "told"),
+    ("angles", "refusal"),
     [
         (("30", 40.0), "azimuth '30' is not a number; give degrees"),
         ((30.0, None), "grazing angle None is not a number; give degrees"),
         ((1e308, 40.0), r"azimuth 1e\+308 is not a number of degrees between ±3600"),
         ((-3600.1, 40.0), r"azimuth -3600.1 is not a number of degrees between ±3600"),
-        ((math.inf, 40.0), "azimuth inf is not a number of degrees"),
-        ((0.0, -1.0), "grazing angle -1.0° is outside"),
+        ((math.nan, 40.0), "azimuth nan is not a number of degrees"),
+        *(
+            ((0.0, grazing), rf"grazing angle {grazing}° is outside \(0°, 90°\); give degrees above the horizon")
+            for grazing in (0.0, 90.0, -1.0, math.nan)
+        ),
     ],
 )
-def test_what_is_no_direction_is_refused_in_words(angles, told):
-    with pytest.raises(SarsplatError, match=told):
+def test_what_is_no_direction_is_refused_in_words(angles, refusal):
+    with pytest.raises(SarsplatError, match=refusal):
         View(*angles)
 
 
@@ -105,18 +120,50 @@ def test_numbers_of_every_kind_are_angles():
     assert View(3600, 40).direction == pytest.approx(View(0, 40).direction, abs=1e-12)
 
 
+GRID = {"rows": 4, "columns": 4, "spacing_m": (0.2, 0.2), "resolution_m": (0.3, 0.3)}
+
+
 @pytest.mark.parametrize(
-    "wrong",
+    ("wrong", "refusal"),
     [
-        {"spacing_m": ("0.2", 0.2)},
-        {"spacing_m": 0.2},
-        {"resolution_m": (0.3, None)},
-        {"center_m": 0.0},
-        {"center_m": ("0", 0.0)},
-        {"center_m": (math.inf, 0.0)},
-        {"rows": 4.0},
+        ({"spacing_m": ("0.2", 0.2)}, r"pixel spacing \('0.2', 0.2\) must be positive and finite, in metres"),
+        ({"spacing_m": 0.2}, "pixel spacing 0.2 must be a pair of metres"),
+        ({"spacing_m": (0.1, -0.1)}, r"pixel spacing \(0.1, -0.1\) must be positive"),
+        ({"spacing_m": (0.2, 0.99e-6)}, "pixel spacing .* must be positive"),
+        ({"resolution_m": (0.3, None)}, r"resolution \(0.3, None\) must be positive"),
+        ({"resolution_m": (0.1, math.nan)}, r"resolution \(0.1, nan\) must be positive"),
+        ({"resolution_m": (1.01e6, 0.1)}, "resolution .* must be positive and finite"),
+        ({"center_m": 0.0}, "image centre 0.0 must be a pair of metres"),
+        ({"center_m": ("0", 0.0)}, r"image centre \('0', 0.0\) must be a pair of finite metres"),
+        ({"center_m": (math.inf, 0.0)}, r"image centre \(inf, 0.0\) must be a pair of finite metres"),
+        ({"center_m": (0.0, -1.01e6)}, "image centre .* must be a pair of finite metres"),
+        ({"rows": 4.0}, "4.0 × 4 pixels is not possible; give whole numbers"),
+        ({"columns": None}, "4 × None pixels is not possible; give whole numbers"),
+        ({"rows": 0}, "an image of 0 × 4 pixels is empty"),
+        ({"columns": -1}, "an image of 4 × -1 pixels is empty"),
+        ({"rows": 131_073}, "131073 × 4 pixels is too large; give at most 131072 per side"),
+        ({"columns": 131_073}, "4 × 131073 pixels is too large"),
     ],
 )
-def test_what_is_no_grid_is_refused_in_words(wrong):
-    with pytest.raises(SarsplatError):
-        ImageGrid(**{"rows": 4, "columns": 4, "spacing_m": (0.2, 0.2), "resolution_m": (0.3, 0.3), **wrong})
+def test_what_is_no_grid_is_refused_in_words(wrong, refusal):
+    with pytest.raises(SarsplatError, match=refusal):
+        ImageGrid(**{**GRID, **wrong})
+
+
+def test_rays_need_a_spacing():
+    with pytest.raises(SarsplatError, match=r"ray spacing \(0.0, 0.1\) must be positive"):
+        RayGrid((0.0, 0.1))
+
+
+def test_limits_themselves_are_grids():
+    shortest = ImageGrid(1, 131_072, (1e-6, 1e6), (1e6, 1e-6), (-1e6, 1e6))
+    assert ImageGrid(131_072, 1, *(getattr(shortest, f"{name}_m") for name in ("spacing", "resolution", "center")))
+
+
+def test_cells_and_independent_samples_are_the_coarser_of_pixel_and_resolution():
+    fine = ImageGrid(10, 20, spacing_m=(0.1, 0.2), resolution_m=(0.4, 0.8))
+    assert fine.cell_m == pytest.approx(math.sqrt(0.4 * 0.8))
+    assert fine.independent_samples == pytest.approx(10 * 20 / 16)
+    mixed = ImageGrid(10, 20, spacing_m=(0.5, 0.2), resolution_m=(0.4, 0.8))
+    assert mixed.cell_m == pytest.approx(math.sqrt(0.5 * 0.8))
+    assert mixed.independent_samples == pytest.approx(10 * 20 / 4)

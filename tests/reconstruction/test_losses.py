@@ -96,17 +96,18 @@ def test_it_takes_float64_as_it_is() -> None:
     assert torch.autograd.gradcheck(lambda power: amplitude_loss(power, truth, 2.0, 0.3), power)
 
 
-def test_ssim_agrees_with_an_independent_one() -> None:
+@pytest.mark.parametrize("size", [(40, 48), (12, 11)])
+def test_ssim_is_an_independent_one_where_the_window_fits_whole(size) -> None:
     metrics = pytest.importorskip("torchmetrics.functional.image")
     generator = torch.Generator().manual_seed(1)
-    a = torch.rand(2, 40, 48, generator=generator)
-    b = (a + 0.2 * torch.randn(2, 40, 48, generator=generator)).clamp(0, 1)
-    theirs = metrics.structural_similarity_index_measure(
-        a[:, None], b[:, None], gaussian_kernel=True, sigma=1.5, kernel_size=11, data_range=1.0
+    a = torch.rand(2, *size, generator=generator, dtype=torch.float64)
+    a[:, :, :9] *= 0.05  # dark and flat, where the constants count
+    b = (a + 0.1 * torch.randn(a.shape, generator=generator, dtype=torch.float64)).clamp(0, 1)
+    _, maps = metrics.structural_similarity_index_measure(
+        a[:, None], b[:, None], sigma=1.5, data_range=1.0, return_full_image=True
     )
-    # theirs pads the border, ours leaves it out
-    assert float(structural_similarity(a, b)) == pytest.approx(float(theirs), abs=0.02)
-    assert float(structural_similarity(a, a)) == pytest.approx(1.0, abs=1e-5)
+    assert float(structural_similarity(a, b)) == pytest.approx(float(maps[..., 5:-5, 5:-5].mean()), abs=1e-6)
+    assert float(structural_similarity(a, a)) == pytest.approx(1.0, abs=1e-12)
 
 
 def test_speckle_likelihood_is_best_at_the_mean_intensity() -> None:
@@ -128,6 +129,17 @@ def test_speckle_of_a_target_alone_has_a_likelihood_where_the_image_is_black_and
         assert (image.grad < 0)[(rendered == 0) & (power > 0)].all()  # what is missing is asked for
         found.append(value.item())
         assert value > loss(unit * power, unit * power)
+    assert found == pytest.approx([found[0]] * 3, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["default", "speckled", "measured"])
+def test_no_named_loss_depends_on_the_unit_of_power(name) -> None:
+    truth, _ = pair(2, 20, 20)
+    truth += 0.01
+    found = []
+    for unit in (1.0, 1e-6, 1e6):
+        loss = named_loss(preset(name), ImageScale(unit * float(truth.max()), unit * float(truth.mean())))
+        found.append(loss(unit * truth.flip(1), unit * truth).item())
     assert found == pytest.approx([found[0]] * 3, rel=1e-4)
 
 

@@ -141,11 +141,6 @@ def test_the_command_line_makes_the_paper_s_building(tmp_path, capsys):
 
 
 # ---- bad input -------------------------------------------------------------------------------------------------------
-def test_unknown_targets_are_told_what_there_is():
-    with pytest.raises(SarsplatError, match=r"'building-d'.*t72.*building-c"):
-        target_mesh("building-d")
-
-
 @pytest.mark.parametrize("source", ["raycast", "splat"])
 @pytest.mark.parametrize(
     ("reflectivity", "message"),

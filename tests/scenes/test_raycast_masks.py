@@ -66,24 +66,6 @@ def test_masks_of_a_box_are_those_of_its_outlines(view, grid):
     assert (mask != true).sum() < 0.05 * (true != CLUTTER).sum()
 
 
-@pytest.mark.parametrize("grazing", [20.0, 45.0])
-@pytest.mark.parametrize("spacing", [0.1, 0.3])
-def test_layover_and_shadow_have_the_lengths_of_the_geometry(grazing, spacing):
-    """A wall 4 m high, whose front is at x = 1 and faces the radar, and whose back is at x = −1."""
-    theta, height = math.radians(grazing), 4.0
-    grid = ImageGrid(round(30 / spacing), 5, (0.5, spacing), (0.5, spacing))
-    mask = raycast_mask(box(np.array([-1.0, -9, 0]), np.array([1.0, 9, height])), View(0, grazing), grid)
-    of_ground = math.cos(theta)  # slant range to a length on the ground, away from the radar
-    top_front, foot = -of_ground - height * math.sin(theta), -of_ground
-    top_back = of_ground - height * math.sin(theta)
-    end = (1 + height / math.tan(theta)) * of_ground
-    assert (mask == mask[:, :1]).all()
-    lit, shadow = (grid.range_m[(mask == kind).any(axis=1)] for kind in (TARGET, SHADOW))
-    for rows, begin, stop in ((lit, top_front, max(foot, top_back)), (shadow, max(foot, top_back), end)):
-        assert np.diff(rows) == pytest.approx(spacing)
-        assert (rows[0] - spacing / 2, rows[-1] + spacing / 2) == pytest.approx((begin, stop), abs=0.95 * spacing)
-
-
 @pytest.mark.parametrize("grazing", [5.0, 15.0, 45.0, 85.0])
 def test_surfaces_have_no_holes(grazing):
     """Rays lie far apart in range on a roof seen at a low angle, and on a wall seen from above."""
