@@ -33,7 +33,7 @@ MODULES = (
     "reconstruction",
     "renderer",
     "report",
-    "rivals",
+    "baselines",
     "scenes",
 )
 
