@@ -57,8 +57,10 @@ def write_index(out: Path, quick: bool) -> None:
             parts += [f"\n{text.removeprefix(_FOUND)}\n" for text in said]
         else:
             parts.append(f"\n## {experiment.title}\n\nNot run yet: `make tables ONLY={experiment.name}`.\n")
-    if (out / "rivals.md").is_file():
-        parts.append("\n## [Rivals](rivals.md)\n\nSAR-NeRF and DSR on the same images, written by `make rivals`.\n")
+    if (out / "baselines.md").is_file():
+        parts.append(
+            "\n## [Baselines](baselines.md)\n\nSAR-NeRF and DSR on the same images, written by `make baselines`.\n"
+        )
     _write(out / "README.md", "".join(parts))
 
 

@@ -22,7 +22,7 @@ ORDER = (
     ("scenes", "data"),
     ("importers",),
     ("reconstruction",),
-    ("radar", "rivals"),
+    ("radar", "baselines"),
     ("evaluation",),
     ("exports",),
     ("report",),

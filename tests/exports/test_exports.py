@@ -13,11 +13,11 @@ import trimesh
 
 from datasets import FEW_POINTS, box_dataset
 from sarsplat import Dataset, ImageGrid
+from sarsplat.baselines import METHODS, reconstruct_with
 from sarsplat.data import read_gaussians_ply
 from sarsplat.errors import SarsplatError
 from sarsplat.exports import FORMATS, export, format_of
 from sarsplat.reconstruction import Run, preset, reconstruct
-from sarsplat.rivals import METHODS, reconstruct_with
 
 
 @pytest.fixture(scope="module")

@@ -116,8 +116,8 @@ def test_a_run_that_is_overwritten_keeps_its_log_until_the_new_one_is_there(data
 
 
 def test_other_methods_are_logged_too(dataset: Dataset, tmp_path: Path) -> None:
-    from sarsplat.rivals import reconstruct_with
-    from sarsplat.rivals.methods import method_named
+    from sarsplat.baselines import reconstruct_with
+    from sarsplat.baselines.methods import method_named
 
     settings = replace(method_named("sar-nerf-grid").settings, iterations=3)
     reconstruct_with(

@@ -35,8 +35,8 @@ def compare(
         Replace an existing comparison.
     """
     from sarsplat import report
+    from sarsplat.baselines import open_run
     from sarsplat.report.compare import PAGE
-    from sarsplat.rivals import open_run
 
     if out is not None:
         refuse_existing(out, overwrite, marker=PAGE)

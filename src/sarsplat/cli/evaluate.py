@@ -34,6 +34,7 @@ def evaluate(
     lpips_weights
         Folder of the LPIPS weights (default: SARSPLAT_LPIPS_WEIGHTS); without weights, LPIPS is skipped.
     """
+    from sarsplat.baselines import open_run
     from sarsplat.evaluation import (
         NOT_THE_SAME_EXPERIMENT,
         Yardstick,
@@ -44,7 +45,6 @@ def evaluate(
     )
     from sarsplat.report import write_report
     from sarsplat.report.write import refuse_linked_report
-    from sarsplat.rivals import open_run
 
     done = open_run(run)
     refuse_linked_report(run)

@@ -40,8 +40,8 @@ def export(
         Replace an existing file of the same kind.
     """
     from sarsplat import exports
+    from sarsplat.baselines import open_run
     from sarsplat.data.replaceable import refuse_other_kinds
-    from sarsplat.rivals import open_run
 
     known, _ = exports.format_of(file, format)
     done = open_run(run)

@@ -15,7 +15,7 @@ EXTRAS: dict[str, dict[str, str]] = {
         "trimesh": "trimesh",
         "embreex": "embreex",
     },
-    "rivals": {"trimesh": "trimesh", "skimage": "scikit-image", "embreex": "embreex"},
+    "baselines": {"trimesh": "trimesh", "skimage": "scikit-image", "embreex": "embreex"},
     "view": {"viser": "viser", "websockets": "websockets", "matplotlib": "matplotlib", "trimesh": "trimesh"},
     "report": {"matplotlib": "matplotlib", "jinja2": "jinja2", "trimesh": "trimesh", "skimage": "scikit-image"},
     "sicd": {"sarkit": "sarkit", "lxml": "lxml"},

@@ -113,7 +113,7 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
 
 
 def _run(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.rivals import open_run
+    from sarsplat.baselines import open_run
 
     run = open_run(path)
     where = run.dataset_path

@@ -14,7 +14,7 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import DEFAULT_PORT, MARKERS, Folder, OptionalFile, OptionalFolder, refuse_existing
-from sarsplat.cli.rival import MethodName, asked_method, reconstruct_by, settings_in
+from sarsplat.cli.baseline import MethodName, asked_method, reconstruct_by, settings_in
 from sarsplat.cli.watch import watched
 from sarsplat.errors import SarsplatError
 from sarsplat.reconstruction.config import OURS, Config, Densification, Surroundings
@@ -60,7 +60,7 @@ class Options:
     print_config
         Print the settings as JSON and exit.
     method
-        What learns: sar-gs, our Gaussians, or to compare with it sar-nerf, sar-nerf-grid or dsr (docs/rivals.md);
+        What learns: sar-gs, our Gaussians, or to compare with it sar-nerf, sar-nerf-grid or dsr (docs/baselines.md);
         --resume goes on with the run's. Only --iterations, --views-per-step, --checkpoint-every and --seed are options
         of these; their other settings are in the file that --print-config writes.
     masks

@@ -80,12 +80,12 @@ def render(
     overwrite
         Replace an existing folder of rendered images, or an existing file of the same kind.
     """
+    from sarsplat.baselines import open_run
     from sarsplat.data.replaceable import refuse_other_kinds
     from sarsplat.report.animation import ANIMATIONS
     from sarsplat.report.decibels import Look, to_decibels
     from sarsplat.report.render_grid import asked_grid
     from sarsplat.report.rendered import FILES, SHEET, Rendered, require_distinct, require_output
-    from sarsplat.rivals import open_run
 
     views = None if sweep else views_from(azimuth, grazing, incidence)
     require_output(out, frames if views is None else len(views))

@@ -16,8 +16,8 @@ def report(run: RunFolder) -> None:
     run
         Folder written by `sarsplat reconstruct`.
     """
+    from sarsplat.baselines import open_run
     from sarsplat.report import write_report
-    from sarsplat.rivals import open_run
 
     done = open_run(run)
     with console.busy(f"writing the report of {run}"):

@@ -50,7 +50,7 @@ class Run(AnyRun[Config]):
         if header.method != OURS:
             raise SarsplatError(
                 f"{source} is of a run by the method {shown(header.method)}, which learned no Gaussians; give a run by "
-                f"{OURS}, or open it with sarsplat.rivals.open_run"
+                f"{OURS}, or open it with sarsplat.baselines.open_run"
             )
         return {"config": Config.from_dict(header.config, source)}
 

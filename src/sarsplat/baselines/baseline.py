@@ -1,0 +1,112 @@
+"""What another method has to offer to be trained, rendered and scored as ours is."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float64, Int64, UInt8
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, View
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What a dataset fixes for a method that learns from its training images.
+
+    Parameters
+    ----------
+    views : tuple of View
+        Of the training images.
+    grid : ImageGrid
+        Where the pixels of every image lie.
+    low_m, high_m : numpy.ndarray, float64 [3]
+        Corners of the box the target lies in, world frame, m.
+    unit : float
+        Power that counts as 1.
+    masks : numpy.ndarray, uint8 [V, rows, columns], or None
+        What each pixel of the training images shows: 0 clutter, 1 target, 2 shadow; None if that is not known.
+    brightest : float
+        Largest power of a training image, in that unit.
+    ground : bool
+        Whether the images show the ground around the target.
+    looks : float or None
+        Number of looks of the speckle in the training images; None if there is none.
+
+    Raises
+    ------
+    SarsplatError
+        If there are no views, the box is empty, or the unit or the brightest power is not positive.
+    """
+
+    views: tuple[View, ...]
+    grid: ImageGrid
+    low_m: Float64[np.ndarray, " 3"]
+    high_m: Float64[np.ndarray, " 3"]
+    unit: float
+    masks: UInt8[np.ndarray, "v rows columns"] | None = None
+    brightest: float = 1.0
+    ground: bool = False
+    looks: float | None = None
+
+    def __post_init__(self) -> None:
+        if not self.views:
+            raise SarsplatError("there are no training views to learn from; give at least one training image")
+        corners = np.array([self.low_m, self.high_m])
+        if corners.shape != (2, 3) or not np.isfinite(corners).all() or not (corners[0] < corners[1]).all():
+            raise SarsplatError(
+                f"the target's box from {self.low_m} to {self.high_m} m is empty or not finite; "
+                "the training images show too little of a target"
+            )
+        if self.looks is not None and not 0 < self.looks < float("inf"):
+            raise SarsplatError(f"the number of looks {self.looks} is not positive and finite; None means no speckle")
+        for name in ("unit", "brightest"):
+            value = getattr(self, name)
+            if not 0 < value < float("inf"):  # also catches NaN
+                raise SarsplatError(
+                    f"the {name} power {value} is not positive and finite; give images that are not black"
+                )
+
+
+class Baseline(torch.nn.Module, ABC):
+    """A method that learns from the training images of a dataset and then renders any view."""
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__()
+        self.scene = scene
+
+    @abstractmethod
+    def loss(
+        self, chosen: Int64[Tensor, " v"], images: Float[Tensor, "v rows columns"], generator: torch.Generator
+    ) -> Float[Tensor, ""]:
+        """What training minimises.
+
+        Parameters
+        ----------
+        chosen : Tensor, int64 [V]
+            Which of the training images to look at.
+        images : Tensor [V, rows, columns]
+            Their β⁰, linear power, in units of `Scene.unit`.
+        generator : torch.Generator
+            Of every random number that is drawn; on the CPU.
+        """
+
+    @abstractmethod
+    def optimiser(self) -> torch.optim.Adam:
+        """A new optimiser of all parameters, each of which every step changes."""
+
+    @abstractmethod
+    def rate(self, iteration: int) -> float:
+        """Factor on the optimiser's learning rates after so many iterations."""
+
+    @abstractmethod
+    def image(self, view: View) -> Float[Tensor, "rows columns"]:
+        """β⁰ from a view, linear power, in units of `Scene.unit`, differentiable, [rows, columns]."""
+
+    @abstractmethod
+    def surface(self) -> tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, "f 3"]]:
+        """Triangle mesh of the target: vertices, float64 [N, 3], world frame, m; and faces, int64 [F, 3]."""

@@ -1,0 +1,168 @@
+"""DSR: a closed mesh deformed until it looks as the target does, through soft rasterisation in two planes.
+
+After Fu & Xu, "Differentiable SAR renderer and image-based target reconstruction", IEEE TIP 2022; what was not
+published is listed in docs/baselines-dsr.md.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float64, Int64
+from scipy.stats import gamma
+from torch import Tensor
+
+from sarsplat.baselines.baseline import Baseline, Scene
+from sarsplat.baselines.dsr_config import DsrConfig
+from sarsplat.baselines.mesh_renderer import Layers, MeshRenderer
+from sarsplat.baselines.regularity import flatten_loss, iou_loss, laplacian_loss, ordered_sum
+from sarsplat.baselines.template import sphere
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import SHADOW, TARGET, View
+
+_HALF_FIELD, _DEPTH_RANGE = 1.58, 99.0
+"""What σ and γ refer to, in longest sides of the target: as in soft rasterisation's usual scenes, where an object of
+side 1 stands in a field of view that is ±1.58 there (±30° from 2.73 away), between depths of 1 and 100."""
+
+_DIMMEST = 1e-5
+"""Added to powers before their root is taken, relative to the brightest: −50 dB."""
+
+_START_GAMMA0 = 0.01
+"""Of the faces, relative to the brightest power: −20 dB."""
+
+_START_GROUND, _START_FLOOR = 1.0, 0.1
+"""Of the ground around the target, most of such an image, and of the noise: relative to `Scene.unit`."""
+
+_SLOWDOWN = 0.1
+"""Learning rates at the end, relative to those at the start."""
+
+
+class Dsr(Baseline):
+    """The differentiable SAR renderer on a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        With masks.
+    config : DsrConfig
+        Settings.
+
+    Raises
+    ------
+    SarsplatError
+        If the scene has no masks, or no mask shows the target.
+    """
+
+    faces: Tensor
+    edges: Tensor
+    flaps: Tensor
+    start: Tensor
+    masks: Tensor
+    log_ground: torch.nn.Parameter | None
+    log_floor: torch.nn.Parameter | None
+
+    def __init__(self, scene: Scene, config: DsrConfig) -> None:
+        super().__init__(scene)
+        self.config = config
+        template = sphere(config.vertices)
+        sides = scene.high_m - scene.low_m
+        self._longest_m = float(sides.max())
+        self._center_m = (scene.low_m + scene.high_m) / 2
+        self.register_buffer("start", torch.from_numpy(template.vertices * sides / 2 / self._longest_m).float())
+        self.register_buffer("faces", torch.from_numpy(template.faces), persistent=False)
+        self.register_buffer("edges", torch.from_numpy(template.edges), persistent=False)
+        self.register_buffer("flaps", torch.from_numpy(template.flaps), persistent=False)
+        self.register_buffer("masks", _checked_masks(scene), persistent=False)
+        self.moved = torch.nn.Parameter(torch.zeros_like(self.start))
+        self.log_gamma0 = torch.nn.Parameter(
+            torch.full((len(template.faces),), math.log(_START_GAMMA0 * scene.brightest))
+        )
+        self.log_ground = self.log_floor = None
+        if scene.ground:
+            self.log_ground = torch.nn.Parameter(torch.tensor(math.log(_START_GROUND)))
+            self.log_floor = torch.nn.Parameter(torch.tensor(math.log(_START_FLOOR)))
+        self._median = 1.0 if scene.looks is None else float(gamma.median(scene.looks)) / scene.looks
+        softness_m = math.sqrt(config.sigma) * _HALF_FIELD * self._longest_m
+        self.renderer = MeshRenderer(scene.grid, softness_m, config.gamma * _DEPTH_RANGE * self._longest_m)
+
+    def loss(
+        self, chosen: Int64[Tensor, " v"], images: Float[Tensor, "v rows columns"], generator: torch.Generator
+    ) -> Float[Tensor, ""]:
+        """Mean over the images of the losses of masks and image, and what keeps the mesh smooth.
+
+        The image's is the mean difference of amplitudes, relative to their sum in the target's mask. It is least for
+        the median, so with speckle the rendered mean power is taken for what its median would be.
+        """
+        config, points = self.config, self._points()
+        dimmest, least = _DIMMEST * self.scene.brightest, math.sqrt(self.scene.brightest)
+        total = points.new_zeros(())
+        for index, power in zip(chosen.tolist(), images, strict=True):
+            view, mask = self.scene.views[index], self.masks[index]
+            layers = self._layers(points, view)
+            target, shadow = ((mask == kind).to(points.dtype) for kind in (TARGET, SHADOW))
+            total = total + config.lit * iou_loss(layers.lit, target)
+            if bool(shadow.any()):  # without ground, nothing is known of the shadow
+                total = total + config.shadow * iou_loss(layers.shadow, shadow)
+            true = (power + dimmest).sqrt()
+            away = ((self._median * self._whole(layers, view) + dimmest).sqrt() - true).abs()
+            total = total + config.image * ordered_sum(away) / ordered_sum(true * target).clamp(min=least)
+        shape = self.start + self.moved
+        smooth = config.laplacian * laplacian_loss(shape, self.edges)
+        flat = config.flatten * flatten_loss(shape, self.faces, self.flaps)
+        return total / len(chosen) + smooth + flat
+
+    def optimiser(self) -> torch.optim.Adam:
+        """Adam, with a rate for the vertices and one for scattering, ground and noise."""
+        others = [one for name, one in self.named_parameters() if name != "moved"]
+        groups: list[dict[str, Any]] = [{"params": [self.moved]}, {"params": others, "lr": self.config.scattering_rate}]
+        return torch.optim.Adam(groups, self.config.learning_rate, betas=self.config.betas)
+
+    def rate(self, iteration: int) -> float:
+        """Falls exponentially in the whole training."""
+        return _SLOWDOWN ** (iteration / self.config.iterations)
+
+    def image(self, view: View) -> Float[Tensor, "rows columns"]:
+        """β⁰ of target, ground and noise in units of `Scene.unit`, linear power, row 0 near range."""
+        return self._whole(self.layers(view), view)
+
+    def layers(self, view: View) -> Layers:
+        """What the mesh does to the image of a view, without ground and noise."""
+        return self._layers(self._points(), view)
+
+    def surface(self) -> tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, "f 3"]]:
+        """Vertices, m, world frame, and triangles, counter-clockwise seen from outside."""
+        return self._points().detach().double().cpu().numpy(), self.faces.cpu().numpy()
+
+    def _layers(self, points: Float[Tensor, "n 3"], view: View) -> Layers:
+        return self.renderer.layers(points, self.faces, self.log_gamma0.exp(), view)
+
+    def _points(self) -> Float[Tensor, "n 3"]:
+        points = self.moved.new_tensor(self._center_m) + self._longest_m * (self.start + self.moved)
+        return torch.cat([points[:, :2], points[:, 2:].clamp(min=0)], dim=1)  # the radar sees nothing below the ground
+
+    def _whole(self, layers: Layers, view: View) -> Float[Tensor, "rows columns"]:
+        if self.log_ground is None or self.log_floor is None:
+            return layers.target
+        ground = self.log_ground.exp() * math.tan(math.radians(view.grazing_deg))
+        return layers.target + ground * (1 - layers.hidden) + self.log_floor.exp()
+
+
+def _checked_masks(scene: Scene) -> Tensor:
+    if scene.masks is None:
+        raise SarsplatError(
+            "DSR learns from masks of the lit target and of its shadow, which were not given; give their folder with "
+            "--masks (`sarsplat simulate --masks` makes them for simulated images), or choose another method"
+        )
+    expected = (len(scene.views), scene.grid.rows, scene.grid.columns)
+    if scene.masks.shape != expected:
+        raise SarsplatError(
+            f"the masks are of shape {scene.masks.shape}, the training images {expected}; give one each"
+        )
+    if scene.masks.max() > SHADOW:
+        raise SarsplatError(f"a mask holds the number {scene.masks.max()}; masks are 0 clutter, 1 target and 2 shadow")
+    if not (scene.masks == TARGET).any():
+        raise SarsplatError("no mask shows the target (1), so DSR has nothing to learn from; give masks that do")
+    return torch.from_numpy(scene.masks.copy())

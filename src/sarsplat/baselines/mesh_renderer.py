@@ -1,0 +1,249 @@
+"""A triangle mesh as the radar sees it, softly: occlusion on a plane facing the radar, the image on azimuth × range.
+
+After Fu & Xu, "Differentiable SAR renderer and image-based target reconstruction", IEEE TIP 2022; what was not
+published is listed in docs/baselines-dsr.md.
+
+The cross-section of a face is σ_f = γ⁰_f·A_f·max(cos i, 0)·v_f, with A_f its area, i the angle between its normal and
+the direction to the radar and v_f in [0, 1] the share of it that the radar sees. It is shared between the pixels as the
+face covers them on the mapping plane, so that ΣS·Δa·Δr = Σσ_f for faces that lie within the image.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor
+from torch.nn.functional import logsigmoid
+
+from sarsplat.baselines.regularity import face_normals, gathered
+from sarsplat.baselines.soft_raster import Coverage, Lattice, grouped_softmax, picked, soft_coverage
+from sarsplat.geometry import ImageGrid, View, radar_frame
+
+_GRAZED = 0.1
+"""A face is a full part of the mask from this cosine of incidence on."""
+
+_TAME = 0.1
+"""Areas below this many σ, on the plane facing the radar, lose their slope: they are seen edge-on."""
+
+_MOST_PARTS = 4
+"""Pixels of both planes along the side of one of the image, at most."""
+
+
+@dataclass(frozen=True)
+class Layers:
+    """What the mesh does to an image.
+
+    Attributes
+    ----------
+    target : Tensor [rows, columns]
+        β⁰ of the lit faces in units of `Scene.unit`.
+    lit : Tensor [rows, columns]
+        Share of each pixel in which a lit face appears.
+    hidden : Tensor [rows, columns]
+        Share of each pixel's flat ground (z = 0) that the target hides from the radar.
+    sections : Tensor [F]
+        Radar cross-section of each face in m² times the unit.
+    """
+
+    target: Float[Tensor, "rows columns"]
+    lit: Float[Tensor, "rows columns"]
+    hidden: Float[Tensor, "rows columns"]
+    sections: Float[Tensor, " f"]
+
+    @property
+    def shadow(self) -> Float[Tensor, "rows columns"]:
+        """Hidden ground where no lit face appears."""
+        return self.hidden * (1 - self.lit)
+
+
+@dataclass(frozen=True)
+class MeshRenderer:
+    """Renders closed meshes on one grid.
+
+    Parameters
+    ----------
+    grid : ImageGrid
+        Where the pixels lie, and the response.
+    softness_m : float
+        √σ of the coverage on all planes, m.
+    gamma_m : float
+        How far a face may lie behind another and still be seen: e-fold in depth, m.
+    """
+
+    grid: ImageGrid
+    softness_m: float
+    gamma_m: float
+
+    def layers(
+        self, points: Float[Tensor, "n 3"], faces: Int64[Tensor, "f 3"], gamma0: Float[Tensor, " f"], view: View
+    ) -> Layers:
+        """What a mesh does to an image.
+
+        Parameters
+        ----------
+        points : Tensor [N, 3]
+            Vertices, m, world frame.
+        faces : Tensor, int64 [F, 3]
+            Triangles, counter-clockwise seen from outside; only from there they are seen.
+        gamma0 : Tensor [F]
+            γ⁰ of each: cross-section per area projected along the line of sight.
+        view : View
+            From where.
+
+        Returns
+        -------
+        Layers
+            Differentiable in `points` and `gamma0`, with the share of each face that the radar sees held fixed.
+
+        Raises
+        ------
+        SarsplatError
+            If a vertex is not finite.
+        """
+        frame = torch.as_tensor(radar_frame(view), dtype=points.dtype, device=points.device)
+        seen = points @ frame.T
+        across, up, away = seen.unbind(1)
+        normals = face_normals(seen, faces)
+        areas = -normals[:, 2] / 2  # projected along the line of sight, m²; negative where turned away
+        facing = torch.nonzero(areas.detach() > 0).reshape(-1)
+        with (
+            torch.no_grad()
+        ):  # its slope is mostly noise, from faces smaller than the pixels: see docs/baselines-dsr.md
+            visible = self._visible(seen, faces[facing])
+        sections = picked(gamma0 * areas, facing) * visible
+
+        lattice = self._mapping
+        mapped = soft_coverage(_corners(across, away, faces[facing]), lattice, self.softness_m)
+        power = picked(sections, mapped.face) * mapped.shares() / math.prod(lattice.step_m)
+        target = self._responded(mapped.onto_pixels(power).reshape(lattice.rows, lattice.columns))
+        cosine = picked(2 * areas / (normals.square().sum(1) + 1e-20).sqrt(), facing)
+        lit = self._averaged(mapped.union(visible * (cosine / _GRAZED).clamp(max=1)))
+
+        # along its ray, a point's shadow reaches the ground at the range y_r / tan θ
+        fallen = up / math.tan(math.radians(view.grazing_deg))
+        shaded = soft_coverage(_corners(across, fallen, faces[facing]), lattice, self.softness_m)
+        hidden = self._averaged(shaded.union())
+        return Layers(target, lit, hidden, torch.zeros_like(areas).index_add(0, facing, sections))
+
+    def _visible(self, seen: Float[Tensor, "n 3"], faces: Int64[Tensor, "f 3"]) -> Float[Tensor, " f"]:
+        """Share of each face turned to the radar that it sees, on the plane facing it.
+
+        On a closed surface those turned away lie behind others, and hide nothing.
+        """
+        if len(faces) == 0:
+            return seen.new_zeros(0)
+        step_m = min(width / parts for width, parts in zip(self.grid.spacing_m, self._parts, strict=True))
+        lattice = Lattice.around(seen[:, :2], step_m)
+        plane = soft_coverage(_corners(seen[:, 0], seen[:, 1], faces), lattice, self.softness_m)
+        level, nearest, farthest, slope = self._depths(seen, faces, plane, lattice)
+        covered = logsigmoid(plane.signed)
+        # beside its outline a face's plane goes on, but never nearer to the radar as what hides, nor farther as what is
+        # hidden: else faces seen at a slant would hide those behind them on the same surface
+        hiding, own = torch.maximum(level, nearest), torch.minimum(level, farthest)
+        weight = grouped_softmax(covered - hiding / self.gamma_m, plane.pixel, plane.pixels + 1)
+        front = picked(torch.cat([plane.onto_pixels(weight * hiding), level.new_zeros(1)]), plane.pixel)
+        # how much of the pixel the nearest surface covers, twice: what is closed has a back; far beyond an edge it is
+        # the nearest, too, but hides little
+        layer = torch.exp(-(hiding - front).clamp(min=0) / self.gamma_m)
+        shut = -torch.expm1(2 * plane.onto_pixels(layer * logsigmoid(-plane.signed)))
+        shut = picked(torch.cat([shut, shut.new_zeros(1)]), plane.pixel)
+        # a face that slopes away lies behind its own neighbours by as much as edges are soft
+        allowed = self.gamma_m + picked(slope, plane.face) * self.softness_m
+        seen_through = 1 + shut * torch.expm1(-(own - front - allowed).clamp(min=0) / self.gamma_m)
+        within = covered.masked_fill(plane.pixel == plane.pixels, -math.inf)  # every face has a pixel on the lattice
+        return plane.onto_faces(grouped_softmax(within, plane.face, plane.faces) * seen_through)
+
+    def _depths(
+        self,
+        seen: Float[Tensor, "n 3"],
+        faces: Int64[Tensor, "f 3"],
+        plane: Coverage,
+        lattice: Lattice,
+    ) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"], Float[Tensor, " p"], Float[Tensor, " f"]]:
+        """Range of faces' planes at their pixels, of their nearest and farthest corners, m; their slopes."""
+        face, pixel = plane.face, plane.pixel
+        a, b, c = (gathered(seen, faces[:, k]) for k in range(3))
+        first, second = b - a, c - a
+        area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+        inverse = area / (area**2 + (_TAME * self.softness_m**2) ** 2)  # tame where a face is seen edge-on
+        slope_x = (first[:, 2] * second[:, 1] - second[:, 2] * first[:, 1]) * inverse
+        slope_y = (second[:, 2] * first[:, 0] - first[:, 2] * second[:, 0]) * inverse
+        middle = (a + b + c) / 3
+        depths = torch.stack([a[:, 2], b[:, 2], c[:, 2]])
+        column = (pixel % lattice.columns).to(seen.dtype)
+        row = torch.div(pixel, lattice.columns, rounding_mode="floor").to(seen.dtype)
+        across = column * lattice.step_m[0] + lattice.first_m[0] - picked(middle[:, 0], face)
+        along = row * lattice.step_m[1] + lattice.first_m[1] - picked(middle[:, 1], face)
+        level = picked(middle[:, 2], face) + picked(slope_x, face) * across + picked(slope_y, face) * along
+        steepness = (slope_x**2 + slope_y**2 + 1e-12).sqrt()
+        return level, picked(depths.amin(0), face), picked(depths.amax(0), face), steepness
+
+    @property
+    def _parts(self) -> tuple[int, int]:
+        """Pixels of the mapping plane in one of the image, across and along: none much coarser than edges are soft."""
+        across, along = (max(1, math.ceil(step / (2 * self.softness_m))) for step in self.grid.spacing_m)
+        return min(across, _MOST_PARTS), min(along, _MOST_PARTS)
+
+    @property
+    def _kernels(self) -> list[list[float]]:
+        """Weights, across and along, of the mapping plane's pixels around the middle of one of the image.
+
+        They are what the system's response is wider than soft edges.
+        """
+        kernels = []
+        for step, response, parts in zip(self.grid.spacing_m, self.grid.response_variance_m2, self._parts, strict=True):
+            variance = max(response - self.softness_m**2, (0.5 * step / parts) ** 2)
+            if parts == 1 and variance == (0.5 * step) ** 2:
+                kernels.append([1.0])
+                continue
+            reach = math.ceil(3 * math.sqrt(variance) / step)  # whole pixels beyond this one
+            offsets = [((2 * reach + 1) * parts - 1) / 2 - k for k in range((2 * reach + 1) * parts)]
+            weights = [math.exp(-((offset * step / parts) ** 2) / (2 * variance)) for offset in offsets]
+            kernels.append([weight / sum(weights) for weight in weights])
+        return kernels
+
+    @property
+    def _margins(self) -> tuple[int, int]:
+        """Pixels of the image that the mapping plane reaches beyond it on each side."""
+        across, along = (
+            (len(kernel) // parts - 1) // 2 for kernel, parts in zip(self._kernels, self._parts, strict=True)
+        )
+        return across, along
+
+    @property
+    def _mapping(self) -> Lattice:
+        """The mapping plane: azimuth across, slant range along."""
+        firsts, steps, sizes = [], [], []
+        image = Lattice.of(self.grid)
+        for first, step, size, parts, margin in zip(
+            image.first_m, image.step_m, (image.columns, image.rows), self._parts, self._margins, strict=True
+        ):
+            firsts.append(first - (margin + 0.5) * step + 0.5 * step / parts)
+            steps.append(step / parts)
+            sizes.append((size + 2 * margin) * parts)
+        return Lattice((firsts[0], firsts[1]), (steps[0], steps[1]), sizes[0], sizes[1])
+
+    def _responded(self, power: Float[Tensor, "fine_rows fine_columns"]) -> Float[Tensor, "rows columns"]:
+        """From the mapping plane to the image, in an order that does not depend on the number of threads."""
+        across, along = self._kernels
+        parts_across, parts_along = self._parts
+        ends = (self.grid.rows - 1) * parts_along + 1, (self.grid.columns - 1) * parts_across + 1
+        power = torch.stack([w * power[k : k + ends[0] : parts_along] for k, w in enumerate(along)]).sum(0)
+        return torch.stack([w * power[:, k : k + ends[1] : parts_across] for k, w in enumerate(across)]).sum(0)
+
+    def _averaged(self, mask: Float[Tensor, " fine"]) -> Float[Tensor, "rows columns"]:
+        """Share of each pixel of the image, from the mapping plane."""
+        (across, along), (beside, beyond) = self._parts, self._margins
+        rows, columns = self.grid.rows, self.grid.columns
+        fine = mask.reshape(rows + 2 * beyond, along, columns + 2 * beside, across)
+        return fine[beyond : beyond + rows, :, beside : beside + columns].mean(dim=(1, 3))
+
+
+def _corners(
+    across: Float[Tensor, " n"], along: Float[Tensor, " n"], faces: Int64[Tensor, "f 3"]
+) -> Float[Tensor, "f 3 2"]:
+    index = faces.reshape(-1)
+    return torch.stack([picked(across, index), picked(along, index)], dim=1).reshape(-1, 3, 2)

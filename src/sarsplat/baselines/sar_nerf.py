@@ -1,0 +1,277 @@
+"""SAR-NeRF: a field of attenuation and scattering, imaged along rays in azimuth, range and elevation.
+
+After Z. Lei, F. Xu et al., "SAR-NeRF: Neural Radiance Fields for Synthetic Aperture Radar Multi-View Representation".
+`docs/baselines-sar-nerf.md` lists every choice.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float64, Int64
+from torch import Tensor
+from torch.nn import functional
+from torch.utils.checkpoint import checkpoint
+
+from sarsplat.baselines.baseline import Baseline, Scene
+from sarsplat.baselines.fields import Field, Lattices, Perceptron, VoxelGrid
+from sarsplat.baselines.isosurface import isosurface, level_of_half
+from sarsplat.baselines.rays import Rays
+from sarsplat.baselines.sar_nerf_config import SarNerfConfig, SarNerfGridConfig
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians.ground import ground_radius_m
+from sarsplat.geometry import View
+
+_CLEAR = -4.0
+"""Added to the attenuation before its activation: e⁻⁴ per resolution cell lets light through at first."""
+
+_DIM = -2.0
+"""Added to the scattering before its activation."""
+
+_PUBLISHED_GRID = (0.02, -4.0)
+"""The same for the published activations over a grid, which is 0 at first: ReLU must start where it has a slope."""
+
+_SOFTENED = 1e-3
+"""Amplitude, of the brightest, below which the root of a rendered power is softened: it has no slope at zero."""
+
+_FLOOR = 1e-4
+"""Power, of the brightest, added to images of nothing but a target for the speckle's logarithm …"""
+
+_LEAST_NOISE = 1e-3
+"""… and, of their mean, to images of ground, beside the learned noise floor."""
+
+_FIRST_NOISE = 0.05
+
+_VIEWS_PER_HARMONIC = 2
+"""Of speckled images, at least."""
+
+_NOISE_RATE = 2e-3
+"""Of Adam for the noise floor: a faster one takes the clutter's place before there is ground, and shadows are lost."""
+
+
+class SarNerf(Baseline):
+    """SAR-NeRF on a scene.
+
+    With `config.mode` "published", the field gives an attenuation α per range cell and a scattering S ≤ 1, and
+
+        amplitude(a, r) = A·Σ_k S·exp(−Σ_{r' ≤ r} α)          power = amplitude²,  A the brightest training amplitude
+
+    With "sound", α is per metre, τ = 2·α·Δr, S is γ⁰, a ray stands for the height δy across the line of sight, and
+
+        β⁰(a, r) = Σ_k S·(δy/Δr)·exp(−Σ_{r' < r} τ)·(1 − exp(−τ))
+
+    The field ends at the box of the target and, with ground, at that of all ground that images show; the published
+    perceptron's does not end.
+
+    Parameters
+    ----------
+    scene : Scene
+        What the dataset fixes.
+    config : SarNerfConfig
+        How it is learned.
+    """
+
+    def __init__(self, scene: Scene, config: SarNerfConfig) -> None:
+        super().__init__(scene)
+        self.config = config
+        self._boxes = scene_boxes(scene)
+        self.low_m = np.min([low for low, _ in self._boxes], axis=0)
+        self.high_m = np.max([high for _, high in self._boxes], axis=0)
+        self._sound = config.mode == "sound"
+        self._speckled = self._sound and scene.looks is not None
+        self._grid = config if isinstance(config, SarNerfGridConfig) else None
+        self._endless = self._grid is None and not self._sound
+        self.field = self._new_field()
+        self.log_noise = (
+            torch.nn.Parameter(torch.tensor(math.log(_FIRST_NOISE))) if self._speckled and scene.ground else None
+        )
+
+    def _new_field(self) -> Field:
+        side = self.high_m - self.low_m
+        if self._grid is not None:
+            cell, degree = self.scene.grid.cell_m, self._grid.degree
+            if self._speckled:  # or it would learn the speckle of each image
+                degree = max(0, min(degree, math.isqrt(len(self.scene.views) // _VIEWS_PER_HARMONIC) - 1))
+            target, *ground = self._boxes
+            lattices = [Lattices(*target, self._grid.voxel * cell), *(Lattices(*box, cell) for box in ground)]
+            return VoxelGrid(lattices, self._grid.levels, degree)
+        generator = torch.Generator().manual_seed(self.config.seed)
+        if self._sound:
+            return Perceptron((self.low_m + self.high_m) / 2, float(side.max()) / 2, generator)
+        return Perceptron(np.zeros(3), 1.0, generator)
+
+    def loss(
+        self, chosen: Int64[Tensor, " v"], images: Float[Tensor, "v rows columns"], generator: torch.Generator
+    ) -> Float[Tensor, ""]:
+        """See `Baseline`: the squared difference of amplitudes, of the brightest; or if sound, speckle's likelihood."""
+        views = [self.scene.views[index] for index in chosen.tolist()]
+        power = torch.stack([self._image(view, generator) for view in views])
+        if torch.is_grad_enabled() and not power.requires_grad:
+            raise SarsplatError(
+                f"the box from {self.low_m} to {self.high_m} m appears in none of the {len(views)} training images; "
+                "give the box of a target that they show"
+            )
+        images = images.to(power)
+        if self._speckled and self.scene.looks is not None:
+            floor = _LEAST_NOISE if self.scene.ground else _FLOOR * self.scene.brightest
+            nats = _mean((power + floor).log() + (images + floor) / (power + floor))
+            if self._grid is None or not isinstance(self.field, VoxelGrid):
+                return nats
+            samples = len(self.scene.views) * self.scene.grid.independent_samples * self.scene.looks
+            return nats + self._grid.total_variation / samples * self.field.total_variation()
+        brightest = self.scene.brightest
+        if self._sound:
+            amplitude = (power / brightest + _SOFTENED**2).sqrt()
+            return _mean((amplitude - (images / brightest + _SOFTENED**2).sqrt()) ** 2)
+        return _mean((_amplitude(power / brightest) - (images / brightest).sqrt()) ** 2)
+
+    def optimiser(self) -> torch.optim.Adam:
+        """See `Baseline`: Adam, slower for the noise floor."""
+        rate = self.config.learning_rate
+        groups = [{"params": list(self.field.parameters()), "lr": rate}]
+        if self.log_noise is not None:
+            groups.append({"params": [self.log_noise], "lr": min(rate, _NOISE_RATE)})
+        return torch.optim.Adam(groups)
+
+    def rate(self, iteration: int) -> float:
+        """See `Baseline`: it falls exponentially."""
+        return 0.1 ** (iteration / self.config.iterations)
+
+    def image(self, view: View) -> Float[Tensor, "{self.scene.grid.rows} {self.scene.grid.columns}"]:
+        """See `Baseline`: from rays in the middles of their strata."""
+        return self._image(view, None)
+
+    @torch.no_grad()
+    def surface(self) -> tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, "f 3"]]:
+        """See `Baseline`: marching cubes of the attenuation in the target's box; no faces where nothing attenuates.
+
+        The level is the median, over the rays of the training views, of the attenuation where half is first hidden.
+        """
+        low, high = self.scene.low_m, self.scene.high_m
+        depths = []
+        for view in self.scene.views:
+            rays = Rays.through(view, self.scene.grid, low, high, self.config.rays, whole=False)
+            offsets = rays.offsets(None)
+            for columns in self._parts(rays):
+                places = rays.places(offsets, columns, self._like)
+                depths.append(self.attenuation(places.reshape(-1, 3)).reshape(places.shape[:3]).flatten(0, 1))
+        level = level_of_half(depths)
+        return isosurface(self.attenuation, low, high, self.config.surface_voxels, level, self._like)
+
+    def attenuation(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, " p"]:
+        """Optical depth of a range cell at places (world frame, m), one-way as published or two-way if sound."""
+        return self._depth(self.field.attenuation(places)) * self._inside(places)
+
+    def _image(self, view: View, generator: torch.Generator | None) -> Float[Tensor, "rows columns"]:
+        grid = self.scene.grid
+        rays = self._rays(view)
+        offsets = rays.offsets(generator)
+        direction = torch.from_numpy(-rays.turn[2]).to(self._like)
+        parts = self._parts(rays)
+        kept = len(parts) == 1 or not torch.is_grad_enabled()
+        columns = [
+            self._columns(rays, offsets, part, direction)
+            if kept
+            else checkpoint(
+                self._columns, rays, offsets, part, direction, use_reentrant=False, preserve_rng_state=False
+            )
+            for part in parts
+        ]
+        shown = torch.cat(columns).T if columns else torch.zeros(0, 0).to(self._like)
+        right = grid.columns - rays.first_column - shown.shape[1]
+        below = grid.rows - rays.first_row - shown.shape[0]
+        image = functional.pad(shown, (rays.first_column, right, rays.first_row, below))
+        if self.log_noise is None:
+            return image
+        return image + self.log_noise.exp().expand(grid.columns)  # so that its gradient is summed column by column
+
+    def _rays(self, view: View) -> Rays:
+        """As many as configured; if sound, over ground at least one for each resolution cell across the line of sight.
+
+        Rays farther apart than the ground is deep would leave rows without any.
+        """
+        grid = self.scene.grid
+        rays = Rays.through(view, grid, self.low_m, self.high_m, self.config.rays, whole=self._endless)
+        if not (self._sound and self.scene.ground):
+            return rays
+        return replace(rays, count=max(rays.count, math.ceil(rays.count * rays.spacing_m / grid.cell_m)))
+
+    def _columns(
+        self, rays: Rays, offsets: Float64[Tensor, "a k"], part: slice, direction: Float[Tensor, " 3"]
+    ) -> Float[Tensor, "c r"]:
+        """Power of some azimuth columns, in units of `Scene.unit`."""
+        places = rays.places(offsets, part, self._like)
+        inside = self._inside(places)
+        # elsewhere there is nothing: nothing is computed, either
+        shown = places.reshape(-1, 3) if self._endless else places[inside]
+        raw_attenuation, raw_scattering = self.field(shown, direction)
+        nothing = places.new_zeros(places.shape[:3])
+        depth = nothing.masked_scatter(inside, self._depth(raw_attenuation))
+        scattering = nothing.masked_scatter(inside, self._scattering(raw_scattering))
+        if not self._sound:
+            seen = torch.exp(-depth.cumsum(2)) * scattering
+            return self.scene.brightest * seen.sum(1) ** 2
+        before = functional.pad(depth[..., :-1].cumsum(2), (1, 0))
+        returned = scattering * torch.exp(-before) * -torch.expm1(-depth)
+        return returned.sum(1) * (rays.spacing_m / self.scene.grid.spacing_m[1])
+
+    def _depth(self, raw: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
+        if self._sound:  # α has the unit 1 / resolution cell inside, so that scenes of all scales are learned alike
+            length = 2 * self.scene.grid.spacing_m[1] / self.scene.grid.cell_m
+            return _softplus(raw + _CLEAR) * length
+        return (raw + (_PUBLISHED_GRID[0] if self._grid is not None else 0.0)).relu()
+
+    def _scattering(self, raw: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
+        if self._sound:
+            return _softplus(raw + _DIM)
+        return torch.sigmoid(raw + (_PUBLISHED_GRID[1] if self._grid is not None else 0.0))
+
+    def _inside(self, places: Float[Tensor, "*p 3"]) -> Bool[Tensor, "*p"]:
+        """Where the field is."""
+        inside = torch.full(places.shape[:-1], self._endless, device=places.device)
+        for box in self._boxes:
+            low, high = (torch.from_numpy(corner).to(places) for corner in box)
+            within = torch.ones_like(inside)
+            for axis in range(3):  # many times as fast as all at once
+                within &= (places[..., axis] >= low[axis]) & (places[..., axis] <= high[axis])
+            inside = inside | within
+        return inside
+
+    def _parts(self, rays: Rays) -> list[slice]:
+        """Columns that are computed at once; none if no pixel shows the box."""
+        total = len(rays.azimuth_m) if len(rays.range_m) else 0
+        step = max(1, self.field.at_once // max(1, rays.count * len(rays.range_m)))
+        return [slice(first, min(first + step, total)) for first in range(0, total, step)]
+
+    @property
+    def _like(self) -> Tensor:
+        """A tensor of the parameters' dtype and device."""
+        return next(self.field.parameters())
+
+
+def scene_boxes(scene: Scene) -> list[tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]]:
+    """Corners of what is imaged, m: the target's box, and that of any ground in the images, ± a cell."""
+    boxes = [(scene.low_m, scene.high_m)]
+    if scene.ground:
+        radius, cell = ground_radius_m(scene.views, scene.grid), scene.grid.cell_m
+        boxes.append((np.array([-radius, -radius, -cell]), np.array([radius, radius, cell])))
+    return boxes
+
+
+def _softplus(raw: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
+    """log(1 + exp(raw)): the last bits of torch's own depend on the number of threads."""
+    return raw.relu() + torch.log1p(torch.exp(-raw.abs()))
+
+
+def _amplitude(power: Float[Tensor, "v rows columns"]) -> Float[Tensor, "v rows columns"]:
+    """Root, with slope 0 at 0, where the published image itself has none left."""
+    lit = power > 0
+    return torch.where(lit, torch.where(lit, power, 1.0).sqrt(), 0.0)
+
+
+def _mean(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
+    """One dimension after the other: torch splits a sum to one number by threads, and its bits would depend on them."""
+    return images.mean(2).mean(1).mean(0)

@@ -1,0 +1,263 @@
+"""Training of a method: how it advances by one step, and its whole state, exact to the bit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+from torch import Tensor
+
+from sarsplat.baselines.baseline import Baseline, Scene
+from sarsplat.baselines.config import BaselineConfig
+from sarsplat.baselines.methods import Method
+from sarsplat.data import Dataset, Masks
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians.initialise import bounded_region
+from sarsplat.geometry import View
+from sarsplat.reconstruction.snapshot import Snapshot
+from sarsplat.reconstruction.target_box import target_box
+
+
+class BaselineTrainer:
+    """The state of a training and how it advances by one step.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Its training images are learned from.
+    method : Method
+        By what.
+    config : BaselineConfig
+        How.
+    scene : Scene
+        What the dataset fixes (`scene_of`), or what an earlier part of the training has kept of it.
+    device : torch.device or str
+        Where everything is computed and stays.
+
+    Raises
+    ------
+    SarsplatError
+        If the scene lacks what the method needs.
+    """
+
+    def __init__(
+        self,
+        dataset: Dataset,
+        method: Method,
+        config: BaselineConfig,
+        scene: Scene,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.config = config
+        self.iteration = 0
+        self._scene = scene
+        self._device = torch.device(device)
+        self._images = torch.from_numpy(dataset.images("train") / np.float32(scene.unit)).to(self._device)
+        self._generator = torch.Generator().manual_seed(config.seed)
+        self.model = method.build(scene, config).to(self._device)
+        self._optimiser = self.model.optimiser()
+        self._rates = [group["lr"] for group in self._optimiser.param_groups]
+        self._queue: list[int] = []
+
+    @property
+    def gaussian_count(self) -> None:
+        """There are none."""
+        return None
+
+    def step(self) -> Float32[Tensor, ""]:
+        """One step of the optimiser on a few views; returns the loss."""
+        chosen = torch.tensor(self._next_views())
+        factor = self.model.rate(self.iteration)
+        for group, rate in zip(self._optimiser.param_groups, self._rates, strict=True):
+            group["lr"] = rate * factor
+        self._optimiser.zero_grad(set_to_none=True)
+        loss = self.model.loss(chosen, self._images[chosen.to(self._device)], self._generator)
+        loss.backward()
+        self._optimiser.step()
+        self.iteration += 1
+        return loss.detach()
+
+    @property
+    def terms(self) -> dict[str, Tensor]:
+        """What the methods minimise is one number."""
+        return {}
+
+    @property
+    def learning_rates(self) -> dict[str, float]:
+        """Of the next step, by group of parameters."""
+        factor = self.model.rate(self.iteration)
+        return {f"group {index}": rate * factor for index, rate in enumerate(self._rates)}
+
+    @torch.no_grad()
+    def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
+        """β⁰ of any views as they are now, linear power."""
+        grid = self._scene.grid
+        images = np.empty((len(views), grid.rows, grid.columns), np.float32)
+        for image, view in zip(images, views, strict=True):
+            image[:] = (self.model.image(view) * self._scene.unit).cpu().numpy()
+        return images
+
+    def check(self) -> None:
+        """Wait for the device."""
+        if self._device.type == "cuda":
+            torch.cuda.synchronize(self._device)
+
+    def _next_views(self) -> list[int]:
+        """Every view once in a random order, then again."""
+        count = min(self.config.views_per_step, len(self._images))
+        while len(self._queue) < count:
+            self._queue += torch.randperm(len(self._images), generator=self._generator).tolist()
+        chosen, self._queue = self._queue[:count], self._queue[count:]
+        return chosen
+
+    def snapshot(self, seconds: float) -> Snapshot:
+        """Everything the next step depends on, as it is now; `seconds` is how long the training took until here."""
+        scene = self._scene
+        tensors = {f"model/{name}": tensor for name, tensor in self.model.state_dict().items()}
+        for index, state in self._optimiser.state_dict()["state"].items():
+            tensors |= {f"optimiser/{index}/{name}": tensor for name, tensor in state.items()}
+        tensors |= {"generator": self._generator.get_state(), **_scene_tensors(scene)}
+        return Snapshot(
+            self.iteration,
+            seconds,
+            tuple(self._queue),
+            scene.grid,
+            scene.views,
+            scene.unit,
+            scene.brightest * scene.unit,
+            {name: tensor.detach().cpu().clone() for name, tensor in tensors.items()},
+        )
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Undo `snapshot`.
+
+        Raises
+        ------
+        ValueError, LookupError, TypeError, RuntimeError
+            If the tensors are not those of this training.
+        """
+        if len(snapshot.views) != len(self._images):
+            raise ValueError(f"it has {len(snapshot.views)} views for {len(self._images)} training images")
+        _load(self.model, snapshot)
+        states: dict[int, dict[str, Tensor]] = {}
+        for name, tensor in snapshot.part("optimiser").items():
+            index, _, what = name.partition("/")
+            states.setdefault(int(index), {})[what] = tensor
+        groups = self._optimiser.state_dict()["param_groups"]
+        order = [parameter for group in self._optimiser.param_groups for parameter in group["params"]]
+        _check_moments(states, order, snapshot.iteration)
+        self._optimiser.load_state_dict({"state": states, "param_groups": groups})
+        self._generator.set_state(snapshot.tensors["generator"])
+        self.iteration, self._queue = snapshot.iteration, list(snapshot.queue)
+        if not all(0 <= k < len(self._images) for k in self._queue):
+            raise ValueError("it queues views that are not there")
+
+
+def scene_of(dataset: Dataset, masks: Masks | None = None) -> Scene:
+    """What a dataset fixes, from its training images: the box is found as for our own method.
+
+    Raises
+    ------
+    SarsplatError
+        If the training images are black.
+    """
+    train = dataset.select("train")
+    unit = float(train.power.mean(dtype=np.float64))
+    if not np.float32(unit):
+        raise SarsplatError(f"the training images of {dataset} are black everywhere; simulate or import again")
+    if dataset.ground:
+        low, high = dataset.target_box_m or target_box(train.power, train.views, train.grid)
+    else:
+        region = bounded_region(train.power, train.views, train.grid)
+        low, high = region.low, region.high
+    return Scene(
+        train.views,
+        train.grid,
+        np.asarray(low, np.float64),
+        np.asarray(high, np.float64),
+        unit,
+        masks,
+        float(train.power.max()) / unit,
+        dataset.ground,
+        train.looks,
+    )
+
+
+def saved_scene(snapshot: Snapshot) -> Scene:
+    """The scene that a snapshot of a method's training holds.
+
+    Raises
+    ------
+    KeyError, ValueError, RuntimeError, SarsplatError
+        If it holds none.
+    """
+    kept = snapshot.part("scene")
+    looks = float(kept["looks"])
+    return Scene(
+        snapshot.views,
+        snapshot.grid,
+        kept["low_m"].double().numpy(),
+        kept["high_m"].double().numpy(),
+        snapshot.unit,
+        _of_type(kept["masks"], torch.uint8).numpy() if "masks" in kept else None,
+        snapshot.brightest / snapshot.unit,
+        bool(kept["ground"]),
+        looks or None,
+    )
+
+
+def _scene_tensors(scene: Scene) -> dict[str, Tensor]:
+    """What a snapshot does not know of a scene anyway."""
+    kept = {
+        "low_m": torch.from_numpy(scene.low_m),
+        "high_m": torch.from_numpy(scene.high_m),
+        "ground": torch.tensor(scene.ground),
+        "looks": torch.tensor(scene.looks or 0.0, dtype=torch.float64),
+    }
+    if scene.masks is not None:
+        kept["masks"] = torch.from_numpy(scene.masks)
+    return {f"scene/{name}": tensor for name, tensor in kept.items()}
+
+
+def rebuilt(snapshot: Snapshot, method: Method, config: BaselineConfig, device: str) -> Baseline:
+    """The model that a snapshot holds.
+
+    Raises
+    ------
+    KeyError, ValueError, RuntimeError, SarsplatError
+        If it holds another one.
+    """
+    model = method.build(saved_scene(snapshot), config)
+    _load(model, snapshot)
+    return model.to(device)
+
+
+def _load(model: Baseline, snapshot: Snapshot) -> None:
+    """Like torch's own, but nothing is converted, and nothing that is not finite is taken."""
+    saved, expected = snapshot.part("model"), model.state_dict()
+    for name in saved.keys() & expected.keys():
+        if not _of_type(saved[name], expected[name].dtype).isfinite().all():
+            raise ValueError(f"{name} is not finite")
+    model.load_state_dict(saved)
+
+
+def _check_moments(states: dict[int, dict[str, Tensor]], parameters: list[Tensor], iteration: int) -> None:
+    """Whether Adam can go on from these states, by the number of their parameter."""
+    if iteration and states.keys() != set(range(len(parameters))):
+        raise ValueError("it holds the optimiser's state of other parameters")
+    for index, state in states.items():
+        expected = {"step": torch.Size(()), **dict.fromkeys(("exp_avg", "exp_avg_sq"), parameters[index].shape)}
+        if {name: tensor.shape for name, tensor in state.items()} != expected:
+            raise ValueError(f"the optimiser's state {index} is not that of its parameter")
+        if not all(_of_type(tensor, torch.float32).isfinite().all() for tensor in state.values()):
+            raise ValueError(f"the optimiser's state {index} is not finite")
+        if float(state["step"]) != iteration:
+            raise ValueError(f"the optimiser has done {float(state['step']):g} steps, the training {iteration}")
+
+
+def _of_type(tensor: Tensor, dtype: torch.dtype) -> Tensor:
+    if tensor.dtype != dtype:
+        raise ValueError(f"a tensor of {tensor.dtype} instead of {dtype}")
+    return tensor

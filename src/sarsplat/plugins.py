@@ -1,0 +1,96 @@
+"""Capabilities found by name: a file of ours, or an entry point of another package."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from pkgutil import iter_modules
+from typing import Any
+
+from sarsplat.errors import SarsplatError, SarsplatWarning, shown
+
+
+class Plugins(Mapping[str, Any]):
+    """What `discover` found, by name. Listing the names imports nothing; an item is imported when asked for.
+
+    Raises
+    ------
+    SarsplatError
+        By `[name]`, if that plugin cannot be imported.
+    """
+
+    def __init__(self, entries: dict[str, EntryPoint]) -> None:
+        self._entries = entries
+        self._loaded: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._loaded:
+            entry = self._entries[name]
+            try:
+                self._loaded[name] = entry.load()
+            except Exception as error:  # whatever code of others raises
+                raise SarsplatError(
+                    f"the plugin {name} of {entry.group} cannot be imported from {entry.value} "
+                    f"({type(error).__name__}: {shown(str(error))}); update or uninstall its package"
+                ) from error
+        return self._loaded[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def loaded(self) -> dict[str, Any]:
+        """All that can be imported, by name.
+
+        Warns
+        -----
+        SarsplatWarning
+            For each of the others.
+        """
+        for name in self._entries:
+            try:
+                self[name]
+            except SarsplatError as error:
+                warnings.warn(str(error), SarsplatWarning, stacklevel=2)
+        return {name: self._loaded[name] for name in self._entries if name in self._loaded}
+
+
+def discover(package: str, prefix: str, attribute: str, group: str, *more_packages: str) -> Plugins:
+    """Find plugins: modules of our packages first, by file name, then the entry points of other packages, by theirs.
+
+    Parameters
+    ----------
+    package, more_packages : str
+        Packages to look in.
+    prefix : str
+        How the names of their modules begin: `method_sar_nerf` is the plugin `sar-nerf` with the prefix `method_`.
+    attribute : str
+        What each module calls its plugin.
+    group : str
+        Group of the entry points, each of which refers to a plugin itself: `name = "module:attribute"`.
+
+    Warns
+    -----
+    SarsplatWarning
+        If an entry point has a name that is taken; it is ignored.
+    """
+    entries: dict[str, EntryPoint] = {}
+    for home in (package, *more_packages):
+        for info in iter_modules(import_module(home).__path__):
+            if info.name.startswith(prefix):
+                name = info.name.removeprefix(prefix).replace("_", "-")
+                entries[name] = EntryPoint(name, f"{home}.{info.name}:{attribute}", group)
+    for entry in entry_points(group=group):
+        taken = entries.setdefault(entry.name, entry)
+        if taken.value != entry.value:
+            warnings.warn(
+                f"the plugin {entry.name} of {group} from {entry.value} is ignored, because {taken.value} has that "
+                "name; rename or uninstall one of them",
+                SarsplatWarning,
+                stacklevel=2,
+            )
+    return Plugins(entries)

@@ -1,0 +1,221 @@
+"""A mesh as the radar sees it: closed forms, ray casting, invariances, finite differences."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from sarsplat.baselines.mesh_renderer import Layers, MeshRenderer
+from sarsplat.baselines.template import cube_sphere, icosphere
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, View, radar_frame
+
+GRID = ImageGrid(44, 36, (0.25, 0.3), (0.25, 0.3), (0.1, -0.2))
+VIEW = View(20, 30)
+SHARP = MeshRenderer(GRID, 0.05, 0.03)
+SOFT = MeshRenderer(GRID, 0.15, 0.1)
+
+Mesh = tuple[np.ndarray, np.ndarray]
+
+
+def plate(center: np.ndarray, across: np.ndarray, up: np.ndarray, parts: int = 8) -> Mesh:
+    """Parallelogram around a centre, seen from across × up."""
+    steps = np.linspace(-0.5, 0.5, parts + 1)
+    u, v = (one.ravel() for one in np.meshgrid(steps, steps, indexing="ij"))
+    number = np.arange(len(u)).reshape(parts + 1, -1)
+    a, b, c, d = (number[i : i + parts, j : j + parts].ravel() for i, j in ((0, 0), (1, 0), (1, 1), (0, 1)))
+    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    return center + u[:, None] * across + v[:, None] * up, faces
+
+
+def facing_plate(side: float, away: float, up: float = 0.0, parts: int = 8) -> Mesh:
+    """A square that the radar of VIEW sees face on, at a range."""
+    x, y, z = radar_frame(VIEW)
+    return plate(away * z + up * y, side * y, side * x, parts)
+
+
+def box(sides: tuple[float, float, float], bottom: tuple[float, float, float] = (0.5, 0, 0)) -> Mesh:
+    """An upright box."""
+    template = cube_sphere(6)
+    cube = np.tan(template.vertices / np.abs(template.vertices).max(axis=1, keepdims=True) * np.pi / 4)
+    return cube / 2 * sides + bottom + (0, 0, sides[2] / 2), template.faces
+
+
+def joined(*meshes: Mesh) -> Mesh:
+    starts = np.cumsum([0, *(len(points) for points, _ in meshes)])
+    return (
+        np.concatenate([points for points, _ in meshes]),
+        np.concatenate([faces + start for (_, faces), start in zip(meshes, starts, strict=False)]),
+    )
+
+
+def layers(renderer: MeshRenderer, mesh: Mesh, view: View = VIEW, gamma0: float = 1.0) -> Layers:
+    points, faces = (torch.from_numpy(one) for one in mesh)
+    return renderer.layers(points, faces, torch.full((len(faces),), gamma0, dtype=points.dtype), view)
+
+
+def power_m2(found: Layers) -> float:
+    return float(found.target.sum()) * math.prod(GRID.spacing_m)
+
+
+@pytest.mark.parametrize("renderer", [SHARP, SOFT])
+def test_a_plate_facing_the_radar_returns_its_area_from_its_range(renderer):
+    image = layers(renderer, facing_plate(3.0, 1.2, parts=11), gamma0=0.7)
+    assert power_m2(image) == pytest.approx(0.7 * 9.0, rel=0.04)  # ripple of samples as far apart as the response
+    assert image.sections.sum().item() == pytest.approx(0.7 * 9.0, rel=1e-3)
+    target = image.target.numpy()
+    assert (target.sum(axis=1) @ GRID.range_m) / target.sum() == pytest.approx(1.2, abs=0.03)
+    across = target.sum(axis=0) * math.prod(GRID.spacing_m)
+    np.testing.assert_allclose(across[np.abs(GRID.azimuth_m) < 1.0], 0.7 * 3.0 * GRID.spacing_m[0], rtol=0.08)
+    assert across[np.abs(GRID.azimuth_m) > 2.4].sum() < 1e-3
+
+
+def test_flat_ground_returns_gamma0_times_tan_grazing():
+    image = layers(SOFT, plate(np.zeros(3), np.array([9.0, 0, 0]), np.array([0, 9.0, 0]), 24), gamma0=0.5)
+    middle = image.target[18:26, 14:22].numpy()
+    assert middle.mean() == pytest.approx(0.5 * math.tan(math.radians(30)), rel=0.02)
+    np.testing.assert_allclose(middle, 0.5 * math.tan(math.radians(30)), rtol=0.2)
+    assert (image.lit[18:26, 14:22] > 0.7).all()
+
+
+def test_a_wall_facing_the_radar_returns_gamma0_over_tan_grazing():
+    x = radar_frame(VIEW)[0]
+    image = layers(SOFT, plate(np.array([0, 0, 3.0]), np.array([0, 0, 6.0]), 6 * x, 20), gamma0=0.5)
+    row = int(np.abs(GRID.range_m + 3.0 * math.sin(math.radians(30))).argmin())
+    np.testing.assert_allclose(image.target[row - 2 : row + 3, 14:22], 0.5 / math.tan(math.radians(30)), rtol=0.06)
+
+
+def test_the_back_of_a_face_is_not_seen():
+    points, faces = facing_plate(3.0, 0.0)
+    image = layers(SOFT, (points, faces[:, ::-1].copy()))
+    assert not image.sections.any()
+    assert not image.target.any()
+    assert not image.lit.any()
+
+
+@pytest.mark.parametrize("renderer", [SHARP, SOFT])
+def test_what_is_hidden_gets_no_illumination(renderer):
+    front, behind = facing_plate(4.0, -1.0), facing_plate(2.0, 1.0)
+    image = layers(renderer, joined(front, behind))
+    count = len(front[1])
+    assert image.sections[:count].sum().item() == pytest.approx(16.0, rel=1e-3)
+    assert image.sections[count:].sum().item() < 0.05 * 4.0  # through the soft seams between faces
+
+
+def test_half_of_a_plate_behind_another_is_hidden():
+    front, behind = facing_plate(4.0, -1.0, up=-2.0), facing_plate(3.0, 1.0)
+    for renderer, error in ((SHARP, 0.15), (SOFT, 0.15)):
+        image = layers(renderer, joined(front, behind))
+        assert image.sections[len(front[1]) :].sum().item() == pytest.approx(4.5, rel=error)
+
+
+@pytest.mark.parametrize("view", [VIEW, View(250, 45), View(3, 17), View(100, 75)], ids=str)
+def test_all_of_a_ball_that_faces_the_radar_is_seen(view):
+    """A convex body hides nothing of its own: its cross-section is its outline's area."""
+    template = icosphere(8)
+    image = layers(SOFT, (template.vertices * 1.8 + (0, 0, 2.0), template.faces), view)
+    assert image.sections.sum().item() == pytest.approx(math.pi * 1.8**2, rel=0.02)
+
+
+def overlap(first: np.ndarray, second: np.ndarray) -> float:
+    return float((first & second).sum() / (first | second).sum())
+
+
+@pytest.mark.parametrize("view", [VIEW, View(250, 45), View(45, 15)], ids=str)
+@pytest.mark.parametrize("sides", [(4, 2, 1.5), (2.5, 2.5, 2.5)])
+def test_masks_of_a_box_are_those_of_ray_casting(view, sides):
+    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("embreex")
+    from sarsplat.scenes.raycast_masks import raycast_mask
+
+    mesh = box(sides)
+    true = raycast_mask(trimesh.Trimesh(*mesh, process=False), view, GRID)
+    found = layers(SHARP, mesh, view)
+    lit = (found.lit > 0.5).numpy()
+    assert overlap(lit, true == 1) > 0.85
+    assert overlap((found.hidden > 0.5).numpy() & ~lit, true == 2) > 0.85
+
+
+@pytest.mark.parametrize("turn", [37.0, -120.0])
+def test_turning_scene_and_view_together_changes_nothing(turn):
+    points, faces = box((4, 2, 1.5))
+    angle = math.radians(turn)
+    turned = points @ np.array(
+        [[math.cos(angle), math.sin(angle), 0], [-math.sin(angle), math.cos(angle), 0], [0, 0, 1]]
+    )
+    first, second = layers(SOFT, (points, faces)), layers(SOFT, (turned, faces), View(20 - turn, 30))
+    for name in ("target", "lit", "hidden", "sections"):
+        torch.testing.assert_close(getattr(first, name), getattr(second, name), rtol=1e-7, atol=1e-9)
+
+
+def test_moving_by_whole_pixels_moves_the_image():
+    mesh = box((2, 1.5, 1))
+    x, _, z = radar_frame(VIEW)
+    first = layers(SOFT, mesh)
+    # along the ground: two pixels across, three along, which is farther on the ground than in range
+    ground = np.array([z[0], z[1], 0]) / math.cos(math.radians(30))
+    step = 2 * GRID.spacing_m[0] * x + 3 * GRID.spacing_m[1] / math.cos(math.radians(30)) * ground
+    second = layers(SOFT, (mesh[0] + step, mesh[1]))
+    np.testing.assert_allclose(second.hidden.numpy()[3:, 2:], first.hidden.numpy()[:-3, :-2], atol=1e-6)
+    np.testing.assert_allclose(second.target.numpy()[3:, 2:], first.target.numpy()[:-3, :-2], atol=0.05)
+
+
+def test_scattering_scales_the_image_and_nothing_else():
+    mesh = box((2, 1.5, 1))
+    one, two = layers(SOFT, mesh), layers(SOFT, mesh, gamma0=2.0)
+    torch.testing.assert_close(two.target, 2 * one.target)
+    torch.testing.assert_close(two.lit, one.lit)
+    torch.testing.assert_close(two.hidden, one.hidden)
+
+
+def test_a_wider_response_spreads_the_same_power():
+    wide = MeshRenderer(ImageGrid(44, 36, (0.25, 0.3), (0.75, 0.6)), 0.15, 0.1)
+    narrow = MeshRenderer(ImageGrid(44, 36, (0.25, 0.3), (0.25, 0.3)), 0.15, 0.1)
+    mesh = box((1, 1, 1), (0, 0, 0))
+    first, second = layers(narrow, mesh).target.numpy(), layers(wide, mesh).target.numpy()
+    assert second.sum() == pytest.approx(first.sum(), rel=1e-3)
+    offsets = GRID.azimuth_m - 0.1
+
+    def variance(image: np.ndarray) -> float:
+        across = image.sum(axis=0) / image.sum()
+        return float(across @ offsets**2 - (across @ offsets) ** 2)
+
+    missing = 0.75**2 / (8 * math.log(2)) - 0.15**2
+    assert variance(second) - variance(first) == pytest.approx(missing, rel=0.05)
+
+
+def test_gradients_are_those_of_finite_differences(monkeypatch):
+    """With what faces hide of each other held fixed."""
+    template = icosphere(1)
+    generator = torch.Generator().manual_seed(1)
+    points = torch.from_numpy(template.vertices) * torch.tensor([1.1, 0.7, 0.6]) + torch.tensor([0.1, 0.0, 0.7])
+    points = points + 0.05 * torch.rand(points.shape, generator=generator, dtype=points.dtype)
+    gamma0 = 0.5 + torch.rand(len(template.faces), generator=generator, dtype=points.dtype)
+    renderer = MeshRenderer(ImageGrid(11, 13, (0.4, 0.35), (0.5, 0.5)), 0.3, 0.2)
+    faces = torch.from_numpy(template.faces)
+    normals = torch.linalg.cross(points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]])
+    facing = int((normals @ torch.from_numpy(VIEW.direction) > 0).sum())
+    visible = 0.2 + 0.8 * torch.rand(facing, generator=generator, dtype=points.dtype)
+    monkeypatch.setattr(MeshRenderer, "_visible", lambda *_: visible)
+
+    def scalar(points: torch.Tensor, gamma0: torch.Tensor) -> torch.Tensor:
+        found = renderer.layers(points, faces, gamma0, VIEW)
+        weights = torch.arange(found.lit.numel(), dtype=points.dtype).cos().reshape(found.lit.shape)
+        return (weights * (found.target + found.lit + found.shadow)).sum()
+
+    inputs = (points, gamma0)
+    gradients = torch.autograd.grad(scalar(*(one.requires_grad_() for one in inputs)), inputs)
+    for _ in range(4):
+        steps = [torch.randn(one.shape, generator=generator, dtype=one.dtype) for one in inputs]
+        with torch.no_grad():
+            up, down = (scalar(*(a + s * b for a, b in zip(inputs, steps, strict=True))) for s in (1e-6, -1e-6))
+        slope = sum(float((a * b).sum()) for a, b in zip(gradients, steps, strict=True))
+        assert slope == pytest.approx(float(up - down) / 2e-6, rel=1e-5, abs=1e-6)
+
+
+def test_vertices_that_are_not_finite_are_refused():
+    points, faces = box((2, 1.5, 1))
+    points[3, 1] = np.nan
+    with pytest.raises(SarsplatError, match="nan m away"):
+        layers(SOFT, (points, faces))

@@ -1,0 +1,327 @@
+"""What all methods share: trainings that can be stopped and taken up, runs that every command understands."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial import cKDTree
+
+from sarsplat import Dataset, Run, SarsplatError, View, evaluate_run, write_report
+from sarsplat.baselines import METHODS, BaselineRun, open_run, reconstruct_with
+from sarsplat.cli.app import run as command
+from sarsplat.data import read_points_ply, write_points_ply
+from sarsplat.evaluation.points import surface_distance
+from scoring import few_samples
+
+SHORT = {"sar-nerf": 2, "sar-nerf-grid": 12, "dsr": 6}
+EVERY = pytest.mark.parametrize("method", SHORT)
+
+
+@pytest.fixture(autouse=True)
+def quick() -> Iterator[None]:
+    with few_samples():
+        yield
+
+
+def short(method: str):
+    settings = METHODS[method].settings
+    coarse = {"surface_voxels": 24} if hasattr(settings, "surface_voxels") else {}
+    return replace(settings, iterations=SHORT[method], checkpoint_every=max(1, SHORT[method] // 3), **coarse)
+
+
+def trained(method: str, dataset: Dataset, out: Path | None = None, **options) -> BaselineRun:
+    masks = dataset.path / "masks" if method == "dsr" and not options.get("resume") else None
+    return reconstruct_with(method, dataset, short(method), out, masks=masks, device="cpu", quiet=True, **options)
+
+
+@pytest.fixture(scope="module")
+def finished(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """The folder of a method's run, trained once."""
+
+    @cache
+    def of(method: str) -> Path:
+        folder = tmp_path_factory.mktemp(method) / "run"
+        trained(method, dataset, folder)
+        return folder
+
+    return of
+
+
+@pytest.fixture
+def run_of(finished: Callable[[str], Path], tmp_path: Path) -> Callable[[str], Path]:
+    """A copy of it, to work on: tmp_path/run."""
+    return lambda method: shutil.copytree(finished(method), tmp_path / "run")
+
+
+def test_every_method_is_tested():
+    assert list(SHORT) == list(METHODS)
+
+
+@EVERY
+def test_taken_up_again_it_is_what_it_would_have_been(method, dataset, tmp_path, finished):
+    whole = open_run(finished(method))
+    stop = SHORT[method] // 2
+
+    def leave(step):
+        if step.iteration == stop:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        trained(method, dataset, tmp_path / "run", on_step=leave)
+    assert open_run(tmp_path / "run").iteration == stop
+    resumed = trained(method, dataset, tmp_path / "run", resume=True)
+    assert resumed.iteration == SHORT[method]
+    assert resumed.snapshot.tensors.keys() == whole.snapshot.tensors.keys()
+    for name, tensor in whole.snapshot.tensors.items():
+        assert torch.equal(tensor, resumed.snapshot.tensors[name]), name
+    assert [line.loss for line in resumed.history][-1] == [line.loss for line in whole.history][-1]
+
+
+@EVERY
+def test_a_seed_is_a_result(method, dataset, finished):
+    first, again = open_run(finished(method)).snapshot.tensors, trained(method, dataset).snapshot.tensors
+    assert first.keys() == again.keys()
+    assert all(torch.equal(tensor, again[name]) for name, tensor in first.items())
+
+
+@EVERY
+def test_its_run_is_rendered_scored_and_shown(method, tmp_path, run_of):
+    run_of(method)
+    run = open_run(tmp_path / "run")
+    assert isinstance(run, BaselineRun)
+    assert run.method == method
+    assert run.render([View(10, 40), View(200, 60)]).shape == (2, 28, 24)
+    assert set(np.unique(run.masks([View(10, 40)]))) <= {0, 1, 2}
+    metrics = evaluate_run(run, quiet=True)
+    assert metrics["method"] == method
+    assert np.isfinite(metrics["images"]["test"]["psnr_db"])
+    page = write_report(run).read_text()
+    assert METHODS[method].title in page
+    assert f"{method}, visible surface" in page or len(run.points) == 0
+    points, columns = read_points_ply(tmp_path / "run" / "points.ply")
+    np.testing.assert_array_equal(points, run.points)
+    assert {"nx", "ny", "nz"} <= set(columns)
+
+
+@pytest.mark.parametrize(
+    ("method", "quick", "most", "most_m"),
+    [
+        ("sar-nerf-grid", {"iterations": 300, "surface_voxels": 64}, 0.05, 0.2),
+        ("dsr", {"iterations": 120, "scattering_rate": 0.1}, 0.15, 0.4),
+    ],
+)
+def test_a_box_on_the_ground_is_found(method, quick, most, most_m, dataset):
+    """In unseen images, of cells of 0.3 m, and as a surface; the perceptron would take hours."""
+    masks = dataset.path / "masks" if method == "dsr" else None
+    run = reconstruct_with(
+        method, dataset, replace(METHODS[method].settings, **quick), masks=masks, device="cpu", quiet=True
+    )
+    test = dataset.select("test")
+    true = np.sqrt(test.power)
+    assert np.square(np.sqrt(run.render(test.views)) - true).sum() < most * np.square(true).sum()
+    assert evaluate_run(run, quiet=True)["points"]["visible"]["cd_m"] < most_m
+
+
+def test_points_lie_on_what_the_radar_sees(run_of):
+    run = open_run(run_of("dsr"))
+    surface = run.surface
+    assert len(run.points) > 200
+    assert surface_distance(run.points, np.asarray(surface.triangles)).max() < 1e-4
+    _, face = cKDTree(surface.triangles_center).query(run.points)
+    np.testing.assert_allclose(np.linalg.norm(run.normals, axis=1), 1, atol=1e-5)
+    along = np.abs((run.normals * surface.face_normals[face]).sum(axis=1))
+    assert np.median(along) > 0.95
+    towards = np.array([view.direction for view in run.snapshot.views])
+    assert (run.normals @ towards.T).max(axis=1).min() > -1e-6
+
+
+def test_a_method_is_not_taken_for_another(dataset, tmp_path, run_of):
+    run_of("sar-nerf-grid")
+    with pytest.raises(SarsplatError, match="by the method 'sar-nerf-grid', which learned no Gaussians"):
+        Run.load(tmp_path / "run")
+    with pytest.raises(SarsplatError, match="was started with the method sar-nerf-grid, not dsr; resume it with that"):
+        trained("dsr", dataset, tmp_path / "run", resume=True)
+    header = tmp_path / "run" / "config.json"
+    header.write_text(json.dumps({**json.loads(header.read_text()), "method": "magic"}))
+    with pytest.raises(SarsplatError, match="by the method 'magic'; give one by sar-nerf"):
+        open_run(tmp_path / "run")
+    assert command(["reconstruct", str(dataset.path), "--out", str(tmp_path / "run"), "--resume"]) == 2
+    with pytest.raises(SarsplatError, match="there is no method 'magic'; choose one of sar-nerf, sar-nerf-grid, dsr"):
+        reconstruct_with("magic", dataset)
+
+
+def test_settings_must_be_those_of_the_run(dataset, tmp_path, run_of):
+    run_of("sar-nerf-grid")
+    other = replace(short("sar-nerf-grid"), degree=1)
+    with pytest.raises(SarsplatError, match="was started with degree 2, not 1; resume it with the same settings"):
+        reconstruct_with("sar-nerf-grid", dataset, other, tmp_path / "run", resume=True, quiet=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("optimiser/0/exp_avg", None),
+        ("optimiser/0/exp_avg", lambda tensor: tensor[:1]),
+        ("optimiser/0/exp_avg", lambda tensor: tensor.bool()),
+        ("optimiser/0/exp_avg_sq", lambda tensor: tensor * torch.nan),
+        ("optimiser/0/step", lambda tensor: -tensor),
+        ("model/moved", lambda tensor: tensor * torch.nan),
+        ("model/moved", lambda tensor: tensor.double()),
+        ("scene/looks", lambda tensor: tensor - 1),
+        ("scene/masks", lambda tensor: tensor.float()),
+    ],
+)
+def test_a_damaged_checkpoint_is_refused_before_anything_is_lost(name, change, dataset, tmp_path, run_of):
+    from sarsplat.data import load_checkpoint, save_checkpoint
+
+    run_of("dsr")
+    path = open_run(tmp_path / "run").checkpoint_path
+    assert path is not None
+    tensors, state = load_checkpoint(path)
+    damaged = tensors.pop(name)
+    save_checkpoint(path, tensors if change is None else {**tensors, name: change(damaged)}, state)
+    with pytest.raises(SarsplatError, match=r"does not match this version|does not hold a whole model"):
+        trained("dsr", dataset, tmp_path / "run", resume=True)
+    assert (tmp_path / "run" / "points.ply").is_file()
+    if not name.startswith("optimiser"):
+        with pytest.raises(SarsplatError, match="does not hold a whole model"):
+            open_run(tmp_path / "run").render([View(0, 30)])
+
+
+def test_a_run_that_lost_its_checkpoints_takes_masks_again(dataset, tmp_path, run_of):
+    run_of("dsr")
+    for path in (tmp_path / "run" / "checkpoints").iterdir():
+        path.unlink()
+    with pytest.raises(SarsplatError, match=r"^.*run holds no checkpoint; "):
+        open_run(tmp_path / "run").render([View(0, 30)])
+    run = reconstruct_with(
+        "dsr", dataset, None, tmp_path / "run", masks=dataset.path / "masks", resume=True, quiet=True
+    )
+    assert run.iteration == SHORT["dsr"]
+    with pytest.raises(SarsplatError, match="keeps the masks it was started with"):
+        reconstruct_with("dsr", dataset, None, tmp_path / "run", masks=dataset.path / "masks", resume=True, quiet=True)
+
+
+def test_what_the_surface_is_made_of_is_kept(tmp_path, run_of):
+    run_of("dsr")
+    kept, anew = open_run(tmp_path / "run"), open_run(tmp_path / "run")
+    before = kept.surface.vertices
+    (tmp_path / "run" / "mesh.ply").unlink()
+    np.testing.assert_allclose(before, anew.surface.vertices, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"config": METHODS["dsr"].settings}, "the settings are a DsrConfig; sar-nerf-grid takes a SarNerfGridConfig"),
+        ({"masks": "masks"}, "sar-nerf-grid does not learn from masks, so leave out the masks masks"),
+        ({"out": "run", "resume": False, "overwrite": True, "device": "gpu"}, "device 'gpu' is unknown"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused(arguments, message, dataset):
+    with pytest.raises(SarsplatError, match=message):
+        reconstruct_with("sar-nerf-grid", dataset, quiet=True, **arguments)
+
+
+@pytest.mark.parametrize("part", ["model", "scene", "optimiser"])
+def test_a_checkpoint_of_something_else_is_refused(part, dataset, tmp_path, run_of):
+    from sarsplat.data import load_checkpoint, save_checkpoint
+
+    run_of("sar-nerf-grid")
+    path = open_run(tmp_path / "run").checkpoint_path
+    assert path is not None
+    tensors, state = load_checkpoint(path)
+    kept = {name: tensor for name, tensor in tensors.items() if not name.startswith(f"{part}/")}
+    save_checkpoint(path, kept, state)
+    if part != "optimiser":
+        with pytest.raises(SarsplatError, match="does not hold a whole model"):
+            open_run(tmp_path / "run").render([View(0, 30)])
+    with pytest.raises(SarsplatError, match=r"does not match this version|does not hold a whole model"):
+        trained("sar-nerf-grid", dataset, tmp_path / "run", resume=True)
+
+
+def test_without_masks_dsr_says_what_to_do(dataset, tmp_path, capsys):
+    assert command(["reconstruct", str(dataset.path), "--method", "dsr", "--out", str(tmp_path / "run")]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "--masks" in said
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_command_line_trains_and_goes_on(dataset, tmp_path, capsys):
+    out = str(tmp_path / "run")
+    words = ["reconstruct", str(dataset.path), "--out", out]
+    masks = ["--masks", str(dataset.path / "masks")]
+    assert command([*words, "--method", "dsr", *masks, "--iterations", "3", "--seed", "5"]) == 0
+    assert (open_run(out).iteration, open_run(out).seed) == (3, 5)
+    assert command([*words, "--resume", "--iterations", "5"]) == 0
+    assert open_run(out).iteration == 5
+    for arguments in (["render", out, "--out", f"{out}-images", "--azimuth", "5", "--grazing", "30"], ["info", out]):
+        assert command(arguments) == 0
+    assert command(["export", out, f"{out}.glb"]) == 0
+    assert command(["export", out, f"{out}.ply", "--format", "points"]) == 0
+    capsys.readouterr()
+    assert command(["export", out, f"{out}-gaussians.ply"]) == 2
+    assert "learns no Gaussians; " in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--method", "dsr", "--gaussians", "100"], "--gaussians is a setting of sar-gs and has no effect with dsr"),
+        (["--method", "sar-nerf", "--rates.means", "0.1"], "--rates.means is a setting of sar-gs"),
+        (["--masks", "masks"], "is for methods that learn from masks; sar-gs does not"),
+        (["--method", "magic"], "magic"),
+        (["--method", "dsr", "--masks", "nowhere"], "nowhere is no folder; give one that holds a mask for each image"),
+        (["--method", "sar-nerf", "--masks", "masks"], "sar-nerf does not learn from masks"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(options, message, dataset, tmp_path, capsys):
+    assert command(["reconstruct", str(dataset.path), "--out", str(tmp_path / "run"), *options]) == 2
+    assert message in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "run").exists()
+
+
+def test_settings_come_from_a_file(dataset, tmp_path, capsys):
+    words = ["reconstruct", str(dataset.path), "--method", "sar-nerf-grid", "--out", str(tmp_path / "run")]
+    assert command([*words, "--print-config"]) == 0
+    written = json.loads(capsys.readouterr().out)
+    assert written["method"] == "sar-nerf-grid"
+    settings, file = written["config"], tmp_path / "settings.json"
+    file.write_text(json.dumps({**written, "config": {**settings, "degree": 1, "iterations": 4, "surface_voxels": 24}}))
+    assert command([*words, "--config", str(file), "--iterations", "3"]) == 0
+    config = open_run(tmp_path / "run").config
+    assert (config.as_dict()["degree"], config.iterations) == (1, 3)
+    file.write_text(json.dumps({**written, "config": {**settings, "degree": 9}}))
+    assert command([*words, "--config", str(file), "--overwrite"]) == 2
+    assert "degree" in capsys.readouterr().err
+    for other in ([], ["--method", "dsr"]):
+        given = ["reconstruct", str(dataset.path), "--out", str(tmp_path / "other"), "--config", str(file), *other]
+        assert command(given) == 2
+        said = " ".join(capsys.readouterr().err.split())
+        assert (
+            f"holds settings of 'sar-nerf-grid', not of {'dsr' if other else 'sar-gs'}; give that as --method" in said
+        )
+
+
+def test_no_points_are_not_exported(tmp_path, capsys, run_of):
+    run_of("sar-nerf")
+    write_points_ply(tmp_path / "run" / "points.ply", np.zeros((0, 3), np.float32))
+    assert command(["export", str(tmp_path / "run"), str(tmp_path / "points.ply"), "--format", "points"]) == 2
+    assert "has no points of a surface yet" in capsys.readouterr().err
+    assert not (tmp_path / "points.ply").exists()
+
+
+@EVERY
+def test_a_run_is_opened_on_a_device_that_there_is(method, tmp_path, run_of):
+    run_of(method)
+    with pytest.raises(SarsplatError, match="device 'gpu' is unknown; choose auto, cpu or cuda"):
+        open_run(tmp_path / "run", "gpu")
+    assert open_run(tmp_path / "run", "auto").device in ("cpu", "cuda")
