@@ -17,6 +17,7 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import SHADOW, TARGET, View
+from sarsplat.radiometry import beta0_of_gamma0
 from sarsplat.rivals.dsr_config import DsrConfig
 from sarsplat.rivals.mesh_renderer import Layers, MeshRenderer
 from sarsplat.rivals.regularity import flatten_loss, iou_loss, laplacian_loss, ordered_sum
@@ -146,7 +147,7 @@ class Dsr(Rival):
     def _whole(self, layers: Layers, view: View) -> Float[Tensor, "rows columns"]:
         if self.log_ground is None or self.log_floor is None:
             return layers.target
-        ground = self.log_ground.exp() * math.tan(math.radians(view.grazing_deg))
+        ground = beta0_of_gamma0(self.log_ground.exp(), view.grazing_deg)
         return layers.target + ground * (1 - layers.hidden) + self.log_floor.exp()
 
 

@@ -9,22 +9,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sarsplat.colours import DARK, POWER_RAMPS, rgb
 from sarsplat.geometry import View
-from sarsplat.report.decibels import DYNAMIC_DB
-from sarsplat.viewer.colours import POWER_MAPS
+from sarsplat.radiometry import DYNAMIC_RANGE_DB
 from sarsplat.viewer.pictures import MAPS
-from sarsplat.viewer.stage import TEST, TRAIN
 from sarsplat.viewer.subject import Subject
 
 if TYPE_CHECKING:
     import viser
 
-HEIGHT, GAMMA0, ERROR = "height", "γ⁰ towards the radar", "distance to the true surface"
+BY_HEIGHT, BY_GAMMA0, BY_ERROR = "height", "γ⁰ towards the radar", "distance to the true surface"
 _NO_MAP = "none"
 
 _HINT = (
     '<div style="font-size:12px;line-height:1.5;padding:0 10px;opacity:.85">Drag the red ball, or click on a dot: '
-    f'<span style="color:rgb{TRAIN}">●</span> training view, <span style="color:rgb{TEST}">●</span> test view.</div>'
+    f'<span style="color:{DARK.train}">●</span> training view, '
+    f'<span style="color:{DARK.test}">●</span> test view.</div>'
 )
 
 
@@ -99,7 +99,11 @@ class Controls:
 
     def _dark(self, dark: bool = True) -> None:
         self._gui.configure_theme(
-            dark_mode=dark, show_logo=False, show_share_button=False, brand_color=(92, 160, 220), control_width="medium"
+            dark_mode=dark,
+            show_logo=False,
+            show_share_button=False,
+            brand_color=rgb(DARK.train),
+            control_width="medium",
         )
 
     def _watched(self, handle: Any) -> Any:
@@ -131,7 +135,7 @@ class Controls:
         gui = self._gui
         with gui.add_folder("Target"):
             self._cloud = self._watched(gui.add_dropdown("show", ["nothing"]))
-            self._coloured = self._watched(gui.add_dropdown("colour", [HEIGHT]))
+            self._coloured = self._watched(gui.add_dropdown("colour", [BY_HEIGHT]))
             self._size = self._watched(gui.add_slider("point size", 0.25, 4.0, 0.25, 1.0))
             self.legend = gui.add_html("")
 
@@ -139,9 +143,9 @@ class Controls:
         gui = self._gui
         with gui.add_folder("Image"):
             self._limits = self._watched(
-                gui.add_multi_slider("power, dB", -80.0, 20.0, 1.0, (-DYNAMIC_DB, 0.0), min_range=5.0)
+                gui.add_multi_slider("power, dB", -80.0, 20.0, 1.0, (-DYNAMIC_RANGE_DB, 0.0), min_range=5.0)
             )
-            self._colours = self._watched(gui.add_dropdown("colours", POWER_MAPS))
+            self._colours = self._watched(gui.add_dropdown("colours", POWER_RAMPS))
             self._map = self._watched(gui.add_dropdown("radar map", (_NO_MAP, *MAPS)))
             self._zoom = self._watched(gui.add_checkbox("zoom to target", True))
             self._ground = self._watched(gui.add_checkbox("ground", True))
@@ -151,7 +155,7 @@ class Controls:
         """Show what can be set for a subject, and hide the rest."""
         self.title.content = f"**{subject.title}**"
         names = tuple(cloud.name for cloud in subject.clouds)
-        ways = (HEIGHT, *((GAMMA0,) if subject.scatters else ()), *((ERROR,) if subject.knows_errors else ()))
+        ways = (BY_HEIGHT, *((BY_GAMMA0,) if subject.scatters else ()), *((BY_ERROR,) if subject.knows_errors else ()))
         for handle, options in ((self._cloud, names or ("nothing",)), (self._coloured, ways)):
             if tuple(handle.options) != options:
                 handle.options = options
