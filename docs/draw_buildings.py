@@ -16,6 +16,7 @@ from fill_block import fill_block
 from matplotlib.axes import Axes
 
 from sarsplat import ImageGrid, ScatteringLaw, View
+from sarsplat.colours import POWER, colormap
 from sarsplat.scenes import BUILDINGS, Building, BuildingProfile, Gamma0, building_profile
 from sarsplat.scenes.simulate import Source, simulate_images
 
@@ -91,7 +92,7 @@ def draw(ax_image: Axes, ax_profile: Axes, name: str, grazing: float = 45.0) -> 
     step = GRID.spacing_m[1] / cos / 2
     limits = (ground_range[0] - step, ground_range[-1] + step)
     sides = (GRID.azimuth_m[0] - GRID.spacing_m[0] / 2, GRID.azimuth_m[-1] + GRID.spacing_m[0] / 2)
-    ax_image.imshow(images["splat"].T, cmap="gray", vmin=0, vmax=3, extent=(*limits, *sides), origin="lower")
+    ax_image.imshow(images["splat"].T, cmap=colormap(POWER), vmin=0, vmax=3, extent=(*limits, *sides), origin="lower")
     ax_image.set(title=f"building {name[-1].upper()}: h = {box.height:g} m, w = {box.depth:g} m", xlim=(-18, 22))
     ax_image.set(yticks=[], ylim=(-12, 12), aspect="auto")  # so that both panels share their abscissa
 

@@ -14,7 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.patches import Arc, Circle, Wedge
 
+from sarsplat.colours import POWER, colormap
 from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.radiometry import to_db
 from sarsplat.scenes import ScatteringLaw, simulate_raycast, target_mesh
 
 VIEW = View(azimuth_deg=35.0, grazing_deg=40.0)
@@ -168,8 +170,8 @@ def side_view(ax: Axes, triangles: np.ndarray) -> None:
 
 def image_array(ax: Axes, power: np.ndarray) -> None:
     """The image as it is stored: row 0 near and on top, columns along the flight."""
-    decibels = 10 * np.log10(np.maximum(power, 1e-6))
-    ax.imshow(decibels, cmap="gray", vmin=-26, vmax=3, interpolation="nearest")
+    decibels = to_db(power, least=1e-6)
+    ax.imshow(decibels, cmap=colormap(POWER), vmin=-26, vmax=3, interpolation="nearest")
     ax.set_anchor("N")
     ax.set_title("c   the array image[row, column], β⁰ in decibels", fontsize=12, loc="left", pad=10)
     last = GRID.columns - 1

@@ -13,12 +13,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 from PIL import Image
 
+from sarsplat.colours import POWER, colormap
 from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import UNIFORM, Taylor
 from sarsplat.importers.apertures import Aperture, apertures
 from sarsplat.importers.focus import focus
 from sarsplat.importers.gotcha import read_gotcha
 from sarsplat.importers.phase_history import flights
+from sarsplat.radiometry import to_db
 
 PICTURE = Path(__file__).parent / "images" / "gotcha.png"
 ROWS, COLUMNS, SPACING = 400, 520, 0.18  # m: a little less than the resolution
@@ -47,8 +49,8 @@ def draw_image(axes: plt.Axes, aperture: Aperture) -> None:
     grid = ImageGrid(ROWS, COLUMNS, (SPACING, SPACING), aperture.resolution_m(Taylor()))
     power = np.abs(focus(aperture, grid, Taylor())) ** 2
     extent = (grid.azimuth_m[0], grid.azimuth_m[-1], grid.range_m[-1], grid.range_m[0])
-    level = 10 * np.log10(power / np.median(power))
-    axes.imshow(level, cmap="gray", extent=extent, vmin=DECIBELS[0], vmax=DECIBELS[1])
+    level = to_db(power, np.median(power))
+    axes.imshow(level, cmap=colormap(POWER), extent=extent, vmin=DECIBELS[0], vmax=DECIBELS[1])
     axes.add_patch(plt.Circle(TARGET, 3, fill=False, color="tab:blue"))
     axes.set(xlabel="azimuth, m", ylabel="slant range, m")
 
@@ -59,8 +61,8 @@ def draw_cut(axes: plt.Axes, aperture: Aperture, name: str, weighting: Taylor, a
     resolution = aperture.resolution_m(weighting)
     place, power = cut(aperture, weighting, which)
     theory = weighting.density(place / resolution[which]) / weighting.density(np.zeros(1))
-    axes.plot(place, 10 * np.log10(power), color=colour, label=name)
-    axes.plot(place, 10 * np.log10(theory + 1e-18), ":", color=colour)
+    axes.plot(place, to_db(power), color=colour, label=name)
+    axes.plot(place, to_db(theory + 1e-18), ":", color=colour)
     axes.set(ylim=(-45, 1), xlim=(-REACH, REACH), xlabel=f"{along}, m", ylabel="dB")
     axes.legend(frameon=False)
     print(
@@ -95,7 +97,7 @@ def side_lobe(power: np.ndarray) -> float:
     """The highest beyond the first minima, dB below the peak."""
     peak = int(power.argmax())
     sides = (power[peak:], power[peak::-1])
-    return float(10 * np.log10(max(side[int(np.argmax(np.diff(side) > 0)) :].max() for side in sides)))
+    return float(to_db(max(side[int(np.argmax(np.diff(side) > 0)) :].max() for side in sides)))
 
 
 if __name__ == "__main__":

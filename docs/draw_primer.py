@@ -16,8 +16,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Polygon
 
+from sarsplat.colours import POWER, colormap
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.radiometry import bright_level, to_db
 from sarsplat.renderer import render
 from sarsplat.scenes import ScatteringLaw, add_speckle, simulate_raycast, target_mesh
 from sarsplat.scenes.buildings import Building
@@ -43,9 +45,9 @@ def towards(grazing_deg: float) -> np.ndarray:
 
 def show(ax: Axes, power: np.ndarray, where: ImageGrid, title: str, darkest_db: float = DARKEST_DB) -> None:
     """An image in decibels below its 99.9th percentile, near range at the top, with a scale bar of 2 m."""
-    decibels = 10 * np.log10(np.maximum(power / np.quantile(power, 0.999), 1e-9))
+    decibels = to_db(power, bright_level(power))
     half = where.columns * where.spacing_m[0] / 2
-    ax.imshow(decibels, cmap="gray", vmin=-darkest_db, vmax=0, extent=(-half, half, half, -half))
+    ax.imshow(decibels, cmap=colormap(POWER), vmin=-darkest_db, vmax=0, extent=(-half, half, half, -half))
     ax.plot([0.9 * half - 2, 0.9 * half], [0.92 * half] * 2, color="white", lw=3)
     ax.text(0.9 * half - 1, 0.87 * half, "2 m", color="white", ha="center", va="bottom", fontsize=10)
     ax.set(xticks=[], yticks=[])

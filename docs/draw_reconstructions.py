@@ -17,12 +17,13 @@ from scipy.spatial import KDTree
 
 from sarsplat import Run, View, reconstruct
 from sarsplat.cli.simulate import simulate
+from sarsplat.colours import ERROR, POWER, colormap
 from sarsplat.evaluation import Yardstick, read_truth_mesh, visible_surface
+from sarsplat.radiometry import DYNAMIC_RANGE_DB, brighter, to_db
 
 PICTURE = Path(__file__).parent / "images" / "reconstructions.png"
 VEHICLES = ("t72", "btr70", "2s1", "kraz")
 UNSEEN = View(120.0, 45.0)
-DYNAMIC_DB = 45.0
 FARTHEST_M = 0.2  # larger distances look alike
 SAMPLES = 200_000
 SHOWN = 40_000  # points drawn of a cloud
@@ -33,11 +34,11 @@ def show_images(axes: list[Axes], run: Run) -> None:
     dataset = run.dataset
     test = dataset.select("test").views
     true, ours = dataset.images("test")[test.index(UNSEEN)], run.render([UNSEEN])[0]
-    rows, columns = np.nonzero(true > true.max() * 10 ** (-DYNAMIC_DB / 10))
+    rows, columns = np.nonzero(brighter(true, -DYNAMIC_RANGE_DB))
     part = slice(rows.min() - 4, rows.max() + 5), slice(columns.min() - 4, columns.max() + 5)
     for ax, image in zip(axes, (true, ours), strict=True):
-        decibels = 10 * np.log10(np.maximum(image[part] / true.max(), 1e-12))
-        ax.imshow(decibels, cmap="gray", vmin=-DYNAMIC_DB, vmax=0, interpolation="nearest")
+        level = to_db(image[part], true.max())
+        ax.imshow(level, cmap=colormap(POWER), vmin=-DYNAMIC_RANGE_DB, vmax=0, interpolation="nearest")
         ax.set(xticks=[], yticks=[])
 
 
@@ -49,7 +50,7 @@ def show_distances(axes: list[Axes], points: np.ndarray, others: np.ndarray) -> 
     for ax, up in zip(axes, (2, 1), strict=True):
         dots = ax.scatter(
             *(some[order, 0], some[order, up], 0.5, distance[order]),
-            cmap="inferno_r",
+            cmap=colormap(ERROR),
             vmin=0,
             vmax=FARTHEST_M,
             linewidths=0,

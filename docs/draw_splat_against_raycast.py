@@ -17,6 +17,8 @@ import torch
 from fill_block import fill_block
 
 from sarsplat import Gaussians, RayGrid, ScatteringLaw, View, paper_grid, render, simulate_raycast, target_mesh
+from sarsplat.colours import HEIGHT, colormap
+from sarsplat.radiometry import brighter
 from sarsplat.scenes import law_scattering, surface_gaussians
 
 HERE = Path(__file__).parent
@@ -33,7 +35,7 @@ STUDIED = (0.05, 0.01)  # size and rays at which one thing at a time is changed,
 def psnr(truth: np.ndarray, image: np.ndarray) -> float:
     """PSNR of the amplitude, dB; its peak is the truth's largest, its pixels those whose β⁰ is above −30 dB of that."""
     truth, image = np.sqrt(truth.astype(np.float64)), np.sqrt(image.astype(np.float64))
-    mask = truth > truth.max() * 10 ** (-30 / 20)
+    mask = brighter(truth, -15)
     return -10 * math.log10(np.mean((image - truth)[mask] ** 2) / truth.max() ** 2)
 
 
@@ -131,7 +133,7 @@ def draw(table: np.ndarray, kinds: list[tuple[int, float]]) -> None:
     fig, ax = plt.subplots(figsize=(7, 4.4), layout="constrained")
     counts = [count for count, _ in kinds]
     for k, spacing in enumerate(RAYS):
-        colour = plt.get_cmap("viridis")(k / len(RAYS))
+        colour = colormap(HEIGHT)(k / len(RAYS))
         ax.semilogx(counts, table[:, k].mean(axis=1), "o-", color=colour, label=f"rays {1000 * spacing:g} mm apart")
     for (count, std), top in zip(kinds, table.mean(axis=2).max(axis=1), strict=True):
         ax.annotate(f"s ≈ {1000 * std:.0f} mm", (count, top), (-4, 7), textcoords="offset points", ha="right")

@@ -15,30 +15,27 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from sarsplat import Run, View, radar_frame
+from sarsplat.colours import DARK, HEIGHT, POWER, colormap
+from sarsplat.radiometry import DYNAMIC_RANGE_DB, to_db
 
 OUTPUT = Path(__file__).parent / "images" / "sweep.gif"
 GRAZING_DEG, FRAMES, FRAME_MS = 30.0, 60, 100
-DYNAMIC_DB = 40.0
 SHOWN_POINTS = 25_000
-BACK, INK = "#14171f", "#d8dce6"
 
 
 def frame(run: Run, view: View, power: np.ndarray, points: np.ndarray, reach_m: float) -> Image.Image:
     """One view: what the radar records, and what stands there."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.95), layout="constrained", facecolor=BACK)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.95), layout="constrained", facecolor=DARK.card)
     figure.get_layout_engine().set(h_pad=0.12)  # inches: titles stay clear of the edge
-    decibels = 10 * np.log10(np.maximum(power / run.brightest, 1e-9))
-    (azimuth, slant), spacing = (run.grid.azimuth_m, run.grid.range_m), run.grid.spacing_m
-    near, far = slant[0] - spacing[1] / 2, slant[-1] + spacing[1] / 2
-    extent = (azimuth[0] - spacing[0] / 2, azimuth[-1] + spacing[0] / 2, far, near)
-    left.imshow(decibels, cmap="gray", vmin=-DYNAMIC_DB, vmax=0, extent=extent)
+    decibels = to_db(power, run.brightest)
+    left.imshow(decibels, cmap=colormap(POWER), vmin=-DYNAMIC_RANGE_DB, vmax=0, extent=run.grid.extent_m)
     left.set(xlim=(-reach_m, reach_m), ylim=(reach_m, -reach_m))
-    left.set_title(f"SAR image, azimuth {view.azimuth_deg:3.0f}°", color=INK, fontsize=12)
+    left.set_title(f"SAR image, azimuth {view.azimuth_deg:3.0f}°", color=DARK.ink, fontsize=12)
     across, up, away = (points @ radar_frame(view).T).T
     order = np.argsort(-away)  # the near ones last
-    right.scatter(across[order], up[order], c=points[order, 2], s=0.7, cmap="viridis", linewidths=0)
-    right.set(xlim=(-reach_m, reach_m), ylim=(-reach_m, reach_m), aspect="equal", facecolor=BACK)
-    right.set_title("its points, from the radar", color=INK, fontsize=12)
+    right.scatter(across[order], up[order], c=points[order, 2], s=0.7, cmap=colormap(HEIGHT), linewidths=0)
+    right.set(xlim=(-reach_m, reach_m), ylim=(-reach_m, reach_m), aspect="equal", facecolor=DARK.card)
+    right.set_title("its points, from the radar", color=DARK.ink, fontsize=12)
     for ax in (left, right):
         ax.set(xticks=[], yticks=[])
         ax.spines[:].set_visible(False)
@@ -48,7 +45,7 @@ def frame(run: Run, view: View, power: np.ndarray, points: np.ndarray, reach_m: 
 def picture(figure: Figure) -> Image.Image:
     """A figure in memory."""
     file = io.BytesIO()
-    figure.savefig(file, dpi=100, facecolor=BACK, format="png")
+    figure.savefig(file, dpi=100, facecolor=DARK.card, format="png")
     plt.close(figure)
     return Image.open(file).convert("RGB")
 

@@ -18,7 +18,9 @@ from matplotlib.axes import Axes
 from outlines import FILTERS, RULE, Outline, Rule, despeckled, iou, outline
 
 from sarsplat import ScatteringLaw, View, radar_frame
+from sarsplat.colours import POWER, SHADOW, TARGET, colormap
 from sarsplat.data.mstar import import_mstar
+from sarsplat.radiometry import to_db
 from sarsplat.scenes import add_speckle, mstar_grid, simulate_raycast, target_mesh
 
 HERE = Path(__file__).parent
@@ -45,10 +47,10 @@ def simulated(mesh: trimesh.Trimesh, views: list[View], looks: float | None = 1.
 
 def show_power(ax: Axes, power: np.ndarray, found: Outline | None = None) -> None:
     """Decibels over the ground's median, and outlines of target (orange) and shadow (blue)."""
-    decibels = 10 * np.log10(np.maximum(power / np.median(power), 1e-6))
-    ax.imshow(decibels[CROP], cmap="gray", vmin=-15, vmax=25, interpolation="nearest")
+    decibels = to_db(power, np.median(power))
+    ax.imshow(decibels[CROP], cmap=colormap(POWER), vmin=-15, vmax=25, interpolation="nearest")
     if found is not None:
-        for mask, colour in ((found.target, "#ff9a3c"), (found.shadow, "#4db8ff")):
+        for mask, colour in ((found.target, TARGET), (found.shadow, SHADOW)):
             ax.contour(mask[CROP], [0.5], colors=colour, linewidths=1)
     ax.set(xticks=[], yticks=[])
 
@@ -70,7 +72,7 @@ def show_mesh(ax: Axes, mesh: trimesh.Trimesh, view: View, step: float = 0.012) 
     depth = np.where(face >= 0, depth, 1e3).reshape(x.shape)
     jump = [np.abs(np.diff(depth, axis=axis, append=1e3)) > 5 * step for axis in (0, 1)]
     level[(jump[0] | jump[1]) & (level < 1)] *= 0.4
-    ax.imshow(level, cmap="gray", vmin=0, vmax=1, origin="lower", extent=(left, right, low, high))
+    ax.imshow(level, cmap=colormap(POWER), vmin=0, vmax=1, origin="lower", extent=(left, right, low, high))
     # x_r, y_r and z_r = away are right-handed: for the onlooker, with y_r up, x_r points to the left
     ax.set(xlim=(4.7, -4.7), ylim=(-2.4, 3.6))
     ax.axis("off")

@@ -17,14 +17,15 @@ import trimesh
 from matplotlib.axes import Axes
 
 from sarsplat import Run, View
+from sarsplat.colours import HEIGHT, POWER, colormap
 from sarsplat.evaluation import Yardstick, comparison, metrics_of_points, paper_scores, summary_metrics, visible_surface
+from sarsplat.radiometry import DYNAMIC_RANGE_DB, to_db
 
 HERE = Path(__file__).parent
 README, PICTURE = HERE.parent / "README.md", HERE / "images" / "demo.png"
 BLOCK = re.compile(r"(<!-- results: begin[^>]*-->\n).*?(<!-- results: end -->)", re.DOTALL)
 
 SHOWN = (View(30.0, 75.0), View(120.0, 45.0), View(210.0, 15.0))  # unseen views, one at each grazing angle
-DYNAMIC_DB = 45.0
 CROP = 40  # pixels left out on every side
 SHOWN_POINTS = 40_000  # of either cloud: a denser one would only look more solid
 
@@ -74,8 +75,15 @@ def draw(run: Run) -> None:
 
 def show_image(ax: Axes, power: np.ndarray, peak: float, spacing: tuple[float, float]) -> None:
     """The middle of a β⁰ image in decibels below the set's brightest pixel."""
-    decibels = 10 * np.log10(np.maximum(power[CROP:-CROP, CROP:-CROP] / peak, 1e-12))
-    ax.imshow(decibels, cmap="gray", vmin=-DYNAMIC_DB, vmax=0, interpolation="nearest", aspect=spacing[1] / spacing[0])
+    decibels = to_db(power[CROP:-CROP, CROP:-CROP], peak)
+    ax.imshow(
+        decibels,
+        cmap=colormap(POWER),
+        vmin=-DYNAMIC_RANGE_DB,
+        vmax=0,
+        interpolation="nearest",
+        aspect=spacing[1] / spacing[0],
+    )
     ax.set(xticks=[], yticks=[])
 
 
@@ -85,7 +93,7 @@ def show_points(ax: Axes, points: np.ndarray, axes: tuple[int, int]) -> None:
     points = np.random.default_rng(0).permutation(points)[:SHOWN_POINTS]
     order = np.argsort(points[:, hidden] * (-1 if hidden == 1 else 1))  # seen from −y, or from above
     x, y = points[order][:, axes[0]], points[order][:, axes[1]]
-    ax.scatter(x, y, c=points[order, 2], s=0.8, cmap="viridis", vmin=0, vmax=2.5, linewidths=0, rasterized=True)
+    ax.scatter(x, y, c=points[order, 2], s=0.8, cmap=colormap(HEIGHT), vmin=0, vmax=2.5, linewidths=0, rasterized=True)
     ax.set(aspect="equal", xlim=(-3.7, 6.3), ylim=(-0.2, 3.2) if axes[1] == 2 else (-2.2, 2.2))
     ax.axis("off")
 

@@ -68,6 +68,15 @@ def test_imports_run_one_way(folder):
     assert not wrong
 
 
+@pytest.mark.parametrize("name", ["errors", "radiometry", "colours"])
+def test_the_bottom_imports_no_room(name):
+    """What every room may use."""
+    modules = imported(PACKAGE / f"{name}.py")
+    assert not {rooms(module) for module in modules} & set(RANK)
+    third_party = {module.split(".")[0] for module in modules} - set(sys.stdlib_module_names) - {"sarsplat"}
+    assert third_party <= {"numpy", "jaxtyping"} | ({"matplotlib"} if name == "colours" else set())
+
+
 def test_nothing_imports_the_package_itself():
     """`sarsplat/__init__.py` gathers the public names; going through it would hide a cycle."""
     for path in PACKAGE.rglob("*.py"):

@@ -100,7 +100,7 @@ def test_viewers_may_show_the_height_instead(tmp_path):
     shown = in_a_viewer(tmp_path / "a.ply", torch.tensor([0.6, 0.0, 0.8]))
     np.testing.assert_allclose(shown, in_a_viewer(tmp_path / "a.ply", torch.tensor([0.0, -0.6, 0.8])), atol=1e-5)
     height = gaussians.means[:, 2].numpy()
-    assert np.corrcoef(shown[:, 0] - shown[:, 2], height)[0, 1] > 0.8  # from blue to yellow
+    assert np.corrcoef(shown[:, 0] - shown[:, 2], height)[0, 1] > 0.75  # from blue to yellow
     assert b"comment colours: height, blue = " in (tmp_path / "a.ply").read_bytes()
 
 

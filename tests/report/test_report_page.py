@@ -203,7 +203,6 @@ def test_a_report_is_replaced(tmp_path: Path) -> None:
     run = make_run(tmp_path, dataset, None)
     write_report(run)
     run.metrics = make_metrics(psnr_db=44.44)
-    (tmp_path / "run" / "report" / "views.png").write_bytes(b"of an earlier version")
     (tmp_path / "run" / "report" / "notes.txt").write_text("the user's")
     page = write_report(run)
     assert "44.44" in page.read_text()

@@ -7,22 +7,17 @@ import pytest
 from PIL import Image
 
 from datasets import dataset_of
+from sarsplat.colours import DARK
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction.log import LogLine
 from sarsplat.report import Look, contact_sheet, decibel_png
 from sarsplat.report.check_sheet import check_sheet
 from sarsplat.report.curves import curves_figure
-from sarsplat.report.decibels import bright_level, to_decibels
 from sarsplat.report.figure import axis, nice, scale_bar
 from sarsplat.report.residual import Difference, Window
 from sarsplat.report.views import evenly
 from sarsplat.report.window import target_window
-
-
-def test_decibels_of_power() -> None:
-    np.testing.assert_allclose(to_decibels(np.array([1.0, 10.0, 0.5]), peak=10.0), [-10, 0, -13.0103], atol=1e-4)
-    assert np.isfinite(to_decibels(0.0))
 
 
 def test_grey_levels_of_the_png() -> None:
@@ -142,17 +137,10 @@ def test_one_corner_reflector_does_not_darken_a_sheet() -> None:
         assert (np.asarray(Image.open(io.BytesIO(png)).convert("L")) > 250).mean() > 0.05
 
 
-def test_something_is_white_on_a_sheet_of_few_bright_pixels() -> None:
-    assert bright_level(np.zeros(9)) == 1.0
-    few = np.zeros(10_000)
-    few[3] = 5.0
-    assert bright_level(few) == 5.0
-
-
 def test_minor_ticks_can_be_read_on_the_dark_panel() -> None:
     from matplotlib.colors import to_hex
 
-    from sarsplat.report.canvas import MUTED, dress, new_figure
+    from sarsplat.report.canvas import dress, new_figure
 
     figure = new_figure(4, 3)
     axes = figure.subplots()
@@ -162,7 +150,7 @@ def test_minor_ticks_can_be_read_on_the_dark_panel() -> None:
     figure.canvas.draw()
     labels = [label for label in axes.get_yticklabels(minor=True) if label.get_text()]
     assert labels
-    assert {to_hex(label.get_color()) for label in labels} == {MUTED}
+    assert {to_hex(label.get_color()) for label in labels} == {DARK.muted}
 
 
 def test_a_contact_sheet_of_nothing_is_refused() -> None:

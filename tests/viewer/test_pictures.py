@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
+from sarsplat.colours import DIFFERENCE
 from sarsplat.geometry import ImageGrid
 from sarsplat.radar import Pixel, RadarMaps
 
 pytest.importorskip("matplotlib")
 
-from sarsplat.viewer.colours import DIFFERENCE, Scale
 from sarsplat.viewer.pictures import MAPS, Strip, difference_panel, map_panel, power_panel
+from sarsplat.viewer.scale import Scale
 
 GRID = ImageGrid(20, 30, (0.4, 0.2), (0.5, 0.5))
 

@@ -1,7 +1,12 @@
 """The server: this machine only, one port or none."""
 
+import ast
+import asyncio
 import http.client
+import re
 import socket
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
@@ -9,7 +14,10 @@ from sarsplat.errors import SarsplatError
 
 pytest.importorskip("viser")
 
-from sarsplat.viewer.server import start_server, stop_server
+from websockets.asyncio import server as library
+
+from sarsplat import viewer
+from sarsplat.viewer.server import _served_on, start_server, stop_server
 
 
 @pytest.fixture
@@ -40,14 +48,14 @@ def test_the_page_may_load_nothing_from_elsewhere(served):
     assert len(answer.content) == int(answer.headers["Content-Length"])
 
 
-def test_a_click_is_told_as_parts_of_the_picture(served):
+def test_a_click_is_reported_as_parts_of_the_picture(served):
     port, picked = served
     assert ask(port, "/pick?x=0.25&y=0.5").status == 204
     assert picked == [(0.25, 0.5)]
 
 
 @pytest.mark.parametrize("words", ["", "?x=1", "?x=a&y=0", "?x=1.5&y=0.5", "?x=nan&y=0.5"])
-def test_what_is_no_click_is_refused(served, words):
+def test_what_is_not_a_click_is_refused(served, words):
     port, picked = served
     assert ask(port, f"/pick{words}").status == 400
     assert picked == []
@@ -78,12 +86,38 @@ def test_a_port_in_use_is_refused_and_not_replaced_by_the_next(served):
 
 
 @pytest.mark.parametrize("port", [-1, 65536])
-def test_a_number_that_is_no_port_is_refused(port):
-    with pytest.raises(SarsplatError, match=f"--port {port} is no port"):
+def test_a_number_that_is_not_a_port_is_refused(port):
+    with pytest.raises(SarsplatError, match=f"--port {port} is not a valid port"):
         start_server(port, lambda *place: None)
 
 
 def test_nothing_of_the_library_stays_changed(served):
-    from websockets.asyncio import server as library
-
     assert library.serve.__module__ == "websockets.asyncio.server"
+
+
+def test_another_server_that_starts_meanwhile_is_left_alone():
+    async def other() -> int:
+        async with library.serve(lambda connection: None, "127.0.0.1", 0) as started:
+            return started.sockets[0].getsockname()[1]
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+        with _served_on(listener, port, lambda *place: None):
+            assert asyncio.run(other()) != port
+
+
+def test_pages_that_start_at_once_are_all_protected():
+    with ThreadPoolExecutor(4) as pool:
+        servers = list(pool.map(lambda _: start_server(0, lambda *place: None), range(4)))
+    ports = {server.get_port() for server in servers}
+    policies = [ask(port, "/").headers["Content-Security-Policy"] for port in ports]
+    for server in servers:
+        stop_server(server)
+    assert len(policies) == 4 and all("default-src 'none'" in policy for policy in policies)
+
+
+def test_the_viewer_uses_no_private_part_of_another_package():
+    for path in Path(viewer.__file__).parent.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Attribute) and re.match(r"_[a-z]", node.attr):
+                assert isinstance(node.value, ast.Name) and node.value.id in ("self", "cls"), f"{path}:{node.lineno}"

@@ -22,6 +22,7 @@ from sarsplat.baselines.regularity import flatten_loss, iou_loss, laplacian_loss
 from sarsplat.baselines.template import sphere
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import SHADOW, TARGET, View
+from sarsplat.radiometry import beta0_of_gamma0
 
 _HALF_FIELD, _DEPTH_RANGE = 1.58, 99.0
 """What σ and γ refer to, in longest sides of the target: as in soft rasterisation's usual scenes, where an object of
@@ -146,7 +147,7 @@ class Dsr(Baseline):
     def _whole(self, layers: Layers, view: View) -> Float[Tensor, "rows columns"]:
         if self.log_ground is None or self.log_floor is None:
             return layers.target
-        ground = self.log_ground.exp() * math.tan(math.radians(view.grazing_deg))
+        ground = beta0_of_gamma0(self.log_ground.exp(), view.grazing_deg)
         return layers.target + ground * (1 - layers.hidden) + self.log_floor.exp()
 
 

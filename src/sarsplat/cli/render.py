@@ -81,9 +81,11 @@ def render(
         Replace an existing folder of rendered images, or an existing file of the same kind.
     """
     from sarsplat.baselines import open_run
+    from sarsplat.colours import POWER
     from sarsplat.data.replaceable import refuse_other_kinds
+    from sarsplat.radiometry import to_db
     from sarsplat.report.animation import ANIMATIONS
-    from sarsplat.report.decibels import Look, to_decibels
+    from sarsplat.report.look import Look
     from sarsplat.report.render_grid import asked_grid
     from sarsplat.report.rendered import FILES, SHEET, Rendered, require_distinct, require_output
 
@@ -100,7 +102,7 @@ def render(
         assert sweep is not None
         views = _swept(sweep, frames, done.snapshot.views, azimuth, grazing, incidence)
         views = views if recognises else list(dict.fromkeys(views))  # a folder holds each once
-    look = Look(done.brightest, range_db, cmap or "gray")
+    look = Look(done.brightest, range_db, cmap or POWER)
     look.palette()  # an unknown colour map is told before the work
     grid = asked_grid(done.grid, pixels, spacing, resolution)
     rendered = Rendered(_rendered(done, views, grid), views, grid, look)
@@ -108,10 +110,10 @@ def render(
         rendered = rendered.around_target()
     with console.busy(f"writing {out}"):
         wrote = rendered.write(out, seconds=seconds, overwrite=overwrite)
-    ends = ("grey", "black", "white") if look.cmap == "gray" else (look.cmap, "its lower end", "its upper end")
+    ends = ("grey", "black", "white") if look.cmap == POWER else (look.cmap, "its lower end", "its upper end")
     console.say(
         f"pictures: {ends[0]} from −{look.range_db:g} dB ({ends[1]}) to 0 dB ({ends[2]}), where 0 dB is the brightest "
-        f"training pixel, β⁰ = {float(to_decibels(look.peak)):.1f} dB; row 0 is near range"
+        f"training pixel, β⁰ = {float(to_db(look.peak)):.1f} dB; row 0 is near range"
     )
     console.finish(f"{out}: {wrote}", f"look at {out if recognises else out / SHEET}")
 

@@ -14,8 +14,7 @@ from sarsplat.data.files import write_bytes
 from sarsplat.data.picture import open_window, picture_png
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
-
-_DYNAMIC_RANGE_DB = 40.0
+from sarsplat.radiometry import DYNAMIC_RANGE_DB, amplitude, to_db
 
 _LARGEST_POWER = 1e18  # 180 dB: beyond any calibration, and its square still fits into float32
 
@@ -85,14 +84,13 @@ class SarImage:
     @property
     def amplitude(self) -> Float[np.ndarray, "rows columns"]:
         """√β⁰."""
-        return np.sqrt(self.power)
+        return amplitude(self.power)
 
     def db(self) -> Float[np.ndarray, "rows columns"]:
         """10·log10 β⁰, dB; −inf where the power is zero."""
-        with np.errstate(divide="ignore"):
-            return 10 * np.log10(self.power)
+        return to_db(self.power, least=0.0)
 
-    def save(self, path: str | Path, *, dynamic_range_db: float = _DYNAMIC_RANGE_DB) -> None:
+    def save(self, path: str | Path, *, dynamic_range_db: float = DYNAMIC_RANGE_DB) -> None:
         """Write a picture of it as PNG, whole or not at all: decibels in grey, axes in metres, a colour bar.
 
         Parameters
@@ -115,7 +113,7 @@ class SarImage:
             )
         write_bytes(path, picture_png(self, dynamic_range_db))
 
-    def show(self, *, dynamic_range_db: float = _DYNAMIC_RANGE_DB) -> None:
+    def show(self, *, dynamic_range_db: float = DYNAMIC_RANGE_DB) -> None:
         """Open a window with the picture, or show it in a notebook.
 
         Raises
@@ -128,7 +126,7 @@ class SarImage:
     def _repr_png_(self) -> bytes | None:
         """What a notebook shows; nothing without matplotlib."""
         try:
-            return picture_png(self, _DYNAMIC_RANGE_DB)
+            return picture_png(self, DYNAMIC_RANGE_DB)
         except SarsplatError:
             return None
 

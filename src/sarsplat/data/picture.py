@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sarsplat.colours import POWER, colormap
 from sarsplat.errors import SarsplatError
+from sarsplat.radiometry import to_db
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,24 +56,17 @@ def _draw(image: SarImage, figure: Figure, dynamic_range_db: float) -> None:
         raise SarsplatError(
             f"a dynamic range of {dynamic_range_db} dB cannot be drawn; give a positive one, such as 40"
         )
-    grid = image.grid
-    half_azimuth, half_range = grid.spacing_m[0] / 2, grid.spacing_m[1] / 2
-    extent = (
-        grid.azimuth_m[0] - half_azimuth,
-        grid.azimuth_m[-1] + half_azimuth,
-        grid.range_m[-1] + half_range,
-        grid.range_m[0] - half_range,
-    )
+    extent = image.grid.extent_m
     width, height = extent[1] - extent[0], extent[2] - extent[3]
     scale = _INCHES / max(width, height)
     figure.set_size_inches(max(width * scale, 1.5) + 1.9, max(height * scale, 1.5) + 1.0)
     figure.set_layout_engine("constrained")
     axes = figure.add_subplot()
     brightest = float(image.power.max(initial=0))
-    top = 10 * np.log10(brightest) if brightest > 0 else 0.0
+    top = to_db(brightest or 1.0)
     shades = axes.imshow(
         np.maximum(image.db(), top - dynamic_range_db),
-        cmap="gray",
+        cmap=colormap(POWER),
         vmin=top - dynamic_range_db,
         vmax=top,
         extent=extent,

@@ -15,8 +15,10 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64
 
+from sarsplat.colours import HEIGHT, ramp
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.harmonics import CONSTANTS, harmonic_basis
+from sarsplat.radiometry import to_db
 
 Colour = Literal["db", "height"]
 """What colours show: γ⁰ in decibels, in grey, or the height, from blue (low) to yellow (high)."""
@@ -29,7 +31,6 @@ _SPAN = (0.1, 0.995)  # of all that is seen: black and white; a glint must not d
 _DARKEST = 0.08  # of a shade: what is dark stays visible before a black background
 _BELOW = 0.03  # weight of the mirror image below the horizon
 _DEGREE = 3
-_RAMP = np.array([[0.19, 0.29, 0.60], [0.13, 0.57, 0.55], [0.37, 0.79, 0.38], [0.99, 0.91, 0.14]])  # even in lightness
 
 
 @dataclass(frozen=True)
@@ -64,15 +65,14 @@ def viewer_colours(gaussians: Gaussians, colour: Colour = "db") -> ViewerColours
     if colour == "height":
         height = gaussians.means[:, 2].detach().double().cpu().numpy()
         low, high = _span(height, _weight(gaussians))
-        place = np.interp(height, (low, high), (0, len(_RAMP) - 1)) if len(height) else height
-        mean = np.stack([np.interp(place, np.arange(len(_RAMP)), channel) for channel in _RAMP.T], axis=1)
+        mean = ramp(HEIGHT)[np.round(np.interp(height, (low, high), (0, 255))).astype(int), :3] / 255
         constant = np.zeros((len(mean), 3, len(CONSTANTS)))
         constant[:, :, 0] = (mean - 0.5) / CONSTANTS[0]
         return _rounded(constant, mean, f"colours: height, blue = {low:.3g} m, yellow = {high:.3g} m")
     directions = _hemisphere()
     with torch.no_grad():
         gamma0 = gaussians.detach().to("cpu").to(torch.float64).gamma0(torch.from_numpy(directions)).numpy()
-    level_db = 10 * np.log10(np.maximum(gamma0, np.finfo(np.float32).tiny))  # [V, N]
+    level_db = to_db(gamma0)  # [V, N]
     low, high = _span(level_db, np.broadcast_to(_weight(gaussians), level_db.shape))
     shade = np.interp(level_db, (low, high), (_DARKEST, 1.0))
     above, below = (harmonic_basis(torch.from_numpy(u), _DEGREE).numpy() for u in (directions, directions * (1, 1, -1)))

@@ -18,6 +18,7 @@ from jaxtyping import Float, Float64, Real
 from scipy.ndimage import correlate
 
 from sarsplat.errors import SarsplatError
+from sarsplat.radiometry import brighter, to_db
 
 Stack = Real[np.ndarray, "v rows columns"]
 """Images of V views; equal sizes within one call."""
@@ -82,7 +83,7 @@ def psnr_target_db(truth: Stack, rendered: Stack, reference_amplitude: float) ->
     check_stacks(truth, rendered)
     if not truth.max() > 0:
         raise UndefinedScore("the true images are black everywhere, so there is no target to score; check the dataset")
-    mask = truth > truth.max() * 10 ** (-TARGET_DYNAMIC_DB / 10)
+    mask = brighter(truth, -TARGET_DYNAMIC_DB)
     pixels = mask.sum(axis=(1, 2))
     error = normalised_amplitude(truth, reference_amplitude) - normalised_amplitude(rendered, reference_amplitude)
     squares = np.sum(np.square(error, dtype=np.float64), axis=(1, 2), where=mask)
@@ -160,7 +161,7 @@ def log_correlation(truth: Stack, rendered: Stack, margin: int = 0) -> float:
 
 
 def _mean_psnr(mse: Float[np.ndarray, " v"]) -> float:
-    return float(np.mean(-10 * np.log10(np.maximum(mse, _SMALLEST_MSE))))
+    return float(np.mean(-to_db(np.maximum(mse, _SMALLEST_MSE))))
 
 
 def smoothed(power: Stack) -> Float64[np.ndarray, "v rows columns"]:

@@ -13,6 +13,7 @@ from sarsplat.data.viewer_colours import Colour
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.exports.contents import Points, points_of
 from sarsplat.exports.format import Format
+from sarsplat.radiometry import LEAST_POWER, shade
 from sarsplat.reconstruction import AnyRun
 
 _DARKEST_DB = -30.0  # of the brightest point: intensity 0, as black in a mesh
@@ -55,9 +56,8 @@ def las_bytes(points: Points) -> bytes:
     for name, column in columns.items():
         cloud[name] = column
     if points.gamma0 is not None:
-        brightest = max(float(points.gamma0.max()), float(np.finfo(np.float32).tiny))
-        level_db = 10 * np.log10(np.maximum(points.gamma0 / brightest, 10 ** (_DARKEST_DB / 10)))
-        cloud.intensity = np.round(65535 * (1 - level_db / _DARKEST_DB)).astype(np.uint16)
+        brightest = max(float(points.gamma0.max()), LEAST_POWER)
+        cloud.intensity = np.round(65535 * shade(points.gamma0, brightest, -_DARKEST_DB)).astype(np.uint16)
     content = io.BytesIO()
     cloud.write(content, do_compress=False)
     return content.getvalue()

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.radiometry import brighter
 
 BRIGHT_DB = -30.0
 """Pixels above this, relative to the brightest of the set, show the target, dB."""
@@ -68,7 +69,7 @@ def bounded_region(
     SarsplatError
         If an image has no bright pixel, or the bounds leave no space.
     """
-    bright = power > power.max() * 10 ** (threshold_db / 10)
+    bright = brighter(power, threshold_db)
     normals, offsets = [np.array([0.0, 0.0, -1.0])], [0.0]
     half_a, half_r = grid.spacing_m[0] / 2, grid.spacing_m[1] / 2
     for mask, view in zip(bright, views, strict=True):

@@ -122,6 +122,19 @@ class ImageGrid:
         """Slant range r_n of the pixel rows' centres from the scene centre, m, float64 [rows]."""
         return (np.arange(self.rows) - (self.rows - 1) / 2) * self.spacing_m[1] + self.center_m[1]
 
+    @property
+    def extent_m(self) -> tuple[float, float, float, float]:
+        """Edges of the image, m: azimuth on the left and right, slant range at the bottom (far) and top (near)."""
+        half_azimuth, half_range = (count * step / 2 for count, step in zip((self.columns, self.rows), self.spacing_m))
+        azimuth, slant_range = self.center_m
+        return azimuth - half_azimuth, azimuth + half_azimuth, slant_range + half_range, slant_range - half_range
+
+    def part(self, rows: slice, columns: slice) -> ImageGrid:
+        """The grid of a part of the image, of at least one pixel."""
+        azimuth, slant_range = self.azimuth_m[columns], self.range_m[rows]
+        centre = ((azimuth[0] + azimuth[-1]) / 2, (slant_range[0] + slant_range[-1]) / 2)
+        return replace(self, rows=len(slant_range), columns=len(azimuth), center_m=centre)
+
 
 @dataclass(frozen=True)
 class RayGrid:

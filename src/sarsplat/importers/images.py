@@ -23,6 +23,7 @@ from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.importers.band_limited import resample
+from sarsplat.radiometry import to_db
 
 _SAME = 1e-3
 """Relative difference of lengths that are meant to be the same."""
@@ -138,7 +139,7 @@ def dataset_of(
         _say(
             assumptions,
             f"{counted(int(zeros.sum()), 'pixel')} of {zeros.size} held zero, which no radar measures; raised "
-            f"to {10 * math.log10(_LEAST_POWER):g} dB of the median power",
+            f"to {to_db(_LEAST_POWER):g} dB of the median power",
         )
     if calibration == "relative":
         trained = _power(pixels[[image.split == "train" for image in images]])

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.radiometry import from_db
 
 Quantity = Literal["amplitude", "power", "db", "complex"]
 QUANTITIES: tuple[str, ...] = get_args(Quantity)
@@ -65,7 +66,7 @@ def power_or_signal(
         else:
             value = pixels.astype(np.float32) * np.float32(scale) + np.float32(offset)
         if quantity == "db":
-            value = np.float32(10) ** (value / np.float32(10))
+            value = from_db(value)
         fits = np.isfinite(value) if quantity == "complex" else np.isfinite(value) & (value >= 0)
         value = value**2 if quantity == "amplitude" else value
     if not fits.all():

@@ -13,6 +13,7 @@ from scipy.ndimage import map_coordinates
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.radar.surface import Surface, above_ground
+from sarsplat.radiometry import beta0_of_gamma0
 from sarsplat.renderer import RayMap, attenuate, project, splat
 
 _SHARE = 0.5
@@ -96,7 +97,7 @@ def radar_maps(surface: Surface, view: View, grid: ImageGrid, *, rays: RayGrid |
     weighted = lit[:, None] * torch.from_numpy(_columns(surface, view)).to(lit)
     sums = splat(projection.pixels, weighted[None], sharp)[0].double().numpy()
     area = sums[_AREA]
-    shown = (area >= _SHARE * math.tan(math.radians(view.grazing_deg))) | (sums[_COVER] >= _SHARE)
+    shown = (area >= beta0_of_gamma0(_SHARE, view.grazing_deg)) | (sums[_COVER] >= _SHARE)
     means = np.divide(sums, area, out=np.full_like(sums, np.nan), where=shown)
     spread = 2 * np.sqrt(_unexplained(means, grid))
     with np.errstate(invalid="ignore"):

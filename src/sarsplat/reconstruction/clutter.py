@@ -12,6 +12,7 @@ from scipy.ndimage import binary_dilation
 
 from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import width_of
+from sarsplat.radiometry import brighter
 from sarsplat.reconstruction.outlines import Outline
 
 _CELLS_PER_BLOCK, _SMALLEST_BLOCK = 6, 8
@@ -121,7 +122,7 @@ def sharpest_widths_m(power: Real[np.ndarray, "v rows columns"], grid: ImageGrid
     if there is nothing to look at.
     """
     peak = power.max(axis=(1, 2), keepdims=True)
-    bright = (power > peak * 10 ** (-_BRIGHT_DB / 10)) & (power > 0)
+    bright = brighter(power, -_BRIGHT_DB, peak) & (power > 0)
     logarithm = np.log(np.where(bright, power, 1.0), dtype=np.float64)
     widths = []
     for axis, spacing in zip((2, 1), grid.spacing_m, strict=True):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -13,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, View
+from sarsplat.radiometry import beta0_of_gamma0
 from sarsplat.renderer import attenuate, project, splat
 
 _SHARE = 0.5
@@ -64,7 +64,7 @@ def scene_masks(
     for mask, view in zip(masks, views, strict=True):  # one at a time: memory stays small
         of_target, of_ground = _returns(scene, target, view, sharp, rays, alike)
         if alike:
-            free = np.full_like(of_ground, math.tan(math.radians(view.grazing_deg)))
+            free = np.full_like(of_ground, beta0_of_gamma0(1.0, view.grazing_deg))
         else:
             _, free = _returns(scene[target:], 0, view, sharp, rays, alike)
             mask[of_ground < _SHARE * free] = SHADOW

@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from sarsplat.errors import SarsplatError
+from sarsplat.radiometry import shade
 from sarsplat.reconstruction.seen import Seen
 from sarsplat.unbroken import unbroken
 
@@ -83,9 +84,7 @@ def surface_mesh(
             if len(faces):
                 _, vertex_normals = planes.at(vertices)  # of many points: those of a voxel's few triangles jump
     gamma0, _ = seen.around(vertices)
-    with np.errstate(divide="ignore"):
-        level_db = 10 * np.log10(gamma0 / gamma0.max(initial=np.finfo(float).tiny))
-    grey = np.uint8(np.round(255 * np.clip(1 - level_db / _DARKEST_DB, 0, 1)))
+    grey = np.uint8(np.round(255 * shade(gamma0, gamma0.max(initial=np.finfo(float).tiny), -_DARKEST_DB)))
     return trimesh.Trimesh(
         vertices,
         faces,

@@ -19,6 +19,7 @@ from sarsplat.gaussians import SCATTERINGS, Gaussians, Scattering, join
 from sarsplat.gaussians.ground import ground_radius_m, ground_sheet
 from sarsplat.gaussians.initialise import BRIGHT_DB, Region, bounded_region, hemisphere_shell, random_quaternions
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.radiometry import beta0_of_gamma0, brighter
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.lengths import scales_m
 from sarsplat.reconstruction.side_lobes import with_side_lobes
@@ -178,7 +179,7 @@ class SceneModel:
                 "log_gain": means.new_zeros(len(train)),
             }
             if (sheet := _ground(config, setting)) is not None:
-                mean_tangent = float(np.mean([math.tan(math.radians(view.grazing_deg)) for view in train.views]))
+                mean_tangent = float(np.mean([beta0_of_gamma0(1.0, view.grazing_deg) for view in train.views]))
                 # γ⁰ of single-look clutter, from its median
                 level = float(np.median(train.power)) / setting.unit / math.log(2) / mean_tangent
                 parameters["ground"] = _law(config, 1, level).parameters[0]
@@ -381,7 +382,7 @@ def _column_means(table: Float[Tensor, "n k"]) -> Float[Tensor, " k"]:
 
 def _enough(train: Dataset) -> int:
     """How many Gaussians a target of this size needs, seen at this resolution."""
-    bright = (train.power > train.power.max() * 10 ** (BRIGHT_DB / 10)).sum() / len(train)
+    bright = brighter(train.power, BRIGHT_DB).sum() / len(train)
     cells = bright * math.prod(train.grid.spacing_m) / train.grid.cell_m**2
     return max(_FEWEST, round(_PER_CELL * cells))
 

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float64, Real
 from scipy.ndimage import gaussian_filter, label
 
 from sarsplat.geometry import ImageGrid
+from sarsplat.radiometry import to_db
 from sarsplat.reconstruction.target_box import above_ground_db
 
 _BRIGHT_DB, _DARK_DB = 3.0, -4.5
@@ -57,7 +58,7 @@ def levels_db(
     width = (0.0, grid.resolution_m[1] / grid.spacing_m[1], grid.resolution_m[0] / grid.spacing_m[0])
     smooth = gaussian_filter(power.astype(np.float64), width, mode="nearest")
     peak = max(float(np.median(smooth.max(axis=(1, 2)))), np.finfo(float).tiny)
-    return np.maximum(10 * np.log10(np.maximum(smooth / peak, 10 ** (-_RANGE_DB / 10))) + _RANGE_DB, 0.0)
+    return np.maximum(to_db(smooth, peak) + _RANGE_DB, 0.0)
 
 
 def outline(level_db: Float64[np.ndarray, "rows columns"]) -> Outline:

@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter, label, map_coordinates
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.radiometry import to_db
 
 _SURE_DB = 3.0
 """What is brighter than the ground by more is no speckle …"""
@@ -175,8 +176,7 @@ def above_ground_db(
     width = (0.0, grid.resolution_m[1] / grid.spacing_m[1], grid.resolution_m[0] / grid.spacing_m[0])
     smooth = gaussian_filter(power.astype(np.float64), width, mode="nearest")
     ground = np.median(smooth, axis=(1, 2), keepdims=True)
-    tiny = np.finfo(float).tiny
-    return 10 * np.log10(np.maximum(smooth / np.maximum(ground, tiny), tiny))
+    return to_db(smooth, np.maximum(ground, np.finfo(float).tiny))
 
 
 def _above_level(

@@ -14,14 +14,12 @@ from jaxtyping import Float32, UInt8
 from sarsplat.data import Dataset, DatasetEntry
 from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
+from sarsplat.radiometry import LEAST_POWER, shade
 from sarsplat.reconstruction.any_run import HEADER
 from sarsplat.reconstruction.loop import Step
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
-
-_DYNAMIC_DB = 40.0
-"""Images are grey from white, the brightest pixel of the truth, to black, this far below."""
 
 _GROWTH = math.sqrt(2)
 """Images are rendered at the iterations 1, 2, 3, 4, 6, 8, 11, 16 …"""
@@ -168,7 +166,5 @@ def _shows(iteration: int) -> bool:
 
 
 def _grey(power: Float32[np.ndarray, "rows columns"], brightest: float) -> UInt8[np.ndarray, "rows columns"]:
-    """Decibels below the brightest; row 0, near range, at the top."""
-    least = max(brightest, float(np.finfo(np.float32).tiny)) * 10 ** (-_DYNAMIC_DB / 10)
-    decibels = 10 * np.log10(np.maximum(power.astype(np.float64), least) / least)
-    return np.round(255 * np.clip(decibels / _DYNAMIC_DB, 0, 1)).astype(np.uint8)
+    """White is the brightest pixel of the truth; row 0, near range, at the top."""
+    return np.round(255 * shade(power, max(brightest, LEAST_POWER))).astype(np.uint8)

@@ -1,7 +1,7 @@
 """What a run looks like: pictures, scores and settings on one page that needs no network."""
 
 from sarsplat.report.compare import Comparison, compare, write_comparison
-from sarsplat.report.decibels import Look, decibel_png
+from sarsplat.report.look import Look, decibel_png
 from sarsplat.report.sheet import contact_sheet
 from sarsplat.report.write import write_report
 

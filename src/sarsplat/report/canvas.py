@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from sarsplat.colours import DARK, colormap
+from sarsplat.radiometry import OF_THE_BRIGHTEST, to_db
+from sarsplat.report.marks import mark_radar, mark_scale
 
 if TYPE_CHECKING:
+    import numpy as np
     from matplotlib.axes import Axes
-    from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
 
-PANEL, INK, MUTED, FAINT = "#10151c", "#e3e9f1", "#93a1b3", "#2a3441"
-BLUE, ORANGE = "#5cc8ff", "#ffb454"
+    from sarsplat.geometry import ImageGrid
+    from sarsplat.report.look import Look
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -19,38 +23,49 @@ def new_figure(width: float, height: float) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), facecolor=PANEL)
+    figure = Figure(figsize=(width, height), facecolor=DARK.card)
     FigureCanvasAgg(figure)
     return figure
 
 
 def dress(axes: Axes) -> None:
     """Colours of one set of axes."""
-    axes.set_facecolor(PANEL)
-    axes.tick_params(which="both", colors=MUTED, labelsize=8, length=3)
+    axes.set_facecolor(DARK.card)
+    axes.tick_params(which="both", colors=DARK.muted, labelsize=8, length=3)
     for spine in axes.spines.values():
-        spine.set_color(FAINT)
-    axes.xaxis.label.set(color=MUTED, size=9)
-    axes.yaxis.label.set(color=MUTED, size=9)
-    axes.title.set(color=INK, size=10)
+        spine.set_color(DARK.line)
+    axes.xaxis.label.set(color=DARK.muted, size=9)
+    axes.yaxis.label.set(color=DARK.muted, size=9)
+    axes.title.set(color=DARK.ink, size=10)
 
 
-def colour_bar(figure: Figure, where: Axes, colours: Colormap, limits: tuple[float, float], label: str) -> None:
-    """A horizontal colour bar that fills the axes `where`."""
+def draw_image(axes: Axes, power: np.ndarray, grid: ImageGrid, look: Look, title: str, size: float) -> None:
+    """β⁰ [rows, columns] in decibels, axes in metres, with radar, scale and title; text of `size` points."""
+    axes.imshow(
+        to_db(power, look.peak),
+        cmap=colormap(look.cmap),
+        vmin=-look.range_db,
+        vmax=0,
+        extent=grid.extent_m,
+        interpolation="nearest",
+    )
+    dress(axes)
+    mark_radar(axes, size)
+    mark_scale(axes, grid.columns * grid.spacing_m[0], size)
+    axes.set_title(title, size=size, pad=3)
+
+
+def decibel_bar(figure: Figure, place: tuple[float, float, float, float], look: Look) -> None:
+    """A horizontal colour bar at a place of a sheet."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    bar = figure.colorbar(ScalarMappable(Normalize(*limits), colours), cax=where, orientation="horizontal")
-    bar.set_label(label, color=MUTED, size=9)
+    axes = figure.add_axes(place)
+    colours = ScalarMappable(Normalize(-look.range_db, 0), colormap(look.cmap))
+    bar: Any = figure.colorbar(colours, cax=axes, orientation="horizontal")
+    bar.set_label(OF_THE_BRIGHTEST, color=DARK.muted, size=9)
     bar.outline.set_visible(False)
-    where.tick_params(colors=MUTED, labelsize=8, length=3)
-
-
-def ramp(name: str, *colours: str) -> Colormap:
-    """A colour map through these colours."""
-    from matplotlib.colors import LinearSegmentedColormap
-
-    return LinearSegmentedColormap.from_list(name, list(colours))
+    axes.tick_params(colors=DARK.muted, labelsize=8, length=3)
 
 
 def to_png(figure: Figure, dpi: int = 110) -> bytes:

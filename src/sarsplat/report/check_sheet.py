@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from sarsplat.colours import DARK, SHADOW, TARGET
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.radiometry import bright_level
 from sarsplat.reconstruction.outlines import levels_db, outline
-from sarsplat.report.canvas import BLUE, MUTED, ORANGE, colour_bar, dress, new_figure, to_png
-from sarsplat.report.decibels import DYNAMIC_DB, OF_THE_BRIGHTEST, bright_level, to_decibels
-from sarsplat.report.marks import arrow, mark_radar, mark_scale
+from sarsplat.report.canvas import decibel_bar, draw_image, new_figure, to_png
+from sarsplat.report.look import Look
+from sarsplat.report.marks import arrow
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,8 +48,6 @@ def check_sheet(dataset: Dataset, most: int = 12) -> bytes:
     SarsplatError
         If the number is not positive.
     """
-    from matplotlib import colormaps
-
     if most < 1:
         raise SarsplatError(f"a sheet of {most} images cannot be drawn; ask for at least one")
     count = min(most, len(dataset))
@@ -63,50 +63,27 @@ def check_sheet(dataset: Dataset, most: int = 12) -> bytes:
     figure.subplots_adjust(
         left=0.02, right=0.98, top=1 - _TITLE / height, bottom=_FOOT / height, wspace=0.06, hspace=_TITLE / tall
     )
-    peak = bright_level(power)
+    look = Look(bright_level(power))
     for axes in panels.flat:
         axes.set_axis_off()
     for axes, index, image, level in zip(panels.flat, chosen, power, levels_db(power, grid, dataset.ground)):
-        axes.imshow(
-            to_decibels(image, peak),
-            cmap="gray",
-            vmin=-DYNAMIC_DB,
-            vmax=0,
-            extent=_extent(grid),
-            interpolation="nearest",
-        )
-        found = outline(level)
-        _contour(axes, found.target, grid, ORANGE)
-        if dataset.ground:
-            _contour(axes, found.shadow, grid, BLUE)
         entry = dataset.entries[index]
+        angles = f"azimuth {entry.view.azimuth_deg:.1f}°, grazing {entry.view.grazing_deg:.1f}°"
+        draw_image(axes, image, grid, look, f"{angles} ({entry.split})", 8)
+        outlined = outline(level)
+        _contour(axes, outlined.target, grid, TARGET)
+        if dataset.ground:
+            _contour(axes, outlined.shadow, grid, SHADOW)
         _nose(axes, entry.view, grid)
-        mark_radar(axes)
-        mark_scale(axes, grid.columns * grid.spacing_m[0])
-        dress(axes)
-        view = entry.view
-        angles = f"azimuth {view.azimuth_deg:.1f}°, grazing {view.grazing_deg:.1f}°"
-        axes.set_title(f"{angles} ({entry.split})", size=8, pad=4)
-    bar = figure.add_axes((0.03, 1.08 / height, 2.6 / width, 0.08 / height))
-    colour_bar(figure, bar, colormaps["gray"], (-DYNAMIC_DB, 0), OF_THE_BRIGHTEST)
+    decibel_bar(figure, (0.03, 1.08 / height, 2.6 / width, 0.08 / height), look)
     wide, high = grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1]
     legend = _LEGEND.format(shadow=_SHADOW if dataset.ground else "")
     text = (
         f"{legend}\n{dataset.target}: {count} of {len(dataset)} images, "
         f"{wide:.3g} m of azimuth × {high:.3g} m of slant range."
     )
-    figure.text(0.02, 0.1 / height, text, color=MUTED, size=8 if columns > 2 else 6, va="bottom", linespacing=1.35)
+    figure.text(0.02, 0.1 / height, text, color=DARK.muted, size=8 if columns > 2 else 6, va="bottom", linespacing=1.35)
     return to_png(figure)
-
-
-def _extent(grid: ImageGrid) -> tuple[float, float, float, float]:
-    half_azimuth, half_range = grid.spacing_m[0] / 2, grid.spacing_m[1] / 2
-    return (
-        grid.azimuth_m[0] - half_azimuth,
-        grid.azimuth_m[-1] + half_azimuth,
-        grid.range_m[-1] + half_range,
-        grid.range_m[0] - half_range,
-    )
 
 
 def _contour(axes: Axes, mask: Bool[np.ndarray, "rows columns"], grid: ImageGrid, colour: str) -> None:
@@ -116,7 +93,7 @@ def _contour(axes: Axes, mask: Bool[np.ndarray, "rows columns"], grid: ImageGrid
 
 def _nose(axes: Axes, view: View, grid: ImageGrid) -> None:
     """Where the nose points, from the middle."""
-    left, right, bottom, top = _extent(grid)
+    left, right, bottom, top = grid.extent_m
     nose: Float64[np.ndarray, " 3"] = radar_frame(view)[:, 0] * _NOSE * min(right - left, bottom - top)
     middle = grid.center_m
     end = (middle[0] + float(nose[0]), middle[1] + float(nose[2]))

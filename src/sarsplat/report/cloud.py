@@ -8,11 +8,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
+from sarsplat.colours import ERROR, HEIGHT
 from sarsplat.errors import counted
-from sarsplat.report.colours import DISTANCE, HEIGHT, palette
 from sarsplat.report.figure import Block, ColourBar, colour_bar
-from sarsplat.report.raster import data_uri, hollow, indexed, png
-from sarsplat.report.sides import Corner, Raster, Side
+from sarsplat.report.sides import Corner, Raster
 
 Points = Float[np.ndarray, "p 3"]
 
@@ -42,30 +41,17 @@ def point_boards(
     fewest = min((len(points) for points in by_height.values() if len(points)), default=0)
     raster = Raster.around(low, high, int(np.clip(2 * np.sqrt(fewest), _LEAST_PIXELS, _MOST_PIXELS)))
     blocks = [
-        _board(raster, name, points, points[:, 2], (float(low[2]), float(high[2])), HEIGHT)
+        raster.board(name, points, points[:, 2], (float(low[2]), float(high[2])), HEIGHT)
         for name, points in by_height.items()
     ]
-    bars = [colour_bar("height z, m", palette(HEIGHT), float(low[2]), float(high[2]))]
+    bars = [colour_bar("height z, m", HEIGHT, float(low[2]), float(high[2]))]
     if surface is not None:
         tree = KDTree(surface)
         for name, points in clouds.items():
             distance = tree.query(points)[0] if len(points) else np.empty(0)
-            blocks.append(_board(raster, f"error of the {name}", points, distance, (0.0, farthest_m), DISTANCE))
-        bars.append(colour_bar("distance to the true surface, m", palette(DISTANCE), 0, farthest_m))
+            blocks.append(raster.board(f"error of the {name}", points, distance, (0.0, farthest_m), ERROR))
+        bars.append(colour_bar("distance to the true surface, m", ERROR, 0, farthest_m))
     return tuple(blocks), tuple(bars)
-
-
-def _board(
-    raster: Raster, title: str, points: Points, value: Float[np.ndarray, " p"], limits: tuple[float, float],
-    colours: tuple[str, ...],
-) -> Block:  # fmt: skip
-    def picture(side: Side) -> str:
-        seen, there = raster.nearest(points, side)
-        shades = np.zeros(seen.shape, np.uint8)
-        shades[there] = indexed(value[seen[there]], *limits)
-        return data_uri(png(hollow(shades, there), palette(colours, hollow=True)))
-
-    return raster.board(title, picture)
 
 
 def _limits(points: Points) -> tuple[Corner, Corner]:

@@ -7,27 +7,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sarsplat.data import new_folder, write_bytes
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluation import IMAGE_METRICS, Yardstick
+from sarsplat.evaluation import Yardstick
 from sarsplat.reconstruction import AnyRun
 from sarsplat.report.cloud import point_boards
-from sarsplat.report.figure import Block, Figure
-from sarsplat.report.images import Part, difference_bar, power_bar, view_name
+from sarsplat.report.figure import Figure
 from sarsplat.report.page import rendered
-from sarsplat.report.residual import Difference, fitted
 from sarsplat.report.scores import ScoreTable, compared_tables
-from sarsplat.report.views import Chosen, evenly, unseen
-from sarsplat.report.window import target_window
+from sarsplat.report.views import Chosen, ranked_images, views_figure, with_others
 from sarsplat.report.write import sampled, scores_expected
 
 PAGE = "comparison.html"
 
 _VIEWS = 6
-_LARGEST = 192
-"""Pixels along a side that the page shows of an image; larger ones are averaged."""
+_LARGEST = 192  # pixels along a side that the page shows of an image
 
 
 @dataclass(frozen=True)
@@ -58,8 +52,8 @@ def compare(runs: Sequence[AnyRun[Any]]) -> Comparison:
     Raises
     ------
     SarsplatError
-        If there are fewer than two runs, one is given twice, has not been evaluated, or its `metrics.json` is of
-        another make.
+        If there are fewer than two runs, one is given twice, has not been evaluated, or its `metrics.json` was
+        written by another version.
     """
     if len(runs) < 2:
         raise SarsplatError(f"{len(runs)} run cannot be compared with others; give at least two")
@@ -154,56 +148,18 @@ def _title(what: str, comparison: Comparison) -> str:
 
 def _views(comparison: Comparison) -> Figure:
     """The same views rendered by every run of one dataset, and their errors."""
-    names, dataset = comparison.names, comparison.runs[0].dataset
-    chosen = _chosen(comparison)
-    indices = [one.index for one in chosen]
-    views = [dataset.views[index] for index in indices]
-    looks = dataset.select(dataset.entries[indices[0]].split).looks
-    peak = float(dataset.images("train").max())
-    truth, difference = dataset.power[indices], Difference(looks, dataset.grid, peak)
-    stacks = {
-        name: fitted(truth, run.render(views), looks, dataset.score_margin)
-        for name, run in zip(names, comparison.runs, strict=True)
-    }
-    brightest = np.maximum.reduce([truth, *stacks.values()])
-    part = Part.of(dataset.grid, target_window(brightest, peak, dataset.score_margin), _LARGEST)
-    errors = {name: difference.of(truth, stack) for name, stack in stacks.items()}
-    true = "measured" if dataset.calibration == "relative" else "truth"
-    blocks = []
-    for k, one in enumerate(chosen):
-        where = view_name(views[k])
-        panels = [part.power(true, f"{true}, {where}", truth[k], peak)]
-        panels += [part.power(name, f"{name}, {where}", stacks[name][k], peak) for name in names]
-        blocks.append(Block(f"{where}{f' ({one.why})' if one.why else ''}", tuple(panels), across=1 + len(names)))
-        wrong = [
-            part.difference(name, f"error of {name}, {where}", error[k], difference.largest)
-            for name, error in errors.items()
-        ]
-        blocks.append(Block("error", tuple(wrong), across=1 + len(names)))
-    text = f"{true.capitalize()} and reconstructions on one scale, the radar above. {difference.explained}"
-    return Figure(_title("The same views", comparison), text, tuple(blocks), (power_bar(), difference_bar(difference)))
-
-
-def _chosen(comparison: Comparison) -> list[Chosen]:
-    """The worst unseen view of each run of one dataset, then others, evenly spread."""
-    dataset, found = comparison.runs[0].dataset, dict[int, str]()
+    dataset, worst = comparison.runs[0].dataset, dict[int, str]()
     for name, run in zip(comparison.names, comparison.runs, strict=True):
-        scored = scores_of(run).get("by_image", {})
-        for split, worst in ((split, _worst(scores)) for split, scores in list(scored.items())[:1]):
-            if worst is not None:
-                index = [k for k, entry in enumerate(dataset.entries) if entry.split == split][worst]
-                found[index] = f"{found[index]}, {name}" if index in found else f"worst of {name}"
-    rest = [index for index in unseen(dataset) if index not in found]
-    others = [rest[k] for k in evenly(len(rest), max(2, _VIEWS - len(found)))] if rest else []
-    return [Chosen(index, why) for index, why in found.items()] + [Chosen(index) for index in others]
-
-
-def _worst(scores: Mapping[str, Any]) -> int | None:
-    metric = next(metric for metric in IMAGE_METRICS if metric.key == scores["metric"])
-    known = [(value, k) for k, value in enumerate(scores["scores"]) if value is not None]
-    if not known:
-        return None
-    return (min(known) if metric.better == "more" else max(known))[1]
+        best_first, _ = ranked_images(dataset, scores_of(run))
+        if best_first:
+            index = best_first[-1][1]
+            worst[index] = f"{worst[index]}, {name}" if index in worst else f"worst of {name}"
+    of_note = [Chosen(index, why) for index, why in worst.items()]
+    chosen = with_others(dataset, of_note, max(2, _VIEWS - len(of_note)))
+    true = "Measured" if dataset.calibration == "relative" else "Truth"
+    text = f"{true} and reconstructions on one scale, the radar above."
+    runs = dict(zip(comparison.names, comparison.runs, strict=True))
+    return views_figure(_title("The same views", comparison), text, runs, chosen, _LARGEST)
 
 
 def _points(comparison: Comparison) -> Figure:

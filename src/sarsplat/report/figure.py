@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from sarsplat.report.colours import Palette, gradient
+from sarsplat.colours import gradient
 
 _SIDE_UNITS = 1000  # of a drawing
 
@@ -138,9 +138,9 @@ def metres(length: float) -> str:
     return f"{length:g} m"
 
 
-def colour_bar(label: str, colours: Palette, low: float, high: float) -> ColourBar:
-    """A colour bar from `low` to `high`."""
-    return ColourBar(label, gradient(colours), axis("", low, high, 7).ticks)
+def colour_bar(label: str, name: str, low: float, high: float) -> ColourBar:
+    """A bar of a ramp (colours.py) from `low` to `high`."""
+    return ColourBar(label, gradient(name), axis("", low, high, 7).ticks)
 
 
 def polyline(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], style: str) -> str:

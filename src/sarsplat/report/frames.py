@@ -10,16 +10,14 @@ import numpy as np
 from jaxtyping import Real, UInt8
 
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.report.decibels import Look
+from sarsplat.report.figure import nice
+from sarsplat.report.look import Look
 
 if TYPE_CHECKING:
     from PIL import ImageDraw, ImageFont
 
 # Pixels.
-_SIDE, _LARGEST = (
-    480,
-    1920,
-)  # of the picture's longer side: small images grow to the one, large ones shrink
+_SIDE, _LARGEST = 480, 1920  # of the picture's longer side: small images grow to the one, large ones shrink
 _NARROWEST = 440  # what is written below needs that much
 _FOOT, _TEXT, _MARGIN = 30, 14, 10
 _BAR = (64, 6)  # of the decibels
@@ -77,7 +75,7 @@ class Framing:
 
         write(_MARGIN, f"azimuth {view.azimuth_deg % 360:.0f}°", "lm")
         write(_MARGIN + 100, f"grazing {view.grazing_deg:.0f}°", "lm")
-        length_m = _round_length(self.grid.columns * self.grid.spacing_m[0] / 5)
+        length_m = nice(self.grid.columns * self.grid.spacing_m[0] / 5)
         pixels = round(length_m * self.picture_size[0] / (self.grid.columns * self.grid.spacing_m[0]))
         right = width - _MARGIN
         draw.line([(right - pixels, middle), (right, middle)], fill=_INK)
@@ -97,9 +95,3 @@ def _font() -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     from PIL import ImageFont
 
     return ImageFont.load_default(_TEXT)
-
-
-def _round_length(metres: float) -> float:
-    """The largest 1, 2 or 5 times a power of ten that is no longer."""
-    decade = 10.0 ** np.floor(np.log10(metres))
-    return float(max(step * decade for step in (1, 2, 5) if step * decade <= metres * (1 + 1e-9)))

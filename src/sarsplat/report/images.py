@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Real
 
+from sarsplat.colours import DIFFERENCE, POWER, ramp
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.report.colours import GREY, diverging, palette
-from sarsplat.report.decibels import DYNAMIC_DB, to_decibels
+from sarsplat.radiometry import DYNAMIC_RANGE_DB, shade
 from sarsplat.report.figure import ColourBar, Panel, axis, colour_bar, scale_bar
 from sarsplat.report.raster import block_means, data_uri, indexed, png
 from sarsplat.report.residual import Difference
@@ -51,19 +51,15 @@ class Part:
             self.columns.stop - self.columns.start
         ) // self.factor
 
-    @property
-    def extent_m(self) -> tuple[float, float, float, float]:
-        """Azimuth on the left and on the right, slant range at the top and at the bottom, m."""
-        (rows, columns), (across, down) = self.size, self.grid.spacing_m
-        left = float(self.grid.azimuth_m[self.columns.start]) - across / 2
-        top = float(self.grid.range_m[self.rows.start]) - down / 2
-        return left, left + columns * self.factor * across, top, top + rows * self.factor * down
-
     def panel(
         self, title: str, alt: str, image: str = "", drawing: str = "", canvas: str = "", black: bool = True
     ) -> Panel:
         """A panel with the axes of this part."""
-        left, right, top, bottom = self.extent_m
+        rows, columns = (
+            slice(part.start, part.start + count * self.factor)
+            for part, count in zip((self.rows, self.columns), self.size, strict=True)
+        )
+        left, right, bottom, top = self.grid.part(rows, columns).extent_m
         return Panel(
             title,
             alt,
@@ -80,21 +76,20 @@ class Part:
 
     def power(self, title: str, alt: str, image: Image, peak: float, drawing: str = "") -> Panel:
         """An image in decibels below the peak."""
-        decibels = to_decibels(self.of_images(image[None])[0], peak)
-        uri = data_uri(png(indexed(decibels, -DYNAMIC_DB, 0)))
-        return self.panel(title, alt, uri, drawing=drawing)
+        grey = indexed(shade(self.of_images(image[None])[0], peak), 0, 1)
+        return self.panel(title, alt, data_uri(png(grey)), drawing=drawing)
 
     def difference(self, title: str, alt: str, difference: Image, largest: float) -> Panel:
         """An error with a sign."""
         shown = indexed(self.of_images(difference[None])[0], -largest, largest)
-        return self.panel(title, alt, data_uri(png(shown, diverging())), black=False)
+        return self.panel(title, alt, data_uri(png(shown, ramp(DIFFERENCE))), black=False)
 
 
 def power_bar() -> ColourBar:
     """What the greys of `Part.power` mean."""
-    return colour_bar("power, dB of the brightest training pixel", palette(GREY), -DYNAMIC_DB, 0)
+    return colour_bar("power, dB of the brightest training pixel", POWER, -DYNAMIC_RANGE_DB, 0)
 
 
 def difference_bar(difference: Difference) -> ColourBar:
     """What the colours of `Part.difference` mean."""
-    return colour_bar(difference.label, diverging(), -difference.largest, difference.largest)
+    return colour_bar(difference.label, DIFFERENCE, -difference.largest, difference.largest)

@@ -4,33 +4,35 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from sarsplat.report.canvas import INK, PANEL
+from sarsplat.colours import DARK
 from sarsplat.report.figure import scale_bar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PLATE: dict[str, Any] = {"facecolor": PANEL, "edgecolor": "none", "alpha": 0.75, "pad": 1.5}
+_PLATE: dict[str, Any] = {"facecolor": DARK.card, "edgecolor": "none", "alpha": 0.75, "pad": 1.5}
 """Behind words on an image, however bright that is."""
 
 _EDGE = 0.05  # of a panel, free around marks
 
 
-def mark_radar(axes: Axes, size: float = 8) -> None:
+def mark_radar(axes: Axes, size: float) -> None:
     """An arrow along the line of sight, at the upper left: the radar is above, near range first."""
     from matplotlib.text import OffsetFrom
 
-    word = axes.text(_EDGE, 1 - _EDGE, "radar", transform=axes.transAxes, color=INK, size=size, va="top", bbox=PLATE)
+    word = axes.text(
+        _EDGE, 1 - _EDGE, "radar", transform=axes.transAxes, color=DARK.ink, size=size, va="top", bbox=_PLATE
+    )
     below = OffsetFrom(word, (0.5, 0.0))  # in points: as long on panels of any size
     arrow(axes, (0, -0.5 * size), (0, -2.8 * size), xycoords=below, textcoords=below)
 
 
-def mark_scale(axes: Axes, width_m: float, size: float = 8) -> None:
+def mark_scale(axes: Axes, width_m: float, size: float) -> None:
     """A scale bar at the lower right of a panel that is `width_m` wide."""
     share, text = scale_bar(width_m)
     right = 1 - _EDGE
     ends = [right - share, right]
-    for colour, width in ((PANEL, 4.0), (INK, 1.8)):  # dark around light
+    for colour, width in ((DARK.card, 4.0), (DARK.ink, 1.8)):  # dark around light
         axes.plot(ends, [_EDGE] * 2, transform=axes.transAxes, color=colour, linewidth=width, solid_capstyle="butt")
     axes.annotate(
         text,
@@ -38,11 +40,11 @@ def mark_scale(axes: Axes, width_m: float, size: float = 8) -> None:
         (0, 4),
         xycoords="axes fraction",
         textcoords="offset points",
-        color=INK,
+        color=DARK.ink,
         size=size,
         ha="center",
         va="bottom",
-        bbox=PLATE,
+        bbox=_PLATE,
     )
 
 
@@ -52,6 +54,6 @@ def arrow(
     """A light arrow with a dark edge, to be seen on any image."""
     from matplotlib.patheffects import withStroke
 
-    style = {"arrowstyle": "->", "color": INK, "linestyle": line, "linewidth": 1.3, "shrinkA": 0, "shrinkB": 0}
-    edge = [withStroke(linewidth=3.0, foreground=PANEL)]
+    style = {"arrowstyle": "->", "color": DARK.ink, "linestyle": line, "linewidth": 1.3, "shrinkA": 0, "shrinkB": 0}
+    edge = [withStroke(linewidth=3.0, foreground=DARK.card)]
     axes.annotate("", end, start, arrowprops=style | {"path_effects": edge}, **coordinates)

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from sarsplat.colours import DARK, LIGHT, PREDICTED, TRUE
 from sarsplat.data import Dataset
 from sarsplat.data.determined import weakest_direction
 from sarsplat.errors import counted
@@ -58,6 +59,7 @@ def rendered(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    templates.globals.update(light=vars(LIGHT), dark=vars(DARK), true_mask=TRUE, own_mask=PREDICTED)
     return templates.get_template(template).render(**values)
 
 

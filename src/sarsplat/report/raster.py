@@ -6,9 +6,9 @@ import base64
 import io
 
 import numpy as np
-from jaxtyping import Bool, Real, UInt8
+from jaxtyping import Real, UInt8
 
-from sarsplat.report.colours import Palette
+from sarsplat.colours import Palette
 
 Picture = UInt8[np.ndarray, "rows columns"]
 """Indices of a palette."""
@@ -17,11 +17,6 @@ Picture = UInt8[np.ndarray, "rows columns"]
 def indexed(values: Real[np.ndarray, "*shape"], low: float, high: float) -> UInt8[np.ndarray, "*shape"]:
     """Indices 0 to 255 of values from `low` to `high`; what lies beyond looks like the nearer end."""
     return np.round(255 * np.clip((np.asarray(values) - low) / (high - low), 0, 1)).astype(np.uint8)
-
-
-def hollow(indices: UInt8[np.ndarray, "*shape"], there: Bool[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape"]:
-    """Index 0 where nothing is, and there alone."""
-    return np.where(there, np.maximum(indices, 1), 0).astype(np.uint8)
 
 
 def png(indices: Picture, colours: Palette | None = None) -> bytes:

@@ -14,8 +14,8 @@ from sarsplat.data.replaceable import Recognises
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.report.animation import ANIMATIONS, write_animation
-from sarsplat.report.decibels import Look, decibel_png
 from sarsplat.report.frames import Framing
+from sarsplat.report.look import Look, decibel_png
 from sarsplat.report.sheet import contact_sheet
 from sarsplat.report.window import target_window
 
@@ -56,14 +56,7 @@ class Rendered:
     def around_target(self) -> Rendered:
         """The same part of every image, with the target in it; all of them where they show ground as well."""
         rows, columns = target_window(self.images, self.look.peak)
-        azimuth_m, range_m = self.grid.azimuth_m[columns], self.grid.range_m[rows]
-        grid = replace(
-            self.grid,
-            rows=len(range_m),
-            columns=len(azimuth_m),
-            center_m=((azimuth_m[0] + azimuth_m[-1]) / 2, (range_m[0] + range_m[-1]) / 2),
-        )
-        return replace(self, images=self.images[:, rows, columns], grid=grid)
+        return replace(self, images=self.images[:, rows, columns], grid=self.grid.part(rows, columns))
 
     def write(self, out: Path, *, seconds: float, overwrite: bool) -> str:
         """Write what the name stands for, whole or not at all, and say what that is; an animation takes `seconds`.

@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Float64, Real
 from scipy.ndimage import correlate
 
+from sarsplat.colours import DIFFERENCE_IN_WORDS
 from sarsplat.evaluation import UndefinedScore, register
 from sarsplat.geometry import ImageGrid
-from sarsplat.report.decibels import DYNAMIC_DB, difference_db
+from sarsplat.radiometry import DYNAMIC_RANGE_DB, difference_db, from_db
 
 Stack = Real[np.ndarray, "v rows columns"]
 
@@ -75,9 +76,11 @@ class Difference:
     @property
     def explained(self) -> str:
         """What the caption says."""
-        colours = "Orange: too bright; purple: too dark."
+        colours = f"{DIFFERENCE_IN_WORDS.capitalize()}."
         if self.looks is None:
-            return f"{colours} What is more than {DYNAMIC_DB:g} dB below the brightest training pixel counts as equal."
+            return (
+                f"{colours} More than {DYNAMIC_RANGE_DB:g} dB below the brightest training pixel, all counts as equal."
+            )
         window = Window.of(self.grid)
         return (
             "Each reconstruction is moved by up to 3 pixels and scaled as suits its image best, as for the score. "
@@ -95,8 +98,8 @@ class Difference:
         """
         truth, rendered = truth.astype(np.float64), rendered.astype(np.float64)
         if self.looks is None:
-            return difference_db(rendered, truth, self.peak, -DYNAMIC_DB)
-        rendered = np.maximum(rendered, self.peak * 10 ** (_DARKEST_DB / 10))
+            return difference_db(rendered, truth, self.peak, -DYNAMIC_RANGE_DB)
+        rendered = np.maximum(rendered, self.peak * from_db(_DARKEST_DB))
         window = Window.of(self.grid)
         weights = np.full((1, window.rows, window.columns), 1 / (window.rows * window.columns))
         sigma = np.sqrt(correlate(rendered**2, weights) / (self.looks * window.independent))

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Real
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.report.canvas import colour_bar, dress, new_figure, to_png
-from sarsplat.report.decibels import OF_THE_BRIGHTEST, Look, bright_level, to_decibels
-from sarsplat.report.marks import mark_radar, mark_scale
+from sarsplat.radiometry import bright_level
+from sarsplat.report.canvas import decibel_bar, draw_image, new_figure, to_png
+from sarsplat.report.look import Look
 from sarsplat.report.window import target_window
 
 _SIDE = 1.6  # inches
@@ -39,36 +40,24 @@ def contact_sheet(
     SarsplatError
         If there are no images.
     """
-    from matplotlib import colormaps
-
     if len(images) == 0:
         raise SarsplatError("there are no images to put on a contact sheet; give at least one")
     columns = min(len(views), _MAX_COLUMNS, max(3, math.ceil(math.sqrt(len(views)))))
     lines = math.ceil(len(views) / columns)
     window = target_window(images, bright_level(images))
-    shown = images[(slice(None), *window)]
-    peak = bright_level(shown)
-    aspect = (shown.shape[1] * grid.spacing_m[1]) / (shown.shape[2] * grid.spacing_m[0])
+    shown, grid = images[(slice(None), *window)], grid.part(*window)
+    look = replace(look, peak=bright_level(shown))
+    aspect = (grid.rows * grid.spacing_m[1]) / (grid.columns * grid.spacing_m[0])
     width, height = max(columns * _SIDE, 3.6), lines * (_SIDE * aspect + 0.22) + 0.66
     figure = new_figure(width, height)
     panels = figure.subplots(lines, columns, squeeze=False)
     for axes in panels.flat:
         axes.set_axis_off()
     for axes, image, view in zip(panels.flat, shown, views):  # empty places stay dark
-        axes.imshow(
-            to_decibels(image, peak),
-            cmap=look.cmap,
-            vmin=-look.range_db,
-            vmax=0,
-            aspect=grid.spacing_m[1] / grid.spacing_m[0],
-        )
-        dress(axes)
-        mark_radar(axes, _TEXT)
-        mark_scale(axes, shown.shape[2] * grid.spacing_m[0], _TEXT)
-        axes.set_title(f"{round(view.azimuth_deg, 1):g}°, grazing {round(view.grazing_deg, 1):g}°", size=_TEXT, pad=3)
+        title = f"{round(view.azimuth_deg, 1):g}°, grazing {round(view.grazing_deg, 1):g}°"
+        draw_image(axes, image, grid, look, title, _TEXT)
     figure.subplots_adjust(
         left=0.02, right=0.98, top=1 - 0.24 / height, bottom=0.6 / height, wspace=0.05, hspace=0.2 / _SIDE
     )
-    bar = figure.add_axes(((1 - 2.6 / width) / 2, 0.44 / height, 2.6 / width, 0.08 / height))
-    colour_bar(figure, bar, colormaps[look.cmap], (-look.range_db, 0), OF_THE_BRIGHTEST)
+    decibel_bar(figure, ((1 - 2.6 / width) / 2, 0.44 / height, 2.6 / width, 0.08 / height), look)
     return to_png(figure)

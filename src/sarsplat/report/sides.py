@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int64
 
+from sarsplat.colours import hollow
 from sarsplat.report.figure import Block, Panel, axis, scale_bar
+from sarsplat.report.raster import data_uri, indexed, png
 
 Corner = Float[np.ndarray, " 3"]
 
@@ -53,8 +54,19 @@ class Raster:
         seen[place[far_first, 0], place[far_first, 1]] = far_first
         return seen[::-1], seen[::-1] >= 0
 
-    def board(self, title: str, picture: Callable[[Side], str]) -> Block:
-        """The three sides as panels, side and front above the top; `picture` gives the address of each."""
+    def board(
+        self, title: str, points: Float[np.ndarray, "p 3"], values: Float[np.ndarray, " p"],
+        limits: tuple[float, float], colours: str,
+    ) -> Block:  # fmt: skip
+        """The three sides as panels, side and front above the top: values of points from the low to the high limit."""
+        indices = np.maximum(indexed(values, *limits), 1)  # 0: nothing is there
+
+        def picture(side: Side) -> str:
+            seen, covered = self.nearest(points, side)
+            shades = np.zeros(seen.shape, np.uint8)
+            shades[covered] = indices[seen[covered]]
+            return data_uri(png(shades, hollow(colours)))
+
         size, panels = self.high - self.low, []
         names = ("x, m", "y, m", "z, m")
         for side in SIDES:

@@ -7,10 +7,11 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from sarsplat.colours import DARK
 from sarsplat.data.coverage import largest_gap
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
-from sarsplat.report.canvas import BLUE, FAINT, INK, MUTED, ORANGE, PANEL, dress, new_figure
+from sarsplat.report.canvas import dress, new_figure
 
 _SIZE = (5.6, 6.0)  # inches
 _GRAZINGS = (0, 15, 30, 45, 60, 75)
@@ -44,25 +45,25 @@ def sky_picture(train: Sequence[View], test: Sequence[View], title: str, kind: s
     axes.set_theta_direction(-1)
     axes.set_rlim(0, 90)
     axes.set_rgrids([90 - angle for angle in _GRAZINGS], [f"{angle}°" for angle in _GRAZINGS], angle=22.5)
-    axes.tick_params(colors=MUTED, labelsize=9)
+    axes.tick_params(colors=DARK.muted, labelsize=9)
     axes.set_xticks([math.radians(angle) for angle in range(0, 360, 45)])
     axes.set_xticklabels(["0° (nose)", *(f"{angle}°" for angle in range(45, 360, 45))])
-    axes.grid(color=FAINT, linewidth=0.8)
+    axes.grid(color=DARK.line, linewidth=0.8)
     gap = largest_gap(view.azimuth_deg for view in train)
     start, width = math.radians(gap.first_deg), math.radians(gap.width_deg)
-    axes.bar(start, 90, width=width, align="edge", color=ORANGE, alpha=0.16, linewidth=0, zorder=0)
+    axes.bar(start, 90, width=width, align="edge", color=DARK.test, alpha=0.16, linewidth=0, zorder=0)
     for views, marks in (
-        (test, {"facecolors": "none", "edgecolors": ORANGE, "s": 26, "linewidths": 1.2, "label": "test"}),
-        (train, {"color": BLUE, "s": 30, "linewidths": 0, "label": "train"}),
+        (test, {"facecolors": "none", "edgecolors": DARK.test, "s": 26, "linewidths": 1.2, "label": "test"}),
+        (train, {"color": DARK.train, "s": 30, "linewidths": 0, "label": "train"}),
     ):
         if views:
             angles = [math.radians(view.azimuth_deg) for view in views]
             axes.scatter(angles, [90 - view.grazing_deg for view in views], zorder=3, **marks)
-    axes.set_title(f"{title}\nlargest gap of the training views: {gap}", color=INK, size=10, pad=16)
+    axes.set_title(f"{title}\nlargest gap of the training views: {gap}", color=DARK.ink, size=10, pad=16)
     legend = figure.legend(loc="lower center", ncols=2, frameon=False, fontsize=9)
     for text in legend.get_texts():
-        text.set_color(INK)
+        text.set_color(DARK.ink)
     buffer = io.BytesIO()
     metadata = {"Date": None} if kind == "svg" else None  # the same views, the same file
-    figure.savefig(buffer, format=kind, dpi=110, facecolor=PANEL, metadata=metadata)
+    figure.savefig(buffer, format=kind, dpi=110, facecolor=DARK.card, metadata=metadata)
     return buffer.getvalue()

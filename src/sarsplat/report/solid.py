@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sarsplat.report.colours import GREY, palette
+from sarsplat.colours import POWER
 from sarsplat.report.figure import Block
-from sarsplat.report.raster import data_uri, hollow, indexed, png
-from sarsplat.report.sides import Raster, Side
+from sarsplat.report.sides import Raster
 
 if TYPE_CHECKING:
     import trimesh
@@ -47,11 +46,4 @@ def _board(raster: Raster, title: str, mesh: trimesh.Trimesh) -> Block:
     count = min(int(_SAMPLES_PER_PIXEL * mesh.area / raster.pixel_m**2) + 1, _MOST_SAMPLES)
     places, faces = sample_surface(mesh, count, seed=0)
     lit = _AMBIENT + (1 - _AMBIENT) * np.abs(mesh.face_normals[faces] @ (_LIGHT / np.linalg.norm(_LIGHT)))
-
-    def picture(side: Side) -> str:
-        seen, there = raster.nearest(np.asarray(places), side)
-        shades = np.zeros(seen.shape, np.uint8)
-        shades[there] = indexed(lit[seen[there]], 0, 1)
-        return data_uri(png(hollow(shades, there), palette(GREY, hollow=True)))
-
-    return raster.board(title, picture)
+    return raster.board(title, np.asarray(places), lit, (0.0, 1.0), POWER)

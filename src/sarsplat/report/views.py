@@ -10,7 +10,8 @@ import numpy as np
 
 from sarsplat.data import Dataset
 from sarsplat.errors import counted
-from sarsplat.evaluation import IMAGE_METRICS
+from sarsplat.evaluation import IMAGE_METRICS, Metric
+from sarsplat.evaluation.metrics import ImagePair
 from sarsplat.reconstruction import AnyRun
 from sarsplat.report.figure import Block, Figure
 from sarsplat.report.images import Part, difference_bar, power_bar, view_name
@@ -19,7 +20,7 @@ from sarsplat.report.window import target_window
 
 _VIEWS = 8
 _LARGEST = 256
-"""Pixels along a side that a page shows of an image; larger ones are averaged."""
+_OURS = "reconstruction"
 
 
 @dataclass(frozen=True)
@@ -44,49 +45,90 @@ def unseen(dataset: Dataset) -> list[int]:
 
 def chosen_views(dataset: Dataset, metrics: Mapping[str, Any] | None, most: int = _VIEWS) -> list[Chosen]:
     """The best, the median and the worst of the unseen images if they were scored, then others, evenly spread."""
-    items = unseen(dataset)
-    found: list[Chosen] = []
+    best_first, metric = ranked_images(dataset, metrics, fewest=3)
+    of_note: list[Chosen] = []
+    if metric is not None:
+        for name, place in (("best", 0), ("median", len(best_first) // 2), ("worst", -1)):
+            value, index = best_first[place]
+            of_note.append(Chosen(index, f"{name}: {metric.text(value)} {metric.unit}".strip(), metric.label))
+    return with_others(dataset, of_note, most - len(of_note))
+
+
+def ranked_images(
+    dataset: Dataset, metrics: Mapping[str, Any] | None, fewest: int = 1
+) -> tuple[list[tuple[float, int]], Metric[ImagePair] | None]:
+    """Scores of images with their indices, the best first, and what was scored: of the first test set with enough."""
     for split, scored in ((metrics or {}).get("by_image") or {}).items():
-        key, values = scored["metric"], scored["scores"]
-        metric = next(metric for metric in IMAGE_METRICS if metric.key == key)
-        known = [index for index, entry in enumerate(dataset.entries) if entry.split == split]
-        pairs = zip(known, values, strict=True)
-        order = sorted((value, index) for index, value in pairs if value is not None)
-        if metric.better == "more":
-            order.reverse()
-        if found or len(order) < 3:  # of several test sets, the first
-            continue
-        for name, (value, index) in (("best", order[0]), ("median", order[len(order) // 2]), ("worst", order[-1])):
-            why = f"{name}: {metric.text(value)} {metric.unit}".strip()
-            found.append(Chosen(index, why, metric.label))
-    rest = sorted(set(items) - {one.index for one in found})
-    return [*found, *(Chosen(rest[k]) for k in evenly(len(rest), most - len(found)) if rest)]
+        metric = next(metric for metric in IMAGE_METRICS if metric.key == scored["metric"])
+        indices = [index for index, entry in enumerate(dataset.entries) if entry.split == split]
+        pairs = [pair for pair in zip(scored["scores"], indices, strict=True) if pair[0] is not None]
+        if len(pairs) >= fewest:
+            return sorted(pairs, reverse=metric.better == "more"), metric
+    return [], None
 
 
-def views_figure(run: AnyRun[Any], chosen: Sequence[Chosen]) -> Figure:
-    """Truth, reconstruction and error of some images of a run's dataset."""
-    dataset, grid = run.dataset, run.dataset.grid
+def with_others(dataset: Dataset, chosen: Sequence[Chosen], others: int) -> list[Chosen]:
+    """The chosen images, then at most so many other unseen ones, evenly spread."""
+    rest = sorted(set(unseen(dataset)) - {one.index for one in chosen})
+    return [*chosen, *(Chosen(rest[k]) for k in evenly(len(rest), others) if rest)]
+
+
+def views_figure(
+    title: str, text: str, runs: Mapping[str, AnyRun[Any]], chosen: Sequence[Chosen], largest: int = _LARGEST
+) -> Figure:
+    """Truth, reconstructions and errors of images of the dataset that some runs share.
+
+    Parameters
+    ----------
+    title, text : str
+        Heading, and what the caption begins with.
+    runs : mapping of str to AnyRun
+        By what to call their images.
+    chosen : sequence of Chosen
+        Which images.
+    largest : int
+        Pixels along a side that the page shows of an image; larger ones are averaged.
+    """
+    dataset = next(iter(runs.values())).dataset
     indices = [one.index for one in chosen]
+    views, truth = [dataset.views[index] for index in indices], dataset.power[indices]
     looks = dataset.select(dataset.entries[indices[0]].split).looks
-    peak = float(dataset.images("train").max())
-    truth = dataset.power[indices]
-    rendered = fitted(truth, run.render([dataset.views[k] for k in indices]), looks, dataset.score_margin)
-    part = Part.of(grid, target_window(np.maximum(truth, rendered), peak, dataset.score_margin), _LARGEST)
-    difference = Difference(looks, grid, peak)
-    name = "measured" if dataset.calibration == "relative" else "truth"
+    peak, margin = float(dataset.images("train").max()), dataset.score_margin
+    stacks = {name: fitted(truth, run.render(views), looks, margin) for name, run in runs.items()}
+    part = Part.of(dataset.grid, target_window(np.maximum.reduce([truth, *stacks.values()]), peak, margin), largest)
+    difference = Difference(looks, dataset.grid, peak)
+    errors = {name: difference.of(truth, stack) for name, stack in stacks.items()}
+    true, alone = "measured" if dataset.calibration == "relative" else "truth", len(runs) == 1
     blocks = []
-    for one, true, ours, error in zip(chosen, truth, rendered, difference.of(truth, rendered), strict=True):
-        where = view_name(dataset.views[one.index])
-        panels = (
-            part.power(name, f"{name}, {where}", true, peak),
-            part.power("reconstruction", f"reconstruction, {where}", ours, peak),
-            part.difference("error", f"error of the reconstruction, {where}", error, difference.largest),
-        )
-        blocks.append(Block(f"{where}{f' ({one.why})' if one.why else ''}", panels))
-    text = f"{_which(dataset, chosen)} Power in decibels, the radar above, near range first. {difference.explained}"
+    for k, one in enumerate(chosen):
+        where = view_name(views[k])
+        heading = f"{where}{f' ({one.why})' if one.why else ''}"
+        images = [part.power(true, f"{true}, {where}", truth[k], peak)]
+        images += [part.power(name, f"{name}, {where}", stack[k], peak) for name, stack in stacks.items()]
+        wrong = [
+            part.difference(
+                "error" if alone else name,
+                f"error of {'the ' if name == _OURS else ''}{name}, {where}",
+                error[k],
+                difference.largest,
+            )
+            for name, error in errors.items()
+        ]
+        if alone:
+            blocks.append(Block(heading, (*images, *wrong)))
+        else:
+            blocks.append(Block(heading, tuple(images), across=1 + len(runs)))
+            blocks.append(Block("error", tuple(wrong), across=1 + len(runs)))
+    text += f" {difference.explained}"
     if part.factor > 1:
         text += f" Shown averaged over {part.factor} × {part.factor} pixels."
-    return Figure("Unseen views", text, tuple(blocks), (power_bar(), difference_bar(difference)))
+    return Figure(title, text, tuple(blocks), (power_bar(), difference_bar(difference)))
+
+
+def unseen_figure(run: AnyRun[Any], chosen: Sequence[Chosen]) -> Figure:
+    """Truth, reconstruction and error of some images of a run's dataset."""
+    text = f"{_which(run.dataset, chosen)} Power in decibels, the radar above, near range first."
+    return views_figure("Unseen views", text, {_OURS: run}, chosen)
 
 
 def _which(dataset: Dataset, chosen: Sequence[Chosen]) -> str:

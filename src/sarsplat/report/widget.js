@@ -121,15 +121,6 @@
   }
 
   // ---- the images --------------------------------------------------------------------------------------------------
-  const MAPS = {
-    grey: [[0, 0, 0], [255, 255, 255]],
-    viridis: [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]],
-    inferno: [[0, 0, 4], [87, 16, 110], [188, 55, 84], [249, 142, 9], [252, 255, 164]],
-  };
-  function between(stops, share) {
-    const place = Math.min(Math.max(share, 0), 1) * (stops.length - 1), k = Math.min(Math.floor(place), stops.length - 2);
-    return [0, 1, 2].map((c) => stops[k][c] + (place - k) * (stops[k + 1][c] - stops[k][c]));
-  }
   const sheets = {};
   function load(name) {
     return new Promise((done) => {
@@ -158,10 +149,10 @@
   }
   const words = ([azimuth, grazing]) => `azimuth ${+azimuth.toFixed(1)}°, grazing ${+grazing.toFixed(1)}°`;
   function drawImages() {
-    const depth = Number(inputs.depth.value), stops = MAPS[byId("colours").value];
+    const depth = Number(inputs.depth.value), ramp = data.powerColours[byId("colours").value];
     const colour = Array.from({ length: 256 }, (_, code) => {
       const decibels = data.deepest * (code / data.levels - 1);
-      return [...between(stops, 1 + decibels / depth), 255];
+      return [...ramp[Math.round(255 * Math.min(Math.max(1 + decibels / depth, 0), 1))], 255];
     });
     const [rendered] = nearest(data.views.length), [known, away] = nearest(data.sets.length);
     show("sar-rendered", "rendered", rendered, colour);
@@ -171,9 +162,13 @@
     byId("sar-true-title").textContent =
       `${data.name}, ${words(data.views[known])} (${data.sets[known]}; ${away.toFixed(0)}° away)`;
     byId("sar-error-title").textContent = `error at the view of the ${data.name} image`;
-    const ramp = byId("power-bar").querySelector(".ramp"), ticks = ramp.querySelectorAll(".tick");
-    ramp.style.backgroundImage = `linear-gradient(90deg, ${stops.map((c) => `rgb(${c.join(" ")})`).join(", ")})`;
-    ticks[0].textContent = `−${depth}`; ticks[1].textContent = `−${depth / 2}`;
+    const bar = byId("power-bar").querySelector(".ramp"), ticks = [...bar.querySelectorAll(".tick")];
+    const stops = ramp.filter((_, index) => index % 17 === 0);
+    bar.style.backgroundImage = `linear-gradient(90deg, ${stops.map((c) => `rgb(${c.join(" ")})`).join(", ")})`;
+    ticks.forEach((tick, index) => {
+      const level = depth * (index / (ticks.length - 1) - 1);
+      tick.textContent = level ? `−${+(-level).toFixed(1)}` : "0";
+    });
   }
 
   // ---- what the reader does ----------------------------------------------------------------------------------------

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Real, UInt8
 
+from sarsplat.colours import DIFFERENCE, DIFFERENCE_IN_WORDS, HEIGHT, POWER_RAMPS, ramp
 from sarsplat.data import Dataset
 from sarsplat.geometry import View
+from sarsplat.radiometry import DYNAMIC_RANGE_DB, shade
 from sarsplat.reconstruction import AnyRun
-from sarsplat.report.colours import HEIGHT, diverging, palette
-from sarsplat.report.decibels import to_decibels
 from sarsplat.report.figure import ColourBar, Panel, colour_bar
-from sarsplat.report.images import Part, difference_bar
+from sarsplat.report.images import Part, difference_bar, power_bar
 from sarsplat.report.raster import data_uri, indexed, png
 from sarsplat.report.residual import Difference, fitted
 from sarsplat.report.views import evenly
@@ -32,7 +32,7 @@ _BYTES = 900_000
 
 _LARGEST = 128  # pixels along a side
 _MOST_RENDERED = 8_000_000  # pixels of all images on the raster: larger images take longer
-_DEEPEST_DB = 60.0  # below the brightest training pixel
+_DEEPEST_DB, _SHALLOWEST_DB = 60.0, 10.0  # below the brightest training pixel, that can be shown
 _LEVELS = 120  # of brightness: half a decibel each
 _FINEST_DEG = 5.0  # of the raster
 _MOST_GRAZING = 5  # angles of the raster
@@ -46,8 +46,8 @@ class Widget:
 
     panels: tuple[Panel, ...]
     heights: ColourBar
+    powers: ColourBar
     errors: ColourBar
-    what: str
     text: str
     data: dict[str, Any]
 
@@ -90,6 +90,8 @@ def widget(run: AnyRun[Any]) -> Widget | None:
         "rows": rows,
         "columns": columns,
         "deepest": _DEEPEST_DB,
+        "shallowest": _SHALLOWEST_DB,
+        "depth": DYNAMIC_RANGE_DB,
         "levels": _LEVELS,
         "views": [_angles(view) for view in (*views, *raster)],
         "sets": [dataset.entries[index].split for index in chosen],
@@ -97,19 +99,19 @@ def widget(run: AnyRun[Any]) -> Widget | None:
         "rendered": _sheet(np.concatenate(shown)),
         "true": _sheet(_codes(part.of_images(truth), peak)),
         "errors": _sheet(indexed(part.of_images(errors), -difference.largest, difference.largest)),
-        "errorColours": diverging().tolist(),
-        "heightColours": palette(HEIGHT)[:, :3].tolist(),
+        "errorColours": ramp(DIFFERENCE).tolist(),
+        "heightColours": ramp(HEIGHT)[:, :3].tolist(),
+        "powerColours": {name: ramp(name)[:, :3].tolist() for name in POWER_RAMPS},
         "name": name,
         "start": _angles(views[len(views) // 3]),
     }
     text = (
         "Drag the points, or use the sliders, to move the radar around the target. Beside them is the SAR image of the "
         f"reconstruction from the nearest of {len(views) + len(raster)} directions that were rendered beforehand, then "
-        f"the nearest {name} image, and the error at its view ({difference.label}; orange: too bright, purple: too "
-        "dark)."
+        f"the nearest {name} image, and the error at its view ({difference.label}; {DIFFERENCE_IN_WORDS})."
     )
-    heights = colour_bar("height z, m", palette(HEIGHT), float(low[2]), float(high[2]))
-    return Widget(panels, heights, difference_bar(difference), name, text, data)
+    heights = colour_bar("height z, m", HEIGHT, float(low[2]), float(high[2]))
+    return Widget(panels, heights, power_bar(), difference_bar(difference), text, data)
 
 
 def _angles(view: View) -> list[float]:
@@ -118,8 +120,7 @@ def _angles(view: View) -> list[float]:
 
 def _codes(power: Real[np.ndarray, "v rows columns"], peak: float) -> UInt8[np.ndarray, "v rows columns"]:
     """Decibels below the peak in steps of half a decibel: 0 is the darkest."""
-    share = np.clip(1 + to_decibels(power, peak) / _DEEPEST_DB, 0, 1)
-    return np.round(_LEVELS * share).astype(np.uint8)
+    return np.round(_LEVELS * shade(power, peak, _DEEPEST_DB)).astype(np.uint8)
 
 
 def _bytes_each(codes: UInt8[np.ndarray, "v rows columns"]) -> float:

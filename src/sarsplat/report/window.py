@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Real
 
-from sarsplat.report.decibels import DYNAMIC_DB
+from sarsplat.radiometry import DYNAMIC_RANGE_DB, brighter
 
 _MARGIN = 5  # pixels around the target
 
@@ -18,12 +18,12 @@ def target_window(images: Real[np.ndarray, "v rows columns"], peak: float, margi
     images : numpy.ndarray, float [V, rows, columns]
         β⁰, linear power; all that is to be shown side by side.
     peak : float
-        The power shown white: what is `DYNAMIC_DB` below it is dark.
+        The power shown white: what is `DYNAMIC_RANGE_DB` below it is dark.
     margin : int
         Pixels on each side that are not scored.
     """
     size = images.shape[1:]
-    bright = images.max(axis=0) > peak * 10 ** (-DYNAMIC_DB / 10)
+    bright = brighter(images.max(axis=0), -DYNAMIC_RANGE_DB, peak)
     if not bright.any() or bright.mean() > 0.5:
         return slice(margin, size[0] - margin), slice(margin, size[1] - margin)
     spans = [np.flatnonzero(bright.any(axis=1 - axis))[[0, -1]] for axis in (0, 1)]

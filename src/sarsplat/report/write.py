@@ -23,12 +23,10 @@ from sarsplat.report.figure import Figure
 from sarsplat.report.masks import masks_figure
 from sarsplat.report.page import page
 from sarsplat.report.solid import mesh_boards
-from sarsplat.report.views import chosen_views, views_figure
+from sarsplat.report.views import chosen_views, unseen_figure
 from sarsplat.report.widget import widget
 
 _FOLDER = "report"
-_FORMER = tuple(f"{name}.png" for name in ("views", "masks", "points", "mesh", "curves", "azimuths"))
-"""Figures that earlier versions wrote beside the page."""
 
 _SURFACE_SAMPLES = 200_000
 _STILL = Alignment((0.0, 0.0, 0.0), 0.0)
@@ -36,8 +34,6 @@ _STILL = Alignment((0.0, 0.0, 0.0), 0.0)
 
 def write_report(run: AnyRun[Any]) -> Path:
     """Write `RUN/report/index.html`: one page that holds all it shows and needs no network.
-
-    Figures that an earlier version left beside it are removed.
 
     Parameters
     ----------
@@ -60,16 +56,13 @@ def write_report(run: AnyRun[Any]) -> Path:
     with only_writer(run.folder):
         with scores_expected(run):
             chosen = chosen_views(run.dataset, run.metrics)
-        figures = [views_figure(run, chosen), *_masks(run), _points(run), *_mesh(run)]
+        figures = [unseen_figure(run, chosen), *_masks(run), _points(run), *_mesh(run)]
         training, turning = [*_curves(run), *_azimuths(run)], widget(run)
         with scores_expected(run):
             html = page(run, figures, training, turning)
         with plain_os_errors("write", folder):  # last, so that whoever ends this earlier leaves no empty folder
             folder.mkdir(exist_ok=True)
         write_bytes(folder / "index.html", html.encode())
-        with plain_os_errors("replace", folder):
-            for name in _FORMER:
-                (folder / name).unlink(missing_ok=True)
     return folder / "index.html"
 
 
@@ -88,7 +81,7 @@ def refuse_linked_report(run: Path) -> None:
 
 @contextmanager
 def scores_expected(run: AnyRun[Any]) -> Iterator[None]:
-    """Say in one sentence that `metrics.json` is of another make."""
+    """Say in one sentence that `metrics.json` was written by another version."""
     try:
         yield
     except (KeyError, TypeError, AttributeError, ValueError, StopIteration) as error:

@@ -17,6 +17,7 @@ from jaxtyping import Float, Float64, Int32, Real
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.radiometry import beta0_of_gamma0
 from sarsplat.scenes._deposit import Deposit
 from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflectivity
 
@@ -133,7 +134,7 @@ def simulate_raycast(
         deposit.add(x, z_ground, np.full(x.shape, -ground_gamma0 * cell_area))
     image = deposit.image
     if ground_gamma0 is not None:
-        image = image + ground_gamma0 * math.tan(theta)
+        image = image + beta0_of_gamma0(ground_gamma0, view.grazing_deg)
     return np.maximum(image, 0.0).astype(np.float32)  # rounding leaves −1e-9 where the shadow is full
 
 

@@ -11,6 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from sarsplat.errors import SarsplatError
+from sarsplat.radiometry import from_db
 from sarsplat.scenes._random import generator
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ def part_reflectivity(mesh: trimesh.Trimesh, spread_db: float, seed: int) -> Flo
     first, others = np.repeat(corners[:, :1], 2, axis=1).ravel(), corners[:, 1:].ravel()
     edges = coo_matrix((np.ones(len(first), dtype=bool), (first, others)), shape=(corners.max() + 1,) * 2)
     count, part = connected_components(edges, directed=False)
-    factors = 10 ** (spread_db / 10 * generator(seed, "reflectivity").standard_normal(count))
+    factors = from_db(spread_db * generator(seed, "reflectivity").standard_normal(count))
     return factors[part[corners[:, 0]]]
 
 

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sarsplat.viewer.live import watched
-    from sarsplat.viewer.subject import Subject, subject_at
+    from sarsplat.viewer.run_subject import subject_at
+    from sarsplat.viewer.subject import Subject
     from sarsplat.viewer.viewer import Viewer
 
-_MODULE_OF = {"Subject": "subject", "Viewer": "viewer", "subject_at": "subject", "watched": "live"}
+_MODULE_OF = {"Subject": "subject", "Viewer": "viewer", "subject_at": "run_subject", "watched": "live"}
 
 __all__ = ["Subject", "Viewer", "subject_at", "watched"]
 

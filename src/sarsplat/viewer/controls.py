@@ -9,22 +9,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sarsplat.colours import DARK, POWER_RAMPS, rgb
 from sarsplat.geometry import View
-from sarsplat.report.decibels import DYNAMIC_DB
-from sarsplat.viewer.colours import POWER_MAPS
+from sarsplat.radiometry import DYNAMIC_RANGE_DB
 from sarsplat.viewer.pictures import MAPS
-from sarsplat.viewer.stage import TEST, TRAIN
 from sarsplat.viewer.subject import Subject
 
 if TYPE_CHECKING:
     import viser
 
-HEIGHT, GAMMA0, ERROR = "height", "γ⁰ towards the radar", "distance to the true surface"
+BY_HEIGHT, BY_GAMMA0, BY_ERROR = "height", "γ⁰ towards the radar", "distance to the true surface"
 _NO_MAP = "none"
 
 _HINT = (
     '<div style="font-size:12px;line-height:1.5;padding:0 10px;opacity:.85">Drag the red ball, or click on a dot: '
-    f'<span style="color:rgb{TRAIN}">●</span> training view, <span style="color:rgb{TEST}">●</span> test view.</div>'
+    f'<span style="color:{DARK.train}">●</span> training view, '
+    f'<span style="color:{DARK.test}">●</span> test view.</div>'
 )
 
 
@@ -60,7 +60,7 @@ class Controls:
     on_change : callable
         Called when anything is set.
     on_aim : callable
-        Told of the view that the sliders or buttons ask for.
+        Called with the view that the sliders or buttons ask for.
     """
 
     def __init__(
@@ -73,6 +73,7 @@ class Controls:
     ) -> None:
         self._gui = gui = server.gui
         self._on_change, self._on_aim = on_change, on_aim
+        self._set: dict[str, Any] = {}
         self._dark()
         gui.set_panel_label("sarsplat view")
         gui.main_panel.dock_left()
@@ -83,28 +84,33 @@ class Controls:
         self._image()
         self.offer(subject)
         with gui.add_folder("Scene", expand_by_default=False):
-            self._views = self._watched(gui.add_checkbox("views", True))
-            self._plane = self._watched(gui.add_checkbox("image plane", True))
-            self._lines = self._watched(gui.add_checkbox("ground lines", True))
+            self._watched("views", gui.add_checkbox("views", True))
+            self._watched("plane", gui.add_checkbox("image plane", True))
+            self._watched("lines", gui.add_checkbox("ground lines", True))
             dark = gui.add_checkbox("dark page", True)
             dark.on_update(lambda _: self._dark(dark.value))
         panel = gui.add_panel()
         panel.dock_right()
         panel.set_width(520)
-        with panel.add_tab("SAR image"):
+        self._tab = panel.add_tab("SAR image")
+        with self._tab:
             self.heads = gui.add_html("")
             self.strip: Any = None
             self.foot = gui.add_html("", order=1e12)
-        self._tab = panel
 
     def _dark(self, dark: bool = True) -> None:
         self._gui.configure_theme(
-            dark_mode=dark, show_logo=False, show_share_button=False, brand_color=(92, 160, 220), control_width="medium"
+            dark_mode=dark,
+            show_logo=False,
+            show_share_button=False,
+            brand_color=rgb(DARK.train),
+            control_width="medium",
         )
 
-    def _watched(self, handle: Any) -> Any:
+    def _watched(self, name: str, handle: Any) -> None:
+        """Redraw when something is set; it becomes the choice of that name."""
         handle.on_update(lambda _: self._on_change())
-        return handle
+        self._set[name] = handle
 
     def _radar(self, views: list[tuple[View, str]], view: View) -> None:
         gui = self._gui
@@ -130,54 +136,42 @@ class Controls:
     def _target(self) -> None:
         gui = self._gui
         with gui.add_folder("Target"):
-            self._cloud = self._watched(gui.add_dropdown("show", ["nothing"]))
-            self._coloured = self._watched(gui.add_dropdown("colour", [HEIGHT]))
-            self._size = self._watched(gui.add_slider("point size", 0.25, 4.0, 0.25, 1.0))
+            self._watched("cloud", gui.add_dropdown("show", ["nothing"]))
+            self._watched("coloured_by", gui.add_dropdown("colour", [BY_HEIGHT]))
+            self._watched("point_size", gui.add_slider("point size", 0.25, 4.0, 0.25, 1.0))
             self.legend = gui.add_html("")
 
     def _image(self) -> None:
         gui = self._gui
         with gui.add_folder("Image"):
-            self._limits = self._watched(
-                gui.add_multi_slider("power, dB", -80.0, 20.0, 1.0, (-DYNAMIC_DB, 0.0), min_range=5.0)
+            self._watched(
+                "limits_db",
+                gui.add_multi_slider("power, dB", -80.0, 20.0, 1.0, (-DYNAMIC_RANGE_DB, 0.0), min_range=5.0),
             )
-            self._colours = self._watched(gui.add_dropdown("colours", POWER_MAPS))
-            self._map = self._watched(gui.add_dropdown("radar map", (_NO_MAP, *MAPS)))
-            self._zoom = self._watched(gui.add_checkbox("zoom to target", True))
-            self._ground = self._watched(gui.add_checkbox("ground", True))
-            self._shadow = self._watched(gui.add_checkbox("its shadow", True))
+            self._watched("colours", gui.add_dropdown("colours", POWER_RAMPS))
+            self._watched("map", gui.add_dropdown("radar map", (_NO_MAP, *MAPS)))
+            self._watched("zoom", gui.add_checkbox("zoom to target", True))
+            self._watched("ground", gui.add_checkbox("ground", True))
+            self._watched("shadow", gui.add_checkbox("its shadow", True))
 
     def offer(self, subject: Subject) -> None:
         """Show what can be set for a subject, and hide the rest."""
         self.title.content = f"**{subject.title}**"
         names = tuple(cloud.name for cloud in subject.clouds)
-        ways = (HEIGHT, *((GAMMA0,) if subject.scatters else ()), *((ERROR,) if subject.knows_errors else ()))
-        for handle, options in ((self._cloud, names or ("nothing",)), (self._coloured, ways)):
+        ways = (BY_HEIGHT, *((BY_GAMMA0,) if subject.scatters else ()), *((BY_ERROR,) if subject.knows_errors else ()))
+        for handle, options in ((self._set["cloud"], names or ("nothing",)), (self._set["coloured_by"], ways)):
             if tuple(handle.options) != options:
                 handle.options = options
-        for handle in (self._cloud, self._coloured, self._size, self.legend):
+        for handle in (self._set["cloud"], self._set["coloured_by"], self._set["point_size"], self.legend):
             handle.visible = len(names) > 0
-        self._map.visible = subject.surface is not None
-        self._ground.visible = self._shadow.visible = subject.has_ground
+        self._set["map"].visible = subject.surface is not None
+        self._set["ground"].visible = self._set["shadow"].visible = subject.has_ground
 
     @property
     def choices(self) -> Choices:
         """What is set now."""
-        low, high = self._limits.value
-        return Choices(
-            self._cloud.value,
-            self._coloured.value,
-            self._size.value,
-            (low, high),
-            self._colours.value,
-            self._ground.value,
-            self._shadow.value,
-            None if self._map.value == _NO_MAP else self._map.value,
-            self._zoom.value,
-            self._views.value,
-            self._plane.value,
-            self._lines.value,
-        )
+        values = {name: handle.value for name, handle in self._set.items()}
+        return Choices(**values | {"map": None if values["map"] == _NO_MAP else values["map"]})
 
     def follow(self, view: View) -> None:
         """Bring the sliders to where the radar is."""
@@ -191,7 +185,7 @@ class Controls:
         if self.strip is not None:
             self.strip.image = picture
             return
-        with self._tab._tab_handles[0]:
+        with self._tab:
             self.strip = self._gui.add_image(picture, format="png", order=1e11)
 
     def show_heads(self, heads: list[tuple[str, str]]) -> None:

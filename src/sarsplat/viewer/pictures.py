@@ -9,20 +9,17 @@ import numpy as np
 from jaxtyping import Float, Real, UInt8
 from scipy.ndimage import uniform_filter
 
+from sarsplat.colours import DARK, DIFFERENCE, HEIGHT, INCIDENCE, LAYOVER, PICKED, SHADOW, SPREAD, TARGET, rgb
 from sarsplat.geometry import ImageGrid
 from sarsplat.radar import Pixel, RadarMaps
-from sarsplat.report.decibels import difference_db, to_decibels
-from sarsplat.viewer.colours import DIFFERENCE, Scale
+from sarsplat.radiometry import difference_db, to_db
+from sarsplat.viewer.scale import Scale
 
 _SIDE = 256  # pixels of the longer side of a panel, at least half of it
 _GAP = 6  # pixels between panels
-_GREY = 24  # of the gaps
-_MARK = (255, 176, 32)
 
 MAPS = ("height", "incidence", "layover", "shadow and layover")
 """What a radar map can show, by its name on the page."""
-
-_SHADOW, _LAYOVER, _TARGET = (64, 92, 160), (240, 120, 60), (150, 160, 172)
 
 
 @dataclass(frozen=True)
@@ -49,7 +46,7 @@ def power_panel(
 ) -> Panel:
     """An image in decibels of `peak`."""
     scale = Scale("dB of the brightest pixel", *limits_db, colours)
-    return Panel(title, scale.rgb(to_decibels(power, peak)), scale.bar())
+    return Panel(title, scale.rgb(to_db(power, peak)), scale.bar())
 
 
 def difference_panel(
@@ -71,25 +68,28 @@ def difference_panel(
 def map_panel(name: str, maps: RadarMaps, highest_m: float, cell_m: float) -> Panel:
     """One of `MAPS`; heights are coloured up to `highest_m`."""
     if name == "height":
-        scale = Scale("height of the first return, m", 0.0, highest_m, "viridis")
+        scale = Scale("height of the first return, m", 0.0, highest_m, HEIGHT)
         return Panel("first-return height", scale.rgb(maps.height_m), scale.bar())
     if name == "incidence":
-        scale = Scale("local incidence angle, degrees", 0.0, 90.0, "cividis")
+        scale = Scale("local incidence angle, degrees", 0.0, 90.0, INCIDENCE)
         return Panel("local incidence", scale.rgb(maps.incidence_deg), scale.bar())
     if name == "layover":
-        scale = Scale(f"apart in elevation, m (cell {cell_m:.2g} m)", 0.0, max(highest_m, 2 * cell_m), "inferno")
+        scale = Scale(f"apart in elevation, m (cell {cell_m:.2g} m)", 0.0, max(highest_m, 2 * cell_m), SPREAD)
         return Panel("layover", scale.rgb(maps.spread_m), scale.bar())
-    kinds = ((maps.shadow, _SHADOW, "shadow"), (~np.isnan(maps.height_m), _TARGET, "target"))
-    rgb = np.full((*maps.shadow.shape, 3), 22, np.uint8)
-    for where, colour, _ in (*kinds, (maps.layover, _LAYOVER, "layover")):
-        rgb[where] = colour
-    names = ((_SHADOW, "shadow on flat ground"), (_TARGET, "target"), (_LAYOVER, "layover"))
-    legend = "".join(
-        f'<span style="display:inline-block;width:10px;height:10px;border-radius:2px;background:rgb{colour};'
-        f'margin:0 5px 0 0"></span>{text}<br>'
-        for colour, text in names
+    kinds = (
+        (maps.shadow, SHADOW, "shadow on flat ground"),
+        (~np.isnan(maps.height_m), TARGET, "target"),
+        (maps.layover, LAYOVER, "layover"),
     )
-    return Panel("shadow and layover", rgb, f'<div style="font-size:12px;margin:2px 0 6px">{legend}</div>')
+    classes = np.full((*maps.shadow.shape, 3), rgb(DARK.card), np.uint8)
+    legend = ""
+    for where, colour, text in kinds:
+        classes[where] = rgb(colour)
+        legend += (
+            f'<span style="display:inline-block;width:10px;height:10px;border-radius:2px;background:{colour};'
+            f'margin:0 5px 0 0"></span>{text}<br>'
+        )
+    return Panel("shadow and layover", classes, f'<div style="font-size:12px;margin:2px 0 6px">{legend}</div>')
 
 
 class Strip:
@@ -117,7 +117,7 @@ class Strip:
         if pixel is not None:
             for picture in pictures:
                 self._frame(picture, pixel)
-        gap = np.full((self._height, _GAP, 3), _GREY, np.uint8)
+        gap = np.full((self._height, _GAP, 3), rgb(DARK.card), np.uint8)
         parts = [part for picture in pictures for part in (picture, gap)][:-1]
         return np.concatenate(parts, axis=1)
 
@@ -142,9 +142,9 @@ class Strip:
         top, bottom = max(top - reach, 0), min(bottom + reach, self._height) - 1
         left, right = max(left - reach, 0), min(right + reach, self._width) - 1
         for y in (top, bottom):
-            picture[y, left : right + 1] = _MARK
+            picture[y, left : right + 1] = rgb(PICKED)
         for x in (left, right):
-            picture[top : bottom + 1, x] = _MARK
+            picture[top : bottom + 1, x] = rgb(PICKED)
 
 
 def heights_up_to(height_m: Float[np.ndarray, " n"]) -> float:

@@ -1,20 +1,43 @@
-"""Runs to look at: of Gaussians, and of methods that learn something else."""
+"""The subject in a folder; runs to look at: of Gaussians, and of methods that learn something else."""
 
 from __future__ import annotations
 
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float32
 
+from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.points import surface_distance
 from sarsplat.geometry import View
 from sarsplat.radar import Surface, surface_of_run
 from sarsplat.reconstruction import AnyRun, Run
 from sarsplat.viewer.scene import OfScene, SceneImages
-from sarsplat.viewer.subject import TRUTH, Cloud, Subject, at_most
+from sarsplat.viewer.subject import TRUTH, Cloud, Subject, at_most, dataset_subject
+
+
+def subject_at(path: str | Path) -> Subject:
+    """The run or dataset in a folder.
+
+    Raises
+    ------
+    SarsplatError
+        If it is neither, or cannot be read.
+    """
+    path = Path(path)
+    if (path / "config.json").is_file():
+        from sarsplat.rivals import open_run
+
+        return subject_of_run(open_run(path))
+    if (path / "dataset.json").is_file():
+        return dataset_subject(read_dataset(path))
+    what = "does not exist" if not path.exists() else "is neither a run nor a dataset"
+    raise SarsplatError(
+        f"{path} {what}; give the folder of one, which `sarsplat simulate` or `sarsplat reconstruct` writes"
+    )
 
 
 def subject_of_run(run: AnyRun[Any]) -> Subject:

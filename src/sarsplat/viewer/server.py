@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import socket
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from importlib.resources import files
@@ -29,6 +30,9 @@ _POLICY = (
 """Content-Security-Policy: whatever the page's scripts would like, the browser asks nobody but this server."""
 
 
+_STARTING = threading.Lock()
+
+
 def start_server(port: int, on_pick: Callable[[float, float], None]) -> viser.ViserServer:
     """Serve a page on 127.0.0.1.
 
@@ -37,8 +41,8 @@ def start_server(port: int, on_pick: Callable[[float, float], None]) -> viser.Vi
     port : int
         0 is any that is free.
     on_pick : callable
-        Told where the page's picture was clicked: parts of its width and height, from the upper left. It is called
-        from the server's thread and must return at once.
+        Called with where the page's picture was clicked: parts of its width and height, from the upper left. It runs
+        in the server's thread and must return at once.
 
     Raises
     ------
@@ -50,7 +54,11 @@ def start_server(port: int, on_pick: Callable[[float, float], None]) -> viser.Vi
     listener = _bound(port)
     number = listener.getsockname()[1]
     try:
-        with _served_on(listener, number, on_pick), redirect_stdout(io.StringIO()):  # viser says where it is, in a box
+        with (
+            _STARTING,
+            _served_on(listener, number, on_pick),
+            redirect_stdout(io.StringIO()),
+        ):  # viser says where it is, in a box
             return viser.ViserServer(host=HOST, port=number, label=_TITLE, verbose=False)
     except BaseException:
         listener.close()
@@ -65,7 +73,7 @@ def stop_server(server: viser.ViserServer) -> None:
 
 def _bound(port: int) -> socket.socket:
     if not 0 <= port < 65536:
-        raise SarsplatError(f"--port {port} is no port; give a number from 1024 to 65535")
+        raise SarsplatError(f"--port {port} is not a valid port; give a number from 1024 to 65535")
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     if os.name == "posix":  # of a server that has just ended; elsewhere this would take the port from a living one
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -82,20 +90,25 @@ def _bound(port: int) -> socket.socket:
 
 
 @contextmanager
-def _served_on(listener: socket.socket, port: int, on_pick: Callable[[float, float], None]) -> Iterator[None]:
+def _served_on(listener: socket.socket, number: int, on_pick: Callable[[float, float], None]) -> Iterator[None]:
     """While viser starts: it serves on this socket, and not on the next free port as it otherwise would.
 
     Its pages then say what the browser may load, and only they may open a connection: any site that is open in the
-    same browser could otherwise listen in.
+    same browser could otherwise listen in. viser passes nothing of this on to websockets, so its call of `serve` is
+    intercepted: that with our port alone, one start at a time. Whoever else serves something meanwhile is unaffected.
     """
     from websockets.asyncio import server as library
     from websockets.typing import Origin
 
-    own = [Origin(f"http://{name}:{port}") for name in (HOST, "localhost")]
+    own = [Origin(f"http://{name}:{number}") for name in (HOST, "localhost")]
     policy = _POLICY.format(sockets=" ".join(origin.replace("http", "ws") for origin in own))
     real, addition = library.serve, files("sarsplat.viewer").joinpath("page.html").read_bytes()
 
-    def serve(handler: Any, host: str, port: int, *, process_request: Callable[..., Any], **options: Any) -> Any:
+    def serve(handler: Any, host: str | None = None, port: int | None = None, **options: Any) -> Any:
+        if (host, port) != (HOST, number):
+            return real(handler, host, port, **options)
+        process_request = options.pop("process_request")
+
         def asked(connection: ServerConnection, request: Request) -> Response | None:
             if urlsplit(request.path).path == "/pick":
                 return _picked(connection, request, on_pick)

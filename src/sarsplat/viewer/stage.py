@@ -9,14 +9,14 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
+from sarsplat.colours import DARK, LIGHT, PICKED, RADAR, rgb
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.viewer.subject import Cloud, Contributors
 
 if TYPE_CHECKING:
     import viser
 
-TRAIN, TEST, _RADAR, _LIT = (60, 170, 255), (190, 110, 255), (255, 92, 70), (255, 176, 32)
-_FAINT, _LINES = (110, 122, 136), (52, 60, 70)
+_RADAR, _LIT, _FAINT, _LINES = rgb(RADAR), rgb(PICKED), rgb(LIGHT.muted), rgb(DARK.line)
 _DOME = 1.9  # radius, in those of the target
 _REACH = 0.6  # of the dome's radius: how far above the target the line of one range goes on
 _STEPS = 72  # of a circle of latitude
@@ -109,8 +109,8 @@ class Stage:
         ball = trimesh.creation.icosphere(subdivisions=1)
         self._dots = []
         for name, colour, chosen in (
-            ("train", TRAIN, [view for view, split in views if split == "train"]),
-            ("test", TEST, [view for view, split in views if split != "train"]),
+            ("train", DARK.train, [view for view, split in views if split == "train"]),
+            ("test", DARK.test, [view for view, split in views if split != "train"]),
         ):
             if not chosen:
                 continue
@@ -123,7 +123,7 @@ class Stage:
                 np.tile([1.0, 0, 0, 0], (len(chosen), 1)),
                 places,
                 batched_scales=np.full(len(chosen), size),
-                batched_colors=colour,
+                batched_colors=rgb(colour),
                 cast_shadow=False,
                 receive_shadow=False,
             )

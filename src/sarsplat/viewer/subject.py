@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float, Float32
 
-from sarsplat.data import Dataset, read_dataset
+from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.initialise import bounded_region
 from sarsplat.geometry import ImageGrid, View
@@ -206,28 +205,6 @@ class Subject:
             return np.array(low), np.array(high)
         region = bounded_region(train.power, train.views, train.grid)
         return region.low, region.high
-
-
-def subject_at(path: str | Path) -> Subject:
-    """The run or dataset in a folder.
-
-    Raises
-    ------
-    SarsplatError
-        If it is neither, or cannot be read.
-    """
-    path = Path(path)
-    if (path / "config.json").is_file():
-        from sarsplat.baselines import open_run
-        from sarsplat.viewer.run_subject import subject_of_run
-
-        return subject_of_run(open_run(path))
-    if (path / "dataset.json").is_file():
-        return dataset_subject(read_dataset(path))
-    what = "does not exist" if not path.exists() else "is neither a run nor a dataset"
-    raise SarsplatError(
-        f"{path} {what}; give the folder of one, which `sarsplat simulate` or `sarsplat reconstruct` writes"
-    )
 
 
 def dataset_subject(dataset: Dataset) -> Subject:

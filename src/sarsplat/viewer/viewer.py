@@ -10,13 +10,14 @@ from html import escape
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from sarsplat.colours import DARK, ERROR, HEIGHT, STRENGTH, rgb
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.radar import Pixel
-from sarsplat.report.decibels import to_decibels
-from sarsplat.viewer.colours import Scale
-from sarsplat.viewer.controls import ERROR, GAMMA0, Choices, Controls
+from sarsplat.radiometry import to_db
+from sarsplat.viewer.controls import BY_ERROR, BY_GAMMA0, Choices, Controls
 from sarsplat.viewer.newest import Newest
 from sarsplat.viewer.pictures import Panel, Strip, difference_panel, heights_up_to, map_panel, power_panel
+from sarsplat.viewer.scale import Scale
 from sarsplat.viewer.server import HOST, start_server, stop_server
 from sarsplat.viewer.stage import Stage
 from sarsplat.viewer.subject import TRUTH, Cloud, Contributors, Subject
@@ -25,7 +26,6 @@ _MARGIN = 1.4  # of the part of an image around the target: its shadow is behind
 _GAMMA0_DB = 30.0  # shown below the strongest
 _MOST_OF_IT = 0.9
 _DIMMED = 0.35
-_FRAME = 96  # grey
 _SAME_DEG = 0.05
 _FIRST_AZIMUTH_DEG = 45.0
 
@@ -168,16 +168,15 @@ class Viewer:
         """The part of an image that shows the target, of the same size from everywhere; its grid and its indices."""
         grid, radius = self._subject.grid, _MARGIN * self._stage.size_m
         azimuth, _, slant_range = radar_frame(view) @ self._stage.centre
-        size, first = [], []
+        window = []
         sides = ((slant_range, grid.range_m, grid.spacing_m[1]), (azimuth, grid.azimuth_m, grid.spacing_m[0]))
         for middle, places, spacing in sides:
             count = min(2 * math.ceil(radius / spacing) + 1, len(places)) if zoom else len(places)
             start = round((middle - places[0]) / spacing) - count // 2
-            size.append(count)
-            first.append(min(max(start, 0), len(places) - count))
-        rows, columns = (slice(a, a + n) for a, n in zip(first, size, strict=True))
-        centre = float(grid.azimuth_m[columns].mean()), float(grid.range_m[rows].mean())
-        return replace(grid, rows=size[0], columns=size[1], center_m=centre), (rows, columns)
+            first = min(max(start, 0), len(places) - count)
+            window.append(slice(first, first + count))
+        rows, columns = window
+        return grid.part(rows, columns), (rows, columns)
 
     def _draw_target(self, subject: Subject, view: View, choices: Choices, *, dimmed: bool) -> None:
         cloud = next((cloud for cloud in subject.clouds if cloud.name == choices.cloud), None)
@@ -234,7 +233,7 @@ class Viewer:
         )
         if subject.renders:
             power = subject.render(view)[pixel.row, pixel.column]
-            where += f"; {float(to_decibels(power, subject.peak)):.1f} dB"
+            where += f"; {float(to_db(power, subject.peak)):.1f} dB"
         if found is None:
             return f"{where}. Nothing is known to be there. {took}"
         return f"{where}. {escape(_who(found, subject.scatters))} {took}".replace("-", "−")
@@ -263,13 +262,13 @@ def _who(found: Contributors, gaussians: bool) -> str:
 
 def _coloured(subject: Subject, cloud: Cloud, view: View, way: str) -> tuple[np.ndarray, Scale]:
     """A number for each place, and how it is coloured."""
-    if way == GAMMA0 and cloud.name != TRUTH:
-        level = to_decibels(subject.gamma0(cloud, view))
+    if way == BY_GAMMA0 and cloud.name != TRUTH:
+        level = to_db(subject.gamma0(cloud, view))
         top = float(np.ceil(np.quantile(level, 0.995)))
-        return level, Scale("γ⁰ towards the radar, dB", top - _GAMMA0_DB, top, "inferno")
-    if way == ERROR and cloud.name != TRUTH:
-        return subject.error_m(cloud), Scale("distance to the true surface, m", 0.0, subject.grid.cell_m, "magma")
-    return cloud.places_m[:, 2], Scale("height, m", 0.0, heights_up_to(cloud.places_m[:, 2]), "viridis")
+        return level, Scale("γ⁰ towards the radar, dB", top - _GAMMA0_DB, top, STRENGTH)
+    if way == BY_ERROR and cloud.name != TRUTH:
+        return subject.error_m(cloud), Scale("distance to the true surface, m", 0.0, subject.grid.cell_m, ERROR)
+    return cloud.places_m[:, 2], Scale("height, m", 0.0, heights_up_to(cloud.places_m[:, 2]), HEIGHT)
 
 
 def _name(view: View) -> str:
@@ -278,7 +277,7 @@ def _name(view: View) -> str:
 
 def _framed(picture: UInt8[np.ndarray, "rows columns 3"]) -> UInt8[np.ndarray, "rows columns 3"]:
     """With a thin line around it: a dark image on a dark page has no edge."""
-    framed = np.full_like(picture, _FRAME)
+    framed = np.full_like(picture, rgb(DARK.muted))
     framed[1:-1, 1:-1] = picture[1:-1, 1:-1]
     return framed
 

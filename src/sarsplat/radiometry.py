@@ -1,0 +1,99 @@
+"""Power as amplitude and in decibels, β⁰ as σ⁰ and γ⁰ of flat ground, and which range of power pictures show.
+
+Power stands for an array of numpy or a number; conversions between β⁰, σ⁰ and γ⁰ take tensors of torch as well.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, TypeVar
+
+import numpy as np
+from jaxtyping import Bool, Float, Real
+
+DYNAMIC_RANGE_DB = 40.0
+"""Pictures show this range below the brightest training pixel, dB; what is darker is black."""
+
+LEAST_POWER = float(np.finfo(np.float32).tiny)
+"""Smaller powers count as this one in decibels (−379 dB), so that nothing is −inf."""
+
+OF_THE_BRIGHTEST = "power, dB of the brightest 0.1 %"
+"""What 0 dB is on sheets, in words; see `bright_level`."""
+
+Power = TypeVar("Power", bound=Any)
+"""A number, an array or a tensor."""
+
+
+def to_db(
+    power: Real[np.ndarray, "*shape"] | float | np.floating[Any], reference: Any = 1.0, least: float = LEAST_POWER
+) -> Any:
+    """10·log10(power / reference), dB, float64 [*shape].
+
+    Parameters
+    ----------
+    power : numpy.ndarray [*shape] or float
+        Linear power, at least 0.
+    reference : numpy.ndarray or float
+        What 0 dB is, linear.
+    least : float
+        Smaller quotients count as this one; with 0, no power is −inf dB.
+    """
+    quotient = np.maximum(np.asarray(power, dtype=np.float64) / reference, least)
+    with np.errstate(divide="ignore"):
+        return 10 * np.log10(quotient)
+
+
+def from_db(level_db: Power) -> Power:
+    """Linear power of decibels: 10^(dB / 10)."""
+    power: Power = 10 ** (level_db / 10)
+    return power
+
+
+def amplitude(power: Real[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """√power."""
+    return np.sqrt(power)
+
+
+def beta0_of_gamma0(gamma0: Power, grazing_deg: float) -> Power:
+    """β⁰ of flat ground with this γ⁰, both linear: γ⁰·tan(grazing)."""
+    return gamma0 * math.tan(math.radians(grazing_deg))
+
+
+def gamma0_of_beta0(beta0: Power, grazing_deg: float) -> Power:
+    """γ⁰ of flat ground with this β⁰, both linear: β⁰ / tan(grazing)."""
+    return beta0 / math.tan(math.radians(grazing_deg))
+
+
+def beta0_of_sigma0(sigma0: Power, grazing_deg: float) -> Power:
+    """β⁰ of flat ground with this σ⁰, both linear: σ⁰ / cos(grazing)."""
+    return sigma0 / math.cos(math.radians(grazing_deg))
+
+
+def sigma0_of_beta0(beta0: Power, grazing_deg: float) -> Power:
+    """σ⁰ of flat ground with this β⁰, both linear: β⁰·cos(grazing)."""
+    return beta0 * math.cos(math.radians(grazing_deg))
+
+
+def bright_level(power: Real[np.ndarray, "*pixels"]) -> float:
+    """What the brightest 0.1 % of pixels exceed: a corner reflector does not darken all the rest; never 0."""
+    return float(np.quantile(power, 0.999)) or float(power.max()) or 1.0
+
+
+def shade(
+    power: Real[np.ndarray, "*pixels"], peak: float, range_db: float = DYNAMIC_RANGE_DB
+) -> Float[np.ndarray, "*pixels"]:
+    """Brightness in a picture, linear in decibels: 1 at `peak` and above, 0 at `range_db` below it and darker."""
+    return np.clip(1 + to_db(power, peak) / range_db, 0, 1)
+
+
+def brighter(power: Real[np.ndarray, "*pixels"], level_db: float, peak: Any = None) -> Bool[np.ndarray, "*pixels"]:
+    """Where power exceeds `level_db` (negative: below) of `peak`, by default of the brightest of all pixels."""
+    return power > (power.max() if peak is None else peak) * from_db(level_db)
+
+
+def difference_db(
+    rendered: Real[np.ndarray, "*pixels"], truth: Real[np.ndarray, "*pixels"], peak: float, darkest_db: float
+) -> Float[np.ndarray, "*pixels"]:
+    """Rendered over true power, dB; whatever is darker than `darkest_db` of the peak counts as equally dark."""
+    floor = peak * from_db(darkest_db)
+    return to_db(np.maximum(rendered, floor)) - to_db(np.maximum(truth, floor))
