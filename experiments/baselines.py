@@ -4,9 +4,9 @@
 
 Vehicles are simulated; measured chips are taken if their folders are given. Every training has one thread, and its time
 is that of one core, so that times compare whatever else runs. Tables and pictures go to docs/results/baselines.md, or
-with --quick, which only shows that everything works, to runs/baselines/quick. Finished trainings stay in runs/baselines and
-beside the page, in baselines-runs.csv: end it at any time and start it again, here or, with the same code, on another
-machine.
+with --quick, which only shows that everything works, to runs/baselines/quick. Finished trainings stay in
+runs/baselines and beside the page, in baselines-runs.csv: end it at any time and start it again, here or, with the
+same code, on another machine.
 """
 
 from __future__ import annotations

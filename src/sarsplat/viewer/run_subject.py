@@ -29,7 +29,7 @@ def subject_at(path: str | Path) -> Subject:
     """
     path = Path(path)
     if (path / "config.json").is_file():
-        from sarsplat.rivals import open_run
+        from sarsplat.baselines import open_run
 
         return subject_of_run(open_run(path))
     if (path / "dataset.json").is_file():
