@@ -17,7 +17,7 @@ from sarsplat.data.csv_table import Row, column_names, parsed, read_table, relat
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.phoenix import is_phoenix, read_phoenix
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
-from sarsplat.geometry.responses import Response, Taylor
+from sarsplat.geometry.responses import TAYLOR, Response
 
 _DESIRED, _MEASURED = "desired_depression_deg", "measured_depression_deg"
 _NEEDED = (_DESIRED, "target_az_deg")
@@ -29,7 +29,6 @@ _DN_PER_MAGNITUDE = "dn_per_magnitude"
 """A column that may be missing, and empty, but not for some chips only."""
 _LEAST_SCALE, _LARGEST_SCALE = 1e-9, 1e9  # the square of no magnitude leaves float32
 _MAX_PIXELS_PER_SIDE = 4096
-_RESPONSE = Taylor(level_db=35, sidelobes=4)
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ class Chip:
     step: float
     spacing_m: tuple[float, float] = (0.203125, 0.202148)
     resolution_m: tuple[float, float] = (0.3229, 0.3013)
-    response: Response = _RESPONSE
+    response: Response = TAYLOR
     azimuth_std_deg: float | None = None
     phase: Float32[np.ndarray, "rows columns"] | None = None
 

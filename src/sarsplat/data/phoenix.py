@@ -18,7 +18,7 @@ from sarsplat.data.files import open_file
 from sarsplat.data.image import SarImage
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.geometry.responses import GAUSSIAN, Response, Taylor
+from sarsplat.geometry.responses import GAUSSIAN, Response, stated_taylor
 
 _MAGIC = b"[PhoenixHeaderVer"
 _END = "[EndofPhoenixHeader]"
@@ -96,8 +96,8 @@ class PhoenixChip:
     def response(self) -> Response:
         """That of the Taylor window of the level that the header states, with the usual n̄; otherwise a Gaussian."""
         stated = {self.header.get(f"{axis}Weighting", "") for axis in ("Range", "CrossRange")}
-        level = re.fullmatch(r"-?([1-9]\d)dB_Taylor", stated.pop()) if len(stated) == 1 else None
-        return Taylor(float(level[1])) if level else GAUSSIAN
+        level, _, window = stated.pop().partition("dB_")
+        return stated_taylor(level) if window == "Taylor" and not stated else GAUSSIAN
 
     @property
     def signal(self) -> Complex64[np.ndarray, "rows columns"]:

@@ -14,7 +14,7 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.data.folders import refuse_existing
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry import ImageGrid
-from sarsplat.geometry.responses import UNIFORM, Taylor
+from sarsplat.geometry.responses import TAYLOR, UNIFORM, Taylor
 from sarsplat.importers.apertures import Aperture, apertures
 from sarsplat.importers.each_once import each_once
 from sarsplat.importers.focus import focus
@@ -23,7 +23,7 @@ from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
 from sarsplat.importers.phase_history import FARTHEST_M, flights
 from sarsplat.progress import progress
 
-_WEIGHTINGS = {"uniform": UNIFORM, "taylor": Taylor()}
+_WEIGHTINGS = {"uniform": UNIFORM, "taylor": TAYLOR}
 _SPACING = 2 / 3
 """Of the narrower 3 dB width, where nobody says otherwise: power has twice the band of the signal."""
 _PIXELS = (8, 4096)

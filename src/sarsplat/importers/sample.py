@@ -22,7 +22,7 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 from sarsplat.geometry import View
-from sarsplat.geometry.responses import GAUSSIAN, Response, Taylor
+from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, stated_taylor
 from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.quantity import power_or_signal
@@ -105,7 +105,7 @@ def import_sample(
             f"near range is the {near} row, and the images are {'' if mirrored else 'not '}mirrored, "
             "which the set's description does not say",
             "azimuth 0 is the nose towards the radar, as in MSTAR",
-            *[f"the Taylor window has n̄ = {Taylor().sidelobes}"] * (images[0].response != GAUSSIAN),
+            *[f"the Taylor window has n̄ = {TAYLOR.sidelobes}"] * (images[0].response != GAUSSIAN),
         ],
     }
     dataset = dataset_of(images, target=chosen[0].target, source=source, train_views=train_views)
@@ -166,18 +166,10 @@ def _read(named: SampleName, folder: Path, near: str, mirrored: bool) -> tuple[M
         view,
         spacing,
         _lengths(named, variables, "resolution"),
-        response=_response(variables),
+        response=stated_taylor(_number(variables, "taylor_weights")),
     )
     kept = {name: _number(variables, name) for name in ("center_freq", "bandwidth", "taylor_weights")}
     return image, {name: value for name, value in kept.items() if value is not None}
-
-
-def _response(variables: Mapping[str, Any]) -> Response:
-    """Of a Taylor window of the level that the file states and the usual n̄; a Gaussian if it states none."""
-    try:
-        return Taylor(abs(_number(variables, "taylor_weights") or 0.0))
-    except SarsplatError:
-        return GAUSSIAN
 
 
 def _angle(named: SampleName, variables: Mapping[str, Any], name: str, whole_deg: int) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.geometry.responses import GAUSSIAN, UNIFORM, Response, Taylor
+from sarsplat.geometry.responses import GAUSSIAN, UNIFORM, Response, stated_taylor
 
 LARGEST = 1e9
 """No amplitude comes near it, and its square still fits into float32."""
@@ -115,10 +115,7 @@ class SicdFields:
             return UNIFORM
         elements = self._tree.iterfind("/".join("{*}" + part for part in f"{name}/Parameter".split("/")))
         stated = {element.get("name"): element.text for element in elements}
-        try:
-            return Taylor(abs(float(stated["SLL"])), int(stated["NBAR"])) if window == "TAYLOR" else GAUSSIAN
-        except (KeyError, TypeError, ValueError, SarsplatError):
-            return GAUSSIAN
+        return stated_taylor(stated.get("SLL"), stated.get("NBAR")) if window == "TAYLOR" else GAUSSIAN
 
     def pixel_type(self) -> str:
         """One of those that sarkit knows."""

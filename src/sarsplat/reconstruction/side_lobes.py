@@ -11,10 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.geometry import ImageGrid
-from sarsplat.geometry.responses import GAUSSIAN, Response, Taylor
-
-_COMMONEST = Taylor(level_db=35, sidelobes=4)
-"""Whose side lobes are taken where the response of the images is said to have none."""
+from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, Response
 
 
 def with_side_lobes(
@@ -40,7 +37,7 @@ def with_side_lobes(
 @lru_cache(maxsize=16)
 def _matrices(grid: ImageGrid) -> tuple[Tensor, Tensor]:
     """What a pixel gives to the others of its row, and of its column; symmetric."""
-    response = grid.response if math.isfinite(grid.response.main_lobe) else _COMMONEST
+    response = grid.response if math.isfinite(grid.response.main_lobe) else TAYLOR
     sizes = zip((grid.columns, grid.rows), grid.spacing_m, grid.resolution_m, strict=True)
     return tuple(_matrix(response, *size) for size in sizes)  # type: ignore[return-value]
 

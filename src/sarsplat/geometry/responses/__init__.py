@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any
@@ -11,17 +10,19 @@ from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.responses.gaussian import GAUSSIAN, Gaussian
 from sarsplat.geometry.responses.response import Response, variance_of, width_of
 from sarsplat.geometry.responses.sampled import Sampled
-from sarsplat.geometry.responses.taylor import UNIFORM, Taylor
+from sarsplat.geometry.responses.taylor import TAYLOR, UNIFORM, Taylor
 
 __all__ = [
     "GAUSSIAN",
     "RESPONSES",
+    "TAYLOR",
     "UNIFORM",
     "Gaussian",
     "Response",
     "Sampled",
     "Taylor",
     "response_of",
+    "stated_taylor",
     "variance_of",
     "width_of",
 ]
@@ -43,15 +44,21 @@ def response_of(settings: Any) -> Response:
     """
     if settings is None:
         return GAUSSIAN
-    kind = settings.get("kind") if isinstance(settings, dict) else settings
-    if not isinstance(settings, dict) or not isinstance(kind, str) or kind not in RESPONSES:
+    given = dict(settings) if isinstance(settings, dict) else {}
+    kind = given.pop("kind", None)
+    if not isinstance(kind, str) or kind not in RESPONSES:
         raise SarsplatError(f"the response {shown(kind)} is unknown; choose one of {', '.join(RESPONSES)}")
-    shape = RESPONSES[kind]
-    given = {name: value for name, value in settings.items() if name != "kind"}
     try:
-        return shape(**given)
+        return RESPONSES[kind](**given)
     except TypeError as error:
-        needed = ", ".join(field.name for field in fields(shape)) or "no settings"  # type: ignore[arg-type]
         raise SarsplatError(
-            f"a {kind} response with the settings {shown(', '.join(map(str, given)))} is not possible; give {needed}"
+            f"a {kind} response cannot have the settings {shown(given)}: {error}; correct them"
         ) from error
+
+
+def stated_taylor(level_db: Any, sidelobes: Any = TAYLOR.sidelobes) -> Response:
+    """The Taylor response of a level, of either sign, that a file states; a Gaussian if that makes no sense."""
+    try:
+        return Taylor(abs(float(level_db)), int(sidelobes))
+    except (TypeError, ValueError, SarsplatError):
+        return GAUSSIAN

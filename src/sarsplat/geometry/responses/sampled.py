@@ -8,15 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.responses.response import Response
-
-_MOST = 65536
 
 
 @dataclass(frozen=True)
 class Sampled(Response):
-    """A response between whose samples power runs straight.
+    """A response whose power is linear between samples.
 
     Parameters
     ----------
@@ -28,7 +26,7 @@ class Sampled(Response):
     Raises
     ------
     SarsplatError
-        If they are no such table.
+        If they are not such a table.
     """
 
     kind = "sampled"
@@ -36,33 +34,20 @@ class Sampled(Response):
     powers: Sequence[float]
 
     def __post_init__(self) -> None:
-        for name in ("distances", "powers"):
-            values = self._numbers(name)
-            if values.shape != (len(values),) or not 2 <= len(values) <= _MOST or not np.isfinite(values).all():
-                raise SarsplatError(
-                    f"{name} of a sampled response must be 2 to {_MOST} finite numbers, not an array of shape "
-                    f"{values.shape} from {values.min(initial=0):g} to {values.max(initial=0):g}; give one for each "
-                    "sample"
-                )
-            object.__setattr__(self, name, tuple(values.tolist()))  # hashable, and fits into JSON
-        distance, power = self.table()
-        if len(distance) != len(power) or distance[0] != 0 or not (np.diff(distance) > 0).all():
-            raise SarsplatError(
-                f"{len(distance)} distances of a sampled response from {distance[0]:g} to {distance[-1]:g} must be as "
-                f"many as its powers ({len(power)}) and rise from 0; sort them"
-            )
-        if power.min() < 0 or not power[0] == power.max() > 0 or not power[-1] < power[0] / 2:
-            raise SarsplatError(
-                f"powers of a sampled response from {power.min():g} to {power.max():g} must be positive, begin with "
-                f"the largest and end below half of it, not {power[0]:g} and {power[-1]:g}; give linear power from the "
-                "peak outwards"
-            )
-
-    def _numbers(self, name: str) -> Float64[np.ndarray, "*n"]:
         try:
-            return np.asarray(getattr(self, name), np.float64)
-        except (TypeError, ValueError) as error:
-            raise SarsplatError(f"{name} of a sampled response must be numbers ({error}); give a list") from error
+            distance, power = table = np.array([self.distances, self.powers], np.float64)
+            ordered = distance[0] == 0 and (np.diff(distance) > 0).all() and power[0] == power.max()
+            valid = np.isfinite(table).all() and ordered and power.min() >= 0 and power[-1] < power[0] / 2
+        except (IndexError, TypeError, ValueError):
+            valid = False
+        if not valid:
+            given = " and powers ".join(" ".join(shown(values).split()) for values in (self.distances, self.powers))
+            raise SarsplatError(
+                f"distances {given} are not a sampled response; give as many of both: distances rising from 0, and "
+                "power ≥ 0 that is largest there and ends below half of that"
+            )
+        object.__setattr__(self, "distances", tuple(distance.tolist()))  # hashable, and fits into JSON
+        object.__setattr__(self, "powers", tuple(power.tolist()))
 
     def table(self) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
         """As given."""

@@ -15,7 +15,6 @@ from sarsplat.geometry.responses.response import Response
 
 _SAMPLES, _FINE = 512, 16
 """Of the aperture, and of the response in each of its 1/_SAMPLES of bandwidth."""
-_LEVELS_DB, _MOST_SIDELOBES = (10.0, 100.0), 64
 
 
 @dataclass(frozen=True)
@@ -40,16 +39,12 @@ class Taylor(Response):
     sidelobes: int = 4
 
     def __post_init__(self) -> None:
-        low, high = _LEVELS_DB
-        if not isinstance(self.level_db, Real) or not low <= self.level_db <= high:  # also catches NaN
+        level, count = self.level_db, self.sidelobes
+        in_range = isinstance(level, Real) and 10 <= level <= 100 and type(count) is int and 1 <= count <= 64
+        if not in_range:  # also catches NaN
             raise SarsplatError(
-                f"level_db {shown(self.level_db)} of a Taylor response is not a number of decibels between {low:g} and "
-                f"{high:g}; give 35 for side lobes at −35 dB"
-            )
-        if type(self.sidelobes) is not int or not 1 <= self.sidelobes <= _MOST_SIDELOBES:
-            raise SarsplatError(
-                f"sidelobes {shown(self.sidelobes)} of a Taylor response is not a whole number from 1 to "
-                f"{_MOST_SIDELOBES}; give 4, the usual one"
+                f"a Taylor response of level_db {shown(level)} and sidelobes {shown(count)} is not possible; give 10 "
+                "to 100 dB and a whole number from 1 to 64"
             )
         object.__setattr__(self, "level_db", float(self.level_db))
 
@@ -82,6 +77,9 @@ class Taylor(Response):
         window = self.window((np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5)
         return (np.abs(np.fft.rfft(window, _SAMPLES * fine)) / window.sum()) ** 2
 
+
+TAYLOR = Taylor()
+"""The commonest of all, that of MSTAR included."""
 
 UNIFORM = Taylor(level_db=13.26, sidelobes=1)
 """Of an aperture that is not weighted: the narrowest response."""
