@@ -82,6 +82,7 @@ class Recording:
     amplitude_table: bool = False
     beta_zero: float | None = None
     window: str | None = "UNIFORM"
+    parameters: tuple[tuple[str, str], ...] = ()
     sign: int = -1
 
     @property
@@ -232,6 +233,8 @@ def describe(track: Track, recording: Recording) -> tuple[lxml.etree._ElementTre
         }
         if recording.window:
             sicd["Grid"][name]["WgtType"]["WindowName"] = recording.window
+        if recording.parameters:
+            sicd["Grid"][name]["WgtType"]["Parameter"] = recording.parameters
     sicd["Timeline"] = {"CollectStart": datetime(2024, 5, 1, tzinfo=UTC), "CollectDuration": 2.0}
     sicd["Position"]["ARPPoly"] = np.array([arp - velocity, velocity])
     sicd["RadarCollection"] = {

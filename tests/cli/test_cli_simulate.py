@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,14 @@ import numpy as np
 import pytest
 import trimesh
 
+from datasets import FEW_POINTS
+from sarsplat import Run, preset, reconstruct
 from sarsplat.cli import main
 from sarsplat.cli.simulated_views import Raster, simulated_views
 from sarsplat.data import Dataset, read_dataset, read_masks
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
+from sarsplat.geometry.responses import GAUSSIAN, TAYLOR
 from sarsplat.scenes import paper_views
 
 NONE: Raster = ((), (), ())
@@ -117,6 +121,20 @@ def test_what_the_images_cannot_show_is_warned_of(
 ) -> None:
     simulated(box, words)
     assert told in capsys.readouterr().err
+
+
+def test_a_response_with_side_lobes_goes_from_the_simulation_into_the_run(box: Path, capsys) -> None:
+    words = "--scale 0.001 --test-azimuth 45 --resolution 0.45"
+    plain, lobed = simulated(box, words), simulated(box, f"{words} --response taylor")
+    assert (plain.grid.response, lobed.grid.response) == (GAUSSIAN, TAYLOR)
+    assert lobed.power.sum() == pytest.approx(plain.power.sum(), rel=0.02)
+    edge = np.s_[:, :, :4]  # beyond the target, where only side lobes reach
+    assert lobed.power[edge].mean() > 100 * plain.power[edge].mean() > 0
+    short = replace(preset("quick"), iterations=2, gaussians=50, points=FEW_POINTS)
+    made = reconstruct(lobed, short, box.parent / "run")
+    assert Run.load(made.path).grid == lobed.grid
+    assert main(["simulate", "--target", "t72", "--response", "hann", "--out", str(box.parent / "new")]) == 2
+    assert "the response 'hann' is unknown; choose one of gaussian" in " ".join(capsys.readouterr().err.split())
 
 
 def test_laws_and_the_reflectivity_of_parts_are_recorded_and_shown(box: Path) -> None:

@@ -13,6 +13,7 @@ from datasets import dataset_of
 from sarsplat.data import Dataset, SarImage, read_dataset, read_power_tiff, write_dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry.responses import Taylor
 
 GRID = ImageGrid(6, 5, (0.2, 0.3), (0.25, 0.35), (1.0, -2.0))
 VIEWS = [
@@ -177,6 +178,22 @@ def test_fingerprint_follows_header_and_pixels_not_place(dataset, tmp_path):
     assert make(tmp_path / "a", images=touched).fingerprint() != first
     assert make(tmp_path / "b", source={"kind": "other"}).fingerprint() != first
     assert make(tmp_path / "c", looks=1).fingerprint() != first
+
+
+def test_a_response_is_kept_and_may_be_absent(dataset, tmp_path):
+    header = json.loads((dataset.path / "dataset.json").read_text())
+    assert header["grid"].pop("response") is None  # as in files from before there were responses
+    (dataset.path / "dataset.json").write_text(json.dumps(header))
+    assert read_dataset(dataset.path).fingerprint() == dataset.fingerprint()
+    made = make(tmp_path / "set", grid=replace(GRID, response=Taylor(40, 5)))
+    header = json.loads((made.path / "dataset.json").read_text())
+    assert header["grid"]["response"] == {"kind": "taylor", "level_db": 40.0, "sidelobes": 5}
+    assert read_dataset(made.path).grid == made.grid
+    assert read_dataset(made.path).fingerprint() == made.fingerprint() != dataset.fingerprint()
+    header["grid"]["response"]["level_db"] = "loud"
+    (made.path / "dataset.json").write_text(json.dumps(header))
+    with pytest.raises(SarsplatError, match=r"dataset\.json: a Taylor response of level_db 'loud'"):
+        read_dataset(made.path)
 
 
 def test_truth_mesh(tmp_path):

@@ -11,6 +11,7 @@ from test_phoenix import phoenix_bytes
 
 from sarsplat.data import Dataset, import_mstar, read_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.geometry.responses import Taylor
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
 needs_measured = pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured MSTAR chips are not here")
@@ -83,6 +84,7 @@ def test_splits_angles_and_order(chips):
     assert read_dataset(dataset.path).fingerprint() == dataset.fingerprint()
     assert "max(DN, min_dn)^2" in dataset.source["calibration"]
     assert (dataset.grid.spacing_m, dataset.grid.resolution_m) == ((0.203125, 0.202148), (0.3229, 0.3013))
+    assert dataset.grid.response == Taylor(35, 4)
 
 
 def test_training_chips_are_distinct_and_limited(chips):

@@ -8,6 +8,7 @@ import pytest
 from sarsplat.data import read_phoenix
 from sarsplat.data.mstar_chips import read_jpeg
 from sarsplat.errors import SarsplatError
+from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, Taylor
 
 FIELDS = {
     "native_header_length": "0",
@@ -51,6 +52,23 @@ def test_reads_magnitudes_and_header(path):
     assert (chip.target_az_deg, chip.measured_depression_deg, chip.desired_depression_deg) == (10.790657, 17.09375, 17)
     assert chip.spacing_m == (0.203125, 0.202148)
     assert chip.resolution_m == (0.3229, 0.3013)
+
+
+@pytest.mark.parametrize(
+    ("stated", "expected"),
+    [
+        (("-35dB_Taylor", "-35dB_Taylor"), TAYLOR),
+        (("-30dB_Taylor", "-30dB_Taylor"), Taylor(30)),
+        (("-35dB_Taylor", "-30dB_Taylor"), GAUSSIAN),
+        (("-1e9dB_Taylor", "-1e9dB_Taylor"), GAUSSIAN),
+        (("Hamming", "Hamming"), GAUSSIAN),
+    ],
+)
+def test_the_header_states_the_response(path, stated, expected):
+    path.write_bytes(phoenix_bytes(RangeWeighting=stated[0], CrossRangeWeighting=stated[1]))
+    assert read_phoenix(path).response == read_phoenix(path).image.grid.response == expected
+    path.write_bytes(phoenix_bytes())
+    assert read_phoenix(path).response == GAUSSIAN
 
 
 def test_a_chip_is_an_image(path):

@@ -129,6 +129,7 @@ def files(tmp_path):
 def test_sub_apertures(files, tmp_path):
     dataset = import_phase_history(files[::-1], tmp_path / "out", size_m=5, aperture_deg=3, train_views=3)
     assert [entry.split for entry in dataset.entries].count("train") == 3
+    assert dataset.grid.response == read_dataset(tmp_path / "out").grid.response == Taylor(35, 4)
     views = {entry.name: entry.view for entry in dataset.entries}
     azimuths = [views[f"{k:03d}"].azimuth_deg for k in range(4)]
     assert azimuths == pytest.approx([4.5, 1.5, 358.5, 355.5], abs=0.03)  # theirs are counter-clockwise, ours are not

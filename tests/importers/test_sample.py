@@ -11,6 +11,7 @@ from sample_files import write_sample
 from sarsplat.cli import main
 from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.geometry.responses import GAUSSIAN, TAYLOR
 from sarsplat.importers import import_sample
 
 RNG = np.random.default_rng(0)
@@ -38,6 +39,8 @@ def test_images_angles_and_lengths(folder, tmp_path):
     assert (made.grid.spacing_m, made.grid.resolution_m) == ((0.2031, 0.2021), (0.3047, 0.3047))
     assert (made.target, made.calibration, made.looks, made.ground) == ("t72", "relative", 1.0, True)
     assert (made.source["taylor_weights"], made.source["bandwidth"]) == (35, 591e6)
+    assert made.grid.response == TAYLOR
+    assert "the Taylor window has n̄ = 4" in made.source["assumptions"]
     assert made.entries[0].name == "mat_files/real/t72/t72_real_A_elevDeg_016_azCenter_011_77_serial_812.mat"
 
 
@@ -64,6 +67,7 @@ def test_what_headers_lack(folder, tmp_path):
     assert made.views[0].azimuth_deg == pytest.approx(339.6)
     assert made.grid.spacing_m == (0.2021, 0.2021)
     assert "taylor_weights" not in made.source
+    assert made.grid.response == GAUSSIAN
 
 
 @pytest.mark.parametrize(

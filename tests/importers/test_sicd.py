@@ -16,6 +16,7 @@ from sarsplat import preset, reconstruct
 from sarsplat.cli import main
 from sarsplat.data import Dataset, read_dataset
 from sarsplat.geometry import radar_frame
+from sarsplat.geometry.responses import GAUSSIAN, UNIFORM, Taylor
 from sarsplat.importers import import_sicd
 from sicds import FREQUENCY, LIGHT, SPOT, Recording, Track, axes, describe, ecef, write_sicd
 
@@ -168,6 +169,21 @@ def test_widths_weighting_and_beta_zero(tmp_path):
     assert relative.power.mean() == pytest.approx(1, rel=1e-3)
     as_stored = relative.signal * math.sqrt(relative.source["mean_power"])
     assert dataset.signal == pytest.approx(as_stored * math.sqrt(3.0), abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("recording", "response"),
+    [
+        (Recording(), UNIFORM),
+        (Recording(window="TAYLOR"), GAUSSIAN),  # of which level?
+        (Recording(window="TAYLOR", parameters=(("NBAR", "5"), ("SLL", "-30"))), Taylor(30, 5)),
+        (Recording(window="TAYLOR", parameters=(("NBAR", "many"), ("SLL", "-30"))), GAUSSIAN),
+        (Recording(window=None), GAUSSIAN),
+        (Recording(turn=20), GAUSSIAN),  # its side lobes run beside our axes
+    ],
+)
+def test_the_response_is_that_of_the_weighting(tmp_path, recording, response):
+    assert imported(tmp_path, Track(), recording).grid.response == response
 
 
 def test_a_stack_is_on_one_grid_with_headings_and_sets(tmp_path):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 
 from sarsplat import ImageGrid
+from sarsplat.geometry.responses import TAYLOR, Taylor
 from sarsplat.reconstruction.side_lobes import with_side_lobes
 
 GRID = ImageGrid(81, 101, (0.1, 0.12), (0.3, 0.4))
@@ -40,3 +43,12 @@ def test_their_level_is_theirs_alone_and_differentiable() -> None:
     assert torch.autograd.gradcheck(
         lambda some, much: with_side_lobes(some, much, small), (images[:, :5, :4].detach().requires_grad_(), level)
     )
+
+
+def test_they_are_those_of_the_grid_s_response():
+    level = torch.ones(2).double()
+    commonest = with_side_lobes(point(), level, GRID)
+    assert torch.equal(with_side_lobes(point(), level, replace(GRID, response=TAYLOR)), commonest)
+    lower = with_side_lobes(point(), level, replace(GRID, response=Taylor(45, 6)))
+    near = float((lower - point())[0, 40, 60] / (commonest - point())[0, 40, 60])
+    assert near < 0.3

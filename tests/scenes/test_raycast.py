@@ -1,12 +1,14 @@
 """The ray-cast simulator against closed forms (physics), against itself (convergence), and its errors."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.geometry.responses import TAYLOR, Sampled
 from sarsplat.scenes import ScatteringLaw, paper_grid, simulate_raycast, target_mesh
 
 trimesh = pytest.importorskip("trimesh")
@@ -59,6 +61,26 @@ def test_a_point_target_is_the_response_at_the_right_pixel():
     # One pixel is half the 3 dB width on either axis. The sphere's front is 3 mm nearer than its centre.
     for neighbour in ((row, column - 1), (row, column + 1), (row - 1, column), (row + 1, column)):
         assert image[neighbour] / image[row, column] == pytest.approx(0.5, rel=0.02)
+
+
+def test_a_point_target_has_the_side_lobes_of_the_response():
+    grid = ImageGrid(161, 161, (0.05, 0.08), (0.3, 0.4), response=TAYLOR)
+    point = trimesh.creation.icosphere(subdivisions=3, radius=0.0005)
+    image = simulate_raycast(point, View(0, 45), grid, LAMBERT, ray_spacing=0.00002)
+    level = 10 * np.log10(image / image.max())
+    for cut, step in ((level[80, 80:], 0.05 / 0.3), (level[80:, 80], 0.08 / 0.4)):
+        places = np.arange(81) * step
+        expected = 10 * np.log10(TAYLOR.density(places) / TAYLOR.density(np.zeros(1)))
+        beyond = (places > TAYLOR.main_lobe) & (expected > -45)
+        assert beyond.sum() > 5
+        assert cut[beyond].max() == pytest.approx(-35.2, abs=0.4)  # between pixels, it is a little higher
+        np.testing.assert_allclose(cut[beyond], expected[beyond], atol=0.2)
+        np.testing.assert_allclose(cut[places < 0.9], expected[places < 0.9], atol=0.02)
+    assert image.sum() * 0.004 == pytest.approx(math.pi * 0.0005**2, rel=0.01)  # its cross-section
+    flat = replace(grid, response=Sampled((0, 0.5, 0.5001, 2, 3), (1, 1, 0.1, 0.1, 0)))
+    image = simulate_raycast(point, View(0, 45), flat, LAMBERT, ray_spacing=0.00002)
+    assert image[80, 81] == pytest.approx(image[80, 80], rel=0.01)
+    assert image[80, 86] == pytest.approx(0.1 * image[80, 80], rel=0.01)
 
 
 @pytest.mark.parametrize(("grazing", "shadow"), [(15.0, (0.5, 9.0)), (45.0, (0.5, 3.7)), (75.0, None)])

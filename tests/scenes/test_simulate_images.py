@@ -9,6 +9,7 @@ import trimesh
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry.responses import TAYLOR
 from sarsplat.scenes import ScatteringLaw, paper_grid
 from sarsplat.scenes.meshes import scaled
 from sarsplat.scenes.raycast import default_ray_spacing
@@ -46,6 +47,11 @@ def test_both_sources_stand_on_the_same_ground(box: trimesh.Trimesh) -> None:
         assert shadow.sum() > 20
         assert dark[shadow].mean() > 0.95
         assert np.corrcoef(np.sqrt(ray).ravel(), np.sqrt(splat).ravel())[0, 1] > 0.99
+
+
+def test_the_renderer_s_response_is_a_gaussian(box: trimesh.Trimesh) -> None:
+    with pytest.raises(SarsplatError, match=r"a Gaussian, but the response is Taylor\(level_db=35.0, sidelobes=4\)"):
+        simulate_images(box, VIEWS, replace(GRID, response=TAYLOR), source="splat")
 
 
 def test_speckle_keeps_the_mean_and_depends_on_the_seed(box: trimesh.Trimesh) -> None:
