@@ -185,7 +185,7 @@ def test_a_response_is_kept_and_may_be_absent(dataset, tmp_path):
     assert header["grid"].pop("response") is None  # as in files from before there were responses
     (dataset.path / "dataset.json").write_text(json.dumps(header))
     assert read_dataset(dataset.path).fingerprint() == dataset.fingerprint()
-    made = make(tmp_path / "set", grid=replace(GRID, response=Taylor(40, 5)))
+    made = make(tmp_path / "other", grid=replace(GRID, response=Taylor(40, 5)))
     header = json.loads((made.path / "dataset.json").read_text())
     assert header["grid"]["response"] == {"kind": "taylor", "level_db": 40.0, "sidelobes": 5}
     assert read_dataset(made.path).grid == made.grid
