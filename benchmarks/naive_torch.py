@@ -79,7 +79,7 @@ def _ray_pairs(mean: Tensor, cov: Tensor, depth: Tensor, rays: RayGrid) -> tuple
 def _pixel_pairs(mean: Tensor, cov: Tensor, grid: ImageGrid) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Covariance of every Gaussian in pixels, the response included, and its pairs with pixels."""
     pixel, image_center = torch.tensor(grid.spacing_m), torch.tensor(grid.center_m)
-    response = torch.diag(torch.tensor(grid.resolution_m) ** 2 / (8 * math.log(2)))
+    response = torch.diag(torch.tensor(grid.response_variance_m2))
     cov_i = (cov[:, [0, 2]][:, :, [0, 2]] + response) / (pixel[:, None] * pixel)
     half = torch.tensor([(grid.columns - 1) / 2, (grid.rows - 1) / 2])
     center = (mean[:, [0, 2]] - image_center) / pixel + half

@@ -75,7 +75,7 @@ def test_a_point_target_has_the_side_lobes_of_the_response():
         assert beyond.sum() > 5
         assert cut[beyond].max() == pytest.approx(-35.2, abs=0.4)  # between pixels, it is a little higher
         np.testing.assert_allclose(cut[beyond], expected[beyond], atol=0.2)
-        np.testing.assert_allclose(cut[places < 0.9], expected[places < 0.9], atol=0.02)
+        np.testing.assert_allclose(cut[places < 0.9], expected[places < 0.9], atol=0.05)
     assert image.sum() * 0.004 == pytest.approx(math.pi * 0.0005**2, rel=0.01)  # its cross-section
     flat = replace(grid, response=Sampled((0, 0.5, 0.5001, 2, 3), (1, 1, 0.1, 0.1, 0)))
     image = simulate_raycast(point, View(0, 45), flat, LAMBERT, ray_spacing=0.00002)

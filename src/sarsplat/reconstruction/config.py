@@ -216,7 +216,8 @@ class Surroundings(Record):
     gain_std : float
         Standard deviation of the logarithm of a chip's gain.
     side_lobes : float
-        Power of the side lobes of bright scatterers at the start, relative to a −35 dB Taylor window; 0: none.
+        Power of the side lobes of bright scatterers at the start, relative to those of the response (−35 dB Taylor where
+        that has none); 0: none.
     texture_looks : float
         The factor between images and scene that is shared by neighbouring chips: how many looks it takes to believe in
         one that differs from 1 by half of what they show; 0: there is none.
