@@ -182,14 +182,6 @@ def test_a_dark_gaussian_has_a_gradient():
 
 
 # ---- on their own ----------------------------------------------------------------------------------------------------
-@pytest.fixture
-def threads():
-    """Sets torch's thread count; the old one comes back."""
-    before = torch.get_num_threads()
-    yield torch.set_num_threads
-    torch.set_num_threads(before)
-
-
 @pytest.mark.parametrize("step", STEPS)
 @pytest.mark.parametrize("name", ["many", "many views"])
 def test_same_bits_for_any_number_of_threads(name, step, threads):
