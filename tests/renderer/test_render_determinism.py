@@ -16,7 +16,6 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid
 from sarsplat.renderer import render
 
-
 # more Gaussians than fit one task, more views than bands, one view cut into bands; small scenes stay on one thread
 SCENES = {
     "many": MATRIX["many"],
