@@ -46,7 +46,7 @@ def test_the_ground_reaches_past_the_farthest_corner_of_the_images(view):
 
 
 def test_too_few_and_too_many_gaussians_are_refused():
-    with pytest.raises(SarsplatError, match="0.5 m apart are too few for a ground of 0.4 m radius"):
+    with pytest.raises(SarsplatError, match=r"0\.5 m apart are too few for a ground of 0\.4 m radius"):
         ground_sheet(0.4, 0.5)
     with pytest.raises(SarsplatError, match="its radius may be at most 250 m"):
         ground_sheet(250.1, 0.1)
