@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from typing import Any
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import pytest
+import torch
 
 import shapes
 from sarsplat.renderer import cpu
@@ -19,6 +21,14 @@ shapes.watch()
 # `make sanitize` runs the renderer's tests on an engine of its own making
 if (engine := os.environ.get("SARSPLAT_TEST_ENGINE")) is not None:
     cpu.LIBRARY = Path(engine)
+
+
+@pytest.fixture
+def threads() -> Iterator[Callable[[int], None]]:
+    """Sets torch's thread count; the old one comes back."""
+    before = torch.get_num_threads()
+    yield torch.set_num_threads
+    torch.set_num_threads(before)
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import torch
 
 from datasets import FEW_POINTS
 from sarsplat import Dataset, ImageGrid, SarImage, View, preset, reconstruct, simulate_images, write_dataset
@@ -89,13 +88,9 @@ def bench(workshop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pa
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=lambda path: path.stem)
-def test_python_of_a_page_runs_from_top_to_bottom(page, bench, monkeypatch):
+def test_python_of_a_page_runs_from_top_to_bottom(page, bench, threads, monkeypatch):
     monkeypatch.setenv("OMP_WAIT_POLICY", "PASSIVE")
-    threads = torch.get_num_threads()
-    try:
-        exec(compile("\n".join(blocks(page, "python")), str(page), "exec"), {"__name__": "page"})
-    finally:
-        torch.set_num_threads(threads)
+    exec(compile("\n".join(blocks(page, "python")), str(page), "exec"), {"__name__": "page"})
 
 
 @pytest.mark.parametrize("script", [*EXAMPLES, *TUTORIALS], ids=lambda path: path.name)

@@ -39,6 +39,7 @@ RADIANS = {
     "azimuths in degrees": views(range(0, 360, 15), [0.5236]),
     "azimuths in degrees, three grazings": views(range(0, 360, 15), np.radians([15, 30, 45])),
     "two views": views([0, 1.5708], [0.52]),
+    "three azimuths": views([0, 2.0944, 4.1888], [30]),
 }
 
 HONEST = {
@@ -52,6 +53,7 @@ HONEST = {
     "steps of a half, low": views(np.arange(0, 6, 0.5), [1.5]),
     "steps of 1.25, low": views(np.arange(0, 5.1, 1.25), [1.25]),
     "0 to 6 by 1, very low": views(range(7), [0.5]),
+    "some of them low": views([0, 90, 200], [0.52, 45]),
     "from above": views([0, 0.5, 1, 1.7, 2.2], [88.6]),
     "paper": [view for view, _ in paper_views()],
     "mstar": [view for view, _ in mstar_views()],

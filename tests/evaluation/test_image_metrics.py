@@ -108,9 +108,9 @@ def test_zero_power_has_no_likelihood():
     chips = np.random.default_rng(4).exponential(size=(1, 64, 64))
     holed = chips.copy()
     holed[0, 30:34, 30:34] = 0
-    with pytest.raises(UndefinedScore, match="zero at 16 of 256"):
+    with pytest.raises(UndefinedScore, match=r"zero at 16 of 256 .* noise floor"):
         nats_per_pixel(chips, holed, 24)
-    with pytest.raises(UndefinedScore, match="true power is zero at 4 of 256"):
+    with pytest.raises(UndefinedScore, match=r"true power is zero at 4 of 256 .* raise zeros"):
         log_correlation(holed, chips, 24)
 
 

@@ -43,6 +43,15 @@ def test_a_line_that_misses_the_box_is_none():
     assert iso_range_line(VIEW, GRID, PIXEL, np.full(3, 40.0), np.full(3, 41.0)) is None
 
 
+def test_a_line_along_a_side_of_the_box_meets_it_or_not():
+    """From azimuth 0 elevation has no part along y, so the whole line lies at one y."""
+    view, y = View(0.0, 35.0), -PIXEL.place_m(GRID)[0]
+    for first, meets in ((y - 0.1, True), (y + 0.1, False)):
+        line = iso_range_line(view, GRID, PIXEL, np.array([-3, first, -1]), np.array([3, first + 2, 4]))
+        assert (line is not None) == meets
+        assert line is None or np.allclose(line[:, 1], y)
+
+
 def test_two_scatterers_at_one_range_light_up_and_a_third_does_not():
     azimuth, slant_range = PIXEL.place_m(GRID)
     places = [at(azimuth, 2.0, slant_range), at(azimuth, -1.5, slant_range), at(azimuth, 2.0, slant_range + 2.0)]
@@ -55,11 +64,12 @@ def test_two_scatterers_at_one_range_light_up_and_a_third_does_not():
 def test_the_contributions_add_up_to_the_pixel():
     chance = np.random.default_rng(3)
     scene = balls(chance.uniform(-1.5, 1.5, (200, 3)))
-    image = render(scene, [VIEW], GRID).channel(0)[0]
-    for pixel in (PIXEL, Pixel(16, 12), Pixel(0, 0)):
-        parts = contributions(scene, VIEW, GRID, pixel)
-        assert parts.shape == (200,)
-        assert float(parts.sum()) == pytest.approx(float(image[pixel.row, pixel.column]), rel=1e-4, abs=1e-7)
+    for count in (200, 1, 0):
+        image = render(scene[:count], [VIEW], GRID).channel(0)[0]
+        for pixel in (PIXEL, Pixel(16, 12), Pixel(0, 0)):
+            parts = contributions(scene[:count], VIEW, GRID, pixel)
+            assert parts.shape == (count,)
+            assert float(parts.sum()) == pytest.approx(float(image[pixel.row, pixel.column]), rel=1e-4, abs=1e-7)
 
 
 def test_a_pixel_outside_is_refused():

@@ -8,8 +8,9 @@ import torch
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, Harmonics
-from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.radar import RadarMaps, Surface, radar_maps, surface_of_mesh
+from sarsplat.radar.maps import _unexplained
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -103,6 +104,43 @@ def test_what_hides_behind_something_else_does_not_count():
     back.apply_translation(3.0 * frame[2])
     alone, both = maps_of(front), maps_of(trimesh.util.concatenate([front, back]))
     assert np.array_equal(np.isnan(alone.height_m), np.isnan(both.height_m))
+
+
+@pytest.mark.parametrize(("part", "shown"), [(0.96, False), (1.04, True)])
+def test_a_pixel_shows_what_has_half_the_area_of_flat_ground(part, shown):
+    """A ball in the middle of a pixel, as large as that or a little smaller."""
+    wanted, response = part * 0.5 * math.tan(THETA), 0.25**2 / (8 * math.log(2))  # m² per m², m²
+    lit = 2.187  # of optical depth 5 at its middle, in 2πs²: ∫ (1 − exp(−5 e^{−x})) dx
+    s = math.sqrt(wanted * response / (lit - wanted))  # lit·s² / (response + s²) is what the pixel's middle has
+    middle = np.array([GRID.azimuth_m[20], 3.0, GRID.range_m[20]]) @ radar_frame(VIEW)
+    ball = Gaussians(
+        torch.from_numpy(middle[None]).float(), torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), s),
+        torch.tensor([5.0]), Harmonics(torch.zeros(1, 1)),
+    )  # fmt: skip
+    found = radar_maps(Surface(ball, VIEW.direction[None]), VIEW, GRID, rays=RayGrid((0.01, 0.01)))
+    assert (~np.isnan(found.height_m)).sum() == shown
+
+
+def test_what_a_slope_spreads_over_a_pixel_is_explained_whatever_its_direction():
+    places = np.random.default_rng(0).normal(size=(5000, 2)) @ np.array([[1.0, 0.8], [0.0, 0.5]])
+    noise = np.random.default_rng(1).normal(scale=0.3, size=5000)
+    place = np.column_stack([places, places @ [0.7, -1.2] + noise])  # azimuth, range, elevation
+    pairs = np.triu_indices(3)
+    means = np.concatenate([np.zeros(4), place.mean(axis=0), (place[:, pairs[0]] * place[:, pairs[1]]).mean(axis=0)])
+    assert _unexplained(means[:, None, None], GRID).item() == pytest.approx(0.3**2, rel=0.03)
+
+
+@pytest.mark.parametrize(("depth", "hidden"), [(0.95 * math.log(2), False), (1.05 * math.log(2), True)])
+def test_ground_is_in_shadow_if_half_of_its_light_is_taken(depth, hidden):
+    haze = Gaussians(
+        torch.tensor([[0.0, 0.0, 4.0]]),
+        torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
+        torch.tensor([[1.5, 1.5, 0.01]]),
+        torch.tensor([depth]),
+        Harmonics(torch.zeros(1, 1)),
+    )
+    found = radar_maps(Surface(haze, np.array([[0.0, 0.0, 1.0]])), VIEW, GRID)
+    assert found.shadow.any() == hidden
 
 
 def test_the_maps_of_nothing_are_empty():

@@ -61,10 +61,23 @@ def check(slab: Slab, low: np.ndarray, high: np.ndarray, cell: float) -> None:
     assert low[2] == 0
 
 
-@pytest.mark.parametrize("slab", [(-3, 4, -1.5, 1), (-1, 1, -1, 1), (2, 5, 1, 6)])
-def test_it_contains_the_target_and_little_more(slab: Slab) -> None:
-    low, high = target_box(images([slab], ALL_AROUND, CHIP), ALL_AROUND, CHIP)
-    check(slab, low, high, 0.31)
+SLAB = (-3, 4, -1.5, 1)
+FOUR = [View(0, 30), View(90, 30), View(180, 50), View(270, 15)]
+
+
+@pytest.mark.parametrize(
+    ("slab", "views", "factor"),
+    [
+        *((slab, ALL_AROUND, 1.0) for slab in (SLAB, (-1, 1, -1, 1), (2, 5, 1, 6))),
+        *((SLAB, ALL_AROUND, factor) for factor in (20.0, 1 / 15)),
+        (SLAB, FOUR, 1.0),
+    ],
+)
+def test_it_contains_the_target_and_little_more_in_scenes_of_any_size(slab, views, factor) -> None:
+    grid = ImageGrid(120, 100, (0.2 * factor, 0.22 * factor), (0.3 * factor, 0.32 * factor))
+    slab = tuple(factor * side for side in slab)
+    low, high = target_box(images([slab], views, grid), views, grid)
+    check(slab, low, high, 0.31 * factor)
     assert high[2] == pytest.approx(0.65 * (high - low)[:2].min())  # no shadow tells it
 
 
@@ -112,19 +125,6 @@ def test_a_thin_part_that_hardly_stands_out_belongs_to_it() -> None:
     assert low[0] > -4.5
 
 
-@pytest.mark.parametrize("factor", [20.0, 1 / 15])
-def test_it_grows_with_the_scene(factor: float) -> None:
-    grid = ImageGrid(120, 100, (0.2 * factor, 0.22 * factor), (0.3 * factor, 0.32 * factor))
-    slab = (-3 * factor, 4 * factor, -1.5 * factor, 1 * factor)
-    check(slab, *target_box(images([slab], ALL_AROUND, grid), ALL_AROUND, grid), 0.31 * factor)
-
-
-def test_few_views_and_several_grazing_angles() -> None:
-    views = [View(0, 30), View(90, 30), View(180, 50), View(270, 15)]
-    slab = (-3, 4, -1.5, 1)
-    check(slab, *target_box(images([slab], views, CHIP), views, CHIP), 0.31)
-
-
 def test_parts_that_stand_apart_are_both_in_it() -> None:
     low, high = target_box(images([(-4, -2, -1, 1), (2, 5, -1, 1)], ALL_AROUND, CHIP), ALL_AROUND, CHIP)
     assert low[0] <= -4
@@ -139,10 +139,9 @@ def test_where_nothing_stands_out_it_is_the_middle_of_the_scene() -> None:
 
 
 def test_images_that_are_black_or_hold_zeros_do_no_harm() -> None:
-    slab = (-3, 4, -1.5, 1)
-    power = images([slab], ALL_AROUND, CHIP)
+    power = images([SLAB], ALL_AROUND, CHIP)
     power[power < 0.3 * np.median(power)] = 0
-    check(slab, *target_box(power, ALL_AROUND, CHIP), 0.31)
+    check(SLAB, *target_box(power, ALL_AROUND, CHIP), 0.31)
     assert np.isfinite(target_box(np.zeros_like(power), ALL_AROUND, CHIP)).all()
 
 

@@ -16,15 +16,6 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid
 from sarsplat.renderer import render
 
-
-@pytest.fixture
-def threads():
-    """Sets torch's thread count; the old one comes back."""
-    before = torch.get_num_threads()
-    yield torch.set_num_threads
-    torch.set_num_threads(before)
-
-
 # more Gaussians than fit one task, more views than bands, one view cut into bands; small scenes stay on one thread
 SCENES = {
     "many": MATRIX["many"],

@@ -76,27 +76,18 @@ LOOK = 0.0  # the radar stands at +x
 
 
 @pytest.mark.parametrize("grazing", [30.0, 45.0, 60.0])
-def test_opaque_ground(engine, grazing):
-    ground = sheet((-4.0, -3.2, 0.0), (1, 0, 0), (0, 1, 0), (20, 16), gamma0=0.3, spacing=0.5)
-    image = render(ground.to(DTYPE[engine]), [View(LOOK, grazing)], GRID, rays=RAYS, engine=engine).channel(0)[0]
-    expected = 0.3 * math.tan(math.radians(grazing))
-    lit = abs(GRID.range_m) < 4.0 * math.cos(math.radians(grazing)) - 1.5  # away from the sheet's ends
+@pytest.mark.parametrize("upright", [False, True])
+def test_opaque_ground_and_walls(engine, upright, grazing):
+    theta, r = math.radians(grazing), GRID.range_m
+    if upright:  # height z comes in at range −z sin θ: the wall's top is nearest
+        surface = sheet((0.0, -3.2, 0.0), (0, 1, 0), (0, 0, 1), (16, 20), gamma0=0.3, spacing=0.5)
+        expected, lit = 0.3 / math.tan(theta), (r < -1.0) & (r > 1.0 - 8.0 * math.sin(theta))
+    else:
+        surface = sheet((-4.0, -3.2, 0.0), (1, 0, 0), (0, 1, 0), (20, 16), gamma0=0.3, spacing=0.5)
+        expected, lit = 0.3 * math.tan(theta), abs(r) < 4.0 * math.cos(theta) - 1.5  # away from the sheet's ends
+    image = render(surface.to(DTYPE[engine]), [View(LOOK, grazing)], GRID, rays=RAYS, engine=engine).channel(0)[0]
     assert lit.sum() >= 2
     level = image[torch.from_numpy(lit)].numpy()
-    assert level.mean() == pytest.approx(expected, rel=0.005)
-    assert level == pytest.approx(expected, rel=0.02)
-
-
-@pytest.mark.parametrize("grazing", [30.0, 45.0, 60.0])
-def test_opaque_wall(engine, grazing):
-    wall = sheet((0.0, -3.2, 0.0), (0, 1, 0), (0, 0, 1), (16, 20), gamma0=0.3, spacing=0.5)
-    image = render(wall.to(DTYPE[engine]), [View(LOOK, grazing)], GRID, rays=RAYS, engine=engine).channel(0)[0]
-    # height z comes in at range −z sin θ: the wall's top is nearest
-    top = 8.0 * math.sin(math.radians(grazing))
-    lit = (GRID.range_m < -1.0) & (GRID.range_m > 1.0 - top)
-    assert lit.sum() >= 2
-    level = image[torch.from_numpy(lit)].numpy()
-    expected = 0.3 / math.tan(math.radians(grazing))
     assert level.mean() == pytest.approx(expected, rel=0.005)
     assert level == pytest.approx(expected, rel=0.02)
 

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from named_scenes import GRID, VIEWS, Scene, cloud, with_scales
+from named_scenes import Scene, cloud, with_scales
 from test_cpu_engine import AVAILABLE
 
-from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.renderer import render
 
@@ -43,10 +42,3 @@ def test_harmonics_far_below_the_least_scattering(activation, instruction_set):
     gaussians = cloud(6, 4, degree=0, kappa=(0.5, 2.0))
     faint = gaussians.with_tensors(scattering=torch.full((6, 1), activation / 0.28209479))
     assert worst(faint, "scattering", instruction_set) < 1e-4
-
-
-def test_second_derivatives_are_refused():
-    means = cloud(6, 4).means.requires_grad_()
-    images = render(replace(cloud(6, 4), means=means), VIEWS, GRID, engine="cpu").images
-    with pytest.raises(SarsplatError, match="no second derivatives; leave create_graph=True out"):
-        torch.autograd.grad(images.sum(), means, create_graph=True)

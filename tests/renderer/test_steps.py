@@ -9,14 +9,14 @@ from functools import partial
 import pytest
 import torch
 from named_scenes import GRADCHECK, GRID, MATRIX, VIEWS, Scene, cloud
-from step_cases import STEPS, check, found_by, judged
+from step_cases import STEPS, check, found_by, judged, projection_of, tensors_of
 from test_cpu_engine import AVAILABLE, relative
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, Harmonics, NormalLobes
 from sarsplat.geometry import ImageGrid, RayGrid
-from sarsplat.renderer import Footprints, Projection, attenuate, cpu, project, render, splat, structs
+from sarsplat.renderer import Footprints, attenuate, cpu, project, render, splat, structs
 from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
 
 RAYS = RayGrid.for_image(GRID)
@@ -87,20 +87,6 @@ def test_the_chain_is_the_fused_pass(name):
         assert relative(found[key], value.double()) <= (1e-6 if key in ("images", "cross_sections") else 3e-6), key
 
 
-def test_another_scattering_law():
-    gaussians = replace(
-        cloud(30, 2), scattering=NormalLobes(torch.randn(30, 2, generator=torch.Generator().manual_seed(1)))
-    )
-    scene = Scene(gaussians)
-    found, expected = (
-        with_gradients(run(scene, leaves), leaves)
-        for run in (chained, fused)
-        for leaves in [scene.leaves(torch.float32)]
-    )
-    for key, value in expected.items():
-        assert relative(found[key], value.double()) <= 3e-6, key
-
-
 @pytest.mark.parametrize("law", [Harmonics, NormalLobes])
 def test_the_reference_by_steps(law):
     single = replace(cloud(20, 1), scattering=law(torch.randn(20, 1 if law is Harmonics else 2)))
@@ -167,13 +153,6 @@ def test_channels_are_single_splats(channels):
     assert relative(d_roots, sum(single[2].double() for single in singles)) <= 1e-5
 
 
-def test_splat_is_linear_in_the_cross_sections():
-    pixels = project(cloud(60, 1), VIEWS, GRID).pixels
-    first, second = torch.randn(2, 3, 60, 2, generator=torch.Generator().manual_seed(1))
-    both = splat(pixels, 2.0 * first - 3.0 * second, GRID)
-    assert relative(both, (2.0 * splat(pixels, first, GRID) - 3.0 * splat(pixels, second, GRID)).double()) <= 1e-5
-
-
 def test_a_dark_gaussian_has_a_gradient():
     pixels = project(cloud(5, 1), VIEWS, GRID).pixels
     cross_sections = torch.zeros(3, 5, 1, requires_grad=True)
@@ -182,14 +161,6 @@ def test_a_dark_gaussian_has_a_gradient():
 
 
 # ---- on their own ----------------------------------------------------------------------------------------------------
-@pytest.fixture
-def threads():
-    """Sets torch's thread count; the old one comes back."""
-    before = torch.get_num_threads()
-    yield torch.set_num_threads
-    torch.set_num_threads(before)
-
-
 @pytest.mark.parametrize("step", STEPS)
 @pytest.mark.parametrize("name", ["many", "many views"])
 def test_same_bits_for_any_number_of_threads(name, step, threads):
@@ -246,81 +217,89 @@ def bad(tensor: Tensor, index: tuple[int, ...], value: float) -> Tensor:
     return changed
 
 
+NAN, INF = float("nan"), float("inf")
+
+
+@pytest.mark.parametrize("engine", ["cpu", "reference"])
+@pytest.mark.parametrize(
+    ("name", "index", "value", "message"),
+    [
+        ("rays.centers", (1, 4, 0), NAN, r"rays.centers\[1, 4\] is \[.*nan.*\]; it must be finite metres"),
+        ("rays.roots", (2, 0, 2), 0.0, r"rays.roots\[2, 0\] is \[.*\]; it must be .* at least 1e-08"),
+        ("rays.roots", (0, 9, 1), -INF, r"rays.roots\[0, 9\] is \[.*inf.*\]; it must be"),
+        ("optical_depth", (1, 1), 41.0, r"optical_depth\[1, 1\] is 41.0; it must be between 0"),
+        ("range_m", (0, 3), NAN, r"range_m\[0, 3\] is nan; it must be finite metres"),
+        ("tilt", (0, 3, 1), NAN, r"tilt\[0, 3\] is \[.*nan.*\]; it must be finite"),
+    ],
+)
+def test_projections_out_of_range(engine, name, index, value, message):
+    tensors = tensors_of(project(cloud(10, 0), VIEWS, GRID))
+    with pytest.raises(SarsplatError, match=message):
+        attenuate(projection_of(tensors | {name: bad(tensors[name], index, value)}), RAYS, engine=engine)
+
+
 @pytest.mark.parametrize("engine", ["cpu", "reference"])
 def test_values_out_of_range(engine):
-    p = project(cloud(10, 0), VIEWS, GRID)
-    nan = float("nan")
-    cases = {
-        r"rays.centers\[1, 4\] is \[.*nan.*\]; it must be finite metres": replace(
-            p, rays=replace(p.rays, centers=bad(p.rays.centers, (1, 4, 0), nan))
-        ),
-        r"rays.roots\[2, 0\] is \[.*\]; it must be .* at least 1e-08": replace(
-            p, rays=replace(p.rays, roots=bad(p.rays.roots, (2, 0, 2), 0.0))
-        ),
-        r"rays.roots\[0, 9\] is \[.*inf.*\]; it must be": replace(
-            p, rays=replace(p.rays, roots=bad(p.rays.roots, (0, 9, 1), float("-inf")))
-        ),
-        r"optical_depth\[1, 1\] is 41.0; it must be between 0": replace(
-            p, optical_depth=bad(p.optical_depth, (1, 1), 41.0)
-        ),
-        r"range_m\[0, 3\] is nan; it must be finite metres": replace(p, range_m=bad(p.range_m, (0, 3), nan)),
-        r"tilt\[0, 3\] is \[.*nan.*\]; it must be finite": replace(p, tilt=bad(p.tilt, (0, 3, 1), nan)),
-    }
-    for message, projection in cases.items():
-        with pytest.raises(SarsplatError, match=message):
-            attenuate(projection, RAYS, engine=engine)
-    cross_sections = torch.ones(3, 10, 2)
+    g, cross_sections = cloud(10, 0), torch.ones(3, 10, 2)
+    p = project(g, VIEWS, GRID)
     with pytest.raises(SarsplatError, match=r"cross_sections\[2, 7\] is \[1.0, inf\]; it must be finite"):
-        splat(p.pixels, bad(cross_sections, (2, 7, 1), float("inf")), GRID, engine=engine)
+        splat(p.pixels, bad(cross_sections, (2, 7, 1), INF), GRID, engine=engine)
     with pytest.raises(SarsplatError, match=r"footprints.roots\[0, 0\] is \[nan.*\]; it must be finite"):
-        splat(replace(p.pixels, roots=bad(p.pixels.roots, (0, 0, 0), nan)), cross_sections, GRID, engine=engine)
-    g = cloud(10, 0)
-    with pytest.raises(SarsplatError, match=r"means\[3\] is \[nan.*\]; it must be finite metres"):
-        project(replace(g, means=bad(g.means, (3, 0), nan)), VIEWS, GRID, engine=engine)
-    with pytest.raises(SarsplatError, match=r"scattering\[3\] is \[nan.*\]; it must be finite"):
-        project(g.with_tensors(scattering=bad(g.scattering.parameters, (3, 0), nan)), VIEWS, GRID, engine=engine)
+        splat(replace(p.pixels, roots=bad(p.pixels.roots, (0, 0, 0), NAN)), cross_sections, GRID, engine=engine)
+    for name, message in (("means", "finite metres"), ("scattering", "finite")):
+        with pytest.raises(SarsplatError, match=rf"{name}\[3\] is \[nan.*\]; it must be {message}"):
+            wrong = g.with_tensors(**{name: bad(g.tensors()[name], (3, 0), NAN)})
+            project(wrong, VIEWS, GRID, engine=engine)
 
 
-def test_shapes_dtypes_and_options():
-    p, cross_sections = project(cloud(10, 0), VIEWS, GRID), torch.ones(3, 10, 1)
-    with pytest.raises(SarsplatError, match=r"roots has shape \(3, 9, 3\); for 3 views of 10 Gaussians it must be"):
-        Footprints(p.rays.centers, p.rays.roots[:, :9])
-    with pytest.raises(SarsplatError, match=r"tilt has shape \(3, 10\); for 3 views of 10 Gaussians it must be"):
-        replace(p, tilt=p.range_m)
-    with pytest.raises(
-        SarsplatError, match=r"pixels.centers is \(2, 10, 2\) .* does not fit an optical_depth of \(3, 10\)"
-    ):
-        replace(p, pixels=Footprints(p.pixels.centers[:2], p.pixels.roots[:2]))
-    with pytest.raises(SarsplatError, match=r"roots is torch.float64 on cpu but centers is torch.float32 on cpu"):
-        replace(p.rays, roots=p.rays.roots.double())
-    with pytest.raises(SarsplatError, match=r"cross_sections has shape \(3, 10\); .* it must be \(3, 10, C\)"):
-        splat(p.pixels, cross_sections[..., 0], GRID)
-    with pytest.raises(SarsplatError, match=r"cross_sections has shape \(3, 10, 0\); .* at least one channel"):
-        splat(p.pixels, cross_sections[..., :0], GRID)
-    with pytest.raises(
-        SarsplatError, match=r"cross_sections is torch.float64 on cpu but footprints.centers is torch.float32"
-    ):
-        splat(p.pixels, cross_sections.double(), GRID)
-    with pytest.raises(SarsplatError, match=r"footprints is a Projection; give Projection.pixels"):
-        splat(p, cross_sections, GRID)
-    with pytest.raises(SarsplatError, match=r"projection is a Footprints; give what sarsplat.project returned"):
-        attenuate(p.rays, RAYS)
-    with pytest.raises(SarsplatError, match="rays is a ImageGrid; give the RayGrid"):
-        attenuate(p, GRID)
-    with pytest.raises(SarsplatError, match="imaging_weight 'round' is unknown"):
-        splat(p.pixels, cross_sections, GRID, imaging_weight="round")
-    with pytest.raises(SarsplatError, match="first_return_depth 0 must be a positive"):
-        attenuate(p, RAYS, first_return_depth=0)
-    with pytest.raises(SarsplatError, match="engine 'gpu' is unknown"):
-        project(cloud(10, 0), VIEWS, GRID, engine="gpu")
-    with pytest.raises(SarsplatError, match="there are no views to render"):
-        project(cloud(10, 0), [], GRID)
-    with pytest.raises(SarsplatError, match=r"shift has shape \(3,\); .* it must be \(3, 2\)"):
-        project(cloud(10, 0), VIEWS, GRID, shift=torch.zeros(3))
-    with pytest.raises(SarsplatError, match=r"shape \(0, 10, 2\), which has no views"):
-        splat(Footprints(p.pixels.centers[:0], p.pixels.roots[:0]), cross_sections[:0], GRID)
-    with pytest.raises(SarsplatError, match=r"means is torch.float64 on cpu; the CPU engine takes torch.float32"):
-        project(cloud(10, 0).to(torch.float64), VIEWS, GRID, engine="cpu")
+TEN = cloud(10, 0)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda p, x: Footprints(p.rays.centers, p.rays.roots[:, :9]),
+            r"roots has shape \(3, 9, 3\); for 3 views of 10",
+        ),
+        (lambda p, x: replace(p, tilt=p.range_m), r"tilt has shape \(3, 10\); for 3 views of 10 Gaussians it must be"),
+        (
+            lambda p, x: replace(p, pixels=Footprints(p.pixels.centers[:2], p.pixels.roots[:2])),
+            r"pixels.centers is \(2, 10, 2\) .* does not fit an optical_depth of \(3, 10\)",
+        ),
+        (lambda p, x: replace(p.rays, roots=p.rays.roots.double()), r"roots is torch.float64 on cpu but centers is"),
+        (lambda p, x: replace(p, rays=p.rays.centers), "rays is a Tensor; give Footprints"),
+        (lambda p, x: replace(p, optical_depth=[1.0]), "optical_depth is a list; give a torch.Tensor"),
+        (lambda p, x: splat(p.pixels, x[..., 0], GRID), r"cross_sections has shape \(3, 10\); .* must be \(3, 10, C\)"),
+        (
+            lambda p, x: splat(p.pixels, x[..., :0], GRID),
+            r"cross_sections has shape \(3, 10, 0\); .* at least one channel",
+        ),
+        (
+            lambda p, x: splat(p.pixels, x.double(), GRID),
+            "cross_sections is torch.float64 on cpu but footprints.centers",
+        ),
+        (lambda p, x: splat(p, x, GRID), "footprints is a Projection; give Projection.pixels"),
+        (lambda p, x: splat(p.pixels, x, GRID, imaging_weight="round"), "imaging_weight 'round' is unknown"),
+        (
+            lambda p, x: splat(Footprints(p.pixels.centers[:0], p.pixels.roots[:0]), x[:0], GRID),
+            r"shape \(0, 10, 2\), which has no views",
+        ),
+        (lambda p, x: attenuate(p.rays, RAYS), "projection is a Footprints; give what sarsplat.project returned"),
+        (lambda p, x: attenuate(p, GRID), "rays is a ImageGrid; give the RayGrid"),
+        (lambda p, x: attenuate(p, RAYS, first_return_depth=0), "first_return_depth 0 must be a positive"),
+        (lambda p, x: project(TEN, VIEWS, GRID, engine="gpu"), "engine 'gpu' is unknown"),
+        (lambda p, x: project(TEN, [], GRID), "there are no views to render"),
+        (
+            lambda p, x: project(TEN, VIEWS, GRID, shift=torch.zeros(3)),
+            r"shift has shape \(3,\); .* it must be \(3, 2\)",
+        ),
+        (lambda p, x: project(TEN.to(torch.float64), VIEWS, GRID, engine="cpu"), "the CPU engine takes torch.float32"),
+    ],
+)
+def test_shapes_dtypes_and_options(call, message):
+    with pytest.raises(SarsplatError, match=message):
+        call(project(TEN, VIEWS, GRID), torch.ones(3, 10, 1))
 
 
 def test_grids_that_are_too_large():
@@ -333,14 +312,6 @@ def test_grids_that_are_too_large():
     wide = ImageGrid(80_000, 1, (0.2, 5e-5), (0.3, 0.3))
     with pytest.raises(SarsplatError, match="an image of 80000 × 1 pixels is too large"):
         splat(p.pixels, torch.ones(3, 10, 1), wide, engine="cpu")
-
-
-def test_a_projection_is_made_of_footprints():
-    p = project(cloud(10, 0), VIEWS, GRID)
-    with pytest.raises(SarsplatError, match="rays is a Tensor; give Footprints"):
-        Projection(p.rays.centers, p.optical_depth, p.range_m, p.tilt, p.pixels, p.amplitudes)
-    with pytest.raises(SarsplatError, match=r"optical_depth is a list; give a torch.Tensor"):
-        replace(p, optical_depth=[1.0])
 
 
 def test_tensors_changed_before_backward():

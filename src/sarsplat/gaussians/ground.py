@@ -14,7 +14,7 @@ from sarsplat.gaussians.scattering import Harmonics
 from sarsplat.geometry import ImageGrid, View
 
 _WIDTH = 0.6
-"""Standard deviation in pitches: the sum of footprints then ripples by less than a thousandth."""
+"""Standard deviation in pitches: the sum of footprints then ripples by three thousandths at most."""
 
 _OPTICAL_DEPTH = 3.0
 """Two-way, at a Gaussian's peak; overlapping, the sheet has 2π·0.6²·3 = 6.8 at any grazing angle."""
