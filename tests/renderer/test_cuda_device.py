@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import shutil
 import sys
@@ -14,7 +15,7 @@ from types import SimpleNamespace
 import pytest
 import step_cases
 import torch
-from emulated_cuda import Emulator, mutated, render_on
+from emulated_cuda import Emulator, render_on
 from test_cpu_engine import judged
 from test_cuda_emulated import everything, same_bits
 
@@ -177,15 +178,18 @@ def test_the_verdict_is_kept_until_something_changes(trials, monkeypatch, tmp_pa
     assert trials.count == 4
 
 
-def test_a_wrong_kernel_means_one_warning_and_the_cpu(trials, tmp_path):
-    # a ray's light is counted although it has stopped
-    wrong = mutated(
-        tmp_path / "csrc", "s.slot_weights[slots[thread()]] = w;", "s.slot_weights[slots[thread()]] = 1.01f * w;"
-    )
-    trials.gpu = Emulator(wrong)
-    trials.gpu.description = "Emulated GPU"
+def test_a_wrong_kernel_means_one_warning_and_the_cpu(trials, monkeypatch):
+    usual = trials.gpu.launch
+
+    def launch(name: str, blocks: int, threads: int, problem: ctypes.Structure, *others: ctypes._CData) -> None:
+        if name == "attenuate_tiles":  # whose rays stop far too early
+            problem = type(problem).from_buffer_copy(problem)
+            problem.min_transmittance = 0.9
+        usual(name, blocks, threads, problem, *others)
+
+    monkeypatch.setattr(trials.gpu, "launch", launch)
     reason = trials()
-    assert reason.startswith("its images of harmonics differ from the CPU engine's by a part of 0.01")
+    assert reason.startswith("its images of harmonics differ from the CPU engine's by a part of 0.")
     assert (trials(), trials.count) == (reason, 1)
     with pytest.warns(
         SarsplatWarning, match="the CPU is used, because the CUDA engine did not pass its check.*images"
@@ -194,9 +198,7 @@ def test_a_wrong_kernel_means_one_warning_and_the_cpu(trials, tmp_path):
     assert len(told) == 1
     assert training_device.device_named("cuda") == ON_GPU.device
     assert engines.chosen_engine("cuda", ON_GPU) == "cuda"
-    message = (
-        r"engine='auto' does not use the cuda engine on cuda:0: its images .*; move the tensors to the CPU, or ask"
-    )
+    message = r"engine='auto' does not use the cuda engine on cuda:0: its images .*; move the tensors to the CPU, or"
     with pytest.raises(SarsplatError, match=message):
         engines.chosen_engine("auto", ON_GPU)
 
