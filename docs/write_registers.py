@@ -1,4 +1,4 @@
-"""Write what NVRTC says of the CUDA kernels, registers and bytes that are spilled, into docs/engine.md; needs no GPU."""
+"""Write the registers of the CUDA kernels, and what they spill, as NVRTC says, into docs/engine.md; needs no GPU."""
 
 from __future__ import annotations
 
