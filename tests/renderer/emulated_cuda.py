@@ -48,6 +48,19 @@ def compile_emulator(folder: Path, sources: Path = nvrtc.SOURCES, flags: tuple[s
     return library
 
 
+def mutated(folder: Path, before: str, after: str, which: int = 0) -> Path:
+    """The emulator with one place of `cuda_rays.cuh` changed; the changed sources are in `folder`."""
+    folder.mkdir()
+    for path in nvrtc.SOURCES.iterdir():
+        if path.suffix in (".cu", ".cuh", ".h"):
+            (folder / path.name).write_text(path.read_text())
+    rays = folder / "cuda_rays.cuh"
+    parts = rays.read_text().split(before)
+    assert len(parts) > which + 1
+    rays.write_text(before.join(parts[: which + 1]) + after + before.join(parts[which + 1 :]))
+    return compile_emulator(folder.parent, folder, flags=())
+
+
 class Emulator:
     """A launcher, as `sarsplat.renderer.cuda` wants it, whose device is the CPU."""
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import pytest
 import torch
-from emulated_cuda import SCHEDULES, Emulator, compile_emulator, render_on
+from emulated_cuda import SCHEDULES, Emulator, render_on
 from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
 from test_cpu_engine import relative
 
@@ -17,12 +16,6 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid
 from sarsplat.renderer import Bounds, cuda, render
-
-
-@pytest.fixture(scope="module")
-def library(request: pytest.FixtureRequest) -> Path:
-    pytest.importorskip("ziglang", reason="the emulator is compiled with ziglang")
-    return compile_emulator(Path(request.config.cache.mkdir("cuda-emulator")))
 
 
 def bounds_of(gaussians: Gaussians) -> Bounds:

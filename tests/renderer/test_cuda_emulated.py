@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import logging
 import math
-from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,22 +11,15 @@ from types import SimpleNamespace
 import pytest
 import step_cases
 import torch
-from emulated_cuda import SCHEDULES, Emulator, compile_emulator, render_on
+from emulated_cuda import SCHEDULES, Emulator, mutated, render_on
 from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
 from test_cpu_engine import check, judged, loss_of, outputs_of, relative
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import RayGrid
-from sarsplat.renderer import Footprints, cuda, cuda_device, nvrtc, project, render
+from sarsplat.renderer import Bounds, Footprints, cuda, cuda_device, nvrtc, project, render
 from sarsplat.renderer.checks import check_for_cuda
-from sarsplat.renderer.engines import _fitting
 from sarsplat.renderer.step_functions import attenuate_with, project_with, splat_with
-
-
-@pytest.fixture(scope="session")
-def library(request: pytest.FixtureRequest) -> Path:
-    pytest.importorskip("ziglang", reason="the emulator is compiled with ziglang")
-    return compile_emulator(Path(request.config.cache.mkdir("cuda-emulator")))
 
 
 @pytest.fixture(scope="session")
@@ -75,6 +66,46 @@ def test_every_step_matches_its_twin_in_every_schedule(step, name, library):
     for schedule in ("backwards", "shuffled"):
         again = step_cases.found_by(partial(cuda.Pass, Emulator(library, schedule)), step, name)
         assert same_bits(again, found), schedule
+
+
+@pytest.mark.parametrize("channels", [1, 3, 5])
+def test_channels_of_a_whole_rendering(channels, library):
+    """Amplitudes of any sign, one of them zero everywhere; rays counted, so that both planes are seeded."""
+    generator = torch.Generator().manual_seed(channels)
+    amplitudes = torch.randn(3, 40, channels, generator=generator)
+    amplitudes[:, 7] = 0.0
+
+    def run(renderer, dtype: torch.dtype, **options) -> dict[str, torch.Tensor]:
+        leaves = {
+            name: t.detach().to(dtype).requires_grad_()
+            for name, t in (cloud(40, 1).tensors() | {"amplitudes": amplitudes}).items()
+        }
+        *fields, last = leaves
+        rendering = renderer(
+            cloud(40, 1).with_tensors(**{name: leaves[name] for name in fields}),
+            VIEWS,
+            GRID,
+            amplitudes=leaves[last],
+            **options,
+        )
+        outputs = {"images": rendering.images, "cross_sections": rendering.cross_sections}
+        seeds = torch.Generator().manual_seed(4)
+        loss = sum((t * torch.randn(t.shape, generator=seeds).to(dtype)).sum() for t in outputs.values())
+        gradients = torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)
+        named = {f"d {name}": g for name, g in zip(leaves, gradients, strict=True) if name != "scattering"}
+        return {name: t.detach() for name, t in outputs.items()} | named
+
+    expected = run(partial(render, engine="reference"), torch.float64)
+    means = cloud(40, 1).means
+    first = run(partial(render_on, Emulator(library)), torch.float32)
+    for schedule in SCHEDULES:
+        bounds = Bounds((*means.amin(0).tolist(),), (*means.amax(0).tolist(),), float(cloud(40, 1).scales.max()), 41.0)
+        for options in ({}, {"bounds": bounds}):
+            computed = run(partial(render_on, Emulator(library, schedule)), torch.float32, **options)
+            for name, value in expected.items():
+                assert relative(computed[name], value) <= 1e-5, (name, schedule)
+            assert options or same_bits(computed, first), schedule
+        bounds.check()
 
 
 @pytest.mark.parametrize("channels", [1, 4, 5, 9])
@@ -171,19 +202,6 @@ def test_memory_is_written_before_it_is_read_and_never_beyond_its_end(name, emul
 
 
 # ---- the emulator tells right from wrong ----------------------------------------------------------------------------
-def mutated(folder: Path, library_folder: Path, before: str, after: str, which: int) -> Path:
-    """The emulator with one place of the kernels' source changed."""
-    folder.mkdir()
-    for path in nvrtc.SOURCES.iterdir():
-        if path.suffix in (".cu", ".cuh", ".h"):
-            (folder / path.name).write_text(path.read_text())
-    rays = folder / "cuda_rays.cuh"
-    parts = rays.read_text().split(before)
-    assert len(parts) > which + 1
-    rays.write_text(before.join(parts[: which + 1]) + after + before.join(parts[which + 1 :]))
-    return compile_emulator(library_folder, folder, flags=())
-
-
 def runs(library: Path) -> list[dict[str, torch.Tensor]]:
     scene, _, norms, *_ = judged("overlap")
     return [everything(scene, partial(render_on, Emulator(library, schedule)), norms) for schedule in SCHEDULES]
@@ -193,14 +211,14 @@ def runs(library: Path) -> list[dict[str, torch.Tensor]]:
     "barrier", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)]
 )
 def test_a_missing_barrier_shows(barrier, tmp_path):
-    broken = mutated(tmp_path / "csrc", tmp_path, "    __syncthreads();\n", "", barrier)
+    broken = mutated(tmp_path / "csrc", "    __syncthreads();\n", "", barrier)
     first, *others = runs(broken)
     assert not all(same_bits(first, other) for other in others)
 
 
 @pytest.mark.slow
 def test_a_divided_warp_shows(tmp_path):
-    broken = mutated(tmp_path / "csrc", tmp_path, "if (__any_sync(kWholeWarp, live))", "if (live)", 0)
+    broken = mutated(tmp_path / "csrc", "if (__any_sync(kWholeWarp, live))", "if (live)")
     with pytest.raises(RuntimeError, match="attenuate_tiles: threads"):
         runs(broken)
 
@@ -270,97 +288,3 @@ def test_tensors_that_the_engine_does_not_take():
     elsewhere = SimpleNamespace(dtype=torch.float32, device=torch.device("cuda", 1))
     with pytest.raises(SarsplatError, match="gain is on cuda:1 but means is on cuda:0; put them on one GPU"):
         check_for_cuda({"means": on_gpu, "gain": elsewhere})
-
-
-def test_auto_takes_the_gpu_and_says_so_once(caplog):
-    _fitting.cache_clear()
-    with caplog.at_level(logging.INFO, "sarsplat"):
-        for _ in range(2):
-            assert _fitting(torch.float32, "cuda") == "cuda"
-            assert _fitting(torch.float64, "cuda") == "reference"
-            assert _fitting(torch.float32, "mps") == "reference"
-    assert caplog.messages.count("engine='auto' is 'cuda' for torch.float32 on cuda") == 1
-
-
-# ---- compiled once --------------------------------------------------------------------------------------------------
-class FakeCompiler:
-    """Counts; "compiles" to a few bytes."""
-
-    def __init__(self, version: str = "13.0") -> None:
-        self.version, self.asked = version, []
-
-    def compile(self, sources, architecture):
-        assert "__global__" in sources["cuda_rays.cuh"]
-        assert {"cstdint", nvrtc.MAIN} < set(sources)
-        self.asked.append(architecture)
-        return b"machine code\0for " + architecture.encode()
-
-
-@pytest.fixture
-def cache_folder(tmp_path, monkeypatch) -> Path:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    return tmp_path / "sarsplat"
-
-
-def test_machine_code_is_kept(cache_folder, monkeypatch):
-    compiler = FakeCompiler()
-    for _ in range(3):
-        assert nvrtc.machine_code("sm_90", compiler) == b"machine code\0for sm_90"
-    assert compiler.asked == ["sm_90"]
-    assert nvrtc.machine_code("sm_80", compiler) == b"machine code\0for sm_80"
-    nvrtc.machine_code("sm_90", newer := FakeCompiler("13.1"))
-    changed = nvrtc.sources() | {"pair_math.h": "// another source"}
-    monkeypatch.setattr(nvrtc, "sources", lambda: changed)
-    nvrtc.machine_code("sm_90", compiler)
-    assert compiler.asked == ["sm_90", "sm_80", "sm_90"]
-    assert newer.asked == ["sm_90"]
-    assert len(list(cache_folder.iterdir())) == 4  # and nothing half-written
-
-
-@pytest.mark.parametrize("content", [b"", b"short", bytes(200)])
-def test_a_damaged_file_is_compiled_again(content, cache_folder):
-    compiler = FakeCompiler()
-    expected = nvrtc.machine_code("sm_90", compiler)
-    (kept,) = cache_folder.iterdir()
-    good = kept.read_bytes()
-    for damaged in (content, good[:-1], good[:-1] + b"?"):
-        kept.write_bytes(damaged)
-        assert nvrtc.machine_code("sm_90", compiler) == expected
-        assert kept.read_bytes() == good
-    assert len(compiler.asked) == 4
-
-
-def test_a_cache_folder_that_cannot_be_written(tmp_path, monkeypatch):
-    (tmp_path / "file").touch()
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    with pytest.raises(SarsplatError, match=r"cannot be kept in .*file/sarsplat .*; make it writable, or name another"):
-        nvrtc.machine_code("sm_90", FakeCompiler())
-
-
-# ---- the launcher, on an emulated driver ----------------------------------------------------------------------------
-@pytest.fixture
-def gpu(library, cache_folder, monkeypatch):
-    monkeypatch.setattr(cuda_device, "_DRIVER", str(library))
-    monkeypatch.setattr(cuda_device, "_driver", cuda_device._driver.__wrapped__)
-    monkeypatch.setattr(cuda_device, "Nvrtc", FakeCompiler)
-    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: (9, 0))
-    monkeypatch.setattr(torch.cuda, "device", nullcontext)
-    monkeypatch.setattr(torch.cuda, "current_stream", lambda device: SimpleNamespace(cuda_stream=0x1234))
-    return cuda_device.Device(torch.device("cpu", 0))
-
-
-def test_the_launcher_hands_everything_to_the_driver(gpu, library):
-    scene, _, norms, *_ = judged("shift and gain")
-    expected = everything(scene, partial(render_on, Emulator(library)), norms)
-    assert same_bits(everything(scene, partial(render_on, gpu), norms), expected)
-    for step in step_cases.STEPS:
-        first = step_cases.found_by(partial(cuda.Pass, Emulator(library)), step, "shift and gain")
-        assert same_bits(step_cases.found_by(partial(cuda.Pass, gpu), step, "shift and gain"), first), step
-
-
-def test_the_driver_refuses(gpu, monkeypatch):
-    with pytest.raises(SarsplatError, match=r"driver failed with error 500 \(said the emulated driver\); restart"):
-        gpu.launch("no such kernel", 1, 32)
-    monkeypatch.setattr(torch.cuda, "current_stream", lambda device: SimpleNamespace(cuda_stream=0))
-    with pytest.raises(SarsplatError, match="driver failed with error 1 "):
-        gpu.launch("sum_shift", 1, 256)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
+import re
 from functools import partial
+from pathlib import Path
+from types import ModuleType
 
 import pytest
 import torch
@@ -12,18 +16,40 @@ from test_cpu_engine import check, judged, loss_of, outputs_of
 from sarsplat.errors import SarsplatError
 from sarsplat.renderer import nvrtc, render
 
+HERE = Path(__file__).parent
+DOCS = HERE.parents[1] / "docs"
+PAGE = (DOCS / "engine.md").read_text(encoding="utf-8")
+KERNELS = re.findall(r"^KERNEL\((\w+)\)", (HERE / "emulator" / "kernels.h").read_text(), re.MULTILINE)
+
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU")
 
 
-@pytest.mark.parametrize("architecture", ["sm_75", "sm_80", "sm_90", "sm_120"])
-def test_nvrtc_compiles_the_source(architecture):
+@pytest.fixture(scope="module")
+def registers() -> ModuleType:
+    """The script that writes the table of docs/engine.md, where there is NVRTC."""
     try:
-        compiler = nvrtc.Nvrtc()
+        nvrtc.Nvrtc()
     except SarsplatError as error:
         pytest.skip(f"{error}")
-    assert compiler.compile(nvrtc.sources(), architecture)[:4] == b"\x7fELF"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(DOCS)
+        return importlib.import_module("write_registers")
+
+
+def test_nvrtc_compiles_every_kernel_and_spills_nothing(registers):
+    table = registers.table()  # of four architectures
+    assert sorted(re.findall(r"^\| `(\w+)`", table, re.MULTILINE)) == sorted(KERNELS)
+    assert "spilled" not in table
+    if f"NVRTC {nvrtc.Nvrtc().version}:" in PAGE:  # others count differently
+        assert table in PAGE, "run python docs/write_registers.py"
+
+
+def test_nvrtc_says_what_is_wrong(registers):
+    wrong = nvrtc.sources() | {"pair_math.h": "#error no"}
     with pytest.raises(SarsplatError, match=r"cannot compile the CUDA engine for sm_75 \(.*error.*; install a torch"):
-        compiler.compile(nvrtc.sources() | {"pair_math.h": "#error no"}, "sm_75")
+        nvrtc.Nvrtc().compile(wrong, "sm_75")
+    with pytest.raises(SarsplatError, match=r"cannot compile the CUDA engine for sm_999 \(.*; install a torch"):
+        nvrtc.Nvrtc().compile(nvrtc.sources(), "sm_999")
 
 
 def on_gpu(scene: Scene, norms: dict[str, float]) -> dict[str, torch.Tensor]:

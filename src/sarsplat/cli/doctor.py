@@ -48,12 +48,15 @@ def _cuda_engine() -> str:
 
     from sarsplat.renderer.cuda_device import require_cuda
     from sarsplat.renderer.nvrtc import Nvrtc
+    from sarsplat.renderer.trial import objection
 
     try:
         require_cuda()
-        return f"{torch.cuda.get_device_name()}, compiled at first use by NVRTC {Nvrtc().version}"
+        gpu = f"{torch.cuda.get_device_name()}, compiled at first use by NVRTC {Nvrtc().version}"
     except SarsplatError as error:
         return f"not usable: {error}"
+    reason = objection(torch.device("cuda", torch.cuda.current_device()))
+    return f"{gpu}; not used unless asked for by name: {reason}" if reason else f"{gpu}; agrees with the CPU engine"
 
 
 def _extra(extra: str) -> str:

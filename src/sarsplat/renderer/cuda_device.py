@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import sys
 from ctypes import POINTER, byref, c_char_p, c_int, c_uint, c_void_p
 from functools import cache
 
@@ -11,7 +12,7 @@ import torch
 from sarsplat.errors import SarsplatError
 from sarsplat.renderer.nvrtc import Nvrtc, machine_code
 
-_DRIVER = "libcuda.so.1"
+_DRIVER = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
 
 
 class Device:
@@ -37,6 +38,9 @@ class Device:
         self._check(self._driver.cuModuleLoadData(byref(module), code))
         self._module = module
         self._kernels: dict[str, c_void_p] = {}
+        version = c_int()
+        self._check(self._driver.cuDriverGetVersion(byref(version)))
+        self.description = f"{torch.cuda.get_device_name(device)}, sm_{major}{minor}, driver of CUDA {version.value}"
 
     def launch(self, name: str, blocks: int, threads: int, *arguments: ctypes._CData) -> None:
         """Queue a kernel; its arguments are C values, passed as they are."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import os
-import tempfile
+import sys
 from collections.abc import Mapping
 from ctypes import POINTER, byref, c_char_p, c_int, c_size_t, c_void_p
 from functools import cache
@@ -16,6 +15,7 @@ from typing import Protocol
 import torch
 
 from sarsplat.errors import SarsplatError
+from sarsplat.renderer import kept
 
 SOURCES = Path(__file__).with_name("csrc")
 """The folder of the engine's source."""
@@ -32,6 +32,13 @@ typedef int int32_t;
 typedef unsigned int uint32_t;
 typedef long long int64_t;
 """
+
+if sys.platform == "win32":
+    _PLACES, _LIBRARY, _BUILTINS = ("bin", "bin/x86_64"), "nvrtc64_*0_0.dll", "nvrtc-builtins64_*[0-9].dll"
+    _SYSTEMS = "nvrtc64_{}0_0.dll"
+else:
+    _PLACES, _LIBRARY, _BUILTINS = ("lib",), "libnvrtc.so.*", "libnvrtc-builtins.so.*"
+    _SYSTEMS = "libnvrtc.so.{}"
 
 _REMEDY = "install a torch built for CUDA, which brings it along, or use the CPU"
 
@@ -56,51 +63,18 @@ def sources() -> dict[str, str]:
 def machine_code(architecture: str, compiler: Compiler) -> bytes:
     """The engine for one architecture ("sm_90"), from the user's cache folder or compiled now.
 
-    The folder is $XDG_CACHE_HOME/sarsplat, or ~/.cache/sarsplat. A file is used only if its checksum holds.
-
     Raises
     ------
     SarsplatError
-        If it does not compile, or the folder cannot be written.
+        If it does not compile.
     """
     text = sources()
     key = hashlib.sha256(repr((sorted(text.items()), architecture, compiler.version, _OPTIONS)).encode()).hexdigest()
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sarsplat"
-    path = folder / f"{architecture}-{key[:32]}.cubin"
-    if (kept := _read(path)) is not None:
-        return kept
-    code = compiler.compile(text, architecture)
-    try:
-        _write(path, code)
-    except OSError as error:
-        raise SarsplatError(
-            f"the compiled CUDA engine cannot be kept in {folder} ({error}); make it writable, or name another folder "
-            "in XDG_CACHE_HOME"
-        ) from error
+    name = f"{architecture}-{key[:32]}.cubin"
+    if (code := kept.read(name)) is None:
+        code = compiler.compile(text, architecture)
+        kept.write(name, code)
     return code
-
-
-def _read(path: Path) -> bytes | None:
-    try:
-        content = path.read_bytes()
-    except OSError:
-        return None
-    digest, code = content[:32], content[32:]
-    return code if hashlib.sha256(code).digest() == digest else None
-
-
-def _write(path: Path, code: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-        temporary = Path(file.name)
-        try:
-            file.write(hashlib.sha256(code).digest() + code)
-            file.flush()
-            os.fsync(file.fileno())
-            temporary.replace(path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
 
 
 class Nvrtc:
@@ -116,10 +90,10 @@ class Nvrtc:
         self._library = _load()
         major, minor = c_int(), c_int()
         self._check(self._library.nvrtcVersion(byref(major), byref(minor)))
-        self.version = f"{major.value}.{minor.value}"
+        self.version, self.log = f"{major.value}.{minor.value}", ""
 
-    def compile(self, sources: Mapping[str, str], architecture: str) -> bytes:
-        """Machine code; the compiler's own words are in the error if there is one."""
+    def compile(self, sources: Mapping[str, str], architecture: str, *more: str) -> bytes:
+        """Machine code; `more` are options. The compiler's own words are in `log`, and in the error if there is one."""
         headers = [name for name in sources if name != MAIN]
         texts = (c_char_p * len(headers))(*(sources[name].encode() for name in headers))
         names = (c_char_p * len(headers))(*(name.encode() for name in headers))
@@ -130,18 +104,16 @@ class Nvrtc:
             )
         )
         try:
-            options = (*_OPTIONS, f"--gpu-architecture={architecture}")
+            options = (*_OPTIONS, f"--gpu-architecture={architecture}", *more)
             status = self._library.nvrtcCompileProgram(
                 program, len(options), (c_char_p * len(options))(*(option.encode() for option in options))
             )
+            self.log = self._text(program, "ProgramLog").rstrip(b"\0").decode(errors="replace").strip()
             if status:
-                log = (
-                    self._text(program, "ProgramLog").rstrip(b"\0").decode(errors="replace").strip().partition("\n")[0]
-                )
                 raise SarsplatError(
                     f"NVRTC {self.version} cannot compile the CUDA engine for {architecture} "
-                    f"({log or self._reason(status)}); install a torch whose CUDA knows this device, "
-                    "or use the CPU"
+                    f"({self.log.partition(chr(10))[0] or self._reason(status)}); install a torch whose CUDA knows "
+                    "this device, or use the CPU"
                 )
             return self._text(program, "CUBIN")
         finally:
@@ -163,13 +135,15 @@ class Nvrtc:
 
 
 def _candidates() -> list[Path]:
-    """NVRTC in the wheels that torch's CUDA builds bring along, of torch's own CUDA first; then the system's."""
+    """NVRTC in wheels and inside torch, where its CUDA builds have it, of torch's own CUDA first; then the system's."""
+    own = (torch.version.cuda or "").partition(".")[0]
     spec = find_spec("nvidia")
-    folders = [Path(folder) for folder in (spec.submodule_search_locations or ())] if spec else []
-    own = "." + torch.version.cuda.split(".")[0] if torch.version.cuda else ""
-    found = [path for folder in folders for path in sorted(folder.glob("*/lib/libnvrtc.so.*"))]
-    wheels = sorted((path for path in found if ".alt." not in path.name), key=lambda path: path.suffix != own)
-    return [*wheels, Path(f"libnvrtc.so{own}")]
+    wheels = [Path(folder) for folder in (spec.submodule_search_locations or ())] if spec else []
+    folders = [folder for wheel in wheels for place in _PLACES for folder in wheel.glob(f"*/{place}")]
+    folders.append(Path(torch.__file__).with_name("lib"))
+    paths = [path for folder in folders for path in sorted(folder.glob(_LIBRARY)) if ".alt." not in path.name]
+    first = _LIBRARY.replace("*", own)
+    return [*sorted(paths, key=lambda path: not path.match(first)), Path(_SYSTEMS.format(own).removesuffix("."))]
 
 
 @cache
@@ -178,7 +152,7 @@ def _load() -> ctypes.CDLL:
     for path in _candidates():
         try:
             if path.is_absolute():
-                for builtins in path.parent.glob("libnvrtc-builtins.so.*"):  # NVRTC asks for it by name alone
+                for builtins in path.parent.glob(_BUILTINS):  # NVRTC asks for it by name alone
                     ctypes.CDLL(str(builtins), mode=ctypes.RTLD_GLOBAL)
             library = ctypes.CDLL(str(path))
         except OSError as error:

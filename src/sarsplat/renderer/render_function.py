@@ -31,8 +31,8 @@ from sarsplat.renderer.checks import (
 )
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
 from sarsplat.renderer.cpu import FAULTS
-from sarsplat.renderer.engines import Pass
 from sarsplat.renderer.once import differentiable_once
+from sarsplat.renderer.passes import Pass
 from sarsplat.renderer.rendering import RayMap, Rendering
 
 ARRAYS = ("means", "quaternions", "scales", "kappa", "harmonics", "amplitudes", "shift")

@@ -18,9 +18,9 @@ from sarsplat.renderer import structs
 from sarsplat.renderer.checks import complaint_by_view
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, deviations
 from sarsplat.renderer.once import differentiable_once
+from sarsplat.renderer.passes import Pass
 from sarsplat.renderer.render_function import (
     ARRAYS,
-    Pass,
     directions_to,
     explain,
     new_problem,

@@ -16,6 +16,7 @@ static int context, module;
 static void* const kStream = (void*)0x1234;
 
 DRIVER cuInit(unsigned flags) { return (int)flags; }
+DRIVER cuDriverGetVersion(int* version) { *version = 13000; return 0; }
 DRIVER cuDeviceGet(int* device, int index) { *device = 40 + index; return 0; }
 DRIVER cuDevicePrimaryCtxRetain(void** out, int device) { *out = &context; return device == 40 ? 0 : 101; }
 DRIVER cuCtxSetCurrent(void* which) { return which == &context ? 0 : 201; }

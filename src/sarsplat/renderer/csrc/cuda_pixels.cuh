@@ -63,9 +63,9 @@ SG_FN void gather_pixels(const sg_problem& p, const State& s, const sg_channels&
   Moments<float> m{};
   float sums[K] = {};
   if (lit != 0.0f && !empty(box)) {  // an unlit Gaussian has no gradient
-    const int64_t width = box.x.last - box.x.first + 1, pixels = width * (box.y.last - box.y.first + 1);
-    for (int64_t k = lane(); k < pixels; k += kWarp) {
-      const int x = box.x.first + (int)(k % width), y = box.y.first + (int)(k / width);
+    const int width = box.x.last - box.x.first + 1, across = kWarp % width, down = kWarp / width;
+    for (int x = box.x.first + lane() % width, y = box.y.first + lane() / width; y <= box.y.last; x += across, y += down) {
+      if (x > box.x.last && (x -= width, ++y) > box.y.last) break;
       const Offset<float> d = offset(g, (float)x, (float)y);
       const float weight = imaging_weight(distance(d), cut), *seen = dS + (int64_t)y * lattice.columns + x;
       float along = 0.0f;
@@ -98,7 +98,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) splat_tiles_4(sg_problem 
   __shared__ float heights[kThreads][kTogether];
   splat_tile<kTogether>(p, s, a, first, images, staged, heights);
 }
-extern "C" __global__ void __launch_bounds__(kThreads)
+extern "C" __global__ void __launch_bounds__(kThreads, kResident)
 splat_tiles_1_backward(sg_problem p, State s, sg_channels a, int32_t first, const float* d_images, float* d_cross_sections) {
   gather_pixels<1>(p, s, a, first, d_images, d_cross_sections);
 }

@@ -6,7 +6,7 @@
 namespace sarsplat {
 namespace SG_ISA {
 
-extern "C" __global__ void __launch_bounds__(kThreads) attenuate_tiles(sg_problem p, State s) {
+extern "C" __global__ void __launch_bounds__(kThreads, kResident) attenuate_tiles(sg_problem p, State s) {
   __shared__ Splat splats[kBatch];
   __shared__ int64_t slots[kBatch];
   __shared__ float sums[kBatch][kWarps];

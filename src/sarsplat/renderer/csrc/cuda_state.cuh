@@ -13,6 +13,7 @@ namespace SG_ISA {
 constexpr int kTile = 16;                       // points a side
 constexpr int kThreads = kTile * kTile;         // of every block
 constexpr int kWarps = kThreads / kWarp;
+constexpr int kResident = 4;                    // blocks on a multiprocessor: aiming at more, compilers spill registers
 constexpr int kBatch = 64;                      // Gaussians staged in shared memory at a time
 
 // extra: z_r on rays

@@ -1,0 +1,109 @@
+"""Whether the CUDA engine can be trusted on a GPU: a small scene and its gradients, there and on the CPU."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from functools import cache, partial
+
+import torch
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.renderer import cpu, cuda, kept, nvrtc
+from sarsplat.renderer.cuda_device import device, require_cuda
+from sarsplat.renderer.passes import Pass
+from sarsplat.renderer.render_function import render_with
+
+_LARGEST_ERROR = 2e-5
+"""Relative, in the Euclidean norm; the emulated engine has 6e-7."""
+
+_VIEWS = (View(20.0, 30.0), View(140.0, 50.0))
+_GRID = ImageGrid(40, 56, (0.3, 0.25), (0.4, 0.3))
+
+
+@cache
+def objection(where: torch.device) -> str:
+    """Why not to use the CUDA engine there; "" if it does what the CPU engine does.
+
+    The result of the comparison is kept in the cache folder until the GPU, its driver or the engine changes; what
+    prevents the comparison, such as a missing compiler, is not.
+    """
+    try:
+        require_cuda()
+        gpu = device(where.index or 0)
+    except SarsplatError as error:
+        return str(error)
+    name = f"trial-{hashlib.sha256(repr((gpu.description, _sources())).encode()).hexdigest()[:32]}"
+    if (verdict := kept.read(name)) is None:
+        verdict = _disagreement(gpu).encode()
+        kept.write(name, verdict)
+    return verdict.decode()
+
+
+def _sources() -> list[str]:
+    """All that the engine is made of."""
+    plan = sorted(nvrtc.SOURCES.parent.glob("cuda*.py"))
+    return [*nvrtc.sources().values(), *(path.read_text(encoding="utf-8") for path in plan)]
+
+
+def _disagreement(launcher: cuda.Launcher) -> str:
+    expected = _rendered(partial(cpu.Pass, "auto"), torch.device("cpu"))
+    try:
+        computed = _rendered(partial(cuda.Pass, launcher), launcher.device)
+    except (SarsplatError, RuntimeError) as error:
+        return f"it failed when it was tried ({str(error).partition(chr(10))[0]})"
+    for name, value in expected.items():
+        difference = float((computed[name] - value).norm() / value.norm())
+        if not difference <= _LARGEST_ERROR:  # also of NaN
+            return f"its {name} differ from the CPU engine's by a part of {difference:.2g}"
+    return ""
+
+
+@torch.inference_mode(False)
+@torch.enable_grad()
+def _rendered(new_pass: Callable[[], Pass], where: torch.device) -> dict[str, Tensor]:
+    """Outputs and gradients by name, of several tiles and of more Gaussians than a block has threads."""
+    generator, n, views = torch.Generator().manual_seed(1), 300, len(_VIEWS)
+    shapes = {
+        "means": (n, 3),
+        "quaternions": (n, 4),
+        "scales": (n, 3),
+        "optical_depth": (n,),
+        "harmonics": (n, 4),
+        "amplitudes": (views, n, 5),
+        "shift": (views, 2),
+    }
+    draw = partial(torch.rand, generator=generator, dtype=torch.float32, device="cpu")
+    leaves = {name: draw(shape).to(where).requires_grad_() for name, shape in shapes.items()}
+    gaussians = Gaussians(
+        (leaves["means"] - 0.5) * torch.tensor([10.0, 8.0, 4.0], device=where),
+        leaves["quaternions"] - 0.5,
+        0.05 + 0.4 * leaves["scales"],
+        0.01 + 2.0 * leaves["optical_depth"],
+        Harmonics(leaves["harmonics"]),
+    )
+    results: dict[str, Tensor] = {}
+    loss = torch.zeros((), device=where)
+    for title, amplitudes in (("harmonics", None), ("five channels", leaves["amplitudes"])):
+        rendering = render_with(
+            new_pass,
+            gaussians,
+            _VIEWS,
+            _GRID,
+            rays=RayGrid.for_image(_GRID),
+            amplitudes=amplitudes,
+            shift=leaves["shift"],
+            gain=None,
+            imaging_weight="area",
+            first_return_depth=None,
+            plane_gradients=False,
+        )
+        for output in (rendering.images, rendering.cross_sections):
+            loss = loss + (output * (draw(output.shape) - 0.5).to(where)).sum() / output.detach().norm()
+        results |= {f"images of {title}": rendering.images, f"cross-sections of {title}": rendering.cross_sections}
+    gradients = torch.autograd.grad(loss, list(leaves.values()))
+    results |= {f"gradients of {name}": gradient for name, gradient in zip(leaves, gradients, strict=True)}
+    return {name: tensor.detach().cpu() for name, tensor in results.items()}

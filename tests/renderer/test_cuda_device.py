@@ -1,0 +1,265 @@
+"""Around the CUDA engine's kernels: what is compiled and kept, the launcher, and the check that `auto` asks for."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import shutil
+import sys
+from contextlib import nullcontext
+from functools import partial
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import step_cases
+import torch
+from emulated_cuda import Emulator, render_on
+from test_cpu_engine import judged
+from test_cuda_emulated import everything, same_bits
+
+from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.reconstruction import device as training_device
+from sarsplat.renderer import cuda, cuda_device, engines, kept, nvrtc, trial
+
+CPU = torch.device("cpu")
+
+
+class FakeCompiler:
+    """Counts; "compiles" to a few bytes."""
+
+    def __init__(self, version: str = "13.0") -> None:
+        self.version, self.asked = version, []
+
+    def compile(self, sources, architecture):
+        assert "__global__" in sources["cuda_rays.cuh"]
+        assert {"cstdint", nvrtc.MAIN} < set(sources)
+        self.asked.append(architecture)
+        return b"machine code\0for " + architecture.encode()
+
+
+@pytest.fixture
+def cache_folder(tmp_path, monkeypatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    kept._warn.cache_clear()
+    return tmp_path / "sarsplat"
+
+
+# ---- compiled once --------------------------------------------------------------------------------------------------
+def test_machine_code_is_kept(cache_folder, monkeypatch):
+    compiler = FakeCompiler()
+    for _ in range(3):
+        assert nvrtc.machine_code("sm_90", compiler) == b"machine code\0for sm_90"
+    assert compiler.asked == ["sm_90"]
+    assert nvrtc.machine_code("sm_80", compiler) == b"machine code\0for sm_80"
+    nvrtc.machine_code("sm_90", newer := FakeCompiler("13.1"))
+    changed = nvrtc.sources() | {"pair_math.h": "// another source"}
+    monkeypatch.setattr(nvrtc, "sources", lambda: changed)
+    nvrtc.machine_code("sm_90", compiler)
+    assert compiler.asked == ["sm_90", "sm_80", "sm_90"]
+    assert newer.asked == ["sm_90"]
+    assert len(list(cache_folder.iterdir())) == 4  # and nothing half-written
+
+
+@pytest.mark.parametrize("content", [b"", b"short", bytes(200)])
+def test_a_damaged_file_is_compiled_again(content, cache_folder):
+    compiler = FakeCompiler()
+    expected = nvrtc.machine_code("sm_90", compiler)
+    (path,) = cache_folder.iterdir()
+    good = path.read_bytes()
+    for damaged in (content, good[:-1], good[:-1] + b"?"):
+        path.write_bytes(damaged)
+        assert nvrtc.machine_code("sm_90", compiler) == expected
+        assert path.read_bytes() == good
+    assert len(compiler.asked) == 4
+
+
+def test_a_cache_folder_that_cannot_be_written(cache_folder):
+    cache_folder.touch()
+    message = r"cannot be kept in .*/sarsplat \(.*\), so that every program begins with them; make it writable, or name"
+    with pytest.warns(SarsplatWarning, match=message) as told:
+        for _ in range(2):
+            assert nvrtc.machine_code("sm_90", FakeCompiler()).startswith(b"machine code")
+    assert len(told) == 1
+
+
+# ---- the launcher, on an emulated driver ----------------------------------------------------------------------------
+@pytest.fixture
+def gpu(library, cache_folder, monkeypatch):
+    monkeypatch.setattr(cuda_device, "_DRIVER", str(library))
+    monkeypatch.setattr(cuda_device, "_driver", cuda_device._driver.__wrapped__)
+    monkeypatch.setattr(cuda_device, "Nvrtc", FakeCompiler)
+    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: (9, 0))
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: "Emulated GPU")
+    monkeypatch.setattr(torch.cuda, "device", nullcontext)
+    monkeypatch.setattr(torch.cuda, "current_stream", lambda device: SimpleNamespace(cuda_stream=0x1234))
+    return cuda_device.Device(torch.device("cpu", 0))
+
+
+def test_the_launcher_hands_everything_to_the_driver(gpu, library):
+    scene, _, norms, *_ = judged("shift and gain")
+    expected = everything(scene, partial(render_on, Emulator(library)), norms)
+    assert same_bits(everything(scene, partial(render_on, gpu), norms), expected)
+    for step in step_cases.STEPS:
+        first = step_cases.found_by(partial(cuda.Pass, Emulator(library)), step, "shift and gain")
+        assert same_bits(step_cases.found_by(partial(cuda.Pass, gpu), step, "shift and gain"), first), step
+
+
+def test_the_driver_refuses(gpu, monkeypatch):
+    with pytest.raises(SarsplatError, match=r"driver failed with error 500 \(said the emulated driver\); restart"):
+        gpu.launch("no such kernel", 1, 32)
+    monkeypatch.setattr(torch.cuda, "current_stream", lambda device: SimpleNamespace(cuda_stream=0))
+    with pytest.raises(SarsplatError, match="driver failed with error 1 "):
+        gpu.launch("sum_shift", 1, 256)
+
+
+# ---- what "auto" asks for -------------------------------------------------------------------------------------------
+def _forget() -> None:
+    for function in (trial.objection, engines._fitting, training_device._automatic):
+        function.cache_clear()
+
+
+class Trials:
+    """Asks for the verdict as a new program would; counts the trials."""
+
+    def __init__(self, gpu: cuda_device.Device, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.gpu, self.count = gpu, 0
+        usual = trial._disagreement
+
+        def counted(launcher: cuda.Launcher) -> str:
+            self.count += 1
+            return usual(launcher)
+
+        monkeypatch.setattr(trial, "_disagreement", counted)
+        monkeypatch.setattr(trial, "require_cuda", lambda: None)
+        monkeypatch.setattr(trial, "device", lambda index: self.gpu)
+        monkeypatch.setattr(training_device, "require_cuda", lambda: None)
+
+    def __call__(self) -> str:
+        _forget()
+        return trial.objection(torch.device("cuda", 0))
+
+
+@pytest.fixture
+def trials(gpu, monkeypatch):
+    yield Trials(gpu, monkeypatch)
+    _forget()
+
+
+ON_GPU = SimpleNamespace(dtype=torch.float32, device=torch.device("cuda", 0))
+
+
+def test_auto_takes_a_gpu_that_agrees_and_says_so_once(trials, caplog):
+    assert trials() == ""
+    with caplog.at_level(logging.INFO, "sarsplat"):
+        assert [engines.chosen_engine("auto", ON_GPU) for _ in range(2)] == ["cuda", "cuda"]
+    assert caplog.messages == ["engine='auto' is 'cuda' for torch.float32 on cuda:0"]
+    assert training_device.device_named("auto") == ON_GPU.device
+    elsewhere = SimpleNamespace(dtype=torch.float32, device=torch.device("mps"))
+    assert engines.chosen_engine("auto", elsewhere) == "reference"
+    double = SimpleNamespace(dtype=torch.float64, device=ON_GPU.device)
+    assert engines.chosen_engine("auto", double) == "reference"
+
+
+def test_the_verdict_is_kept_until_something_changes(trials, monkeypatch, tmp_path):
+    assert [trials(), trials()] == ["", ""]
+    assert trials.count == 1
+    for path in (tmp_path / "sarsplat").glob("trial-*"):
+        path.write_bytes(b"damaged")
+    assert trials() == ""
+    assert trials.count == 2
+    monkeypatch.setattr(trials.gpu, "description", "Emulated GPU, sm_90, driver of CUDA 13010")
+    assert trials() == ""
+    assert trials.count == 3
+    changed = nvrtc.sources() | {"pair_math.h": "// another source"}
+    monkeypatch.setattr(trial.nvrtc, "sources", lambda: changed)
+    assert trials() == ""
+    assert trials.count == 4
+
+
+def test_a_wrong_kernel_means_one_warning_and_the_cpu(trials, monkeypatch):
+    usual = trials.gpu.launch
+
+    def launch(name: str, blocks: int, threads: int, problem: ctypes.Structure, *others: ctypes._CData) -> None:
+        if name == "attenuate_tiles":  # whose rays stop far too early
+            problem = type(problem).from_buffer_copy(problem)
+            problem.min_transmittance = 0.9
+        usual(name, blocks, threads, problem, *others)
+
+    monkeypatch.setattr(trials.gpu, "launch", launch)
+    reason = trials()
+    assert reason.startswith("its images of harmonics differ from the CPU engine's by a part of 0.")
+    assert (trials(), trials.count) == (reason, 1)
+    with pytest.warns(
+        SarsplatWarning, match="the CPU is used, because the CUDA engine did not pass its check.*images"
+    ) as told:
+        assert [training_device.device_named("auto") for _ in range(3)] == [CPU] * 3
+    assert len(told) == 1
+    assert training_device.device_named("cuda") == ON_GPU.device
+    assert engines.chosen_engine("cuda", ON_GPU) == "cuda"
+    message = r"engine='auto' does not use the cuda engine on cuda:0: its images .*; move the tensors to the CPU, or"
+    with pytest.raises(SarsplatError, match=message):
+        engines.chosen_engine("auto", ON_GPU)
+
+
+def test_a_gpu_that_fails_is_not_asked_again(trials, monkeypatch):
+    def launch(*_: object) -> None:
+        raise RuntimeError("CUDA error: an illegal memory access was encountered\nCompile with")
+
+    monkeypatch.setattr(trials.gpu, "launch", launch)
+    reason = "it failed when it was tried (CUDA error: an illegal memory access was encountered)"
+    assert [trials(), trials()] == [reason] * 2
+    assert trials.count == 1
+
+
+def test_what_prevents_the_check_is_not_kept(trials, monkeypatch):
+    def missing(index: int) -> None:
+        raise SarsplatError("NVRTC, which compiles the CUDA engine, cannot be loaded; install it")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(trial, "device", missing)
+        assert trials().startswith("NVRTC, which compiles")
+    assert trials() == ""
+
+
+def test_a_check_that_cannot_be_kept(trials, cache_folder):
+    shutil.rmtree(cache_folder)
+    cache_folder.touch()
+    with pytest.warns(SarsplatWarning, match="cannot be kept") as told:
+        assert [trials(), trials()] == ["", ""]
+    assert len(told) == 1
+    assert trials.count == 2
+
+
+def test_the_check_runs_whatever_torch_is_set_to(trials):
+    with torch.inference_mode(), torch.device("meta"):
+        assert trials() == ""
+
+
+# ---- libraries ------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("platform", "wheel", "inside_torch", "system"),
+    [
+        ("linux", "lib/libnvrtc.so", "libnvrtc.so", "libnvrtc.so"),
+        ("win32", "bin/x86_64/nvrtc64_", "nvrtc64_", "nvrtc64_"),
+    ],
+)
+def test_where_nvrtc_is_looked_for(platform, wheel, inside_torch, system, tmp_path, monkeypatch):
+    """Of torch's own CUDA first, without those for other drivers."""
+    ending = {"linux": (".12", ".13"), "win32": ("120_0.dll", "130_0.dll")}[platform]
+    own = (tmp_path / "nvidia" / "cu13" / (wheel + ending[1]), tmp_path / "torch" / "lib" / (inside_torch + ending[1]))
+    other = tmp_path / "nvidia" / "cuda_nvrtc" / (wheel + ending[0]).replace("x86_64/", "")
+    for path in (*own, other):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+        path.with_name(path.name.replace("64_130_0.", "64_130_0.alt.").replace(".so.", ".alt.so.")).touch()
+    monkeypatch.setattr(sys, "platform", platform)
+    spec = spec_from_file_location("nvrtc_elsewhere", nvrtc.__file__)
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    wheels = SimpleNamespace(submodule_search_locations=[str(tmp_path / "nvidia")])
+    monkeypatch.setattr(module, "find_spec", lambda name: wheels)
+    monkeypatch.setattr(torch, "__file__", str(tmp_path / "torch" / "__init__.py"))
+    monkeypatch.setattr(torch.version, "cuda", "13.0")
+    assert module._candidates() == [*own, other, Path(system + ending[1])]
