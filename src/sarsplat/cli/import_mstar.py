@@ -59,8 +59,8 @@ def import_mstar(
     overwrite
         Replace an existing dataset.
     """
-    from sarsplat.data import import_mstar as read_chips
     from sarsplat.data.dataset_folder import HEADER
+    from sarsplat.importers import import_mstar as read_chips
 
     refuse_existing(out, overwrite, marker=HEADER)
     with console.busy(f"reading chips from {chips}"):
