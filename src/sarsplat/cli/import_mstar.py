@@ -13,7 +13,7 @@ from sarsplat.cli.imported import finish
 from sarsplat.errors import SarsplatError
 
 
-def import_mstar(
+def command(
     chips: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CHIPS")],
     *,
     out: Folder,
@@ -60,11 +60,11 @@ def import_mstar(
         Replace an existing dataset.
     """
     from sarsplat.data.dataset_folder import HEADER
-    from sarsplat.importers import import_mstar as read_chips
+    from sarsplat.importers import import_mstar
 
     refuse_existing(out, overwrite, marker=HEADER)
     with console.busy(f"reading chips from {chips}"):
-        dataset = read_chips(
+        dataset = import_mstar(
             chips,
             out,
             labels=labels,
