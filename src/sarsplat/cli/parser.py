@@ -38,7 +38,7 @@ def completion(shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positi
         The shell to complete in.
     """
     with suppress(SystemExit):
-        _read(["--tyro-write-completion", shell, "-"])
+        _reader(["--tyro-write-completion", shell, "-"])()
     if shell == "bash":
         print("complete -o default -F _tyro_sarsplat sarsplat  # paths where nothing else is offered")
 
@@ -76,21 +76,18 @@ def parse(words: Sequence[str]) -> Callable[[], int | None]:
     SarsplatError
         If they do not parse.
     """
-    box = io.StringIO()
+    read, box = _reader(words), io.StringIO()
     try:
         with redirect_stderr(box):
-            return _read(words)
+            return read()
     except SystemExit as end:
         if not end.code:
             raise
         raise SarsplatError(explained(words, box.getvalue(), COMMANDS)) from None
 
 
-def _read(words: Sequence[str]) -> Callable[[], int | None]:
-    called: Callable[[], int | None] = _app(COMMANDS, words).cli(
-        prog="sarsplat", description=_DESCRIPTION, args=words, config=MARKERS
-    )
-    return called
+def _reader(words: Sequence[str]) -> Callable[[], Callable[[], int | None]]:
+    return partial(_app(COMMANDS, words).cli, prog="sarsplat", description=_DESCRIPTION, args=words, config=MARKERS)
 
 
 def _app(commands: Mapping[str, Any], words: Sequence[str]) -> tyro.extras.SubcommandApp:
