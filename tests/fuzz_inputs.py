@@ -39,11 +39,8 @@ from sarsplat.data import (
 )
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
-<<<<<<< HEAD
 from sarsplat.geometry.responses import Taylor
-=======
 from sarsplat.importers import read_phoenix
->>>>>>> 65eac24 (MSTAR is an importer like the others; public names are listed once, in __init__.pyi)
 from sarsplat.importers.apertures import apertures
 from sarsplat.importers.focus import focus
 from sarsplat.importers.gotcha import read_gotcha

@@ -93,11 +93,12 @@ def _reader(words: Sequence[str]) -> Callable[[], Callable[[], int | None]]:
 def _app(commands: Mapping[str, Any], words: Sequence[str]) -> tyro.extras.SubcommandApp:
     app = tyro.extras.SubcommandApp()
     for name, command in commands.items():
-        if name in _GROUPS:
-            wanted = words and words[0] in (name, "--tyro-write-completion")  # otherwise no plugin is imported
-            app.command(_app(command.loaded(), words) if wanted else _nothing, name=name, help=_GROUPS[name])
-        else:
+        if name not in _GROUPS:
             app.command(name=name)(_later(command, words))
+        elif words and words[0] in (name, "--tyro-write-completion"):
+            app.command(_app(command.loaded(), words), name=name, help=_GROUPS[name])
+        else:
+            app.command(name=name, help=_GROUPS[name])(_nothing)  # no plugin is imported
     return app
 
 
