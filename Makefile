@@ -72,6 +72,7 @@ figures: setup
 	$(call step,splat against ray cast: one mesh through both forward models,$(BIN)/python docs/draw_splat_against_raycast.py)
 	$(call step,vehicles beside measured chips,$(BIN)/python docs/draw_vehicles.py)
 	$(call step,reconstructions: where points are wrong and what is missed,$(BIN)/python docs/draw_reconstructions.py)
+	$(call step,imports: which file imports which,$(BIN)/python docs/draw_imports.py)
 
 bench: setup
 	$(call step,bench: speed and memory of every part (takes minutes; keep the machine idle),\

@@ -19,7 +19,7 @@ from outlines import FILTERS, RULE, Outline, Rule, despeckled, iou, outline
 
 from sarsplat import ScatteringLaw, View, radar_frame
 from sarsplat.colours import POWER, SHADOW, TARGET, colormap
-from sarsplat.data.mstar import import_mstar
+from sarsplat.importers import import_mstar
 from sarsplat.radiometry import to_db
 from sarsplat.scenes import add_speckle, mstar_grid, simulate_raycast, target_mesh
 

@@ -30,7 +30,6 @@ from sarsplat.data import (
     load_checkpoint,
     read_dataset,
     read_gaussians_ply,
-    read_phoenix,
     read_points_ply,
     read_power_tiff,
     save_checkpoint,
@@ -38,14 +37,15 @@ from sarsplat.data import (
     write_gaussians_ply,
     write_points_ply,
 )
-from sarsplat.data.mstar_chips import read_chips
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.responses import Taylor
+from sarsplat.importers import read_phoenix
 from sarsplat.importers.apertures import apertures
 from sarsplat.importers.focus import focus
 from sarsplat.importers.gotcha import read_gotcha
 from sarsplat.importers.mat import read_mat
+from sarsplat.importers.mstar_chips import read_chips
 from sarsplat.importers.phase_history import flights
 from sarsplat.reconstruction.any_run import SCHEMA_VERSION
 from sarsplat.reconstruction.presets import PRESETS

@@ -7,14 +7,12 @@ import re
 import subprocess
 import sys
 import tomllib
-from pathlib import Path
 
 import pytest
 
-import sarsplat
+from import_graph import PACKAGE, circle, graph, imported
 from sarsplat.cli.extras import EXTRAS
 
-PACKAGE = Path(sarsplat.__file__).parent
 ORDER = (
     ("geometry",),
     ("gaussians",),
@@ -30,18 +28,6 @@ ORDER = (
     ("cli",),
 )
 RANK = {folder: rank for rank, folders in enumerate(ORDER) for folder in folders}
-
-
-def imported(path: Path) -> set[str]:
-    """Every module a file imports, at the top or inside a function, as absolute dotted names."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import"
-            found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
-    return found
 
 
 def fresh_python(*words: str) -> subprocess.CompletedProcess[str]:
@@ -75,6 +61,22 @@ def test_the_bottom_imports_no_room(name):
     assert not {rooms(module) for module in modules} & set(RANK)
     third_party = {module.split(".")[0] for module in modules} - set(sys.stdlib_module_names) - {"sarsplat"}
     assert third_party <= {"numpy", "jaxtyping"} | ({"matplotlib"} if name == "colours" else set())
+
+
+_BEING_MENDED = {"cli.baseline", "cli.reconstruct", "cli.watch", "renderer.render_function", "renderer.step_functions"}
+
+
+def test_no_files_import_each_other_in_a_circle():
+    """Neither at the top nor inside functions, nor for the sake of types."""
+    for edges in (graph(for_types=False), graph()):
+        assert set(circle(edges)) <= _BEING_MENDED, circle(edges)
+
+
+def test_circles_are_seen():
+    assert circle({"a": {"b"}, "b": {"c"}, "c": set()}) == []
+    assert circle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) in (["b", "c", "b"], ["c", "b", "c"])
+    assert "errors" in graph()["data.files"]
+    assert "data" not in graph()["data.dataset"]
 
 
 def test_nothing_imports_the_package_itself():

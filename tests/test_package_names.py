@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import pkgutil
 import subprocess
 import sys
+from pathlib import Path
 
 import sarsplat
 
@@ -13,8 +15,11 @@ FOLDERS = {info.name for info in pkgutil.iter_modules(sarsplat.__path__)}
 
 
 def test_every_public_name_is_what_its_folder_offers():
-    assert set(sarsplat.__all__) == set(dir(sarsplat))
-    for name, folder in sarsplat._MODULE_OF.items():
+    stub = ast.parse(Path(sarsplat.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+    imports = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
+    listed = [(alias.name, node.module) for node in imports for alias in node.names]
+    assert sorted(name for name, _ in listed) == sarsplat.__all__ == dir(sarsplat)
+    for name, folder in listed:
         offered = importlib.import_module(f"sarsplat.{folder}")
         assert getattr(sarsplat, name) is getattr(offered, name)
         assert folder in ("errors", "scenes.simulate") or name in offered.__all__

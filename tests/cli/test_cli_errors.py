@@ -98,7 +98,7 @@ WORDS = {
     "reconstruct full --out new --xyz": "--xyz is not an option of sarsplat reconstruct; sarsplat reconstruct --help",
     "reconstruct full --out new --rates.mean-m 5": "--rates.mean-m is not an option of sarsplat reconstruct; did you",
     "reconstruct full --out new --preset defualt": "--preset 'defualt' is unknown; did you mean default?",
-    "reconstruct full --out new --preset": "--preset needs a value; choose one of auto",
+    "reconstruct full --out new --preset": "--preset needs a value; give 1, or see sarsplat reconstruct",
     "reconstruct full --out new --iterations five": "--iterations 'five' is not a whole number; give one",
     "reconstruct full --out new --iterations 0": "iterations is 0; it must be a whole number from 1",
     "reconstruct full --out new --p-min nan": "p_min is nan; it must be a number from 0",
@@ -108,7 +108,7 @@ WORDS = {
     "reconstruct full other --out new": "'other' is one argument too many for sarsplat reconstruct; remove it",
     "reconstruct --out new": "DATASET is missing; see sarsplat reconstruct --help",
     "evaluate": "RUN is missing; see sarsplat evaluate --help",
-    "completion fish": "",
+    "completion tcsh": "shell 'tcsh' is unknown; choose one of bash, zsh, fish",
 }
 
 
@@ -181,12 +181,12 @@ def test_ctrl_c_after_the_work_is_done_changes_nothing(
 def test_what_no_command_foresaw_is_one_sentence(
     error: OSError, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from sarsplat.cli import app
+    from sarsplat.cli import parser
 
     def fail(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr(app, "parse", fail)
+    monkeypatch.setattr(parser, "parse", fail)
     assert main(["doctor"]) == 2
     assert capsys.readouterr().err in (
         "error: cannot use a file: the disk is full; free some space\n",

@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import tifffile
-from test_phoenix import phoenix_bytes
 
-from sarsplat.data import Dataset, SarImage, import_mstar, read_dataset, write_dataset
+from chip_files import phoenix_bytes
+from sarsplat.data import Dataset, SarImage, read_dataset, write_dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.importers import import_mstar
 
 GRID = ImageGrid(6, 5, (0.2, 0.3), (0.25, 0.35))
 VIEWS = [View(azimuth, 30.0) for azimuth in (0.0, 120.0, 240.0)]

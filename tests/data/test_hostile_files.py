@@ -30,12 +30,12 @@ from sarsplat.data import (
     load_checkpoint,
     read_dataset,
     read_json,
-    read_phoenix,
     read_points_ply,
     read_power_tiff,
     write_json,
 )
 from sarsplat.errors import SarsplatError
+from sarsplat.importers import read_phoenix
 from sarsplat.scenes import load_mesh
 
 SUFFIXES = (".000", ".json", ".tif", ".ply", ".safetensors", ".obj", ".stl", ".off", ".glb")

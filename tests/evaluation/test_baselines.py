@@ -5,7 +5,6 @@ import pytest
 from scipy.ndimage import uniform_filter
 
 from datasets import dataset_of
-from sarsplat.data import import_mstar
 from sarsplat.evaluation import (
     baseline_scores,
     log_correlation,
@@ -16,6 +15,7 @@ from sarsplat.evaluation import (
     rotated_average,
 )
 from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.importers import import_mstar
 
 MSTAR = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
 GRID = ImageGrid(81, 81, (0.2, 0.21), (0.3, 0.3))

@@ -11,9 +11,9 @@ import tifffile
 from PIL import Image
 
 from sarsplat.cli import main
-from sarsplat.data import Dataset, import_mstar, read_dataset
+from sarsplat.data import Dataset, read_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
-from sarsplat.importers import import_folder
+from sarsplat.importers import import_folder, import_mstar
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
 AZIMUTHS = (0.0, 90.0, 180.0, 270.0)

@@ -9,7 +9,6 @@ import warnings
 from typing import TextIO
 
 from sarsplat.cli import console, extras
-from sarsplat.cli.parser import parse
 from sarsplat.errors import SarsplatError, SarsplatWarning
 
 _MISUSED = 2
@@ -36,6 +35,8 @@ def run(words: list[str]) -> int:
         warnings.simplefilter("default", SarsplatWarning)
         warnings.showwarning = _show_warning
         try:
+            from sarsplat.cli.parser import parse  # here, for it may warn of what other packages offer
+
             code = parse(words)()
         except SarsplatError as error:
             console.complain(str(error))

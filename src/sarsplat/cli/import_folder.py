@@ -23,7 +23,7 @@ Quantity = Literal["amplitude", "power", "db", "complex"]
 Lengths = Annotated[tuple[float, ...], tyro.conf.arg(metavar="METRES [METRES]", help_behavior_hint="(optional)")]
 
 
-def import_folder(
+def command(
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
     *,
     out: Folder,
@@ -103,11 +103,11 @@ def import_folder(
     """
     from sarsplat.cli.imported import finish
     from sarsplat.data.dataset_folder import HEADER
-    from sarsplat.importers import import_folder as read_folder
+    from sarsplat.importers import import_folder
 
     refuse_existing(out, overwrite, marker=HEADER)
     with console.busy(f"reading pictures from {folder}"):
-        dataset = read_folder(
+        dataset = import_folder(
             folder,
             out,
             table=table,

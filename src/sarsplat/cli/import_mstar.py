@@ -13,7 +13,7 @@ from sarsplat.cli.imported import finish
 from sarsplat.errors import SarsplatError
 
 
-def import_mstar(
+def command(
     chips: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CHIPS")],
     *,
     out: Folder,
@@ -59,12 +59,12 @@ def import_mstar(
     overwrite
         Replace an existing dataset.
     """
-    from sarsplat.data import import_mstar as read_chips
     from sarsplat.data.dataset_folder import HEADER
+    from sarsplat.importers import import_mstar
 
     refuse_existing(out, overwrite, marker=HEADER)
     with console.busy(f"reading chips from {chips}"):
-        dataset = read_chips(
+        dataset = import_mstar(
             chips,
             out,
             labels=labels,

@@ -12,7 +12,7 @@ from sarsplat.cli.imported import finish
 from sarsplat.errors import SarsplatError
 
 
-def import_phase_history(
+def command(
     files: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILES", help_behavior_hint="")],
     *,
     out: Folder,
@@ -52,10 +52,10 @@ def import_phase_history(
         Replace an existing dataset.
     """
     from sarsplat.data.dataset_folder import HEADER
-    from sarsplat.importers import import_phase_history as read_files
+    from sarsplat.importers import import_phase_history
 
     refuse_existing(out, overwrite, marker=HEADER)
-    dataset = read_files(
+    dataset = import_phase_history(
         files,
         out,
         size_m=metres(size, "size"),

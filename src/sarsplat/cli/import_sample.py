@@ -11,7 +11,7 @@ from sarsplat.cli import console
 from sarsplat.cli.arguments import Folder, OptionalCount, refuse_existing
 
 
-def import_sample(
+def command(
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
     *,
     out: Folder,
@@ -45,11 +45,11 @@ def import_sample(
     """
     from sarsplat.cli.imported import finish
     from sarsplat.data.dataset_folder import HEADER
-    from sarsplat.importers import import_sample as read_sample
+    from sarsplat.importers import import_sample
 
     refuse_existing(out, overwrite, marker=HEADER)
     with console.busy(f"reading images from {folder}"):
-        dataset = read_sample(
+        dataset = import_sample(
             folder,
             out,
             target=target_class,

@@ -12,7 +12,7 @@ from sarsplat.cli.arguments import Folder, OptionalCount, metres, refuse_existin
 from sarsplat.errors import SarsplatError, counted
 
 
-def import_sicd(
+def command(
     files: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILES", help_behavior_hint="")],
     *,
     out: Folder,
@@ -51,12 +51,12 @@ def import_sicd(
         Replace an existing dataset.
     """
     from sarsplat.data.dataset_folder import HEADER
-    from sarsplat.importers import import_sicd as read_files
+    from sarsplat.importers import import_sicd
 
     refuse_existing(out, overwrite, marker=HEADER)
     place, spot = _numbers(around, "around", (2, 3)), _numbers(pixel, "pixel", (2,))
     with console.busy(f"reading {counted(len(files), 'file')}"):
-        dataset = read_files(
+        dataset = import_sicd(
             files,
             out,
             size_m=metres(size, "size"),

@@ -15,7 +15,7 @@ from sarsplat.errors import SarsplatError, counted
 if TYPE_CHECKING:
     import numpy as np
 
-    from sarsplat.data.chip_folder import Recognised
+    from sarsplat.importers.recognise import Recognised
 
 _MARKERS = ("config.json", "contact-sheet.png")
 """Of folders that we make, besides datasets."""
@@ -56,7 +56,7 @@ def info(
 
 def _to_import(path: Path) -> Recognised | None:
     """What a folder, or the table of labels in it, can be imported as."""
-    from sarsplat.data.mstar_chips import has_label_columns
+    from sarsplat.importers.mstar_chips import has_label_columns
     from sarsplat.importers.recognise import recognised
 
     if path.is_dir():
@@ -93,7 +93,7 @@ def _part_of(path: Path) -> str | None:
 
 
 def _file(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.data.phoenix import is_phoenix
+    from sarsplat.importers.phoenix import is_phoenix
 
     if is_phoenix(path):
         return _phoenix(path)
@@ -158,7 +158,7 @@ def _extent(points: np.ndarray) -> str:
 
 
 def _phoenix(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.data import read_phoenix
+    from sarsplat.importers import read_phoenix
 
     chip = read_phoenix(path)
     rows = {

@@ -2,48 +2,50 @@
 
 from __future__ import annotations
 
-import ast
 import io
-import re
-from collections.abc import Callable, Sequence
-from contextlib import redirect_stderr, redirect_stdout
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stderr, suppress
 from functools import partial, wraps
-from importlib import import_module
-from pkgutil import iter_modules
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
-from sarsplat import cli
 from sarsplat.cli.arguments import MARKERS
 from sarsplat.cli.check import check
 from sarsplat.cli.compare import compare
-from sarsplat.cli.completion import completion
 from sarsplat.cli.doctor import doctor
 from sarsplat.cli.evaluate import evaluate
 from sarsplat.cli.export import export
 from sarsplat.cli.info import info
-from sarsplat.cli.mistakes import Level, explained
+from sarsplat.cli.mistakes import explained
 from sarsplat.cli.reconstruct import reconstruct
 from sarsplat.cli.render import render
 from sarsplat.cli.report import report
 from sarsplat.cli.simulate import simulate
 from sarsplat.cli.view import view
 from sarsplat.errors import SarsplatError
+from sarsplat.plugins import discover
+
+Command = Callable[..., int | None]
 
 
-def _importers() -> dict[str, Callable[..., None]]:
-    """`import SOME-NAME` is the function `import_SOME_NAME` of the module of that name in this folder."""
-    found = sorted(info.name for info in iter_modules(cli.__path__) if info.name.startswith("import_"))
-    return {
-        name.removeprefix("import_").replace("_", "-"): getattr(import_module(f"{cli.__name__}.{name}"), name)
-        for name in found
-    }
+def completion(shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positional]) -> None:
+    """Print a shell script that completes commands, options, presets, targets and paths.
+
+    Parameters
+    ----------
+    shell
+        The shell to complete in.
+    """
+    with suppress(SystemExit):
+        _reader(["--tyro-write-completion", shell, "-"])()
+    if shell == "bash":
+        print("complete -o default -F _tyro_sarsplat sarsplat  # paths where nothing else is offered")
 
 
-COMMANDS: dict[str, Callable[..., int | None] | dict[str, Callable[..., None]]] = {
+COMMANDS: dict[str, Command | Mapping[str, Command]] = {
     "simulate": simulate,
-    "import": _importers(),
+    "import": discover("sarsplat.cli", "import_", "command", "sarsplat.importers"),
     "check": check,
     "reconstruct": reconstruct,
     "evaluate": evaluate,
@@ -56,6 +58,7 @@ COMMANDS: dict[str, Callable[..., int | None] | dict[str, Callable[..., None]]] 
     "doctor": doctor,
     "completion": completion,
 }
+"""Commands by name; `import NAME` is `command` in the file `import_NAME.py` of this folder, or an entry point."""
 
 _GROUPS = {"import": "Import measured images as a dataset."}
 """What the commands that have commands of their own are for."""
@@ -73,48 +76,37 @@ def parse(words: Sequence[str]) -> Callable[[], int | None]:
     SarsplatError
         If they do not parse.
     """
-    told = io.StringIO()
+    read, box = _reader(words), io.StringIO()
     try:
-        with redirect_stderr(told):
-            return _read(words)
+        with redirect_stderr(box):
+            return read()
     except SystemExit as end:
         if not end.code:
             raise
-        raise SarsplatError(explained(words, told.getvalue(), options())) from None
+        raise SarsplatError(explained(words, box.getvalue(), COMMANDS)) from None
 
 
-def options() -> Level:
-    """Commands and their options with their choices, as tyro lists them for shells."""
-    script = io.StringIO()
-    try:
-        with redirect_stdout(script):
-            _read(["--tyro-print-completion", "bash"])
-    except SystemExit:
-        pass
-    found = re.search(r"^COMPLETION_SPEC = (.*)$", script.getvalue(), re.MULTILINE)
-    assert found is not None
-    level: Level = ast.literal_eval(found[1])
-    return level
+def _reader(words: Sequence[str]) -> Callable[[], Callable[[], int | None]]:
+    return partial(_app(COMMANDS, words).cli, prog="sarsplat", description=_DESCRIPTION, args=words, config=MARKERS)
 
 
-def _read(words: Sequence[str]) -> Callable[[], int | None]:
-    called: Callable[[], int | None] = _app(COMMANDS, words).cli(
-        prog="sarsplat", description=_DESCRIPTION, args=words, config=MARKERS
-    )
-    return called
-
-
-def _app(commands: dict[str, Any], words: Sequence[str]) -> tyro.extras.SubcommandApp:
+def _app(commands: Mapping[str, Any], words: Sequence[str]) -> tyro.extras.SubcommandApp:
     app = tyro.extras.SubcommandApp()
     for name, command in commands.items():
-        if isinstance(command, dict):
-            app.command(_app(command, words), name=name, help=_GROUPS[name])
-        else:
+        if name not in _GROUPS:
             app.command(name=name)(_later(command, words))
+        elif words and words[0] in (name, "--tyro-write-completion"):
+            app.command(_app(command.loaded(), words), name=name, help=_GROUPS[name])
+        else:
+            app.command(name=name, help=_GROUPS[name])(_nothing)  # no plugin is imported
     return app
 
 
-def _later(command: Callable[..., int | None], words: Sequence[str]) -> Callable[..., Callable[[], int | None]]:
+def _nothing() -> None:
+    """In place of commands that the words do not ask for."""
+
+
+def _later(command: Command, words: Sequence[str]) -> Callable[..., Callable[[], int | None]]:
     """The same signature, but not carried out yet; a command that has `words` gets those after its name."""
 
     @wraps(command)

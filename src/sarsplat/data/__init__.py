@@ -1,4 +1,4 @@
-"""Files in and out: datasets, measured chips, Gaussians and points, checkpoints."""
+"""Files in and out: datasets, Gaussians and points, checkpoints."""
 
 from sarsplat.data.checkpoint import load_checkpoint, save_checkpoint
 from sarsplat.data.dataset import Dataset, DatasetEntry
@@ -8,8 +8,6 @@ from sarsplat.data.folders import new_folder
 from sarsplat.data.image import SarImage
 from sarsplat.data.masks import Mask, Masks, read_masks
 from sarsplat.data.mesh import write_mesh
-from sarsplat.data.mstar import import_mstar
-from sarsplat.data.phoenix import PhoenixChip, read_phoenix
 from sarsplat.data.ply import read_gaussians_ply, read_points_ply, write_gaussians_ply, write_points_ply
 from sarsplat.data.tiff import read_power_tiff, read_signal_tiff, write_power_tiff, write_signal_tiff
 
@@ -18,16 +16,13 @@ __all__ = [
     "DatasetEntry",
     "Mask",
     "Masks",
-    "PhoenixChip",
     "SarImage",
-    "import_mstar",
     "load_checkpoint",
     "new_folder",
     "read_dataset",
     "read_gaussians_ply",
     "read_json",
     "read_masks",
-    "read_phoenix",
     "read_points_ply",
     "read_power_tiff",
     "read_signal_tiff",

@@ -16,13 +16,17 @@ import msgspec
 import numpy as np
 from jaxtyping import Complex, Complex64, Real
 
-from sarsplat.data.header import SPLIT, Box, Calibration, DatasetHeader
+from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, SPLIT, Box, Calibration, DatasetHeader
 from sarsplat.data.image import SarImage, as_signal, check_power, check_signal, power_of
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import ImageGrid, View
 
 _FARTHEST_M = 1e6
 _LEAST_CERTAIN_DEG = 10.0
+_AS_THEY_ARE = (
+    *("target", "calibration", "looks", "clean_tests", "ground", "score_margin", "target_box_m", "protocol", "source"),
+)
+"""Fields that `dataset.json` holds as they are here."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +143,7 @@ class Dataset:
                     f'split {shown(entry.split)} of the image {shown(entry.name)} must be "train" or a name that '
                     'starts with "test"'
                 )
-        DatasetHeader.of(self)  # types: what is here must fit into dataset.json
+        self.header()  # types: what is here must fit into dataset.json
         self._check_fields()
 
     def _check_fields(self) -> None:
@@ -338,9 +342,40 @@ class Dataset:
             raise SarsplatError(f"{self} has no set {split!r}; it has {', '.join(self.splits())}")
         return chosen
 
+    def header(self) -> DatasetHeader:
+        """What `dataset.json` holds, each number of the type it will be read back as.
+
+        Raises
+        ------
+        SarsplatError
+            If a field is of another type, or `source` does not fit into JSON.
+        """
+        digits = max(3, len(str(len(self) - 1)))
+        plain = {
+            "schema": SCHEMA,
+            "schema_version": SCHEMA_VERSION,
+            "quantity": "beta0",
+            "unit": "linear power",
+            **{name: getattr(self, name) for name in _AS_THEY_ARE},
+            "pixels": "power" if self.signal is None else "complex",
+            "truth_mesh": None if self.truth_mesh is None else self.truth_mesh.name,
+            "grid": self.grid.as_dict(),
+            "views": [
+                {"file": f"images/{index:0{digits}d}.tif", **vars(entry.view)}
+                | {"split": entry.split, "name": entry.name, "azimuth_std_deg": entry.azimuth_std_deg or None}
+                for index, entry in enumerate(self.entries)
+            ],
+        }
+        try:
+            return msgspec.convert(msgspec.to_builtins(plain), DatasetHeader)
+        except (msgspec.ValidationError, TypeError, RecursionError) as error:
+            raise SarsplatError(
+                f"the dataset does not fit into JSON: {error}; use finite numbers, text, lists, dicts"
+            ) from error
+
     def fingerprint(self) -> str:
         """SHA-256 over header and pixels, in hexadecimal: the same if the data are the same, wherever they lie."""
-        header = msgspec.structs.replace(DatasetHeader.of(self), truth_mesh=None)
+        header = msgspec.structs.replace(self.header(), truth_mesh=None)
         digest = hashlib.sha256(msgspec.json.encode(header, order="deterministic"))
         digest.update(
             self.power.astype("<f4").tobytes() if self.signal is None else self.signal.astype("<c8").tobytes()

@@ -68,7 +68,7 @@ def write_dataset(
     mesh = _mesh_bytes(dataset, truth_mesh)
     pictures = {} if masks is None else encode_masks(masks, dataset)
     written = replace(dataset, path=path, truth_mesh=None if mesh is None else path / _MESH)
-    header = DatasetHeader.of(written)
+    header = written.header()
     with new_folder(path, overwrite, marker=HEADER) as folder:
         write_json(folder / HEADER, header)
         if mesh is not None:

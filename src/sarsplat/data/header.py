@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
-from sarsplat.errors import SarsplatError
 from sarsplat.geometry.responses import RESPONSES
-
-if TYPE_CHECKING:
-    from sarsplat.data.dataset import Dataset
 
 SCHEMA = "sarsplat-dataset"
 SCHEMA_VERSION = 2
@@ -109,40 +105,3 @@ class DatasetHeader(Strict, frozen=True, omit_defaults=True):
         Literal["power", "complex"],
         about("float32 linear power, or complex64 amplitudes, whose squared magnitude is the power"),
     ] = "power"
-
-    @classmethod
-    def of(cls, dataset: Dataset) -> DatasetHeader:
-        """The header of a dataset, each number of the type it will be read back as.
-
-        Raises
-        ------
-        SarsplatError
-            If a field is of another type, or `source` does not fit into JSON.
-        """
-        digits = max(3, len(str(len(dataset) - 1)))
-        plain = {
-            "schema": SCHEMA,
-            "schema_version": SCHEMA_VERSION,
-            "quantity": "beta0",
-            "unit": "linear power",
-            **{name: getattr(dataset, name) for name in _AS_THEY_ARE},
-            "pixels": "power" if dataset.signal is None else "complex",
-            "truth_mesh": None if dataset.truth_mesh is None else dataset.truth_mesh.name,
-            "grid": dataset.grid.as_dict(),
-            "views": [
-                {"file": f"images/{index:0{digits}d}.tif", **vars(entry.view)}
-                | {"split": entry.split, "name": entry.name, "azimuth_std_deg": entry.azimuth_std_deg or None}
-                for index, entry in enumerate(dataset.entries)
-            ],
-        }
-        try:
-            return msgspec.convert(msgspec.to_builtins(plain), cls)
-        except (msgspec.ValidationError, TypeError, RecursionError) as error:
-            raise SarsplatError(
-                f"the dataset does not fit into JSON: {error}; use finite numbers, text, lists, dicts"
-            ) from error
-
-
-_AS_THEY_ARE = (
-    *("target", "calibration", "looks", "clean_tests", "ground", "score_margin", "target_box_m", "protocol", "source"),
-)

@@ -111,7 +111,7 @@ class SarImage:
             raise SarsplatError(
                 f"{path} does not end in .png, the only supported picture format; choose a name that does"
             )
-        write_bytes(path, picture_png(self, dynamic_range_db))
+        write_bytes(path, picture_png(self.power, self.view, self.grid, dynamic_range_db))
 
     def show(self, *, dynamic_range_db: float = DYNAMIC_RANGE_DB) -> None:
         """Open a window with the picture, or show it in a notebook.
@@ -121,12 +121,12 @@ class SarImage:
         SarsplatError
             If matplotlib is not installed.
         """
-        open_window(self, dynamic_range_db)
+        open_window(self.power, self.view, self.grid, dynamic_range_db)
 
     def _repr_png_(self) -> bytes | None:
         """What a notebook shows; nothing without matplotlib."""
         try:
-            return picture_png(self, DYNAMIC_RANGE_DB)
+            return picture_png(self.power, self.view, self.grid, DYNAMIC_RANGE_DB)
         except SarsplatError:
             return None
 

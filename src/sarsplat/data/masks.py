@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.mask_files import NUMBERS, mask_names, pillow
-from sarsplat.data.mstar import as_imported
+from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import SHADOW
 
@@ -89,9 +89,11 @@ def _read(path: Path, dataset: Dataset) -> Mask:
     except (OSError, SyntaxError, ValueError, image.DecompressionBombError) as error:  # what Pillow says of damage
         raise SarsplatError(f"{path} is a damaged PNG ({error}); write it again") from error
     size = mask.shape
-    cut = dataset.source.get("cut_to_common_size") is True and size[0] >= grid.rows and size[1] >= grid.columns
-    if cut or size == (grid.rows, grid.columns):
-        mask = as_imported(mask, dataset)
+    if dataset.source.get("kind") == "mstar":  # as published, and to be turned and cut as the chips were
+        if dataset.source.get("cut_to_common_size") is True and size[0] >= grid.rows and size[1] >= grid.columns:
+            top, left = (size[0] - grid.rows) // 2, (size[1] - grid.columns) // 2
+            mask = mask[top : top + grid.rows, left : left + grid.columns]
+        mask = oriented(mask, "bottom", dataset.source.get("mirrored") is True)
     if mask.shape != (grid.rows, grid.columns):
         raise SarsplatError(
             f"{path} has {size[0]} × {size[1]} pixels, its image {grid.rows} × {grid.columns}; "

@@ -1,23 +1,20 @@
-"""A run as one file for other programs: each format is a module `format_NAME.py` of this folder."""
+"""A run as one file for other programs: each format is a module `format_ENDING.py` here, or of another package."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
-from pkgutil import iter_modules
 
 from sarsplat.data.viewer_colours import Colour
 from sarsplat.errors import SarsplatError
 from sarsplat.exports.format import Content, Format
+from sarsplat.plugins import discover
 from sarsplat.reconstruction import AnyRun
 
 __all__ = ["FORMATS", "Content", "Format", "Written", "export", "format_of"]
 
-_FOUND = [
-    import_module(f"{__name__}.{info.name}").FORMAT for info in iter_modules(__path__) if info.name[:7] == "format_"
-]
-FORMATS: dict[str, Format] = {known.ending: known for known in _FOUND}
+_PLUGINS = discover(__name__, "format_", "FORMAT", "sarsplat.exports").loaded()
+FORMATS: dict[str, Format] = {f".{ending}": format for ending, format in _PLUGINS.items()}
 """Every format by the ending of its files."""
 
 
@@ -37,13 +34,13 @@ def format_of(path: Path, content: Content | None = None) -> tuple[Format, Conte
     SarsplatError
         If the ending is unknown, or such files cannot hold that.
     """
-    known = FORMATS.get(path.suffix.lower())
+    named = FORMATS.get(path.suffix.lower())
     fit = [ending for ending, other in FORMATS.items() if content is None or content in other.writers]
-    if known is None or path.suffix.lower() not in fit:
+    if named is None or path.suffix.lower() not in fit:
         what = {None: "an export", "mesh": "a mesh"}.get(content, content)
         endings = " or ".join(", ".join(fit).rsplit(", ", 1))
-        raise SarsplatError(f"{path} is no name for {what}; choose one that ends in {endings}")
-    return known, next(iter(known.writers)) if content is None else content
+        raise SarsplatError(f"{path} is not a valid name for {what}; choose one that ends in {endings}")
+    return named, next(iter(named.writers)) if content is None else content
 
 
 def export(run: AnyRun, path: str | Path, content: Content | None = None, *, colour: Colour | None = None) -> Written:
@@ -67,7 +64,7 @@ def export(run: AnyRun, path: str | Path, content: Content | None = None, *, col
         is given for something else than Gaussians, or the file cannot be written.
     """
     path = Path(path)
-    known, holds = format_of(path, content)
+    format, holds = format_of(path, content)
     if colour is not None and holds != "gaussians":
         raise SarsplatError(f"{path} will hold {holds}, whose colours are not chosen; leave out the colour")
-    return Written(known.writers[holds](run, path, colour or "db"), known.opened_with[holds])
+    return Written(format.writers[holds](run, path, colour or "db"), format.opened_with[holds])

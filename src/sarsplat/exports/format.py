@@ -22,12 +22,10 @@ Write = Callable[["AnyRun", Path, "Colour"], str]
 
 @dataclass(frozen=True)
 class Format:
-    """A file format. To add one, put a module `format_NAME.py` beside this one, with its `FORMAT`.
+    """A file format: the `FORMAT` of a module `format_ENDING.py` beside this one, or an entry point named ENDING.
 
     Attributes
     ----------
-    ending : str
-        How names of such files end: `.ply`.
     writers : mapping of Content to Write
         What it can hold, and who writes that; the first is what is written unless asked otherwise.
     opened_with : mapping of Content to str
@@ -36,7 +34,6 @@ class Format:
         Whether a file that begins with these bytes, and has that many, is of this kind: no other is replaced.
     """
 
-    ending: str
     writers: Mapping[Content, Write]
     opened_with: Mapping[Content, str]
     recognises: Recognises

@@ -70,7 +70,6 @@ def _write(run: AnyRun, path: Path, _: Colour) -> str:
 
 
 FORMAT = Format(
-    ending=".las",
     writers={"points": _write},
     opened_with={"points": "CloudCompare, QGIS or any viewer of laser scans"},
     recognises=lambda head, _: head.startswith(b"LASF"),

@@ -55,7 +55,6 @@ def _write(run: AnyRun, path: Path, _: Colour) -> str:
 
 
 FORMAT = Format(
-    ending=".npz",
     writers={"everything": _write},
     opened_with={"everything": 'numpy.load; json.loads(str(file["description"])) says what is in it'},
     recognises=lambda head, _: head.startswith(b"PK\x03\x04") and head[30:].startswith(_DESCRIPTION.encode()),

@@ -26,7 +26,6 @@ def _points(run: AnyRun, path: Path, _: Colour) -> str:
 
 
 FORMAT = Format(
-    ending=".ply",
     writers={"gaussians": _gaussians, "points": _points, "mesh": write_mesh_of},
     opened_with={
         "gaussians": "any 3D Gaussian splatting viewer",

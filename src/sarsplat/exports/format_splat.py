@@ -46,7 +46,6 @@ def _write(run: AnyRun, path: Path, colour: Colour) -> str:
 
 
 FORMAT = Format(
-    ending=".splat",
     writers={"gaussians": _write},
     opened_with={"gaussians": "a web viewer of .splat files"},
     recognises=lambda _, size: size % RECORD.itemsize == 0,  # it has no signature

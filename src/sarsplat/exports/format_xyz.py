@@ -27,7 +27,6 @@ def _write(run: AnyRun, path: Path, _: Colour) -> str:
 
 
 FORMAT = Format(
-    ending=".xyz",
     writers={"points": _write},
     opened_with={"points": "any point cloud viewer or spreadsheet"},
     recognises=lambda head, _: head.startswith(_BEGINS.encode()),

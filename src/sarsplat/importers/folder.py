@@ -5,24 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
-
-import numpy as np
-from jaxtyping import Shaped
+from typing import Any
 
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.header import Calibration
+from sarsplat.data.orientation import Side, oriented
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
 from sarsplat.importers.pictures import read_pixels
 from sarsplat.importers.quantity import Quantity, likely_quantity, power_or_signal
 from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
-
-Side = Literal["top", "bottom", "left", "right"]
-
-_QUARTER_TURNS: dict[Side, int] = {"top": 0, "right": 1, "bottom": 2, "left": 3}
-"""Counter-clockwise, to bring a side to the top."""
 
 Pair = tuple[float, float]
 
@@ -123,7 +116,7 @@ def import_folder(
         images.append(
             MeasuredImage(
                 picture.name,
-                _oriented(image, near, mirrored != bool(picture.looks_left)),
+                oriented(image, near, mirrored != bool(picture.looks_left)),
                 view,
                 spacing,
                 resolution,
@@ -162,13 +155,6 @@ def import_folder(
 
 def _either(own: float | None, common: float) -> float:
     return common if own is None else own
-
-
-def _oriented(image: Shaped[np.ndarray, "rows columns"], near: Side, mirrored: bool) -> Shaped[np.ndarray, "m n"]:
-    if near not in _QUARTER_TURNS:
-        raise SarsplatError(f"near is {near!r}; it must be one of {', '.join(_QUARTER_TURNS)}")
-    turned = np.rot90(image, _QUARTER_TURNS[near])
-    return np.ascontiguousarray(turned[:, ::-1] if mirrored else turned)
 
 
 def _view(table: Path, picture: ListedPicture, azimuth_deg: float, grazing_deg: float | None) -> View:

@@ -16,7 +16,7 @@ from sarsplat.data.coverage import largest_gap
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.dataset_folder import write_dataset
 from sarsplat.data.evenly import evenly_chosen
-from sarsplat.data.header import Calibration
+from sarsplat.data.header import Box, Calibration
 from sarsplat.data.image import power_of
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
@@ -92,6 +92,7 @@ def dataset_of(
     calibration: Calibration = "relative",
     looks: float | None = 1.0,
     ground: bool = True,
+    target_box_m: Box | None = None,
 ) -> Dataset:
     """A dataset in memory: images on one grid, assigned to sets, on one scale.
 
@@ -108,7 +109,7 @@ def dataset_of(
         Number K of training views: those nearest to azimuths k·360°/K or, where images are missing on one side, to K
         azimuths evenly spaced over the rest; of several grazing angles, each gets the next azimuth in turn. The others
         are test views. Not if the images name their sets.
-    calibration, looks, ground
+    calibration, looks, ground, target_box_m
         See `Dataset`. Relative power has mean 1 over the training views.
 
     Raises
@@ -163,6 +164,7 @@ def dataset_of(
         looks=looks,
         ground=ground,
         score_margin=round(_MARGIN * min(grid.rows, grid.columns)) if ground else 0,
+        target_box_m=target_box_m,
         source={**source, "assumptions": assumptions},
     )
 

@@ -2,8 +2,8 @@
 
 Written from the set's public description: how its files are called (such as
 `t72_real_A_elevDeg_016_azCenter_041_77_serial_812.mat`) and which variables they hold. It does not say how the images
-lie. As the measured ones were made of MSTAR's chips, they are taken to lie as these do (see `sarsplat.data.mstar`):
-near range is the bottom row, and the nose turns clockwise with growing azimuth. `near` and `mirrored` say otherwise.
+lie. As the measured ones were made of MSTAR's chips, they are taken to lie as these do (see `importers.mstar`): near
+range is the bottom row, and the nose turns clockwise with growing azimuth. `near` and `mirrored` say otherwise.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.files import plain_os_errors
+from sarsplat.data.orientation import Side, oriented
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 from sarsplat.geometry import View
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, stated_taylor
@@ -146,14 +147,13 @@ def named_as_sample(path: Path) -> SampleName | None:
     return SampleName(path, found["target"], kind, int(found["azimuth"]), int(found["elevation"]))
 
 
-def _read(named: SampleName, folder: Path, near: str, mirrored: bool) -> tuple[MeasuredImage, dict[str, Any]]:
+def _read(named: SampleName, folder: Path, near: Side, mirrored: bool) -> tuple[MeasuredImage, dict[str, Any]]:
     """The image, and facts to keep."""
     variables = read_mat(named.path)
     pixels = variables.get("complex_img")
     if not isinstance(pixels, np.ndarray) or pixels.ndim != 2 or pixels.dtype.kind != "c":
         raise SarsplatError(f"{named.path} has no complex matrix complex_img; give files of the SAMPLE set")
     signal = power_or_signal(pixels, "complex", str(named.path))
-    signal = signal[::-1, ::-1] if near == "bottom" else signal
     azimuth = _angle(named, variables, "azimuth", named.azimuth_deg)
     spacing = _lengths(named, variables, "pixel_spacing")
     try:
@@ -162,7 +162,7 @@ def _read(named: SampleName, folder: Path, near: str, mirrored: bool) -> tuple[M
         raise SarsplatError(f"{named.path}: {error}") from error
     image = MeasuredImage(
         str(named.path.relative_to(folder)),
-        np.ascontiguousarray(signal[:, ::-1] if mirrored else signal),
+        oriented(signal, near, mirrored),
         view,
         spacing,
         _lengths(named, variables, "resolution"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -110,7 +110,7 @@ def read_picture_table(folder: Path, path: Path | None, named: Mapping[str, str]
     require(table, columns, "azimuth")
     found: dict[Path, Row] = {}
     for row in table.rows:
-        picture = _file(folder, table, row, columns["file"])
+        picture = listed_file(folder, table, row, columns["file"], of="pictures", endings=PICTURE_ENDINGS)
         if picture is not None and found.setdefault(picture, row) is not row:
             raise SarsplatError(
                 f"{table.path} has two rows for {shown(row[1][columns['file']])}, lines {found[picture][0]} and "
@@ -134,16 +134,24 @@ def _the_table(folder: Path, files: list[Path]) -> Path:
     return tables[0]
 
 
-def _file(folder: Path, table: CsvTable, row: Row, column: str) -> Path | None:
-    """The picture of a row, its ending left out or not; None if there is none."""
-    text = relative_path(table.path, row, column, of="pictures").replace("\\", "/")
-    for ending in ("", *PICTURE_ENDINGS):
+def listed_file(
+    folder: Path, table: CsvTable, row: Row, column: str, *, of: str, endings: Sequence[str] = ()
+) -> Path | None:
+    """The file that a row names, one of the endings left out or not; None if there is none.
+
+    Raises
+    ------
+    SarsplatError
+        If it is outside the folder of `of`, such as "chips", be it by a link.
+    """
+    text = relative_path(table.path, row, column, of=of).replace("\\", "/")
+    for ending in ("", *endings):
         path = folder / f"{text}{ending}"
         # os.path's: pathlib's raises if a name is too long for the system, as if something were wrong with the folder
         if text and os.path.isfile(path):  # noqa: PTH113
             if not path.resolve().is_relative_to(folder.resolve()):
                 raise SarsplatError(
-                    f"{table.path}, line {row[0]}: {shown(text)} is a link out of the folder of pictures; copy the file"
+                    f"{table.path}, line {row[0]}: {shown(text)} is a link out of the folder of {of}; copy the file"
                 )
             return path
     return None

@@ -5,36 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sarsplat.data import read_phoenix
-from sarsplat.data.mstar_chips import read_jpeg
+from chip_files import MAGNITUDE, phoenix_bytes
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, Taylor
-
-FIELDS = {
-    "native_header_length": "0",
-    "NumberOfColumns": "6",
-    "NumberOfRows": "4",
-    "TargetType": "t72_tank",
-    "TargetSerNum": "132",
-    "TargetAz": "10.790657",
-    "DesiredDepression": "17",
-    "MeasuredDepression": "17.093750",
-    "RadarPosition": "bottom",
-    "Range3dBWidth": "0.301300",
-    "CrossRange3dBWidth": "0.322900",
-    "RangePixelSpacing": "0.202148",
-    "CrossRangePixelSpacing": "0.203125",
-}
-MAGNITUDE = np.arange(24, dtype=np.float32).reshape(4, 6) / 50
-
-
-def phoenix_bytes(magnitude: np.ndarray = MAGNITUDE, **changes: str) -> bytes:
-    fields = {**FIELDS, "NumberOfRows": str(magnitude.shape[0]), "NumberOfColumns": str(magnitude.shape[1]), **changes}
-    body = "".join(f"{key}= {value}\n" for key, value in fields.items()) + "[EndofPhoenixHeader]\n"
-    top = "\n[PhoenixHeaderVer01.04]\nPhoenixHeaderLength= 00000\n"
-    header = top.replace("00000", f"{len(top) + len(body):05d}") + body
-    phase = np.full_like(magnitude, 3.0)
-    return header.encode() + magnitude.astype(">f4").tobytes() + phase.astype(">f4").tobytes()
+from sarsplat.importers import read_phoenix
+from sarsplat.importers.pictures import read_pixels
 
 
 @pytest.fixture
@@ -158,7 +133,7 @@ def test_originals_against_their_jpegs(original, jpeg, header, correlation):
 
     chip = read_phoenix(folder / "phoenix" / original)
     assert (chip.target_type, chip.serial, chip.target_az_deg) == header
-    published = read_jpeg(folder / jpeg / "17deg" / "hb03787.jpeg")
+    published = read_pixels(folder / jpeg / "17deg" / "hb03787.jpeg")
     expected = np.minimum(chip.magnitude * 523.6, 255)  # as this set was scaled
     assert np.corrcoef(expected.ravel(), published.ravel())[0, 1] > correlation
     assert np.corrcoef(uniform_filter(expected, 3).ravel(), uniform_filter(published, 3).ravel())[0, 1] > 0.99

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import os
 import re
 import warnings
 from collections.abc import Sequence
@@ -13,22 +11,22 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from sarsplat.data.csv_table import Row, column_names, parsed, read_table, relative_path
+from sarsplat.data.csv_table import CsvTable, Row, column_names, parsed, read_table, relative_path
 from sarsplat.data.files import plain_os_errors
-from sarsplat.data.phoenix import is_phoenix, read_phoenix
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 from sarsplat.geometry.responses import TAYLOR, Response
+from sarsplat.importers.phoenix import is_phoenix, read_phoenix
+from sarsplat.importers.pictures import read_pixels
+from sarsplat.importers.table import listed_file
 
-_DESIRED, _MEASURED = "desired_depression_deg", "measured_depression_deg"
-_NEEDED = (_DESIRED, "target_az_deg")
-LABEL_COLUMNS = ("path", "class", "serial", _DESIRED, _MEASURED, "target_az_deg")
+_DESIRED, _MEASURED, _AZIMUTH = "desired_depression_deg", "measured_depression_deg", "target_az_deg"
+LABEL_COLUMNS = ("path", "class", "serial", _DESIRED, _MEASURED, _AZIMUTH)
 """That a table of labels must have."""
 _AZIMUTH_STD = "azimuth_std_deg"
 """A column that may be missing, and empty."""
 _DN_PER_MAGNITUDE = "dn_per_magnitude"
 """A column that may be missing, and empty, but not for some chips only."""
 _LEAST_SCALE, _LARGEST_SCALE = 1e-9, 1e9  # the square of no magnitude leaves float32
-_MAX_PIXELS_PER_SIDE = 4096
 
 
 @dataclass(frozen=True)
@@ -114,19 +112,19 @@ def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chi
         files = sorted(path for path in folder.rglob("*") if path.is_file())
     if not files:
         raise SarsplatError(f"{folder} is empty; give the folder that holds the MSTAR chips")
-    jpegs = [path for path in files if path.suffix.lower() in (".jpeg", ".jpg")]
+    jpegs = {path for path in files if path.suffix.lower() in (".jpeg", ".jpg")}
     if labels is None:
         return _phoenix_chips(folder, files, bool(jpegs), target_class)
     return _jpeg_chips(folder, jpegs, labels, target_class)
 
 
-def _same_class(wanted: str, found: str) -> bool:
+def _same_class(wanted: str, given: str) -> bool:
     """Whether two names mean one class: `T-72` = `t72` = `t72_tank`."""
 
     def plain(name: str) -> str:
         return re.sub(r"[^a-z0-9]", "", name.lower())
 
-    return plain(wanted) in (plain(found), plain(found.split("_")[0]))
+    return plain(wanted) in (plain(given), plain(given.split("_")[0]))
 
 
 def _refuse_class(target_class: str, where: Path, classes: set[str]) -> SarsplatError:
@@ -135,25 +133,20 @@ def _refuse_class(target_class: str, where: Path, classes: set[str]) -> Sarsplat
 
 
 def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_class: str) -> list[Chip]:
-    found = [read_phoenix(path) for path in files if is_phoenix(path)]
-    if not found:
+    originals = [read_phoenix(path) for path in files if is_phoenix(path)]
+    if not originals:
         remedy = "name the table of its JPEGs with --labels" if has_jpegs else "give the folder of the MSTAR chips"
         raise SarsplatError(f"there is no Phoenix file in {folder}; {remedy}")
     if has_jpegs:
-        warnings.warn(
+        _warn(
             f"{folder} also contains JPEG chips, which are ignored; to use them instead of the Phoenix files, "
-            "give the table of their labels with --labels",
-            SarsplatWarning,
-            stacklevel=2,
+            "give the table of their labels with --labels"
         )
-    chosen = [chip for chip in found if _same_class(target_class, chip.target_type)]
+    chosen = [chip for chip in originals if _same_class(target_class, chip.target_type)]
     if not chosen:
-        raise _refuse_class(target_class, folder, {chip.target_type for chip in found})
+        raise _refuse_class(target_class, folder, {chip.target_type for chip in originals})
     for chip in chosen:
-        if chip.radar_position != "bottom":
-            raise SarsplatError(
-                f"{chip.path} has RadarPosition= {chip.radar_position!r}; only 'bottom' is supported, so remove it"
-            )
+        chip.require_radar_at_the_bottom()
     return [
         Chip(
             name=str(chip.path.relative_to(folder)),
@@ -172,14 +165,14 @@ def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_clas
     ]
 
 
-def _jpeg_chips(folder: Path, jpegs: list[Path], labels: Path, target_class: str) -> list[Chip]:
+def _jpeg_chips(folder: Path, jpegs: set[Path], labels: Path, target_class: str) -> list[Chip]:
     table = read_labels(labels)
-    rows = [(line, row) for line, row in table if _same_class(target_class, row["class"])]
+    rows = [row for row in table.rows if _same_class(target_class, row[1]["class"])]
     if not rows:
-        raise _refuse_class(target_class, labels, {row["class"] for _, row in table})
+        raise _refuse_class(target_class, labels, {row["class"] for _, row in table.rows})
     chips_of_class = counted(len(rows), f"{target_class} chip")
-    # os.path's: pathlib's raises if a name is too long for the system, as if something were wrong with the folder
-    present = [(line, row) for line, row in rows if os.path.isfile(folder / row["path"])]  # noqa: PTH113
+    files = [listed_file(folder, table, row, "path", of="chips") for row in rows]
+    present = [(row, file) for row, file in zip(rows, files, strict=True) if file is not None]
     if not present:
         raise SarsplatError(
             f"{folder} contains none of {chips_of_class} in {labels} "
@@ -187,21 +180,21 @@ def _jpeg_chips(folder: Path, jpegs: list[Path], labels: Path, target_class: str
         )
     if len(present) < len(rows):
         _warn(f"{folder} lacks {len(rows) - len(present)} of {chips_of_class} in {labels}; the others are used")
-    if unlabelled := len(set(jpegs) - {folder / row["path"] for _, row in table if row["class"].strip()}):
+    if unlabelled := len(jpegs - {folder / row["path"] for _, row in table.rows if row["class"]}):
         _warn(f"{labels} has no label for {counted(unlabelled, 'JPEG')} in {folder}; add them if you need these chips")
-    present = _once(labels, _complete(labels, present))
+    chosen = _once(labels, _complete(labels, [row for row, _ in present]))
     return [
         Chip(
-            name=row["path"],
-            serial=row["serial"],
-            depression=round(_number(labels, line, row, _DESIRED)),
-            grazing_deg=_number(labels, line, row, _MEASURED),
-            target_az_deg=_number(labels, line, row, "target_az_deg") % 360,
-            magnitude=read_jpeg(folder / row["path"]) * np.float32(step),
+            name=row[1]["path"],
+            serial=row[1]["serial"],
+            depression=round(table.number(row, _DESIRED)),
+            grazing_deg=table.number(row, _MEASURED),
+            target_az_deg=table.number(row, _AZIMUTH) % 360,
+            magnitude=_digital_numbers(folder / row[1]["path"]) * np.float32(step),
             step=step,
-            azimuth_std_deg=_number(labels, line, row, _AZIMUTH_STD) if row.get(_AZIMUTH_STD, "").strip() else None,
+            azimuth_std_deg=table.number(row, _AZIMUTH_STD) if row[1].get(_AZIMUTH_STD) else None,
         )
-        for (line, row), step in zip(present, _steps(labels, present), strict=True)
+        for row, step in zip(chosen, _steps(table, chosen), strict=True)
     ]
 
 
@@ -214,25 +207,25 @@ def _complete(labels: Path, rows: Sequence[Row]) -> list[Row]:
 
     A measured depression that is empty is taken to be as planned: it differs from that by tenths of a degree.
     """
-    whole = [(line, row) for line, row in rows if all(row[name].strip() for name in _NEEDED)]
+    whole = [(line, row) for line, row in rows if row[_DESIRED] and row[_AZIMUTH]]
     if len(whole) < len(rows):
         line, row = next(item for item in rows if item not in whole)
-        missing = next(name for name in _NEEDED if not row[name].strip())
+        missing = _AZIMUTH if row[_DESIRED] else _DESIRED
         what = f"{labels} has empty fields for {len(rows) - len(whole)} of {counted(len(rows), 'chip')}"
         if not whole:
             raise SarsplatError(f"{what} (line {line}: {missing} is empty); fill them in")
         _warn(f"{what} (the first: {missing} in line {line}), which are ignored; fill them in if you need them")
-    if planned := [line for line, row in whole if not row[_MEASURED].strip()]:
+    if planned := [line for line, row in whole if not row[_MEASURED]]:
         _warn(
             f"{labels} has no {_MEASURED} for {len(planned)} of {counted(len(whole), 'chip')} (the first in line "
             f"{planned[0]}), so their {_DESIRED} is used; fill them in if you know better"
         )
-    return [(line, row if row[_MEASURED].strip() else {**row, _MEASURED: row[_DESIRED]}) for line, row in whole]
+    return [(line, {**row, _MEASURED: row[_MEASURED] or row[_DESIRED]}) for line, row in whole]
 
 
 def _once(labels: Path, rows: Sequence[Row]) -> list[Row]:
     """Each chip once: one that is there twice could be trained on and tested on."""
-    first: dict[Path, tuple[int, dict[str, str]]] = {}
+    first: dict[Path, Row] = {}
     for line, row in rows:
         other_line, other = first.setdefault(Path(row["path"]), (line, row))
         if any(row.get(name) != other.get(name) for name in (*LABEL_COLUMNS[1:], _AZIMUTH_STD, _DN_PER_MAGNITUDE)):
@@ -249,8 +242,8 @@ def has_label_columns(path: Path) -> bool:
     return {"path", "class"} <= set(column_names(path))
 
 
-def read_labels(path: Path) -> tuple[Row, ...]:
-    """Rows of the table with their line numbers.
+def read_labels(path: Path) -> CsvTable:
+    """The table of labels.
 
     Raises
     ------
@@ -260,52 +253,32 @@ def read_labels(path: Path) -> tuple[Row, ...]:
     table = read_table(path, "the table of labels", LABEL_COLUMNS)
     for row in table.rows:
         relative_path(path, row, "path", of="chips")
-    return table.rows
+    return table
 
 
-def _number(path: Path, line: int, row: dict[str, str], column: str) -> float:
-    value = parsed(row[column])
-    if not math.isfinite(value):
-        raise SarsplatError(f"{path}, line {line}: {column} is {shown(row[column])}; it must be a number of degrees")
-    return value
-
-
-def _steps(path: Path, rows: Sequence[Row]) -> list[float]:
+def _steps(table: CsvTable, rows: Sequence[Row]) -> list[float]:
     """Magnitude of one digital number of each chip; 1 if the table scales none of them."""
-    given = [row.get(_DN_PER_MAGNITUDE, "").strip() for _, row in rows]
+    given = [row.get(_DN_PER_MAGNITUDE, "") for _, row in rows]
     if not any(given):
         return [1.0] * len(rows)
-    for (line, row), text in zip(rows, given, strict=True):
+    scales = [parsed(text, table.decimal_comma) for text in given]
+    for (line, row), text, scale in zip(rows, given, scales, strict=True):
         if not text:
             raise SarsplatError(
-                f"{path}, line {line}: {_DN_PER_MAGNITUDE} of {shown(row['path'])} is empty, so this chip does not "
-                "compare with the others; fill it in for every chip of the class, or for none"
+                f"{table.path}, line {line}: {_DN_PER_MAGNITUDE} of {shown(row['path'])} is empty, so this chip is not "
+                "comparable with the others; fill it in for every chip of the class, or for none"
             )
-        if not _LEAST_SCALE <= parsed(text) <= _LARGEST_SCALE:
+        if not _LEAST_SCALE <= scale <= _LARGEST_SCALE:
             raise SarsplatError(
-                f"{path}, line {line}: {_DN_PER_MAGNITUDE} is {shown(text)}; it must be a positive number "
+                f"{table.path}, line {line}: {_DN_PER_MAGNITUDE} is {shown(text)}; it must be a positive number "
                 f"({_LEAST_SCALE:g} to {_LARGEST_SCALE:g})"
             )
-    return [1 / float(text) for text in given]
+    return [1 / scale for scale in scales]
 
 
-def read_jpeg(path: Path) -> Float32[np.ndarray, "rows columns"]:
-    """Digital numbers of an 8-bit grey JPEG, float32 [rows, columns]."""
-    try:
-        from PIL import Image, UnidentifiedImageError
-    except ImportError as error:
-        raise SarsplatError("reading JPEG chips needs Pillow; install it with pip install 'sarsplat[mstar]'") from error
-    with plain_os_errors("read", path):
-        data = path.open("rb")
-    with data:
-        try:
-            image = Image.open(data, formats=("JPEG",))
-            if image.mode != "L" or max(image.size) > _MAX_PIXELS_PER_SIDE:
-                raise SarsplatError(
-                    f"{path} is a {image.mode} image of {image.size[0]} × {image.size[1]} pixels; chips are 8-bit grey"
-                )
-            return np.asarray(image, dtype=np.float32)
-        except UnidentifiedImageError as error:
-            raise SarsplatError(f"{path} is not a JPEG image; download it again") from error
-        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:  # what Pillow says of damage
-            raise SarsplatError(f"{path} is a truncated or damaged JPEG ({error}); download it again") from error
+def _digital_numbers(path: Path) -> Float32[np.ndarray, "rows columns"]:
+    """Those of an 8-bit grey picture."""
+    pixels = read_pixels(path)
+    if pixels.dtype != np.uint8 or pixels.ndim != 2:
+        raise SarsplatError(f"{path} holds {pixels.dtype} of shape {shown(pixels.shape)}; chips are 8-bit grey")
+    return pixels.astype(np.float32)

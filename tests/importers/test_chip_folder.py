@@ -6,12 +6,11 @@ import shlex
 from pathlib import Path
 
 import pytest
-from test_mstar import ROWS, write_chips
-from test_phoenix import phoenix_bytes
 
+from chip_files import ROWS, phoenix_bytes, write_chips
 from sarsplat.cli import main
-from sarsplat.data.chip_folder import recognised
 from sarsplat.errors import SarsplatError
+from sarsplat.importers.recognise import recognised
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ from jaxtyping import Complex64, Float32
 
 from sarsplat.data.files import open_file
 from sarsplat.data.image import SarImage
+from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.responses import GAUSSIAN, Response, stated_taylor
@@ -108,7 +109,21 @@ class PhoenixChip:
     def image(self) -> SarImage:
         """The chip as a complex image, √β⁰ up to a factor, turned by 180° so that row 0 is near range.
 
-        Its azimuth is −TargetAz (see `sarsplat.data.mstar`).
+        Its azimuth is −TargetAz (see `sarsplat.importers.mstar`).
+
+        Raises
+        ------
+        SarsplatError
+            If the radar is not at the bottom of the array.
+        """
+        self.require_radar_at_the_bottom()
+        rows, columns = self.magnitude.shape
+        view = View(-self.target_az_deg % 360, self.measured_depression_deg)
+        grid = ImageGrid(rows, columns, self.spacing_m, self.resolution_m, response=self.response)
+        return SarImage.of_complex(oriented(self.signal, "bottom"), view, grid)
+
+    def require_radar_at_the_bottom(self) -> None:
+        """Refuse a chip that lies otherwise.
 
         Raises
         ------
@@ -119,10 +134,6 @@ class PhoenixChip:
             raise SarsplatError(
                 f"{self.path} has RadarPosition= {self.radar_position!r}; only 'bottom' is supported, so remove it"
             )
-        rows, columns = self.magnitude.shape
-        view = View(-self.target_az_deg % 360, self.measured_depression_deg)
-        grid = ImageGrid(rows, columns, self.spacing_m, self.resolution_m, response=self.response)
-        return SarImage.of_complex(self.signal[::-1, ::-1], view, grid)
 
 
 def is_phoenix(path: Path) -> bool:

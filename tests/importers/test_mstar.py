@@ -7,35 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from test_phoenix import phoenix_bytes
 
-from sarsplat.data import Dataset, import_mstar, read_dataset
+from chip_files import COLUMNS, LOWER_LEFT, ROWS, phoenix_bytes, write_chips
+from sarsplat.data import Dataset, read_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry.responses import Taylor
+from sarsplat.importers import import_mstar
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
 needs_measured = pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured MSTAR chips are not here")
-COLUMNS = ["path", "class", "serial", "desired_depression_deg", "measured_depression_deg", "target_az_deg"]
-LOWER_LEFT = np.zeros((16, 16), np.uint8)
-LOWER_LEFT[8:, :8] = 200  # in the published array the radar is at the bottom: this block is near
-
-
-def write_chips(folder: Path, rows: list[tuple], size: int = 16) -> Path:
-    """JPEGs and their labels; rows are (class, serial, depression, azimuth)."""
-    with (folder / "labels.csv").open("w", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(COLUMNS)
-        for index, (name, serial, depression, azimuth) in enumerate(rows):
-            path = folder / name / f"chip{index:03d}.jpeg"
-            path.parent.mkdir(exist_ok=True)
-            picture = np.resize(LOWER_LEFT, (size, size)) - index % 5 * (np.resize(LOWER_LEFT, (size, size)) > 0)
-            Image.fromarray(picture.astype(np.uint8)).save(path, quality=100)  # no two neighbours alike
-            table.writerow([f"{name}/{path.name}", name, serial, depression, depression + 0.1, azimuth])
-    return folder / "labels.csv"
-
-
-ROWS = [("T72", "132", 17, azimuth) for azimuth in (1, 44, 89, 91, 181, 269, 330, 359.5)]
-ROWS += [("T72", "132", 15, azimuth) for azimuth in (10, 100)] + [("BMP2", "9563", 17, 5)]
 
 
 @pytest.fixture
@@ -176,7 +156,7 @@ def test_power_of_jpegs_that_are_scaled_each_in_its_own_way(chips):
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        ("", "line 4: dn_per_magnitude of 'T72/chip002.jpeg' is empty, so this chip does not compare with the others"),
+        ("", "line 4: dn_per_magnitude of 'T72/chip002.jpeg' is empty, so this chip is not comparable with the others"),
         *((text, f"line 4: dn_per_magnitude is '{text}'; it must be a positive number") for text in ("0", "-5", "nan")),
         *((text, f"line 4: dn_per_magnitude is '{text}'; it must be a positive") for text in ("much", "inf", "1e-300")),
     ],
@@ -357,18 +337,21 @@ def test_wrong_labels(chips, content, words):
 def test_damaged_jpegs_are_named(chips):
     path = chips / "T72" / "chip003.jpeg"
     whole = path.read_bytes()
-    for content, words in [(whole[: len(whole) // 2], "truncated"), (whole[:-40], "truncated"), (b"no", "not a JPEG")]:
+    for content, words in [(whole[: len(whole) // 2], "truncated"), (whole[:-40], "truncated"), (b"no", "no PNG or")]:
         path.write_bytes(content)
-        with pytest.raises(SarsplatError, match=rf"chip003\.jpeg is .*{words}"):
+        with pytest.raises(SarsplatError, match=rf"(?i)chip003\.jpeg is .*{words}"):
             run(chips)
-    Image.new("RGB", (16, 16)).save(path, format="JPEG")
-    with pytest.raises(SarsplatError, match=r"chip003\.jpeg is a RGB image"):
+    Image.new("RGB", (16, 16), "red").save(path, format="JPEG")
+    with pytest.raises(SarsplatError, match=r"chip003\.jpeg is a picture in colour"):
+        run(chips)
+    Image.fromarray(np.ones((16, 16), np.uint16)).save(path, format="PNG")
+    with pytest.raises(SarsplatError, match=r"chip003\.jpeg holds u?int.* chips are 8-bit grey"):
         run(chips)
 
 
 def test_different_sizes_are_cut(chips):
     Image.fromarray(np.pad(LOWER_LEFT, ((2, 3), (1, 1)))).save(chips / "T72" / "chip001.jpeg", quality=100)
-    with pytest.warns(SarsplatWarning, match="2 sizes; all are cropped around the centre to 16 × 16"):
+    with pytest.warns(SarsplatWarning, match="all images are cut to what they have in common, 16 × 16"):
         dataset = run(chips)
     assert dataset.source["cut_to_common_size"] is True
     np.testing.assert_allclose(dataset.images("test-17")[1][:8, 8:], dataset.images("train")[0][:8, 8:], rtol=0.1)

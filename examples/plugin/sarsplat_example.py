@@ -1,0 +1,37 @@
+"""`sarsplat import arrays stack.npz …` and `sarsplat export RUN points.csv`, in a package of its own."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from sarsplat.cli.arguments import Folder
+from sarsplat.exports import Format
+
+
+def import_arrays(
+    file: Annotated[Path, tyro.conf.Positional], *, out: Folder, spacing: float, overwrite: bool = False
+) -> None:
+    """Import images from the arrays `power`, `azimuth_deg` and `grazing_deg` of one .npz file."""
+    import numpy as np
+
+    from sarsplat import View
+    from sarsplat.cli.imported import finish
+    from sarsplat.importers import MeasuredImage, dataset_of, write_imported
+
+    arrays, cell = np.load(file), (spacing, spacing)
+    angles = zip(arrays["azimuth_deg"].tolist(), arrays["grazing_deg"].tolist(), strict=True)
+    views = [View(azimuth, grazing) for azimuth, grazing in angles]
+    images = [MeasuredImage(f"{k:03d}", arrays["power"][k], view, cell, cell) for k, view in enumerate(views)]
+    source = {"kind": "arrays", "assumptions": ["row 0 is near range", "the resolution is the pixel spacing"]}
+    finish(out, write_imported(out, dataset_of(images, target=file.stem, source=source), overwrite=overwrite))
+
+
+def write_csv(run, path: Path, colour: str) -> str:
+    """The points of a run, m, as text."""
+    lines = ["x,y,z", *(",".join(f"{number:.4f}" for number in point) for point in run.points)]
+    path.write_text("\n".join(lines) + "\n")
+    return f"{len(run.points)} points, metres"
+
+
+CSV = Format({"points": write_csv}, {"points": "any spreadsheet"}, recognises=lambda head, _: head.startswith(b"x,y,z"))

@@ -1,0 +1,61 @@
+"""What `sarsplat` offers, by the folder that defines it: read by type checkers, and when the package is imported."""
+# ruff: isort: skip_file
+
+from .data import (
+    Dataset as Dataset,
+    DatasetEntry as DatasetEntry,
+    SarImage as SarImage,
+    read_dataset as read_dataset,
+    read_gaussians_ply as read_gaussians_ply,
+    read_points_ply as read_points_ply,
+    write_dataset as write_dataset,
+    write_gaussians_ply as write_gaussians_ply,
+    write_points_ply as write_points_ply,
+)
+from .errors import SarsplatError as SarsplatError, SarsplatWarning as SarsplatWarning
+from .evaluation import evaluate_run as evaluate_run, point_metrics as point_metrics, visible_surface as visible_surface
+from .gaussians import (
+    MAX_OPTICAL_DEPTH as MAX_OPTICAL_DEPTH,
+    MIN_SCALE as MIN_SCALE,
+    Gaussians as Gaussians,
+    Harmonics as Harmonics,
+    NormalLobes as NormalLobes,
+    Scattering as Scattering,
+)
+from .geometry import ImageGrid as ImageGrid, RayGrid as RayGrid, View as View, radar_frame as radar_frame
+from .importers import PhoenixChip as PhoenixChip, import_mstar as import_mstar, read_phoenix as read_phoenix
+from .reconstruction import (
+    PRESETS as PRESETS,
+    Config as Config,
+    Run as Run,
+    Trainer as Trainer,
+    extract_points as extract_points,
+    preset as preset,
+    reconstruct as reconstruct,
+)
+from .renderer import (
+    Attenuation as Attenuation,
+    Footprints as Footprints,
+    Projection as Projection,
+    RayMap as RayMap,
+    Rendering as Rendering,
+    attenuate as attenuate,
+    project as project,
+    render as render,
+    splat as splat,
+)
+from .report import write_report as write_report
+from .scenes import (
+    ScatteringLaw as ScatteringLaw,
+    add_speckle as add_speckle,
+    load_mesh as load_mesh,
+    mstar_grid as mstar_grid,
+    mstar_views as mstar_views,
+    paper_grid as paper_grid,
+    paper_views as paper_views,
+    simulate_raycast as simulate_raycast,
+    target_mesh as target_mesh,
+)
+from .scenes.simulate import simulate_images as simulate_images
+
+__version__: str

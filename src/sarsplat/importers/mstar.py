@@ -1,0 +1,255 @@
+"""Import measured MSTAR chips: choose the training views, turn the arrays, raise what is too dark to mean anything.
+
+Geometry. The published array has the radar at the bottom; turned by 180° it is our `image[range, azimuth]`, row 0 near.
+TargetAz is 0 with the nose toward the radar, and with growing TargetAz the nose turns clockwise in the displayed chip,
+which in our frame (azimuth clockwise from the nose) means φ = −TargetAz.
+
+Whether the published chips are mirror images is not settled. `mirrored=True` assumes they are: the columns are flipped
+and φ = +TargetAz. The two readings give each other's mirror image (y → −y) as the target and explain the chips equally
+well, so no likelihood can tell them apart; only something known to be on one side of the vehicle can.
+
+Power. The chips carry no absolute calibration here. Power is magnitude² over its mean over all pixels of the training
+chips: β⁰ up to one common factor. Of JPEGs, the magnitude is max(DN, 2) / `dn_per_magnitude`, a column of the table of
+labels; without it all JPEGs are taken to have the same scale. Phoenix magnitudes are not quantised, but some are zero:
+their power is at least 0.001 (−30 dB) of its mean. Their phases are kept: the images are complex.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Num
+
+from sarsplat.data.dataset import Dataset
+from sarsplat.data.evenly import nearest_to
+from sarsplat.data.header import Box
+from sarsplat.data.orientation import oriented
+from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.geometry import View
+from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
+from sarsplat.importers.mstar_chips import Chip, read_chips
+
+MIN_DN = 2.0
+"""Digital numbers are raised to this: below it lies nothing but quantisation, and zero has no logarithm."""
+MIN_POWER = 1e-3
+"""Power that is not quantised is raised to this fraction of its mean: darker than any shadow, but not zero."""
+
+
+def import_mstar(
+    chips: str | Path,
+    out: str | Path,
+    *,
+    labels: str | Path | None,
+    target_class: str,
+    train_views: int,
+    train_depression: int | Sequence[int] = 17,
+    serial: str | None = None,
+    target_box_m: Box | None = None,
+    azimuth_std_deg: float = 0.0,
+    mirrored: bool = False,
+    overwrite: bool = False,
+) -> Dataset:
+    """Make a dataset from measured chips of one vehicle.
+
+    Parameters
+    ----------
+    chips : Path
+        Folder of the chips: JPEGs that `labels` describes, or Phoenix files.
+    out : Path
+        Dataset to make.
+    labels : Path or None
+        Table of the JPEGs (see `read_chips`); None for Phoenix files.
+    target_class : str
+        E.g. `T72`.
+    train_views : int
+        Number K of training views: the distinct chips nearest to TargetAz = k·360°/K, k = 0 … K − 1. All others are
+        test views, one set per depression: `test-17`, `test-15`.
+    train_depression : int or sequence of int
+        Depression, as planned, of the training views, degrees; of several, each gets the next of the K azimuths in
+        turn.
+    serial : str, optional
+        Only this vehicle of the class; None takes them all.
+    target_box_m : pair of (x, y, z), optional
+        Corners of the box that contains the target, m, in the world frame: nose to +x. None: reconstructions derive it
+        from the images.
+    azimuth_std_deg : float
+        Standard deviation of the azimuths, degrees, of chips for which the table has none.
+    mirrored : bool
+        Take the published chips for mirror images (see the head of this module).
+    overwrite : bool
+        Whether an existing dataset may be replaced.
+
+    Returns
+    -------
+    Dataset
+        Of relative calibration, single look, with ground; power with mean 1 over the training views; complex if the
+        chips are Phoenix files. Each image has the name of its chip; `source` says what was assumed.
+
+    Raises
+    ------
+    SarsplatError
+        If there are no such chips, too few of them, one is damaged, all training chips are black, or the output exists.
+
+    Warns
+    -----
+    SarsplatWarning
+        If chips lack labels or labels chips, the class holds several vehicles, chips of different sizes are cut, or
+        the dataset looks odd (`sarsplat.data.plausible`).
+    """
+    every = read_chips(Path(chips), None if labels is None else Path(labels), target_class)
+    every = _one_vehicle(every, target_class, serial)
+    depressions = [train_depression] if isinstance(train_depression, int) else list(train_depression)
+    train = _training_chips(every, train_views, depressions)
+    if not any(chip.magnitude.any() for chip in train):
+        raise SarsplatError(f"all {len(train)} training chips are black; remove them from {chips}")
+    chosen = {id(chip) for chip in train}
+    test = [chip for chip in every if id(chip) not in chosen]
+    test.sort(key=lambda chip: (-chip.depression, chip.target_az_deg, chip.name))
+    ordered = _of_one_kind([*train, *test])
+    sign = 1 if mirrored else -1
+    images = [
+        MeasuredImage(
+            chip.name,
+            oriented(pixels, "bottom", mirrored),
+            _view(sign, chip),
+            chip.spacing_m,
+            chip.resolution_m,
+            response=chip.response,
+            azimuth_std_deg=azimuth_std_deg if chip.azimuth_std_deg is None else chip.azimuth_std_deg,
+            split="train" if index < len(train) else f"test-{chip.depression}",
+        )
+        for index, (chip, pixels) in enumerate(zip(ordered, _pixels(ordered, len(train)), strict=True))
+    ]
+    source: dict[str, Any] = {
+        "kind": "mstar",
+        "sensor": "X-band 9.6 GHz, HH, spotlight",
+        "format": "phoenix" if labels is None else "jpeg",
+        "serials": sorted({chip.serial for chip in ordered}),
+        "train_views": train_views,
+        "train_depression_deg": depressions,
+        "mirrored": mirrored,
+        "azimuth": f"azimuth = {'+' if mirrored else '-'}TargetAz; grazing = measured depression",
+        "orientation": f"published array turned by 180 degrees{', then columns flipped' if mirrored else ''}",
+        **_calibration(ordered),
+        "cut_to_common_size": len({image.pixels.shape for image in images}) > 1,
+        "chips": [{"name": chip.name, "target_az_deg": chip.target_az_deg} for chip in ordered],
+        "assumptions": _assumptions(ordered, images, mirrored),
+    }
+    dataset = dataset_of(images, target=target_class, source=source, target_box_m=target_box_m)
+    return write_imported(out, dataset, overwrite=overwrite)
+
+
+def _one_vehicle(chips: list[Chip], target_class: str, serial: str | None) -> list[Chip]:
+    serials = sorted({chip.serial for chip in chips})
+    if serial is not None:
+        chips = [chip for chip in chips if chip.serial == serial]
+        if not chips:
+            raise SarsplatError(
+                f"there is no {target_class} with the serial {serial!r}; choose one of {', '.join(serials)}"
+            )
+    elif len(serials) > 1:
+        warnings.warn(
+            f"the {target_class} chips show {len(serials)} vehicles (serials {', '.join(serials)}), treated as one; "
+            "choose one serial to keep them apart",
+            SarsplatWarning,
+            stacklevel=3,
+        )
+    return chips
+
+
+def _training_chips(chips: list[Chip], count: int, depressions: Sequence[int]) -> list[Chip]:
+    """The distinct chips nearest to k·360°/count, in the order of k; each k asks the next depression in turn."""
+    if not depressions or len(set(depressions)) < len(depressions):
+        raise SarsplatError(f"the training depressions {list(depressions)} must be at least one, each named once")
+    chosen: dict[int, Chip] = {}
+    for first, depression in enumerate(depressions):
+        candidates = sorted((chip for chip in chips if chip.depression == depression), key=lambda chip: chip.name)
+        numbers = range(first, count, len(depressions))
+        if not candidates:
+            others = ", ".join(f"{value}°" for value in sorted({chip.depression for chip in chips}))
+            raise SarsplatError(
+                f"there are no chips at the training depression of {depression}°; choose one of {others}"
+            )
+        if not 1 <= len(numbers) <= len(candidates):
+            share = str(count) if len(depressions) == 1 else f"{len(numbers)} of {count}"
+            raise SarsplatError(
+                f"{share} training views were requested, but there are {len(candidates)} chips at {depression}°; "
+                f"request between {len(depressions)} and {len(candidates) * len(depressions)} in all"
+            )
+        nearest = nearest_to([chip.target_az_deg for chip in candidates], [k * 360 / count for k in numbers])
+        chosen |= {k: candidates[i] for k, i in zip(numbers, nearest, strict=True)}
+    return [chosen[k] for k in sorted(chosen)]
+
+
+def _of_one_kind(chips: list[Chip]) -> list[Chip]:
+    first = chips[0]
+    for chip in chips:
+        if not np.allclose([*chip.spacing_m, *chip.resolution_m], [*first.spacing_m, *first.resolution_m], rtol=1e-3):
+            raise SarsplatError(
+                f"{chip.name} has pixel spacing {chip.spacing_m} m and resolution {chip.resolution_m} m "
+                f"but {first.name} has {first.spacing_m} and {first.resolution_m}; import chips of one kind"
+            )
+    return chips
+
+
+def _pixels(chips: list[Chip], training: int) -> list[Num[np.ndarray, "rows columns"]]:
+    """Power of each chip, the first of training chips, or its amplitude where the phase is known.
+
+    If sizes differ, each side is even, so that a common part lies on the pixels of all.
+    """
+    pixels = [np.maximum(chip.magnitude, np.float32(MIN_DN) * np.float32(chip.step)) ** 2 for chip in chips]
+    if phases := [chip.phase for chip in chips if chip.phase is not None]:
+        mean = np.concatenate([power.ravel() for power in pixels[:training]]).mean(dtype=np.float64)
+        least = np.float32(MIN_POWER * mean)
+        pixels = [
+            np.sqrt(np.maximum(power, least)) * np.exp(1j * phase) for power, phase in zip(pixels, phases, strict=True)
+        ]
+    if len({image.shape for image in pixels}) > 1:
+        pixels = [image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2] for image in pixels]
+    return pixels
+
+
+def _calibration(chips: list[Chip]) -> dict[str, Any]:
+    """What was done by `_pixels`, in words and numbers."""
+    mean = "mean_power, the mean over all pixels of the training chips"
+    if chips[0].phase is not None:
+        return {
+            "calibration": f"none: power = magnitude^2 / {mean}; before, raised to min_power x its mean over these",
+            "min_power": MIN_POWER,
+        }
+    if _scaled_alike(chips):
+        power, scales = "max(DN, min_dn)^2", "all JPEGs taken as scaled alike"
+    else:
+        power, scales = "(max(DN, min_dn) / dn_per_magnitude)^2", "dn_per_magnitude from the table of labels"
+    return {"calibration": f"none: power = {power} / {mean}; {scales}", "min_dn": MIN_DN}
+
+
+def _assumptions(chips: list[Chip], images: list[MeasuredImage], mirrored: bool) -> list[str]:
+    """What neither chips nor labels say, in words."""
+    lengths = (f"{length:.4g}" for length in (*chips[0].spacing_m, *chips[0].resolution_m))
+    assumed = [
+        f"near range is the bottom row of the published chips, and they are {'' if mirrored else 'not '}mirror images",
+        f"azimuth = {'+' if mirrored else '−'}TargetAz; the grazing angle is the measured depression",
+    ]
+    if chips[0].phase is None:
+        assumed.append("pixels are {} m × {} m, the resolution is {} m × {} m (azimuth × range)".format(*lengths))
+    if _scaled_alike(chips):
+        assumed.append("all JPEGs are scaled alike")
+    if not any(image.azimuth_std_deg for image in images):
+        assumed.append("azimuths are exact")
+    return assumed
+
+
+def _scaled_alike(chips: list[Chip]) -> bool:
+    return all(chip.step == 1 for chip in chips)
+
+
+def _view(sign: int, chip: Chip) -> View:
+    try:
+        return View((sign * chip.target_az_deg) % 360, chip.grazing_deg)
+    except SarsplatError as error:
+        raise SarsplatError(f"{chip.name}: {error}") from error
