@@ -31,7 +31,7 @@ from sarsplat.baselines.trainer import BaselineTrainer, scene_of
 from sarsplat.data import read_masks, write_bytes, write_json
 from sarsplat.data.mesh import write_mesh
 from sarsplat.errors import SarsplatError
-from sarsplat.reconstruction.any_run import AnyRun, InMemory
+from sarsplat.reconstruction.run import Run, InMemory
 from sarsplat.reconstruction.config import OURS
 from sarsplat.reconstruction.loop import Step
 from sarsplat.reconstruction.training import fitting
@@ -132,7 +132,7 @@ class Bench:
         chosen = sorted({*range(len(self.dataset))} - {*self.tests} | {*self.tests[::4]})
         return replace(self.dataset.take(chosen), truth_mesh=None)
 
-    def scores(self, run: AnyRun[Any], *, fewer: bool = False) -> dict[str, Any]:
+    def scores(self, run: Run, *, fewer: bool = False) -> dict[str, Any]:
         """Everything that `evaluate` says; of chips, the surface is held against the procedural model, aligned.
 
         With `fewer`, only what it says of images.
@@ -191,7 +191,7 @@ class _Watch:
     Time is that of one core: cells have one thread, and whatever else runs on the machine does not count.
     """
 
-    def __init__(self, cell: BaselineCell, bench: Bench, new: AnyRun[Any]) -> None:
+    def __init__(self, cell: BaselineCell, bench: Bench, new: Run) -> None:
         self._left, self._bench, self._new = sorted(cell.curve), bench, new
         self._begun, self._spent, self.trained_s = time.process_time(), 0.0, 0.0
         self.points: list[dict[str, Any]] = []
@@ -213,7 +213,7 @@ class _Watch:
         self._spent += time.process_time() - begun
 
 
-def _ours(cell: BaselineCell, bench: Bench) -> tuple[AnyRun[Any], _Watch]:
+def _ours(cell: BaselineCell, bench: Bench) -> tuple[Run, _Watch]:
     config = replace(fitting("auto", bench.dataset), seed=cell.seed)
     if cell.quick:
         config = Config.from_dict(shortened(config.as_dict()))
@@ -222,7 +222,7 @@ def _ours(cell: BaselineCell, bench: Bench) -> tuple[AnyRun[Any], _Watch]:
     return learned, watch
 
 
-def _baseline(cell: BaselineCell, bench: Bench) -> tuple[AnyRun[Any], _Watch]:
+def _baseline(cell: BaselineCell, bench: Bench) -> tuple[Run, _Watch]:
     method = METHODS[cell.method]
     config = replace(method.settings, seed=cell.seed, **cell.changes)
     masks = bench.masks if cell.method == "dsr" else None

@@ -31,8 +31,8 @@ ScatteringName = Literal["harmonics", "normal-lobes"]
 """The laws of `sarsplat.gaussians.SCATTERINGS`, which is not imported because that would load torch."""
 
 
-OURS = "sar-gs"
-"""The method that learns Gaussians; a run that does not say which method made it is one of these."""
+DEFAULT_METHOD = "sar-gs"
+"""The method that is meant where none is named, also by the files of old runs."""
 
 
 class AnyConfig(Record):
@@ -40,6 +40,7 @@ class AnyConfig(Record):
 
     iterations: int
     checkpoint_every: int
+    views_per_step: int
     seed: int
 
     may_change: ClassVar[tuple[str, ...]] = ("iterations", "checkpoint_every")
