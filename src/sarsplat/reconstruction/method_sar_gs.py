@@ -49,7 +49,7 @@ class SarGs(Method):
     name = DEFAULT_METHOD
     title = "sarsplat"
     settings = Config
-    takes = frozenset({"loss", "strategies"})
+    takes = frozenset({"loss"})
     watchable = True
 
     def preset(self, name: str, dataset: Dataset) -> Config:
