@@ -1,4 +1,4 @@
-"""Times that can be trusted on a busy machine: rivals run in turns, medians, and the spread beside them."""
+"""Times that can be trusted on a busy machine: contenders run in turns, medians, and the spread beside them."""
 
 from __future__ import annotations
 

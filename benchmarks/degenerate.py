@@ -46,21 +46,21 @@ def measure(quick: bool) -> dict[str, Any]:
     around = tuple(View(360.0 * k / 64, 15.0 + 30.0 * (k % 3)) for k in range(64))
     batch = replace(training_view(1000) if quick else scenes["ordinary"], views=around)
     alone = [replace(batch, views=(view,)) for view in around]
-    rivals = {"one by one": lambda: [scene.step() for scene in alone], "at once": batch.step}
-    views = in_turn(rivals, 1 if quick else 7)
+    contenders = {"one by one": lambda: [scene.step() for scene in alone], "at once": batch.step}
+    views = in_turn(contenders, 1 if quick else 7)
     ratios: dict[str, Spread] = {}
-    rivals_s: dict[str, tuple[float, float]] = {}
+    contenders_s: dict[str, tuple[float, float]] = {}
     for name, seconds in work.items():
         key = f"{name}: time / what as many blocks and Gaussians cost in the ordinary scene"
         ratios[key] = spread([sample / seconds for sample in times[name]])
-        rivals_s[key] = spent[name], seconds
+        contenders_s[key] = spent[name], seconds
     key = "64 views: at once / one by one"
     ratios[key] = ratio(views["at once"], views["one by one"])
-    rivals_s[key] = statistics.median(views["at once"]), statistics.median(views["one by one"])
+    contenders_s[key] = statistics.median(views["at once"]), statistics.median(views["one by one"])
     times |= {f"64 views {how}": samples for how, samples in views.items()}
     return {
         "ratios": ratios,
         "times": {name: spread(samples) for name, samples in times.items()},
-        "rivals_s": rivals_s,
+        "contenders_s": contenders_s,
         "blocks": count,
     }

@@ -82,7 +82,7 @@ def beside_the_ordinary(parts: dict[str, Any]) -> str:
     alone = iteration["view_s"]["one view"]
     rows = [
         *(
-            row(name.replace(" / ", " instead of "), *parts["steps"]["rivals_s"][name], found)
+            row(name.replace(" / ", " instead of "), *parts["steps"]["contenders_s"][name], found)
             for name, found in parts["steps"]["ratios"].items()
         ),
         row(
@@ -98,7 +98,7 @@ def beside_the_ordinary(parts: dict[str, Any]) -> str:
             iteration["ratios"][f"{many} / {few} Gaussians, a view alone"],
         ),
         *(
-            row(_load(load), *parts["degenerate"]["rivals_s"][load], found)
+            row(_load(load), *parts["degenerate"]["contenders_s"][load], found)
             for load, found in parts["degenerate"]["ratios"].items()
         ),
     ]

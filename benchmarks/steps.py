@@ -52,17 +52,17 @@ def measure(quick: bool) -> dict[str, Any]:
     count, repeats = (1000, 3) if quick else (COUNT, 60)
     views = tuple(view for view, _ in paper_views()[24:32])
     scenes = {"one view": training_view(count), "8 views": Scene(halfway(count).target(3), views, paper_grid())}
-    found: dict[str, Any] = {"ratios": {}, "times": {}, "rivals_s": {}}
+    found: dict[str, Any] = {"ratios": {}, "times": {}, "contenders_s": {}}
     for load, scene in scenes.items():
-        rivals = {
+        contenders = {
             f"`project`, `attenuate`, `splat` / `render`: {load}": {"chain": chain(scene), "render": scene.step},
             f"`splat` of {CHANNELS} channels / one: {load}": {
                 f"C = {channels}": splatting(scene, channels) for channels in (CHANNELS, 1)
             },
         }
-        for name, programs in rivals.items():
+        for name, programs in contenders.items():
             samples = in_turn(programs, repeats)
             found["ratios"][name] = ratio(*samples.values())
-            found["rivals_s"][name] = [spread(seconds) for seconds in samples.values()]
+            found["contenders_s"][name] = [spread(seconds) for seconds in samples.values()]
             found["times"] |= {f"{who}, {load}": spread(seconds) for who, seconds in samples.items()}
     return found

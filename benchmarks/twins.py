@@ -64,13 +64,13 @@ def adams(count: int) -> dict[str, Any]:
 def measure(quick: bool) -> dict[str, Any]:
     """Torch's time over the engine's."""
     count, many, repeats = (1000, 2, 3) if quick else (COUNT, 8, 20)
-    rivals = {
+    contenders = {
         "L1 with gradient, one view": losses(1, 0.0),
         "L1 + SSIM with gradient, one view": losses(1, SSIM_WEIGHT),
         f"L1 + SSIM with gradient, {many} views": losses(many, SSIM_WEIGHT),
         f"Adam and bounds, {count:,} Gaussians": adams(count),
     }
-    times = {name: in_turn(programs, repeats) for name, programs in rivals.items()}
+    times = {name: in_turn(programs, repeats) for name, programs in contenders.items()}
     return {
         "ratios": {f"{name}: torch / engine": ratio(found["torch"], found["engine"]) for name, found in times.items()},
         "times": {f"{name}: {who}": spread(samples) for name, found in times.items() for who, samples in found.items()},

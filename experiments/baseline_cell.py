@@ -20,21 +20,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cell import digest, shortened
+import torch
+from cell import digest
 from code_version import code_version
 from filelock import FileLock
 
-from sarsplat import Config, Dataset, Run, evaluate_run, import_mstar, read_dataset, reconstruct, target_mesh
-from sarsplat.baselines import METHODS, BaselineRun, reconstruct_with
-from sarsplat.baselines.config import BaselineConfig
-from sarsplat.baselines.trainer import BaselineTrainer, scene_of
-from sarsplat.data import read_masks, write_bytes, write_json
+from sarsplat import Dataset, Run, evaluate_run, import_mstar, read_dataset, reconstruct, target_mesh
+from sarsplat.data import write_bytes, write_json
 from sarsplat.data.mesh import write_mesh
 from sarsplat.errors import SarsplatError
-from sarsplat.reconstruction.any_run import AnyRun, InMemory
-from sarsplat.reconstruction.config import OURS
-from sarsplat.reconstruction.loop import Step
-from sarsplat.reconstruction.training import fitting
+from sarsplat.reconstruction import METHODS, Inputs, Step
+from sarsplat.reconstruction.run import InMemory
 
 _TIMED_SHARE = 0.05
 """Share of a time in which steps are timed, to say how many fit into the whole; three at least, after the first."""
@@ -68,17 +64,15 @@ class BaselineCell:
     images : Images
         What is learned from and predicted.
     method : str
-        `sar-gs`, which is trained as `sarsplat reconstruct` does it, or one of `METHODS`.
+        One of `METHODS`.
     changes : mapping
-        Settings of a baseline that differ from its defaults.
+        Settings that differ from its defaults.
     seconds : float or None
-        How long a baseline may train; None: as long as its settings say.
+        How long it may train; None: as long as its settings say.
     seed : int
         Of the training.
     curve : tuple of float
         Seconds of training after which it is scored on the way, on a quarter of the test images.
-    quick : bool
-        Whether it only shows that everything works: ours is then trained for few iterations.
     """
 
     images: Images
@@ -87,7 +81,6 @@ class BaselineCell:
     seconds: float | None = None
     seed: int = 0
     curve: tuple[float, ...] = ()
-    quick: bool = False
 
     def path(self, work: Path, code: str) -> Path:
         """Where its scores are kept."""
@@ -132,13 +125,13 @@ class Bench:
         chosen = sorted({*range(len(self.dataset))} - {*self.tests} | {*self.tests[::4]})
         return replace(self.dataset.take(chosen), truth_mesh=None)
 
-    def scores(self, run: AnyRun[Any], *, fewer: bool = False) -> dict[str, Any]:
+    def scores(self, run: Run, *, fewer: bool = False) -> dict[str, Any]:
         """Everything that `evaluate` says; of chips, the surface is held against the procedural model, aligned.
 
         With `fewer`, only what it says of images.
         """
-        if fewer and run.memory is not None:
-            run = replace(run, memory=replace(run.memory, dataset=self.fewer))
+        if fewer:
+            run = replace(run, images=self.fewer)
         if fewer or not self.images.chips:
             return evaluate_run(run, quiet=True)
         model = self.work / "datasets" / f"{self.images.chips['target_class'].lower()}.ply"
@@ -155,7 +148,12 @@ def run(cell: BaselineCell, work: Path) -> Path:
     if path.is_file():
         return path
     bench = Bench(cell.images, work, code)
-    learned, watch = (_ours if cell.method == OURS else _baseline)(cell, bench)
+    config = replace(METHODS[cell.method].preset("auto", bench.dataset), seed=cell.seed, **cell.changes)
+    if cell.seconds is not None:
+        config = replace(config, iterations=min(config.iterations, _fitting_in(cell.seconds, cell, config, bench)))
+    watch = _Watch(cell, bench, Run(cell.method, config, ""))
+    masks = _inputs(cell, bench).masks
+    learned = reconstruct(bench.dataset, config, method=cell.method, masks=masks, on_step=watch, quiet=True)
     found = bench.scores(learned)
     if code_version() != code:
         raise SarsplatError("the package's sources changed while a cell was running; run it again")
@@ -191,7 +189,7 @@ class _Watch:
     Time is that of one core: cells have one thread, and whatever else runs on the machine does not count.
     """
 
-    def __init__(self, cell: BaselineCell, bench: Bench, new: AnyRun[Any]) -> None:
+    def __init__(self, cell: BaselineCell, bench: Bench, new: Run) -> None:
         self._left, self._bench, self._new = sorted(cell.curve), bench, new
         self._begun, self._spent, self.trained_s = time.process_time(), 0.0, 0.0
         self.points: list[dict[str, Any]] = []
@@ -206,37 +204,21 @@ class _Watch:
             return
         self._left = [later for later in self._left if later > seconds]
         begun = time.process_time()
-        held = InMemory(self._bench.dataset, step.trainer.snapshot(seconds), ())
+        held = InMemory(step.trainer.snapshot(seconds), ())
         found = self._bench.scores(replace(self._new, memory=held), fewer=True)
         kept = {name: found[name] for name in ("images", "points")}
         self.points.append({"seconds": seconds, "iterations": step.iteration, **kept})
         self._spent += time.process_time() - begun
 
 
-def _ours(cell: BaselineCell, bench: Bench) -> tuple[AnyRun[Any], _Watch]:
-    config = replace(fitting("auto", bench.dataset), seed=cell.seed)
-    if cell.quick:
-        config = Config.from_dict(shortened(config.as_dict()))
-    watch = _Watch(cell, bench, Run(config, ""))
-    learned = reconstruct(bench.dataset, config, on_step=watch, quiet=True)
-    return learned, watch
+def _inputs(cell: BaselineCell, bench: Bench) -> Inputs:
+    """Masks, for a method that learns from them."""
+    return Inputs(masks=bench.masks if "masks" in METHODS[cell.method].takes else None)
 
 
-def _baseline(cell: BaselineCell, bench: Bench) -> tuple[AnyRun[Any], _Watch]:
-    method = METHODS[cell.method]
-    config = replace(method.settings, seed=cell.seed, **cell.changes)
-    masks = bench.masks if cell.method == "dsr" else None
-    if cell.seconds is not None:
-        config = replace(config, iterations=min(config.iterations, _fitting_in(cell.seconds, cell, config, bench)))
-    watch = _Watch(cell, bench, BaselineRun(config, "", name=cell.method))
-    learned = reconstruct_with(cell.method, bench.dataset, config, masks=masks, on_step=watch, quiet=True)
-    return learned, watch
-
-
-def _fitting_in(seconds: float, cell: BaselineCell, config: BaselineConfig, bench: Bench) -> int:
+def _fitting_in(seconds: float, cell: BaselineCell, config: Any, bench: Bench) -> int:
     """Steps that fit into so many seconds; the learning rate then falls within them."""
-    masks = np.stack([*read_masks(bench.masks, bench.dataset, ("train",)).values()]) if cell.method == "dsr" else None
-    trainer = BaselineTrainer(bench.dataset, METHODS[cell.method], config, scene_of(bench.dataset, masks))
+    trainer = METHODS[cell.method].trainer(bench.dataset, config, _inputs(cell, bench), torch.device("cpu"), None)
     took: list[float] = []
     while len(took) < 4 or sum(took) < _TIMED_SHARE * seconds:
         begun = time.process_time()

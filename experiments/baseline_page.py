@@ -117,8 +117,8 @@ def _row(bout: Bout, comparison: Comparison) -> dict[str, Any] | None:
     if not found:
         return None
     scores = [scores_of(one) for one in found]
-    budget = "" if bout.contender.method == "sar-gs" else ", in our time" if bout.equal else ", full"
-    if bout.contender.seconds is not None and not bout.equal and not bout.cells[0].quick:
+    budget = "" if bout.contender.reference else ", in our time" if bout.equal else ", full"
+    if bout.cells[0].seconds is not None and not bout.equal:
         budget = f", stopped after {bout.contender.seconds / 60:.0f} min"
     return {
         "name": bout.contender.title + budget,

@@ -5,8 +5,8 @@
 Vehicles are simulated; measured chips are taken if their folders are given. Every training has one thread, and its time
 is that of one core, so that times compare whatever else runs. Tables and pictures go to docs/results/baselines.md, or
 with --quick, which only shows that everything works, to runs/baselines/quick. Finished trainings stay in
-runs/baselines and beside the page, in baselines-runs.csv: end it at any time and start it again, here or, with the
-same code, on another machine.
+runs/baselines and beside the page, in baselines-runs.csv: end it at any time and start it again, here or, with the same
+code, on another machine.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ from baseline_runs import read_runs
 from code_version import code_version
 
 from sarsplat.errors import SarsplatError
-from sarsplat.reconstruction.config import OURS
 
 HERE = Path(__file__).resolve().parent.parent
 VEHICLES = ("t72", "btr70", "kraz")
@@ -56,29 +55,39 @@ class Contender:
         Its name.
     changes : mapping
         Settings that differ from its defaults.
+    few : mapping
+        Settings that only show that everything works.
     seconds : float or None
         All it is given; None: as long as its settings say.
     everywhere : bool
         Whether it is done on all sets, or only where curves are drawn.
     slow : bool
         Whether an image takes it seconds: it is done last, once, and on simulated images, of which there are few.
+    reference : bool
+        Whether the others are also done in its time.
     """
 
     title: str
     method: str
+    few: Mapping[str, Any]
     changes: Mapping[str, Any] = field(default_factory=dict)
     seconds: float | None = None
     everywhere: bool = True
     slow: bool = False
+    reference: bool = False
 
+
+_FEW = {"iterations": 3, "surface_voxels": 24}
 
 CONTENDERS = (
-    Contender("sarsplat", OURS),
-    Contender("SAR-NeRF on a grid, sound", "sar-nerf-grid"),
-    Contender("SAR-NeRF on a grid, published equations", "sar-nerf-grid", {"mode": "published"}, everywhere=False),
-    Contender("DSR", "dsr"),
-    Contender("SAR-NeRF, published", "sar-nerf", {}, _PERCEPTRON_S, everywhere=False, slow=True),
-    Contender("SAR-NeRF, sound", "sar-nerf", {"mode": "sound"}, _PERCEPTRON_S, everywhere=False, slow=True),
+    Contender("sarsplat", "sar-gs", {"iterations": 60, "gaussians": 500}, reference=True),
+    Contender("SAR-NeRF on a grid, sound", "sar-nerf-grid", _FEW),
+    Contender(
+        "SAR-NeRF on a grid, published equations", "sar-nerf-grid", _FEW, {"mode": "published"}, everywhere=False
+    ),
+    Contender("DSR", "dsr", {"iterations": 3}),
+    Contender("SAR-NeRF, published", "sar-nerf", _FEW, {}, _PERCEPTRON_S, everywhere=False, slow=True),
+    Contender("SAR-NeRF, sound", "sar-nerf", _FEW, {"mode": "sound"}, _PERCEPTRON_S, everywhere=False, slow=True),
 )
 
 
@@ -93,7 +102,7 @@ class Bout:
 
 
 class Comparison:
-    """All cells of all sets; those in our time are known once ours are finished."""
+    """All cells of all sets; those in our time are known once the first contender's are finished."""
 
     def __init__(
         self, sets: Sequence[Images], curves: Sequence[str], seeds: Sequence[int], work: Path, out: Path, small: bool
@@ -109,7 +118,7 @@ class Comparison:
                 continue
             seeds = self.seeds[:1] if contender.slow else self.seeds
             full = tuple(self._cell(images, contender, seed) for seed in seeds)
-            if contender.method == OURS:
+            if contender.reference:
                 first = self.read(full[0])
             elif first is not None:
                 cells = tuple(replace(cell, seconds=round(first["time_s"], 1), curve=()) for cell in full)
@@ -119,9 +128,7 @@ class Comparison:
     def _cell(self, images: Images, contender: Contender, seed: int) -> BaselineCell:
         curve = _CURVE if images.name in self._curves and seed == self.seeds[0] and not contender.slow else ()
         if self._small:  # it only shows that everything works
-            few = {"iterations": 3} | ({} if contender.method == "dsr" else {"surface_voxels": 24})
-            small = {} if contender.method == OURS else {**contender.changes, **few}
-            return BaselineCell(images, contender.method, small, None, seed, curve[:1], quick=True)
+            return BaselineCell(images, contender.method, {**contender.changes, **contender.few}, None, seed, curve[:1])
         return BaselineCell(images, contender.method, contender.changes, contender.seconds, seed, curve)
 
     def read(self, cell: BaselineCell) -> dict[str, Any] | None:
@@ -146,7 +153,7 @@ class Comparison:
                     for images in self.sets
                     for bout in self.bouts(images)
                     for cell in bout.cells
-                    if (cell.seed, cell.method == OURS, bout.contender.slow) == (seed, ours, slow)
+                    if (cell.seed, bout.contender.reference, bout.contender.slow) == (seed, ours, slow)
                     and self.read(cell) is None
                 ]
                 futures = [pool.submit(self._run, cell, what, failed) for cell, what in todo]

@@ -115,14 +115,14 @@ def run(cell: Cell, work: Path) -> Path:
     """
     from sarsplat import evaluate_run, reconstruct
     from sarsplat.data import write_json
-    from sarsplat.reconstruction.training import fitting
+    from sarsplat.reconstruction import METHODS
 
     code, begun = code_version(), time.monotonic()
     path = cell.path(work, code)
     if path.is_file():
         return path
     dataset = _dataset(cell.dataset, work, code)
-    config = cell.config(fitting(cell.preset, dataset))
+    config = cell.config(METHODS["sar-gs"].preset(cell.preset, dataset))
     trained = reconstruct(dataset, config, quiet=True)
     metrics = evaluate_run(trained)
     if code_version() != code:

@@ -95,11 +95,11 @@ def made_up() -> dict[str, dict]:
         },
         "steps": {
             "ratios": {"`splat` of 4 channels / one: one view": spread(1.4)},
-            "rivals_s": {"`splat` of 4 channels / one: one view": [spread(0.0014), spread(0.001)]},
+            "contenders_s": {"`splat` of 4 channels / one: one view": [spread(0.0014), spread(0.001)]},
         },
         "degenerate": {
             "ratios": {"64 views: at once / one by one": spread(0.7)},
-            "rivals_s": {"64 views: at once / one by one": [0.07, 0.1]},
+            "contenders_s": {"64 views: at once / one by one": [0.07, 0.1]},
         },
         "growth": {
             "slopes": {"gaussians": 1.02, "pixels": 0.98},
@@ -173,7 +173,7 @@ def test_every_ratio_stands_beside_its_times(generator):
 
 def test_the_page_speaks_plainly(generator):
     text = generator.section(made_up(), [DEVICE])
-    assert not [word for word in ("rival", "floor", "lane", "naive ", "twin", "degenerate") if word in text.lower()]
+    assert not [word for word in ("contender", "floor", "lane", "naive ", "twin", "degenerate") if word in text.lower()]
 
 
 def test_the_section_has_a_table_of_every_gpu(generator):

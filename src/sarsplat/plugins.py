@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping
-from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
 from pkgutil import iter_modules
 from typing import Any
 
@@ -80,7 +80,8 @@ def discover(package: str, prefix: str, attribute: str, group: str, *more_packag
     """
     entries: dict[str, EntryPoint] = {}
     for home in (package, *more_packages):
-        for info in iter_modules(import_module(home).__path__):
+        spec = find_spec(home)
+        for info in iter_modules((spec and spec.submodule_search_locations) or ()):
             if info.name.startswith(prefix):
                 name = info.name.removeprefix(prefix).replace("_", "-")
                 entries[name] = EntryPoint(name, f"{home}.{info.name}:{attribute}", group)

@@ -7,9 +7,8 @@ import pytest
 import torch
 
 from sarsplat.baselines.baseline import Scene
-from sarsplat.baselines.dsr import Dsr
-from sarsplat.baselines.dsr_config import DSR, DsrConfig
 from sarsplat.baselines.mesh_renderer import Layers, MeshRenderer
+from sarsplat.baselines.method_dsr import Dsr, DsrConfig
 from sarsplat.baselines.regularity import flatten_loss, iou_loss, laplacian_loss
 from sarsplat.baselines.template import icosphere
 from sarsplat.errors import SarsplatError
@@ -20,7 +19,7 @@ VIEWS = tuple(View(azimuth, 35) for azimuth in (10, 100, 190, 280))
 LOW, HIGH = np.array([-0.9, -0.6, 0.0]), np.array([1.3, 0.6, 1.8])
 BALL = np.array([0.2, 0, 0.7])
 UNIT = 0.05  # the ground's power
-BRISK = replace(DSR, iterations=30, learning_rate=0.03, sigma=1e-4, laplacian=1.0)
+BRISK = replace(DsrConfig(), iterations=30, learning_rate=0.03, sigma=1e-4, laplacian=1.0)
 """Few and large steps, for large pixels."""
 SHARP = MeshRenderer(GRID, 0.05, 0.05)
 
@@ -100,7 +99,7 @@ def test_the_number_of_threads_changes_no_bit(scene_and_images):
 
 def test_without_masks_one_sentence_says_what_to_do(scene_and_images):
     with pytest.raises(SarsplatError, match="which were not given; give their folder with --masks"):
-        Dsr(replace(scene_and_images[0], masks=None), DSR)
+        Dsr(replace(scene_and_images[0], masks=None), DsrConfig())
 
 
 @pytest.mark.parametrize(
@@ -113,7 +112,7 @@ def test_without_masks_one_sentence_says_what_to_do(scene_and_images):
 )
 def test_masks_that_do_not_fit_are_refused(scene_and_images, masks, message):
     with pytest.raises(SarsplatError, match=message):
-        Dsr(replace(scene_and_images[0], masks=masks), DSR)
+        Dsr(replace(scene_and_images[0], masks=masks), DsrConfig())
 
 
 def test_another_template(scene_and_images):
@@ -145,13 +144,13 @@ def test_regularity_against_closed_forms_and_finite_differences():
 
 def test_images_without_ground_are_dark_around_the_target(scene_and_images):
     scene, _ = scene_and_images
-    model = Dsr(replace(scene, ground=False), DSR)
+    model = Dsr(replace(scene, ground=False), DsrConfig())
     assert not model.image(VIEWS[0])[0].any()  # nothing but the target's own return
     assert [name for name, _ in model.named_parameters()] == ["moved", "log_gamma0"]
 
 
 def test_settings_that_make_no_sense_are_refused():
     with pytest.raises(SarsplatError, match="vertices is 641; it must be one of 642, 1352"):
-        replace(DSR, vertices=641)
+        replace(DsrConfig(), vertices=641)
     with pytest.raises(SarsplatError, match=r"betas is .*; it must be 2 values, each a number from 0 to 0\.9999"):
-        replace(DSR, betas=(0.5, 1.5))
+        replace(DsrConfig(), betas=(0.5, 1.5))

@@ -14,11 +14,11 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from sarsplat import Dataset, Run, SarsplatError, View, evaluate_run, write_report
-from sarsplat.baselines import METHODS, BaselineRun, open_run, reconstruct_with
+from sarsplat import Dataset, Run, SarsplatError, View, evaluate_run, reconstruct, write_report
 from sarsplat.cli.app import run as command
 from sarsplat.data import read_points_ply, write_points_ply
 from sarsplat.evaluation.points import surface_distance
+from sarsplat.reconstruction import METHODS
 from scoring import few_samples
 
 SHORT = {"sar-nerf": 2, "sar-nerf-grid": 12, "dsr": 6}
@@ -32,14 +32,14 @@ def quick() -> Iterator[None]:
 
 
 def short(method: str):
-    settings = METHODS[method].settings
+    settings = METHODS[method].defaults
     coarse = {"surface_voxels": 24} if hasattr(settings, "surface_voxels") else {}
     return replace(settings, iterations=SHORT[method], checkpoint_every=max(1, SHORT[method] // 3), **coarse)
 
 
-def trained(method: str, dataset: Dataset, out: Path | None = None, **options) -> BaselineRun:
+def trained(method: str, dataset: Dataset, out: Path | None = None, **options) -> Run:
     masks = dataset.path / "masks" if method == "dsr" and not options.get("resume") else None
-    return reconstruct_with(method, dataset, short(method), out, masks=masks, device="cpu", quiet=True, **options)
+    return reconstruct(dataset, short(method), out, method=method, masks=masks, device="cpu", quiet=True, **options)
 
 
 @pytest.fixture(scope="module")
@@ -62,12 +62,12 @@ def run_of(finished: Callable[[str], Path], tmp_path: Path) -> Callable[[str], P
 
 
 def test_every_method_is_tested():
-    assert list(SHORT) == list(METHODS)
+    assert {*SHORT, "sar-gs"} == {*METHODS}
 
 
 @EVERY
 def test_taken_up_again_it_is_what_it_would_have_been(method, dataset, tmp_path, finished):
-    whole = open_run(finished(method))
+    whole = Run.load(finished(method))
     stop = SHORT[method] // 2
 
     def leave(step):
@@ -76,7 +76,7 @@ def test_taken_up_again_it_is_what_it_would_have_been(method, dataset, tmp_path,
 
     with pytest.raises(KeyboardInterrupt):
         trained(method, dataset, tmp_path / "run", on_step=leave)
-    assert open_run(tmp_path / "run").iteration == stop
+    assert Run.load(tmp_path / "run").iteration == stop
     resumed = trained(method, dataset, tmp_path / "run", resume=True)
     assert resumed.iteration == SHORT[method]
     assert resumed.snapshot.tensors.keys() == whole.snapshot.tensors.keys()
@@ -87,7 +87,7 @@ def test_taken_up_again_it_is_what_it_would_have_been(method, dataset, tmp_path,
 
 @EVERY
 def test_a_seed_is_a_result(method, dataset, finished):
-    first, again = open_run(finished(method)).snapshot.tensors, trained(method, dataset).snapshot.tensors
+    first, again = Run.load(finished(method)).snapshot.tensors, trained(method, dataset).snapshot.tensors
     assert first.keys() == again.keys()
     assert all(torch.equal(tensor, again[name]) for name, tensor in first.items())
 
@@ -95,8 +95,7 @@ def test_a_seed_is_a_result(method, dataset, finished):
 @EVERY
 def test_its_run_is_rendered_scored_and_shown(method, tmp_path, run_of):
     run_of(method)
-    run = open_run(tmp_path / "run")
-    assert isinstance(run, BaselineRun)
+    run = Run.load(tmp_path / "run")
     assert run.method == method
     assert run.render([View(10, 40), View(200, 60)]).shape == (2, 28, 24)
     assert set(np.unique(run.masks([View(10, 40)]))) <= {0, 1, 2}
@@ -121,9 +120,8 @@ def test_its_run_is_rendered_scored_and_shown(method, tmp_path, run_of):
 def test_a_box_on_the_ground_is_found(method, quick, most, most_m, dataset):
     """In unseen images, of cells of 0.3 m, and as a surface; the perceptron would take hours."""
     masks = dataset.path / "masks" if method == "dsr" else None
-    run = reconstruct_with(
-        method, dataset, replace(METHODS[method].settings, **quick), masks=masks, device="cpu", quiet=True
-    )
+    settings = replace(METHODS[method].defaults, **quick)
+    run = reconstruct(dataset, settings, method=method, masks=masks, device="cpu", quiet=True)
     test = dataset.select("test")
     true = np.sqrt(test.power)
     assert np.square(np.sqrt(run.render(test.views)) - true).sum() < most * np.square(true).sum()
@@ -131,8 +129,8 @@ def test_a_box_on_the_ground_is_found(method, quick, most, most_m, dataset):
 
 
 def test_points_lie_on_what_the_radar_sees(run_of):
-    run = open_run(run_of("dsr"))
-    surface = run.surface
+    run = Run.load(run_of("dsr"))
+    surface = run.mesh()
     assert len(run.points) > 200
     assert surface_distance(run.points, np.asarray(surface.triangles)).max() < 1e-4
     _, face = cKDTree(surface.triangles_center).query(run.points)
@@ -145,24 +143,23 @@ def test_points_lie_on_what_the_radar_sees(run_of):
 
 def test_a_method_is_not_taken_for_another(dataset, tmp_path, run_of):
     run_of("sar-nerf-grid")
-    with pytest.raises(SarsplatError, match="by the method 'sar-nerf-grid', which learned no Gaussians"):
-        Run.load(tmp_path / "run")
+    assert Run.load(tmp_path / "run").gaussians is None
     with pytest.raises(SarsplatError, match="was started with the method sar-nerf-grid, not dsr; resume it with that"):
         trained("dsr", dataset, tmp_path / "run", resume=True)
     header = tmp_path / "run" / "config.json"
     header.write_text(json.dumps({**json.loads(header.read_text()), "method": "magic"}))
-    with pytest.raises(SarsplatError, match="by the method 'magic'; give one by sar-nerf"):
-        open_run(tmp_path / "run")
+    with pytest.raises(SarsplatError, match="by the method 'magic'; give one by sar-gs, "):
+        Run.load(tmp_path / "run")
     assert command(["reconstruct", str(dataset.path), "--out", str(tmp_path / "run"), "--resume"]) == 2
-    with pytest.raises(SarsplatError, match="there is no method 'magic'; choose one of sar-nerf, sar-nerf-grid, dsr"):
-        reconstruct_with("magic", dataset)
+    with pytest.raises(SarsplatError, match="there is no method 'magic'; choose one of sar-gs, "):
+        reconstruct(dataset, method="magic")
 
 
 def test_settings_must_be_those_of_the_run(dataset, tmp_path, run_of):
     run_of("sar-nerf-grid")
     other = replace(short("sar-nerf-grid"), degree=1)
     with pytest.raises(SarsplatError, match="was started with degree 2, not 1; resume it with the same settings"):
-        reconstruct_with("sar-nerf-grid", dataset, other, tmp_path / "run", resume=True, quiet=True)
+        reconstruct(dataset, other, tmp_path / "run", method="sar-nerf-grid", resume=True, quiet=True)
 
 
 @pytest.mark.parametrize(
@@ -183,7 +180,7 @@ def test_a_damaged_checkpoint_is_refused_before_anything_is_lost(name, change, d
     from sarsplat.data import load_checkpoint, save_checkpoint
 
     run_of("dsr")
-    path = open_run(tmp_path / "run").checkpoint_path
+    path = Run.load(tmp_path / "run").checkpoint_path
     assert path is not None
     tensors, state = load_checkpoint(path)
     damaged = tensors.pop(name)
@@ -193,7 +190,7 @@ def test_a_damaged_checkpoint_is_refused_before_anything_is_lost(name, change, d
     assert (tmp_path / "run" / "points.ply").is_file()
     if not name.startswith("optimiser"):
         with pytest.raises(SarsplatError, match="does not hold a whole model"):
-            open_run(tmp_path / "run").render([View(0, 30)])
+            Run.load(tmp_path / "run").render([View(0, 30)])
 
 
 def test_a_run_that_lost_its_checkpoints_takes_masks_again(dataset, tmp_path, run_of):
@@ -201,34 +198,36 @@ def test_a_run_that_lost_its_checkpoints_takes_masks_again(dataset, tmp_path, ru
     for path in (tmp_path / "run" / "checkpoints").iterdir():
         path.unlink()
     with pytest.raises(SarsplatError, match=r"^.*run holds no checkpoint; "):
-        open_run(tmp_path / "run").render([View(0, 30)])
-    run = reconstruct_with(
-        "dsr", dataset, None, tmp_path / "run", masks=dataset.path / "masks", resume=True, quiet=True
-    )
+        Run.load(tmp_path / "run").render([View(0, 30)])
+    words = {"method": "dsr", "masks": dataset.path / "masks", "resume": True, "quiet": True}
+    run = reconstruct(dataset, out=tmp_path / "run", **words)
     assert run.iteration == SHORT["dsr"]
     with pytest.raises(SarsplatError, match="keeps the masks it was started with"):
-        reconstruct_with("dsr", dataset, None, tmp_path / "run", masks=dataset.path / "masks", resume=True, quiet=True)
+        reconstruct(dataset, out=tmp_path / "run", **words)
 
 
 def test_what_the_surface_is_made_of_is_kept(tmp_path, run_of):
     run_of("dsr")
-    kept, anew = open_run(tmp_path / "run"), open_run(tmp_path / "run")
-    before = kept.surface.vertices
+    kept, anew = Run.load(tmp_path / "run"), Run.load(tmp_path / "run")
+    before = kept.mesh().vertices
     (tmp_path / "run" / "mesh.ply").unlink()
-    np.testing.assert_allclose(before, anew.surface.vertices, atol=1e-5)
+    np.testing.assert_allclose(before, anew.mesh().vertices, atol=1e-5)
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"config": METHODS["dsr"].settings}, "the settings are a DsrConfig; sar-nerf-grid takes a SarNerfGridConfig"),
-        ({"masks": "masks"}, "sar-nerf-grid does not learn from masks, so leave out the masks masks"),
+        ({"preset": METHODS["dsr"].defaults}, "the settings are a DsrConfig; sar-nerf-grid takes a SarNerfGridConfig"),
+        ({"masks": "masks"}, "sar-nerf-grid uses no masks; omit 'masks', or choose a method that does"),
+        ({"preset": "paper"}, "sar-nerf-grid has no presets, so 'paper' is unknown"),
+        ({"loss": len}, "sar-nerf-grid uses no loss; omit "),
+        ({"strategies": [1]}, r"sar-nerf-grid uses no strategies; omit \(1,\)"),
         ({"out": "run", "resume": False, "overwrite": True, "device": "gpu"}, "device 'gpu' is unknown"),
     ],
 )
 def test_arguments_that_do_not_fit_are_refused(arguments, message, dataset):
     with pytest.raises(SarsplatError, match=message):
-        reconstruct_with("sar-nerf-grid", dataset, quiet=True, **arguments)
+        reconstruct(dataset, method="sar-nerf-grid", quiet=True, **arguments)
 
 
 @pytest.mark.parametrize("part", ["model", "scene", "optimiser"])
@@ -236,14 +235,14 @@ def test_a_checkpoint_of_something_else_is_refused(part, dataset, tmp_path, run_
     from sarsplat.data import load_checkpoint, save_checkpoint
 
     run_of("sar-nerf-grid")
-    path = open_run(tmp_path / "run").checkpoint_path
+    path = Run.load(tmp_path / "run").checkpoint_path
     assert path is not None
     tensors, state = load_checkpoint(path)
     kept = {name: tensor for name, tensor in tensors.items() if not name.startswith(f"{part}/")}
     save_checkpoint(path, kept, state)
     if part != "optimiser":
         with pytest.raises(SarsplatError, match="does not hold a whole model"):
-            open_run(tmp_path / "run").render([View(0, 30)])
+            Run.load(tmp_path / "run").render([View(0, 30)])
     with pytest.raises(SarsplatError, match=r"does not match this version|does not hold a whole model"):
         trained("sar-nerf-grid", dataset, tmp_path / "run", resume=True)
 
@@ -260,9 +259,9 @@ def test_the_command_line_trains_and_goes_on(dataset, tmp_path, capsys):
     words = ["reconstruct", str(dataset.path), "--out", out]
     masks = ["--masks", str(dataset.path / "masks")]
     assert command([*words, "--method", "dsr", *masks, "--iterations", "3", "--seed", "5"]) == 0
-    assert (open_run(out).iteration, open_run(out).seed) == (3, 5)
+    assert (Run.load(out).iteration, Run.load(out).seed) == (3, 5)
     assert command([*words, "--resume", "--iterations", "5"]) == 0
-    assert open_run(out).iteration == 5
+    assert Run.load(out).iteration == 5
     for arguments in (["render", out, "--out", f"{out}-images", "--azimuth", "5", "--grazing", "30"], ["info", out]):
         assert command(arguments) == 0
     assert command(["export", out, f"{out}.glb"]) == 0
@@ -275,12 +274,14 @@ def test_the_command_line_trains_and_goes_on(dataset, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--method", "dsr", "--gaussians", "100"], "--gaussians is a setting of sar-gs and has no effect with dsr"),
-        (["--method", "sar-nerf", "--rates.means", "0.1"], "--rates.means is a setting of sar-gs"),
-        (["--masks", "masks"], "is for methods that learn from masks; sar-gs does not"),
+        (["--method", "dsr", "--gaussians", "100"], "--gaussians is not a setting of dsr; see its settings"),
+        (["--method", "sar-nerf", "--rates.means", "0.1"], "--rates.means is not a setting of sar-nerf; "),
+        (["--masks", "masks"], "sar-gs uses no masks; omit 'masks'"),
         (["--method", "magic"], "magic"),
         (["--method", "dsr", "--masks", "nowhere"], "nowhere is no folder; give one that holds a mask for each image"),
-        (["--method", "sar-nerf", "--masks", "masks"], "sar-nerf does not learn from masks"),
+        (["--method", "sar-nerf", "--masks", "masks"], "sar-nerf uses no masks; omit 'masks'"),
+        (["--method", "dsr", "--preset", "paper"], "dsr has no presets, so 'paper' is unknown"),
+        (["--method", "dsr", "--view"], "--view cannot show a training by dsr; omit it"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(options, message, dataset, tmp_path, capsys):
@@ -297,7 +298,7 @@ def test_settings_come_from_a_file(dataset, tmp_path, capsys):
     settings, file = written["config"], tmp_path / "settings.json"
     file.write_text(json.dumps({**written, "config": {**settings, "degree": 1, "iterations": 4, "surface_voxels": 24}}))
     assert command([*words, "--config", str(file), "--iterations", "3"]) == 0
-    config = open_run(tmp_path / "run").config
+    config = Run.load(tmp_path / "run").config
     assert (config.as_dict()["degree"], config.iterations) == (1, 3)
     file.write_text(json.dumps({**written, "config": {**settings, "degree": 9}}))
     assert command([*words, "--config", str(file), "--overwrite"]) == 2
@@ -323,5 +324,5 @@ def test_no_points_are_not_exported(tmp_path, capsys, run_of):
 def test_a_run_is_opened_on_a_device_that_there_is(method, tmp_path, run_of):
     run_of(method)
     with pytest.raises(SarsplatError, match="device 'gpu' is unknown; choose auto, cpu or cuda"):
-        open_run(tmp_path / "run", "gpu")
-    assert open_run(tmp_path / "run", "auto").device in ("cpu", "cuda")
+        Run.load(tmp_path / "run", "gpu")
+    assert Run.load(tmp_path / "run", "auto").device in ("cpu", "cuda")

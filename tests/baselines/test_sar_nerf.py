@@ -12,9 +12,9 @@ import torch
 from sarsplat.baselines.baseline import Scene
 from sarsplat.baselines.fields import Field, encoded
 from sarsplat.baselines.isosurface import isosurface, level_of_half
+from sarsplat.baselines.method_sar_nerf import SarNerf, SarNerfConfig, scene_boxes
+from sarsplat.baselines.method_sar_nerf_grid import SarNerfGrid, SarNerfGridConfig
 from sarsplat.baselines.rays import Rays
-from sarsplat.baselines.sar_nerf import SarNerf, scene_boxes
-from sarsplat.baselines.sar_nerf_config import SAR_NERF, SAR_NERF_GRID, SarNerfConfig
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
 
@@ -29,7 +29,7 @@ def scene(views=(VIEW,), grid=GRID, low=LOW, high=HIGH, **fields) -> Scene:
 
 
 def config(field="grid", mode="sound", **changes) -> SarNerfConfig:
-    base = SAR_NERF_GRID if field == "grid" else SAR_NERF
+    base = SarNerfGridConfig() if field == "grid" else SarNerfConfig()
     known = {name: value for name, value in changes.items() if hasattr(base, name)}  # a perceptron has no voxels
     return replace(base, mode=mode, **known)
 
@@ -51,9 +51,13 @@ class Given(Field):
         return self.functions[0](places)
 
 
+def model(what, settings) -> SarNerf:
+    return (SarNerfGrid if isinstance(settings, SarNerfGridConfig) else SarNerf)(what, settings)
+
+
 def baseline_of(attenuation, scattering, mode, what=None, **changes) -> SarNerf:
     """With these raw values; the published activations are those of the perceptron."""
-    baseline = SarNerf(scene() if what is None else what, config("grid" if mode == "sound" else "mlp", mode, **changes))
+    baseline = model(scene() if what is None else what, config("grid" if mode == "sound" else "mlp", mode, **changes))
     baseline.field = Given(attenuation, scattering)
     return baseline
 
@@ -140,7 +144,7 @@ def test_what_is_behind_lies_in_the_shadow(mode):
 def test_gradients_are_those_of_finite_differences(field, mode):
     torch.manual_seed(0)
     what = scene(grid=replace(GRID, rows=9, columns=7), looks=1.0 if mode == "sound" else None, brightest=0.7)
-    baseline = SarNerf(what, config(field, mode, rays=3, voxel=2.0, levels=2, degree=2)).double()
+    baseline = model(what, config(field, mode, rays=3, voxel=2.0, levels=2, degree=2)).double()
     chosen, images = torch.tensor([0]), torch.rand(1, 9, 7, dtype=torch.float64)
     with torch.no_grad():
         for parameter in baseline.parameters():
@@ -165,7 +169,7 @@ def test_gradients_are_those_of_finite_differences(field, mode):
 @pytest.mark.parametrize(("field", "mode"), KINDS)
 def test_parts_are_the_whole(field, mode):
     """Columns computed in parts, and again on the way back, make the same image and gradient."""
-    baseline = SarNerf(scene(), config(field, mode, rays=4)).double()
+    baseline = model(scene(), config(field, mode, rays=4)).double()
     results = []
     for at_once in (1 << 20, 100):
         baseline.field.at_once = at_once
@@ -178,10 +182,10 @@ def test_parts_are_the_whole(field, mode):
 
 def test_turning_scene_and_view_together_changes_nothing():
     """By a quarter turn counter-clockwise, x → y and y → −x: then the box stays one."""
-    baseline = SarNerf(scene(), config(degree=0, levels=2)).double()
+    baseline = model(scene(), config(degree=0, levels=2)).double()
     turned_low, turned_high = np.array([-HIGH[1], LOW[0], LOW[2]]), np.array([-LOW[1], HIGH[0], HIGH[2]])
     other_view = View(VIEW.azimuth_deg - 90.0, VIEW.grazing_deg)
-    other = SarNerf(scene([other_view], low=turned_low, high=turned_high), config(degree=0, levels=2)).double()
+    other = model(scene([other_view], low=turned_low, high=turned_high), config(degree=0, levels=2)).double()
     torch.manual_seed(0)
     with torch.no_grad():
         for mine, its in zip(baseline.field.tables, other.field.tables, strict=True):
@@ -195,7 +199,7 @@ def test_turning_scene_and_view_together_changes_nothing():
 def test_scale_changes_nothing():
     """A scene ten times as large in pixels ten times as large is the same image."""
     baselines = [
-        SarNerf(
+        model(
             scene(grid=ImageGrid(24, 18, (0.3 * k, 0.25 * k), (0.3 * k, 0.3 * k)), low=LOW * k, high=HIGH * k),
             config(field),
         ).double()
@@ -242,7 +246,7 @@ def test_positions_are_encoded_with_the_raw_input():
 @pytest.mark.parametrize("field", ["mlp", "grid"])
 def test_the_same_seed_gives_the_same_bits_and_leaves_torchs_alone(field):
     state = torch.get_rng_state()
-    images = [SarNerf(scene(), config(field, seed=seed)).image(VIEW) for seed in (5, 5, 6)]
+    images = [model(scene(), config(field, seed=seed)).image(VIEW) for seed in (5, 5, 6)]
     assert (torch.get_rng_state() == state).all()
     assert (images[0] == images[1]).all()
     assert field == "grid" or not (images[0] == images[2]).all()  # a grid starts at 0
@@ -256,7 +260,7 @@ def test_threads_change_no_bits(field):
     try:
         for count in (1, 2):
             torch.set_num_threads(count)
-            baseline = SarNerf(scene(ground=field == "grid", looks=1.0), config(field, "sound", rays=4))
+            baseline = model(scene(ground=field == "grid", looks=1.0), config(field, "sound", rays=4))
             trained(baseline, images, 2)
             many = torch.linspace(-9, 9, 100_003)  # so many that torch splits them
             results.append(
@@ -269,7 +273,7 @@ def test_threads_change_no_bits(field):
 
 def test_what_lies_outside_the_boxes_is_not_computed():
     """With ground, that is most of space: the field sees no place above the ground beside the target."""
-    baseline = SarNerf(scene(ground=True), config())
+    baseline = model(scene(ground=True), config())
     seen = []
     baseline.field.register_forward_pre_hook(lambda _, given: seen.append(given[0]))
     baseline.image(VIEW)
@@ -287,7 +291,7 @@ def test_with_ground_the_field_reaches_over_the_image():
         ground = radar_frame(VIEW)[0] * GRID.azimuth_m[column] + along * np.array([*_level(VIEW), 0.0])
         assert (low < ground).all() and (ground < high).all()
     assert low[2] < 0 < high[2]
-    assert SarNerf(scene(ground=True, looks=1.0), config()).image(VIEW).min() > 0  # the noise floor
+    assert model(scene(ground=True, looks=1.0), config()).image(VIEW).min() > 0  # the noise floor
 
 
 def test_over_ground_no_pixel_is_without_rays():
@@ -305,7 +309,7 @@ def _level(view):
 
 def test_a_box_that_no_image_shows_is_refused():
     above = np.array([0.0, 0.0, 50.0])
-    baseline = SarNerf(scene(low=LOW + above, high=HIGH + above), config())
+    baseline = model(scene(low=LOW + above, high=HIGH + above), config())
     assert baseline.image(VIEW).max() == 0
     with pytest.raises(SarsplatError, match="appears in none of the 1 training images; give the box"):
         baseline.loss(torch.tensor([0]), torch.zeros(1, GRID.rows, GRID.columns), torch.Generator())
@@ -328,7 +332,7 @@ def test_a_scene_that_is_none_is_refused(fields, message):
 
 def test_a_grid_too_large_is_refused():
     with pytest.raises(SarsplatError, match="give a larger voxel"):
-        SarNerf(scene(), config(voxel=1e-3))
+        model(scene(), config(voxel=1e-3))
 
 
 def test_speckle_alone_is_smoothed_and_the_less_the_more_is_measured():
@@ -336,7 +340,7 @@ def test_speckle_alone_is_smoothed_and_the_less_the_more_is_measured():
 
     def losses(count, weight, looks):
         what = scene([VIEW] * count, looks=looks)
-        baseline = SarNerf(what, config(levels=1, total_variation=weight)).double()
+        baseline = model(what, config(levels=1, total_variation=weight)).double()
         with torch.no_grad():
             baseline.field.tables[0][0, 2, 2, 2] = 3.0
         return baseline.loss(torch.tensor([0]), torch.ones(1, 24, 18), torch.Generator().manual_seed(0)).item()
@@ -350,8 +354,8 @@ def test_speckle_alone_is_smoothed_and_the_less_the_more_is_measured():
 @pytest.mark.parametrize(("count", "harmonics"), [(1, 1), (7, 1), (8, 4), (17, 4), (18, 9), (36, 9)])
 def test_few_speckled_images_have_few_harmonics(count, harmonics):
     views = [VIEW] * count
-    assert len(SarNerf(scene(views, looks=1.0), config(levels=1)).field.tables[0]) == 1 + harmonics
-    assert len(SarNerf(scene(views), config(levels=1)).field.tables[0]) == 10
+    assert len(model(scene(views, looks=1.0), config(levels=1)).field.tables[0]) == 1 + harmonics
+    assert len(model(scene(views), config(levels=1)).field.tables[0]) == 10
 
 
 def test_the_level_is_where_half_is_hidden():
@@ -409,7 +413,7 @@ def ball_images(mode, radius=0.9):
 def test_a_ball_is_learned(mode):
     images = ball_images(mode)
     unseen = View(100.0, 35.0)
-    baseline = SarNerf(
+    baseline = model(
         scene(VIEWS, BALL_GRID, BALL_LOW, BALL_HIGH), config("grid", mode, surface_voxels=32, iterations=150)
     )
     seen = [baseline.image(view).detach() for view in VIEWS]

@@ -37,7 +37,8 @@ def printed(words: str, capsys: pytest.CaptureFixture[str], dataset: str = "plai
     assert main(["reconstruct", dataset, "--out", "nowhere", *words.split(), "--print-config"]) == 0
     assert not Path("nowhere").exists()
     data: dict[str, Any] = json.loads(capsys.readouterr().out)
-    return data
+    assert data["method"] == "sar-gs"
+    return data["config"]
 
 
 def refused(words: str, capsys: pytest.CaptureFixture[str]) -> str:

@@ -13,11 +13,10 @@ import trimesh
 
 from datasets import FEW_POINTS, box_dataset
 from sarsplat import Dataset, ImageGrid
-from sarsplat.baselines import METHODS, reconstruct_with
 from sarsplat.data import read_gaussians_ply
 from sarsplat.errors import SarsplatError
 from sarsplat.exports import FORMATS, export, format_of
-from sarsplat.reconstruction import Run, preset, reconstruct
+from sarsplat.reconstruction import METHODS, Run, preset, reconstruct
 
 
 @pytest.fixture(scope="module")
@@ -165,8 +164,8 @@ def test_only_gaussians_have_colours_to_choose(run: Run, tmp_path: Path) -> None
 
 def test_other_methods_have_points_but_no_gaussians(dataset: Dataset, tmp_path: Path) -> None:
     method = "sar-nerf-grid"
-    settings = replace(METHODS[method].settings, iterations=2)
-    other = reconstruct_with(method, dataset, settings, device="cpu", quiet=True)
+    settings = replace(METHODS[method].preset("auto", dataset), iterations=2)
+    other = reconstruct(dataset, settings, method=method, device="cpu", quiet=True)
     other.__dict__.update(points=np.eye(3, dtype=np.float32), normals=np.eye(3, dtype=np.float32))
     for name in ("a.ply", "a.splat"):
         with pytest.raises(SarsplatError, match=r"was made by sar-nerf-grid, which learns no Gaussians; export its"):

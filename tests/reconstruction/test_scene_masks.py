@@ -9,8 +9,8 @@ import torch
 from sarsplat.gaussians import Gaussians, Harmonics, join
 from sarsplat.gaussians.ground import ground_sheet
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, View
-from sarsplat.reconstruction import Run
 from sarsplat.reconstruction.masks import scene_masks
+from sarsplat.reconstruction.method_sar_gs import GaussianReconstruction
 from sarsplat.scenes.raycast_masks import raycast_mask
 
 trimesh = pytest.importorskip("trimesh")
@@ -67,17 +67,16 @@ def test_the_ground_decides_what_is_bright() -> None:
     assert shares[1] < shares[2] < 1.5 * shares[1]
 
 
-def run_of(target: Gaussians, ground: Gaussians | None, points: np.ndarray) -> Run:
+def masks_of(target: Gaussians, ground: Gaussians | None, points: np.ndarray, views: list[View]) -> np.ndarray:
     class Model(SimpleNamespace):
         def __len__(self) -> int:
             return len(target)
 
     whole = target if ground is None else join(target, ground)
     model = Model(scene=lambda degree: whole, degree=lambda iteration: 0, as_displaced=lambda grid: grid)
-    run = object.__new__(Run)
-    vars(run).update(model=model, points=points.astype(np.float32))
-    vars(run)["snapshot"] = SimpleNamespace(grid=GRID, iteration=0)
-    return run
+    learned = object.__new__(GaussianReconstruction)
+    vars(learned).update(model=model, grid=GRID, snapshot=SimpleNamespace(iteration=0))
+    return learned.masks(views, points.astype(np.float32))
 
 
 def haze(count: int) -> Gaussians:
@@ -96,7 +95,7 @@ def test_what_lies_around_the_points_is_not_the_target() -> None:
     clean, count = scene(box())
     target, ground = clean[:count], clean[count:]
     points = join(target, haze(100)).means.numpy()
-    masks = run_of(join(target, haze(500)), ground, points).masks(VIEWS)
+    masks = masks_of(join(target, haze(500)), ground, points, VIEWS)
     for mask, view in zip(masks, VIEWS, strict=True):
         true = raycast_mask(box(), view, GRID)
         assert overlap(mask, true, TARGET) > 0.8
@@ -107,5 +106,5 @@ def test_what_lies_around_the_points_is_not_the_target() -> None:
 def test_without_points_there_is_no_target(ground: bool) -> None:
     clean, count = scene(box())
     sheet = clean[count:] if ground else None
-    masks = run_of(clean[:count], sheet, np.empty((0, 3))).masks(VIEWS[:1])
+    masks = masks_of(clean[:count], sheet, np.empty((0, 3)), VIEWS[:1])
     assert not masks[:, 4:-4, 4:-4].any()

@@ -17,7 +17,7 @@ from sarsplat.cli import main
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.reconstruction import Config, TensorBoard, preset, reconstruct
+from sarsplat.reconstruction import METHODS, Config, TensorBoard, preset, reconstruct
 
 pytest.importorskip("tensorboard")
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -116,13 +116,9 @@ def test_a_run_that_is_overwritten_keeps_its_log_until_the_new_one_is_there(data
 
 
 def test_other_methods_are_logged_too(dataset: Dataset, tmp_path: Path) -> None:
-    from sarsplat.baselines import reconstruct_with
-    from sarsplat.baselines.methods import method_named
-
-    settings = replace(method_named("sar-nerf-grid").settings, iterations=3)
-    reconstruct_with(
-        "sar-nerf-grid", dataset, settings, on_step=TensorBoard(tmp_path, dataset, test_views=0), quiet=True
-    )
+    method = "sar-nerf-grid"
+    settings = replace(METHODS[method].preset("auto", dataset), iterations=3)
+    reconstruct(dataset, settings, method=method, on_step=TensorBoard(tmp_path, dataset, test_views=0), quiet=True)
     found = read(tmp_path)
     assert steps(found, "loss") == [1, 2, 3]
     assert "learning rate/group 0" in found.Tags()["scalars"]

@@ -1,27 +1,17 @@
-"""Methods of others under one interface, to compare with ours. What needs torch is loaded when first used."""
+"""Methods of others, to compare with ours: what they share. What needs torch is loaded when first used."""
 
 from __future__ import annotations
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from sarsplat.baselines.config import BaselineConfig
-from sarsplat.baselines.methods import METHODS, Method
-
 if TYPE_CHECKING:
-    from sarsplat.baselines.baseline import Baseline, Scene
-    from sarsplat.baselines.run import BaselineRun, open_run
-    from sarsplat.baselines.training import reconstruct_with
+    from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
+    from sarsplat.baselines.method import BaselineMethod
 
-_MODULE_OF = {
-    "Baseline": "baseline",
-    "BaselineRun": "run",
-    "Scene": "baseline",
-    "open_run": "run",
-    "reconstruct_with": "training",
-}
+_MODULE_OF = {"Baseline": "baseline", "BaselineConfig": "baseline", "BaselineMethod": "method", "Scene": "baseline"}
 
-__all__ = ["METHODS", "Baseline", "BaselineConfig", "BaselineRun", "Method", "Scene", "open_run", "reconstruct_with"]
+__all__ = ["Baseline", "BaselineConfig", "BaselineMethod", "Scene"]
 
 
 def __getattr__(name: str) -> Any:

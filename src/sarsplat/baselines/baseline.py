@@ -1,4 +1,4 @@
-"""What another method has to offer to be trained, rendered and scored as ours is."""
+"""What a baseline has to offer: settings, and a torch module that renders a view and has a surface."""
 
 from __future__ import annotations
 
@@ -12,6 +12,34 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.reconstruction.config import AnyConfig, Count, Seed
+
+
+@dataclass(frozen=True)
+class BaselineConfig(AnyConfig):
+    """Base of a baseline's settings.
+
+    Parameters
+    ----------
+    iterations : int
+        Length of a whole training.
+    checkpoint_every : int
+        Iterations between two checkpoints.
+    views_per_step : int
+        Training images in one step.
+    seed : int
+        Of everything random.
+
+    Raises
+    ------
+    SarsplatError
+        If a value is of another type or out of range.
+    """
+
+    iterations: Count = 1000
+    checkpoint_every: Count = 100
+    views_per_step: Count = 1
+    seed: Seed = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,15 +9,14 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
-from sarsplat.baselines.baseline import Baseline, Scene
-from sarsplat.baselines.config import BaselineConfig
-from sarsplat.baselines.methods import Method
+from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
 from sarsplat.data import Dataset, Masks
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.initialise import bounded_region
 from sarsplat.geometry import View
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.reconstruction.target_box import target_box
+from sarsplat.reconstruction.view_queue import ViewQueue
 
 
 class BaselineTrainer:
@@ -27,39 +26,27 @@ class BaselineTrainer:
     ----------
     dataset : Dataset
         Its training images are learned from.
-    method : Method
-        By what.
     config : BaselineConfig
         How.
-    scene : Scene
-        What the dataset fixes (`scene_of`), or what an earlier part of the training has kept of it.
+    model : Baseline
+        The method's model of the dataset's scene (`scene_of`), or of what an earlier part of the training has kept.
     device : torch.device or str
         Where everything is computed and stays.
-
-    Raises
-    ------
-    SarsplatError
-        If the scene lacks what the method needs.
     """
 
     def __init__(
-        self,
-        dataset: Dataset,
-        method: Method,
-        config: BaselineConfig,
-        scene: Scene,
-        device: torch.device | str = "cpu",
+        self, dataset: Dataset, config: BaselineConfig, model: Baseline, device: torch.device | str = "cpu"
     ) -> None:
         self.config = config
         self.iteration = 0
-        self._scene = scene
+        self._scene = model.scene
         self._device = torch.device(device)
-        self._images = torch.from_numpy(dataset.images("train") / np.float32(scene.unit)).to(self._device)
+        self._images = torch.from_numpy(dataset.images("train") / np.float32(self._scene.unit)).to(self._device)
         self._generator = torch.Generator().manual_seed(config.seed)
-        self.model = method.build(scene, config).to(self._device)
+        self._queue = ViewQueue(len(self._images), config.views_per_step, self._generator)
+        self.model = model.to(self._device)
         self._optimiser = self.model.optimiser()
         self._rates = [group["lr"] for group in self._optimiser.param_groups]
-        self._queue: list[int] = []
 
     @property
     def gaussian_count(self) -> None:
@@ -68,7 +55,7 @@ class BaselineTrainer:
 
     def step(self) -> Float32[Tensor, ""]:
         """One step of the optimiser on a few views; returns the loss."""
-        chosen = torch.tensor(self._next_views())
+        chosen = torch.tensor(self._queue.next(), device="cpu")
         factor = self.model.rate(self.iteration)
         for group, rate in zip(self._optimiser.param_groups, self._rates, strict=True):
             group["lr"] = rate * factor
@@ -104,14 +91,6 @@ class BaselineTrainer:
         if self._device.type == "cuda":
             torch.cuda.synchronize(self._device)
 
-    def _next_views(self) -> list[int]:
-        """Every view once in a random order, then again."""
-        count = min(self.config.views_per_step, len(self._images))
-        while len(self._queue) < count:
-            self._queue += torch.randperm(len(self._images), generator=self._generator).tolist()
-        chosen, self._queue = self._queue[:count], self._queue[count:]
-        return chosen
-
     def snapshot(self, seconds: float) -> Snapshot:
         """Everything the next step depends on, as it is now; `seconds` is how long the training took until here."""
         scene = self._scene
@@ -122,7 +101,7 @@ class BaselineTrainer:
         return Snapshot(
             self.iteration,
             seconds,
-            tuple(self._queue),
+            tuple(self._queue.waiting),
             scene.grid,
             scene.views,
             scene.unit,
@@ -138,9 +117,8 @@ class BaselineTrainer:
         ValueError, LookupError, TypeError, RuntimeError
             If the tensors are not those of this training.
         """
-        if len(snapshot.views) != len(self._images):
-            raise ValueError(f"it has {len(snapshot.views)} views for {len(self._images)} training images")
-        _load(self.model, snapshot)
+        self._queue.restore(snapshot)
+        load_model(self.model, snapshot)
         states: dict[int, dict[str, Tensor]] = {}
         for name, tensor in snapshot.part("optimiser").items():
             index, _, what = name.partition("/")
@@ -149,10 +127,7 @@ class BaselineTrainer:
         order = [parameter for group in self._optimiser.param_groups for parameter in group["params"]]
         _check_moments(states, order, snapshot.iteration)
         self._optimiser.load_state_dict({"state": states, "param_groups": groups})
-        self._generator.set_state(snapshot.tensors["generator"])
-        self.iteration, self._queue = snapshot.iteration, list(snapshot.queue)
-        if not all(0 <= k < len(self._images) for k in self._queue):
-            raise ValueError("it queues views that are not there")
+        self.iteration = snapshot.iteration
 
 
 def scene_of(dataset: Dataset, masks: Masks | None = None) -> Scene:
@@ -221,21 +196,14 @@ def _scene_tensors(scene: Scene) -> dict[str, Tensor]:
     return {f"scene/{name}": tensor for name, tensor in kept.items()}
 
 
-def rebuilt(snapshot: Snapshot, method: Method, config: BaselineConfig, device: str) -> Baseline:
-    """The model that a snapshot holds.
+def load_model(model: Baseline, snapshot: Snapshot) -> None:
+    """Set a model's parameters to those of a snapshot; nothing is converted, and all must be finite.
 
     Raises
     ------
-    KeyError, ValueError, RuntimeError, SarsplatError
-        If it holds another one.
+    ValueError, RuntimeError
+        If they are not those of this model.
     """
-    model = method.build(saved_scene(snapshot), config)
-    _load(model, snapshot)
-    return model.to(device)
-
-
-def _load(model: Baseline, snapshot: Snapshot) -> None:
-    """Like torch's own, but nothing is converted, and nothing that is not finite is taken."""
     saved, expected = snapshot.part("model"), model.state_dict()
     for name in saved.keys() & expected.keys():
         if not _of_type(saved[name], expected[name].dtype).isfinite().all():

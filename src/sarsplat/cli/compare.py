@@ -35,12 +35,12 @@ def compare(
         Replace an existing comparison.
     """
     from sarsplat import report
-    from sarsplat.baselines import open_run
+    from sarsplat.reconstruction import Run
     from sarsplat.report.compare import PAGE
 
     if out is not None:
         refuse_existing(out, overwrite, marker=PAGE)
-    comparison = report.compare([open_run(run) for run in runs])
+    comparison = report.compare([Run.load(run) for run in runs])
     console.show(_table(comparison))
     if comparison.caution:
         console.say(comparison.caution)

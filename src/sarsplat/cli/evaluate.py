@@ -34,7 +34,6 @@ def evaluate(
     lpips_weights
         Folder of the LPIPS weights (default: SARSPLAT_LPIPS_WEIGHTS); without weights, LPIPS is skipped.
     """
-    from sarsplat.baselines import open_run
     from sarsplat.evaluation import (
         NOT_THE_SAME_EXPERIMENT,
         Yardstick,
@@ -43,10 +42,11 @@ def evaluate(
         metrics_table,
         paper_beside,
     )
+    from sarsplat.reconstruction import Run
     from sarsplat.report import write_report
     from sarsplat.report.write import refuse_linked_report
 
-    done = open_run(run)
+    done = Run.load(run)
     refuse_linked_report(run)
     metrics = evaluate_run(done, mesh=mesh, alignment=align, masks=masks, lpips_weights=lpips_weights)
     with console.busy("writing the report"):

@@ -40,11 +40,11 @@ def export(
         Replace an existing file of the same kind.
     """
     from sarsplat import exports
-    from sarsplat.baselines import open_run
     from sarsplat.data.replaceable import refuse_other_kinds
+    from sarsplat.reconstruction import Run
 
     known, _ = exports.format_of(file, format)
-    done = open_run(run)
+    done = Run.load(run)
     refuse_existing(file, overwrite)
     refuse_other_kinds(file, run, known.recognises)
     with console.busy(f"writing {file}"):

@@ -113,9 +113,9 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
 
 
 def _run(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.baselines import open_run
+    from sarsplat.reconstruction import Run
 
-    run = open_run(path)
+    run = Run.load(path)
     where = run.dataset_path
     dataset = "images in memory" if where is None else str(where) if where.exists() else f"{where} (no longer there)"
     rows = {

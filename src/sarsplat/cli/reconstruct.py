@@ -6,21 +6,26 @@ import json
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import DEFAULT_PORT, MARKERS, Folder, OptionalFile, OptionalFolder, refuse_existing
-from sarsplat.cli.baseline import MethodName, asked_method, reconstruct_by, settings_in
 from sarsplat.cli.watch import watched
-from sarsplat.errors import SarsplatError
-from sarsplat.reconstruction.config import OURS, Config, Densification, Surroundings
+from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.reconstruction.config import DEFAULT_METHOD, AnyConfig, Config, Densification, Surroundings
+from sarsplat.reconstruction.methods import METHODS, method_named
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
+    from sarsplat.reconstruction.method import Method
+
+    MethodName = str
+else:
+    MethodName = tyro.extras.literal_type_from_choices(METHODS)
 
 PresetName = Literal["auto", "default", "quick", "speckled", "paper", "measured"]
 _PARTS = {"densification": Densification, "surroundings": Surroundings}
@@ -61,8 +66,8 @@ class Options:
         Print the settings as JSON and exit.
     method
         What learns: sar-gs, our Gaussians, or to compare with it sar-nerf, sar-nerf-grid or dsr (docs/baselines.md);
-        --resume goes on with the run's. Only --iterations, --views-per-step, --checkpoint-every and --seed are options
-        of these; their other settings are in the file that --print-config writes.
+        --resume continues with the run's. Only --iterations, --views-per-step, --checkpoint-every and --seed are
+        options of these; their other settings are in the file that --print-config writes.
     masks
         Folder of masks of the training images, from which dsr learns; `sarsplat simulate --masks` writes them.
     device
@@ -112,21 +117,18 @@ def reconstruct(
     dataset, out = options.dataset, options.out
     if options.resume and options.overwrite:
         raise SarsplatError("--resume continues the run and --overwrite discards it; give only one of them")
-    if (method := asked_method(options.method, options.resume, out)) != OURS:
-        reconstruct_by(method, options, words)
-        return
     from sarsplat.data import read_dataset
     from sarsplat.reconstruction import reconstruct as train
-    from sarsplat.reconstruction.any_run import HEADER
+    from sarsplat.reconstruction.run import HEADER, read_header
 
-    if options.masks is not None:
-        raise SarsplatError(
-            f"--masks {options.masks} is for methods that learn from masks; {OURS} does not, so omit it"
-        )
+    begun = read_header(out).method if options.resume and options.method is None else DEFAULT_METHOD
+    method = method_named(options.method or begun)
+    if options.view and not method.watchable:
+        raise SarsplatError(f"--view cannot show a training by {method.name}; omit it, and view the run")
     images = read_dataset(dataset)
-    config = _overridden(_base(options, images), options, words)
+    config = _overridden(method, _base(method, options, images), options, words)
     if options.print_config:
-        json.dump(config.as_dict(), sys.stdout, indent=2)
+        json.dump({"method": method.name, "config": config.as_dict()}, sys.stdout, indent=2)
         sys.stdout.write("\n")
         return
     if not options.resume:
@@ -136,50 +138,65 @@ def reconstruct(
             images,
             config,
             out,
+            method=method.name,
+            masks=options.masks,
             device=options.device,
             on_step=on_step,
             resume=options.resume,
             overwrite=options.overwrite,
         )
     console.finish(
-        f"{out}: {len(run.gaussians)} Gaussians and {len(run.points)} points in {run.time_s:.0f} s "
-        f"(preset {config.preset}, seed {run.seed})",
+        f"{out}: {run.learned} and {counted(len(run.points), 'point')} in {run.time_s:.0f} s "
+        f"({method.about(config, images.grid)[0]}, seed {run.seed})",
         f"sarsplat evaluate {shlex.quote(str(out))}",
     )
 
 
-def _base(options: Options, images: Dataset) -> Config:
-    """What the flags of settings override."""
+def _base(method: Method, options: Options, images: Dataset) -> Any:
+    """What the flags of settings override: a file's, the run's or the preset's."""
+    from sarsplat.data import read_json
     from sarsplat.reconstruction import Run
-    from sarsplat.reconstruction.training import fitting
 
-    if options.config is not None:
+    file, out = options.config, options.out
+    if file is not None:
         if options.preset != "auto":
             raise SarsplatError(
                 f"--config and --preset {options.preset} both choose the starting settings; give only one of them"
             )
-        return Config.from_dict(settings_in(options.config, OURS), str(options.config))
+        content = read_json(file, dict[str, Any])
+        if (whose := content.get("method", DEFAULT_METHOD)) != method.name:
+            raise SarsplatError(f"{file} holds settings of {shown(whose)}, not of {method.name}; give that as --method")
+        return method.settings.from_dict(content.get("config", content), str(file))
     if not options.resume:
-        return fitting(options.preset, images)
-    begun = Run.load(options.out).config
-    if options.preset not in ("auto", begun.preset):
-        raise SarsplatError(
-            f"{options.out} was started with preset {begun.preset!r}, not {options.preset!r}; omit --preset"
-        )
-    return begun
+        return method.preset(options.preset, images)
+    run = Run.load(out)
+    if run.method != method.name:
+        raise SarsplatError(f"{out} was started with the method {run.method}, not {method.name}; omit --method")
+    begun = getattr(run.config, "preset", "auto")
+    if options.preset not in ("auto", begun):
+        raise SarsplatError(f"{out} was started with preset {begun!r}, not {options.preset!r}; omit --preset")
+    return run.config
 
 
-def _overridden(base: Config, options: Options, words: Sequence[str]) -> Config:
-    """The words read once more, on the settings that they override."""
-    values = {field.name: getattr(base, field.name) for field in fields(Config)}
-    present = {part: values[part] or record() for part, record in _PARTS.items()}
+def _overridden(method: Method, base: AnyConfig, options: Options, words: Sequence[str]) -> AnyConfig:
+    """The settings with what the flags say: the words are read once more, with defaults that are those settings."""
+    flags = [word[2:].partition("=")[0] for word in words if word.startswith("--")]
+    values = {one.name: getattr(base, one.name) for one in fields(Config) if hasattr(base, one.name)}
+    for flag in flags:
+        name = flag.partition(".")[0].replace("-", "_")
+        if name not in values and name in {one.name for one in fields(Config)}:
+            raise SarsplatError(
+                f"--{flag} is not a setting of {method.name}; see its settings with --print-config, and give changed "
+                "ones with --config FILE"
+            )
+    present = {part: values[part] or record() for part, record in _PARTS.items() if part in values}
     defaults = Options(options.dataset, options.out, settings=Settings(**{**values, **present}))
     settings = tyro.cli(Options, args=words, default=defaults, config=MARKERS).settings
     changed = {name: getattr(settings, name) for name in values}
     for part, switch in (("densification", options.densify), ("surroundings", options.surround)):
-        flag = next((word for word in words if word.startswith(f"--{part}.")), None)
-        if switch == "off" and flag is not None:
-            raise SarsplatError(f"{flag} has no effect with --{part} off; omit one of them")
-        if switch == "off" or (switch is None and flag is None and values[part] is None):
+        inside = next((flag for flag in flags if flag.startswith(f"{part}.")), None)
+        if switch == "off" and inside is not None:
+            raise SarsplatError(f"--{inside} has no effect with --{part} off; omit one of them")
+        if part in values and (switch == "off" or (switch is None and inside is None and values[part] is None)):
             changed[part] = None
-    return Config(**changed)
+    return replace(base, **changed)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from sarsplat.geometry import ImageGrid, View
-    from sarsplat.reconstruction import AnyRun
+    from sarsplat.reconstruction import Run
 
 Sweep = Literal["azimuth", "grazing"]
 
@@ -80,10 +80,10 @@ def render(
     overwrite
         Replace an existing folder of rendered images, or an existing file of the same kind.
     """
-    from sarsplat.baselines import open_run
     from sarsplat.colours import POWER
     from sarsplat.data.replaceable import refuse_other_kinds
     from sarsplat.radiometry import to_db
+    from sarsplat.reconstruction import Run
     from sarsplat.report.animation import ANIMATIONS
     from sarsplat.report.look import Look
     from sarsplat.report.render_grid import asked_grid
@@ -94,7 +94,7 @@ def render(
     recognises = FILES.get(out.suffix.lower())
     if views is not None and recognises is None:
         require_distinct(views)
-    done = open_run(run)
+    done = Run.load(run)
     refuse_existing(out, overwrite, marker=None if recognises else SHEET)
     if recognises is not None:
         refuse_other_kinds(out, run, recognises)
@@ -146,7 +146,7 @@ def _swept(
     return sweep_views(sweep, frames, known, ends_deg=ends, other_deg=given[other][0] if given[other] else None)
 
 
-def _rendered(run: AnyRun, views: Sequence[View], grid: ImageGrid) -> np.ndarray:
+def _rendered(run: Run, views: Sequence[View], grid: ImageGrid) -> np.ndarray:
     """Images of the views; those that come again are rendered once."""
     import numpy as np
 

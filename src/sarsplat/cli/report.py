@@ -16,10 +16,10 @@ def report(run: RunFolder) -> None:
     run
         Folder written by `sarsplat reconstruct`.
     """
-    from sarsplat.baselines import open_run
+    from sarsplat.reconstruction import Run
     from sarsplat.report import write_report
 
-    done = open_run(run)
+    done = Run.load(run)
     with console.busy(f"writing the report of {run}"):
         page = write_report(done)
     evaluated = done.metrics is not None

@@ -12,7 +12,7 @@ from rich.table import Table
 from sarsplat.evaluation.metric import Metric
 from sarsplat.evaluation.metrics import all_metrics
 from sarsplat.evaluation.points import Yardstick
-from sarsplat.reconstruction.config import OURS
+from sarsplat.reconstruction.config import DEFAULT_METHOD
 
 
 @dataclass(frozen=True)
@@ -58,9 +58,8 @@ def comparison(metrics: Mapping[str, Any], paper: Scores | None = None) -> list[
 
 
 def whose(metrics: Mapping[str, Any]) -> str:
-    """What to call the method that was scored."""
-    method: str = metrics.get("method", OURS)
-    return "ours" if method == OURS else method
+    """Name of the method that was scored."""
+    return str(metrics.get("method", DEFAULT_METHOD))
 
 
 def baselines(metrics: Mapping[str, Any], split: str) -> list[Scores]:

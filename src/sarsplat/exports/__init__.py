@@ -9,7 +9,7 @@ from sarsplat.data.viewer_colours import Colour
 from sarsplat.errors import SarsplatError
 from sarsplat.exports.format import Content, Format
 from sarsplat.plugins import discover
-from sarsplat.reconstruction import AnyRun
+from sarsplat.reconstruction import Run
 
 __all__ = ["FORMATS", "Content", "Format", "Written", "export", "format_of"]
 
@@ -43,12 +43,12 @@ def format_of(path: Path, content: Content | None = None) -> tuple[Format, Conte
     return named, next(iter(named.writers)) if content is None else content
 
 
-def export(run: AnyRun, path: str | Path, content: Content | None = None, *, colour: Colour | None = None) -> Written:
+def export(run: Run, path: str | Path, content: Content | None = None, *, colour: Colour | None = None) -> Written:
     """Write a run to one file, whole or not at all.
 
     Parameters
     ----------
-    run : AnyRun
+    run : Run
         What was reconstructed.
     path : str or Path
         File to write; its ending decides the format (`FORMATS`). An existing file is replaced.

@@ -10,7 +10,7 @@ from jaxtyping import Float32
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
-from sarsplat.reconstruction import AnyRun, Run
+from sarsplat.reconstruction import Run
 
 if TYPE_CHECKING:
     import trimesh
@@ -25,7 +25,7 @@ class Points:
     positions, normals : numpy.ndarray, float32 [P, 3]
         World frame, m, and unit normals.
     gamma0 : numpy.ndarray, float32 [P], or None
-        γ⁰, linear, where the method tells.
+        γ⁰, linear, if the method knows it.
     """
 
     positions: Float32[np.ndarray, "p 3"]
@@ -38,12 +38,12 @@ class Points:
         return normals if self.gamma0 is None else {**normals, "gamma0": self.gamma0}
 
 
-def name_of(run: AnyRun) -> str:
+def name_of(run: Run) -> str:
     """What errors call a run."""
     return "the run in memory" if run.path is None else str(run.path)
 
 
-def gaussians_of(run: AnyRun) -> Gaussians:
+def gaussians_of(run: Run) -> Gaussians:
     """Its Gaussians.
 
     Raises
@@ -51,18 +51,18 @@ def gaussians_of(run: AnyRun) -> Gaussians:
     SarsplatError
         If its method learns none, or none are left.
     """
-    if not isinstance(run, Run):
+    gaussians = run.gaussians
+    if gaussians is None:
         raise SarsplatError(
             f"{name_of(run)} was made by {run.method}, which learns no Gaussians; export its points or its "
             "mesh, such as with --format points to a .ply file"
         )
-    gaussians = run.gaussians
     if len(gaussians) == 0:
         raise SarsplatError(f"{name_of(run)} has no Gaussians left; reconstruct it again, or look at its report")
     return gaussians
 
 
-def points_of(run: AnyRun) -> Points:
+def points_of(run: Run) -> Points:
     """The points of its surface.
 
     Raises
@@ -75,7 +75,7 @@ def points_of(run: AnyRun) -> Points:
     return Points(run.points.astype(np.float32), run.normals, run.points_gamma0)
 
 
-def mesh_of(run: AnyRun) -> trimesh.Trimesh:
+def mesh_of(run: Run) -> trimesh.Trimesh:
     """Its surface as triangles.
 
     Raises

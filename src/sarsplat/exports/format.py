@@ -11,12 +11,12 @@ from sarsplat.data.replaceable import Recognises
 
 if TYPE_CHECKING:
     from sarsplat.data.viewer_colours import Colour
-    from sarsplat.reconstruction import AnyRun
+    from sarsplat.reconstruction import Run
 
 Content = Literal["gaussians", "points", "mesh", "everything"]
 """What of a run a file holds."""
 
-Write = Callable[["AnyRun", Path, "Colour"], str]
+Write = Callable[["Run", Path, "Colour"], str]
 """Writes a run to a file, whole or not at all, and says what it wrote; the colour is that of Gaussians."""
 
 

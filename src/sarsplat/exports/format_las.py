@@ -14,7 +14,7 @@ from sarsplat.errors import SarsplatError, counted
 from sarsplat.exports.contents import Points, points_of
 from sarsplat.exports.format import Format
 from sarsplat.radiometry import LEAST_POWER, shade
-from sarsplat.reconstruction import AnyRun
+from sarsplat.reconstruction import Run
 
 _DARKEST_DB = -30.0  # of the brightest point: intensity 0, as black in a mesh
 _FINEST_M = 1e-4  # of coordinates, which are whole numbers of such steps
@@ -63,7 +63,7 @@ def las_bytes(points: Points) -> bytes:
     return content.getvalue()
 
 
-def _write(run: AnyRun, path: Path, _: Colour) -> str:
+def _write(run: Run, path: Path, _: Colour) -> str:
     points = points_of(run)
     write_bytes(path, las_bytes(points))
     return f"{counted(len(points.positions), 'point')}, metres, in the target's own frame"

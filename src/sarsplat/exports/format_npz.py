@@ -14,7 +14,7 @@ from sarsplat.data.viewer_colours import Colour
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.exports.contents import gaussians_of, name_of
 from sarsplat.exports.format import Format
-from sarsplat.reconstruction import AnyRun, Run
+from sarsplat.reconstruction import Run
 
 _DESCRIPTION = "description"
 _MEANING = {
@@ -29,10 +29,10 @@ _MEANING = {
 }
 
 
-def _write(run: AnyRun, path: Path, _: Colour) -> str:
+def _write(run: Run, path: Path, _: Colour) -> str:
     arrays: dict[str, Any] = {}
     law = None
-    if isinstance(run, Run):
+    if run.gaussians is not None:
         gaussians = gaussians_of(run)
         arrays = {name: tensor.detach().cpu().numpy() for name, tensor in gaussians.tensors().items()}
         law = {"kind": gaussians.scattering.kind, **gaussians.scattering.settings()}

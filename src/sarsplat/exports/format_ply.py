@@ -10,16 +10,16 @@ from sarsplat.errors import counted
 from sarsplat.exports.contents import gaussians_of, points_of
 from sarsplat.exports.format import Format
 from sarsplat.exports.meshes import write_mesh_of
-from sarsplat.reconstruction import AnyRun
+from sarsplat.reconstruction import Run
 
 
-def _gaussians(run: AnyRun, path: Path, colour: Colour) -> str:
+def _gaussians(run: Run, path: Path, colour: Colour) -> str:
     gaussians = gaussians_of(run)
     write_gaussians_ply(path, gaussians, colour=colour)
     return counted(len(gaussians), "Gaussian")
 
 
-def _points(run: AnyRun, path: Path, _: Colour) -> str:
+def _points(run: Run, path: Path, _: Colour) -> str:
     points = points_of(run)
     write_points_ply(path, points.positions, **points.columns())
     return f"{counted(len(points.positions), 'point')}, metres"

@@ -17,7 +17,7 @@ from sarsplat.errors import counted
 from sarsplat.exports.contents import gaussians_of
 from sarsplat.exports.format import Format
 from sarsplat.gaussians import Gaussians
-from sarsplat.reconstruction import AnyRun
+from sarsplat.reconstruction import Run
 
 RECORD = np.dtype(
     [("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)],
@@ -39,7 +39,7 @@ def splat_bytes(gaussians: Gaussians, colour: Colour) -> bytes:
     return table[np.argsort(-importance, kind="stable")].tobytes()
 
 
-def _write(run: AnyRun, path: Path, colour: Colour) -> str:
+def _write(run: Run, path: Path, colour: Colour) -> str:
     gaussians = gaussians_of(run)
     write_bytes(path, splat_bytes(gaussians, colour))
     return counted(len(gaussians), "Gaussian")

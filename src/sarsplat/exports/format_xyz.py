@@ -12,12 +12,12 @@ from sarsplat.data.viewer_colours import Colour
 from sarsplat.errors import counted
 from sarsplat.exports.contents import points_of
 from sarsplat.exports.format import Format
-from sarsplat.reconstruction import AnyRun
+from sarsplat.reconstruction import Run
 
 _BEGINS = "# x_m y_m z_m"
 
 
-def _write(run: AnyRun, path: Path, _: Colour) -> str:
+def _write(run: Run, path: Path, _: Colour) -> str:
     points = points_of(run)
     columns = points.columns()
     text = io.StringIO()

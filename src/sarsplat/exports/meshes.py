@@ -8,10 +8,10 @@ from sarsplat.data import write_mesh
 from sarsplat.data.viewer_colours import Colour
 from sarsplat.errors import counted
 from sarsplat.exports.contents import mesh_of
-from sarsplat.reconstruction import AnyRun
+from sarsplat.reconstruction import Run
 
 
-def write_mesh_of(run: AnyRun, path: Path, _: Colour) -> str:
+def write_mesh_of(run: Run, path: Path, _: Colour) -> str:
     """See `Write`; the ending of the path says in which format."""
     mesh = mesh_of(run)
     write_mesh(path, mesh)

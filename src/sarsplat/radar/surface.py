@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -12,9 +12,8 @@ from scipy.spatial import cKDTree
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
-from sarsplat.reconstruction import AnyRun
+from sarsplat.reconstruction import Run
 from sarsplat.reconstruction.masks import without_imitated_ground
-from sarsplat.reconstruction.run import Run
 from sarsplat.scenes.splat_truth import surface_gaussians
 
 if TYPE_CHECKING:
@@ -51,7 +50,7 @@ class Surface:
             )
 
 
-def surface_of_run(run: AnyRun[Any]) -> Surface:
+def surface_of_run(run: Run) -> Surface:
     """What a run takes for the target's surface: its Gaussians, or the triangles of a method that has none.
 
     The normal of a Gaussian is that of the nearest of the run's points. Gaussians that may stand for ground as well as
@@ -62,10 +61,11 @@ def surface_of_run(run: AnyRun[Any]) -> Surface:
     SarsplatError
         If there is neither a point nor a triangle.
     """
-    if not isinstance(run, Run):
+    model = run.model
+    if model is None:
         return surface_of_mesh(run.mesh(), run.grid.cell_m)
-    scene = run.model.scene(run.model.degree(run.iteration)).detach().to("cpu")
-    kept, count = without_imitated_ground(scene, len(run.gaussians), run.points, run.grid.cell_m)
+    scene = model.scene(model.degree(run.iteration)).detach().to("cpu")
+    kept, count = without_imitated_ground(scene, len(model), run.points, run.grid.cell_m)
     if count == 0:
         raise SarsplatError(f"{run.path or 'the run'} has no points of a target; train it for longer")
     target = kept[:count]

@@ -6,11 +6,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.methods import METHODS
 from sarsplat.reconstruction.presets import PRESETS, preset
 
 if TYPE_CHECKING:
-    from sarsplat.reconstruction.any_run import AnyRun
     from sarsplat.reconstruction.loop import Step
+    from sarsplat.reconstruction.method import Inputs, Method, Reconstruction
     from sarsplat.reconstruction.points import extract_points
     from sarsplat.reconstruction.run import Run
     from sarsplat.reconstruction.tensorboard import TensorBoard
@@ -18,8 +19,10 @@ if TYPE_CHECKING:
     from sarsplat.reconstruction.training import reconstruct
 
 _MODULE_OF = {
-    "AnyRun": "any_run",
     "extract_points": "points",
+    "Inputs": "method",
+    "Method": "method",
+    "Reconstruction": "method",
     "Run": "run",
     "Step": "loop",
     "TensorBoard": "tensorboard",
@@ -28,9 +31,12 @@ _MODULE_OF = {
 }
 
 __all__ = [
+    "METHODS",
     "PRESETS",
-    "AnyRun",
     "Config",
+    "Inputs",
+    "Method",
+    "Reconstruction",
     "Run",
     "Step",
     "TensorBoard",

@@ -31,8 +31,8 @@ ScatteringName = Literal["harmonics", "normal-lobes"]
 """The laws of `sarsplat.gaussians.SCATTERINGS`, which is not imported because that would load torch."""
 
 
-OURS = "sar-gs"
-"""The method that learns Gaussians; a run that does not say which method made it is one of these."""
+DEFAULT_METHOD = "sar-gs"
+"""The method that is meant where none is named, also by the files of old runs."""
 
 
 class AnyConfig(Record):
@@ -40,6 +40,7 @@ class AnyConfig(Record):
 
     iterations: int
     checkpoint_every: int
+    views_per_step: int
     seed: int
 
     may_change: ClassVar[tuple[str, ...]] = ("iterations", "checkpoint_every")
@@ -216,8 +217,8 @@ class Surroundings(Record):
     gain_std : float
         Standard deviation of the logarithm of a chip's gain.
     side_lobes : float
-        Power of the side lobes of bright scatterers at the start, relative to those of the response (−35 dB Taylor where
-        that has none); 0: none.
+        Power of the side lobes of bright scatterers at the start, relative to those of the response (−35 dB Taylor
+        where that has none); 0: none.
     texture_looks : float
         The factor between images and scene that is shared by neighbouring chips: how many looks it takes to believe in
         one that differs from 1 by half of what they show; 0: there is none.

@@ -1,4 +1,4 @@
-"""The way of every training: step, log, save now and then, and go on where an earlier one stopped."""
+"""The training loop of all methods: step, log, save now and then, and resume where an earlier one stopped."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from sarsplat.data.folders import only_writer, refuse_existing
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.progress import Reporter
-from sarsplat.reconstruction.any_run import HEADER, AnyRun, InMemory, require_replaceable
 from sarsplat.reconstruction.config import AnyConfig, refuse_other_settings
 from sarsplat.reconstruction.log import LogLine, log_text
+from sarsplat.reconstruction.run import HEADER, InMemory, Run, require_replaceable
 from sarsplat.reconstruction.snapshot import Snapshot
 
 _LINES_PER_RUN = 200
@@ -72,12 +72,11 @@ class Trainable(Protocol):
 
 
 T = TypeVar("T", bound=Trainable)
-R = TypeVar("R", bound=AnyRun[Any])
 
 
 @dataclass(frozen=True)
 class Step(Generic[T]):
-    """What a watcher of a training is told after each step.
+    """What is passed to a watcher of a training after each step.
 
     Parameters
     ----------
@@ -86,7 +85,7 @@ class Step(Generic[T]):
     loss : Tensor
         Its loss, a single number; reading it waits for the device.
     trainer : Trainable
-        The training itself, between two steps; of Gaussians, `trainer.gaussians` is the target as it is now.
+        The training itself, between two steps; that of `sar-gs` has the target as it is now, `trainer.gaussians`.
     line : LogLine or None
         The line that the log gets after this step; None after most.
     folder_to_come : Path or None
@@ -102,7 +101,7 @@ class Step(Generic[T]):
 
 
 class Training(Generic[T]):
-    """A trainer at work: counts the time, tells whoever watches, and keeps the log."""
+    """A trainer at work: counts the time, calls whoever watches, and keeps the log."""
 
     def __init__(self, trainer: T, on_step: Callable[[Step[T]], object] | None, shown: Reporter) -> None:
         self.trainer, self.shown, self._on_step = trainer, shown, on_step
@@ -118,7 +117,7 @@ class Training(Generic[T]):
         return time.monotonic() - self._begun
 
     def start_from(self, snapshot: Snapshot, history: list[LogLine]) -> None:
-        """Take up a state, and the log that led there."""
+        """Resume from a state, and the log that led there."""
         self.trainer.restore(snapshot)
         self._begun -= snapshot.seconds
         self.history = [line for line in history if line.iteration <= snapshot.iteration]  # a killed process wrote more
@@ -174,14 +173,16 @@ class Training(Generic[T]):
         return LogLine(self.trainer.iteration, round(self.seconds, 3), loss, self.trainer.gaussian_count)
 
 
-def train(training: Training[Any], new: R, dataset: Dataset, out: Path | None, *, resume: bool, overwrite: bool) -> R:
-    """Train to the end, in memory or, with `out`, in a folder from which it can be taken up at any time.
+def train(
+    training: Training[Any], new: Run, dataset: Dataset, out: Path | None, *, resume: bool, overwrite: bool
+) -> Run:
+    """Train to the end, in memory or, with `out`, in a folder from which it can be resumed at any time.
 
     Parameters
     ----------
     training : Training
         At its beginning; to resume, it is brought to where it stopped.
-    new : AnyRun
+    new : Run
         The run as it will be: settings and fingerprint of the dataset.
     dataset : Dataset
         Its images.
@@ -203,22 +204,22 @@ def train(training: Training[Any], new: R, dataset: Dataset, out: Path | None, *
     if resume or overwrite:
         raise SarsplatError("a run in memory can be neither resumed nor overwritten; pass a folder as `out`")
     training.go_on_to(training.trainer.config.iterations)
-    held = InMemory(dataset, training.trainer.snapshot(training.seconds), tuple(training.history))
-    return replace(new, memory=held)
+    held = InMemory(training.trainer.snapshot(training.seconds), tuple(training.history))
+    return replace(new, memory=held, images=dataset)
 
 
-def _on_the_disk(training: Training[Any], new: R, dataset: Dataset, out: Path, resume: bool, overwrite: bool) -> R:
+def _on_the_disk(training: Training[Any], new: Run, dataset: Dataset, out: Path, resume: bool, overwrite: bool) -> Run:
     config = training.trainer.config
     stopped: BaseException | None = None
     if resume:
-        begun = type(new).load(out)
+        begun = Run.load(out)
     else:
         if overwrite:
             require_replaceable(out)
         refuse_existing(out, overwrite, marker=HEADER)
     with only_writer(out):
         if resume:
-            _take_up(training, begun, new.method, dataset)
+            _resume(training, begun, dataset)
         else:
             with new_folder(out, overwrite, marker=HEADER) as folder:
                 run = new.placed(folder, dataset)
@@ -238,9 +239,9 @@ def _on_the_disk(training: Training[Any], new: R, dataset: Dataset, out: Path, r
             training.folder_to_come = None
         try:
             if stopped is None and not training.ended:
-                _train(training, type(new).load(out), config.iterations)
+                _train(training, Run.load(out), config.iterations)
         finally:  # the run is usable as far as it has come
-            finished = type(new).load(out)
+            finished = replace(Run.load(out), images=dataset)
             if finished.checkpoint_path is not None:
                 training.shown.note("extracting the surface: points and normals")
                 finished.write_results()
@@ -249,11 +250,9 @@ def _on_the_disk(training: Training[Any], new: R, dataset: Dataset, out: Path, r
     return finished
 
 
-def _take_up(training: Training[Any], run: AnyRun[Any], method: str, dataset: Dataset) -> None:
+def _resume(training: Training[Any], run: Run, dataset: Dataset) -> None:
     """Bring the training to a run's newest checkpoint."""
     config = training.trainer.config
-    if run.method != method:
-        raise SarsplatError(f"{run.path} was started with the method {run.method}, not {method}; resume it with that")
     if run.fingerprint != dataset.fingerprint():
         raise SarsplatError(
             f"{run.path} was started with another dataset ({run.dataset_path}); resume it with that one"
@@ -265,7 +264,7 @@ def _take_up(training: Training[Any], run: AnyRun[Any], method: str, dataset: Da
             f"least {run.iteration}"
         )
     other_results = any(name not in AnyConfig.may_change for name, _, _ in run.config.changes(config))
-    run = run.taken_up(dataset, config)
+    run = run.resumed(dataset, config)
     if run.checkpoint_path is not None:
         snapshot = run.snapshot
         try:
@@ -279,7 +278,7 @@ def _take_up(training: Training[Any], run: AnyRun[Any], method: str, dataset: Da
     write_bytes(run.log_path, log_text(training.history))
 
 
-def _train(training: Training[Any], run: AnyRun[Any], iterations: int) -> None:
+def _train(training: Training[Any], run: Run, iterations: int) -> None:
     """Train on, log and save; whatever ends it between two steps, what has been learned is saved."""
     trainer = training.trainer
 

@@ -1,65 +1,156 @@
-"""A reconstruction of Gaussians: what was learned, and what is made of it."""
+"""A reconstruction by any method: its state, and the folder that holds it if there is one."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NotRequired, TypedDict
 
+import msgspec
 import numpy as np
-import torch
 from jaxtyping import Float32, Float64, UInt8
 
-from sarsplat.data import write_gaussians_ply
-from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
+from sarsplat.data import (
+    Dataset,
+    read_dataset,
+    read_json,
+    read_points_ply,
+    read_versioned_json,
+    write_json,
+    write_points_ply,
+)
+from sarsplat.data.files import plain_os_errors
+from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.gaussians import Gaussians
-from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.reconstruction.any_run import AnyRun, Header
-from sarsplat.reconstruction.config import OURS, Config
-from sarsplat.reconstruction.losses import LOSSES
-from sarsplat.reconstruction.masks import scene_masks, without_imitated_ground
-from sarsplat.reconstruction.mesh import surface_mesh
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.reconstruction.config import DEFAULT_METHOD, AnyConfig
+from sarsplat.reconstruction.device import device_named
+from sarsplat.reconstruction.log import LogLine, read_log
+from sarsplat.reconstruction.method import Reconstruction
+from sarsplat.reconstruction.methods import METHODS, method_named
 from sarsplat.reconstruction.model import SceneModel
-from sarsplat.reconstruction.normals import surface_normals
-from sarsplat.reconstruction.points import extract_points
-from sarsplat.reconstruction.saved_model import AZIMUTH_OFFSETS, saved_model
-from sarsplat.reconstruction.seen import Seen
-from sarsplat.renderer import channel_of
+from sarsplat.reconstruction.snapshot import Snapshot
 
 if TYPE_CHECKING:
     import trimesh
 
-_NORMAL_RADIUS = 1.0  # of the neighbours that tell the normal of a point, resolution cells
-_EVALUATION_RAYS_PER_PIXEL = 4.0
-_VIEWS_AT_A_TIME = 8
+SCHEMA = "sarsplat-run"
+SCHEMA_VERSION = 3
+HEADER = "config.json"
+
+MESH = "mesh.ply"
+"""The surface, of methods that learn one as such."""
+
+_RESULTS = ("gaussians.ply", MESH, "points.ply", "metrics.json", "report/index.html")
+"""What is made from the newest checkpoint."""
+
+_Scores = dict[str, float | None]
+
+
+class Truth(TypedDict):
+    """What surface the points were held against: its file, unless it is the dataset's, and how they were moved."""
+
+    mesh: str | None
+    shift_m: NotRequired[tuple[float, float, float]]
+    heading_deg: NotRequired[float]
+
+
+class ByImage(TypedDict):
+    """One metric of each image of a test set, in the dataset's order."""
+
+    metric: str
+    scores: list[float | None]
+
+
+class Metrics(TypedDict):
+    """What `metrics.json` holds: scores by test set, surface or baseline, and by metric."""
+
+    images: dict[str, _Scores]
+    by_image: NotRequired[dict[str, ByImage]]
+    points: dict[str, _Scores]
+    mesh: dict[str, _Scores]
+    baselines: dict[str, dict[str, _Scores]] | None
+    truth: NotRequired[Truth]
+    masks: NotRequired[str | None]
+    time_s: float | None
+    seed: int
+    method: NotRequired[str]
+    parameters: dict[str, float]
+    definitions: dict[str, str]
+    reasons: dict[str, str]
+
+
+class Header(msgspec.Struct, forbid_unknown_fields=True):
+    """What `config.json` holds."""
+
+    schema: str
+    schema_version: int
+    dataset: str | None
+    dataset_fingerprint: str
+    config: dict[str, Any]
+    method: str = DEFAULT_METHOD
 
 
 @dataclass(frozen=True)
-class Run(AnyRun[Config]):
-    """A reconstruction of Gaussians; its folder also holds `gaussians.ply`."""
+class InMemory:
+    """What a run without a folder holds itself."""
 
-    @property
-    def method(self) -> str:
-        """See `AnyRun`."""
-        return OURS
+    snapshot: Snapshot
+    history: tuple[LogLine, ...]
 
-    @classmethod
-    def _of_header(cls, header: Header, source: str) -> dict[str, Any]:
-        if header.method != OURS:
-            raise SarsplatError(
-                f"{source} is of a run by the method {shown(header.method)}, which learned no Gaussians; give a run by "
-                f"{OURS}, or open it with sarsplat.baselines.open_run"
-            )
-        return {"config": Config.from_dict(header.config, source)}
+
+@dataclass(frozen=True)
+class Run:
+    """A reconstruction. Points and renderings need nothing but itself; its images are in its dataset.
+
+    Parameters
+    ----------
+    method : str
+        Name of the method that made it, one of `METHODS`.
+    config : AnyConfig
+        How it was made: settings of that method.
+    fingerprint : str
+        Fingerprint of its dataset when training began.
+    path : Path or None
+        Its folder: `config.json`, `metrics.jsonl`, `metrics.json`, `checkpoints/`, `points.ply`, `report/` and what
+        else its method writes. None if it is in memory only.
+    dataset_path : Path or None
+        The dataset it was made from, if that is a folder.
+    memory : InMemory or None
+        What it holds if it has no folder.
+    device : str
+        Where it renders and extracts points, "cpu" or "cuda"; results come back as arrays either way.
+    images : Dataset or None
+        The dataset it was made from, where that is in memory.
+    """
+
+    method: str
+    config: Any
+    fingerprint: str
+    path: Path | None = None
+    dataset_path: Path | None = None
+    memory: InMemory | None = None
+    device: str = "cpu"
+    images: Dataset | None = field(default=None, compare=False, repr=False)
+
+    # ---- what was learned -------------------------------------------------------------------------------------------
+    @cached_property
+    def snapshot(self) -> Snapshot:
+        """The newest state of its training."""
+        if self.memory is not None:
+            return self.memory.snapshot
+        if self.checkpoint_path is None:
+            raise SarsplatError(f"{self.path} holds no checkpoint; run `sarsplat reconstruct` again with --overwrite")
+        return Snapshot.load(self.checkpoint_path)
 
     @cached_property
-    def model(self) -> SceneModel:
-        """The learned scene."""
-        snapshot = self.snapshot
+    def reconstruction(self) -> Reconstruction:
+        """What its method makes of that state."""
+        snapshot, method = self.snapshot, METHODS[self.method]
         try:
-            return saved_model(snapshot, self.config, self.device)
+            return method.open(snapshot, self.config, self.device, self.path)
         except (KeyError, ValueError, TypeError, IndexError, RuntimeError, SarsplatError) as error:
             raise SarsplatError(
                 f"{self.checkpoint_path} does not hold a whole model ({shown(str(error))}); "
@@ -67,122 +158,273 @@ class Run(AnyRun[Config]):
             ) from error
 
     @property
-    def gaussians(self) -> Gaussians:
-        """The target's Gaussians."""
-        return self.model.target(self.model.degree(self.iteration)).detach()
+    def gaussians(self) -> Gaussians | None:
+        """The target's Gaussians; None of methods that learn none."""
+        return self.reconstruction.gaussians
+
+    @property
+    def model(self) -> SceneModel | None:
+        """The learned scene of Gaussians; None of methods that learn something else."""
+        return self.reconstruction.model
+
+    def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
+        """β⁰ of any views, linear power, on its grid or another one (`Reconstruction.render`)."""
+        return self.reconstruction.render(views, grid)
+
+    def masks(self, views: Sequence[View]) -> UInt8[np.ndarray, "v rows columns"]:
+        """What the pixels of any views show: 0 clutter, 1 target, 2 shadow; on its grid, uint8."""
+        return self.reconstruction.masks(views, self.points)
 
     def mesh(self) -> trimesh.Trimesh:
-        """The surface through the points as triangles, world frame, m.
-
-        Its vertices have the attribute `gamma0`, γ⁰ (linear), and colours that show it in decibels. It is open where no
-        view looked, and has no faces if there are no points.
+        """Its surface as triangles, world frame, m; perhaps without faces.
 
         Raises
         ------
         SarsplatError
-            If scikit-image or trimesh is missing, or the points span too many voxels.
+            If a package is missing, or the surface would take too many triangles.
         """
-        return surface_mesh(self.points, self.normals, self._seen, self.grid.cell_m)
-
-    def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
-        """See `AnyRun`.
-
-        Rays are at a quarter of its own pixel spacing on every grid: they measure how much each Gaussian is lit, which
-        has nothing to do with the pixels.
-        """
-        grid = grid or self.grid
-        if any(asked < 0.999 * own for asked, own in zip(grid.resolution_m, self.grid.resolution_m, strict=True)):
-            warnings.warn(_finer(grid, self.grid), SarsplatWarning, stacklevel=2)
-        rays, degree = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL), self.model.degree(self.iteration)
-        images = [np.empty((0, grid.rows, grid.columns), np.float32)]
-        with torch.no_grad():
-            for first in range(0, len(views), _VIEWS_AT_A_TIME):  # memory stays small
-                some = views[first : first + _VIEWS_AT_A_TIME]
-                rendered = self.model.render(some, grid, degree, rays=rays)[0]
-                images.append(channel_of(rendered, self.model.power_channel).cpu().numpy())
-        return np.concatenate(images)
-
-    def masks(self, views: Sequence[View]) -> UInt8[np.ndarray, "v rows columns"]:
-        """What the pixels of any views show: 0 clutter, 1 target, 2 shadow; on its grid, uint8.
-
-        By what target and ground would return, each alone, at the sharpness of the pixels
-        (`sarsplat.reconstruction.masks.scene_masks`), where `render` shows them. The target are the Gaussians near the
-        points and, if ground was learned, at least one resolution cell above it: others may stand for clutter as well
-        as the ground does. Without learned ground there is no shadow.
-        """
-        scene = self.model.scene(self.model.degree(self.iteration)).detach()
-        scene, count = without_imitated_ground(scene, len(self.model), self.points, self.grid.cell_m)
-        rays = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL)
-        return scene_masks(scene, count, views, self.model.as_displaced(self.grid), rays)
+        return self.reconstruction.mesh(self.points, self.normals)
 
     @cached_property
+    def points(self) -> Float32[np.ndarray, "p 3"]:
+        """The reconstructed surface, world frame, m.
+
+        From `points.ply`; extracted anew if there is none, as after a training that was killed.
+        """
+        path = None if self.path is None else self.path / "points.ply"
+        return read_points_ply(path)[0] if path is not None and path.is_file() else self.reconstruction.points()
+
+    @cached_property
+    def normals(self) -> Float32[np.ndarray, "p 3"]:
+        """Unit normals of the points, on the side that the radar saw."""
+        return self.reconstruction.normals_at(self.points)
+
+    @cached_property
+    def points_gamma0(self) -> Float32[np.ndarray, " p"] | None:
+        """γ⁰ of the points, linear, as the training views saw it; None if the method does not know it."""
+        return self.reconstruction.gamma0_at(self.points)
+
+    @property
+    def grid(self) -> ImageGrid:
+        """Pixels of its images."""
+        return self.snapshot.grid
+
+    @property
+    def brightest(self) -> float:
+        """Largest β⁰ of the training images, linear power: what pictures show as white."""
+        return self.snapshot.brightest
+
+    @property
     def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"]:
-        """By how much the azimuths of the training views were corrected, degrees, float64 [K]; 0 where not uncertain.
+        """By how much the azimuths of the training views were corrected, degrees, float64 [K].
 
         Raises
         ------
         SarsplatError
             If the checkpoint holds something else.
         """
-        offsets = self.snapshot.tensors.get(AZIMUTH_OFFSETS, torch.zeros(len(self.snapshot.views)).double())
-        if offsets.shape != (len(self.snapshot.views),) or not offsets.isfinite().all():
+        offsets = self.reconstruction.azimuth_offset_deg
+        count = len(self.snapshot.views)
+        if offsets is None:
+            return np.zeros(count)
+        if offsets.shape != (count,) or not np.isfinite(offsets).all():
             raise SarsplatError(
                 f"{self.checkpoint_path} does not hold one azimuth offset for each training view; "
                 "reconstruct it again with --overwrite"
             )
-        return offsets.double().numpy()
+        return offsets
 
-    def _extracted_points(self) -> Float32[np.ndarray, "p 3"]:
-        points = extract_points(self.gaussians, self.snapshot.views, self.grid, self.config.points)
-        return points.astype(np.float32)  # as the file has them
+    @property
+    def iteration(self) -> int:
+        """Iterations done."""
+        return self.snapshot.iteration
 
-    def _normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
-        """Of the planes through their neighbours."""
-        towards = self._seen.around(points)[1]
-        return surface_normals(points, towards, _NORMAL_RADIUS * self.grid.cell_m).astype(np.float32)
+    @property
+    def time_s(self) -> float:
+        """Training time so far, s of wall clock."""
+        return self.snapshot.seconds
 
-    @cached_property
-    def points_gamma0(self) -> Float32[np.ndarray, " p"]:
-        """See `AnyRun`: the mean over the views that see the Gaussians there, weighted by how much they see."""
-        return self._seen.around(self.points)[0].astype(np.float32)
+    @property
+    def seed(self) -> int:
+        """Seed of everything random."""
+        seed: int = self.config.seed
+        return seed
 
-    @cached_property
-    def _seen(self) -> Seen:
-        return Seen.of(self.gaussians, self.snapshot.views, self.grid)
-
-    def write_results(self) -> None:
-        """Write `gaussians.ply` and `points.ply`."""
-        write_gaussians_ply(self.folder / "gaussians.ply", self.gaussians)
-        super().write_results()
-
-    # ---- for readers ------------------------------------------------------------------------------------------------
     @property
     def learned(self) -> str:
-        """See `AnyRun`."""
-        return counted(len(self.gaussians), "Gaussian")
+        """What was learned, in words: `4,123 Gaussians`."""
+        return self.reconstruction.learned
 
     @property
     def facts(self) -> dict[str, str]:
-        """See `AnyRun`."""
-        config = self.config
-        return {
-            "preset": config.preset,
-            "start": config.initialisation,
-            "iterations": f"{self.iteration:,} of {config.iterations:,}, {counted(config.views_per_step, 'view')} each",
-        }
+        """How it was made, for readers: names and values."""
+        steps, each = self.config.iterations, counted(self.config.views_per_step, "view")
+        return {**self.reconstruction.facts, "iterations": f"{self.iteration:,} of {steps:,}, {each} each"}
 
     @property
     def loss_title(self) -> tuple[str, str]:
-        """See `AnyRun`."""
-        known = LOSSES.get(self.config.loss)
-        return (known.title, known.unit) if known else (f"function {self.config.loss}", "loss")
+        """What its training minimised, and the unit of that."""
+        return METHODS[self.method].loss_title(self.config)
+
+    # ---- what it was made from --------------------------------------------------------------------------------------
+    @cached_property
+    def dataset(self) -> Dataset:
+        """The dataset it was made from.
+
+        Raises
+        ------
+        SarsplatError
+            If it is no longer there, or has changed since.
+        """
+        if self.images is not None:
+            return self.images
+        if self.dataset_path is None:
+            raise SarsplatError(
+                f"{self.path} was made from images in memory; give them with Run.load({str(self.path)!r}, "
+                f"dataset=…), or write them with write_dataset and `sarsplat reconstruct DATASET --out {self.path} "
+                "--resume`"
+            )
+        if not self.dataset_path.exists():
+            raise SarsplatError(
+                f"{self.path} needs its dataset, which is no longer at {self.dataset_path}; "
+                f"say where it is with `sarsplat reconstruct DATASET --out {self.path} --resume`"
+            )
+        dataset = read_dataset(self.dataset_path)
+        if dataset.fingerprint() != self.fingerprint:
+            raise SarsplatError(
+                f"the dataset {self.dataset_path} is not what {self.path} was made from: it has changed since; "
+                "reconstruct again"
+            )
+        return dataset
+
+    # ---- its folder -------------------------------------------------------------------------------------------------
+    @classmethod
+    def load(cls, path: str | Path, device: str = "cpu", dataset: Dataset | None = None) -> Run:
+        """Read a run's folder.
+
+        Parameters
+        ----------
+        path : str or Path
+            The folder.
+        device : {"auto", "cpu", "cuda"}
+            Where it renders; "auto" is the best there is.
+        dataset : Dataset, optional
+            The dataset it was made from, if that was in memory, or is no longer where it was.
+
+        Raises
+        ------
+        SarsplatError
+            If it is missing, or not a run of this version, there is no such method, the device cannot be used, or it
+            was made from another dataset.
+        """
+        path = Path(path)
+        header = read_header(path)
+        if header.method not in METHODS:
+            raise SarsplatError(
+                f"{path / HEADER} is of a run by the method {shown(header.method)}; give one by {', '.join(METHODS)}, "
+                "or install the package that has this method"
+            )
+        config = method_named(header.method).settings.from_dict(header.config, str(path / HEADER))
+        if dataset is not None and dataset.fingerprint() != header.dataset_fingerprint:
+            raise SarsplatError(f"{path} was made from another dataset than {dataset}; give the one it was made from")
+        where = None if header.dataset is None else Path(header.dataset)
+        on = device_named(device).type
+        return cls(header.method, config, header.dataset_fingerprint, path, where, device=on, images=dataset)
+
+    def placed(self, path: Path, dataset: Dataset) -> Run:
+        """The same run in a new folder, in which `config.json` and `checkpoints/` are made."""
+        where = None if dataset.path is None else dataset.path.resolve()
+        run = replace(self, path=path, dataset_path=where)
+        (path / "checkpoints").mkdir()
+        run.write_header()
+        return run
+
+    def write_header(self) -> None:
+        """Write `config.json`."""
+        where = None if self.dataset_path is None else str(self.dataset_path)
+        header = Header(SCHEMA, SCHEMA_VERSION, where, self.fingerprint, self.config.as_dict(), self.method)
+        write_json(self.folder / HEADER, header)
+
+    def resumed(self, dataset: Dataset, config: AnyConfig) -> Run:
+        """The same run with its dataset where it is now, and settings as it goes on; written to the disk."""
+        where = None if dataset.path is None else dataset.path.resolve()
+        changed = replace(self, dataset_path=where, config=config)
+        if changed != self:
+            changed.write_header()
+        return changed
+
+    @property
+    def folder(self) -> Path:
+        """Where it is on the disk.
+
+        Raises
+        ------
+        SarsplatError
+            If it is in memory only.
+        """
+        if self.path is None:
+            raise SarsplatError("this run is in memory and has no folder; pass `out` to reconstruct()")
+        return self.path
+
+    @property
+    def checkpoint_path(self) -> Path | None:
+        """The newest checkpoint, if there is one."""
+        found = [] if self.path is None else sorted((self.path / "checkpoints").glob("*.safetensors"))
+        return found[-1] if found else None
+
+    @property
+    def log_path(self) -> Path:
+        """Its `metrics.jsonl`."""
+        return self.folder / "metrics.jsonl"
+
+    @property
+    def history(self) -> list[LogLine]:
+        """The lines of `metrics.jsonl` (`read_log`)."""
+        if self.memory is not None:
+            return list(self.memory.history)
+        return read_log(self.log_path)
+
+    @property
+    def metrics(self) -> Metrics | None:
+        """What `sarsplat evaluate` wrote; None before."""
+        path = None if self.path is None else self.path / "metrics.json"
+        return None if path is None or not path.is_file() else read_json(path, Metrics)
+
+    def write_results(self) -> None:
+        """Write what other programs read: `points.ply`, and what else its method has."""
+        learned = self.reconstruction
+        learned.write(self.folder)
+        points = learned.points()
+        write_points_ply(self.folder / "points.ply", points, normals=learned.normals_at(points))
+
+    def remove_results(self) -> None:
+        """Before training goes on: results of an earlier state must not be taken for those of the next checkpoint."""
+        with plain_os_errors("write", self.folder):
+            for name in _RESULTS:
+                (self.folder / name).unlink(missing_ok=True)
 
 
-def _finer(asked: ImageGrid, own: ImageGrid) -> str:
-    def metres(pair: tuple[float, float]) -> str:
-        return " × ".join(f"{width:.3g}" for width in dict.fromkeys(pair)) + " m"
+def read_header(path: Path) -> Header:
+    """The header of a run's folder.
 
-    return (
-        f"a resolution of {metres(asked.resolution_m)} is finer than the {metres(own.resolution_m)} of the training "
-        "images, so the images show single Gaussians rather than the target; ask for no finer one"
+    Raises
+    ------
+    SarsplatError
+        If it is missing, or not a run of this version.
+    """
+    header = path / HEADER
+    if not header.is_file():
+        what = "does not exist" if not path.exists() else f"holds no {HEADER}, so it is not a run"
+        raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out {path}`")
+    return read_versioned_json(
+        header, Header, schema=SCHEMA, version=SCHEMA_VERSION, remedy="give a run, or reconstruct it again"
     )
+
+
+def require_replaceable(out: Path) -> None:
+    """Refuse to overwrite a folder that is not a run, of whatever version: many programs keep a `config.json`."""
+    header = out / HEADER
+    if header.is_file():
+        data = read_json(header, dict[str, Any])
+        if data.get("schema") != SCHEMA:
+            raise SarsplatError(f"{header} is not the header of a run, so it will not be replaced; choose another name")

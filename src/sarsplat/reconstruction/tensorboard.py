@@ -15,8 +15,8 @@ from sarsplat.data import Dataset, DatasetEntry
 from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
 from sarsplat.radiometry import LEAST_POWER, shade
-from sarsplat.reconstruction.any_run import HEADER
 from sarsplat.reconstruction.loop import Step
+from sarsplat.reconstruction.run import HEADER
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter

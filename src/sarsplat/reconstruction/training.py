@@ -1,32 +1,35 @@
-"""From a dataset to a run of Gaussians."""
+"""From a dataset to a run, by any method."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from sarsplat.data import Dataset, read_dataset
 from sarsplat.data.plausible import suspicions, warn
+from sarsplat.errors import SarsplatError
 from sarsplat.progress import progress
-from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.config import DEFAULT_METHOD, AnyConfig
 from sarsplat.reconstruction.device import device_named
-from sarsplat.reconstruction.lengths import lengths
 from sarsplat.reconstruction.loop import Step, Training, train
-from sarsplat.reconstruction.losses import LOSSES, Loss
-from sarsplat.reconstruction.presets import preset
+from sarsplat.reconstruction.losses import Loss
+from sarsplat.reconstruction.method import Inputs
+from sarsplat.reconstruction.methods import method_named
 from sarsplat.reconstruction.run import Run
-from sarsplat.reconstruction.trainer import Trainer
 
 
 def reconstruct(
     dataset: Dataset | str | Path,
-    preset: str | Config = "auto",
+    preset: str | AnyConfig = "auto",
     out: str | Path | None = None,
     *,
-    device: str = "auto",
+    method: str = DEFAULT_METHOD,
+    masks: str | Path | None = None,
     loss: Loss | None = None,
-    on_step: Callable[[Step[Trainer]], object] | None = None,
+    strategies: Sequence[Any] = (),
+    device: str = "auto",
+    on_step: Callable[[Step[Any]], object] | None = None,
     quiet: bool = False,
     resume: bool = False,
     overwrite: bool = False,
@@ -37,18 +40,26 @@ def reconstruct(
     ----------
     dataset : Dataset, str or Path
         The images, or the folder that holds them.
-    preset : str or Config
-        How: a name in `PRESETS`, a configuration of your own, or "auto": "measured" where the images show ground,
-        "speckled" where there is only speckle, "default" elsewhere. To resume, "auto" is what the run was begun with.
+    preset : str or AnyConfig
+        How: a name in `PRESETS`, settings of your own, or "auto": of `sar-gs`, "measured" where the images show
+        ground, "speckled" where there is only speckle, "default" elsewhere; of other methods, their defaults. To
+        resume, "auto" is what the run was begun with.
     out : str or Path, optional
         Folder of the run; it appears, or replaces an earlier run, with the first checkpoint. Without it everything
         stays in memory.
+    method : str
+        Name of the method, one of `METHODS`.
+    masks : str or Path, optional
+        Folder of masks of the training images (`read_masks`), for methods that learn from them. The run keeps them.
+    loss : callable, optional
+        For `sar-gs`, instead of the configuration's: `loss(rendered, truth)` is given two float32 stacks
+        [V, rows, columns] of β⁰, linear power, and returns one number that torch can differentiate. It is first asked
+        for the loss of black images, the unit of `scattering_penalty`. The run's configuration has its name; to
+        resume, give it again.
+    strategies : sequence
+        For `sar-gs`: what else happens between steps, besides what the configuration says.
     device : {"auto", "cpu", "cuda"}
         Where to train; "auto" is a GPU if there is one that can be used.
-    loss : callable, optional
-        Instead of the configuration's: `loss(rendered, truth)` is given two float32 stacks [V, rows, columns] of
-        β⁰, linear power, and returns one number that torch can differentiate. It is first asked for the loss of black
-        images, the unit of `scattering_penalty`. The run's configuration has its name; to resume, give it again.
     on_step : callable, optional
         Called after every step (`Step`). If it returns True, the training ends there, and the run is what has been
         learned so far. An exception ends it too; what has been learned is then kept in `out`.
@@ -56,8 +67,8 @@ def reconstruct(
         Show no progress.
     resume : bool
         Go on from the newest checkpoint in `out`, exactly as if the training had never stopped. The settings must be
-        those the run was started with, except `iterations`, `checkpoint_every` and `points`: more iterations extend
-        a run, even a finished one, and its points are extracted anew.
+        those the run was started with, except `iterations`, `checkpoint_every` and, of `sar-gs`, `points`: more
+        iterations extend a run, even a finished one, and its points are extracted anew.
     overwrite : bool
         Replace an existing run.
 
@@ -70,29 +81,28 @@ def reconstruct(
     Raises
     ------
     SarsplatError
-        If `out` exists (to resume: does not), another process is writing it, or dataset or configuration are not those
-        the run was started with.
+        If there is no such method, the dataset lacks what it learns from, it does not use what was given, `out` exists
+        (to resume: does not), another process is writing it, or dataset, method or settings are not those the run was
+        started with.
     """
+    chosen = method_named(method)
+    inputs = Inputs(None if masks is None else Path(masks), loss, tuple(strategies))
+    chosen.refuse_others(inputs)
     dataset = dataset if isinstance(dataset, Dataset) else read_dataset(Path(dataset))
-    begun = Run.load(out).config if resume and preset == "auto" and out is not None else None
-    config = begun or fitting(preset, dataset)
-    if loss is not None:
-        name = getattr(loss, "__name__", type(loss).__name__)
-        config = replace(config, loss=f"own {name}" if name in LOSSES else name)
+    begun = Run.load(out) if resume and out is not None else None
+    if begun is not None and begun.method != method:
+        raise SarsplatError(f"{out} was started with the method {begun.method}, not {method}; resume it with that")
+    if isinstance(preset, str):
+        config = begun.config if begun is not None and preset == "auto" else chosen.preset(preset, dataset)
+    else:
+        config = chosen.checked(preset)
     warn(suspicions(dataset))
-    trainer = Trainer(dataset, config, loss, device_named(device))
-    with progress(f"reconstruct ({config.preset})", config.iterations, quiet) as shown:
-        shown.note(lengths(config, dataset.grid))
+    kept = begun if begun is not None and begun.checkpoint_path is not None else None
+    trainer = chosen.trainer(dataset, config, inputs, device_named(device), kept)
+    heading, note = chosen.about(config, dataset.grid)
+    with progress(f"reconstruct ({heading})", config.iterations, quiet) as shown:
+        if note is not None:
+            shown.note(note)
+        new = Run(method, trainer.config, dataset.fingerprint())
         folder = None if out is None else Path(out)
-        training = Training(trainer, on_step, shown)
-        new = Run(config, dataset.fingerprint())
-        return train(training, new, dataset, folder, resume=resume, overwrite=overwrite)
-
-
-def fitting(choice: str | Config, dataset: Dataset) -> Config:
-    """The configuration that is meant: where there is ground or speckle, it must be modelled."""
-    if isinstance(choice, Config):
-        return choice
-    if choice != "auto":
-        return preset(choice)
-    return preset("measured" if dataset.ground else "default" if dataset.looks is None else "speckled")
+        return train(Training(trainer, on_step, shown), new, dataset, folder, resume=resume, overwrite=overwrite)

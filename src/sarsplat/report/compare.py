@@ -10,7 +10,7 @@ from typing import Any
 from sarsplat.data import new_folder, write_bytes
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Yardstick
-from sarsplat.reconstruction import AnyRun
+from sarsplat.reconstruction import Run
 from sarsplat.report.cloud import point_boards
 from sarsplat.report.figure import Figure
 from sarsplat.report.page import rendered
@@ -30,7 +30,7 @@ class Comparison:
 
     Attributes
     ----------
-    runs : tuple of AnyRun
+    runs : tuple of Run
         By any methods, all evaluated.
     names : tuple of str
         What to call them: their folders' names, or paths where names are the same.
@@ -40,13 +40,13 @@ class Comparison:
         What must be said if they were not made from the same dataset.
     """
 
-    runs: tuple[AnyRun[Any], ...]
+    runs: tuple[Run, ...]
     names: tuple[str, ...]
     tables: tuple[ScoreTable, ...]
     caution: str | None
 
 
-def compare(runs: Sequence[AnyRun[Any]]) -> Comparison:
+def compare(runs: Sequence[Run]) -> Comparison:
     """Put the scores of two or more evaluated runs side by side.
 
     Raises
@@ -104,7 +104,7 @@ def write_comparison(comparison: Comparison, out: Path, *, overwrite: bool = Fal
     return out / PAGE
 
 
-def scores_of(run: AnyRun[Any]) -> Mapping[str, Any]:
+def scores_of(run: Run) -> Mapping[str, Any]:
     """Content of a run's `metrics.json`.
 
     Raises
@@ -117,7 +117,7 @@ def scores_of(run: AnyRun[Any]) -> Mapping[str, Any]:
     return metrics
 
 
-def _caution(runs: Sequence[AnyRun[Any]], names: Sequence[str]) -> str | None:
+def _caution(runs: Sequence[Run], names: Sequence[str]) -> str | None:
     if len({run.fingerprint for run in runs}) == 1:
         return None
     made = ", ".join(

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
 
 from sarsplat.data import read_masks
 from sarsplat.evaluation import UndefinedScore, predicted_masks
-from sarsplat.reconstruction import AnyRun
+from sarsplat.reconstruction import Run
 from sarsplat.report.figure import Block, Figure, polyline
 from sarsplat.report.images import Part, power_bar, view_name
 from sarsplat.report.views import evenly
@@ -24,12 +23,12 @@ _KINDS = {1: "target", 2: "shadow"}
 Mask = UInt8[np.ndarray, "rows columns"]
 
 
-def masks_figure(run: AnyRun[Any], folder: Path) -> Figure | None:
+def masks_figure(run: Run, folder: Path) -> Figure | None:
     """Test images with the outlines of both masks; None if the run has no masks to draw.
 
     Parameters
     ----------
-    run : AnyRun
+    run : Run
         A reconstruction with its dataset.
     folder : Path
         True masks, as `evaluate --masks` was given.

@@ -13,13 +13,13 @@ from sarsplat.data import Dataset
 from sarsplat.data.determined import weakest_direction
 from sarsplat.errors import counted
 from sarsplat.evaluation import NOT_THE_SAME_EXPERIMENT, Yardstick, all_metrics, paper_beside
-from sarsplat.reconstruction import AnyRun
+from sarsplat.reconstruction import Run
 from sarsplat.report.figure import Figure
 from sarsplat.report.scores import Row, ScoreTable, score_tables
 from sarsplat.report.widget import Widget
 
 
-def page(run: AnyRun[Any], figures: list[Figure], training: list[Figure], widget: Widget | None) -> str:
+def page(run: Run, figures: list[Figure], training: list[Figure], widget: Widget | None) -> str:
     """The whole page as HTML: figures come before the scores, those of the training after them."""
     metrics, dataset = run.metrics, run.dataset
     paper = paper_beside(dataset)
@@ -63,7 +63,7 @@ def rendered(template: str, **values: Any) -> str:
     return templates.get_template(template).render(**values)
 
 
-def _lead(run: AnyRun[Any]) -> str:
+def _lead(run: Run) -> str:
     dataset = run.dataset
     train = sum(entry.split == "train" for entry in dataset.entries)
     kind = "measured" if dataset.calibration == "relative" else "simulated"
@@ -133,7 +133,7 @@ def _plain(value: Any) -> str:
     return "none" if value is None else str(value)
 
 
-def _run_facts(run: AnyRun[Any]) -> dict[str, str]:
+def _run_facts(run: Run) -> dict[str, str]:
     try:
         program = version("sarsplat")
     except PackageNotFoundError:  # run from source

@@ -12,7 +12,7 @@ from sarsplat.data import Dataset
 from sarsplat.errors import counted
 from sarsplat.evaluation import IMAGE_METRICS, Metric
 from sarsplat.evaluation.metrics import ImagePair
-from sarsplat.reconstruction import AnyRun
+from sarsplat.reconstruction import Run
 from sarsplat.report.figure import Block, Figure
 from sarsplat.report.images import Part, difference_bar, power_bar, view_name
 from sarsplat.report.residual import Difference, fitted
@@ -74,7 +74,7 @@ def with_others(dataset: Dataset, chosen: Sequence[Chosen], others: int) -> list
 
 
 def views_figure(
-    title: str, text: str, runs: Mapping[str, AnyRun[Any]], chosen: Sequence[Chosen], largest: int = _LARGEST
+    title: str, text: str, runs: Mapping[str, Run], chosen: Sequence[Chosen], largest: int = _LARGEST
 ) -> Figure:
     """Truth, reconstructions and errors of images of the dataset that some runs share.
 
@@ -82,7 +82,7 @@ def views_figure(
     ----------
     title, text : str
         Heading, and what the caption begins with.
-    runs : mapping of str to AnyRun
+    runs : mapping of str to Run
         By what to call their images.
     chosen : sequence of Chosen
         Which images.
@@ -125,7 +125,7 @@ def views_figure(
     return Figure(title, text, tuple(blocks), (power_bar(), difference_bar(difference)))
 
 
-def unseen_figure(run: AnyRun[Any], chosen: Sequence[Chosen]) -> Figure:
+def unseen_figure(run: Run, chosen: Sequence[Chosen]) -> Figure:
     """Truth, reconstruction and error of some images of a run's dataset."""
     text = f"{_which(run.dataset, chosen)} Power in decibels, the radar above, near range first."
     return views_figure("Unseen views", text, {_OURS: run}, chosen)

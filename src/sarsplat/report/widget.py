@@ -19,7 +19,7 @@ from sarsplat.colours import DIFFERENCE, DIFFERENCE_IN_WORDS, HEIGHT, POWER_RAMP
 from sarsplat.data import Dataset
 from sarsplat.geometry import View
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, shade
-from sarsplat.reconstruction import AnyRun
+from sarsplat.reconstruction import Run
 from sarsplat.report.figure import ColourBar, Panel, colour_bar
 from sarsplat.report.images import Part, difference_bar, power_bar
 from sarsplat.report.raster import data_uri, indexed, png
@@ -52,7 +52,7 @@ class Widget:
     data: dict[str, Any]
 
 
-def widget(run: AnyRun[Any]) -> Widget | None:
+def widget(run: Run) -> Widget | None:
     """The widget of a run with its dataset; None if it has no points to turn."""
     points, dataset = run.points, run.dataset
     if len(points) == 0:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +14,7 @@ from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Alignment, Yardstick, read_truth_mesh
-from sarsplat.reconstruction import AnyRun
+from sarsplat.reconstruction import Run
 from sarsplat.report.azimuths import azimuths_figure
 from sarsplat.report.cloud import point_boards
 from sarsplat.report.curves import curves_figure
@@ -32,12 +31,12 @@ _SURFACE_SAMPLES = 200_000
 _STILL = Alignment((0.0, 0.0, 0.0), 0.0)
 
 
-def write_report(run: AnyRun[Any]) -> Path:
+def write_report(run: Run) -> Path:
     """Write `RUN/report/index.html`: one page that holds all it shows and needs no network.
 
     Parameters
     ----------
-    run : AnyRun
+    run : Run
         A reconstruction; its scores are shown if `metrics.json` is there.
 
     Returns
@@ -80,7 +79,7 @@ def refuse_linked_report(run: Path) -> None:
 
 
 @contextmanager
-def scores_expected(run: AnyRun[Any]) -> Iterator[None]:
+def scores_expected(run: Run) -> Iterator[None]:
     """Say in one sentence that `metrics.json` was written by another version."""
     try:
         yield
@@ -91,14 +90,14 @@ def scores_expected(run: AnyRun[Any]) -> Iterator[None]:
         ) from error
 
 
-def _masks(run: AnyRun[Any]) -> list[Figure]:
+def _masks(run: Run) -> list[Figure]:
     """Of the folder that the run was evaluated with."""
     folder = None if (metrics := run.metrics) is None else metrics.get("masks")
     drawn = None if folder is None else masks_figure(run, Path(folder))
     return [] if drawn is None else [drawn]
 
 
-def _points(run: AnyRun[Any]) -> Figure:
+def _points(run: Run) -> Figure:
     _, farthest_m, _ = Yardstick.of(run.dataset.grid).thresholds_m
     file, motion = _truth(run)
     clouds = {"reconstruction": motion.moved(run.points)}
@@ -121,7 +120,7 @@ def sampled(mesh: Path) -> Float[np.ndarray, "s 3"]:
     return np.asarray(sample_surface(read_truth_mesh(mesh), _SURFACE_SAMPLES, seed=0)[0])
 
 
-def _truth(run: AnyRun[Any]) -> tuple[Path | None, Alignment]:
+def _truth(run: Run) -> tuple[Path | None, Alignment]:
     """The file of the true surface, and the motion that brought the points onto it."""
     file = run.dataset.truth_mesh
     if (metrics := run.metrics) is None or "truth" not in metrics:
@@ -132,7 +131,7 @@ def _truth(run: AnyRun[Any]) -> tuple[Path | None, Alignment]:
     return file, Alignment(truth.get("shift_m", _STILL.shift_m), truth.get("heading_deg", _STILL.heading_deg))
 
 
-def _mesh(run: AnyRun[Any]) -> list[Figure]:
+def _mesh(run: Run) -> list[Figure]:
     truth, motion = _truth(run)
     try:
         mesh = run.mesh()
@@ -146,12 +145,12 @@ def _mesh(run: AnyRun[Any]) -> list[Figure]:
     return [Figure("Mesh", text + beside, mesh_boards(mesh, read_truth_mesh(truth) if truth else None))]
 
 
-def _curves(run: AnyRun[Any]) -> list[Figure]:
+def _curves(run: Run) -> list[Figure]:
     history = run.history
     return [curves_figure(history, *run.loss_title)] if history else []
 
 
-def _azimuths(run: AnyRun[Any]) -> list[Figure]:
+def _azimuths(run: Run) -> list[Figure]:
     if not run.azimuth_offset_deg.any():
         return []
     train = run.dataset.select("train")

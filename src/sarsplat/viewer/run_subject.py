@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -14,7 +13,8 @@ from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.points import surface_distance
 from sarsplat.geometry import View
 from sarsplat.radar import Surface, surface_of_run
-from sarsplat.reconstruction import AnyRun, Run
+from sarsplat.reconstruction import Run
+from sarsplat.reconstruction.model import SceneModel
 from sarsplat.viewer.scene import OfScene, SceneImages
 from sarsplat.viewer.subject import TRUTH, Cloud, Subject, at_most, dataset_subject
 
@@ -29,9 +29,7 @@ def subject_at(path: str | Path) -> Subject:
     """
     path = Path(path)
     if (path / "config.json").is_file():
-        from sarsplat.baselines import open_run
-
-        return subject_of_run(open_run(path))
+        return subject_of_run(Run.load(path))
     if (path / "dataset.json").is_file():
         return dataset_subject(read_dataset(path))
     what = "does not exist" if not path.exists() else "is neither a run nor a dataset"
@@ -40,9 +38,9 @@ def subject_at(path: str | Path) -> Subject:
     )
 
 
-def subject_of_run(run: AnyRun[Any]) -> Subject:
+def subject_of_run(run: Run) -> Subject:
     """A run of any method; its dataset may be gone."""
-    return GaussianSubject(run) if isinstance(run, Run) else RunSubject(run)
+    return RunSubject(run) if run.model is None else GaussianSubject(run, run.model)
 
 
 class RunSubject(Subject):
@@ -50,13 +48,13 @@ class RunSubject(Subject):
 
     Parameters
     ----------
-    run : AnyRun
+    run : Run
         The run.
     """
 
     renders = True
 
-    def __init__(self, run: AnyRun[Any]) -> None:
+    def __init__(self, run: Run) -> None:
         self.run = run
         try:
             dataset = run.dataset
@@ -112,9 +110,9 @@ class RunSubject(Subject):
 class GaussianSubject(OfScene, RunSubject):
     """A run of Gaussians."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: Run, model: SceneModel) -> None:
         super().__init__(run)
-        self.look_at(SceneImages(run.model, run.model.degree(run.iteration), run.grid))
+        self.look_at(SceneImages(model, model.degree(run.iteration), run.grid))
 
     @cached_property
     def clouds(self) -> list[Cloud]:

@@ -7,22 +7,25 @@ published is listed in docs/baselines-dsr.md.
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
 from jaxtyping import Float, Float64, Int64
+from msgspec import Meta
 from scipy.stats import gamma
 from torch import Tensor
 
-from sarsplat.baselines.baseline import Baseline, Scene
-from sarsplat.baselines.dsr_config import DsrConfig
+from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
 from sarsplat.baselines.mesh_renderer import Layers, MeshRenderer
+from sarsplat.baselines.method import BaselineMethod
 from sarsplat.baselines.regularity import flatten_loss, iou_loss, laplacian_loss, ordered_sum
 from sarsplat.baselines.template import sphere
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import SHADOW, TARGET, View
 from sarsplat.radiometry import beta0_of_gamma0
+from sarsplat.reconstruction.config import Count, NotNegative, Positive
 
 _HALF_FIELD, _DEPTH_RANGE = 1.58, 99.0
 """What σ and γ refer to, in longest sides of the target: as in soft rasterisation's usual scenes, where an object of
@@ -39,6 +42,54 @@ _START_GROUND, _START_FLOOR = 1.0, 0.1
 
 _SLOWDOWN = 0.1
 """Learning rates at the end, relative to those at the start."""
+
+
+Softness = Annotated[float, Meta(ge=1e-6, le=1)]
+Momentum = Annotated[float, Meta(ge=0, le=0.9999)]
+
+
+@dataclass(frozen=True)
+class DsrConfig(BaselineConfig):
+    """Settings of DSR.
+
+    Parameters
+    ----------
+    vertices : {642, 1352}
+        Of the template.
+    sigma : float
+        σ of the coverage, in squares of 1.58 longest sides of the target's box: √σ is the softness of edges.
+    gamma : float
+        How far a face may lie behind another and still be seen: e-fold in depth, in 99 longest sides of the box.
+    laplacian, flatten, lit, shadow, image : float
+        Weights of the losses.
+    learning_rate : float
+        Of the vertices, longest sides of the target's box per step; it falls tenfold in the whole training.
+    scattering_rate : float
+        Of the logarithms of scattering, ground and noise; it falls in the same way.
+    betas : (float, float)
+        Of Adam.
+    iterations, checkpoint_every, views_per_step, seed
+        See `BaselineConfig`.
+
+    Raises
+    ------
+    SarsplatError
+        If a value is of another type or out of range.
+    """
+
+    vertices: Literal[642, 1352] = 642
+    sigma: Softness = 1.2e-5
+    gamma: Softness = 1e-4
+    laplacian: NotNegative = 0.3
+    flatten: NotNegative = 3e-4
+    lit: NotNegative = 1.0
+    shadow: NotNegative = 1.0
+    image: NotNegative = 1.0
+    iterations: Count = 2000
+    views_per_step: Count = 4
+    learning_rate: Positive = 0.01
+    scattering_rate: Positive = 0.03
+    betas: tuple[Momentum, Momentum] = (0.5, 0.99)
 
 
 class Dsr(Baseline):
@@ -167,3 +218,14 @@ def _checked_masks(scene: Scene) -> Tensor:
     if not (scene.masks == TARGET).any():
         raise SarsplatError("no mask shows the target (1), so DSR has nothing to learn from; give masks that do")
     return torch.from_numpy(scene.masks.copy())
+
+
+METHOD = BaselineMethod(
+    "dsr",
+    "DSR",
+    "a closed mesh",
+    "sum of the losses of both masks and of the image, and of what keeps the mesh smooth",
+    DsrConfig(),
+    Dsr,
+    takes=frozenset({"masks"}),
+)

@@ -7,32 +7,32 @@ After Z. Lei, F. Xu et al., "SAR-NeRF: Neural Radiance Fields for Synthetic Aper
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float64, Int64
+from msgspec import Meta
 from torch import Tensor
 from torch.nn import functional
 from torch.utils.checkpoint import checkpoint
 
-from sarsplat.baselines.baseline import Baseline, Scene
-from sarsplat.baselines.fields import Field, Lattices, Perceptron, VoxelGrid
+from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
+from sarsplat.baselines.fields import Field, Perceptron
 from sarsplat.baselines.isosurface import isosurface, level_of_half
+from sarsplat.baselines.method import BaselineMethod
 from sarsplat.baselines.rays import Rays
-from sarsplat.baselines.sar_nerf_config import SarNerfConfig, SarNerfGridConfig
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.ground import ground_radius_m
 from sarsplat.geometry import View
+from sarsplat.reconstruction.config import Count, Positive
 
 _CLEAR = -4.0
 """Added to the attenuation before its activation: e⁻⁴ per resolution cell lets light through at first."""
 
 _DIM = -2.0
 """Added to the scattering before its activation."""
-
-_PUBLISHED_GRID = (0.02, -4.0)
-"""The same for the published activations over a grid, which is 0 at first: ReLU must start where it has a slope."""
 
 _SOFTENED = 1e-3
 """Amplitude, of the brightest, below which the root of a rendered power is softened: it has no slope at zero."""
@@ -45,11 +45,39 @@ _LEAST_NOISE = 1e-3
 
 _FIRST_NOISE = 0.05
 
-_VIEWS_PER_HARMONIC = 2
-"""Of speckled images, at least."""
-
 _NOISE_RATE = 2e-3
 """Of Adam for the noise floor: a faster one takes the clutter's place before there is ground, and shadows are lost."""
+
+
+@dataclass(frozen=True)
+class SarNerfConfig(BaselineConfig):
+    """Settings of SAR-NeRF with its multi-layer perceptron.
+
+    Parameters
+    ----------
+    mode : {"published", "sound"}
+        The published image equation and loss, or those that hold in metres and for speckle.
+    rays : int
+        In elevation, for each azimuth column; if sound, over ground at least one per resolution cell.
+    learning_rate : float
+        Of Adam; it falls tenfold in the whole training.
+    surface_voxels : int
+        Along the longest side of the box in which the surface is looked for.
+    iterations, checkpoint_every, views_per_step, seed
+        See `BaselineConfig`.
+
+    Raises
+    ------
+    SarsplatError
+        If a value is of another type or out of range.
+    """
+
+    mode: Literal["published", "sound"] = "published"
+    rays: Annotated[int, Meta(ge=1, le=1000)] = 20
+    iterations: Count = 250_000
+    checkpoint_every: Count = 10
+    learning_rate: Positive = 5e-4
+    surface_voxels: Annotated[int, Meta(ge=4, le=1024)] = 256
 
 
 class SarNerf(Baseline):
@@ -74,6 +102,12 @@ class SarNerf(Baseline):
         How it is learned.
     """
 
+    start: tuple[float, float] = (0.0, 0.0)
+    """Added to attenuation and scattering before the published activations."""
+
+    endless: bool = True
+    """Whether the published field goes on outside of its boxes."""
+
     def __init__(self, scene: Scene, config: SarNerfConfig) -> None:
         super().__init__(scene)
         self.config = config
@@ -82,26 +116,22 @@ class SarNerf(Baseline):
         self.high_m = np.max([high for _, high in self._boxes], axis=0)
         self._sound = config.mode == "sound"
         self._speckled = self._sound and scene.looks is not None
-        self._grid = config if isinstance(config, SarNerfGridConfig) else None
-        self._endless = self._grid is None and not self._sound
+        self._endless = self.endless and not self._sound
         self.field = self._new_field()
         self.log_noise = (
             torch.nn.Parameter(torch.tensor(math.log(_FIRST_NOISE))) if self._speckled and scene.ground else None
         )
 
     def _new_field(self) -> Field:
-        side = self.high_m - self.low_m
-        if self._grid is not None:
-            cell, degree = self.scene.grid.cell_m, self._grid.degree
-            if self._speckled:  # or it would learn the speckle of each image
-                degree = max(0, min(degree, math.isqrt(len(self.scene.views) // _VIEWS_PER_HARMONIC) - 1))
-            target, *ground = self._boxes
-            lattices = [Lattices(*target, self._grid.voxel * cell), *(Lattices(*box, cell) for box in ground)]
-            return VoxelGrid(lattices, self._grid.levels, degree)
         generator = torch.Generator().manual_seed(self.config.seed)
         if self._sound:
+            side = self.high_m - self.low_m
             return Perceptron((self.low_m + self.high_m) / 2, float(side.max()) / 2, generator)
         return Perceptron(np.zeros(3), 1.0, generator)
+
+    def _prior(self, samples: float) -> Float[Tensor, ""] | float:
+        """Nats that the field costs for each of so many samples of speckle."""
+        return 0.0
 
     def loss(
         self, chosen: Int64[Tensor, " v"], images: Float[Tensor, "v rows columns"], generator: torch.Generator
@@ -118,10 +148,8 @@ class SarNerf(Baseline):
         if self._speckled and self.scene.looks is not None:
             floor = _LEAST_NOISE if self.scene.ground else _FLOOR * self.scene.brightest
             nats = _mean((power + floor).log() + (images + floor) / (power + floor))
-            if self._grid is None or not isinstance(self.field, VoxelGrid):
-                return nats
             samples = len(self.scene.views) * self.scene.grid.independent_samples * self.scene.looks
-            return nats + self._grid.total_variation / samples * self.field.total_variation()
+            return nats + self._prior(samples)
         brightest = self.scene.brightest
         if self._sound:
             amplitude = (power / brightest + _SOFTENED**2).sqrt()
@@ -222,12 +250,12 @@ class SarNerf(Baseline):
         if self._sound:  # α has the unit 1 / resolution cell inside, so that scenes of all scales are learned alike
             length = 2 * self.scene.grid.spacing_m[1] / self.scene.grid.cell_m
             return _softplus(raw + _CLEAR) * length
-        return (raw + (_PUBLISHED_GRID[0] if self._grid is not None else 0.0)).relu()
+        return (raw + self.start[0]).relu()
 
     def _scattering(self, raw: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
         if self._sound:
             return _softplus(raw + _DIM)
-        return torch.sigmoid(raw + (_PUBLISHED_GRID[1] if self._grid is not None else 0.0))
+        return torch.sigmoid(raw + self.start[1])
 
     def _inside(self, places: Float[Tensor, "*p 3"]) -> Bool[Tensor, "*p"]:
         """Where the field is."""
@@ -275,3 +303,10 @@ def _amplitude(power: Float[Tensor, "v rows columns"]) -> Float[Tensor, "v rows 
 def _mean(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
     """One dimension after the other: torch splits a sum to one number by threads, and its bits would depend on them."""
     return images.mean(2).mean(1).mean(0)
+
+
+LOSS = "squared difference of amplitudes or, in sound mode with speckle, its negative log-likelihood"
+
+METHOD = BaselineMethod(
+    "sar-nerf", "SAR-NeRF", "a perceptron that knows attenuation and scattering", LOSS, SarNerfConfig(), SarNerf
+)

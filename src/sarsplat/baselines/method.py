@@ -1,0 +1,191 @@
+"""What all baselines share as methods: a training by `BaselineTrainer`, and points where rays meet a surface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from jaxtyping import Float32, UInt8
+from scipy.spatial import cKDTree
+
+from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
+from sarsplat.baselines.seen_points import Points, seen_points
+from sarsplat.baselines.trainer import BaselineTrainer, load_model, saved_scene, scene_of
+from sarsplat.data import Dataset, read_masks, write_mesh
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.reconstruction.method import Inputs, Method, Reconstruction
+from sarsplat.reconstruction.run import MESH, Run
+from sarsplat.reconstruction.snapshot import Snapshot
+from sarsplat.scenes import load_mesh
+
+if TYPE_CHECKING:
+    import trimesh
+
+_RAYS_PER_CELL = 4.0
+"""Along a side."""
+
+
+@dataclass(frozen=True)
+class BaselineMethod(Method):
+    """A method whose model is a `Baseline`.
+
+    Parameters
+    ----------
+    name : str
+        On the command line and in files.
+    title : str
+        For readers.
+    learns : str
+        What it learns, for readers: `a closed mesh`.
+    loss : str
+        What its training minimises, for readers.
+    defaults : BaselineConfig
+        Its settings unless asked otherwise; their type is that of all its settings.
+    model : callable (Scene, BaselineConfig) -> Baseline
+        Its model of a scene before the first step.
+    takes : frozenset of str
+        `{"masks"}` if it learns from masks of the training images.
+    """
+
+    name: str
+    title: str
+    learns: str
+    loss: str
+    defaults: BaselineConfig
+    model: Callable[[Scene, Any], Baseline]
+    takes: frozenset[str] = frozenset()
+
+    @property
+    def settings(self) -> type[BaselineConfig]:  # type: ignore[override]
+        """See `Method`."""
+        return type(self.defaults)
+
+    def preset(self, name: str, dataset: Dataset) -> BaselineConfig:
+        """See `Method`; there is only "auto"."""
+        if name != "auto":
+            raise SarsplatError(f"{self.name} has no presets, so {shown(name)} is unknown; omit it, or give settings")
+        return self.defaults
+
+    def trainer(
+        self, dataset: Dataset, config: BaselineConfig, inputs: Inputs, device: torch.device, begun: Run | None
+    ) -> BaselineTrainer:
+        """See `Method`; a training that is resumed keeps its masks."""
+        if begun is None:
+            masks = None if inputs.masks is None else read_masks(inputs.masks, dataset, ("train",))
+            scene = scene_of(dataset, None if masks is None else np.stack([*masks.values()]))
+        elif inputs.masks is None:
+            opened: Any = begun.reconstruction  # by `open`, with errors that name the checkpoint
+            scene = opened.baseline.scene
+        else:
+            raise SarsplatError(f"{begun.path} keeps the masks it was started with; omit the masks {inputs.masks}")
+        return BaselineTrainer(dataset, config, self.model(scene, config), device)
+
+    def open(
+        self, snapshot: Snapshot, config: BaselineConfig, device: str, folder: Path | None
+    ) -> BaselineReconstruction:
+        """See `Method`."""
+        return BaselineReconstruction(self, snapshot, config, device, folder)
+
+    def loss_title(self, config: BaselineConfig) -> tuple[str, str]:
+        """See `Method`."""
+        return self.loss, "loss"
+
+
+class BaselineReconstruction(Reconstruction):
+    """What a baseline has learned; its points are where rays of the training views meet its surface."""
+
+    def __init__(
+        self, method: BaselineMethod, snapshot: Snapshot, config: BaselineConfig, device: str, folder: Path | None
+    ) -> None:
+        self.method, self.snapshot, self.folder = method, snapshot, folder
+        self.grid = snapshot.grid
+        self.baseline = method.model(saved_scene(snapshot), config)
+        load_model(self.baseline, snapshot)
+        self.baseline.to(device)
+
+    @torch.no_grad()
+    def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
+        """See `Reconstruction`; on its own grid only.
+
+        Raises
+        ------
+        SarsplatError
+            If another grid is asked for.
+        """
+        if grid not in (None, self.grid):
+            raise SarsplatError(
+                f"{self.method.title} renders the pixels that it was trained with, and no others; "
+                "omit the size, spacing and resolution"
+            )
+        images = np.empty((len(views), self.grid.rows, self.grid.columns), np.float32)
+        for image, view in zip(images, views, strict=True):
+            image[:] = (self.baseline.image(view) * self.snapshot.unit).cpu().numpy()
+        return images
+
+    def masks(self, views: Sequence[View], points: Float32[np.ndarray, "p 3"]) -> UInt8[np.ndarray, "v rows columns"]:
+        """See `Reconstruction`: of its surface on flat ground, by ray casting.
+
+        Raises
+        ------
+        SarsplatError
+            If embreex is missing.
+        """
+        from sarsplat.scenes.raycast_masks import raycast_mask
+
+        images = np.zeros((len(views), self.grid.rows, self.grid.columns), np.uint8)
+        if len(self.surface.faces):
+            for image, view in zip(images, views, strict=True):
+                image[:] = raycast_mask(self.surface, view, self.grid)
+        return images
+
+    @cached_property
+    def surface(self) -> trimesh.Trimesh:
+        """What it takes for the target's surface, m, world frame; perhaps without faces.
+
+        From `mesh.ply`; made anew if there is none, as after a training that was killed.
+        """
+        import trimesh
+
+        if self.folder is not None and (self.folder / MESH).is_file():
+            return load_mesh(self.folder / MESH)
+        vertices, faces = self.baseline.surface()
+        return trimesh.Trimesh(vertices, faces, process=False)
+
+    def mesh(self, points: Points, normals: Points) -> trimesh.Trimesh:
+        """See `Reconstruction`: the whole surface, of which parts may be what no view saw."""
+        return self.surface
+
+    @cached_property
+    def _seen(self) -> tuple[Points, Points]:
+        return seen_points(self.surface, self.snapshot.views, self.grid.cell_m / _RAYS_PER_CELL)
+
+    def points(self) -> Points:
+        """See `Reconstruction`."""
+        return self._seen[0]
+
+    def normals_at(self, points: Points) -> Points:
+        """See `Reconstruction`: those of the nearest places that rays meet."""
+        seen, normals = self._seen
+        return normals[cKDTree(seen).query(points)[1]] if len(points) and len(seen) else np.zeros_like(points)
+
+    def write(self, folder: Path) -> None:
+        """See `Reconstruction`: `mesh.ply`, if there is a surface."""
+        if len(self.surface.faces):
+            write_mesh(folder / MESH, self.surface)
+
+    # ---- for readers ------------------------------------------------------------------------------------------------
+    @property
+    def learned(self) -> str:
+        """See `Reconstruction`."""
+        return f"{self.method.learns} ({self.method.title})"
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """See `Reconstruction`."""
+        return {"numbers learned": f"{sum(parameter.numel() for parameter in self.baseline.parameters()):,}"}

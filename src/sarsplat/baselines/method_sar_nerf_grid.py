@@ -1,0 +1,83 @@
+"""SAR-NeRF with nested grids instead of a perceptron, for a CPU; docs/baselines-sar-nerf.md."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from jaxtyping import Float
+from msgspec import Meta
+from torch import Tensor
+
+from sarsplat.baselines.fields import Lattices, VoxelGrid
+from sarsplat.baselines.method import BaselineMethod
+from sarsplat.baselines.method_sar_nerf import LOSS, SarNerf, SarNerfConfig
+from sarsplat.reconstruction.config import Count, Degree, NotNegative, Positive
+
+_VIEWS_PER_HARMONIC = 2
+"""Of speckled images, at least."""
+
+
+@dataclass(frozen=True)
+class SarNerfGridConfig(SarNerfConfig):
+    """Settings of SAR-NeRF with nested grids instead.
+
+    Parameters
+    ----------
+    voxel : float
+        Of the finest level of the grid in the target's box, resolution cells; on the ground around it, it is 1.
+    levels : int
+        Of the grid; each is half as fine as the next.
+    degree : int
+        Of the spherical harmonics in the grid; if sound, for speckled images less if they are fewer than two for each.
+    total_variation : float
+        Of the grid, if sound and for speckled images: nats that the squared difference of two neighbouring numbers
+        costs beside the likelihood of all training images; 0.5 is a normal distribution of standard deviation 1.
+    mode, rays, learning_rate, surface_voxels, iterations, checkpoint_every, views_per_step, seed
+        See `SarNerfConfig`.
+
+    Raises
+    ------
+    SarsplatError
+        If a value is of another type or out of range.
+    """
+
+    mode: Literal["published", "sound"] = "sound"
+    iterations: Count = 4000
+    checkpoint_every: Count = 100
+    learning_rate: Positive = 0.2
+    voxel: Positive = 0.5
+    levels: Annotated[int, Meta(ge=1, le=10)] = 4
+    degree: Degree = 2
+    total_variation: NotNegative = 0.5
+
+
+class SarNerfGrid(SarNerf):
+    """As `SarNerf`, but its field is a `VoxelGrid`, which ends at its boxes."""
+
+    config: SarNerfGridConfig
+    field: VoxelGrid
+    start = (0.02, -4.0)  # the grid is 0 at first: ReLU must start where it has a slope
+    endless = False
+
+    def _new_field(self) -> VoxelGrid:
+        cell, degree = self.scene.grid.cell_m, self.config.degree
+        if self._speckled:  # or it would learn the speckle of each image
+            degree = max(0, min(degree, math.isqrt(len(self.scene.views) // _VIEWS_PER_HARMONIC) - 1))
+        target, *ground = self._boxes
+        lattices = [Lattices(*target, self.config.voxel * cell), *(Lattices(*box, cell) for box in ground)]
+        return VoxelGrid(lattices, self.config.levels, degree)
+
+    def _prior(self, samples: float) -> Float[Tensor, ""]:
+        return self.config.total_variation / samples * self.field.total_variation()
+
+
+METHOD = BaselineMethod(
+    "sar-nerf-grid",
+    "SAR-NeRF on a grid",
+    "nested grids of attenuation and scattering",
+    LOSS,
+    SarNerfGridConfig(),
+    SarNerfGrid,
+)

@@ -1,0 +1,215 @@
+"""What a method has to offer to be trained, rendered and scored."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8
+
+from sarsplat.data import Dataset
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.reconstruction.config import AnyConfig
+
+if TYPE_CHECKING:
+    import torch
+    import trimesh
+
+    from sarsplat.gaussians import Gaussians
+    from sarsplat.reconstruction.loop import Trainable
+    from sarsplat.reconstruction.losses import Loss
+    from sarsplat.reconstruction.model import SceneModel
+    from sarsplat.reconstruction.run import Run
+    from sarsplat.reconstruction.snapshot import Snapshot
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Arguments of `reconstruct` that only some methods take (`Method.takes`).
+
+    Parameters
+    ----------
+    masks : Path, optional
+        Folder of masks of the training images.
+    loss : callable, optional
+        Loss to be trained with.
+    strategies : sequence
+        What else happens between steps.
+    """
+
+    masks: Path | None = None
+    loss: Loss | None = None
+    strategies: Sequence[Any] = ()
+
+
+class Method(ABC):
+    """A way from images to a target. One object, `METHOD` of a module `method_NAME.py` or an entry point.
+
+    Attributes
+    ----------
+    name : str
+        On the command line and in files.
+    title : str
+        For readers.
+    settings : type of AnyConfig
+        What its settings are.
+    takes : frozenset of str
+        Fields of `Inputs` that it uses.
+    watchable : bool
+        Whether the viewer can show its trainings: its trainer has a `model` of Gaussians.
+    """
+
+    name: str
+    title: str
+    settings: type[AnyConfig]
+    takes: frozenset[str] = frozenset()
+    watchable: bool = False
+
+    @abstractmethod
+    def preset(self, name: str, dataset: Dataset) -> Any:
+        """Its settings of that name; "auto" is what suits the dataset.
+
+        Raises
+        ------
+        SarsplatError
+            If there are none of that name.
+        """
+
+    @abstractmethod
+    def trainer(
+        self, dataset: Dataset, config: Any, inputs: Inputs, device: torch.device, begun: Run | None
+    ) -> Trainable:
+        """A training at its beginning.
+
+        Parameters
+        ----------
+        dataset : Dataset
+            Its training images are learned from.
+        config : AnyConfig
+            Settings, of the type `settings`.
+        inputs : Inputs
+            Only what it `takes`.
+        device : torch.device
+            Where to train.
+        begun : Run or None
+            The run that will be resumed, if it has a checkpoint.
+        """
+
+    @abstractmethod
+    def open(self, snapshot: Snapshot, config: Any, device: str, folder: Path | None) -> Reconstruction:
+        """What a training has learned; `folder` is where it keeps its results, if it has a folder.
+
+        Raises
+        ------
+        KeyError, ValueError, TypeError, IndexError, RuntimeError, SarsplatError
+            If the snapshot does not hold a whole model of these settings.
+        """
+
+    @abstractmethod
+    def loss_title(self, config: Any) -> tuple[str, str]:
+        """What its training minimises, and the unit of that, for readers."""
+
+    def about(self, config: Any, grid: ImageGrid) -> tuple[str, str | None]:
+        """What is shown while it trains: a heading, and one line, if there is something to say."""
+        return self.name, None
+
+    def checked(self, config: AnyConfig) -> AnyConfig:
+        """The settings, if they are its own.
+
+        Raises
+        ------
+        SarsplatError
+            If they are not.
+        """
+        if type(config) is not self.settings:
+            raise SarsplatError(
+                f"the settings are a {type(config).__name__}; {self.name} takes a {self.settings.__name__}"
+            )
+        return config
+
+    def refuse_others(self, inputs: Inputs) -> None:
+        """Refuse inputs that it does not use.
+
+        Raises
+        ------
+        SarsplatError
+            If there are any.
+        """
+        for field in fields(Inputs):
+            value = getattr(inputs, field.name)
+            if value != field.default and field.name not in self.takes:
+                what = shown(str(value)) if isinstance(value, Path) else shown(value)
+                raise SarsplatError(f"{self.name} uses no {field.name}; omit {what}, or choose a method that does")
+
+
+class Reconstruction(ABC):
+    """What was learned of a target, on a device; arrays come back in any case.
+
+    Attributes
+    ----------
+    gaussians : Gaussians or None
+        The target's Gaussians, of methods that learn any.
+    model : SceneModel or None
+        The scene of Gaussians, of methods that learn one: what radar maps and the viewer take apart.
+    """
+
+    gaussians: Gaussians | None = None
+    model: SceneModel | None = None
+
+    @abstractmethod
+    def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
+        """β⁰ of any views, linear power, on its grid or another one.
+
+        Raises
+        ------
+        SarsplatError
+            If the method cannot render on that grid.
+
+        Warns
+        -----
+        SarsplatWarning
+            If the grid is finer than what it was learned from.
+        """
+
+    @abstractmethod
+    def masks(self, views: Sequence[View], points: Float32[np.ndarray, "p 3"]) -> UInt8[np.ndarray, "v rows columns"]:
+        """What the pixels of any views show, given the points of the target: 0 clutter, 1 target, 2 shadow."""
+
+    @abstractmethod
+    def mesh(self, points: Float32[np.ndarray, "p 3"], normals: Float32[np.ndarray, "p 3"]) -> trimesh.Trimesh:
+        """The surface as triangles, world frame, m, given its points and their normals; perhaps without faces."""
+
+    @abstractmethod
+    def points(self) -> Float32[np.ndarray, "p 3"]:
+        """Points of the surface, world frame, m."""
+
+    @abstractmethod
+    def normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
+        """Unit normals of the surface at these of its points, on the side that the radar saw."""
+
+    def gamma0_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, " p"] | None:
+        """γ⁰ of these points, linear, as the training views saw it; None if the method does not know it."""
+        return None
+
+    @property
+    def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"] | None:
+        """By how much the azimuths of the training views were corrected, degrees; None of methods that do not."""
+        return None
+
+    @property
+    @abstractmethod
+    def learned(self) -> str:
+        """What was learned, in words: `4,123 Gaussians`."""
+
+    @property
+    @abstractmethod
+    def facts(self) -> dict[str, str]:
+        """How it was made, for readers, besides the number of steps: names and values."""
+
+    def write(self, folder: Path) -> None:  # noqa: B027
+        """Write what other programs read, besides the points, if there is anything."""

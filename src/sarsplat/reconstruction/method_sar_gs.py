@@ -1,0 +1,202 @@
+"""Our own method, `sar-gs`: a target of Gaussians, and what is made of them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Float64, UInt8
+
+from sarsplat.data import Dataset, write_gaussians_ply
+from sarsplat.errors import SarsplatWarning, counted
+from sarsplat.gaussians import Gaussians
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.reconstruction.config import DEFAULT_METHOD, Config
+from sarsplat.reconstruction.lengths import lengths
+from sarsplat.reconstruction.losses import LOSSES
+from sarsplat.reconstruction.masks import scene_masks, without_imitated_ground
+from sarsplat.reconstruction.mesh import surface_mesh
+from sarsplat.reconstruction.method import Inputs, Method, Reconstruction
+from sarsplat.reconstruction.model import SceneModel
+from sarsplat.reconstruction.normals import surface_normals
+from sarsplat.reconstruction.points import extract_points
+from sarsplat.reconstruction.presets import preset
+from sarsplat.reconstruction.saved_model import AZIMUTH_OFFSETS, saved_model
+from sarsplat.reconstruction.seen import Seen
+from sarsplat.reconstruction.snapshot import Snapshot
+from sarsplat.reconstruction.trainer import Trainer
+from sarsplat.renderer import channel_of
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from sarsplat.reconstruction.run import Run
+
+_NORMAL_RADIUS = 1.0  # of the neighbours from which a point's normal is computed, resolution cells
+_EVALUATION_RAYS_PER_PIXEL = 4.0
+_VIEWS_AT_A_TIME = 8
+
+
+class SarGs(Method):
+    """3D Gaussians with optical depth and scattering, learned through the differentiable renderer."""
+
+    name = DEFAULT_METHOD
+    title = "sarsplat"
+    settings = Config
+    takes = frozenset({"loss"})
+    watchable = True
+
+    def preset(self, name: str, dataset: Dataset) -> Config:
+        """See `Method`: "auto" is for what the images show; where there is ground or speckle, it must be modelled."""
+        if name != "auto":
+            return preset(name)
+        return preset("measured" if dataset.ground else "default" if dataset.looks is None else "speckled")
+
+    def trainer(
+        self, dataset: Dataset, config: Config, inputs: Inputs, device: torch.device, begun: Run | None
+    ) -> Trainer:
+        """See `Method`; the settings have the name of a loss of one's own."""
+        if inputs.loss is not None:
+            name = getattr(inputs.loss, "__name__", type(inputs.loss).__name__)
+            config = replace(config, loss=f"own {name}" if name in LOSSES else name)
+        return Trainer(dataset, config, inputs.loss, device)
+
+    def open(self, snapshot: Snapshot, config: Config, device: str, folder: Path | None) -> GaussianReconstruction:
+        """See `Method`."""
+        return GaussianReconstruction(snapshot, config, device)
+
+    def loss_title(self, config: Config) -> tuple[str, str]:
+        """See `Method`."""
+        loss = LOSSES.get(config.loss)
+        return (loss.title, loss.unit) if loss else (f"function {config.loss}", "loss")
+
+    def about(self, config: Config, grid: ImageGrid) -> tuple[str, str]:
+        """See `Method`: the preset, and lengths in metres."""
+        return config.preset, lengths(config, grid)
+
+
+METHOD = SarGs()
+
+
+class GaussianReconstruction(Reconstruction):
+    """A scene of Gaussians; its folder also gets `gaussians.ply`.
+
+    Raises
+    ------
+    KeyError, ValueError, TypeError, IndexError, RuntimeError, SarsplatError
+        If the snapshot does not hold a whole model.
+    """
+
+    model: SceneModel
+
+    def __init__(self, snapshot: Snapshot, config: Config, device: str) -> None:
+        self.snapshot, self.config, self.grid = snapshot, config, snapshot.grid
+        self.model = saved_model(snapshot, config, device)
+
+    @property
+    def gaussians(self) -> Gaussians:  # type: ignore[override]
+        """The target's Gaussians."""
+        return self.model.target(self._degree).detach()
+
+    @property
+    def _degree(self) -> int:
+        return self.model.degree(self.snapshot.iteration)
+
+    def mesh(self, points: Float32[np.ndarray, "p 3"], normals: Float32[np.ndarray, "p 3"]) -> trimesh.Trimesh:
+        """The surface through the points as triangles, world frame, m.
+
+        Its vertices have the attribute `gamma0`, γ⁰ (linear), and colours that show it in decibels. It is open where no
+        view looked, and has no faces if there are no points.
+
+        Raises
+        ------
+        SarsplatError
+            If scikit-image or trimesh is missing, or the points span too many voxels.
+        """
+        return surface_mesh(points, normals, self._seen, self.grid.cell_m)
+
+    def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
+        """See `Reconstruction`.
+
+        Rays are at a quarter of its own pixel spacing on every grid: they measure how much each Gaussian is lit, which
+        has nothing to do with the pixels.
+        """
+        grid = grid or self.grid
+        if any(asked < 0.999 * own for asked, own in zip(grid.resolution_m, self.grid.resolution_m, strict=True)):
+            warnings.warn(_finer(grid, self.grid), SarsplatWarning, stacklevel=2)
+        rays, degree = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL), self._degree
+        images = [np.empty((0, grid.rows, grid.columns), np.float32)]
+        with torch.no_grad():
+            for first in range(0, len(views), _VIEWS_AT_A_TIME):  # memory stays small
+                part = views[first : first + _VIEWS_AT_A_TIME]
+                rendered = self.model.render(part, grid, degree, rays=rays)[0]
+                images.append(channel_of(rendered, self.model.power_channel).cpu().numpy())
+        return np.concatenate(images)
+
+    def masks(self, views: Sequence[View], points: Float32[np.ndarray, "p 3"]) -> UInt8[np.ndarray, "v rows columns"]:
+        """What the pixels of any views show: 0 clutter, 1 target, 2 shadow; on its grid, uint8.
+
+        By what target and ground would return, each alone, at the sharpness of the pixels
+        (`sarsplat.reconstruction.masks.scene_masks`), where `render` shows them. The target are the Gaussians near the
+        points and, if ground was learned, at least one resolution cell above it: others may stand for clutter as well
+        as the ground does. Without learned ground there is no shadow.
+        """
+        scene = self.model.scene(self._degree).detach()
+        scene, count = without_imitated_ground(scene, len(self.model), points, self.grid.cell_m)
+        rays = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL)
+        return scene_masks(scene, count, views, self.model.as_displaced(self.grid), rays)
+
+    @property
+    def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"] | None:
+        """See `Reconstruction`."""
+        offsets = self.snapshot.tensors.get(AZIMUTH_OFFSETS)
+        return None if offsets is None else offsets.double().numpy()
+
+    def points(self) -> Float32[np.ndarray, "p 3"]:
+        """See `Reconstruction`: first returns of rays, or centres, as configured."""
+        points = extract_points(self.gaussians, self.snapshot.views, self.grid, self.config.points)
+        return points.astype(np.float32)  # as the file has them
+
+    def normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
+        """See `Reconstruction`: of the planes through their neighbours."""
+        towards = self._seen.around(points)[1]
+        return surface_normals(points, towards, _NORMAL_RADIUS * self.grid.cell_m).astype(np.float32)
+
+    def gamma0_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, " p"]:
+        """See `Reconstruction`: mean over the views that see the Gaussians there, weighted by how much they see."""
+        return self._seen.around(points)[0].astype(np.float32)
+
+    @cached_property
+    def _seen(self) -> Seen:
+        return Seen.of(self.gaussians, self.snapshot.views, self.grid)
+
+    def write(self, folder: Path) -> None:
+        """See `Reconstruction`: `gaussians.ply`."""
+        write_gaussians_ply(folder / "gaussians.ply", self.gaussians)
+
+    # ---- for readers ------------------------------------------------------------------------------------------------
+    @property
+    def learned(self) -> str:
+        """See `Reconstruction`."""
+        return counted(len(self.gaussians), "Gaussian")
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """See `Reconstruction`."""
+        return {"preset": self.config.preset, "start": self.config.initialisation}
+
+
+def _finer(asked: ImageGrid, own: ImageGrid) -> str:
+    def metres(pair: tuple[float, float]) -> str:
+        return " × ".join(f"{width:.3g}" for width in dict.fromkeys(pair)) + " m"
+
+    return (
+        f"a resolution of {metres(asked.resolution_m)} is finer than the {metres(own.resolution_m)} of the training "
+        "images, so the images show single Gaussians rather than the target; ask for no finer one"
+    )

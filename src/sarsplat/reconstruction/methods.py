@@ -1,0 +1,30 @@
+"""Which methods there are: modules `method_NAME.py` here and among the baselines, and entry points. Needs no torch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.plugins import discover
+
+if TYPE_CHECKING:
+    from sarsplat.reconstruction.method import Method
+
+METHODS: Mapping[str, Method] = discover(
+    "sarsplat.reconstruction", "method_", "METHOD", "sarsplat.methods", "sarsplat.baselines"
+)
+"""By name, as on the command line; each is imported when it is asked for."""
+
+
+def method_named(name: str) -> Method:
+    """One of `METHODS`.
+
+    Raises
+    ------
+    SarsplatError
+        If there is none of that name, or it cannot be imported.
+    """
+    if name not in METHODS:
+        raise SarsplatError(f"there is no method {shown(name)}; choose one of {', '.join(METHODS)}")
+    return METHODS[name]
