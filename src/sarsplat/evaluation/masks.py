@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int64
@@ -12,7 +11,7 @@ from jaxtyping import Int64
 from sarsplat.data import Dataset, Masks
 from sarsplat.evaluation.images import Stack, UndefinedScore
 from sarsplat.evaluation.registered import register
-from sarsplat.geometry import View
+from sarsplat.reconstruction import AnyRun
 
 
 @dataclass(frozen=True)
@@ -43,13 +42,7 @@ class MaskPair:
         return float(np.mean(both[either > 0] / either[either > 0]))
 
 
-class _Masking(Protocol):
-    """A run, for what is asked of it here."""
-
-    def masks(self, views: Sequence[View], /) -> Masks: ...
-
-
-def predicted_masks(run: _Masking, images: Dataset, rendered: Stack) -> Masks:
+def predicted_masks(run: AnyRun[Any], images: Dataset, rendered: Stack) -> Masks:
     """Masks of a run for the images of one set, moved as `register` moves the rendered images if they are speckled.
 
     Where a chip lies in its frame is thus found from its likelihood, never from true masks.
