@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int64
+from scipy.ndimage import shift
 
 from sarsplat.data import Dataset, Masks
 from sarsplat.evaluation.images import Stack, UndefinedScore
@@ -55,15 +55,6 @@ def predicted_masks(run: AnyRun[Any], images: Dataset, rendered: Stack) -> Masks
     masks = run.masks(images.views)
     if images.looks is None:
         return masks
-    return _displaced(masks, register(images.power, rendered, images.score_margin).shift)
-
-
-def _displaced(masks: Masks, shifts: Int64[np.ndarray, "v 2"]) -> Masks:
-    """Each moved by whole pixels (range, azimuth); clutter comes in at the edges."""
-    rows, columns = masks.shape[1:]
-    found = np.zeros_like(masks)
-    for mask, moved, (down, right) in zip(masks, found, shifts.tolist(), strict=True):
-        moved[max(down, 0) : rows + min(down, 0), max(right, 0) : columns + min(right, 0)] = mask[
-            max(-down, 0) : rows + min(-down, 0), max(-right, 0) : columns + min(-right, 0)
-        ]
-    return found
+    best = register(images.power, rendered, images.score_margin)
+    # whole pixels in range and azimuth; clutter comes in at the edges
+    return np.stack([shift(mask, moved, order=0) for mask, moved in zip(masks, best.shift, strict=True)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -205,7 +206,7 @@ class Stage:
 
     def _elevations(self, view: View) -> tuple[float, float]:
         """The lowest and the highest elevation y_r of the target's box, m."""
-        corners = np.array([[x, y, z] for x in self._ends(0) for y in self._ends(1) for z in self._ends(2)])
+        corners = np.array(list(product(*zip(self.low, self.high, strict=True))))
         elevations = corners @ radar_frame(view)[1]
         return float(elevations.min()), float(elevations.max())
 
@@ -217,9 +218,6 @@ class Stage:
         azimuth, slant_range = place_m
         ends = self.plane_depth(view), self._elevations(view)[1] + _REACH * self._radius
         return np.array([[azimuth, elevation, slant_range] for elevation in ends]) @ radar_frame(view)
-
-    def _ends(self, axis: int) -> tuple[float, float]:
-        return float(self.low[axis]), float(self.high[axis])
 
     def lay_image(self, rgb: UInt8[np.ndarray, "rows columns 3"], view: View, part: ImageGrid, visible: bool) -> None:
         """Lay an image on its plane, azimuth × slant range, which the lines of one range cross at right angles."""
