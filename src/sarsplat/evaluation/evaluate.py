@@ -94,10 +94,10 @@ def evaluate_run(
         If points of a run from training views that cannot determine the shape are scored.
     """
     with nullcontext() if run.path is None else only_writer(run.path):
-        known = run.dataset if mesh is None else replace(run.dataset, truth_mesh=Path(mesh))
+        dataset = run.dataset if mesh is None else replace(run.dataset, truth_mesh=Path(mesh))
         folder = None if masks is None else Path(masks)
         weights = None if lpips_weights is None else Path(lpips_weights)
-        metrics = _evaluate(run, known, alignment, folder, weights, quiet)
+        metrics = _evaluate(run, dataset, alignment, folder, weights, quiet)
         if run.path is not None:
             write_json(run.path / "metrics.json", metrics)
     return metrics
@@ -164,9 +164,9 @@ def _rendered(run: AnyRun[Any], views: Sequence[View], shown: Reporter) -> Stack
     """β⁰ of the views, linear power, float32 [V, rows, columns]."""
     images = []
     for first in range(0, len(views), _VIEWS_AT_A_TIME):
-        some = views[first : first + _VIEWS_AT_A_TIME]
-        images.append(run.render(some))
-        shown.advance(len(some), "test views")
+        batch = views[first : first + _VIEWS_AT_A_TIME]
+        images.append(run.render(batch))
+        shown.advance(len(batch), "test views")
     return np.concatenate(images)
 
 
@@ -186,14 +186,14 @@ def _masks(
     run: AnyRun[Any], tested: Dataset, rendered: Stack, masks: Sequence[Mask | None], shown: Reporter
 ) -> MaskPair | UndefinedScore:
     """True and predicted masks of those images of a test set that have one."""
-    known = [index for index, mask in enumerate(masks) if mask is not None]
-    if not known:
+    masked = [index for index, mask in enumerate(masks) if mask is not None]
+    if not masked:
         return UndefinedScore("no true masks; give their folder with --masks")
     try:
-        predicted = predicted_masks(run, tested.take(known), rendered[known])
+        predicted = predicted_masks(run, tested.take(masked), rendered[masked])
     except UndefinedScore as undefined:
         return undefined
-    shown.advance(len(known), "masks of the test views")
+    shown.advance(len(masked), "masks of the test views")
     return MaskPair(np.stack([mask for mask in masks if mask is not None]), predicted)
 
 

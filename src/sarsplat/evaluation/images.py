@@ -26,7 +26,7 @@ Stack = Real[np.ndarray, "v rows columns"]
 TARGET_DYNAMIC_DB = 30.0
 """The target's mask: truth β⁰ at most this many dB below the evaluated set's maximum."""
 
-_SMALLEST_MSE = float(np.finfo(np.float32).eps) ** 2  # 138 dB: float32 images cannot be told apart any better
+_SMALLEST_MSE = float(np.finfo(np.float32).eps) ** 2  # 138 dB: float32 images cannot be distinguished any better
 
 
 class UndefinedScore(SarsplatError):

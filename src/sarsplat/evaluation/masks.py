@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jaxtyping import Int64
 from scipy.ndimage import shift
 
 from sarsplat.data import Dataset, Masks
@@ -55,6 +56,9 @@ def predicted_masks(run: AnyRun[Any], images: Dataset, rendered: Stack) -> Masks
     masks = run.masks(images.views)
     if images.looks is None:
         return masks
-    best = register(images.power, rendered, images.score_margin)
-    # whole pixels in range and azimuth; clutter comes in at the edges
-    return np.stack([shift(mask, moved, order=0) for mask, moved in zip(masks, best.shift, strict=True)])
+    return _displaced(masks, register(images.power, rendered, images.score_margin).shift)
+
+
+def _displaced(masks: Masks, shifts: Int64[np.ndarray, "v 2"]) -> Masks:
+    """Each moved by whole pixels (range, azimuth); clutter comes in at the edges."""
+    return np.stack([shift(mask, moved, order=0) for mask, moved in zip(masks, shifts, strict=True)])

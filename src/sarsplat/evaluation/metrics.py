@@ -83,7 +83,7 @@ def _lpips(pair: ImagePair) -> float:
 
 
 def _nats_per_pixel(pair: ImagePair) -> float:
-    # divided in float64: in float32 faint images are no multiples of each other
+    # divided in float64: in float32 faint images are not multiples of each other
     truth, rendered = (power.astype(np.float64) / pair.mean_power for power in (pair.truth, pair.rendered))
     return images.nats_per_pixel(truth, rendered, pair.score_margin)
 
@@ -187,7 +187,7 @@ MASK_METRICS: tuple[Metric[MaskPair], ...] = (
         place="headline",
     ),
 )
-"""Of images whose true masks are known: how well target and shadow are told apart."""
+"""Of images whose true masks are known: how well target and shadow are distinguished."""
 
 
 _of_points = partial(Metric[PointMetrics], requires=KNOWN_SURFACE)

@@ -17,7 +17,7 @@ from sarsplat.radiometry import DYNAMIC_RANGE_DB, difference_db, from_db
 Stack = Real[np.ndarray, "v rows columns"]
 
 _LARGEST_DB, _LARGEST_SIGMA = 6.0, 4.0
-"""Larger differences look alike."""
+"""Larger differences have the same colour."""
 
 _LEAST_WINDOW = 3
 _DARKEST_DB = -60.0  # of the brightest pixel: what a rendering without ground is taken for, to divide by
@@ -65,7 +65,7 @@ class Difference:
 
     @property
     def largest(self) -> float:
-        """Larger values look alike."""
+        """Larger values have the same colour."""
         return _LARGEST_DB if self.looks is None else _LARGEST_SIGMA
 
     @property

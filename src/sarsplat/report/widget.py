@@ -74,8 +74,8 @@ def widget(run: AnyRun[Any]) -> Widget | None:
 
     rows, columns = part.size
     low, high = np.quantile(points, (0.001, 0.999), axis=0)
-    some = np.random.default_rng(0).permutation(points)[:_POINTS]
-    some = some[((some >= low) & (some <= high)).all(axis=1)]
+    sample = np.random.default_rng(0).permutation(points)[:_POINTS]
+    sample = sample[((sample >= low) & (sample <= high)).all(axis=1)]
     name = "measured" if dataset.calibration == "relative" else "true"
     panels = (
         part.panel("", "rendered SAR image at the radar's direction", canvas="sar-rendered"),
@@ -87,7 +87,7 @@ def widget(run: AnyRun[Any]) -> Widget | None:
     data = {
         "low": low.tolist(),
         "high": high.tolist(),
-        "points": base64.b64encode(_quantised(some, low, high).tobytes()).decode(),
+        "points": base64.b64encode(_quantised(sample, low, high).tobytes()).decode(),
         "rows": rows,
         "columns": columns,
         "deepest": _DEEPEST_DB,

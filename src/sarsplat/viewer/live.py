@@ -35,9 +35,9 @@ class TrainingSubject(OfScene):
     surface = None  # its normals would take seconds
 
     def __init__(self, dataset: Dataset, trainer: Trainer) -> None:
-        known = dataset_subject(dataset)
+        images = dataset_subject(dataset)
         title = f"{dataset.target}: training, {trainer.iteration:,} steps, {trainer.gaussian_count:,} Gaussians"
-        super().__init__(title, known.grid, known.train_views, known.peak, dataset)
+        super().__init__(title, images.grid, images.train_views, images.peak, dataset)
         self.look_at(SceneImages(trainer.model, trainer.model.degree(trainer.iteration), dataset.grid))
 
     @cached_property

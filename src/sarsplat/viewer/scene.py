@@ -32,9 +32,9 @@ class SceneImages:
     """
 
     def __init__(self, model: SceneModel, degree: int, grid: ImageGrid) -> None:
-        self._model, self._bare = model.copy(), model.copy(ground=False)
+        self._model, self._groundless = model.copy(), model.copy(ground=False)
         self._degree, self._grid = degree, grid
-        self.scene, self.target = (found.detach() for found in (self._model.scene(degree), self._model.target(degree)))
+        self.scene, self.target = (part.detach() for part in (self._model.scene(degree), self._model.target(degree)))
         self.has_ground = len(self.scene) > len(self.target)
         self.displaced_grid = model.as_displaced(grid)
 
@@ -49,8 +49,8 @@ class SceneImages:
         if cloud.name not in self._nearest:
             self._nearest[cloud.name] = cKDTree(self.target.means.double().cpu().numpy()).query(cloud.places_m)[1]
         towards = self.target.means.new_tensor(view.direction)[None]
-        found: Float[np.ndarray, " n"] = self.target.gamma0(towards)[0].cpu().numpy()[self._nearest[cloud.name]]
-        return found
+        gamma0: Float[np.ndarray, " n"] = self.target.gamma0(towards)[0].cpu().numpy()[self._nearest[cloud.name]]
+        return gamma0
 
     @cached_property
     def _nearest(self) -> dict[str, np.ndarray]:
@@ -60,19 +60,19 @@ class SceneImages:
         """β⁰, linear power; without `shadow`, target and ground are each seen as if the other were not there."""
         if not self.has_ground or (ground and shadow):
             return self._image(self._model, view)
-        target = self._image(self._bare, view)
+        target = self._image(self._groundless, view)
         if not ground:
             return target
         # the noise floor is in both pictures
-        return target + self._image(self._model, view, empty=True) - self._image(self._bare, view, empty=True)
+        return target + self._image(self._model, view, empty=True) - self._image(self._groundless, view, empty=True)
 
     @torch.no_grad()
     def _image(self, model: SceneModel, view: View, *, empty: bool = False) -> Float32[np.ndarray, "rows columns"]:
         rays = RayGrid.for_image(self._grid)
         left_out = torch.ones(len(self.target), dtype=torch.bool, device=model.device) if empty else None
         images, _ = model.render([view], self._grid, self._degree, rays=rays, left_out=left_out)
-        found: Float32[np.ndarray, "rows columns"] = images[0, model.power_channel].cpu().numpy()
-        return found
+        image: Float32[np.ndarray, "rows columns"] = images[0, model.power_channel].cpu().numpy()
+        return image
 
 
 class OfScene(Subject):

@@ -37,9 +37,9 @@ class Stage:
     views : list of (View, str)
         Known views with their sets.
     on_aim : callable
-        Told of the view that the radar was dragged to, or whose dot was clicked.
+        Called with the view that the radar was dragged to, or whose dot was clicked.
     on_plane : callable
-        Told of the ray of a click on the image's plane: origin and direction, m.
+        Called with the ray of a click on the image's plane: origin and direction, m.
     """
 
     def __init__(
@@ -240,13 +240,13 @@ class Stage:
             self._plane = (plane, size)
         plane.visible = visible
 
-    def light(self, line: Float[np.ndarray, "2 3"] | None, found: Contributors | None) -> None:
+    def light(self, line: Float[np.ndarray, "2 3"] | None, lit: Contributors | None) -> None:
         """Show the line of one azimuth and range, and who is on it."""
         self._line.visible = line is not None
-        self._lit.visible = found is not None and len(found.shares) > 0
+        self._lit.visible = lit is not None and len(lit.shares) > 0
         if line is not None:
             self._line.points = line[None].astype(np.float32)
-        if found is not None and len(found.shares):
-            some = found.shares >= min(_LEAST_SHARE, found.shares[0])
-            self._lit.points = found.places_m[some].astype(np.float32)
-            self._lit.colors = np.tile(np.array(_LIT, np.uint8), (int(some.sum()), 1))
+        if lit is not None and len(lit.shares):
+            shown = lit.shares >= min(_LEAST_SHARE, lit.shares[0])
+            self._lit.points = lit.places_m[shown].astype(np.float32)
+            self._lit.colors = np.tile(np.array(_LIT, np.uint8), (int(shown.sum()), 1))
