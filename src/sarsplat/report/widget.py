@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Real, UInt8
 
-from sarsplat.colours import DIFFERENCE, DIFFERENCE_IN_WORDS, HEIGHT, POWER_RAMPS, ramp
+from sarsplat.colours import DIFFERENCE, DIFFERENCE_IN_WORDS, HEIGHT, POWER, POWER_RAMPS, ramp
 from sarsplat.data import Dataset
 from sarsplat.data.coverage import largest_gap
 from sarsplat.geometry import View
@@ -102,7 +102,7 @@ def widget(run: AnyRun[Any]) -> Widget | None:
         "errors": _sheet(indexed(part.of_images(errors), -difference.largest, difference.largest)),
         "errorColours": ramp(DIFFERENCE).tolist(),
         "heightColours": ramp(HEIGHT)[:, :3].tolist(),
-        "powerColours": {name: ramp(name)[:, :3].tolist() for name in POWER_RAMPS},
+        "powerColours": {"grey" if name == POWER else name: ramp(name)[:, :3].tolist() for name in POWER_RAMPS},
         "name": name,
         "start": _angles(views[len(views) // 3]),
     }

@@ -10,7 +10,7 @@ from typing import Any
 
 from sarsplat.data import Dataset
 from sarsplat.reconstruction import Step, Trainer
-from sarsplat.viewer.scene import OfScene, SceneImages
+from sarsplat.viewer.scene import OfScene
 from sarsplat.viewer.subject import Cloud, dataset_subject
 from sarsplat.viewer.viewer import Viewer
 
@@ -38,12 +38,12 @@ class TrainingSubject(OfScene):
         images = dataset_subject(dataset)
         title = f"{dataset.target}: training, {trainer.iteration:,} steps, {trainer.gaussian_count:,} Gaussians"
         super().__init__(title, images.grid, images.train_views, images.peak, dataset)
-        self.look_at(SceneImages(trainer.model, trainer.model.degree(trainer.iteration), dataset.grid))
+        self.look_at(trainer.model, trainer.model.degree(trainer.iteration))
 
     @cached_property
     def clouds(self) -> list[Cloud]:
         """See `Subject`."""
-        return [self.images.cloud]
+        return [self.gaussian_cloud]
 
 
 @contextmanager
