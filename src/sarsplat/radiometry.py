@@ -11,6 +11,11 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Bool, Float, Real
 
+__all__ = [
+    *("DYNAMIC_RANGE_DB", "amplitude", "beta0_of_gamma0", "beta0_of_sigma0", "bright_level", "brighter"),
+    *("difference_db", "from_db", "gamma0_of_beta0", "shade", "sigma0_of_beta0", "to_db"),
+]
+
 DYNAMIC_RANGE_DB = 40.0
 """Pictures show this range below the brightest training pixel, dB; what is darker is black."""
 

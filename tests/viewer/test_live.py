@@ -52,15 +52,19 @@ def test_the_page_shows_the_newest_state(dataset, config):
 def test_the_time_that_it_takes_is_a_small_share(dataset, config, monkeypatch):
     from types import SimpleNamespace
 
-    clock, cost = [100.0], 0.5
-    watcher = live._Watcher.__new__(live._Watcher)
-    watcher._dataset, watcher._next, shown = dataset, 0.0, []
-    watcher._viewer = SimpleNamespace(show=shown.append, wait=lambda _: clock.__setitem__(0, clock[0] + cost))
+    clock, cost, shown = [100.0], 0.5, []
+
+    def stand_in(*_: object) -> SimpleNamespace:
+        wait = lambda _: clock.__setitem__(0, clock[0] + cost)  # noqa: E731
+        return SimpleNamespace(address="", show=shown.append, wait=wait, close=lambda: None)
+
+    monkeypatch.setattr(live, "Viewer", stand_in)
     monkeypatch.setattr(live, "TrainingSubject", lambda *_: "state")
     monkeypatch.setattr(live.time, "monotonic", lambda: clock[0])
-    for _ in range(10_000):
-        watcher.after_step(SimpleNamespace(trainer=None))
-        clock[0] += 0.01
+    with live.watched(dataset, 0, lambda _: None) as after_step:
+        for _ in range(10_000):
+            after_step(SimpleNamespace(trainer=None))
+            clock[0] += 0.01
     assert len(shown) >= 3
     assert len(shown) * cost <= 0.05 * 10_000 * 0.01 + cost
 

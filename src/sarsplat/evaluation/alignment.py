@@ -68,17 +68,17 @@ def align(points: Float[np.ndarray, "p 3"], surface: Float[np.ndarray, "s 3"], c
         Side of a resolution cell, m: three of them are how far points are moved, and how far strays count.
     """
     chance = np.random.default_rng(0)
-    own, known = (np.asarray(some, np.float64)[chance.permutation(len(some))[:_COUNT]] for some in (points, surface))
+    own, true = (np.asarray(cloud, np.float64)[chance.permutation(len(cloud))[:_COUNT]] for cloud in (points, surface))
     farthest = _FARTHEST * cell
-    to_own, to_known = cKDTree(own), cKDTree(known)
+    to_own, to_true = cKDTree(own), cKDTree(true)
 
     def apart(motion: Float64[np.ndarray, " 4"]) -> float:
         shift, turn = motion[:3] * farthest, _turn(motion[3] * MOST_TURNED_DEG)
         distances = (
-            to_known.query(own @ turn.T + shift, distance_upper_bound=farthest)[0],
-            to_own.query((known - shift) @ turn, distance_upper_bound=farthest)[0],
+            to_true.query(own @ turn.T + shift, distance_upper_bound=farthest)[0],
+            to_own.query((true - shift) @ turn, distance_upper_bound=farthest)[0],
         )
-        return sum(float(np.minimum(some, farthest).mean()) for some in distances)
+        return sum(float(np.minimum(each, farthest).mean()) for each in distances)
 
     best = minimize(apart, np.zeros(4), method="Powell", bounds=[(-1, 1)] * 4, options={"xtol": 1e-3, "ftol": 1e-5}).x
     x, y, z = (float(part) for part in best[:3] * farthest)

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Float64, Real
-from scipy.ndimage import correlate, map_coordinates
+from scipy.ndimage import map_coordinates
 
 from sarsplat.data import Dataset
+from sarsplat.evaluation.images import smoothed
 from sarsplat.evaluation.metric import compute_all
 from sarsplat.evaluation.metrics import IMAGE_METRICS, ImagePair, image_parameters
 from sarsplat.geometry import ImageGrid, View
@@ -39,7 +40,7 @@ def nearest_chip(
     numpy.ndarray, float [V, rows, columns]
         Predicted mean power.
     """
-    return _smooth(train)[np.abs(_turn_deg(train_views, views)).argmin(axis=1)]
+    return smoothed(train, 5, 5)[np.abs(_turn_deg(train_views, views)).argmin(axis=1)]
 
 
 def rotated_average(
@@ -62,7 +63,7 @@ def rotated_average(
     numpy.ndarray, float64 [V, rows, columns]
         Predicted mean power.
     """
-    smooth, turns = _smooth(train), _turn_deg(train_views, views)
+    smooth, turns = smoothed(train, 5, 5), _turn_deg(train_views, views)
     weights = np.exp(-0.5 * (turns / (_KERNEL * 360 / len(train))) ** 2)
     weights[np.arange(len(views)), np.abs(turns).argmin(axis=1)] += 1e-9  # far from every chip: take the nearest
     predicted = np.zeros((len(views), *train.shape[1:]))
@@ -107,11 +108,6 @@ def baseline_scores(dataset: Dataset, reasons: dict[str, str]) -> dict[str, dict
             prefix = f"baselines.{split}.{name}."
             scores[split][name] = compute_all(applicable, dataset, pair, prefix, reasons)
     return scores
-
-
-def _smooth(power: Real[np.ndarray, "v rows columns"]) -> Float[np.ndarray, "v rows columns"]:
-    # not uniform_filter: its running sums leave rounding residues, even negative ones, where the mean is zero
-    return correlate(power.astype(np.float64), np.full((1, 5, 5), 1 / 25))
 
 
 def _turn_deg(train_views: Sequence[View], views: Sequence[View]) -> Float64[np.ndarray, "v k"]:

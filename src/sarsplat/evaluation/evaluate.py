@@ -26,7 +26,6 @@ from sarsplat.evaluation.metrics import (
     IMAGE_METRICS,
     MASK_METRICS,
     RUN_METRICS,
-    EvaluatedRun,
     ImagePair,
     all_metrics,
     image_parameters,
@@ -37,6 +36,7 @@ from sarsplat.evaluation.points import PointMetrics, Yardstick, point_metrics
 from sarsplat.evaluation.surface import read_truth_mesh, visible_surface
 from sarsplat.geometry import View
 from sarsplat.progress import Reporter, progress
+from sarsplat.reconstruction import AnyRun
 
 _VIEWS_AT_A_TIME = 8
 _MESH_SAMPLES = 100_000
@@ -46,7 +46,7 @@ _SAMPLES, _DISTANCES = 3, 10
 
 
 def evaluate_run(
-    run: EvaluatedRun,
+    run: AnyRun[Any],
     *,
     mesh: str | Path | None = None,
     alignment: Literal["none", "rigid"] = "none",
@@ -58,7 +58,7 @@ def evaluate_run(
 
     Parameters
     ----------
-    run : EvaluatedRun
+    run : AnyRun
         A finished run. If it has a folder, its `metrics.json` is written, whole or not at all.
     mesh : pathlib.Path, optional
         A model of the target, m, in the frame of the views, instead of the dataset's true mesh.
@@ -94,17 +94,17 @@ def evaluate_run(
         If points of a run from training views that cannot determine the shape are scored.
     """
     with nullcontext() if run.path is None else only_writer(run.path):
-        known = run.dataset if mesh is None else replace(run.dataset, truth_mesh=Path(mesh))
+        dataset = run.dataset if mesh is None else replace(run.dataset, truth_mesh=Path(mesh))
         folder = None if masks is None else Path(masks)
         weights = None if lpips_weights is None else Path(lpips_weights)
-        metrics = _evaluate(run, known, alignment, folder, weights, quiet)
+        metrics = _evaluate(run, dataset, alignment, folder, weights, quiet)
         if run.path is not None:
             write_json(run.path / "metrics.json", metrics)
     return metrics
 
 
 def _evaluate(
-    run: EvaluatedRun, dataset: Dataset, alignment: str, masks_dir: Path | None, weights_dir: Path | None, quiet: bool
+    run: AnyRun[Any], dataset: Dataset, alignment: str, masks_dir: Path | None, weights_dir: Path | None, quiet: bool
 ) -> dict[str, Any]:
     if alignment not in ("none", "rigid"):
         raise SarsplatError(f"alignment {alignment!r} is unknown; choose none or rigid")
@@ -160,13 +160,13 @@ def _evaluate(
     }
 
 
-def _rendered(run: EvaluatedRun, views: Sequence[View], shown: Reporter) -> Stack:
+def _rendered(run: AnyRun[Any], views: Sequence[View], shown: Reporter) -> Stack:
     """β⁰ of the views, linear power, float32 [V, rows, columns]."""
     images = []
     for first in range(0, len(views), _VIEWS_AT_A_TIME):
-        some = views[first : first + _VIEWS_AT_A_TIME]
-        images.append(run.render(some))
-        shown.advance(len(some), "test views")
+        batch = views[first : first + _VIEWS_AT_A_TIME]
+        images.append(run.render(batch))
+        shown.advance(len(batch), "test views")
     return np.concatenate(images)
 
 
@@ -183,22 +183,22 @@ def _by_image(tested: Dataset, pair: ImagePair) -> dict[str, Any]:
 
 
 def _masks(
-    run: EvaluatedRun, tested: Dataset, rendered: Stack, masks: Sequence[Mask | None], shown: Reporter
+    run: AnyRun[Any], tested: Dataset, rendered: Stack, masks: Sequence[Mask | None], shown: Reporter
 ) -> MaskPair | UndefinedScore:
     """True and predicted masks of those images of a test set that have one."""
-    known = [index for index, mask in enumerate(masks) if mask is not None]
-    if not known:
+    masked = [index for index, mask in enumerate(masks) if mask is not None]
+    if not masked:
         return UndefinedScore("no true masks; give their folder with --masks")
     try:
-        predicted = predicted_masks(run, tested.take(known), rendered[known])
+        predicted = predicted_masks(run, tested.take(masked), rendered[masked])
     except UndefinedScore as undefined:
         return undefined
-    shown.advance(len(known), "masks of the test views")
+    shown.advance(len(masked), "masks of the test views")
     return MaskPair(np.stack([mask for mask in masks if mask is not None]), predicted)
 
 
 def _surfaces(
-    run: EvaluatedRun,
+    run: AnyRun[Any],
     dataset: Dataset,
     aligned: bool,
     yardstick: Yardstick,
@@ -251,7 +251,7 @@ def _surfaces(
     return {**scores, "truth": truth}
 
 
-def _points_on_mesh(run: EvaluatedRun) -> tuple[Float[np.ndarray, "p 3"], str]:
+def _points_on_mesh(run: AnyRun[Any]) -> tuple[Float[np.ndarray, "p 3"], str]:
     """Random points of a run's mesh, spread by area; where it has none, why."""
     from trimesh.sample import sample_surface
 

@@ -26,7 +26,7 @@ Stack = Real[np.ndarray, "v rows columns"]
 TARGET_DYNAMIC_DB = 30.0
 """The target's mask: truth β⁰ at most this many dB below the evaluated set's maximum."""
 
-_SMALLEST_MSE = float(np.finfo(np.float32).eps) ** 2  # 138 dB: float32 images cannot be told apart any better
+_SMALLEST_MSE = float(np.finfo(np.float32).eps) ** 2  # 138 dB: float32 images cannot be distinguished any better
 
 
 class UndefinedScore(SarsplatError):
@@ -164,10 +164,10 @@ def _mean_psnr(mse: Float[np.ndarray, " v"]) -> float:
     return float(np.mean(-to_db(np.maximum(mse, _SMALLEST_MSE))))
 
 
-def smoothed(power: Stack) -> Float64[np.ndarray, "v rows columns"]:
-    """3×3 means."""
-    # not uniform_filter: its running sums leave rounding residues where the mean is zero
-    return correlate(power.astype(np.float64), np.full((1, 3, 3), 1 / 9))
+def smoothed(power: Stack, rows: int = 3, columns: int = 3) -> Float64[np.ndarray, "v rows columns"]:
+    """Means over windows of so many pixels, 3×3 by default."""
+    # not uniform_filter: its running sums leave rounding residues, even negative ones, where the mean is zero
+    return correlate(power.astype(np.float64), np.full((1, rows, columns), 1 / (rows * columns)))
 
 
 def standardised(images: Float[np.ndarray, "v rows columns"]) -> Float[np.ndarray, "v rows columns"]:

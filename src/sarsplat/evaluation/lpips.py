@@ -23,6 +23,10 @@ WEIGHTS_VARIABLE = "SARSPLAT_LPIPS_WEIGHTS"
 _FEATURES, _HEADS = "alexnet_features_torchvision.npz", "lpips_v0.1_lin_alex.pth"
 # AlexNet up to its fifth convolution: (index in torchvision's `features`, stride, padding, max-pooled before)
 _LAYERS = ((0, 4, 2, False), (3, 1, 2, True), (6, 1, 1, True), (8, 1, 1, False), (10, 1, 1, False))
+_UNUSABLE = (
+    *(OSError, EOFError, KeyError, TypeError, ValueError, RuntimeError, AttributeError),
+    *(pickle.UnpicklingError, zipfile.BadZipFile),
+)
 _SMALLEST_IMAGE = 31  # pixels; below, the second pooling window no longer fits
 
 
@@ -52,10 +56,11 @@ class Lpips:
             self._heads = [heads[f"lin{layer}.model.1.weight"] for layer in range(len(_LAYERS))]
             for (weight, _), head in zip(self._convolutions, self._heads, strict=True):
                 head.reshape(1, len(weight), 1, 1)
-        except (OSError, EOFError, KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
-            raise _broken(weights_dir, error) from error
-        except (pickle.UnpicklingError, zipfile.BadZipFile) as error:
-            raise _broken(weights_dir, error) from error
+        except _UNUSABLE as error:
+            raise SarsplatError(
+                f"{weights_dir} holds no usable LPIPS weights ({type(error).__name__}: {str(error).splitlines()[0]}); "
+                f"it must contain {_FEATURES} and {_HEADS}"
+            ) from error
 
     @torch.no_grad()
     def __call__(
@@ -114,10 +119,3 @@ def lpips_weights(given: Path | None) -> Path | None:
     """Folder of the LPIPS weights: the one given, else the environment variable SARSPLAT_LPIPS_WEIGHTS, else None."""
     named = os.environ.get(WEIGHTS_VARIABLE)
     return given if given is not None else Path(named) if named else None
-
-
-def _broken(weights_dir: Path, error: Exception) -> SarsplatError:
-    return SarsplatError(
-        f"{weights_dir} holds no usable LPIPS weights ({type(error).__name__}: {str(error).splitlines()[0]}); "
-        f"it must contain {_FEATURES} and {_HEADS}"
-    )

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int64
+from scipy.ndimage import shift
 
 from sarsplat.data import Dataset, Masks
 from sarsplat.evaluation.images import Stack, UndefinedScore
 from sarsplat.evaluation.registered import register
-from sarsplat.geometry import View
+from sarsplat.reconstruction import AnyRun
 
 
 @dataclass(frozen=True)
@@ -43,13 +43,7 @@ class MaskPair:
         return float(np.mean(both[either > 0] / either[either > 0]))
 
 
-class _Masking(Protocol):
-    """A run, for what is asked of it here."""
-
-    def masks(self, views: Sequence[View], /) -> Masks: ...
-
-
-def predicted_masks(run: _Masking, images: Dataset, rendered: Stack) -> Masks:
+def predicted_masks(run: AnyRun[Any], images: Dataset, rendered: Stack) -> Masks:
     """Masks of a run for the images of one set, moved as `register` moves the rendered images if they are speckled.
 
     Where a chip lies in its frame is thus found from its likelihood, never from true masks.
@@ -67,10 +61,4 @@ def predicted_masks(run: _Masking, images: Dataset, rendered: Stack) -> Masks:
 
 def _displaced(masks: Masks, shifts: Int64[np.ndarray, "v 2"]) -> Masks:
     """Each moved by whole pixels (range, azimuth); clutter comes in at the edges."""
-    rows, columns = masks.shape[1:]
-    found = np.zeros_like(masks)
-    for mask, moved, (down, right) in zip(masks, found, shifts.tolist(), strict=True):
-        moved[max(down, 0) : rows + min(down, 0), max(right, 0) : columns + min(right, 0)] = mask[
-            max(-down, 0) : rows + min(-down, 0), max(-right, 0) : columns + min(-right, 0)
-        ]
-    return found
+    return np.stack([shift(mask, moved, order=0) for mask, moved in zip(masks, shifts, strict=True)])

@@ -83,10 +83,10 @@ class Metric(Generic[Measured]):
 
     def best(self, values: Sequence[float | None]) -> float | None:
         """The best of several values; None if there is nothing to compare."""
-        known = [value for value in values if value is not None]
-        if self.better is None or len(known) < 2:
+        defined = [value for value in values if value is not None]
+        if self.better is None or len(defined) < 2:
             return None
-        return max(known) if self.better == "more" else min(known)
+        return max(defined) if self.better == "more" else min(defined)
 
 
 def compute_all(

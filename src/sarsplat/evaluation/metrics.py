@@ -6,59 +6,21 @@ they say about a metric from here. To add one, write its function and add an ent
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from functools import partial
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
-from sarsplat.data import Dataset, Masks
+from sarsplat.data import Dataset
 from sarsplat.evaluation import images, lpips
 from sarsplat.evaluation.images import Stack, UndefinedScore
 from sarsplat.evaluation.masks import MaskPair
 from sarsplat.evaluation.metric import Metric, Requirement
 from sarsplat.evaluation.points import PointMetrics, Yardstick
 from sarsplat.evaluation.registered import REACH, register, registered_log_correlation
-from sarsplat.geometry import SHADOW, TARGET, View
-
-if TYPE_CHECKING:
-    import trimesh
-
-
-class EvaluatedRun(Protocol):
-    """What evaluation reads of a finished run."""
-
-    @property
-    def path(self) -> Path | None:
-        """Its folder; None if it is in memory only."""
-
-    @property
-    def dataset(self) -> Dataset: ...
-
-    @property
-    def points(self) -> Float[np.ndarray, "p 3"]:
-        """Reconstructed points, world frame, m, float [P, 3]."""
-
-    def mesh(self) -> trimesh.Trimesh:
-        """The surface through them, world frame, m; perhaps without faces."""
-
-    @property
-    def time_s(self) -> float: ...
-
-    @property
-    def seed(self) -> int: ...
-
-    @property
-    def method(self) -> str:
-        """What made it, such as `sar-gs`."""
-
-    def render(self, views: Sequence[View], /) -> Stack:
-        """β⁰ power of unseen views, float32 [V, rows, columns]."""
-
-    def masks(self, views: Sequence[View], /) -> Masks:
-        """What their pixels show: 0 clutter, 1 target, 2 shadow."""
+from sarsplat.geometry import SHADOW, TARGET
+from sarsplat.reconstruction import AnyRun
 
 
 @dataclass(frozen=True)
@@ -121,7 +83,7 @@ def _lpips(pair: ImagePair) -> float:
 
 
 def _nats_per_pixel(pair: ImagePair) -> float:
-    # divided in float64: in float32 faint images are no multiples of each other
+    # divided in float64: in float32 faint images are not multiples of each other
     truth, rendered = (power.astype(np.float64) / pair.mean_power for power in (pair.truth, pair.rendered))
     return images.nats_per_pixel(truth, rendered, pair.score_margin)
 
@@ -131,75 +93,70 @@ def _registered_nats(pair: ImagePair) -> float:
     return float(best.nats.mean() - np.log(pair.mean_power))
 
 
+_noise_free = partial(Metric[ImagePair], requires=NOISE_FREE)
+_speckled_only = partial(Metric[ImagePair], requires=SPECKLED)
+
 IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
-    Metric(
+    _noise_free(
         "psnr_db",
         *("PSNR, whole image", "dB", ".2f", "more"),
         "peak signal-to-noise ratio of the amplitude √β⁰ / reference_amplitude, no clip, peak 1; mean over images",
         lambda pair: images.psnr_db(pair.truth, pair.rendered, pair.reference_amplitude),
-        requires=NOISE_FREE,
         short="PSNR",
         place="headline",
     ),
-    Metric(
+    _noise_free(
         "psnr_target_db",
         *("PSNR on the target", "dB", ".2f", "more"),
         f"the same over pixels whose true β⁰ is above −{images.TARGET_DYNAMIC_DB:g} dB of the test set's maximum",
         lambda pair: images.psnr_target_db(pair.truth, pair.rendered, pair.reference_amplitude),
-        requires=NOISE_FREE,
         short="target",
         place="headline",
     ),
-    Metric(
+    _noise_free(
         "ssim",
         *("SSIM", "", ".4f", "more"),
         "structural similarity of the same amplitudes: 11×11 Gaussian window of standard deviation 1.5, data range 1; "
         "mean over images",
         lambda pair: images.ssim(pair.truth, pair.rendered, pair.reference_amplitude),
-        requires=NOISE_FREE,
         short="SSIM",
     ),
-    Metric(
+    _noise_free(
         "lpips",
         *("LPIPS", "", ".4f", "less"),
         "LPIPS-AlexNet v0.1 of 2·amplitude − 1, grey repeated three times; mean over images",
         _lpips,
-        requires=NOISE_FREE,
         short="LPIPS",
     ),
-    Metric(
+    _speckled_only(
         "registered_nats_per_pixel",
         *("negative log-likelihood, registered", "nats/pixel", ".3f", "less"),
         f"nats_per_pixel of each image moved by up to {REACH} pixels and multiplied by mean(I/S), as suits its chip "
         "best; mean over images",
         _registered_nats,
-        requires=SPECKLED,
         short="NLL reg.",
         place="headline",
     ),
-    Metric(
+    _speckled_only(
         "registered_log_correlation",
         *("correlation of log power, registered", "", ".3f", "more"),
         f"log_correlation of each image moved by up to {REACH} pixels, as suits its chip best; mean over images",
         lambda pair: registered_log_correlation(pair.truth, pair.rendered, pair.score_margin),
-        requires=SPECKLED,
         short="corr. reg.",
         place="headline",
     ),
-    Metric(
+    _speckled_only(
         "nats_per_pixel",
         *("negative log-likelihood", "nats/pixel", ".3f", "less"),
         "negative log-likelihood of single-look speckle: mean of log S + I/S, I and S in units of mean_power, "
         "without score_margin pixels on each side",
         _nats_per_pixel,
-        requires=SPECKLED,
     ),
-    Metric(
+    _speckled_only(
         "log_correlation",
         *("correlation of log power", "", ".3f", "more"),
         "correlation of the logarithms of 3×3 means, then without score_margin pixels on each side; mean over images",
         lambda pair: images.log_correlation(pair.truth, pair.rendered, pair.score_margin),
-        requires=SPECKLED,
     ),
 )
 """Of images of unseen views, those without speckle first."""
@@ -230,84 +187,79 @@ MASK_METRICS: tuple[Metric[MaskPair], ...] = (
         place="headline",
     ),
 )
-"""Of images whose true masks are known: how well target and shadow are told apart."""
+"""Of images whose true masks are known: how well target and shadow are distinguished."""
+
+
+_of_points = partial(Metric[PointMetrics], requires=KNOWN_SURFACE)
 
 
 def metrics_of_points(yardstick: Yardstick) -> tuple[Metric[PointMetrics], ...]:
     """The metrics of reconstructed points; thresholds are parts of their names."""
     (cell, middle, _), voxel = yardstick.thresholds_m, f"{yardstick.voxel_m:.3g} m"
     return (
-        Metric(
+        _of_points(
             "cd_m",
             *("Chamfer distance", "m", "#.3g", "less"),
             "mean of accuracy and completeness",
             lambda points: points.cd_m,
-            requires=KNOWN_SURFACE,
             short="CD",
             place="headline",
         ),
-        Metric(
+        _of_points(
             "cd_squared_m2",
             *("Chamfer distance, squared", "m²", "#.3g", "less"),
             "the same of squared distances",
             lambda points: points.cd_squared_m2,
-            requires=KNOWN_SURFACE,
             place="file",
         ),
-        Metric(
+        _of_points(
             "accuracy_m",
             *("accuracy (points → truth)", "m", "#.3g", "less"),
             f"mean distance from the reconstructed points, one per {voxel} voxel, to the true triangles",
             lambda points: points.accuracy_m,
-            requires=KNOWN_SURFACE,
         ),
-        Metric(
+        _of_points(
             "completeness_m",
             *("completeness (truth → points)", "m", "#.3g", "less"),
             "mean distance from a million samples of the true surface to the nearest reconstructed point",
             lambda points: points.completeness_m,
-            requires=KNOWN_SURFACE,
         ),
-        Metric(
+        _of_points(
             f"precision@{cell:g}",
             *(f"precision at {cell:g} m", "", ".3f", "more"),
             f"share of the reconstructed points at most {cell:g} m from the true surface",
             lambda points: points.precision[cell],
-            requires=KNOWN_SURFACE,
             place="file",
         ),
-        Metric(
+        _of_points(
             f"recall@{cell:g}",
             *(f"recall at {cell:g} m", "", ".3f", "more"),
             f"share of the samples of the true surface at most {cell:g} m from a reconstructed point",
             lambda points: points.recall[cell],
-            requires=KNOWN_SURFACE,
             place="file",
         ),
         *(
-            Metric[PointMetrics](
+            _of_points(
                 f"f1@{threshold:g}",
                 *(f"F1 at {threshold:g} m", "", ".3f", "more"),
                 f"harmonic mean of precision and recall at {threshold:g} m",
                 lambda points, threshold=threshold: points.f1[threshold],  # type: ignore[misc]
-                requires=KNOWN_SURFACE,
                 short="" if threshold == middle else f"F1@{threshold:g}",
                 place="headline" if threshold == cell else "table",
             )
             for threshold in yardstick.thresholds_m
         ),
-        Metric(
+        _of_points(
             "count",
             *("points compared", "", ".0f", None),
             "number of reconstructed points that were compared",
             lambda points: points.count,
-            requires=KNOWN_SURFACE,
             place="file",
         ),
     )
 
 
-RUN_METRICS: tuple[Metric[EvaluatedRun], ...] = (
+RUN_METRICS: tuple[Metric[AnyRun[Any]], ...] = (
     Metric(
         "time_s",
         *("training time", "s", ".0f", "less"),

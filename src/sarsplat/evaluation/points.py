@@ -24,7 +24,7 @@ class Yardstick:
     ----------
     cell_m : float
         The cell, m. Of images it is rounded to one significant digit, so that sensors that differ little are scored
-        alike.
+        the same way.
     """
 
     cell_m: float
@@ -171,7 +171,7 @@ def surface_distance(
     distance = _triangle_distance(points, triangles[nearest])
 
     nearby = unbroken(tree.query_ball_point, points, distance + radius * (1 + 1e-9), workers=-1)
-    pairs = np.repeat(np.arange(len(points)), [len(found) for found in nearby]) * len(triangles)
+    pairs = np.repeat(np.arange(len(points)), [len(pieces) for pieces in nearby]) * len(triangles)
     pairs = np.unique(pairs + owners[np.concatenate(nearby).astype(np.int64)])  # a triangle's pieces count once
     point, triangle = np.divmod(pairs, len(triangles))
     np.minimum.at(distance, point, _triangle_distance(points[point], triangles[triangle]))

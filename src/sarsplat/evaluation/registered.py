@@ -2,7 +2,7 @@
 
 Chips are centred and scaled one by one, by a pixel and some tenths of their power. That says nothing about a model and
 hides much of it, so each prediction is moved by whole pixels and multiplied by one number, whatever suits its chip
-best; every method is treated alike.
+best; all methods are treated the same.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def register(truth: Stack, rendered: Stack, margin: int = 0) -> Registration:
     Raises
     ------
     UndefinedScore
-        If S is zero where it may come to lie, a chip is black, or nothing is left inside the margin.
+        If S is zero where it may be moved to, a chip is black, or nothing is left inside the margin.
     """
     check_stacks(truth, rendered)
     measured = inside(truth.astype(np.float64), margin)
@@ -87,21 +87,21 @@ def registered_log_correlation(truth: Stack, rendered: Stack, margin: int = 0) -
     Raises
     ------
     UndefinedScore
-        If a 3×3 mean is zero where it may come to lie, or nothing is left inside the margin.
+        If a 3×3 mean is zero where it may be moved to, or nothing is left inside the margin.
     """
     check_stacks(truth, rendered)
     measured, predicted = inside(smoothed(truth), margin), _reachable(smoothed(rendered), margin)
     check_positive(measured, "true")
     log = standardised(np.log(measured))
-    found = [(log * standardised(moved)).mean(axis=(1, 2)) for _, moved in _moved(np.log(predicted), margin)]
-    return float(np.mean(np.max(found, axis=0)))
+    correlations = [(log * standardised(moved)).mean(axis=(1, 2)) for _, moved in _moved(np.log(predicted), margin)]
+    return float(np.mean(np.max(correlations, axis=0)))
 
 
 def _reachable(predicted: Float64[np.ndarray, "v rows columns"], margin: int) -> Float64[np.ndarray, "v wide high"]:
-    """What may come to lie inside the margin; refused if some of it is zero."""
-    found = inside(predicted, max(margin - REACH, 0))
-    check_positive(found, "predicted")
-    return found
+    """What may be moved inside the margin; refused if some of it is zero."""
+    reachable = inside(predicted, max(margin - REACH, 0))
+    check_positive(reachable, "predicted")
+    return reachable
 
 
 def _moved(

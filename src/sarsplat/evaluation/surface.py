@@ -123,10 +123,10 @@ def visible_surface(
     while missing > 0:
         count = min(int(missing / fraction * 1.02) + 100, _LARGEST_ROUND)
         candidates, _ = trimesh.sample.sample_surface(mesh, count, face_weight=weight, seed=generator)
-        found = candidates[_is_seen(scene, candidates, views, lift)][:missing].astype(np.float32)
-        seen.append(found)
-        missing -= len(found)
-        fraction = max(len(found) / count, 1e-3)
+        lit = candidates[_is_seen(scene, candidates, views, lift)][:missing].astype(np.float32)
+        seen.append(lit)
+        missing -= len(lit)
+        fraction = max(len(lit) / count, 1e-3)
     triangles = np.asarray(mesh.triangles, dtype=np.float64)
     return VisibleSurface(triangles[visible], triangles, np.concatenate(seen), whole.astype(np.float32))
 

@@ -50,11 +50,11 @@ def comparison(metrics: Mapping[str, Any], paper: Scores | None = None) -> list[
         The run's hold the scores of the images, of the points against the visible surface, and of the training.
     """
     common = {**metrics["points"]["visible"], "time_s": metrics["time_s"]}
-    found = []
+    rows = []
     for split, values in metrics["images"].items():
-        found.append(Scores(f"{whose(metrics)}, {split}", {**values, **common}))
-        found += [Scores(f"{scores.name}, {split}", scores.values) for scores in baselines(metrics, split)]
-    return [*(found or [Scores(whose(metrics), common)]), *([paper] if paper else [])]
+        rows.append(Scores(f"{whose(metrics)}, {split}", {**values, **common}))
+        rows += [Scores(f"{scores.name}, {split}", scores.values) for scores in baselines(metrics, split)]
+    return [*(rows or [Scores(whose(metrics), common)]), *([paper] if paper else [])]
 
 
 def whose(metrics: Mapping[str, Any]) -> str:
@@ -64,8 +64,8 @@ def whose(metrics: Mapping[str, Any]) -> str:
 
 def baselines(metrics: Mapping[str, Any], split: str) -> list[Scores]:
     """Scores of the baselines on one test set."""
-    found = (metrics["baselines"] or {}).get(split, {})
-    return [Scores(name.replace("_", " "), values) for name, values in found.items()]
+    of_set = (metrics["baselines"] or {}).get(split, {})
+    return [Scores(name.replace("_", " "), values) for name, values in of_set.items()]
 
 
 def summary_metrics(scores: list[Scores], yardstick: Yardstick) -> list[Metric[Any]]:

@@ -48,7 +48,7 @@ class RadarMaps:
         where there is no target.
     spread_m : numpy.ndarray
         How far apart along elevation the scatterers that share the pixel lie, m: for two equally large ones their
-        distance. What a single slope spreads over a pixel is no spread. NaN where there is no target.
+        distance. What a single slope spreads over a pixel does not count. NaN where there is no target.
     layover : numpy.ndarray
         Whether that is more than a resolution cell: parts of the target lie over one another.
     shadow : numpy.ndarray

@@ -6,6 +6,7 @@ import io
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import UInt8
@@ -14,6 +15,9 @@ from sarsplat.data import write_bytes
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.replaceable import Recognises
 from sarsplat.errors import SarsplatError
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 Frame = UInt8[np.ndarray, "height width"]
 Palette = UInt8[np.ndarray, "256 3"]
@@ -28,19 +32,19 @@ def _gif(frames: Sequence[Frame], palette: Palette, durations_ms: list[int]) -> 
     pictures = [Image.fromarray(frame // _GIF_STEP * _GIF_STEP) for frame in frames]
     for picture in pictures:
         picture.putpalette(palette.tobytes())
-    buffer = io.BytesIO()
-    pictures[0].save(
-        buffer, "GIF", save_all=True, append_images=pictures[1:], duration=durations_ms, loop=0, optimize=False
-    )
-    return buffer.getvalue()
+    return _by_pillow("GIF", pictures, durations_ms)
 
 
 def _webp(frames: Sequence[Frame], palette: Palette, durations_ms: list[int]) -> bytes:
     from PIL import Image
 
-    pictures = [Image.fromarray(palette[frame]) for frame in frames]
+    return _by_pillow("WEBP", [Image.fromarray(palette[frame]) for frame in frames], durations_ms)
+
+
+def _by_pillow(kind: str, pictures: list[Image.Image], durations_ms: list[int]) -> bytes:
     buffer = io.BytesIO()
-    pictures[0].save(buffer, "WEBP", save_all=True, append_images=pictures[1:], duration=durations_ms, loop=0)
+    first, *others = pictures
+    first.save(buffer, kind, save_all=True, append_images=others, duration=durations_ms, loop=0, optimize=False)
     return buffer.getvalue()
 
 

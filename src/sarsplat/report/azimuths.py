@@ -33,12 +33,10 @@ def azimuths_figure(
         return (value / largest + 1) / 2
 
     band = polyline(np.concatenate([azimuth, azimuth[::-1]]), share(np.concatenate([std, -std[::-1]])), "band")
-    stems = [
-        polyline(np.array([x, x]), share(np.array([0.0, y])), "line second")
+    drawn = [
+        polyline(np.array([x, x]), share(np.array(ends)), style)
         for x, y in zip(azimuth, offset, strict=True)
-    ]
-    dots = [
-        polyline(np.array([x, x]), share(np.array([y, y])), "dot second") for x, y in zip(azimuth, offset, strict=True)
+        for ends, style in (((0.0, y), "line second"), ((y, y), "dot second"))
     ]
     rms, most = np.sqrt((offset**2).mean()), np.abs(offset).max()
     title = f"rms {rms:.2f}°, largest {most:.2f}°"
@@ -47,7 +45,7 @@ def azimuths_figure(
         f"corrections of {len(offset)} azimuths, {title}",
         axis("azimuth as labelled, degrees", 0, 360, 5),
         axis("correction, degrees", largest, -largest, 5),
-        [band, *stems, *dots],
+        [band, *drawn],
     )
     text = (
         "By how much the training found each training image's azimuth to differ from its label. "

@@ -32,7 +32,7 @@ def point_boards(
     surface : numpy.ndarray, float [S, 3] or None
         Samples of the true surface, m; drawn before the points.
     farthest_m : float
-        Distances to the surface from here on look alike, m.
+        Distances to the surface from here on have the same colour, m.
     """
     by_height = {f"{name}, {counted(len(points), 'point')}": points for name, points in clouds.items()}
     if surface is not None:

@@ -123,7 +123,7 @@ def _caution(runs: Sequence[Run], names: Sequence[str]) -> str | None:
     made = ", ".join(
         f"{name} from {run.dataset_path or 'images in memory'}" for name, run in zip(names, runs, strict=True)
     )
-    return f"These runs were made from different datasets, so their scores do not compare one to one: {made}."
+    return f"These runs were made from different datasets, so their scores are not comparable one to one: {made}."
 
 
 def _by_dataset(comparison: Comparison) -> list[Comparison]:

@@ -46,7 +46,7 @@ class Look:
         return shade(power, self.peak, self.range_db)
 
     def palette(self) -> UInt8[np.ndarray, "256 3"]:
-        """RGB of shades from 0 to 1; raises `SarsplatError` if there is no such colour map."""
+        """RGB of shades from 0 to 1; raises `SarsplatError` if the colour map does not exist."""
         return ramp(self.cmap)[:, :3]
 
 

@@ -35,8 +35,8 @@ def masks_figure(run: Run, folder: Path) -> Figure | None:
     """
     dataset = run.dataset
     masks = read_masks(folder, dataset)
-    known = list(masks)
-    chosen = [known[index] for index in evenly(len(known), _VIEWS)]
+    given = list(masks)
+    chosen = [given[index] for index in evenly(len(given), _VIEWS)]
     looks = dataset.select(dataset.entries[chosen[0]].split).looks
     images = replace(dataset.take(chosen), looks=looks, clean_tests=False)
     try:
@@ -54,7 +54,7 @@ def masks_figure(run: Run, folder: Path) -> Figure | None:
         alt = f"{view_name(view)}, with the outlines of the true and the predicted target and shadow"
         panels.append(part.power(view_name(view), alt, image, peak, drawing))
     text = (
-        f"{len(chosen)} of {len(known)} test views with true masks, evenly chosen. The predicted outlines are those of "
+        f"{len(chosen)} of {len(given)} test views with true masks, evenly chosen. The predicted outlines are those of "
         "the learned geometry"
     )
     if looks is not None:
@@ -69,16 +69,16 @@ def _outlines(mask: Mask, whose: str) -> str:
     drawn = ""
     rows, columns = mask.shape
     for value, name in _KINDS.items():
-        there = np.pad((mask == value).astype(float), 1)
-        for line in find_contours(there, 0.5):
+        present = np.pad((mask == value).astype(float), 1)
+        for line in find_contours(present, 0.5):
             places = line - 0.5  # pixel k of the padded mask has its centre at k − 0.5 pixels of the mask
             drawn += polyline(places[:, 1] / columns, 1 - places[:, 0] / rows, f"outline {whose} {name}")
     return drawn
 
 
-def _window(there: UInt8[np.ndarray, " n"]) -> slice:
-    """From the first to the last that is there, with a margin; all if nothing is."""
-    found = np.flatnonzero(there)
-    if len(found) == 0:
-        return slice(0, len(there))
-    return slice(max(int(found[0]) - _MARGIN, 0), min(int(found[-1]) + 1 + _MARGIN, len(there)))
+def _window(present: UInt8[np.ndarray, " n"]) -> slice:
+    """From the first to the last that is present, with a margin; all if nothing is."""
+    covered = np.flatnonzero(present)
+    if len(covered) == 0:
+        return slice(0, len(present))
+    return slice(max(int(covered[0]) - _MARGIN, 0), min(int(covered[-1]) + 1 + _MARGIN, len(present)))

@@ -76,8 +76,8 @@ def _lead(run: Run) -> str:
 def _card(table: ScoreTable, row: Row, definitions: Mapping[str, str]) -> dict[str, Any]:
     """A headline: our value, those it competes with, and who won."""
     ours, *others = row.cells
-    known = [cell for cell in others if cell.column.ranked and cell.column.values.get(row.metric.key) is not None]
-    winners = [cell.column.name for cell in known if cell.best]
+    competing = [cell for cell in others if cell.column.ranked and cell.column.values.get(row.metric.key) is not None]
+    winners = [cell.column.name for cell in competing if cell.best]
     if ours.best:
         verdict = "This run is the best." if not winners else f"As good as {' and '.join(winners)}."
     else:
@@ -86,7 +86,7 @@ def _card(table: ScoreTable, row: Row, definitions: Mapping[str, str]) -> dict[s
         "name": row.metric.title,
         "definition": definitions.get(row.metric.key),
         "value": ours.text,
-        "others": [{"name": cell.column.name, "text": cell.text, "best": cell.best} for cell in known],
+        "others": [{"name": cell.column.name, "text": cell.text, "best": cell.best} for cell in competing],
         "verdict": verdict,
         "table": table.title,
     }
@@ -97,8 +97,8 @@ def _notes(metrics: Mapping[str, Any]) -> list[str]:
     labels = {metric.key: metric.label for metric in all_metrics(Yardstick(metrics["parameters"]["yardstick_m"]))}
     missing: dict[str, list[str]] = {}
     for key, reason in metrics["reasons"].items():
-        found = next((metric for metric in labels if key.endswith(f".{metric}")), None)
-        missing.setdefault(reason, []).append(key if found is None else labels[found])
+        scored = next((metric for metric in labels if key.endswith(f".{metric}")), None)
+        missing.setdefault(reason, []).append(key if scored is None else labels[scored])
     notes = [f"{'; '.join(dict.fromkeys(names))}: {reason}" for reason, names in missing.items()]
     return [*notes, ", ".join(f"{name} = {value:.6g}" for name, value in metrics["parameters"].items())]
 

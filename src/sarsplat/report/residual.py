@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64, Real
-from scipy.ndimage import correlate
 
 from sarsplat.colours import DIFFERENCE_IN_WORDS
 from sarsplat.evaluation import UndefinedScore, register
+from sarsplat.evaluation.images import smoothed
 from sarsplat.geometry import ImageGrid
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, difference_db, from_db
 
 Stack = Real[np.ndarray, "v rows columns"]
 
 _LARGEST_DB, _LARGEST_SIGMA = 6.0, 4.0
-"""Larger differences look alike."""
+"""Larger differences have the same colour."""
 
 _LEAST_WINDOW = 3
 _DARKEST_DB = -60.0  # of the brightest pixel: what a rendering without ground is taken for, to divide by
@@ -65,7 +65,7 @@ class Difference:
 
     @property
     def largest(self) -> float:
-        """Larger values look alike."""
+        """Larger values have the same colour."""
         return _LARGEST_DB if self.looks is None else _LARGEST_SIGMA
 
     @property
@@ -101,9 +101,9 @@ class Difference:
             return difference_db(rendered, truth, self.peak, -DYNAMIC_RANGE_DB)
         rendered = np.maximum(rendered, self.peak * from_db(_DARKEST_DB))
         window = Window.of(self.grid)
-        weights = np.full((1, window.rows, window.columns), 1 / (window.rows * window.columns))
-        sigma = np.sqrt(correlate(rendered**2, weights) / (self.looks * window.independent))
-        return correlate(rendered - truth, weights) / sigma
+        size = window.rows, window.columns
+        sigma = np.sqrt(smoothed(rendered**2, *size) / (self.looks * window.independent))
+        return smoothed(rendered - truth, *size) / sigma
 
 
 def fitted(truth: Stack, rendered: Stack, looks: float | None, margin: int) -> Stack:

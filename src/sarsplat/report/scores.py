@@ -36,10 +36,14 @@ class ScoreTable:
     rows: tuple[Row, ...]
 
 
-def score_table(title: str, metrics: Sequence[Metric[Any]], columns: Sequence[Scores]) -> ScoreTable:
-    """These metrics across all columns."""
+def score_table(
+    title: str, metrics: Sequence[Metric[Any]], columns: Sequence[Scores], deciding: int | None = None
+) -> ScoreTable:
+    """The metrics that pages show and that any of the first columns, by default of all, has: across all columns."""
     rows = []
     for metric in metrics:
+        if metric.place == "file" or all(column.values.get(metric.key) is None for column in columns[:deciding]):
+            continue
         values = [column.values.get(metric.key) for column in columns]
         best = metric.best([value for value, column in zip(values, columns, strict=True) if column.ranked])
         cells = (
@@ -48,15 +52,6 @@ def score_table(title: str, metrics: Sequence[Metric[Any]], columns: Sequence[Sc
         )
         rows.append(Row(metric, tuple(cells)))
     return ScoreTable(title, tuple(columns), tuple(rows))
-
-
-def shown(metrics: Sequence[Metric[Any]], columns: Sequence[Scores]) -> list[Metric[Any]]:
-    """The metrics that pages show and that any of these columns has."""
-    return [
-        metric
-        for metric in metrics
-        if metric.place != "file" and any(column.values.get(metric.key) is not None for column in columns)
-    ]
 
 
 def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> list[ScoreTable]:
@@ -72,9 +67,8 @@ def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> l
     tables = []
     for split, values in metrics["images"].items():
         ours = Scores(whose(metrics), values)
-        rows = shown((*IMAGE_METRICS, *MASK_METRICS), [ours])
         columns = [ours, *baselines(metrics, split), *others]
-        tables.append(score_table(f"Unseen views: {split}", rows, columns))
+        tables.append(score_table(f"Unseen views: {split}", (*IMAGE_METRICS, *MASK_METRICS), columns, deciding=1))
     visible, whole = metrics["points"]["visible"], metrics["points"]["whole"]
     columns = [
         *(Scores(f"{whose(metrics)}, visible surface", visible), Scores("whole surface", whole, ranked=False)),
@@ -82,7 +76,7 @@ def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> l
         *others,
     ]
     of_points = metrics_of_points(Yardstick(metrics["parameters"]["yardstick_m"]))
-    tables.append(score_table("Reconstructed surface", shown(of_points, columns[:1]), columns))
+    tables.append(score_table("Reconstructed surface", of_points, columns, deciding=1))
     return [table for table in tables if table.rows]
 
 
@@ -107,12 +101,11 @@ def compared_tables(
     tables = []
     for split in dict.fromkeys(split for metrics in every for split in metrics["images"]):
         columns = [column(name, metrics["images"].get(split, {})) for name, metrics in zip(names, every, strict=True)]
-        rows = shown((*IMAGE_METRICS, *MASK_METRICS), columns)
-        tables.append(score_table(f"Unseen views: {split}", rows, columns))
+        tables.append(score_table(f"Unseen views: {split}", (*IMAGE_METRICS, *MASK_METRICS), columns))
     columns = [column(name, metrics["points"]["visible"]) for name, metrics in zip(names, every, strict=True)]
     cells = dict.fromkeys(metrics["parameters"]["yardstick_m"] for metrics in every)
     of_points = {metric.key: metric for cell in cells for metric in metrics_of_points(Yardstick(cell))}
-    tables.append(score_table("Points, visible surface", shown([*of_points.values()], columns), columns))
+    tables.append(score_table("Points, visible surface", [*of_points.values()], columns))
     columns = [column(name, {"time_s": metrics["time_s"]}) for name, metrics in zip(names, every, strict=True)]
-    tables.append(score_table("Training", shown(RUN_METRICS, columns), columns))
+    tables.append(score_table("Training", RUN_METRICS, columns))
     return [table for table in tables if table.rows]

@@ -40,7 +40,7 @@ def sweep_views(
     Raises
     ------
     SarsplatError
-        If there are too few frames, the ends are alike or, without ends, all training views have one grazing angle.
+        If there are too few frames, the ends are the same or, without ends, all training views have one grazing angle.
     """
     if frames < 2:
         raise SarsplatError(f"a sweep of {frames} frames does not move; give at least 2")

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Real, UInt8
 
-from sarsplat.colours import DIFFERENCE, DIFFERENCE_IN_WORDS, HEIGHT, POWER_RAMPS, ramp
+from sarsplat.colours import DIFFERENCE, DIFFERENCE_IN_WORDS, HEIGHT, POWER, POWER_RAMPS, ramp
 from sarsplat.data import Dataset
+from sarsplat.data.coverage import largest_gap
 from sarsplat.geometry import View
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, shade
 from sarsplat.reconstruction import Run
@@ -73,8 +74,8 @@ def widget(run: Run) -> Widget | None:
 
     rows, columns = part.size
     low, high = np.quantile(points, (0.001, 0.999), axis=0)
-    some = np.random.default_rng(0).permutation(points)[:_POINTS]
-    some = some[((some >= low) & (some <= high)).all(axis=1)]
+    sample = np.random.default_rng(0).permutation(points)[:_POINTS]
+    sample = sample[((sample >= low) & (sample <= high)).all(axis=1)]
     name = "measured" if dataset.calibration == "relative" else "true"
     panels = (
         part.panel("", "rendered SAR image at the radar's direction", canvas="sar-rendered"),
@@ -86,7 +87,7 @@ def widget(run: Run) -> Widget | None:
     data = {
         "low": low.tolist(),
         "high": high.tolist(),
-        "points": base64.b64encode(_quantised(some, low, high).tobytes()).decode(),
+        "points": base64.b64encode(_quantised(sample, low, high).tobytes()).decode(),
         "rows": rows,
         "columns": columns,
         "deepest": _DEEPEST_DB,
@@ -101,7 +102,7 @@ def widget(run: Run) -> Widget | None:
         "errors": _sheet(indexed(part.of_images(errors), -difference.largest, difference.largest)),
         "errorColours": ramp(DIFFERENCE).tolist(),
         "heightColours": ramp(HEIGHT)[:, :3].tolist(),
-        "powerColours": {name: ramp(name)[:, :3].tolist() for name in POWER_RAMPS},
+        "powerColours": {"grey" if name == POWER else name: ramp(name)[:, :3].tolist() for name in POWER_RAMPS},
         "name": name,
         "start": _angles(views[len(views) // 3]),
     }
@@ -132,14 +133,9 @@ def _affordable(dataset: Dataset, part: Part, peak: float) -> list[int]:
     sample = dataset.power[evenly(len(dataset), _TRIED)]
     # an error takes about as many bytes as its image
     count = max(2, int(_BYTES / (2 * _bytes_each(_codes(part.of_images(sample), peak)))))
-    train: list[int] = []
-    test: list[int] = []
-    for index, entry in enumerate(dataset.entries):
-        (train if entry.split == "train" else test).append(index)
-    if dataset.clean_tests and test:
-        train = []
-    for some in (train, test):
-        some.sort(key=lambda index: (dataset.views[index].azimuth_deg % 360, dataset.views[index].grazing_deg))
+    around = sorted(range(len(dataset)), key=lambda index: _angles(dataset.views[index]))
+    test = [index for index in around if dataset.entries[index].split != "train"]
+    train = [] if dataset.clean_tests and test else [index for index in around if index not in set(test)]
     of_train = evenly(len(train), max(count - len(test), count // 2)) if train else []
     of_test = evenly(len(test), count - len(of_train)) if test else []
     return [train[k] for k in of_train] + [test[k] for k in of_test]
@@ -156,11 +152,9 @@ def _raster(views: Sequence[View], count: int) -> list[View]:
     """At most `count` directions: evenly over the azimuths and the grazing angles that these views span."""
     if count < 1:
         return []
-    azimuths = np.sort([view.azimuth_deg % 360 for view in views])
-    gaps = np.diff(azimuths, append=azimuths[0] + 360)
-    widest = int(gaps.argmax())
-    all_around = gaps[widest] <= 90
-    first, span = (0.0, 360.0) if all_around else (azimuths[(widest + 1) % len(azimuths)], 360 - gaps[widest])
+    gap = largest_gap(view.azimuth_deg for view in views)
+    all_around = gap.width_deg <= 90
+    first, span = (0.0, 360.0) if all_around else (gap.last_deg, 360 - gap.width_deg)
     lowest, highest = (bound(view.grazing_deg for view in views) for bound in (min, max))
     levels = min(_MOST_GRAZING, 1 + round((highest - lowest) / _FINEST_DEG))
     finest = math.ceil(span / _FINEST_DEG) + (not all_around)

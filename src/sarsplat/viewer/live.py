@@ -10,7 +10,7 @@ from typing import Any
 
 from sarsplat.data import Dataset
 from sarsplat.reconstruction import Step, Trainer
-from sarsplat.viewer.scene import OfScene, SceneImages
+from sarsplat.viewer.scene import OfScene
 from sarsplat.viewer.subject import Cloud, dataset_subject
 from sarsplat.viewer.viewer import Viewer
 
@@ -35,15 +35,15 @@ class TrainingSubject(OfScene):
     surface = None  # its normals would take seconds
 
     def __init__(self, dataset: Dataset, trainer: Trainer) -> None:
-        known = dataset_subject(dataset)
+        images = dataset_subject(dataset)
         title = f"{dataset.target}: training, {trainer.iteration:,} steps, {trainer.gaussian_count:,} Gaussians"
-        super().__init__(title, known.grid, known.train_views, known.peak, dataset)
-        self.look_at(SceneImages(trainer.model, trainer.model.degree(trainer.iteration), dataset.grid))
+        super().__init__(title, images.grid, images.train_views, images.peak, dataset)
+        self.look_at(trainer.model, trainer.model.degree(trainer.iteration))
 
     @cached_property
     def clouds(self) -> list[Cloud]:
         """See `Subject`."""
-        return [self.images.cloud]
+        return [self.gaussian_cloud]
 
 
 @contextmanager
@@ -60,35 +60,27 @@ def watched(dataset: Dataset, port: int, say: Callable[[str], None]) -> Iterator
     port : int
         Of 127.0.0.1; 0 is any that is free.
     say : callable
-        Told once where the page is.
+        Called once with the sentence that says where the page is.
 
     Raises
     ------
     SarsplatError
         If the port is taken.
     """
-    watcher = _Watcher(dataset, port, say)
-    try:
-        yield watcher.after_step
-    finally:
-        watcher.close()
+    viewer, pause_until = Viewer(dataset_subject(dataset), port), 0.0
+    say(f"open {viewer.address} in a browser on this machine to watch the training")
 
-
-class _Watcher:
-    def __init__(self, dataset: Dataset, port: int, say: Callable[[str], None]) -> None:
-        self._dataset = dataset
-        self._viewer = Viewer(dataset_subject(dataset), port)
-        self._next = 0.0
-        say(f"open {self._viewer.address} in a browser on this machine to watch the training")
-
-    def after_step(self, step: Step[Any]) -> None:
+    def after_step(step: Step[Any]) -> None:
+        nonlocal pause_until
         begun = time.monotonic()
-        if begun < self._next:
+        if begun < pause_until:
             return
-        self._viewer.show(TrainingSubject(self._dataset, step.trainer))
-        self._viewer.wait(_WAIT_S)
+        viewer.show(TrainingSubject(dataset, step.trainer))
+        viewer.wait(_WAIT_S)
         ended = time.monotonic()
-        self._next = ended + (ended - begun) / _SHARE
+        pause_until = ended + (ended - begun) / _SHARE
 
-    def close(self) -> None:
-        self._viewer.close()
+    try:
+        yield after_step
+    finally:
+        viewer.close()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import wait as wait_for
 
 
 class Newest:
@@ -21,42 +23,32 @@ class Newest:
 
     def __init__(self, work: Callable[[], object]) -> None:
         self._work = work
-        self._changed = threading.Condition()
-        self._asked = self._busy = self._closed = False
+        self._pool = ThreadPoolExecutor(1, "sarsplat-view")
+        self._asking = threading.Lock()
+        self._last: Future[None] | None = None
+        self._closed = False
         self.done = 0
-        self._thread = threading.Thread(target=self._run, name="sarsplat-view", daemon=True)
-        self._thread.start()
 
     def ask(self) -> None:
         """Let the work be done, soon."""
-        with self._changed:
-            self._asked = True
-            self._changed.notify_all()
+        with self._asking:
+            waiting = self._last is not None and not (self._last.running() or self._last.done())
+            if not waiting and not self._closed:
+                self._last = self._pool.submit(self._run)
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until nothing is left to do; whether that came in time."""
-        with self._changed:
-            return self._changed.wait_for(lambda: not (self._asked or self._busy), timeout_s)
+        return self._last is None or not wait_for([self._last], timeout_s).not_done
 
     def close(self) -> None:
         """Finish what is being done, and do no more."""
-        with self._changed:
+        with self._asking:
             self._closed = True
-            self._changed.notify_all()
-        self._thread.join()
+        self._pool.shutdown(cancel_futures=True)
 
     def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._asked or self._closed)
-                if self._closed:
-                    return
-                self._asked, self._busy = False, True
-            try:
-                self._work()
-            except Exception:
-                logging.getLogger("sarsplat").exception("the picture could not be drawn")
-            with self._changed:
-                self._busy = False
-                self.done += 1
-                self._changed.notify_all()
+        try:
+            self._work()
+        except Exception:
+            logging.getLogger("sarsplat").exception("the picture could not be drawn")
+        self.done += 1

@@ -108,7 +108,7 @@ class Strip:
         finest = min(grid.spacing_m)
         size = np.array([grid.rows * grid.spacing_m[1], grid.columns * grid.spacing_m[0]]) / finest
         factor = max(_SIDE / size.max(), 1.0)
-        factor = math.floor(factor) if factor < 8 else 8.0  # whole multiples keep all pixels alike
+        factor = math.floor(factor) if factor < 8 else 8.0  # whole multiples keep all pixels the same size
         self._height, self._width = (max(round(side * factor), 1) for side in size.tolist())
 
     def drawn(self, panels: list[Panel], pixel: Pixel | None) -> UInt8[np.ndarray, "height width 3"]:

@@ -15,7 +15,7 @@ from sarsplat.geometry import View
 from sarsplat.radar import Surface, surface_of_run
 from sarsplat.reconstruction import Run
 from sarsplat.reconstruction.model import SceneModel
-from sarsplat.viewer.scene import OfScene, SceneImages
+from sarsplat.viewer.scene import OfScene
 from sarsplat.viewer.subject import TRUTH, Cloud, Subject, at_most, dataset_subject
 
 
@@ -112,10 +112,10 @@ class GaussianSubject(OfScene, RunSubject):
 
     def __init__(self, run: Run, model: SceneModel) -> None:
         super().__init__(run)
-        self.look_at(SceneImages(model, model.degree(run.iteration), run.grid))
+        self.look_at(model, model.degree(run.iteration))
 
     @cached_property
     def clouds(self) -> list[Cloud]:
         """See `Subject`."""
         points, *others = super().clouds
-        return [points, self.images.cloud, *others]
+        return [points, self.gaussian_cloud, *others]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,9 +37,9 @@ class Stage:
     views : list of (View, str)
         Known views with their sets.
     on_aim : callable
-        Told of the view that the radar was dragged to, or whose dot was clicked.
+        Called with the view that the radar was dragged to, or whose dot was clicked.
     on_plane : callable
-        Told of the ray of a click on the image's plane: origin and direction, m.
+        Called with the ray of a click on the image's plane: origin and direction, m.
     """
 
     def __init__(
@@ -205,7 +206,7 @@ class Stage:
 
     def _elevations(self, view: View) -> tuple[float, float]:
         """The lowest and the highest elevation y_r of the target's box, m."""
-        corners = np.array([[x, y, z] for x in self._ends(0) for y in self._ends(1) for z in self._ends(2)])
+        corners = np.array(list(product(*zip(self.low, self.high, strict=True))))
         elevations = corners @ radar_frame(view)[1]
         return float(elevations.min()), float(elevations.max())
 
@@ -217,9 +218,6 @@ class Stage:
         azimuth, slant_range = place_m
         ends = self.plane_depth(view), self._elevations(view)[1] + _REACH * self._radius
         return np.array([[azimuth, elevation, slant_range] for elevation in ends]) @ radar_frame(view)
-
-    def _ends(self, axis: int) -> tuple[float, float]:
-        return float(self.low[axis]), float(self.high[axis])
 
     def lay_image(self, rgb: UInt8[np.ndarray, "rows columns 3"], view: View, part: ImageGrid, visible: bool) -> None:
         """Lay an image on its plane, azimuth × slant range, which the lines of one range cross at right angles."""
@@ -242,13 +240,13 @@ class Stage:
             self._plane = (plane, size)
         plane.visible = visible
 
-    def light(self, line: Float[np.ndarray, "2 3"] | None, found: Contributors | None) -> None:
+    def light(self, line: Float[np.ndarray, "2 3"] | None, lit: Contributors | None) -> None:
         """Show the line of one azimuth and range, and who is on it."""
         self._line.visible = line is not None
-        self._lit.visible = found is not None and len(found.shares) > 0
+        self._lit.visible = lit is not None and len(lit.shares) > 0
         if line is not None:
             self._line.points = line[None].astype(np.float32)
-        if found is not None and len(found.shares):
-            some = found.shares >= min(_LEAST_SHARE, found.shares[0])
-            self._lit.points = found.places_m[some].astype(np.float32)
-            self._lit.colors = np.tile(np.array(_LIT, np.uint8), (int(some.sum()), 1))
+        if lit is not None and len(lit.shares):
+            shown = lit.shares >= min(_LEAST_SHARE, lit.shares[0])
+            self._lit.points = lit.places_m[shown].astype(np.float32)
+            self._lit.colors = np.tile(np.array(_LIT, np.uint8), (int(shown.sum()), 1))

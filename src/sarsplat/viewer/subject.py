@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from sarsplat.gaussians import Gaussians
 
 TRUTH = "true surface"
-"""Name of the cloud that is no reconstruction."""
+"""Name of the cloud that is the truth and not a reconstruction."""
 
 MAX_POINTS = 60_000
 """Most points drawn: more would only look more solid."""

@@ -128,12 +128,12 @@ class Viewer:
             self._controls.follow(view)
             self._stage.aim(view)
             self._stage.lay_image(_framed(self._strip.enlarged(on_plane)), view, part, choices.plane)
-            found = self._light(subject, view, pixel)
-            self._draw_target(subject, view, choices, dimmed=found is not None)
+            lit = self._light(subject, view, pixel)
+            self._draw_target(subject, view, choices, dimmed=lit is not None)
             self._stage.show_dome(choices.views)
             self._stage.show_ground(choices.lines)
             self.frame_s = time.perf_counter() - begun
-            self._controls.show_foot([panel.legend for panel in cut], self._text(subject, view, pixel, found))
+            self._controls.show_foot([panel.legend for panel in cut], self._text(subject, view, pixel, lit))
 
     def _panels(self, subject: Subject, view: View, choices: Choices) -> tuple[list[tuple[str, str]], list[Panel]]:
         """Every picture of the strip with its title and the line below that."""
@@ -150,8 +150,8 @@ class Viewer:
             entry, power = subject.dataset.entries[index], subject.dataset.power[index]
             kind = "training" if entry.split == "train" else entry.split
             panels.append(power_panel("nearest image", power, *style))
-            there = "the same view" if apart_deg < _SAME_DEG else f"{apart_deg:.1f}° away: {_name(entry.view)}"
-            heads.append((f"nearest {kind} image", there))
+            away = "the same view" if apart_deg < _SAME_DEG else f"{apart_deg:.1f}° away: {_name(entry.view)}"
+            heads.append((f"nearest {kind} image", away))
             if rendered is not None and not choices.map:
                 panels.append(
                     difference_panel(rendered, power, subject.peak, choices.limits_db[0], speckled=subject.speckled)
@@ -210,8 +210,8 @@ class Viewer:
             return None
         grid, part = self._subject.grid, self._part
         row = round((part.range_m[pixel.row] - grid.range_m[0]) / grid.spacing_m[1])
-        found = Pixel(row, round((part.azimuth_m[pixel.column] - grid.azimuth_m[0]) / grid.spacing_m[0]))
-        return None if found == self._pixel else found
+        picked = Pixel(row, round((part.azimuth_m[pixel.column] - grid.azimuth_m[0]) / grid.spacing_m[0]))
+        return None if picked == self._pixel else picked
 
     def _light(self, subject: Subject, view: View, pixel: Pixel | None) -> Contributors | None:
         if pixel is None:
@@ -219,11 +219,11 @@ class Viewer:
             return None
         if self._picked is None or self._picked[:2] != (view, pixel):
             self._picked = (view, pixel, subject.contributors(view, pixel))
-        found = self._picked[2]
-        self._stage.light(self._stage.iso_range_line(view, pixel.place_m(subject.maps_grid)), found)
-        return found
+        lit = self._picked[2]
+        self._stage.light(self._stage.iso_range_line(view, pixel.place_m(subject.maps_grid)), lit)
+        return lit
 
-    def _text(self, subject: Subject, view: View, pixel: Pixel | None, found: Contributors | None) -> str:
+    def _text(self, subject: Subject, view: View, pixel: Pixel | None, lit: Contributors | None) -> str:
         took = f'<span style="opacity:.6">Drawn in {1e3 * self.frame_s:.0f} ms.</span>' if self._newest.done else ""
         if pixel is None:
             return f"Click on a pixel to see what makes it: all places of one azimuth and one range. {took}"
@@ -234,9 +234,9 @@ class Viewer:
         if subject.renders:
             power = subject.render(view)[pixel.row, pixel.column]
             where += f"; {float(to_db(power, subject.peak)):.1f} dB"
-        if found is None:
+        if lit is None:
             return f"{where}. Nothing is known to be there. {took}"
-        return f"{where}. {escape(_who(found, subject.scatters))} {took}".replace("-", "−")
+        return f"{where}. {escape(_who(lit, subject.scatters))} {took}".replace("-", "−")
 
 
 def _first_view(subject: Subject) -> View:
@@ -245,14 +245,14 @@ def _first_view(subject: Subject) -> View:
     return subject.views[subject.nearest(View(_FIRST_AZIMUTH_DEG, usual))[0]][0]
 
 
-def _who(found: Contributors, gaussians: bool) -> str:
+def _who(lit: Contributors, gaussians: bool) -> str:
     """Who makes a pixel, in a sentence."""
-    ground = f" {found.ground_share:.0%} comes from the ground." if found.ground_share >= 0.005 else ""
-    if len(found.shares) == 0:
+    ground = f" {lit.ground_share:.0%} comes from the ground." if lit.ground_share >= 0.005 else ""
+    if len(lit.shares) == 0:
         return f"No part of the target is there.{ground}"
-    target = found.shares.sum()
-    count = int(np.searchsorted(found.shares.cumsum(), _MOST_OF_IT * target)) + 1
-    heights = found.places_m[:count, 2]
+    target = lit.shares.sum()
+    count = int(np.searchsorted(lit.shares.cumsum(), _MOST_OF_IT * target)) + 1
+    heights = lit.places_m[:count, 2]
     what = "Gaussians" if gaussians else "pieces of the surface"
     return (
         f"{_MOST_OF_IT:.0%} of what the target adds comes from {count} {what} at heights of {heights.min():.2f} to "
