@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float64, Int64, UInt8
+from jaxtyping import Float, Float32, Float64, Int64, UInt8
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
@@ -101,11 +103,29 @@ class Scene:
 
 
 class Baseline(torch.nn.Module, ABC):
-    """A method that learns from the training images of a dataset and then renders any view."""
+    """A model that learns from the training images of a dataset and then renders any view.
 
-    def __init__(self, scene: Scene) -> None:
+    Parameters
+    ----------
+    scene : Scene
+        What the dataset fixes.
+    config : BaselineConfig
+        Settings.
+    """
+
+    config: Any
+
+    def __init__(self, scene: Scene, config: BaselineConfig) -> None:
         super().__init__()
-        self.scene = scene
+        self.scene, self.config = scene, config
+
+    @torch.no_grad()
+    def images(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
+        """β⁰ of any views, linear power, float32 [V, rows, columns]."""
+        images = np.empty((len(views), self.scene.grid.rows, self.scene.grid.columns), np.float32)
+        for image, view in zip(images, views, strict=True):
+            image[:] = (self.image(view) * self.scene.unit).cpu().numpy()
+        return images
 
     @abstractmethod
     def loss(
@@ -127,9 +147,9 @@ class Baseline(torch.nn.Module, ABC):
     def optimiser(self) -> torch.optim.Adam:
         """A new optimiser of all parameters, each of which every step changes."""
 
-    @abstractmethod
     def rate(self, iteration: int) -> float:
-        """Factor on the optimiser's learning rates after so many iterations."""
+        """Factor on the optimiser's learning rates after so many iterations; it falls tenfold in the whole training."""
+        return float(0.1 ** (iteration / self.config.iterations))
 
     @abstractmethod
     def image(self, view: View) -> Float[Tensor, "rows columns"]:

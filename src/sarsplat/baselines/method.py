@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
 from sarsplat.baselines.seen_points import Points, seen_points
-from sarsplat.baselines.trainer import BaselineTrainer, load_model, saved_scene, scene_of
+from sarsplat.baselines.trainer import BaselineTrainer, saved_scene, scene_of
 from sarsplat.data import Dataset, read_masks, write_mesh
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View
@@ -106,10 +106,9 @@ class BaselineReconstruction(Reconstruction):
         self.method, self.snapshot, self.folder = method, snapshot, folder
         self.grid = snapshot.grid
         self.baseline = method.model(saved_scene(snapshot), config)
-        load_model(self.baseline, snapshot)
+        self.baseline.load_state_dict(snapshot.like("model", self.baseline.state_dict()))
         self.baseline.to(device)
 
-    @torch.no_grad()
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
         """See `Reconstruction`; on its own grid only.
 
@@ -123,10 +122,7 @@ class BaselineReconstruction(Reconstruction):
                 f"{self.method.title} renders the pixels that it was trained with, and no others; "
                 "omit the size, spacing and resolution"
             )
-        images = np.empty((len(views), self.grid.rows, self.grid.columns), np.float32)
-        for image, view in zip(images, views, strict=True):
-            image[:] = (self.baseline.image(view) * self.snapshot.unit).cpu().numpy()
-        return images
+        return self.baseline.images(views)
 
     def masks(self, views: Sequence[View], points: Float32[np.ndarray, "p 3"]) -> UInt8[np.ndarray, "v rows columns"]:
         """See `Reconstruction`: of its surface on flat ground, by ray casting.

@@ -40,9 +40,6 @@ _START_GAMMA0 = 0.01
 _START_GROUND, _START_FLOOR = 1.0, 0.1
 """Of the ground around the target, most of such an image, and of the noise: relative to `Scene.unit`."""
 
-_SLOWDOWN = 0.1
-"""Learning rates at the end, relative to those at the start."""
-
 
 Softness = Annotated[float, Meta(ge=1e-6, le=1)]
 Momentum = Annotated[float, Meta(ge=0, le=0.9999)]
@@ -117,8 +114,7 @@ class Dsr(Baseline):
     log_floor: torch.nn.Parameter | None
 
     def __init__(self, scene: Scene, config: DsrConfig) -> None:
-        super().__init__(scene)
-        self.config = config
+        super().__init__(scene, config)
         template = sphere(config.vertices)
         sides = scene.high_m - scene.low_m
         self._longest_m = float(sides.max())
@@ -171,10 +167,6 @@ class Dsr(Baseline):
         others = [one for name, one in self.named_parameters() if name != "moved"]
         groups: list[dict[str, Any]] = [{"params": [self.moved]}, {"params": others, "lr": self.config.scattering_rate}]
         return torch.optim.Adam(groups, self.config.learning_rate, betas=self.config.betas)
-
-    def rate(self, iteration: int) -> float:
-        """Falls exponentially in the whole training."""
-        return _SLOWDOWN ** (iteration / self.config.iterations)
 
     def image(self, view: View) -> Float[Tensor, "rows columns"]:
         """β⁰ of target, ground and noise in units of `Scene.unit`, linear power, row 0 near range."""

@@ -109,8 +109,7 @@ class SarNerf(Baseline):
     """Whether the published field goes on outside of its boxes."""
 
     def __init__(self, scene: Scene, config: SarNerfConfig) -> None:
-        super().__init__(scene)
-        self.config = config
+        super().__init__(scene, config)
         self._boxes = scene_boxes(scene)
         self.low_m = np.min([low for low, _ in self._boxes], axis=0)
         self.high_m = np.max([high for _, high in self._boxes], axis=0)
@@ -163,10 +162,6 @@ class SarNerf(Baseline):
         if self.log_noise is not None:
             groups.append({"params": [self.log_noise], "lr": min(rate, _NOISE_RATE)})
         return torch.optim.Adam(groups)
-
-    def rate(self, iteration: int) -> float:
-        """See `Baseline`: it falls exponentially."""
-        return 0.1 ** (iteration / self.config.iterations)
 
     def image(self, view: View) -> Float[Tensor, "{self.scene.grid.rows} {self.scene.grid.columns}"]:
         """See `Baseline`: from rays in the middles of their strata."""

@@ -77,14 +77,9 @@ class BaselineTrainer:
         factor = self.model.rate(self.iteration)
         return {f"group {index}": rate * factor for index, rate in enumerate(self._rates)}
 
-    @torch.no_grad()
     def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
         """β⁰ of any views as they are now, linear power."""
-        grid = self._scene.grid
-        images = np.empty((len(views), grid.rows, grid.columns), np.float32)
-        for image, view in zip(images, views, strict=True):
-            image[:] = (self.model.image(view) * self._scene.unit).cpu().numpy()
-        return images
+        return self.model.images(views)
 
     def check(self) -> None:
         """Wait for the device."""
@@ -118,14 +113,18 @@ class BaselineTrainer:
             If the tensors are not those of this training.
         """
         self._queue.restore(snapshot)
-        load_model(self.model, snapshot)
-        states: dict[int, dict[str, Tensor]] = {}
-        for name, tensor in snapshot.part("optimiser").items():
-            index, _, what = name.partition("/")
-            states.setdefault(int(index), {})[what] = tensor
+        self.model.load_state_dict(snapshot.like("model", self.model.state_dict()))
         groups = self._optimiser.state_dict()["param_groups"]
-        order = [parameter for group in self._optimiser.param_groups for parameter in group["params"]]
-        _check_moments(states, order, snapshot.iteration)
+        parameters = [parameter for group in self._optimiser.param_groups for parameter in group["params"]]
+        expected = [
+            {"step": torch.zeros(()), "exp_avg": parameter, "exp_avg_sq": parameter}
+            for parameter in (parameters if snapshot.iteration else ())
+        ]
+        flat = {f"{k}/{name}": tensor for k, state in enumerate(expected) for name, tensor in state.items()}
+        saved = snapshot.like("optimiser", flat)
+        states = {k: {name: saved[f"{k}/{name}"] for name in state} for k, state in enumerate(expected)}
+        if any(float(state["step"]) != snapshot.iteration for state in states.values()):
+            raise ValueError(f"the optimiser has not done {snapshot.iteration} steps")
         self._optimiser.load_state_dict({"state": states, "param_groups": groups})
         self.iteration = snapshot.iteration
 
@@ -170,13 +169,16 @@ def saved_scene(snapshot: Snapshot) -> Scene:
     """
     kept = snapshot.part("scene")
     looks = float(kept["looks"])
+    masks = kept["masks"].numpy() if "masks" in kept else None
+    if masks is not None and masks.dtype != np.uint8:
+        raise ValueError(f"masks of {masks.dtype} instead of uint8")
     return Scene(
         snapshot.views,
         snapshot.grid,
         kept["low_m"].double().numpy(),
         kept["high_m"].double().numpy(),
         snapshot.unit,
-        _of_type(kept["masks"], torch.uint8).numpy() if "masks" in kept else None,
+        masks,
         snapshot.brightest / snapshot.unit,
         bool(kept["ground"]),
         looks or None,
@@ -194,38 +196,3 @@ def _scene_tensors(scene: Scene) -> dict[str, Tensor]:
     if scene.masks is not None:
         kept["masks"] = torch.from_numpy(scene.masks)
     return {f"scene/{name}": tensor for name, tensor in kept.items()}
-
-
-def load_model(model: Baseline, snapshot: Snapshot) -> None:
-    """Set a model's parameters to those of a snapshot; nothing is converted, and all must be finite.
-
-    Raises
-    ------
-    ValueError, RuntimeError
-        If they are not those of this model.
-    """
-    saved, expected = snapshot.part("model"), model.state_dict()
-    for name in saved.keys() & expected.keys():
-        if not _of_type(saved[name], expected[name].dtype).isfinite().all():
-            raise ValueError(f"{name} is not finite")
-    model.load_state_dict(saved)
-
-
-def _check_moments(states: dict[int, dict[str, Tensor]], parameters: list[Tensor], iteration: int) -> None:
-    """Whether Adam can go on from these states, by the number of their parameter."""
-    if iteration and states.keys() != set(range(len(parameters))):
-        raise ValueError("it holds the optimiser's state of other parameters")
-    for index, state in states.items():
-        expected = {"step": torch.Size(()), **dict.fromkeys(("exp_avg", "exp_avg_sq"), parameters[index].shape)}
-        if {name: tensor.shape for name, tensor in state.items()} != expected:
-            raise ValueError(f"the optimiser's state {index} is not that of its parameter")
-        if not all(_of_type(tensor, torch.float32).isfinite().all() for tensor in state.values()):
-            raise ValueError(f"the optimiser's state {index} is not finite")
-        if float(state["step"]) != iteration:
-            raise ValueError(f"the optimiser has done {float(state['step']):g} steps, the training {iteration}")
-
-
-def _of_type(tensor: Tensor, dtype: torch.dtype) -> Tensor:
-    if tensor.dtype != dtype:
-        raise ValueError(f"a tensor of {tensor.dtype} instead of {dtype}")
-    return tensor

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
@@ -56,6 +57,24 @@ class Snapshot:
     def part(self, prefix: str) -> dict[str, Tensor]:
         """The tensors whose names begin with this and a slash, without it."""
         return {name.removeprefix(f"{prefix}/"): t for name, t in self.tensors.items() if name.startswith(f"{prefix}/")}
+
+    def like(self, prefix: str, expected: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Its `part` of that name.
+
+        Raises
+        ------
+        ValueError
+            If that has not the names, shapes and types of these tensors, or not only finite numbers.
+        """
+        saved = self.part(prefix)
+        if saved.keys() != expected.keys():
+            raise ValueError(f"{prefix}: it holds {', '.join(saved) or 'nothing'} instead of {', '.join(expected)}")
+        for name, tensor in saved.items():
+            if (tensor.dtype, tensor.shape) != (expected[name].dtype, expected[name].shape):
+                raise ValueError(f"{prefix}/{name} is {tensor.dtype} {list(tensor.shape)}")
+            if not tensor.isfinite().all():
+                raise ValueError(f"{prefix}/{name} is not finite")
+        return saved
 
     def save(self, path: Path) -> None:
         """Write it as one safetensors file, whole or not at all."""
