@@ -83,8 +83,8 @@ def isosurface(
     step = max(1, _AT_ONCE // (len(y) * len(z)))
     for first in range(0, len(x), step):
         places = torch.stack(torch.meshgrid(x[first : first + step], y, z, indexing="ij"), dim=-1)
-        some = values(places.reshape(-1, 3)).reshape(places.shape[:3])
-        layers[first : first + len(some)] = some.cpu().numpy()
+        layer = values(places.reshape(-1, 3)).reshape(places.shape[:3])
+        layers[first : first + len(layer)] = layer.cpu().numpy()
     if min(shape) < 2 or not layers.min() < level < layers.max():
         return np.empty((0, 3)), np.empty((0, 3), np.int64)
     vertices, faces, _, _ = marching_cubes(

@@ -170,8 +170,8 @@ def summed(values: Float[Tensor, " p"], index: Int64[Tensor, " p"], count: int) 
 
 def greatest(values: Float[Tensor, " p"], index: Int64[Tensor, " p"], count: int) -> Float[Tensor, " {count}"]:
     """The greatest of the values of equal index, 0 where there is none; not differentiable."""
-    found = values.new_zeros(count)
-    return found.scatter_reduce(0, index, values.detach(), "amax", include_self=False)
+    largest = values.new_zeros(count)
+    return largest.scatter_reduce(0, index, values.detach(), "amax", include_self=False)
 
 
 def grouped_softmax(logits: Float[Tensor, " p"], index: Int64[Tensor, " p"], count: int) -> Float[Tensor, " p"]:

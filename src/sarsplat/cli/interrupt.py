@@ -58,7 +58,7 @@ def interruptible(dataset: Path, out: Path) -> Iterator[Callable[[object], None]
     Raises
     ------
     KeyboardInterrupt
-        If there was one; it says how to go on if there is something to go on from.
+        If there was one; it says how to resume, if there is a checkpoint.
     """
     with interrupts_held_back() as interrupted:
 

@@ -27,7 +27,7 @@ def watched(options: Options, images: Dataset) -> Iterator[Callable[[Step[Any]],
     SarsplatError
         If tensorboard is asked for but not installed, or the page's port is taken.
     KeyboardInterrupt
-        If there was one; it says how to go on if there is something to go on from.
+        If there was one; it says how to resume, if there is a checkpoint.
     """
     with ExitStack() as stack:
         stop_if_asked = stack.enter_context(interruptible(options.dataset, options.out))

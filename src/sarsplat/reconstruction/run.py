@@ -369,8 +369,8 @@ class Run:
     @property
     def checkpoint_path(self) -> Path | None:
         """The newest checkpoint, if there is one."""
-        found = [] if self.path is None else sorted((self.path / "checkpoints").glob("*.safetensors"))
-        return found[-1] if found else None
+        files = [] if self.path is None else sorted((self.path / "checkpoints").glob("*.safetensors"))
+        return files[-1] if files else None
 
     @property
     def log_path(self) -> Path:

@@ -1,4 +1,4 @@
-"""All that a training is after some iterations, in one file: what goes on from it needs nothing else but the images."""
+"""All that a training is after some iterations, in one file: what resumes it needs nothing else but the images."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sarsplat.data.header import GridHeader
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View
 
-# What files may say of a training: far more than any does, and what sums and pictures of them can bear.
+# What files may say of a training: far more than any does, and little enough for sums and pictures.
 _Count = Annotated[int, msgspec.Meta(ge=0, le=10**9)]
 _Seconds = Annotated[float, msgspec.Meta(ge=0, le=1e10)]
 _Power = Annotated[float, msgspec.Meta(gt=0, le=1e18)]
@@ -100,17 +100,9 @@ class Snapshot:
         """
         tensors, state = load_checkpoint(path)
         try:
-            known = msgspec.convert(state, _State)
-            return cls(
-                known.iteration,
-                known.seconds,
-                known.queue,
-                ImageGrid.of(**msgspec.structs.asdict(known.grid)),
-                known.views,
-                known.unit,
-                known.brightest,
-                tensors,
-            )
+            fields = msgspec.structs.asdict(msgspec.convert(state, _State))
+            fields["grid"] = ImageGrid.of(**msgspec.structs.asdict(fields["grid"]))
+            return cls(**fields, tensors=tensors)
         except (msgspec.ValidationError, SarsplatError) as error:
             raise SarsplatError(
                 f"{path} does not record how far the training had got ({shown(str(error))}); "
