@@ -15,8 +15,10 @@ from jaxtyping import Bool
 from matplotlib.figure import Figure
 from summary import METRIC
 
+from sarsplat.colours import HEIGHT, POWER, colormap
 from sarsplat.data import write_bytes
 from sarsplat.evaluation.paper import NOT_THE_SAME_EXPERIMENT, paper_scores
+from sarsplat.radiometry import DYNAMIC_RANGE_DB, brighter, shade
 
 if TYPE_CHECKING:
     from baselines import Bout, Comparison
@@ -38,7 +40,6 @@ _PAPER_MEASURED = {
 """Table V, the measured T72 against another model; the time on an RTX 2080 Ti."""
 
 _COLOURS = ("#1f4e79", "#c0392b", "#d98e04", "#4d8c57", "#7a5195", "#8c6d5a")
-_DARKEST_DB = 40.0
 _RIM = 4  # pixels
 
 
@@ -243,8 +244,7 @@ def _pictures(bouts: Sequence[Bout], comparison: Comparison) -> Figure | None:
     if not shown:
         return None
     truth = shown[0][1]["truth"]
-    peak_db = 10 * np.log10(truth.max())
-    shown_part = _around(truth > truth.max() * 10 ** (-_DARKEST_DB / 10))
+    shown_part = _around(brighter(truth, -DYNAMIC_RANGE_DB))
     height, width = truth[0][shown_part].shape
     figure, axes = plt.subplots(
         len(shown) + 1,
@@ -255,12 +255,11 @@ def _pictures(bouts: Sequence[Bout], comparison: Comparison) -> Figure | None:
     )
     for row, (title, kept) in zip(axes, [("truth: two unseen images, 40 dB", {"images": truth}), *shown]):
         for ax, image in zip(row, kept["images"]):
-            level = 10 * np.log10(np.maximum(image[shown_part], 1e-30))
-            ax.imshow(level, cmap="gray", vmin=peak_db - _DARKEST_DB, vmax=peak_db)
+            ax.imshow(shade(image[shown_part], truth.max()), cmap=colormap(POWER), vmin=0, vmax=1)
             ax.set(xticks=[], yticks=[])
         row[0].set_title(title, fontsize=8, loc="left", pad=3)
         points = kept.get("points", np.empty((0, 3)))
-        row[2].scatter(points[:, 0], points[:, 2], c=points[:, 1], s=0.3, cmap="viridis", linewidths=0)
+        row[2].scatter(points[:, 0], points[:, 2], c=points[:, 1], s=0.3, cmap=colormap(HEIGHT), linewidths=0)
         row[2].set_aspect("equal")
         row[2].tick_params(labelsize=7)
     for ax in axes[1:, 2]:

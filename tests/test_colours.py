@@ -67,5 +67,5 @@ def test_colours_are_defined_nowhere_else() -> None:
         if path.name != "colours.py":
             text = path.read_text(encoding="utf-8")
             assert not hexadecimal.findall(text) and not named.findall(text), path
-    for path in sorted((PACKAGE.parents[1] / "docs").glob("*.py")):
+    for path in (path for folder in ("docs", "experiments") for path in (PACKAGE.parents[1] / folder).glob("*.py")):
         assert not re.findall(r"cmap=[\"']|get_cmap", path.read_text(encoding="utf-8")), path

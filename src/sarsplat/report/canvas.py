@@ -28,6 +28,16 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
+def new_sheet(size: tuple[float, float], lines: int, columns: int, **margins: float) -> tuple[Figure, list[Axes]]:
+    """A panel of width × height, inches, with empty places for images, row by row."""
+    figure = new_figure(*size)
+    places = figure.subplots(lines, columns, squeeze=False).ravel().tolist()
+    figure.subplots_adjust(**margins)
+    for axes in places:
+        axes.set_axis_off()
+    return figure, places
+
+
 def dress(axes: Axes) -> None:
     """Colours of one set of axes."""
     axes.set_facecolor(DARK.card)

@@ -14,7 +14,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.radiometry import bright_level
 from sarsplat.reconstruction.outlines import levels_db, outline
-from sarsplat.report.canvas import decibel_bar, draw_image, new_figure, to_png
+from sarsplat.report.canvas import decibel_bar, draw_image, new_sheet, to_png
 from sarsplat.report.look import Look
 from sarsplat.report.marks import arrow
 
@@ -58,15 +58,10 @@ def check_sheet(dataset: Dataset, most: int = 12) -> bytes:
     aspect = grid.rows * grid.spacing_m[1] / (grid.columns * grid.spacing_m[0])
     tall = min(max(_WIDTH * aspect, 0.8), 3 * _WIDTH)
     width, height = max(columns * _WIDTH, 2 * _WIDTH), lines * (tall + _TITLE) + _FOOT
-    figure = new_figure(width, height)
-    panels = figure.subplots(lines, columns, squeeze=False)
-    figure.subplots_adjust(
-        left=0.02, right=0.98, top=1 - _TITLE / height, bottom=_FOOT / height, wspace=0.06, hspace=_TITLE / tall
-    )
+    margins = {"left": 0.02, "right": 0.98, "top": 1 - _TITLE / height, "bottom": _FOOT / height}
+    figure, panels = new_sheet((width, height), lines, columns, **margins, wspace=0.06, hspace=_TITLE / tall)
     look = Look(bright_level(power))
-    for axes in panels.flat:
-        axes.set_axis_off()
-    for axes, index, image, level in zip(panels.flat, chosen, power, levels_db(power, grid, dataset.ground)):
+    for axes, index, image, level in zip(panels, chosen, power, levels_db(power, grid, dataset.ground)):
         entry = dataset.entries[index]
         angles = f"azimuth {entry.view.azimuth_deg:.1f}°, grazing {entry.view.grazing_deg:.1f}°"
         draw_image(axes, image, grid, look, f"{angles} ({entry.split})", 8)

@@ -47,9 +47,8 @@ class Part:
     @property
     def size(self) -> tuple[int, int]:
         """Rows and columns of what is shown."""
-        return (self.rows.stop - self.rows.start) // self.factor, (
-            self.columns.stop - self.columns.start
-        ) // self.factor
+        rows, columns = ((part.stop - part.start) // self.factor for part in (self.rows, self.columns))
+        return rows, columns
 
     def panel(
         self, title: str, alt: str, image: str = "", drawing: str = "", canvas: str = "", black: bool = True

@@ -12,7 +12,7 @@ from jaxtyping import Real
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.radiometry import bright_level
-from sarsplat.report.canvas import decibel_bar, draw_image, new_figure, to_png
+from sarsplat.report.canvas import decibel_bar, draw_image, new_sheet, to_png
 from sarsplat.report.look import Look
 from sarsplat.report.window import target_window
 
@@ -49,15 +49,10 @@ def contact_sheet(
     look = replace(look, peak=bright_level(shown))
     aspect = (grid.rows * grid.spacing_m[1]) / (grid.columns * grid.spacing_m[0])
     width, height = max(columns * _SIDE, 3.6), lines * (_SIDE * aspect + 0.22) + 0.66
-    figure = new_figure(width, height)
-    panels = figure.subplots(lines, columns, squeeze=False)
-    for axes in panels.flat:
-        axes.set_axis_off()
-    for axes, image, view in zip(panels.flat, shown, views):  # empty places stay dark
+    margins = {"left": 0.02, "right": 0.98, "top": 1 - 0.24 / height, "bottom": 0.6 / height}
+    figure, panels = new_sheet((width, height), lines, columns, **margins, wspace=0.05, hspace=0.2 / _SIDE)
+    for axes, image, view in zip(panels, shown, views):  # empty places stay dark
         title = f"{round(view.azimuth_deg, 1):g}°, grazing {round(view.grazing_deg, 1):g}°"
         draw_image(axes, image, grid, look, title, _TEXT)
-    figure.subplots_adjust(
-        left=0.02, right=0.98, top=1 - 0.24 / height, bottom=0.6 / height, wspace=0.05, hspace=0.2 / _SIDE
-    )
     decibel_bar(figure, ((1 - 2.6 / width) / 2, 0.44 / height, 2.6 / width, 0.08 / height), look)
     return to_png(figure)
