@@ -36,7 +36,7 @@ from sarsplat.evaluation.points import PointMetrics, Yardstick, point_metrics
 from sarsplat.evaluation.surface import read_truth_mesh, visible_surface
 from sarsplat.geometry import View
 from sarsplat.progress import Reporter, progress
-from sarsplat.reconstruction import AnyRun
+from sarsplat.reconstruction import Run
 
 _VIEWS_AT_A_TIME = 8
 _MESH_SAMPLES = 100_000
@@ -46,7 +46,7 @@ _SAMPLES, _DISTANCES = 3, 10
 
 
 def evaluate_run(
-    run: AnyRun[Any],
+    run: Run,
     *,
     mesh: str | Path | None = None,
     alignment: Literal["none", "rigid"] = "none",
@@ -58,7 +58,7 @@ def evaluate_run(
 
     Parameters
     ----------
-    run : AnyRun
+    run : Run
         A finished run. If it has a folder, its `metrics.json` is written, whole or not at all.
     mesh : pathlib.Path, optional
         A model of the target, m, in the frame of the views, instead of the dataset's true mesh.
@@ -104,7 +104,7 @@ def evaluate_run(
 
 
 def _evaluate(
-    run: AnyRun[Any], dataset: Dataset, alignment: str, masks_dir: Path | None, weights_dir: Path | None, quiet: bool
+    run: Run, dataset: Dataset, alignment: str, masks_dir: Path | None, weights_dir: Path | None, quiet: bool
 ) -> dict[str, Any]:
     if alignment not in ("none", "rigid"):
         raise SarsplatError(f"alignment {alignment!r} is unknown; choose none or rigid")
@@ -160,7 +160,7 @@ def _evaluate(
     }
 
 
-def _rendered(run: AnyRun[Any], views: Sequence[View], shown: Reporter) -> Stack:
+def _rendered(run: Run, views: Sequence[View], shown: Reporter) -> Stack:
     """β⁰ of the views, linear power, float32 [V, rows, columns]."""
     images = []
     for first in range(0, len(views), _VIEWS_AT_A_TIME):
@@ -183,7 +183,7 @@ def _by_image(tested: Dataset, pair: ImagePair) -> dict[str, Any]:
 
 
 def _masks(
-    run: AnyRun[Any], tested: Dataset, rendered: Stack, masks: Sequence[Mask | None], shown: Reporter
+    run: Run, tested: Dataset, rendered: Stack, masks: Sequence[Mask | None], shown: Reporter
 ) -> MaskPair | UndefinedScore:
     """True and predicted masks of those images of a test set that have one."""
     masked = [index for index, mask in enumerate(masks) if mask is not None]
@@ -198,7 +198,7 @@ def _masks(
 
 
 def _surfaces(
-    run: AnyRun[Any],
+    run: Run,
     dataset: Dataset,
     aligned: bool,
     yardstick: Yardstick,
@@ -251,7 +251,7 @@ def _surfaces(
     return {**scores, "truth": truth}
 
 
-def _points_on_mesh(run: AnyRun[Any]) -> tuple[Float[np.ndarray, "p 3"], str]:
+def _points_on_mesh(run: Run) -> tuple[Float[np.ndarray, "p 3"], str]:
     """Random points of a run's mesh, spread by area; where it has none, why."""
     from trimesh.sample import sample_surface
 

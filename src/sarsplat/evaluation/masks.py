@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Int64
@@ -12,7 +11,7 @@ from scipy.ndimage import shift
 from sarsplat.data import Dataset, Masks
 from sarsplat.evaluation.images import Stack, UndefinedScore
 from sarsplat.evaluation.registered import register
-from sarsplat.reconstruction import AnyRun
+from sarsplat.reconstruction import Run
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class MaskPair:
         return float(np.mean(both[either > 0] / either[either > 0]))
 
 
-def predicted_masks(run: AnyRun[Any], images: Dataset, rendered: Stack) -> Masks:
+def predicted_masks(run: Run, images: Dataset, rendered: Stack) -> Masks:
     """Masks of a run for the images of one set, moved as `register` moves the rendered images if they are speckled.
 
     Where a chip lies in its frame is thus found from its likelihood, never from true masks.

@@ -20,7 +20,7 @@ from sarsplat.evaluation.metric import Metric, Requirement
 from sarsplat.evaluation.points import PointMetrics, Yardstick
 from sarsplat.evaluation.registered import REACH, register, registered_log_correlation
 from sarsplat.geometry import SHADOW, TARGET
-from sarsplat.reconstruction import AnyRun
+from sarsplat.reconstruction import Run
 
 
 @dataclass(frozen=True)
@@ -259,7 +259,7 @@ def metrics_of_points(yardstick: Yardstick) -> tuple[Metric[PointMetrics], ...]:
     )
 
 
-RUN_METRICS: tuple[Metric[AnyRun[Any]], ...] = (
+RUN_METRICS: tuple[Metric[Run], ...] = (
     Metric(
         "time_s",
         *("training time", "s", ".0f", "less"),
