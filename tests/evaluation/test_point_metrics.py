@@ -93,18 +93,19 @@ def test_one_point_per_voxel_is_kept_the_first():
     assert point_metrics(crowded, SQUARE, lattice(5), YARDSTICK).count == 100
 
 
-def test_no_or_bad_points_are_told():
-    for points in (np.empty((0, 3)), np.zeros((4, 2))):
-        with pytest.raises(SarsplatError, match="at least one point"):
-            point_metrics(points, SQUARE, lattice(5), YARDSTICK)
-    with pytest.raises(SarsplatError, match="not finite"):
-        point_metrics(np.array([[0, 0, np.inf]]), SQUARE, lattice(5), YARDSTICK)
-
-
-@pytest.mark.parametrize("samples", [np.empty((0, 3)), np.full((2, 3), np.inf)])
-def test_samples_of_the_truth_are_checked_too(samples):
-    with pytest.raises(SarsplatError, match="samples of the true surface"):
-        point_metrics(lattice(3), SQUARE, samples, YARDSTICK)
+@pytest.mark.parametrize(
+    ("points", "samples", "message"),
+    [
+        (np.empty((0, 3)), lattice(5), "reconstructed points have shape .* at least one point"),
+        (np.zeros((4, 2)), lattice(5), "reconstructed points have shape .* at least one point"),
+        (np.array([[0, 0, np.inf]]), lattice(5), "reconstructed points hold values that are not finite"),
+        (lattice(3), np.empty((0, 3)), "samples of the true surface have shape"),
+        (lattice(3), np.full((2, 3), np.inf), "samples of the true surface hold values that are not finite"),
+    ],
+)
+def test_no_or_bad_points_and_samples_are_refused(points, samples, message):
+    with pytest.raises(SarsplatError, match=message):
+        point_metrics(points, SQUARE, samples, YARDSTICK)
 
 
 def grid(cell: float) -> ImageGrid:
@@ -131,10 +132,10 @@ def test_thresholds_follow_the_resolution_cell_to_one_digit(cell: float, thresho
     assert f"recall@{thresholds[0]:g}" in keys
 
 
-@pytest.mark.parametrize("cell", [k / 1000 for k in range(10, 100)])
-def test_the_three_thresholds_differ(cell: float) -> None:
-    high, middle, low = Yardstick.of(grid(cell)).thresholds_m
-    assert high > middle > low > 0
+def test_the_three_thresholds_differ() -> None:
+    for cell in range(10, 100):
+        high, middle, low = Yardstick.of(grid(cell / 1000)).thresholds_m
+        assert high > middle > low > 0
 
 
 @pytest.mark.parametrize("factor", [10.0, 1 / 15])

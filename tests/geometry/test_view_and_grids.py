@@ -37,23 +37,6 @@ def test_its_axes_are_what_they_are_called(view):
     assert view.incidence_deg == pytest.approx(90 - view.grazing_deg)
 
 
-def test_azimuth_runs_clockwise_seen_from_above():
-    def ground(azimuth):
-        return View(azimuth, 30.0).direction[:2] / math.cos(math.radians(30.0))
-
-    assert ground(0.0) == pytest.approx([1, 0], abs=1e-12)
-    assert ground(90.0) == pytest.approx([0, -1], abs=1e-12)
-    assert ground(180.0) == pytest.approx([-1, 0], abs=1e-12)
-
-
-@given(views, st.floats(-180, 180))
-def test_turning_the_scene_is_turning_the_radar_back(view, angle):
-    c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])  # counter-clockwise
-    turned_back = View(view.azimuth_deg - angle, view.grazing_deg)
-    assert radar_frame(turned_back) @ turn == pytest.approx(radar_frame(view), abs=1e-11)
-
-
 def test_image_is_a_map_with_the_radar_at_the_top():
     """Ground points east and north of the centre, seen from the north: neither mirrored nor upside down."""
     from_north = View(-90.0, 40.0)  # +y is north

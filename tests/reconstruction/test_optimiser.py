@@ -162,3 +162,8 @@ def test_state_comes_back(how: str) -> None:
     trained(second, part, 3, 6)
     for name in SHAPES:
         assert torch.equal(whole[name], part[name])
+
+
+def test_tables_of_more_columns_than_the_engine_steps_are_left_to_plain_torch() -> None:
+    assert fused.takes([torch.zeros(5, 16), torch.zeros(40), torch.zeros(2, 40, 48)])
+    assert not fused.takes([torch.zeros(5, 3), torch.zeros(5, 48)])

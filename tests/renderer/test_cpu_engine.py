@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 import torch
-from named_scenes import MATRIX, Scene
+from named_scenes import MATRIX, Scene, cloud, with_scales
 
 from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import radar_frame
 from sarsplat.renderer import cpu, reference, render
 from sarsplat.renderer.reference import render_reference
@@ -154,3 +156,35 @@ def test_plane_gradients_add_up_to_those_of_the_means():
     assert relative(leaves["means"].grad, torch.einsum("vni,vij->nj", in_radar_frame, frames)) <= 1e-5
     on_image = torch.stack([on_image_x, on_image_r], dim=-1).sum(1)
     assert relative(leaves["shift"].grad, on_image) <= 1e-5
+
+
+# ---- gradients that are small beside others: an optimiser like Adam does not see how small they are -----------------
+def gradient(gaussians: Gaussians, name: str, dtype: torch.dtype, **engine: str) -> torch.Tensor:
+    scene = Scene(gaussians)
+    leaves = scene.leaves(dtype)
+    rendering = scene.call(render, leaves, **engine)
+    loss = rendering.images.square().sum() + rendering.cross_sections.sum()
+    return torch.autograd.grad(loss, leaves[name])[0]
+
+
+def worst(gaussians: Gaussians, name: str, instruction_set: str) -> float:
+    """Largest error of an element, relative to that element."""
+    expected = gradient(gaussians, name, torch.float64, engine="reference")
+    found = gradient(gaussians, name, torch.float32, engine="cpu", instruction_set=instruction_set)
+    assert (expected != 0).all()
+    return float(((found - expected) / expected).abs().max())
+
+
+@pytest.mark.parametrize("instruction_set", AVAILABLE)
+def test_the_thin_axis_of_a_disc(instruction_set):
+    thin = with_scales(cloud(8, 3, kappa=(0.5, 2.0)), (0.5, 0.4, 2e-4))
+    flat = replace(thin, quaternions=torch.tensor([[0.9, 0.3, 0.2, 0.1]]).expand(8, 4).contiguous())
+    assert worst(flat, "scales", instruction_set) < 3e-3
+
+
+@pytest.mark.parametrize("instruction_set", AVAILABLE)
+@pytest.mark.parametrize("activation", [-3.0, -10.0, -20.0, -40.0])
+def test_harmonics_far_below_the_least_scattering(activation, instruction_set):
+    gaussians = cloud(6, 4, degree=0, kappa=(0.5, 2.0))
+    faint = gaussians.with_tensors(scattering=torch.full((6, 1), activation / 0.28209479))
+    assert worst(faint, "scattering", instruction_set) < 1e-4

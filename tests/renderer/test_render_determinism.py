@@ -55,16 +55,8 @@ def leaves_of(gaussians: Gaussians) -> Gaussians:
     return gaussians.with_tensors(**{name: t.clone().requires_grad_() for name, t in gaussians.tensors().items()})
 
 
-def gradients_of(images: torch.Tensor, scene: Gaussians, **options: bool) -> list[torch.Tensor]:
-    return list(torch.autograd.grad((images**2).sum(), list(scene.tensors().values()), **options))
-
-
-def test_backward_twice():
-    scene = leaves_of(cloud(60, 1))
-    images = render(scene, VIEWS, GRID, engine="cpu").images
-    first = gradients_of(images, scene, retain_graph=True)
-    for mine, theirs in zip(gradients_of(images, scene), first, strict=True):
-        assert torch.equal(mine, theirs)
+def gradients_of(images: torch.Tensor, scene: Gaussians) -> list[torch.Tensor]:
+    return list(torch.autograd.grad((images**2).sum(), list(scene.tensors().values())))
 
 
 def test_passes_between_forward_and_backward_do_not_disturb():
@@ -143,3 +135,19 @@ def test_gradient_of_the_gain_of_one_large_image(threads):
         images = render(scene, VIEWS[:1], grid, rays=RayGrid((0.05, 0.05)), gain=gain).channel(0)
         found.append([torch.autograd.grad(images, gain, seed, retain_graph=True)[0].item() for seed in seeds])
     assert found[0] == found[1] == found[2]
+
+
+@pytest.mark.parametrize("engine", ["cpu", "reference"])
+def test_autocast_changes_nothing(engine):
+    def image_and_gradient(enabled: bool):
+        scene = cloud(10, 0)
+        scene.means.requires_grad_()
+        with torch.autocast("cpu", torch.bfloat16, enabled=enabled):
+            images = render(scene, VIEWS, GRID, engine=engine).images
+        images.square().sum().backward()  # outside, as torch's documentation asks for
+        return images.detach(), scene.means.grad
+
+    plain, cast = image_and_gradient(False), image_and_gradient(True)
+    for expected, found in zip(plain, cast, strict=True):
+        assert found.dtype == torch.float32
+        assert torch.equal(found, expected)

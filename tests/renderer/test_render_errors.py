@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import pytest
@@ -162,3 +163,18 @@ def test_torch_defaults_do_not_matter():
         torch.set_default_dtype(torch.float32)
     assert torch.equal(again.images, expected.images)
     assert torch.equal(again.ray_maps[0].transmittance, expected.ray_maps[0].transmittance)
+
+
+@pytest.mark.parametrize("engine", ["auto", "cpu", "reference"])
+def test_tensors_without_values_are_refused(engine):
+    with pytest.raises(SarsplatError, match="means is on torch's meta device, which holds no values"):
+        render(cloud(10, 0).to("meta"), VIEWS, GRID, engine=engine)
+    with pytest.raises(SarsplatError, match="gain is on torch's meta device"):
+        render(cloud(10, 0), VIEWS, GRID, gain=torch.ones(len(VIEWS), device="meta"), engine=engine)
+
+
+def test_the_reference_refuses_at_once_what_would_take_hours():
+    begun = time.monotonic()
+    with pytest.raises(SarsplatError, match=r"too many rays at a spacing of \(0.001, 0.001\) m: .* use coarser rays"):
+        render(cloud(60, 0), VIEWS, GRID, rays=RayGrid((0.001, 0.001)), engine="reference")
+    assert time.monotonic() - begun < 2

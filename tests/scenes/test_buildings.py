@@ -5,8 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from sarsplat.cli import main
-from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.scenes import BUILDINGS, Gamma0, ScatteringLaw, building_profile, simulate_raycast, target_mesh
@@ -128,16 +126,6 @@ def test_the_near_wall_faces_azimuth_0_with_its_foot_at_the_origin():
     outward = mesh.triangles_center - [-2.0, 0.0, 5.0]
     assert ((outward * mesh.face_normals).sum(axis=1) > 0).all()
     np.testing.assert_array_equal(mesh.face_normals[:, 2] > 0.5, BUILDINGS["building-a"].reflectivity(UNEQUAL) == 0.3)
-
-
-def test_the_command_line_makes_the_paper_s_building(tmp_path, capsys):
-    words = "--target building-a --azimuth 0 --grazing 45 --law 0.5 0 --ground 0.5 --pixels 64"
-    assert main(["simulate", *words.split(), "--out", str(tmp_path / "a")]) == 0
-    dataset = read_dataset(tmp_path / "a")
-    assert dataset.source["law"] == {"floor": 0.5, "lobe": 0.0, "exponent": 2.0}
-    ground_range = dataset.grid.range_m / math.cos(math.radians(45.0))
-    layover = np.abs(ground_range + 8.0) < 1.0
-    assert dataset.images("train")[0][layover, 30:34] == pytest.approx(1.5, rel=1e-3)
 
 
 # ---- bad input -------------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import pytest
 
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import ImageGrid
-from sarsplat.scenes import load_mesh, paper_grid, target_mesh
+from sarsplat.scenes import load_mesh, paper_grid
 from sarsplat.scenes.meshes import scaled, suspicious_size
 
 trimesh = pytest.importorskip("trimesh")
@@ -59,13 +59,6 @@ def test_of_doubled_faces_one_stays_without_a_word(tmp_path):
     triangle = "v 0 0 0\nv 2 0 0\nv 0 2 0\n"
     path = write(tmp_path / "soup.obj", triangle + triangle + "f 1 2 3\nf 5 6 4\n")
     assert len(load_mesh(path).faces) == 1
-
-
-def test_our_own_truth_is_read_without_warning(tmp_path):
-    path = tmp_path / "truth.ply"
-    target_mesh("t72").export(path)
-    mesh = load_mesh(path)
-    assert len(mesh.faces) > 1000
 
 
 @pytest.mark.parametrize("scale", [1000.0, 39.4, 0.01])

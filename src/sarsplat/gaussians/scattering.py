@@ -35,8 +35,8 @@ class Scattering(ABC):
     Parameters
     ----------
     parameters : Tensor [N, K]
-        What is learned, a row for each Gaussian; at most 16 columns. The first speaks for all directions, the others
-        of differences between them: they have learning rates of their own.
+        What is learned, a row for each Gaussian. The first column speaks for all directions, the others of differences
+        between them: they have learning rates of their own. A training with more than 16 columns is slower.
     p_min : float
         Minimum scattering P_min ≥ 0 (γ⁰). Above zero it forbids black absorbers.
 

@@ -12,10 +12,17 @@ from sarsplat.reconstruction.adam import BETA1, BETA2, EPSILON, Stepped
 from sarsplat.renderer import cpu, structs
 from sarsplat.renderer.once import differentiable_once
 
+_MAX_COLUMNS = len(structs.AdamGroup().rate)
+
 
 def takes(tensors: Iterable[Tensor]) -> bool:
-    """Whether the CPU engine can compute with these: float32 on the CPU."""
-    return all(tensor.dtype == torch.float32 and tensor.device.type == "cpu" for tensor in tensors)
+    """Whether the CPU engine can compute with these: float32 on the CPU, tables of at most 16 columns."""
+    return all(
+        tensor.dtype == torch.float32
+        and tensor.device.type == "cpu"
+        and (tensor.ndim != 2 or tensor.shape[1] <= _MAX_COLUMNS)
+        for tensor in tensors
+    )
 
 
 class AmplitudeLoss(torch.autograd.Function):

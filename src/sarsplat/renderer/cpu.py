@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import sys
+import warnings
 from ctypes import POINTER, c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 
 import torch
 
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.renderer.checks import INSTRUCTION_SETS
 from sarsplat.renderer.structs import (
     AdamStep,
@@ -41,7 +42,7 @@ _NO_MEMORY = "there is not enough memory for the rendering; render fewer views a
 
 @cache
 def library() -> ctypes.CDLL:
-    """The compiled engine, its threads borrowed from torch; on one thread where torch does not lend them.
+    """The compiled engine, its threads borrowed from torch; on one, with a warning, where torch does not lend them.
 
     Raises
     ------
@@ -85,7 +86,15 @@ def library() -> ctypes.CDLL:
     lib.sg_isa_name.restype = ctypes.c_char_p
     lib.sg_use_torch.argtypes = [c_void_p]
     lib.sg_use_torch.restype = None
-    lib.sg_use_torch(torch_pool())
+    pool = torch_pool()
+    if pool is None:
+        warnings.warn(
+            f"the CPU engine runs on one thread, because PyTorch {torch.__version__} has no torch_parallel_for; "
+            "install PyTorch from its own wheels to use all of them",
+            SarsplatWarning,
+            stacklevel=2,
+        )
+    lib.sg_use_torch(pool)
     return lib
 
 
