@@ -131,7 +131,11 @@ def render(
                 raise SarsplatError(
                     f"bounds are on {bounds.broken.device} but means is on {gaussians.means.device}; make them there"
                 )
-            new_pass = partial(new_pass, capacity=bounds.capacity(len(gaussians), views, grid, rays))
+            capacity = bounds.capacity(len(gaussians), views, grid, rays)
+            new_pass = partial(new_pass, capacity=capacity)
+            bounds = bounds if capacity else None
+        else:
+            bounds = None
         return render_with(
             new_pass,
             gaussians,
@@ -144,6 +148,7 @@ def render(
             imaging_weight=imaging_weight,
             first_return_depth=first_return_depth,
             plane_gradients=plane_gradients,
+            bounds=bounds,
         )
     if plane_gradients:
         raise SarsplatError(

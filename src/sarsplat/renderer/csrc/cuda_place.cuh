@@ -94,8 +94,7 @@ SG_FN void bound_rays(const State& s, int view, int64_t j) {
 
 // The footprints of a step alone: `attenuate` gives those on rays, `splat` those on pixels and their cross-sections.
 extern "C" __global__ void __launch_bounds__(kThreads) place_footprints(sg_problem p, State s, sg_projection in, sg_channels a) {
-  int view, i;
-  const int64_t j = pair_index(p, &view, &i);
+  const auto [view, i, j] = this_pair(p);
   if (j >= 0 && in.ray_centers) {
     Projected g{on_plane(in.ray_centers, in.ray_roots, j), {}, in.optical_depth[j], in.range[j], {in.tilt[2 * j], in.tilt[2 * j + 1]}};
     check_footprint(p, s, g.rays, j);
@@ -122,8 +121,7 @@ SG_FN Box tiles(const Plane& plane, const Lattice& lattice, int64_t j) {
 }
 
 extern "C" __global__ void __launch_bounds__(kThreads) count_tiles(sg_problem p, Plane plane) {
-  int view, i;
-  const int64_t j = pair_index(p, &view, &i);
+  const auto [view, i, j] = this_pair(p);
   if (j < 0) return;
   const Box t = tiles(plane, plane.lattices[view], j);
   plane.counts[j] = (int64_t)(t.x.last - t.x.first + 1) * (t.y.last - t.y.first + 1);
@@ -132,8 +130,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) count_tiles(sg_problem p,
 // by_depth: front to back inside a tile; otherwise, and for ties, by index, since the sort is stable. A footprint whose
 // count was clipped (cuda.py) has no more slots than that.
 extern "C" __global__ void __launch_bounds__(kThreads) list_tiles(sg_problem p, Plane plane, int32_t by_depth) {
-  int view, i;
-  const int64_t j = pair_index(p, &view, &i);
+  const auto [view, i, j] = this_pair(p);
   if (j < 0) return;
   const Lattice lattice = plane.lattices[view];
   const Box t = tiles(plane, lattice, j);
@@ -174,8 +171,7 @@ SG_FN OnPlane pixel_gradient(const sg_problem& p, const State& s, int64_t j) {
 
 // Of a step alone, on its own plane.
 extern "C" __global__ void __launch_bounds__(kThreads) write_footprint_gradients(sg_problem p, State s, sg_projection out) {
-  int view, i;
-  const int64_t j = pair_index(p, &view, &i);
+  const auto [view, i, j] = this_pair(p);
   if (j < 0) return;
   if (out.ray_centers) write(ray_gradient(p, s, j, out.optical_depth[j]), out.ray_centers, out.ray_roots, j);
   if (out.pixel_centers) write(pixel_gradient(p, s, j), out.pixel_centers, out.pixel_roots, j);

@@ -31,8 +31,7 @@ SG_FN Projected project_pair(const sg_problem& p, int view, int64_t i) {
 
 // out: of a whole rendering, gamma0 alone
 extern "C" __global__ void __launch_bounds__(kThreads) project_gaussians(sg_problem p, State s, sg_projection out) {
-  int view, i;
-  const int64_t j = pair_index(p, &view, &i);
+  const auto [view, i, j] = this_pair(p);
   if (j >= 0) {
     if (view == 0) check_gaussian(p, s, i);
     if (i == 0) check(s, p.shift + 2 * view, 2, -p.farthest, p.farthest, SG_SHIFT, view);
