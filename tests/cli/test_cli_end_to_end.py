@@ -323,12 +323,20 @@ def test_info_points_from_a_part_to_the_whole(workshop: Path, part: str, capsys:
     assert f"is part of the {whole.name} {whole}; give that folder" in refusal(["info", str(workshop / part)], capsys)
 
 
-def test_doctor_names_the_gpu(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("reason", "verdict"),
+    [("", "agrees with the CPU engine"), ("its images differ", "not used unless asked for by name: its images differ")],
+)
+def test_doctor_names_the_gpu(
+    reason: str, verdict: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sarsplat.renderer.trial.objection", lambda device: reason)
     monkeypatch.setattr(import_module("sarsplat.renderer.cuda_device"), "require_cuda", lambda: None)
     monkeypatch.setattr("torch.cuda.get_device_name", lambda: "Some GPU")
     monkeypatch.setattr(import_module("sarsplat.renderer.nvrtc"), "Nvrtc", lambda: SimpleNamespace(version="12.8"))
     assert main(["doctor"]) == 0
-    assert "Some GPU, compiled at first use by NVRTC 12.8" in capsys.readouterr().out
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"Some GPU, compiled at first use by NVRTC 12.8; {verdict}" in said
 
 
 def test_doctor_knows_what_is_installed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -109,4 +109,5 @@ def render_on(
         imaging_weight=imaging_weight,
         first_return_depth=first_return_depth,
         plane_gradients=plane_gradients,
+        bounds=bounds if capacity else None,
     )

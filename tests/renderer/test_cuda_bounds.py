@@ -134,6 +134,18 @@ def test_a_bad_amplitude_is_reported(library):
         bounds.check()
 
 
+def test_a_bad_gain_is_reported_and_not_looked_at(library, monkeypatch):
+    bounds, emulated = bounds_of(cloud(10, 0)), partial(render_on, Emulator(library))
+    with monkeypatch.context() as patch:
+        for method in ("__bool__", "__int__", "__index__", "item", "tolist", "nonzero"):
+            patch.setattr(torch.Tensor, method, lambda *_: pytest.fail("looks at a value"))
+        emulated(cloud(10, 0), VIEWS, GRID, gain=torch.tensor([1.0, 2.0, 3.0]), bounds=bounds)
+    bounds.check()
+    emulated(cloud(10, 0), VIEWS, GRID, gain=torch.tensor([1.0, math.inf, math.nan]), bounds=bounds)
+    with pytest.raises(SarsplatError, match=r"^gain\[1\] was out of range when it was rendered; it must be finite"):
+        bounds.check()
+
+
 def test_bounds_that_would_take_too_much_memory_are_not_allocated(library):
     scene, bounds = MATRIX["overlap"](), Bounds((-1e5, -1e5, 0.0), (1e5, 1e5, 1.0), 100.0, 10.0)
     assert bounds.capacity(60, VIEWS, GRID, RayGrid.for_image(GRID)) is None

@@ -55,7 +55,7 @@ def _cuda_engine() -> str:
         gpu = f"{torch.cuda.get_device_name()}, compiled at first use by NVRTC {Nvrtc().version}"
     except SarsplatError as error:
         return f"not usable: {error}"
-    reason = objection(torch.device("cuda", torch.cuda.current_device()))
+    reason = objection(torch.device("cuda:0"))
     return f"{gpu}; not used unless asked for by name: {reason}" if reason else f"{gpu}; agrees with the CPU engine"
 
 

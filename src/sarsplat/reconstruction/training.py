@@ -59,7 +59,7 @@ def reconstruct(
     strategies : sequence
         For `sar-gs`: what else happens between steps, besides what the configuration says.
     device : {"auto", "cpu", "cuda"}
-        Where to train; "auto" is a GPU if there is one that can be used.
+        Where to train; "auto" is a GPU if there is one that passes the CUDA engine's check.
     on_step : callable, optional
         Called after every step (`Step`). If it returns True, the training ends there, and the run is what has been
         learned so far. An exception ends it too; what has been learned is then kept in `out`.

@@ -87,8 +87,9 @@ def render(
         and a Gaussian that breaks them, not here but in `bounds.check()`; its arrays are as large as the limits ask
         for, so narrow ones are faster. The other engines need none, and check as ever.
     engine : {"auto", "cpu", "cuda", "reference"}
-        "auto" is the CPU engine for float32 on the CPU, the CUDA engine for float32 on a GPU, and the reference
-        otherwise; the first time, the logger "sarsplat" says which it took.
+        "auto" is the CPU engine for float32 on the CPU, the CUDA engine for float32 on a GPU where a small scene with
+        gradients agrees with the CPU's, and the reference otherwise; the first time, the logger "sarsplat" says which
+        it took.
     instruction_set : {"auto", "base", "avx2", "avx512"}
         Force the CPU engine below the best this processor has.
 
@@ -109,8 +110,9 @@ def render(
     The CPU engine borrows torch's threads (`torch.set_num_threads`); its results do not depend on their number. As with
     all of torch, a forked process must begin with `torch.set_num_threads(1)`; torch's data loaders do that.
 
-    The CUDA engine is compiled at first use, which takes a few seconds, and kept in the user's cache folder; its
-    results are the same bits from run to run.
+    The CUDA engine is compiled at first use, which takes a few seconds, and kept in the user's cache folder, and so is
+    the verdict of its comparison with the CPU engine; its results are the same bits from run to run. Where they do not
+    agree, "auto" is an error for tensors on that GPU.
     """
     rays = rays or RayGrid.for_image(grid)
     views = views if isinstance(views, View) else tuple(views)
@@ -129,7 +131,11 @@ def render(
                 raise SarsplatError(
                     f"bounds are on {bounds.broken.device} but means is on {gaussians.means.device}; make them there"
                 )
-            new_pass = partial(new_pass, capacity=bounds.capacity(len(gaussians), views, grid, rays))
+            capacity = bounds.capacity(len(gaussians), views, grid, rays)
+            new_pass = partial(new_pass, capacity=capacity)
+            bounds = bounds if capacity else None
+        else:
+            bounds = None
         return render_with(
             new_pass,
             gaussians,
@@ -142,6 +148,7 @@ def render(
             imaging_weight=imaging_weight,
             first_return_depth=first_return_depth,
             plane_gradients=plane_gradients,
+            bounds=bounds,
         )
     if plane_gradients:
         raise SarsplatError(

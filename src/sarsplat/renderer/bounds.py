@@ -13,7 +13,7 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
-from sarsplat.renderer.checks import ALLOWED
+from sarsplat.renderer.checks import ALLOWED, STRONGEST
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH
 from sarsplat.renderer.cpu import FAULTS
 
@@ -22,6 +22,9 @@ TILE = 16
 
 LEFT_BOUNDS = 127 << 56
 """In `Bounds.broken`, beside the faults that kernels report: a status no kernel has."""
+
+_BAD_GAIN = 126 << 56
+"""The same for a gain, which no kernel reads, plus its index."""
 
 _MOST = 1 << 26
 """Slots or rays that are allocated unasked: a few gigabytes."""
@@ -86,9 +89,16 @@ class Bounds:
         if code == LEFT_BOUNDS:
             raise SarsplatError(f"a Gaussian has left its bounds, {self}; clamp the parameters or give wider bounds")
         if code >= 0:
-            name, index = FAULTS[code >> 56], code & (1 << 56) - 1
+            name = "gain" if code >= _BAD_GAIN else FAULTS[code >> 56]
+            index = code & (1 << 56) - 1
             where = f"{name}.flatten()" if name == "amplitudes" else name
             raise SarsplatError(f"{where}[{index}] was out of range when it was rendered; it must be {ALLOWED[name]}")
+
+    def watch(self, gain: Tensor) -> None:
+        """Note the first gain that is out of range, for `check`; without waiting for the device."""
+        bad = ~(gain.abs() <= STRONGEST)
+        code = torch.where(bad.any(), bad.int().argmax() + _BAD_GAIN, -1)
+        self.broken.copy_(torch.where(self.broken < 0, code, self.broken))
 
     def capacity(self, gaussians: int, views: Sequence[View], grid: ImageGrid, rays: RayGrid) -> Capacity | None:
         """What a rendering of so many Gaussians takes at most; None if that is too much to allocate unasked."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
 import warnings
 from functools import cache
 from pathlib import Path
+from threading import get_ident
 
 from sarsplat.errors import SarsplatWarning
 
@@ -25,19 +25,11 @@ def read(name: str) -> bytes | None:
 def write(name: str, content: bytes) -> None:
     """Keep it for the next program; warn once where that is not possible."""
     folder = _folder()
+    temporary = folder / f"{name}.{os.getpid()}-{get_ident()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
-            temporary = Path(file.name)
-            try:
-                file.write(hashlib.sha256(content).digest() + content)
-                file.flush()
-                os.fsync(file.fileno())
-                file.close()  # Windows replaces closed files only
-                temporary.replace(folder / name)
-            except BaseException:
-                temporary.unlink(missing_ok=True)
-                raise
+        temporary.write_bytes(hashlib.sha256(content).digest() + content)
+        temporary.replace(folder / name)
     except OSError as error:
         _warn(folder, str(error))
 

@@ -19,6 +19,7 @@ from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians, Harmonic
 from sarsplat.gaussians.harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.renderer import structs
+from sarsplat.renderer.bounds import Bounds
 from sarsplat.renderer.checks import (
     FARTHEST,
     FLATTEST,
@@ -66,9 +67,13 @@ def render_with(
     imaging_weight: str,
     first_return_depth: float | None,
     plane_gradients: bool,
+    bounds: Bounds | None = None,
 ) -> Rendering:
-    """`sarsplat.render` on an engine's passes; arguments are documented there."""
-    check_values({"gain": gain})  # the rest is checked on the way in
+    """`sarsplat.render` on an engine's passes; arguments are documented there. With bounds, no value is looked at."""
+    if gain is not None and bounds is not None:
+        bounds.watch(gain)
+    else:
+        check_values({"gain": gain})  # the rest is checked on the way in
     planes = gaussians.means.new_zeros(len(views), len(gaussians), 4) if plane_gradients else None
     law, harmonics = gaussians.scattering, None
     if amplitudes is None and isinstance(law, Harmonics):

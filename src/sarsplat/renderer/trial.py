@@ -66,20 +66,13 @@ def _disagreement(launcher: cuda.Launcher) -> str:
 @torch.enable_grad()
 def _rendered(new_pass: Callable[[], Pass], where: torch.device) -> dict[str, Tensor]:
     """Outputs and gradients by name, of several tiles and of more Gaussians than a block has threads."""
-    generator, n, views = torch.Generator().manual_seed(1), 300, len(_VIEWS)
-    shapes = {
-        "means": (n, 3),
-        "quaternions": (n, 4),
-        "scales": (n, 3),
-        "optical_depth": (n,),
-        "harmonics": (n, 4),
-        "amplitudes": (views, n, 5),
-        "shift": (views, 2),
-    }
-    draw = partial(torch.rand, generator=generator, dtype=torch.float32, device="cpu")
+    n, views = 300, len(_VIEWS)
+    shapes = {"means": (n, 3), "quaternions": (n, 4), "scales": (n, 3), "optical_depth": (n,), "harmonics": (n, 4)}
+    shapes |= {"amplitudes": (views, n, 5), "shift": (views, 2)}
+    draw = partial(torch.rand, generator=torch.Generator().manual_seed(1), dtype=torch.float32, device="cpu")
     leaves = {name: draw(shape).to(where).requires_grad_() for name, shape in shapes.items()}
     gaussians = Gaussians(
-        (leaves["means"] - 0.5) * torch.tensor([10.0, 8.0, 4.0], device=where),
+        10.0 * (leaves["means"] - 0.5),
         leaves["quaternions"] - 0.5,
         0.05 + 0.4 * leaves["scales"],
         0.01 + 2.0 * leaves["optical_depth"],

@@ -14,10 +14,7 @@ SG_FN float area(const State& s, int64_t j) { return s.lit_area ? s.lit_area[j] 
 template <int K>
 SG_FN void splat_tile(const sg_problem& p, const State& s, const sg_channels& a, int first_channel, float* images,
                       Footprint* staged, float (*heights)[K]) {
-  const Lattice lattice = lattice_of_tile(s.pixels.lattices, p.views, blockIdx.x);
-  const Point pixel = point_of_thread(lattice, blockIdx.x);
-  const int64_t first = s.pixels.starts[blockIdx.x];
-  const int count = (int)(s.pixels.starts[blockIdx.x + 1] - first);
+  const auto [lattice, pixel, first, count] = tile(s.pixels, p.views, blockIdx.x);
   const int channels = a.count - first_channel < K ? a.count - first_channel : K;
   const float cut = image_cut(p);
   float S[K] = {};

@@ -6,34 +6,19 @@
 namespace sarsplat {
 namespace SG_ISA {
 
-// One footprint of sg_projection, or its gradient (of neither range nor tilt).
-struct OnRays { float center[2], roots[3], depth, range, tilt[2]; };
-struct OnPixels { float center[2], roots[3]; };
+// One Gaussian of sg_projection in a view, or its gradient (of neither range nor tilt).
+struct OnPlane { float center[2], roots[3]; };
+struct Projected { OnPlane rays, pixels; float depth, range, tilt[2]; };
 
 SG_FN void copy(const float* from, int count, float* to) {
   for (int k = 0; k < count; k++) to[k] = from[k];
 }
-SG_FN OnRays rays_of(const sg_projection& in, int64_t j) {
-  OnRays rays;
-  copy(in.ray_centers + 2 * j, 2, rays.center);
-  copy(in.ray_roots + 3 * j, 3, rays.roots);
-  rays.depth = in.optical_depth[j];
-  return rays;
+SG_FN OnPlane on_plane(const float* centers, const float* roots, int64_t j) {
+  return {{centers[2 * j], centers[2 * j + 1]}, {roots[3 * j], roots[3 * j + 1], roots[3 * j + 2]}};
 }
-SG_FN OnPixels pixels_of(const sg_projection& in, int64_t j) {
-  OnPixels pixels;
-  copy(in.pixel_centers + 2 * j, 2, pixels.center);
-  copy(in.pixel_roots + 3 * j, 3, pixels.roots);
-  return pixels;
-}
-SG_FN void write(const sg_projection& out, int64_t j, const OnRays& rays) {
-  copy(rays.center, 2, out.ray_centers + 2 * j);
-  copy(rays.roots, 3, out.ray_roots + 3 * j);
-  out.optical_depth[j] = rays.depth;
-}
-SG_FN void write(const sg_projection& out, int64_t j, const OnPixels& pixels) {
-  copy(pixels.center, 2, out.pixel_centers + 2 * j);
-  copy(pixels.roots, 3, out.pixel_roots + 3 * j);
+SG_FN void write(const OnPlane& f, float* centers, float* roots, int64_t j) {
+  copy(f.center, 2, centers + 2 * j);
+  copy(f.roots, 3, roots + 3 * j);
 }
 
 // ---- values out of range ---------------------------------------------------------------------------------------------
@@ -46,10 +31,10 @@ SG_FN void check(const State& s, const float* values, int count, float low, floa
   for (int k = 0; k < count; k++) good = good && values[k] >= low && values[k] <= high;  // false for NaN
   if (!good) report(s, status, index);
 }
-SG_FN void check_footprint(const sg_problem& p, const State& s, const float* center, const float* roots, int64_t j) {
-  check(s, center, 2, -2.0f * p.farthest, 2.0f * p.farthest, SG_CENTERS, j);
-  check(s, roots, 3, -p.steepest, p.steepest, SG_ROOTS, j);
-  if (!(roots[0] >= p.flattest && roots[2] >= p.flattest)) report(s, SG_ROOTS, j);
+SG_FN void check_footprint(const sg_problem& p, const State& s, const OnPlane& f, int64_t j) {
+  check(s, f.center, 2, -2.0f * p.farthest, 2.0f * p.farthest, SG_CENTERS, j);
+  check(s, f.roots, 3, -p.steepest, p.steepest, SG_ROOTS, j);
+  if (!(f.roots[0] >= p.flattest && f.roots[2] >= p.flattest)) report(s, SG_ROOTS, j);
 }
 
 // ---- planes ----------------------------------------------------------------------------------------------------------
@@ -65,18 +50,18 @@ SG_FN void write_splat(const Plane& plane, int64_t j, const Placed<float>& at, f
   plane.reach[2 * j + 1] = reach < 0.0f ? -1.0f : reach * at.deviation_y;
 }
 
-SG_FN void place(const sg_problem& p, const State& s, int64_t j, const OnRays& rays) {
-  Placed<float> at = placed_from(rays.center, rays.roots, p.ray);
+SG_FN void place_on_rays(const sg_problem& p, const State& s, int64_t j, const Projected& g) {
+  Placed<float> at = placed_from(g.rays.center, g.rays.roots, p.ray);
   at.x *= 1.0f / p.ray[0];
   at.y *= 1.0f / p.ray[1];
-  const bool touching = rays.depth >= p.min_ray_depth;
-  const float height = natural_log((touching ? rays.depth : p.min_ray_depth) * kLog2e) * kLog2e;
+  const bool touching = g.depth >= p.min_ray_depth;
+  const float height = natural_log((touching ? g.depth : p.min_ray_depth) * kLog2e) * kLog2e;
   const float reach = touching ? root(larger(height - min_log_tau(p), 0.0f) * (2.0f * kLn2)) : -1.0f;
-  write_splat(s.rays, j, at, reach, height, rays.range);
-  for (int k = 0; k < 2; k++) s.slope[2 * j + k] = rays.tilt[k] * p.ray[k];
+  write_splat(s.rays, j, at, reach, height, g.range);
+  for (int k = 0; k < 2; k++) s.slope[2 * j + k] = g.tilt[k] * p.ray[k];
 }
 
-SG_FN void place(const sg_problem& p, const State& s, int64_t j, const OnPixels& pixels) {
+SG_FN void place_on_pixels(const sg_problem& p, const State& s, int64_t j, const OnPlane& pixels) {
   Placed<float> at = placed_from(pixels.center, pixels.roots, p.pixel);
   at.x = (at.x - p.center[0]) * (1.0f / p.pixel[0]) + 0.5f * (float)(p.columns - 1);
   at.y = (at.y - p.center[1]) * (1.0f / p.pixel[1]) + 0.5f * (float)(p.rows - 1);
@@ -109,23 +94,20 @@ SG_FN void bound_rays(const State& s, int view, int64_t j) {
 
 // The footprints of a step alone: `attenuate` gives those on rays, `splat` those on pixels and their cross-sections.
 extern "C" __global__ void __launch_bounds__(kThreads) place_footprints(sg_problem p, State s, sg_projection in, sg_channels a) {
-  int view, i;
-  const int64_t j = pair_index(p, &view, &i);
+  const auto [view, i, j] = this_pair(p);
   if (j >= 0 && in.ray_centers) {
-    OnRays rays = rays_of(in, j);
-    rays.range = in.range[j];
-    copy(in.tilt + 2 * j, 2, rays.tilt);
-    check_footprint(p, s, rays.center, rays.roots, j);
-    check(s, &rays.depth, 1, 0.0f, p.max_depth, SG_DEPTH, j);
-    check(s, &rays.range, 1, -2.0f * p.farthest, 2.0f * p.farthest, SG_RANGE, j);
-    check(s, rays.tilt, 2, -p.strongest, p.strongest, SG_TILT, j);
-    place(p, s, j, rays);
+    Projected g{on_plane(in.ray_centers, in.ray_roots, j), {}, in.optical_depth[j], in.range[j], {in.tilt[2 * j], in.tilt[2 * j + 1]}};
+    check_footprint(p, s, g.rays, j);
+    check(s, &g.depth, 1, 0.0f, p.max_depth, SG_DEPTH, j);
+    check(s, &g.range, 1, -2.0f * p.farthest, 2.0f * p.farthest, SG_RANGE, j);
+    check(s, g.tilt, 2, -p.strongest, p.strongest, SG_TILT, j);
+    place_on_rays(p, s, j, g);
   }
   if (j >= 0 && in.pixel_centers) {
-    const OnPixels pixels = pixels_of(in, j);
-    check_footprint(p, s, pixels.center, pixels.roots, j);
+    const OnPlane pixels = on_plane(in.pixel_centers, in.pixel_roots, j);
+    check_footprint(p, s, pixels, j);
     check(s, a.cross_sections + j * a.count, a.count, -p.strongest, p.strongest, SG_CROSS_SECTIONS, j);
-    place(p, s, j, pixels);
+    place_on_pixels(p, s, j, pixels);
   }
   if (in.ray_centers) bound_rays(s, view, j);
 }
@@ -139,8 +121,7 @@ SG_FN Box tiles(const Plane& plane, const Lattice& lattice, int64_t j) {
 }
 
 extern "C" __global__ void __launch_bounds__(kThreads) count_tiles(sg_problem p, Plane plane) {
-  int view, i;
-  const int64_t j = pair_index(p, &view, &i);
+  const auto [view, i, j] = this_pair(p);
   if (j < 0) return;
   const Box t = tiles(plane, plane.lattices[view], j);
   plane.counts[j] = (int64_t)(t.x.last - t.x.first + 1) * (t.y.last - t.y.first + 1);
@@ -149,8 +130,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) count_tiles(sg_problem p,
 // by_depth: front to back inside a tile; otherwise, and for ties, by index, since the sort is stable. A footprint whose
 // count was clipped (cuda.py) has no more slots than that.
 extern "C" __global__ void __launch_bounds__(kThreads) list_tiles(sg_problem p, Plane plane, int32_t by_depth) {
-  int view, i;
-  const int64_t j = pair_index(p, &view, &i);
+  const auto [view, i, j] = this_pair(p);
   if (j < 0) return;
   const Lattice lattice = plane.lattices[view];
   const Box t = tiles(plane, lattice, j);
@@ -166,17 +146,17 @@ extern "C" __global__ void __launch_bounds__(kThreads) list_tiles(sg_problem p, 
 
 // ---- adjoint ---------------------------------------------------------------------------------------------------------
 // Slots are summed in order; tau is kept in units of log2(e).
-SG_FN OnRays ray_gradient(const sg_problem& p, const State& s, int64_t j) {
+SG_FN OnPlane ray_gradient(const sg_problem& p, const State& s, int64_t j, float& d_depth) {
   float sums[6] = {};
   for (int64_t slot = s.rays.ends[j] - s.rays.counts[j]; slot < s.rays.ends[j]; slot++)
     for (int k = 0; k < 6; k++) sums[k] += s.slot_moments[6 * slot + k] * kLn2;
   const Footprint g = s.rays.splats[j].g;
-  OnRays d;
-  d.depth = sums[0] / (power2(g.height) * kLn2);
+  OnPlane d;
+  d_depth = sums[0] / (power2(g.height) * kLn2);
   footprint_gradient({g.ux, g.uy, g.vy}, p.ray, Moments<float>{sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]}, d.center, d.roots);
   return d;
 }
-SG_FN OnPixels pixel_gradient(const sg_problem& p, const State& s, int64_t j) {
+SG_FN OnPlane pixel_gradient(const sg_problem& p, const State& s, int64_t j) {
   const float* sums = s.pixel_moments + 6 * j;
   Moments<float> m{sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]};
   if (!p.peak) {  // d ln norm = da / a + dc / c
@@ -184,18 +164,17 @@ SG_FN OnPixels pixel_gradient(const sg_problem& p, const State& s, int64_t j) {
     m.mvv -= m.m0 * (0.5f / kLn2);
   }
   const Footprint g = s.pixels.splats[j].g;
-  OnPixels d;
+  OnPlane d;
   footprint_gradient({g.ux, g.uy, g.vy}, p.pixel, m, d.center, d.roots);
   return d;
 }
 
 // Of a step alone, on its own plane.
 extern "C" __global__ void __launch_bounds__(kThreads) write_footprint_gradients(sg_problem p, State s, sg_projection out) {
-  int view, i;
-  const int64_t j = pair_index(p, &view, &i);
+  const auto [view, i, j] = this_pair(p);
   if (j < 0) return;
-  if (out.ray_centers) write(out, j, ray_gradient(p, s, j));
-  if (out.pixel_centers) write(out, j, pixel_gradient(p, s, j));
+  if (out.ray_centers) write(ray_gradient(p, s, j, out.optical_depth[j]), out.ray_centers, out.ray_roots, j);
+  if (out.pixel_centers) write(pixel_gradient(p, s, j), out.pixel_centers, out.pixel_roots, j);
 }
 
 }  // namespace SG_ISA

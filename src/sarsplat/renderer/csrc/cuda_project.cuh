@@ -16,42 +16,37 @@ SG_FN void check_gaussian(const sg_problem& p, const State& s, int64_t i) {
   check(s, p.harmonics + p.coefficients * i, p.coefficients, -p.strongest, p.strongest, SG_SCATTERING, i);
 }
 
-SG_FN void project_pair(const sg_problem& p, int view, int64_t i, OnRays& rays, OnPixels& pixels) {
+SG_FN Projected project_pair(const sg_problem& p, int view, int64_t i) {
   const PlaneUnits u = units(p);
   float unit[4], norm;
   const Projection<float> g = project(body(p, i, unit, norm), frame(p, view), u);
-  rays.center[0] = g.mean[0];
-  rays.center[1] = g.mean[1];
-  roots_in_metres(whitening(g.cov_c, g.det_cw), u.ray, rays.roots);
-  rays.depth = p.kappa[i] * widening_ratio(g, u);
-  rays.range = g.mean[2];
-  densest(g, u, rays.tilt);
-  for (int k = 0; k < 2; k++) rays.tilt[k] /= u.ray[k];
-  pixels.center[0] = g.mean[0] + p.shift[2 * view];
-  pixels.center[1] = g.mean[2] + p.shift[2 * view + 1];
-  roots_in_metres(whitening(g.cov_i, g.det_iw), u.pixel, pixels.roots);
+  const float* shift = p.shift + 2 * view;
+  Projected out{{{g.mean[0], g.mean[1]}, {}}, {{g.mean[0] + shift[0], g.mean[2] + shift[1]}, {}}, p.kappa[i] * widening_ratio(g, u), g.mean[2], {}};
+  roots_in_metres(whitening(g.cov_c, g.det_cw), u.ray, out.rays.roots);
+  roots_in_metres(whitening(g.cov_i, g.det_iw), u.pixel, out.pixels.roots);
+  densest(g, u, out.tilt);
+  for (int k = 0; k < 2; k++) out.tilt[k] /= u.ray[k];
+  return out;
 }
 
 // out: of a whole rendering, gamma0 alone
 extern "C" __global__ void __launch_bounds__(kThreads) project_gaussians(sg_problem p, State s, sg_projection out) {
-  int view, i;
-  const int64_t j = pair_index(p, &view, &i);
+  const auto [view, i, j] = this_pair(p);
   if (j >= 0) {
     if (view == 0) check_gaussian(p, s, i);
     if (i == 0) check(s, p.shift + 2 * view, 2, -p.farthest, p.farthest, SG_SHIFT, view);
     if (p.amplitudes) check(s, p.amplitudes + j * p.channels, p.channels, -p.strongest, p.strongest, SG_AMPLITUDES, j);
     if (p.coefficients) out.gamma0[j] = softplus(sum_of_harmonics(p, view, i)).value + p.p_min;
-    OnRays rays;
-    OnPixels pixels;
-    project_pair(p, view, i, rays, pixels);
+    const Projected g = project_pair(p, view, i);
     if (out.ray_centers) {
-      write(out, j, rays);
-      write(out, j, pixels);
-      out.range[j] = rays.range;
-      for (int k = 0; k < 2; k++) out.tilt[2 * j + k] = rays.tilt[k];
+      write(g.rays, out.ray_centers, out.ray_roots, j);
+      write(g.pixels, out.pixel_centers, out.pixel_roots, j);
+      out.optical_depth[j] = g.depth;
+      out.range[j] = g.range;
+      copy(g.tilt, 2, out.tilt + 2 * j);
     } else {
-      place(p, s, j, rays);
-      place(p, s, j, pixels);
+      place_on_rays(p, s, j, g);
+      place_on_pixels(p, s, j, g.pixels);
     }
   }
   if (!out.ray_centers) bound_rays(s, view, j);
@@ -76,16 +71,19 @@ project_gaussians_backward(sg_problem p, State s, sg_projection seeds, sg_gradie
       for (int k = 0; k < 4; k++) planes[k] = 0.0f;
       continue;
     }
-    const OnRays rays = seeds.ray_centers ? rays_of(seeds, j) : ray_gradient(p, s, j);
-    const OnPixels pixels = seeds.ray_centers ? pixels_of(seeds, j) : pixel_gradient(p, s, j);
+    const bool alone = seeds.ray_centers;
+    float d_depth = alone ? seeds.optical_depth[j] : 0.0f;
+    const OnPlane rays = alone ? on_plane(seeds.ray_centers, seeds.ray_roots, j) : ray_gradient(p, s, j, d_depth);
+    const OnPlane pixels = alone ? on_plane(seeds.pixel_centers, seeds.pixel_roots, j) : pixel_gradient(p, s, j);
     const ViewFrame f = frame(p, v);
     const Projection<float> proj = project(b, f, u);
-    const float ratio = widening_ratio(proj, u), m0 = p.kappa[i] * ratio * rays.depth;
-    for (int k = 0; k < 2; k++) { planes[k] = rays.center[k]; planes[2 + k] = pixels.center[k]; }
+    const float ratio = widening_ratio(proj, u), m0 = p.kappa[i] * ratio * d_depth;
+    copy(rays.center, 2, planes);
+    copy(pixels.center, 2, planes + 2);
     const Sym2<float> gc = from_root_gradient(whitening(proj.cov_c, proj.det_cw), u.ray, rays.roots, m0);
     const Sym2<float> gi = from_root_gradient(whitening(proj.cov_i, proj.det_iw), u.pixel, pixels.roots, 0.0f);
     spread(proj, f, u, planes, gc, gi, m0, total);
-    total.kappa += ratio * rays.depth;
+    total.kappa += ratio * d_depth;
     const float d_sum = p.coefficients ? seeds.gamma0[j] * softplus(sum_of_harmonics(p, v, i)).slope : 0.0f;
     for (int k = 0; k < kMaxCoefficients; k++)
       if (k < p.coefficients) d_harmonics[k] += d_sum * p.basis[v * p.coefficients + k];

@@ -10,10 +10,7 @@ extern "C" __global__ void __launch_bounds__(kThreads, kResident) attenuate_tile
   __shared__ Splat splats[kBatch];
   __shared__ int64_t slots[kBatch];
   __shared__ float sums[kBatch][kWarps];
-  const Lattice lattice = lattice_of_tile(s.rays.lattices, p.views, blockIdx.x);
-  const Point ray = point_of_thread(lattice, blockIdx.x);
-  const int64_t first = s.rays.starts[blockIdx.x];
-  const int count = (int)(s.rays.starts[blockIdx.x + 1] - first);
+  const auto [lattice, ray, first, count] = tile(s.rays, p.views, blockIdx.x);
   const float faintest = min_log_tau(p);
   float T = ray.inside ? 1.0f : 0.0f;
   int last = -1;
@@ -53,8 +50,7 @@ extern "C" __global__ void __launch_bounds__(kThreads, kResident) attenuate_tile
 
 // From the sums of w to lit areas; in a whole rendering (a.count > 0) also to cross-sections, a being per lit area.
 extern "C" __global__ void __launch_bounds__(kThreads) light_gaussians(sg_problem p, State s, sg_channels a, sg_outputs out) {
-  int view, i;
-  const int64_t j = pair_index(p, &view, &i);
+  const auto [view, i, j] = this_pair(p);
   if (j < 0) return;
   float w = 0.0f;
   for (int64_t slot = s.rays.ends[j] - s.rays.counts[j]; slot < s.rays.ends[j]; slot++) w += s.slot_weights[slot];
@@ -67,8 +63,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) light_gaussians(sg_proble
 extern "C" __global__ void __launch_bounds__(kThreads)
 light_gaussians_backward(sg_problem p, State s, sg_channels a, const float* d_lit_area, const float* through_images,
                          const float* d_cross_sections, float* d_amplitudes) {
-  int view, i;
-  const int64_t j = pair_index(p, &view, &i);
+  const auto [view, i, j] = this_pair(p);
   if (j < 0) return;
   float d_lit = d_lit_area ? d_lit_area[j] : 0.0f;
   for (int64_t k = j * a.count; k < (j + 1) * a.count; k++) {
@@ -85,10 +80,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) attenuate_tiles_backward(
   __shared__ float h[kBatch];
   __shared__ int64_t slots[kBatch];
   __shared__ float sums[kBatch][kWarps][6];
-  const Lattice lattice = lattice_of_tile(s.rays.lattices, p.views, blockIdx.x);
-  const Point ray = point_of_thread(lattice, blockIdx.x);
-  const int64_t first = s.rays.starts[blockIdx.x];
-  const int count = (int)(s.rays.starts[blockIdx.x + 1] - first);
+  const auto [lattice, ray, first, count] = tile(s.rays, p.views, blockIdx.x);
   const float faintest = min_log_tau(p);
   float T = ray.inside ? s.transmittance[ray.index] : 0.0f;
   float B = ray.inside && from ? T * from[ray.index] : 0.0f;
@@ -132,13 +124,11 @@ extern "C" __global__ void __launch_bounds__(kThreads) attenuate_tiles_backward(
 // first_tile; NaN where it never does
 extern "C" __global__ void __launch_bounds__(kThreads)
 trace_tiles(sg_problem p, State s, int32_t first_tile, float depth, float* transmittance, float* first_return) {
-  const int tile = first_tile + blockIdx.x;
-  const Lattice lattice = lattice_of_tile(s.rays.lattices, p.views, tile);
-  const Point ray = point_of_thread(lattice, tile);
+  const auto [lattice, ray, first, count] = tile(s.rays, p.views, first_tile + blockIdx.x);
   if (!ray.inside) return;
   const float stop = -logf(p.min_transmittance);
   float sum_tau = 0.0f, found = __int_as_float(0x7fc00000);
-  for (int64_t k = s.rays.starts[tile]; k < s.rays.starts[tile + 1] && sum_tau <= stop; k++) {
+  for (int64_t k = first; k < first + count && sum_tau <= stop; k++) {
     const int32_t j = s.rays.owners[s.rays.order[k]];
     const Splat& splat = s.rays.splats[j];
     const Footprint g = placed(splat.g, lattice);

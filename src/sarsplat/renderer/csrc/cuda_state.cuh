@@ -59,10 +59,10 @@ SG_FN int warp() { return thread() / kWarp; }
 
 // Kernels of one thread a pair have whole blocks for a view: block b serves view b / chunks.
 SG_FN int chunks(const sg_problem& p) { return (p.gaussians + kThreads - 1) / kThreads; }
-SG_FN int64_t pair_index(const sg_problem& p, int* view, int* gaussian) {
-  *view = blockIdx.x / chunks(p);
-  *gaussian = blockIdx.x % chunks(p) * kThreads + thread();
-  return *gaussian < p.gaussians ? (int64_t)*view * p.gaussians + *gaussian : -1;
+struct Pair { int view, gaussian; int64_t index; };  // index: -1 beyond the last Gaussian
+SG_FN Pair this_pair(const sg_problem& p) {
+  const int view = blockIdx.x / chunks(p), i = blockIdx.x % chunks(p) * kThreads + thread();
+  return {view, i, i < p.gaussians ? (int64_t)view * p.gaussians + i : -1};
 }
 
 // log2 of the optical depth at which a footprint ends, and q at which an imaging weight ends; base 2
@@ -128,6 +128,14 @@ SG_FN Lattice lattice_of_tile(const Lattice* lattices, int views, int tile) {
     else high = middle - 1;
   }
   return lattices[low];
+}
+
+// A block's tile, this thread's point in it, and its part of `order`.
+struct Tile { Lattice lattice; Point point; int64_t first; int count; };
+SG_FN Tile tile(const Plane& plane, int views, int number) {
+  const Lattice lattice = lattice_of_tile(plane.lattices, views, number);
+  const int64_t first = plane.starts[number];
+  return {lattice, point_of_thread(lattice, number), first, (int)(plane.starts[number + 1] - first)};
 }
 
 }  // namespace SG_ISA
