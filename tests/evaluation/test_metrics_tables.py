@@ -69,7 +69,7 @@ def test_noise_free_sets_stand_above_the_paper():
         *("PSNR dB", "target dB", "SSIM", "LPIPS", "CD m", "F1@0.3", "F1@0.1", "time s"),
     ]
     assert rows(shown) == [
-        ["ours, test", "53.71", "36.00", "0.9995", "–", "0.0741", "0.983", "0.765", "62"],
+        ["sar-gs, test", "53.71", "36.00", "0.9995", "–", "0.0741", "0.983", "0.765", "62"],
         ["paper, T72", "35.91", "–", "0.9943", "0.0165", "0.187", "0.925", "–", "400"],
     ]
 
@@ -107,14 +107,14 @@ def test_measured_sets_stand_beside_the_baselines():
     measured = metrics(baselines, **sets)
     measured["points"]["visible"] = dict.fromkeys(POINT_KEYS)
     assert rows(table(measured)) == [
-        ["ours, test-17", "0.550", "0.860", "62"],
+        ["sar-gs, test-17", "0.550", "0.860", "62"],
         ["nearest chip, test-17", "0.573", "0.841", "–"],
-        ["ours, test-15", "0.500", "–", "62"],
+        ["sar-gs, test-15", "0.500", "–", "62"],
     ]
 
 
 def test_without_test_views_the_points_have_their_row():
-    assert rows(table(metrics())) == [["ours", "0.0741", "0.983", "0.765", "62"]]
+    assert rows(table(metrics())) == [["sar-gs", "0.0741", "0.983", "0.765", "62"]]
 
 
 @pytest.mark.parametrize("speckled", [False, True])
@@ -125,6 +125,6 @@ def test_the_table_fits_a_terminal(speckled):
     console.print(table(metrics(**{"test-17": every})))
     printed = console.file.getvalue()
     figures = ("0.988", "0.988") if speckled else ("53.71", "0.9877")
-    for figure in (*figures, "0.0741", "0.983", "0.765", "62", "ours, test-17"):
+    for figure in (*figures, "0.0741", "0.983", "0.765", "62", "sar-gs, test-17"):
         assert figure in printed
     assert "…" not in printed
