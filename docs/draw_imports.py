@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "tests"))
 from import_graph import circle, graph  # noqa: E402
+from sarsplat.colours import colormap  # noqa: E402
 
 PICTURE = HERE / "images" / "imports.png"
 Edges = dict[str, set[str]]
@@ -77,7 +78,7 @@ def main() -> None:
         raise SystemExit(f"these files import each other: {' → '.join(ring)}")
     rooms = between_rooms(files)
     ranked = sorted(rooms, key=lambda room: (levels(rooms)[room], room))
-    colours = {room: plt.get_cmap("turbo")(0.05 + 0.9 * k / len(ranked)) for k, room in enumerate(ranked)}
+    colours = {room: colormap("turbo")(0.05 + 0.9 * k / len(ranked)) for k, room in enumerate(ranked)}
     figure, (top, bottom) = plt.subplots(2, 1, figsize=(11, 16), height_ratios=(2, 3), layout="constrained")
     draw(top, rooms, colours, 9, names=True)
     top.set_title(f"{len(rooms)} folders and files at the root: who imports whom, downwards")

@@ -93,7 +93,7 @@ def test_the_page_says_what_matters(page: Path) -> None:
         "The paper&#39;s figures are not the same experiment",
     ):
         assert words in text, words
-    assert '<td data-column="ours" class="best">51.23</td>' in text
+    assert '<td data-column="sar-gs" class="best">51.23</td>' in text
     assert f"<summary>SSIM ↑</summary><p>{METRICS[2].definition}</p>" in text
     assert METRICS[3].definition not in text  # LPIPS was not computed
 
@@ -118,7 +118,7 @@ def test_a_measured_run_is_compared_with_the_baselines(tmp_path: Path) -> None:
     text = words_of(write_report(make_run(tmp_path, make_dataset(tmp_path, measured=True, mesh=False), metrics)))
     assert "nearest chip" in text
     best = re.findall(r'<td data-column="([^"]*)" class="best">([\d.]+)</td>', text)
-    assert best == [("ours", "0.500"), ("nearest chip", "0.850")]
+    assert best == [("sar-gs", "0.500"), ("nearest chip", "0.850")]
     assert "paper, T72" not in text
     assert "residual ÷ σ of the speckle" in text
     assert "speckle of 1 look leaves in that average of 9.0 independent samples" in text
@@ -205,7 +205,7 @@ def test_every_method_has_its_column_and_the_best_of_all_is_marked() -> None:
     others = [Scores("one", {"psnr_db": 40.0, "cd_m": 0.05}), Scores("two", {"psnr_db": 55.0})]
     images, points = score_tables(make_metrics(psnr_db=50.0), others)
     assert [column.name for column in points.columns] == [
-        *("ours, visible surface", "whole surface", "mesh, visible surface", "mesh, whole surface", "one", "two"),
+        *("sar-gs, visible surface", "whole surface", "mesh, visible surface", "mesh, whole surface", "one", "two"),
     ]
     assert [(cell.text, cell.best) for cell in images.rows[0].cells] == [
         *(("50.00", False), ("40.00", False), ("55.00", True)),
