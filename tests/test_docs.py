@@ -10,6 +10,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -90,7 +91,9 @@ def bench(workshop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pa
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=lambda path: path.stem)
 def test_python_of_a_page_runs_from_top_to_bottom(page, bench, threads, monkeypatch):
     monkeypatch.setenv("OMP_WAIT_POLICY", "PASSIVE")
-    exec(compile("\n".join(blocks(page, "python")), str(page), "exec"), {"__name__": "page"})
+    module = ModuleType("page")
+    monkeypatch.setitem(sys.modules, "page", module)  # where a dataclass looks up its annotations
+    exec(compile("\n".join(blocks(page, "python")), str(page), "exec"), vars(module))
 
 
 @pytest.mark.parametrize("script", [*EXAMPLES, *TUTORIALS], ids=lambda path: path.name)
