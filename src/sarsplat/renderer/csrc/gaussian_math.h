@@ -185,7 +185,7 @@ SG_FN void spread(const Projection<F>& p, const ViewFrame& f, const PlaneUnits& 
   for (int k = 0; k < 3; k++) out.scale[k] += term[(k + 1) % 3] + term[(k + 2) % 3];  // divided by s_k at the end
 }
 
-// The same from one view's moments: a = kappa' sum F{1, w, ww}, b = sigma sum dL/dS b{1, w, ww} with w = (u, v). planes: dL/d(mu_C, mu_I), per metre.
+// What `spread` takes, from one view's moments: a = kappa' sum F{1, w, ww}, b = sum dL/dS sigma b{1, w, ww} with w = (u, v).
 template <class F>
 SG_FN void share_of_moments(const Projection<F>& p, const PlaneUnits& u, const Moments<F>& a, const Moments<F>& b, bool peak, F* planes,
                             Sym2<F>& gc, Sym2<F>& gi) {
@@ -197,6 +197,7 @@ SG_FN void share_of_moments(const Projection<F>& p, const PlaneUnits& u, const M
   gc = covariance_gradient(wc, a, a.m0);
   gi = covariance_gradient(wi, b, peak ? b.m0 * 0.0f : b.m0);
 }
+
 // From the accumulated sums to dL/ds and dL/dq.
 template <class F>
 SG_FN void finish(const Body<F>& body, const F* q, F norm, const BodyGradient<F>& sum, F* d_scale, F* d_quaternion) {
