@@ -132,7 +132,7 @@ GRADCHECK: dict[str, Callable[[], Scene]] = {
         cloud(4, 4, size=(0.4, 0.4, 0.6), scale=0.2, kappa=(2.0, 6.0), degree=1), imaging_weight="peak"
     ),
     "amplitudes given": lambda: _gradcheck(
-        cloud(4, 6, size=(0.5, 0.5, 0.5), scale=0.2, kappa=(0.5, 2.0)), amplitudes=0.5 + _random(3, 2, 4, 1).abs()
+        cloud(4, 6, size=(0.5, 0.5, 0.5), scale=0.2, kappa=(0.5, 2.0)), amplitudes=0.5 + _random(3, 2, 4, 2).abs()
     ),
 }
 """A handful of Gaussians each, with overlap and occlusion, small enough for finite differences of every parameter."""
@@ -162,6 +162,7 @@ MATRIX: dict[str, Callable[[], Scene]] = {
     "degree 2": lambda: Scene(cloud(40, 18, degree=2)),
     "no least scattering": lambda: Scene(replace(cloud(40, 19), scattering=Harmonics(4 * _random(19, 40, 16)))),
     "amplitudes given": lambda: Scene(cloud(40, 20), amplitudes=_random(5, 3, 40, 1).abs()),
+    "three channels": lambda: Scene(cloud(40, 20), amplitudes=_random(5, 3, 40, 3)),
     "peak weight": lambda: Scene(cloud(40, 23), imaging_weight="peak"),
     "shift and gain": lambda: Scene(cloud(40, 44), shift=0.2 * _random(6, 3, 2), gain=torch.tensor([1.3, 0.2, 4.0])),
     "image off centre": lambda: Scene(cloud(40, 25), grid=replace(GRID, center_m=(0.37, -0.61))),

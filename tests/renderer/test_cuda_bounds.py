@@ -130,7 +130,7 @@ def test_a_bad_amplitude_is_reported(library):
     amplitudes[1, 4] = math.nan
     bounds = bounds_of(cloud(10, 0))
     render_on(Emulator(library), cloud(10, 0), VIEWS, GRID, amplitudes=amplitudes, bounds=bounds)
-    with pytest.raises(SarsplatError, match=r"amplitudes.flatten\(\)\[14\] was out of range"):
+    with pytest.raises(SarsplatError, match=r"amplitudes.flatten\(0, 1\)\[14\] was out of range"):
         bounds.check()
 
 

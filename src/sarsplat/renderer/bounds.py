@@ -91,7 +91,7 @@ class Bounds:
         if code >= 0:
             name = "gain" if code >= _BAD_GAIN else FAULTS[code >> 56]
             index = code & (1 << 56) - 1
-            where = f"{name}.flatten()" if name == "amplitudes" else name
+            where = f"{name}.flatten(0, 1)" if name == "amplitudes" else name
             raise SarsplatError(f"{where}[{index}] was out of range when it was rendered; it must be {ALLOWED[name]}")
 
     def watch(self, gain: Tensor) -> None:

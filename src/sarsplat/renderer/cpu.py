@@ -67,10 +67,6 @@ def library() -> ctypes.CDLL:
     lib.sg_project_backward.argtypes = [c_void_p, POINTER(Problem), POINTER(Projection), POINTER(Gradients)]
     lib.sg_attenuate.argtypes = [c_void_p, POINTER(Problem), POINTER(Projection), c_void_p, POINTER(c_int64)]
     lib.sg_attenuate_backward.argtypes = [c_void_p, POINTER(Problem), c_void_p, c_void_p, POINTER(Projection)]
-    lib.sg_trace_step.argtypes = [
-        *(c_void_p, POINTER(Problem), POINTER(Projection)),
-        *(c_int32, c_float, c_void_p, c_void_p),
-    ]
     lib.sg_splat.argtypes = [
         *(c_void_p, POINTER(Problem), POINTER(Projection), POINTER(Channels)),
         *(c_void_p, POINTER(c_int64)),
@@ -205,19 +201,6 @@ class Pass:
         self._library.sg_set_threads(torch.get_num_threads())
         arguments = problem, d_lit_area, d_transmittance, gradients
         _require_memory(self._library.sg_attenuate_backward(self._handle, *arguments))
-
-    def trace_step(
-        self,
-        problem: ctypes.Structure,
-        footprints: ctypes.Structure,
-        view: int,
-        depth: float,
-        transmittance: int,
-        first_return: int,
-    ) -> None:
-        """As `trace`, after `attenuate`."""
-        arguments = problem, footprints, view, depth, transmittance, first_return
-        _require_memory(self._library.sg_trace_step(self._handle, *arguments))
 
     def splat(
         self, problem: ctypes.Structure, footprints: ctypes.Structure, channels: ctypes.Structure, images: int

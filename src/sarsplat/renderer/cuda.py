@@ -161,18 +161,6 @@ class Pass:
             self._attenuate_backward(problem, Channels(), d_transmittance, *seeds)
             self._over_pairs("write_footprint_gradients", problem, problem, self._state, gradients)
 
-    def trace_step(
-        self,
-        problem: ctypes.Structure,
-        footprints: ctypes.Structure,
-        view: int,
-        depth: float,
-        transmittance: int,
-        first_return: int,
-    ) -> None:
-        """As `trace`, after `attenuate`, which has read the footprints."""
-        self.trace(problem, view, depth, transmittance, first_return)
-
     def splat(
         self, problem: ctypes.Structure, footprints: ctypes.Structure, channels: ctypes.Structure, images: int
     ) -> tuple[str, int]:

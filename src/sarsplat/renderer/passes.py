@@ -38,15 +38,6 @@ class Pass(Protocol):
         d_transmittance: int | None,
         gradients: ctypes.Structure,
     ) -> None: ...
-    def trace_step(
-        self,
-        problem: ctypes.Structure,
-        footprints: ctypes.Structure,
-        view: int,
-        depth: float,
-        transmittance: int,
-        first_return: int,
-    ) -> None: ...
     def splat(
         self, problem: ctypes.Structure, footprints: ctypes.Structure, channels: ctypes.Structure, images: int
     ) -> tuple[str, int]: ...

@@ -80,10 +80,6 @@ def render_with(
         harmonics = law.parameters  # kernels evaluate these themselves
     elif amplitudes is None:
         amplitudes = gaussians.amplitudes(directions_to(views, gaussians.means))
-    if amplitudes is not None and amplitudes.shape[2] > 1:
-        return _by_steps(
-            new_pass, gaussians, views, grid, rays, amplitudes, shift, gain, imaging_weight, first_return_depth
-        )
     setting = _Setting(
         tuple(views), grid, rays, law.p_min, imaging_weight == "peak", first_return_depth, new_pass, planes
     )
@@ -103,29 +99,6 @@ def render_with(
         images = images * gain[:, None, None, None].expand(-1, images.shape[1], 1, grid.columns)
     ray_maps = ray_maps_of(transmittance, first_return, lattices, rays) if first_return_depth is not None else None
     return Rendering(images, cross_sections, lit_area, ray_maps, planes)
-
-
-def _by_steps(
-    new_pass: Any,
-    gaussians: Any,
-    views: Any,
-    grid: Any,
-    rays: Any,
-    amplitudes: Any,
-    shift: Any,
-    gain: Any,
-    imaging_weight: Any,
-    first_return_depth: Any,
-) -> Rendering:
-    from sarsplat.renderer.step_functions import attenuate_with, project_with, splat_with
-
-    projection = project_with(new_pass, gaussians, views, grid, rays=rays, shift=shift)
-    attenuation = attenuate_with(new_pass, projection, rays, first_return_depth=first_return_depth)
-    cross_sections = amplitudes * attenuation.lit_area[..., None]
-    images = splat_with(new_pass, projection.pixels, cross_sections, grid, imaging_weight=imaging_weight)
-    if gain is not None:
-        images = images * gain[:, None, None, None].expand(-1, images.shape[1], 1, grid.columns)
-    return Rendering(images, cross_sections, attenuation.lit_area.detach(), attenuation.ray_maps)
 
 
 def ray_maps_of(

@@ -166,7 +166,7 @@ class _Attenuate(torch.autograd.Function):
         transmittance = first_return = lit_area.new_empty(0)
         lattices: list[tuple[int, int, int, int]] = []
         if first_return_depth is not None:
-            trace = partial(kernel.trace_step, problem, footprints)
+            trace = partial(kernel.trace, problem)
             transmittance, first_return, lattices = trace_all(kernel, trace, first_return_depth, views, lit_area.device)
         ctx.kernel, ctx.problem = kernel, problem
         ctx.one_at_a_time = threading.Lock()

@@ -119,11 +119,10 @@ struct sg_engine {        // one per instruction set
   void (*adam)(const sg_adam_step*);
   void (*statistics)(const sg_context*, const sg_problem*, sg_statistics*);
   // one step alone each: of the problem's arrays, `project` alone reads any
-  int32_t (*project)(const sg_problem*, const sg_projection* out, int64_t* culprit);
+  int32_t (*project)(sg_context*, const sg_problem*, const sg_projection* out, int64_t* culprit);
   int32_t (*project_backward)(sg_context*, const sg_problem*, const sg_projection* seeds, const sg_gradients*);
   int32_t (*attenuate)(sg_context*, const sg_problem*, const sg_projection*, float* lit_area, int64_t* culprit);
   int32_t (*attenuate_backward)(sg_context*, const sg_problem*, const float* d_lit_area, const float* d_transmittance, const sg_projection* out);
-  int32_t (*trace_step)(const sg_context*, const sg_problem*, const sg_projection*, int32_t view, float depth, float* transmittance, float* first_return);
   int32_t (*splat)(sg_context*, const sg_problem*, const sg_projection*, const sg_channels*, float* images, int64_t* culprit);
-  int32_t (*splat_backward)(sg_context*, const sg_problem*, const sg_channels*, const float* d_images, const sg_projection* out, float* d_amplitudes);
+  int32_t (*splat_backward)(sg_context*, const sg_problem*, const sg_channels*, const float* d_images, const sg_projection* out, float* d_cross_sections);
 };

@@ -34,6 +34,9 @@ int parts_of(const sg_problem& p) { return larger(1, smaller(kMaxParts, kTasks /
 // Below, one thread is done before another has come: about 1.3 times as fast with 300 to 1,800 Gaussians.
 bool worth_waking(const sg_problem& p) { return (int64_t)p.views * (p.gaussians + (int64_t)p.rows * p.columns / 16) > 2048; }
 
+// ---- input ----------------------------------------------------------------------------------------------------------
+struct Fault { int32_t status; int64_t index; };
+
 // ---- what a view keeps -----------------------------------------------------------------------------------------------
 struct Bounds { F low[2], high[2]; };
 
@@ -52,7 +55,6 @@ struct Reached { uint8_t first, end; };  // bands
 int64_t size_in_bands(const Strips& s, int bands) { return s.size() + (int64_t)(bands - 1) * (kBlockY - 1) * s.count() * kBlockX; }
 
 struct ViewState {
-  ViewFrame frame;
   // by id
   RayEntry* on_rays;
   PixelEntry* on_pixels;
@@ -116,6 +118,7 @@ struct sg_context {
   Arena arena;
   Arena::Mark kept;
   ViewState* views;
+  Fault* faults;                  // of chunks
   Strips image;
   int parts;                      // of a view, at most
 };

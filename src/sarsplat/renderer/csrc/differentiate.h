@@ -1,7 +1,7 @@
 // differentiate.h: from six sums per Gaussian, view and plane to the gradients of a problem's arrays: everything after
 // the pair loops.
 #pragma once
-#include "planes.h"
+#include "stages.h"
 
 namespace sarsplat {
 namespace SG_ISA {
@@ -62,42 +62,44 @@ void add_shifts(int views, int chunks, const float* sums, float* shift) {
   }
 }
 
-void differentiate(const sg_context& c, const sg_problem& p, const sg_gradients& g, const Backward* scratch, int64_t first,
-                   int64_t end, float* shift_sums) {
+// One view's share: the projection; dL/d(mu_C, mu_I), per metre; of the widened covariances, in cells and pixels; kappa' dL/dkappa'; what is
+// summed for kappa, and for the sum of harmonics.
+struct Share { Projection<F> proj; F planes[4]; Sym2<F> gc, gi; F m0, kappa, harmonics; };
+
+// The Gaussians [first, end): share_of(v, i, real, bodies, frame) in every view, and end_of(kappa, its sum).
+template <class ShareOf, class EndOf>
+void differentiate(const sg_problem& p, const sg_gradients& g, int64_t first, int64_t end, float* shift_sums, ShareOf share_of, EndOf end_of) {
   const PlaneUnits u = units(p);
-  const int64_t n = p.gaussians;
   for (int k = 0; k < 2 * p.views; k++) shift_sums[k] = 0.0f;
   for (int64_t i = first; i < end; i += kWidth) {
-    const int real = smaller(kWidth, (int)(n - i));
+    const int real = smaller(kWidth, (int)(end - i));
     const Bodies bodies = read_bodies(p, i, real);
-    const Body<F>& b = bodies.body;
-    const F zero = splat(0.0f), kappa = bodies.kappa;
     BodyGradient<F> total = no_gradient();
     F d_harmonics[kFields];
-    for (F& x : d_harmonics) x = zero;
+    for (F& x : d_harmonics) x = splat(0.0f);
     for (int v = 0; v < p.views; v++) {
-      const ViewState& s = c.views[v];
-      F sums[kFields];
-      gather(real, [&](int k) { return ray_row(s, scratch[v], i + k); }, [&](int k) { return pixel_row(scratch[v], i + k); }, sums);
-      const F d_gamma0 = sums[14], d_sum = d_gamma0 * sums[15];
-      for (int k = 0; k < 6; k++) sums[k] *= kLn2;  // tau is in units of log2(e)
-      const Moments<F> mr = moments_of(sums), mp = moments_of(sums + kSums);
-      const Projection<F> proj = project(b, s.frame, u);
-      F planes[4];
-      accumulate(proj, s.frame, u, mr, mp, p.peak != 0, total, planes);
-      total.kappa += mr.m0;
-      shift_sums[2 * v] += sum(planes[2]);
-      shift_sums[2 * v + 1] += sum(planes[3]);
-      if (g.planes)
-        for (int k = 0; k < real; k++)
-          for (int q = 0; q < 4; q++) g.planes[((int64_t)v * n + i + k) * 4 + q] = planes[q][k];
-      if (g.amplitudes)
-        for (int k = 0; k < real; k++) g.amplitudes[(int64_t)v * n + i + k] = d_gamma0[k];
-      for (int k = 0; k < p.coefficients; k++) d_harmonics[k] += d_sum * p.basis[v * p.coefficients + k];
+      const ViewFrame frame = frame_of(p, v);
+      const Share share = share_of(v, i, real, bodies, frame);
+      spread(share.proj, frame, u, share.planes, share.gc, share.gi, share.m0, total);
+      total.kappa += share.kappa;
+      shift_sums[2 * v] += sum(share.planes[2]);
+      shift_sums[2 * v + 1] += sum(share.planes[3]);
+      if (g.planes) write_few<4>(share.planes, real, g.planes + 4 * ((int64_t)v * p.gaussians + i));
+      for (int k = 0; k < p.coefficients; k++) d_harmonics[k] += share.harmonics * p.basis[v * p.coefficients + k];
     }
-    write_gradients(bodies, total, choose(kappa > 0.0f, total.kappa / choose(kappa > 0.0f, kappa, splat(1.0f)), zero), g, i, real);
+    write_gradients(bodies, total, end_of(bodies.kappa, total.kappa), g, i, real);
     if (p.coefficients) write_rows(d_harmonics, p.coefficients, real, g.harmonics + p.coefficients * i);
   }
+}
+
+// All Gaussians; differentiate_chunk(first, end, shift_sums)
+template <class Chunk> int32_t differentiate_all(sg_context& c, const sg_problem& p, float* d_shift, Chunk differentiate_chunk) {
+  const int chunks = chunks_of(p.gaussians);
+  float* sums = c.arena.take<float>((int64_t)chunks * 2 * p.views);
+  if (c.arena.failed()) return SG_MEMORY;
+  parallel(chunks, [&](int i) { differentiate_chunk((int64_t)i * kChunk, chunk_end(i, p.gaussians), sums + (int64_t)i * 2 * p.views); });
+  add_shifts(p.views, chunks, sums, d_shift);
+  return SG_OK;
 }
 
 }  // namespace

@@ -52,7 +52,7 @@ SG_EXPORT int32_t sg_trace(const sg_handle* h, const sg_problem* p, int32_t view
 SG_EXPORT int32_t sg_amplitude_loss(sg_handle* h, const sg_loss* loss) { return h->engine->amplitude_loss(h->context, loss); }
 SG_EXPORT void sg_adam(int32_t isa, const sg_adam_step* step) { engine(isa ? isa : best)->adam(step); }
 SG_EXPORT int32_t sg_project(sg_handle* h, const sg_problem* p, const sg_projection* out, int64_t* culprit) {
-  return h->engine->project(p, out, culprit);
+  return h->engine->project(h->context, p, out, culprit);
 }
 SG_EXPORT int32_t sg_project_backward(sg_handle* h, const sg_problem* p, const sg_projection* seeds, const sg_gradients* g) {
   return h->engine->project_backward(h->context, p, seeds, g);
@@ -63,13 +63,10 @@ SG_EXPORT int32_t sg_attenuate(sg_handle* h, const sg_problem* p, const sg_proje
 SG_EXPORT int32_t sg_attenuate_backward(sg_handle* h, const sg_problem* p, const float* d_lit_area, const float* d_transmittance, const sg_projection* out) {
   return h->engine->attenuate_backward(h->context, p, d_lit_area, d_transmittance, out);
 }
-SG_EXPORT int32_t sg_trace_step(const sg_handle* h, const sg_problem* p, const sg_projection* in, int32_t view, float depth, float* transmittance, float* first_return) {
-  return h->engine->trace_step(h->context, p, in, view, depth, transmittance, first_return);
-}
 SG_EXPORT int32_t sg_splat(sg_handle* h, const sg_problem* p, const sg_projection* in, const sg_channels* a, float* images, int64_t* culprit) {
   return h->engine->splat(h->context, p, in, a, images, culprit);
 }
-SG_EXPORT int32_t sg_splat_backward(sg_handle* h, const sg_problem* p, const sg_channels* a, const float* d_images, const sg_projection* out, float* d_amplitudes) {
-  return h->engine->splat_backward(h->context, p, a, d_images, out, d_amplitudes);
+SG_EXPORT int32_t sg_splat_backward(sg_handle* h, const sg_problem* p, const sg_channels* a, const float* d_images, const sg_projection* out, float* d_cross_sections) {
+  return h->engine->splat_backward(h->context, p, a, d_images, out, d_cross_sections);
 }
 SG_EXPORT void sg_get_statistics(const sg_handle* h, const sg_problem* p, sg_statistics* out) { h->engine->statistics(h->context, p, out); }

@@ -1,125 +1,98 @@
-// engine.cpp: a batch of views, forward and backward. Compiled once per instruction set.
+// engine.cpp: a batch of views, forward and backward, as one composition of stages. Compiled once per instruction set.
 //
-// forward:  check, projection, scattering -> lattice -> depth order, parts -> pass A -> cross-sections -> pass B -> sum of parts
-// backward: pass B (gather per Gaussian) -> pass A (back to front) -> adjoint of the projection, views summed in order
-//
-// Every stage is a set of independent tasks whose number and order of summation depend on the problem alone, never on
-// the number of threads: results are bit-identical for any.
+// forward:  check, projection, scattering -> lattice -> depth order, parts -> attenuation -> cross-sections -> splatting
+// backward: splatting (gather per Gaussian) -> attenuation (back to front) -> adjoint of the projection, views summed in order
 
 #include "adam.h"
-#include "differentiate.h"
 #include "inspect.h"
 #include "loss.h"
-#include "parallel.h"
-#include "project.h"
 #include "steps.h"
 
 namespace sarsplat {
 namespace SG_ISA {
 namespace {
 
-int32_t forward_stages(sg_context& c, const sg_problem& p, const sg_outputs& out, int64_t* culprit) {
-  Arena& arena = c.arena;
-  arena.reset();
-  auto out_of_memory = [&] { arena.give_back(); return SG_MEMORY; };
-  const int V = p.views, n = p.gaussians, chunks = chunks_of(n);
-  const int parts = c.parts = parts_of(p);
-  c.image = {0, 0, p.columns, p.rows, nullptr, nullptr};
-  c.views = arena.take<ViewState>(V);
-  float* ruler = arena.take<float>(c.image.ruler());
-  Fault* faults = arena.take<Fault>(chunks);
-  if (arena.failed()) return out_of_memory();
-  c.image.mark(ruler);
-  for (int v = 0; v < V; v++) {
-    ViewState& s = c.views[v];
-    s.frame = frame_of(p, v);
-    s.take_on_rays(arena, n, chunks, parts);
-    s.take_on_pixels(arena, n, p.rows);
-  }
-  if (arena.failed()) return out_of_memory();
-
+int32_t forward(sg_context& c, const sg_problem& p, const sg_outputs* out, int64_t* culprit) {
+  const int64_t n = p.gaussians, C = p.channels;
+  const Channels channels{p.channels, p.amplitudes};
+  if (const int32_t status = begin(c, p, kRays | kPixels)) return status;
+  const int chunks = chunks_of(n);
   parallel(chunks, [&](int i) {
     const int64_t first = (int64_t)i * kChunk, end = chunk_end(i, n);
-    faults[i] = check(p, first, end);
-    if (faults[i].status == SG_OK) project_chunk(c, p, i, first, end);
+    c.faults[i] = check(p, first, end);
+    if (c.faults[i].status == SG_OK) project_chunk(c, p, first, end);
   });
-  if (const Fault fault = worst(faults, chunks); fault.status) { *culprit = fault.index; return fault.status; }
-  if (const int32_t status = place_lattices(c, p, culprit)) return status == SG_MEMORY ? out_of_memory() : status;
-  parallel(3 * V, [&](int i) {
-    ViewState& s = c.views[i % V];
-    if (i / V == 0) sort_by_depth(s, n);
-    else if (i / V == 1) cut_rays(s, n, parts);
-    else cut_pixels(s, c.image, n, parts);
+  int32_t status = worst(c.faults, chunks, culprit);
+  if (!status) status = arrange(c, p, kRays | kPixels, culprit);
+  if (status) return status;
+  attenuate_rays(c, p);
+  over_chunks(p, [&](int64_t v, int64_t first, int64_t end) {
+    const ViewState& s = c.views[v];
+    const Amplitudes amplitudes = channels.of(v, n);
+    float *lit_area = out->lit_area + v * n, *sections = out->cross_sections + v * n * C;
+    light(s, p, first, end, lit_area);
+    for (int64_t i = first; i < end; i++) {
+      s.on_pixels[i].lit = lit_area[i];
+      for (int64_t k = 0; k < C; k++) sections[C * i + k] = amplitudes.of(s.on_pixels[i], i)[k] * lit_area[i];
+    }
   });
-  c.kept = arena.mark();
-  for (int v = 0; v < V; v++) c.views[v].take_images(arena, 1);
-  if (arena.failed()) return out_of_memory();
-
-  parallel(V * parts, [&](int i) {
-    ViewState& s = c.views[i / parts];
-    if (i % parts < s.ray_parts) attenuate_rays(s, p, i % parts);
-  });
-  parallel(V * chunks, [&](int i) {
-    const int64_t v = i / chunks, first = (int64_t)(i % chunks) * kChunk;
-    illuminate(c.views[v], p.ray[0] * p.ray[1], first, chunk_end(i % chunks, n), out.lit_area + v * n, out.cross_sections + v * n);
-  });
-  parallel(V * parts, [&](int i) {
-    const ViewState& s = c.views[i / parts];
-    if (i % parts >= s.pixel_parts) return;
-    const Part& part = s.pixel_groups[i % parts];
-    image_part(s.on_pixels, s.pixel_list + part.first, part.count(), part.strips, image_cut(p), part.memory);
-  });
-  const int groups = tasks_of(p.rows, kRowsPerTask);
-  parallel(V * groups, [&](int i) {
-    const int v = i / groups, first = i % groups * kRowsPerTask;
-    add_parts(c.views[v], 0, first, smaller(p.rows, first + kRowsPerTask), p.columns, out.images + (int64_t)v * p.rows * p.columns);
-  });
-  arena.release(c.kept);
-  return SG_OK;
+  return splat_images(c, p, channels, out->images);
 }
 
-int32_t backward_stages(sg_context& c, const sg_problem& p, const sg_gradients& g) {
-  Arena& arena = c.arena;
-  auto out_of_memory = [&] { arena.release(c.kept); return SG_MEMORY; };
-  const int V = p.views, n = p.gaussians, chunks = chunks_of(n), parts = c.parts;
-  Backward* scratch = arena.take<Backward>(V);
-  float* shift_sums = arena.take<float>((int64_t)chunks * 2 * V);
-  if (arena.failed()) return out_of_memory();
-  take_backward_rays(c, p, g.transmittance, scratch);
-  for (int v = 0; v < V; v++) scratch[v].take_on_pixels(arena, n, c.image, 1);
-  if (arena.failed()) return out_of_memory();
-
-  const int groups = tasks_of(c.image.count(), kStripsPerTask);
-  parallel(V * groups, [&](int i) {
-    const int64_t v = i / groups, first = i % groups * kStripsPerTask;
-    write_strips(c.image, first, smaller(c.image.count(), first + kStripsPerTask), g.images + v * p.rows * p.columns, scratch[v].dS);
-  });
-  parallel(V * parts, [&](int i) {
-    const int64_t v = i / parts;
-    if (i % parts >= c.views[v].pixel_parts) return;
-    image_part_backward(c.views[v], p, c.image, i % parts, g.cross_sections ? g.cross_sections + v * n : nullptr, scratch[v]);
-  });
-  parallel(V * parts, [&](int i) {
-    const ViewState& s = c.views[i / parts];
-    if (i % parts < s.ray_parts) attenuate_rays_backward(s, p, i % parts, scratch[i / parts]);
-  });
-  parallel(chunks, [&](int i) {
-    differentiate(c, p, g, scratch, (int64_t)i * kChunk, chunk_end(i, n), shift_sums + (int64_t)i * 2 * V);
-  });
-  add_shifts(V, chunks, shift_sums, g.shift);
-  arena.release(c.kept);
-  return SG_OK;
+// From the sums of both planes to a view's share of the gradients.
+SG_FN Share share_of(const sg_context& c, const sg_problem& p, const Backward& scratch, int v, int64_t i, int real, const Bodies& bodies,
+                     const ViewFrame& frame) {
+  const PlaneUnits u = units(p);
+  F sums[kFields];
+  gather(real, [&](int k) { return ray_row(c.views[v], scratch, i + k); }, [&](int k) { return pixel_row(scratch, i + k); }, sums);
+  for (int k = 0; k < 6; k++) sums[k] *= kLn2;  // tau is in units of log2(e)
+  const Moments<F> rays = moments_of(sums), pixels = moments_of(sums + kSums);
+  Share share;
+  share.proj = project(bodies.body, frame, u);
+  share_of_moments(share.proj, u, rays, pixels, p.peak != 0, share.planes, share.gc, share.gi);
+  share.m0 = share.kappa = rays.m0;
+  share.harmonics = sums[14] * sums[15];  // dL/dP(u), and the slope of P(u)
+  return share;
 }
 
-int32_t forward(sg_context* context, const sg_problem* problem, const sg_outputs* out, int64_t* culprit) {
+int32_t backward(sg_context& c, const sg_problem& p, const sg_gradients* gradients) {
+  const int64_t n = p.gaussians, C = p.channels;
+  const sg_gradients& g = *gradients;
+  const Channels channels{p.channels, p.amplitudes};
+  Backward* scratch = c.arena.take<Backward>(p.views);
+  float* sections = c.arena.take<float>(p.views * n * C);
+  if (c.arena.failed()) return SG_MEMORY;
+  for (int v = 0; v < p.views; v++) scratch[v].sections = sections + v * n * C;
+  // dL/dsigma to dL/dw and to dL/dP(u)
+  auto unlight = [&](int64_t v, int64_t id, const PixelEntry& e, Eight& sum) {
+    const float *amplitudes = channels.of(v, n).of(e, id), *d_sections = scratch[v].sections + C * id;
+    float along = 0.0f;
+    for (int64_t k = 0; k < C; k++) along += d_sections[k] * amplitudes[k];
+    for (int64_t k = 0; g.amplitudes && k < C; k++) g.amplitudes[(v * n + id) * C + k] = d_sections[k] * e.lit;
+    c.views[v].on_rays[id].h = along * (p.ray[0] * p.ray[1]);
+    sum[6] = d_sections[0] * e.lit;
+    sum[7] = e.slope;
+  };
+  int32_t status = splat_images_backward(c, p, channels, g.images, g.cross_sections, scratch, unlight);
+  if (!status) status = attenuate_rays_backward(c, p, g.transmittance, scratch);
+  if (status) return status;
+  return differentiate_all(c, p, g.shift, [&](int64_t first, int64_t end, float* shift_sums) {
+    differentiate(p, g, first, end, shift_sums, [&](int v, int64_t i, int real, const Bodies& bodies, const ViewFrame& frame) {
+      return share_of(c, p, scratch[v], v, i, real, bodies, frame);
+    }, [](F kappa, F sum) { return choose(kappa > 0.0f, sum / choose(kappa > 0.0f, kappa, splat(1.0f)), splat(0.0f)); });
+  });
+}
+
+// A function of the context and the problem as it stands in the table: on the threads of the pool, and backward with its scratch
+// given back.
+template <auto function, class... Rest> int32_t run(sg_context* c, const sg_problem* p, Rest... rest) {
   int32_t status = SG_OK;
-  together(worth_waking(*problem), [&] { status = forward_stages(*context, *problem, *out, culprit); });
+  together(worth_waking(*p), [&] { status = function(*c, *p, rest...); });
   return status;
 }
-
-int32_t backward(sg_context* context, const sg_problem* problem, const sg_gradients* gradients) {
-  int32_t status = SG_OK;
-  together(worth_waking(*problem), [&] { status = backward_stages(*context, *problem, *gradients); });
+template <auto function, class... Rest> int32_t run_back(sg_context* c, const sg_problem* p, Rest... rest) {
+  const int32_t status = run<function>(c, p, rest...);
+  c->arena.release(c->kept);
   return status;
 }
 
@@ -135,6 +108,6 @@ void destroy(sg_context* c) { delete c; }
 #define SG_TEXT_(a) #a
 #define SG_TEXT(a) SG_TEXT_(a)
 extern "C" const sg_engine SG_JOIN(sg_engine_, SG_ISA);
-const sg_engine SG_JOIN(sg_engine_, SG_ISA) = {SG_TEXT(SG_ISA), create, destroy, forward, backward, lattice, trace, amplitude_loss, adam, statistics,
-                                             project_step, project_step_backward, attenuate_step, attenuate_step_backward,
-                                             trace_step, splat_step, splat_step_backward};
+const sg_engine SG_JOIN(sg_engine_, SG_ISA) = {SG_TEXT(SG_ISA), create, destroy, run<forward>, run_back<backward>, lattice, trace, amplitude_loss,
+                                             adam, statistics, run<project_step>, run<project_step_backward>, run<attenuate_step>,
+                                             run_back<attenuate_step_backward>, run<splat_step>, run_back<splat_step_backward>};

@@ -185,18 +185,17 @@ SG_FN void spread(const Projection<F>& p, const ViewFrame& f, const PlaneUnits& 
   for (int k = 0; k < 3; k++) out.scale[k] += term[(k + 1) % 3] + term[(k + 2) % 3];  // divided by s_k at the end
 }
 
-// One view's moments: a = kappa' sum F{1, w, ww}, b = sigma sum dL/dS b{1, w, ww} with w = (u, v). planes: dL/d(mu_C, mu_I), per metre.
+// What `spread` takes, from one view's moments: a = kappa' sum F{1, w, ww}, b = sum dL/dS sigma b{1, w, ww} with w = (u, v).
 template <class F>
-SG_FN void accumulate(const Projection<F>& p, const ViewFrame& f, const PlaneUnits& u, const Moments<F>& a,
-                      const Moments<F>& b, bool peak, BodyGradient<F>& out, F* planes) {
+SG_FN void share_of_moments(const Projection<F>& p, const PlaneUnits& u, const Moments<F>& a, const Moments<F>& b, bool peak, F* planes,
+                            Sym2<F>& gc, Sym2<F>& gi) {
   const Whitening<F> wc = whitening(p.cov_c, p.det_cw), wi = whitening(p.cov_i, p.det_iw);
   planes[0] = wc.x(a.mu, a.mv) * (2.0f * kLn2 / u.ray[0]);
   planes[1] = wc.y(a.mu, a.mv) * (2.0f * kLn2 / u.ray[1]);
   planes[2] = wi.x(b.mu, b.mv) * (2.0f * kLn2 / u.pixel[0]);
   planes[3] = wi.y(b.mu, b.mv) * (2.0f * kLn2 / u.pixel[1]);
-  const Sym2<F> gc = covariance_gradient(wc, a, a.m0);
-  const Sym2<F> gi = covariance_gradient(wi, b, peak ? b.m0 * 0.0f : b.m0);
-  spread(p, f, u, planes, gc, gi, a.m0, out);
+  gc = covariance_gradient(wc, a, a.m0);
+  gi = covariance_gradient(wi, b, peak ? b.m0 * 0.0f : b.m0);
 }
 
 // From the accumulated sums to dL/ds and dL/dq.

@@ -1,6 +1,6 @@
 // inspect.h: looking into a finished forward pass: where its rays stand, what they met, how full its vectors were.
 #pragma once
-#include "context.h"
+#include "project.h"
 
 namespace sarsplat {
 namespace SG_ISA {
@@ -17,12 +17,9 @@ void read_row(const Strips& s, int y, const float* strips, float* row) {
     std::memcpy(row + x, strips + s.at(s.x0 + x, y), sizeof(float) * smaller(kBlockX, s.columns - x));
 }
 
-// Where the Gaussian of one lane is densest on a ray: range + slope (dx, dy), by ray cells.
-struct Surface { F range, slope[2]; int64_t lane; };
-
 // T_end and the range at which the two-way optical depth reaches `depth`, ray by ray; NaN where it never does
-template <class SurfaceOf>
-SG_FN int32_t trace_rays(const ViewState& s, const sg_problem* p, float depth, float* transmittance, float* first_return, SurfaceOf surface_of) {
+int32_t trace(const sg_context* c, const sg_problem* p, int32_t view, float depth, float* transmittance, float* first_return) {
+  const ViewState& s = c->views[view];
   const Strips& lattice = s.rays;
   const int64_t rays = (int64_t)lattice.rows * lattice.columns;
   for (int b = 0; b < s.ray_parts; b++) {
@@ -36,9 +33,8 @@ SG_FN int32_t trace_rays(const ViewState& s, const sg_problem* p, float depth, f
   const float stop = -__builtin_logf(p->min_transmittance), faintest = min_log_tau(*p);
   for (int k = 0; k < s.touching; k++) {
     const int32_t id = s.front_to_back[k];
-    const Entry& e = s.on_rays[id];
-    const Surface surface = surface_of(id);
-    const int64_t lane = surface.lane;
+    const RayEntry& e = s.on_rays[id];
+    const float range = from_ordered(s.depth_keys[id]);
     for (int y = e.y0; y <= e.y1; y++)
       for (int x = e.x0; x <= e.x1; x++) {
         const float dx = (float)x - e.g.x, dy = (float)y - e.g.y;
@@ -48,23 +44,11 @@ SG_FN int32_t trace_rays(const ViewState& s, const sg_problem* p, float depth, f
         if (!(log_tau >= faintest) || d > stop) continue;
         const float before = d;
         d += kLn2 * __builtin_exp2f(log_tau);
-        if (before < depth && d >= depth) first_return[at] = surface.range[lane] + surface.slope[0][lane] * dx + surface.slope[1][lane] * dy;
+        if (before < depth && d >= depth) first_return[at] = range + e.slope[0] * dx + e.slope[1] * dy;
       }
   }
   std::free(sum_tau);
   return SG_OK;
-}
-
-int32_t trace(const sg_context* c, const sg_problem* p, int32_t view, float depth, float* transmittance, float* first_return) {
-  const ViewState& s = c->views[view];
-  const PlaneUnits u = units(*p);
-  return trace_rays(s, p, depth, transmittance, first_return, [&](int32_t id) __attribute__((always_inline)) {
-    const int64_t group = id / kWidth * kWidth, lane = id % kWidth;
-    const Projection<F> g = project(read_bodies(*p, group, smaller(kWidth, (int)(p->gaussians - group))).body, s.frame, u);
-    Surface surface{g.mean[2], {}, lane};
-    densest(g, u, surface.slope);
-    return surface;
-  });
 }
 
 void statistics(const sg_context* c, const sg_problem* p, sg_statistics* out) {

@@ -2,6 +2,9 @@
 // lives in an image, stored as strips of four columns: kWidth / 4 rows of a strip, from any row on, are one vector. So a
 // Gaussian's blocks begin at its own first row: no tiles, fewer idle lanes.
 #pragma once
+#include <cstring>
+#include <type_traits>
+
 #include "simd.h"
 #include "pair_math.h"
 
@@ -18,12 +21,12 @@ struct alignas(64) RayEntry : Entry {
   int32_t slot;                   // its sums of band b lie in slot + b - first_band
   int32_t first_band, last_band;  // last < first: it reaches none
   float h;                        // dL/dw
-  int32_t unused[2];
+  float slope[2];                 // of the range of the densest point against the ray, per cell
 };
-struct alignas(64) PixelEntry : Entry {  // height: the amplitude
-  float gamma0, norm, lit;        // P(u), of the imaging weight, A_lit: the amplitude's factors
+struct alignas(64) PixelEntry : Entry {  // height: the norm of the imaging weight
+  float gamma0, lit;              // the amplitude, if there is one channel, and what it is multiplied by: A_lit
   float slope;                    // of P(u) over the sum of harmonics
-  int32_t unused[2];
+  int32_t unused[3];
 };
 static_assert(sizeof(RayEntry) == 64 && sizeof(PixelEntry) == 64, "an entry is a line of the cache");
 constexpr int kSums = 8;          // numbers in a row of moments: six, and two more
@@ -121,26 +124,99 @@ static void attenuate_band_backward(const RayEntry* entries, const int32_t* list
   }
 }
 
-static void image_part(const PixelEntry* entries, const int32_t* list, int n, const Strips& s, float cut, float* S) {
-  for (int64_t i = 0; i < s.size(); i++) S[i] = 0.0f;
+// ---- imaging plane: a pair's exponential serves several channels -----------------------------------------------------
+constexpr int kTogether = kWidth == 16 ? 8 : 4;  // channels at most: as many as there are registers for
+
+// The amplitudes of a view [N, stride] from some channel on; null: there is one, and the entries hold it.
+struct Amplitudes {
+  const float* first;
+  int64_t stride;
+  const float* of(const PixelEntry& e, int64_t id) const { return first ? first + stride * id : &e.gamma0; }
+  Amplitudes from(int channel) const { return {first ? first + channel : nullptr, stride}; }
+};
+
+// visit(c, std::integral_constant of how many) for the channels in groups
+template <class Visit> void for_channels(int channels, Visit visit) {
+  for (int c = 0, count; c < channels; c += count) {
+    count = channels - c >= kTogether ? kTogether : smaller(4, channels - c);
+    switch (count) {
+      case 1: visit(c, std::integral_constant<int, 1>()); break;
+      case 2: visit(c, std::integral_constant<int, 2>()); break;
+      case 3: visit(c, std::integral_constant<int, 3>()); break;
+      case 4: visit(c, std::integral_constant<int, 4>()); break;
+      default: visit(c, std::integral_constant<int, kTogether>());
+    }
+  }
+}
+
+// What C channels of a Gaussian's footprint are multiplied by: cross-section times norm.
+template <int C> SG_FN bool read_heights(const PixelEntry& e, const float* amplitudes, float (&heights)[C]) {
+  bool dark = true;
+  for (int c = 0; c < C; c++) {
+    heights[c] = amplitudes[c] * e.lit * e.g.height;
+    dark &= heights[c] == 0.0f;
+  }
+  return dark;
+}
+
+// The entries of a list to C images, which lie one after the other.
+template <int C>
+static void image_part(const PixelEntry* entries, const int32_t* list, int n, const Strips& s, const Amplitudes& a, float cut, float* S) {
+  const int64_t size = s.size();
+  std::memset(S, 0, sizeof(float) * C * size);
   for (int k = 0; k < n; k++) {
-    __builtin_prefetch(entries + list[k + kAhead < n ? k + kAhead : k]);
-    const Entry& e = entries[list[k]];
-    if (e.g.height == 0.0f) continue;
+    const int32_t ahead = list[k + kAhead < n ? k + kAhead : k];
+    __builtin_prefetch(entries + ahead);
+    if (C > 1) __builtin_prefetch(a.first + a.stride * ahead);
+    const PixelEntry& e = entries[list[k]];
+    float heights[C];
+    if (read_heights<C>(e, a.of(e, list[k]), heights)) continue;
     for_blocks(e, s, [&](const Offset<F>& d, int64_t at) {
-      store_anywhere(S + at, imaging_weight(distance(d), cut) * e.g.height + load_anywhere(S + at));
+      const F weight = imaging_weight(distance(d), cut);
+      for (int c = 0; c < C; c++) store_anywhere(S + c * size + at, weight * heights[c] + load_anywhere(S + c * size + at));
     });
   }
 }
 
-// a gather: every Gaussian reads the pixels it touches; spare rows of dS are zero
-SG_FN Eight image_backward(const Entry& e, const Strips& s, float cut, const float* dS) {
+// A gather: a Gaussian reads the pixels it touches; spare rows of dS are zero. Returns the moments of the sum over channels of
+// height times dL/dS; sums: over the footprint's weight times dL/dS, by channel.
+template <int C> SG_FN Eight image_backward(const PixelEntry& e, const Strips& s, float cut, const float* dS, const float* amplitudes, float* sums) {
   const F zero = splat(0.0f);
   Moments<F> m{zero, zero, zero, zero, zero, zero};
-  for_blocks(e, s, [&](const Offset<F>& d, int64_t at) {
-    m.add(d, imaging_weight(distance(d), cut) * load_anywhere(dS + at));
-  });
-  return sum6(m);
+  float heights[C];
+  read_heights<C>(e, amplitudes, heights);
+  if constexpr (C == 1) {
+    for_blocks(e, s, [&](const Offset<F>& d, int64_t at) {
+      m.add(d, imaging_weight(distance(d), cut) * load_anywhere(dS + at));
+    });
+    const Eight moments = sum6(m);
+    sums[0] = moments[0];
+    return moments * heights[0];
+  } else {
+    const int64_t size = s.size();
+    F all[C + 1];                 // by channel, and one that is never read
+    for (F& x : all) x = zero;
+    for_blocks(e, s, [&](const Offset<F>& d, int64_t at) {
+      const F weight = imaging_weight(distance(d), cut);
+      F along = zero;
+      for (int c = 0; c < C; c++) {
+        const F x = load_anywhere(dS + c * size + at);
+        all[c] += weight * x;
+        along += heights[c] * x;
+      }
+      m.add(d, weight * along);
+    });
+    Eight moments = sum6(zero, m.mu, m.mv, m.muu, m.muv, m.mvv);
+    for (int c = 0; c < C; c += 6) {
+      auto one = [&](int k) { return c + k < C ? all[c + k] : zero; };
+      const Eight some = sum6(one(0), one(1), one(2), one(3), one(4), one(5));
+      for (int k = 0; k < 6 && c + k < C; k++) {
+        sums[c + k] = some[k];
+        moments[0] += heights[c + k] * some[k];  // the sixth moment follows from the sums
+      }
+    }
+    return moments;
+  }
 }
 
 }  // namespace SG_ISA

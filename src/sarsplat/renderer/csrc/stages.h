@@ -1,0 +1,233 @@
+// stages.h: what a pass is made of, forward and backward, over all views: a whole pass and the steps alone are composed of
+// the same stages (engine.cpp, steps.h).
+//
+// Every stage is a set of independent tasks whose number and order of summation depend on the problem alone, never on
+// the number of threads: results are bit-identical for any.
+#pragma once
+#include "arrange.h"
+#include "parallel.h"
+#include "project.h"
+
+namespace sarsplat {
+namespace SG_ISA {
+namespace {
+
+// task(view, first, end) for the chunks of all views; task(view, part) for the parts that a plane is cut into
+template <class Task> void over_chunks(const sg_problem& p, Task task) {
+  const int chunks = chunks_of(p.gaussians);
+  parallel(p.views * chunks, [&](int i) { task(i / chunks, (int64_t)(i % chunks) * kChunk, chunk_end(i % chunks, p.gaussians)); });
+}
+template <class Task> void over_parts(const sg_context& c, const sg_problem& p, int ViewState::*parts, Task task) {
+  parallel(p.views * c.parts, [&](int i) { if (i % c.parts < c.views[i / c.parts].*parts) task(i / c.parts, i % c.parts); });
+}
+
+int32_t out_of_memory(sg_context& c) {
+  c.arena.give_back();
+  return SG_MEMORY;
+}
+
+// ---- before the pair loops ---------------------------------------------------------------------------------------------
+enum Planes { kNone = 0, kRays = 1, kPixels = 2 };
+
+// Room for the footprints of all views on these planes.
+int32_t begin(sg_context& c, const sg_problem& p, int planes) {
+  Arena& arena = c.arena;
+  arena.reset();
+  const int n = p.gaussians, chunks = chunks_of(n);
+  c.parts = parts_of(p);
+  c.image = {0, 0, p.columns, p.rows, nullptr, nullptr};
+  c.views = arena.take<ViewState>(p.views);
+  c.faults = arena.take<Fault>(p.views * chunks);
+  float* ruler = arena.take<float>(c.image.ruler());
+  if (arena.failed()) return out_of_memory(c);
+  c.image.mark(ruler);
+  for (int v = 0; v < p.views; v++) {
+    if (planes & kRays) c.views[v].take_on_rays(arena, n, chunks, c.parts);
+    if (planes & kPixels) c.views[v].take_on_pixels(arena, n, p.rows);
+  }
+  return arena.failed() ? out_of_memory(c) : SG_OK;
+}
+
+// From footprints to tasks: lattices, depth order, parts. Here ends what is kept for the backward pass.
+int32_t arrange(sg_context& c, const sg_problem& p, int planes, int64_t* culprit) {
+  const int V = p.views, n = p.gaussians;
+  for (int v = 0; v < V && planes & kRays; v++) {
+    if (!place_lattice(c.views[v], chunks_of(n))) { *culprit = v; return SG_LATTICE; }
+    c.views[v].take_per_ray(c.arena, c.parts);
+  }
+  if (c.arena.failed()) return out_of_memory(c);
+  parallel(3 * V, [&](int i) {
+    ViewState& s = c.views[i % V];
+    if (i >= 2 * V) { if (planes & kPixels) cut_pixels(s, c.image, n, c.parts); }
+    else if (!(planes & kRays)) return;
+    else if (i < V) sort_by_depth(s, n);
+    else cut_rays(s, n, c.parts);
+  });
+  c.kept = c.arena.mark();
+  return SG_OK;
+}
+
+// ---- computation plane -------------------------------------------------------------------------------------------------
+void attenuate_rays(const sg_context& c, const sg_problem& p) {
+  over_parts(c, p, &ViewState::ray_parts, [&](int v, int b) {
+    const ViewState& s = c.views[v];
+    Part& band = c.views[v].ray_bands[b];
+    band.first = b * p.gaussians;
+    band.end = band.first + list_band(s, b, s.ray_list + band.first);
+    attenuate_band(s.on_rays, s.ray_list + band.first, band.count(), band.strips, b, min_log_tau(p), p.min_transmittance,
+                   s.T + band.start, s.stop + band.start, s.partial);
+  });
+}
+
+// From the sums of w to lit areas.
+void light(const ViewState& s, const sg_problem& p, int64_t first, int64_t end, float* lit_area) {
+  for (int64_t i = first; i < end; i++) {
+    const RayEntry& ray = s.on_rays[i];
+    float w = 0.0f;
+    for (int slot = ray.slot; slot <= ray.slot + ray.last_band - ray.first_band; slot++) w += s.partial[slot];
+    lit_area[i] = w * (p.ray[0] * p.ray[1]);
+  }
+}
+
+struct Backward {                 // scratch of one backward pass, per view: rows of kSums
+  float* ray_moments;             // by slot
+  float* pixel_moments;           // by id; times the amplitude, then dL/dP(u) and the slope of P(u)
+  float *T, *B, *dS;
+  float* sections;                // dL/dsigma [N, C]
+};
+
+// dL/dw is in the entries; d_transmittance: of the views' lattices one after the other, or null.
+int32_t attenuate_rays_backward(sg_context& c, const sg_problem& p, const float* d_transmittance, Backward* scratch) {
+  for (int v = 0; v < p.views; v++) {
+    const ViewState& s = c.views[v];
+    scratch[v].ray_moments = c.arena.take<float>(kSums * (int64_t)p.gaussians * s.ray_parts);
+    scratch[v].T = c.arena.take<float>(size_in_bands(s.rays, c.parts));
+    scratch[v].B = c.arena.take<float>(size_in_bands(s.rays, c.parts));
+  }
+  if (c.arena.failed()) return SG_MEMORY;
+  over_parts(c, p, &ViewState::ray_parts, [&](int v, int b) {
+    const ViewState& s = c.views[v];
+    const Part& band = s.ray_bands[b];
+    const Strips& rays = band.strips;
+    int64_t before = 0;           // rays of the views before this one
+    for (int u = 0; u < v; u++) before += (int64_t)c.views[u].rays.rows * c.views[u].rays.columns;
+    float *T = scratch[v].T + band.start, *B = scratch[v].B + band.start;
+    for (int64_t k = 0; k < rays.size(); k++) { T[k] = s.T[band.start + k]; B[k] = 0.0f; }
+    for (int y = rays.y0; d_transmittance && y < rays.y0 + rays.rows; y++)
+      for (int x = 0; x < rays.columns; x++) {
+        const int64_t at = rays.at(rays.x0 + x, y);
+        B[at] = T[at] * d_transmittance[before + (int64_t)(y - s.rays.y0) * rays.columns + x];
+      }
+    attenuate_band_backward(s.on_rays, s.ray_list + band.first, band.count(), rays, b, min_log_tau(p), T, s.stop + band.start, B,
+                            scratch[v].ray_moments);
+  });
+  return SG_OK;
+}
+
+// ---- imaging plane -----------------------------------------------------------------------------------------------------
+// C channels [V, N, C] of all views
+struct Channels {
+  int count;
+  const float* amplitudes;
+  Amplitudes of(int64_t v, int64_t n) const { return {count == 1 ? nullptr : amplitudes + v * n * count, count}; }
+};
+
+// Rows of an image, the `channel`th of a view: what its parts hold, in their order.
+void add_parts(const ViewState& s, int channel, int first, int end, int columns, float* image) {
+  std::memset(image + (int64_t)first * columns, 0, sizeof(float) * (end - first) * columns);
+  for (int b = 0; b < s.pixel_parts; b++) {
+    const Part& part = s.pixel_groups[b];
+    const Strips& r = part.strips;
+    const int top = larger(first, r.y0), bottom = smaller(end, r.y0 + r.rows);
+    for (int x = 0; x < columns && top < bottom; x += kBlockX) {
+      const float* from = part.memory + channel * r.size() + r.at(x, top);
+      float* to = image + (int64_t)top * columns + x;
+      const int some = smaller(kBlockX, columns - x);
+      for (int y = top; y < bottom; y++, from += kBlockX, to += columns)
+        for (int k = 0; k < some; k++) to[k] += from[k];
+    }
+  }
+}
+
+int32_t splat_images(sg_context& c, const sg_problem& p, const Channels& channels, float* images) {
+  const int C = channels.count, n = p.gaussians;
+  for (int v = 0; v < p.views; v++) c.views[v].take_images(c.arena, C);
+  if (c.arena.failed()) return out_of_memory(c);
+  over_parts(c, p, &ViewState::pixel_parts, [&](int v, int b) {
+    const ViewState& s = c.views[v];
+    const Part& part = s.pixel_groups[b];
+    for_channels(C, [&](int first, auto count) {
+      image_part<count>(s.on_pixels, s.pixel_list + part.first, part.count(), part.strips, channels.of(v, n).from(first), image_cut(p),
+                        part.memory + first * part.strips.size());
+    });
+  });
+  const int groups = tasks_of(p.rows, kRowsPerTask);
+  parallel(p.views * C * groups, [&](int i) {
+    const int64_t image = i / groups;
+    const int first = i % groups * kRowsPerTask;
+    add_parts(c.views[image / C], (int)(image % C), first, smaller(p.rows, first + kRowsPerTask), p.columns, images + image * p.rows * p.columns);
+  });
+  c.arena.release(c.kept);
+  return SG_OK;
+}
+
+// An image to strips, whose spare rows are zero.
+void write_strips(const Strips& s, int first, int end, const float* image, float* strips) {
+  for (int i = first; i < end; i++) {
+    float* strip = strips + (int64_t)i * s.height() * kBlockX;
+    const int x = i * kBlockX, some = smaller(kBlockX, s.columns - x);
+    std::memset(strip, 0, sizeof(float) * s.height() * kBlockX);
+    for (int y = 0; y < s.rows; y++) std::memcpy(strip + y * kBlockX, image + (int64_t)y * s.columns + x, sizeof(float) * some);
+  }
+}
+
+// dL/dS of C channels from one on to dL/dsigma (to which `seeds` is added) and moments of the Gaussians of a part; what follows
+// from those of all channels is left to finish(id, entry, moments), once.
+template <int C, class Finish>
+void image_part_backward(const ViewState& s, const Part& part, const Strips& image, const Amplitudes& a, float cut, const float* dS,
+                         const float* seeds, bool first, bool last, float* sections, float* moments, Finish finish) {
+  for (int k = part.first; k < part.end; k++) {
+    const int32_t ahead = s.pixel_list[smaller(k + kAhead, part.end - 1)], id = s.pixel_list[k];
+    __builtin_prefetch(s.on_pixels + ahead);
+    if (C > 1) __builtin_prefetch(a.first + a.stride * ahead);
+    const PixelEntry& e = s.on_pixels[id];
+    float* row = moments + kSums * (int64_t)id;
+    float sums[C] = {};           // what is not lit has no gradient
+    Eight sum = e.lit == 0.0f ? (Eight)(0.0f) : image_backward<C>(e, image, cut, dS, a.of(e, id), sums);
+    for (int c = 0; c < C; c++) sections[a.stride * id + c] = sums[c] * e.g.height + (seeds ? seeds[a.stride * id + c] : 0.0f);
+    if (!first) sum += load_eight(row);
+    if (last) finish(id, e, sum);
+    store_eight(row, sum);
+  }
+}
+
+// seeds: dL/dsigma [V, N, C], or null; finish(view, id, entry, moments)
+template <class Finish>
+int32_t splat_images_backward(sg_context& c, const sg_problem& p, const Channels& channels, const float* d_images, const float* seeds,
+                       Backward* scratch, Finish finish) {
+  const int C = channels.count, n = p.gaussians, groups = tasks_of(c.image.count(), kStripsPerTask);
+  const int64_t size = c.image.size();
+  for (int v = 0; v < p.views; v++) {
+    scratch[v].pixel_moments = c.arena.take<float>(kSums * (int64_t)n);
+    scratch[v].dS = c.arena.take<float>(C * size);
+  }
+  if (c.arena.failed()) return SG_MEMORY;
+  parallel(p.views * C * groups, [&](int i) {
+    const int64_t image = i / groups, first = i % groups * kStripsPerTask;
+    write_strips(c.image, first, smaller(c.image.count(), first + kStripsPerTask), d_images + image * p.rows * p.columns,
+                 scratch[image / C].dS + image % C * size);
+  });
+  over_parts(c, p, &ViewState::pixel_parts, [&](int64_t v, int b) {
+    const ViewState& s = c.views[v];
+    for_channels(C, [&](int first, auto count) {
+      image_part_backward<count>(s, s.pixel_groups[b], c.image, channels.of(v, n).from(first), image_cut(p), scratch[v].dS + first * size,
+                                 seeds ? seeds + v * n * C + first : nullptr, first == 0, first + count == C, scratch[v].sections + first,
+                                 scratch[v].pixel_moments, [&](int64_t id, const PixelEntry& e, Eight& sum) { finish(v, id, e, sum); });
+    });
+  });
+  return SG_OK;
+}
+
+}  // namespace
+}  // namespace SG_ISA
+}  // namespace sarsplat
