@@ -54,7 +54,7 @@ def test_imports_run_one_way(folder):
     assert not wrong
 
 
-@pytest.mark.parametrize("name", ["errors", "radiometry", "colours"])
+@pytest.mark.parametrize("name", ["errors", "names", "radiometry", "colours"])
 def test_the_bottom_imports_no_room(name):
     """What every room may use."""
     modules = imported(PACKAGE / f"{name}.py")

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import RunFolder, one_of, refuse_existing
-
-Content = Literal["gaussians", "points", "mesh"]
-Colour = Literal["db", "height"]
+from sarsplat.names import Colour, Content
 
 
 def export(

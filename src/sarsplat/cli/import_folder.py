@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
@@ -18,8 +18,8 @@ from sarsplat.cli.arguments import (
     refuse_existing,
 )
 from sarsplat.errors import SarsplatError
+from sarsplat.names import Quantity, Side
 
-Quantity = Literal["amplitude", "power", "db", "complex"]
 Lengths = Annotated[tuple[float, ...], tyro.conf.arg(metavar="METRES [METRES]", help_behavior_hint="(optional)")]
 
 
@@ -36,7 +36,7 @@ def command(
     resolution: Lengths = (),
     ground_range: bool = False,
     grazing: OptionalNumber = None,
-    near: Literal["top", "bottom", "left", "right"] = "top",
+    near: Side = "top",
     mirrored: bool = False,
     azimuth_offset: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 0.0,
     counter_clockwise: bool = False,

@@ -9,6 +9,7 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import Folder, OptionalCount, refuse_existing
+from sarsplat.names import SampleKind
 
 
 def command(
@@ -16,7 +17,7 @@ def command(
     *,
     out: Folder,
     target_class: Annotated[str, tyro.conf.arg(name="class", metavar="NAME")],
-    kind: Literal["real", "synthetic"] = "real",
+    kind: SampleKind = "real",
     train_views: OptionalCount = None,
     near: Literal["top", "bottom"] = "bottom",
     mirrored: bool = False,

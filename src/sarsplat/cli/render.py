@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import Angles, Metres, OptionalName, RunFolder, angles, one_of, refuse_existing, views_from
 from sarsplat.errors import SarsplatError, counted
+from sarsplat.names import Swept
 
 if TYPE_CHECKING:
     import numpy as np
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from sarsplat.geometry import ImageGrid, View
     from sarsplat.reconstruction import Run
 
-Sweep = Literal["azimuth", "grazing"]
 
 _AT_A_TIME = 4  # views, between two steps of the progress
 
@@ -30,7 +30,7 @@ def render(
     azimuth: Angles = (),
     grazing: Angles = (),
     incidence: Angles = (),
-    sweep: Annotated[Sweep | None, one_of(Sweep)] = None,
+    sweep: Annotated[Swept | None, one_of(Swept)] = None,
     frames: int = 90,
     seconds: float = 6.0,
     pixels: Annotated[
@@ -119,7 +119,7 @@ def render(
 
 
 def _swept(
-    sweep: Sweep,
+    sweep: Swept,
     frames: int,
     known: Sequence[View],
     azimuth: Sequence[str],

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Shaped
 
 from sarsplat.errors import SarsplatError
-
-Side = Literal["top", "right", "bottom", "left"]
-"""Of a picture, in the order of the quarter turns, counter-clockwise, that bring each to the top."""
+from sarsplat.names import Side
 
 
 def oriented(
