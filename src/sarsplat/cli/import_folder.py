@@ -7,7 +7,6 @@ from typing import Annotated
 
 import tyro
 
-from sarsplat.cli import console
 from sarsplat.cli.arguments import (
     Folder,
     OptionalCount,
@@ -15,8 +14,8 @@ from sarsplat.cli.arguments import (
     OptionalName,
     OptionalNumber,
     one_of,
-    refuse_existing,
 )
+from sarsplat.cli.imported import carry_out
 from sarsplat.errors import SarsplatError
 from sarsplat.names import Quantity, Side
 
@@ -101,37 +100,34 @@ def command(
     overwrite
         Replace an existing dataset.
     """
-    from sarsplat.cli.imported import finish
-    from sarsplat.data.dataset_folder import HEADER
     from sarsplat.importers import import_folder
 
-    refuse_existing(out, overwrite, marker=HEADER)
-    with console.busy(f"reading pictures from {folder}"):
-        dataset = import_folder(
-            folder,
-            out,
-            table=table,
-            columns=_named(columns),
-            quantity=quantity,
-            scale=scale,
-            offset=offset,
-            spacing_m=_pair(spacing, "spacing"),
-            resolution_m=_pair(resolution, "resolution"),
-            ground_range=ground_range,
-            grazing_deg=grazing,
-            near=near,
-            mirrored=mirrored,
-            azimuth_offset_deg=azimuth_offset,
-            counter_clockwise=counter_clockwise,
-            azimuth_std_deg=azimuth_std,
-            train_views=train_views,
-            target=target,
-            calibration="absolute" if calibrated else "relative",
-            looks=looks or None,
-            ground=not no_ground,
-            overwrite=overwrite,
-        )
-    finish(out, dataset)
+    carry_out(
+        import_folder,
+        folder,
+        out,
+        doing=f"reading pictures from {folder}",
+        table=table,
+        columns=_named(columns),
+        quantity=quantity,
+        scale=scale,
+        offset=offset,
+        spacing_m=_pair(spacing, "spacing"),
+        resolution_m=_pair(resolution, "resolution"),
+        ground_range=ground_range,
+        grazing_deg=grazing,
+        near=near,
+        mirrored=mirrored,
+        azimuth_offset_deg=azimuth_offset,
+        counter_clockwise=counter_clockwise,
+        azimuth_std_deg=azimuth_std,
+        train_views=train_views,
+        target=target,
+        calibration="absolute" if calibrated else "relative",
+        looks=looks or None,
+        ground=not no_ground,
+        overwrite=overwrite,
+    )
 
 
 def _named(words: tuple[str, ...]) -> dict[str, str]:
