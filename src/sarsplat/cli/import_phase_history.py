@@ -73,5 +73,5 @@ def _place(text: str) -> tuple[float, float, float]:
     try:
         x, y, z = map(float, text.split(",") if text.count(",") > 1 else (*text.split(","), "0"))
     except ValueError:
-        raise SarsplatError(f"--around {text!r} is no place; give x,y or x,y,z in metres, such as 12,-7.5") from None
+        raise SarsplatError(f"--around {text!r} is not a place; give x,y or x,y,z in metres, such as 12,-7.5") from None
     return x, y, z

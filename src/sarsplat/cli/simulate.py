@@ -139,7 +139,7 @@ def simulate(
     if clean_tests and looks is None:
         raise SarsplatError("--clean-tests keeps speckle out of the test images, but there is none; give --looks too")
     if masks:
-        pillow()  # if it is missing, that is told before minutes of ray casting
+        pillow()  # if it is missing, that is said before minutes of ray casting
     theirs = paper_views() if protocol == "paper" else mstar_views()
     own, test = (azimuth, grazing, incidence), (test_azimuth, test_grazing, test_incidence)
     views = simulated_views(theirs, own, random_views, seed, test, test_protocol)

@@ -1,4 +1,4 @@
-"""How the rows and columns of pictures of any origin come to lie as ours do: row 0 near, as seen from above."""
+"""Turn pictures of any origin so that they lie as ours do: row 0 near, as seen from above."""
 
 from __future__ import annotations
 

@@ -112,8 +112,8 @@ def import_folder(
         view = _view(listed.path, picture, (azimuth_offset_deg + turn) % 360, grazing_deg)
         slant = math.cos(math.radians(view.grazing_deg)) if ground_range else 1.0
         spacing = _lengths(listed.path, picture, "spacing", spacing_m, slant)
-        known = resolution_m is not None or any(picture.resolution_m)
-        resolution = _lengths(listed.path, picture, "resolution", resolution_m, slant) if known else spacing
+        stated = resolution_m is not None or any(picture.resolution_m)
+        resolution = _lengths(listed.path, picture, "resolution", resolution_m, slant) if stated else spacing
         images.append(
             MeasuredImage(
                 picture.name,

@@ -119,7 +119,7 @@ def _chosen(folder: Path, target: str, kind: SampleKind) -> list[SampleName]:
         files = sorted(path for path in folder.rglob("*.mat") if path.is_file())
     if kind not in get_args(SampleKind):
         raise SarsplatError(f"the kind is {shown(kind)}; it must be one of {', '.join(get_args(SampleKind))}")
-    named = [found for found in map(named_as_sample, files) if found is not None]
+    named = [name for name in map(named_as_sample, files) if name is not None]
     if not named:
         raise SarsplatError(
             f"{folder} has no file that is called as those of the SAMPLE set; give its folder mat_files"
@@ -139,11 +139,11 @@ def _chosen(folder: Path, target: str, kind: SampleKind) -> list[SampleName]:
 
 def named_as_sample(path: Path) -> SampleName | None:
     """What the name says; None if the set has no such names."""
-    found = _NAME.fullmatch(path.name)
-    if found is None:
+    parts = _NAME.fullmatch(path.name)
+    if parts is None:
         return None
-    kind: SampleKind = "real" if found["kind"] == "real" else "synthetic"
-    return SampleName(path, found["target"], kind, int(found["azimuth"]), int(found["elevation"]))
+    kind: SampleKind = "real" if parts["kind"] == "real" else "synthetic"
+    return SampleName(path, parts["target"], kind, int(parts["azimuth"]), int(parts["elevation"]))
 
 
 def _read(named: SampleName, folder: Path, near: Side, mirrored: bool) -> tuple[MeasuredImage, dict[str, Any]]:

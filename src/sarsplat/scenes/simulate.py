@@ -104,7 +104,7 @@ def simulate_images(
     else:
         images = _splat(mesh, views, grid, law, reflectivity, ground_gamma0)
     stack = np.ones((len(views), grid.rows, grid.columns), dtype=np.float32)
-    if looks is not None:  # first, so that a bad number of looks is told before minutes of ray casting
+    if looks is not None:  # first, so that a bad number of looks is refused before minutes of ray casting
         stack = add_speckle(stack, looks, speckle)
         stack[list(clean)] = 1.0
     for index, image in enumerate(images):
