@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from collections import defaultdict
 from pathlib import Path
@@ -11,6 +12,7 @@ import matplotlib
 matplotlib.use("agg")
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
+from PIL import Image
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "tests"))
@@ -73,7 +75,7 @@ def draw(axes: Axes, edges: Edges, colours: dict[str, object], size: float, *, n
 
 def main() -> None:
     """Draw both levels, one below the other."""
-    files = {name: others for name, others in graph().items() if name not in ("", "__main__")}
+    files = {name: others for name, others in graph(for_types=False).items() if name not in ("", "__main__")}
     if ring := circle(files):
         raise SystemExit(f"these files import each other: {' → '.join(ring)}")
     rooms = between_rooms(files)
@@ -84,7 +86,9 @@ def main() -> None:
     top.set_title(f"{len(rooms)} folders and files at the root: who imports whom, downwards")
     draw(bottom, files, colours, 9, names=False)
     bottom.set_title(f"{len(files)} files, in the colours of their folders: {sum(map(len, files.values()))} imports")
-    figure.savefig(PICTURE, dpi=110)
+    drawn = io.BytesIO()
+    figure.savefig(drawn, dpi=80)
+    Image.open(drawn).convert("RGB").quantize(64).save(PICTURE, optimize=True)
 
 
 if __name__ == "__main__":

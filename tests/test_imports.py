@@ -54,7 +54,7 @@ def test_imports_run_one_way(folder):
     assert not wrong
 
 
-@pytest.mark.parametrize("name", ["errors", "radiometry", "colours"])
+@pytest.mark.parametrize("name", ["errors", "names", "radiometry", "colours"])
 def test_the_bottom_imports_no_room(name):
     """What every room may use."""
     modules = imported(PACKAGE / f"{name}.py")
@@ -63,13 +63,18 @@ def test_the_bottom_imports_no_room(name):
     assert third_party <= {"numpy", "jaxtyping"} | ({"matplotlib"} if name == "colours" else set())
 
 
-_BEING_MENDED = {"cli.baseline", "cli.reconstruct", "cli.watch", "renderer.render_function", "renderer.step_functions"}
+_FOR_TYPES = {"reconstruction.loop", "reconstruction.method", "reconstruction.methods", "reconstruction.run"}
+"""A method says what it opens: a run, which knows its method."""
 
 
 def test_no_files_import_each_other_in_a_circle():
-    """Neither at the top nor inside functions, nor for the sake of types."""
-    for edges in (graph(for_types=False), graph()):
-        assert set(circle(edges)) <= _BEING_MENDED, circle(edges)
+    """Neither at the top nor inside functions; nor, but for these, for the sake of types."""
+    executed = graph(for_types=False)
+    executed["renderer.render_function"].discard("renderer.step_functions")  # until render is one call of the engine
+    assert circle(executed) == []
+    every = graph()
+    every["renderer.render_function"].discard("renderer.step_functions")
+    assert circle({name: others - _FOR_TYPES for name, others in every.items()}) == []
 
 
 def test_circles_are_seen():

@@ -263,7 +263,7 @@ def test_the_command_line_trains_and_goes_on(dataset, tmp_path, capsys):
         (["--method", "sar-nerf", "--rates.means", "0.1"], "--rates.means is not a setting of sar-nerf; "),
         (["--masks", "masks"], "sar-gs uses no masks; omit 'masks'"),
         (["--method", "magic"], "magic"),
-        (["--method", "dsr", "--masks", "nowhere"], "nowhere is no folder; give one that holds a mask for each image"),
+        (["--method", "dsr", "--masks", "nowhere"], "nowhere is not a folder; give one that holds a mask for each"),
         (["--method", "sar-nerf", "--masks", "masks"], "sar-nerf uses no masks; omit 'masks'"),
         (["--method", "dsr", "--preset", "paper"], "dsr has no presets, so 'paper' is unknown"),
         (["--method", "dsr", "--view"], "--view cannot show a training by dsr; omit it"),

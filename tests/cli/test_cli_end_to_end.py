@@ -199,10 +199,10 @@ def test_export_replaces_nothing_but_its_like(
     for name in ("new.ply", "new.glb", "new.obj", "new.splat", "new.las", "new.xyz", "new.npz"):
         for _ in range(2):
             assert main([*export, str(tmp_path / name)]) == 0
-    assert "no name for points; choose one that ends in .las, .ply or .xyz" in refusal(
+    assert "not a valid name for points; choose one that ends in .las, .ply or .xyz" in refusal(
         [*export, str(tmp_path / "points.glb"), "--format", "points"], capsys
     )
-    assert "no name for a mesh; choose one that ends in .glb, .obj or .ply" in refusal(
+    assert "not a valid name for a mesh; choose one that ends in .glb, .obj or .ply" in refusal(
         [*export, str(tmp_path / "mesh.stl"), "--format", "mesh"], capsys
     )
 

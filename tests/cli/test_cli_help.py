@@ -10,10 +10,8 @@ from typing import get_args
 import pytest
 
 from sarsplat.cli import main
-from sarsplat.cli.reconstruct import PresetName
-from sarsplat.cli.simulate import TargetName
+from sarsplat.names import TargetName
 from sarsplat.reconstruction.config import Config, Densification, Surroundings
-from sarsplat.reconstruction.presets import PRESETS
 from sarsplat.scenes import TARGETS
 
 PROGRAM = """
@@ -77,7 +75,6 @@ def test_help_shows_every_setting(capsys: pytest.CaptureFixture[str], monkeypatc
 
 
 def test_names_that_are_repeated_for_the_sake_of_speed() -> None:
-    assert get_args(PresetName) == ("auto", *PRESETS)
     assert get_args(TargetName) == tuple(TARGETS)
 
 

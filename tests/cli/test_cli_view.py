@@ -75,4 +75,4 @@ def test_the_extra_is_named_if_it_is_missing(folder, capsys, monkeypatch):
 def test_other_methods_cannot_be_watched(folder, capsys):
     words = ["reconstruct", str(folder), "--out", str(folder / "run"), "--method", "dsr", "--view"]
     assert main(words) == 2
-    assert "--view shows trainings by sar-gs only, not by dsr" in " ".join(capsys.readouterr().err.split())
+    assert "--view cannot show a training by dsr; omit it" in " ".join(capsys.readouterr().err.split())

@@ -32,6 +32,14 @@ def test_every_way_of_writing_says_the_same(tmp_path, data):
     assert column_names(tmp_path / "t.csv")[0] == "file"
 
 
+@pytest.mark.parametrize("count", [1, 48, 400])
+@pytest.mark.parametrize("separator", ",;\t")
+def test_as_many_columns_as_there_are(tmp_path, count, separator):
+    names, cells = (separator.join(f"{letter}{k}" for k in range(count)) for letter in "ax")
+    table = table_of(tmp_path, f"{names}\n{cells}\n".encode())
+    assert table.rows == ((2, {f"a{k}": f"x{k}" for k in range(count)}),)
+
+
 def test_cells_that_are_missing_are_empty(tmp_path):
     table = table_of(tmp_path, b"a,b\n1\n")
     assert table.rows == ((2, {"a": "1", "b": ""}),)

@@ -236,21 +236,3 @@ def test_points_are_no_gaussians_and_versions_are_checked(tmp_path):
         path.write_bytes(data.replace(old, new))
         with pytest.raises(SarsplatError, match=words):
             read_gaussians_ply(path)
-
-
-def test_damaged_files_never_crash(tmp_path):
-    path = tmp_path / "g.ply"
-    write_gaussians_ply(path, some(3, 1))
-    good = path.read_bytes()
-    random = np.random.default_rng(4)
-    refused = 0
-    for _ in range(400):
-        bad = bytearray(good)
-        for place in random.integers(0, len(bad), size=random.integers(1, 4)):
-            bad[place] = random.integers(256)
-        path.write_bytes(bad[: random.integers(len(bad))] if random.random() < 0.2 else bad)
-        try:
-            assert torch.isfinite(read_gaussians_ply(path).scattering.parameters).all()
-        except SarsplatError:
-            refused += 1
-    assert 100 < refused < 400

@@ -339,6 +339,6 @@ def test_masks_are_scored_if_they_are_given(make, tmp_path, ground):
 
 def test_an_unusable_folder_of_masks_is_told_before_anything_is_rendered(make, tmp_path):
     run = FakeRun(make())
-    with pytest.raises(SarsplatError, match="is no folder; give one that holds a mask for each image"):
+    with pytest.raises(SarsplatError, match="is not a folder; give one that holds a mask for each image"):
         evaluate_run(run, masks=tmp_path / "absent")
     assert run.asked == []

@@ -24,7 +24,7 @@ PLACES = [(0.0, 0.0, 0.0), (8.0, -5.0, 0.0)]  # m east, north and above the spot
     ("options", "told"),
     [
         (["--size", "48m", "--around", "47.3"], "write it as 47.3769,8.5417"),
-        (["--size", "large"], "is no length"),
+        (["--size", "large"], "is not a valid length"),
         (["--size", "-3"], "must be positive"),
         (["--size", "1e-9"], "give a size that makes 8 to 4096 a side"),
         (["--size", "500m"], "give a smaller size or another spot"),

@@ -79,7 +79,7 @@ def metres(text: str, name: str) -> float:
     try:
         return float(text.strip().removesuffix("m"))
     except ValueError:
-        raise SarsplatError(f"--{name} {text!r} is no length; give metres, such as 64 or 64m") from None
+        raise SarsplatError(f"--{name} {text!r} is not a valid length; give metres, such as 64 or 64m") from None
 
 
 def views_from(

@@ -50,20 +50,20 @@ def check(
         refuse_existing(out, overwrite)
     read = read_dataset(dataset)
     with console.busy(f"looking at {counted(len(read), 'image')} of {dataset}"):
-        found = examine(read)
+        examined = examine(read)
         if out is not None:
             from sarsplat.report.check_sheet import check_sheet
 
             write_bytes(out, check_sheet(read, images))
-    console.facts(f"{dataset}: {counted(len(read), 'image')}", found.checks)
+    console.facts(f"{dataset}: {counted(len(read), 'image')}", examined.checks)
     for text in suspicious_coverage(read.select("train").views):
         console.warn(text)
-    for text in found.contradictions:
+    for text in examined.contradictions:
         console.complain(text)
     if out is not None:
         console.say(f"wrote {out}")
-    if found.contradictions:
-        console.say(f"{counted(len(found.contradictions), 'contradiction')} found")
+    if examined.contradictions:
+        console.say(f"{counted(len(examined.contradictions), 'contradiction')} found")
         return _CONTRADICTED
     words = ["sarsplat", "reconstruct", str(dataset), "--out", f"{dataset}-run"]
     console.say(f"no contradictions; next: {shlex.join(words)}")

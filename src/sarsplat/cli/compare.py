@@ -53,7 +53,7 @@ def compare(
 
 
 def _table(comparison: Comparison) -> Table:
-    """A row for every metric, a column for every run; the best of a row bears a star."""
+    """A row for every metric, a column for every run; the best of a row has a star."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table

@@ -55,15 +55,15 @@ def program() -> str:
     """What to type for `sarsplat` in the shell that called it: its path where the shell does not find it by name."""
     called = Path(sys.argv[0])
     if called.name == "__main__.py" and called.parent.name == "sarsplat":
-        found = shutil.which("python")
+        on_path = shutil.which("python")
         # by folder: the pythons of all environments are links to one file
-        same = found is not None and Path(found).absolute().parent == Path(sys.executable).parent
+        same = on_path is not None and Path(on_path).absolute().parent == Path(sys.executable).parent
         python = "python" if same else _near(Path(sys.executable))
         return f"{python} -m sarsplat"
     if called.stem != "sarsplat" or not called.is_file():
         return "sarsplat"  # called from Python, by a program that is not ours
-    found = shutil.which("sarsplat")
-    return "sarsplat" if found and Path(found).samefile(called) else _near(called)
+    on_path = shutil.which("sarsplat")
+    return "sarsplat" if on_path and Path(on_path).samefile(called) else _near(called)
 
 
 def _near(path: Path) -> str:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import RunFolder, one_of, refuse_existing
-
-Content = Literal["gaussians", "points", "mesh"]
-Colour = Literal["db", "height"]
+from sarsplat.names import Colour, Content
 
 
 def export(
@@ -43,10 +41,10 @@ def export(
     from sarsplat.data.replaceable import refuse_other_kinds
     from sarsplat.reconstruction import Run
 
-    known, _ = exports.format_of(file, format)
+    kind, _ = exports.format_of(file, format)
     done = Run.load(run)
     refuse_existing(file, overwrite)
-    refuse_other_kinds(file, run, known.recognises)
+    refuse_other_kinds(file, run, kind.recognises)
     with console.busy(f"writing {file}"):
         written = exports.export(done, file, format, colour=colour)
     console.finish(f"{file}: {written.summary}", f"open {file} with {written.opened_with}")

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
-from sarsplat.cli import console
 from sarsplat.cli.arguments import (
     Folder,
     OptionalCount,
@@ -15,11 +14,11 @@ from sarsplat.cli.arguments import (
     OptionalName,
     OptionalNumber,
     one_of,
-    refuse_existing,
 )
+from sarsplat.cli.imported import carry_out
 from sarsplat.errors import SarsplatError
+from sarsplat.names import Quantity, Side
 
-Quantity = Literal["amplitude", "power", "db", "complex"]
 Lengths = Annotated[tuple[float, ...], tyro.conf.arg(metavar="METRES [METRES]", help_behavior_hint="(optional)")]
 
 
@@ -36,7 +35,7 @@ def command(
     resolution: Lengths = (),
     ground_range: bool = False,
     grazing: OptionalNumber = None,
-    near: Literal["top", "bottom", "left", "right"] = "top",
+    near: Side = "top",
     mirrored: bool = False,
     azimuth_offset: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 0.0,
     counter_clockwise: bool = False,
@@ -101,37 +100,34 @@ def command(
     overwrite
         Replace an existing dataset.
     """
-    from sarsplat.cli.imported import finish
-    from sarsplat.data.dataset_folder import HEADER
     from sarsplat.importers import import_folder
 
-    refuse_existing(out, overwrite, marker=HEADER)
-    with console.busy(f"reading pictures from {folder}"):
-        dataset = import_folder(
-            folder,
-            out,
-            table=table,
-            columns=_named(columns),
-            quantity=quantity,
-            scale=scale,
-            offset=offset,
-            spacing_m=_pair(spacing, "spacing"),
-            resolution_m=_pair(resolution, "resolution"),
-            ground_range=ground_range,
-            grazing_deg=grazing,
-            near=near,
-            mirrored=mirrored,
-            azimuth_offset_deg=azimuth_offset,
-            counter_clockwise=counter_clockwise,
-            azimuth_std_deg=azimuth_std,
-            train_views=train_views,
-            target=target,
-            calibration="absolute" if calibrated else "relative",
-            looks=looks or None,
-            ground=not no_ground,
-            overwrite=overwrite,
-        )
-    finish(out, dataset)
+    carry_out(
+        import_folder,
+        folder,
+        out,
+        doing=f"reading pictures from {folder}",
+        table=table,
+        columns=_named(columns),
+        quantity=quantity,
+        scale=scale,
+        offset=offset,
+        spacing_m=_pair(spacing, "spacing"),
+        resolution_m=_pair(resolution, "resolution"),
+        ground_range=ground_range,
+        grazing_deg=grazing,
+        near=near,
+        mirrored=mirrored,
+        azimuth_offset_deg=azimuth_offset,
+        counter_clockwise=counter_clockwise,
+        azimuth_std_deg=azimuth_std,
+        train_views=train_views,
+        target=target,
+        calibration="absolute" if calibrated else "relative",
+        looks=looks or None,
+        ground=not no_ground,
+        overwrite=overwrite,
+    )
 
 
 def _named(words: tuple[str, ...]) -> dict[str, str]:

@@ -7,9 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from sarsplat.cli import console
-from sarsplat.cli.arguments import Angles, Folder, OptionalFile, OptionalName, angles, refuse_existing
-from sarsplat.cli.imported import finish
+from sarsplat.cli.arguments import Angles, Folder, OptionalFile, OptionalName, angles
+from sarsplat.cli.imported import carry_out
 from sarsplat.errors import SarsplatError
 
 
@@ -59,25 +58,23 @@ def command(
     overwrite
         Replace an existing dataset.
     """
-    from sarsplat.data.dataset_folder import HEADER
     from sarsplat.importers import import_mstar
 
-    refuse_existing(out, overwrite, marker=HEADER)
-    with console.busy(f"reading chips from {chips}"):
-        dataset = import_mstar(
-            chips,
-            out,
-            labels=labels,
-            target_class=target_class,
-            train_views=train_views,
-            train_depression=[_whole(angle) for angle in angles(train_depression, "train-depression")],
-            serial=serial,
-            target_box_m=None if target_box is None else (target_box[:3], target_box[3:]),
-            azimuth_std_deg=azimuth_std,
-            mirrored=mirrored,
-            overwrite=overwrite,
-        )
-    finish(out, dataset)
+    carry_out(
+        import_mstar,
+        chips,
+        out,
+        doing=f"reading chips from {chips}",
+        labels=labels,
+        target_class=target_class,
+        train_views=train_views,
+        train_depression=[_whole(angle) for angle in angles(train_depression, "train-depression")],
+        serial=serial,
+        target_box_m=None if target_box is None else (target_box[:3], target_box[3:]),
+        azimuth_std_deg=azimuth_std,
+        mirrored=mirrored,
+        overwrite=overwrite,
+    )
 
 
 def _whole(angle: float) -> int:

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from sarsplat.cli.arguments import Folder, Metres, OptionalCount, OptionalNumber, metres, refuse_existing
-from sarsplat.cli.imported import finish
+from sarsplat.cli.arguments import Folder, Metres, OptionalCount, OptionalNumber, metres
+from sarsplat.cli.imported import carry_out
 from sarsplat.errors import SarsplatError
 
 
@@ -51,11 +51,10 @@ def command(
     overwrite
         Replace an existing dataset.
     """
-    from sarsplat.data.dataset_folder import HEADER
     from sarsplat.importers import import_phase_history
 
-    refuse_existing(out, overwrite, marker=HEADER)
-    dataset = import_phase_history(
+    carry_out(
+        import_phase_history,
         files,
         out,
         size_m=metres(size, "size"),
@@ -68,12 +67,11 @@ def command(
         overwrite=overwrite,
         quiet=False,
     )
-    finish(out, dataset)
 
 
 def _place(text: str) -> tuple[float, float, float]:
     try:
         x, y, z = map(float, text.split(",") if text.count(",") > 1 else (*text.split(","), "0"))
     except ValueError:
-        raise SarsplatError(f"--around {text!r} is no place; give x,y or x,y,z in metres, such as 12,-7.5") from None
+        raise SarsplatError(f"--around {text!r} is not a place; give x,y or x,y,z in metres, such as 12,-7.5") from None
     return x, y, z

@@ -7,8 +7,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from sarsplat.cli import console
-from sarsplat.cli.arguments import Folder, OptionalCount, refuse_existing
+from sarsplat.cli.arguments import Folder, OptionalCount
+from sarsplat.cli.imported import carry_out
+from sarsplat.names import SampleKind
 
 
 def command(
@@ -16,7 +17,7 @@ def command(
     *,
     out: Folder,
     target_class: Annotated[str, tyro.conf.arg(name="class", metavar="NAME")],
-    kind: Literal["real", "synthetic"] = "real",
+    kind: SampleKind = "real",
     train_views: OptionalCount = None,
     near: Literal["top", "bottom"] = "bottom",
     mirrored: bool = False,
@@ -43,20 +44,17 @@ def command(
     overwrite
         Replace an existing dataset.
     """
-    from sarsplat.cli.imported import finish
-    from sarsplat.data.dataset_folder import HEADER
     from sarsplat.importers import import_sample
 
-    refuse_existing(out, overwrite, marker=HEADER)
-    with console.busy(f"reading images from {folder}"):
-        dataset = import_sample(
-            folder,
-            out,
-            target=target_class,
-            kind=kind,
-            train_views=train_views,
-            near=near,
-            mirrored=mirrored,
-            overwrite=overwrite,
-        )
-    finish(out, dataset)
+    carry_out(
+        import_sample,
+        folder,
+        out,
+        doing=f"reading images from {folder}",
+        target=target_class,
+        kind=kind,
+        train_views=train_views,
+        near=near,
+        mirrored=mirrored,
+        overwrite=overwrite,
+    )

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from sarsplat.cli import console, imported
-from sarsplat.cli.arguments import Folder, OptionalCount, metres, refuse_existing
+from sarsplat.cli.arguments import Folder, OptionalCount, metres
+from sarsplat.cli.imported import carry_out
 from sarsplat.errors import SarsplatError, counted
 
 
@@ -50,25 +50,23 @@ def command(
     overwrite
         Replace an existing dataset.
     """
-    from sarsplat.data.dataset_folder import HEADER
     from sarsplat.importers import import_sicd
 
-    refuse_existing(out, overwrite, marker=HEADER)
     place, spot = _numbers(around, "around", (2, 3)), _numbers(pixel, "pixel", (2,))
-    with console.busy(f"reading {counted(len(files), 'file')}"):
-        dataset = import_sicd(
-            files,
-            out,
-            size_m=metres(size, "size"),
-            around=place,
-            pixel=None if spot is None else (spot[0], spot[1]),
-            heading_deg=heading,
-            target=target,
-            train_views=train_views,
-            ground=not no_ground,
-            overwrite=overwrite,
-        )
-    imported.finish(out, dataset)
+    carry_out(
+        import_sicd,
+        files,
+        out,
+        doing=f"reading {counted(len(files), 'file')}",
+        size_m=metres(size, "size"),
+        around=place,
+        pixel=None if spot is None else (spot[0], spot[1]),
+        heading_deg=heading,
+        target=target,
+        train_views=train_views,
+        ground=not no_ground,
+        overwrite=overwrite,
+    )
 
 
 def _numbers(text: str | None, name: str, counts: tuple[int, ...]) -> tuple[float, ...] | None:

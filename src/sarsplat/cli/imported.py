@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sarsplat.cli import console
+from sarsplat.cli.arguments import refuse_existing
 from sarsplat.cli.extras import install_command
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
+
+
+def carry_out(
+    importer: Callable[..., Dataset], files: object, out: Path, *, overwrite: bool, doing: str = "", **options: Any
+) -> None:
+    """Call an importer, unless the output is in the way, and finish; `doing` is what is said meanwhile."""
+    refuse_existing(out, overwrite, marker="dataset.json")
+    with console.busy(doing) if doing else nullcontext():
+        dataset = importer(files, out, overwrite=overwrite, **options)
+    finish(out, dataset)
 
 
 def finish(out: Path, dataset: Dataset) -> None:

@@ -45,10 +45,10 @@ def info(
         return
     if plot is not None:
         raise SarsplatError(f"--plot {plot} draws the views of a dataset, and {path} is none; omit it")
-    if (found := _to_import(path)) is not None:
-        console.facts(f"{path}: {found.kind}", found.facts)
-        if found.command is not None:
-            console.say(f"import with: {found.command}")
+    if (importable := _to_import(path)) is not None:
+        console.facts(f"{path}: {importable.kind}", importable.facts)
+        if importable.command is not None:
+            console.say(f"import with: {importable.command}")
         return
     kind, rows = _folder(path) if path.is_dir() else _file(path)
     console.facts(f"{path}: {kind}", rows)

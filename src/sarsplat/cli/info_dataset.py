@@ -95,25 +95,25 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
 
 
 def _source(source: Mapping[str, Any]) -> dict[str, str]:
-    """Where the images come from: assumptions take a line each, and what is told of every image is only counted."""
+    """Where the images come from: assumptions take a line each, and what is said of every image is only counted."""
     from sarsplat.data.dataset_folder import HEADER
 
-    told = {}
+    rows = {}
     for name, value in source.items():
         if not value:
             continue
         parts = [*value.values()] if isinstance(value, dict) else value
         if not isinstance(parts, list):
-            told[f"source.{name}"] = str(value)
+            rows[f"source.{name}"] = str(value)
         elif name == "assumptions":
-            told["assumed"] = "\n".join(map(str, parts))
+            rows["assumed"] = "\n".join(map(str, parts))
         elif any(isinstance(part, dict | list) for part in parts):
-            told[f"source.{name}"] = f"{len(parts)}, listed in {HEADER}"
+            rows[f"source.{name}"] = f"{len(parts)}, listed in {HEADER}"
         elif isinstance(value, dict):
-            told[f"source.{name}"] = ", ".join(f"{key} = {one}" for key, one in value.items())
+            rows[f"source.{name}"] = ", ".join(f"{key} = {one}" for key, one in value.items())
         else:
-            told[f"source.{name}"] = ", ".join(map(str, parts))
-    return told
+            rows[f"source.{name}"] = ", ".join(map(str, parts))
+    return rows
 
 
 def _uncertainty(std_deg: list[float]) -> dict[str, str]:

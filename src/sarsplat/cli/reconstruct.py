@@ -18,16 +18,18 @@ from sarsplat.cli.watch import watched
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.reconstruction.config import DEFAULT_METHOD, AnyConfig, Config, Densification, Surroundings
 from sarsplat.reconstruction.methods import METHODS, method_named
+from sarsplat.reconstruction.presets import PRESETS
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
     from sarsplat.reconstruction.method import Method
 
     MethodName = str
+    PresetName = str
 else:
     MethodName = tyro.extras.literal_type_from_choices(METHODS)
+    PresetName = tyro.extras.literal_type_from_choices(("auto", *PRESETS))
 
-PresetName = Literal["auto", "default", "quick", "speckled", "paper", "measured"]
 _PARTS = {"densification": Densification, "surroundings": Surroundings}
 """Parts of the settings that may be absent."""
 
@@ -133,7 +135,8 @@ def reconstruct(
         return
     if not options.resume:
         refuse_existing(out, options.overwrite, marker=HEADER)
-    with watched(options, images) as on_step:
+    port = options.port if options.view else None
+    with watched(options.dataset, options.out, images, tensorboard=options.tensorboard, port=port) as on_step:
         run = train(
             images,
             config,

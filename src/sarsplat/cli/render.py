@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import Angles, Metres, OptionalName, RunFolder, angles, one_of, refuse_existing, views_from
 from sarsplat.errors import SarsplatError, counted
+from sarsplat.names import Swept
 
 if TYPE_CHECKING:
     import numpy as np
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from sarsplat.geometry import ImageGrid, View
     from sarsplat.reconstruction import Run
 
-Sweep = Literal["azimuth", "grazing"]
 
 _AT_A_TIME = 4  # views, between two steps of the progress
 
@@ -30,7 +30,7 @@ def render(
     azimuth: Angles = (),
     grazing: Angles = (),
     incidence: Angles = (),
-    sweep: Annotated[Sweep | None, one_of(Sweep)] = None,
+    sweep: Annotated[Swept | None, one_of(Swept)] = None,
     frames: int = 90,
     seconds: float = 6.0,
     pixels: Annotated[
@@ -103,7 +103,7 @@ def render(
         views = _swept(sweep, frames, done.snapshot.views, azimuth, grazing, incidence)
         views = views if recognises else list(dict.fromkeys(views))  # a folder holds each once
     look = Look(done.brightest, range_db, cmap or POWER)
-    look.palette()  # an unknown colour map is told before the work
+    look.palette()  # an unknown colour map is refused before the work
     grid = asked_grid(done.grid, pixels, spacing, resolution)
     rendered = Rendered(_rendered(done, views, grid), views, grid, look)
     if pixels is None and out.suffix.lower() in ANIMATIONS:
@@ -119,9 +119,9 @@ def render(
 
 
 def _swept(
-    sweep: Sweep,
+    sweep: Swept,
     frames: int,
-    known: Sequence[View],
+    usual: Sequence[View],
     azimuth: Sequence[str],
     grazing: Sequence[str],
     incidence: Sequence[str],
@@ -143,7 +143,7 @@ def _swept(
             f"{other}; give none or the two ends of --{sweep}, and at most one --{other}"
         )
     ends = (given[sweep][0], given[sweep][1]) if given[sweep] else None
-    return sweep_views(sweep, frames, known, ends_deg=ends, other_deg=given[other][0] if given[other] else None)
+    return sweep_views(sweep, frames, usual, ends_deg=ends, other_deg=given[other][0] if given[other] else None)
 
 
 def _rendered(run: Run, views: Sequence[View], grid: ImageGrid) -> np.ndarray:
@@ -156,8 +156,8 @@ def _rendered(run: Run, views: Sequence[View], grid: ImageGrid) -> np.ndarray:
     images = []
     with progress("rendering", len(different)) as reporter:
         for first in range(0, len(different), _AT_A_TIME):
-            some = different[first : first + _AT_A_TIME]
-            images.append(run.render(some, grid))
-            reporter.advance(len(some))
+            part = different[first : first + _AT_A_TIME]
+            images.append(run.render(part, grid))
+            reporter.advance(len(part))
     place = {view: number for number, view in enumerate(different)}
     return np.concatenate(images)[[place[view] for view in views]]

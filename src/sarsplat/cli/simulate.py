@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -16,20 +16,15 @@ from sarsplat.cli.arguments import (
     OptionalCount,
     OptionalFile,
     OptionalNumber,
+    one_of,
     refuse_existing,
 )
 from sarsplat.cli.simulated_views import simulated_views
 from sarsplat.errors import SarsplatError, counted
+from sarsplat.names import Simulator, TargetName
 
 if TYPE_CHECKING:
     from sarsplat.geometry import ImageGrid
-
-TargetName = Literal["t72", "btr70", "2s1", "kraz", "slicy", "building-a", "building-b", "building-c"]
-"""The targets of `sarsplat.scenes`, which is not imported here because it is slow to load; a test compares them."""
-
-Target = Annotated[
-    TargetName | None, tyro.conf.arg(metavar=f"{{{','.join(get_args(TargetName))}}}", help_behavior_hint="(optional)")
-]
 
 Decibels = Annotated[float, tyro.conf.arg(metavar="DB")]
 Law = Annotated[tuple[float, float] | tuple[float, float, float], tyro.conf.arg(metavar="FLOOR LOBE [EXPONENT]")]
@@ -38,7 +33,7 @@ Law = Annotated[tuple[float, float] | tuple[float, float, float], tyro.conf.arg(
 def simulate(
     *,
     out: Folder,
-    target: Target = None,
+    target: Annotated[TargetName | None, one_of(TargetName)] = None,
     mesh: OptionalFile = None,
     scale: float = 1.0,
     protocol: Literal["paper", "mstar"] = "paper",
@@ -50,7 +45,7 @@ def simulate(
     test_azimuth: Angles = (),
     test_grazing: Angles = (),
     test_incidence: Angles = (),
-    source: Literal["raycast", "splat"] = "raycast",
+    source: Simulator = "raycast",
     law: Law = (0.1, 0.9),
     reflectivity: Decibels = 0.0,
     ground: OptionalNumber = None,
@@ -144,7 +139,7 @@ def simulate(
     if clean_tests and looks is None:
         raise SarsplatError("--clean-tests keeps speckle out of the test images, but there is none; give --looks too")
     if masks:
-        pillow()  # if it is missing, that is told before minutes of ray casting
+        pillow()  # if it is missing, that is said before minutes of ray casting
     theirs = paper_views() if protocol == "paper" else mstar_views()
     own, test = (azimuth, grazing, incidence), (test_azimuth, test_grazing, test_incidence)
     views = simulated_views(theirs, own, random_views, seed, test, test_protocol)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sarsplat.cli import console
 from sarsplat.cli.interrupt import interruptible
 
 if TYPE_CHECKING:
-    from sarsplat.cli.reconstruct import Options
     from sarsplat.data import Dataset
     from sarsplat.reconstruction import Step
 
@@ -19,7 +19,9 @@ LOG_FOLDER = "tensorboard"
 
 
 @contextmanager
-def watched(options: Options, images: Dataset) -> Iterator[Callable[[Step[Any]], object]]:
+def watched(
+    dataset: Path, out: Path, images: Dataset, *, tensorboard: bool, port: int | None
+) -> Iterator[Callable[[Step[Any]], object]]:
     """A training that Ctrl-C ends between two steps, logged for TensorBoard and shown in a browser if asked for.
 
     Raises
@@ -30,18 +32,18 @@ def watched(options: Options, images: Dataset) -> Iterator[Callable[[Step[Any]],
         If there was one; it says how to resume, if there is a checkpoint.
     """
     with ExitStack() as stack:
-        stop_if_asked = stack.enter_context(interruptible(options.dataset, options.out))
+        stop_if_asked = stack.enter_context(interruptible(dataset, out))
         watchers: list[Callable[[Step[Any]], object]] = []
-        if options.tensorboard:
+        if tensorboard:
             from sarsplat.reconstruction.tensorboard import TensorBoard
 
-            board = TensorBoard(options.out / LOG_FOLDER, images)
+            board = TensorBoard(out / LOG_FOLDER, images)
             stack.callback(board.close)
             watchers.append(board)
-        if options.view:
+        if port is not None:
             from sarsplat.viewer import watched as shown
 
-            watchers.append(stack.enter_context(shown(images, options.port, console.say)))
+            watchers.append(stack.enter_context(shown(images, port, console.say)))
         watchers.append(stop_if_asked)
 
         def on_step(step: Step[Any]) -> None:

@@ -93,12 +93,13 @@ class ViewGroup:
 
 def view_groups(dataset: Dataset) -> list[ViewGroup]:
     """The views of a dataset by set and, within each, by grazing angle, from low to high."""
-    found = []
+    grouped = []
     for split in dataset.splits():
         views = [entry.view for entry in dataset.entries if entry.split == split]
         for group in by_grazing(views):
-            found.append(ViewGroup(split, tuple(sorted((views[k] for k in group), key=lambda v: v.azimuth_deg % 360))))
-    return found
+            ordered = sorted((views[k] for k in group), key=lambda view: view.azimuth_deg % 360)
+            grouped.append(ViewGroup(split, tuple(ordered)))
+    return grouped
 
 
 def by_grazing(views: Sequence[View]) -> list[list[int]]:

@@ -12,7 +12,7 @@ from sarsplat.geometry import View
 
 
 def evenly_chosen(views: Sequence[View], count: int) -> list[int]:
-    """Numbers of the views to train on: even in azimuth, and at every grazing angle alike.
+    """Numbers of the views to train on: even in azimuth, and the same at every grazing angle.
 
     Parameters
     ----------

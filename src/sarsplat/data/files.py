@@ -87,7 +87,7 @@ def locked(path: Path) -> Iterator[None]:
     SarsplatError
         If another process or thread holds it, or something that is no lock has that name.
     """
-    path = Path(os.path.realpath(path))  # unlike resolve() it bears a link to itself
+    path = Path(os.path.realpath(path))  # unlike resolve() it tolerates a link to itself
     place = path.with_name(f".{path.name}.lock")
     place.parent.stat()  # the lock would make missing folders
     if os.path.lexists(place) and (not stat.S_ISREG(place.lstat().st_mode) or place.stat().st_size > 0):
@@ -275,9 +275,9 @@ def decode_json(data: bytes, path: Path, type: type[T]) -> T:
         raise SarsplatError(f"{path} is not valid JSON ({shown(str(error))}); create it again") from error
 
 
-def _what_does_not_fit(data: bytes, told: str) -> str:
+def _what_does_not_fit(data: bytes, complaint: str) -> str:
     """Turn "Expected `float`, got `str` - at `$.views[1].azimuth_deg`" into "views[1].azimuth_deg is 'north': …"."""
-    what, _, place = told.partition(" - at `$")
+    what, _, place = complaint.partition(" - at `$")
     place = place.removesuffix("`").removeprefix(".")
     what = "".join(letter if letter.isprintable() else "?" for letter in what[:1].lower() + what[1:])[:200]
     if not place:

@@ -89,7 +89,7 @@ def new_folder(path: Path, overwrite: bool, *, marker: str) -> Iterator[Path]:
     folder is moved aside first; a process killed just then leaves it in `.NAME.tmpdir/old`, from where the next call
     for the same path puts it back.
     """
-    path = Path(os.path.realpath(path))  # unlike resolve() it bears a link to itself
+    path = Path(os.path.realpath(path))  # unlike resolve() it tolerates a link to itself
     with plain_os_errors("write", path):
         refuse_existing(path, overwrite, marker=marker)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -117,7 +117,7 @@ def refuse_existing(path: Path, overwrite: bool, *, marker: str) -> None:
     SarsplatError
         If `path` exists and may not be replaced, or a folder that is not ours has the temporary name.
     """
-    path = Path(os.path.realpath(path))  # unlike resolve() it bears a link to itself
+    path = Path(os.path.realpath(path))  # unlike resolve() it tolerates a link to itself
     with plain_os_errors("write", path):
         _refuse_existing(path, overwrite, marker)
         with suppress(FileNotFoundError):

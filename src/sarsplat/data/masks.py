@@ -62,7 +62,7 @@ def read_masks(folder: Path, dataset: Dataset, splits: Collection[str] | None = 
             elif dataset.entries[index].split == "train":
                 missing.append(asked)
     if not folder.is_dir():
-        raise SarsplatError(f"{folder} is no folder; give one that holds a mask for each image, as grey 8-bit PNGs")
+        raise SarsplatError(f"{folder} is not a folder; give one that holds a mask for each image, as grey 8-bit PNGs")
     if missing:
         raise SarsplatError(
             f"{folder} has no mask of {len(missing)} of {len(dataset.images('train'))} training images, the first "

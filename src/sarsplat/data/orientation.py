@@ -1,16 +1,14 @@
-"""How the rows and columns of pictures of any origin come to lie as ours do: row 0 near, as seen from above."""
+"""Turn pictures of any origin so that they lie as ours do: row 0 near, as seen from above."""
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Shaped
 
 from sarsplat.errors import SarsplatError
-
-Side = Literal["top", "right", "bottom", "left"]
-"""Of a picture, in the order of the quarter turns, counter-clockwise, that bring each to the top."""
+from sarsplat.names import Side
 
 
 def oriented(

@@ -135,7 +135,7 @@ def _gap(views: Sequence[View]) -> list[str]:
 
 def _images(dataset: Dataset) -> list[str]:
     """Images that are constant or all the same, and zeros in measured power."""
-    found: list[str] = []
+    odd: list[str] = []
     constant, first = 0, ""
     for split in dataset.splits():
         images = dataset.images(split)
@@ -145,17 +145,17 @@ def _images(dataset: Dataset) -> list[str]:
             first = f"image {dataset.select(split).entries[index].name} is {images[index, 0, 0]:g} everywhere"
         constant += int(flat.sum())
         if split == "train" and len(images) > 1 and not flat.all() and bool((images == images[0]).all()):
-            found.append(f"all {len(images)} training images are the same, pixel by pixel; check the files")
+            odd.append(f"all {len(images)} training images are the same, pixel by pixel; check the files")
         zeros = int(np.count_nonzero(images == 0)) if dataset.calibration == "relative" else 0
         if zeros and not flat.all():
-            found.append(
+            odd.append(
                 f"{counted(zeros, 'pixel')} of {images.size} in set {split} are zero, which measured power never is; "
                 "raise them to the smallest power that the sensor resolves"
             )
     if constant:
         are = "is" if constant == 1 else "are"
-        found.append(f"{constant} of {counted(len(dataset), 'image')} {are} constant ({first}); check the files")
-    return found
+        odd.append(f"{constant} of {counted(len(dataset), 'image')} {are} constant ({first}); check the files")
+    return odd
 
 
 def _tested_on_training(dataset: Dataset) -> list[str]:
@@ -167,10 +167,10 @@ def _tested_on_training(dataset: Dataset) -> list[str]:
     both = list(zip(dataset.entries, dataset.power, strict=True))
     trained = {key(entry, image): entry.name for entry, image in both if entry.split == "train"}
     tested = [(entry, image) for entry, image in both if entry.split != "train"]
-    found = [(entry.name, trained[key(entry, image)]) for entry, image in tested if key(entry, image) in trained]
-    if not found:
+    odd = [(entry.name, trained[key(entry, image)]) for entry, image in tested if key(entry, image) in trained]
+    if not odd:
         return []
     return [
-        f"{counted(len(found), 'test image')} can be found among the training images ({found[0][0]} is {found[0][1]}), "
+        f"{counted(len(odd), 'test image')} can be found among the training images ({odd[0][0]} is {odd[0][1]}), "
         "so their scores only measure memorisation; remove them from one set"
     ]

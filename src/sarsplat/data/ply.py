@@ -25,9 +25,10 @@ from torch import Tensor
 
 from sarsplat.data.files import decode_json
 from sarsplat.data.ply_table import read_ply, write_ply
-from sarsplat.data.viewer_colours import ODD, Colour, viewer_colours
+from sarsplat.data.viewer_colours import ODD, viewer_colours
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, SCATTERINGS, Gaussians, Harmonics, Scattering
+from sarsplat.names import Colour
 
 _VERSION = "sarsplat gaussians 2"
 _LAW = "scattering "

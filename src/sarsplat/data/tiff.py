@@ -122,13 +122,13 @@ def _read(path: Path, shape: tuple[int, int], dtype: np.dtype[Any]) -> Shaped[np
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as tiff:
             page = tiff.pages.first
-            found = (page.shape, page.dtype, page.compression, tiff.pages.is_multipage)
-            image = page.asarray() if found == (shape, dtype, tifffile.COMPRESSION.NONE, False) else None
+            layout = (page.shape, page.dtype, page.compression, tiff.pages.is_multipage)
+            image = page.asarray() if layout == (shape, dtype, tifffile.COMPRESSION.NONE, False) else None
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
         raise SarsplatError(f"{path} is not a readable TIFF ({shown(str(error))}); create the dataset again") from error
     if image is None:
         raise SarsplatError(
-            f"{path} holds {found[1]} pixels of shape {shown(found[0])}, compression {found[2]!r:.30}, on "
-            f"{'several pages' if found[3] else 'one page'}; give one page of uncompressed {dtype} of shape {shape}"
+            f"{path} holds {layout[1]} pixels of shape {shown(layout[0])}, compression {layout[2]!r:.30}, on "
+            f"{'several pages' if layout[3] else 'one page'}; give one page of uncompressed {dtype} of shape {shape}"
         )
     return np.asarray(image, dtype=dtype)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import torch
@@ -18,10 +17,8 @@ from jaxtyping import Float, Float32, Float64
 from sarsplat.colours import HEIGHT, ramp
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.harmonics import CONSTANTS, harmonic_basis
+from sarsplat.names import Colour
 from sarsplat.radiometry import to_db
-
-Colour = Literal["db", "height"]
-"""What colours show: γ⁰ in decibels, in grey, or the height, from blue (low) to yellow (high)."""
 
 ODD = (1, 2, 3, 9, 10, 11, 12, 13, 14, 15)
 """Harmonics of degree 1 and 3: those that change sign with the direction."""

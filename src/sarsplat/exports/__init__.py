@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from sarsplat.data.viewer_colours import Colour
 from sarsplat.errors import SarsplatError
 from sarsplat.exports.format import Content, Format
+from sarsplat.names import Colour
 from sarsplat.plugins import discover
 from sarsplat.reconstruction import Run
 

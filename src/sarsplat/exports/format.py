@@ -8,15 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from sarsplat.data.replaceable import Recognises
+from sarsplat.names import Colour
+from sarsplat.names import Content as Names
 
 if TYPE_CHECKING:
-    from sarsplat.data.viewer_colours import Colour
     from sarsplat.reconstruction import Run
 
-Content = Literal["gaussians", "points", "mesh", "everything"]
+Content = Names | Literal["everything"]
 """What of a run a file holds."""
 
-Write = Callable[["Run", Path, "Colour"], str]
+Write = Callable[["Run", Path, Colour], str]
 """Writes a run to a file, whole or not at all, and says what it wrote; the colour is that of Gaussians."""
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from sarsplat.data import write_bytes
-from sarsplat.data.viewer_colours import Colour
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.exports.contents import Points, points_of
 from sarsplat.exports.format import Format
+from sarsplat.names import Colour
 from sarsplat.radiometry import LEAST_POWER, shade
 from sarsplat.reconstruction import Run
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from sarsplat.data import write_bytes
-from sarsplat.data.viewer_colours import Colour
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.exports.contents import gaussians_of, name_of
 from sarsplat.exports.format import Format
+from sarsplat.names import Colour
 from sarsplat.reconstruction import Run
 
 _DESCRIPTION = "description"

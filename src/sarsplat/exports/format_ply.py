@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from sarsplat.data import write_gaussians_ply, write_points_ply
-from sarsplat.data.viewer_colours import Colour
 from sarsplat.errors import counted
 from sarsplat.exports.contents import gaussians_of, points_of
 from sarsplat.exports.format import Format
 from sarsplat.exports.meshes import write_mesh_of
+from sarsplat.names import Colour
 from sarsplat.reconstruction import Run
 
 

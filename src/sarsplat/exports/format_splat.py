@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from sarsplat.data import write_bytes
-from sarsplat.data.viewer_colours import Colour, viewer_colours
+from sarsplat.data.viewer_colours import viewer_colours
 from sarsplat.errors import counted
 from sarsplat.exports.contents import gaussians_of
 from sarsplat.exports.format import Format
 from sarsplat.gaussians import Gaussians
+from sarsplat.names import Colour
 from sarsplat.reconstruction import Run
 
 RECORD = np.dtype(

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from sarsplat.data import write_bytes
-from sarsplat.data.viewer_colours import Colour
 from sarsplat.errors import counted
 from sarsplat.exports.contents import points_of
 from sarsplat.exports.format import Format
+from sarsplat.names import Colour
 from sarsplat.reconstruction import Run
 
 _BEGINS = "# x_m y_m z_m"

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from sarsplat.data import write_mesh
-from sarsplat.data.viewer_colours import Colour
 from sarsplat.errors import counted
 from sarsplat.exports.contents import mesh_of
+from sarsplat.names import Colour
 from sarsplat.reconstruction import Run
 
 

@@ -114,7 +114,7 @@ def apertures(history: PhaseHistory, around_m: Float64[np.ndarray, " 3"], width_
         edges = edges[::-1]
     sign = np.sign(step[0])
     places = np.searchsorted(sign * azimuth, sign * edges)
-    found = []
+    parts = []
     for first, last in pairwise(places):
         if last - first < 2:
             raise SarsplatError(_too_few(history, width_deg, last - first))
@@ -123,8 +123,8 @@ def apertures(history: PhaseHistory, around_m: Float64[np.ndarray, " 3"], width_
         if middle[2] <= 0:
             raise SarsplatError(f"{history.name}: the antenna is not above what --around names; heights are in metres")
         view = View(azimuth_deg, View.towards(middle).grazing_deg)
-        found.append(Aperture(history.part(slice(first, last)), around_m, view, width_deg))
-    return found
+        parts.append(Aperture(history.part(slice(first, last)), around_m, view, width_deg))
+    return parts
 
 
 def _count(history: PhaseHistory, width_deg: float, span_deg: float) -> int:

@@ -50,7 +50,7 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
     Raises
     ------
     SarsplatError
-        If there is no such meaning or column, or two columns look alike.
+        If there is no such meaning or column, or two columns may have the same meaning.
     """
     chosen: Columns = {}
     for key, column in named.items():
@@ -66,26 +66,26 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
     if elevations <= set(chosen):
         raise SarsplatError("--columns names both a grazing and an incidence angle; name one of them")
     for meaning in MEANINGS:
-        told_otherwise = meaning in elevations and elevations & set(chosen)
-        if meaning not in (*chosen, *_ONLY_IF_NAMED) and not told_otherwise:
-            found = _recognised(table, meaning, chosen)
-            if found is not None:
-                chosen[meaning] = found
+        otherwise_named = meaning in elevations and elevations & set(chosen)
+        if meaning not in (*chosen, *_ONLY_IF_NAMED) and not otherwise_named:
+            usual = _recognised(table, meaning, chosen)
+            if usual is not None:
+                chosen[meaning] = usual
     return chosen
 
 
 def _recognised(table: CsvTable, meaning: str, chosen: Columns) -> str | None:
     """The one column that has a usual name."""
     usual = (meaning.replace("-", ""), *MEANINGS[meaning])
-    found = [name for name in table.columns if _plain(name) in usual and name not in chosen.values()]
-    if len(found) > 1 and (exact := [name for name in found if _plain(name) == usual[0]]):
-        found = exact
-    if len(found) > 1:
+    candidates = [name for name in table.columns if _plain(name) in usual and name not in chosen.values()]
+    if len(candidates) > 1 and (exact := [name for name in candidates if _plain(name) == usual[0]]):
+        candidates = exact
+    if len(candidates) > 1:
         raise SarsplatError(
-            f"{table.path} has several columns that may be the {meaning}: {', '.join(map(shown, found))}; "
+            f"{table.path} has several columns that may be the {meaning}: {', '.join(map(shown, candidates))}; "
             f"say which with --columns {meaning}=NAME"
         )
-    return found[0] if found else None
+    return candidates[0] if candidates else None
 
 
 def require(table: CsvTable, columns: Columns, meaning: str, or_else: str = "") -> None:
@@ -111,8 +111,8 @@ def _plain(name: str) -> str:
     return "".join(words)
 
 
-def _guess(word: str, known: Mapping[str, object] | tuple[str, ...]) -> str:
-    by_lower = {name.lower(): name for name in known if name}
+def _guess(word: str, names: Mapping[str, object] | tuple[str, ...]) -> str:
+    by_lower = {name.lower(): name for name in names if name}
     close = difflib.get_close_matches(word.lower(), by_lower, n=1)
     return f" (did you mean {shown(by_lower[close[0]])}?)" if close else ""
 

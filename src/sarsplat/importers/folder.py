@@ -9,13 +9,14 @@ from typing import Any
 
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.header import Calibration
-from sarsplat.data.orientation import Side, oriented
+from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
 from sarsplat.importers.pictures import read_pixels
-from sarsplat.importers.quantity import Quantity, likely_quantity, power_or_signal
+from sarsplat.importers.quantity import likely_quantity, power_or_signal
 from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
+from sarsplat.names import Quantity, Side
 
 Pair = tuple[float, float]
 
@@ -111,8 +112,8 @@ def import_folder(
         view = _view(listed.path, picture, (azimuth_offset_deg + turn) % 360, grazing_deg)
         slant = math.cos(math.radians(view.grazing_deg)) if ground_range else 1.0
         spacing = _lengths(listed.path, picture, "spacing", spacing_m, slant)
-        known = resolution_m is not None or any(picture.resolution_m)
-        resolution = _lengths(listed.path, picture, "resolution", resolution_m, slant) if known else spacing
+        stated = resolution_m is not None or any(picture.resolution_m)
+        resolution = _lengths(listed.path, picture, "resolution", resolution_m, slant) if stated else spacing
         images.append(
             MeasuredImage(
                 picture.name,

@@ -54,22 +54,22 @@ def _focused(
     path: Path, record: dict[str, Any], samples: np.ndarray, reference: Float64[np.ndarray, " pulses"]
 ) -> tuple[np.ndarray, Float64[np.ndarray, " pulses"]]:
     """Samples and reference ranges with the autofocus applied, if there is one."""
-    found = record.get("af")
-    if not isinstance(found, dict):
+    autofocus = record.get("af")
+    if not isinstance(autofocus, dict):
         return samples, reference
-    distance, phase = _of_pulses(path, found, ("r_correct", "ph_correct"), samples.shape[1])
+    distance, phase = _of_pulses(path, autofocus, ("r_correct", "ph_correct"), samples.shape[1])
     return samples * np.exp(1j * phase), reference + distance
 
 
 def _of_pulses(path: Path, record: dict[str, Any], names: tuple[str, ...], pulses: int) -> list[np.ndarray]:
     """Fields with a number for each pulse."""
-    found = [_line(path, record, name) for name in names]
-    for name, values in zip(names, found, strict=True):
+    lines = [_line(path, record, name) for name in names]
+    for name, values in zip(names, lines, strict=True):
         if len(values) != pulses:
             raise SarsplatError(f"{path} has {len(values)} values of {name} for {pulses} pulses; download it again")
         if not np.isfinite(values).all():
             raise SarsplatError(f"{path} has values of {name} that are not finite; download it again")
-    return found
+    return lines
 
 
 def _line(path: Path, record: dict[str, Any], name: str) -> Float64[np.ndarray, " n"]:

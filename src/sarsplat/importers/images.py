@@ -255,8 +255,9 @@ def _on(image: MeasuredImage, grid: ImageGrid) -> Shaped[np.ndarray, "{grid.rows
     whole_rows, whole_columns = top + np.arange(grid.rows), left + np.arange(grid.columns)
     if max(np.abs(rows - whole_rows).max(), np.abs(columns - whole_columns).max()) < _SAME_PLACE:
         return image.pixels[top : top + grid.rows, left : left + grid.columns]
-    found = resample(image.pixels, rows, columns)
-    return found if found.dtype.kind == "c" else np.maximum(found, 0)  # a sinc undershoots beside what is bright
+    resampled = resample(image.pixels, rows, columns)
+    # a sinc undershoots beside what is bright
+    return resampled if resampled.dtype.kind == "c" else np.maximum(resampled, 0)
 
 
 def _power(pixels: Num[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:

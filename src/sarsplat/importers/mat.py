@@ -213,16 +213,16 @@ class _Decoder:
             fields, data = self.fields(data)
         count = math.prod(shape)
         self.spend(count * _BYTES_PER_ARRAY)
-        found = np.empty(count, object)
+        records = np.empty(count, object)
         for index in range(count):
             values = {}
             for field in fields:
                 _, value, data = self.element(data)
                 values[field] = self.array(value, depth + 1)[1]
-            found[index] = values if kind == _STRUCT else values[""]
+            records[index] = values if kind == _STRUCT else values[""]
         if kind == _STRUCT and count == 1:
-            return found[0]
-        return found.reshape(shape, order="F") if count else np.empty((0, 0), object)
+            return records[0]
+        return records.reshape(shape, order="F") if count else np.empty((0, 0), object)
 
     def fields(self, data: memoryview) -> tuple[list[str], memoryview]:
         """The names of a struct's fields: one length for all, then each filled up with zeros."""

@@ -139,7 +139,7 @@ def flights(histories: Sequence[PhaseHistory]) -> list[PhaseHistory]:
     """
     waiting = [*histories]
     _require_one_band(histories)
-    found = []
+    whole = []
     while waiting:
         chain = [waiting.pop(0)]
         while (after := next((other for other in waiting if _goes_on(chain[-1], other)), None)) is not None:
@@ -148,8 +148,8 @@ def flights(histories: Sequence[PhaseHistory]) -> list[PhaseHistory]:
         while (before := next((other for other in waiting if _goes_on(other, chain[0])), None)) is not None:
             chain.insert(0, before)
             waiting = [other for other in waiting if other is not before]
-        found.append(_joined(chain))
-    return found
+        whole.append(_joined(chain))
+    return whole
 
 
 def _require_one_band(histories: Sequence[PhaseHistory]) -> None:

@@ -98,28 +98,28 @@ def import_phase_history(
         raise SarsplatError(
             f"--around {around_m} must be metres from the scene centre, at most {FARTHEST_M:g}; give x, y and height"
         )
-    found = [
+    parts = [
         aperture
         for flight in flights([read_gotcha(path) for path in each_once(files)])
         for aperture in apertures(flight, around, aperture_deg)
     ]
-    if train_views is not None and not 1 <= train_views <= len(found):  # said before minutes of work
+    if train_views is not None and not 1 <= train_views <= len(parts):  # said before minutes of work
         raise SarsplatError(
-            f"{counted(train_views, 'training view')} asked for, but the flight makes {counted(len(found), 'image')}; "
-            f"ask for 1 to {len(found)}, or for a narrower --aperture"
+            f"{counted(train_views, 'training view')} asked for, but the flight makes {counted(len(parts), 'image')}; "
+            f"ask for 1 to {len(parts)}, or for a narrower --aperture"
         )
-    spacing = _spacing(found, taper) if spacing_m is None else spacing_m
+    spacing = _spacing(parts, taper) if spacing_m is None else spacing_m
     images = []
-    with progress("focusing", len(found), quiet) as reporter:
-        for index, aperture in enumerate(found):
+    with progress("focusing", len(parts), quiet) as reporter:
+        for index, aperture in enumerate(parts):
             images.append(_image(index, aperture, size_m, spacing, taper))
             reporter.advance(1)
-    dataset = dataset_of(images, target=target, source=_source(files, found, around_m, taper), train_views=train_views)
+    dataset = dataset_of(images, target=target, source=_source(files, parts, around_m, taper), train_views=train_views)
     return write_imported(out, dataset, overwrite=overwrite)
 
 
-def _spacing(found: list[Aperture], weighting: Taylor) -> float:
-    return _SPACING * min(min(aperture.resolution_m(weighting)) for aperture in found)
+def _spacing(parts: list[Aperture], weighting: Taylor) -> float:
+    return _SPACING * min(min(aperture.resolution_m(weighting)) for aperture in parts)
 
 
 def _image(index: int, aperture: Aperture, size_m: float, spacing_m: float, weighting: Taylor) -> MeasuredImage:
@@ -137,17 +137,17 @@ def _image(index: int, aperture: Aperture, size_m: float, spacing_m: float, weig
 
 
 def _source(
-    files: Sequence[str | Path], found: list[Aperture], around_m: tuple[float, float, float], weighting: Taylor
+    files: Sequence[str | Path], parts: list[Aperture], around_m: tuple[float, float, float], weighting: Taylor
 ) -> dict[str, Any]:
     """What is known of the images, and what was assumed."""
     assumptions = ["the ground is flat, at the height of the place that the images are around"]
-    left = sum(aperture.looks_left for aperture in found)
+    left = sum(aperture.looks_left for aperture in parts)
     if left:
-        whose = "the radar" if left == len(found) else f"in {counted(left, 'image')} the radar"
+        whose = "the radar" if left == len(parts) else f"in {counted(left, 'image')} the radar"
         assumptions.append(
             f"{whose} looked to its left; columns run against its flight, as they would for one that looks right"
         )
-    steepest = max(abs(aperture.tilt_deg) for aperture in found)
+    steepest = max(abs(aperture.tilt_deg) for aperture in parts)
     if steepest > _TILT_DEG:
         text = (
             f"the flight is inclined, so that the slant plane is turned by up to {steepest:.1f}° about the line of "
@@ -159,8 +159,8 @@ def _source(
     return {
         "kind": "phase-history",
         "files": [Path(path).name for path in files],
-        "carrier_hz": found[0].history.carrier_hz,
-        "bandwidth_hz": found[0].history.bandwidth_hz,
+        "carrier_hz": parts[0].history.carrier_hz,
+        "bandwidth_hz": parts[0].history.bandwidth_hz,
         "around_m": [*around_m],
         "image_formation": "back-projection to the ground, in the slant plane; the carrier's phase is taken out",
         "weighting": taper,
@@ -173,7 +173,7 @@ def _source(
                 "tilt_deg": aperture.tilt_deg,
                 "resolution_m": [*aperture.resolution_m(weighting)],
             }
-            for index, aperture in enumerate(found)
+            for index, aperture in enumerate(parts)
         ],
         "assumptions": assumptions,
     }

@@ -79,11 +79,11 @@ def _tiff(path: Path) -> Shaped[np.ndarray, "*shape"]:
         data = file.read()
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as tiff:
-            found = [page.aspage() for page in itertools.islice(tiff.pages, _MOST_PAGES)]
-            pages = [page for page in found if not page.is_reduced]
+            pages_read = [page.aspage() for page in itertools.islice(tiff.pages, _MOST_PAGES)]
+            pages = [page for page in pages_read if not page.is_reduced]
             if len(pages) != 1:
-                there = "several pages" if pages else "no image in it"
-                raise SarsplatError(f"{path} has {there}; give one image for each file")
+                what = "several pages" if pages else "no image in it"
+                raise SarsplatError(f"{path} has {what}; give one image for each file")
             page = pages[0]
             whole, part = (math.prod(shape) * np.dtype(page.dtype).itemsize for shape in (page.shape, page.chunks))
             packed = page.compression != tifffile.COMPRESSION.NONE

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Shaped
 
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.names import Quantity
 from sarsplat.radiometry import from_db
 
-Quantity = Literal["amplitude", "power", "db", "complex"]
 QUANTITIES: tuple[str, ...] = get_args(Quantity)
 
 

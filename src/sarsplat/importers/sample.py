@@ -20,15 +20,14 @@ import numpy as np
 
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.files import plain_os_errors
-from sarsplat.data.orientation import Side, oriented
+from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 from sarsplat.geometry import View
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, stated_taylor
 from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.quantity import power_or_signal
-
-Kind = Literal["real", "synthetic"]
+from sarsplat.names import SampleKind, Side
 
 _NAME = re.compile(
     r"(?P<target>[A-Za-z0-9]+)_(?P<kind>real|synth)_.*elevDeg_(?P<elevation>\d{3})_azCenter_(?P<azimuth>\d{3})_.*\.mat"
@@ -43,7 +42,7 @@ class SampleName:
 
     path: Path
     target: str
-    kind: Kind
+    kind: SampleKind
     azimuth_deg: int
     elevation_deg: int
 
@@ -53,7 +52,7 @@ def import_sample(
     out: str | Path,
     *,
     target: str,
-    kind: Kind = "real",
+    kind: SampleKind = "real",
     train_views: int | None = None,
     near: Literal["top", "bottom"] = "bottom",
     mirrored: bool = False,
@@ -113,14 +112,14 @@ def import_sample(
     return write_imported(out, dataset, overwrite=overwrite)
 
 
-def _chosen(folder: Path, target: str, kind: Kind) -> list[SampleName]:
+def _chosen(folder: Path, target: str, kind: SampleKind) -> list[SampleName]:
     with plain_os_errors("read", folder):
         if not folder.is_dir():
             raise SarsplatError(f"{folder} is not a folder; give the folder of the SAMPLE set")
         files = sorted(path for path in folder.rglob("*.mat") if path.is_file())
-    if kind not in get_args(Kind):
-        raise SarsplatError(f"the kind is {shown(kind)}; it must be one of {', '.join(get_args(Kind))}")
-    named = [found for found in map(named_as_sample, files) if found is not None]
+    if kind not in get_args(SampleKind):
+        raise SarsplatError(f"the kind is {shown(kind)}; it must be one of {', '.join(get_args(SampleKind))}")
+    named = [name for name in map(named_as_sample, files) if name is not None]
     if not named:
         raise SarsplatError(
             f"{folder} has no file that is called as those of the SAMPLE set; give its folder mat_files"
@@ -140,11 +139,11 @@ def _chosen(folder: Path, target: str, kind: Kind) -> list[SampleName]:
 
 def named_as_sample(path: Path) -> SampleName | None:
     """What the name says; None if the set has no such names."""
-    found = _NAME.fullmatch(path.name)
-    if found is None:
+    parts = _NAME.fullmatch(path.name)
+    if parts is None:
         return None
-    kind: Kind = "real" if found["kind"] == "real" else "synthetic"
-    return SampleName(path, found["target"], kind, int(found["azimuth"]), int(found["elevation"]))
+    kind: SampleKind = "real" if parts["kind"] == "real" else "synthetic"
+    return SampleName(path, parts["target"], kind, int(parts["azimuth"]), int(parts["elevation"]))
 
 
 def _read(named: SampleName, folder: Path, near: Side, mirrored: bool) -> tuple[MeasuredImage, dict[str, Any]]:

@@ -186,7 +186,7 @@ def _names(paths: Sequence[Path]) -> list[str]:
 
 def _facts(sicd: Sicd, layout: Layout) -> dict[str, Any]:
     """What is known of one image, for people to read."""
-    known = sicd.projection
+    metadata = sicd.projection
     return {
         "file": sicd.path.name,
         **sicd.collection,
@@ -194,7 +194,7 @@ def _facts(sicd: Sicd, layout: Layout) -> dict[str, Any]:
         "distance_m": round(layout.distance_m, 1),
         "tilt_deg": round(layout.tilt_deg, 4),
         "leaning_m_per_m": [round(value, 5) for value in layout.leaning],
-        "grid": known.Grid_Type,
+        "grid": metadata.Grid_Type,
         "pixel_type": sicd.pixel_type,
         "weighting": [sicd.column.window or "not stated", sicd.row.window or "not stated"],
         "resolution_m": list(resolution_of(sicd, layout)),

@@ -65,9 +65,9 @@ class Sicd:
 
     def pixel_of(self, place: Float64[np.ndarray, "*n 2"]) -> Float64[np.ndarray, "*n 2"]:
         """Rows and columns in this file of places (xrow, ycol), m from the scene centre point."""
-        known = self.projection
-        first = np.array([known.SCP_Row - known.FirstRow, known.SCP_Col - known.FirstCol])
-        return place / [known.Row_SS, known.Col_SS] + first
+        metadata = self.projection
+        first = np.array([metadata.SCP_Row - metadata.FirstRow, metadata.SCP_Col - metadata.FirstCol])
+        return place / [metadata.Row_SS, metadata.Col_SS] + first
 
     def place_of(self, pixel: Float64[np.ndarray, "*n 2"]) -> Float64[np.ndarray, "*n 2"]:
         """The inverse of `pixel_of`."""
@@ -150,14 +150,14 @@ def read_sicd(path: Path) -> Sicd:
     import sarkit.sicd.projection as projection
 
     with sarkit_errors(path):
-        known = projection.MetadataParams.from_xml(tree)
+        metadata = projection.MetadataParams.from_xml(tree)
         offsets = projection.AdjustableParameterOffsets
         moved = offsets.from_xml(tree) if offsets.exists(tree) else None
         fields_of = SicdFields(path, tree)
-        _check(path, known)
+        _check(path, metadata)
         return Sicd(
             path,
-            known,
+            metadata,
             moved,
             fields_of.axis("Row"),
             fields_of.axis("Col"),
@@ -181,35 +181,37 @@ def sarkit_errors(path: Path) -> Iterator[None]:
     except (SarsplatError, OSError, MemoryError):
         raise
     except Exception as error:
-        told = shown(f"{type(error).__name__}: {error}")
-        raise SarsplatError(f"{path} is not a valid SICD (sarkit says {told}); get it again") from error
+        problem = shown(f"{type(error).__name__}: {error}")
+        raise SarsplatError(f"{path} is not a valid SICD (sarkit says {problem}); get it again") from error
     finally:
         log.setLevel(level)
 
 
-def _check(path: Path, known: MetadataParams) -> None:
+def _check(path: Path, metadata: MetadataParams) -> None:
     """What must hold of the metadata before they are calculated with."""
-    if not known.is_monostatic():
+    if not metadata.is_monostatic():
         raise SarsplatError(f"{path} is bistatic; only images whose radar transmits and receives are supported")
     optional = ("Optional", "None")
-    for item in fields(known):
-        value = getattr(known, item.name)
+    for item in fields(metadata):
+        value = getattr(metadata, item.name)
         if value is None and not any(word in str(item.type) for word in optional):
             raise SarsplatError(f"{path} has no {item.name} (in sarkit's words) in its metadata; get it again")
         if isinstance(value, int | float | np.ndarray) and not np.all(np.abs(value) <= FARTHEST):  # also NaN
-            told = shown(np.asarray(value).tolist())
-            raise SarsplatError(f"{path} has the impossible {item.name} {told} in its metadata; get it again")
+            problem = shown(np.asarray(value).tolist())
+            raise SarsplatError(f"{path} has the impossible {item.name} {problem} in its metadata; get it again")
     for name in ("NumRows", "NumCols"):
-        if not 1 <= getattr(known, name) <= _MOST_PIXELS_PER_SIDE:
-            raise SarsplatError(f"{path} has {getattr(known, name)} as {name}; it must be 1 to {_MOST_PIXELS_PER_SIDE}")
-    units = np.array([known.uRow, known.uCol])
+        if not 1 <= getattr(metadata, name) <= _MOST_PIXELS_PER_SIDE:
+            raise SarsplatError(
+                f"{path} has {getattr(metadata, name)} as {name}; it must be 1 to {_MOST_PIXELS_PER_SIDE}"
+            )
+    units = np.array([metadata.uRow, metadata.uCol])
     if not np.allclose(np.linalg.norm(units, axis=1), 1, atol=1e-3) or abs(units[0] @ units[1]) > 0.99:
         raise SarsplatError(f"{path} has row and column directions that span no plane; get it again")
-    if known.ARP_Poly.ndim != 2 or known.ARP_Poly.shape[1] != 3 or len(known.ARP_Poly) < 2:
+    if metadata.ARP_Poly.ndim != 2 or metadata.ARP_Poly.shape[1] != 3 or len(metadata.ARP_Poly) < 2:
         raise SarsplatError(f"{path} does not say how its radar moved (Position/ARPPoly); get it again")
-    left = np.cross(known.ARP_SCP_COA, known.VARP_SCP_COA) @ (known.SCP - known.ARP_SCP_COA) > 0
-    if known.SideOfTrack != ("L" if left else "R"):
+    left = np.cross(metadata.ARP_SCP_COA, metadata.VARP_SCP_COA) @ (metadata.SCP - metadata.ARP_SCP_COA) > 0
+    if metadata.SideOfTrack != ("L" if left else "R"):
         raise SarsplatError(
-            f"{path} says that its radar looks to side {shown(known.SideOfTrack)} of its track, but its position and "
-            f"velocity are those of a {'left' if left else 'right'}-looking one; get it again"
+            f"{path} says that its radar looks to side {shown(metadata.SideOfTrack)} of its track, but its position "
+            f"and velocity are those of a {'left' if left else 'right'}-looking one; get it again"
         )

@@ -128,15 +128,15 @@ def spot_of_pixel(sicd: Sicd, pixel: tuple[float, float], heading_deg: float) ->
             f"the pixel {pixel[0]:g}, {pixel[1]:g} is outside {sicd.path}, which has {sicd.shape[0]} rows and "
             f"{sicd.shape[1]} columns; count from 0"
         )
-    known = sicd.projection
+    metadata = sicd.projection
     with sarkit_errors(sicd.path):
-        seen = projection.compute_projection_sets(known, sicd.place_of(np.array(pixel, float)))
+        seen = projection.compute_projection_sets(metadata, sicd.place_of(np.array(pixel, float)))
         if sicd.offsets is not None:
-            seen = projection.apply_apos(known, seen, sicd.offsets)
-        found, _, _ = projection.r_rdot_to_constant_hae_surface(
-            known.LOOK, known.SCP, seen, known.SCP_HAE, delta_hae_max=1e-3, nlim=20
+            seen = projection.apply_apos(metadata, seen, sicd.offsets)
+        ground, _, _ = projection.r_rdot_to_constant_hae_surface(
+            metadata.LOOK, metadata.SCP, seen, metadata.SCP_HAE, delta_hae_max=1e-3, nlim=20
         )
-        latitude, longitude, height = map(float, wgs84.cartesian_to_geodetic(np.squeeze(found)))
+        latitude, longitude, height = map(float, wgs84.cartesian_to_geodetic(np.squeeze(ground)))
     if not all(map(math.isfinite, (latitude, longitude, height))):
         raise SarsplatError(f"the pixel {pixel[0]:g}, {pixel[1]:g} of {sicd.path} shows no place on the ground")
     return Spot(latitude, longitude, height, heading_deg)
@@ -144,8 +144,8 @@ def spot_of_pixel(sicd: Sicd, pixel: tuple[float, float], heading_deg: float) ->
 
 def spot_of_centre(sicd: Sicd, heading_deg: float) -> Spot:
     """The scene centre point of an image."""
-    known = sicd.projection
-    return Spot(float(known.SCP_Lat), float(known.SCP_Lon), float(known.SCP_HAE), heading_deg)
+    metadata = sicd.projection
+    return Spot(float(metadata.SCP_Lat), float(metadata.SCP_Lon), float(metadata.SCP_HAE), heading_deg)
 
 
 def layout_around(sicd: Sicd, spot: Spot, extent_m: float) -> Layout:
@@ -184,14 +184,14 @@ def _locate(sicd: Sicd, spot: Spot, points: Float64[np.ndarray, "n 3"]) -> Float
     """(xrow, ycol) of places in the world frame."""
     from sarkit.sicd import projection
 
-    places, _, found = projection.scene_to_image(
+    places, _, ground = projection.scene_to_image(
         sicd.projection,
         spot.ecef + points @ spot.axes,
         adjust_param_offsets=sicd.offsets,
         delta_gp_s2i=_FINE,
         maxiter=30,
     )
-    if not found or not np.isfinite(places).all():
+    if not ground or not np.isfinite(places).all():
         raise SarsplatError(
             f"{sicd.path} does not show the spot {spot.latitude_deg:.6f}, {spot.longitude_deg:.6f}; give one that it "
             "does"

@@ -108,22 +108,22 @@ def read_picture_table(folder: Path, path: Path | None, named: Mapping[str, str]
     columns = chosen_columns(table, named)
     require(table, columns, "file")
     require(table, columns, "azimuth")
-    found: dict[Path, Row] = {}
+    row_of: dict[Path, Row] = {}
     for row in table.rows:
         picture = listed_file(folder, table, row, columns["file"], of="pictures", endings=PICTURE_ENDINGS)
-        if picture is not None and found.setdefault(picture, row) is not row:
+        if picture is not None and row_of.setdefault(picture, row) is not row:
             raise SarsplatError(
-                f"{table.path} has two rows for {shown(row[1][columns['file']])}, lines {found[picture][0]} and "
+                f"{table.path} has two rows for {shown(row[1][columns['file']])}, lines {row_of[picture][0]} and "
                 f"{row[0]}; remove one"
             )
-    if not found:
+    if not row_of:
         first = table.rows[0][1][columns["file"]]
         raise SarsplatError(
             f"{folder} has none of {counted(len(table.rows), 'picture')} in {table.path} (the first is "
             f"{shown(first)}); give the folder that they are relative to"
         )
-    _count_strays(folder, table, inside, found)
-    return PictureTable(table.path, columns, tuple(_listed(table, row, columns, at) for at, row in found.items()))
+    _count_strays(folder, table, inside, row_of)
+    return PictureTable(table.path, columns, tuple(_listed(table, row, columns, at) for at, row in row_of.items()))
 
 
 def _the_table(folder: Path, files: list[Path]) -> Path:
@@ -157,11 +157,11 @@ def listed_file(
     return None
 
 
-def _count_strays(folder: Path, table: CsvTable, inside: list[Path], found: Mapping[Path, Row]) -> None:
-    if missing := len(table.rows) - len(found):
+def _count_strays(folder: Path, table: CsvTable, inside: list[Path], row_of: Mapping[Path, Row]) -> None:
+    if missing := len(table.rows) - len(row_of):
         _warn(f"{folder} lacks {missing} of {counted(len(table.rows), 'picture')} in {table.path}; the others are used")
     pictures = {path for path in inside if path.suffix.lower() in PICTURE_ENDINGS}
-    if unlisted := len(pictures - set(found)):
+    if unlisted := len(pictures - set(row_of)):
         _warn(f"{table.path} has no row for {counted(unlisted, 'picture')} in {folder}, which are left out")
 
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
-
-Swept = Literal["azimuth", "grazing"]
+from sarsplat.names import Swept
 
 
 def sweep_views(

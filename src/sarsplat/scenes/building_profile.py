@@ -87,8 +87,8 @@ def building_profile(
     for region in regions[1:]:
         where = region.start * cos
         level = float(building.profile(np.array([where]), grazing_deg, gamma0, resolution)[0])
-        found, expected = (_crossing(along, profile, level, where) for profile in (measured, analytic))
-        edges.append(MeasuredEdge(region.start, found - expected))
+        crossing, expected = (_crossing(along, profile, level, where) for profile in (measured, analytic))
+        edges.append(MeasuredEdge(region.start, crossing - expected))
     clear = [
         (along >= region.start * cos + _CLEAR * resolution) & (along <= region.stop * cos - _CLEAR * resolution)
         for region in regions

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Gamma0:
-    """γ⁰ (linear) of a building's walls, of its roof and of the ground around it, alike at every angle."""
+    """γ⁰ (linear) of a building's walls, of its roof and of the ground around it, the same at every angle."""
 
     wall: float = 1.0
     roof: float = 1.0

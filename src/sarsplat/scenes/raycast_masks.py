@@ -27,7 +27,7 @@ _OFFSET = 0.5, 0.5
 def raycast_masks(
     mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid, *, progress: Callable[[int], object] | None = None
 ) -> UInt8[np.ndarray, "v {grid.rows} {grid.columns}"]:
-    """Masks of a mesh from every view, see `raycast_mask`; `progress` is told the number of finished ones after each.
+    """Masks of a mesh from every view, see `raycast_mask`; `progress` gets the number of finished ones after each.
 
     Raises
     ------

@@ -25,7 +25,7 @@ _MAX_SPREAD_DB = 10.0  # factors over six orders of magnitude
 class ScatteringLaw:
     """γ⁰(i) = floor + lobe·|cos i|^exponent, with i the angle between a facet's normal and the direction to the radar.
 
-    Two-sided: a facet scatters alike from both sides, because the normals of real meshes cannot be trusted. γ⁰ is the
+    Two-sided: both sides of a facet scatter the same, because the normals of real meshes cannot be trusted. γ⁰ is the
     cross-section per unit area projected along the line of sight, dimensionless and linear; per unit area of the facet
     itself it would be σ⁰ = γ⁰·cos i. So Lambert's law, σ⁰ ∝ cos²i, has the exponent 1 and no floor, and a constant γ⁰
     has no lobe.

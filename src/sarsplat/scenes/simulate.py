@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -14,6 +14,7 @@ from sarsplat.gaussians import join
 from sarsplat.gaussians.ground import ground_radius_m, ground_sheet
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.geometry.responses import GAUSSIAN
+from sarsplat.names import Simulator
 from sarsplat.renderer import render
 from sarsplat.scenes._random import generator
 from sarsplat.scenes.raycast import simulate_raycast
@@ -24,7 +25,6 @@ from sarsplat.scenes.splat_truth import law_scattering, surface_gaussians
 if TYPE_CHECKING:
     import trimesh
 
-Source = Literal["raycast", "splat"]
 
 # Protocol R: the ray caster's nodes, and of the splat truth the Gaussians and rays, that go to a pixel spacing.
 _OVERSAMPLE = 9
@@ -36,7 +36,7 @@ def simulate_images(
     views: Sequence[View],
     grid: ImageGrid,
     *,
-    source: Source = "raycast",
+    source: Simulator = "raycast",
     law: ScatteringLaw | None = None,
     reflectivity: Real[np.ndarray, " faces"] | None = None,
     ground_gamma0: float | None = None,
@@ -104,7 +104,7 @@ def simulate_images(
     else:
         images = _splat(mesh, views, grid, law, reflectivity, ground_gamma0)
     stack = np.ones((len(views), grid.rows, grid.columns), dtype=np.float32)
-    if looks is not None:  # first, so that a bad number of looks is told before minutes of ray casting
+    if looks is not None:  # first, so that a bad number of looks is refused before minutes of ray casting
         stack = add_speckle(stack, looks, speckle)
         stack[list(clean)] = 1.0
     for index, image in enumerate(images):
@@ -115,7 +115,7 @@ def simulate_images(
 
 
 def simulation_record(
-    *, source: Source, law: ScatteringLaw, ground_gamma0: float | None, ray_spacing: float | None, seed: int
+    *, source: Simulator, law: ScatteringLaw, ground_gamma0: float | None, ray_spacing: float | None, seed: int
 ) -> dict[str, Any]:
     """How `simulate_images` made images with these arguments, speckle apart, as JSON for a dataset's `source`."""
     how: dict[str, Any]
