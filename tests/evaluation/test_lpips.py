@@ -83,7 +83,7 @@ class _Exploit:
 def test_nothing_is_unpickled_freely(tmp_path, name):
     shutil.copytree(WEIGHTS, tmp_path / "weights", copy_function=shutil.copyfile)
     (tmp_path / "weights" / name).write_bytes(pickle.dumps(_Exploit(tmp_path / "victim"), protocol=2))
-    with pytest.raises(SarsplatError):
+    with pytest.raises(SarsplatError, match="no usable LPIPS weights"):
         Lpips(tmp_path / "weights")
     assert not (tmp_path / "victim").exists()
 

@@ -120,7 +120,7 @@ def test_image_with_too_many_rows():
 
 def test_engine_works_after_an_error():
     expected = render(cloud(10, 0), VIEWS, GRID, engine="cpu").images
-    with pytest.raises(SarsplatError):
+    with pytest.raises(SarsplatError, match="too many rays"):
         render(changed("means", (0, 0), 1e6), VIEWS, GRID, engine="cpu")
     assert torch.equal(render(cloud(10, 0), VIEWS, GRID, engine="cpu").images, expected)
 

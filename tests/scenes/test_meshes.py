@@ -77,17 +77,17 @@ def test_a_target_of_any_size_is_fine_if_its_images_are(size):
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, math.nan, math.inf])
 def test_an_impossible_scale_is_refused(factor):
-    with pytest.raises(SarsplatError, match="scale"):
+    with pytest.raises(SarsplatError, match=rf"scale {factor} must be positive and finite"):
         scaled(trimesh.creation.box((1, 1, 1)), factor)
 
 
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("points.obj", SQUARE, "face|mesh"),
-        ("text.obj", "this is not a mesh", "mesh|face"),
-        ("text.stl", "this is not a mesh", "mesh|face"),
-        ("table.csv", "1,2,3", "known format"),
+        ("points.obj", SQUARE, r"points.obj' holds no faces, only 0 vertices"),
+        ("text.obj", "this is not a mesh", r"text.obj' holds no faces"),
+        ("text.stl", "this is not a mesh", r"text.stl' holds no faces"),
+        ("table.csv", "1,2,3", r"table.csv' is not a mesh of a known format; give an .obj"),
         ("flat.obj", SQUARE + "f 1 1 2\n", "none of the 1 faces"),
         ("nan.obj", "v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "none of the 1 faces"),
     ],

@@ -161,13 +161,13 @@ def test_target_beside_the_image_leaves_it_empty():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"ray_spacing": 0.0}, "ray_spacing"),
-        ({"ray_spacing": math.nan}, "ray_spacing"),
-        ({"ray_offset": (math.nan, 0.0)}, "ray_offset"),
-        ({"oversample": 0}, "oversample"),
-        ({"oversample": 2.5}, "oversample"),
+        ({"ray_spacing": 0.0}, "ray_spacing 0.0 must be positive"),
+        ({"ray_spacing": math.nan}, "ray_spacing nan must be positive"),
+        ({"ray_offset": (math.nan, 0.0)}, r"ray_offset \(nan, 0.0\) must be two finite numbers"),
+        ({"oversample": 0}, "oversample 0 must be a whole number"),
+        ({"oversample": 2.5}, "oversample 2.5 must be a whole number"),
         ({"oversample": 1}, "too fine for image nodes"),
-        ({"ground_gamma0": -10.0}, "ground_gamma0"),
+        ({"ground_gamma0": -10.0}, "ground_gamma0 -10.0 must be finite and at least 0"),
     ],
 )
 def test_impossible_settings_are_refused(settings, message):
@@ -179,5 +179,5 @@ def test_meshes_that_cannot_be_imaged_are_refused():
     with pytest.raises(SarsplatError, match="0 faces"):
         simulate_raycast(trimesh.Trimesh(), View(0, 45), GRID, LAMBERT)
     broken = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, math.nan, 0]], [[0, 1, 2]], process=False)
-    with pytest.raises(SarsplatError, match="finite"):
+    with pytest.raises(SarsplatError, match="holds a vertex that is not finite"):
         simulate_raycast(broken, View(0, 45), GRID, LAMBERT)

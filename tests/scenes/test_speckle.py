@@ -26,5 +26,5 @@ def test_speckle_is_multiplicative_and_reproducible():
 
 @pytest.mark.parametrize("looks", [0, -1, math.nan, math.inf])
 def test_impossible_looks_are_refused(looks):
-    with pytest.raises(SarsplatError, match="looks"):
+    with pytest.raises(SarsplatError, match=f"looks {looks} must be positive and finite"):
         add_speckle(np.ones((2, 2)), looks, np.random.default_rng(0))
