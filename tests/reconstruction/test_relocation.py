@@ -55,6 +55,7 @@ def test_a_round_keeps_the_number_and_about_the_power(dataset: Dataset) -> None:
     before, means = images.detach(), trainer.gaussians.means
     rows = pairs(rendering.cross_sections[..., 0].detach().mean(0), 0.01, generator())
     ops.relocate(trainer.model.parameters, trainer.optimiser, State(), *rows, generator())
+    assert trainer.optimiser.take_moves() is not None
     after = trainer.model.render(trainer.views, trainer.grid, 0)[0].detach()
     assert len(trainer.model) == 400
     assert 5 < int((trainer.gaussians.means != means).any(dim=1).sum()) < 300

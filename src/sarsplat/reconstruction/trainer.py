@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -18,10 +20,11 @@ from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.dropout import dropped
 from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss
 from sarsplat.reconstruction.model import SceneModel
-from sarsplat.reconstruction.optimiser import Optimiser
+from sarsplat.reconstruction.optimiser import Optimiser, followed
 from sarsplat.reconstruction.saved_model import model_tensors, saved_model
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.reconstruction.strategies import Info, Strategy, strategies_of
+from sarsplat.reconstruction.strategies.strategy import of_rows
 from sarsplat.reconstruction.training_images import TrainingImages
 from sarsplat.renderer import Rendering, channel_of
 
@@ -120,7 +123,7 @@ class Trainer:
             self.model,
             self.images,
             tuple(chosen),
-            rendering,
+            of_rows(rendering, lambda rows: rows[:, : len(self.model)]),
             self.model.degree(self.iteration),
             self._rays,
             self._bounds,
@@ -130,9 +133,11 @@ class Trainer:
             getattr(strategy, method)(self.model.parameters, self.optimiser, state, step, info)
             if (moves := self.optimiser.take_moves()) is not None:
                 self.optimiser.constrain()
+                source, kept = moves.clamp(min=0), moves >= 0
                 for other in self._states:
                     if other is not state:
-                        other.follow(moves.clamp(min=0), moves >= 0)
+                        other.follow(source, kept)
+                info = replace(info, rendering=of_rows(info.rendering, partial(_followed_in, source, kept)))
 
     @property
     def grid(self) -> ImageGrid:
@@ -247,6 +252,10 @@ class Trainer:
         self.iteration, self._queue = snapshot.iteration, list(snapshot.queue)
         if not all(0 <= k < len(self.views) for k in self._queue):
             raise ValueError("it queues views that are not there")
+
+
+def _followed_in(source: Tensor, kept: Tensor, rows: Tensor) -> Tensor:
+    return followed(rows.transpose(0, 1), source, kept).transpose(0, 1)
 
 
 @torch.no_grad()

@@ -104,12 +104,12 @@ class DensityControl(Configured):
 
 
 def gather(state: State, rendering: Rendering, grid: ImageGrid) -> None:
-    """Add one step's gradients. Rows beyond the target's (the ground) are not asked."""
+    """Add one step's gradients."""
     assert rendering.plane_gradients is not None
     gradient, seen = state.rows["gradient"], state.rows["seen"]
     half = 0.5 * grid.columns * grid.spacing_m[0]  # per half image width: the unit of 3DGS's threshold
-    slopes = rendering.plane_gradients[:, : len(seen)]
+    slopes = rendering.plane_gradients
     total = torch.stack([slopes[..., 0] + slopes[..., 2], slopes[..., 1], slopes[..., 3]], dim=-1)
-    lit = (rendering.lit_area[:, : len(seen)] > 0).float()
+    lit = (rendering.lit_area > 0).float()
     gradient += (total.norm(dim=-1) * half * lit).sum(0)
     seen += lit.sum(0)

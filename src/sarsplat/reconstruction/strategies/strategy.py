@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -67,7 +67,8 @@ class Info:
     chosen : tuple of int
         Numbers of those that this step rendered.
     rendering : Rendering
-        What it rendered, with `plane_gradients` if any strategy asked for them.
+        What it rendered, with `plane_gradients` if any strategy asked for them. What it says of single Gaussians is
+        about the target's, detached; where a strategy before this one moved rows, it has followed: 0 for new ones.
     degree : int
         Degree of the harmonics in use.
     rays : RayGrid
@@ -134,6 +135,17 @@ class Info:
         )
 
 
+def of_rows(rendering: Rendering, pick: Callable[[Tensor], Tensor]) -> Rendering:
+    """A rendering with others of its Gaussians: `pick` makes their [V, M, …] from what is [V, N, …]."""
+    gradients = rendering.plane_gradients
+    return replace(
+        rendering,
+        cross_sections=pick(rendering.cross_sections.detach()),
+        lit_area=pick(rendering.lit_area),
+        plane_gradients=None if gradients is None else pick(gradients),
+    )
+
+
 class Strategy(ABC):
     """Base of the strategies, also of your own: `Trainer(…, strategies=[mine])`.
 
@@ -161,7 +173,7 @@ class Strategy(ABC):
     def step_pre_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
     ) -> None:
-        """Called after the images of a step are rendered, before their gradients are computed."""
+        """Called after the images of a step are rendered, before their gradients are computed; changes no parameter."""
         return
 
     @abstractmethod
