@@ -7,8 +7,7 @@ import sys
 
 import torch
 
-from sarsplat import preset, read_dataset
-from sarsplat.reconstruction import Trainer
+from sarsplat import reconstruct
 from sarsplat.reconstruction.strategies import State, Strategy, ops
 
 
@@ -31,7 +30,5 @@ class KeepBrightest(Strategy):
 
 
 if __name__ == "__main__":
-    trainer = Trainer(read_dataset(sys.argv[1]), preset("quick"), strategies=[KeepBrightest(50, 2000)])
-    while trainer.iteration < trainer.config.iterations:
-        loss = trainer.step()
-    print(f"{len(trainer.model)} Gaussians, loss {float(loss):.3g}")
+    run = reconstruct(sys.argv[1], "quick", strategies=[KeepBrightest(50, 2000)])
+    print(f"{len(run.gaussians)} Gaussians")

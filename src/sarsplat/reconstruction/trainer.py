@@ -26,6 +26,7 @@ from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.reconstruction.strategies import Info, Strategy, strategies_of
 from sarsplat.reconstruction.strategies.strategy import of_rows
 from sarsplat.reconstruction.training_images import TrainingImages
+from sarsplat.reconstruction.view_queue import ViewQueue
 from sarsplat.renderer import Rendering, channel_of
 
 
@@ -63,13 +64,13 @@ class Trainer:
         self.device = torch.device(device)
         self.images = TrainingImages(dataset, self.device)
         self._generator = torch.Generator().manual_seed(config.seed)
+        self._queue = ViewQueue(len(self.views), config.views_per_step, self._generator)
         self.strategies = [*strategies_of(config, dataset.select("train")), *strategies]
         self._learn(SceneModel.initial(config, dataset, self._generator, self.device))
         self._loss = loss or named_loss(config, ImageScale(self.images.brightest, self.model.unit))
         self._black_loss = _of_black(self._loss, self.images.truth[: config.views_per_step])
         self.iteration = 0
         self.terms: dict[str, Tensor] = {}
-        self._queue: list[int] = []
 
     def _learn(self, model: SceneModel) -> None:
         """Begin with this model."""
@@ -87,7 +88,7 @@ class Trainer:
 
         `check` reports what was out of range on a GPU.
         """
-        chosen, step, share = self._next_views(), self.iteration + 1, self.config.dropout
+        chosen, step, share = self._queue.next(), self.iteration + 1, self.config.dropout
         images, rendering = self.model.render(
             [self.views[i] for i in chosen],
             self.grid,
@@ -166,14 +167,6 @@ class Trainer:
         """
         self._bounds.check()
 
-    def _next_views(self) -> list[int]:
-        """Every view once in a random order, then again."""
-        count = min(self.config.views_per_step, len(self.views))
-        while len(self._queue) < count:
-            self._queue += torch.randperm(len(self.views), generator=self._generator, device="cpu").tolist()
-        chosen, self._queue = self._queue[:count], self._queue[count:]
-        return chosen
-
     @property
     def learning_rates(self) -> dict[str, float]:
         """Of the next step, by parameter: of its first column; of means and shifts in m."""
@@ -216,7 +209,7 @@ class Trainer:
         return Snapshot(
             self.iteration,
             seconds,
-            tuple(self._queue),
+            tuple(self._queue.waiting),
             self.grid,
             self.views,
             self.model.unit,
@@ -245,13 +238,8 @@ class Trainer:
         self.optimiser.load(snapshot.part("optimiser"))
         for strategy, state in zip(self.strategies, self._states, strict=True):
             state.load(snapshot.part(f"strategy/{strategy.name}"))
-        self._generator.set_state(snapshot.tensors["generator"])
-        if len(snapshot.views) != len(self.views):
-            raise ValueError(f"it has {len(snapshot.views)} views")
-        self.images.views = snapshot.views
-        self.iteration, self._queue = snapshot.iteration, list(snapshot.queue)
-        if not all(0 <= k < len(self.views) for k in self._queue):
-            raise ValueError("it queues views that are not there")
+        self._queue.restore(snapshot)
+        self.images.views, self.iteration = snapshot.views, snapshot.iteration
 
 
 def _followed_in(source: Tensor, kept: Tensor, rows: Tensor) -> Tensor:
