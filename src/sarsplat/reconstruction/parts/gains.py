@@ -10,7 +10,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.data import Dataset
-from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.parts.part import Learned, Nuisance, Parameters, Shot, normal_nats
 
 
@@ -21,11 +20,6 @@ class Gains(Nuisance):
     """
 
     order = 50
-
-    @classmethod
-    def wanted(cls, config: Config) -> bool:
-        """See `Part`."""
-        return config.surroundings is not None
 
     @property
     def learned(self) -> dict[str, Learned]:

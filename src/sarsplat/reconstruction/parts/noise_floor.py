@@ -9,7 +9,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.data import Dataset
-from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.parts.part import Learned, Nuisance, Parameters, Shot
 
 
@@ -17,11 +16,6 @@ class NoiseFloor(Nuisance):
     """The logarithm of a power that is added to every pixel."""
 
     order = 60
-
-    @classmethod
-    def wanted(cls, config: Config) -> bool:
-        """See `Part`."""
-        return config.surroundings is not None
 
     @property
     def learned(self) -> dict[str, Learned]:

@@ -178,6 +178,11 @@ class Part(ABC):
 class Nuisance(Part):
     """Base of what only measured images show, besides the target."""
 
+    @classmethod
+    def wanted(cls, config: Config) -> bool:
+        """See `Part`."""
+        return config.surroundings is not None
+
     def __init__(self, config: Config, setting: Setting, device: torch.device) -> None:
         super().__init__(config, setting, device)
         assert config.surroundings is not None  # `wanted`

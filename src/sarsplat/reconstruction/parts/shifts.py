@@ -11,7 +11,6 @@ from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.geometry import ImageGrid
-from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.parts.part import Learned, Nuisance, Parameters, Shot, normal_nats
 
 
@@ -22,11 +21,6 @@ class Shifts(Nuisance):
     """
 
     order = 30
-
-    @classmethod
-    def wanted(cls, config: Config) -> bool:
-        """See `Part`."""
-        return config.surroundings is not None
 
     @property
     def learned(self) -> dict[str, Learned]:
