@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -97,7 +98,7 @@ class SceneModel:
         """The channel of the images that is shown, scored and trained on."""
         return SCATTERINGS[self.config.scattering].power_channel
 
-    @property
+    @cached_property
     def learned(self) -> dict[str, Learned]:
         """How each parameter is learned, by name."""
         return {name: learned for part in self.parts for name, learned in part.learned.items()}

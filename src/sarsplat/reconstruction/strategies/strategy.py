@@ -185,8 +185,8 @@ class Strategy(ABC):
         Parameters
         ----------
         params : dict of str to Tensor
-            All parameters of the model: change values in place under `torch.no_grad`, rows by the functions of
-            `strategies.ops`. They are brought back into their ranges afterwards.
+            All parameters of the model. Rows come and go by the functions of `strategies.ops`; values are changed in
+            place, under `torch.no_grad`, and kept in their ranges by `optimizers.constrain()`.
         optimizers : Optimiser
             Of these parameters.
         state : State
