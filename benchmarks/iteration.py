@@ -27,7 +27,7 @@ PARTS = ("engine forward", "engine backward", "loss", "optimiser", "rest", "tota
 def training(count: int, views_per_step: int, clock: Clock) -> Callable[[int], None]:
     """One iteration of the training loop, given its number."""
     model, grid, config = halfway(count), paper_grid(), preset("default")
-    optimiser = Optimiser(model.parameters, model.bounds, config, grid.cell_m)
+    optimiser = Optimiser(model.parameters, model.learned, config.iterations)
     views = [view for view, split in paper_views() if split == "train"]
     truth = torch.rand(len(views), grid.rows, grid.columns, generator=torch.Generator().manual_seed(1)) * 0.1
     step = clock.wrap("optimiser", optimiser.step)

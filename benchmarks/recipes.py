@@ -9,8 +9,9 @@ import torch
 from scene import Scene
 
 from sarsplat.gaussians.initialise import Region, random_quaternions
-from sarsplat.reconstruction.model import SceneModel, Setting
+from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.presets import preset
+from sarsplat.reconstruction.setting import Setting
 from sarsplat.scenes import paper_grid, paper_views
 
 COUNT = 15_000
@@ -37,7 +38,7 @@ def halfway(count: int = COUNT) -> SceneModel:
         ),
     }
     config = replace(preset("default"), scattering="harmonics")
-    return SceneModel(config, Setting.seen(region, 1.0, [view for view, _ in paper_views()], paper_grid()), parameters)
+    return SceneModel(config, Setting(region, 1.0, tuple(view for view, _ in paper_views()), paper_grid()), parameters)
 
 
 def training_view(count: int = COUNT) -> Scene:

@@ -42,7 +42,8 @@ def adams(count: int) -> dict[str, Any]:
     """
     model, other = halfway(count), halfway(count)
     gradients = {name: torch.randn_like(tensor) for name, tensor in model.parameters.items()}
-    mine = Optimiser(model.parameters, model.bounds, preset("default"), model.setting.cell_m)
+    bounds = Optimiser(other.parameters, other.learned, preset("default").iterations)
+    mine = Optimiser(model.parameters, model.learned, preset("default").iterations)
     theirs = torch.optim.Adam(list(other.parameters.values()), lr=1e-4, betas=(0.9, 0.99), eps=1e-15, fused=True)
 
     def give(parameters: dict[str, Tensor]) -> None:
@@ -52,7 +53,7 @@ def adams(count: int) -> dict[str, Any]:
     def torch_step() -> None:
         give(other.parameters)
         theirs.step()
-        other.constrain()
+        bounds.constrain()
 
     def engine_step() -> None:
         give(model.parameters)

@@ -16,8 +16,8 @@ from datasets import FEW_POINTS, dataset_of
 from sarsplat import Dataset, ImageGrid, Run, View, preset, reconstruct, simulate_images
 from sarsplat.data import load_checkpoint, save_checkpoint
 from sarsplat.errors import SarsplatError
-from sarsplat.reconstruction.azimuths import Azimuths, due, lowest
 from sarsplat.reconstruction.config import Surroundings
+from sarsplat.reconstruction.strategies.azimuths import AZIMUTH_OFFSETS, AzimuthRefinement, lowest
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")
@@ -110,21 +110,22 @@ def around(best: Float64[np.ndarray, " k"], std: float, labels: Sequence[float])
 
 def test_label_and_image_count_by_their_variance(images: np.ndarray) -> None:
     std = np.array([0.0, 2.0, 1.0, *[0.0] * 15])
-    azimuths = Azimuths(labelled(images, AROUND, std))
+    azimuths = AzimuthRefinement(labelled(images, AROUND, std), Surroundings(), 100)
     best = np.array([1.0, 2.0, -0.7, *[5.0] * 15])
-    azimuths.refine(around(best, 0.5, AROUND))
-    assert azimuths.offset_deg == pytest.approx(best * std**2 / (std**2 + 0.5**2))
-    assert azimuths.views[0] is azimuths._labelled[0]
-    assert azimuths.views[1].azimuth_deg == pytest.approx(20 + azimuths.offset_deg[1])
+    offset_deg = azimuths.most_likely(around(best, 0.5, AROUND))
+    assert offset_deg == pytest.approx(best * std**2 / (std**2 + 0.5**2))
+    views = azimuths.views(offset_deg)
+    assert views[0] == View(0.0, 35.0)
+    assert views[1].azimuth_deg == pytest.approx(20 + offset_deg[1])
 
 
 def test_all_together_they_do_not_turn(images: np.ndarray) -> None:
     """What is common to all turns the target; the better each is known, the more it counts."""
     std = np.array([1.0] * 9 + [2.0] * 9)
-    azimuths = Azimuths(labelled(images, AROUND, std))
+    azimuths = AzimuthRefinement(labelled(images, AROUND, std), Surroundings(), 100)
     best = np.random.default_rng(0).normal(0.8, 0.7, 18)
-    azimuths.refine(around(best, 1e-3, AROUND))
-    assert azimuths.offset_deg == pytest.approx(best - np.average(best, weights=std**-2), abs=1e-5)
+    offset_deg = azimuths.most_likely(around(best, 1e-3, AROUND))
+    assert offset_deg == pytest.approx(best - np.average(best, weights=std**-2), abs=1e-5)
 
 
 @pytest.mark.parametrize(("best", "found"), [(0.3, 0.3), (-1.9, -1.9), (2.0, 2.0), (7.0, 2.0), (-7.0, -2.0)])
@@ -133,21 +134,26 @@ def test_the_lowest_place_of_a_parabola(best: float, found: float) -> None:
     assert lowest(places, (places - best) ** 2) == pytest.approx([found, found])
 
 
-def test_rounds_are_evenly_spaced() -> None:
-    assert [k for k in range(701) if due(Surroundings(), k, 700)] == [210, 270, 330, 390, 450, 510, 570, 630]
-    assert [k for k in range(601) if due(Surroundings(azimuth_rounds=1), k, 600)] == [180]
-    assert not any(due(Surroundings(azimuth_rounds=0), k, 600) for k in range(601))
-    assert [k for k in range(61) if due(Surroundings(azimuth_rounds=100_000_000), k, 60)] == list(range(18, 55))
+def test_rounds_are_evenly_spaced(images: np.ndarray) -> None:
+    def rounds(count: int, iterations: int) -> list[int]:
+        train = labelled(images, AROUND, np.ones(len(images)))
+        refinement = AzimuthRefinement(train, Surroundings(azimuth_rounds=count), iterations)
+        return [k for k in range(iterations + 1) if refinement.due(k)]
+
+    assert rounds(8, 700) == [210, 270, 330, 390, 450, 510, 570, 630]
+    assert rounds(1, 600) == [180]
+    assert rounds(0, 600) == []
+    assert rounds(100_000_000, 60) == list(range(18, 55))
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("texture/ratio", None),
-        ("texture/ratio", torch.ones(3, 48, 48)),
-        ("texture/ratio", torch.full((18, 48, 48), torch.nan)),
-        ("texture/shift_m", torch.zeros(18)),
-        ("texture/view_deg", torch.full((18, 2), torch.inf).double()),
+        ("part/texture/ratio", None),
+        ("part/texture/ratio", torch.ones(3, 48, 48)),
+        ("part/texture/ratio", torch.full((18, 48, 48), torch.nan)),
+        ("part/texture/shift_m", torch.zeros(18)),
+        ("part/texture/view_deg", torch.full((18, 2), torch.inf).double()),
         ("model/noise", None),
         ("model/noise", torch.tensor([torch.nan])),
         ("model/shift", torch.zeros(3, 2)),
@@ -173,7 +179,7 @@ def test_checkpoints_that_would_render_nonsense_are_refused(
 def test_offsets_of_another_training_are_refused(refined: Run) -> None:
     snapshot = refined.snapshot
     for bad in (torch.zeros(3), torch.full((len(AROUND),), torch.nan)):
-        damaged = replace(snapshot, tensors=snapshot.tensors | {"azimuth/offset_deg": bad.double()})
+        damaged = replace(snapshot, tensors=snapshot.tensors | {AZIMUTH_OFFSETS: bad.double()})
         run = replace(refined)
         run.__dict__["snapshot"] = damaged
         with pytest.raises(SarsplatError, match="does not hold one azimuth offset for each training view"):

@@ -8,19 +8,28 @@ from dataclasses import replace
 import pytest
 import torch
 
-from sarsplat.reconstruction import fused
-from sarsplat.reconstruction.optimiser import Optimiser, decay, learning_rate
-from sarsplat.reconstruction.presets import preset
+from sarsplat import Dataset, preset
+from sarsplat.reconstruction import Trainer, fused
+from sarsplat.reconstruction.optimiser import Optimiser
+from sarsplat.reconstruction.parts.part import Learned
 from sarsplat.renderer import cpu
 
 BUILT = cpu.INSTRUCTION_SETS[1:]
 AVAILABLE = BUILT[: BUILT.index(cpu.best_instruction_set()) + 1]
 # more than one task, a tail in the last vector, one to sixteen columns
 SHAPES = {"means": (6001, 3), "quaternions": (7, 4), "optical_depth": (1,), "scattering": (333, 16)}
-CELL_M = 0.3
-BOUNDS = {
-    "means": (torch.tensor([-1.0, -0.5, 0.0]), torch.tensor([1.0, 0.5, 2.0])),
-    "optical_depth": (torch.tensor(0.99), torch.tensor(1.01)),
+ITERATIONS = 900
+LEARNED = {
+    "means": Learned(
+        (None, 3),
+        (0.02,),
+        decay=lambda done: 0.05**done,
+        low=torch.tensor([-1.0, -0.5, 0.0]),
+        high=torch.tensor([1.0, 0.5, 2.0]),
+    ),
+    "quaternions": Learned((7, 4), (0.02,)),
+    "optical_depth": Learned((1,), (0.05,), low=0.99, high=1.01, logarithmic=True),
+    "scattering": Learned((None, 16), (0.08, *[0.02] * 15)),
 }
 
 
@@ -33,21 +42,19 @@ def leaves() -> dict[str, torch.Tensor]:
 
 def test_a_gradient_that_is_not_a_number_does_not_become_a_bound(how: str) -> None:
     mine = leaves()
-    optimiser = Optimiser(mine, BOUNDS, preset("default"), CELL_M)
+    optimiser, bounded = Optimiser(mine, LEARNED, ITERATIONS), ("means", "optical_depth")
     for name, tensor in mine.items():
-        tensor.grad = torch.full_like(tensor, math.nan if name in BOUNDS else 0.0)
+        tensor.grad = torch.full_like(tensor, math.nan if name in bounded else 0.0)
     optimiser.step(0)
-    assert all(mine[name].isnan().all() for name in BOUNDS)  # the next rendering says so
+    assert all(mine[name].isnan().all() for name in bounded)  # the next rendering says so
 
 
 def test_every_step_is_torchs(how: str) -> None:
-    config = preset("default")
     mine = leaves()
-    optimiser = Optimiser(mine, BOUNDS, config, CELL_M)
+    optimiser = Optimiser(mine, LEARNED, ITERATIONS)
     theirs = {name: tensor.detach().clone() for name, tensor in mine.items()}
     theirs["optical_depth"].log_()  # what is stepped is its logarithm
-    low, high = BOUNDS["optical_depth"]
-    bounds = BOUNDS | {"optical_depth": (low.log(), high.log())}
+    bounds = {"means": (LEARNED["means"].low, LEARNED["means"].high), "optical_depth": (math.log(0.99), math.log(1.01))}
     columns = {  # one to a group of torch's: each has its rate
         (name, k): tensor.view(len(tensor), -1)[:, k].requires_grad_()
         for name, tensor in theirs.items()
@@ -68,7 +75,8 @@ def test_every_step_is_torchs(how: str) -> None:
                 columns[name, k].grad = gradient.view(len(gradient), -1)[:, k]
         for group in adam.param_groups:
             name, column = group["column"]
-            group["lr"] = learning_rate(name, column, config, CELL_M) * decay(name, iteration, config)
+            rates = LEARNED[name].rates
+            group["lr"] = rates[column if len(rates) > 1 else 0] * LEARNED[name].decay(iteration / ITERATIONS)
         optimiser.step(iteration)
         adam.step()
         with torch.no_grad():
@@ -80,17 +88,15 @@ def test_every_step_is_torchs(how: str) -> None:
             assert torch.allclose(found, theirs[name], rtol=1e-5, atol=1e-6), (name, iteration)
     for (name, k), tensor in columns.items():
         for moment in ("exp_avg", "exp_avg_sq"):
-            found, expected = optimiser.state()[f"{name}/{moment}"], adam.state[tensor][moment]
+            found, expected = optimiser.state[name][moment], adam.state[tensor][moment]
             found = found.view(len(found), -1)[:, k]
             assert float((found - expected).norm() / expected.norm()) < 3e-6
 
 
 def test_no_step_leaves_the_positive_numbers(how: str) -> None:
-    config = preset("default")
-    wild = replace(config, rates=replace(config.rates, log_scales=1e4))
     parameters = {"scales": torch.full((5, 3), 0.1, requires_grad=True)}
-    bounds = {"scales": (torch.tensor(0.01), torch.tensor(0.5))}
-    optimiser = Optimiser(parameters, bounds, wild, CELL_M)
+    wild = {"scales": Learned((None, 3), (1e4,), low=0.01, high=0.5, logarithmic=True)}
+    optimiser = Optimiser(parameters, wild, ITERATIONS)
     for sign, end in ((1.0, 0.01), (-1.0, 0.5)):
         for _ in range(20):
             parameters["scales"].grad = torch.full((5, 3), sign)
@@ -111,7 +117,7 @@ def how(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def test_values_changed_behind_a_backward_pass_are_noticed(how: str) -> None:
     parameters = {"means": torch.ones(4, 3, requires_grad=True)}
-    optimiser = Optimiser(parameters, {}, preset("default"), CELL_M)
+    optimiser = Optimiser(parameters, LEARNED, ITERATIONS)
     square = (parameters["means"] ** 2).sum()
     parameters["means"].grad = torch.ones(4, 3)
     optimiser.step(0)
@@ -120,7 +126,7 @@ def test_values_changed_behind_a_backward_pass_are_noticed(how: str) -> None:
 
 
 def test_every_parameter_needs_a_gradient() -> None:
-    optimiser = Optimiser({"means": torch.ones(4, 3, requires_grad=True)}, {}, preset("default"), CELL_M)
+    optimiser = Optimiser({"means": torch.ones(4, 3, requires_grad=True)}, LEARNED, ITERATIONS)
     with pytest.raises(ValueError, match="means has no gradient"):
         optimiser.step(0)
 
@@ -132,7 +138,7 @@ def test_threads_change_nothing() -> None:
         for threads in (1, 2, 3):
             torch.set_num_threads(threads)
             parameters = leaves()
-            optimiser = Optimiser(parameters, BOUNDS, preset("default"), CELL_M)
+            optimiser = Optimiser(parameters, LEARNED, ITERATIONS)
             for iteration in range(3):
                 for tensor in parameters.values():
                     tensor.grad = tensor.detach().sin()
@@ -152,13 +158,12 @@ def test_state_comes_back(how: str) -> None:
                 tensor.grad = torch.full_like(tensor, math.sin(iteration))
             optimiser.step(iteration)
 
-    config = preset("default")
     whole, part = leaves(), leaves()
-    trained(Optimiser(whole, BOUNDS, config, CELL_M), whole, 0, 6)
-    first = Optimiser(part, BOUNDS, config, CELL_M)
+    trained(Optimiser(whole, LEARNED, ITERATIONS), whole, 0, 6)
+    first = Optimiser(part, LEARNED, ITERATIONS)
     trained(first, part, 0, 3)
-    second = Optimiser(part, BOUNDS, config, CELL_M)
-    second.load_state(first.state())
+    second = Optimiser(part, LEARNED, ITERATIONS)
+    second.load(first.tensors())
     trained(second, part, 3, 6)
     for name in SHAPES:
         assert torch.equal(whole[name], part[name])
@@ -167,3 +172,19 @@ def test_state_comes_back(how: str) -> None:
 def test_tables_of_more_columns_than_the_engine_steps_are_left_to_plain_torch() -> None:
     assert fused.takes([torch.zeros(5, 16), torch.zeros(40), torch.zeros(2, 40, 48)])
     assert not fused.takes([torch.zeros(5, 3), torch.zeros(5, 48)])
+
+
+@pytest.mark.parametrize("preset_name", ["default", "paper", "measured"])
+def test_rates_are_those_of_the_configuration(preset_name: str, dataset: Dataset) -> None:
+    config = replace(preset(preset_name), gaussians=20)
+    trainer = Trainer(dataset, config)
+    learned, rates, cell_m = trainer.model.learned, config.rates, dataset.grid.cell_m
+    expected = {"means": cell_m * rates.means, "scales": rates.log_scales, "scattering": rates.scattering}
+    if config.surroundings:
+        expected |= {"shift": cell_m * rates.shift, "noise": rates.nuisance, "ground_texture": rates.ground}
+    assert trainer.learning_rates.items() >= expected.items()
+    assert learned["scattering"].rates[1:] == (rates.directional_scattering,) * (len(learned["scattering"].rates) - 1)
+    late = trainer.optimiser.rates(config.iterations)
+    assert late["means"] == pytest.approx(cell_m * rates.means_end)
+    assert late["quaternions"] == pytest.approx(0.1 * rates.quaternions)
+    assert trainer.optimiser.rates(config.iterations // 2)["quaternions"] == rates.quaternions

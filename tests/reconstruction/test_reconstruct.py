@@ -14,7 +14,9 @@ from sarsplat import Dataset, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.errors import SarsplatWarning
 from sarsplat.reconstruction import Config, Step, Trainer, extract_points
 from sarsplat.reconstruction.config import Densification, Surroundings
-from sarsplat.reconstruction.model import SceneModel, Setting
+from sarsplat.reconstruction.model import SceneModel
+from sarsplat.reconstruction.parts.gains import gains
+from sarsplat.reconstruction.setting import Setting
 from sarsplat.reconstruction.target_box import target_box
 
 BOX = (3.0, 2.0, 1.2)
@@ -119,9 +121,8 @@ def test_measured_scenes_have_ground_noise_and_their_own_shifts(dataset: Dataset
         assert bool(trainer.step().isfinite())
     for name, tensor in trainer.model.parameters.items():
         assert not torch.equal(before[name], tensor), name
-    trainer.model.texture = None
     with torch.no_grad():
-        images, _ = trainer.model.render([View(0.0, 20.0)], dataset.grid, 0)
+        images, _ = trainer.model.render([View(0.0, 20.0)], dataset.grid, 0, estimated=False)
     floor = float(trainer.model.parameters["noise"].detach().exp()) * trainer.model.unit
     assert float(images.min()) >= floor * (1 - 1e-6)
 
@@ -139,7 +140,7 @@ def test_every_term_of_measured_scenes_can_be_switched_off(dataset: Dataset) -> 
     for name in ("shift", "log_gain", "ground_texture"):
         assert not parameters[name].detach().any(), name
     assert trainer.model.penalty() is None
-    assert trainer.model.texture is None
+    assert trainer.model.state() == {}
     uniform = replace(preset("measured"), gaussians=200, harmonics_degree=0)
     assert bool(Trainer(dataset, uniform).step().isfinite())
     airborne = Trainer(dataset, replace(config, surroundings=replace(off, ground_pitch=0)))
@@ -156,18 +157,17 @@ def test_the_floor_of_an_unseen_chip_is_the_mean_over_gains(dataset: Dataset) ->
     parameters["ground"][0] = -60  # black, but for p_min
     config = replace(trainer.config, p_min=0)
     uneven = SceneModel(config, trainer.model.setting, parameters)
-    gains = uneven.gains.numpy(force=True)
-    assert gains.mean() == pytest.approx(1)
+    factors = gains(uneven.parameters).numpy(force=True)
+    assert factors.mean() == pytest.approx(1)
     with torch.no_grad():
         images, _ = uneven.render([View(0.0, 20.0)], dataset.grid, 0)
     floor = float(parameters["noise"].exp()) * uneven.unit
-    assert float(images.min()) == pytest.approx(floor * (1 / gains).mean(), rel=1e-3)
+    assert float(images.min()) == pytest.approx(floor * (1 / factors).mean(), rel=1e-3)
 
 
 def test_unseen_chips_are_displaced_as_the_others_on_average(dataset: Dataset) -> None:
     trainer = Trainer(dataset, replace(preset("measured"), gaussians=200))
     model, view, grid = trainer.model, View(0.0, 20.0), dataset.grid
-    model.texture = None
     with torch.no_grad():
         model.parameters["shift"][:] = torch.tensor([2 * grid.spacing_m[0], -grid.spacing_m[1]])
         displaced, _ = model.render([view], grid, 0)
@@ -182,7 +182,7 @@ def test_unseen_chips_are_displaced_as_the_others_on_average(dataset: Dataset) -
 @pytest.mark.parametrize(("views", "degree"), [(1, 0), (8, 0), (9, 1), (18, 1), (19, 2), (32, 2), (33, 3), (200, 3)])
 def test_directions_need_more_than_two_views_for_each_coefficient(dataset: Dataset, views: int, degree: int) -> None:
     model = Trainer(dataset, replace(preset("measured"), gaussians=20)).model
-    model.setting = replace(model.setting, views=views)
+    model.setting = replace(model.setting, views=(View(0.0, 30.0),) * views)
     assert model.degree(800) == degree
     model.config = replace(model.config, views_per_coefficient=0)
     assert model.degree(800) == 3
@@ -206,13 +206,13 @@ def test_priors_are_nats_of_normal_distributions(dataset: Dataset) -> None:
     assert found == pytest.approx((2**2 + 3**2 + 4**2 + 5**2) / 2 + 20 * 0.3 * np.log(2), rel=1e-4)
 
 
-def test_gaussians_left_out_are_made_up_for(dataset: Dataset) -> None:
+def test_dropped_gaussians_are_made_up_for(dataset: Dataset) -> None:
     model = Trainer(dataset, replace(preset("measured"), gaussians=4, dropout=0.5, initial_optical_depth=0.1)).model
     seen = {}
-    for left_out in (None, torch.tensor([True, False, False, True])):
+    for dropped in (None, torch.tensor([True, False, False, True])):
         with torch.no_grad():
-            _, rendering = model.render([View(0.0, 30.0)], dataset.grid, 0, left_out=left_out)
-        seen[left_out is None] = rendering.cross_sections[0, :4, 0]
+            _, rendering = model.render([View(0.0, 30.0)], dataset.grid, 0, dropped=dropped)
+        seen[dropped is None] = rendering.cross_sections[0, :4, 0]
     assert seen[False][[0, 3]].tolist() == [0, 0]
     assert bool((seen[False][[1, 2]] > seen[True][[1, 2]]).all())
 

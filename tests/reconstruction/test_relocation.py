@@ -13,7 +13,8 @@ from sarsplat.geometry import radar_frame
 from sarsplat.reconstruction import Trainer
 from sarsplat.reconstruction.config import Relocation
 from sarsplat.reconstruction.points import between
-from sarsplat.reconstruction.relocation import due, pairs
+from sarsplat.reconstruction.strategies import State, ops
+from sarsplat.reconstruction.strategies.relocation import Relocating, pairs
 
 
 def generator() -> torch.Generator:
@@ -21,11 +22,13 @@ def generator() -> torch.Generator:
 
 
 def test_rounds_are_evenly_spaced_until_the_last() -> None:
-    found = [step for step in range(1, 101) if due(Relocation(rounds=5, until=0.5), step, 100)]
-    assert found == [10, 20, 30, 40, 50]
-    assert not any(due(Relocation(rounds=0), step, 100) for step in range(101))
-    assert not any(due(Relocation(until=0), step, 100) for step in range(1, 101))
-    assert all(due(Relocation(rounds=100_000_000, until=1), step, 100) for step in range(1, 101))
+    def rounds(**settings: float) -> list[int]:
+        relocating = Relocating(Relocation(**settings), 100)
+        return [step for step in range(101) if relocating.due(step)]
+
+    assert rounds(rounds=5, until=0.5) == [10, 20, 30, 40, 50]
+    assert rounds(until=0) == []
+    assert rounds(rounds=100_000_000, until=1) == list(range(1, 101))
 
 
 def test_the_weakest_join_strong_ones_each_its_own() -> None:
@@ -48,9 +51,11 @@ def test_a_round_keeps_the_number_and_about_the_power(dataset: Dataset) -> None:
     trainer = Trainer(dataset, config)
     for _ in range(69):
         trainer.step()
-    before = trainer.model.render(trainer.views, trainer.grid, 0)[0].detach()
-    means = trainer.gaussians.means
-    trainer._relocate()
+    images, rendering = trainer.model.render(trainer.views, trainer.grid, 0)
+    before, means = images.detach(), trainer.gaussians.means
+    rows = pairs(rendering.cross_sections[..., 0].detach().mean(0), 0.01, generator())
+    ops.relocate(trainer.model.parameters, trainer.optimiser, State(), *rows, generator())
+    assert trainer.optimiser.take_moves() is not None
     after = trainer.model.render(trainer.views, trainer.grid, 0)[0].detach()
     assert len(trainer.model) == 400
     assert 5 < int((trainer.gaussians.means != means).any(dim=1).sum()) < 300

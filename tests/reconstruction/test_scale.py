@@ -12,7 +12,6 @@ from sarsplat import Config, Dataset, ImageGrid, Run, SarsplatError, preset, rec
 from sarsplat.gaussians import MIN_SCALE
 from sarsplat.reconstruction.config import Densification
 from sarsplat.reconstruction.lengths import lengths, scales_m
-from sarsplat.reconstruction.model import LENGTHS
 
 SHORT = {"iterations": 30, "gaussians": 600, "harmonics_every": 10, "views_per_step": 4}
 DENSITY = Densification(start=5, every=10, gradient=3e-5, max_gaussians=900)
@@ -50,7 +49,7 @@ def test_a_scaled_scene_is_learned_alike(original: Run, dataset: Dataset, factor
     off = cKDTree(original.points).query(scaled.points / factor)[0] / voxel_m
     assert np.median(off) < 0.15
     assert np.quantile(off, 0.95) < 0.8
-    for name in LENGTHS if original.config.surroundings else ("means",):
+    for name in ("means", "shift") if original.config.surroundings else ("means",):
         found, expected = (run.model.parameters[name].detach() for run in (scaled, original))
         assert float((found / factor - expected).norm() / expected.norm()) < 0.01, name
 

@@ -11,7 +11,8 @@ import torch
 from sarsplat import ImageGrid, View, preset
 from sarsplat.geometry import radar_frame
 from sarsplat.reconstruction.config import Surroundings
-from sarsplat.reconstruction.texture import Texture, due
+from sarsplat.reconstruction.parts.texture import Maps
+from sarsplat.reconstruction.strategies.texture import TextureEstimation
 
 GRID = ImageGrid(48, 60, (0.4, 0.5), (0.6, 0.7), (1.0, -2.0))
 SETTINGS = Surroundings(texture_looks=0.01, texture_reach_deg=20.0)
@@ -39,7 +40,7 @@ def chips(views: list[View], shifts_m: np.ndarray) -> dict[str, torch.Tensor]:
 def test_a_pattern_on_the_ground_is_seen_from_anywhere(grazing_deg: float) -> None:
     """An unseen chip is displaced as the mean one is."""
     shifts_m = np.random.default_rng(0).normal(size=(len(VIEWS), 2))
-    texture = Texture(chips(VIEWS, shifts_m), GRID, SETTINGS)
+    texture = Maps(chips(VIEWS, shifts_m), GRID, SETTINGS)
     wanted = View(4.0, grazing_deg)
     inside = (slice(8, -8), slice(8, -8))
     found = texture.factor([wanted], GRID)[0].numpy()[inside]
@@ -52,7 +53,7 @@ def test_a_chip_does_not_explain_itself() -> None:
     tensors = chips(VIEWS, np.zeros((len(VIEWS), 2)))
     changed = {**tensors, "ratio": tensors["ratio"].clone()}
     changed["ratio"][3] = 50.0
-    before, after = (Texture(some, GRID, SETTINGS).among_chips for some in (tensors, changed))
+    before, after = (Maps(some, GRID, SETTINGS).among_chips for some in (tensors, changed))
     assert torch.equal(before[3], after[3])
     assert float((after[4] / before[4]).median()) > 5
 
@@ -60,7 +61,7 @@ def test_a_chip_does_not_explain_itself() -> None:
 def test_few_looks_are_believed_less_and_distant_ones_not_at_all() -> None:
     settings = replace(SETTINGS, texture_looks=2.0)
     views, ratio = [View(350.0, 30.0)], torch.full((1, 48, 60), 4.0)
-    texture = Texture.estimated(ratio, torch.zeros(1, 2), views, GRID, settings)
+    texture = Maps.estimated(ratio, torch.zeros(1, 2), views, GRID, settings)
     near, farther, opposite = texture.factor([View(350.0, 45.0), View(10.0, 30.0), View(170.0, 30.0)], GRID)
     assert float(near[24, 30]) == pytest.approx((2 + 4) / (2 + 1))
     weight = np.exp(-1)  # 20° away
@@ -72,7 +73,7 @@ def test_the_ratio_is_smoothed_over_cells_and_not_over_chips() -> None:
     ratio = torch.full((2, 48, 60), 2.0)
     ratio[1, 20, 30] += 200
     settings = replace(SETTINGS, texture_width=0.5)
-    ratio = Texture.estimated(ratio, torch.zeros(2, 2), VIEWS[:2], GRID, settings).tensors["ratio"]
+    ratio = Maps.estimated(ratio, torch.zeros(2, 2), VIEWS[:2], GRID, settings).tensors["ratio"]
     assert torch.allclose(ratio[0], torch.full((48, 60), 2.0))
     over = ratio[1].double() - 2
     assert float(over.sum()) == pytest.approx(200, rel=1e-3)
@@ -86,15 +87,14 @@ def test_a_window_wider_than_the_image_takes_its_mean() -> None:
     ratio = torch.zeros(1, 48, 60)
     ratio[0, 20, 30] = 48 * 60
     settings = replace(SETTINGS, texture_width=1e6)
-    found = Texture.estimated(ratio, torch.zeros(1, 2), VIEWS[:1], GRID, settings).tensors["ratio"]
+    found = Maps.estimated(ratio, torch.zeros(1, 2), VIEWS[:1], GRID, settings).tensors["ratio"]
     assert torch.allclose(found, found[0, 0, 0].expand_as(found), rtol=0.2)
 
 
 def test_rounds_are_even_and_end_with_the_training() -> None:
     settings = preset("measured").surroundings
     assert settings is not None
-    rounds = [i for i in range(1, 601) if due(replace(settings, texture_rounds=4, texture_from=0.4), i, 600)]
-    assert rounds == [240, 330, 420, 510, 600]
-    assert not any(due(replace(settings, texture_looks=0), i, 600) for i in range(1, 601))
-    many = [i for i in range(1, 61) if due(replace(settings, texture_rounds=100_000_000, texture_from=0.5), i, 60)]
-    assert many == list(range(30, 61))
+    few = TextureEstimation(replace(settings, texture_rounds=4, texture_from=0.4), 600)
+    assert [step for step in range(1, 601) if few.due(step)] == [240, 330, 420, 510, 600]
+    many = TextureEstimation(replace(settings, texture_rounds=100_000_000, texture_from=0.5), 60)
+    assert [step for step in range(1, 61) if many.due(step)] == list(range(30, 61))

@@ -18,8 +18,8 @@ from datasets import dataset_of
 from sarsplat import Dataset, ImageGrid, Run, ScatteringLaw, View, preset, simulate_raycast
 from sarsplat.data import load_checkpoint, write_dataset
 from sarsplat.reconstruction import Trainer
-from sarsplat.reconstruction.density import DensityControl
 from sarsplat.reconstruction.model import SceneModel
+from sarsplat.reconstruction.strategies.density import DensityControl
 
 sys.path.insert(0, str(Path(__file__).parent))
 from train_once import config
@@ -77,7 +77,7 @@ def test_threads_do_not_change_what_many_gaussians_cost(dataset: Dataset, change
     try:
         for threads in (1, 2, 3):
             torch.set_num_threads(threads)
-            spread = model.scattering_spread()
+            (spread,) = model.penalties().values()
             found.append((spread.item(), torch.autograd.grad(spread, scattering)[0]))
     finally:
         torch.set_num_threads(usual)
@@ -121,14 +121,11 @@ def test_density_control_does_all_it_can_in_that_training(dataset: Dataset, monk
     """Else the test above shows little."""
     decide, counts = DensityControl.decide, {"clone": 0, "split": 0, "prune": 0}
 
-    def watched(self: DensityControl, gaussians: Any, *args: Any) -> Any:
-        source, kept, displacement, shrink = decide(self, gaussians, *args)
-        fresh = ~kept
-        split = int((fresh & (shrink < 1)).sum()) // 2
-        counts["split"] += split
-        counts["clone"] += int((fresh & (shrink == 1)).sum())
-        counts["prune"] += len(gaussians) - int(kept.sum()) - split
-        return source, kept, displacement, shrink
+    def watched(self: DensityControl, *args: Any) -> Any:
+        decided = decide(self, *args)
+        for name, rows in zip(("prune", "clone", "split"), decided, strict=True):
+            counts[name] += int(rows.sum())
+        return decided
 
     monkeypatch.setattr(DensityControl, "decide", watched)
     trainer = Trainer(dataset, config("density"))

@@ -13,12 +13,15 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
 
 from sarsplat import Dataset, ImageGrid, Run, View, preset, reconstruct
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.reconstruction import Config, Step, Trainer, extract_points, fused, model, points
 from sarsplat.reconstruction.config import Densification, Relocation
+from sarsplat.reconstruction.dropout import dropped
 from sarsplat.renderer import Rendering
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "renderer"))
@@ -77,6 +80,52 @@ def test_a_step_neither_leaves_the_device_nor_waits_for_it(
     for _ in range(3):
         assert trainer.step().device.type == "meta"
     assert {tensor.device.type for tensor in trainer.model.parameters.values()} == {"meta"}
+
+
+class Crossings(TorchDispatchMode):
+    """Operations between the CPU and the device: on a GPU each is a copy, one way or the other."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.counted: list[str] = []
+
+    def __torch_dispatch__(self, function: Any, types: Any, arguments: Any = (), keywords: Any = None) -> Any:
+        outcome = function(*arguments, **(keywords or {}))
+        tensors = [leaf for leaf in tree_leaves((arguments, keywords, outcome)) if isinstance(leaf, Tensor)]
+        if len({tensor.device.type for tensor in tensors}) > 1:
+            self.counted.append(str(function))
+        return outcome
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_a_step_copies_nothing_to_the_device_or_from_it(
+    name: str, dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(model, "render", render_nothing)
+    trainer = Trainer(dataset, replace(CONFIGS[name], relocation=Relocation(rounds=0)), device="meta")
+    trainer.step()  # which copies what stays there
+    with Crossings() as crossings:
+        trainer.step()
+        assert crossings.counted == []
+        torch.ones(3, device="cpu").to("meta")
+        assert len(crossings.counted) == 1
+
+
+def test_what_is_dropped_is_a_share_by_chance() -> None:
+    """Another one each step and for each seed, whatever the device; no two rows are dropped together."""
+    cpu, count = torch.device("cpu"), 20_000
+    steps = torch.stack([dropped(count, 0.25, 0, step, cpu) for step in range(1, 101)])
+    assert float(steps.float().mean()) == pytest.approx(0.25, abs=1e-3)
+    for over in (0, 1):
+        spread = steps.float().mean(over).std()
+        assert float(spread) == pytest.approx(np.sqrt(0.25 * 0.75 / steps.shape[over]), rel=0.2)
+    centred = steps.float() - 0.25
+    for other in (centred.roll(1, 0), centred.roll(1, 1), centred.roll((1, 1), (0, 1))):
+        assert abs(float((centred * other).mean())) < 1e-3
+    again = dropped(count, 0.25, 0, 7, cpu)
+    assert torch.equal(again, steps[6])
+    assert not torch.equal(again, dropped(count, 0.25, 1, 7, cpu))
+    assert dropped(count, 0.25, 0, 7, torch.device("meta")).device.type == "meta"
 
 
 @pytest.mark.parametrize("name", CONFIGS)

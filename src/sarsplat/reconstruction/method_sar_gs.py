@@ -27,9 +27,10 @@ from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.normals import surface_normals
 from sarsplat.reconstruction.points import extract_points
 from sarsplat.reconstruction.presets import preset
-from sarsplat.reconstruction.saved_model import AZIMUTH_OFFSETS, saved_model
+from sarsplat.reconstruction.saved_model import saved_model
 from sarsplat.reconstruction.seen import Seen
 from sarsplat.reconstruction.snapshot import Snapshot
+from sarsplat.reconstruction.strategies.azimuths import AZIMUTH_OFFSETS
 from sarsplat.reconstruction.trainer import Trainer
 from sarsplat.renderer import channel_of
 
@@ -49,7 +50,7 @@ class SarGs(Method):
     name = DEFAULT_METHOD
     title = "sarsplat"
     settings = Config
-    takes = frozenset({"loss"})
+    takes = frozenset({"loss", "strategies"})
     watchable = True
 
     def preset(self, name: str, dataset: Dataset) -> Config:
@@ -65,7 +66,7 @@ class SarGs(Method):
         if inputs.loss is not None:
             name = getattr(inputs.loss, "__name__", type(inputs.loss).__name__)
             config = replace(config, loss=f"own {name}" if name in LOSSES else name)
-        return Trainer(dataset, config, inputs.loss, device)
+        return Trainer(dataset, config, inputs.loss, device, inputs.strategies)
 
     def open(self, snapshot: Snapshot, config: Config, device: str, folder: Path | None) -> GaussianReconstruction:
         """See `Method`."""

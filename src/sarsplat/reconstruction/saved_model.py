@@ -5,15 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from sarsplat.errors import counted
 from sarsplat.gaussians.initialise import Region
-from sarsplat.reconstruction.config import Config, Surroundings
-from sarsplat.reconstruction.model import SceneModel, Setting
+from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.model import SceneModel
+from sarsplat.reconstruction.setting import Setting
 from sarsplat.reconstruction.snapshot import Snapshot
-from sarsplat.reconstruction.texture import Texture
-
-AZIMUTH_OFFSETS = "azimuth/offset_deg"
-"""Float64 [K], of the training views against their labels, degrees; there if any azimuth is uncertain."""
 
 _REGION = ("normals", "offsets", "low", "high")
 
@@ -26,21 +22,21 @@ def saved_model(snapshot: Snapshot, config: Config, device: torch.device | str =
     ValueError, KeyError, TypeError, IndexError, RuntimeError, SarsplatError
         If the tensors are not those of a model with this configuration.
     """
-    setting = Setting.seen(_region(snapshot), snapshot.unit, snapshot.views, snapshot.grid)
-    learned = snapshot.part("model")
+    setting = Setting(_region(snapshot), snapshot.unit, snapshot.views, snapshot.grid)
+    learned, state = snapshot.part("model"), snapshot.part("part")
+    if not all(tensor.isfinite().all() for tensor in (*learned.values(), *state.values())):
+        raise ValueError("numbers that are not finite")
     model = SceneModel(config, setting, learned, device)
-    if config.surroundings:
-        _check_chips(snapshot, config.surroundings, learned)
-        if texture := snapshot.part("texture"):
-            on_device = {name: tensor.to(device) for name, tensor in texture.items()}
-            model.texture = Texture(on_device, snapshot.grid, config.surroundings)
-    model.scene(config.harmonics_degree)  # shapes and values are checked where they are used
+    model.load({name: tensor.to(model.device) for name, tensor in state.items()})
+    model.scene(config.harmonics_degree)  # values are checked where they are used
     return model
 
 
-def region_tensors(region: Region) -> dict[str, Tensor]:
-    """A region as a snapshot keeps it."""
-    return {f"region/{name}": torch.from_numpy(getattr(region, name)) for name in _REGION}
+def model_tensors(model: SceneModel) -> dict[str, Tensor]:
+    """A model as a snapshot keeps it."""
+    region = {f"region/{name}": torch.from_numpy(getattr(model.setting.region, name)) for name in _REGION}
+    learned = {f"model/{name}": tensor.detach() for name, tensor in model.parameters.items()}
+    return learned | {f"part/{name}": tensor for name, tensor in model.state().items()} | region
 
 
 def _region(snapshot: Snapshot) -> Region:
@@ -48,17 +44,3 @@ def _region(snapshot: Snapshot) -> Region:
     if arrays[0].shape != (len(arrays[1]), 3) or arrays[2].shape != (3,) or arrays[3].shape != (3,):
         raise ValueError(f"a region of {[array.shape for array in arrays]}")
     return Region(*arrays)
-
-
-def _check_chips(snapshot: Snapshot, surroundings: Surroundings, parameters: dict[str, Tensor]) -> None:
-    """What renders chips besides Gaussians, which are checked where they are used."""
-    views = len(snapshot.views)
-    expected = {"noise": (1,), "shift": (views, 2), "log_gain": (views,)}
-    if surroundings.side_lobes:
-        expected["log_side_lobes"] = (2,)
-    for name, shape in expected.items():
-        tensor = parameters[name]
-        if tensor.dtype != torch.float32 or tensor.shape != shape or not tensor.isfinite().all():
-            raise ValueError(f"{name} is {tensor.dtype} {list(tensor.shape)}, or not finite")
-    if (ratio := snapshot.tensors.get("texture/ratio")) is not None and len(ratio) != views:
-        raise ValueError(f"a texture of {len(ratio)} chips for {counted(views, 'view')}")

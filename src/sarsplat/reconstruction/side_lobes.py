@@ -29,17 +29,17 @@ def with_side_lobes(
     grid : ImageGrid
         Of the images.
     """
-    along_azimuth, along_range = (matrix.to(images) for matrix in _matrices(grid))
+    along_azimuth, along_range = _matrices(grid, images.dtype, images.device)
     azimuth, slant_range = level[:, None].expand(2, grid.columns)  # so that gradients are summed column by column
     return images + azimuth * (images @ along_azimuth) + slant_range * (along_range @ images)
 
 
 @lru_cache(maxsize=16)
-def _matrices(grid: ImageGrid) -> tuple[Tensor, Tensor]:
-    """What a pixel gives to the others of its row, and of its column; symmetric."""
+def _matrices(grid: ImageGrid, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    """What a pixel gives to the others of its row, and of its column; symmetric. Copied to a device only once."""
     response = grid.response if math.isfinite(grid.response.main_lobe) else TAYLOR
     sizes = zip((grid.columns, grid.rows), grid.spacing_m, grid.resolution_m, strict=True)
-    return tuple(_matrix(response, *size) for size in sizes)  # type: ignore[return-value]
+    return tuple(_matrix(response, *size).to(device, dtype) for size in sizes)  # type: ignore[return-value]
 
 
 def _matrix(response: Response, count: int, spacing_m: float, width_m: float) -> Float[Tensor, "{count} {count}"]:

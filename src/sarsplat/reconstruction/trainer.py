@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32, Float64, Int64
+from jaxtyping import Float32
 from torch import Tensor
 
 from sarsplat.data import Dataset
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import Gaussians
-from sarsplat.geometry import RayGrid, View
-from sarsplat.reconstruction import azimuths, relocation, texture
-from sarsplat.reconstruction.config import Config, Surroundings
-from sarsplat.reconstruction.density import DensityControl
-from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss, speckle_nats
-from sarsplat.reconstruction.model import PER_GAUSSIAN, SceneModel
-from sarsplat.reconstruction.optimiser import Optimiser
-from sarsplat.reconstruction.saved_model import AZIMUTH_OFFSETS, region_tensors, saved_model
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.dropout import dropped
+from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss
+from sarsplat.reconstruction.model import SceneModel
+from sarsplat.reconstruction.optimiser import Optimiser, followed
+from sarsplat.reconstruction.saved_model import model_tensors, saved_model
 from sarsplat.reconstruction.snapshot import Snapshot
-from sarsplat.reconstruction.texture import Texture
-from sarsplat.renderer import channel_of
-
-_FAINTEST = 1e-30
-"""Largest β⁰ below which images count as black: squares and reciprocals of it would leave float32."""
+from sarsplat.reconstruction.strategies import Info, Strategy, strategies_of
+from sarsplat.reconstruction.strategies.strategy import of_rows
+from sarsplat.reconstruction.training_images import TrainingImages
+from sarsplat.reconstruction.view_queue import ViewQueue
+from sarsplat.renderer import Rendering, channel_of
 
 
 class Trainer:
@@ -40,63 +42,64 @@ class Trainer:
     loss : callable, optional
         Instead of the configuration's: of rendered and true images, β⁰ in linear power, one number.
     device : torch.device or str
-        Where everything is computed and stays; a seed starts alike on every device.
+        Where everything is computed and stays; a seed starts the same on every device.
+    strategies : sequence of Strategy
+        What else changes the model, after the configuration's own; each of another name.
 
     Raises
     ------
     SarsplatError
-        If the training images are black.
+        If the training images are black, or a strategy cannot do with the parameters.
     """
 
     def __init__(
-        self, dataset: Dataset, config: Config, loss: Loss | None = None, device: torch.device | str = "cpu"
+        self,
+        dataset: Dataset,
+        config: Config,
+        loss: Loss | None = None,
+        device: torch.device | str = "cpu",
+        strategies: Sequence[Strategy] = (),
     ) -> None:
         self.config = config
         self.device = torch.device(device)
-        self.grid = dataset.grid
-        train = dataset.select("train")
-        self.azimuths = azimuths.Azimuths(train)
-        self._looks = train.looks or 1.0
-        power = torch.from_numpy(dataset.images("train"))
-        if not float(power.max()) > _FAINTEST:
-            raise SarsplatError(
-                f"the training images of {dataset} are black everywhere (largest β⁰ {float(power.max()):.3g}); "
-                "simulate or import again"
-            )
-        self._brightest = float(power.max())
-        self._truth = power.to(self.device)
-        self._numbers = torch.arange(len(self.views), device=self.device)
+        self.images = TrainingImages(dataset, self.device)
         self._generator = torch.Generator().manual_seed(config.seed)
-        self.model = SceneModel.initial(config, dataset, self._generator, self.device)
-        self._bounds = self.model.scene_bounds()  # which density control does not change
-        self.optimiser = Optimiser(self.model.parameters, self.model.bounds, config, self.grid.cell_m)
-        self.density = (
-            DensityControl(config.densification, len(self.model), self.device) if config.densification else None
-        )
-        self._loss = loss or named_loss(config, ImageScale(self._brightest, self.model.unit))
-        self._black_loss = _of_black(self._loss, self._truth[: config.views_per_step])
+        self._queue = ViewQueue(len(self.views), config.views_per_step, self._generator)
+        self.strategies = [*strategies_of(config, dataset.select("train")), *strategies]
+        self._learn(SceneModel.initial(config, dataset, self._generator, self.device))
+        self._loss = loss or named_loss(config, ImageScale(self.images.brightest, self.model.unit))
+        self._black_loss = _of_black(self._loss, self.images.truth[: config.views_per_step])
         self.iteration = 0
         self.terms: dict[str, Tensor] = {}
-        self._queue: list[int] = []
+
+    def _learn(self, model: SceneModel) -> None:
+        """Begin with this model."""
+        self.model, self._bounds = model, model.scene_bounds()
+        self.optimiser = Optimiser(model.parameters, model.learned, self.config.iterations)
+        for name, count in Counter(strategy.name for strategy in self.strategies).items():
+            if count > 1:
+                raise SarsplatError(f"{count} strategies are called {shown(name)}; give each a `name` of its own")
+        for strategy in self.strategies:
+            strategy.check(model.parameters)
+        self._states = [strategy.initial_state(model.parameters) for strategy in self.strategies]
 
     def step(self) -> Float32[Tensor, ""]:
         """One step of Adam on a few views; returns the loss, still on the device: nothing waits for a GPU.
 
-        What it was given out of range on a GPU, `check` tells.
+        `check` reports what was out of range on a GPU.
         """
-        chosen = self._next_views()
-        gather = self.density is not None and self.density.wanted(self.iteration)
+        chosen, step, share = self._queue.next(), self.iteration + 1, self.config.dropout
         images, rendering = self.model.render(
             [self.views[i] for i in chosen],
             self.grid,
             self.model.degree(self.iteration),
             rays=self._rays,
-            chips=torch.stack([self._numbers[i] for i in chosen]),
-            plane_gradients=gather,
+            chips=torch.stack([self.images.numbers[i] for i in chosen]),
+            plane_gradients=any(strategy.wants_plane_gradients(step) for strategy in self.strategies),
             bounds=self._bounds,
-            left_out=self._left_out(),
+            dropped=dropped(len(self.model), share, self.config.seed, step, self.device) if share else None,
         )
-        truth = torch.stack([self._truth[i] for i in chosen])  # much faster than an index
+        truth = torch.stack([self.images.truth[i] for i in chosen])  # much faster than an index
         loss = self._loss(channel_of(images, self.model.power_channel), truth)
         if not isinstance(loss, Tensor) or loss.ndim != 0 or not loss.requires_grad or loss.is_complex():
             what = f"{tuple(loss.shape)} of {loss.dtype}" if isinstance(loss, Tensor) else type(loss).__name__
@@ -104,31 +107,48 @@ class Trainer:
                 f"the loss returned {what}; it must return one real number, a tensor of shape () computed from the "
                 "rendered images by torch"
             )
-        total, penalty, self.terms = loss, self.model.penalty(), {}
-        if penalty is not None:
-            total = total + penalty
-            self.terms["priors"] = penalty.detach()
-        if self.config.scattering_penalty:
-            spread = self.config.scattering_penalty * self._black_loss * self.model.scattering_spread()
-            total = total + spread
-            self.terms["scattering penalty"] = spread.detach()
-        total.backward()
-        if gather and self.density is not None:
-            self.density.gather(rendering, self.grid)
+        terms = {name: self._black_loss * value for name, value in self.model.penalties().items()}
+        if (penalty := self.model.penalty()) is not None:
+            terms = {"priors": penalty} | terms
+        self.terms = {name: term.detach() for name, term in terms.items()}
+        self._each_strategy("step_pre_backward", step, chosen, rendering)
+        sum(terms.values(), loss).backward()
         self.optimiser.step(self.iteration)
         self.iteration += 1
-        if self.density is not None and self.density.due(self.iteration):
-            self._densify(self.density)
-        if relocation.due(self.config.relocation, self.iteration, self.config.iterations):
-            self._relocate()
-        if self.config.surroundings:
-            self._look_around(self.config.surroundings)
+        self._each_strategy("step_post_backward", step, chosen, rendering)
         return loss.detach()
+
+    def _each_strategy(self, method: str, step: int, chosen: Sequence[int], rendering: Rendering) -> None:
+        """Let all strategies act; what they remember of single Gaussians follows where others move rows."""
+        info = Info(
+            self.model,
+            self.images,
+            tuple(chosen),
+            of_rows(rendering, lambda rows: rows[:, : len(self.model)]),
+            self.model.degree(self.iteration),
+            self._rays,
+            self._bounds,
+            self._generator,
+        )
+        for strategy, state in zip(self.strategies, self._states, strict=True):
+            getattr(strategy, method)(self.model.parameters, self.optimiser, state, step, info)
+            if (moves := self.optimiser.take_moves()) is not None:
+                self.optimiser.constrain()
+                source, kept = moves.clamp(min=0), moves >= 0
+                for other in self._states:
+                    if other is not state:
+                        other.follow(source, kept)
+                info = replace(info, rendering=of_rows(info.rendering, partial(_followed_in, source, kept)))
+
+    @property
+    def grid(self) -> ImageGrid:
+        """Of the images."""
+        return self.images.grid
 
     @property
     def views(self) -> tuple[View, ...]:
         """From where the training images were taken, as far as is known by now."""
-        return self.azimuths.views
+        return self.images.views
 
     @property
     def _rays(self) -> RayGrid:
@@ -147,99 +167,6 @@ class Trainer:
         """
         self._bounds.check()
 
-    def _next_views(self) -> list[int]:
-        """Every view once in a random order, then again."""
-        count = min(self.config.views_per_step, len(self.views))
-        while len(self._queue) < count:
-            self._queue += torch.randperm(len(self.views), generator=self._generator, device="cpu").tolist()
-        chosen, self._queue = self._queue[:count], self._queue[count:]
-        return chosen
-
-    def _left_out(self) -> Bool[Tensor, " n"] | None:
-        """Gaussians that this step does without: the images must not hang on single ones."""
-        if not self.config.dropout:
-            return None
-        chances = torch.rand(len(self.model), generator=self._generator, device="cpu")
-        return (chances < self.config.dropout).to(self.device)
-
-    @torch.no_grad()
-    def _look_around(self, surroundings: Surroundings) -> None:
-        """Now and then, what is not learned by steps: uncertain azimuths, and the texture."""
-        if self.azimuths.uncertain and azimuths.due(surroundings, self.iteration, self.config.iterations):
-            self.check()
-            self.azimuths.refine(self._nats)
-        if texture.due(surroundings, self.iteration, self.config.iterations):
-            self.check()
-            everyone = np.arange(len(self.views))
-            ratio = torch.cat([measured / rendered for measured, rendered in self._bare(self.views, everyone)])
-            self.model.texture = Texture.estimated(
-                ratio, self.model.parameters["shift"].detach(), self.views, self.grid, surroundings
-            )
-
-    def _nats(self, views: Sequence[View], chips: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-        """Negative log-likelihood of training chips seen from these views, nats."""
-        found = [speckle_nats(rendered, measured).double().cpu() for measured, rendered in self._bare(views, chips)]
-        return torch.cat(found).numpy() * self.grid.independent_samples * self._looks
-
-    def _bare(self, views: Sequence[View], chips: Int64[np.ndarray, " n"]) -> Iterator[tuple[Tensor, Tensor]]:
-        """Training chips and their renderings from these views, of their own shifts and gains, without texture."""
-        degree, rays = self.model.degree(self.iteration), self._rays
-        for first in range(0, len(views), self.config.views_per_step):  # what a step takes fits into memory
-            some = slice(first, first + self.config.views_per_step)
-            numbers = self._numbers[torch.from_numpy(chips[some]).to(self.device)]
-            images, _ = self.model.render(
-                views[some], self.grid, degree, rays=rays, chips=numbers, bounds=self._bounds, textured=False
-            )
-            yield self._truth[numbers] / self.model.unit, channel_of(images, self.model.power_channel) / self.model.unit
-
-    def _densify(self, density: DensityControl) -> None:
-        self.check()
-        with torch.no_grad():
-            gaussians = self.model.target(self.model.degree(self.iteration))
-            source, kept, displacement, shrink = density.decide(gaussians, self.grid, self._generator)
-            parameters = {
-                name: tensor[source] if name in PER_GAUSSIAN else tensor
-                for name, tensor in self.model.parameters.items()
-            }
-            parameters["means"] = parameters["means"] + displacement
-            parameters["scales"] = parameters["scales"] * shrink[:, None]
-        self._replace(parameters, torch.where(kept, source, -1))
-
-    @torch.no_grad()
-    def _relocate(self) -> None:
-        self.check()
-        idle, strong = relocation.pairs(self._cross_sections(), self.config.relocation.idle_share, self._generator)
-        displacement, optical_depth = relocation.halve(self.gaussians, strong, self._generator)
-        idle, strong = idle.to(self.device), strong.to(self.device)
-        everyone = torch.arange(len(self.model), device=self.device)
-        source = everyone.index_copy(0, idle, strong)
-        parameters = {
-            name: tensor[source] if name in PER_GAUSSIAN else tensor for name, tensor in self.model.parameters.items()
-        }
-        for rows, side in ((idle, displacement), (strong, -displacement)):
-            parameters["means"][rows] += side
-            parameters["optical_depth"][rows] = optical_depth
-        self._replace(parameters, everyone.index_fill(0, torch.cat([idle, strong]), -1))
-
-    def _cross_sections(self) -> Float[Tensor, " n"]:
-        """Of the target's Gaussians, mean over the training views, m²."""
-        total = torch.zeros(len(self.model), device=self.device)
-        degree, rays = self.model.degree(self.iteration), self._rays
-        for first in range(0, len(self.views), self.config.views_per_step):  # what a step takes fits into memory
-            some = self.views[first : first + self.config.views_per_step]
-            _, rendering = self.model.render(some, self.grid, degree, rays=rays, textured=False)
-            sections = rendering.cross_sections[..., self.model.power_channel]
-            total += sections[:, : len(total)].sum(0)  # the ground's come after the target's
-        return total / len(self.views)
-
-    def _replace(self, parameters: dict[str, Tensor], source: Int64[Tensor, " n"]) -> None:
-        """Go on with other Gaussians; `source` is the row whose moments each inherits, or −1."""
-        shared = self.model.texture
-        self.model = SceneModel(self.config, self.model.setting, parameters, self.device)
-        self.model.texture = shared
-        self.model.constrain()
-        self.optimiser = self.optimiser.rebuild(self.model.parameters, source)
-
     @property
     def learning_rates(self) -> dict[str, float]:
         """Of the next step, by parameter: of its first column; of means and shifts in m."""
@@ -248,13 +175,10 @@ class Trainer:
     @torch.no_grad()
     def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
         """β⁰ of any views as they are now, linear power, with the rays of the training."""
-        degree, some = self.model.degree(self.iteration), self.config.views_per_step
-        power = self.model.power_channel
+        degree, few, power = self.model.degree(self.iteration), self.config.views_per_step, self.model.power_channel
         images = [
-            self.model.render(views[first : first + some], self.grid, degree, rays=self._rays)[0][:, power]
-            .cpu()
-            .numpy()
-            for first in range(0, len(views), some)  # what a step takes fits into memory
+            self.model.render(views[first : first + few], self.grid, degree, rays=self._rays)[0][:, power].cpu().numpy()
+            for first in range(0, len(views), few)  # what a step takes fits into memory
         ]
         return np.concatenate(images or [np.empty((0, self.grid.rows, self.grid.columns), np.float32)])
 
@@ -277,41 +201,49 @@ class Trainer:
             If a step was given what it cannot render.
         """
         self.check()
-        tensors = {f"model/{name}": tensor.detach() for name, tensor in self.model.parameters.items()}
-        tensors |= {f"optimiser/{name}": tensor for name, tensor in self.optimiser.state().items()}
-        tensors |= {"generator": self._generator.get_state(), **region_tensors(self.model.setting.region)}
-        if self.model.texture is not None:
-            tensors |= {f"texture/{name}": tensor for name, tensor in self.model.texture.tensors.items()}
-        if self.azimuths.uncertain:
-            tensors |= {AZIMUTH_OFFSETS: torch.from_numpy(self.azimuths.offset_deg)}
-        if self.density:
-            tensors |= {"density/gradient": self.density.gradient, "density/seen": self.density.seen}
+        tensors = {"generator": self._generator.get_state(), **model_tensors(self.model)}
+        tensors |= {f"optimiser/{name}": tensor for name, tensor in self.optimiser.tensors().items()}
+        for strategy, state in zip(self.strategies, self._states, strict=True):
+            tensors[f"strategy/{strategy.name}"] = torch.empty(0, device="cpu")  # it is there, even without any state
+            tensors |= {f"strategy/{strategy.name}/{name}": tensor for name, tensor in state.tensors().items()}
         return Snapshot(
             self.iteration,
             seconds,
-            tuple(self._queue),
+            tuple(self._queue.waiting),
             self.grid,
             self.views,
             self.model.unit,
-            self._brightest,
+            self.images.brightest,
             {name: tensor.cpu().clone() for name, tensor in tensors.items()},
         )
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Undo `snapshot`."""
-        self.model = saved_model(snapshot, self.config, self.device)
-        self._bounds = self.model.scene_bounds()
-        self.optimiser = Optimiser(self.model.parameters, self.model.bounds, self.config, self.grid.cell_m)
-        self.optimiser.load_state(snapshot.part("optimiser"))
-        self._generator.set_state(snapshot.tensors["generator"])
-        if self.azimuths.uncertain:
-            self.azimuths.correct(snapshot.tensors[AZIMUTH_OFFSETS].numpy())
-        if self.density:
-            density = snapshot.part("density")
-            self.density.gradient, self.density.seen = (density[name].to(self.device) for name in ("gradient", "seen"))
-        self.iteration, self._queue = snapshot.iteration, list(snapshot.queue)
-        if not all(0 <= k < len(self.views) for k in self._queue):
-            raise ValueError("it queues views that are not there")
+        """Undo `snapshot`.
+
+        Raises
+        ------
+        SarsplatError
+            If it is of a training with other strategies.
+        KeyError, ValueError
+            If it is not of such a training.
+        """
+        names = [name.removeprefix("strategy/") for name in snapshot.tensors if name.startswith("strategy/")]
+        begun, own = {name for name in names if "/" not in name}, {strategy.name for strategy in self.strategies}
+        if begun != own:
+            raise SarsplatError(
+                f"the training was begun with the strategies {', '.join(sorted(begun)) or 'none'}, not "
+                f"{', '.join(sorted(own)) or 'none'}; give the same"
+            )
+        self._learn(saved_model(snapshot, self.config, self.device))
+        self.optimiser.load(snapshot.part("optimiser"))
+        for strategy, state in zip(self.strategies, self._states, strict=True):
+            state.load(snapshot.part(f"strategy/{strategy.name}"))
+        self._queue.restore(snapshot)
+        self.images.views, self.iteration = snapshot.views, snapshot.iteration
+
+
+def _followed_in(source: Tensor, kept: Tensor, rows: Tensor) -> Tensor:
+    return followed(rows.transpose(0, 1), source, kept).transpose(0, 1)
 
 
 @torch.no_grad()

@@ -66,8 +66,8 @@ class OfScene(Subject):
     @torch.no_grad()
     def _image(self, model: SceneModel, view: View, *, empty: bool = False) -> Float32[np.ndarray, "rows columns"]:
         rays = RayGrid.for_image(self.grid)
-        left_out = torch.ones(len(self.target), dtype=torch.bool, device=model.device) if empty else None
-        images, _ = model.render([view], self.grid, self._degree, rays=rays, left_out=left_out)
+        dropped = torch.ones(len(self.target), dtype=torch.bool, device=model.device) if empty else None
+        images, _ = model.render([view], self.grid, self._degree, rays=rays, dropped=dropped)
         image: Float32[np.ndarray, "rows columns"] = images[0, model.power_channel].cpu().numpy()
         return image
 

@@ -1,4 +1,4 @@
-"""Texture: what the training chips show beyond the learned scene, and share with their neighbours."""
+"""Texture: what the training images show beyond the learned scene, and share with their neighbours."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Float64
+from jaxtyping import Float, Float32, Float64
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
+from sarsplat.errors import counted
 from sarsplat.gaussians.ground import ground_radius_m
 from sarsplat.geometry import ImageGrid, View, radar_frame
-from sarsplat.reconstruction.config import Surroundings
-from sarsplat.reconstruction.rounds import at_round
+from sarsplat.reconstruction.config import Config, Surroundings
+from sarsplat.reconstruction.parts.part import Nuisance, Parameters, Shot
 
 _NEGLIGIBLE = 0.02
-"""Weight below which a chip is left out: most are far away."""
+"""Weight below which a chip is dropped: most are far away."""
 
 _PITCH = 0.6
 """Of the maps on the ground, resolution cells."""
@@ -31,14 +32,52 @@ _LARGEST = 2**27
 """Numbers in all maps together; with more of them they are coarser."""
 
 
-class Texture:
+class Texture(Nuisance):
+    """The factor that `Maps` are, once it has been estimated: not learned by steps, but saved.
+
+    Attributes
+    ----------
+    maps : Maps or None
+        Replaced, never changed.
+    """
+
+    order = 70
+    name = "texture"
+    estimated = True
+    maps: Maps | None = None
+
+    @classmethod
+    def wanted(cls, config: Config) -> bool:
+        """See `Part`."""
+        return config.surroundings is not None and config.surroundings.texture_looks > 0
+
+    def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
+        """See `Part`."""
+        if self.maps is None:
+            return images
+        unseen = shot.chips is None
+        factor = self.maps.factor(shot.views, shot.grid) if unseen else self.maps.among_chips[shot.chips]
+        return images * factor[:, None]
+
+    def state(self) -> Parameters:
+        """See `Part`."""
+        return {} if self.maps is None else self.maps.tensors
+
+    def load(self, state: Parameters) -> None:
+        """See `Part`."""
+        self.maps = Maps(state, self.setting.grid, self.settings) if state else None
+        if self.maps is not None and len(state["ratio"]) != len(self.setting.views):
+            raise ValueError(f"a texture of {len(state['ratio'])} chips for {counted(len(self.setting.views), 'view')}")
+
+
+class Maps:
     """A factor on the power of rendered images: what chips have more or less than the scene, as a map on the ground.
 
     No ground is uniform, and glints last for a few degrees: neither is in the scene, and both keep their place on the
     ground from one chip to the next. With single-look speckle, ratios r_k of measured to rendered power and factors
     that are expected to be 1, by a gamma distribution worth n looks, the mean afterwards is
     (n + Σ w_k r_k) / (n + Σ w_k). The weights w_k = exp(−Δ_k / reach) fall with the difference in azimuth. Chips of all
-    grazing angles count alike: bumps, and corners between walls and ground, are seen under each.
+    grazing angles count the same: bumps, and corners between walls and ground, are seen under each.
 
     Parameters
     ----------
@@ -85,7 +124,7 @@ class Texture:
         views: Sequence[View],
         grid: ImageGrid,
         settings: Surroundings,
-    ) -> Texture:
+    ) -> Maps:
         """From ratios that are not smoothed yet."""
         sigma = [0.0, *(settings.texture_width * grid.cell_m / spacing for spacing in reversed(grid.spacing_m))]
         radius = [min(int(_TRUNCATED * s + 0.5), count) for s, count in zip(sigma, ratio.shape, strict=True)]
@@ -116,13 +155,13 @@ class Texture:
         return _sampled(layers, place / (np.array(grid.spacing_m) * size / 2))
 
     def _factor(
-        self, view: View, shift_m: Float64[np.ndarray, " 2"], left_out: int | None, grid: ImageGrid
+        self, view: View, shift_m: Float64[np.ndarray, " 2"], dropped: int | None, grid: ImageGrid
     ) -> Float32[Tensor, "{grid.rows} {grid.columns}"]:
         total = torch.zeros_like(self._maps[0])
         for k, source in enumerate(self._views):
             turn_deg = (source.azimuth_deg - view.azimuth_deg + 180) % 360 - 180
             weight = math.exp(-abs(turn_deg) / self._settings.texture_reach_deg)
-            if k != left_out and weight > _NEGLIGIBLE:
+            if k != dropped and weight > _NEGLIGIBLE:
                 total += weight * self._maps[k]
         pixels = np.stack(np.meshgrid(grid.azimuth_m, grid.range_m), axis=-1)
         ground_m = (pixels - shift_m) @ np.linalg.inv(_onto_image(view)).T
@@ -141,13 +180,6 @@ def _check(tensors: dict[str, Tensor], grid: ImageGrid) -> None:
         tensor = tensors[name]
         if tensor.dtype != dtype or tensor.shape != shape or not tensor.isfinite().all():
             raise ValueError(f"the texture's {name} is {tensor.dtype} {list(tensor.shape)}, or not finite")
-
-
-def due(settings: Surroundings, iteration: int, iterations: int) -> bool:
-    """Whether the texture is estimated after this iteration: from some time on, evenly, and at the end."""
-    if settings.texture_looks == 0:
-        return False
-    return at_round(iteration, settings.texture_from * iterations, iterations, settings.texture_rounds)
 
 
 def _onto_image(view: View) -> Float64[np.ndarray, "2 2"]:

@@ -1,0 +1,34 @@
+"""A strategy of your own: every so often, only the brightest Gaussians are kept.
+
+Usage: python own_strategy.py DATASET
+"""
+
+import sys
+
+import torch
+
+from sarsplat import reconstruct
+from sarsplat.reconstruction.strategies import State, Strategy, ops
+
+
+class KeepBrightest(Strategy):
+    """Its state is saved with the training, and a resumed one goes on with it."""
+
+    def __init__(self, every: int, count: int) -> None:
+        self.every, self.count = every, count
+
+    def initial_state(self, params):
+        """Mean cross-section of each Gaussian, m²: a row for each, which follows when others move rows."""
+        return State(rows={"sigma": torch.zeros(len(params["means"]))})
+
+    def step_post_backward(self, params, optimizers, state, step, info):
+        """Sum up, and now and then remove all but the brightest."""
+        state.rows["sigma"] += info.rendering.cross_sections[..., 0].mean(0)
+        if step % self.every == 0 and len(state.rows["sigma"]) > self.count:
+            brightest = state.rows["sigma"].topk(self.count).indices
+            ops.remove(params, optimizers, state, torch.ones_like(state.rows["sigma"]).index_fill(0, brightest, 0) > 0)
+
+
+if __name__ == "__main__":
+    run = reconstruct(sys.argv[1], "quick", strategies=[KeepBrightest(50, 2000)])
+    print(f"{len(run.gaussians)} Gaussians")

@@ -1,0 +1,47 @@
+"""Dropout: which Gaussians a step does without, the same on every device and without asking any."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import torch
+from jaxtyping import Bool, Int64
+from torch import Tensor
+
+_STEP, _SEED = 0x9E3779B97F4A7C15, 0xD1B54A32D192ED03
+"""Odd numbers whose multiples have bits of all kinds."""
+
+_MIX = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
+"""Steele, Lea & Flood, Fast splittable pseudorandom number generators, 2014, as improved by Stafford (variant 13)."""
+
+_BITS = 24
+
+
+def dropped(count: int, share: float, seed: int, step: int, device: torch.device) -> Bool[Tensor, " {count}"]:
+    """A share of the Gaussians, by chance: a number made from seed, step and row says whether, not a generator's state.
+
+    Parameters
+    ----------
+    count : int
+        Number of Gaussians.
+    share : float
+        Of them, 0 to 1.
+    seed, step : int
+        Others drop others.
+    device : torch.device
+        Where the answer is made; nothing is copied there.
+    """
+    mixed = _rows(count, device) + _signed(seed * _SEED + step * _STEP)
+    for factor, shift in zip(_MIX, (30, 27), strict=True):
+        mixed = (mixed ^ (mixed >> shift)) * _signed(factor)
+    return ((mixed >> 32) & (2**_BITS - 1)) < share * 2**_BITS
+
+
+@lru_cache(maxsize=4)
+def _rows(count: int, device: torch.device) -> Int64[Tensor, " {count}"]:
+    return torch.arange(count, device=device) * _signed(_STEP * _STEP)
+
+
+def _signed(number: int) -> int:
+    """The last 64 bits, as torch has them."""
+    return (number + 2**63) % 2**64 - 2**63

@@ -1,0 +1,201 @@
+"""A part of a model: what it learns, and what it does to the scene, to the way it is rendered and to the images."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from jaxtyping import Bool, Float, Int64
+from torch import Tensor
+
+from sarsplat.data import Dataset
+from sarsplat.gaussians import Gaussians
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.setting import Setting
+from sarsplat.renderer import Bounds
+
+Parameters = dict[str, Tensor]
+"""Every parameter of a model by name: leaves, float32, contiguous and on one device."""
+
+
+def late(done: float) -> float:
+    """Factor on most rates when this share of the training is done: it falls tenfold over the second half."""
+    return 0.1 ** max(0.0, 2 * done - 1)
+
+
+@dataclass(frozen=True)
+class Learned:
+    """How a parameter is learned.
+
+    Parameters
+    ----------
+    shape : tuple of (int or None)
+        Of the parameter, at most 16 columns; None is the number of Gaussians: such a parameter has a row for each, and
+        follows where Gaussians come and go.
+    rates : tuple of float
+        First learning rate: one, or one for each column. 0 for what keeps its value.
+    decay : callable
+        From the share of the training that is done to a factor on the rates.
+    low, high : Tensor or float
+        Range that it is brought back into after each step: one number, or one for each column.
+    logarithmic : bool
+        It is positive and moves by factors: what is stepped is its logarithm.
+    """
+
+    shape: tuple[int | None, ...]
+    rates: tuple[float, ...]
+    decay: Callable[[float], float] = late
+    low: Tensor | float = -torch.inf
+    high: Tensor | float = torch.inf
+    logarithmic: bool = False
+
+    @property
+    def per_gaussian(self) -> bool:
+        """Whether it has a row for each Gaussian."""
+        return self.shape[0] is None
+
+
+@dataclass(frozen=True)
+class Shot:
+    """How images of the scene are to be taken.
+
+    Parameters
+    ----------
+    views : sequence of View
+        V views.
+    grid : ImageGrid
+        Pixels and response that the scene is rendered with.
+    power_channel : int
+        The channel of the images that is β⁰.
+    chips : Tensor, int64 [V], or None
+        Which training images they are. None for unseen ones: of what belongs to single images (shift, gain), only the
+        distribution is known, and their expectation is rendered.
+    shift : Tensor [V, 2], optional
+        Displacement (azimuth, range) of each image, m.
+    additive : Tensor, a single number, optional
+        Factor on power that is added to unseen images instead of being scattered.
+    """
+
+    views: Sequence[View]
+    grid: ImageGrid
+    power_channel: int
+    chips: Int64[Tensor, " v"] | None
+    shift: Float[Tensor, "v 2"] | None = None
+    additive: Float[Tensor, ""] | None = None
+
+
+class Part(ABC):
+    """Base of the parts; each does only what it has methods for.
+
+    To add a part, put a file with a class derived from this one into this folder. Its settings are a `Record` in
+    `reconstruction/config.py` and a field of `Config` that is None where the part is absent.
+
+    Parameters
+    ----------
+    config : Config
+        The reconstruction's configuration.
+    setting : Setting
+        What the dataset fixes.
+    device : torch.device
+        Where everything is computed.
+    """
+
+    order: ClassVar[int]
+    """Parts with a smaller one come before it: they make what it changes."""
+
+    name: ClassVar[str] = ""
+    """What its state is saved under; only for parts that have any."""
+
+    surrounds: ClassVar[bool] = False
+    """Whether its Gaussians are not the target's, but around it."""
+
+    estimated: ClassVar[bool] = False
+    """Whether it is what images show beyond all that is learned, and therefore estimated without it."""
+
+    def __init__(self, config: Config, setting: Setting, device: torch.device) -> None:
+        self.config, self.setting, self.device = config, setting, device
+
+    @classmethod
+    @abstractmethod
+    def wanted(cls, config: Config) -> bool:
+        """Whether a configuration's model has this part."""
+
+    # ---- what is learned --------------------------------------------------------------------------------------------
+    @property
+    def learned(self) -> dict[str, Learned]:
+        """Its parameters by names that no other part uses."""
+        return {}
+
+    def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
+        """Their first values, float32 on the CPU; `generator` is one of the CPU: a seed is the same on every device."""
+        return {}
+
+    def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
+        """How unlikely its parameters were before the images were seen: terms, nats."""
+        return iter(())
+
+    def penalties(self, p: Parameters) -> Iterator[tuple[str, Float[Tensor, ""]]]:
+        """What else is minimised, by name, in units of the loss of black images."""
+        return iter(())
+
+    # ---- what it does -----------------------------------------------------------------------------------------------
+    def scene(
+        self, scene: Gaussians | None, p: Parameters, degree: int, dropped: Bool[Tensor, " n"] | None
+    ) -> Gaussians | None:
+        """The scene with this part in it; harmonics up to `degree`, without the Gaussians of the target `dropped`."""
+        return scene
+
+    def reach(self) -> Bounds | None:
+        """Bounds that its Gaussians keep as long as parameters are within theirs; None if it has none."""
+        return None
+
+    def shot(self, shot: Shot, p: Parameters) -> Shot:
+        """How images are taken, as far as it says so."""
+        return shot
+
+    def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
+        """Images [V, C, rows, columns], in the model's unit, with what it does to them."""
+        return images
+
+    def displaced(self, grid: ImageGrid, p: Parameters) -> ImageGrid:
+        """The grid on which a scene that is not displaced lies as unseen images on `grid` show it."""
+        return grid
+
+    # ---- what else is saved -----------------------------------------------------------------------------------------
+    def state(self) -> Parameters:
+        """What it knows besides its parameters."""
+        return {}
+
+    def load(self, state: Parameters) -> None:
+        """Undo `state`; raises ValueError or KeyError if that is not of this model."""
+        return
+
+
+class Nuisance(Part):
+    """Base of what only measured images show, besides the target."""
+
+    @classmethod
+    def wanted(cls, config: Config) -> bool:
+        """See `Part`."""
+        return config.surroundings is not None
+
+    def __init__(self, config: Config, setting: Setting, device: torch.device) -> None:
+        super().__init__(config, setting, device)
+        assert config.surroundings is not None  # `wanted`
+        self.settings = config.surroundings
+
+
+def normal_nats(values: Float[Tensor, "n ..."], std: float) -> Float[Tensor, ""]:
+    """How unlikely values are that are expected near zero, nats; normal, with this standard deviation."""
+    deviations = values.reshape(len(values), -1) / std
+    return len(deviations) * column_means(deviations**2).sum() / 2
+
+
+def column_means(table: Float[Tensor, "n k"]) -> Float[Tensor, " k"]:
+    """The mean of each column; never of one alone, which torch would split by threads."""
+    columns = table.shape[1]
+    return table.expand(-1, max(columns, 2)).mean(0)[:columns]

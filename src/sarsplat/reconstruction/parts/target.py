@@ -1,0 +1,163 @@
+"""The target: Gaussians that move, turn, grow and scatter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cached_property
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from sarsplat.data import Dataset
+from sarsplat.gaussians import SCATTERINGS, Gaussians, Scattering, join
+from sarsplat.gaussians.initialise import BRIGHT_DB, Region, hemisphere_shell, random_quaternions
+from sarsplat.radiometry import brighter
+from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.lengths import scales_m
+from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, column_means, normal_nats
+from sarsplat.renderer import Bounds
+
+_MIN_OPTICAL_DEPTH = 1e-3
+
+_FAINT = 0.05
+"""Optical depth that is hardly noticed."""
+
+_PER_CELL = 18
+"""Gaussians for a resolution cell that the target covers in an image."""
+
+_FEWEST = 100
+
+_START = (1.0, 1.0, 0.9)
+"""Widths of an oriented Gaussian at the start, relative: which axis is the shortest must not depend on rounding."""
+
+_SIMILAR = 0.6
+"""Parameters of the scattering that differ by less are similar; how much more others differ hardly matters."""
+
+
+class Target(Part):
+    """Gaussians in the space that the images bound."""
+
+    order = 10
+
+    @classmethod
+    def wanted(cls, config: Config) -> bool:
+        """Always."""
+        return True
+
+    @cached_property
+    def learned(self) -> dict[str, Learned]:
+        """See `Part`."""
+        config, rates = self.config, self.config.rates
+        low, high = self._box
+        smallest, _, largest = scales_m(config, self.setting.cell_m)
+        columns = self._law.parameters.shape[1]
+
+        def falling(done: float) -> float:
+            return (rates.means_end / rates.means) ** done
+
+        return {
+            "means": Learned((None, 3), (rates.means * self.setting.cell_m,), falling, low, high),
+            "quaternions": Learned((None, 4), (rates.quaternions,)),
+            "scales": Learned((None, 3), (rates.log_scales,), low=smallest, high=largest, logarithmic=True),
+            "optical_depth": Learned(
+                (None,),
+                (rates.log_optical_depth,),
+                low=_MIN_OPTICAL_DEPTH,
+                high=config.max_optical_depth,
+                logarithmic=True,
+            ),
+            "scattering": Learned((None, columns), (rates.scattering, *[rates.directional_scattering] * (columns - 1))),
+        }
+
+    def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
+        """See `Part`."""
+        config = self.config
+        sample = hemisphere_shell if config.initialisation == "hemisphere" else Region.sample
+        n = config.gaussians or _enough(train)
+        means = torch.from_numpy(sample(self.setting.region, n, generator)).float()
+        return {
+            "means": means,
+            "quaternions": random_quaternions(n, generator),
+            "scales": means.new_tensor(_start_scales_m(config, self.setting.cell_m)).repeat(n, 1),
+            "optical_depth": means.new_full((n,), config.initial_optical_depth),
+            "scattering": law(config, n, config.initial_scattering).parameters,
+        }
+
+    def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
+        """Gaussians are empty rather than not, and scatter in all directions rather than in some."""
+        config, scattering = self.config, p["scattering"]
+        if config.sparsity:
+            filled = torch.log1p(p["optical_depth"] / _FAINT)
+            yield config.sparsity * len(filled) * column_means(filled[:, None]).sum()
+        if config.directional_std is not None and scattering.shape[1] > 1:
+            uniform = replace(self._law, parameters=scattering.detach()).detailed(0)
+            upwards = p["means"].new_tensor([[0.0, 0.0, 1.0]])
+            level = uniform.amplitudes(upwards, p["quaternions"], p["scales"])[0, :, uniform.power_channel]
+            yield normal_nats(scattering[:, 1:] / (config.directional_std * level[:, None].detach()), 1.0)
+
+    def penalties(self, p: Parameters) -> Iterator[tuple[str, Float[Tensor, ""]]]:
+        """How much the Gaussians' scattering differs: of small differences the variance, of large ones little more.
+
+        The negative logarithm of Student's t-distribution, up to factors: most Gaussians scatter the same.
+        """
+        if self.config.scattering_penalty:
+            difference = p["scattering"] - column_means(p["scattering"].detach())
+            spread = _SIMILAR**2 * column_means(torch.log1p((difference / _SIMILAR) ** 2)).sum()
+            yield "scattering penalty", self.config.scattering_penalty * spread
+
+    def scene(
+        self, scene: Gaussians | None, p: Parameters, degree: int, dropped: Bool[Tensor, " n"] | None
+    ) -> Gaussians:
+        """See `Part`; the Gaussians that are left make up for those `dropped`."""
+        depth = p["optical_depth"]
+        if dropped is not None:
+            more = (depth / (1 - self.config.dropout)).clamp(max=self.config.max_optical_depth)
+            depth = torch.where(dropped, 0.0, more)
+        scattering = replace(self._law, parameters=p["scattering"]).detailed(degree)
+        target = Gaussians(p["means"], p["quaternions"], p["scales"], depth, scattering)
+        return target if scene is None else join(scene, target)
+
+    def reach(self) -> Bounds:
+        """See `Part`; also of the first scene."""
+        config, (low, high) = self.config, self._box
+        depth = max(config.max_optical_depth, config.initial_optical_depth)
+        return Bounds((*low.tolist(),), (*high.tolist(),), max(scales_m(config, self.setting.cell_m)), depth, "cpu")
+
+    @cached_property
+    def _law(self) -> Scattering:
+        return law(self.config, 1, 0.0)
+
+    @cached_property
+    def _box(self) -> tuple[Float[Tensor, " 3"], Float[Tensor, " 3"]]:
+        """Corners of where the target's centres may be, m, on the CPU."""
+        region = self.setting.region
+        low, high = (torch.from_numpy(corner).float() for corner in (region.low, region.high))
+        if self.config.initialisation == "hemisphere":  # the shell reaches beyond the region
+            half = (high - low).norm() / 2
+            centre = (low + high) / 2
+            low, high = torch.minimum(low, centre - half), torch.maximum(high, centre + half)
+        margin = self.config.margin * self.setting.cell_m
+        return low - margin, high + margin
+
+
+def law(config: Config, count: int, gamma0: float) -> Scattering:
+    """The configuration's law of scattering, as a training starts with it."""
+    return SCATTERINGS[config.scattering].initial(count, gamma0, config.p_min).detailed(config.harmonics_degree)
+
+
+def _enough(train: Dataset) -> int:
+    """How many Gaussians a target of this size needs, seen at this resolution."""
+    bright = brighter(train.power, BRIGHT_DB).sum() / len(train)
+    cells = bright * math.prod(train.grid.spacing_m) / train.grid.cell_m**2
+    return max(_FEWEST, round(_PER_CELL * cells))
+
+
+def _start_scales_m(config: Config, cell_m: float) -> list[float]:
+    """Standard deviations of a Gaussian at the start, m."""
+    smallest, first, _ = scales_m(config, cell_m)
+    if not SCATTERINGS[config.scattering].oriented:
+        return [first] * 3
+    return [max(share * first, min(smallest, first)) for share in _START]

@@ -1,0 +1,62 @@
+"""What a dataset fixes about a learned scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from sarsplat.data import Dataset
+from sarsplat.gaussians.ground import ground_radius_m
+from sarsplat.gaussians.initialise import Region, bounded_region
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.target_box import target_box
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What the dataset fixes about the learned scene.
+
+    Parameters
+    ----------
+    region : Region
+        The space the target may occupy.
+    unit : float
+        Power that counts as 1: every γ⁰, the noise floor and P_min are in this unit. β⁰ itself, or with surroundings,
+        calibrated or not, the training set's mean.
+    views : tuple of View
+        Of the training images.
+    grid : ImageGrid
+        Of the training images. Lengths in configurations are multiples of its resolution cell.
+    """
+
+    region: Region
+    unit: float
+    views: tuple[View, ...]
+    grid: ImageGrid
+
+    @classmethod
+    def of(cls, config: Config, dataset: Dataset) -> Setting:
+        """The setting of a configuration on a dataset."""
+        train = dataset.select("train")
+        if not config.surroundings:
+            return cls(bounded_region(train.power, train.views, train.grid), 1.0, train.views, train.grid)
+        box = Region.box(*(dataset.target_box_m or target_box(train.power, train.views, train.grid)))
+        return cls(box, float(train.power.mean(dtype=np.float64)), train.views, train.grid)
+
+    @cached_property
+    def ground_radius_m(self) -> float:
+        """Radius of the ground that the images show, m."""
+        return ground_radius_m(self.views, self.grid)
+
+    @property
+    def cell_m(self) -> float:
+        """Resolution cell of the images, m."""
+        return self.grid.cell_m
+
+    @property
+    def samples(self) -> float:
+        """Independent samples of speckle in all training images."""
+        return len(self.views) * self.grid.independent_samples

@@ -1,0 +1,75 @@
+"""Relocation: idle Gaussians take over half of strong ones, so that few are enough."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor
+
+from sarsplat.data import Dataset
+from sarsplat.reconstruction.config import Config, Relocation
+from sarsplat.reconstruction.optimiser import Optimiser
+from sarsplat.reconstruction.rounds import at_round
+from sarsplat.reconstruction.strategies import ops
+from sarsplat.reconstruction.strategies.strategy import Configured, Info, State
+
+
+class Relocating(Configured):
+    """Every so often, the weakest Gaussians join strong ones."""
+
+    order = 20
+    name = "relocation"
+
+    def __init__(self, config: Relocation, iterations: int) -> None:
+        self._config, self._iterations = config, iterations
+
+    @classmethod
+    def of(cls, config: Config, train: Dataset) -> Self | None:
+        """See `Configured`."""
+        return cls(config.relocation, config.iterations) if config.relocation.rounds else None
+
+    def due(self, step: int) -> bool:
+        """Whether a round follows this step."""
+        return step > 0 and at_round(step, 0, self._config.until * self._iterations, self._config.rounds)
+
+    def step_post_backward(
+        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
+    ) -> None:
+        """See `Strategy`."""
+        if self.due(step):
+            info.check()
+            rows = pairs(info.cross_sections(), self._config.idle_share, info.generator)
+            idle, strong = (numbers.to(info.model.device) for numbers in rows)
+            ops.relocate(params, optimizers, state, idle, strong, info.generator)
+
+
+def pairs(
+    cross_sections: Float[Tensor, " n"], idle_share: float, generator: torch.Generator
+) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
+    """Which Gaussians are idle, and which strong ones they join, each its own; a strong one is likely to be joined.
+
+    Parameters
+    ----------
+    cross_sections : Tensor [N]
+        Radar cross-sections σ, mean over the training views, m²; on any device.
+    idle_share : float
+        Idle are the weakest that together have at most this share of the total.
+    generator : torch.Generator
+        Of the CPU.
+
+    Returns
+    -------
+    idle, strong : Tensor, int64 [M]
+        On the CPU; no number is in both.
+    """
+    sigma = cross_sections.double().cpu()
+    order = sigma.argsort(stable=True)
+    held = sigma[order].cumsum(0)
+    idle = order[held <= idle_share * held[-1]][: len(order) // 2]
+    weights = sigma.index_fill(0, idle, 0.0)
+    idle = idle[: int((weights > 0).sum())]
+    if not len(idle):
+        return idle, idle
+    return idle, torch.multinomial(weights, len(idle), generator=generator)

@@ -1,0 +1,210 @@
+"""A strategy: what changes a model otherwise than by steps of Adam, now and then."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Self
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int64
+from torch import Tensor
+
+from sarsplat.data import Dataset
+from sarsplat.geometry import RayGrid, View
+from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.model import SceneModel
+from sarsplat.reconstruction.optimiser import Optimiser, followed
+from sarsplat.reconstruction.training_images import TrainingImages
+from sarsplat.renderer import Bounds, Rendering, channel_of
+
+
+@dataclass
+class State:
+    """What a strategy remembers from step to step; saved and restored with the training.
+
+    Parameters
+    ----------
+    rows : dict of str to Tensor
+        Of one row for each Gaussian: they follow where Gaussians come and go, and begin as 0 with a new one.
+    whole : dict of str to Tensor
+        Of any other shape, which stays.
+    """
+
+    rows: dict[str, Tensor] = field(default_factory=dict)
+    whole: dict[str, Tensor] = field(default_factory=dict)
+
+    def follow(self, source: Int64[Tensor, " n"], kept: Bool[Tensor, " n"]) -> None:
+        """Take over from row `source`[k] what belongs to the new row k if that is still the same Gaussian: `kept`."""
+        self.rows = {name: followed(rows, source, kept) for name, rows in self.rows.items()}
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All of them by name."""
+        return self.rows | self.whole
+
+    def load(self, tensors: dict[str, Tensor]) -> None:
+        """Undo `tensors`; raises KeyError or ValueError if they are not those."""
+        for of in (self.rows, self.whole):
+            for name, like in of.items():
+                saved = tensors[name]
+                if saved.shape != like.shape or saved.dtype != like.dtype:
+                    raise ValueError(f"{name} is {saved.dtype} {list(saved.shape)}")
+                of[name] = saved.to(like.device)
+
+
+@dataclass(frozen=True)
+class Info:
+    """What a strategy is shown of a step.
+
+    Parameters
+    ----------
+    model : SceneModel
+        As it is now.
+    images : TrainingImages
+        What it learns from; their `views` may be changed.
+    chosen : tuple of int
+        Numbers of those that this step rendered.
+    rendering : Rendering
+        What it rendered, with `plane_gradients` if any strategy asked for them. What it says of single Gaussians is
+        about the target's, detached; where a strategy before this one moved rows, it has followed: 0 for new ones.
+    degree : int
+        Degree of the harmonics in use.
+    rays : RayGrid
+        In use.
+    bounds : Bounds
+        What the Gaussians keep.
+    generator : torch.Generator
+        The only source of chance, of the CPU.
+    """
+
+    model: SceneModel
+    images: TrainingImages
+    chosen: tuple[int, ...]
+    rendering: Rendering
+    degree: int
+    rays: RayGrid
+    bounds: Bounds
+    generator: torch.Generator
+
+    def check(self) -> None:
+        """Wait for the device, and raise what went wrong there: before anything is read from it."""
+        self.bounds.check()
+
+    @torch.no_grad()
+    def compared(
+        self, views: Sequence[View], chips: Int64[np.ndarray, " v"]
+    ) -> Iterator[tuple[Float[Tensor, "n rows columns"], Float[Tensor, "n rows columns"]]]:
+        """Training images, and how the model shows them as seen from these views; a few at a time, in its unit.
+
+        Each has its own shift and gain; what was estimated from such comparisons does not apply.
+        """
+        for few in self._few(len(views)):
+            numbers = self.images.numbers[torch.from_numpy(chips[few]).to(self.model.device)]
+            images, _ = self._rendered(views[few], numbers)
+            yield (
+                self.images.truth[numbers] / self.model.unit,
+                channel_of(images, self.model.power_channel) / self.model.unit,
+            )
+
+    @torch.no_grad()
+    def cross_sections(self) -> Float[Tensor, " n"]:
+        """Radar cross-sections σ of the target's Gaussians, mean over the training views, m²."""
+        views, total = self.images.views, torch.zeros(len(self.model), device=self.model.device)
+        for few in self._few(len(views)):
+            _, rendering = self._rendered(views[few], None)
+            sections = rendering.cross_sections[..., self.model.power_channel]
+            total += sections[:, : len(total)].sum(0)  # those of the surroundings come after
+        return total / len(views)
+
+    def _few(self, count: int) -> list[slice]:
+        """Views at a time: what a step takes fits into memory."""
+        size = self.model.config.views_per_step
+        return [slice(first, first + size) for first in range(0, count, size)]
+
+    def _rendered(self, views: Sequence[View], chips: Int64[Tensor, " v"] | None) -> tuple[Tensor, Rendering]:
+        return self.model.render(
+            views,
+            self.images.grid,
+            self.degree,
+            rays=self.rays,
+            chips=chips,
+            bounds=self.bounds,
+            estimated=False,
+        )
+
+
+def of_rows(rendering: Rendering, pick: Callable[[Tensor], Tensor]) -> Rendering:
+    """A rendering with others of its Gaussians: `pick` makes their [V, M, …] from what is [V, N, …]."""
+    gradients = rendering.plane_gradients
+    return replace(
+        rendering,
+        cross_sections=pick(rendering.cross_sections.detach()),
+        lit_area=pick(rendering.lit_area),
+        plane_gradients=None if gradients is None else pick(gradients),
+    )
+
+
+class Strategy(ABC):
+    """Base of the strategies, also of your own: `Trainer(…, strategies=[mine])`.
+
+    A training calls each in turn, ours first. Whatever else one remembers than its settings belongs into its `State`,
+    and chance comes from `Info.generator`: then a training that stops and goes on is the same bit for bit.
+    """
+
+    @property
+    def name(self) -> str:
+        """What its state is saved under; that of its class unless it says otherwise."""
+        return type(self).__name__
+
+    def check(self, params: dict[str, Tensor]) -> None:
+        """Raise a `SarsplatError` if these parameters are not what it needs."""
+        return
+
+    def initial_state(self, params: dict[str, Tensor]) -> State:
+        """What it remembers when a training begins."""
+        return State()
+
+    def wants_plane_gradients(self, step: int) -> bool:
+        """Whether `Info.rendering` of this step is to have gradients on the planes; steps are counted from 1."""
+        return False
+
+    def step_pre_backward(
+        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
+    ) -> None:
+        """Called after the images of a step are rendered, before their gradients are computed; changes no parameter."""
+        return
+
+    @abstractmethod
+    def step_post_backward(
+        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
+    ) -> None:
+        """Called after each step of Adam, the `step`-th.
+
+        Parameters
+        ----------
+        params : dict of str to Tensor
+            All parameters of the model. Rows come and go by the functions of `strategies.ops`; values are changed in
+            place, under `torch.no_grad`, and kept in their ranges by `optimizers.constrain()`.
+        optimizers : Optimiser
+            Of these parameters.
+        state : State
+            Its own.
+        step : int
+            Steps done.
+        info : Info
+            What else there is.
+        """
+
+
+class Configured(Strategy):
+    """Base of the strategies in this folder, which configurations switch on."""
+
+    order: ClassVar[int]
+    """Those with a smaller one act before it."""
+
+    @classmethod
+    @abstractmethod
+    def of(cls, config: Config, train: Dataset) -> Self | None:
+        """The strategy of a configuration on training images, if there is one."""
