@@ -24,11 +24,12 @@ def saved_model(snapshot: Snapshot, config: Config, device: torch.device | str =
     """
     setting = Setting(_region(snapshot), snapshot.unit, snapshot.views, snapshot.grid)
     learned, state = snapshot.part("model"), snapshot.part("part")
-    if not all(tensor.isfinite().all() for tensor in (*learned.values(), *state.values())):
-        raise ValueError("numbers that are not finite")
     model = SceneModel(config, setting, learned, device)
+    others = [learned[name] for name, how in model.learned.items() if not how.per_gaussian]
+    if not all(tensor.isfinite().all() for tensor in (*others, *state.values())):
+        raise ValueError("numbers that are not finite")
     model.load({name: tensor.to(model.device) for name, tensor in state.items()})
-    model.scene(config.harmonics_degree)  # values are checked where they are used
+    model.scene(config.harmonics_degree)  # the Gaussians' values are checked where they are used
     return model
 
 

@@ -67,8 +67,8 @@ class Ground(Nuisance):
 
     def reach(self) -> Bounds:
         """See `Part`."""
-        means, sheet = self._sheet.means, self._sheet
-        low, high = means.amin(0).tolist(), means.amax(0).tolist()
+        sheet = self._made
+        low, high = sheet.means.amin(0).tolist(), sheet.means.amax(0).tolist()
         return Bounds((*low,), (*high,), float(sheet.scales.max()), float(sheet.optical_depth.max()), "cpu")
 
     @cached_property
@@ -76,6 +76,9 @@ class Ground(Nuisance):
         return law(self.config, 1, 0.0)
 
     @cached_property
+    def _made(self) -> Gaussians:
+        return ground_sheet(self.setting.ground_radius_m, self.settings.ground_pitch * self.setting.cell_m)
+
+    @cached_property
     def _sheet(self) -> Gaussians:
-        sheet = ground_sheet(self.setting.ground_radius_m, self.settings.ground_pitch * self.setting.cell_m)
-        return sheet.to(self.device)
+        return self._made.to(self.device)

@@ -34,8 +34,8 @@ class Learned:
     Parameters
     ----------
     shape : tuple of (int or None)
-        Of the parameter, at most 16 columns; None is the number of Gaussians: such a parameter has a row for each, and
-        follows where Gaussians come and go.
+        Of the parameter; None is the number of Gaussians: such a parameter has a row for each, and follows where
+        Gaussians come and go.
     rates : tuple of float
         First learning rate: one, or one for each column. 0 for what keeps its value.
     decay : callable
