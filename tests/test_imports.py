@@ -69,12 +69,8 @@ _FOR_TYPES = {"reconstruction.loop", "reconstruction.method", "reconstruction.me
 
 def test_no_files_import_each_other_in_a_circle():
     """Neither at the top nor inside functions; nor, but for these, for the sake of types."""
-    executed = graph(for_types=False)
-    executed["renderer.render_function"].discard("renderer.step_functions")  # until render is one call of the engine
-    assert circle(executed) == []
-    every = graph()
-    every["renderer.render_function"].discard("renderer.step_functions")
-    assert circle({name: others - _FOR_TYPES for name, others in every.items()}) == []
+    assert circle(graph(for_types=False)) == []
+    assert circle({name: others - _FOR_TYPES for name, others in graph().items()}) == []
 
 
 def test_circles_are_seen():

@@ -17,7 +17,7 @@ from torch import Tensor
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import Bounds, Rendering, cuda, nvrtc
-from sarsplat.renderer.render_function import render_with
+from sarsplat.renderer.operations import render_with
 
 HERE = Path(__file__).with_name("emulator")
 FLAGS = (

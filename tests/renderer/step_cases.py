@@ -11,8 +11,8 @@ from torch import Tensor
 
 from sarsplat.geometry import RayGrid
 from sarsplat.renderer import Footprints, Projection
+from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
 from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
-from sarsplat.renderer.step_functions import attenuate_with, project_with, splat_with
 
 Tensors = dict[str, Tensor]
 CHANNELS = 3

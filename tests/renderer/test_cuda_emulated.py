@@ -19,7 +19,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import RayGrid
 from sarsplat.renderer import Bounds, Footprints, cuda, cuda_device, nvrtc, project, render
 from sarsplat.renderer.checks import check_for_cuda
-from sarsplat.renderer.step_functions import attenuate_with, project_with, splat_with
+from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
 
 
 @pytest.fixture(scope="session")

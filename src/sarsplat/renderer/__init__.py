@@ -15,8 +15,8 @@ from sarsplat.renderer.bounds import Bounds
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
 from sarsplat.renderer.engines import ENGINES, chosen_engine
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
+from sarsplat.renderer.operations import render_with
 from sarsplat.renderer.reference import render_reference
-from sarsplat.renderer.render_function import render_with
 from sarsplat.renderer.rendering import RayMap, Rendering, channel_of
 from sarsplat.renderer.steps import attenuate, project, splat
 

@@ -19,8 +19,8 @@ from sarsplat.renderer.checks import (
 )
 from sarsplat.renderer.engines import ENGINES, chosen_engine
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
+from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
 from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
-from sarsplat.renderer.step_functions import attenuate_with, project_with, splat_with
 
 
 def project(

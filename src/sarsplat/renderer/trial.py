@@ -14,8 +14,8 @@ from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import cpu, cuda, kept, nvrtc
 from sarsplat.renderer.cuda_device import device, require_cuda
+from sarsplat.renderer.operations import render_with
 from sarsplat.renderer.passes import Pass
-from sarsplat.renderer.render_function import render_with
 
 _LARGEST_ERROR = 2e-5
 """Relative, in the Euclidean norm; the emulated engine has 6e-7."""

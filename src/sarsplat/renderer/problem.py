@@ -1,0 +1,105 @@
+"""A call as the kernels want it: the C structure of its arrays, grids and limits."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE
+from sarsplat.gaussians.harmonics import harmonic_basis
+from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.renderer import structs
+from sarsplat.renderer.checks import FARTHEST, FLATTEST, MAX_SCALE, STEEPEST, STRONGEST
+from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
+
+ARRAYS = ("means", "quaternions", "scales", "kappa", "harmonics", "amplitudes", "shift")
+"""Inputs by their names in a problem."""
+
+
+def pointer(tensor: Tensor | None) -> int | None:
+    """Where a tensor's values lie."""
+    return None if tensor is None else tensor.data_ptr()
+
+
+def point_at(problem: ctypes.Structure, inputs: Sequence[Tensor | None]) -> None:
+    """Let a problem read these, in the order of `ARRAYS`."""
+    for name, tensor in zip(ARRAYS, inputs, strict=True):
+        setattr(problem, name, pointer(tensor))
+
+
+def directions_to(views: Sequence[View], like: Tensor) -> Float[Tensor, "v 3"]:
+    """Unit vectors towards the radar, of the dtype and on the device of `like`."""
+    return torch.stack([_direction(view, like.dtype, like.device) for view in views])
+
+
+# A training asks for the same few views again and again, and a GPU should not be sent them each time.
+@lru_cache(maxsize=4096)
+def _direction(view: View, dtype: torch.dtype, device: torch.device) -> Float[Tensor, " 3"]:
+    """The unit vector towards the radar."""
+    return torch.from_numpy(view.direction).to(device, dtype)
+
+
+@lru_cache(maxsize=4096)
+def _frame_and_basis(view: View, degree: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Radar frame [3, 3] and harmonics towards the radar, float32."""
+    frame = torch.from_numpy(radar_frame(view))
+    basis = harmonic_basis(-frame[2], degree)
+    return frame.float().to(device), basis.float().to(device)
+
+
+def problem_of(
+    inputs: Sequence[Tensor | None],
+    views: Sequence[View],
+    grid: ImageGrid,
+    rays: RayGrid,
+    p_min: float,
+    peak: bool = False,
+) -> tuple[ctypes.Structure, tuple[Tensor, ...]]:
+    """The kernel's view of a call, and the tensors it points at that must outlive it."""
+    means, _, _, _, harmonics, amplitudes, _ = inputs
+    assert means is not None
+    degree = 0 if harmonics is None else math.isqrt(harmonics.shape[1]) - 1
+    by_view = zip(*(_frame_and_basis(view, degree, means.device) for view in views))
+    frames, basis = (torch.stack(part) for part in by_view)
+    problem = new_problem(len(views), len(means), grid=grid, rays=rays, peak=peak)
+    problem.coefficients = 0 if harmonics is None else harmonics.shape[1]
+    problem.channels = 1 if amplitudes is None else amplitudes.shape[2]
+    problem.frames, problem.basis, problem.p_min = pointer(frames), pointer(basis), p_min
+    point_at(problem, inputs)
+    return problem, (frames, basis)
+
+
+def new_problem(
+    views: int, gaussians: int, *, grid: ImageGrid | None = None, rays: RayGrid | None = None, peak: bool = False
+) -> ctypes.Structure:
+    """The kernel's view of a call, without its arrays; a step alone needs the grid of its plane only."""
+    problem = structs.Problem(
+        peak,
+        views,
+        gaussians,
+        channels=1,
+        cell_widening=CELL_WIDENING,
+        min_ray_depth=MIN_RAY_DEPTH,
+        min_transmittance=MIN_TRANSMITTANCE,
+        image_cut=IMAGE_CUT,
+        min_scale=MIN_SCALE * (1 - 1e-6),
+        max_scale=MAX_SCALE,
+        max_depth=MAX_OPTICAL_DEPTH * (1 + 1e-6),
+        farthest=FARTHEST,
+        strongest=STRONGEST,
+        flattest=FLATTEST,
+        steepest=STEEPEST,
+    )
+    if grid is not None:
+        problem.rows, problem.columns = grid.rows, grid.columns
+        problem.pixel, problem.center = grid.spacing_m, grid.center_m
+        problem.response_var = grid.response_variance_m2
+    if rays is not None:
+        problem.ray = rays.spacing_m
+    return problem
