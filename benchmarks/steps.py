@@ -1,4 +1,4 @@
-"""The public steps project, attenuate and splat: the chain of them against `render`, four channels against one."""
+"""The public steps project, attenuate and splat against `render`; several channels against one, splatted and rendered."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from clock import in_turn, ratio, spread
 from recipes import COUNT, halfway, training_view
 from scene import Scene
 
-from sarsplat.renderer import attenuate, project, splat
+from sarsplat.renderer import attenuate, project, render, splat
 from sarsplat.scenes import paper_grid, paper_views
 
 CHANNELS = 4
+MANY = 16
 
 
 def chain(scene: Scene) -> Callable[[], object]:
@@ -47,6 +48,21 @@ def splatting(scene: Scene, channels: int) -> Callable[[], object]:
     return step
 
 
+def rendering(scene: Scene, channels: int) -> Callable[[], object]:
+    """A whole rendering of so many channels of given amplitudes, forward and backward."""
+    generator = torch.Generator().manual_seed(channels)
+    shape = len(scene.views), len(scene.gaussians), channels
+    amplitudes = torch.rand(shape, generator=generator).requires_grad_()
+    cotangent = torch.rand(len(scene.views), channels, scene.grid.rows, scene.grid.columns, generator=generator)
+    leaves = [tensor for name, tensor in scene.leaves.tensors().items() if name != "scattering"]
+
+    def step() -> object:
+        made = render(scene.leaves, scene.views, scene.grid, rays=scene.rays, amplitudes=amplitudes, engine="cpu")
+        return torch.autograd.grad(made.images, [*leaves, amplitudes], cotangent)
+
+    return step
+
+
 def measure(quick: bool) -> dict[str, Any]:
     """The chain's time over the fused pass's, and four channels' over one's."""
     count, repeats = (1000, 3) if quick else (COUNT, 60)
@@ -59,6 +75,12 @@ def measure(quick: bool) -> dict[str, Any]:
             f"`splat` of {CHANNELS} channels / one: {load}": {
                 f"C = {channels}": splatting(scene, channels) for channels in (CHANNELS, 1)
             },
+        } | {
+            f"`render` of {channels} channels / harmonics: {load}": {
+                f"rendered, C = {channels}": rendering(scene, channels),
+                "render": scene.step,
+            }
+            for channels in (CHANNELS, MANY)
         }
         for name, programs in contenders.items():
             samples = in_turn(programs, repeats)

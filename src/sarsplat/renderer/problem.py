@@ -75,27 +75,29 @@ def problem_of(
     return problem, (frames, basis)
 
 
+_LIMITS = structs.Problem(
+    channels=1,
+    cell_widening=CELL_WIDENING,
+    min_ray_depth=MIN_RAY_DEPTH,
+    min_transmittance=MIN_TRANSMITTANCE,
+    image_cut=IMAGE_CUT,
+    min_scale=MIN_SCALE * (1 - 1e-6),
+    max_scale=MAX_SCALE,
+    max_depth=MAX_OPTICAL_DEPTH * (1 + 1e-6),
+    farthest=FARTHEST,
+    strongest=STRONGEST,
+    flattest=FLATTEST,
+    steepest=STEEPEST,
+)
+"""What is the same in every call."""
+
+
 def new_problem(
     views: int, gaussians: int, *, grid: ImageGrid | None = None, rays: RayGrid | None = None, peak: bool = False
 ) -> ctypes.Structure:
     """The kernel's view of a call, without its arrays; a step alone needs the grid of its plane only."""
-    problem = structs.Problem(
-        peak,
-        views,
-        gaussians,
-        channels=1,
-        cell_widening=CELL_WIDENING,
-        min_ray_depth=MIN_RAY_DEPTH,
-        min_transmittance=MIN_TRANSMITTANCE,
-        image_cut=IMAGE_CUT,
-        min_scale=MIN_SCALE * (1 - 1e-6),
-        max_scale=MAX_SCALE,
-        max_depth=MAX_OPTICAL_DEPTH * (1 + 1e-6),
-        farthest=FARTHEST,
-        strongest=STRONGEST,
-        flattest=FLATTEST,
-        steepest=STEEPEST,
-    )
+    problem = structs.Problem.from_buffer_copy(_LIMITS)
+    problem.peak, problem.views, problem.gaussians = peak, views, gaussians
     if grid is not None:
         problem.rows, problem.columns = grid.rows, grid.columns
         problem.pixel, problem.center = grid.spacing_m, grid.center_m

@@ -32,8 +32,11 @@ int32_t forward(sg_context& c, const sg_problem& p, const sg_outputs* out, int64
     float *lit_area = out->lit_area + v * n, *sections = out->cross_sections + v * n * C;
     light(s, p, first, end, lit_area);
     for (int64_t i = first; i < end; i++) {
-      s.on_pixels[i].lit = lit_area[i];
-      for (int64_t k = 0; k < C; k++) sections[C * i + k] = amplitudes.of(s.on_pixels[i], i)[k] * lit_area[i];
+      PixelEntry& e = s.on_pixels[i];
+      const float* of_channels = amplitudes.of(e, i);
+      e.lit = lit_area[i];
+      sections[C * i] = of_channels[0] * lit_area[i];
+      for (int64_t k = 1; k < C; k++) sections[C * i + k] = of_channels[k] * lit_area[i];
     }
   });
   return splat_images(c, p, channels, out->images);
@@ -66,9 +69,10 @@ int32_t backward(sg_context& c, const sg_problem& p, const sg_gradients* gradien
   // dL/dsigma to dL/dw and to dL/dP(u)
   auto unlight = [&](int64_t v, int64_t id, const PixelEntry& e, Eight& sum) {
     const float *amplitudes = channels.of(v, n).of(e, id), *d_sections = scratch[v].sections + C * id;
-    float along = 0.0f;
-    for (int64_t k = 0; k < C; k++) along += d_sections[k] * amplitudes[k];
-    for (int64_t k = 0; g.amplitudes && k < C; k++) g.amplitudes[(v * n + id) * C + k] = d_sections[k] * e.lit;
+    float along = d_sections[0] * amplitudes[0];
+    for (int64_t k = 1; k < C; k++) along += d_sections[k] * amplitudes[k];
+    if (g.amplitudes)
+      for (int64_t k = 0; k < C; k++) g.amplitudes[(v * n + id) * C + k] = d_sections[k] * e.lit;
     c.views[v].on_rays[id].h = along * (p.ray[0] * p.ray[1]);
     sum[6] = d_sections[0] * e.lit;
     sum[7] = e.slope;
