@@ -17,22 +17,23 @@ from matplotlib.axes import Axes
 
 from sarsplat import ImageGrid, ScatteringLaw, View
 from sarsplat.colours import POWER, colormap
+from sarsplat.names import Simulator
 from sarsplat.scenes import BUILDINGS, Building, BuildingProfile, Gamma0, building_profile
-from sarsplat.scenes.simulate import Source, simulate_images
+from sarsplat.scenes.simulate import simulate_images
 
 HERE = Path(__file__).parent
 FIGURES, PICTURE, PAGE = HERE.parent / "figures", HERE / "images" / "buildings.png", HERE / "forward-model.md"
 
 GRID = ImageGrid(144, 80, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
-LAW = ScatteringLaw(floor=1.0, lobe=0.0)  # alike at every angle: the faces' own factor is their γ⁰
+LAW = ScatteringLaw(floor=1.0, lobe=0.0)  # the same at every angle: the faces' own factor is their γ⁰
 GRAZING = (30.0, 45.0, 60.0)
 GAMMA0 = {"equal": Gamma0(0.5, 0.5, 0.5), "unequal": Gamma0(wall=0.8, roof=0.3, ground=0.1)}
-SOURCES: dict[Source, str] = {"splat": "splat renderer", "raycast": "ray caster"}
+SOURCES: dict[Simulator, str] = {"splat": "splat renderer", "raycast": "ray caster"}
 STYLES = {"splat": {"color": "#1f5fa8", "marker": "o"}, "raycast": {"color": "#c0392b", "marker": "x"}}
 LETTER = {"ground": "SG", "wall": "SW", "roof": "SR"}
 
 
-def simulated(box: Building, grazing: float, gamma0: Gamma0, source: Source) -> np.ndarray:
+def simulated(box: Building, grazing: float, gamma0: Gamma0, source: Simulator) -> np.ndarray:
     """β⁰ of a building seen from azimuth 0."""
     return simulate_images(
         box.mesh(),

@@ -12,7 +12,7 @@ from sarsplat.reconstruction.strategies import State, Strategy, ops
 
 
 class KeepBrightest(Strategy):
-    """Its state is saved with the training, and a resumed one goes on with it."""
+    """Its state is saved with the training, and restored when it is resumed."""
 
     def __init__(self, every: int, count: int) -> None:
         self.every, self.count = every, count

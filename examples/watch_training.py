@@ -1,4 +1,4 @@
-"""Watch a training: a picture of one view every so often, and an end to it when it is good enough."""
+"""Watch a training: a picture of one view every so often, and stop it when it is good enough."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ grid = ImageGrid(rows=64, columns=64, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0
 views = [View(azimuth, 45.0) for azimuth in range(0, 360, 45)]
 arrays = simulate_images(target_mesh("t72"), views, grid)
 dataset = Dataset.from_images([SarImage(power, view, grid) for power, view in zip(arrays, views)])
-watched = View(20.0, 45.0)  # nobody trains on it
+watched = View(20.0, 45.0)  # not trained on
 
 
 def watch(step: Step) -> bool:

@@ -136,7 +136,7 @@ plt.show()
 # ## Is it any good?
 #
 # Compare it with predictions that know nothing of a third dimension. *Rotated average*:
-# the training chips turned to the wanted azimuth, averaged. *Nearest chip*: the one
+# the training chips turned to the requested azimuth, averaged. *Nearest chip*: the one
 # with the nearest azimuth, smoothed. Nats per pixel are lower, and the correlation
 # higher, for better predictions; both leave out where a chip lies in its frame and how
 # bright it is.
