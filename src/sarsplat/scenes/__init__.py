@@ -8,8 +8,7 @@ from sarsplat.scenes.raycast import simulate_raycast
 from sarsplat.scenes.scattering import ScatteringLaw
 from sarsplat.scenes.speckle import add_speckle
 from sarsplat.scenes.splat_truth import law_scattering, surface_gaussians
-from sarsplat.scenes.targets import TARGETS, target_mesh
-from sarsplat.scenes.vehicles import VEHICLES
+from sarsplat.scenes.targets import TARGETS, VEHICLES, target_mesh
 
 __all__ = [
     "BUILDINGS",

@@ -1,4 +1,4 @@
-"""Closed bodies that vehicles are put together from, which may intersect; all lengths in metres.
+"""Closed bodies, possibly intersecting, from which vehicles are assembled; all lengths in metres.
 
 Pairs of coordinates are in either order, so that (side * a, side * b) serves both sides of a vehicle.
 """
@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
+from jaxtyping import Int
 
 if TYPE_CHECKING:
     import trimesh
@@ -41,13 +42,13 @@ def hull(points: Sequence[Point]) -> trimesh.Trimesh:
 
 
 def prism(profile: Sequence[Pair], y: Pair) -> trimesh.Trimesh:
-    """Convex side profile of (x, z) points, drawn out along y."""
+    """Convex side profile of (x, z) points, extruded along y."""
     return hull([(px, side, pz) for px, pz in profile for side in sorted(y)])
 
 
-def both(points: Sequence[Point]) -> list[Point]:
-    """The points and their mirror images on the other side of the vehicle."""
-    return [*points, *((x, -y, z) for x, y, z in points)]
+def mirrored(*points: Point) -> trimesh.Trimesh:
+    """Convex hull of points and their mirror images on the other side of the vehicle."""
+    return hull([*points, *((x, -y, z) for x, y, z in points)])
 
 
 def strip(path: Sequence[Pair], thickness: float, y: Pair) -> list[trimesh.Trimesh]:
@@ -101,18 +102,9 @@ def wheel(x: float, y: Pair, radius: float, rim: float = 0.55, z: float | None =
 def belt(
     wheels: Sequence[tuple[float, float, float]], thickness: float, y: Pair, sections: int = 96
 ) -> trimesh.Trimesh:
-    """Closed belt stretched around wheels, such as a track.
+    """Closed belt with edges at y, stretched around wheels (x, z, radius) that touch its inner side, such as a track.
 
-    Parameters
-    ----------
-    wheels : sequence of (x, z, radius)
-        Circles that the belt's inner side touches.
-    thickness : float
-        Thickness of the belt.
-    y : (float, float)
-        Its two edges.
-    sections : int
-        Number of normal directions sampled around it; a multiple of four includes straight down.
+    `sections` is the number of normal directions sampled around it; a multiple of four includes straight down.
     """
     import trimesh
 
@@ -128,10 +120,13 @@ def belt(
     low, high = sorted(y)
     corners = [(inner, low), (inner, high), (outer, high), (outer, low)]
     vertices = np.concatenate([np.column_stack([p[:, 0], np.full(sections, side), p[:, 1]]) for p, side in corners])
+    faces = [half for edge in range(4) for half in faces_between(edge, (edge + 1) % 4, sections)]
+    return trimesh.Trimesh(vertices, np.concatenate(faces), process=False)
+
+
+def faces_between(ring: int, next_ring: int, sections: int) -> tuple[Int[np.ndarray, "n 3"], Int[np.ndarray, "n 3"]]:
+    """Both halves of the quadrilaterals between two closed rings, whose vertices are numbered ring by ring."""
     here = np.arange(sections)
     after = np.roll(here, -1)
-    faces = []
-    for edge in range(4):
-        a, b = edge * sections, (edge + 1) % 4 * sections
-        faces += [np.column_stack([a + here, b + after, b + here]), np.column_stack([a + here, a + after, b + after])]
-    return trimesh.Trimesh(vertices, np.concatenate(faces), process=False)
+    a, b = ring * sections, next_ring * sections
+    return np.column_stack([a + here, b + after, b + here]), np.column_stack([a + here, a + after, b + after])

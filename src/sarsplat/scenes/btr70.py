@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sarsplat.scenes._shapes import assembled, barrel, both, box, cylinder, hull, prism, revolved, wheel
+from sarsplat.scenes._shapes import assembled, barrel, box, cylinder, hull, mirrored, prism, revolved, wheel
 
 if TYPE_CHECKING:
     import trimesh
@@ -25,37 +25,19 @@ def btr70() -> trimesh.Trimesh:
 
 def _hull() -> list[trimesh.Trimesh]:
     # Boat-shaped: narrow between the wheels, widest along a belt line just above them, and drawn in above it.
-    boat = hull(
-        both(
-            [
-                (3.77, 0.95, 1.12), (3.70, 0.92, 0.98), (2.75, 0.85, 0.50), (-3.05, 0.85, 0.475), (-3.77, 0.98, 1.15),
-                (3.0, 1.0, 1.15), (-3.2, 1.0, 1.15),
-            ]
-        )
+    boat = mirrored(
+        (3.77, 0.95, 1.12), (3.70, 0.92, 0.98), (2.75, 0.85, 0.50), (-3.05, 0.85, 0.475), (-3.77, 0.98, 1.15),
+        (3.0, 1.0, 1.15), (-3.2, 1.0, 1.15),
     )  # fmt: skip
-    lower_deck = hull(
-        both(
-            [
-                (3.77, 0.95, 1.12), (2.80, 1.35, 1.10), (-3.10, 1.40, 1.10), (-3.77, 1.15, 1.14),
-                (2.45, 1.40, 1.10), (2.45, 1.10, 1.48), (-3.10, 1.12, 1.48), (-3.70, 1.00, 1.30),
-            ]
-        )
+    lower_deck = mirrored(
+        (3.77, 0.95, 1.12), (2.80, 1.35, 1.10), (-3.10, 1.40, 1.10), (-3.77, 1.15, 1.14),
+        (2.45, 1.40, 1.10), (2.45, 1.10, 1.48), (-3.10, 1.12, 1.48), (-3.70, 1.00, 1.30),
     )  # fmt: skip
-    upper = hull(
-        both(
-            [
-                (2.62, 1.02, 1.42), (2.20, 0.88, 1.79), (-0.95, 0.90, 1.82), (-0.95, 1.18, 1.40),
-            ]
-        )
-    )  # fmt: skip
-    engine = hull(
-        both(
-            [
-                (-0.95, 0.90, 1.80), (-0.95, 1.18, 1.40), (-3.05, 0.88, 1.72), (-3.05, 1.14, 1.40), (-3.66, 0.98, 1.32),
-            ]
-        )
-    )  # fmt: skip
-    trim_vane = hull(both([(3.75, 0.88, 1.00), (3.75, 0.88, 1.06), (3.25, 0.85, 0.68), (3.25, 0.85, 0.74)]))
+    upper = mirrored((2.62, 1.02, 1.42), (2.20, 0.88, 1.79), (-0.95, 0.90, 1.82), (-0.95, 1.18, 1.40))
+    engine = mirrored(
+        (-0.95, 0.90, 1.80), (-0.95, 1.18, 1.40), (-3.05, 0.88, 1.72), (-3.05, 1.14, 1.40), (-3.66, 0.98, 1.32)
+    )
+    trim_vane = mirrored((3.75, 0.88, 1.00), (3.75, 0.88, 1.06), (3.25, 0.85, 0.68), (3.25, 0.85, 0.74))
     return [boat, lower_deck, upper, engine, trim_vane]
 
 
@@ -80,16 +62,8 @@ def _sides(side: int) -> list[trimesh.Trimesh]:
 
 def _roof() -> list[trimesh.Trimesh]:
     # Two windscreens under raised shutters, hatches of driver and commander, a row of periscopes, troop hatches.
-    shutters = [
-        hull(
-            [
-                (x, y, z)
-                for y in (c - 0.24, c + 0.24)
-                for x, z in ((2.53, 1.54), (2.60, 1.58), (2.27, 1.78), (2.34, 1.82))
-            ]
-        )
-        for c in (-0.48, 0.48)
-    ]
+    shutter = [(2.53, 1.54), (2.60, 1.58), (2.27, 1.78), (2.34, 1.82)]
+    shutters = [hull([(x, y, z) for y in (c - 0.24, c + 0.24) for x, z in shutter]) for c in (-0.48, 0.48)]
     hatches = [cylinder(0.27, (1.78, y, 1.76), (1.78, y, 1.84)) for y in (-0.48, 0.48)]
     troop_hatches = [box((-0.72, -0.12), (y - 0.28, y + 0.28), (1.78, 1.85)) for y in (-0.45, 0.45)]
     periscopes = [
@@ -113,26 +87,11 @@ def _turret() -> list[trimesh.Trimesh]:
     cone = revolved([(0.0, 1.75), (0.74, 1.75), (0.72, 1.84), (0.47, 2.16), (0.40, 2.18), (0.0, 2.18)])
     cone.apply_translation((_TURRET_X, 0.0, 0.0))
     mantlet = box((_TURRET_X + 0.30, _TURRET_X + 0.78), (-0.17, 0.22), (1.90, 2.10))
-    gun = barrel(
-        [
-            (0.0, 0.0),
-            (0.062, 0.0),
-            (0.062, 0.75),
-            (0.036, 0.80),
-            (0.036, 1.45),
-            (0.05, 1.47),
-            (0.05, 1.60),
-            (0.0, 1.60),
-        ],
-        (_TURRET_X + 0.5, -0.04, 2.0),
-        elevation_deg=2.0,
-        sections=16,
-    )
-    second = barrel(
-        [(0.0, 0.0), (0.035, 0.0), (0.035, 0.70), (0.0, 0.70)],
-        (_TURRET_X + 0.5, 0.14, 2.0),
-        elevation_deg=2.0,
-        sections=12,
-    )
+    profile = [
+        (0.0, 0.0), (0.062, 0.0), (0.062, 0.75), (0.036, 0.80), (0.036, 1.45), (0.05, 1.47), (0.05, 1.60), (0.0, 1.60)
+    ]  # fmt: skip
+    second_profile = [(0.0, 0.0), (0.035, 0.0), (0.035, 0.70), (0.0, 0.70)]
+    gun = barrel(profile, (_TURRET_X + 0.5, -0.04, 2.0), elevation_deg=2.0, sections=16)
+    second = barrel(second_profile, (_TURRET_X + 0.5, 0.14, 2.0), elevation_deg=2.0, sections=12)
     sight = box((_TURRET_X + 0.18, _TURRET_X + 0.36), (0.20, 0.36), (2.10, 2.24))
     return [cone, mantlet, gun, second, sight]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sarsplat.scenes._shapes import assembled, both, box, cylinder, hull, prism, strip, wheel
+from sarsplat.scenes._shapes import assembled, box, cylinder, hull, mirrored, prism, strip, wheel
 
 if TYPE_CHECKING:
     import trimesh
@@ -47,19 +47,11 @@ def _side(side: int) -> list[trimesh.Trimesh]:
     """Wheels, front wing, step and tank of the left (+1) or right (−1) side."""
     wheels = [wheel(x, (side * 0.815, side * 1.345), 0.65, rim=0.48) for x in AXLES_X]
     # The wing rises from the bumper, runs flat over the wheel and falls to the step below the cab's door.
-    wing = strip(
-        [(4.20, 1.20), (4.05, 1.42), (3.72, 1.55), (2.95, 1.55), (2.55, 1.36), (2.25, 1.02)],
-        0.05,
-        (side * 0.62, side * 1.36),
-    )
+    path = [(4.20, 1.20), (4.05, 1.42), (3.72, 1.55), (2.95, 1.55), (2.55, 1.36), (2.25, 1.02)]
+    wing = strip(path, 0.05, (side * 0.62, side * 1.36))
     step = box((0.95, 2.28), (side * 0.85, side * 1.30), (0.90, 0.98))
-    tank = hull(
-        [
-            (x, side * y, z)
-            for x in (-0.25, 0.92)
-            for y, z in ((0.62, 0.72), (0.62, 1.30), (1.22, 0.78), (1.28, 0.9), (1.28, 1.2), (1.22, 1.30))
-        ]
-    )
+    section = [(0.62, 0.72), (0.62, 1.30), (1.22, 0.78), (1.28, 0.9), (1.28, 1.2), (1.22, 1.30)]
+    tank = hull([(x, side * y, z) for x in (-0.25, 0.92) for y, z in section])
     lamp = cylinder(0.14, (3.92, side * 0.98, 1.66), (4.10, side * 0.98, 1.66), sections=20)
     lamp_post = box((3.96, 4.02), (side * 0.94, side * 1.02), (1.40, 1.56))
     mirror = [
@@ -71,13 +63,9 @@ def _side(side: int) -> list[trimesh.Trimesh]:
 
 def _bonnet() -> list[trimesh.Trimesh]:
     """Long, narrowing to the radiator, its top falling a little forwards."""
-    hood = hull(
-        both(
-            [
-                (2.15, 0.72, 1.20), (2.15, 0.72, 1.98), (2.15, 0.58, 2.12), (4.02, 0.52, 1.20), (4.02, 0.52, 1.86),
-                (4.02, 0.42, 1.98),
-            ]
-        )
+    hood = mirrored(
+        (2.15, 0.72, 1.20), (2.15, 0.72, 1.98), (2.15, 0.58, 2.12), (4.02, 0.52, 1.20), (4.02, 0.52, 1.86),
+        (4.02, 0.42, 1.98),
     )  # fmt: skip
     frame = [
         box((4.0, 4.08), (-0.56, 0.56), (1.84, 1.99)),
@@ -94,31 +82,15 @@ def _cab() -> list[trimesh.Trimesh]:
     body = prism([(rear, 1.05), (front, 1.05), (front, belt), (rear, belt)], (-1.16, 1.16))
     doors = [box((1.12, 2.10), (side * 1.15, side * 1.18), (1.10, belt)) for side in (-1, 1)]
     back = box((rear, rear + 0.06), (-1.12, 1.12), (belt, 2.85))
-    pillars = [
-        hull(
-            [
-                (x + dx, side * (y + dy), z)
-                for x, y, z in ((front - 0.08, 1.06, belt), (front - 0.22, 1.0, 2.84))
-                for dx in (0.0, 0.08)
-                for dy in (0.0, 0.08)
-            ]
-        )
-        for side in (-1, 1)
-    ]
+    ends = [(front - 0.08, 1.06, belt), (front - 0.22, 1.0, 2.84)]
+    corners = [(x + dx, y + dy, z) for x, y, z in ends for dx in (0.0, 0.08) for dy in (0.0, 0.08)]
+    pillars = [hull([(x, side * y, z) for x, y, z in corners]) for side in (-1, 1)]
     pillars += [box((x, x + 0.10), (side * 1.02, side * 1.12), (belt, 2.84)) for side in (-1, 1) for x in (rear, 1.08)]
     pillars.append(box((front - 0.17, front - 0.10), (-0.03, 0.03), (belt, 2.84)))
-    roof = hull(
-        both(
-            [
-                (rear, 1.14, 2.78),
-                (rear + 0.05, 0.98, 2.94),
-                (front - 0.10, 1.10, 2.76),
-                (front - 0.22, 0.95, 2.93),
-                (rear, 1.14, 2.70),
-                (front - 0.10, 1.10, 2.70),
-            ]
-        )
-    )
+    roof = mirrored(
+        (rear, 1.14, 2.78), (rear + 0.05, 0.98, 2.94), (front - 0.10, 1.10, 2.76), (front - 0.22, 0.95, 2.93),
+        (rear, 1.14, 2.70), (front - 0.10, 1.10, 2.70),
+    )  # fmt: skip
     return [body, *doors, back, *pillars, roof]
 
 
@@ -138,7 +110,6 @@ def _bed() -> list[trimesh.Trimesh]:
         box((front - 0.05, front), (-1.33, 1.33), (_FLOOR, _BOARDS)),
         box((rear, rear + 0.05), (-1.33, 1.33), (_FLOOR, _FLOOR + 0.62)),
     ]
-    benches = [
-        box((rear + 0.2, front - 0.2), (side * 0.95, side * 1.30), (_FLOOR + 0.42, _FLOOR + 0.46)) for side in (-1, 1)
-    ]
+    bench = (rear + 0.2, front - 0.2)
+    benches = [box(bench, (side * 0.95, side * 1.30), (_FLOOR + 0.42, _FLOOR + 0.46)) for side in (-1, 1)]
     return [floor, *bearers, *boards, *posts, *ends, *benches]

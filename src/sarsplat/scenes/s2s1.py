@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sarsplat.scenes._shapes import assembled, barrel, belt, both, box, cylinder, hull, prism, wheel
+from sarsplat.scenes._shapes import assembled, barrel, belt, box, cylinder, hull, mirrored, prism, wheel
 
 if TYPE_CHECKING:
     import trimesh
@@ -24,13 +24,9 @@ def s2s1() -> trimesh.Trimesh:
 def _hull() -> list[trimesh.Trimesh]:
     tub = [(3.63, 0.98), (3.50, 0.86), (2.75, 0.42), (-3.15, 0.42), (-3.50, 0.60), (-3.50, 1.20), (3.35, 1.08)]
     # Above the tracks the hull is as wide as they are, behind a long sloping bow.
-    upper = hull(
-        both(
-            [
-                (3.63, 1.05, 0.98), (3.55, 1.15, 1.04), (3.05, 1.40, 1.06), (2.62, 1.40, 0.98), (-3.30, 1.40, 0.98),
-                (-3.55, 1.32, 1.10), (1.75, 1.30, 1.62), (-3.45, 1.28, 1.62),
-            ]
-        )
+    upper = mirrored(
+        (3.63, 1.05, 0.98), (3.55, 1.15, 1.04), (3.05, 1.40, 1.06), (2.62, 1.40, 0.98), (-3.30, 1.40, 0.98),
+        (-3.55, 1.32, 1.10), (1.75, 1.30, 1.62), (-3.45, 1.28, 1.62),
     )  # fmt: skip
     return [prism(tub, (-1.0, 1.0)), upper]
 
@@ -42,9 +38,8 @@ def _side(side: int) -> list[trimesh.Trimesh]:
     sprocket, idler = (3.02, 0.60, 0.24), (-3.12, 0.56, 0.25)
     track = belt([*road, sprocket, idler], thickness, (side * 1.025, side * 1.425))
     wheels = [wheel(x, (side * 1.07, side * 1.39), r, rim=0.62, z=z) for x, z, r in [*road, sprocket, idler]]
-    mudguard = hull(
-        [(x, side * y, z) for y in (1.02, 1.41) for x, z in ((3.05, 1.02), (3.42, 0.86), (3.42, 0.82), (3.05, 0.98))]
-    )
+    guard = [(3.05, 1.02), (3.42, 0.86), (3.42, 0.82), (3.05, 0.98)]
+    mudguard = hull([(x, side * y, z) for y in (1.02, 1.41) for x, z in guard])
     rear_flap = box((-3.60, -3.50), (side * 1.02, side * 1.41), (0.72, 1.02))
     return [track, *wheels, mudguard, rear_flap]
 
@@ -52,17 +47,13 @@ def _side(side: int) -> list[trimesh.Trimesh]:
 def _deck() -> list[trimesh.Trimesh]:
     # Driver on the left in front, behind a windscreen; the engine and its grilles on the right.
     slope = (1.62 - 1.04) / (3.55 - 1.75)
-    driver_hood = hull(
-        [(x, y, z) for y in (0.35, 1.0) for x, z in ((2.35, 1.40), (1.95, 1.72), (1.30, 1.72), (1.25, 1.60))]
-    )
+    hood = [(2.35, 1.40), (1.95, 1.72), (1.30, 1.72), (1.25, 1.60)]
+    driver_hood = hull([(x, y, z) for y in (0.35, 1.0) for x, z in hood])
     hatch = cylinder(0.30, (1.62, 0.68, 1.70), (1.62, 0.68, 1.77))
     grilles = [box((x, x + 0.55), (-1.10, -0.15), (1.60, 1.67)) for x in (0.55, 1.15)]
     louvre = hull(
-        [
-            (x, y, 1.62 - (x - 1.75) * slope + dz)
-            for x in (1.85, 2.75) for y in (-1.05, -0.15) for dz in (-0.05, 0.05)
-        ]
-    )  # fmt: skip
+        [(x, y, 1.62 - (x - 1.75) * slope + dz) for x in (1.85, 2.75) for y in (-1.05, -0.15) for dz in (-0.05, 0.05)]
+    )
     exhaust = cylinder(0.09, (0.95, -1.05, 1.70), (0.45, -1.22, 1.72), sections=12)
     lamps = [cylinder(0.10, (3.05, y, 1.34), (3.20, y, 1.34), sections=16) for y in (-1.05, 1.05)]
     lamp_posts = [box((3.02, 3.08), (y - 0.05, y + 0.05), (1.05, 1.34)) for y in (-1.05, 1.05)]
@@ -85,7 +76,7 @@ def _turret() -> list[trimesh.Trimesh]:
     """Large, low and flat-roofed, near the stern; sides and front slope."""
     base = [(0.42, 0.55), (0.10, 0.98), (-0.75, 1.22), (-1.90, 1.24), (-2.65, 1.00), (-2.95, 0.55)]
     roof = [(-0.22, 0.48), (-0.45, 0.72), (-0.95, 0.94), (-1.90, 0.98), (-2.48, 0.82), (-2.68, 0.45)]
-    body = hull(both([(x, y, 1.66) for x, y in base] + [(x, y, 2.38) for x, y in roof]))
+    body = mirrored(*((x, y, 1.66) for x, y in base), *((x, y, 2.38) for x, y in roof))
     ring = cylinder(1.12, (-1.25, 0.0, 1.58), (-1.25, 0.0, 1.70), sections=40)
     # Commander's cupola with its searchlight on the left behind the gunner's sight, the loader's hatch on the right.
     cupola = [

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sarsplat.scenes._shapes import Point, assembled, box, cylinder
+from sarsplat.scenes._shapes import Point, assembled, box, cylinder, faces_between
 
 if TYPE_CHECKING:
     import trimesh
@@ -19,7 +19,6 @@ _STANDING = 0.33  # radius of the cylinder and of the tube on the roof
 _STANDING_X = -0.4933
 _APEX: Point = (0.1659, 0.3783, _ROOF)  # of the corner reflector
 _LEG = 0.2927
-
 _SECTIONS = 64
 
 
@@ -28,7 +27,7 @@ def slicy() -> trimesh.Trimesh:
 
     Centred on the base block. A stepped block; on the step a lying cylinder, of which the quarter outside the blocks
     shows; on the roof a closed and an open standing cylinder, the latter without thickness, and a trihedral corner
-    reflector that opens towards +x. Sizes are those of a model by others, not of a drawing.
+    reflector that opens towards +x. Sizes are from someone else's model, not from a drawing.
     """
     base = box((_BACK, _FRONT), (-_SIDE, _SIDE), (0, _TREAD))
     upper = box((_BACK, _STEP), (-_SIDE, _SIDE), (_TREAD, _ROOF))
@@ -44,13 +43,8 @@ def _tube() -> trimesh.Trimesh:
     angles = np.arange(_SECTIONS) * (2 * np.pi / _SECTIONS)
     ring = np.column_stack([_STANDING_X + _STANDING * np.cos(angles), -0.5821 + _STANDING * np.sin(angles)])
     vertices = np.concatenate([np.column_stack([ring, np.full(_SECTIONS, z)]) for z in (_ROOF, 1.232)])
-    here = np.arange(_SECTIONS)
-    after = np.roll(here, -1)
-    low, high = (
-        np.column_stack([here, after, after + _SECTIONS]),
-        np.column_stack([here, after + _SECTIONS, here + _SECTIONS]),
-    )
-    return trimesh.Trimesh(vertices, np.concatenate([low, high]), process=False)
+    faces = np.concatenate(faces_between(0, 1, _SECTIONS)[::-1])
+    return trimesh.Trimesh(vertices, faces, process=False)
 
 
 def _corner() -> trimesh.Trimesh:

@@ -26,19 +26,9 @@ def t72() -> trimesh.Trimesh:
 def _hull() -> list[trimesh.Trimesh]:
     body = [(3.45, 0.92), (2.35, 1.38), (-3.18, 1.38), (-3.45, 0.80), (-2.95, 0.47), (2.85, 0.47)]
     glacis_slope = (1.38 - 0.92) / (3.45 - 2.35)
-
-    def on_glacis(x: float) -> float:
-        return 0.92 + (3.45 - x) * glacis_slope
-
+    guards = [[(2.75, 0.0), (2.45, side), (2.71, 0.0), (2.41, side)] for side in (-1.0, 1.0)]
     splash_guard = [
-        hull(
-            [
-                (x, y, on_glacis(x) + dz)
-                for x, y in ((2.75, 0.0), (2.45, side), (2.71, 0.0), (2.41, side))
-                for dz in (0, 0.1)
-            ]
-        )
-        for side in (-1.0, 1.0)
+        hull([(x, y, 0.92 + (3.45 - x) * glacis_slope + dz) for x, y in guard for dz in (0, 0.1)]) for guard in guards
     ]
     lamps = [box((2.70, 2.85), (y - 0.11, y + 0.11), (1.1, 1.37)) for y in (-0.85, 0.85)]
     driver_hatch = cylinder(0.27, (2.05, 0.0, 1.36), (2.05, 0.0, 1.43))
@@ -51,19 +41,16 @@ def _running_gear(side: int) -> list[trimesh.Trimesh]:
     track = (side * 1.19, side * 1.75)
     road = [(2.14 - 0.856 * k, 0.42, 0.375) for k in range(6)]
     idler, sprocket = (2.93, 0.70, 0.27), (-2.98, 0.72, 0.31)
-    loop = belt([*road, idler, sprocket], 0.045, track)
-    discs = [cylinder(radius, (x, side * 1.24, z), (x, side * 1.68, z)) for x, z, radius in (*road, idler, sprocket)]
-    hubs = [
-        cylinder(0.13, (x, side * 1.6, z), (x, side * 1.73, z), sections=12) for x, z, _ in (*road, idler, sprocket)
-    ]
-    return [loop, *discs, *hubs]
+    wheels = [*road, idler, sprocket]
+    discs = [cylinder(radius, (x, side * 1.24, z), (x, side * 1.68, z)) for x, z, radius in wheels]
+    hubs = [cylinder(0.13, (x, side * 1.6, z), (x, side * 1.73, z), sections=12) for x, z, _ in wheels]
+    return [belt(wheels, 0.045, track), *discs, *hubs]
 
 
 def _fenders() -> list[trimesh.Trimesh]:
     parts = []
     for side in (-1.0, 1.0):
         inner, outer = side * 1.1, side * 1.78
-
         parts.append(box((-3.25, 2.95), (inner, outer), (1.08, 1.11)))
         # Front mudguard, sloping down to the nose; skirt over the upper run of the track.
         parts.append(prism([(2.95, 1.11), (2.95, 1.08), (3.38, 0.93), (3.38, 0.96)], (inner, outer)))

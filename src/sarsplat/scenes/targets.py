@@ -6,19 +6,25 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from sarsplat.errors import SarsplatError
+from sarsplat.scenes.btr70 import btr70
 from sarsplat.scenes.buildings import BUILDINGS
+from sarsplat.scenes.kraz import kraz
+from sarsplat.scenes.s2s1 import s2s1
 from sarsplat.scenes.slicy import slicy
-from sarsplat.scenes.vehicles import VEHICLES
+from sarsplat.scenes.t72 import t72
 
 if TYPE_CHECKING:
     import trimesh
+
+VEHICLES: dict[str, Callable[[], trimesh.Trimesh]] = {"t72": t72, "btr70": btr70, "2s1": s2s1, "kraz": kraz}
+"""Vehicles and the functions that build them: closed bodies that may intersect, centred on the hull."""
 
 TARGETS: dict[str, Callable[[], trimesh.Trimesh]] = {
     **VEHICLES,
     "slicy": slicy,
     **{name: box.mesh for name, box in BUILDINGS.items()},
 }
-"""Known targets and the functions that build them."""
+"""All built-in targets and the functions that build them."""
 
 
 def target_mesh(name: str) -> trimesh.Trimesh:
@@ -37,8 +43,8 @@ def target_mesh(name: str) -> trimesh.Trimesh:
     Raises
     ------
     SarsplatError
-        If the name is not known.
+        If there is no target of that name.
     """
     if name not in TARGETS:
-        raise SarsplatError(f"there is no target named '{name}'; known targets: {', '.join(TARGETS)}")
+        raise SarsplatError(f"there is no target named '{name}'; choose one of {', '.join(TARGETS)}")
     return TARGETS[name]()
