@@ -1,4 +1,4 @@
-"""From point deposits of cross-section to β⁰ at the pixel centres, through the system's power response."""
+"""From point deposits of cross-section to β⁰ at the pixel centres, seen through the system's power response."""
 
 from __future__ import annotations
 
@@ -14,24 +14,9 @@ from sarsplat.geometry.responses import Response, variance_of, width_of
 
 
 class Deposit:
-    """Cross-section collected on nodes finer than the pixels and seen through the grid's response.
+    """Cross-section collected on nodes finer than the pixels, `oversample` per pixel and axis; pixel centres are nodes.
 
-    Parameters
-    ----------
-    grid : ImageGrid
-        Pixels and response.
-    oversample : int
-        Nodes per pixel and axis; pixel centres are nodes.
-
-    Attributes
-    ----------
-    image : numpy.ndarray, float64 [rows, columns]
-        β⁰ of everything added so far.
-
-    Raises
-    ------
-    SarsplatError
-        If `oversample` is not a whole number, or leaves the nodes too coarse for the response.
+    `image` is β⁰ of everything added so far, float64 [rows, columns], seen through the grid's response.
     """
 
     def __init__(self, grid: ImageGrid, oversample: int) -> None:
@@ -43,7 +28,7 @@ class Deposit:
 
     @property
     def azimuth_reach(self) -> tuple[float, float]:
-        """Azimuths beyond which nothing touches the image, m."""
+        """First and last azimuth that reach the image, m."""
         return self._columns.first, self._columns.first + (self._columns.count - 1) * self._columns.step
 
     def add(
@@ -52,27 +37,17 @@ class Deposit:
         slant_range: Float64[np.ndarray, " hits"],
         cross_section: Float64[np.ndarray, " hits"],
     ) -> None:
-        """Add cross-sections (m², of either sign) at positions (m), all float64 [K].
-
-        Each is shared bilinearly between its four nodes. That keeps its centre of gravity, so that rays and nodes do
-        not beat into moiré.
-        """
+        """Add cross-sections (m², of either sign) at positions (m)."""
+        # Bilinear sharing between four nodes keeps the centre of gravity: rays and nodes do not beat into moiré.
         rows, columns = self._rows, self._columns
         v, u = (slant_range - rows.first) / rows.step, (azimuth - columns.first) / columns.step
         near = (v >= 0) & (v < rows.count - 1) & (u >= 0) & (u < columns.count - 1)
         v, u, weight = v[near], u[near], cross_section[near]
         row, column = v.astype(np.int32), u.astype(np.int32)
         fv, fu = v - row, u - column
-        nodes = coo_matrix(
-            (
-                np.concatenate([weight * a * b for a in (1 - fv, fv) for b in (1 - fu, fu)]),
-                (
-                    np.concatenate([row, row, row + 1, row + 1]),
-                    np.concatenate([column, column + 1, column, column + 1]),
-                ),
-            ),
-            shape=(rows.count, columns.count),
-        ).tocsr()
+        shares = np.concatenate([weight * a * b for a in (1 - fv, fv) for b in (1 - fu, fu)])
+        places = np.concatenate([row, row, row + 1, row + 1]), np.concatenate([column, column + 1, column, column + 1])
+        nodes = coo_matrix((shares, places), shape=(rows.count, columns.count)).tocsr()
         self.image += rows.response @ (nodes @ columns.response.T)
 
 

@@ -1,4 +1,4 @@
-"""Random numbers of a seed, of which each purpose has its own."""
+"""Random numbers from a seed: each purpose has its own stream."""
 
 from __future__ import annotations
 
@@ -12,13 +12,7 @@ _STREAMS: dict[str, tuple[int, ...]] = {"speckle": (), "reflectivity": (1,), "vi
 
 
 def generator(seed: int, purpose: Literal["speckle", "reflectivity", "views"]) -> np.random.Generator:
-    """A source of random numbers.
-
-    Raises
-    ------
-    SarsplatError
-        If the seed is negative.
-    """
+    """The source of random numbers for one purpose; refuses a negative seed."""
     if seed < 0:
         raise SarsplatError(f"seed {seed} must be at least 0")
     return np.random.default_rng([seed, *_STREAMS[purpose]])

@@ -1,4 +1,4 @@
-"""Triangle meshes from files that nobody vouches for: what is checked before trimesh may believe it.
+"""Triangle meshes from untrusted files: what is checked before trimesh may read them.
 
 trimesh reads many formats, follows names in a file to other files, unpacks archives, and allocates what a glTF header
 asks for. Here it reads the bytes of one regular file in one of five formats, and nothing else.
@@ -22,50 +22,50 @@ if TYPE_CHECKING:
     import trimesh
 
 _FORMATS = (".obj", ".stl", ".ply", ".off", ".glb")
-_FARTHEST = 1e9  # m from the origin: beyond any unit mistaken for the metre, and squares of it stay finite
+_FARTHEST = 1e9  # m from the origin: beyond any unit mistaken for the metre, with squares that are finite
 _LARGEST_FILE = 1 << 28  # bytes
 # Bytes of text: trimesh takes up to fifty times as much memory for the first two, eighty times for the others.
 _LONGEST_TEXT = {".obj": 1 << 25, ".stl": 1 << 25, ".off": 1 << 24, ".ply": 1 << 24}
-_FREE_NUMBERS = 100_000  # that a .glb file of any size may unfold to
+_FREE_NUMBERS = 100_000  # to which a .glb file of any size may expand
 _LONGEST_SCENE = 1 << 20  # bytes of JSON in a .glb file
 _MAX_PARTS = 2_000  # nodes and primitives of a glTF scene: trimesh takes about a tenth of a millisecond for each
 _MAX_SOLIDS = 1_000  # in an ASCII .stl file: half a millisecond for each
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
-logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # what is wrong with a file is said by our own errors
+logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # our own errors report what is wrong with a file
 
 
 def read_mesh(path: Path) -> trimesh.Trimesh:
-    """All triangles of a mesh file, exactly as they are there; a scene's parts become one mesh.
+    """All triangles of a mesh file, unchanged; a scene's parts become one mesh.
 
     Parameters
     ----------
     path : Path
-        An .obj, .stl, .ply, .off or .glb file that is whole in itself: materials and textures are left out.
+        A self-contained .obj, .stl, .ply, .off or .glb file; materials and textures are ignored.
 
     Returns
     -------
     trimesh.Trimesh
-        At least one face; every face names vertices that are there. Vertices may be NaN or infinite.
+        At least one face; every face refers to existing vertices. Vertices may be NaN or infinite.
 
     Raises
     ------
     SarsplatError
-        If the file is missing, of another format or damaged, or unfolds to far more than it holds.
+        If the file is missing, of another format or damaged, or expands to far more than its size.
     """
     import trimesh
 
     path = Path(path)
     kind = path.suffix.lower()
     if kind not in _FORMATS:
-        raise SarsplatError(f"'{path}' is not a mesh of a known format; give an {', '.join(_FORMATS)} file")
+        raise SarsplatError(f"'{path}' is not in a supported mesh format; give an {', '.join(_FORMATS)} file")
     try:
-        if not path.is_file():  # nor a pipe or a device, whose end may never come
+        if not path.is_file():  # nor a pipe or a device, which may never end
             raise SarsplatError(f"there is no mesh file at '{path}'; give the path of an {', '.join(_FORMATS)} file")
         if (size := path.stat().st_size) > _LARGEST_FILE:
             raise SarsplatError(f"'{path}' has {size} bytes, more than is sensible for a target; simplify the mesh")
-        if kind in (".obj", ".off") and size > _LONGEST_TEXT[kind]:
-            raise _too_long(path, size)
+        if kind in (".obj", ".off"):
+            _check_length(path, size)
         data = path.read_bytes()
     except (OSError, MemoryError) as error:
         raise SarsplatError(f"cannot read '{path}': {error}; check the path and its permissions") from error
@@ -76,7 +76,7 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            # numpy only warns of a number it cannot read, and leaves out the rest of the line.
+            # numpy only warns about a number it cannot read, and skips the rest of the line.
             warnings.filterwarnings("error", message="string or file could not be read")
             # Unprocessed: merging vertices would move them. A stream without resolver: no other file can be named.
             scene = trimesh.load_scene(io.BytesIO(data), file_type=kind[1:], process=False, skip_materials=True)
@@ -94,6 +94,11 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     return mesh
 
 
+def _check_length(path: Path, size: int) -> None:
+    if size > _LONGEST_TEXT[path.suffix.lower()]:
+        raise SarsplatError(f"'{path}' has {size} bytes of text; simplify the mesh or export it as .glb or binary .ply")
+
+
 def _is_binary(kind: str, data: bytes) -> bool:
     if kind == ".stl":
         return len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
@@ -101,9 +106,8 @@ def _is_binary(kind: str, data: bytes) -> bool:
 
 
 def _plain_text(path: Path, kind: str, data: bytes) -> bytes:
-    """UTF-8 without what costs trimesh far more than it holds: materials, comments, empty lines."""
-    if len(data) > _LONGEST_TEXT[kind]:
-        raise _too_long(path, len(data))
+    """UTF-8 without what is far more expensive for trimesh than its size: materials, comments, empty lines."""
+    _check_length(path, len(data))
     if kind == ".stl" and b"\0" in data:
         faces = int.from_bytes(data[80:84], "little")
         raise SarsplatError(
@@ -121,12 +125,8 @@ def _plain_text(path: Path, kind: str, data: bytes) -> bytes:
     return re.sub(rb"[\n-\r\x1c-\x1e][\s\x1c-\x1e]*", b"\n", data)
 
 
-def _too_long(path: Path, size: int) -> SarsplatError:
-    return SarsplatError(f"'{path}' has {size} bytes of text; simplify the mesh or export it as .glb or binary .ply")
-
-
 def _check_glb(path: Path, data: bytes) -> None:
-    """Believe what the scene's JSON says of sizes only as far as the file goes."""
+    """Refuse a scene whose JSON describes far more data than the file holds."""
     length = int.from_bytes(data[12:16], "little")
     if data[:4] != b"glTF" or data[16:20] != b"JSON" or length > len(data) - 20:
         raise SarsplatError(f"'{path}' is not a whole .glb file; export it again")
@@ -143,7 +143,7 @@ def _check_glb(path: Path, data: bytes) -> None:
 
 
 def _unfolded(scene: dict[str, Any]) -> tuple[int, int]:
-    """How many numbers trimesh would hold, each part of the scene in each of its places, and how many places."""
+    """How many numbers trimesh would hold, counting every instance of every part, and how many instances."""
     views, accessors, meshes, nodes = (scene.get(key, []) for key in ("bufferViews", "accessors", "meshes", "nodes"))
     numbers = sum(_natural(view["byteLength"]) // 4 for view in views)
     for accessor in accessors:
@@ -163,6 +163,6 @@ def _unfolded(scene: dict[str, Any]) -> tuple[int, int]:
 
 
 def _natural(value: object) -> int:
-    if not isinstance(value, int) or value < 0:
-        raise ValueError(f"{value!r:.40} is not a count")
-    return value
+    if isinstance(value, int) and value >= 0:
+        return value
+    raise ValueError(f"{value!r:.40} is not a count")

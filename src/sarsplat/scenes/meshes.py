@@ -18,22 +18,22 @@ from sarsplat.scenes.mesh_files import read_mesh
 if TYPE_CHECKING:
     import trimesh
 
-# The sizes of a target that is imaged as it is meant to be, in image sides and in resolution widths. A vehicle that is
-# given in inches, centimetres or millimetres is farther out, and so is one in kilometres.
+# Plausible sizes of a target, in image sides and in resolution widths. A vehicle in inches, centimetres, millimetres or
+# kilometres is outside.
 _LARGEST_TARGET, _SMALLEST_TARGET = 1.0, 2.0
 
 
 def load_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
     """Triangle mesh of an .obj, .stl, .ply, .off or .glb file; a scene's parts become one mesh.
 
-    Open, intersecting and inconsistently oriented surfaces are taken as they are. Faces that are degenerate or have a
-    vertex that is not finite are dropped with one warning; of equal faces, such as where two closed bodies touch, one
-    is kept, which leaves the surface as it was.
+    Open, intersecting and inconsistently oriented surfaces are accepted unchanged. Faces that are degenerate or have a
+    vertex that is not finite are dropped with one warning; one of several equal faces, such as where two closed bodies
+    touch, is kept, so the surface does not change.
 
     Parameters
     ----------
     path : path
-        File, +x nose, +y left, +z up, ground at z = 0; its coordinates are taken for metres.
+        File, +x nose, +y left, +z up, ground at z = 0; coordinates in metres.
 
     Returns
     -------
@@ -69,20 +69,14 @@ def load_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
 
 
 def scaled(mesh: trimesh.Trimesh, factor: float) -> trimesh.Trimesh:
-    """The mesh with every coordinate multiplied by a factor.
-
-    Raises
-    ------
-    SarsplatError
-        If the factor is not positive and finite.
-    """
+    """The mesh with every coordinate multiplied by a factor, which must be positive and finite."""
     if not (math.isfinite(factor) and factor > 0):
         raise SarsplatError(f"scale {factor} must be positive and finite; 0.001 makes metres of millimetres")
     return mesh.copy().apply_scale(factor)
 
 
 def suspicious_size(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
-    """Whether a mesh is larger than its images, or hardly larger than a resolution cell; one sentence, or none."""
+    """A sentence if a mesh is larger than its images or hardly larger than a resolution cell, otherwise nothing."""
     extent = float(mesh.extents.max())
     side = max(grid.rows * grid.spacing_m[1], grid.columns * grid.spacing_m[0])
     cell = max(grid.resolution_m)
@@ -97,7 +91,7 @@ def suspicious_size(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
 def _have_area(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
     """Which faces [F] are finite and have an area."""
     first, second, third = (vertices[faces[:, k]] for k in range(3))
-    with np.errstate(invalid="ignore"):  # of infinities; no finite vertex is so far away that its square is one
+    with np.errstate(invalid="ignore"):  # infinite vertices; the squares of finite ones do not overflow
         area2 = np.linalg.norm(np.cross(second - first, third - first), axis=1)
     return np.isfinite(area2) & (area2 > 0)
 

@@ -1,4 +1,4 @@
-"""From where the experiments look, and on which grids."""
+"""Views and grids of the experiments."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _MAX_VIEWS = 10_000
 
 
 def paper_views() -> list[tuple[View, str]]:
-    """Views of the paper's rendered sets with their split, 24 'train' and 48 'test'.
+    """Views of the paper's rendered sets and their split: 24 'train' and 48 'test'.
 
     Incidence 15, 45 and 75°; training azimuths 0, 45, …, 315°, test azimuths the other 16 of the 15° raster.
     Source: SAR-GS, Tables I–III. The paper also prints "every third of 24", which would overlap.
@@ -30,7 +30,7 @@ def paper_grid() -> ImageGrid:
 
 
 def mstar_views() -> list[tuple[View, str]]:
-    """Views like the measured MSTAR sets: 36 azimuths at 17° grazing to train with, those in between to test.
+    """Views like those of the measured MSTAR sets: 36 training azimuths at 17° grazing, test azimuths in between.
 
     Splits: 'train' (0, 10, …, 350° at 17°), 'test-17' and 'test-15' (5, 15, …, 355° at 17° and at 15°).
     """
@@ -42,22 +42,7 @@ def mstar_views() -> list[tuple[View, str]]:
 
 
 def random_views(count: int, lowest_deg: float, highest_deg: float, seed: int) -> list[View]:
-    """Directions that are evenly distributed over the part of the sky between two grazing angles.
-
-    Parameters
-    ----------
-    count : int
-        How many.
-    lowest_deg, highest_deg : float
-        Grazing angles, degrees.
-    seed : int
-        Of the directions.
-
-    Raises
-    ------
-    SarsplatError
-        If it is not a number of views from 1 to 10,000, or the seed is negative.
-    """
+    """1 to 10,000 directions evenly distributed over the part of the sky between two grazing angles, degrees."""
     if not 1 <= count <= _MAX_VIEWS:
         raise SarsplatError(f"{counted(count, 'random view')} cannot be drawn; give 1 to {_MAX_VIEWS}")
     low, high = (math.sin(math.radians(angle)) for angle in (lowest_deg, highest_deg))

@@ -1,4 +1,4 @@
-"""Truth for experiments: β⁰ images of a triangle mesh by ray casting. Shares nothing with the Gaussian renderer.
+"""Truth for experiments: β⁰ images of a triangle mesh by ray casting, which shares no code with the renderer.
 
 Parallel rays along the line of sight stand on the computation plane (x_r, y_r); each deposits the cross-section
 γ⁰(i)·δx·δy of its first hit on the imaging plane (x_r, z_r), which is then seen through the system's power response.
@@ -86,7 +86,7 @@ def simulate_raycast(
     mesh : trimesh.Trimesh
         Opaque triangles, m; orientation and closedness do not matter.
     view, grid
-        From where, and where the pixels lie.
+        Direction to the radar, and where the pixels lie.
     law : ScatteringLaw
         γ⁰ of the mesh's facets against incidence angle.
     reflectivity : numpy.ndarray [F], optional
@@ -97,7 +97,7 @@ def simulate_raycast(
     ray_spacing : float, optional
         Spacing δ of the square ray lattice, m; `default_ray_spacing` unless given.
     ray_offset : (float, float)
-        Offset of the lattice along its two axes, in spacings. Two offsets tell how far the rays have converged.
+        Offset of the lattice along its two axes, in spacings. Comparing two offsets shows how far the rays have converged.
     oversample : int
         Histogram nodes per pixel and axis; pixel centres are nodes. A hit is shared between the four nodes around it.
 
@@ -132,9 +132,7 @@ def simulate_raycast(
         x, z, z_ground = x[above], z[above], z_ground[above]
         deposit.add(x, z, gamma0[face[above]] * cell_area)
         deposit.add(x, z_ground, np.full(x.shape, -ground_gamma0 * cell_area))
-    image = deposit.image
-    if ground_gamma0 is not None:
-        image = image + beta0_of_gamma0(ground_gamma0, view.grazing_deg)
+    image = deposit.image + (0.0 if ground_gamma0 is None else beta0_of_gamma0(ground_gamma0, view.grazing_deg))
     return np.maximum(image, 0.0).astype(np.float32)  # rounding leaves −1e-9 where the shadow is full
 
 
@@ -155,9 +153,7 @@ def check_rays(
     if len(mesh.faces) == 0:
         raise SarsplatError("the mesh has 0 faces, so there is nothing to image; give a mesh with triangles")
     if not np.isfinite(mesh.vertices).all():
-        raise SarsplatError(
-            "the mesh holds a vertex that is not finite; read it with load_mesh, which drops such faces"
-        )
+        raise SarsplatError("the mesh has a vertex that is not finite; read it with load_mesh, which drops such faces")
     check_ground(ground_gamma0)
     if not (math.isfinite(ray_spacing) and ray_spacing > 0):
         raise SarsplatError(f"ray_spacing {ray_spacing} must be positive and finite, in metres")
@@ -183,9 +179,7 @@ def first_hits(
         )
     z_start = lower[2] - center[2] - max(1.0, spacing)
     for position in _lattice(x_range, (lower[1], upper[1]), spacing, offset):
-        origins = np.empty((len(position), 3), dtype=np.float32)
-        origins[:, :2] = position - center[:2]
-        origins[:, 2] = z_start
+        origins = np.column_stack([position - center[:2], np.full(len(position), z_start)]).astype(np.float32)
         face = run(origins)
         hit = face >= 0
         yield position[hit], face[hit]
@@ -208,12 +202,8 @@ def _lattice(
     x: tuple[float, float], y: tuple[float, float], spacing: float, offset: tuple[float, float]
 ) -> Iterator[Float64[np.ndarray, "k 2"]]:
     """Points of the tilted square lattice within a rectangle, in batches, float64 [K, 2]."""
-    turn = np.array(
-        [
-            [math.cos(_LATTICE_TILT), -math.sin(_LATTICE_TILT)],
-            [math.sin(_LATTICE_TILT), math.cos(_LATTICE_TILT)],
-        ]
-    )
+    cos, sin = math.cos(_LATTICE_TILT), math.sin(_LATTICE_TILT)
+    turn = np.array([[cos, -sin], [sin, cos]])
     corners = np.array([(a, b) for a in x for b in y]) @ turn / spacing - offset
     first, last = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int)
     along = np.arange(first[0], last[0] + 1) + offset[0]

@@ -1,4 +1,4 @@
-"""How strongly a surface scatters back at a given incidence angle."""
+"""How strongly a surface scatters back to the radar at a given incidence angle."""
 
 from __future__ import annotations
 
@@ -65,26 +65,9 @@ class ScatteringLaw:
 
 
 def part_reflectivity(mesh: trimesh.Trimesh, spread_db: float, seed: int) -> Float64[np.ndarray, " faces"]:
-    """A factor on the law's γ⁰ for every connected part of a mesh, log-normally distributed around 1.
+    """For each face, the factor of its part on the law's γ⁰: `reflectivity` of the simulators.
 
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        Faces that share a corner belong to the same part.
-    spread_db : float
-        Standard deviation of the factors, dB.
-    seed : int
-        Of the factors.
-
-    Returns
-    -------
-    numpy.ndarray, float64 [F]
-        For each face the factor of its part: `reflectivity` of the simulators.
-
-    Raises
-    ------
-    SarsplatError
-        If the spread is negative or larger than 10 dB, or the seed is negative.
+    Faces that share a corner belong to the same part; factors are log-normal around 1 with this standard deviation.
     """
     if not 0 <= spread_db <= _MAX_SPREAD_DB:
         raise SarsplatError(f"the reflectivity's spread {spread_db} dB must be between 0 and {_MAX_SPREAD_DB:g} dB")
@@ -97,7 +80,7 @@ def part_reflectivity(mesh: trimesh.Trimesh, spread_db: float, seed: int) -> Flo
 
 
 def check_ground(gamma0: float | None) -> None:
-    """Refuse a ground that is not a γ⁰."""
+    """Refuse a γ⁰ of the ground that is negative or not finite."""
     if gamma0 is not None and not 0 <= gamma0 <= _MAX_GAMMA0:
         raise SarsplatError(f"ground_gamma0 {gamma0} must be finite and at least 0 (linear γ⁰, not decibels)")
 
@@ -105,14 +88,12 @@ def check_ground(gamma0: float | None) -> None:
 def check_reflectivity(
     reflectivity: Real[np.ndarray, " {faces}"] | None, faces: int
 ) -> Float64[np.ndarray, " {faces}"]:
-    """Factors on the law's γ⁰, float64 [faces]: 1 unless given; refused if they are not that many, or not factors."""
+    """Factors on the law's γ⁰ as float64: 1 unless given; refused if their number or a value is wrong."""
     if reflectivity is None:
         return np.ones(faces)
     factors = np.asarray(reflectivity, dtype=np.float64)
     if factors.shape != (faces,):
         raise SarsplatError(f"reflectivity has shape {factors.shape}; give one factor for each of the {faces} faces")
     if not ((factors >= 0) & (factors <= _MAX_GAMMA0)).all():  # also catches NaN
-        raise SarsplatError(
-            f"reflectivity holds a factor that is not from 0 to {_MAX_GAMMA0:g}; give linear factors on γ⁰"
-        )
+        raise SarsplatError(f"reflectivity has a factor outside 0 to {_MAX_GAMMA0:g}; give linear factors on γ⁰")
     return factors

@@ -1,4 +1,4 @@
-"""Speckle: what coherent imaging does to the power of a distributed target."""
+"""Speckle: the random power of a distributed target in a coherent image."""
 
 from __future__ import annotations
 
@@ -36,5 +36,5 @@ def add_speckle(
         If `looks` is not positive and finite.
     """
     if not (math.isfinite(looks) and looks > 0):
-        raise SarsplatError(f"looks {looks} must be positive and finite; leave speckle out for a clean image")
+        raise SarsplatError(f"looks {looks} must be positive and finite; pass None for a clean image")
     return (power * rng.gamma(looks, 1 / looks, size=power.shape)).astype(power.dtype)

@@ -1,4 +1,4 @@
-"""Truth by our own forward model (protocol R-self): a surface covered with small, flat Gaussians."""
+"""Truth from our own forward model (protocol R-self): a surface covered with small, flat Gaussians."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from sarsplat.scenes.scattering import ScatteringLaw
 if TYPE_CHECKING:
     import trimesh
 
-# Chosen by measurement against the ray caster (docs/forward-model.md): wider or denser discs bulge over edges and come
-# in nearer than the surface, narrower or thinner ones leak.
+# Measured against the ray caster (docs/forward-model.md): wider or denser discs bulge over edges and appear nearer than
+# the surface, narrower or thinner ones leak.
 _WIDENING, _SHEET_DEPTH = 1.2, 7.0
 
 _THICKNESS = 0.01  # standard deviation along the normal, in sizes of a piece
@@ -50,7 +50,7 @@ def surface_gaussians(
     Returns
     -------
     Gaussians
-        float32; harmonics zero and p_min 0: γ⁰ is meant to be given per view (`law_scattering`).
+        float32; harmonics and p_min are zero: γ⁰ is given per view (`law_scattering`).
     numpy.ndarray, int64 [N]
         The face that each Gaussian lies on.
 
