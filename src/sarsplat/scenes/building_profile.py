@@ -1,4 +1,4 @@
-"""Where the edges of a building lie in an image, and how bright its regions are."""
+"""Edges and levels of a building measured in an image, beside their closed form."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from jaxtyping import Float64, Real
 from sarsplat.geometry import ImageGrid
 from sarsplat.scenes.buildings import Building, Gamma0, Region
 
-_CLEAR = 2.0
-"""Levels are measured this many 3 dB widths away from every edge: there the response has settled to 10⁻⁶."""
+_CLEAR = 2.0  # 3 dB widths from every edge to where levels are measured: there the response has settled to 10⁻⁶
 
 
 @dataclass(frozen=True)
 class MeasuredRegion:
-    """A region and its level in an image: the mean over its pixels, or None where no pixel is clear of the edges."""
+    """A region and its mean level in an image, None if no pixel is clear of the edges."""
 
     region: Region
     beta0: float | None
@@ -25,7 +24,7 @@ class MeasuredRegion:
 
 @dataclass(frozen=True)
 class MeasuredEdge:
-    """An edge at a ground range, and how much farther away from the radar the image has it, m of slant range."""
+    """An edge at a ground range, and how much farther from the radar it is in the image, m of slant range."""
 
     ground_range: float
     error: float
@@ -63,15 +62,15 @@ def building_profile(
 ) -> BuildingProfile:
     """Measure the image of a building, seen from azimuth 0.
 
-    An edge lies where the profile crosses the level that the analytic profile has there (half way between the levels on
-    either side, if they are long); both crossings are interpolated between the same pixels, so that this cancels.
+    An edge lies where the profile crosses the level that the analytic profile has there (half way between the levels of
+    long regions on either side); both crossings are interpolated between the same pixels, so that errors of that cancel.
 
     Parameters
     ----------
     image : numpy.ndarray [rows, columns]
         β⁰, linear power.
     grid, building, grazing_deg, gamma0
-        What `image` shows, and how.
+        What `image` shows, and from where.
 
     Returns
     -------
@@ -85,25 +84,22 @@ def building_profile(
     analytic = building.profile(along, grazing_deg, gamma0, resolution)
     edges = []
     for region in regions[1:]:
-        where = region.start * cos
-        level = float(building.profile(np.array([where]), grazing_deg, gamma0, resolution)[0])
-        crossing, expected = (_crossing(along, profile, level, where) for profile in (measured, analytic))
+        edge = region.start * cos
+        level = float(building.profile(np.array([edge]), grazing_deg, gamma0, resolution)[0])
+        crossing, expected = (_crossing(along, profile, level, edge) for profile in (measured, analytic))
         edges.append(MeasuredEdge(region.start, crossing - expected))
-    clear = [
-        (along >= region.start * cos + _CLEAR * resolution) & (along <= region.stop * cos - _CLEAR * resolution)
-        for region in regions
-    ]
-    levels = [
-        MeasuredRegion(region, float(measured[rows].mean()) if rows.any() else None)
-        for region, rows in zip(regions, clear, strict=True)
-    ]
+    levels = []
+    for region in regions:
+        near, far = region.start * cos + _CLEAR * resolution, region.stop * cos - _CLEAR * resolution
+        clear = measured[(along >= near) & (along <= far)]
+        levels.append(MeasuredRegion(region, float(clear.mean()) if len(clear) else None))
     return BuildingProfile(along, measured, analytic, edges, levels)
 
 
 def _crossing(
     position: Float64[np.ndarray, " rows"], profile: Float64[np.ndarray, " rows"], level: float, near: float
 ) -> float:
-    """Where the profile crosses the level, nearest to a position; NaN if it never does."""
+    """Position nearest to `near` at which the profile crosses the level; NaN if it never does."""
     above = profile - level
     k = np.flatnonzero(np.sign(above[:-1]) != np.sign(above[1:]))
     if len(k) == 0:

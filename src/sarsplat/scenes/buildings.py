@@ -40,9 +40,9 @@ class Region:
     start, stop : float
         Ground range, m; −∞ and ∞ for the free ground.
     surfaces : tuple of {"roof", "wall", "ground"}
-        What lies on top of each other there; empty in the shadow.
+        Surfaces that are superimposed there; none in the shadow.
     beta0 : float
-        Its level, linear power.
+        Level, linear power.
     """
 
     start: float
@@ -64,7 +64,7 @@ class Building:
 
     Notes
     -----
-    Source: SAR-GS, section III-A, which has heights and depths only.
+    Source: SAR-GS, section III-A, which states heights and depths only.
     """
 
     height: float
@@ -72,19 +72,12 @@ class Building:
     length: float = 16.0
 
     def mesh(self) -> trimesh.Trimesh:
-        """Four walls, then the roof, two triangles each; no floor, for nothing sees it."""
+        """Four walls, then the roof, two triangles each; no floor, which nothing sees."""
         import trimesh
 
-        corners = [
-            (x, y, z)
-            for z in (0.0, self.height)
-            for x, y in (
-                (0.0, -self.length / 2),
-                (0.0, self.length / 2),
-                (-self.depth, self.length / 2),
-                (-self.depth, -self.length / 2),
-            )
-        ]
+        left, right, back = -self.length / 2, self.length / 2, -self.depth
+        outline = [(0.0, left), (0.0, right), (back, right), (back, left)]
+        corners = [(x, y, z) for z in (0.0, self.height) for x, y in outline]
         quads = [(0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (4, 5, 6, 7)]
         faces = [triangle for a, b, c, d in quads for triangle in ((a, b, c), (a, c, d))]
         return trimesh.Trimesh(corners, faces, process=False)
@@ -94,7 +87,7 @@ class Building:
         return np.array([gamma0.wall] * 8 + [gamma0.roof] * 2)
 
     def regions(self, grazing_deg: float, gamma0: Gamma0) -> list[Region]:
-        """Every region from near to far, the free ground on both sides included."""
+        """Every region from near to far, including the free ground on both sides."""
         tan = math.tan(math.radians(grazing_deg))
         top = -self.height * tan
         lit = [
@@ -132,14 +125,11 @@ class Building:
         """
         cos = math.cos(math.radians(grazing_deg))
         std_m = math.sqrt(variance_of(resolution))
-        return sum(
-            (
-                region.beta0
-                * (ndtr((slant_range - region.start * cos) / std_m) - ndtr((slant_range - region.stop * cos) / std_m))
-                for region in self.regions(grazing_deg, gamma0)
-            ),
-            start=np.zeros(len(slant_range)),
-        )
+        profile = np.zeros(len(slant_range))
+        for region in self.regions(grazing_deg, gamma0):
+            start, stop = (ndtr((slant_range - edge * cos) / std_m) for edge in (region.start, region.stop))
+            profile += region.beta0 * (start - stop)
+        return profile
 
 
 BUILDINGS = {
@@ -147,4 +137,4 @@ BUILDINGS = {
     "building-b": Building(height=8.0, depth=8.0),
     "building-c": Building(height=6.0, depth=10.0),
 }
-"""The paper's three; at 45° their roofs end before, at and behind the foot of the near wall."""
+"""The paper's three; at 45° the image of the roof ends before, at and behind the foot of the near wall."""

@@ -1,4 +1,4 @@
-"""True masks of a mesh on flat ground by ray casting: where it appears in an image, and where its shadow falls."""
+"""True masks of a mesh on flat ground, by ray casting: where it appears in an image, and where its shadow falls."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import UInt8
 
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, View
 from sarsplat.scenes.raycast import Facets, check_rays, first_hits
@@ -15,25 +15,15 @@ from sarsplat.scenes.raycast import Facets, check_rays, first_hits
 if TYPE_CHECKING:
     import trimesh
 
-_PARTS = 5
-"""Parts of a pixel along each side that are lit or not."""
-
-_RAYS = 2
-"""Along the shorter side of a part, so that every part of a surface has one."""
-
+_PARTS = 5  # along each side of a pixel, each lit or not
+_RAYS = 2  # along the shorter side of a part, so that every part of a surface has one
 _OFFSET = 0.5, 0.5
 
 
 def raycast_masks(
     mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid, *, progress: Callable[[int], object] | None = None
 ) -> UInt8[np.ndarray, "v {grid.rows} {grid.columns}"]:
-    """Masks of a mesh from every view, see `raycast_mask`; `progress` gets the number of finished ones after each.
-
-    Raises
-    ------
-    SarsplatError
-        As in `raycast_mask`.
-    """
+    """Masks of a mesh from every view, see `raycast_mask`; `progress` gets the number of finished ones after each."""
     masks = np.empty((len(views), grid.rows, grid.columns), np.uint8)
     for index, view in enumerate(views):
         masks[index] = raycast_mask(mesh, view, grid)
@@ -45,17 +35,16 @@ def raycast_masks(
 def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np.ndarray, "{grid.rows} {grid.columns}"]:
     """Mask of a mesh that stands on flat ground at z = 0.
 
-    A pixel is target if surfaces that the radar sees cover at least half of it, or if it shows at least half as much of
-    them as it would of flat ground, by area across the line of sight: what faces the radar covers little of the image.
-    Layover counts, and darkness does not matter. Otherwise it is shadow if the mesh hides at least half of its ground.
-    What lies below the ground is not seen.
+    A pixel is target if visible surfaces cover at least half of it, or if their area across the line of sight is at
+    least half that of flat ground: what faces the radar covers little of the image. Layover counts, and brightness does
+    not matter. Otherwise it is shadow if the mesh hides at least half of its ground. Nothing below the ground is seen.
 
     Parameters
     ----------
     mesh : trimesh.Trimesh
         Opaque triangles, m; orientation does not matter.
     view, grid
-        From where, and where the pixels lie; their resolution plays no part.
+        Direction to the radar, and where the pixels lie; the resolution does not matter.
 
     Returns
     -------
@@ -82,10 +71,10 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np
         column = np.floor((x - left) / width * _PARTS)
         seen = (z < z_ground + 1e-6) & (column >= 0) & (column < columns)
         z, z_ground, face, column = z[seen], z_ground[seen], face[seen], column[seen].astype(np.int64)
-        # one ray stands for a square of the surface, which on a steep one reaches over several parts in range
+        # one ray represents a square, which on a steep surface spans several parts in range
         reach = np.abs(facets.slope[face]).sum(axis=1) * spacing / 2
         ends = (np.clip(end, *facets.z_span[:, face]) for end in (z - reach, z + reach))
-        # between both ends lie the centres of the parts it covers
+        # it covers the parts with centres between both ends
         first, beyond = (np.ceil((end - near) / depth * _PARTS - 0.5) for end in ends)
         for row, sign in ((first, 1), (beyond, -1)):
             parts = np.clip(row, 0, rows).astype(np.int64) * columns + column
@@ -96,7 +85,6 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np
             pixels = row[inside].astype(np.int64) * grid.columns + column[inside] // _PARTS
             counts += np.bincount(pixels, minlength=counts.size).reshape(counts.shape)
     covered = begun.reshape(rows + 1, columns)[:-1].cumsum(axis=0) > 0
-    shares: Float64[np.ndarray, "rows columns"]
     shares = covered.reshape(grid.rows, _PARTS, grid.columns, _PARTS).mean(axis=(1, 3))
     rays_on_open_ground = width * depth / slope_of_ground / spacing**2
     mask = np.where(hidden >= 0.5 * rays_on_open_ground, SHADOW, CLUTTER)

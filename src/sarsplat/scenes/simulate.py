@@ -1,4 +1,4 @@
-"""Images of a mesh from many views, by either source of truth, and the record of how they were made."""
+"""Images of a mesh from many views, from either source of truth, and the record of how they were made."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import trimesh
 
 
-# Protocol R: the ray caster's nodes, and of the splat truth the Gaussians and rays, that go to a pixel spacing.
+# Protocol R: nodes of the ray caster, and Gaussians and rays of the splat truth, per pixel spacing.
 _OVERSAMPLE = 9
 _PIECES_PER_PIXEL, _GROUND_PER_PIXEL, _RAYS_PER_PIXEL = 3.0, 2.0, 15.0
 
@@ -68,11 +68,11 @@ def simulate_images(
     looks : float, optional
         Number of looks of the speckle; none unless given.
     clean : sequence of int
-        Indices of views whose images get no speckle nevertheless; that of the others stays the same.
+        Indices of views without speckle; the speckle of the others does not depend on this.
     seed : int
         Seed of the speckle.
     progress : callable, optional
-        Told the number of finished images after each.
+        Called with the number of finished images after each.
 
     Returns
     -------
@@ -82,24 +82,29 @@ def simulate_images(
     Raises
     ------
     SarsplatError
-        If the source is unknown, or the mesh or a setting is unsound.
+        If the source is unknown, or the mesh or a setting is invalid.
     """
     law = law or ScatteringLaw()
     reflectivity = check_reflectivity(reflectivity, len(mesh.faces))
     check_ground(ground_gamma0)
     speckle = generator(seed, "speckle")
     if source == "raycast":
-        images = _raycast(mesh, views, grid, law, reflectivity, ground_gamma0, ray_spacing)
+        settings: dict[str, Any] = {
+            "ground_gamma0": ground_gamma0,
+            "ray_spacing": ray_spacing,
+            "oversample": _OVERSAMPLE,
+        }
+        images = (simulate_raycast(mesh, view, grid, law, reflectivity=reflectivity, **settings) for view in views)
     elif source != "splat":
         raise SarsplatError(f"source {source!r} is unknown; choose 'raycast' or 'splat'")
     elif ray_spacing is not None:
         raise SarsplatError(
-            f"the ray spacing {ray_spacing} m is for ray casting, but the source is 'splat', whose rays follow from "
-            "the pixels; leave it out"
+            f"the ray spacing {ray_spacing} m is for ray casting, but the source is 'splat', where the pixels determine "
+            "the rays; leave it out"
         )
     elif grid.response != GAUSSIAN:
         raise SarsplatError(
-            f"the renderer sees through a Gaussian, but the response is {grid.response}; choose the source 'raycast'"
+            f"the renderer's response is a Gaussian, but the grid's is {grid.response}; choose the source 'raycast'"
         )
     else:
         images = _splat(mesh, views, grid, law, reflectivity, ground_gamma0)
@@ -117,46 +122,23 @@ def simulate_images(
 def simulation_record(
     *, source: Simulator, law: ScatteringLaw, ground_gamma0: float | None, ray_spacing: float | None, seed: int
 ) -> dict[str, Any]:
-    """How `simulate_images` made images with these arguments, speckle apart, as JSON for a dataset's `source`."""
-    how: dict[str, Any]
-    if source == "raycast":
-        how = {"ray_spacing_m": ray_spacing, "nodes_per_pixel": _OVERSAMPLE}
-    else:
-        how = {
+    """How `simulate_images` makes images with these arguments, except speckle, as JSON for a dataset's `source`."""
+    sampling = {
+        "raycast": {"ray_spacing_m": ray_spacing, "nodes_per_pixel": _OVERSAMPLE},
+        "splat": {
             "surface_pieces_per_pixel": _PIECES_PER_PIXEL,
             "ground_pieces_per_pixel": _GROUND_PER_PIXEL,
             "rays_per_pixel": _RAYS_PER_PIXEL,
-        }
+        },
+    }
     return {
         "kind": source,
         "law": law.as_dict(),
         "law_formula": "gamma0(i) = floor + lobe*|cos(i)|^exponent; i = angle between facet normal and radar",
         "ground_gamma0": ground_gamma0,
         "seed": seed,
-        **how,
+        **sampling[source],
     }
-
-
-def _raycast(
-    mesh: trimesh.Trimesh,
-    views: Sequence[View],
-    grid: ImageGrid,
-    law: ScatteringLaw,
-    reflectivity: Float64[np.ndarray, " faces"],
-    ground_gamma0: float | None,
-    ray_spacing: float | None,
-) -> Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]:
-    for view in views:
-        yield simulate_raycast(
-            mesh,
-            view,
-            grid,
-            law,
-            reflectivity=reflectivity,
-            ground_gamma0=ground_gamma0,
-            ray_spacing=ray_spacing,
-            oversample=_OVERSAMPLE,
-        )
 
 
 def _splat(
@@ -175,7 +157,7 @@ def _splat(
     rays = RayGrid.for_image(grid, _RAYS_PER_PIXEL)
     for view in views:
         gamma0 = torch.full((1, len(gaussians), 1), ground_gamma0 or 0.0)
-        of_faces = reflectivity * law_scattering(mesh.face_normals, [view], law)
-        gamma0[:, :target, 0] = torch.from_numpy(of_faces[:, faces])
+        face_gamma0 = reflectivity * law_scattering(mesh.face_normals, [view], law)
+        gamma0[:, :target, 0] = torch.from_numpy(face_gamma0[:, faces])
         with torch.no_grad():
             yield render(gaussians, [view], grid, rays=rays, amplitudes=gamma0).channel(0)[0].numpy()

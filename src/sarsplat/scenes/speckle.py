@@ -36,5 +36,5 @@ def add_speckle(
         If `looks` is not positive and finite.
     """
     if not (math.isfinite(looks) and looks > 0):
-        raise SarsplatError(f"looks {looks} must be positive and finite; pass None for a clean image")
+        raise SarsplatError(f"looks {looks} must be positive and finite; leave it out for a clean image")
     return (power * rng.gamma(looks, 1 / looks, size=power.shape)).astype(power.dtype)
