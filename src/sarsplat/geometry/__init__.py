@@ -1,7 +1,6 @@
-"""Views, frames, grids, and what pixels may show. Knows nothing of Gaussians, and nothing of torch."""
+"""Views, frames, grids and the labels of masks; independent of Gaussians and of torch."""
 
-from sarsplat.geometry.grids import ImageGrid, RayGrid
-from sarsplat.geometry.masks import CLUTTER, SHADOW, TARGET
+from sarsplat.geometry.grids import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid
 from sarsplat.geometry.view import View, radar_frame
 
 __all__ = ["CLUTTER", "SHADOW", "TARGET", "ImageGrid", "RayGrid", "View", "radar_frame"]

@@ -1,4 +1,4 @@
-"""Where an image is sampled, and how densely rays stand on the computation plane."""
+"""Pixels of the imaging plane with their labels, and rays of the computation plane."""
 
 from __future__ import annotations
 
@@ -13,22 +13,23 @@ from jaxtyping import Float64
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.responses import GAUSSIAN, Response, response_of, variance_of, width_of
 
+CLUTTER, TARGET, SHADOW = 0, 1, 2
+"""Labels of mask pixels: neither, a visible surface of the target, ground that it hides; numbered as SARBake's are."""
+
 _MIN_LENGTH, _MAX_LENGTH = 1e-6, 1e6  # m: beyond these, float32 squares go wrong long before physics does
 _MAX_PIXELS = 1 << 17
 
 
-def _pair(name: str, values: tuple[float, ...]) -> None:
+def _check_pair(name: str, values: tuple[float, ...]) -> None:
     if not isinstance(values, tuple | list) or len(values) != 2:
         raise SarsplatError(f"{name} {values!r} must be a pair of metres")
 
 
-def _positive(name: str, values: tuple[float, ...]) -> None:
-    _pair(name, values)
-    for value in values:
-        if not isinstance(value, Real) or not _MIN_LENGTH <= value <= _MAX_LENGTH:  # also catches NaN
-            raise SarsplatError(
-                f"{name} {values} must be positive and finite, in metres ({_MIN_LENGTH:g} to {_MAX_LENGTH:g})"
-            )
+def _check_lengths(name: str, values: tuple[float, ...]) -> None:
+    _check_pair(name, values)
+    if not all(isinstance(value, Real) and _MIN_LENGTH <= value <= _MAX_LENGTH for value in values):
+        limits = f"{_MIN_LENGTH:g} to {_MAX_LENGTH:g}"
+        raise SarsplatError(f"{name} {values} must be positive and finite, in metres ({limits})")
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class ImageGrid:
     center_m : (float, float)
         Position (a0, r0) of the image centre in the radar frame, m; (0, 0) is the scene centre.
     response : Response
-        Shape of the power response, the same along both axes: what its 3 dB widths do not say.
+        Shape of the power response, the same along both axes; its 3 dB widths are `resolution_m`.
     """
 
     rows: int
@@ -59,23 +60,22 @@ class ImageGrid:
     response: Response = GAUSSIAN
 
     def __post_init__(self) -> None:
+        size = f"an image of {self.rows} × {self.columns} pixels"
         if not isinstance(self.rows, int) or not isinstance(self.columns, int):
-            raise SarsplatError(f"an image of {self.rows} × {self.columns} pixels is not possible; give whole numbers")
+            raise SarsplatError(f"{size} is not possible; give whole numbers")
         if self.rows < 1 or self.columns < 1:
-            raise SarsplatError(f"an image of {self.rows} × {self.columns} pixels is empty; give at least 1 × 1")
+            raise SarsplatError(f"{size} is empty; give at least 1 × 1")
         if max(self.rows, self.columns) > _MAX_PIXELS:
-            raise SarsplatError(
-                f"an image of {self.rows} × {self.columns} pixels is too large; give at most {_MAX_PIXELS} per side"
-            )
-        _pair("image centre", self.center_m)
+            raise SarsplatError(f"{size} is too large; give at most {_MAX_PIXELS} per side")
+        _check_pair("image centre", self.center_m)
         if not all(isinstance(value, Real) and abs(value) <= _MAX_LENGTH for value in self.center_m):
             raise SarsplatError(f"image centre {self.center_m} must be a pair of finite metres")
-        _positive("pixel spacing", self.spacing_m)
-        _positive("resolution", self.resolution_m)
-        for name in ("spacing_m", "resolution_m", "center_m"):  # numpy's numbers do not fit into JSON
+        _check_lengths("pixel spacing", self.spacing_m)
+        _check_lengths("resolution", self.resolution_m)
+        for name in ("spacing_m", "resolution_m", "center_m"):  # JSON cannot hold numpy's numbers
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
         if not isinstance(self.response, Response):
-            raise SarsplatError(f"the response {shown(self.response)} is not one; give Gaussian() or Taylor()")
+            raise SarsplatError(f"the response {shown(self.response)} is not a Response; give Gaussian() or Taylor()")
 
     @classmethod
     def of(cls, *, response: Any = None, **fields: Any) -> Self:
@@ -83,7 +83,7 @@ class ImageGrid:
         return cls(**fields, response=response_of(response))
 
     def as_dict(self) -> dict[str, Any]:
-        """Its fields, for JSON; a Gaussian response is not mentioned."""
+        """Its fields, for JSON, without a Gaussian response."""
         settings = {} if self.response == GAUSSIAN else {"response": self.response.as_dict()}
         return {name: value for name, value in vars(self).items() if name != "response"} | settings
 
@@ -94,7 +94,7 @@ class ImageGrid:
         return variance_of(azimuth), variance_of(slant_range)
 
     def widened(self, azimuth_m2: float, range_m2: float) -> Self:
-        """The same pixels, seen through a response whose variances are larger by so much."""
+        """The same pixels, seen through a response with variances larger by these amounts, m²."""
         azimuth, slant_range = self.resolution_m
         return replace(self, resolution_m=(width_of(azimuth_m2, azimuth), width_of(range_m2, slant_range)))
 
@@ -106,7 +106,7 @@ class ImageGrid:
 
     @property
     def cell_m(self) -> float:
-        """Side of a resolution cell, m: the unit of a reconstruction's lengths, and the yardstick of its scores.
+        """Side of a resolution cell, m: the unit of a reconstruction's lengths and scores.
 
         The geometric mean over azimuth and range of the resolution, or of the pixel spacing where that is larger.
         """
@@ -140,7 +140,7 @@ class ImageGrid:
 class RayGrid:
     """Lattice of parallel rays on the computation plane, anchored at the radar frame's origin.
 
-    Rays stand at ((k + ½)·δx, (l + ½)·δy). The spacing is an accuracy setting: half the pixel spacing gives whole
+    Rays are at ((k + ½)·δx, (l + ½)·δy). The spacing is an accuracy setting: half the pixel spacing gives whole
     images good to 49–54 dB; truth images and evaluation use a quarter or less.
 
     Parameters
@@ -152,15 +152,15 @@ class RayGrid:
     spacing_m: tuple[float, float]
 
     def __post_init__(self) -> None:
-        _positive("ray spacing", self.spacing_m)
+        _check_lengths("ray spacing", self.spacing_m)
 
     @classmethod
     def for_image(cls, grid: ImageGrid, per_pixel: float = 2.0) -> RayGrid:
-        """Square lattice, `per_pixel` rays to the smaller pixel spacing."""
+        """Square lattice with `per_pixel` rays in the smaller pixel spacing."""
         spacing = min(grid.spacing_m) / per_pixel
         return cls((spacing, spacing))
 
     @property
     def cell_area(self) -> float:
-        """Area A_c = δx·δy that one ray stands for, m²."""
+        """Area A_c = δx·δy that one ray represents, m²."""
         return self.spacing_m[0] * self.spacing_m[1]

@@ -1,4 +1,4 @@
-"""From where the radar looks: azimuth, grazing angle and the radar frame."""
+"""The direction to the radar: azimuth, grazing angle and the radar frame."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jaxtyping import Float64
 from sarsplat.errors import SarsplatError
 
 _MAX_AZIMUTH = 3600  # degrees: ten turns
-_STEEPEST = 89.999  # degrees: straight from above there is no azimuth
+_STEEPEST = 89.999  # degrees: there is no azimuth at the zenith
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class View:
             value = getattr(self, field)
             if not isinstance(value, Real):
                 raise SarsplatError(f"{name} {value!r} is not a number; give degrees")
-            object.__setattr__(self, field, float(value))  # numpy's numbers do not fit into JSON
-        if not abs(self.azimuth_deg) <= _MAX_AZIMUTH:  # also catches NaN; of 1e308° nobody knows the direction
+            object.__setattr__(self, field, float(value))  # JSON cannot hold numpy's numbers
+        if not abs(self.azimuth_deg) <= _MAX_AZIMUTH:  # also catches NaN; 1e308° has no meaningful direction
             raise SarsplatError(
                 f"azimuth {self.azimuth_deg} is not a number of degrees between ±{_MAX_AZIMUTH}; "
                 "give degrees, such as 0 to 360"
@@ -57,7 +57,7 @@ class View:
 
     @classmethod
     def towards(cls, direction: Float64[np.ndarray, " 3"]) -> Self:
-        """The view from a direction above the horizon, a vector of any length; straight above becomes just beside."""
+        """The view from a direction above the horizon, a vector of any length; the zenith becomes 89.999°."""
         x, y, z = direction
         grazing = math.degrees(math.atan2(z, math.hypot(x, y)))
         return cls(math.degrees(math.atan2(-y, x)) % 360.0, min(grazing, _STEEPEST))
@@ -87,10 +87,4 @@ def radar_frame(view: View) -> Float64[np.ndarray, "3 3"]:
     """
     phi, theta = math.radians(view.azimuth_deg), math.radians(view.grazing_deg)
     sp, cp, st, ct = math.sin(phi), math.cos(phi), math.sin(theta), math.cos(theta)
-    return np.array(
-        [
-            [-sp, -cp, 0.0],
-            [-st * cp, st * sp, ct],
-            [-ct * cp, ct * sp, -st],
-        ]
-    )
+    return np.array([[-sp, -cp, 0.0], [-st * cp, st * sp, ct], [-ct * cp, ct * sp, -st]])

@@ -62,8 +62,8 @@ def building_profile(
 ) -> BuildingProfile:
     """Measure the image of a building, seen from azimuth 0.
 
-    An edge lies where the profile crosses the level that the analytic profile has there (half way between the levels of
-    long regions on either side); both crossings are interpolated between the same pixels, so that errors of that cancel.
+    An edge lies where the profile crosses the level that the analytic profile has there (half way between the levels
+    of long regions on either side); both crossings are interpolated between the same pixels, so that its errors cancel.
 
     Parameters
     ----------

@@ -27,10 +27,8 @@ def kraz() -> trimesh.Trimesh:
 def _chassis() -> list[trimesh.Trimesh]:
     rails = [box((-4.15, 4.05), (y - 0.06, y + 0.06), (0.98, 1.24)) for y in (-0.45, 0.45)]
     axles = [cylinder(0.11, (x, -0.95, 0.65), (x, 0.95, 0.65), sections=16) for x in AXLES_X]
-    differentials = [
-        hull([(x + dx, dy, 0.65 + dz) for dx in (-0.26, 0.26) for dy in (-0.24, 0.24) for dz in (-0.2, 0.2)])
-        for x in AXLES_X
-    ]
+    corners = [(dx, dy, dz) for dx in (-0.26, 0.26) for dy in (-0.24, 0.24) for dz in (-0.2, 0.2)]
+    differentials = [hull([(x + dx, dy, 0.65 + dz) for dx, dy, dz in corners]) for x in AXLES_X]
     gearbox = box((0.2, 1.3), (-0.30, 0.30), (0.70, 1.10))
     bumper = box((4.18, 4.325), (-1.25, 1.25), (0.92, 1.20))
     hooks = [box((4.05, 4.30), (y - 0.06, y + 0.06), (1.18, 1.32)) for y in (-0.5, 0.5)]
@@ -54,11 +52,9 @@ def _side(side: int) -> list[trimesh.Trimesh]:
     tank = hull([(x, side * y, z) for x in (-0.25, 0.92) for y, z in section])
     lamp = cylinder(0.14, (3.92, side * 0.98, 1.66), (4.10, side * 0.98, 1.66), sections=20)
     lamp_post = box((3.96, 4.02), (side * 0.94, side * 1.02), (1.40, 1.56))
-    mirror = [
-        box((2.02, 2.06), (side * 1.22, side * 1.36), (2.15, 2.48)),
-        box((2.02, 2.05), (side * 1.0, side * 1.3), (2.3, 2.33)),
-    ]
-    return [*wheels, *wing, step, tank, lamp, lamp_post, *mirror]
+    mirror = box((2.02, 2.06), (side * 1.22, side * 1.36), (2.15, 2.48))
+    mirror_arm = box((2.02, 2.05), (side * 1.0, side * 1.3), (2.3, 2.33))
+    return [*wheels, *wing, step, tank, lamp, lamp_post, mirror, mirror_arm]
 
 
 def _bonnet() -> list[trimesh.Trimesh]:
@@ -101,15 +97,10 @@ def _bed() -> list[trimesh.Trimesh]:
     bearers = [box((x - 0.06, x + 0.06), (-1.25, 1.25), (1.24, 1.52)) for x in (-3.9, -3.0, -2.0, -1.0, -0.1)]
     rails = [(_FLOOR + 0.02, _FLOOR + 0.40), (_FLOOR + 0.44, _FLOOR + 0.58), (_BOARDS - 0.16, _BOARDS)]
     boards = [box(_BED, (side * 1.325, side * 1.365), z) for side in (-1, 1) for z in rails]
-    posts = [
-        box((x - 0.05, x + 0.05), (side * 1.31, side * 1.375), (1.48, _BOARDS))
-        for side in (-1, 1)
-        for x in (-4.2, -3.3, -2.4, -1.5, -0.6, 0.15)
-    ]
-    ends = [
-        box((front - 0.05, front), (-1.33, 1.33), (_FLOOR, _BOARDS)),
-        box((rear, rear + 0.05), (-1.33, 1.33), (_FLOOR, _FLOOR + 0.62)),
-    ]
+    places = [(x, side) for side in (-1, 1) for x in (-4.2, -3.3, -2.4, -1.5, -0.6, 0.15)]
+    posts = [box((x - 0.05, x + 0.05), (side * 1.31, side * 1.375), (1.48, _BOARDS)) for x, side in places]
+    front_end = box((front - 0.05, front), (-1.33, 1.33), (_FLOOR, _BOARDS))
+    tailboard = box((rear, rear + 0.05), (-1.33, 1.33), (_FLOOR, _FLOOR + 0.62))
     bench = (rear + 0.2, front - 0.2)
     benches = [box(bench, (side * 0.95, side * 1.30), (_FLOOR + 0.42, _FLOOR + 0.46)) for side in (-1, 1)]
-    return [floor, *bearers, *boards, *posts, *ends, *benches]
+    return [floor, *bearers, *boards, *posts, front_end, tailboard, *benches]

@@ -97,9 +97,7 @@ def _have_area(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
 
 
 def _first_of_equals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
-    """Which faces [F] are not the same triangle as an earlier one, whatever the order and numbers of their vertices."""
+    """Which faces [F] are not the same triangle as an earlier one, in any order and numbering of their vertices."""
     _, number = np.unique(vertices, axis=0, return_inverse=True)
     _, first = np.unique(np.sort(number.reshape(-1)[faces], axis=1), axis=0, return_index=True)
-    chosen = np.zeros(len(faces), dtype=bool)
-    chosen[first] = True
-    return chosen
+    return np.isin(np.arange(len(faces)), first)

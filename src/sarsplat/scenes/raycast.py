@@ -24,12 +24,11 @@ from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflec
 if TYPE_CHECKING:
     import trimesh
 
-# The ray lattice is turned by the golden angle of the plane, tan⁻¹((√5 − 1)/2): its lines then lie along no edge of a
-# vehicle seen from a round azimuth. Along such an edge a whole row of rays would cross at once when the offset changes.
+# The ray lattice is rotated by tan⁻¹((√5 − 1)/2), so that its lines are not parallel to an edge of a vehicle at a round
+# azimuth: a whole row of rays would cross such an edge at once when the offset changes.
 _LATTICE_TILT = math.atan((math.sqrt(5) - 1) / 2)
 
-# Rays to the width of a resolution cell and to the length of the mesh.
-_RAYS_PER_RESOLUTION, _RAYS_PER_MESH = 15.0, 100.0
+_RAYS_PER_RESOLUTION, _RAYS_PER_MESH = 15.0, 100.0  # across a resolution cell, and along the mesh
 _RAYS_PER_BATCH = 1 << 20
 _MAX_RAYS = 1e8  # a minute a view
 
@@ -97,7 +96,7 @@ def simulate_raycast(
     ray_spacing : float, optional
         Spacing δ of the square ray lattice, m; `default_ray_spacing` unless given.
     ray_offset : (float, float)
-        Offset of the lattice along its two axes, in spacings. Comparing two offsets shows how far the rays have converged.
+        Offset of the lattice along its two axes, in spacings. Comparing two shows how far the rays have converged.
     oversample : int
         Histogram nodes per pixel and axis; pixel centres are nodes. A hit is shared between the four nodes around it.
 
@@ -125,8 +124,8 @@ def simulate_raycast(
         if ground_gamma0 is None:
             deposit.add(x, z, gamma0[face] * cell_area)
             continue
-        # Height above the ground is y_r·cosθ − z_r·sinθ: rays reach it at z_r = y_r / tanθ. The free ground is known in
-        # closed form and has no moiré; a ray stopped by the target takes back what it would have brought from there.
+        # Height above the ground is y_r·cosθ − z_r·sinθ: rays reach it at z_r = y_r / tanθ. Free ground has a closed form,
+        # without moiré; a ray that the target stops subtracts what it would have contributed there.
         z_ground = y / math.tan(theta)
         above = z < z_ground + 1e-6
         x, z, z_ground = x[above], z[above], z_ground[above]
@@ -150,6 +149,7 @@ def default_ray_spacing(mesh: trimesh.Trimesh, grid: ImageGrid) -> float:
 def check_rays(
     mesh: trimesh.Trimesh, ground_gamma0: float | None, ray_spacing: float, ray_offset: tuple[float, float]
 ) -> None:
+    """Refuse a mesh or settings that cannot be imaged."""
     if len(mesh.faces) == 0:
         raise SarsplatError("the mesh has 0 faces, so there is nothing to image; give a mesh with triangles")
     if not np.isfinite(mesh.vertices).all():
@@ -186,7 +186,7 @@ def first_hits(
 
 
 def _intersector(vertices: Float64[np.ndarray, "v 3"], faces: Int32[np.ndarray, "f 3"]) -> Any:
-    """Function from ray origins float32 [K, 3] to the first face hit along +z, int32 [K], −1 for none."""
+    """Function from ray origins, float32 [K, 3], to the first faces hit along +z, int32 [K], −1 for none."""
     try:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene

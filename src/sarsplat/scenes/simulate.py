@@ -88,6 +88,7 @@ def simulate_images(
     reflectivity = check_reflectivity(reflectivity, len(mesh.faces))
     check_ground(ground_gamma0)
     speckle = generator(seed, "speckle")
+    images: Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]
     if source == "raycast":
         settings: dict[str, Any] = {
             "ground_gamma0": ground_gamma0,
@@ -99,8 +100,8 @@ def simulate_images(
         raise SarsplatError(f"source {source!r} is unknown; choose 'raycast' or 'splat'")
     elif ray_spacing is not None:
         raise SarsplatError(
-            f"the ray spacing {ray_spacing} m is for ray casting, but the source is 'splat', where the pixels determine "
-            "the rays; leave it out"
+            f"the ray spacing {ray_spacing} m is for ray casting, but the source is 'splat', where the pixels "
+            "determine the rays; leave it out"
         )
     elif grid.response != GAUSSIAN:
         raise SarsplatError(
@@ -123,7 +124,7 @@ def simulation_record(
     *, source: Simulator, law: ScatteringLaw, ground_gamma0: float | None, ray_spacing: float | None, seed: int
 ) -> dict[str, Any]:
     """How `simulate_images` makes images with these arguments, except speckle, as JSON for a dataset's `source`."""
-    sampling = {
+    sampling: dict[str, dict[str, Any]] = {
         "raycast": {"ray_spacing_m": ray_spacing, "nodes_per_pixel": _OVERSAMPLE},
         "splat": {
             "surface_pieces_per_pixel": _PIECES_PER_PIXEL,

@@ -21,15 +21,13 @@ if TYPE_CHECKING:
 
 # Measured against the ray caster (docs/forward-model.md): wider or denser discs bulge over edges and appear nearer than
 # the surface, narrower or thinner ones leak.
-_WIDENING, _SHEET_DEPTH = 1.2, 7.0
-
+_WIDENING = 1.2  # standard deviations of a Gaussian, in those of a uniform density on its piece
+_SHEET_DEPTH = 7.0  # mean two-way optical depth of the surface
 _THICKNESS = 0.01  # standard deviation along the normal, in sizes of a piece
 _MAX_GAUSSIANS = 1e7
 
 
-def surface_gaussians(
-    mesh: trimesh.Trimesh, size: float, *, widening: float = _WIDENING, sheet_depth: float = _SHEET_DEPTH
-) -> tuple[Gaussians, Int[np.ndarray, " n"]]:
+def surface_gaussians(mesh: trimesh.Trimesh, size: float) -> tuple[Gaussians, Int[np.ndarray, " n"]]:
     """Flat Gaussians that cover a mesh's surface.
 
     Every triangle is bisected until its edges are no longer than `size`. Each piece becomes a Gaussian with the piece's
@@ -41,11 +39,7 @@ def surface_gaussians(
     mesh : trimesh.Trimesh
         Surface, m.
     size : float
-        Longest edge of a piece, m; standard deviations are at most 0.24 · `widening` of it.
-    widening : float
-        Standard deviations of a Gaussian, in those of a uniform density on its piece.
-    sheet_depth : float
-        Mean two-way optical depth of the surface.
+        Longest edge of a piece, m; standard deviations are at most 0.29 of it.
 
     Returns
     -------
@@ -72,11 +66,11 @@ def surface_gaussians(
     pieces, faces = _bisected(np.asarray(mesh.triangles, dtype=np.float64), size)
     centers = pieces.mean(axis=1)
     spokes = pieces - centers[:, None]
-    moments = widening**2 / 12 * np.einsum("nki,nkj->nij", spokes, spokes)
+    moments = _WIDENING**2 / 12 * np.einsum("nki,nkj->nij", spokes, spokes)
     variances, axes = np.linalg.eigh(moments)  # ascending: the first axis is the normal
     axes[:, :, 0] *= np.linalg.det(axes)[:, None]
     # A triangle's area over 2π times the root of its moments' determinant is 3√3/π, whatever its shape.
-    optical_depth = sheet_depth * 3 * math.sqrt(3) / math.pi / widening**2
+    optical_depth = _SHEET_DEPTH * 3 * math.sqrt(3) / math.pi / _WIDENING**2
     n = len(centers)
     gaussians = Gaussians(
         means=torch.from_numpy(centers).float(),
@@ -111,7 +105,7 @@ def _bisected(
 def law_scattering(
     normals: Float[np.ndarray, "n 3"], views: Sequence[View], law: ScatteringLaw
 ) -> Float64[np.ndarray, "v n"]:
-    """Scattering γ⁰ of surface points in every view, two-sided.
+    """γ⁰ of surface points in every view, two-sided.
 
     Parameters
     ----------
@@ -125,7 +119,7 @@ def law_scattering(
     Returns
     -------
     numpy.ndarray, float64 [V, N]
-        γ⁰, linear: the direct scattering P to give to the renderer.
+        γ⁰, linear: the amplitudes to pass to the renderer.
     """
     towards_radar = np.array([view.direction for view in views]).reshape(-1, 3)
     return law.gamma0(towards_radar @ np.asarray(normals, dtype=np.float64).T)

@@ -56,12 +56,10 @@ def _fenders() -> list[trimesh.Trimesh]:
         parts.append(prism([(2.95, 1.11), (2.95, 1.08), (3.38, 0.93), (3.38, 0.96)], (inner, outer)))
         parts.append(box((-2.9, 2.75), (side * 1.77, side * 1.80), (0.66, 1.10)))
     # Right: a row of fuel cells. Left: stowage boxes with gaps and the exhaust in front of the last one.
-    parts += [box((x, x + 1.02), (-1.72, -1.12), (1.10, 1.36)) for x in (-2.75, -1.65, -0.55, 0.55)]
-    parts += [
-        box((x, x + length), (1.12, 1.70), (1.10, 1.38)) for x, length in ((-2.95, 0.75), (-1.25, 1.1), (0.05, 1.5))
-    ]
-    parts.append(box((-2.0, -1.4), (1.2, 1.76), (1.10, 1.30)))
-    return parts
+    cells = [box((x, x + 1.02), (-1.72, -1.12), (1.10, 1.36)) for x in (-2.75, -1.65, -0.55, 0.55)]
+    lengths = {-2.95: 0.75, -1.25: 1.1, 0.05: 1.5}
+    stowage = [box((x, x + length), (1.12, 1.70), (1.10, 1.38)) for x, length in lengths.items()]
+    return [*parts, *cells, *stowage, box((-2.0, -1.4), (1.2, 1.76), (1.10, 1.30))]
 
 
 def _stern() -> list[trimesh.Trimesh]:

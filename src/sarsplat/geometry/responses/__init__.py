@@ -1,4 +1,4 @@
-"""Responses of the system: each is a file of this folder, where it is looked up by its kind."""
+"""Responses of the system: each is a file in this folder and is found by its kind."""
 
 from __future__ import annotations
 
@@ -35,29 +35,22 @@ RESPONSES: dict[str, type[Response]] = {shape.kind: shape for shape in Response.
 
 
 def response_of(settings: Any) -> Response:
-    """The response that `Response.as_dict` described; a Gaussian for None.
-
-    Raises
-    ------
-    SarsplatError
-        If it is no such description, or a setting is missing, unknown or out of range.
-    """
+    """The response that `Response.as_dict` described; a Gaussian for None. Refuses invalid settings."""
     if settings is None:
         return GAUSSIAN
-    given = dict(settings) if isinstance(settings, dict) else {}
-    kind = given.pop("kind", None)
+    fields = dict(settings) if isinstance(settings, dict) else {}
+    kind = fields.pop("kind", None)
     if not isinstance(kind, str) or kind not in RESPONSES:
         raise SarsplatError(f"the response {shown(kind)} is unknown; choose one of {', '.join(RESPONSES)}")
     try:
-        return RESPONSES[kind](**given)
+        return RESPONSES[kind](**fields)
     except TypeError as error:
-        raise SarsplatError(
-            f"a {kind} response cannot have the settings {shown(given)}: {error}; correct them"
-        ) from error
+        message = f"a {kind} response cannot have the settings {shown(fields)}: {error}; correct them"
+        raise SarsplatError(message) from error
 
 
 def stated_taylor(level_db: Any, sidelobes: Any = TAYLOR.sidelobes) -> Response:
-    """The Taylor response of a level, of either sign, that a file states; a Gaussian if that makes no sense."""
+    """The Taylor response of a level in dB, of either sign, that a file states; a Gaussian if it is invalid."""
     try:
         return Taylor(abs(float(level_db)), int(sidelobes))
     except (TypeError, ValueError, SarsplatError):

@@ -1,4 +1,4 @@
-"""A Gaussian: what the renderer sees through, whatever the response, with its 3 dB width."""
+"""A Gaussian: the renderer uses one with the 3 dB width of the response, whatever its shape."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from jaxtyping import Float64
 
 from sarsplat.geometry.responses.response import Response, variance_of
 
-_SIGMAS = 8.0
-"""Standard deviations at which it ends: e⁻³² of the peak."""
+_SIGMAS = 8.0  # standard deviations at which it ends: e⁻³² of the peak
 
 
 @dataclass(frozen=True)
@@ -33,4 +32,4 @@ class Gaussian(Response):
 
 
 GAUSSIAN = Gaussian()
-"""The response where nothing else is said."""
+"""The default response."""

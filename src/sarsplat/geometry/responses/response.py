@@ -1,4 +1,4 @@
-"""What an image shows of a point scatterer: the power response of the system along one axis."""
+"""The image of a point scatterer: the power response of the system along one axis."""
 
 from __future__ import annotations
 
@@ -11,24 +11,23 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float64
 
-_RATIO = 8 * math.log(2)
-"""Of the squared 3 dB width of a Gaussian to its variance."""
+_RATIO = 8 * math.log(2)  # squared 3 dB width of a Gaussian over its variance
 
 
 def variance_of(width: float) -> float:
-    """Variance of the Gaussian of a 3 dB width, in the square of its unit."""
+    """Variance of the Gaussian with this 3 dB width, in the square of its unit."""
     return width**2 / _RATIO
 
 
 def width_of(variance: float, width: float = 0.0) -> float:
-    """3 dB width of a Gaussian of this variance, or of one of a width that is widened by it."""
+    """3 dB width of a Gaussian of this variance, or of a Gaussian of `width` widened by it."""
     return math.sqrt(width**2 + _RATIO * variance)
 
 
 class Response(ABC):
-    """Shape of |h|², the same along both axes and symmetric; its 3 dB width is that of the grid.
+    """Shape of |h|², symmetric and the same along both axes; the grid gives its 3 dB width.
 
-    To add one, put a frozen dataclass in a file of its own beside this one. Its fields, numbers or tuples of numbers
+    To add one, put a frozen dataclass in a new file beside this one. Its fields, numbers or tuples of numbers
     that it checks, become the settings in files.
 
     Attributes
@@ -41,11 +40,11 @@ class Response(ABC):
 
     @abstractmethod
     def table(self) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-        """Distances from the peak, rising from 0, and the power there, each in any unit; beyond them there is none."""
+        """Distances from the peak, rising from 0, and the power there, each in any unit; beyond them it is zero."""
 
     @cached_property
     def _lobes(self) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"], int]:
-        """Distances in 3 dB widths, power relative to the peak, and how many of them are of the main lobe."""
+        """Distances in 3 dB widths, power relative to the peak, and the number of samples in the main lobe."""
         distance, power = self.table()
         power = power / power[0]
         below = int(np.argmax(power < 0.5))
@@ -55,7 +54,7 @@ class Response(ABC):
 
     @property
     def reach(self) -> float:
-        """Distance beyond which there is nothing, in 3 dB widths."""
+        """Distance beyond which the power is zero, in 3 dB widths."""
         return float(self._lobes[0][-1])
 
     @property
@@ -65,7 +64,7 @@ class Response(ABC):
         return float(distance[own]) if own < len(distance) else math.inf
 
     def density(self, distance: Float64[np.ndarray, "*n"], variance: float = 1 / _RATIO) -> Float64[np.ndarray, "*n"]:
-        """|h|² at distances from the peak, whose integral is 1: what is seen through it keeps its cross-section.
+        """|h|² at distances from the peak, with integral 1, so that it preserves cross-sections.
 
         Parameters
         ----------

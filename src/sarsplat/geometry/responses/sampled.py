@@ -1,4 +1,4 @@
-"""A response as a table, for instance one measured at a corner reflector."""
+"""A response given as a table, such as one measured at a corner reflector."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Sampled(Response):
     Raises
     ------
     SarsplatError
-        If they are not such a table.
+        If the table is not like that.
     """
 
     kind = "sampled"
@@ -46,7 +46,7 @@ class Sampled(Response):
                 f"distances {given} are not a sampled response; give as many of both: distances rising from 0, and "
                 "power ≥ 0 that is largest there and ends below half of that"
             )
-        object.__setattr__(self, "distances", tuple(distance.tolist()))  # hashable, and fits into JSON
+        object.__setattr__(self, "distances", tuple(distance.tolist()))  # hashable, and valid in JSON
         object.__setattr__(self, "powers", tuple(power.tolist()))
 
     def table(self) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:

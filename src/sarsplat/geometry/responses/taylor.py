@@ -13,8 +13,7 @@ from jaxtyping import Float64
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.responses.response import Response
 
-_SAMPLES, _FINE = 512, 16
-"""Of the aperture, and of the response in each of its 1/_SAMPLES of bandwidth."""
+_SAMPLES, _FINE = 512, 16  # samples of the aperture, and of the response per 1/extent
 
 
 @dataclass(frozen=True)
@@ -26,7 +25,7 @@ class Taylor(Response):
     level_db : float
         Level of the side lobes, dB below the main lobe: 10 to 100.
     sidelobes : int
-        n̄: side lobes up to the (n̄ − 1)th are equally high, those beyond fall off; 1 to 64. With 1 nothing is weighted.
+        n̄: side lobes up to the (n̄ − 1)th are equally high, those beyond fall off; 1 to 64. 1 means no weighting.
 
     Raises
     ------
@@ -79,7 +78,7 @@ class Taylor(Response):
 
 
 TAYLOR = Taylor()
-"""The commonest of all, that of MSTAR included."""
+"""The most common response, MSTAR's included."""
 
 UNIFORM = Taylor(level_db=13.26, sidelobes=1)
-"""Of an aperture that is not weighted: the narrowest response."""
+"""The response of an unweighted aperture, the narrowest."""
