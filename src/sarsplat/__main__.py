@@ -1,7 +1,5 @@
 """`python -m sarsplat`: the command line."""
 
-from __future__ import annotations
-
 import sys
 
 from sarsplat.cli import main

@@ -1,7 +1,7 @@
-"""Every colour that has a meaning, once: report, viewer, figures and exports all take theirs from here.
+"""Every colour that has a meaning, once, for report, viewer, figures and exports.
 
-Ramps are legible on light and on dark pages, and can be distinguished by colour-blind readers. Their names are those
-below, or names of colour maps in matplotlib.
+Ramps are legible on light and dark pages, and colour-blind readers can distinguish them. Their names are those below,
+or names of colour maps in matplotlib.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ POWER = "gray"
 """Power in decibels: dark is weak."""
 
 POWER_RAMPS = (POWER, "cividis", "viridis", "inferno", "magma")
-"""What readers may choose for power instead: all grow evenly in brightness."""
+"""Alternatives for power that readers may choose: their brightness rises evenly."""
 
 HEIGHT = "height"
-"""Height z, from blue (low) to yellow (high), of lightnesses that stand out from white and from black."""
+"""Height z, from blue (low) to yellow (high), visible against white and against black."""
 
 ERROR = "error"
 """Distance to the true surface, or another error without a sign: grey is none."""
 
 DIFFERENCE = "difference"
-"""Errors with a sign: each is the more opaque the larger the error is, so that none looks like what is behind it."""
+"""Errors with a sign: the larger the error, the more opaque; zero is transparent."""
 
 STRENGTH = "inferno"
-"""γ⁰ of places in the world, on a dark background."""
+"""γ⁰ of points in the world, on a dark background."""
 
 INCIDENCE, SPREAD = "cividis", "inferno"
 """Radar maps: local incidence angle, and how far apart along elevation scatterers of one pixel lie."""
@@ -51,13 +51,13 @@ _STOPS = {
     HEIGHT: ("#4b5bbf", "#2a9d8f", "#d9a01b"),
     ERROR: ("#7f8fa3", "#e69f00", "#c51b7d"),
 }
-_FAINTER = 1.5  # small differences are fainter than in proportion
+_FAINTER = 1.5  # small differences are disproportionately faint
 
 
 # ---- classes ---------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Page:
-    """Colours of a page: background, panels, text, lines; what is trained on, and what is tested on."""
+    """Colours of a page: background, panels, text, lines, training and test sets."""
 
     ground: str
     card: str
@@ -78,18 +78,12 @@ TRUE, PREDICTED = "#0b84d8", "#e66101"
 """Outlines of true and predicted masks."""
 
 RADAR, PICKED = "#ff5c46", "#c8f04a"
-"""The radar in the viewer, and the pixel that was picked with all that makes it."""
+"""The radar in the viewer, and the picked pixel with everything that contributes to it."""
 
 
 @cache
 def ramp(name: str) -> Palette:
-    """The 256 colours of a ramp, or of a colour map of matplotlib.
-
-    Raises
-    ------
-    SarsplatError
-        If there is no such colour map, or matplotlib is missing.
-    """
+    """The 256 colours of a ramp, or of a colour map of matplotlib; refuses unknown names."""
     if name == DIFFERENCE:
         signed = np.linspace(-1, 1, 256)[:, None]
         colours = np.where(signed < 0, rgb(TOO_DARK), rgb(TOO_BRIGHT))
@@ -107,21 +101,21 @@ def ramp(name: str) -> Palette:
         ) from error
     if name not in colormaps:
         raise SarsplatError(
-            f"there is no colour map {shown(name)}; choose gray, viridis, magma, cividis, turbo or another of "
-            "matplotlib's"
+            f"there is no colour map {shown(name)}; choose gray, viridis, magma, cividis, turbo or another from "
+            "matplotlib"
         )
     return np.round(255 * colormaps[name](np.linspace(0, 1, 256))).astype(np.uint8)
 
 
 def hollow(name: str) -> Palette:
-    """The ramp, with index 0 transparent: nothing is there."""
+    """The ramp with index 0 transparent, for pixels without data."""
     colours = ramp(name).copy()
     colours[0, 3] = 0
     return colours
 
 
 def over(name: str, background: str) -> UInt8[np.ndarray, "256 3"]:
-    """The ramp as it looks before a background."""
+    """The ramp as it looks in front of a background."""
     opacity: Float[np.ndarray, "256 1"] = ramp(name)[:, 3:] / 255
     return np.round(ramp(name)[:, :3] * opacity + np.array(rgb(background)) * (1 - opacity)).astype(np.uint8)
 

@@ -1,15 +1,15 @@
-"""How the package complains: the one exception, and the one warning, that users are meant to read."""
+"""The one exception and the one warning that users are meant to read."""
 
 
 class SarsplatError(Exception):
-    """A mistake in the input, told in one sentence: what is wrong, with the value, and what to do.
+    """A mistake in the input, described in one sentence: what is wrong, with the value, and what to do.
 
     The command line prints the message without a traceback and exits with code 2.
     """
 
 
 class SarsplatWarning(UserWarning):
-    """Something that looks like a mistake but may be meant, told in one sentence; the work goes on.
+    """Something that looks like a mistake but may be intended, described in one sentence; the work continues.
 
     The command line prints the message as one line on stderr.
     """
@@ -21,6 +21,6 @@ def counted(number: int, noun: str) -> str:
 
 
 def shown(value: object) -> str:
-    """The value as an error may quote it, whatever a stranger wrote there: printable and not too long."""
+    """The value as an error quotes it, whatever it is: printable, at most 120 characters."""
     text = repr(value)
     return text if len(text) <= 120 else text[:119] + "…"

@@ -1,4 +1,4 @@
-"""Names that options take, each list written once: what they name is too slow to import for the help of a command."""
+"""Names that options accept, each list written once: importing what they name is too slow for a command's help."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ Swept = Literal["azimuth", "grazing"]
 """The angle that changes along a film strip."""
 
 Quantity = Literal["amplitude", "power", "db", "complex"]
-"""What the numbers of an image stand for."""
+"""What the numbers of an image mean."""
 
 Side = Literal["top", "right", "bottom", "left"]
-"""Of a picture, in the order of the quarter turns, counter-clockwise, that bring each to the top."""
+"""Sides of a picture, by the number of counter-clockwise quarter turns that bring each to the top."""
 
 SampleKind = Literal["real", "synthetic"]
 """Measured or simulated images of the SAMPLE set."""
 
 Content = Literal["gaussians", "points", "mesh"]
-"""What of a run a file may hold."""
+"""Which result of a run a file contains."""
 
 Colour = Literal["db", "height"]
-"""What colours of Gaussians show: γ⁰ in decibels, in grey, or the height, from blue (low) to yellow (high)."""
+"""What the colours of Gaussians show: γ⁰ in decibels, in grey, or the height, from blue (low) to yellow (high)."""

@@ -1,4 +1,4 @@
-"""Capabilities found by name: a file of ours, or an entry point of another package."""
+"""Capabilities by name: each is a file of ours or an entry point of another package."""
 
 from __future__ import annotations
 
@@ -13,13 +13,7 @@ from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 
 
 class Plugins(Mapping[str, Any]):
-    """What `discover` found, by name. Listing the names imports nothing; an item is imported when asked for.
-
-    Raises
-    ------
-    SarsplatError
-        By `[name]`, if that plugin cannot be imported.
-    """
+    """Plugins by name. Listing the names imports nothing; `[name]` imports that plugin, or raises a SarsplatError."""
 
     def __init__(self, entries: dict[str, EntryPoint]) -> None:
         self._entries = entries
@@ -30,7 +24,7 @@ class Plugins(Mapping[str, Any]):
             entry = self._entries[name]
             try:
                 self._loaded[name] = entry.load()
-            except Exception as error:  # whatever code of others raises
+            except Exception as error:  # whatever third-party code raises
                 raise SarsplatError(
                     f"the plugin {name} of {entry.group} cannot be imported from {entry.value} "
                     f"({type(error).__name__}: {shown(str(error))}); update or uninstall its package"
@@ -44,13 +38,7 @@ class Plugins(Mapping[str, Any]):
         return len(self._entries)
 
     def loaded(self) -> dict[str, Any]:
-        """All that can be imported, by name.
-
-        Warns
-        -----
-        SarsplatWarning
-            For each of the others.
-        """
+        """All plugins that can be imported, by name, with a SarsplatWarning for each of the others."""
         for name in self._entries:
             try:
                 self[name]
@@ -60,23 +48,23 @@ class Plugins(Mapping[str, Any]):
 
 
 def discover(package: str, prefix: str, attribute: str, group: str, *more_packages: str) -> Plugins:
-    """Find plugins: modules of our packages first, by file name, then the entry points of other packages, by theirs.
+    """Plugins of our packages, named after their files, and then those of other packages, named by their entry points.
 
     Parameters
     ----------
     package, more_packages : str
-        Packages to look in.
+        Packages to search.
     prefix : str
-        How the names of their modules begin: `method_sar_nerf` is the plugin `sar-nerf` with the prefix `method_`.
+        Start of the names of their modules: with `method_`, the module `method_sar_nerf` is the plugin `sar-nerf`.
     attribute : str
-        What each module calls its plugin.
+        Name of the plugin in each module.
     group : str
         Group of the entry points, each of which refers to a plugin itself: `name = "module:attribute"`.
 
     Warns
     -----
     SarsplatWarning
-        If an entry point has a name that is taken; it is ignored.
+        If the name of an entry point is already in use; it is ignored.
     """
     entries: dict[str, EntryPoint] = {}
     for home in (package, *more_packages):

@@ -1,4 +1,4 @@
-"""How long work shows itself: a bar on a terminal, plain lines elsewhere."""
+"""Progress of long work: a bar on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SECONDS_BETWEEN_LINES = 5.0
 
 
 class Reporter:
-    """Told of every step; shows what fits the terminal."""
+    """Shows every step that is reported to it, as the terminal allows."""
 
     def __init__(self, total: int, bar: Progress | None, description: str, quiet: bool = False) -> None:
         self._total, self._bar, self._description, self._quiet = total, bar, description, quiet
@@ -23,23 +23,23 @@ class Reporter:
         self._ended = False
 
     def note(self, text: str) -> None:
-        """A line that stays."""
+        """Print a line that stays."""
         if self._bar is not None:
             self._bar.console.print(text, highlight=False)
         elif not self._quiet:
             print(text, flush=True)
 
     def start_at(self, done: int) -> None:
-        """Work resumed: this many steps were done before."""
+        """Resume work of which this many steps are done."""
         self._first = done
         self.update(done)
 
     def advance(self, steps: int, status: str = "") -> None:
-        """So many more steps are finished."""
+        """`steps` more are finished; `status` is a short text such as the loss."""
         self.update(self._done + steps, status)
 
     def update(self, done: int, status: str = "") -> None:
-        """`done` steps of the total are finished; `status` is a short text such as the loss."""
+        """`done` steps of the total are finished."""
         self._done = done
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, completed=done, status=status)
@@ -47,14 +47,14 @@ class Reporter:
         now = time.monotonic()
         if self._quiet or self._ended or (now - self._last < _SECONDS_BETWEEN_LINES and done < self._total):
             return
-        self._last, self._ended = now, done >= self._total  # the last line once, however often the end is told
-        left = (now - self._begun) / max(done - self._first, 1) * (self._total - done)
-        print(f"{self._description}: {done}/{self._total}  {status}  {left:.0f} s left", flush=True)
+        self._last, self._ended = now, done >= self._total  # the last line only once
+        seconds = (now - self._begun) / max(done - self._first, 1) * (self._total - done)
+        print(f"{self._description}: {done}/{self._total}  {status}  {seconds:.0f} s left", flush=True)
 
 
 @contextmanager
 def progress(description: str, total: int, quiet: bool = False) -> Iterator[Reporter]:
-    """Show progress of `total` steps while the block runs, unless it is to be quiet."""
+    """Show progress of `total` steps while the block runs, unless `quiet`."""
     console = Console()
     if quiet or not console.is_terminal:
         yield Reporter(total, None, description, quiet)

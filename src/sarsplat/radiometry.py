@@ -1,6 +1,6 @@
-"""Power as amplitude and in decibels, β⁰ as σ⁰ and γ⁰ of flat ground, and which range of power pictures show.
+"""Power as amplitude and in decibels, β⁰ as σ⁰ and γ⁰ of flat ground, and the range of power that pictures show.
 
-Power stands for an array of numpy or a number; conversions between β⁰, σ⁰ and γ⁰ take tensors of torch as well.
+Power is a numpy array or a number; conversions between β⁰, σ⁰ and γ⁰ accept torch tensors as well.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ __all__ = [
 ]
 
 DYNAMIC_RANGE_DB = 40.0
-"""Pictures show this range below the brightest training pixel, dB; what is darker is black."""
+"""Pictures show this range below the brightest training pixel, dB; anything darker is black."""
 
 LEAST_POWER = float(np.finfo(np.float32).tiny)
 """Smaller powers count as this one in decibels (−379 dB), so that nothing is −inf."""
 
 OF_THE_BRIGHTEST = "power, dB of the brightest 0.1 %"
-"""What 0 dB is on sheets, in words; see `bright_level`."""
+"""The meaning of 0 dB on sheets, in words; see `bright_level`."""
 
 Power = TypeVar("Power", bound=Any)
 """A number, an array or a tensor."""
@@ -41,7 +41,7 @@ def to_db(
     reference : numpy.ndarray or float
         What 0 dB is, linear.
     least : float
-        Smaller quotients count as this one; with 0, no power is −inf dB.
+        Smaller quotients count as this one; with 0, zero power is −inf dB.
     """
     quotient = np.maximum(np.asarray(power, dtype=np.float64) / reference, least)
     with np.errstate(divide="ignore"):
@@ -80,7 +80,7 @@ def sigma0_of_beta0(beta0: Power, grazing_deg: float) -> Power:
 
 
 def bright_level(power: Real[np.ndarray, "*pixels"]) -> float:
-    """What the brightest 0.1 % of pixels exceed: a corner reflector does not darken all the rest; never 0."""
+    """Level that the brightest 0.1 % of pixels exceed, so that a corner reflector does not darken the rest; never 0."""
     return float(np.quantile(power, 0.999)) or float(power.max()) or 1.0
 
 
@@ -99,6 +99,6 @@ def brighter(power: Real[np.ndarray, "*pixels"], level_db: float, peak: Any = No
 def difference_db(
     rendered: Real[np.ndarray, "*pixels"], truth: Real[np.ndarray, "*pixels"], peak: float, darkest_db: float
 ) -> Float[np.ndarray, "*pixels"]:
-    """Rendered over true power, dB; whatever is darker than `darkest_db` of the peak counts as equally dark."""
+    """Rendered over true power, dB; all power below `darkest_db` of the peak counts as that."""
     floor = peak * from_db(darkest_db)
     return to_db(np.maximum(rendered, floor)) - to_db(np.maximum(truth, floor))

@@ -1,4 +1,4 @@
-"""Calls of libraries whose threads must not lose what they work on when Ctrl-C ends the wait for them."""
+"""Calls of libraries with threads that must keep their memory when Ctrl-C interrupts the wait for them."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 
 
 def unbroken(function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-    """What a call returns; Ctrl-C waits for its end.
+    """The result of a call that Ctrl-C does not interrupt.
 
-    scipy's searches with `workers=-1` need this: their threads go on writing into an array that the interrupted
-    search has freed, and the process dies.
+    scipy's searches with `workers=-1` need this: their threads continue to write into an array that the interrupted
+    search has freed, and the process crashes.
     """
     with ThreadPoolExecutor(1) as thread:  # only the main thread is interrupted, and leaving waits for this one
         return thread.submit(function, *arguments, **options).result()

@@ -124,8 +124,8 @@ def simulate_raycast(
         if ground_gamma0 is None:
             deposit.add(x, z, gamma0[face] * cell_area)
             continue
-        # Height above the ground is y_r·cosθ − z_r·sinθ: rays reach it at z_r = y_r / tanθ. Free ground has a closed form,
-        # without moiré; a ray that the target stops subtracts what it would have contributed there.
+        # Height above the ground is y_r·cosθ − z_r·sinθ: rays reach it at z_r = y_r / tanθ. Free ground has a closed
+        # form, without moiré; a ray that the target stops subtracts what it would have contributed there.
         z_ground = y / math.tan(theta)
         above = z < z_ground + 1e-6
         x, z, z_ground = x[above], z[above], z_ground[above]
