@@ -54,7 +54,7 @@ def test_the_level_of_side_lobes_is_theirs(shape, level_db, width):
     assert shape.width == pytest.approx(width, abs=1e-4)
 
 
-def test_differs_from_a_gaussian_as_the_conventions_say():
+def test_the_difference_from_a_gaussian_is_that_of_the_conventions():
     away = np.abs(TAYLOR.density(FINE) - GAUSSIAN.density(FINE))
     assert away.sum() * 1e-3 == pytest.approx(0.042, abs=1e-3)
     assert away[300_000] / GAUSSIAN.density(np.zeros(1)) == pytest.approx(0.02, abs=2e-3)
@@ -84,7 +84,7 @@ def test_a_grid_asks_it():
     wider = grid.widened(0.01, 0.0)
     assert wider.response_variance_m2 == pytest.approx((variance_of(0.3) + 0.01, variance_of(0.4)), rel=1e-12)
     assert wider.response is TAYLOR
-    with pytest.raises(SarsplatError, match=r"the response 'taylor' is not one"):
+    with pytest.raises(SarsplatError, match=r"the response 'taylor' is not a Response"):
         ImageGrid(4, 6, (0.2, 0.3), (0.3, 0.4), response="taylor")
 
 
@@ -102,19 +102,12 @@ BAD = {
     "no side lobes": ({"kind": "taylor", "sidelobes": 0}, "sidelobes 0"),
 }
 TABLES = [
-    ([0, 1], [1]),
+    *(([0, 1], powers) for powers in ([1], ["much", 0], None, [1, math.nan], [1, 0.5], [0, 0], [1, -1])),
+    *((distances, [3, 2, 1]) for distances in ([0, 2, 1], [1, 2, 3])),
+    ([0, 1, 2], [1, 2, 0]),
+    ([0, math.inf], [1, 0]),
     ([], []),
     (3, 4),
-    ([0, 1], ["much", 0]),
-    ([0, 1], None),
-    ([0, 1], [1, math.nan]),
-    ([0, math.inf], [1, 0]),
-    ([0, 2, 1], [3, 2, 1]),
-    ([1, 2], [3, 1]),
-    ([0, 1], [1, 0.5]),
-    ([0, 1], [0, 0]),
-    ([0, 1, 2], [1, 2, 0]),
-    ([0, 1], [1, -1]),
     ([[0, 1]], [[1, 0]]),
     (np.zeros((3, 900)), np.ones((3, 900))),
 ]
@@ -124,7 +117,7 @@ BAD |= {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_what_is_no_response_is_refused_in_a_sentence(name):
+def test_invalid_responses_are_refused_in_one_sentence(name):
     settings, words = BAD[name]
     with pytest.raises(SarsplatError, match=words) as caught:
         response_of(settings)

@@ -43,10 +43,10 @@ def test_image_is_a_map_with_the_radar_at_the_top():
     x_of, _, r_of = radar_frame(from_north)
     east, north = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
     assert r_of @ north < 0 < r_of @ -north  # nearer to the radar: further up (row 0 is near range)
-    # with north at the top of the picture east would be right, with columns growing to the right
+    # with north at the top of the picture, east is to the right, and so are larger columns
     assert x_of @ east > 0
     assert x_of @ north == pytest.approx(0.0, abs=1e-12)
-    # height comes in early: layover
+    # height appears nearer: layover
     assert r_of @ np.array([0, 0, 1.0]) == pytest.approx(-math.sin(math.radians(40.0)))
 
 
@@ -66,16 +66,16 @@ def test_rays_to_a_pixel():
     assert RayGrid((0.1, 0.3)).cell_area == pytest.approx(0.03)
 
 
+def test_the_zenith_is_nearly_90_degrees():
+    assert View.towards(np.array([0.0, 0.0, 3.0])).grazing_deg == 89.999
+
+
 @given(views, st.floats(1e-3, 1e3))
 def test_a_view_towards_a_direction_is_the_view_from_there(view, length):
     again = View.towards(length * view.direction)
     assert 0 <= again.azimuth_deg <= 360
     assert again.direction == pytest.approx(view.direction, abs=1e-9)
     assert again.grazing_deg == pytest.approx(view.grazing_deg, abs=1e-6)
-
-
-def test_straight_above_is_just_beside():
-    assert View.towards(np.array([0.0, 0.0, 3.0])).grazing_deg == 89.999
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_straight_above_is_just_beside():
         ),
     ],
 )
-def test_what_is_no_direction_is_refused_in_words(angles, refusal):
+def test_invalid_directions_are_refused_with_a_reason(angles, refusal):
     with pytest.raises(SarsplatError, match=refusal):
         View(*angles)
 
@@ -128,7 +128,7 @@ GRID = {"rows": 4, "columns": 4, "spacing_m": (0.2, 0.2), "resolution_m": (0.3, 
         ({"columns": 131_073}, "4 × 131073 pixels is too large"),
     ],
 )
-def test_what_is_no_grid_is_refused_in_words(wrong, refusal):
+def test_invalid_grids_are_refused_with_a_reason(wrong, refusal):
     with pytest.raises(SarsplatError, match=refusal):
         ImageGrid(**{**GRID, **wrong})
 

@@ -33,9 +33,9 @@ def inside(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def shares(view: View, grid: ImageGrid) -> np.ndarray:
-    """Of every pixel: the share that lit faces of the box cover, their area, and the share of its ground in shadow.
+    """For every pixel: the share covered by lit faces of the box, their area, and the share of its ground in shadow.
 
-    The area is that across the line of sight, in units of what open ground has.
+    The area is across the line of sight, in units of that of open ground.
     """
     finer = 8
     azimuth_axis, elevation_axis, range_axis = radar_frame(view)
@@ -96,7 +96,7 @@ def test_neither_brightness_nor_orientation_nor_resolution_matters():
     np.testing.assert_array_equal(raycast_mask(inverted, View(25, 30), blurred), true)
 
 
-def test_what_lies_below_the_ground_is_not_seen():
+def test_nothing_below_the_ground_is_seen():
     sunk = box(LOW - (0, 0, 3), HIGH)
     for view in (View(25, 17), View(250, 45)):
         np.testing.assert_array_equal(raycast_mask(sunk, view, GRIDS[0]), raycast_mask(box(), view, GRIDS[0]))
@@ -104,10 +104,10 @@ def test_what_lies_below_the_ground_is_not_seen():
 
 
 def test_progress_counts_masks():
-    told: list[int] = []
+    counts: list[int] = []
     views = [View(25, 17), View(250, 45)]
-    masks = raycast_masks(box(), views, GRIDS[0], progress=told.append)
-    assert told == [1, 2]
+    masks = raycast_masks(box(), views, GRIDS[0], progress=counts.append)
+    assert counts == [1, 2]
     np.testing.assert_array_equal(masks[1], raycast_mask(box(), views[1], GRIDS[0]))
 
 

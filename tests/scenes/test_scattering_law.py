@@ -32,10 +32,7 @@ def test_law_can_be_recorded_and_restored():
     law = ScatteringLaw(0.02, 3.0, 5.0)
     assert law.as_dict() == {"floor": 0.02, "lobe": 3.0, "exponent": 5.0}
     assert ScatteringLaw(**law.as_dict()) == law
-
-
-def test_a_record_from_before_there_were_exponents_means_the_squared_cosine():
-    assert ScatteringLaw(**{"floor": 0.1, "lobe": 0.9}) == ScatteringLaw(0.1, 0.9, 2.0)
+    assert ScatteringLaw(**{"floor": 0.1, "lobe": 0.9}) == ScatteringLaw(0.1, 0.9, 2.0)  # an old record
 
 
 def test_the_parts_of_a_mesh_differ_in_reflectivity():

@@ -1,4 +1,4 @@
-"""SLICY: its size, and that its parts are where they should be."""
+"""SLICY: its size and the places of its parts."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def test_size_and_place(mesh):
 
 def test_a_tall_closed_cylinder_a_short_open_one_and_a_corner_stand_on_the_roof(mesh):
     def height(x, y):
-        found, *_ = mesh.ray.intersects_location([[x, y, 5.0]], [[0, 0, -1.0]])
-        return found[:, 2].max()
+        hits, *_ = mesh.ray.intersects_location([[x, y, 5.0]], [[0, 0, -1.0]])
+        return hits[:, 2].max()
 
     assert height(-0.4933, 0.5838) == pytest.approx(1.689)  # closed
     assert height(-0.4933, -0.5821) == pytest.approx(0.774)  # one looks through the tube

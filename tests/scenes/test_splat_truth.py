@@ -52,7 +52,7 @@ def test_second_moments_are_those_of_the_pieces():
     np.testing.assert_allclose(gaussians.scales[0, 1:], expected, rtol=1e-5)
 
 
-def test_the_same_mesh_gives_the_same_gaussians():
+def test_the_same_target_gives_the_same_gaussians():
     first, again = (surface_gaussians(target_mesh("t72"), 0.3)[0] for _ in range(2))
     assert all(torch.equal(a, b) for a, b in zip(first.tensors().values(), again.tensors().values()))
 
@@ -75,10 +75,10 @@ def test_scattering_follows_the_law_in_every_view():
     np.testing.assert_allclose(law_scattering(normals, views, law), expected, atol=1e-12)
 
 
-def test_impossible_requests_are_refused():
-    with pytest.raises(SarsplatError, match="size 0"):
-        surface_gaussians(trimesh.creation.box((1, 1, 1)), 0)
-    with pytest.raises(SarsplatError, match="cannot be covered"):
-        surface_gaussians(trimesh.Trimesh(), 0.1)
-    with pytest.raises(SarsplatError, match="if it is in millimetres"):
-        surface_gaussians(trimesh.creation.box((7000, 3600, 2000)), 0.1)
+@pytest.mark.parametrize(
+    ("extents", "size", "message"),
+    [((1, 1, 1), 0, "size 0"), (None, 0.1, "cannot be covered"), ((7000, 3600, 2000), 0.1, "if it is in millimetres")],
+)
+def test_impossible_requests_are_refused(extents, size, message):
+    with pytest.raises(SarsplatError, match=message):
+        surface_gaussians(trimesh.creation.box(extents) if extents else trimesh.Trimesh(), size)
