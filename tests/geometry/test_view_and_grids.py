@@ -64,6 +64,8 @@ def test_rays_to_a_pixel():
     assert RayGrid.for_image(grid).spacing_m == (0.1, 0.1)  # half of the finer spacing
     assert RayGrid.for_image(grid, per_pixel=4).spacing_m == (0.05, 0.05)
     assert RayGrid((0.1, 0.3)).cell_area == pytest.approx(0.03)
+    with pytest.raises(SarsplatError, match=r"ray spacing \(0.0, 0.1\) must be positive"):
+        RayGrid((0.0, 0.1))
 
 
 def test_the_zenith_is_nearly_90_degrees():
@@ -111,9 +113,7 @@ GRID = {"rows": 4, "columns": 4, "spacing_m": (0.2, 0.2), "resolution_m": (0.3, 
     [
         ({"spacing_m": ("0.2", 0.2)}, r"pixel spacing \('0.2', 0.2\) must be positive and finite, in metres"),
         ({"spacing_m": 0.2}, "pixel spacing 0.2 must be a pair of metres"),
-        ({"spacing_m": (0.1, -0.1)}, r"pixel spacing \(0.1, -0.1\) must be positive"),
         ({"spacing_m": (0.2, 0.99e-6)}, "pixel spacing .* must be positive"),
-        ({"resolution_m": (0.3, None)}, r"resolution \(0.3, None\) must be positive"),
         ({"resolution_m": (0.1, math.nan)}, r"resolution \(0.1, nan\) must be positive"),
         ({"resolution_m": (1.01e6, 0.1)}, "resolution .* must be positive and finite"),
         ({"center_m": 0.0}, "image centre 0.0 must be a pair of metres"),
@@ -131,11 +131,6 @@ GRID = {"rows": 4, "columns": 4, "spacing_m": (0.2, 0.2), "resolution_m": (0.3, 
 def test_invalid_grids_are_refused_with_a_reason(wrong, refusal):
     with pytest.raises(SarsplatError, match=refusal):
         ImageGrid(**{**GRID, **wrong})
-
-
-def test_rays_need_a_spacing():
-    with pytest.raises(SarsplatError, match=r"ray spacing \(0.0, 0.1\) must be positive"):
-        RayGrid((0.0, 0.1))
 
 
 def test_limits_themselves_are_grids():

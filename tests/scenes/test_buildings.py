@@ -7,7 +7,7 @@ import pytest
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.scenes import BUILDINGS, Gamma0, ScatteringLaw, building_profile, simulate_raycast, target_mesh
+from sarsplat.scenes import BUILDINGS, Gamma0, ScatteringLaw, building_profile, target_mesh
 from sarsplat.scenes.simulate import simulate_images
 
 pytest.importorskip("trimesh")
@@ -99,9 +99,7 @@ def test_the_profile_is_the_regions_seen_through_the_response():
 
 def test_a_misplaced_or_faint_image_is_measured_as_such():
     name = "building-a"
-    image = simulate_raycast(
-        target_mesh(name), View(0.0, 45.0), GRID, ScatteringLaw(0.5, 0.0), ground_gamma0=0.5, ray_spacing=0.05
-    )
+    image = image_of("raycast", name, 45.0, EQUAL)
     profile = building_profile(np.roll(image, 1, axis=0) * 0.98, GRID, BUILDINGS[name], 45.0, EQUAL)
     assert [edge.error for edge in profile.edges] == pytest.approx([0.3] * 4, abs=0.03)
     lit = [item for item in profile.regions if item.region.surfaces and item.beta0 is not None]

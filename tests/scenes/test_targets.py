@@ -1,4 +1,4 @@
-"""The procedural vehicles have their originals' dimensions and are made of sound bodies."""
+"""Built-in vehicles have their originals' dimensions and consist of closed bodies; so does SLICY."""
 
 import numpy as np
 import pytest
@@ -20,16 +20,12 @@ ON_THE_GROUND = {"t72": 2, "btr70": 8, "2s1": 2, "kraz": 6}  # tracks or wheels
 
 @pytest.fixture(scope="module")
 def meshes():
-    return {name: target_mesh(name) for name in VEHICLES}
+    return {name: target_mesh(name) for name in (*VEHICLES, "slicy")}
 
 
 @pytest.fixture(scope="module")
 def bodies(meshes):
-    return {name: mesh.split(only_watertight=False) for name, mesh in meshes.items()}
-
-
-def test_every_vehicle_is_measured_here():
-    assert set(DIMENSIONS) == set(VEHICLES)
+    return {name: meshes[name].split(only_watertight=False) for name in VEHICLES}
 
 
 @pytest.mark.parametrize("name", VEHICLES)
@@ -110,3 +106,33 @@ def test_t72_barrel_rises_forwards(meshes):
 def test_unknown_name_lists_the_known_ones():
     with pytest.raises(SarsplatError, match=r"'t73'.*t72, btr70, 2s1, kraz, slicy, building-a, building-b, building-c"):
         target_mesh("t73")
+
+
+# ---- SLICY -----------------------------------------------------------------------------------------------------------
+def test_slicy_has_its_size_and_place(meshes):
+    np.testing.assert_allclose(meshes["slicy"].bounds, [[-1.2225, -1.375, 0], [1.2225, 1.375, 1.689]])
+
+
+def test_a_tall_closed_cylinder_a_short_open_one_and_a_corner_stand_on_the_roof(meshes):
+    slicy = meshes["slicy"]
+
+    def height(x, y):
+        hits, *_ = slicy.ray.intersects_location([[x, y, 5.0]], [[0, 0, -1.0]])
+        return hits[:, 2].max()
+
+    assert height(-0.4933, 0.5838) == pytest.approx(1.689)  # closed
+    assert height(-0.4933, -0.5821) == pytest.approx(0.774)  # one looks through the tube
+    assert slicy.vertices[np.abs(slicy.vertices[:, 2] - 1.232) < 1e-9].shape[0] >= 24  # its rim
+    assert height(1.1, -1.0) == pytest.approx(0.4604)  # the step
+    assert height(0.9089, 0.3) == pytest.approx(0.774, abs=0.001)  # the lying cylinder is as high as the roof
+    assert slicy.vertices[np.abs(slicy.vertices[:, 2] - 1.0667) < 1e-9].shape[0] >= 1  # the corner's third leg
+
+
+def test_the_corner_opens_towards_the_step(meshes):
+    *_, corner = meshes["slicy"].split(only_watertight=False, repair=False)
+    assert len(corner.faces) == 3
+    normals = corner.face_normals
+    np.testing.assert_allclose(np.abs(normals @ normals.T), np.eye(3), atol=1e-6)  # at right angles to each other
+    apex = np.array([0.1659, 0.3783, 0.774])
+    assert (corner.vertices[:, 0] >= apex[0] - 1e-9).all()
+    assert np.linalg.norm(corner.vertices - apex, axis=1) == pytest.approx([0, 0.2927, 0.2927, 0.2927], abs=1e-4)
