@@ -30,7 +30,7 @@ class Reporter:
             print(text, flush=True)
 
     def start_at(self, done: int) -> None:
-        """Resume work of which this many steps are done."""
+        """Resume work with this many steps done."""
         self._first = done
         self.update(done)
 

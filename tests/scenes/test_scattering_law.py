@@ -23,7 +23,7 @@ def test_law_is_floor_plus_lobe(law, expected):
     np.testing.assert_allclose(law.gamma0(np.array([1.0, -1.0, 0.5, -0.5, 0.0])), expected)
 
 
-def test_the_default_law_has_the_bits_it_always_had():
+def test_the_default_law_is_the_squared_cosine_to_the_bit():
     cosines = np.random.default_rng(0).uniform(-1, 1, 1000)
     assert (ScatteringLaw().gamma0(cosines) == 0.1 + 0.9 * np.square(cosines)).all()
 

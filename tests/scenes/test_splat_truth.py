@@ -68,11 +68,10 @@ def test_a_vehicle_looks_the_same_to_both_forward_models():
 
 
 def test_scattering_follows_the_law_in_every_view():
-    law = ScatteringLaw(0.1, 0.9)
     views = [View(0, 30), View(90, 60)]
     normals = np.array([[0, 0, 1], [0, 0, -1], [1, 0, 0], [0, -1, 0]], dtype=float)
     expected = 0.1 + 0.9 * np.array([[0.25, 0.25, 0.75, 0.0], [0.75, 0.75, 0.0, 0.25]])
-    np.testing.assert_allclose(law_scattering(normals, views, law), expected, atol=1e-12)
+    np.testing.assert_allclose(law_scattering(normals, views, ScatteringLaw(0.1, 0.9)), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(

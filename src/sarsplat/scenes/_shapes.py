@@ -125,7 +125,7 @@ def belt(
 
 
 def faces_between(ring: int, next_ring: int, sections: int) -> tuple[Int[np.ndarray, "n 3"], Int[np.ndarray, "n 3"]]:
-    """Both halves of the quadrilaterals between two closed rings, whose vertices are numbered ring by ring."""
+    """Both halves of the quadrilaterals between two closed rings with vertices numbered ring by ring."""
     here = np.arange(sections)
     after = np.roll(here, -1)
     a, b = ring * sections, next_ring * sections

@@ -1,4 +1,4 @@
-"""Edges and levels of a building measured in an image, beside their closed form."""
+"""Edges and levels of a building measured in an image and in closed form."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class MeasuredEdge:
 
 @dataclass(frozen=True)
 class BuildingProfile:
-    """A building's image, averaged along the wall, beside its closed form.
+    """A building's image, averaged along the wall, and its closed form.
 
     Parameters
     ----------

@@ -53,7 +53,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Building:
-    """A box whose near wall faces azimuth 0 and has the middle of its foot at the scene centre.
+    """A box with its near wall facing azimuth 0 and the middle of the foot of that wall at the scene centre.
 
     Parameters
     ----------

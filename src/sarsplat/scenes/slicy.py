@@ -25,8 +25,8 @@ _SECTIONS = 64
 def slicy() -> trimesh.Trimesh:
     """SLICY: 2.445 m × 2.750 m, 1.689 m high; +x out of the face with the step, +y left of it, ground at z = 0.
 
-    Centred on the base block. A stepped block; on the step a lying cylinder, of which the quarter outside the blocks
-    shows; on the roof a closed and an open standing cylinder, the latter without thickness, and a trihedral corner
+    Centred on the base block. A stepped block; on the step a lying cylinder, a quarter of which shows outside
+    the blocks; on the roof a closed and an open standing cylinder, the latter without thickness, and a trihedral corner
     reflector that opens towards +x. Sizes are from someone else's model, not from a drawing.
     """
     base = box((_BACK, _FRONT), (-_SIDE, _SIDE), (0, _TREAD))

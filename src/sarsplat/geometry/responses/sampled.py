@@ -14,7 +14,7 @@ from sarsplat.geometry.responses.response import Response
 
 @dataclass(frozen=True)
 class Sampled(Response):
-    """A response whose power is linear between samples.
+    """A response with power that is linear between samples.
 
     Parameters
     ----------
