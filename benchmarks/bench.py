@@ -75,11 +75,11 @@ NOTES = (
 
 def table(kind: str, parts: dict[str, dict[str, Any]], shown: Callable[[float], str]) -> Table:
     """One kind of finding of all parts."""
-    found = Table(title=kind, title_justify="left", header_style="bold")
+    printed = Table(title=kind, title_justify="left", header_style="bold")
     for name in ("part", "what"):
-        found.add_column(name)
+        printed.add_column(name)
     for name in ("median", "10 … 90 %"):
-        found.add_column(name, justify="right", no_wrap=True)
+        printed.add_column(name, justify="right", no_wrap=True)
     for part, result in parts.items():
         for k, (what, value) in enumerate(result.get(kind, {}).items()):
             first = part if k == 0 else ""
@@ -87,8 +87,8 @@ def table(kind: str, parts: dict[str, dict[str, Any]], shown: Callable[[float], 
                 cells = (shown(value["median"]), f"{shown(value['p10'])} … {shown(value['p90'])}")
             else:
                 cells = (value if isinstance(value, str) else shown(value), "")
-            found.add_row(first, what, *cells)
-    return found
+            printed.add_row(first, what, *cells)
+    return printed
 
 
 def about_parts() -> str:

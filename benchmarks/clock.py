@@ -31,9 +31,9 @@ def spread(samples: Sequence[float]) -> Spread:
 
 def ratio(numerator: Sequence[float], denominator: Sequence[float]) -> Spread:
     """Ratio of the medians, with the spread of the ratios of neighbours in time."""
-    found = spread([a / b for a, b in zip(numerator, denominator, strict=True)])
-    found["median"] = statistics.median(numerator) / statistics.median(denominator)
-    return found
+    quotients = spread([a / b for a, b in zip(numerator, denominator, strict=True)])
+    quotients["median"] = statistics.median(numerator) / statistics.median(denominator)
+    return quotients
 
 
 def in_turn(programs: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, list[float]]:

@@ -58,7 +58,7 @@ def proof() -> dict[str, dict[str, float]]:
     from test_cpu_engine import NOTHING_TO_SEE, judged, relative
     from test_cuda_native import on_gpu
 
-    found = {}
+    measured = {}
     for name in MATRIX:
         scene, values, norms, gradients, _ = judged(name)
         mine, again = on_gpu(scene, norms), on_gpu(scene, norms)
@@ -68,12 +68,12 @@ def proof() -> dict[str, dict[str, float]]:
         valid = {output: ~torch.isnan(value) for output, value in values.items()}
         compared = {k: relative(mine[k][valid[k]], value[valid[k]]) for k, value in values.items()}
         judged_gradients = {} if name in NOTHING_TO_SEE else {k: v for k, v in gradients.items() if v is not None}
-        found[name] = {
+        measured[name] = {
             "values": max(compared.values()),
             "gradients": max((relative(mine[k], v) for k, v in judged_gradients.items()), default=0.0),
         }
-        print(f"  {name:24} values {found[name]['values']:.1e}, gradients {found[name]['gradients']:.1e}")
-    return found
+        print(f"  {name:24} values {measured[name]['values']:.1e}, gradients {measured[name]['gradients']:.1e}")
+    return measured
 
 
 class Stopwatch:
@@ -173,17 +173,17 @@ def training() -> dict[str, Any] | None:
     except ImportError as error:
         print(f"no training: {error}; install the whole package with pip install 'sarsplat[all]'")
         return None
-    found = cuda_training.measure()
-    for place, scores in found["demo"].items():
+    measured = cuda_training.measure()
+    for place, scores in measured["demo"].items():
         print(f"demo on {place}: " + ", ".join(f"{name} {value:.4g}" for name, value in scores.items()))
-    for name, step in found["steps"].items():
+    for name, step in measured["steps"].items():
         view_s = step["step_s"]["median"] / step["views"]
         print(
             f"step of preset {name}: {1e3 * view_s:.3f} ms a view, {view_s / STEP_AIM_S:.2f} × the aim; "
             f"the CPU waits {step['waits']} times; {'the same' if step['same_bits'] else 'OTHER'} bits the second time"
         )
         print(step["profile"])
-    return found
+    return measured
 
 
 def beside_gsplat(scene: Scene, repeats: int) -> dict[str, Any] | None:
@@ -240,13 +240,13 @@ def main(folder: Path = RESULTS) -> None:
     results["peak_flop_s"] = peak_flop_s()
     results["workloads"] = {}
     for title, repeats in REPEATS.items():
-        found = results["workloads"][title] = pace(workload(title), repeats, results["peak_flop_s"])
+        measured = results["workloads"][title] = pace(workload(title), repeats, results["peak_flop_s"])
         print(
-            f"{found['gaussians']:,} Gaussians, {found['side']}², {found['views']} views: "
-            f"{1e3 * found['view_s']['median']:.3f} ms a view, {found['peak_bytes'] >> 20} MiB, "
-            f"{100 * found['share_of_peak']:.1f} % of the device's {results['peak_flop_s'] / 1e12:.1f} TFlop/s"
+            f"{measured['gaussians']:,} Gaussians, {measured['side']}², {measured['views']} views: "
+            f"{1e3 * measured['view_s']['median']:.3f} ms a view, {measured['peak_bytes'] >> 20} MiB, "
+            f"{100 * measured['share_of_peak']:.1f} % of the device's {results['peak_flop_s'] / 1e12:.1f} TFlop/s"
         )
-        for kernel, ms in found["kernel_ms_per_view"].items():
+        for kernel, ms in measured["kernel_ms_per_view"].items():
             print(f"    {kernel:26} {ms:.4f} ms")
     beside = results["gsplat"] = beside_gsplat(workload("training"), REPEATS["training"])
     print(f"gsplat / engine: {beside['gsplat / engine']:.2f}" if beside else "gsplat is not installed")

@@ -96,11 +96,11 @@ def synchronise(device: str) -> None:
 
 def waits(program: Callable[[], object]) -> int:
     """How often torch makes the CPU wait for the GPU in it."""
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         torch.cuda.set_sync_debug_mode("warn")
         try:
             program()
         finally:
             torch.cuda.set_sync_debug_mode("default")
-    return sum("synchronizing" in str(warning.message) for warning in told)
+    return sum("synchronizing" in str(warning.message) for warning in caught)

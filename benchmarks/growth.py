@@ -1,7 +1,7 @@
 """How time and memory grow with Gaussians and with pixels; footprints (in pixels) and density are fixed.
 
 Each size runs in a process of its own, so that its peak of memory is its own:
-`python benchmarks/growth.py GAUSSIANS SIDE STD_PIXELS SECONDS THREADS` is one. It prints what it found, as JSON.
+`python benchmarks/growth.py GAUSSIANS SIDE STD_PIXELS SECONDS THREADS` is one. It prints its results as JSON.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ def bytes_each(measured: list[dict[str, Any]]) -> dict[str, float]:
     """Peak memory of a Gaussian, of a pixel and of nothing, by least squares of the relative errors."""
     size = np.array([[row["gaussians"], row["side"] ** 2, 1] for row in measured], dtype=float)
     peak = np.array([row["peak_bytes"] for row in measured], dtype=float)
-    found, *_ = np.linalg.lstsq(size / peak[:, None], np.ones(len(peak)), rcond=None)
-    return dict(zip(("gaussian", "pixel", "nothing"), found.tolist(), strict=True))
+    solution, *_ = np.linalg.lstsq(size / peak[:, None], np.ones(len(peak)), rcond=None)
+    return dict(zip(("gaussian", "pixel", "nothing"), solution.tolist(), strict=True))
 
 
 def measure(quick: bool) -> dict[str, Any]:
@@ -88,14 +88,14 @@ def measure(quick: bool) -> dict[str, Any]:
     series = QUICK if quick else SERIES
     flop_s = measured_rate()
     sizes = dict.fromkeys(size for row in series.values() for size in row)
-    found = {size: in_own_process(size, 0.05 if quick else 1.5) for size in sizes}
-    for row in found.values():
+    by_size = {size: in_own_process(size, 0.05 if quick else 1.5) for size in sizes}
+    for row in by_size.values():
         row["floor_s"] = row.pop("flops") / flop_s
-    rows = {name: [found[size] for size in row] for name, row in series.items()}
+    rows = {name: [by_size[size] for size in row] for name, row in series.items()}
     counts = {"gaussians": [float(r["gaussians"]) for r in rows["gaussians"]]}
     counts["pixels"] = [float(r["side"]) ** 2 for r in rows["pixels"]]
     slopes = {name: slope(counts[name], [row["seconds"]["median"] for row in rows[name]]) for name in rows}
-    each, largest = bytes_each(list(found.values())), rows["gaussians"][-1]
+    each, largest = bytes_each(list(by_size.values())), rows["gaussians"][-1]
     if largest["process_bytes"] > MEMORY_BOUND:
         raise SystemExit(f"the largest scene takes {largest['process_bytes'] / 2**30:.1f} GiB, more than 4")
     return {
@@ -104,10 +104,10 @@ def measure(quick: bool) -> dict[str, Any]:
             **{
                 f"engine / floor, {row['gaussians']:,} Gaussians, {row['side']}²": row["seconds"]["median"]
                 / row["floor_s"]
-                for row in found.values()
+                for row in by_size.values()
             },
         },
-        "times": {f"{row['gaussians']:,} Gaussians, {row['side']}²": row["seconds"] for row in found.values()},
+        "times": {f"{row['gaussians']:,} Gaussians, {row['side']}²": row["seconds"] for row in by_size.values()},
         "bytes": {
             **{f"peak of a {name}": each[name] for name in ("gaussian", "pixel")},
             f"whole process, {largest['gaussians']:,} Gaussians, {largest['side']}²": largest["process_bytes"],

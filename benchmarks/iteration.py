@@ -71,14 +71,14 @@ def measure(quick: bool) -> dict[str, Any]:
         return f"{count:,} Gaussians, {views} view{'s' if views > 1 else ''} a step"
 
     few, many = counts
-    totals = {kind: found["total"] for kind, found in samples.items()}
+    totals = {kind: parts["total"] for kind, parts in samples.items()}
     ratios = {
         "a view of 8 / a view alone": ratio(totals[few, 8], totals[few, 1]),
         f"{many:,} / {few:,} Gaussians, a view alone": ratio(totals[many, 1], totals[few, 1]),
     }
     for part in PARTS[:-1]:
         ratios[f"{part} / total, {title(few, 1)}"] = ratio(samples[few, 1][part], totals[few, 1])
-    spreads = {kind: {part: spread(found[part]) for part in PARTS} for kind, found in samples.items()}
+    spreads = {kind: {part: spread(parts[part]) for part in PARTS} for kind, parts in samples.items()}
     return {
         "ratios": ratios,
         "times": {f"{title(*kind)}, per view: {part}": spreads[kind][part] for kind in kinds for part in PARTS},

@@ -23,16 +23,16 @@ def render_naive(gaussians: Gaussians, views: list[View], grid: ImageGrid, rays:
 def count_pairs(gaussians: Gaussians, view: View, grid: ImageGrid, rays: RayGrid) -> dict[str, int]:
     """Pairs inside the footprints on each plane, those behind the end of a ray included; on the CPU, in portions."""
     frame = torch.from_numpy(radar_frame(view)).float()
-    found = {"attenuation": 0, "imaging": 0}
+    pairs = {"attenuation": 0, "imaging": 0}
     for part in range(0, len(gaussians), 20_000):
         mean, quaternions, scales, depth = (
             tensor[part : part + 20_000].cpu()
             for tensor in (gaussians.means, gaussians.quaternions, gaussians.scales, gaussians.optical_depth)
         )
         mean, cov = mean @ frame.T, frame @ covariance(quaternions, scales) @ frame.T
-        found["attenuation"] += len(_ray_pairs(mean, cov, depth, rays)[1])
-        found["imaging"] += len(_pixel_pairs(mean, cov, grid)[1])
-    return found
+        pairs["attenuation"] += len(_ray_pairs(mean, cov, depth, rays)[1])
+        pairs["imaging"] += len(_pixel_pairs(mean, cov, grid)[1])
+    return pairs
 
 
 def _view(gaussians: Gaussians, covariances: Tensor, view: View, grid: ImageGrid, rays: RayGrid) -> Tensor:

@@ -34,10 +34,12 @@ def ms(seconds: float) -> str:
     return f"{seconds:.3g} s" if seconds >= 1 else f"{1e3 * seconds:.3g} ms"
 
 
-def row(what: str, first: dict[str, float] | float, second: dict[str, float] | float, found: dict[str, float]) -> Row:
+def row(
+    what: str, first: dict[str, float] | float, second: dict[str, float] | float, quotient: dict[str, float]
+) -> Row:
     """What is timed, both times, and their ratio with where 80 % of its samples are."""
     times = (ms(each if isinstance(each, float) else each["median"]) for each in (first, second))
-    return what, *times, f"{found['median']:.3g} ({found['p10']:.3g} … {found['p90']:.3g})"
+    return what, *times, f"{quotient['median']:.3g} ({quotient['p10']:.3g} … {quotient['p90']:.3g})"
 
 
 def beside_pytorch(parts: dict[str, Any]) -> str:
@@ -50,7 +52,7 @@ def beside_pytorch(parts: dict[str, Any]) -> str:
             naive["times"]["engine"],
             naive["ratios"]["plain torch / engine"],
         ),
-        *(row(name, theirs, ours, found) for name, found, theirs, ours in against_twins(parts["twins"])),
+        *(row(name, theirs, ours, quotient) for name, quotient, theirs, ours in against_twins(parts["twins"])),
     ]
     return markdown(("what is computed", "PyTorch", "sarsplat", "times as fast (↑)"), rows)
 
@@ -82,8 +84,8 @@ def beside_the_ordinary(parts: dict[str, Any]) -> str:
     alone = iteration["view_s"]["one view"]
     rows = [
         *(
-            row(name.replace(" / ", " instead of "), *parts["steps"]["contenders_s"][name], found)
-            for name, found in parts["steps"]["ratios"].items()
+            row(name.replace(" / ", " instead of "), *parts["steps"]["contenders_s"][name], quotient)
+            for name, quotient in parts["steps"]["ratios"].items()
         ),
         row(
             f"a training step on 8 views instead of one, time per view, {few} Gaussians",
@@ -98,8 +100,8 @@ def beside_the_ordinary(parts: dict[str, Any]) -> str:
             iteration["ratios"][f"{many} / {few} Gaussians, a view alone"],
         ),
         *(
-            row(_load(load), *parts["degenerate"]["contenders_s"][load], found)
-            for load, found in parts["degenerate"]["ratios"].items()
+            row(_load(load), *parts["degenerate"]["contenders_s"][load], quotient)
+            for load, quotient in parts["degenerate"]["ratios"].items()
         ),
     ]
     return markdown(("what is different", "with it", "without", "times as long (↓)"), rows)
@@ -117,8 +119,10 @@ def _load(name: str) -> str:
 
 def against_twins(twins: dict[str, Any]) -> list[tuple[str, dict, dict, dict]]:
     """Loss and Adam: what, the ratio, PyTorch's time and the engine's."""
-    names = {key.removesuffix(": torch / engine"): found for key, found in twins["ratios"].items()}
-    return [(n, found, twins["times"][f"{n}: torch"], twins["times"][f"{n}: engine"]) for n, found in names.items()]
+    names = {key.removesuffix(": torch / engine"): quotient for key, quotient in twins["ratios"].items()}
+    return [
+        (n, quotient, twins["times"][f"{n}: torch"], twins["times"][f"{n}: engine"]) for n, quotient in names.items()
+    ]
 
 
 def paper_training(paper: dict[str, Any]) -> str:
@@ -142,7 +146,7 @@ def other_table(parts: dict[str, Any]) -> str:
     """What is no ratio of times, as Markdown."""
     growth, floor, iteration = parts["growth"], parts["floor"], parts["iteration"]
     largest, each, used = growth["series"]["gaussians"][-1], growth["bytes_each"], floor["ratios"]
-    split = ", ".join(f"{part} {1e3 * found['median']:.2f}" for part, found in iteration["split_s"].items())
+    split = ", ".join(f"{part} {1e3 * seconds['median']:.2f}" for part, seconds in iteration["split_s"].items())
     rows = [
         (
             f"a training step of one view, {iteration['gaussians']['few']:,} Gaussians; in ms: {split}",
@@ -173,7 +177,7 @@ def other_table(parts: dict[str, Any]) -> str:
             "float32 additions and multiplications of these cores, in a matrix product",
             f"{floor['rate_flop_s'] / 1e9:.0f} GFlop/s",
         ),
-        *((name, found) for name, found in parts["determinism"]["ratios"].items()),
+        *((name, quotient) for name, quotient in parts["determinism"]["ratios"].items()),
     ]
     return markdown(("quantity", "value"), rows)
 
@@ -199,19 +203,19 @@ def wrapped(*paragraphs: str) -> str:
 
 
 def cuda_table(devices: list[dict[str, Any]]) -> str:
-    """What `cuda_check.py` found on every device, as Markdown, or that there was none."""
+    """The results of `cuda_check.py` on every device, as Markdown, or that there was none."""
     if not devices:
         return "The CUDA engine has not been run on a GPU.\n"
     rows = []
-    for found in devices:
-        for work in found["workloads"].values():
+    for device in devices:
+        for work in device["workloads"].values():
             count = work["views"]
             scene = f"{work['gaussians']:,} Gaussians, {work['side']} × {work['side']} pixels"
             share = f"{100 * work['share_of_peak']:.1f} %"
             views = f"{count} view{'s' * (count > 1)}"
-            what = f"{found['device']}, image and gradients: {scene}, {views}"
+            what = f"{device['device']}, image and gradients: {scene}, {views}"
             rows.append((what, ms(work["view_s"]["median"]), share))
-        trained, beside = found["training"], found["gsplat"]
+        trained, beside = device["training"], device["gsplat"]
         for name, step in trained["steps"].items() if trained else ():
             rows.append((f"a training step, preset {name}", ms(step["step_s"]["median"] / step["views"]), ""))
         if beside:
@@ -271,7 +275,7 @@ def main() -> None:
     results = json.loads(path.read_text(encoding="utf-8"))
     if results["machine"]["quick"]:
         sys.exit(f"{path} is from a quick run, whose numbers mean nothing; run `make bench`")
-    devices = [json.loads(found.read_text(encoding="utf-8")) for found in sorted(RESULTS.glob("cuda-*.json"))]
+    devices = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(RESULTS.glob("cuda-*.json"))]
     fill_block(PAGE, "performance", section(results, devices))
     draw(results["parts"]["growth"], PICTURE)
 

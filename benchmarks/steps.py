@@ -68,7 +68,7 @@ def measure(quick: bool) -> dict[str, Any]:
     count, repeats = (1000, 3) if quick else (COUNT, 60)
     views = tuple(view for view, _ in paper_views()[24:32])
     scenes = {"one view": training_view(count), "8 views": Scene(halfway(count).target(3), views, paper_grid())}
-    found: dict[str, Any] = {"ratios": {}, "times": {}, "contenders_s": {}}
+    results: dict[str, Any] = {"ratios": {}, "times": {}, "contenders_s": {}}
     for load, scene in scenes.items():
         contenders = {
             f"`project`, `attenuate`, `splat` / `render`: {load}": {"chain": chain(scene), "render": scene.step},
@@ -84,7 +84,7 @@ def measure(quick: bool) -> dict[str, Any]:
         }
         for name, programs in contenders.items():
             samples = in_turn(programs, repeats)
-            found["ratios"][name] = ratio(*samples.values())
-            found["contenders_s"][name] = [spread(seconds) for seconds in samples.values()]
-            found["times"] |= {f"{who}, {load}": spread(seconds) for who, seconds in samples.items()}
-    return found
+            results["ratios"][name] = ratio(*samples.values())
+            results["contenders_s"][name] = [spread(seconds) for seconds in samples.values()]
+            results["times"] |= {f"{who}, {load}": spread(seconds) for who, seconds in samples.items()}
+    return results

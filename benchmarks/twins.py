@@ -73,6 +73,6 @@ def measure(quick: bool) -> dict[str, Any]:
     }
     times = {name: in_turn(programs, repeats) for name, programs in contenders.items()}
     return {
-        "ratios": {f"{name}: torch / engine": ratio(found["torch"], found["engine"]) for name, found in times.items()},
-        "times": {f"{name}: {who}": spread(samples) for name, found in times.items() for who, samples in found.items()},
+        "ratios": {f"{name}: torch / engine": ratio(pair["torch"], pair["engine"]) for name, pair in times.items()},
+        "times": {f"{name}: {who}": spread(samples) for name, pair in times.items() for who, samples in pair.items()},
     }

@@ -36,12 +36,12 @@ def measured_rate(repeats: int = 15) -> float:
 
 def visited(scene: Scene) -> dict[str, int]:
     """Blocks visited and lanes live on each plane in one forward pass, and the lanes of a block."""
-    found = []
+    per_view = []
     forward = cpu.Pass.forward
 
     def counted(self: cpu.Pass, problem: Any, outputs: Any) -> tuple[str, int]:
         result = forward(self, problem, outputs)
-        found.append(self.statistics(problem))
+        per_view.append(self.statistics(problem))
         return result
 
     cpu.Pass.forward = counted  # type: ignore[method-assign]
@@ -50,7 +50,7 @@ def visited(scene: Scene) -> dict[str, int]:
             scene.images()
     finally:
         cpu.Pass.forward = forward  # type: ignore[method-assign]
-    return {field[0]: int(getattr(found[0], field[0])) for field in found[0]._fields_}
+    return {field[0]: int(getattr(per_view[0], field[0])) for field in per_view[0]._fields_}
 
 
 def flops(counts: dict[str, int]) -> int:

@@ -154,11 +154,11 @@ def run(cell: BaselineCell, work: Path) -> Path:
     watch = _Watch(cell, bench, Run(cell.method, config, ""))
     masks = _inputs(cell, bench).masks
     learned = reconstruct(bench.dataset, config, method=cell.method, masks=masks, on_step=watch, quiet=True)
-    found = bench.scores(learned)
+    scored = bench.scores(learned)
     if code_version() != code:
         raise SarsplatError("the package's sources changed while a cell was running; run it again")
     path.parent.mkdir(parents=True, exist_ok=True)
-    kept = {name: found[name] for name in ("images", "points", "baselines", "reasons")}
+    kept = {name: scored[name] for name in ("images", "points", "baselines", "reasons")}
     done = {
         "code": code,
         "cell": asdict(cell),
@@ -205,8 +205,8 @@ class _Watch:
         self._left = [later for later in self._left if later > seconds]
         begun = time.process_time()
         held = InMemory(step.trainer.snapshot(seconds), ())
-        found = self._bench.scores(replace(self._new, memory=held), fewer=True)
-        kept = {name: found[name] for name in ("images", "points")}
+        scored = self._bench.scores(replace(self._new, memory=held), fewer=True)
+        kept = {name: scored[name] for name in ("images", "points")}
         self.points.append({"seconds": seconds, "iterations": step.iteration, **kept})
         self._spent += time.process_time() - begun
 

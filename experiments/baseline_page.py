@@ -44,8 +44,8 @@ _RIM = 4  # pixels
 
 
 _ABOUT = """SAR-NeRF and DSR, written afresh ([docs/baselines.md](../baselines.md)), beside sarsplat on the same images,
-scored alike. Every training has one thread, and its time is that of this core. *In our time*: as many iterations as
-fit into the time that sarsplat takes, the learning rate falling within them; *full*: as long as the method's settings
+scored the same way. Every training has one thread, and its time is that of this core. *In our time*: as many iterations
+as fit into the time that sarsplat takes, the learning rate falling within them; *full*: as long as the method's settings
 say. The perceptron's training would take months: it gets ten minutes, and its steps show how far it came; it is
 left out where hundreds of chips would have to be rendered, each of which takes it ten seconds. Mean ±
 sample standard deviation over the seeds. The peak memory is that of the whole process until the end of the training,
@@ -72,9 +72,9 @@ def write(comparison: Comparison) -> Path:
         if not any(rows):
             continue
         keys = MEASURED if images.chips else RENDERED
-        known = [row for row in rows if row]
-        parts.append(f"\n## {images.name}\n\n{_found(keys, known)}\n\n{_table(keys, known, images.name)}")
-        parts += [f"\n–: {text}\n" for text in _missing(keys, known)]
+        finished = [row for row in rows if row]
+        parts.append(f"\n## {images.name}\n\n{_finding(keys, finished)}\n\n{_table(keys, finished, images.name)}")
+        parts += [f"\n–: {text}\n" for text in _missing(keys, finished)]
         if lines := _lines(bouts, comparison, keys):
             curves[images.name] = lines
         name = f"baselines-{'-'.join(re.findall(r'[a-z0-9]+', images.name.lower()))}.png"
@@ -114,25 +114,25 @@ def _unfinished(comparison: Comparison) -> str:
 
 
 def _row(bout: Bout, comparison: Comparison) -> dict[str, Any] | None:
-    found = [one for cell in bout.cells if (one := comparison.read(cell)) is not None]
-    if not found:
+    results = [one for cell in bout.cells if (one := comparison.read(cell)) is not None]
+    if not results:
         return None
-    scores = [scores_of(one) for one in found]
+    scores = [scores_of(one) for one in results]
     budget = "" if bout.contender.reference else ", in our time" if bout.equal else ", full"
     if bout.cells[0].seconds is not None and not bout.equal:
         budget = f", stopped after {bout.contender.seconds / 60:.0f} min"
     return {
         "name": bout.contender.title + budget,
-        "seeds": len(found),
-        "steps": statistics.fmean(one["iterations"] for one in found),
-        "time_s": [one["time_s"] for one in found],
-        "peak": max(one["peak_bytes"] for one in found) / 1e9,
-        "reasons": found[0]["reasons"],
+        "seeds": len(results),
+        "steps": statistics.fmean(one["iterations"] for one in results),
+        "time_s": [one["time_s"] for one in results],
+        "peak": max(one["peak_bytes"] for one in results) / 1e9,
+        "reasons": results[0]["reasons"],
         "scores": {key: [one[key] for one in scores] for key in scores[0] if all(key in one for one in scores)},
     }
 
 
-def _found(keys: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
+def _finding(keys: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
     """Who is best, from the means."""
     ours, *baselines = rows
     better = []
@@ -156,8 +156,8 @@ def _missing(keys: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> list[str
     lacking: dict[str, dict[str, list[str]]] = {}
     for row in (row for row in rows if row["reasons"]):  # there are none of what was done elsewhere
         for key in (key for key in keys if key not in row["scores"]):
-            reason = next((text for name, text in row["reasons"].items() if name.endswith(f".{key}")), "not known")
-            reason = re.sub(r"\d+ of \d+ scored pixels", "some scored pixels", reason)  # alike for all test sets
+            reason = next((text for name, text in row["reasons"].items() if name.endswith(f".{key}")), "unknown")
+            reason = re.sub(r"\d+ of \d+ scored pixels", "some scored pixels", reason)  # the same for all test sets
             lacking.setdefault(reason, {}).setdefault(row["name"], []).append(METRIC[key].label)
     return [
         f"{reason} ({'; '.join(f'{name}: ' + ', '.join(labels) for name, labels in whose.items())})."
@@ -204,10 +204,10 @@ def _lines(
     """Time and score of every contender of which there is a curve: those on the way, then the end."""
     key, lines = next(key for key in keys if key in _DRAWN), []
     for bout in bouts:
-        found = comparison.read(bout.cells[0])
-        if found is not None:
-            points = [(point["seconds"], scores_of(point)) for point in found["curve"]]
-            points.append((found["time_s"], scores_of(found)))
+        result = comparison.read(bout.cells[0])
+        if result is not None:
+            points = [(point["seconds"], scores_of(point)) for point in result["curve"]]
+            points.append((result["time_s"], scores_of(result)))
             title = bout.contender.title + ", in our time" * bout.equal
             if scored := [(seconds, scores[key]) for seconds, scores in points if key in scores]:
                 lines.append((title, scored))
@@ -273,7 +273,7 @@ def _pictures(bouts: Sequence[Bout], comparison: Comparison) -> Figure | None:
 def _around(bright: Bool[np.ndarray, "v rows columns"]) -> tuple[slice, slice]:
     """Rows and columns in which any of the images is bright, and some around them."""
     rows, columns = (np.flatnonzero(bright.any(axis=axes)) for axes in ((0, 2), (0, 1)))
-    return tuple(slice(max(0, int(found[0]) - _RIM), int(found[-1]) + 1 + _RIM) for found in (rows, columns))
+    return tuple(slice(max(0, int(places[0]) - _RIM), int(places[-1]) + 1 + _RIM) for places in (rows, columns))
 
 
 def _save(figure: Figure, path: Path) -> None:

@@ -19,12 +19,12 @@ _ABOUT = ("set", "method", "budget", "seed", "iterations", "time_s", "peak_bytes
 """Columns that are no scores; the last is the name of the cell, which only the same code gives it."""
 
 
-def scores_of(found: Mapping[str, Any]) -> dict[str, float]:
+def scores_of(result: Mapping[str, Any]) -> dict[str, float]:
     """Of one cell, by key: the mean over its test sets, and of the points against the visible surface."""
-    sets = found["images"].values()
+    sets = result["images"].values()
     keys = [*dict.fromkeys(key for scores in sets for key in scores)]
     means = {key: statistics.fmean(values) for key in keys if None not in (values := [scores[key] for scores in sets])}
-    points = {key: value for key, value in found["points"]["visible"].items() if value is not None}
+    points = {key: value for key, value in result["points"]["visible"].items() if value is not None}
     return {**means, **points}
 
 
@@ -34,16 +34,16 @@ def write_runs(comparison: Comparison) -> None:
     for images in comparison.sets:
         for bout in comparison.bouts(images):
             for cell in bout.cells:
-                if (found := comparison.read(cell)) is not None:
+                if (result := comparison.read(cell)) is not None:
                     about = {
                         "set": images.name,
                         "method": bout.contender.title,
                         "budget": "in our time" if bout.equal else "stopped" if cell.seconds else "full",
                         "seed": cell.seed,
-                        **{name: found[name] for name in ("iterations", "time_s", "peak_bytes")},
+                        **{name: result[name] for name in ("iterations", "time_s", "peak_bytes")},
                         "cell": cell.path(comparison.work, comparison.code).stem,
                     }
-                    lines.append({**about, **scores_of(found)})
+                    lines.append({**about, **scores_of(result)})
     with io.StringIO(newline="") as file:
         table = csv.DictWriter(file, [*_ABOUT, *dict.fromkeys(k for line in lines for k in line if k not in _ABOUT)])
         table.writeheader()
@@ -57,13 +57,13 @@ def read_runs(out: Path) -> dict[str, dict[str, Any]]:
     if not path.is_file():
         return {}
     with path.open(newline="", encoding="utf-8") as file:
-        return {line["cell"]: _found(line) for line in csv.DictReader(file)}
+        return {line["cell"]: _result(line) for line in csv.DictReader(file)}
 
 
-def _found(line: Mapping[str, str]) -> dict[str, Any]:
-    known = {name: float(text) for name, text in line.items() if name not in _ABOUT and text}
+def _result(line: Mapping[str, str]) -> dict[str, Any]:
+    scores = {name: float(text) for name, text in line.items() if name not in _ABOUT and text}
     return {
-        "images": {"all": known},
+        "images": {"all": scores},
         "points": {"visible": {}},
         "reasons": {},
         "curve": [],

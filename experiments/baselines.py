@@ -102,7 +102,7 @@ class Bout:
 
 
 class Comparison:
-    """All cells of all sets; those in our time are known once the first contender's are finished."""
+    """All cells of all sets; those in our time once the first contender's are finished."""
 
     def __init__(
         self, sets: Sequence[Images], curves: Sequence[str], seeds: Sequence[int], work: Path, out: Path, small: bool

@@ -119,10 +119,10 @@ class Experiment:
 
     def groups(self) -> dict[str, list[Row]]:
         """Its rows by heading."""
-        found: dict[str, list[Row]] = {}
+        groups: dict[str, list[Row]] = {}
         for row in self.rows:
-            found.setdefault(row.group, []).append(row)
-        return found
+            groups.setdefault(row.group, []).append(row)
+        return groups
 
     def in_small(self) -> Experiment:
         """First, middle and last row of each group, one target, one seed, coarse pixels, short trainings."""

@@ -75,7 +75,7 @@ class Cell:
 
 
 def shortened(settings: dict[str, Any]) -> dict[str, Any]:
-    """The same training in small: whatever counts iterations shrinks alike.
+    """The same training in small: whatever counts iterations shrinks by the same factor.
 
     It starts in the box: points still on the hemisphere are all about as far from a sample of the surface, so that
     finding the nearest takes minutes.

@@ -39,10 +39,10 @@ def _name(key: str) -> str:
 
 def _trend(experiment: Experiment, key: str, lines: list[Line]) -> str:
     """How a metric moves with x, with us and in the paper."""
-    finished = [line for line in lines if key in line.found]
+    finished = [line for line in lines if key in line.spreads]
     if len(finished) < 3:
         return f"{_name(key)}: {len(finished)} of {len(lines)} rows are finished, too few for a trend."
-    pairs = [(line.row.x, value) for line in finished for value in line.found[key].values]
+    pairs = [(line.row.x, value) for line in finished for value in line.spreads[key].values]
     fit = linregress([x for x, _ in pairs], [value for _, value in pairs])
     ours = 0 if not fit.pvalue <= _CHANCE else (1 if fit.slope > 0 else -1)  # without any change nothing is a number
     verb = {1: "rises", -1: "falls", 0: "shows no trend beyond chance"}
@@ -66,10 +66,10 @@ def _against_paper(experiment: Experiment, lines: list[Line]) -> str:
     worse, compared = [], 0
     for line in lines:
         for key, theirs in line.row.paper.items():
-            if key not in experiment.columns or key not in line.found:
+            if key not in experiment.columns or key not in line.spreads:
                 continue
             compared += 1
-            ours, metric = line.found[key].mean, METRIC[key]
+            ours, metric = line.spreads[key].mean, METRIC[key]
             if (ours < theirs) if metric.better == "more" else (ours > theirs):
                 worse.append(f"{line.row.label} {metric.label} ({metric.text(ours)}, paper {metric.text(theirs)})")
     if not compared:
@@ -81,18 +81,18 @@ def _against_paper(experiment: Experiment, lines: list[Line]) -> str:
 def _against_first(key: str, lines: list[Line]) -> str:
     """Which rows are worse and which better than the first, by more than the spread of the seeds."""
     first, *others = lines
-    compared = [line for line in others if key in line.found]
-    if key not in first.found or not compared:
+    compared = [line for line in others if key in line.spreads]
+    if key not in first.spreads or not compared:
         return f"{_name(key)}: too few rows are finished."
-    metric, start = METRIC[key], first.found[key]
+    metric, start = METRIC[key], first.spreads[key]
     places: dict[str, list[str]] = {"worse": [], "better": [], "no different beyond the spread of the seeds": []}
     worse, better, same = places.values()
     for line in compared:
-        found = line.found[key]
-        place = better if (found.mean > start.mean) == (metric.better == "more") else worse
-        if abs(found.mean - start.mean) <= 2 * math.sqrt(((start.sd or 0) ** 2 + (found.sd or 0) ** 2) / 2):
+        spread = line.spreads[key]
+        place = better if (spread.mean > start.mean) == (metric.better == "more") else worse
+        if abs(spread.mean - start.mean) <= 2 * math.sqrt(((start.sd or 0) ** 2 + (spread.sd or 0) ** 2) / 2):
             place = same
-        place.append(f"{line.row.label} ({metric.text(found.mean)})")
+        place.append(f"{line.row.label} ({metric.text(spread.mean)})")
     said = "; ".join(f"{how}: {', '.join(rows)}" for how, rows in places.items() if rows)
-    once = " (one seed: no spread is known)" if start.sd is None else ""
+    once = " (one seed: no spread)" if start.sd is None else ""
     return f"{metric.title}, {metric.text(start.mean)} for {first.row.label}{once}; {said}."

@@ -99,18 +99,18 @@ def scores(dataset: Dataset, config: Config, name: str, mesh: Path | None = None
     if not path.exists():
         print(name, flush=True)
         run = reconstruct(dataset, config, quiet=True)
-        found = evaluate_run(run, mesh=mesh, alignment="rigid" if mesh else "none", quiet=True)
+        scored = evaluate_run(run, mesh=mesh, alignment="rigid" if mesh else "none", quiet=True)
         path.parent.mkdir(parents=True, exist_ok=True)
-        kept = {"time_s": run.time_s, **{part: found[part] for part in ("images", "baselines", "points")}}
+        kept = {"time_s": run.time_s, **{part: scored[part] for part in ("images", "baselines", "points")}}
         write_bytes(path, json.dumps(kept).encode())
     return json.loads(path.read_bytes())
 
 
-def row(label: str, found: Sequence[Mapping[str, float]], keys: Mapping[str, str] = SCORES) -> str:
+def row(label: str, several: Sequence[Mapping[str, float]], keys: Mapping[str, str] = SCORES) -> str:
     """One line of a table: means over the seeds, with their standard deviation if there are several."""
     cells = []
     for key in keys:
-        values = np.array([scores[key] for scores in found])
+        values = np.array([scores[key] for scores in several])
         spread = f" ± {values.std(ddof=1):.4f}" if len(values) > 1 else ""
         cells.append(f"{values.mean():.3f}{spread}")
     return f"| {label} | {' | '.join(cells)} |"
@@ -130,7 +130,7 @@ def predictions(datasets: Mapping[str, Dataset], seeds: Sequence[int]) -> str:
         parts.append(f"## {name}\n\nTrained on {len(dataset.select('train'))} chips in {seconds:.0f} s at most.\n")
         for split in runs[0]["images"]:
             simpler = runs[0]["baselines"][split].items()
-            rows = [row(method.replace("_", " "), [found]) for method, found in simpler]
+            rows = [row(method.replace("_", " "), [figures]) for method, figures in simpler]
             parts.append(table(split, [row("sarsplat", [run["images"][split] for run in runs]), *rows]))
     return "\n".join(parts)
 
@@ -147,7 +147,7 @@ def summary(datasets: Mapping[str, Dataset], seeds: Sequence[int]) -> str:
         for split in runs[0]["images"]:
             simpler = [runs[0]["baselines"][split][method] for method in ("rotated_average", "nearest_chip")]
             ours = {key: float(np.mean([run["images"][split][key] for run in runs])) for key in keys}
-            cells = " | ".join(f"{found[keys[0]]:.3f} ({found[keys[1]]:.3f})" for found in (ours, *simpler))
+            cells = " | ".join(f"{figures[keys[0]]:.3f} ({figures[keys[1]]:.3f})" for figures in (ours, *simpler))
             target, views = name.split(":")[:2]
             lines.append(f"| {target}, {views} chips → {split.removeprefix('test-')}° | {cells} |")
     return "\n".join([*lines, ""])

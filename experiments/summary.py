@@ -49,20 +49,20 @@ class Spread:
 
 @dataclass(frozen=True)
 class Line:
-    """One row with what has been found so far.
+    """One row with its figures so far.
 
     Attributes
     ----------
     row : Row
         What was done.
-    found : mapping of str to Spread
-        By key of the metric; what is not known is absent.
+    spreads : mapping of str to Spread
+        By key of the metric; unknown ones are absent.
     seeds : int
         Seeds of which every dataset is finished; the others do not count, or a mean would be one of other targets.
     """
 
     row: Row
-    found: Mapping[str, Spread]
+    spreads: Mapping[str, Spread]
     seeds: int
 
 
@@ -75,8 +75,8 @@ def read(cell: Cell, work: Path, code: str) -> dict[str, Any] | None:
 def scores(finished: Mapping[str, Any]) -> dict[str, float]:
     """The scores of one cell by key: unseen images, points against the visible surface, time; unknown ones absent."""
     images: dict[str, float | None] = {}
-    for found in finished["images"].values():
-        images.update({key: value for key, value in found.items() if value is not None})
+    for scored in finished["images"].values():
+        images.update({key: value for key, value in scored.items() if value is not None})
     points = finished["points"]["visible"]
     cd_m, f1 = points["cd_m"], sorted((float(key[3:]), value) for key, value in points.items() if key.startswith("f1@"))
     cells = {
@@ -84,28 +84,28 @@ def scores(finished: Mapping[str, Any]) -> dict[str, float]:
         "f1@cell": f1[-1][1],
         "f1@third": f1[0][1],
     }
-    known = {**images, **points, **cells, "time_s": finished["time_s"]}
-    return {key: float(value) for key, value in known.items() if value is not None}
+    by_key = {**images, **points, **cells, "time_s": finished["time_s"]}
+    return {key: float(value) for key, value in by_key.items() if value is not None}
 
 
 def line(experiment: Experiment, row: Row, work: Path, code: str) -> Line:
-    """What is known of one row."""
+    """One row with the figures of its finished cells."""
     seeds = []
     for seed in experiment.seeds:
         cells = [read(cell, work, code) for cell in experiment.cells(row, seed)]
         finished = [scores(cell) for cell in cells if cell is not None]
         if len(finished) == len(cells):
             seeds.append(finished)
-    found = {}
+    spreads = {}
     for key in experiment.columns:
         values = [
             statistics.fmean(cell[key] for cell in cells) for cells in seeds if all(key in cell for cell in cells)
         ]
         if values:
-            found[key] = Spread(tuple(values))
-    return Line(row, found, len(seeds))
+            spreads[key] = Spread(tuple(values))
+    return Line(row, spreads, len(seeds))
 
 
 def lines(experiment: Experiment, work: Path, code: str) -> list[Line]:
-    """What is known of every row."""
+    """Every row with the figures of its finished cells."""
     return [line(experiment, row, work, code) for row in experiment.rows]

@@ -35,14 +35,14 @@ def write(experiment: Experiment, work: Path, out: Path, code: str) -> None:
     code : str
         Version of the code; cells of another one do not count.
     """
-    known = lines(experiment, work, code)
-    if not any(line.seeds for line in known):
+    finished = lines(experiment, work, code)
+    if not any(line.seeds for line in finished):
         return
     out.mkdir(parents=True, exist_ok=True)
-    _write(out / f"{experiment.name}.csv", _csv(_summary_rows(known)))
+    _write(out / f"{experiment.name}.csv", _csv(_summary_rows(finished)))
     _write(out / f"{experiment.name}-runs.csv", _csv(_run_rows(experiment, work, code)))
-    draw(experiment, known, out / f"{experiment.name}.png")
-    _write(out / f"{experiment.name}.md", page(experiment, known, code))
+    draw(experiment, finished, out / f"{experiment.name}.png")
+    _write(out / f"{experiment.name}.md", page(experiment, finished, code))
 
 
 def write_index(out: Path, quick: bool) -> None:
@@ -64,37 +64,37 @@ def write_index(out: Path, quick: bool) -> None:
     _write(out / "README.md", "".join(parts))
 
 
-def page(experiment: Experiment, known: list[Line], code: str) -> str:
+def page(experiment: Experiment, finished: list[Line], code: str) -> str:
     """An experiment as Markdown: what was done, what it says, the table."""
     parts = [f"# {experiment.title}\n\n", _QUICK if experiment.quick else "", f"{experiment.about}\n\n"]
-    parts += [f"{_FOUND}{sentence}\n\n" for sentence in findings(experiment, known)]
+    parts += [f"{_FOUND}{sentence}\n\n" for sentence in findings(experiment, finished)]
     for group in experiment.groups():
-        members = [line for line in known if line.row.group == group]
+        members = [line for line in finished if line.row.group == group]
         parts += [f"## {group[0].upper()}{group[1:]}\n\n"] if group else []
         parts += [_table(columns, members) + "\n" for columns in experiment.tables]
     parts.append(
         f"![{experiment.title}]({experiment.name}.png)\n\n"
-        "Mean ± sample standard deviation over the seeds that are finished; “–”: not known, or not finished. Points "
+        "Mean ± sample standard deviation over the seeds that are finished; “–”: unknown, or not finished. Points "
         f"are held against the visible surface. Figures: [{experiment.name}.csv]({experiment.name}.csv); every run: "
         f"[{experiment.name}-runs.csv]({experiment.name}-runs.csv). "
         f"Written by `make tables` from code version {code}.\n"
     )
-    if any(line.row.paper for line in known):
+    if any(line.row.paper for line in finished):
         parts.append(f"\n{NOT_THE_SAME_EXPERIMENT}\n")
     return "".join(parts)
 
 
-def _table(columns: Sequence[str], known: list[Line]) -> str:
+def _table(columns: Sequence[str], finished: list[Line]) -> str:
     """Rows and metrics; where the paper has figures, a column of them beside ours."""
-    heads, cells = ["", "seeds"], [[line.row.label, str(line.seeds)] for line in known]
+    heads, cells = ["", "seeds"], [[line.row.label, str(line.seeds)] for line in finished]
     for key in columns:
         metric = METRIC[key]
         heads.append(f"{metric.title} {metric.arrow}".strip())
-        for line, texts in zip(known, cells, strict=True):
+        for line, texts in zip(finished, cells, strict=True):
             texts.append(_text(key, line))
-        if any(key in line.row.paper for line in known):
+        if any(key in line.row.paper for line in finished):
             heads.append("paper")
-            for line, texts in zip(known, cells, strict=True):
+            for line, texts in zip(finished, cells, strict=True):
                 texts.append(metric.text(line.row.paper.get(key)))
     rows = [heads, ["---", *["---:"] * (len(heads) - 1)], *cells]
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
@@ -102,26 +102,26 @@ def _table(columns: Sequence[str], known: list[Line]) -> str:
 
 def _text(key: str, line: Line) -> str:
     """Mean ± standard deviation, both with the mean's decimals."""
-    found = line.found.get(key)
-    if found is None:
+    spread = line.spreads.get(key)
+    if spread is None:
         return "–"
-    mean = METRIC[key].text(found.mean)
-    return mean if found.sd is None else f"{mean} ± {found.sd:.{len(mean.partition('.')[2])}f}"
+    mean = METRIC[key].text(spread.mean)
+    return mean if spread.sd is None else f"{mean} ± {spread.sd:.{len(mean.partition('.')[2])}f}"
 
 
-def _summary_rows(known: list[Line]) -> Iterable[Mapping[str, Any]]:
+def _summary_rows(finished: list[Line]) -> Iterable[Mapping[str, Any]]:
     """A line for every row and metric."""
-    for line in known:
-        for key in dict.fromkeys((*line.found, *line.row.paper)):
-            found = line.found.get(key)
+    for line in finished:
+        for key in dict.fromkeys((*line.spreads, *line.row.paper)):
+            spread = line.spreads.get(key)
             yield {
                 "group": line.row.group,
                 "row": line.row.label,
                 "x": line.row.x,
                 "metric": key,
-                "mean": None if found is None else found.mean,
-                "sd": None if found is None else found.sd,
-                "seeds": 0 if found is None else len(found.values),
+                "mean": None if spread is None else spread.mean,
+                "sd": None if spread is None else spread.sd,
+                "seeds": 0 if spread is None else len(spread.values),
                 "paper": line.row.paper.get(key),
             }
 
@@ -156,11 +156,11 @@ def _options(options: Mapping[str, Any]) -> str:
 
 def _csv(rows: Iterable[Mapping[str, Any]]) -> str:
     """Rows as CSV; the columns are those of all rows, in order of first appearance."""
-    found = list(rows)
+    listed = list(rows)
     file = io.StringIO()
-    writer = csv.DictWriter(file, list(dict.fromkeys(name for row in found for name in row)), lineterminator="\n")
+    writer = csv.DictWriter(file, list(dict.fromkeys(name for row in listed for name in row)), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(found)
+    writer.writerows(listed)
     return file.getvalue()
 
 

@@ -147,8 +147,8 @@ def test_a_row_is_the_mean_over_targets_and_spreads_over_seeds(made, tmp_path):
     finish(made, tmp_path, table.cells(table.rows[0], 2)[0], 5.0)  # the other target is not finished
     (line,) = made.summary.lines(table, tmp_path, "code")
     assert line.seeds == 2
-    assert line.found["cd_m"].mean == pytest.approx(0.3)
-    assert line.found["cd_m"].sd == pytest.approx(0.2 / 2**0.5)
+    assert line.spreads["cd_m"].mean == pytest.approx(0.3)
+    assert line.spreads["cd_m"].sd == pytest.approx(0.2 / 2**0.5)
     assert made.summary.scores(made.summary.read(table.cells(table.rows[0], 0)[0], tmp_path, "code")) == {
         **{"psnr_db": 40.0, "cd_m": 0.1, "f1@0.3": 0.9, "f1@0.1": 0.5, "time_s": 1.0},
         **{"cd_cells": 0.2, "f1@cell": 0.9, "f1@third": 0.5},

@@ -59,7 +59,7 @@ class Scene:
     unit : float
         Power that counts as 1.
     masks : numpy.ndarray, uint8 [V, rows, columns], or None
-        What each pixel of the training images shows: 0 clutter, 1 target, 2 shadow; None if that is not known.
+        What each pixel of the training images shows: 0 clutter, 1 target, 2 shadow; None if unknown.
     brightest : float
         Largest power of a training image, in that unit.
     ground : bool

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -28,8 +27,7 @@ class Field(nn.Module, ABC):
     Attributes
     ----------
     at_once : int
-        Places between which one step keeps everything in memory; more are computed in parts, and computed again on
-        the way back.
+        Places for which one step keeps everything in memory; more are computed in parts, and again on the way back.
     """
 
     at_once: int
@@ -95,21 +93,8 @@ class Perceptron(Field):
         return hidden
 
 
-@dataclass(frozen=True, eq=False)
-class Lattices:
-    """A box of a `VoxelGrid`.
-
-    Parameters
-    ----------
-    low_m, high_m : numpy.ndarray, float64 [3]
-        Corners, m, on which the outermost nodes lie.
-    voxel_m : float
-        Largest distance of neighbouring nodes of the finest lattice, m.
-    """
-
-    low_m: Float64[np.ndarray, " 3"]
-    high_m: Float64[np.ndarray, " 3"]
-    voxel_m: float
+Box = tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"], float]
+"""Two corners, m, on which outermost nodes lie, and the largest distance of neighbours in the finest lattice, m."""
 
 
 class VoxelGrid(Field):
@@ -120,8 +105,8 @@ class VoxelGrid(Field):
 
     Parameters
     ----------
-    boxes : sequence of Lattices
-        Where the lattices lie; they may overlap.
+    boxes : sequence of (low, high, voxel)
+        Corners of the boxes that the lattices fill, float64 [3], m, and the finest spacing, m; boxes may overlap.
     levels : int
         Lattices over each box; each has twice the distance of the next.
     degree : int
@@ -136,21 +121,21 @@ class VoxelGrid(Field):
     at_once = 1 << 20
     corners: Tensor
 
-    def __init__(self, boxes: Sequence[Lattices], levels: int, degree: int) -> None:
+    def __init__(self, boxes: Sequence[Box], levels: int, degree: int) -> None:
         super().__init__()
         self.degree = degree
         channels = 1 + (degree + 1) ** 2
         self.tables = nn.ParameterList()
-        for box in boxes:
+        for low, high, voxel in boxes:
             for level in range(levels):
-                nodes = [math.ceil(side / (box.voxel_m * 2**level)) + 1 for side in box.high_m - box.low_m]
+                nodes = [math.ceil(side / (voxel * 2**level)) + 1 for side in high - low]
                 if math.prod(nodes) * channels > _MOST_NUMBERS:
                     raise SarsplatError(
                         f"a grid of {' × '.join(map(str, nodes))} nodes with {channels} numbers each is too large; "
                         "give a larger voxel or a lower degree"
                     )
                 self.tables.append(nn.Parameter(torch.zeros(channels, *nodes[::-1])))  # z, y, x
-        corners = np.array([(box.low_m, box.high_m) for box in boxes for _ in range(levels)])
+        corners = np.array([(low, high) for low, high, _ in boxes for _ in range(levels)])
         self.register_buffer("corners", torch.from_numpy(corners), persistent=False)
 
     def forward(
@@ -168,7 +153,7 @@ class VoxelGrid(Field):
         return self._between([table[:1] for table in self.tables], places)[0]
 
     def total_variation(self) -> Float[Tensor, ""]:
-        """See `Field`: of all lattices, along their three axes."""
+        """Sum of the squared differences of neighbouring numbers, over all lattices and their three axes."""
         squares = [table.diff(dim=axis).square() for table in self.tables for axis in (1, 2, 3)]
         # one dimension after the other: torch splits a sum to one number by threads
         return torch.stack([square.sum(3).sum(2).sum(1).sum(0) for square in squares]).sum()
@@ -183,7 +168,7 @@ class VoxelGrid(Field):
 
 
 def _linear(inputs: int, outputs: int, generator: torch.Generator) -> nn.Module:
-    """A layer with torch's first weights, but not from torch's own generator, which belongs to the user."""
+    """A layer initialised as by torch, but with this generator: torch's own belongs to the user."""
     layer, bound = skip_init(nn.Linear, inputs, outputs), 1 / math.sqrt(inputs)
     for parameter in layer.parameters():
         nn.init.uniform_(parameter, -bound, bound, generator=generator)

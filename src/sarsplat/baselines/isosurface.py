@@ -16,18 +16,7 @@ _AT_ONCE = 1 << 18
 
 
 def level_of_half(depths: Sequence[Float[Tensor, "n r"]]) -> float:
-    """The median, over rays, of the optical depth of the cell in which half is first hidden.
-
-    Parameters
-    ----------
-    depths : sequence of Tensor [rays, R]
-        Optical depth of every cell along rays, from near to far; numbers of cells may differ.
-
-    Returns
-    -------
-    float
-        Infinite if no ray is ever half hidden.
-    """
+    """The median, over rays from near to far, of the optical depth of the cell where half is first hidden."""
     at_half = []
     for depth in depths:
         half = depth.cumsum(1) >= math.log(2)
@@ -46,29 +35,9 @@ def isosurface(
 ) -> tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, "f 3"]]:
     """Where a field falls below a level, by marching cubes, open at the walls of the box.
 
-    Parameters
-    ----------
-    values : callable
-        Places [P, 3], m, to the field's values [P].
-    low_m, high_m : numpy.ndarray, float64 [3]
-        Corners of the box, m.
-    longest : int
-        Cubic voxels along its longest side.
-    level : float
-        Positive; infinite for nothing.
-    like : Tensor
-        The dtype and device of places.
-
-    Returns
-    -------
-    vertices, faces : numpy.ndarray, float64 [N, 3], int64 [F, 3]
-        Counter-clockwise seen from where values are low; without faces where no value reaches the level, or
-        all do.
-
-    Raises
-    ------
-    SarsplatError
-        If scikit-image is missing.
+    `values` maps places [P, 3], m, of the dtype and device of `like`, to the field's values [P]; the box has `longest`
+    cubic voxels along its longest side. Returns vertices [N, 3], m, and faces [F, 3], counter-clockwise seen from where
+    values are low; no faces if no value reaches the level, or all do.
     """
     try:
         from skimage.measure import marching_cubes

@@ -23,7 +23,7 @@ from sarsplat.baselines.soft_raster import Coverage, Lattice, grouped_softmax, p
 from sarsplat.geometry import ImageGrid, View, radar_frame
 
 _GRAZED = 0.1
-"""A face is a full part of the mask from this cosine of incidence on."""
+"""Cosine of incidence from which a face counts fully in the mask."""
 
 _TAME = 0.1
 """Areas below this many σ, on the plane facing the radar, lose their slope: they are seen edge-on."""
@@ -80,28 +80,11 @@ class MeshRenderer:
     def layers(
         self, points: Float[Tensor, "n 3"], faces: Int64[Tensor, "f 3"], gamma0: Float[Tensor, " f"], view: View
     ) -> Layers:
-        """What a mesh does to an image.
+        """What a mesh does to an image; its vertices (m, world frame) must be finite.
 
-        Parameters
-        ----------
-        points : Tensor [N, 3]
-            Vertices, m, world frame.
-        faces : Tensor, int64 [F, 3]
-            Triangles, counter-clockwise seen from outside; only from there they are seen.
-        gamma0 : Tensor [F]
-            γ⁰ of each: cross-section per area projected along the line of sight.
-        view : View
-            From where.
-
-        Returns
-        -------
-        Layers
-            Differentiable in `points` and `gamma0`, with the share of each face that the radar sees held fixed.
-
-        Raises
-        ------
-        SarsplatError
-            If a vertex is not finite.
+        Faces are counter-clockwise seen from outside, and visible only from there; `gamma0` [F] is their cross-section
+        per area projected along the line of sight. Differentiable in `points` and `gamma0`, with the share of each face
+        that the radar sees held fixed.
         """
         frame = torch.as_tensor(radar_frame(view), dtype=points.dtype, device=points.device)
         seen = points @ frame.T
@@ -109,9 +92,7 @@ class MeshRenderer:
         normals = face_normals(seen, faces)
         areas = -normals[:, 2] / 2  # projected along the line of sight, m²; negative where turned away
         facing = torch.nonzero(areas.detach() > 0).reshape(-1)
-        with (
-            torch.no_grad()
-        ):  # its slope is mostly noise, from faces smaller than the pixels: see docs/baselines-dsr.md
+        with torch.no_grad():  # its slope is mostly noise from faces smaller than pixels: see docs/baselines-dsr.md
             visible = self._visible(seen, faces[facing])
         sections = picked(gamma0 * areas, facing) * visible
 
@@ -129,10 +110,7 @@ class MeshRenderer:
         return Layers(target, lit, hidden, torch.zeros_like(areas).index_add(0, facing, sections))
 
     def _visible(self, seen: Float[Tensor, "n 3"], faces: Int64[Tensor, "f 3"]) -> Float[Tensor, " f"]:
-        """Share of each face turned to the radar that it sees, on the plane facing it.
-
-        On a closed surface those turned away lie behind others, and hide nothing.
-        """
+        """Share that the radar sees of each face turned to it; on a closed surface the others hide nothing."""
         if len(faces) == 0:
             return seen.new_zeros(0)
         step_m = min(width / parts for width, parts in zip(self.grid.spacing_m, self._parts, strict=True))
@@ -157,11 +135,7 @@ class MeshRenderer:
         return plane.onto_faces(grouped_softmax(within, plane.face, plane.faces) * seen_through)
 
     def _depths(
-        self,
-        seen: Float[Tensor, "n 3"],
-        faces: Int64[Tensor, "f 3"],
-        plane: Coverage,
-        lattice: Lattice,
+        self, seen: Float[Tensor, "n 3"], faces: Int64[Tensor, "f 3"], plane: Coverage, lattice: Lattice
     ) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"], Float[Tensor, " p"], Float[Tensor, " f"]]:
         """Range of faces' planes at their pixels, of their nearest and farthest corners, m; their slopes."""
         face, pixel = plane.face, plane.pixel
@@ -189,10 +163,7 @@ class MeshRenderer:
 
     @property
     def _kernels(self) -> list[list[float]]:
-        """Weights, across and along, of the mapping plane's pixels around the middle of one of the image.
-
-        They are what the system's response is wider than soft edges.
-        """
+        """Weights, across and along, of the mapping plane's pixels: how much wider the response is than soft edges."""
         kernels = []
         for step, response, parts in zip(self.grid.spacing_m, self.grid.response_variance_m2, self._parts, strict=True):
             variance = max(response - self.softness_m**2, (0.5 * step / parts) ** 2)

@@ -1,4 +1,4 @@
-"""What all baselines share as methods: a training by `BaselineTrainer`, and points where rays meet a surface."""
+"""What all baselines share as methods: training by `BaselineTrainer`, and points where rays meet a surface."""
 
 from __future__ import annotations
 
@@ -14,18 +14,20 @@ from jaxtyping import Float32, UInt8
 from scipy.spatial import cKDTree
 
 from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
-from sarsplat.baselines.seen_points import Points, seen_points
 from sarsplat.baselines.trainer import BaselineTrainer, saved_scene, scene_of
 from sarsplat.data import Dataset, read_masks, write_mesh
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.reconstruction.method import Inputs, Method, Reconstruction
 from sarsplat.reconstruction.run import MESH, Run
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.scenes import load_mesh
+from sarsplat.scenes.raycast import Facets, first_hits
 
 if TYPE_CHECKING:
     import trimesh
+
+Points = Float32[np.ndarray, "p 3"]
 
 _RAYS_PER_CELL = 4.0
 """Along a side."""
@@ -39,16 +41,12 @@ class BaselineMethod(Method):
     ----------
     name : str
         On the command line and in files.
-    title : str
-        For readers.
-    learns : str
-        What it learns, for readers: `a closed mesh`.
-    loss : str
-        What its training minimises, for readers.
+    title, learns, loss : str
+        For readers: its name, what it learns (`a closed mesh`) and what its training minimises.
     defaults : BaselineConfig
-        Its settings unless asked otherwise; their type is that of all its settings.
+        Default settings; all its settings are of their type.
     model : callable (Scene, BaselineConfig) -> Baseline
-        Its model of a scene before the first step.
+        Makes the model of a scene before the first step.
     takes : frozenset of str
         `{"masks"}` if it learns from masks of the training images.
     """
@@ -75,7 +73,7 @@ class BaselineMethod(Method):
     def trainer(
         self, dataset: Dataset, config: BaselineConfig, inputs: Inputs, device: torch.device, begun: Run | None
     ) -> BaselineTrainer:
-        """See `Method`; a training that is resumed keeps its masks."""
+        """See `Method`; a resumed training keeps its masks."""
         if begun is None:
             masks = None if inputs.masks is None else read_masks(inputs.masks, dataset, ("train",))
             scene = scene_of(dataset, None if masks is None else np.stack([*masks.values()]))
@@ -110,13 +108,7 @@ class BaselineReconstruction(Reconstruction):
         self.baseline.to(device)
 
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
-        """See `Reconstruction`; on its own grid only.
-
-        Raises
-        ------
-        SarsplatError
-            If another grid is asked for.
-        """
+        """See `Reconstruction`; only on the grid of its training images."""
         if grid not in (None, self.grid):
             raise SarsplatError(
                 f"{self.method.title} renders the pixels that it was trained with, and no others; "
@@ -125,13 +117,7 @@ class BaselineReconstruction(Reconstruction):
         return self.baseline.images(views)
 
     def masks(self, views: Sequence[View], points: Float32[np.ndarray, "p 3"]) -> UInt8[np.ndarray, "v rows columns"]:
-        """See `Reconstruction`: of its surface on flat ground, by ray casting.
-
-        Raises
-        ------
-        SarsplatError
-            If embreex is missing.
-        """
+        """See `Reconstruction`: of its surface on flat ground, by ray casting, which needs embreex."""
         from sarsplat.scenes.raycast_masks import raycast_mask
 
         images = np.zeros((len(views), self.grid.rows, self.grid.columns), np.uint8)
@@ -142,10 +128,7 @@ class BaselineReconstruction(Reconstruction):
 
     @cached_property
     def surface(self) -> trimesh.Trimesh:
-        """What it takes for the target's surface, m, world frame; perhaps without faces.
-
-        From `mesh.ply`; made anew if there is none, as after a training that was killed.
-        """
+        """The target's surface, m, world frame, perhaps without faces: from `mesh.ply`, or computed if that is lost."""
         import trimesh
 
         if self.folder is not None and (self.folder / MESH).is_file():
@@ -154,19 +137,19 @@ class BaselineReconstruction(Reconstruction):
         return trimesh.Trimesh(vertices, faces, process=False)
 
     def mesh(self, points: Points, normals: Points) -> trimesh.Trimesh:
-        """See `Reconstruction`: the whole surface, of which parts may be what no view saw."""
+        """See `Reconstruction`: the whole surface, including parts that no view saw."""
         return self.surface
 
     @cached_property
     def _seen(self) -> tuple[Points, Points]:
-        return seen_points(self.surface, self.snapshot.views, self.grid.cell_m / _RAYS_PER_CELL)
+        return _seen_points(self.surface, self.snapshot.views, self.grid.cell_m / _RAYS_PER_CELL)
 
     def points(self) -> Points:
         """See `Reconstruction`."""
         return self._seen[0]
 
     def normals_at(self, points: Points) -> Points:
-        """See `Reconstruction`: those of the nearest places that rays meet."""
+        """See `Reconstruction`: the normals of the nearest points that rays meet."""
         seen, normals = self._seen
         return normals[cKDTree(seen).query(points)[1]] if len(points) and len(seen) else np.zeros_like(points)
 
@@ -185,3 +168,23 @@ class BaselineReconstruction(Reconstruction):
     def facts(self) -> dict[str, str]:
         """See `Reconstruction`."""
         return {"numbers learned": f"{sum(parameter.numel() for parameter in self.baseline.parameters()):,}"}
+
+
+def _seen_points(mesh: trimesh.Trimesh, views: Sequence[View], spacing_m: float) -> tuple[Points, Points]:
+    """Points, m, where parallel rays of any view first meet a mesh, one in each cube of the spacing, and their normals.
+
+    The normals are of unit length, on the side that the radar saw.
+    """
+    points, normals = np.empty((0, 3), np.float32), np.empty((0, 3), np.float32)
+    for view in views if len(mesh.faces) else ():
+        frame, facets = radar_frame(view), Facets.of(mesh, view)
+        for position, face in first_hits(facets, (-np.inf, np.inf), spacing_m, (0.5, 0.5)):
+            hit = np.column_stack([position, facets.depth(face, position)]) @ frame
+            normal = mesh.face_normals[face]
+            normal = normal * np.sign(normal @ view.direction)[:, None]
+            points = np.concatenate([points, hit.astype(np.float32)])
+            normals = np.concatenate([normals, normal.astype(np.float32)])
+        kept = np.unique(np.floor(points / spacing_m).astype(np.int64), axis=0, return_index=True)[1]
+        kept.sort()
+        points, normals = points[kept], normals[kept]
+    return points, normals

@@ -67,11 +67,6 @@ class DsrConfig(BaselineConfig):
         Of Adam.
     iterations, checkpoint_every, views_per_step, seed
         See `BaselineConfig`.
-
-    Raises
-    ------
-    SarsplatError
-        If a value is of another type or out of range.
     """
 
     vertices: Literal[642, 1352] = 642
@@ -152,7 +147,7 @@ class Dsr(Baseline):
             layers = self._layers(points, view)
             target, shadow = ((mask == kind).to(points.dtype) for kind in (TARGET, SHADOW))
             total = total + config.lit * iou_loss(layers.lit, target)
-            if bool(shadow.any()):  # without ground, nothing is known of the shadow
+            if bool(shadow.any()):  # without ground, the shadow is unknown
                 total = total + config.shadow * iou_loss(layers.shadow, shadow)
             true = (power + dimmest).sqrt()
             away = ((self._median * self._whole(layers, view) + dimmest).sqrt() - true).abs()

@@ -65,11 +65,6 @@ class SarNerfConfig(BaselineConfig):
         Along the longest side of the box in which the surface is looked for.
     iterations, checkpoint_every, views_per_step, seed
         See `BaselineConfig`.
-
-    Raises
-    ------
-    SarsplatError
-        If a value is of another type or out of range.
     """
 
     mode: Literal["published", "sound"] = "published"
@@ -169,10 +164,7 @@ class SarNerf(Baseline):
 
     @torch.no_grad()
     def surface(self) -> tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, "f 3"]]:
-        """See `Baseline`: marching cubes of the attenuation in the target's box; no faces where nothing attenuates.
-
-        The level is the median, over the rays of the training views, of the attenuation where half is first hidden.
-        """
+        """See `Baseline`: marching cubes of the attenuation in the target's box, at `level_of_half` of all views."""
         low, high = self.scene.low_m, self.scene.high_m
         depths = []
         for view in self.scene.views:
@@ -212,10 +204,7 @@ class SarNerf(Baseline):
         return image + self.log_noise.exp().expand(grid.columns)  # so that its gradient is summed column by column
 
     def _rays(self, view: View) -> Rays:
-        """As many as configured; if sound, over ground at least one for each resolution cell across the line of sight.
-
-        Rays farther apart than the ground is deep would leave rows without any.
-        """
+        """As many as configured; if sound, over ground at least one per resolution cell, so that no row lacks rays."""
         grid = self.scene.grid
         rays = Rays.through(view, grid, self.low_m, self.high_m, self.config.rays, whole=self._endless)
         if not (self._sound and self.scene.ground):
@@ -228,7 +217,7 @@ class SarNerf(Baseline):
         """Power of some azimuth columns, in units of `Scene.unit`."""
         places = rays.places(offsets, part, self._like)
         inside = self._inside(places)
-        # elsewhere there is nothing: nothing is computed, either
+        # elsewhere there is nothing to compute
         shown = places.reshape(-1, 3) if self._endless else places[inside]
         raw_attenuation, raw_scattering = self.field(shown, direction)
         nothing = places.new_zeros(places.shape[:3])
@@ -242,7 +231,9 @@ class SarNerf(Baseline):
         return returned.sum(1) * (rays.spacing_m / self.scene.grid.spacing_m[1])
 
     def _depth(self, raw: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
-        if self._sound:  # α has the unit 1 / resolution cell inside, so that scenes of all scales are learned alike
+        if (
+            self._sound
+        ):  # α has the unit 1 / resolution cell inside, so that learning does not depend on the scene's scale
             length = 2 * self.scene.grid.spacing_m[1] / self.scene.grid.cell_m
             return _softplus(raw + _CLEAR) * length
         return (raw + self.start[0]).relu()

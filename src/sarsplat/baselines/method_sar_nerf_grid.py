@@ -10,7 +10,7 @@ from jaxtyping import Float
 from msgspec import Meta
 from torch import Tensor
 
-from sarsplat.baselines.fields import Lattices, VoxelGrid
+from sarsplat.baselines.fields import VoxelGrid
 from sarsplat.baselines.method import BaselineMethod
 from sarsplat.baselines.method_sar_nerf import LOSS, SarNerf, SarNerfConfig
 from sarsplat.reconstruction.config import Count, Degree, NotNegative, Positive
@@ -36,11 +36,6 @@ class SarNerfGridConfig(SarNerfConfig):
         costs beside the likelihood of all training images; 0.5 is a normal distribution of standard deviation 1.
     mode, rays, learning_rate, surface_voxels, iterations, checkpoint_every, views_per_step, seed
         See `SarNerfConfig`.
-
-    Raises
-    ------
-    SarsplatError
-        If a value is of another type or out of range.
     """
 
     mode: Literal["published", "sound"] = "sound"
@@ -66,8 +61,8 @@ class SarNerfGrid(SarNerf):
         if self._speckled:  # or it would learn the speckle of each image
             degree = max(0, min(degree, math.isqrt(len(self.scene.views) // _VIEWS_PER_HARMONIC) - 1))
         target, *ground = self._boxes
-        lattices = [Lattices(*target, self.config.voxel * cell), *(Lattices(*box, cell) for box in ground)]
-        return VoxelGrid(lattices, self.config.levels, degree)
+        boxes = [(*target, self.config.voxel * cell), *((*box, cell) for box in ground)]
+        return VoxelGrid(boxes, self.config.levels, degree)
 
     def _prior(self, samples: float) -> Float[Tensor, ""]:
         return self.config.total_variation / samples * self.field.total_variation()

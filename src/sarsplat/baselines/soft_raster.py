@@ -116,29 +116,11 @@ class Coverage:
 
 
 def soft_coverage(corners: Float[Tensor, "f 3 2"], lattice: Lattice, softness_m: float) -> Coverage:
-    """How triangles cover the pixels of a lattice.
+    """How triangles, of corners in m in either order, cover the pixels of a lattice; √σ is the softness.
 
-    Triangles whose box does not touch the lattice have no pairs. Of the others, what lies beside the lattice by more
-    than its own size is left out.
-
-    Parameters
-    ----------
-    corners : Tensor [F, 3, 2]
-        Corners of the triangles on the plane, m, in either order.
-    lattice : Lattice
-        The pixels.
-    softness_m : float
-        √σ, m.
-
-    Returns
-    -------
-    Coverage
-        Differentiable in `corners`.
-
-    Raises
-    ------
-    SarsplatError
-        If a corner is not finite, or the triangles are so large that there are too many pairs.
+    Differentiable in `corners`. Triangles whose box does not touch the lattice have no pairs. Of the others, what lies
+    beside the lattice by more than its own size is dropped. Refuses corners that are not finite, and triangles so large
+    that there are too many pairs.
     """
     face, column, row, counts = _pairs(corners.detach(), lattice, softness_m)
     beside = (column < 0) | (column >= lattice.columns) | (row < 0) | (row >= lattice.rows)
@@ -168,15 +150,10 @@ def summed(values: Float[Tensor, " p"], index: Int64[Tensor, " p"], count: int) 
     return values.new_zeros(count).index_add(0, index, values)
 
 
-def greatest(values: Float[Tensor, " p"], index: Int64[Tensor, " p"], count: int) -> Float[Tensor, " {count}"]:
-    """The greatest of the values of equal index, 0 where there is none; not differentiable."""
-    largest = values.new_zeros(count)
-    return largest.scatter_reduce(0, index, values.detach(), "amax", include_self=False)
-
-
 def grouped_softmax(logits: Float[Tensor, " p"], index: Int64[Tensor, " p"], count: int) -> Float[Tensor, " p"]:
     """Softmax over the logits of equal index."""
-    powers = torch.exp(logits - greatest(logits, index, count).index_select(0, index))
+    largest = logits.new_zeros(count).scatter_reduce(0, index, logits.detach(), "amax", include_self=False)
+    powers = torch.exp(logits - picked(largest, index))
     return powers / picked(summed(powers, index, count).clamp(min=1e-30), index)
 
 

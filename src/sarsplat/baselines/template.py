@@ -14,8 +14,6 @@ from jaxtyping import Float64, Int64
 
 from sarsplat.errors import SarsplatError
 
-_ICOSAHEDRON_PARTS, _CUBE_PARTS = 8, 15
-
 
 @dataclass(frozen=True, eq=False)
 class Template:
@@ -40,17 +38,11 @@ class Template:
 
 
 def sphere(vertices: int) -> Template:
-    """The template of 642 or 1,352 vertices.
-
-    Raises
-    ------
-    SarsplatError
-        If another number is asked for.
-    """
+    """The template of 642 or 1,352 vertices; any other number is refused."""
     if vertices == 642:
-        return icosphere(_ICOSAHEDRON_PARTS)
+        return icosphere(8)
     if vertices == 1352:
-        return cube_sphere(_CUBE_PARTS)
+        return cube_sphere(15)
     raise SarsplatError(f"there is no template sphere of {vertices} vertices; choose 642 or 1352")
 
 

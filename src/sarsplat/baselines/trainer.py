@@ -1,4 +1,4 @@
-"""Training of a method: how it advances by one step, and its whole state, exact to the bit."""
+"""Training of a baseline: one step at a time, and its whole state, exact to the bit."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from sarsplat.reconstruction.view_queue import ViewQueue
 
 
 class BaselineTrainer:
-    """The state of a training and how it advances by one step.
+    """The state of a baseline's training and how it advances by one step.
 
     Parameters
     ----------
     dataset : Dataset
-        Its training images are learned from.
+        Whose training images to learn from.
     config : BaselineConfig
-        How.
+        Settings.
     model : Baseline
-        The method's model of the dataset's scene (`scene_of`), or of what an earlier part of the training has kept.
+        The model of the dataset's scene (`scene_of`), or of the scene saved with a training that is resumed.
     device : torch.device or str
         Where everything is computed and stays.
     """
@@ -50,7 +50,7 @@ class BaselineTrainer:
 
     @property
     def gaussian_count(self) -> None:
-        """There are none."""
+        """None: baselines have no Gaussians."""
         return None
 
     def step(self) -> Float32[Tensor, ""]:
@@ -68,7 +68,7 @@ class BaselineTrainer:
 
     @property
     def terms(self) -> dict[str, Tensor]:
-        """What the methods minimise is one number."""
+        """None: a baseline minimises a single number."""
         return {}
 
     @property
@@ -78,7 +78,7 @@ class BaselineTrainer:
         return {f"group {index}": rate * factor for index, rate in enumerate(self._rates)}
 
     def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
-        """β⁰ of any views as they are now, linear power."""
+        """β⁰ of any views in the current state, linear power."""
         return self.model.images(views)
 
     def check(self) -> None:
@@ -87,7 +87,7 @@ class BaselineTrainer:
             torch.cuda.synchronize(self._device)
 
     def snapshot(self, seconds: float) -> Snapshot:
-        """Everything the next step depends on, as it is now; `seconds` is how long the training took until here."""
+        """Everything the next step depends on; `seconds` is how long the training has taken so far."""
         scene = self._scene
         tensors = {f"model/{name}": tensor for name, tensor in self.model.state_dict().items()}
         for index, state in self._optimiser.state_dict()["state"].items():
@@ -105,24 +105,18 @@ class BaselineTrainer:
         )
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Undo `snapshot`.
-
-        Raises
-        ------
-        ValueError, LookupError, TypeError, RuntimeError
-            If the tensors are not those of this training.
-        """
+        """Continue from a snapshot, whose tensors must be those of this training."""
         self._queue.restore(snapshot)
         self.model.load_state_dict(snapshot.like("model", self.model.state_dict()))
         groups = self._optimiser.state_dict()["param_groups"]
         parameters = [parameter for group in self._optimiser.param_groups for parameter in group["params"]]
-        expected = [
-            {"step": torch.zeros(()), "exp_avg": parameter, "exp_avg_sq": parameter}
-            for parameter in (parameters if snapshot.iteration else ())
-        ]
-        flat = {f"{k}/{name}": tensor for k, state in enumerate(expected) for name, tensor in state.items()}
+        states = {
+            k: {"step": torch.zeros(()), "exp_avg": parameter, "exp_avg_sq": parameter}
+            for k, parameter in enumerate(parameters if snapshot.iteration else ())
+        }
+        flat = {f"{k}/{name}": tensor for k, state in states.items() for name, tensor in state.items()}
         saved = snapshot.like("optimiser", flat)
-        states = {k: {name: saved[f"{k}/{name}"] for name in state} for k, state in enumerate(expected)}
+        states = {k: {name: saved[f"{k}/{name}"] for name in state} for k, state in states.items()}
         if any(float(state["step"]) != snapshot.iteration for state in states.values()):
             raise ValueError(f"the optimiser has not done {snapshot.iteration} steps")
         self._optimiser.load_state_dict({"state": states, "param_groups": groups})
@@ -130,13 +124,7 @@ class BaselineTrainer:
 
 
 def scene_of(dataset: Dataset, masks: Masks | None = None) -> Scene:
-    """What a dataset fixes, from its training images: the box is found as for our own method.
-
-    Raises
-    ------
-    SarsplatError
-        If the training images are black.
-    """
+    """What a dataset's training images fix; the target's box is the one that sar-gs uses."""
     train = dataset.select("train")
     unit = float(train.power.mean(dtype=np.float64))
     if not np.float32(unit):
@@ -160,13 +148,7 @@ def scene_of(dataset: Dataset, masks: Masks | None = None) -> Scene:
 
 
 def saved_scene(snapshot: Snapshot) -> Scene:
-    """The scene that a snapshot of a method's training holds.
-
-    Raises
-    ------
-    KeyError, ValueError, RuntimeError, SarsplatError
-        If it holds none.
-    """
+    """The scene that a snapshot of a baseline's training holds."""
     kept = snapshot.part("scene")
     looks = float(kept["looks"])
     masks = kept["masks"].numpy() if "masks" in kept else None
@@ -186,7 +168,7 @@ def saved_scene(snapshot: Snapshot) -> Scene:
 
 
 def _scene_tensors(scene: Scene) -> dict[str, Tensor]:
-    """What a snapshot does not know of a scene anyway."""
+    """The fields of a scene that a snapshot does not already hold."""
     kept = {
         "low_m": torch.from_numpy(scene.low_m),
         "high_m": torch.from_numpy(scene.high_m),
