@@ -45,7 +45,7 @@ _RIM = 4  # pixels
 
 _ABOUT = """SAR-NeRF and DSR, written afresh ([docs/baselines.md](../baselines.md)), beside sarsplat on the same images,
 scored the same way. Every training has one thread, and its time is that of this core. *In our time*: as many iterations
-as fit into the time that sarsplat takes, the learning rate falling within them; *full*: as long as the method's settings
+as fit into the time that sarsplat takes, the learning rate falling within them; *full*: as long as the settings
 say. The perceptron's training would take months: it gets ten minutes, and its steps show how far it came; it is
 left out where hundreds of chips would have to be rendered, each of which takes it ten seconds. Mean ±
 sample standard deviation over the seeds. The peak memory is that of the whole process until the end of the training,

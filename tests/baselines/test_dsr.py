@@ -83,28 +83,20 @@ def test_it_learns_a_ball_from_an_ellipsoid(scene_and_images):
     assert (image > 0).all()
 
 
-def test_the_number_of_threads_changes_no_bit(scene_and_images):
-    before = torch.get_num_threads()
+def test_the_number_of_threads_changes_no_bit(scene_and_images, threads):
     results = []
-    try:
-        for threads in (1, 3):
-            torch.set_num_threads(threads)
-            model, losses = trained(*scene_and_images, 2)
-            results.append((losses, model.moved.detach().clone()))
-    finally:
-        torch.set_num_threads(before)
+    for count in (1, 3):
+        threads(count)
+        model, losses = trained(*scene_and_images, 2)
+        results.append((losses, model.moved.detach().clone()))
     assert results[0][0] == results[1][0]
     assert torch.equal(results[0][1], results[1][1])
-
-
-def test_without_masks_one_sentence_says_what_to_do(scene_and_images):
-    with pytest.raises(SarsplatError, match="which were not given; give their folder with --masks"):
-        Dsr(replace(scene_and_images[0], masks=None), DsrConfig())
 
 
 @pytest.mark.parametrize(
     ("masks", "message"),
     [
+        (None, "which were not given; give their folder with --masks"),
         (np.zeros((3, 24, 20), np.uint8), "the masks are of shape"),
         (np.zeros((4, 24, 20), np.uint8), "no mask shows the target"),
         (np.full((4, 24, 20), 3, np.uint8), "a mask holds the number 3"),
@@ -113,10 +105,6 @@ def test_without_masks_one_sentence_says_what_to_do(scene_and_images):
 def test_masks_that_do_not_fit_are_refused(scene_and_images, masks, message):
     with pytest.raises(SarsplatError, match=message):
         Dsr(replace(scene_and_images[0], masks=masks), DsrConfig())
-
-
-def test_another_template(scene_and_images):
-    assert len(Dsr(scene_and_images[0], DsrConfig(vertices=1352)).surface()[0]) == 1352
 
 
 def test_iou_loss_of_masks():
@@ -144,7 +132,8 @@ def test_regularity_against_closed_forms_and_finite_differences():
 
 def test_images_without_ground_are_dark_around_the_target(scene_and_images):
     scene, _ = scene_and_images
-    model = Dsr(replace(scene, ground=False), DsrConfig())
+    model = Dsr(replace(scene, ground=False), DsrConfig(vertices=1352))
+    assert len(model.surface()[0]) == 1352
     assert not model.image(VIEWS[0])[0].any()  # nothing but the target's own return
     assert [name for name, _ in model.named_parameters()] == ["moved", "log_gamma0"]
 

@@ -55,8 +55,8 @@ def layers(renderer: MeshRenderer, mesh: Mesh, view: View = VIEW, gamma0: float 
     return renderer.layers(points, faces, torch.full((len(faces),), gamma0, dtype=points.dtype), view)
 
 
-def power_m2(found: Layers) -> float:
-    return float(found.target.sum()) * math.prod(GRID.spacing_m)
+def power_m2(image: Layers) -> float:
+    return float(image.target.sum()) * math.prod(GRID.spacing_m)
 
 
 @pytest.mark.parametrize("renderer", [SHARP, SOFT])
@@ -105,9 +105,9 @@ def test_what_is_hidden_gets_no_illumination(renderer):
 
 def test_half_of_a_plate_behind_another_is_hidden():
     front, behind = facing_plate(4.0, -1.0, up=-2.0), facing_plate(3.0, 1.0)
-    for renderer, error in ((SHARP, 0.15), (SOFT, 0.15)):
+    for renderer in (SHARP, SOFT):
         image = layers(renderer, joined(front, behind))
-        assert image.sections[len(front[1]) :].sum().item() == pytest.approx(4.5, rel=error)
+        assert image.sections[len(front[1]) :].sum().item() == pytest.approx(4.5, rel=0.15)
 
 
 @pytest.mark.parametrize("view", [VIEW, View(250, 45), View(3, 17), View(100, 75)], ids=str)
@@ -131,10 +131,10 @@ def test_masks_of_a_box_are_those_of_ray_casting(view, sides):
 
     mesh = box(sides)
     true = raycast_mask(trimesh.Trimesh(*mesh, process=False), view, GRID)
-    found = layers(SHARP, mesh, view)
-    lit = (found.lit > 0.5).numpy()
+    image = layers(SHARP, mesh, view)
+    lit = (image.lit > 0.5).numpy()
     assert overlap(lit, true == 1) > 0.85
-    assert overlap((found.hidden > 0.5).numpy() & ~lit, true == 2) > 0.85
+    assert overlap((image.hidden > 0.5).numpy() & ~lit, true == 2) > 0.85
 
 
 @pytest.mark.parametrize("turn", [37.0, -120.0])
@@ -200,9 +200,9 @@ def test_gradients_are_those_of_finite_differences(monkeypatch):
     monkeypatch.setattr(MeshRenderer, "_visible", lambda *_: visible)
 
     def scalar(points: torch.Tensor, gamma0: torch.Tensor) -> torch.Tensor:
-        found = renderer.layers(points, faces, gamma0, VIEW)
-        weights = torch.arange(found.lit.numel(), dtype=points.dtype).cos().reshape(found.lit.shape)
-        return (weights * (found.target + found.lit + found.shadow)).sum()
+        image = renderer.layers(points, faces, gamma0, VIEW)
+        weights = torch.arange(image.lit.numel(), dtype=points.dtype).cos().reshape(image.lit.shape)
+        return (weights * (image.target + image.lit + image.shadow)).sum()
 
     inputs = (points, gamma0)
     gradients = torch.autograd.grad(scalar(*(one.requires_grad_() for one in inputs)), inputs)

@@ -1,4 +1,4 @@
-"""What all methods share: trainings that can be stopped and taken up, runs that every command understands."""
+"""What all methods share: trainings that can be stopped and resumed, runs that every command understands."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_every_method_is_tested():
 
 
 @EVERY
-def test_taken_up_again_it_is_what_it_would_have_been(method, dataset, tmp_path, finished):
+def test_a_resumed_training_ends_with_the_same_bits(method, dataset, tmp_path, finished):
     whole = Run.load(finished(method))
     stop = SHORT[method] // 2
 
@@ -95,6 +95,9 @@ def test_a_seed_is_a_result(method, dataset, finished):
 @EVERY
 def test_its_run_is_rendered_scored_and_shown(method, tmp_path, run_of):
     run_of(method)
+    with pytest.raises(SarsplatError, match="device 'gpu' is unknown; choose auto, cpu or cuda"):
+        Run.load(tmp_path / "run", "gpu")
+    assert Run.load(tmp_path / "run", "auto").device in ("cpu", "cuda")
     run = Run.load(tmp_path / "run")
     assert run.method == method
     assert run.render([View(10, 40), View(200, 60)]).shape == (2, 28, 24)
@@ -232,13 +235,6 @@ def test_arguments_that_do_not_fit_are_refused(arguments, message, dataset):
         reconstruct(dataset, method="sar-nerf-grid", quiet=True, **arguments)
 
 
-def test_without_masks_dsr_says_what_to_do(dataset, tmp_path, capsys):
-    assert command(["reconstruct", str(dataset.path), "--method", "dsr", "--out", str(tmp_path / "run")]) == 2
-    said = " ".join(capsys.readouterr().err.split())
-    assert "--masks" in said
-    assert not (tmp_path / "run").exists()
-
-
 def test_the_command_line_trains_and_goes_on(dataset, tmp_path, capsys):
     out = str(tmp_path / "run")
     words = ["reconstruct", str(dataset.path), "--out", out]
@@ -261,6 +257,7 @@ def test_the_command_line_trains_and_goes_on(dataset, tmp_path, capsys):
     [
         (["--method", "dsr", "--gaussians", "100"], "--gaussians is not a setting of dsr; see its settings"),
         (["--method", "sar-nerf", "--rates.means", "0.1"], "--rates.means is not a setting of sar-nerf; "),
+        (["--method", "dsr"], "give their folder with --masks"),
         (["--masks", "masks"], "sar-gs uses no masks; omit 'masks'"),
         (["--method", "magic"], "magic"),
         (["--method", "dsr", "--masks", "nowhere"], "nowhere is not a folder; give one that holds a mask for each"),
@@ -303,11 +300,3 @@ def test_no_points_are_not_exported(tmp_path, capsys, run_of):
     assert command(["export", str(tmp_path / "run"), str(tmp_path / "points.ply"), "--format", "points"]) == 2
     assert "has no points of a surface yet" in capsys.readouterr().err
     assert not (tmp_path / "points.ply").exists()
-
-
-@EVERY
-def test_a_run_is_opened_on_a_device_that_there_is(method, tmp_path, run_of):
-    run_of(method)
-    with pytest.raises(SarsplatError, match="device 'gpu' is unknown; choose auto, cpu or cuda"):
-        Run.load(tmp_path / "run", "gpu")
-    assert Run.load(tmp_path / "run", "auto").device in ("cpu", "cuda")

@@ -30,8 +30,8 @@ def scene(views=(VIEW,), grid=GRID, low=LOW, high=HIGH, **fields) -> Scene:
 
 def config(field="grid", mode="sound", **changes) -> SarNerfConfig:
     base = SarNerfGridConfig() if field == "grid" else SarNerfConfig()
-    known = {name: value for name, value in changes.items() if hasattr(base, name)}  # a perceptron has no voxels
-    return replace(base, mode=mode, **known)
+    own = {name: value for name, value in changes.items() if hasattr(base, name)}  # a perceptron has no voxels
+    return replace(base, mode=mode, **own)
 
 
 class Given(Field):
@@ -224,10 +224,7 @@ def test_rays_stay_in_their_strata_and_reach_the_edges():
     radar = places.numpy() @ rays.turn.T
     np.testing.assert_allclose(radar[..., 0], np.broadcast_to(rays.azimuth_m[2:4, None, None], radar.shape[:3]))
     np.testing.assert_allclose(radar[..., 2], np.broadcast_to(rays.range_m, radar.shape[:3]))
-
-
-def test_only_pixels_of_the_box_are_sampled():
-    rays = Rays.through(VIEW, GRID, LOW, HIGH, 2, whole=False)
+    # only pixels of the box are sampled
     assert len(rays.azimuth_m) < GRID.columns and len(rays.range_m) < GRID.rows
     everything = Rays.through(VIEW, GRID, LOW, HIGH, 2, whole=True)
     assert (len(everything.azimuth_m), len(everything.range_m)) == (GRID.columns, GRID.rows)
@@ -253,21 +250,17 @@ def test_the_same_seed_gives_the_same_bits_and_leaves_torchs_alone(field):
 
 
 @pytest.mark.parametrize("field", ["grid", "mlp"])
-def test_threads_change_no_bits(field):
-    """Over two steps; the perceptron's products are split alike here, which torch does not promise."""
+def test_threads_change_no_bits(field, threads):
+    """Over two steps; the perceptron's products are split the same way here, which torch does not promise."""
     images, results = torch.rand(1, GRID.rows, GRID.columns, generator=torch.Generator().manual_seed(0)), []
-    threads = torch.get_num_threads()
-    try:
-        for count in (1, 2):
-            torch.set_num_threads(count)
-            baseline = model(scene(ground=field == "grid", looks=1.0), config(field, "sound", rays=4))
-            trained(baseline, images, 2)
-            many = torch.linspace(-9, 9, 100_003)  # so many that torch splits them
-            results.append(
-                [parameter.detach().clone() for parameter in baseline.parameters()] + [baseline._scattering(many)]
-            )
-    finally:
-        torch.set_num_threads(threads)
+    for count in (1, 2):
+        threads(count)
+        baseline = model(scene(ground=field == "grid", looks=1.0), config(field, "sound", rays=4))
+        trained(baseline, images, 2)
+        many = torch.linspace(-9, 9, 100_003)  # so many that torch splits them
+        results.append(
+            [*(parameter.detach().clone() for parameter in baseline.parameters()), baseline._scattering(many)]
+        )
     assert all((one == two).all() for one, two in zip(*results, strict=True))
 
 
@@ -286,9 +279,10 @@ def test_what_lies_outside_the_boxes_is_not_computed():
 def test_with_ground_the_field_reaches_over_the_image():
     target, (low, high) = scene_boxes(scene(ground=True))
     assert (target[0] == LOW).all() and (target[1] == HIGH).all()
+    level = VIEW.direction[:2] / np.linalg.norm(VIEW.direction[:2])
     for row, column in [(0, 0), (0, -1), (-1, 0), (-1, -1)]:
         along = -GRID.range_m[row] / math.cos(math.radians(VIEW.grazing_deg))  # towards the radar, on the ground
-        ground = radar_frame(VIEW)[0] * GRID.azimuth_m[column] + along * np.array([*_level(VIEW), 0.0])
+        ground = radar_frame(VIEW)[0] * GRID.azimuth_m[column] + along * np.array([*level, 0.0])
         assert (low < ground).all() and (ground < high).all()
     assert low[2] < 0 < high[2]
     assert model(scene(ground=True, looks=1.0), config()).image(VIEW).min() > 0  # the noise floor
@@ -300,11 +294,6 @@ def test_over_ground_no_pixel_is_without_rays():
     baseline = baseline_of(constant(0.0), constant(0.0), "sound", what, rays=2)
     noise = baseline.log_noise.exp().item()
     assert baseline.image(what.views[0]).min() > noise * 1.01
-
-
-def _level(view):
-    u = view.direction[:2]
-    return u / np.linalg.norm(u)
 
 
 def test_a_box_that_no_image_shows_is_refused():

@@ -7,11 +7,16 @@ from sarsplat.baselines.template import cube_sphere, icosphere, sphere
 from sarsplat.errors import SarsplatError
 
 
-@pytest.mark.parametrize(("template", "vertices", "faces"), [(sphere(642), 642, 1280), (sphere(1352), 1352, 2700)])
-def test_the_published_numbers_of_vertices(template, vertices, faces):
+@pytest.mark.parametrize(("vertices", "faces"), [(642, 1280), (1352, 2700)])
+def test_the_published_numbers_of_vertices_and_faces_of_similar_size(vertices, faces):
+    template = sphere(vertices)
     assert template.vertices.shape == (vertices, 3)
     assert template.faces.shape == (faces, 3)
     assert len(template.edges) == len(template.flaps) == faces * 3 // 2
+    a, b, c = template.vertices[template.faces].transpose(1, 0, 2)
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    assert areas.max() < 2 * areas.min()
+    assert areas.sum() == pytest.approx(4 * np.pi, rel=0.01)
 
 
 @pytest.mark.parametrize("template", [icosphere(1), icosphere(3), cube_sphere(1), cube_sphere(4), sphere(1352)])
@@ -26,14 +31,6 @@ def test_they_are_closed_and_turned_outwards(template):
     for edge, flap in zip(template.edges, template.flaps, strict=True):
         shared = set(template.faces[flap[0]].tolist()) & set(template.faces[flap[1]].tolist())
         assert shared == set(edge.tolist())
-
-
-def test_their_faces_are_alike_in_size():
-    for template in (sphere(642), sphere(1352)):
-        a, b, c = template.vertices[template.faces].transpose(1, 0, 2)
-        areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-        assert areas.max() < 2 * areas.min()
-        assert areas.sum() == pytest.approx(4 * np.pi, rel=0.01)
 
 
 def test_other_numbers_are_refused():

@@ -65,15 +65,8 @@ class Rays:
         middle, half = turn @ (low_m + high_m) / 2, np.abs(turn) @ (high_m - low_m) / 2
         columns = slice(0, grid.columns) if whole else _within(grid.azimuth_m, grid.spacing_m[0], middle[0], half[0])
         rows = slice(0, grid.rows) if whole else _within(grid.range_m, grid.spacing_m[1], middle[2], half[2])
-        return cls(
-            turn,
-            grid.azimuth_m[columns],
-            grid.range_m[rows],
-            columns.start,
-            rows.start,
-            (float(middle[1] - half[1]), float(middle[1] + half[1])),
-            count,
-        )
+        edges = float(middle[1] - half[1]), float(middle[1] + half[1])
+        return cls(turn, grid.azimuth_m[columns], grid.range_m[rows], columns.start, rows.start, edges, count)
 
     @property
     def spacing_m(self) -> float:
@@ -85,12 +78,9 @@ class Rays:
 
         A ray keeps its elevation along its whole length: what attenuates it lies on one straight line.
         """
-        shape = (len(self.azimuth_m), self.count)
-        within = (
-            torch.full(shape, 0.5, dtype=torch.float64)
-            if generator is None
-            else torch.rand(shape, dtype=torch.float64, generator=generator)
-        )
+        within = torch.full((len(self.azimuth_m), self.count), 0.5, dtype=torch.float64)
+        if generator is not None:
+            within = torch.rand(within.shape, dtype=torch.float64, generator=generator)
         return self.elevation_m[0] + (torch.arange(self.count) + within) * self.spacing_m
 
     def places(

@@ -63,12 +63,8 @@ class Lattice:
                 f"a vertex of the mesh is {step_m * max(map(abs, (*low, *high))):.3g} m away; start again with a lower "
                 "learning rate"
             )
-        return cls(
-            ((low[0] + 0.5) * step_m, (low[1] + 0.5) * step_m),
-            (step_m, step_m),
-            int(high[0] - low[0]) + 1,
-            int(high[1] - low[1]) + 1,
-        )
+        first_m = (low[0] + 0.5) * step_m, (low[1] + 0.5) * step_m
+        return cls(first_m, (step_m, step_m), int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1)
 
 
 @dataclass(frozen=True)

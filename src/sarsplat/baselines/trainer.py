@@ -150,7 +150,6 @@ def scene_of(dataset: Dataset, masks: Masks | None = None) -> Scene:
 def saved_scene(snapshot: Snapshot) -> Scene:
     """The scene that a snapshot of a baseline's training holds."""
     kept = snapshot.part("scene")
-    looks = float(kept["looks"])
     masks = kept["masks"].numpy() if "masks" in kept else None
     if masks is not None and masks.dtype != np.uint8:
         raise ValueError(f"masks of {masks.dtype} instead of uint8")
@@ -163,7 +162,7 @@ def saved_scene(snapshot: Snapshot) -> Scene:
         masks,
         snapshot.brightest / snapshot.unit,
         bool(kept["ground"]),
-        looks or None,
+        float(kept["looks"]) or None,
     )
 
 
