@@ -63,14 +63,7 @@ class Layers:
 class MeshRenderer:
     """Renders closed meshes on one grid.
 
-    Parameters
-    ----------
-    grid : ImageGrid
-        Where the pixels lie, and the response.
-    softness_m : float
-        √σ of the coverage on all planes, m.
-    gamma_m : float
-        How far a face may lie behind another and still be seen: e-fold in depth, m.
+    `softness_m` is √σ of the coverage on all planes; a face is still seen as far as `gamma_m` behind another (e-fold).
     """
 
     grid: ImageGrid

@@ -144,7 +144,7 @@ class Dsr(Baseline):
         total = points.new_zeros(())
         for index, power in zip(chosen.tolist(), images, strict=True):
             view, mask = self.scene.views[index], self.masks[index]
-            layers = self._layers(points, view)
+            layers = self.layers(view, points)
             target, shadow = ((mask == kind).to(points.dtype) for kind in (TARGET, SHADOW))
             total = total + config.lit * iou_loss(layers.lit, target)
             if bool(shadow.any()):  # without ground, the shadow is unknown
@@ -167,16 +167,14 @@ class Dsr(Baseline):
         """β⁰ of target, ground and noise in units of `Scene.unit`, linear power, row 0 near range."""
         return self._whole(self.layers(view), view)
 
-    def layers(self, view: View) -> Layers:
-        """What the mesh does to the image of a view, without ground and noise."""
-        return self._layers(self._points(), view)
+    def layers(self, view: View, points: Float[Tensor, "n 3"] | None = None) -> Layers:
+        """What the mesh, with these vertices if given, does to the image of a view, without ground and noise."""
+        points = self._points() if points is None else points
+        return self.renderer.layers(points, self.faces, self.log_gamma0.exp(), view)
 
     def surface(self) -> tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, "f 3"]]:
         """Vertices, m, world frame, and triangles, counter-clockwise seen from outside."""
         return self._points().detach().double().cpu().numpy(), self.faces.cpu().numpy()
-
-    def _layers(self, points: Float[Tensor, "n 3"], view: View) -> Layers:
-        return self.renderer.layers(points, self.faces, self.log_gamma0.exp(), view)
 
     def _points(self) -> Float[Tensor, "n 3"]:
         points = self.moved.new_tensor(self._center_m) + self._longest_m * (self.start + self.moved)

@@ -31,17 +31,7 @@ _MOST_PIXELS = 1 << 20
 
 @dataclass(frozen=True)
 class Lattice:
-    """Pixels of a plane.
-
-    Parameters
-    ----------
-    first_m : (float, float)
-        Centre of the first pixel (across, along).
-    step_m : (float, float)
-        Spacing of the pixels.
-    columns, rows : int
-        Number of pixels across and along.
-    """
+    """Pixels of a plane: the first one's centre and their spacing, both (across, along), and how many there are."""
 
     first_m: tuple[float, float]
     step_m: tuple[float, float]

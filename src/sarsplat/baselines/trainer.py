@@ -22,16 +22,7 @@ from sarsplat.reconstruction.view_queue import ViewQueue
 class BaselineTrainer:
     """The state of a baseline's training and how it advances by one step.
 
-    Parameters
-    ----------
-    dataset : Dataset
-        Whose training images to learn from.
-    config : BaselineConfig
-        Settings.
-    model : Baseline
-        The model of the dataset's scene (`scene_of`), or of the scene saved with a training that is resumed.
-    device : torch.device or str
-        Where everything is computed and stays.
+    `model` is that of the dataset's scene (`scene_of`), or of the scene saved with a training that is resumed.
     """
 
     def __init__(
