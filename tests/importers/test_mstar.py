@@ -42,7 +42,7 @@ def test_what_was_assumed_is_said(chips, originals):
         "near range is the bottom row of the published chips, and they are not mirror images",
         "azimuth = −TargetAz; the grazing angle is the measured depression",
         "pixels are 0.2031 m × 0.2021 m, the resolution is 0.3229 m × 0.3013 m (azimuth × range)",
-        "all JPEGs have the same scale",
+        "all JPEGs are scaled alike",
         "azimuths are exact",
     ]
     mirrored = run(originals, labels=None, mirrored=True, overwrite=True).source["assumptions"]

@@ -197,7 +197,7 @@ def _of_one_kind(chips: list[Chip]) -> list[Chip]:
 
 
 def _pixels(chips: list[Chip], training: int) -> list[Num[np.ndarray, "rows columns"]]:
-    """Power of each chip, the first of training chips, or its amplitude where the phase is available.
+    """Power of each chip, the first of training chips, or its amplitude where the phase is known.
 
     If sizes differ, each side is even, so that a common part lies on the pixels of all.
     """
@@ -222,7 +222,7 @@ def _calibration(chips: list[Chip]) -> dict[str, Any]:
             "min_power": MIN_POWER,
         }
     if _scaled_alike(chips):
-        power, scales = "max(DN, min_dn)^2", "all JPEGs assumed to have the same scale"
+        power, scales = "max(DN, min_dn)^2", "all JPEGs taken as scaled alike"
     else:
         power, scales = "(max(DN, min_dn) / dn_per_magnitude)^2", "dn_per_magnitude from the table of labels"
     return {"calibration": f"none: power = {power} / {mean}; {scales}", "min_dn": MIN_DN}
@@ -238,7 +238,7 @@ def _assumptions(chips: list[Chip], images: list[MeasuredImage], mirrored: bool)
     if chips[0].phase is None:
         assumed.append("pixels are {} m × {} m, the resolution is {} m × {} m (azimuth × range)".format(*lengths))
     if _scaled_alike(chips):
-        assumed.append("all JPEGs have the same scale")
+        assumed.append("all JPEGs are scaled alike")
     if not any(image.azimuth_std_deg for image in images):
         assumed.append("azimuths are exact")
     return assumed
