@@ -18,7 +18,7 @@ def each_once(files: Sequence[str | Path]) -> list[Path]:
         If there are none, or one is there twice, be it by another name.
     """
     if not files:
-        raise SarsplatError("there are no files; give at least one")
+        raise SarsplatError("no files were given; give at least one")
     seen: dict[str, Path] = {}
     for path in map(Path, files):
         first = seen.setdefault(os.path.realpath(path), path)

@@ -1,7 +1,7 @@
 """Phase history as AFRL's GOTCHA volumetric data set has it: MATLAB files with one record `data`.
 
 Its fields: `fp`, samples [frequency, pulse]; `freq`, Hz; `x`, `y`, `z`, the antenna, m; `r0`, its distance from the
-scene centre, where x = y = z = 0; `af`, what an autofocus found: `r_correct`, to be added to `r0`, and `ph_correct`,
+scene centre, where x = y = z = 0; `af`, from an autofocus: `r_correct`, to be added to `r0`, and `ph_correct`,
 to be added to the samples' phases. These two belong together: `ph_correct` brings back most of the phase that a longer
 `r0` takes away at mid-band, so that either alone blurs the image more than neither. `th` and `phi` repeat x, y and z.
 """

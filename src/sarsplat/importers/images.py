@@ -43,14 +43,14 @@ _MARGIN = 3 / 16
 
 @dataclass(frozen=True)
 class MeasuredImage:
-    """One image as a reader has found it.
+    """One image as a reader returns it.
 
     Parameters
     ----------
     name : str
         What to call it, e.g. its file.
     pixels : numpy.ndarray, complex64 or float32 [rows, columns]
-        Complex amplitude where the phase is known, otherwise linear power; row 0 near range, columns rising along the
+        Complex amplitude if phase is available, otherwise linear power; row 0 near range, columns rising along the
         flight of a right-looking radar.
     view : View
         From where it was taken.
@@ -63,7 +63,7 @@ class MeasuredImage:
     split : str or None
         Its set, if the source says so.
     response : Response
-        Shape of the power response; a Gaussian if nothing is known of it.
+        Shape of the power response; Gaussian if unknown.
     """
 
     name: str
@@ -124,7 +124,7 @@ def dataset_of(
         If images are resampled, cut, have different resolutions or pixels that are zero.
     """
     if not images:
-        raise SarsplatError("there are no images; give at least one")
+        raise SarsplatError("no images were given; give at least one")
     if len({image.pixels.dtype.kind for image in images}) > 1:
         raise SarsplatError("some images are complex and others are not; import images of one kind")
     assumptions = [*source.get("assumptions", ())]
@@ -147,7 +147,7 @@ def dataset_of(
         scale = float(trained.mean(dtype=np.float64)) if trained.size else 1.0
         if not _FAINTEST < scale < 1 / _FAINTEST:  # also catches what is not finite
             raise SarsplatError(
-                f"the training images have a mean power of {scale:.3g}, which is no measurement in any unit; scale them"
+                f"the training images have a mean power of {scale:.3g}, implausible in any unit; scale them"
             )
         with np.errstate(over="ignore"):  # what is brighter than float32 holds is refused by the dataset
             pixels /= np.sqrt(scale, dtype=np.float32) if pixels.dtype.kind == "c" else np.float32(scale)

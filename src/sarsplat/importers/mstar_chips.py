@@ -56,7 +56,7 @@ class Chip:
     azimuth_std_deg : float or None
         Standard deviation of `target_az_deg`, degrees; None where the table says nothing of it.
     phase : numpy.ndarray, float32 [rows, columns], or None
-        Radians; None if it is not known.
+        Radians; None if unknown.
     """
 
     name: str

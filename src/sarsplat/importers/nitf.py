@@ -68,7 +68,9 @@ def read_sicd_xml(path: Path, file: BinaryIO) -> lxml.etree._ElementTree:
     try:
         tree = lxml.etree.fromstring(text, plain).getroottree()
     except (lxml.etree.LxmlError, ValueError) as error:
-        raise SarsplatError(f"{path} has metadata that are no XML ({shown(str(error))}); get it again") from error
+        raise SarsplatError(
+            f"{path} has metadata that are not valid XML ({shown(str(error))}); get it again"
+        ) from error
     if tree.docinfo.doctype or tree.docinfo.internalDTD is not None:
         raise SarsplatError(f"{path} has a DOCTYPE in its XML, which no SICD has, and is not read; get it elsewhere")
     name = str(tree.getroot().tag)

@@ -139,7 +139,7 @@ def _image(index: int, aperture: Aperture, size_m: float, spacing_m: float, weig
 def _source(
     files: Sequence[str | Path], parts: list[Aperture], around_m: tuple[float, float, float], weighting: Taylor
 ) -> dict[str, Any]:
-    """What is known of the images, and what was assumed."""
+    """Description of the images and the assumptions made."""
     assumptions = ["the ground is flat, at the height of the place that the images are around"]
     left = sum(aperture.looks_left for aperture in parts)
     if left:

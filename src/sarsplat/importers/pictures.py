@@ -113,7 +113,9 @@ def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
             return np.asarray(image)
         colours = np.asarray(image.convert("RGB"))
     except (*_MANY_WRONG, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:  # what Pillow says
-        raise SarsplatError(f"{path} is no PNG or JPEG, or damaged ({shown(str(error))}); save it again") from error
+        raise SarsplatError(
+            f"{path} is not a PNG or JPEG, or is damaged ({shown(str(error))}); save it again"
+        ) from error
     if (colours != colours[..., :1]).any():
         raise SarsplatError(f"{path} is a picture in colour; give the measured values, in grey")
     return colours[..., 0]

@@ -35,7 +35,7 @@ def likely_quantity(pixels: Shaped[np.ndarray, "*shape"], name: str) -> Quantity
 def power_or_signal(
     pixels: Shaped[np.ndarray, "*shape"], quantity: Quantity, name: str, scale: float = 1.0, offset: float = 0.0
 ) -> Shaped[np.ndarray, "rows columns"]:
-    """Linear power (float32) of amplitude, power or decibels; complex amplitude (complex64) where the phase is known.
+    """Linear power (float32), or complex amplitude (complex64) where the phase is available.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a folder of images that is no dataset seems to hold, and which command makes a dataset of it."""
+"""Recognise a folder of images that is not a dataset, and name the command that imports it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MOST_FILES = 20_000
 """More are not looked at: somebody gave a home folder."""
 
 _MOST_READ = 500
-"""Phoenix files whose headers are read; more are of the same classes."""
+"""Number of Phoenix files whose headers are read; the others are assumed to be of the same classes."""
 
 _OTHERS = (
     ((".nitf", ".ntf"), "sicd", "which may be SICD"),
@@ -56,7 +56,7 @@ class Recognised:
 
 
 def recognised(folder: Path) -> Recognised | None:
-    """What is in a folder that is neither dataset nor run; None if there are no images in it.
+    """Contents of a folder that is neither a dataset nor a run; None if there are no images in it.
 
     Parameters
     ----------

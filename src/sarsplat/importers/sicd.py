@@ -185,7 +185,7 @@ def _names(paths: Sequence[Path]) -> list[str]:
 
 
 def _facts(sicd: Sicd, layout: Layout) -> dict[str, Any]:
-    """What is known of one image, for people to read."""
+    """Human-readable description of one image."""
     metadata = sicd.projection
     return {
         "file": sicd.path.name,

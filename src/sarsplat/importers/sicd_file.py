@@ -1,4 +1,4 @@
-"""One SICD file: its metadata, checked, and parts of its image. All that is known of the format is sarkit's."""
+"""One SICD file: its metadata, checked, and parts of its image. The format itself is left to sarkit."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MOST_PIXELS_PER_SIDE = 1_000_000
 
 @dataclass(frozen=True)
 class Sicd:
-    """A SICD file's metadata, as far as they are used here.
+    """The metadata of a SICD file that the importer uses.
 
     Parameters
     ----------

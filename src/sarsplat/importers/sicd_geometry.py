@@ -22,7 +22,7 @@ from sarsplat.importers.sicd_file import Sicd, sarkit_errors
 
 _LATTICE = 9  # places to a side that a layout is fitted to
 _DEGREE = 3  # of the polynomials that are fitted
-_FINE = 1e-5  # m: how closely places are found
+_FINE = 1e-5  # m: tolerance of a computed position
 _BENT = 0.02  # pixels: how far a layout may be from its fit
 _STEEPEST_TILT_DEG = 60.0
 _DIGITS = 9  # of angles in degrees: what is left is rounding
