@@ -21,7 +21,7 @@ class MaskPair:
     Attributes
     ----------
     truth, predicted : numpy.ndarray, uint8 [V, rows, columns]
-        0 clutter, 1 target, 2 shadow; the predicted ones where their images fit the chips best.
+        0 clutter, 1 target, 2 shadow; predicted masks are shifted to where their images fit best.
     """
 
     truth: Masks
@@ -45,7 +45,7 @@ class MaskPair:
 def predicted_masks(run: Run, images: Dataset, rendered: Stack) -> Masks:
     """Masks of a run for the images of one set, moved as `register` moves the rendered images if they are speckled.
 
-    Where a chip lies in its frame is thus found from its likelihood, never from true masks.
+    The position of a chip in its frame is thus estimated from its likelihood, never from true masks.
 
     Raises
     ------

@@ -34,7 +34,7 @@ FILES = {**ANIMATIONS, **IMAGES}
 
 @dataclass(frozen=True)
 class Rendered:
-    """What was rendered, and how it is to be shown.
+    """Rendered images, and how to show them.
 
     Parameters
     ----------
