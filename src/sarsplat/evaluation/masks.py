@@ -30,10 +30,7 @@ class MaskPair:
     def iou(self, kind: int) -> float:
         """Intersection over union of one kind of pixels, averaged over the images where truth or prediction has any.
 
-        Raises
-        ------
-        UndefinedScore
-            If there are none.
+        Undefined (`UndefinedScore`) if there are none.
         """
         truth, predicted = self.truth == kind, self.predicted == kind
         both, either = ((one.sum(axis=(1, 2))) for one in (truth & predicted, truth | predicted))

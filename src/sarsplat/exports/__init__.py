@@ -29,10 +29,7 @@ class Written:
 def format_of(path: Path, content: Content | None = None) -> tuple[Format, Content]:
     """The format for a file name, and the content to write: the given one, or the format's first.
 
-    Raises
-    ------
-    SarsplatError
-        If the ending is unknown, or such files cannot hold the content.
+    Refused if the ending is unknown or such files cannot hold the content.
     """
     named = FORMATS.get(path.suffix.lower())
     fit = [ending for ending, other in FORMATS.items() if content is None or content in other.writers]

@@ -105,13 +105,7 @@ def write_comparison(comparison: Comparison, out: Path, *, overwrite: bool = Fal
 
 
 def scores_of(run: Run) -> Mapping[str, Any]:
-    """Content of a run's `metrics.json`.
-
-    Raises
-    ------
-    SarsplatError
-        If it has not been evaluated.
-    """
+    """Content of a run's `metrics.json`; refused if it has not been evaluated."""
     if (metrics := run.metrics) is None:
         raise SarsplatError(f"{run.folder} has no scores yet; run `sarsplat evaluate {run.folder}` first")
     return metrics

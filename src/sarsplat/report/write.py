@@ -66,13 +66,7 @@ def write_report(run: Run) -> Path:
 
 
 def refuse_linked_report(run: Path) -> None:
-    """Refuse to write a report where a link leads out of the run.
-
-    Raises
-    ------
-    SarsplatError
-        If `RUN/report` is a link.
-    """
+    """Refuse a `RUN/report` that is a link: a report is only written inside its run."""
     folder = run / _FOLDER
     if folder.is_symlink():
         raise SarsplatError(f"{folder} is a link, but a report is only written inside its run; remove the link")
