@@ -22,17 +22,17 @@ def test_it_undoes_a_motion(shift: tuple[float, float, float], heading: float) -
     truth = Alignment(shift, heading, 0.9)
     moved = surface(0) - np.array(shift)
     turned = Alignment((0, 0, 0), -heading, 0.9).moved(moved)  # what `truth` brings back
-    found = align(turned + np.random.default_rng(0).normal(0, 0.03, turned.shape), surface(1), 0.3)
-    np.testing.assert_allclose(found.shift_m, truth.shift_m, atol=0.03)
-    assert found.heading_deg == pytest.approx(heading, abs=0.7)
-    assert not found.at_limit
-    assert str(found).startswith("moved by ")
+    motion = align(turned + np.random.default_rng(0).normal(0, 0.03, turned.shape), surface(1), 0.3)
+    np.testing.assert_allclose(motion.shift_m, truth.shift_m, atol=0.03)
+    assert motion.heading_deg == pytest.approx(heading, abs=0.7)
+    assert not motion.at_limit
+    assert str(motion).startswith("moved by ")
 
 
 def test_it_goes_no_farther_than_it_may() -> None:
-    found = align(surface(0) + np.array([2.0, 0, 0]), surface(1), 0.3)
-    assert found.shift_m[0] == pytest.approx(-0.9, abs=0.02)
-    assert found.at_limit
+    motion = align(surface(0) + np.array([2.0, 0, 0]), surface(1), 0.3)
+    assert motion.shift_m[0] == pytest.approx(-0.9, abs=0.02)
+    assert motion.at_limit
 
 
 def test_it_grows_with_the_cell() -> None:
@@ -45,5 +45,5 @@ def test_it_grows_with_the_cell() -> None:
 
 def test_strays_do_not_pull() -> None:
     strays = np.random.default_rng(0).uniform(3, 6, (600, 3))
-    found = align(np.concatenate([surface(0), strays]), surface(1), 0.3)
-    np.testing.assert_allclose(found.shift_m, 0, atol=0.03)
+    motion = align(np.concatenate([surface(0), strays]), surface(1), 0.3)
+    np.testing.assert_allclose(motion.shift_m, 0, atol=0.03)

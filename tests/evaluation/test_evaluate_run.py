@@ -314,7 +314,7 @@ def test_points_are_aligned_if_asked(make):
     assert "shift_m" not in plain["truth"]
     np.testing.assert_allclose(aligned["truth"]["shift_m"], [-0.3, 0.2, -0.1], atol=0.1)
     assert aligned["points"]["visible"]["accuracy_m"] < plain["points"]["visible"]["accuracy_m"] / 2
-    assert aligned["mesh"]["visible"]["accuracy_m"] > plain["mesh"]["visible"]["accuracy_m"]  # moved alike
+    assert aligned["mesh"]["visible"]["accuracy_m"] > plain["mesh"]["visible"]["accuracy_m"]  # moved the same way
     with pytest.raises(SarsplatError, match="'soft' is unknown; choose none or rigid"):
         evaluate_run(run, alignment="soft")
     with pytest.raises(SarsplatError, match="has no true mesh to align the points to"):

@@ -37,7 +37,7 @@ def test_target_psnr_counts_only_pixels_above_minus_30_db_of_the_set():
     assert psnr_db(truth[:1], rendered[:1], 1.0) == pytest.approx(20.0 + 10 * math.log10(64), abs=1e-3)
 
 
-def test_target_psnr_leaves_out_images_without_a_target():
+def test_target_psnr_ignores_images_without_a_target():
     truth = stack(1.0, 0.0)
     assert psnr_target_db(truth, stack(0.81, 1.0), 1.0) == pytest.approx(20.0, abs=1e-3)
     with pytest.raises(UndefinedScore, match="true images are black everywhere"):

@@ -29,8 +29,8 @@ def test_masks_lie_where_speckled_images_fit_best_and_else_where_they_are_render
     power = np.stack([chip] * 3).astype(np.float32)
     images = replace(small_dataset(), power=power, looks=looks, score_margin=1).select("test")
     run = SimpleNamespace(masks=lambda views: np.stack([small_mask()] * len(views)))
-    found = predicted_masks(run, images, np.stack([mean] * 2))
-    np.testing.assert_array_equal(found[0], np.roll(small_mask(), shift, (0, 1)) if looks else small_mask())
+    predicted_classes = predicted_masks(run, images, np.stack([mean] * 2))
+    np.testing.assert_array_equal(predicted_classes[0], np.roll(small_mask(), shift, (0, 1)) if looks else small_mask())
 
 
 def test_clutter_comes_in_where_masks_are_moved_away():

@@ -91,8 +91,8 @@ def test_unknown_rows_are_told():
 
 def test_the_row_of_the_paper_is_that_of_the_target():
     def beside(target="unnamed", protocol="paper", looks=None, ground=False):
-        found = paper_beside(SimpleNamespace(target=target, protocol=protocol, looks=looks, ground=ground))
-        return found and found.name
+        published = paper_beside(SimpleNamespace(target=target, protocol=protocol, looks=looks, ground=ground))
+        return published and published.name
 
     assert beside(target="BTR70") == "paper, BTR70"
     assert beside() is None

@@ -79,7 +79,7 @@ def test_distance_from_the_middle_of_a_sphere_where_all_triangles_compete():
     assert surface_distance(middle, sphere) == pytest.approx(brute_force(middle, sphere), abs=1e-12)
 
 
-def test_triangles_without_area_are_left_out():
+def test_triangles_without_area_are_ignored():
     spike = np.array([[[5, 5, 5], [5, 5, 5], [6, 5, 5]]], dtype=float)
     assert surface_distance(np.array([[0.5, 0.5, 2.0]]), np.concatenate([SQUARE, spike])) == pytest.approx(2.0)
     with pytest.raises(SarsplatError, match="no triangle"):
@@ -146,8 +146,8 @@ def test_a_larger_scene_has_the_same_scores_in_cells(factor: float) -> None:
         yardstick = Yardstick.of(grid(0.3 * factor))
         box = trimesh.creation.box((2 * factor, factor, factor))
         seen = visible_surface(box, [View(0, 45), View(90, 30)], yardstick.ray_spacing_m, samples=5000)
-        found = point_metrics(points * factor, seen.triangles, seen.samples, yardstick)
-        of_all = {metric.key: metric.compute(found) for metric in metrics_of_points(yardstick)}
+        scored = point_metrics(points * factor, seen.triangles, seen.samples, yardstick)
+        of_all = {metric.key: metric.compute(scored) for metric in metrics_of_points(yardstick)}
         cell = f"@{yardstick.cell_m:g}"
         lengths = [of_all[key] / factor for key in ("cd_m", "accuracy_m", "completeness_m")]
         return [*lengths, of_all["cd_squared_m2"] / factor**2, of_all[f"f1{cell}"], of_all["count"]]

@@ -1,4 +1,4 @@
-"""Registered scores: every prediction moved and scaled as suits its chip best."""
+"""Registered scores: every prediction is shifted and scaled to fit its chip best."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ def predicted() -> np.ndarray:
 def test_displacement_and_gain_are_found(predicted):
     shift, gain = [(0, 0), (3, -2), (-1, 3)], np.array([1.0, 40.0, 0.2])
     moved = np.stack([np.roll(image, by, (0, 1)) for image, by in zip(predicted, shift)])
-    found = register(speckled(gain[:, None, None] * moved), predicted, 6)
-    assert found.shift.tolist() == [list(by) for by in shift]
-    assert found.gain == pytest.approx(gain, rel=0.1)
-    assert found.gain != pytest.approx(gain, rel=1e-6)  # it suits the speckle
+    registration = register(speckled(gain[:, None, None] * moved), predicted, 6)
+    assert registration.shift.tolist() == [list(by) for by in shift]
+    assert registration.gain == pytest.approx(gain, rel=0.1)
+    assert registration.gain != pytest.approx(gain, rel=1e-6)  # it is fitted to the speckle
 
 
 @pytest.mark.parametrize("margin", [0, 2, 6])

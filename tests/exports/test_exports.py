@@ -31,9 +31,9 @@ def run(dataset: Dataset) -> Run:
 
 
 def without_points(run: Run) -> Run:
-    bare = replace(run)
-    bare.__dict__["points"] = np.empty((0, 3), np.float32)
-    return bare
+    empty = replace(run)
+    empty.__dict__["points"] = np.empty((0, 3), np.float32)
+    return empty
 
 
 def test_gaussians_come_back_exactly_whatever_their_colour(run: Run, tmp_path: Path) -> None:
@@ -81,7 +81,7 @@ def test_las_is_read_by_laspy(run: Run, tmp_path: Path) -> None:
     assert read.header.global_encoding.wkt
 
 
-def test_las_bears_targets_of_any_size(run: Run, tmp_path: Path) -> None:
+def test_las_holds_targets_of_any_size(run: Run, tmp_path: Path) -> None:
     laspy = pytest.importorskip("laspy")
     large = replace(run)
     large.__dict__.update(points=run.points * np.float32(1e6), normals=run.normals, points_gamma0=None)
@@ -97,7 +97,7 @@ def test_xyz_is_read_by_numpy(run: Run, tmp_path: Path) -> None:
     np.testing.assert_allclose(np.loadtxt(tmp_path / "points.xyz"), expected, rtol=1e-6)
 
 
-def test_npz_has_every_tensor_and_says_what_it_is(run: Run, tmp_path: Path) -> None:
+def test_npz_holds_every_tensor_with_a_description(run: Run, tmp_path: Path) -> None:
     export(run, tmp_path / "all.npz")
     with np.load(tmp_path / "all.npz", allow_pickle=False) as file:
         description = json.loads(str(file["description"]))
@@ -127,7 +127,7 @@ def test_splat_holds_what_its_viewer_reads(run: Run, tmp_path: Path) -> None:
     turn = (rows[:, 28:].astype(float) - 128) / 128
     expected = torch.nn.functional.normalize(gaussians.quaternions, dim=1).numpy()[order]
     np.testing.assert_allclose(turn, expected, atol=1.01 / 128)
-    assert rows[:, 24:27].std() > 5  # not all alike
+    assert rows[:, 24:27].std() > 5  # not all the same
     np.testing.assert_array_equal(rows[:, 24], rows[:, 26])  # grey
     export(run, tmp_path / "height.splat", colour="height")
     coloured = np.frombuffer((tmp_path / "height.splat").read_bytes(), np.uint8).reshape(-1, 32)
@@ -136,10 +136,10 @@ def test_splat_holds_what_its_viewer_reads(run: Run, tmp_path: Path) -> None:
     assert coloured[high, 24] > coloured[high, 26]  # yellow above
 
 
-def test_unknown_endings_are_told_which_there_are(tmp_path: Path) -> None:
-    known = ".glb, .las, .npz, .obj, .ply, .splat or .xyz"
+def test_errors_on_unknown_endings_list_the_valid_ones(tmp_path: Path) -> None:
+    endings = ".glb, .las, .npz, .obj, .ply, .splat or .xyz"
     for name in ("a.stl", "a", "a.PLYX"):
-        with pytest.raises(SarsplatError, match=rf"not a valid name for an export; .* ends in {known}"):
+        with pytest.raises(SarsplatError, match=rf"not a valid name for an export; .* ends in {endings}"):
             format_of(Path(name))
     with pytest.raises(
         SarsplatError, match=r"not a valid name for gaussians; choose one that ends in \.ply or \.splat"
@@ -149,7 +149,7 @@ def test_unknown_endings_are_told_which_there_are(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ending", FORMATS)
-def test_nothing_is_exported_of_nothing(run: Run, tmp_path: Path, ending: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_empty_runs_are_not_exported(run: Run, tmp_path: Path, ending: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Run, "gaussians", run.gaussians[:0])
     for content in FORMATS[ending].writers:
         with pytest.raises(SarsplatError, match=r"the run in memory has (no|too few) "):
@@ -157,7 +157,7 @@ def test_nothing_is_exported_of_nothing(run: Run, tmp_path: Path, ending: str, m
     assert list(tmp_path.iterdir()) == []
 
 
-def test_only_gaussians_have_colours_to_choose(run: Run, tmp_path: Path) -> None:
+def test_colours_apply_only_to_gaussians(run: Run, tmp_path: Path) -> None:
     with pytest.raises(SarsplatError, match=r"a\.xyz will hold points, whose colours are not chosen"):
         export(run, tmp_path / "a.xyz", colour="height")
 

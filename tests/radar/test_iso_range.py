@@ -55,10 +55,10 @@ def test_a_line_along_a_side_of_the_box_meets_it_or_not():
 def test_two_scatterers_at_one_range_light_up_and_a_third_does_not():
     azimuth, slant_range = PIXEL.place_m(GRID)
     places = [at(azimuth, 2.0, slant_range), at(azimuth, -1.5, slant_range), at(azimuth, 2.0, slant_range + 2.0)]
-    found = contributions(balls(np.stack(places)), VIEW, GRID, PIXEL)
-    assert found[0] == pytest.approx(found[1], rel=0.1)
-    assert found[0] > 0
-    assert found[2] == 0
+    powers = contributions(balls(np.stack(places)), VIEW, GRID, PIXEL)
+    assert powers[0] == pytest.approx(powers[1], rel=0.1)
+    assert powers[0] > 0
+    assert powers[2] == 0
 
 
 def test_the_contributions_add_up_to_the_pixel():

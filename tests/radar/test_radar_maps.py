@@ -43,8 +43,8 @@ def box(sides: tuple[float, float, float] = (4.0, 4.0, 2.0)) -> "trimesh.Trimesh
 @pytest.mark.parametrize("view", [VIEW, View(180.0, 60.0)])
 def test_a_slope_has_its_height_and_incidence_and_no_layover(tilt_deg, view):
     mesh = plate(tilt_deg)
-    found = maps_of(mesh, view)
-    inside = ~np.isnan(found.height_m)
+    maps = maps_of(mesh, view)
+    inside = ~np.isnan(maps.height_m)
     assert inside.sum() > 100
     # z and range grow linearly with x: so does z with range
     frame, along = radar_frame(view), mesh.vertices[1] - mesh.vertices[0]
@@ -53,17 +53,17 @@ def test_a_slope_has_its_height_and_incidence_and_no_layover(tilt_deg, view):
     expected = middle[2] + slope * (GRID.range_m[:, None] - frame[2] @ middle)
     core = np.zeros_like(inside)
     core[1:-1, 1:-1] = inside[1:-1, 1:-1] & inside[2:, 1:-1] & inside[:-2, 1:-1] & inside[1:-1, 2:] & inside[1:-1, :-2]
-    error = (found.height_m - expected)[core]
+    error = (maps.height_m - expected)[core]
     assert abs(error.mean()) < 0.02
     assert error.std() < 0.05  # of pixels of 0.25 m
     incidence = math.degrees(math.acos(abs(mesh.face_normals[0] @ view.direction)))
-    assert np.allclose(found.incidence_deg[core], incidence, atol=0.1)
-    assert not found.layover[core].any()
+    assert np.allclose(maps.incidence_deg[core], incidence, atol=0.1)
+    assert not maps.layover[core].any()
 
 
 def test_a_box_is_laid_over_in_front_and_throws_a_shadow_behind():
     depth, height = 4.0, 2.0
-    found = maps_of(box((depth, 4.0, height)))
+    maps = maps_of(box((depth, 4.0, height)))
     middle = slice(GRID.columns // 2 - 3, GRID.columns // 2 + 3)
     near = -depth / 2 * math.cos(THETA)
     top = near - height * math.sin(THETA)  # of the wall: the nearest range
@@ -75,13 +75,13 @@ def test_a_box_is_laid_over_in_front_and_throws_a_shadow_behind():
     shadow = (r > max(roof_end, depth / 2 * math.cos(THETA)) + margin) & (r < shadow_end - margin)
     beyond = (r > shadow_end + margin) | (r < top - margin)
     assert min(wall_and_roof.sum(), roof.sum(), shadow.sum()) >= 2
-    assert found.layover[wall_and_roof][2:, middle].all()  # at its top, wall and roof are near one another
-    assert not found.layover[roof][:, middle].any()
-    assert np.allclose(found.height_m[roof][:, middle], height, atol=0.05)
-    assert np.allclose(found.incidence_deg[roof][:, middle], 90 - VIEW.grazing_deg, atol=0.5)
-    assert found.shadow[shadow][:, middle].all()
-    assert not found.shadow[beyond][:, middle].any()
-    assert np.isnan(found.height_m[beyond | shadow][:, middle]).all()
+    assert maps.layover[wall_and_roof][2:, middle].all()  # at its top, wall and roof are near one another
+    assert not maps.layover[roof][:, middle].any()
+    assert np.allclose(maps.height_m[roof][:, middle], height, atol=0.05)
+    assert np.allclose(maps.incidence_deg[roof][:, middle], 90 - VIEW.grazing_deg, atol=0.5)
+    assert maps.shadow[shadow][:, middle].all()
+    assert not maps.shadow[beyond][:, middle].any()
+    assert np.isnan(maps.height_m[beyond | shadow][:, middle]).all()
 
 
 def test_the_spread_of_two_plates_is_their_distance_along_elevation():
@@ -90,12 +90,12 @@ def test_the_spread_of_two_plates_is_their_distance_along_elevation():
     plates = [plate(0.0, (2.0, 3.0)) for _ in range(2)]
     for mesh, side in zip(plates, (-1, 1), strict=True):
         mesh.apply_translation(side * apart / 2 * frame[1])
-    found = maps_of(trimesh.util.concatenate(plates))
+    maps = maps_of(trimesh.util.concatenate(plates))
     row = int(abs(GRID.range_m + 3.0 * math.sin(THETA)).argmin())
     seen = (slice(row - 1, row + 2), slice(GRID.columns // 2 - 3, GRID.columns // 2 + 3))
-    assert np.allclose(found.spread_m[seen], apart, rtol=0.02)
-    assert np.allclose(found.height_m[seen], 3.0, atol=0.1)  # the mean of both
-    assert found.layover[seen].all()
+    assert np.allclose(maps.spread_m[seen], apart, rtol=0.02)
+    assert np.allclose(maps.height_m[seen], 3.0, atol=0.1)  # the mean of both
+    assert maps.layover[seen].all()
 
 
 def test_what_hides_behind_something_else_does_not_count():
@@ -117,8 +117,8 @@ def test_a_pixel_shows_what_has_half_the_area_of_flat_ground(part, shown):
         torch.from_numpy(middle[None]).float(), torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), s),
         torch.tensor([5.0]), Harmonics(torch.zeros(1, 1)),
     )  # fmt: skip
-    found = radar_maps(Surface(ball, VIEW.direction[None]), VIEW, GRID, rays=RayGrid((0.01, 0.01)))
-    assert (~np.isnan(found.height_m)).sum() == shown
+    maps = radar_maps(Surface(ball, VIEW.direction[None]), VIEW, GRID, rays=RayGrid((0.01, 0.01)))
+    assert (~np.isnan(maps.height_m)).sum() == shown
 
 
 def test_what_a_slope_spreads_over_a_pixel_is_explained_whatever_its_direction():
@@ -139,15 +139,15 @@ def test_ground_is_in_shadow_if_half_of_its_light_is_taken(depth, hidden):
         torch.tensor([depth]),
         Harmonics(torch.zeros(1, 1)),
     )
-    found = radar_maps(Surface(haze, np.array([[0.0, 0.0, 1.0]])), VIEW, GRID)
-    assert found.shadow.any() == hidden
+    maps = radar_maps(Surface(haze, np.array([[0.0, 0.0, 1.0]])), VIEW, GRID)
+    assert maps.shadow.any() == hidden
 
 
 def test_the_maps_of_nothing_are_empty():
     nothing = Gaussians(*(torch.zeros(0, k) for k in (3, 4, 3)), torch.zeros(0), Harmonics(torch.zeros(0, 1)))
-    found = radar_maps(Surface(nothing, np.zeros((0, 3))), VIEW, GRID)
-    assert np.isnan(found.height_m).all()
-    assert not found.shadow.any()
+    maps = radar_maps(Surface(nothing, np.zeros((0, 3))), VIEW, GRID)
+    assert np.isnan(maps.height_m).all()
+    assert not maps.shadow.any()
 
 
 def test_every_gaussian_needs_a_normal():

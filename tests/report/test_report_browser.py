@@ -104,7 +104,7 @@ def test_a_score_explains_itself_by_keyboard(tab: Page, report: str) -> None:
     tab.value("document.querySelector('.card summary').focus()")
     assert not tab.value("document.querySelector('.card details').open")
     tab.value("document.activeElement.click()")
-    assert "as suits its chip best" in tab.value("document.querySelector('.card details p').innerText")
+    assert "to fit its truth best" in tab.value("document.querySelector('.card details p').innerText")
 
 
 @pytest.mark.parametrize("width", [390, 1400])

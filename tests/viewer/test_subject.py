@@ -41,10 +41,10 @@ def test_the_shares_of_a_pixel_add_up_and_lie_on_its_line(finished):
     subject = subject_at(finished.folder)
     image = subject.render(VIEW)
     row, column = np.unravel_index(image.argmax(), image.shape)
-    found = subject.contributors(VIEW, Pixel(int(row), int(column)))
-    assert found.shares.sum() == pytest.approx(1.0, abs=1e-4)
-    assert (np.diff(found.shares) <= 0).all()
-    assert found.ground_share == 0
+    contributors = subject.contributors(VIEW, Pixel(int(row), int(column)))
+    assert contributors.shares.sum() == pytest.approx(1.0, abs=1e-4)
+    assert (np.diff(contributors.shares) <= 0).all()
+    assert contributors.ground_share == 0
     assert subject.contributors(VIEW, Pixel(0, 0)) is None
 
 

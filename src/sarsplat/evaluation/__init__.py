@@ -1,4 +1,4 @@
-"""Scores: images against unseen views, points against the true surface, and what both are to be compared with."""
+"""Scores: images against unseen views, points against the true surface, and baselines for both."""
 
 from sarsplat.evaluation.alignment import Alignment, align
 from sarsplat.evaluation.baselines import baseline_scores, nearest_chip, rotated_average

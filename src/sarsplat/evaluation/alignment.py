@@ -1,8 +1,8 @@
 """A small rigid motion that brings reconstructed points onto a known surface.
 
-A measured target stands somewhere near the middle of its chips, turned as well as its label says. How far that is from
-a model's origin says nothing about the reconstruction, so points may be moved before they are scored: by little, so
-that nothing else is hidden by it.
+A measured target stands somewhere near the middle of its chips, with a heading as accurate as its label. That
+offset says nothing about the reconstruction, so points may be moved before they are scored, but only a little, so that
+no other error is hidden.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 _FARTHEST = 3.0  # cells, along each axis; distances beyond it count as this
 MOST_TURNED_DEG = 5.0
-"""How far points are turned at most, degrees."""
+"""Largest rotation of the points, degrees."""
 
 _COUNT = 4000  # of the points, and of the surface's samples
 
@@ -33,7 +33,7 @@ class Alignment:
     heading_deg : float
         Counter-clockwise seen from above, degrees.
     farthest_m : float
-        How far it was allowed to go along each axis, m.
+        Largest shift allowed along each axis, m.
     """
 
     shift_m: tuple[float, float, float]
@@ -41,12 +41,12 @@ class Alignment:
     farthest_m: float = math.inf
 
     def moved(self, points: Float[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]:
-        """Points where it brings them."""
+        """Return the points rotated and shifted, m."""
         return points @ _turn(self.heading_deg).T + np.array(self.shift_m)
 
     @property
     def at_limit(self) -> bool:
-        """Whether it would have gone farther."""
+        """Whether the shift or the rotation ended at its limit."""
         parts = [*(abs(part) / self.farthest_m for part in self.shift_m), abs(self.heading_deg) / MOST_TURNED_DEG]
         return max(parts) > 0.98
 
@@ -65,7 +65,7 @@ def align(points: Float[np.ndarray, "p 3"], surface: Float[np.ndarray, "s 3"], c
     surface : numpy.ndarray, float [S, 3]
         Samples of the known surface, m, spread by area.
     cell : float
-        Side of a resolution cell, m: three of them are how far points are moved, and how far strays count.
+        Side of a resolution cell, m. Points are moved by at most three cells, and distances are capped there.
     """
     chance = np.random.default_rng(0)
     own, true = (np.asarray(cloud, np.float64)[chance.permutation(len(cloud))[:_COUNT]] for cloud in (points, surface))

@@ -33,7 +33,7 @@ def nearest_chip(
     train : numpy.ndarray, float [K, rows, columns]
         β⁰ power of the training chips.
     train_views, views : sequence of View
-        Where the training chips were taken from, and where predictions are wanted.
+        Views of the training chips, and views to predict.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def baseline_scores(dataset: Dataset, reasons: dict[str, str]) -> dict[str, dict
 
 def _turn_deg(train_views: Sequence[View], views: Sequence[View]) -> Float64[np.ndarray, "v k"]:
     """Azimuth of each training view minus that of each wanted view, degrees in [−180, 180), [V, K]."""
-    train, wanted = (np.array([view.azimuth_deg for view in some]) for some in (train_views, views))
+    train, wanted = (np.array([view.azimuth_deg for view in sequence]) for sequence in (train_views, views))
     turns = (train[None] - wanted[:, None] + 180) % 360 - 180
     return turns.round(6)  # chips lie on a raster: equal distances must tie exactly, so that the first chip wins
 

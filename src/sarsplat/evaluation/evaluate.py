@@ -1,4 +1,4 @@
-"""Score a run: everything that `metrics.json` holds."""
+"""Score a run: all contents of `metrics.json`."""
 
 from __future__ import annotations
 
@@ -63,9 +63,9 @@ def evaluate_run(
     mesh : pathlib.Path, optional
         A model of the target, m, in the frame of the views, instead of the dataset's true mesh.
     alignment : {"none", "rigid"}
-        Whether points and mesh are brought onto the visible surface first, by a small motion (`align`).
+        Whether a small rigid motion brings points and mesh onto the visible surface first (`align`).
     masks : pathlib.Path, optional
-        Folder of true masks, a PNG for each image (`read_masks`): target and shadow are then scored, too.
+        Folder of true masks, a PNG for each image (`read_masks`): target and shadow are then scored as well.
     lpips_weights : pathlib.Path, optional
         Folder of the LPIPS weights; without it the environment variable SARSPLAT_LPIPS_WEIGHTS, without that no LPIPS.
     quiet : bool
@@ -171,7 +171,7 @@ def _rendered(run: Run, views: Sequence[View], shown: Reporter) -> Stack:
 
 
 def _by_image(tested: Dataset, pair: ImagePair) -> dict[str, Any]:
-    """The score that leads, of each image alone; None where it does not exist."""
+    """The leading metric of each image on its own; None where it is undefined."""
     metric = leading_metric(tested)
     scores: list[float | None] = []
     for truth, rendered in zip(pair.truth, pair.rendered, strict=True):
@@ -185,7 +185,7 @@ def _by_image(tested: Dataset, pair: ImagePair) -> dict[str, Any]:
 def _masks(
     run: Run, tested: Dataset, rendered: Stack, masks: Sequence[Mask | None], shown: Reporter
 ) -> MaskPair | UndefinedScore:
-    """True and predicted masks of those images of a test set that have one."""
+    """True and predicted masks of the images of a test set that have a true mask."""
     masked = [index for index, mask in enumerate(masks) if mask is not None]
     if not masked:
         return UndefinedScore("no true masks; give their folder with --masks")
@@ -205,7 +205,7 @@ def _surfaces(
     reasons: dict[str, str],
     shown: Reporter,
 ) -> dict[str, Any]:
-    """Scores of the points and of the mesh against the visible and the whole surface, and what the truth is."""
+    """Scores of the points and of the mesh against the visible and the whole surface, and the truth they refer to."""
     clouds: dict[str, Float[np.ndarray, "p 3"]] = {"points": run.points, "mesh": np.empty((0, 3))}
     parts: dict[str, tuple[Float[np.ndarray, "t 3 3"], Float[np.ndarray, "s 3"]] | None]
     parts = dict.fromkeys(("visible", "whole"))
@@ -252,7 +252,7 @@ def _surfaces(
 
 
 def _points_on_mesh(run: Run) -> tuple[Float[np.ndarray, "p 3"], str]:
-    """Random points of a run's mesh, spread by area; where it has none, why."""
+    """Random points of a run's mesh, spread by area, or none and the reason."""
     from trimesh.sample import sample_surface
 
     try:

@@ -78,7 +78,7 @@ def psnr_target_db(truth: Stack, rendered: Stack, reference_amplitude: float) ->
     """PSNR over the target alone, dB: pixels whose true β⁰ lies above −30 dB of the maximum of `truth`.
 
     The target fills 1–2 % of an image, so the whole-image figure flatters by 17–20 dB; this one does not. Parameters
-    and returns as in `psnr_db`; an image without a target pixel is left out of the average.
+    and returns as in `psnr_db`; an image without a target pixel is excluded from the average.
     """
     check_stacks(truth, rendered)
     if not truth.max() > 0:
@@ -100,7 +100,7 @@ def ssim(truth: Stack, rendered: Stack, reference_amplitude: float) -> float:
         raise UndefinedScore(
             f"SSIM's 11×11 window does not fit images of {truth.shape[1]} × {truth.shape[2]} pixels; use larger ones"
         )
-    # torchmetrics takes seconds to import: only who asks for SSIM pays
+    # torchmetrics takes seconds to import: only callers of SSIM pay
     from torchmetrics.functional.image import structural_similarity_index_measure
 
     first, second = (
@@ -122,7 +122,7 @@ def nats_per_pixel(truth: Stack, rendered: Stack, margin: int = 0) -> float:
     rendered : numpy.ndarray, float [V, rows, columns]
         Predicted mean power S > 0 in the same unit.
     margin : int
-        Pixels left out on each side.
+        Pixels excluded on each side.
 
     Returns
     -------
@@ -165,20 +165,20 @@ def _mean_psnr(mse: Float[np.ndarray, " v"]) -> float:
 
 
 def smoothed(power: Stack, rows: int = 3, columns: int = 3) -> Float64[np.ndarray, "v rows columns"]:
-    """Means over windows of so many pixels, 3×3 by default."""
+    """Means over windows of `rows` × `columns` pixels."""
     # not uniform_filter: its running sums leave rounding residues, even negative ones, where the mean is zero
     return correlate(power.astype(np.float64), np.full((1, rows, columns), 1 / (rows * columns)))
 
 
 def standardised(images: Float[np.ndarray, "v rows columns"]) -> Float[np.ndarray, "v rows columns"]:
-    """Each with mean 0 and variance 1; constant ones are 0."""
+    """Each image scaled to mean 0 and variance 1; a constant image becomes 0."""
     centred = images - images.mean(axis=(1, 2), keepdims=True)
     spread = centred.std(axis=(1, 2), keepdims=True)
     return np.divide(centred, spread, out=np.zeros_like(centred), where=spread > 0)
 
 
 def inside(power: Stack, margin: int) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
-    """Without a margin on each side."""
+    """Images without `margin` pixels on each side."""
     rows, columns = power.shape[1:]
     if min(rows, columns) <= 2 * margin:
         raise UndefinedScore(
@@ -189,7 +189,7 @@ def inside(power: Stack, margin: int) -> Real[np.ndarray, "v fewer_rows fewer_co
 
 
 def check_stacks(truth: Stack, rendered: Stack) -> None:
-    """Refuse what cannot be compared."""
+    """Refuse stacks that differ in shape, are empty or hold negative or non-finite power."""
     if truth.shape != rendered.shape or truth.ndim != 3 or len(truth) == 0:
         raise SarsplatError(
             f"true images {truth.shape} and rendered images {rendered.shape} must be equal, "
@@ -201,7 +201,7 @@ def check_stacks(truth: Stack, rendered: Stack) -> None:
 
 
 def check_positive(power: Stack, name: str) -> None:
-    """Refuse what has no logarithm; `name` is "true" or "predicted"."""
+    """Refuse power that has no logarithm; `name` is "true" or "predicted"."""
     zeros = int(np.count_nonzero(power <= 0))
     if zeros:
         remedy = (

@@ -21,7 +21,7 @@ class MaskPair:
     Attributes
     ----------
     truth, predicted : numpy.ndarray, uint8 [V, rows, columns]
-        0 clutter, 1 target, 2 shadow; the predicted ones where their images fit the chips best.
+        0 clutter, 1 target, 2 shadow; predicted masks are shifted to where their images fit best.
     """
 
     truth: Masks
@@ -30,10 +30,7 @@ class MaskPair:
     def iou(self, kind: int) -> float:
         """Intersection over union of one kind of pixels, averaged over the images where truth or prediction has any.
 
-        Raises
-        ------
-        UndefinedScore
-            If there are none.
+        Undefined (`UndefinedScore`) if there are none.
         """
         truth, predicted = self.truth == kind, self.predicted == kind
         both, either = ((one.sum(axis=(1, 2))) for one in (truth & predicted, truth | predicted))
@@ -45,7 +42,7 @@ class MaskPair:
 def predicted_masks(run: Run, images: Dataset, rendered: Stack) -> Masks:
     """Masks of a run for the images of one set, moved as `register` moves the rendered images if they are speckled.
 
-    Where a chip lies in its frame is thus found from its likelihood, never from true masks.
+    The position of a chip in its frame is thus estimated from its likelihood, never from true masks.
 
     Raises
     ------

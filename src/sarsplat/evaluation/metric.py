@@ -1,4 +1,4 @@
-"""What is said of a metric, and how several are computed; the metrics themselves are in `metrics.py`."""
+"""The description of a metric, and how several are computed; the metrics themselves are in `metrics.py`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sarsplat.evaluation.images import UndefinedScore
 
 @dataclass(frozen=True)
 class Requirement:
-    """What a dataset must have for a metric to apply: whether it has, and the reason to give where it has not."""
+    """A condition on the dataset for a metric to apply, and the reason to give where it is not met."""
 
     met: Callable[[Dataset], bool]
     otherwise: str

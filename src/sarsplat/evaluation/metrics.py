@@ -36,7 +36,7 @@ class ImagePair:
     mean_power : float
         Mean β⁰ of the training set.
     score_margin : int
-        Pixels left out on each side where speckled images are scored.
+        Pixels excluded on each side where speckled images are scored.
     network : Lpips, optional
         The network that LPIPS needs.
     """
@@ -50,7 +50,7 @@ class ImagePair:
 
 
 def image_parameters(dataset: Dataset) -> dict[str, Any]:
-    """What the definitions of image metrics refer to: attributes of `ImagePair` that a dataset decides."""
+    """Attributes of `ImagePair` that depend on the dataset alone; the metrics' definitions refer to them."""
     train = dataset.images("train")
     tests = [dataset.images(split) for split in dataset.splits() if split != "train"]
     # speckle's peaks are several times as bright as the target, which would flatter every score of clean test images
@@ -70,7 +70,7 @@ NOISE_FREE = Requirement(
     lambda dataset: not _speckled(dataset), "the true images are speckled; this metric needs noise-free ones"
 )
 SPECKLED = Requirement(_speckled, "the true images are noise-free; this metric needs speckled ones")
-GROUND = Requirement(lambda dataset: dataset.ground, "the images show no ground, so no shadow is seen on it")
+GROUND = Requirement(lambda dataset: dataset.ground, "the images show no ground, so no shadow is visible")
 KNOWN_SURFACE = Requirement(
     lambda dataset: dataset.truth_mesh is not None, "the dataset has no true mesh to compare with"
 )
@@ -100,7 +100,7 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
     _noise_free(
         "psnr_db",
         *("PSNR, whole image", "dB", ".2f", "more"),
-        "peak signal-to-noise ratio of the amplitude √β⁰ / reference_amplitude, no clip, peak 1; mean over images",
+        "peak signal-to-noise ratio of the amplitude √β⁰ / reference_amplitude, not clipped, peak 1; mean over images",
         lambda pair: images.psnr_db(pair.truth, pair.rendered, pair.reference_amplitude),
         short="PSNR",
         place="headline",
@@ -108,7 +108,7 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
     _noise_free(
         "psnr_target_db",
         *("PSNR on the target", "dB", ".2f", "more"),
-        f"the same over pixels whose true β⁰ is above −{images.TARGET_DYNAMIC_DB:g} dB of the test set's maximum",
+        f"the same over pixels whose true β⁰ is less than {images.TARGET_DYNAMIC_DB:g} dB below the test set's maximum",
         lambda pair: images.psnr_target_db(pair.truth, pair.rendered, pair.reference_amplitude),
         short="target",
         place="headline",
@@ -131,8 +131,8 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
     _speckled_only(
         "registered_nats_per_pixel",
         *("negative log-likelihood, registered", "nats/pixel", ".3f", "less"),
-        f"nats_per_pixel of each image moved by up to {REACH} pixels and multiplied by mean(I/S), as suits its chip "
-        "best; mean over images",
+        f"nats_per_pixel of each image shifted by up to {REACH} pixels, to fit its truth best, and multiplied by "
+        "mean(I/S); mean over images",
         _registered_nats,
         short="NLL reg.",
         place="headline",
@@ -140,7 +140,7 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
     _speckled_only(
         "registered_log_correlation",
         *("correlation of log power, registered", "", ".3f", "more"),
-        f"log_correlation of each image moved by up to {REACH} pixels, as suits its chip best; mean over images",
+        f"log_correlation of each image shifted by up to {REACH} pixels to fit its truth best; mean over images",
         lambda pair: registered_log_correlation(pair.truth, pair.rendered, pair.score_margin),
         short="corr. reg.",
         place="headline",
@@ -149,17 +149,17 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
         "nats_per_pixel",
         *("negative log-likelihood", "nats/pixel", ".3f", "less"),
         "negative log-likelihood of single-look speckle: mean of log S + I/S, I and S in units of mean_power, "
-        "without score_margin pixels on each side",
+        "excluding score_margin pixels on each side",
         _nats_per_pixel,
     ),
     _speckled_only(
         "log_correlation",
         *("correlation of log power", "", ".3f", "more"),
-        "correlation of the logarithms of 3×3 means, then without score_margin pixels on each side; mean over images",
+        "correlation of the logarithms of 3×3 means, excluding score_margin pixels on each side; mean over images",
         lambda pair: images.log_correlation(pair.truth, pair.rendered, pair.score_margin),
     ),
 )
-"""Of images of unseen views, those without speckle first."""
+"""Metrics of images from unseen views; those for images without speckle come first."""
 
 
 def leading_metric(dataset: Dataset) -> Metric[ImagePair]:
@@ -171,8 +171,8 @@ MASK_METRICS: tuple[Metric[MaskPair], ...] = (
     Metric(
         "target_iou",
         *("IoU of the target's mask", "", ".3f", "more"),
-        "intersection over union of the pixels that are target in the predicted and in the true mask, where speckled "
-        "images were moved by registered_nats_per_pixel; mean over images",
+        "intersection over union of the target's pixels in the predicted and the true mask; for speckled images after "
+        "the shift of registered_nats_per_pixel; mean over images",
         lambda masks: masks.iou(TARGET),
         short="target IoU",
         place="headline",
@@ -180,14 +180,14 @@ MASK_METRICS: tuple[Metric[MaskPair], ...] = (
     Metric(
         "shadow_iou",
         *("IoU of the shadow's mask", "", ".3f", "more"),
-        "the same of the pixels that are shadow",
+        "the same for the pixels in shadow",
         lambda masks: masks.iou(SHADOW),
         requires=GROUND,
         short="shadow IoU",
         place="headline",
     ),
 )
-"""Of images whose true masks are known: how well target and shadow are distinguished."""
+"""Metrics of images with true masks: how well target and shadow are distinguished."""
 
 
 _of_points = partial(Metric[PointMetrics], requires=KNOWN_SURFACE)
@@ -208,7 +208,7 @@ def metrics_of_points(yardstick: Yardstick) -> tuple[Metric[PointMetrics], ...]:
         _of_points(
             "cd_squared_m2",
             *("Chamfer distance, squared", "m²", "#.3g", "less"),
-            "the same of squared distances",
+            "the same for squared distances",
             lambda points: points.cd_squared_m2,
             place="file",
         ),
@@ -227,14 +227,14 @@ def metrics_of_points(yardstick: Yardstick) -> tuple[Metric[PointMetrics], ...]:
         _of_points(
             f"precision@{cell:g}",
             *(f"precision at {cell:g} m", "", ".3f", "more"),
-            f"share of the reconstructed points at most {cell:g} m from the true surface",
+            f"share of the reconstructed points within {cell:g} m of the true surface",
             lambda points: points.precision[cell],
             place="file",
         ),
         _of_points(
             f"recall@{cell:g}",
             *(f"recall at {cell:g} m", "", ".3f", "more"),
-            f"share of the samples of the true surface at most {cell:g} m from a reconstructed point",
+            f"share of the true surface's samples within {cell:g} m of a reconstructed point",
             lambda points: points.recall[cell],
             place="file",
         ),
@@ -252,7 +252,7 @@ def metrics_of_points(yardstick: Yardstick) -> tuple[Metric[PointMetrics], ...]:
         _of_points(
             "count",
             *("points compared", "", ".0f", None),
-            "number of reconstructed points that were compared",
+            "number of reconstructed points compared, after thinning",
             lambda points: points.count,
             place="file",
         ),
@@ -263,12 +263,12 @@ RUN_METRICS: tuple[Metric[Run], ...] = (
     Metric(
         "time_s",
         *("training time", "s", ".0f", "less"),
-        "training time by the clock",
+        "wall-clock time of the training",
         lambda run: run.time_s,
         short="time",
     ),
 )
-"""Of a run as a whole."""
+"""Metrics of a run as a whole."""
 
 
 def all_metrics(yardstick: Yardstick) -> tuple[Metric[Any], ...]:

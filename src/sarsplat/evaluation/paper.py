@@ -56,7 +56,7 @@ NOT_THE_SAME_EXPERIMENT = (
     "The paper's figures are not the same experiment: its targets and images are not published, its truth is rendered "
     "by its own method, and its F1 threshold and Chamfer distance are not defined."
 )
-"""What must stand wherever the paper's figures stand beside others."""
+"""The caveat to show wherever the paper's figures appear beside others."""
 
 
 def paper_scores(target: str) -> Scores:
@@ -78,7 +78,7 @@ def paper_scores(target: str) -> Scores:
 
 
 def paper_beside(dataset: Dataset) -> Scores | None:
-    """What the paper published of this dataset's target, if it did.
+    """The paper's scores of this dataset's target, if it published any.
 
     None unless the views are the paper's and the images show the target alone, without speckle, as the paper's do.
     """

@@ -18,7 +18,7 @@ _PIECES = 100
 
 @dataclass(frozen=True)
 class Yardstick:
-    """The lengths that points are scored with: fractions of the images' resolution cell.
+    """The lengths used to score points: fractions of the images' resolution cell.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class Yardstick:
 
     @property
     def thresholds_m(self) -> tuple[float, float, float]:
-        """Distances up to which a point counts as right, m: the cell, two thirds and a third, to one digit."""
+        """Largest distances at which a point counts as correct, m: the cell, two thirds and a third, to one digit."""
         return self.cell_m, _rounded(self.cell_m * 2 / 3), _rounded(self.cell_m / 3)
 
     @property
@@ -46,7 +46,7 @@ class Yardstick:
 
     @property
     def ray_spacing_m(self) -> float:
-        """Distance of the rays that look for the visible surface, m."""
+        """Spacing of the rays that find the visible surface, m."""
         return self.cell_m / 30
 
 
@@ -149,7 +149,7 @@ def surface_distance(
     points : numpy.ndarray, float [P, 3]
         Points, m.
     triangles : numpy.ndarray, float [T, 3, 3]
-        Triangles, m; those without area are left out.
+        Triangles, m; those without area are ignored.
 
     Returns
     -------
@@ -158,7 +158,7 @@ def surface_distance(
     Notes
     -----
     Triangles are cut into pieces within a radius r of their centres. The triangle of the nearest centre is at a
-    distance d, and any nearer triangle has a piece whose centre is within d + r: those are tried, nothing is missed.
+    distance d, and any nearer triangle has a piece whose centre is within d + r: those are tried, so none is missed.
     """
     from trimesh.triangles import nondegenerate
 

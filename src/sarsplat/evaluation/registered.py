@@ -1,8 +1,8 @@
-"""Scores of measured chips up to what nobody can predict: where each lies in its frame, and how bright it is.
+"""Scores of measured chips that ignore what no method can predict: a chip's position in its frame and its gain.
 
-Chips are centred and scaled one by one, by a pixel and some tenths of their power. That says nothing about a model and
-hides much of it, so each prediction is moved by whole pixels and multiplied by one number, whatever suits its chip
-best; all methods are treated the same.
+Chips are centred and scaled one by one, to within a pixel and a few tenths of their power. These errors say nothing
+about a model but dominate its scores, so each prediction is shifted by whole pixels and multiplied by one factor to fit
+its chip best; all methods are treated the same.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sarsplat.evaluation.images import (
 )
 
 REACH = 3
-"""How far a prediction may be moved, pixels each way."""
+"""Largest shift of a prediction along each axis, pixels."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Registration:
     shift : numpy.ndarray, int64 [V, 2]
         How far each prediction was moved, pixels in range and in azimuth.
     gain : numpy.ndarray, float64 [V]
-        What each prediction was multiplied by.
+        Factor applied to each prediction.
     """
 
     nats: Float64[np.ndarray, " v"]
@@ -59,7 +59,7 @@ def register(truth: Stack, rendered: Stack, margin: int = 0) -> Registration:
     rendered : numpy.ndarray, float [V, rows, columns]
         Predicted mean power S > 0, in any unit.
     margin : int
-        Pixels left out on each side.
+        Pixels excluded on each side.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def register(truth: Stack, rendered: Stack, margin: int = 0) -> Registration:
 
 
 def registered_log_correlation(truth: Stack, rendered: Stack, margin: int = 0) -> float:
-    """`log_correlation` where each prediction is moved as suits it best; a gain does not matter to it.
+    """`log_correlation` with each prediction shifted to its best fit; it does not depend on the gain.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def registered_log_correlation(truth: Stack, rendered: Stack, margin: int = 0) -
 
 
 def _reachable(predicted: Float64[np.ndarray, "v rows columns"], margin: int) -> Float64[np.ndarray, "v wide high"]:
-    """What may be moved inside the margin; refused if some of it is zero."""
+    """The pixels that a shift can bring inside the margin; refused if any is zero."""
     reachable = inside(predicted, max(margin - REACH, 0))
     check_positive(reachable, "predicted")
     return reachable
@@ -107,7 +107,7 @@ def _reachable(predicted: Float64[np.ndarray, "v rows columns"], margin: int) ->
 def _moved(
     images: Float[np.ndarray, "v rows columns"], margin: int
 ) -> Iterator[tuple[tuple[int, int], Float[np.ndarray, "v fewer_rows fewer_columns"]]]:
-    """Every displacement, and what was reachable rolled by it, inside the margin."""
+    """Every shift, and the images rolled by it, cut to the margin."""
     margin = min(margin, REACH)
     rows, columns = images.shape[1:]
     wrapped = np.pad(images, ((0, 0), (REACH, REACH), (REACH, REACH)), mode="wrap")

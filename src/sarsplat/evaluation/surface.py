@@ -53,7 +53,7 @@ def read_truth_mesh(path: Path) -> trimesh.Trimesh:
     Raises
     ------
     SarsplatError
-        If it cannot be read, or has no faces, or holds vertices that are not there or not finite.
+        If it cannot be read, has no faces, or has missing or non-finite vertices.
     """
     try:
         mesh = read_mesh(path)
@@ -84,11 +84,11 @@ def visible_surface(
     views : sequence of View
         The training views.
     ray_spacing : float
-        Distance of the parallel rays that look for visible triangles, m; `Yardstick.ray_spacing_m` for scores.
+        Spacing of the parallel rays that find visible triangles, m; `Yardstick.ray_spacing_m` for scores.
     samples : int
         Number of samples of the visible and of the whole surface.
     seed : int
-        Of the samples.
+        Seed of the random samples.
     each_view : callable, optional
         Called when the rays of another view are done.
 

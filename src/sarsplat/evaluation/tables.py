@@ -24,7 +24,7 @@ class Scores:
     name : str
         The method, and on what: heading of its column or row.
     values : mapping of str to float or None
-        By key of the metric; what is absent or None is not known.
+        Values by the metric's key; unknown ones are absent or None.
     ranked : bool
         Whether it competes for the best value in a table.
     """
@@ -42,7 +42,7 @@ def comparison(metrics: Mapping[str, Any], paper: Scores | None = None) -> list[
     metrics : mapping
         What `evaluate_run` returned, or `metrics.json`.
     paper : Scores, optional
-        The paper's figures, where they compare.
+        The paper's figures, where they are comparable.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def metrics_table(scores: list[Scores], yardstick: Yardstick, caption: str | Non
     yardstick : Yardstick
         What the points were scored with.
     caption : str, optional
-        What must be said about them, below the table.
+        A note below the table.
     """
     shown = summary_metrics(scores, yardstick)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, caption=caption, caption_justify="left")

@@ -27,12 +27,9 @@ class Written:
 
 
 def format_of(path: Path, content: Content | None = None) -> tuple[Format, Content]:
-    """The format of files of this name, and what they hold unless asked otherwise.
+    """The format for a file name, and the content to write: the given one, or the format's first.
 
-    Raises
-    ------
-    SarsplatError
-        If the ending is unknown, or such files cannot hold that.
+    Refused if the ending is unknown or such files cannot hold the content.
     """
     named = FORMATS.get(path.suffix.lower())
     fit = [ending for ending, other in FORMATS.items() if content is None or content in other.writers]
@@ -60,11 +57,11 @@ def export(run: Run, path: str | Path, content: Content | None = None, *, colour
     Raises
     ------
     SarsplatError
-        If the ending is unknown, the format cannot hold that, the run has none of it, a package is missing, a colour
-        is given for something else than Gaussians, or the file cannot be written.
+        If the ending is unknown, the run or the format lacks the content, a package is missing, a colour is given for
+        anything other than Gaussians, or the file cannot be written.
     """
     path = Path(path)
     format, holds = format_of(path, content)
     if colour is not None and holds != "gaussians":
-        raise SarsplatError(f"{path} will hold {holds}, whose colours are not chosen; leave out the colour")
+        raise SarsplatError(f"{path} will hold {holds}, whose colours are not chosen; omit the colour")
     return Written(format.writers[holds](run, path, colour or "db"), format.opened_with[holds])

@@ -1,4 +1,4 @@
-"""What of a run there is to export: Gaussians, points, a mesh, each at least one."""
+"""The contents of a run that can be exported: Gaussians, points, a mesh; never empty."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Points:
     positions, normals : numpy.ndarray, float32 [P, 3]
         World frame, m, and unit normals.
     gamma0 : numpy.ndarray, float32 [P], or None
-        γ⁰, linear, if the method knows it.
+        γ⁰, linear, if the method estimates it.
     """
 
     positions: Float32[np.ndarray, "p 3"]
@@ -33,24 +33,18 @@ class Points:
     gamma0: Float32[np.ndarray, " p"] | None
 
     def columns(self) -> dict[str, Float32[np.ndarray, " p"]]:
-        """What there is of each point besides its position, by name."""
+        """The columns of the points besides their positions, by name."""
         normals = dict(zip(("nx", "ny", "nz"), self.normals.T, strict=True))
         return normals if self.gamma0 is None else {**normals, "gamma0": self.gamma0}
 
 
 def name_of(run: Run) -> str:
-    """What errors call a run."""
+    """The run's name in error messages."""
     return "the run in memory" if run.path is None else str(run.path)
 
 
 def gaussians_of(run: Run) -> Gaussians:
-    """Its Gaussians.
-
-    Raises
-    ------
-    SarsplatError
-        If its method learns none, or none are left.
-    """
+    """The run's Gaussians; refused if its method learns none, or none are left."""
     gaussians = run.gaussians
     if gaussians is None:
         raise SarsplatError(
@@ -63,26 +57,14 @@ def gaussians_of(run: Run) -> Gaussians:
 
 
 def points_of(run: Run) -> Points:
-    """The points of its surface.
-
-    Raises
-    ------
-    SarsplatError
-        If there are none.
-    """
+    """The points of the run's surface; refused if there are none."""
     if len(run.points) == 0:
         raise SarsplatError(f"{name_of(run)} has no points of a surface yet; train it longer, or look at its report")
     return Points(run.points.astype(np.float32), run.normals, run.points_gamma0)
 
 
 def mesh_of(run: Run) -> trimesh.Trimesh:
-    """Its surface as triangles.
-
-    Raises
-    ------
-    SarsplatError
-        If there are none, or a package is missing.
-    """
+    """The run's surface as triangles; refused if there are none or a package is missing."""
     mesh = run.mesh()
     if len(mesh.faces) == 0:
         raise SarsplatError(

@@ -1,4 +1,4 @@
-"""What a file format for other programs is."""
+"""The interface of a file format for other programs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sarsplat.reconstruction import Run
 
 Content = Names | Literal["everything"]
-"""What of a run a file holds."""
+"""The part of a run that a file holds."""
 
 Write = Callable[["Run", Path, Colour], str]
 """Writes a run to a file, whole or not at all, and says what it wrote; the colour is that of Gaussians."""

@@ -27,13 +27,7 @@ _DESCRIBED = {"nx": "unit normal", "ny": "unit normal", "nz": "unit normal", "ga
 
 
 def las_bytes(points: Points) -> bytes:
-    """The content of such a file: coordinates, intensity by γ⁰ in decibels, and normals and γ⁰ as extra dimensions.
-
-    Raises
-    ------
-    SarsplatError
-        If laspy is missing.
-    """
+    """A LAS file of points: coordinates, intensity by γ⁰ in decibels, and normals and γ⁰ as extra dimensions."""
     try:
         import laspy
     except ImportError as error:

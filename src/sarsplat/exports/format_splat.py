@@ -20,14 +20,12 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.names import Colour
 from sarsplat.reconstruction import Run
 
-RECORD = np.dtype(
-    [("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)],
-)
+RECORD = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
 """One Gaussian."""
 
 
 def splat_bytes(gaussians: Gaussians, colour: Colour) -> bytes:
-    """The content of such a file."""
+    """The Gaussians as bytes of a `.splat` file."""
     values = {name: tensor.detach().double().cpu().numpy() for name, tensor in gaussians.tensors().items()}
     opacity = -np.expm1(-values["optical_depth"])
     rgba = np.column_stack([viewer_colours(gaussians, colour).mean, opacity])

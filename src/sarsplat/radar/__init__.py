@@ -1,4 +1,4 @@
-"""What the radar sees of a target, and why a pixel shows what it shows. What needs torch is loaded when first used."""
+"""Radar maps of a target, and the contributors to a pixel. Modules that need torch are loaded on first use."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Radar maps: how high, how steep, how layered and how shadowed is what each pixel of a view shows."""
+"""Radar maps: height, incidence angle, layover and shadow in each pixel of a view."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ _HIDDEN = 0.5
 """Ground is in shadow if the target takes this share of its light, on the way to it and back."""
 
 _SAMPLES = 3
-"""Rays to a pixel and axis that look for its ground."""
+"""Rays per pixel and axis that look for its ground."""
 
 _GRAZED = 0.02
 """Cosine below which a surface counts as parallel to a direction."""
 
 _SAME_PLACE = 0.05
-"""Scatterers nearer to one another than this do not tell a slope; pixel spacings."""
+"""Scatterers nearer to one another than this do not determine a slope; in pixel spacings."""
 
 
 @dataclass(frozen=True)
 class RadarMaps:
-    """What each pixel of one image sees, whatever it scatters: geometry, not power.
+    """What each pixel of one image sees, however strongly it scatters: geometry, not power.
 
     Every array is float32 or bool [rows, columns], row 0 near range. Where several parts of the surface share a pixel,
     each counts by the area across the line of sight over which the radar sees it.

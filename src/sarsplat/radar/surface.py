@@ -51,10 +51,10 @@ class Surface:
 
 
 def surface_of_run(run: Run) -> Surface:
-    """What a run takes for the target's surface: its Gaussians, or the triangles of a method that has none.
+    """A run's estimate of the target's surface: its Gaussians, or the triangles of a method that has none.
 
-    The normal of a Gaussian is that of the nearest of the run's points. Gaussians that may stand for ground as well as
-    the learned ground does are left out.
+    The normal of a Gaussian is that of the nearest of the run's points. Gaussians that the learned ground
+    could replace are dropped.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a run looks like: pictures, scores and settings on one page that needs no network."""
+"""A run's report: pictures, scores and settings on one page that needs no network."""
 
 from sarsplat.report.compare import Comparison, compare, write_comparison
 from sarsplat.report.look import Look, decibel_png

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Frame = UInt8[np.ndarray, "height width"]
 Palette = UInt8[np.ndarray, "256 3"]
 
-_GIF_STEP = 4  # shades that become one, which halves the file and which nobody sees
+_GIF_STEP = 4  # shades merged into one, invisibly, which halves the file
 _SHORTEST_MS = 20  # of a frame: browsers slow shorter ones down
 
 
@@ -85,24 +85,23 @@ ANIMATIONS: dict[str, Recognises] = {
 
 
 def write_animation(path: Path, frames: Sequence[Frame], palette: Palette, seconds: float) -> None:
-    """Write frames as an animation that begins again when it has ended, whole or not at all.
+    """Write frames as a looping animation, whole or not at all.
 
     Parameters
     ----------
     path : Path
-        A .mp4, .gif or .webp file; an existing one is replaced. Players of .mp4 decide themselves what follows its end.
+        A .mp4, .gif or .webp file; an existing one is replaced. Whether .mp4 loops is up to the player.
     frames : sequence of numpy.ndarray, uint8 [height, width]
         At least one; indices into the palette; sizes are even.
     palette : numpy.ndarray, uint8 [256, 3]
         RGB.
     seconds : float
-        How long it takes.
+        Duration.
 
     Raises
     ------
     SarsplatError
-        If they would follow each other too fast, a package is missing, or the file
-        cannot be written.
+        If the frame rate is too high, a package is missing, or the file cannot be written.
     """
     if not 0 < seconds < 3600:
         raise SarsplatError(f"an animation cannot take {seconds:g} s; give more than 0 and less than 3600")

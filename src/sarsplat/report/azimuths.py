@@ -1,4 +1,4 @@
-"""Uncertain azimuths: what the training made of them."""
+"""Corrections of uncertain azimuths."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def azimuths_figure(
         [band, *drawn],
     )
     text = (
-        "By how much the training found each training image's azimuth to differ from its label. "
+        "The estimated deviation of each training image's azimuth from its label. "
         "The band is ± one standard deviation, as the dataset gives it."
     )
     return Figure("Azimuth corrections", text, (Block("", (panel,)),))

@@ -1,4 +1,4 @@
-"""A sheet of images with what was detected in them and how they are meant to lie, to look for contradictions."""
+"""A sheet of images with detected outlines and expected directions, to check for contradictions."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def check_sheet(dataset: Dataset, most: int = 12) -> bytes:
     dataset : Dataset
         Its images.
     most : int
-        Number of images at most.
+        Largest number of images.
 
     Raises
     ------

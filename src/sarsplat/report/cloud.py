@@ -28,11 +28,11 @@ def point_boards(
     Parameters
     ----------
     clouds : mapping of str to numpy.ndarray, float [P, 3]
-        Reconstructed points, m, by what they are called.
+        Reconstructed points, m, by name.
     surface : numpy.ndarray, float [S, 3] or None
         Samples of the true surface, m; drawn before the points.
     farthest_m : float
-        Distances to the surface from here on have the same colour, m.
+        Distances to the surface beyond this share one colour, m.
     """
     by_height = {f"{name}, {counted(len(points), 'point')}": points for name, points in clouds.items()}
     if surface is not None:

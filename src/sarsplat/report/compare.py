@@ -33,11 +33,11 @@ class Comparison:
     runs : tuple of Run
         By any methods, all evaluated.
     names : tuple of str
-        What to call them: their folders' names, or paths where names are the same.
+        Their folders' names, or their paths where names coincide.
     tables : tuple of ScoreTable
         A row for every metric, a column for every run.
     caution : str or None
-        What must be said if they were not made from the same dataset.
+        A warning if they were not made from the same dataset.
     """
 
     runs: tuple[Run, ...]
@@ -105,13 +105,7 @@ def write_comparison(comparison: Comparison, out: Path, *, overwrite: bool = Fal
 
 
 def scores_of(run: Run) -> Mapping[str, Any]:
-    """Content of a run's `metrics.json`.
-
-    Raises
-    ------
-    SarsplatError
-        If it has not been evaluated.
-    """
+    """Content of a run's `metrics.json`; refused if it has not been evaluated."""
     if (metrics := run.metrics) is None:
         raise SarsplatError(f"{run.folder} has no scores yet; run `sarsplat evaluate {run.folder}` first")
     return metrics
@@ -127,7 +121,7 @@ def _caution(runs: Sequence[Run], names: Sequence[str]) -> str | None:
 
 
 def _by_dataset(comparison: Comparison) -> list[Comparison]:
-    """The runs of each dataset on their own: no picture stands beside another dataset's truth."""
+    """The runs of each dataset on their own: no image is shown beside another dataset's truth."""
     shared: dict[str | None, list[int]] = {}
     for index, run in enumerate(comparison.runs):
         shared.setdefault(run.fingerprint, []).append(index)

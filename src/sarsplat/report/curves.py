@@ -1,4 +1,4 @@
-"""How training went: loss, and number of Gaussians where some are learned."""
+"""Training curves: loss, and number of Gaussians if the method learns any."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def _around(values: np.ndarray) -> tuple[float, float]:
 
 
 def _powers_of_ten(label: str, low: float, high: float) -> Axis:
-    """Ticks of a logarithmic axis between powers of ten; of many decades some are left out."""
+    """Ticks of a logarithmic axis between powers of ten; some are skipped where there are many decades."""
     step = max(1, int((high - low) // 5))
     factors = (1, 2, 5) if high - low < 2 else (1,)
     numbers = [(k + np.log10(f), f * 10.0**k) for k in range(int(low) - 1, int(high) + 2, step) for f in factors]

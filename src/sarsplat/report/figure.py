@@ -1,4 +1,4 @@
-"""What a figure of a page is: panels with axes, and colour bars. `figure.html.j2` turns it into HTML.
+"""A figure of a page: panels with axes, and colour bars. `figure.html.j2` turns it into HTML.
 
 Only what is inside a panel's frame is a picture or a drawing; axes, scale bars and labels are text of the page, so they
 keep their size on a phone and follow light and dark.
@@ -35,7 +35,7 @@ class Panel:
     title : str
         What is written above it.
     alt : str
-        What is seen in it, for those who do not see it.
+        Description of the picture for screen readers.
     across, down : Axis
         Its axes.
     aspect : float or None

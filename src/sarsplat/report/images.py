@@ -79,14 +79,14 @@ class Part:
         return self.panel(title, alt, data_uri(png(grey)), drawing=drawing)
 
     def difference(self, title: str, alt: str, difference: Image, largest: float) -> Panel:
-        """An error with a sign."""
+        """A signed error."""
         shown = indexed(self.of_images(difference[None])[0], -largest, largest)
         return self.panel(title, alt, data_uri(png(shown, ramp(DIFFERENCE))), black=False)
 
 
 def power_bar() -> ColourBar:
     """What the greys of `Part.power` mean."""
-    return colour_bar("power, dB of the brightest training pixel", POWER, -DYNAMIC_RANGE_DB, 0)
+    return colour_bar("power, dB relative to the brightest training pixel", POWER, -DYNAMIC_RANGE_DB, 0)
 
 
 def difference_bar(difference: Difference) -> ColourBar:

@@ -1,4 +1,4 @@
-"""How power is shown: which is black, which is white, and pictures of it pixel for pixel."""
+"""How power is shown: its black and white levels, and images of it pixel for pixel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is drawn on every SAR image of a sheet: where the radar is, and how long a few metres are."""
+"""Marks on every SAR image of a sheet: the direction of the radar and a scale bar."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def masks_figure(run: Run, folder: Path) -> Figure | None:
         "the learned geometry"
     )
     if looks is not None:
-        text += ", at the whole pixel where the rendered image suits the measured one best"
+        text += ", shifted by whole pixels to where the rendered image fits the measured one best"
     return Figure("Target and shadow", f"{text}.", (Block("", tuple(panels)),), (power_bar(),), legend="outlines")
 
 
@@ -77,7 +77,7 @@ def _outlines(mask: Mask, whose: str) -> str:
 
 
 def _window(present: UInt8[np.ndarray, " n"]) -> slice:
-    """From the first to the last that is present, with a margin; all if nothing is."""
+    """From the first to the last pixel present, with a margin; everything if none is."""
     covered = np.flatnonzero(present)
     if len(covered) == 0:
         return slice(0, len(present))

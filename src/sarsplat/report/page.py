@@ -1,4 +1,4 @@
-"""The page: HTML with its pictures and style inside, so that one file can be passed on."""
+"""The page: HTML with its pictures and style inside, so that it can be shared as one file."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _lead(run: Run) -> str:
 
 
 def _card(table: ScoreTable, row: Row, definitions: Mapping[str, str]) -> dict[str, Any]:
-    """A headline: our value, those it competes with, and who won."""
+    """A headline: our value, the competing ones, and the winner."""
     ours, *others = row.cells
     competing = [cell for cell in others if cell.column.ranked and cell.column.values.get(row.metric.key) is not None]
     winners = [cell.column.name for cell in competing if cell.best]
@@ -93,7 +93,7 @@ def _card(table: ScoreTable, row: Row, definitions: Mapping[str, str]) -> dict[s
 
 
 def _notes(metrics: Mapping[str, Any]) -> list[str]:
-    """What was left out and why, and what images were divided by."""
+    """Missing scores with their reasons, and the parameters of the metrics."""
     labels = {metric.key: metric.label for metric in all_metrics(Yardstick(metrics["parameters"]["yardstick_m"]))}
     missing: dict[str, list[str]] = {}
     for key, reason in metrics["reasons"].items():

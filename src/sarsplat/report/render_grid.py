@@ -1,4 +1,4 @@
-"""The pixels that a rendering is asked for, where they differ from those of the run."""
+"""The grid of a rendering whose pixels differ from those of the run."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from sarsplat.geometry import ImageGrid
 def asked_grid(
     own: ImageGrid, pixels: tuple[int, int] | None, spacing_m: float | None, resolution_m: float | None
 ) -> ImageGrid:
-    """A run's own grid with another number, spacing or sharpness of pixels.
+    """A run's grid with another size, spacing or resolution.
 
     Parameters
     ----------
     own : ImageGrid
         Of the run.
     pixels : (int, int), optional
-        Rows and columns; by default as many as show what the run's images show.
+        Rows and columns; by default as many as cover the area of the run's images.
     spacing_m : float, optional
         Pixel spacing in azimuth and slant range, m.
     resolution_m : float, optional
@@ -26,7 +26,7 @@ def asked_grid(
     Raises
     ------
     SarsplatError
-        If a length or a number of pixels is not possible.
+        If a length or a number of pixels is not positive.
     """
     spacing = own.spacing_m if spacing_m is None else (spacing_m, spacing_m)
     resolution = own.resolution_m if resolution_m is None else (resolution_m, resolution_m)

@@ -34,7 +34,7 @@ FILES = {**ANIMATIONS, **IMAGES}
 
 @dataclass(frozen=True)
 class Rendered:
-    """What was rendered, and how it is to be shown.
+    """Rendered images, and how to show them.
 
     Parameters
     ----------
@@ -88,13 +88,7 @@ class Rendered:
 
 
 def require_output(out: Path, views: int) -> None:
-    """Refuse a name that looks like a file of an unknown kind, and files that cannot hold that many views.
-
-    Raises
-    ------
-    SarsplatError
-        If so; folders that are there may have any name.
-    """
+    """Refuse names of unknown file types (unless a folder has it), and files that cannot hold that many views."""
     ending = out.suffix.lower()
     if ending not in FILES and re.fullmatch(r"\.[a-z]{2,5}\d?", ending) and not out.is_dir():
         raise SarsplatError(

@@ -47,7 +47,7 @@ class Window:
 
 @dataclass(frozen=True)
 class Difference:
-    """What is shown as the error: what it is called, how large values may be, and what readers must know.
+    """The error shown in figures: its label, its range and its explanation.
 
     Attributes
     ----------
@@ -78,16 +78,14 @@ class Difference:
         """What the caption says."""
         colours = f"{DIFFERENCE_IN_WORDS.capitalize()}."
         if self.looks is None:
-            return (
-                f"{colours} More than {DYNAMIC_RANGE_DB:g} dB below the brightest training pixel, all counts as equal."
-            )
+            return f"{colours} Values more than {DYNAMIC_RANGE_DB:g} dB below the brightest pixel count as equal."
         window = Window.of(self.grid)
         return (
-            "Each reconstruction is moved by up to 3 pixels and scaled as suits its image best, as for the score. "
+            "Each reconstruction is shifted by up to 3 pixels and scaled to fit its image best, as in scoring. "
             f"{colours} The residual, reconstruction minus measured power averaged over {window.rows} × "
             f"{window.columns} pixels (the smallest odd window that holds a resolution cell), is divided by σ, the "
             f"standard deviation that speckle of {self.looks:g} look{'' if self.looks == 1 else 's'} leaves in that "
-            f"average of {window.independent:.1f} independent samples: values within ±2 are what speckle alone makes."
+            f"average of {window.independent:.1f} independent samples: speckle alone gives values within about ±2."
         )
 
     def of(self, truth: Stack, rendered: Stack) -> Float64[np.ndarray, "v rows columns"]:
@@ -107,7 +105,7 @@ class Difference:
 
 
 def fitted(truth: Stack, rendered: Stack, looks: float | None, margin: int) -> Stack:
-    """The rendered images as they are scored: of speckled ones each is moved and scaled as suits its image best."""
+    """The rendered images as they are scored: speckled ones are shifted and scaled to fit their images best."""
     if looks is None:
         return rendered
     try:

@@ -1,4 +1,4 @@
-"""A run's scores as the page's tables, and beside them what they are to be compared with."""
+"""A run's scores as the page's tables, beside those of baselines and of the paper."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ def score_table(
 
 
 def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> list[ScoreTable]:
-    """Tables of `metrics.json`: one for each test set, one for the surface; those without a row are left out.
+    """Tables of `metrics.json`: one for each test set, one for the surface; tables without rows are dropped.
 
     Parameters
     ----------
     metrics : mapping
         Content of `metrics.json`.
     others : sequence of Scores
-        Other methods that compare; each gets a column in every table.
+        Comparable methods; each gets a column in every table.
     """
     tables = []
     for split, values in metrics["images"].items():

@@ -38,7 +38,7 @@ _LEVELS = 120  # of brightness: half a decibel each
 _FINEST_DEG = 5.0  # of the raster
 _MOST_GRAZING = 5  # angles of the raster
 _POINTS = 20_000
-_TRIED = 4  # images that tell how many bytes one takes
+_TRIED = 4  # images used to estimate the bytes per image
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def widget(run: Run) -> Widget | None:
     }
     text = (
         "Drag the points, or use the sliders, to move the radar around the target. Beside them is the SAR image of the "
-        f"reconstruction from the nearest of {len(views) + len(raster)} directions that were rendered beforehand, then "
+        f"reconstruction from the nearest of {len(views) + len(raster)} precomputed directions, then "
         f"the nearest {name} image, and the error at its view ({difference.label}; {DIFFERENCE_IN_WORDS})."
     )
     heights = colour_bar("height z, m", HEIGHT, float(low[2]), float(high[2]))

@@ -1,4 +1,4 @@
-"""Put a report together."""
+"""Assemble and write a report."""
 
 from __future__ import annotations
 
@@ -59,20 +59,14 @@ def write_report(run: Run) -> Path:
         training, turning = [*_curves(run), *_azimuths(run)], widget(run)
         with scores_expected(run):
             html = page(run, figures, training, turning)
-        with plain_os_errors("write", folder):  # last, so that whoever ends this earlier leaves no empty folder
+        with plain_os_errors("write", folder):  # last, so that an interruption leaves no empty folder
             folder.mkdir(exist_ok=True)
         write_bytes(folder / "index.html", html.encode())
     return folder / "index.html"
 
 
 def refuse_linked_report(run: Path) -> None:
-    """Refuse to write a report where a link leads out of the run.
-
-    Raises
-    ------
-    SarsplatError
-        If `RUN/report` is a link.
-    """
+    """Refuse a `RUN/report` that is a link: a report is only written inside its run."""
     folder = run / _FOLDER
     if folder.is_symlink():
         raise SarsplatError(f"{folder} is a link, but a report is only written inside its run; remove the link")
@@ -102,11 +96,11 @@ def _points(run: Run) -> Figure:
     file, motion = _truth(run)
     clouds = {"reconstruction": motion.moved(run.points)}
     surface = None if file is None else sampled(file)
-    text = "Where the rays of the training views return, from three sides"
+    text = "The first returns of the training views' rays, seen from three sides"
     if surface is None:
-        text += "; no true surface is known here."
+        text += "; the true surface is unknown."
     else:
-        text += ", and the true surface, which the training never saw. Height and error have colours of their own."
+        text += ", and the true surface, which the training never saw. Height and error have separate colour scales."
     if motion != _STILL:
         text += f" To compare them, the points were {motion}."
     blocks, bars = point_boards(clouds, surface, farthest_m)

@@ -1,4 +1,4 @@
-"""What can be set on the page."""
+"""The controls on the page."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _HINT = (
 
 @dataclass(frozen=True)
 class Choices:
-    """What is set, all at once."""
+    """The settings of all controls."""
 
     cloud: str
     coloured_by: str
@@ -54,13 +54,13 @@ class Controls:
     server : viser.ViserServer
         The page.
     subject : Subject
-        What is looked at; it decides what there is to set.
+        The subject shown; it decides which controls are offered.
     view : View
         Where the radar is at first.
     on_change : callable
-        Called when anything is set.
+        Called when any control changes.
     on_aim : callable
-        Called with the view that the sliders or buttons ask for.
+        Called with the view set by the sliders or buttons.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class Controls:
         )
 
     def _watched(self, name: str, handle: Any) -> None:
-        """Redraw when something is set; it becomes the choice of that name."""
+        """Redraw when the control changes; its value is the choice of that name."""
         handle.on_update(lambda _: self._on_change())
         self._set[name] = handle
 
@@ -155,7 +155,7 @@ class Controls:
             self._watched("shadow", gui.add_checkbox("its shadow", True))
 
     def offer(self, subject: Subject) -> None:
-        """Show what can be set for a subject, and hide the rest."""
+        """Show the controls that apply to a subject, and hide the rest."""
         self.title.content = f"**{subject.title}**"
         names = tuple(cloud.name for cloud in subject.clouds)
         ways = (BY_HEIGHT, *((BY_GAMMA0,) if subject.scatters else ()), *((BY_ERROR,) if subject.knows_errors else ()))
@@ -169,12 +169,12 @@ class Controls:
 
     @property
     def choices(self) -> Choices:
-        """What is set now."""
+        """The current settings."""
         values = {name: handle.value for name, handle in self._set.items()}
         return Choices(**values | {"map": None if values["map"] == _NO_MAP else values["map"]})
 
     def follow(self, view: View) -> None:
-        """Bring the sliders to where the radar is."""
+        """Set the sliders to the radar's view."""
         slider: Any
         for slider, angle in ((self._azimuth, view.azimuth_deg % 360), (self._grazing, view.grazing_deg)):
             if slider.value != round(angle, 1):

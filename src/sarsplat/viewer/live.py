@@ -1,4 +1,4 @@
-"""A training to look at while it goes on."""
+"""A training shown while it runs."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from sarsplat.viewer.subject import Cloud, dataset_subject
 from sarsplat.viewer.viewer import Viewer
 
 _SHARE = 0.03
-"""Most of a training's time that may be spent on showing it."""
+"""Largest share of a training's time that may be spent on showing it."""
 
 _WAIT_S = 2.0
 """Longest wait for one picture, s."""
 
 
 class TrainingSubject(OfScene):
-    """A training as it is after some steps.
+    """A training as it is between two steps.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class TrainingSubject(OfScene):
 
 @contextmanager
 def watched(dataset: Dataset, port: int, say: Callable[[str], None]) -> Iterator[Callable[[Step[Any]], None]]:
-    """A page that shows a training; the yielded function is called after each step, and changes nothing of it.
+    """A page that shows a training; call the yielded function after each step, which leaves the training unchanged.
 
     The page is drawn while the training waits, at most for 3 % of its time: two processors that share the work would
     only slow each other down.
@@ -58,9 +58,9 @@ def watched(dataset: Dataset, port: int, say: Callable[[str], None]) -> Iterator
     dataset : Dataset
         The images that are trained on.
     port : int
-        Of 127.0.0.1; 0 is any that is free.
+        Port on 127.0.0.1; 0 takes any free one.
     say : callable
-        Called once with the sentence that says where the page is.
+        Called once with a sentence that gives the page's address.
 
     Raises
     ------

@@ -30,18 +30,18 @@ class Newest:
         self.done = 0
 
     def ask(self) -> None:
-        """Let the work be done, soon."""
+        """Request the work; it starts as soon as the thread is free."""
         with self._asking:
             waiting = self._last is not None and not (self._last.running() or self._last.done())
             if not waiting and not self._closed:
                 self._last = self._pool.submit(self._run)
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until nothing is left to do; whether that came in time."""
+        """Wait until all requested work is done; False on timeout."""
         return self._last is None or not wait_for([self._last], timeout_s).not_done
 
     def close(self) -> None:
-        """Finish what is being done, and do no more."""
+        """Finish the work in progress and refuse any more."""
         with self._asking:
             self._closed = True
         self._pool.shutdown(cancel_futures=True)

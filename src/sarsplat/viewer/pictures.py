@@ -1,4 +1,4 @@
-"""The images of one view side by side: what is rendered, what was measured near it, and how they differ."""
+"""The images of one view side by side: the rendering, the nearest measured image, and their difference."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SIDE = 256  # pixels of the longer side of a panel, at least half of it
 _GAP = 6  # pixels between panels
 
 MAPS = ("height", "incidence", "layover", "shadow and layover")
-"""What a radar map can show, by its name on the page."""
+"""The radar maps by their names on the page."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def power_panel(
     title: str, power: Real[np.ndarray, "rows columns"], peak: float, limits_db: tuple[float, float], colours: str
 ) -> Panel:
     """An image in decibels of `peak`."""
-    scale = Scale("dB of the brightest pixel", *limits_db, colours)
+    scale = Scale("dB relative to the brightest pixel", *limits_db, colours)
     return Panel(title, scale.rgb(to_db(power, peak)), scale.bar())
 
 
@@ -57,11 +57,11 @@ def difference_panel(
     *,
     speckled: bool,
 ) -> Panel:
-    """Rendered over measured in decibels; what is darker than the pictures show counts as equally dark."""
+    """Rendered over measured, in decibels; pixels below `darkest_db` count as equally dark."""
     widest = 10.0 if speckled else 6.0
     if speckled:
         rendered, measured = (uniform_filter(power, 3) for power in (rendered, measured))
-    scale = Scale(f"dB{', of 3×3 means' if speckled else ''}", -widest, widest, DIFFERENCE)
+    scale = Scale(f"dB{' (3×3 means)' if speckled else ''}", -widest, widest, DIFFERENCE)
     return Panel("difference", scale.rgb(difference_db(rendered, measured, peak, darkest_db)), scale.bar())
 
 
@@ -74,7 +74,7 @@ def map_panel(name: str, maps: RadarMaps, highest_m: float, cell_m: float) -> Pa
         scale = Scale("local incidence angle, degrees", 0.0, 90.0, INCIDENCE)
         return Panel("local incidence", scale.rgb(maps.incidence_deg), scale.bar())
     if name == "layover":
-        scale = Scale(f"apart in elevation, m (cell {cell_m:.2g} m)", 0.0, max(highest_m, 2 * cell_m), SPREAD)
+        scale = Scale(f"separation in elevation, m (cell {cell_m:.2g} m)", 0.0, max(highest_m, 2 * cell_m), SPREAD)
         return Panel("layover", scale.rgb(maps.spread_m), scale.bar())
     kinds = (
         (maps.shadow, SHADOW, "shadow on flat ground"),
@@ -112,7 +112,7 @@ class Strip:
         self._height, self._width = (max(round(side * factor), 1) for side in size.tolist())
 
     def drawn(self, panels: list[Panel], pixel: Pixel | None) -> UInt8[np.ndarray, "height width 3"]:
-        """All panels in one picture; a pixel that was picked has a frame in each."""
+        """All panels in one picture, with a frame around the picked pixel in each."""
         pictures = [self.enlarged(panel) for panel in panels]
         if pixel is not None:
             for picture in pictures:
@@ -148,5 +148,5 @@ class Strip:
 
 
 def heights_up_to(height_m: Float[np.ndarray, " n"]) -> float:
-    """The number that a colour bar of heights ends with, m."""
+    """The upper end of a colour bar of heights, m."""
     return float(max(np.quantile(height_m, 0.995), 1e-3)) if len(height_m) else 1.0

@@ -1,4 +1,4 @@
-"""The subject in a folder; runs to look at: of Gaussians, and of methods that learn something else."""
+"""The subject in a folder: a dataset, a run of Gaussians, or a run of a method that learns something else."""
 
 from __future__ import annotations
 

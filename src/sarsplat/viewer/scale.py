@@ -1,4 +1,4 @@
-"""Values as colours, and the bar that says which is which."""
+"""Values as colours, and the colour bar that explains them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Scale:
     label : str
         What they are, with their unit.
     low, high : float
-        Numbers of the first and the last colour; what is beyond has the same colour.
+        Values of the first and the last colour; values beyond are clipped.
     colours : str
         Name of the ramp (colours.py).
     """

@@ -1,4 +1,4 @@
-"""A scene of Gaussians to look at: its images with and without its parts, and who makes their pixels."""
+"""A scene of Gaussians: its images with and without ground and shadow, and which Gaussians make their pixels."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class OfScene(Subject):
     scatters = True
 
     def look_at(self, model: SceneModel, degree: int) -> None:
-        """Say which scene, and up to which degree of its harmonics; copied, so that a training may go on with it."""
+        """Set the scene and the degree of its harmonics; copied, so that a training may continue with it."""
         self._model, self._groundless, self._degree = model.copy(), model.copy(ground=False), degree
         self.scene, self.target = (part.detach() for part in (self._model.scene(degree), self._model.target(degree)))
         self.has_ground = len(self.scene) > len(self.target)

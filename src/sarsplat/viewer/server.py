@@ -39,7 +39,7 @@ def start_server(port: int, on_pick: Callable[[float, float], None]) -> viser.Vi
     Parameters
     ----------
     port : int
-        0 is any that is free.
+        0 takes any free one.
     on_pick : callable
         Called with where the page's picture was clicked: parts of its width and height, from the upper left. It runs
         in the server's thread and must return at once.
@@ -54,11 +54,8 @@ def start_server(port: int, on_pick: Callable[[float, float], None]) -> viser.Vi
     listener = _bound(port)
     number = listener.getsockname()[1]
     try:
-        with (
-            _STARTING,
-            _served_on(listener, number, on_pick),
-            redirect_stdout(io.StringIO()),
-        ):  # viser says where it is, in a box
+        # viser prints its address in a box
+        with _STARTING, _served_on(listener, number, on_pick), redirect_stdout(io.StringIO()):
             return viser.ViserServer(host=HOST, port=number, label=_TITLE, verbose=False)
     except BaseException:
         listener.close()
@@ -66,7 +63,7 @@ def start_server(port: int, on_pick: Callable[[float, float], None]) -> viser.Vi
 
 
 def stop_server(server: viser.ViserServer) -> None:
-    """Stop serving; viser's own word on that is not shown either."""
+    """Stop serving; viser's message about it is suppressed."""
     with redirect_stdout(io.StringIO()):
         server.stop()
 
@@ -126,14 +123,8 @@ def _served_on(listener: socket.socket, number: int, on_pick: Callable[[float, f
                 response.headers["Content-Security-Policy"] = policy
                 response.headers["Referrer-Policy"] = "no-referrer"
 
-        return real(
-            handler,
-            sock=listener,
-            origins=[None, *own],
-            process_request=asked,
-            process_response=answered,
-            **options,
-        )
+        own_options = {"process_request": asked, "process_response": answered}
+        return real(handler, sock=listener, origins=[None, *own], **own_options, **options)
 
     library.serve = serve  # type: ignore[misc, assignment]
     try:

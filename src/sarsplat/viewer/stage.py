@@ -22,7 +22,7 @@ _DOME = 1.9  # radius, in those of the target
 _REACH = 0.6  # of the dome's radius: how far above the target the line of one range goes on
 _STEPS = 72  # of a circle of latitude
 _LOWEST_DEG, _HIGHEST_DEG = 1.0, 89.0
-_LEAST_SHARE = 0.01  # of a pixel: who adds less is not lit
+_LEAST_SHARE = 0.01  # of a pixel: Gaussians that add less are not lit
 
 
 class Stage:
@@ -33,7 +33,7 @@ class Stage:
     server : viser.ViserServer
         The page.
     box_m : pair of numpy.ndarray [3]
-        Corners of the space that the target takes, m.
+        Corners of the target's bounding box, m.
     views : list of (View, str)
         Known views with their sets.
     on_aim : callable
@@ -170,7 +170,7 @@ class Stage:
 
     # ---- what changes ------------------------------------------------------------------------------------------------
     def aim(self, view: View) -> None:
-        """Put the radar in its place."""
+        """Move the radar to a view."""
         place = self._at(view)
         self._handle.position = place
         self._arrow.points = np.stack([place, self._foot + 0.45 * (place - self._foot)])[None].astype(np.float32)
@@ -213,7 +213,7 @@ class Stage:
     def iso_range_line(self, view: View, place_m: tuple[float, float]) -> Float[np.ndarray, "2 3"]:
         """All places of one azimuth and slant range, from the image's plane to well above the target, m.
 
-        It is as long for pixels beside the target as for those on it: what it misses tells as much as what it meets.
+        It is as long for pixels beside the target as for those on it: a miss is as informative as a hit.
         """
         azimuth, slant_range = place_m
         ends = self.plane_depth(view), self._elevations(view)[1] + _REACH * self._radius
@@ -241,7 +241,7 @@ class Stage:
         plane.visible = visible
 
     def light(self, line: Float[np.ndarray, "2 3"] | None, lit: Contributors | None) -> None:
-        """Show the line of one azimuth and range, and who is on it."""
+        """Show the line of one azimuth and range, and the contributors on it."""
         self._line.visible = line is not None
         self._lit.visible = lit is not None and len(lit.shares) > 0
         if line is not None:

@@ -1,4 +1,4 @@
-"""What there is to look at: a run, a dataset or a training, as the page sees them all."""
+"""The page's subject: a run, a dataset or a training behind one interface."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TRUTH = "true surface"
 """Name of the cloud that is the truth and not a reconstruction."""
 
 MAX_POINTS = 60_000
-"""Most points drawn: more would only look more solid."""
+"""Largest number of points drawn; more would only look denser."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Cloud:
 
 @dataclass(frozen=True)
 class Contributors:
-    """Who makes a pixel: places with their shares, the largest first, and the share of the learned ground."""
+    """What makes a pixel: places with their shares, largest first, and the share of the learned ground."""
 
     places_m: Float[np.ndarray, "n 3"]
     shares: Float[np.ndarray, " n"]
@@ -60,7 +60,7 @@ class Contributors:
 
 
 class Subject:
-    """A dataset, and everything that a run of it knows besides.
+    """A dataset, and whatever a run of it adds.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Subject:
     """Whether `render` can be asked."""
 
     has_ground = False
-    """Whether ground was learned, which can be left out."""
+    """Whether ground was learned, which can be hidden."""
 
     scatters = False
     """Whether the clouds have a γ⁰."""
@@ -90,7 +90,7 @@ class Subject:
     ) -> None:
         self.title, self.grid, self.train_views, self.peak, self.dataset = title, grid, train_views, peak, dataset
 
-    # ---- what its dataset knows -------------------------------------------------------------------------------------
+    # ---- from its dataset -------------------------------------------------------------------------------------------
     @property
     def speckled(self) -> bool:
         """Whether the images of the dataset are speckled."""
@@ -169,12 +169,9 @@ class Subject:
         return None if self.surface is None else radar_maps(self.surface, view, self.maps_grid)
 
     def contributors(self, view: View, pixel: Pixel) -> Contributors | None:
-        """Who makes a pixel: here, by area alone."""
-        return (
-            None
-            if self.surface is None
-            else self._shares(self.surface.gaussians, len(self.surface.normals), view, pixel)
-        )
+        """The contributors to a pixel: here, by area alone."""
+        surface = self.surface
+        return None if surface is None else self._shares(surface.gaussians, len(surface.normals), view, pixel)
 
     def _shares(self, scene: Gaussians, target: int, view: View, pixel: Pixel) -> Contributors | None:
         power = contributions(scene, view, self.maps_grid, pixel)
@@ -188,7 +185,7 @@ class Subject:
 
     @property
     def box_m(self) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
-        """Corners of the space that the target takes, m; without a shape, where the images show it."""
+        """Corners of the target's bounding box, m; without a shape, estimated from the images."""
         if not self.clouds or len(self.clouds[0].places_m) == 0:
             return self._box_of_images()
         cloud = self.clouds[0].places_m
@@ -215,6 +212,6 @@ def dataset_subject(dataset: Dataset) -> Subject:
 
 
 def at_most(places: Any, most: int = MAX_POINTS) -> Float32[np.ndarray, "n 3"]:
-    """At most so many of the places, evenly chosen by chance."""
+    """A random choice of at most `most` places, float32 [N, 3]."""
     places = np.asarray(places, np.float32)
     return places if len(places) <= most else places[np.random.default_rng(0).permutation(len(places))[:most]]

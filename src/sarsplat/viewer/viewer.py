@@ -38,7 +38,7 @@ class Viewer:
     subject : Subject
         What to look at.
     port : int
-        Of 127.0.0.1; 0 is any that is free.
+        Port on 127.0.0.1; 0 takes any free one.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Viewer:
 
     @property
     def address(self) -> str:
-        """What to open in a browser."""
+        """The address to open in a browser."""
         return f"http://{HOST}:{self._server.get_port()}"
 
     @property
@@ -77,26 +77,26 @@ class Viewer:
 
     @property
     def pixel(self) -> Pixel | None:
-        """The pixel that was picked."""
+        """The picked pixel, if any."""
         return self._pixel
 
     def look_from(self, view: View) -> None:
-        """Bring the radar to a view; the images follow."""
+        """Move the radar to a view and redraw."""
         self._view = view
         self._ask()
 
     def pick(self, pixel: Pixel | None) -> None:
-        """Light up what makes a pixel; None puts it out."""
+        """Highlight the contributors to a pixel; None clears it."""
         self._pixel = pixel
         self._ask()
 
     def show(self, subject: Subject) -> None:
-        """Go on with a newer state of the same subject."""
+        """Continue with a newer state of the same subject."""
         self._subject, self._picked, self._offered = subject, None, False
         self._ask()
 
     def wait(self, timeout_s: float = 10.0) -> bool:
-        """Wait until everything that was asked for is drawn; whether that came in time."""
+        """Wait until everything requested is drawn; False on timeout."""
         return self._newest.wait(timeout_s)
 
     def close(self) -> None:
@@ -246,7 +246,7 @@ def _first_view(subject: Subject) -> View:
 
 
 def _who(lit: Contributors, gaussians: bool) -> str:
-    """Who makes a pixel, in a sentence."""
+    """One sentence on what makes a pixel."""
     ground = f" {lit.ground_share:.0%} comes from the ground." if lit.ground_share >= 0.005 else ""
     if len(lit.shares) == 0:
         return f"No part of the target is there.{ground}"
