@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property, partial
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pkgutil import iter_modules
@@ -13,11 +14,18 @@ from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 
 
 class Plugins(Mapping[str, Any]):
-    """Plugins by name. Listing the names imports nothing; `[name]` imports that plugin, or raises a SarsplatError."""
+    """Plugins by name, sought at first use: that takes 20 ms, which a command's help need not wait for.
 
-    def __init__(self, entries: dict[str, EntryPoint]) -> None:
-        self._entries = entries
+    Listing the names imports nothing; `[name]` imports that plugin, or raises a SarsplatError.
+    """
+
+    def __init__(self, search: Callable[[], dict[str, EntryPoint]]) -> None:
+        self._search = search
         self._loaded: dict[str, Any] = {}
+
+    @cached_property
+    def _entries(self) -> dict[str, EntryPoint]:
+        return self._search()
 
     def __getitem__(self, name: str) -> Any:
         if name not in self._loaded:
@@ -64,10 +72,14 @@ def discover(package: str, prefix: str, attribute: str, group: str, *more_packag
     Warns
     -----
     SarsplatWarning
-        If the name of an entry point is already in use; it is ignored.
+        At first use, if the name of an entry point is already in use; it is ignored.
     """
+    return Plugins(partial(_search, (package, *more_packages), prefix, attribute, group))
+
+
+def _search(packages: Sequence[str], prefix: str, attribute: str, group: str) -> dict[str, EntryPoint]:
     entries: dict[str, EntryPoint] = {}
-    for home in (package, *more_packages):
+    for home in packages:
         spec = find_spec(home)
         for info in iter_modules((spec and spec.submodule_search_locations) or ()):
             if info.name.startswith(prefix):
@@ -82,4 +94,4 @@ def discover(package: str, prefix: str, attribute: str, group: str, *more_packag
                 SarsplatWarning,
                 stacklevel=2,
             )
-    return Plugins(entries)
+    return entries

@@ -30,7 +30,7 @@ def evaluate(
         vertical. Where a measured target stands in its chips says nothing about its reconstruction.
     masks
         Folder of true masks, grey PNGs with the names of the chips (T72/17deg/hb03333.png): 0 clutter, 1 target,
-        2 shadow, in the orientation of the chips as published, or of the images where these are no chips.
+        2 shadow, in the orientation of the chips as published, or of the images where these are not chips.
     lpips_weights
         Folder of the LPIPS weights (default: SARSPLAT_LPIPS_WEIGHTS); without weights, LPIPS is skipped.
     """

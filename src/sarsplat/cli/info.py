@@ -104,7 +104,7 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
             return _ply(path)
         case ".png" | ".jpg" | ".jpeg":
             raise SarsplatError(
-                f"{path} is a picture without units; give its folder, and you are told whether it can be imported"
+                f"{path} is a picture without units; give its folder, and info reports whether it can be imported"
             )
         case ".json" | ".jsonl" | ".safetensors" | ".html" | ".csv" | ".txt" | ".md":
             _refuse_part(path)

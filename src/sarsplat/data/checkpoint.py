@@ -67,7 +67,7 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         _check_header(path)
         with plain_os_errors("read", path), safetensors.safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no dict)
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is not a dict)
     except safetensors.SafetensorError as error:
         raise SarsplatError(f"{path} is a damaged checkpoint ({shown(str(error))}); {_REMEDY}") from error
     if metadata.get("schema") != _SCHEMA:

@@ -68,7 +68,7 @@ def read_table(path: Path, purpose: str, needed: Sequence[str] = ()) -> CsvTable
     path : Path
         UTF-8 text; cells that contain the separator are quoted.
     purpose : str
-        What to give instead if it is no such table, such as "the table of labels".
+        What to give instead if it is not such a table, e.g. "the table of labels".
     needed : sequence of str
         Columns that must be there.
 

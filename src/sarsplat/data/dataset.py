@@ -273,7 +273,7 @@ class Dataset:
             index = operator.index(index)
         except TypeError as error:
             raise SarsplatError(
-                f"{shown(index)} is no index of one image; give a whole number, or take a set with select('train')"
+                f"{shown(index)} is not the index of an image; give a whole number, or take a set with select('train')"
             ) from error
         signal = None if self.signal is None else self.signal[index]
         return SarImage(self.power[index], self.entries[index].view, self.grid, signal)

@@ -82,11 +82,11 @@ def weak_directions(views: Sequence[View]) -> list[str]:
     best = min(_GRAZINGS, key=lambda grazing: weakest_direction(_with_grazing(views, grazing)).weakness)
     where = f"along directions {weakest.above_horizon_deg:.0f}° above the horizon"
     if weakest.undetermined:
-        told = f"do not determine positions {where}, and so not the shape"
+        verdict = f"do not determine positions {where}, and so not the shape"
     else:
         less = f"{weakest.weakness:.1f} times less well {where} than within an image"
-        told = f"determine positions {less}, so the shape is uncertain"
-    return [f"the {len(views)} training views {told}; add views at other grazing angles, such as {best:g}°"]
+        verdict = f"determine positions {less}, so the shape is uncertain"
+    return [f"the {len(views)} training views {verdict}; add views at other grazing angles, such as {best:g}°"]
 
 
 def _with_grazing(views: Sequence[View], grazing_deg: float) -> list[View]:

@@ -85,7 +85,7 @@ def locked(path: Path) -> Iterator[None]:
     Raises
     ------
     SarsplatError
-        If another process or thread holds it, or something that is no lock has that name.
+        If another process or thread holds it, or something other than a lock has that name.
     """
     path = Path(os.path.realpath(path))  # unlike resolve() it tolerates a link to itself
     place = path.with_name(f".{path.name}.lock")
@@ -122,7 +122,7 @@ def write_bytes(path: Path, data: bytes) -> None:
     ------
     SarsplatError
         If the disk is full or read-only, permission is missing, the folder is not there, another process is writing
-        this file, or what stands there is no ordinary file.
+        this file, or what is there is not an ordinary file.
     """
     path = Path(path)
     with plain_os_errors("write", path):

@@ -212,7 +212,7 @@ def _refuse_existing(path: Path, overwrite: bool, marker: str) -> None:
 
 
 def _foreign(path: Path, marker: str) -> Path | None:
-    """A file or link in the folder that is no part of its kind, if there is one."""
+    """A file or link in the folder that does not belong to its kind, or None."""
     for folder, folders, files in os.walk(path):
         links = [name for name in folders if Path(folder, name).is_symlink()]
         for name in sorted(files + links):

@@ -38,7 +38,7 @@ class SarImage:
     Raises
     ------
     SarsplatError
-        If it is no array of real numbers, its shape does not fit the grid, a pixel is negative, above 10¹⁸ or
+        If it is not an array of real numbers, its shape does not fit the grid, a pixel is negative, above 10¹⁸ or
         not finite, or the power is not that of the signal.
     """
 

@@ -28,7 +28,7 @@ def encode_masks(masks: UInt8[np.ndarray, "v rows columns"], dataset: Dataset) -
     masks : numpy.ndarray, uint8 [V, rows, columns]
         Of every image: 0 clutter, 1 target, 2 shadow; row 0 near.
     dataset : Dataset
-        Whose images; no measured chips, for masks of those lie as the chips were published.
+        Dataset of the images; not measured chips, whose masks are oriented as the chips were published.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What looks like a mistake in a dataset but may be meant: told by name, and the work goes on.
+"""What looks like a mistake in a dataset but may be intended: each is reported by name, and work continues.
 
 What would make a result meaningless (no views, pixels that are not finite or negative, paths out of the folder) is
 refused where a dataset is read; see `read_dataset`.

@@ -63,7 +63,7 @@ def read_power_tiff(path: Path, shape: tuple[int, int]) -> Float32[np.ndarray, "
     Parameters
     ----------
     path : Path
-        An uncompressed float32 TIFF; its header is believed only as far as it fits `shape` and the size of the file.
+        An uncompressed float32 TIFF; its header is trusted only where it fits `shape` and the size of the file.
     shape : (int, int)
         Rows and columns to expect.
 
