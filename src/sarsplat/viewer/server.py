@@ -123,7 +123,7 @@ def _served_on(listener: socket.socket, number: int, on_pick: Callable[[float, f
                 response.headers["Content-Security-Policy"] = policy
                 response.headers["Referrer-Policy"] = "no-referrer"
 
-        own_options = {"process_request": asked, "process_response": answered}
+        own_options: dict[str, Any] = {"process_request": asked, "process_response": answered}
         return real(handler, sock=listener, origins=[None, *own], **own_options, **options)
 
     library.serve = serve  # type: ignore[misc, assignment]
