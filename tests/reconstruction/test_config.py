@@ -12,11 +12,11 @@ import pytest
 
 from sarsplat import Config, SarsplatError
 from sarsplat.gaussians import SCATTERINGS
+from sarsplat.names import ScatteringName
 from sarsplat.reconstruction.config import (
     Densification,
     PointExtraction,
     Rates,
-    ScatteringName,
     Surroundings,
 )
 from sarsplat.reconstruction.presets import PRESETS, preset

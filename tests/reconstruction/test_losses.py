@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from sarsplat.errors import SarsplatError
-from sarsplat.reconstruction import fused, preset
+from sarsplat.reconstruction import adam, preset
 from sarsplat.reconstruction.losses import (
     ImageScale,
     amplitude_loss,
@@ -40,9 +40,9 @@ def pair(views: int, rows: int, columns: int) -> tuple[torch.Tensor, torch.Tenso
 @pytest.mark.parametrize("how", [*AVAILABLE, "plain"])
 def test_amplitude_loss_and_its_gradient_are_those_of_float64(shape, weight, how, monkeypatch) -> None:
     if how == "plain":
-        monkeypatch.setattr(fused, "takes", lambda tensors: False)
+        monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
     else:
-        monkeypatch.setattr(fused.cpu, "Pass", partial(cpu.Pass, how))
+        monkeypatch.setattr(adam.cpu, "Pass", partial(cpu.Pass, how))
     power, truth = pair(*shape)
     mine, theirs = power.clone().requires_grad_(), power.double().requires_grad_()
     found = amplitude_loss(mine, truth, 2.0, weight)

@@ -118,6 +118,10 @@ def newer_schema(header: dict[str, Any]) -> None:
     header["schema_version"] += 1
 
 
+def older_schema(header: dict[str, Any]) -> None:
+    header["schema_version"] -= 1
+
+
 def unknown_setting(header: dict[str, Any]) -> None:
     header["config"]["warmth"] = 1
 
@@ -133,7 +137,8 @@ def unknown_rate(header: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (newer_schema, "schema_version is 4 but this program reads 3; give a run, or reconstruct it again"),
+        (newer_schema, "schema_version is 5 but this program reads 4; give a run, or reconstruct it again"),
+        (older_schema, "was written by an older version; reconstruct it again with --overwrite"),
         (unknown_setting, "config.json: the setting 'warmth' is unknown"),
         (missing_setting, "the setting p_min is missing"),
         (unknown_rate, "config.json: the setting 'rates.warmth' is unknown"),

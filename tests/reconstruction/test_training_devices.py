@@ -19,7 +19,7 @@ from torch.utils._pytree import tree_leaves
 from sarsplat import Dataset, ImageGrid, Run, View, preset, reconstruct
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
-from sarsplat.reconstruction import Config, Step, Trainer, extract_points, fused, model, points
+from sarsplat.reconstruction import Config, Step, Trainer, adam, extract_points, model, points
 from sarsplat.reconstruction.config import Densification, Relocation
 from sarsplat.reconstruction.dropout import dropped
 from sarsplat.renderer import Rendering
@@ -170,7 +170,7 @@ def test_the_cuda_engines_source_learns_as_the_cpus(
     """Its kernels are emulated; loss and Adam are plain torch."""
     expected, usual = train(dataset, CONFIGS[name], steps)
     monkeypatch.setattr(model, "render", partial(render_on, Emulator(library)))
-    monkeypatch.setattr(fused, "takes", lambda tensors: False)
+    monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
     found, other = train(dataset, CONFIGS[name], steps)
     # nats have no zero of their own, and cross it: what counts is how far they have come
     far = 1e-3 * float(expected.max() - expected.min()) if name == "measured" else 0.0
@@ -199,7 +199,7 @@ def test_a_step_of_the_cuda_engine_never_looks_at_a_number(
         return look
 
     monkeypatch.setattr(model, "render", partial(render_on, Emulator(library)))
-    monkeypatch.setattr(fused, "takes", lambda tensors: False)
+    monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
     trainer = Trainer(dataset, CONFIGS[name])
     trainer.step()  # which draws the order of the views, on the CPU
     for method in ("tolist", "item", "numpy", "cpu", "nonzero", "__bool__", "__float__", "__int__", "__index__"):
@@ -214,7 +214,7 @@ def test_what_goes_wrong_is_told_when_the_log_is_written_and_never_saved(
     dataset: Dataset, library: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(model, "render", partial(render_on, Emulator(library)))
-    monkeypatch.setattr(fused, "takes", lambda tensors: False)
+    monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
 
     def move_out(step: Step) -> None:
         if step.iteration == 3:
