@@ -87,13 +87,13 @@ def test_every_step_is_torchs(how: str) -> None:
                 theirs[name].clamp_(low, high)
         for name in SHAPES:
             assert mine[name].grad is None
-            found = mine[name].log() if name == "optical_depth" else mine[name]
-            assert torch.allclose(found, theirs[name], rtol=1e-5, atol=1e-6), (name, iteration)
+            actual = mine[name].log() if name == "optical_depth" else mine[name]
+            assert torch.allclose(actual, theirs[name], rtol=1e-5, atol=1e-6), (name, iteration)
     for (name, k), tensor in columns.items():
         for moment in ("exp_avg", "exp_avg_sq"):
-            found, expected = optimiser.state[name][moment], torchs.state[tensor][moment]
-            found = found.view(len(found), -1)[:, k]
-            assert float((found - expected).norm() / expected.norm()) < 3e-6
+            actual, expected = optimiser.state[name][moment], torchs.state[tensor][moment]
+            actual = actual.view(len(actual), -1)[:, k]
+            assert float((actual - expected).norm() / expected.norm()) < 3e-6
 
 
 def test_no_step_leaves_the_positive_numbers(how: str) -> None:
@@ -136,7 +136,7 @@ def test_every_parameter_needs_a_gradient() -> None:
 
 def test_threads_change_nothing() -> None:
     usual = torch.get_num_threads()
-    found = []
+    actual = []
     try:
         for threads in (1, 2, 3):
             torch.set_num_threads(threads)
@@ -146,12 +146,12 @@ def test_threads_change_nothing() -> None:
                 for tensor in parameters.values():
                     tensor.grad = tensor.detach().sin()
                 optimiser.step(iteration)
-            found.append(parameters)
+            actual.append(parameters)
     finally:
         torch.set_num_threads(usual)
-    for parameters in found[1:]:
+    for parameters in actual[1:]:
         for name in SHAPES:
-            assert torch.equal(parameters[name], found[0][name])
+            assert torch.equal(parameters[name], actual[0][name])
 
 
 def test_state_comes_back(how: str) -> None:

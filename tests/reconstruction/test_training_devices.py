@@ -145,9 +145,9 @@ def test_every_tensor_is_made_on_the_trainings_device(name: str, dataset: Datase
 
     usual, points = trained()
     with torch.device("meta"):
-        found, found_points = trained()
+        actual, found_points = trained()
     for key, tensor in usual.model.parameters.items():
-        assert torch.equal(found.model.parameters[key], tensor), key
+        assert torch.equal(actual.model.parameters[key], tensor), key
     assert np.array_equal(found_points, points)
 
 
@@ -171,15 +171,15 @@ def test_the_cuda_engines_source_learns_as_the_cpus(
     expected, usual = train(dataset, CONFIGS[name], steps)
     monkeypatch.setattr(model, "render", partial(render_on, Emulator(library)))
     monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
-    found, other = train(dataset, CONFIGS[name], steps)
+    actual, other = train(dataset, CONFIGS[name], steps)
     # nats have no zero of their own, and cross it: what counts is how far they have come
     far = 1e-3 * float(expected.max() - expected.min()) if name == "measured" else 0.0
-    assert torch.allclose(found, expected, rtol=1e-3, atol=far)
+    assert torch.allclose(actual, expected, rtol=1e-3, atol=far)
     assert len(other.model) == len(usual.model)
     if name == "density":
         assert len(usual.model) != 200
     if name == "amplitude":
-        assert float(found[-10:].mean()) < 0.7 * float(found[:10].mean())
+        assert float(actual[-10:].mean()) < 0.7 * float(actual[:10].mean())
 
 
 @pytest.mark.parametrize("name", CONFIGS)
@@ -244,6 +244,6 @@ def test_points_of_the_cuda_engines_source_are_the_cpus(
     how = finished.config.points
     expected = extract_points(finished.gaussians, views, dataset.grid, how)
     monkeypatch.setattr(points, "render", partial(render_on, Emulator(library)))
-    found = extract_points(finished.gaussians, views, dataset.grid, how)
-    assert len(found) == len(expected) > 100
-    assert np.abs(found - expected).max() < 1e-3
+    actual = extract_points(finished.gaussians, views, dataset.grid, how)
+    assert len(actual) == len(expected) > 100
+    assert np.abs(actual - expected).max() < 1e-3

@@ -288,7 +288,7 @@ class Config(AnyConfig):
         Smallest γ⁰ of a Gaussian.
     scattering_penalty : float
         Weight of differences between the Gaussians' scattering, in units of the loss of black images. Most materials
-        are alike: a thin layer that scatters strongly looks like an opaque one, and costs more.
+        scatter the same: a thin layer that scatters strongly looks like an opaque one, and costs more.
     initial_scale : float
         Standard deviation of a Gaussian at the start, in resolution cells.
     initial_optical_depth : float

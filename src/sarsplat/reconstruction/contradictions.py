@@ -143,7 +143,7 @@ def _statistics(
         which = np.flatnonzero(smooth if smooth.all() else ~smooth)
         _speckle(some, levels[which], [outlines[k] for k in which], some.power[which], found)
     else:
-        found.checks["unit"] = "cannot be told: there is no ground whose speckle could be measured"
+        found.checks["unit"] = "cannot be determined: there is no ground whose speckle could be measured"
     if smooth.any() and "resolution" not in found.checks:
         widths = sharpest_widths_m(some.power[smooth], some.grid)
         _resolution(some, widths or (None, None), "structure", found)
