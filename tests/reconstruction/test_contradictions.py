@@ -107,7 +107,7 @@ def test_azimuths_that_run_the_other_way(bare: Dataset, grounded: Dataset) -> No
         assert "match better if azimuths run the other way" in wrong
         assert "negate the azimuths" in wrong
         assert only(with_power(dataset, dataset.power[:, :, ::-1]))[:60] == wrong[:60]
-        assert examine(with_azimuths(dataset, lambda azimuth: azimuth + 90)).contradictions == []  # cannot be determined
+        assert examine(with_azimuths(dataset, lambda azimuth: azimuth + 90)).contradictions == []  # unclear
 
 
 @pytest.mark.parametrize("looks", [1.0, 4.0])
