@@ -280,6 +280,7 @@ def _run_config() -> list[bytes]:
         "schema_version": SCHEMA_VERSION,
         "dataset": "/nowhere",
         "dataset_fingerprint": "0" * 64,
+        "method": "sar-gs",
     }
     return [json.dumps({**head, "config": asdict(config)}).encode()]
 

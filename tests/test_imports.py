@@ -63,14 +63,9 @@ def test_the_bottom_imports_no_room(name):
     assert third_party <= {"numpy", "jaxtyping"} | ({"matplotlib"} if name == "colours" else set())
 
 
-_FOR_TYPES = {"reconstruction.loop", "reconstruction.method", "reconstruction.methods", "reconstruction.run"}
-"""A method says what it opens: a run, which knows its method."""
-
-
 def test_no_files_import_each_other_in_a_circle():
-    """Neither at the top nor inside functions; nor, but for these, for the sake of types."""
-    assert circle(graph(for_types=False)) == []
-    assert circle({name: others - _FOR_TYPES for name, others in graph().items()}) == []
+    """Neither at the top, nor inside functions, nor for the sake of types."""
+    assert circle(graph()) == []
 
 
 def test_circles_are_seen():

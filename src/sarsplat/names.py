@@ -7,6 +7,9 @@ from typing import Literal
 TargetName = Literal["t72", "btr70", "2s1", "kraz", "slicy", "building-a", "building-b", "building-c"]
 """Built-in targets; a test compares them with `sarsplat.scenes.TARGETS`."""
 
+ScatteringName = Literal["harmonics", "normal-lobes"]
+"""Built-in laws of scattering; a test compares them with `sarsplat.gaussians.SCATTERINGS`."""
+
 Simulator = Literal["raycast", "splat"]
 """What makes simulated images."""
 

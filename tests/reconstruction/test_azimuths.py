@@ -128,10 +128,10 @@ def test_all_together_they_do_not_turn(images: np.ndarray) -> None:
     assert offset_deg == pytest.approx(best - np.average(best, weights=std**-2), abs=1e-5)
 
 
-@pytest.mark.parametrize(("best", "found"), [(0.3, 0.3), (-1.9, -1.9), (2.0, 2.0), (7.0, 2.0), (-7.0, -2.0)])
-def test_the_lowest_place_of_a_parabola(best: float, found: float) -> None:
+@pytest.mark.parametrize(("best", "actual"), [(0.3, 0.3), (-1.9, -1.9), (2.0, 2.0), (7.0, 2.0), (-7.0, -2.0)])
+def test_the_lowest_place_of_a_parabola(best: float, actual: float) -> None:
     places = np.linspace(-2, 2, 9)[None].repeat(2, 0)
-    assert lowest(places, (places - best) ** 2) == pytest.approx([found, found])
+    assert lowest(places, (places - best) ** 2) == pytest.approx([actual, actual])
 
 
 def test_rounds_are_evenly_spaced(images: np.ndarray) -> None:

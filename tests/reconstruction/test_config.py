@@ -12,11 +12,11 @@ import pytest
 
 from sarsplat import Config, SarsplatError
 from sarsplat.gaussians import SCATTERINGS
+from sarsplat.names import ScatteringName
 from sarsplat.reconstruction.config import (
     Densification,
     PointExtraction,
     Rates,
-    ScatteringName,
     Surroundings,
 )
 from sarsplat.reconstruction.presets import PRESETS, preset
@@ -83,15 +83,15 @@ def changed(path: str, value: Any) -> dict[str, Any]:
 def test_wrong_values_are_refused_in_a_short_sentence(path: str, value: Any, allowed: str) -> None:
     with pytest.raises(SarsplatError) as refusal:
         Config.from_dict(changed(path, value), "my.json")
-    told = str(refusal.value)
-    assert told.startswith(f"my.json: {path} is ")
-    assert allowed in told
-    assert len(told) < 400
-    assert "\n" not in told
+    message = str(refusal.value)
+    assert message.startswith(f"my.json: {path} is ")
+    assert allowed in message
+    assert len(message) < 400
+    assert "\n" not in message
 
 
 @pytest.mark.parametrize(
-    ("path", "told"),
+    ("path", "message"),
     [
         ("warmth", "the setting 'warmth' is unknown; remove it"),
         ("iteratons", "the setting 'iteratons' is unknown; did you mean iterations?"),
@@ -100,10 +100,10 @@ def test_wrong_values_are_refused_in_a_short_sentence(path: str, value: Any, all
         ("x" * 5000, "is unknown"),
     ],
 )
-def test_unknown_settings_are_refused(path: str, told: str) -> None:
+def test_unknown_settings_are_refused(path: str, message: str) -> None:
     with pytest.raises(SarsplatError) as refusal:
         Config.from_dict(changed(path, 1))
-    assert told in str(refusal.value)
+    assert message in str(refusal.value)
     assert len(str(refusal.value)) < 600
 
 

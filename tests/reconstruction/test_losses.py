@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from sarsplat.errors import SarsplatError
-from sarsplat.reconstruction import fused, preset
+from sarsplat.reconstruction import adam, preset
 from sarsplat.reconstruction.losses import (
     ImageScale,
     amplitude_loss,
@@ -40,15 +40,15 @@ def pair(views: int, rows: int, columns: int) -> tuple[torch.Tensor, torch.Tenso
 @pytest.mark.parametrize("how", [*AVAILABLE, "plain"])
 def test_amplitude_loss_and_its_gradient_are_those_of_float64(shape, weight, how, monkeypatch) -> None:
     if how == "plain":
-        monkeypatch.setattr(fused, "takes", lambda tensors: False)
+        monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
     else:
-        monkeypatch.setattr(fused.cpu, "Pass", partial(cpu.Pass, how))
+        monkeypatch.setattr(adam.cpu, "Pass", partial(cpu.Pass, how))
     power, truth = pair(*shape)
     mine, theirs = power.clone().requires_grad_(), power.double().requires_grad_()
-    found = amplitude_loss(mine, truth, 2.0, weight)
+    actual = amplitude_loss(mine, truth, 2.0, weight)
     expected = plain_amplitude_loss(theirs, truth.double(), 2.0, weight)
-    assert float(found.detach()) == pytest.approx(float(expected.detach()), rel=1e-5)
-    (3.0 * found).backward()
+    assert float(actual.detach()) == pytest.approx(float(expected.detach()), rel=1e-5)
+    (3.0 * actual).backward()
     (3.0 * expected).backward()
     assert float(theirs.grad.norm()) > 0
     assert float((mine.grad - theirs.grad).norm() / theirs.grad.norm()) < 1e-5
@@ -56,16 +56,16 @@ def test_amplitude_loss_and_its_gradient_are_those_of_float64(shape, weight, how
 
 def test_threads_change_nothing(threads) -> None:
     power, truth = pair(2, 100, 90)
-    found = []
+    actual = []
     for count in (1, 2, 3):
         threads(count)
         leaf = power.clone().requires_grad_()
         loss = amplitude_loss(leaf, truth, 2.0, 0.2)
         loss.backward()
-        found.append((loss.detach(), leaf.grad))
-    for loss, gradient in found[1:]:
-        assert torch.equal(loss, found[0][0])
-        assert torch.equal(gradient, found[0][1])
+        actual.append((loss.detach(), leaf.grad))
+    for loss, gradient in actual[1:]:
+        assert torch.equal(loss, actual[0][0])
+        assert torch.equal(gradient, actual[0][1])
 
 
 def test_the_slope_is_finite_at_zero() -> None:
@@ -116,27 +116,27 @@ def test_speckle_likelihood_is_best_at_the_mean_intensity() -> None:
 def test_speckle_of_a_target_alone_has_a_likelihood_where_the_image_is_black_and_in_any_unit() -> None:
     power, _ = pair(2, 20, 20)
     rendered = torch.where(power > power.median(), power, 0.0)
-    found = []
+    actual = []
     for unit in (1.0, 1e-6, 1e6):
         loss = named_loss(preset("speckled"), ImageScale(unit * float(power.max()), 1.0))
         image = (unit * rendered).requires_grad_()
         value = loss(image, unit * power)
         value.backward()
         assert (image.grad < 0)[(rendered == 0) & (power > 0)].all()  # what is missing is asked for
-        found.append(value.item())
+        actual.append(value.item())
         assert value > loss(unit * power, unit * power)
-    assert found == pytest.approx([found[0]] * 3, rel=1e-4)
+    assert actual == pytest.approx([actual[0]] * 3, rel=1e-4)
 
 
 @pytest.mark.parametrize("name", ["default", "speckled", "measured"])
 def test_no_named_loss_depends_on_the_unit_of_power(name) -> None:
     truth, _ = pair(2, 20, 20)
     truth += 0.01
-    found = []
+    actual = []
     for unit in (1.0, 1e-6, 1e6):
         loss = named_loss(preset(name), ImageScale(unit * float(truth.max()), unit * float(truth.mean())))
-        found.append(loss(unit * truth.flip(1), unit * truth).item())
-    assert found == pytest.approx([found[0]] * 3, rel=1e-4)
+        actual.append(loss(unit * truth.flip(1), unit * truth).item())
+    assert actual == pytest.approx([actual[0]] * 3, rel=1e-4)
 
 
 @pytest.mark.parametrize("wrong", [torch.ones(1, 4, 5), torch.ones(1, 4, 4, dtype=torch.float64)])

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import os
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
@@ -42,16 +39,6 @@ def test_a_run_in_a_folder_of_images_in_memory_is_evaluated(in_memory: Dataset, 
     other = replace(in_memory, power=2 * in_memory.power)
     with pytest.raises(SarsplatError, match="was made from another dataset than"):
         Run.load(tmp_path / "run", dataset=other)
-
-
-def test_a_run_from_before_there_were_methods_is_opened(finished: Run, tmp_path: Path):
-    shutil.copytree(finished.folder, tmp_path / "run")
-    header = json.loads((tmp_path / "run" / "config.json").read_text())
-    assert header.pop("method") == "sar-gs"
-    (tmp_path / "run" / "config.json").write_text(json.dumps(header))
-    old = Run.load(tmp_path / "run")
-    assert old.method == "sar-gs"
-    np.testing.assert_array_equal(old.gaussians.means, finished.gaussians.means)
 
 
 def test_settings_of_another_method_are_refused(dataset: Dataset, config: Config):

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar, Self
 
 import pytest
 import torch
 
-from sarsplat import Dataset, preset
-from sarsplat.reconstruction import Trainer, fused
+from sarsplat import Dataset, Run, preset, reconstruct
+from sarsplat.gaussians import SCATTERINGS, Scattering
+from sarsplat.reconstruction import Config, Trainer, adam
 from sarsplat.reconstruction.optimiser import Optimiser
 from sarsplat.reconstruction.parts.part import Learned
 from sarsplat.renderer import cpu
@@ -61,7 +64,7 @@ def test_every_step_is_torchs(how: str) -> None:
         for k in range(tensor[0].numel())
     }
     groups = [{"params": [tensor], "column": key} for key, tensor in columns.items()]
-    adam = torch.optim.Adam(groups, lr=0.0, betas=(0.9, 0.99), eps=1e-15)
+    torchs = torch.optim.Adam(groups, lr=0.0, betas=(0.9, 0.99), eps=1e-15)
     generator = torch.Generator().manual_seed(4)
     for iteration in range(30):
         for name, shape in SHAPES.items():
@@ -73,24 +76,24 @@ def test_every_step_is_torchs(how: str) -> None:
                 gradient *= mine[name].detach()
             for k in range(gradient[0].numel()):
                 columns[name, k].grad = gradient.view(len(gradient), -1)[:, k]
-        for group in adam.param_groups:
+        for group in torchs.param_groups:
             name, column = group["column"]
             rates = LEARNED[name].rates
             group["lr"] = rates[column if len(rates) > 1 else 0] * LEARNED[name].decay(iteration / ITERATIONS)
         optimiser.step(iteration)
-        adam.step()
+        torchs.step()
         with torch.no_grad():
             for name, (low, high) in bounds.items():
                 theirs[name].clamp_(low, high)
         for name in SHAPES:
             assert mine[name].grad is None
-            found = mine[name].log() if name == "optical_depth" else mine[name]
-            assert torch.allclose(found, theirs[name], rtol=1e-5, atol=1e-6), (name, iteration)
+            actual = mine[name].log() if name == "optical_depth" else mine[name]
+            assert torch.allclose(actual, theirs[name], rtol=1e-5, atol=1e-6), (name, iteration)
     for (name, k), tensor in columns.items():
         for moment in ("exp_avg", "exp_avg_sq"):
-            found, expected = optimiser.state[name][moment], adam.state[tensor][moment]
-            found = found.view(len(found), -1)[:, k]
-            assert float((found - expected).norm() / expected.norm()) < 3e-6
+            actual, expected = optimiser.state[name][moment], torchs.state[tensor][moment]
+            actual = actual.view(len(actual), -1)[:, k]
+            assert float((actual - expected).norm() / expected.norm()) < 3e-6
 
 
 def test_no_step_leaves_the_positive_numbers(how: str) -> None:
@@ -107,11 +110,11 @@ def test_no_step_leaves_the_positive_numbers(how: str) -> None:
 @pytest.fixture(params=[*AVAILABLE, "plain"])
 def how(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The engine with each instruction set that this processor has, and without it."""
-    adam = cpu.adam
+    engine = cpu.adam
     if request.param == "plain":
-        monkeypatch.setattr(fused, "takes", lambda tensors: False)
+        monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
     else:
-        monkeypatch.setattr(fused.cpu, "adam", lambda *arguments: adam(*arguments, instruction_set=request.param))
+        monkeypatch.setattr(adam.cpu, "adam", lambda *arguments: engine(*arguments, instruction_set=request.param))
     return request.param
 
 
@@ -133,7 +136,7 @@ def test_every_parameter_needs_a_gradient() -> None:
 
 def test_threads_change_nothing() -> None:
     usual = torch.get_num_threads()
-    found = []
+    actual = []
     try:
         for threads in (1, 2, 3):
             torch.set_num_threads(threads)
@@ -143,12 +146,12 @@ def test_threads_change_nothing() -> None:
                 for tensor in parameters.values():
                     tensor.grad = tensor.detach().sin()
                 optimiser.step(iteration)
-            found.append(parameters)
+            actual.append(parameters)
     finally:
         torch.set_num_threads(usual)
-    for parameters in found[1:]:
+    for parameters in actual[1:]:
         for name in SHAPES:
-            assert torch.equal(parameters[name], found[0][name])
+            assert torch.equal(parameters[name], actual[0][name])
 
 
 def test_state_comes_back(how: str) -> None:
@@ -170,8 +173,40 @@ def test_state_comes_back(how: str) -> None:
 
 
 def test_tables_of_more_columns_than_the_engine_steps_are_left_to_plain_torch() -> None:
-    assert fused.takes([torch.zeros(5, 16), torch.zeros(40), torch.zeros(2, 40, 48)])
-    assert not fused.takes([torch.zeros(5, 3), torch.zeros(5, 48)])
+    assert adam.engine_takes([torch.zeros(5, 16), torch.zeros(40), torch.zeros(2, 40, 48)])
+    assert not adam.engine_takes([torch.zeros(5, 3), torch.zeros(5, 48)])
+
+
+@dataclass(frozen=True)
+class Waves(Scattering):
+    """A law of one's own with 48 columns: waves in azimuth."""
+
+    kind: ClassVar[str] = "normal-lobes"  # instead of that, whose name configurations know
+
+    def _misfit(self) -> str | None:
+        return None if self.parameters.shape[1:] == (48,) else "it must be (N, 48)"
+
+    def amplitudes(self, directions: torch.Tensor, quaternions: torch.Tensor, scales: torch.Tensor) -> torch.Tensor:
+        azimuth = torch.atan2(directions[:, 1], directions[:, 0])
+        waves = torch.cos(azimuth[:, None] * torch.arange(48, device=azimuth.device))
+        return self.p_min + torch.nn.functional.softplus(waves @ self.parameters.T)[:, :, None]
+
+    @classmethod
+    def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
+        level = math.log(math.expm1(gamma0 - p_min + 1e-3 if gamma0 > p_min else 1e-3))
+        return cls(torch.cat([torch.full((count, 1), level), torch.zeros(count, 47)], 1), p_min)
+
+
+def test_a_law_of_48_columns_is_learned_and_saved(
+    dataset: Dataset, config: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(SCATTERINGS, Waves.kind, Waves)
+    short = replace(config, iterations=30, gaussians=300, scattering=Waves.kind)
+    run = reconstruct(dataset, short, tmp_path / "run", quiet=True)
+    assert run.history[-1].loss < 0.8 * run.history[0].loss
+    parameters = Run.load(tmp_path / "run").gaussians.scattering.parameters
+    assert parameters.shape == (300, 48)
+    assert bool((parameters.abs().amax(0) > 0).all())  # every column was stepped
 
 
 @pytest.mark.parametrize("preset_name", ["default", "paper", "measured"])

@@ -62,8 +62,8 @@ def test_of_few_views_a_fifth_is_enough(ball_with_a_hole: Gaussians) -> None:
 def test_views_between_neighbours_alone() -> None:
     ring = [View(azimuth, 30.0) for azimuth in (0.0, 90.0, 180.0, 270.0)]
     grazing = np.degrees(np.arctan(np.tan(np.radians(30)) / np.cos(np.radians(45))))
-    found = sorted((view.azimuth_deg, view.grazing_deg) for view in between([*ring, ring[0]]))
-    assert found == [pytest.approx((azimuth, grazing)) for azimuth in (45, 135, 225, 315)]  # opposite ones see others
+    actual = sorted((view.azimuth_deg, view.grazing_deg) for view in between([*ring, ring[0]]))
+    assert actual == [pytest.approx((azimuth, grazing)) for azimuth in (45, 135, 225, 315)]  # opposite ones see others
     assert between(ring[:1]) == []
 
 

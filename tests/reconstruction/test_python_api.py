@@ -63,11 +63,11 @@ def test_a_run_renders_where_it_is_told_to(finished: Run) -> None:
 
 
 def test_every_step_is_told(dataset: Dataset, short: Config) -> None:
-    told: list[Step] = []
-    run = reconstruct(dataset, short, on_step=told.append, quiet=True)
-    assert [step.iteration for step in told] == [1, 2, 3, 4, 5, 6]
-    assert all(step.loss.shape == () and step.loss > 0 for step in told)
-    assert torch.equal(told[-1].trainer.gaussians.means, run.gaussians.means)
+    message: list[Step] = []
+    run = reconstruct(dataset, short, on_step=message.append, quiet=True)
+    assert [step.iteration for step in message] == [1, 2, 3, 4, 5, 6]
+    assert all(step.loss.shape == () and step.loss > 0 for step in message)
+    assert torch.equal(message[-1].trainer.gaussians.means, run.gaussians.means)
 
 
 def test_a_watcher_ends_the_training_and_has_a_run(dataset: Dataset, short: Config, tmp_path: Path) -> None:

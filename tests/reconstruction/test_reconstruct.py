@@ -202,8 +202,8 @@ def test_priors_are_nats_of_normal_distributions(dataset: Dataset) -> None:
     grid, count = dataset.grid, len(dataset.select("train"))
     samples = count * grid.rows * grid.columns * np.prod(grid.spacing_m) / np.prod(grid.resolution_m)
     with torch.no_grad():
-        found = float(model.penalty()) * samples
-    assert found == pytest.approx((2**2 + 3**2 + 4**2 + 5**2) / 2 + 20 * 0.3 * np.log(2), rel=1e-4)
+        actual = float(model.penalty()) * samples
+    assert actual == pytest.approx((2**2 + 3**2 + 4**2 + 5**2) / 2 + 20 * 0.3 * np.log(2), rel=1e-4)
 
 
 def test_dropped_gaussians_are_made_up_for(dataset: Dataset) -> None:

@@ -69,9 +69,9 @@ def angles(views: list[View]) -> list[tuple[float, float]]:
 
 def test_views_halfway_between_neighbours() -> None:
     ring = [View(90.0 * k, 20.0) for k in range(4)]
-    found = angles(between(ring))
-    assert [azimuth for azimuth, _ in found] == [45, 135, 225, 315]  # and none from above, between opposite ones
-    assert {grazing for _, grazing in found} == {27.24}  # on the great circle: tan 20° / cos 45°
+    actual = angles(between(ring))
+    assert [azimuth for azimuth, _ in actual] == [45, 135, 225, 315]  # and none from above, between opposite ones
+    assert {grazing for _, grazing in actual} == {27.24}  # on the great circle: tan 20° / cos 45°
     assert between(ring[:1]) == []
     assert angles(between([*ring[:2], ring[0]])) == [(45.0, 27.24)]
 

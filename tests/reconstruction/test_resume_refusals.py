@@ -49,9 +49,9 @@ def content(folder: Path) -> dict[str, bytes]:
     return {str(path): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-def refused(begun: Path, dataset: Dataset, config: Config, told: str) -> None:
+def refused(begun: Path, dataset: Dataset, config: Config, message: str) -> None:
     before = content(begun)
-    with pytest.raises(SarsplatError, match=told):
+    with pytest.raises(SarsplatError, match=message):
         reconstruct(dataset, config, begun, resume=True)
     assert content(begun) == before
 
@@ -74,7 +74,7 @@ def test_a_dataset_that_was_changed_in_place(begun: Path, dataset: Dataset) -> N
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"seed": 1}, "started with seed 0, not 1; resume it with the same settings"),
         ({"p_min": 0.031}, "started with p_min 0.03, not 0.031"),
@@ -84,14 +84,14 @@ def test_a_dataset_that_was_changed_in_place(begun: Path, dataset: Dataset) -> N
         ({"iterations": 3, "seed": 1}, "started with seed 0, not 1"),
     ],
 )
-def test_other_settings(begun: Path, dataset: Dataset, change: dict[str, Any], told: str) -> None:
-    refused(begun, dataset, replace(CONFIG, **change), told)
+def test_other_settings(begun: Path, dataset: Dataset, change: dict[str, Any], message: str) -> None:
+    refused(begun, dataset, replace(CONFIG, **change), message)
 
 
 def test_fewer_iterations_than_are_done(dataset: Dataset, tmp_path: Path) -> None:
     reconstruct(dataset, CONFIG, tmp_path / "run")
-    told = "has already done 2 iterations, more than 1"
-    refused(tmp_path / "run", dataset, replace(CONFIG, iterations=1), told)
+    message = "has already done 2 iterations, more than 1"
+    refused(tmp_path / "run", dataset, replace(CONFIG, iterations=1), message)
 
 
 @pytest.mark.parametrize("done", [1, 2])
@@ -118,6 +118,10 @@ def newer_schema(header: dict[str, Any]) -> None:
     header["schema_version"] += 1
 
 
+def older_schema(header: dict[str, Any]) -> None:
+    header["schema_version"] -= 1
+
+
 def unknown_setting(header: dict[str, Any]) -> None:
     header["config"]["warmth"] = 1
 
@@ -131,19 +135,20 @@ def unknown_rate(header: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
-        (newer_schema, "schema_version is 4 but this program reads 3; give a run, or reconstruct it again"),
+        (newer_schema, "schema_version is 5 but this program reads 4; give a run, or reconstruct it again"),
+        (older_schema, "was written by an older version; reconstruct it again with --overwrite"),
         (unknown_setting, "config.json: the setting 'warmth' is unknown"),
         (missing_setting, "the setting p_min is missing"),
         (unknown_rate, "config.json: the setting 'rates.warmth' is unknown"),
     ],
 )
-def test_another_version(begun: Path, dataset: Dataset, change: Callable[[dict[str, Any]], None], told: str) -> None:
+def test_another_version(begun: Path, dataset: Dataset, change: Callable[[dict[str, Any]], None], message: str) -> None:
     header = json.loads((begun / "config.json").read_text())
     change(header)
     (begun / "config.json").write_text(json.dumps(header))
-    refused(begun, dataset, CONFIG, told)
+    refused(begun, dataset, CONFIG, message)
 
 
 def test_a_checkpoint_of_another_version(begun: Path, dataset: Dataset) -> None:
@@ -180,10 +185,10 @@ def test_a_checkpoint_no_training_can_reach(begun: Path, dataset: Dataset, chang
     assert newest is not None
     tensors, state = load_checkpoint(newest)
     save_checkpoint(newest, tensors, {**state, **change})
-    told = f"{newest.name} does not record how far the training had got"
-    refused(begun, dataset, CONFIG, told)
+    message = f"{newest.name} does not record how far the training had got"
+    refused(begun, dataset, CONFIG, message)
     for name in ("time_s", "iteration"):
-        with pytest.raises(SarsplatError, match=told):
+        with pytest.raises(SarsplatError, match=message):
             getattr(Run.load(begun), name)
 
 

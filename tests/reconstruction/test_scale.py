@@ -50,18 +50,18 @@ def test_a_scaled_scene_is_learned_alike(original: Run, dataset: Dataset, factor
     assert np.median(off) < 0.15
     assert np.quantile(off, 0.95) < 0.8
     for name in ("means", "shift") if original.config.surroundings else ("means",):
-        found, expected = (run.model.parameters[name].detach() for run in (scaled, original))
-        assert float((found / factor - expected).norm() / expected.norm()) < 0.01, name
+        actual, expected = (run.model.parameters[name].detach() for run in (scaled, original))
+        assert float((actual / factor - expected).norm() / expected.norm()) < 0.01, name
 
 
 def test_what_was_chosen_is_told_in_one_line(dataset: Dataset, capsys: pytest.CaptureFixture[str]) -> None:
-    told = {
+    message = {
         0.3: "lengths from 0.3 m resolution cells: start 0.081 m, sizes 0.02 … 0.25 m, steps 0.02 → 0.00099 m, "
         "rays 0.15, then 0.075 m, voxels 0.025 m",
         3.0: "lengths from 3 m resolution cells: start 0.81 m, sizes 0.2 … 2.5 m, steps 0.2 → 0.0099 m, "
         "rays 1.5, then 0.75 m, voxels 0.25 m",
     }
-    for cell, sentence in told.items():
+    for cell, sentence in message.items():
         assert lengths(Config(), ImageGrid(8, 8, (cell, cell), (cell, cell))) == sentence
     config = replace(preset("default"), iterations=1, gaussians=20)
     for quiet in (False, True):

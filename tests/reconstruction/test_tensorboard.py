@@ -36,32 +36,32 @@ def dataset() -> Dataset:
 
 
 def read(folder: Path) -> EventAccumulator:
-    found = EventAccumulator(str(folder), size_guidance={"images": 0, "scalars": 0})
-    found.Reload()
-    return found
+    actual = EventAccumulator(str(folder), size_guidance={"images": 0, "scalars": 0})
+    actual.Reload()
+    return actual
 
 
-def steps(found: EventAccumulator, tag: str) -> list[int]:
-    return [event.step for event in found.Scalars(tag)]
+def steps(actual: EventAccumulator, tag: str) -> list[int]:
+    return [event.step for event in actual.Scalars(tag)]
 
 
 def test_curves_and_images(dataset: Dataset, tmp_path: Path) -> None:
     run = reconstruct(dataset, CONFIG, on_step=TensorBoard(tmp_path / "log", dataset), quiet=True)
-    found = read(tmp_path / "log")
-    assert steps(found, "loss") == list(range(1, 13))
-    logged = [event.value for event in found.Scalars("loss")]
+    actual = read(tmp_path / "log")
+    assert steps(actual, "loss") == list(range(1, 13))
+    logged = [event.value for event in actual.Scalars("loss")]
     np.testing.assert_allclose(logged, [line.loss for line in run.history], rtol=1e-6)
-    assert [event.value for event in found.Scalars("Gaussians")] == [len(run.gaussians)] * 12
-    assert all(event.value > 0 for event in found.Scalars("seconds per step"))
-    assert found.Scalars("terms/scattering penalty")[0].value > 0
-    rates = [event.value for event in found.Scalars("learning rate/means")]
+    assert [event.value for event in actual.Scalars("Gaussians")] == [len(run.gaussians)] * 12
+    assert all(event.value > 0 for event in actual.Scalars("seconds per step"))
+    assert actual.Scalars("terms/scattering penalty")[0].value > 0
+    rates = [event.value for event in actual.Scalars("learning rate/means")]
     assert rates == sorted(rates, reverse=True)
     assert rates[-1] < rates[0]
-    tags = found.Tags()["images"]
+    tags = actual.Tags()["images"]
     assert {tag.split(",")[0] for tag in tags} == {"train 000", "train 003", "test 006"}
-    rendered = found.Images("test 006, azimuth 20°, grazing 30°/rendered")
+    rendered = actual.Images("test 006, azimuth 20°, grazing 30°/rendered")
     assert [event.step for event in rendered] == [1, 2, 3, 4, 6, 8, 11, 12]
-    (truth,) = found.Images("train 003, azimuth 180°, grazing 40°/truth")
+    (truth,) = actual.Images("train 003, azimuth 180°, grazing 40°/truth")
     image = pytest.importorskip("PIL.Image").open(io.BytesIO(truth.encoded_image_string))
     shown = np.asarray(image.convert("L"))
     assert shown.shape == (16, 14)
@@ -119,11 +119,11 @@ def test_other_methods_are_logged_too(dataset: Dataset, tmp_path: Path) -> None:
     method = "sar-nerf-grid"
     settings = replace(METHODS[method].preset("auto", dataset), iterations=3)
     reconstruct(dataset, settings, method=method, on_step=TensorBoard(tmp_path, dataset, test_views=0), quiet=True)
-    found = read(tmp_path)
-    assert steps(found, "loss") == [1, 2, 3]
-    assert "learning rate/group 0" in found.Tags()["scalars"]
-    assert "Gaussians" not in found.Tags()["scalars"]
-    assert len(found.Images("train 000, azimuth 0°, grazing 40°/rendered")) == 3
+    actual = read(tmp_path)
+    assert steps(actual, "loss") == [1, 2, 3]
+    assert "learning rate/group 0" in actual.Tags()["scalars"]
+    assert "Gaussians" not in actual.Tags()["scalars"]
+    assert len(actual.Images("train 000, azimuth 0°, grazing 40°/rendered")) == 3
 
 
 KILLED = """
@@ -152,9 +152,9 @@ def test_a_killed_process_leaves_a_log_that_can_be_read(dataset: Dataset, tmp_pa
     assert steps(read(out / "tensorboard"), "loss") == list(range(1, 10))
     if name == "SIGTERM":
         assert done.returncode == 128 + signal.SIGTERM
-        told = " ".join(done.stderr.split())
-        assert f"terminated; {out} keeps the progress so far; continue with" in told
-        assert "Ctrl-C" not in told
+        message = " ".join(done.stderr.split())
+        assert f"terminated; {out} keeps the progress so far; continue with" in message
+        assert "Ctrl-C" not in message
 
 
 def test_without_tensorboard_it_is_said_before_the_training(

@@ -69,7 +69,7 @@ def test_threads_change_nothing(dataset: Dataset, kind: str) -> None:
 def test_threads_do_not_change_what_many_gaussians_cost(dataset: Dataset, changes: dict[str, Any]) -> None:
     """More of them than torch sums on one thread, 2^15 numbers."""
     generator = torch.Generator().manual_seed(0)
-    usual, found = torch.get_num_threads(), []
+    usual, actual = torch.get_num_threads(), []
     model = SceneModel.initial(replace(preset("default"), gaussians=40_000, **changes), dataset, generator)
     scattering = model.parameters["scattering"]
     with torch.no_grad():
@@ -78,11 +78,11 @@ def test_threads_do_not_change_what_many_gaussians_cost(dataset: Dataset, change
         for threads in (1, 2, 3):
             torch.set_num_threads(threads)
             (spread,) = model.penalties().values()
-            found.append((spread.item(), torch.autograd.grad(spread, scattering)[0]))
+            actual.append((spread.item(), torch.autograd.grad(spread, scattering)[0]))
     finally:
         torch.set_num_threads(usual)
-    assert len({spread for spread, _ in found}) == 1
-    assert all(torch.equal(gradient, found[0][1]) for _, gradient in found[1:])
+    assert len({spread for spread, _ in actual}) == 1
+    assert all(torch.equal(gradient, actual[0][1]) for _, gradient in actual[1:])
 
 
 def train(dataset: Dataset, out: Path, threads: int, kind: str, kill_at: str = "") -> int:

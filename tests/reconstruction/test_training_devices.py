@@ -19,7 +19,7 @@ from torch.utils._pytree import tree_leaves
 from sarsplat import Dataset, ImageGrid, Run, View, preset, reconstruct
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
-from sarsplat.reconstruction import Config, Step, Trainer, extract_points, fused, model, points
+from sarsplat.reconstruction import Config, Step, Trainer, adam, extract_points, model, points
 from sarsplat.reconstruction.config import Densification, Relocation
 from sarsplat.reconstruction.dropout import dropped
 from sarsplat.renderer import Rendering
@@ -145,9 +145,9 @@ def test_every_tensor_is_made_on_the_trainings_device(name: str, dataset: Datase
 
     usual, points = trained()
     with torch.device("meta"):
-        found, found_points = trained()
+        actual, found_points = trained()
     for key, tensor in usual.model.parameters.items():
-        assert torch.equal(found.model.parameters[key], tensor), key
+        assert torch.equal(actual.model.parameters[key], tensor), key
     assert np.array_equal(found_points, points)
 
 
@@ -170,16 +170,16 @@ def test_the_cuda_engines_source_learns_as_the_cpus(
     """Its kernels are emulated; loss and Adam are plain torch."""
     expected, usual = train(dataset, CONFIGS[name], steps)
     monkeypatch.setattr(model, "render", partial(render_on, Emulator(library)))
-    monkeypatch.setattr(fused, "takes", lambda tensors: False)
-    found, other = train(dataset, CONFIGS[name], steps)
+    monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
+    actual, other = train(dataset, CONFIGS[name], steps)
     # nats have no zero of their own, and cross it: what counts is how far they have come
     far = 1e-3 * float(expected.max() - expected.min()) if name == "measured" else 0.0
-    assert torch.allclose(found, expected, rtol=1e-3, atol=far)
+    assert torch.allclose(actual, expected, rtol=1e-3, atol=far)
     assert len(other.model) == len(usual.model)
     if name == "density":
         assert len(usual.model) != 200
     if name == "amplitude":
-        assert float(found[-10:].mean()) < 0.7 * float(found[:10].mean())
+        assert float(actual[-10:].mean()) < 0.7 * float(actual[:10].mean())
 
 
 @pytest.mark.parametrize("name", CONFIGS)
@@ -199,7 +199,7 @@ def test_a_step_of_the_cuda_engine_never_looks_at_a_number(
         return look
 
     monkeypatch.setattr(model, "render", partial(render_on, Emulator(library)))
-    monkeypatch.setattr(fused, "takes", lambda tensors: False)
+    monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
     trainer = Trainer(dataset, CONFIGS[name])
     trainer.step()  # which draws the order of the views, on the CPU
     for method in ("tolist", "item", "numpy", "cpu", "nonzero", "__bool__", "__float__", "__int__", "__index__"):
@@ -214,7 +214,7 @@ def test_what_goes_wrong_is_told_when_the_log_is_written_and_never_saved(
     dataset: Dataset, library: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(model, "render", partial(render_on, Emulator(library)))
-    monkeypatch.setattr(fused, "takes", lambda tensors: False)
+    monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
 
     def move_out(step: Step) -> None:
         if step.iteration == 3:
@@ -244,6 +244,6 @@ def test_points_of_the_cuda_engines_source_are_the_cpus(
     how = finished.config.points
     expected = extract_points(finished.gaussians, views, dataset.grid, how)
     monkeypatch.setattr(points, "render", partial(render_on, Emulator(library)))
-    found = extract_points(finished.gaussians, views, dataset.grid, how)
-    assert len(found) == len(expected) > 100
-    assert np.abs(found - expected).max() < 1e-3
+    actual = extract_points(finished.gaussians, views, dataset.grid, how)
+    assert len(actual) == len(expected) > 100
+    assert np.abs(actual - expected).max() < 1e-3

@@ -19,7 +19,7 @@ from sarsplat.data import Dataset, read_masks, write_mesh
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.reconstruction.method import Inputs, Method, Reconstruction
-from sarsplat.reconstruction.run import MESH, Run
+from sarsplat.reconstruction.run import MESH
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.scenes import load_mesh
 from sarsplat.scenes.raycast import Facets, first_hits
@@ -71,17 +71,22 @@ class BaselineMethod(Method):
         return self.defaults
 
     def trainer(
-        self, dataset: Dataset, config: BaselineConfig, inputs: Inputs, device: torch.device, begun: Run | None
+        self,
+        dataset: Dataset,
+        config: BaselineConfig,
+        inputs: Inputs,
+        device: torch.device,
+        begun: Callable[[], Reconstruction] | None,
     ) -> BaselineTrainer:
         """See `Method`; a resumed training keeps its masks."""
         if begun is None:
             masks = None if inputs.masks is None else read_masks(inputs.masks, dataset, ("train",))
             scene = scene_of(dataset, None if masks is None else np.stack([*masks.values()]))
         elif inputs.masks is None:
-            opened: Any = begun.reconstruction  # by `open`, with errors that name the checkpoint
+            opened: Any = begun()  # by `open`, with errors that name the checkpoint
             scene = opened.baseline.scene
         else:
-            raise SarsplatError(f"{begun.path} keeps the masks it was started with; omit the masks {inputs.masks}")
+            raise SarsplatError(f"the run keeps the masks it was started with; omit the masks {inputs.masks}")
         return BaselineTrainer(dataset, config, self.model(scene, config), device)
 
     def open(

@@ -29,7 +29,7 @@ class Scattering(ABC):
     """What N Gaussians scatter towards u per area projected along the line of sight, dimensionless; first of all γ⁰(u).
 
     To add a law, derive from this class, name its `kind`, add it to `SCATTERINGS` (sarsplat/gaussians/__init__.py), and
-    its name to `ScatteringName` (sarsplat/reconstruction/config.py). Everything else finds it there. Settings of a law
+    its name to `ScatteringName` (sarsplat/names.py). Everything else finds it there. Settings of a law
     that are not learned are further fields; they must be what JSON can hold.
 
     Parameters

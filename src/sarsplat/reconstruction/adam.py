@@ -1,19 +1,34 @@
-"""One step of Adam in plain torch, on any device and without waiting for it."""
+"""One step of Adam: by the CPU engine in one call, or in plain torch on any device, without waiting for it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sarsplat.renderer import cpu, structs
+
 BETA1, BETA2, EPSILON = 0.9, 0.99, 1e-15
 
 _LARGEST_FACTOR = 2.0**99
 """By which one step may change a positive parameter: its bounds are reached, and float32 is not left."""
+
+
+_MAX_COLUMNS = len(structs.AdamGroup().rate)
+
+
+def engine_takes(tensors: Iterable[Tensor]) -> bool:
+    """Whether the CPU engine can compute with these: float32 on the CPU, tables of at most 16 columns."""
+    return all(
+        tensor.dtype == torch.float32
+        and tensor.device.type == "cpu"
+        and (tensor.ndim != 2 or tensor.shape[1] <= _MAX_COLUMNS)
+        for tensor in tensors
+    )
 
 
 @dataclass(frozen=True)
@@ -64,3 +79,29 @@ def step(tensors: Sequence[Stepped], gradients: Sequence[Tensor], decays: Sequen
         value = tensor.value
         moved = value * (-down).clamp(-max_log_factor, max_log_factor).exp() if tensor.logarithmic else value - down
         value.copy_(moved.clamp(tensor.low, tensor.high))  # NaN stays NaN: the next rendering says so
+
+
+class EngineAdam:
+    """`step` on parameters of at most 16 columns, whose memory the engine writes in place."""
+
+    def __init__(self, tensors: Sequence[Stepped]) -> None:
+        self._tensors = tensors  # kept alive: the engine has their addresses only
+        self._groups = (structs.AdamGroup * len(tensors))()
+        for group, tensor in zip(self._groups, tensors):
+            group.value, group.mean, group.square = (t.data_ptr() for t in (tensor.value, tensor.mean, tensor.square))
+            columns = len(tensor.rates)
+            group.rows, group.columns = len(tensor.value), columns
+            group.logarithmic = tensor.logarithmic
+            group.rate[:columns], group.low[:columns], group.high[:columns] = (
+                numbers.tolist() for numbers in (tensor.rates, tensor.low, tensor.high)
+            )
+
+    def step(self, gradients: Sequence[Tensor], decays: Sequence[float], count: int) -> None:
+        """See the function `step`."""
+        gradients = [gradient.contiguous() for gradient in gradients]  # kept alive until the call is over
+        for group, gradient, decay in zip(self._groups, gradients, decays, strict=True):
+            group.gradient, group.decay = gradient.data_ptr(), decay
+        powers = BETA1**count, BETA2**count
+        cpu.adam(structs.AdamStep(self._groups, len(self._groups), BETA1, BETA2, EPSILON, *powers))
+        # the engine wrote behind torch's back: whoever kept the old values for a backward pass is notified
+        torch.autograd.graph.increment_version([tensor.value for tensor in self._tensors])

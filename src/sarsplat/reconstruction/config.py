@@ -12,6 +12,7 @@ from typing import Annotated, ClassVar, Literal
 from msgspec import Meta
 
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.names import ScatteringName
 from sarsplat.reconstruction.record import Record
 
 Count = Annotated[int, Meta(ge=1, le=100_000_000)]
@@ -27,12 +28,8 @@ OpticalDepth = Annotated[float, Meta(ge=1e-3, le=40)]
 Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Share = Annotated[float, Meta(ge=0, le=1)]
 
-ScatteringName = Literal["harmonics", "normal-lobes"]
-"""The laws of `sarsplat.gaussians.SCATTERINGS`, which is not imported because that would load torch."""
-
-
 DEFAULT_METHOD = "sar-gs"
-"""The method that is meant where none is named, also by the files of old runs."""
+"""The method where none is named."""
 
 
 class AnyConfig(Record):
@@ -291,7 +288,7 @@ class Config(AnyConfig):
         Smallest γ⁰ of a Gaussian.
     scattering_penalty : float
         Weight of differences between the Gaussians' scattering, in units of the loss of black images. Most materials
-        are alike: a thin layer that scatters strongly looks like an opaque one, and costs more.
+        scatter the same: a thin layer that scatters strongly looks like an opaque one, and costs more.
     initial_scale : float
         Standard deviation of a Gaussian at the start, in resolution cells.
     initial_optical_depth : float

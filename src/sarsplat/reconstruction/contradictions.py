@@ -61,7 +61,7 @@ def examine(dataset: Dataset) -> Examination:
     Examination
         Contradictions: angles that look like radians; images that are constant or the same; near range that is not row
         0; azimuths in the opposite sense, or mirrored images; values that are not power; speckle of another number of
-        looks; a resolution that the images do not have. The zero of the azimuth cannot be told from images.
+        looks; a resolution that the images do not have. The zero of the azimuth cannot be determined from images.
     """
     found = Examination()
     found.contradictions.extend(suspicious_angles(dataset.select("train").views))
@@ -117,12 +117,12 @@ def _told_range(shadow: Evidence, match: Match | None, ground: bool) -> str:
     if not ground and match is not None and match.upright.count:
         where = "above" if match.upright.mean >= 0 else "below"
         return f"no ground, so no shadow; what is bright lies {where} the ground, by {_pairs(match.upright)}"
-    return "cannot be told: too few images show shadow, or suit each other"
+    return "cannot be determined: too few images show shadow, or suit each other"
 
 
 def _told_sense(match: Match | None) -> str:
     if match is None or not match.sense.count:
-        return "cannot be told: too few images of neighbouring azimuths (2° to 60° apart)"
+        return "cannot be determined: too few images of neighbouring azimuths (2° to 60° apart)"
     side = "as given" if match.sense.mean >= 0 else "in the opposite sense"
     return f"{_pairs(match.sense)} match better with azimuths {side} (correlation {abs(match.sense.mean):.2f} higher)"
 
@@ -143,7 +143,7 @@ def _statistics(
         which = np.flatnonzero(smooth if smooth.all() else ~smooth)
         _speckle(some, levels[which], [outlines[k] for k in which], some.power[which], found)
     else:
-        found.checks["unit"] = "cannot be told: there is no ground whose speckle could be measured"
+        found.checks["unit"] = "cannot be determined: there is no ground whose speckle could be measured"
     if smooth.any() and "resolution" not in found.checks:
         widths = sharpest_widths_m(some.power[smooth], some.grid)
         _resolution(some, widths or (None, None), "structure", found)
@@ -160,7 +160,7 @@ def _speckle(
 ) -> None:
     ground = clutter(power, levels, outlines, some.grid)
     if ground is None:
-        found.checks["unit"] = "cannot be told: too little ground around the target"
+        found.checks["unit"] = "cannot be determined: too little ground around the target"
         return
     measured = f"standard deviation over mean of the ground is {ground.contrast:.2f}"
     if some.looks is None:
@@ -170,7 +170,7 @@ def _speckle(
                 f"the {measured}, as of speckle with {1 / ground.contrast**2:.1f} looks, but the dataset states no "
                 "speckle; give the number of looks"
             )
-            found.checks["resolution"] = "cannot be told from speckle of unknown looks"
+            found.checks["resolution"] = "cannot be determined from speckle of unknown looks"
         return
     of_power, of_amplitude = contrast_of(some.looks)
     stated = f"{some.looks:g} look{'' if some.looks == 1 else 's'}"
@@ -220,4 +220,4 @@ def _resolution(some: Dataset, widths: tuple[float | None, float | None], by: st
     if told:
         found.checks["resolution"] = f"{how} of {' and '.join(told)}"
     else:
-        found.checks["resolution"] = "cannot be told: neighbouring pixels do not correlate, or too little is seen"
+        found.checks["resolution"] = "cannot be determined: neighbouring pixels do not correlate, or too little is seen"

@@ -1,4 +1,4 @@
-"""What the lengths in a configuration, which are in resolution cells, come to on a dataset."""
+"""What the lengths in a configuration, which are in resolution cells, are in metres on a dataset."""
 
 from __future__ import annotations
 

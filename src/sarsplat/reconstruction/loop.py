@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
-import numpy as np
 import torch
-from jaxtyping import Float32
 from torch import Tensor
 
 from sarsplat.data import Dataset, new_folder, write_bytes
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer, refuse_existing
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import View
 from sarsplat.progress import Reporter
 from sarsplat.reconstruction.config import AnyConfig, refuse_other_settings
 from sarsplat.reconstruction.log import LogLine, log_text
+from sarsplat.reconstruction.method import Trainable
 from sarsplat.reconstruction.run import HEADER, InMemory, Run, require_replaceable
 from sarsplat.reconstruction.snapshot import Snapshot
 
@@ -32,43 +30,6 @@ _SECONDS_UNSEEN = 5.0
 """The progress is shown at least this often, if steps are not longer."""
 
 _CHECKPOINTS_KEPT = 2
-
-
-class Trainable(Protocol):
-    """A training of any method, as the loop sees it."""
-
-    iteration: int
-
-    @property
-    def config(self) -> Any:
-        """Its `AnyConfig`."""
-
-    @property
-    def gaussian_count(self) -> int | None:
-        """Number of Gaussians, if it learns any."""
-
-    def step(self) -> Tensor:
-        """One step; returns the loss, a single number, still on the device."""
-
-    def check(self) -> None:
-        """Wait for the device, and raise what went wrong there."""
-
-    @property
-    def terms(self) -> dict[str, Tensor]:
-        """What the last step minimised besides the loss: single numbers by name, still on the device."""
-
-    @property
-    def learning_rates(self) -> dict[str, float]:
-        """Of the next step, by parameter."""
-
-    def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
-        """β⁰ of any views as they are now, linear power; nothing random is drawn."""
-
-    def snapshot(self, seconds: float) -> Snapshot:
-        """Everything the next step depends on, after so many seconds of training."""
-
-    def restore(self, snapshot: Snapshot) -> None:
-        """Undo `snapshot`."""
 
 
 T = TypeVar("T", bound=Trainable)

@@ -10,14 +10,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.reconstruction import fused
+from sarsplat.reconstruction import adam
 from sarsplat.reconstruction.config import Config
+from sarsplat.renderer import cpu, structs
+from sarsplat.renderer.once import differentiable_once
 
 Loss = Callable[[Tensor, Tensor], Tensor]
 """Of rendered and true images, float32 [V, rows, columns], β⁰ in linear power; one number."""
@@ -73,9 +76,32 @@ def amplitude_loss(
             f"SSIM needs images of at least {SSIM_WINDOW} × {SSIM_WINDOW} pixels, and these have "
             f"{power.shape[1]} × {power.shape[2]}; use larger ones or a preset without SSIM"
         )
-    if fused.takes((power, truth)):
-        return fused.AmplitudeLoss.apply(power, truth, _WINDOW.float(), reference, FLOOR, ssim_weight, C1, C2)
+    if adam.engine_takes((power, truth)):
+        return EngineAmplitudeLoss.apply(power, truth, _WINDOW.float(), reference, FLOOR, ssim_weight, C1, C2)
     return plain_amplitude_loss(power, truth, reference, ssim_weight)
+
+
+class EngineAmplitudeLoss(torch.autograd.Function):
+    """`plain_amplitude_loss`, value and gradient in one go; differentiable once, with respect to `power`."""
+
+    @staticmethod
+    def forward(ctx: Any, power: Tensor, truth: Tensor, window: Tensor, *numbers: float) -> Tensor:
+        """Both images, the window's weights, and reference, floor, λ, C1, C2."""
+        power, truth = power.contiguous(), truth.contiguous()
+        value, gradient = power.new_empty(()), torch.empty_like(power)
+        pointers = (tensor.data_ptr() for tensor in (power, truth, window))
+        cpu.Pass().amplitude_loss(
+            structs.Loss(*power.shape, *pointers, *numbers, value.data_ptr(), gradient.data_ptr())
+        )
+        ctx.save_for_backward(gradient)
+        return value
+
+    @staticmethod
+    @differentiable_once
+    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
+        """Only `power` has a gradient."""
+        (gradient,) = ctx.saved_tensors
+        return gradient * slope, *[None] * 7
 
 
 def plain_amplitude_loss(

@@ -60,13 +60,13 @@ def scene_masks(
     masks = np.full((len(views), grid.rows, grid.columns), CLUTTER, np.uint8)
     if len(scene) == 0:
         return masks
-    alike = target == len(scene)
+    uniform = target == len(scene)
     for mask, view in zip(masks, views, strict=True):  # one at a time: memory stays small
-        of_target, of_ground = _returns(scene, target, view, sharp, rays, alike)
-        if alike:
+        of_target, of_ground = _returns(scene, target, view, sharp, rays, uniform)
+        if uniform:
             free = np.full_like(of_ground, beta0_of_gamma0(1.0, view.grazing_deg))
         else:
-            _, free = _returns(scene[target:], 0, view, sharp, rays, alike)
+            _, free = _returns(scene[target:], 0, view, sharp, rays, uniform)
             mask[of_ground < _SHARE * free] = SHADOW
         mask[(of_target >= _SHARE * free) & (of_target > 0)] = TARGET
     return masks
@@ -100,12 +100,12 @@ def without_imitated_ground(
 
 
 def _returns(
-    scene: Gaussians, target: int, view: View, grid: ImageGrid, rays: RayGrid, alike: bool
+    scene: Gaussians, target: int, view: View, grid: ImageGrid, rays: RayGrid, uniform: bool
 ) -> Float[np.ndarray, "2 {grid.rows} {grid.columns}"]:
-    """β⁰ of the target and of the ground; `alike`: as if all had the γ⁰ 1."""
+    """β⁰ of the target and of the ground; `uniform`: as if all had the γ⁰ 1."""
     projection = project(scene, [view], grid, rays=rays)
     sections = attenuate(projection, rays).lit_area
-    if not alike:
+    if not uniform:
         sections = sections * projection.amplitudes[..., scene.scattering.power_channel]
     kind = torch.zeros(len(scene), 2, device=sections.device)
     kind[:target, 0] = kind[target:, 1] = 1

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
@@ -21,10 +21,8 @@ if TYPE_CHECKING:
     import trimesh
 
     from sarsplat.gaussians import Gaussians
-    from sarsplat.reconstruction.loop import Trainable
     from sarsplat.reconstruction.losses import Loss
     from sarsplat.reconstruction.model import SceneModel
-    from sarsplat.reconstruction.run import Run
     from sarsplat.reconstruction.snapshot import Snapshot
 
 
@@ -45,6 +43,43 @@ class Inputs:
     masks: Path | None = None
     loss: Loss | None = None
     strategies: Sequence[Any] = ()
+
+
+class Trainable(Protocol):
+    """A training of any method, as the loop sees it."""
+
+    iteration: int
+
+    @property
+    def config(self) -> Any:
+        """Its `AnyConfig`."""
+
+    @property
+    def gaussian_count(self) -> int | None:
+        """Number of Gaussians, if it learns any."""
+
+    def step(self) -> torch.Tensor:
+        """One step; returns the loss, a single number, still on the device."""
+
+    def check(self) -> None:
+        """Wait for the device, and raise what went wrong there."""
+
+    @property
+    def terms(self) -> dict[str, torch.Tensor]:
+        """What the last step minimised besides the loss: single numbers by name, still on the device."""
+
+    @property
+    def learning_rates(self) -> dict[str, float]:
+        """Of the next step, by parameter."""
+
+    def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
+        """β⁰ of any views as they are now, linear power; nothing random is drawn."""
+
+    def snapshot(self, seconds: float) -> Snapshot:
+        """Everything the next step depends on, after so many seconds of training."""
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Undo `snapshot`."""
 
 
 class Method(ABC):
@@ -82,7 +117,12 @@ class Method(ABC):
 
     @abstractmethod
     def trainer(
-        self, dataset: Dataset, config: Any, inputs: Inputs, device: torch.device, begun: Run | None
+        self,
+        dataset: Dataset,
+        config: Any,
+        inputs: Inputs,
+        device: torch.device,
+        begun: Callable[[], Reconstruction] | None,
     ) -> Trainable:
         """A training at its beginning.
 
@@ -96,8 +136,8 @@ class Method(ABC):
             Only what it `takes`.
         device : torch.device
             Where to train.
-        begun : Run or None
-            The run that will be resumed, if it has a checkpoint.
+        begun : callable or None
+            Opens what the run that will be resumed has learned, if it has a checkpoint.
         """
 
     @abstractmethod

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -37,8 +37,6 @@ from sarsplat.renderer import channel_of
 if TYPE_CHECKING:
     import trimesh
 
-    from sarsplat.reconstruction.run import Run
-
 _NORMAL_RADIUS = 1.0  # of the neighbours from which a point's normal is computed, resolution cells
 _EVALUATION_RAYS_PER_PIXEL = 4.0
 _VIEWS_AT_A_TIME = 8
@@ -60,7 +58,12 @@ class SarGs(Method):
         return preset("measured" if dataset.ground else "default" if dataset.looks is None else "speckled")
 
     def trainer(
-        self, dataset: Dataset, config: Config, inputs: Inputs, device: torch.device, begun: Run | None
+        self,
+        dataset: Dataset,
+        config: Config,
+        inputs: Inputs,
+        device: torch.device,
+        begun: Callable[[], Reconstruction] | None,
     ) -> Trainer:
         """See `Method`; the settings have the name of a loss of one's own."""
         if inputs.loss is not None:

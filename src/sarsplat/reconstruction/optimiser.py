@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from sarsplat.reconstruction import adam, fused
+from sarsplat.reconstruction import adam
 from sarsplat.reconstruction.parts.part import Learned
 
 _MOMENTS = ("exp_avg", "exp_avg_sq")
@@ -73,8 +73,8 @@ class Optimiser:
         """One update, with the rates of this iteration; gradients are cleared."""
         if self._adam is None:
             tensors = [self._stepped(name, tensor) for name, tensor in self._parameters.items()]
-            taken = fused.takes(self._parameters.values())
-            self._adam = fused.Adam(tensors).step if taken else partial(adam.step, tensors)
+            by_engine = adam.engine_takes(self._parameters.values())
+            self._adam = adam.EngineAdam(tensors).step if by_engine else partial(adam.step, tensors)
         self._steps += 1
         gradients = []
         for name, tensor in self._parameters.items():

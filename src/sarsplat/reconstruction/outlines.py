@@ -13,7 +13,7 @@ from sarsplat.radiometry import to_db
 from sarsplat.reconstruction.target_box import above_ground_db
 
 _BRIGHT_DB, _DARK_DB = 3.0, -4.5
-"""Above and below the ground: what is farther off, smoothed over a resolution cell, is no speckle."""
+"""Above and below the ground: what is farther off, smoothed over a resolution cell, is not speckle."""
 
 _LARGE_PART = 0.2
 """Parts that stand out count if they have this share of the largest."""

@@ -12,7 +12,7 @@ PRESETS: dict[str, Config] = {
     "default": Config(),
     # a first look, in a quarter of the time
     "quick": Config(preset="quick", iterations=250, fine_from=1.0, rates=Rates(means=0.33)),
-    # speckle, but no ground: it is averaged by larger Gaussians that scatter more alike, and learned by long trainings
+    # speckle without ground: averaged by larger Gaussians with more uniform scattering, and learned by long trainings
     "speckled": Config(
         preset="speckled",
         iterations=300,

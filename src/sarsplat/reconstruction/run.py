@@ -25,7 +25,7 @@ from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.reconstruction.config import DEFAULT_METHOD, AnyConfig
+from sarsplat.reconstruction.config import AnyConfig
 from sarsplat.reconstruction.device import device_named
 from sarsplat.reconstruction.log import LogLine, read_log
 from sarsplat.reconstruction.method import Reconstruction
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     import trimesh
 
 SCHEMA = "sarsplat-run"
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 HEADER = "config.json"
 
 MESH = "mesh.ply"
@@ -90,7 +90,7 @@ class Header(msgspec.Struct, forbid_unknown_fields=True):
     dataset: str | None
     dataset_fingerprint: str
     config: dict[str, Any]
-    method: str = DEFAULT_METHOD
+    method: str
 
 
 @dataclass(frozen=True)
@@ -416,6 +416,10 @@ def read_header(path: Path) -> Header:
     if not header.is_file():
         what = "does not exist" if not path.exists() else f"holds no {HEADER}, so it is not a run"
         raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out {path}`")
+    data = read_json(header, dict[str, Any])
+    version = data.get("schema_version")
+    if data.get("schema") == SCHEMA and isinstance(version, int) and version < SCHEMA_VERSION:
+        raise SarsplatError(f"{path} was written by an older version; reconstruct it again with --overwrite")
     return read_versioned_json(
         header, Header, schema=SCHEMA, version=SCHEMA_VERSION, remedy="give a run, or reconstruct it again"
     )

@@ -14,7 +14,7 @@ from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.radiometry import to_db
 
 _SURE_DB = 3.0
-"""What is brighter than the ground by more is no speckle …"""
+"""What is brighter than the ground by more is not speckle …"""
 
 _PROBABLE = 2.0
 """… and what is connected to it and brighter by this many standard deviations of the ground belongs to it …"""

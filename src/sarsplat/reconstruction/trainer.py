@@ -147,7 +147,7 @@ class Trainer:
 
     @property
     def views(self) -> tuple[View, ...]:
-        """From where the training images were taken, as far as is known by now."""
+        """From where the training images were taken, as refined so far."""
         return self.images.views
 
     @property
@@ -248,7 +248,7 @@ def _followed_in(source: Tensor, kept: Tensor, rows: Tensor) -> Tensor:
 
 @torch.no_grad()
 def _of_black(loss: Loss, truth: Float32[Tensor, "v rows columns"]) -> Tensor:
-    """The loss of black images, the unit of what else is minimised; 1 where it is no measure of distance."""
+    """The loss of black images, the unit of what else is minimised; 1 where that is not a measure of distance."""
     value = loss(torch.zeros_like(truth), truth)
     if not isinstance(value, Tensor) or value.is_complex():  # the first step says so
         return truth.new_ones(())

@@ -97,8 +97,8 @@ def reconstruct(
     else:
         config = chosen.checked(preset)
     warn(suspicions(dataset))
-    kept = begun if begun is not None and begun.checkpoint_path is not None else None
-    trainer = chosen.trainer(dataset, config, inputs, device_named(device), kept)
+    learned = None if begun is None or begun.checkpoint_path is None else lambda: begun.reconstruction
+    trainer = chosen.trainer(dataset, config, inputs, device_named(device), learned)
     heading, note = chosen.about(config, dataset.grid)
     with progress(f"reconstruct ({heading})", config.iterations, quiet) as shown:
         if note is not None:

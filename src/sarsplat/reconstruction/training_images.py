@@ -24,7 +24,7 @@ class TrainingImages:
     Attributes
     ----------
     views : tuple of View
-        From where they were taken, as far as is known by now: a training may refine them.
+        From where they were taken, as refined so far.
     grid : ImageGrid
         Of the images.
     truth : Tensor, float32 [K, rows, columns]

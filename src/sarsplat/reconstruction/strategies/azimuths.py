@@ -15,8 +15,7 @@ from sarsplat.geometry import View
 from sarsplat.reconstruction.config import Config, Surroundings
 from sarsplat.reconstruction.losses import speckle_nats
 from sarsplat.reconstruction.optimiser import Optimiser
-from sarsplat.reconstruction.rounds import at_round
-from sarsplat.reconstruction.strategies.strategy import Configured, Info, State
+from sarsplat.reconstruction.strategies.strategy import Configured, Info, State, at_round
 
 _REACH = 2.5
 """How far from its label an azimuth is looked for, standard deviations."""

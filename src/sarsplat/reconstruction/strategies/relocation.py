@@ -11,9 +11,8 @@ from torch import Tensor
 from sarsplat.data import Dataset
 from sarsplat.reconstruction.config import Config, Relocation
 from sarsplat.reconstruction.optimiser import Optimiser
-from sarsplat.reconstruction.rounds import at_round
 from sarsplat.reconstruction.strategies import ops
-from sarsplat.reconstruction.strategies.strategy import Configured, Info, State
+from sarsplat.reconstruction.strategies.strategy import Configured, Info, State, at_round
 
 
 class Relocating(Configured):

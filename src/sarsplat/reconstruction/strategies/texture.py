@@ -12,8 +12,7 @@ from sarsplat.data import Dataset
 from sarsplat.reconstruction.config import Config, Surroundings
 from sarsplat.reconstruction.optimiser import Optimiser
 from sarsplat.reconstruction.parts.texture import Maps, Texture
-from sarsplat.reconstruction.rounds import at_round
-from sarsplat.reconstruction.strategies.strategy import Configured, Info, State
+from sarsplat.reconstruction.strategies.strategy import Configured, Info, State, at_round
 
 
 class TextureEstimation(Configured):
