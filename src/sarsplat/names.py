@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 TargetName = Literal["t72", "btr70", "2s1", "kraz", "slicy", "building-a", "building-b", "building-c"]
 """Built-in targets; a test compares them with `sarsplat.scenes.TARGETS`."""
 
-ScatteringName = Literal["harmonics", "normal-lobes"]
-"""Built-in laws of scattering; a test compares them with `sarsplat.gaussians.SCATTERINGS`."""
+SCATTERING_LAWS = {
+    "harmonics": "sarsplat.gaussians.scattering:Harmonics",
+    "normal-lobes": "sarsplat.gaussians.scattering:NormalLobes",
+}
+"""Module and class of each law of scattering, by its `kind`; `sarsplat.gaussians.SCATTERINGS` are the classes."""
+
+if TYPE_CHECKING:
+    ScatteringName = str
+else:
+    ScatteringName = Literal[tuple(SCATTERING_LAWS)]
 
 Simulator = Literal["raycast", "splat"]
 """What makes simulated images."""

@@ -6,13 +6,12 @@ import json
 import math
 import pydoc
 from dataclasses import fields, replace
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 
 from sarsplat import Config, SarsplatError
 from sarsplat.gaussians import SCATTERINGS
-from sarsplat.names import ScatteringName
 from sarsplat.reconstruction.config import (
     Densification,
     PointExtraction,
@@ -135,8 +134,10 @@ def test_records_made_in_python_are_checked_too() -> None:
     assert isinstance(whole.p_min, float)
 
 
-def test_names_that_live_where_torch_is_needed_are_the_same_here() -> None:
-    assert get_args(ScatteringName) == tuple(SCATTERINGS)
+def test_every_law_of_scattering_can_be_configured_by_its_kind() -> None:
+    assert [law.kind for law in SCATTERINGS.values()] == list(SCATTERINGS)
+    for kind in SCATTERINGS:
+        assert Config(scattering=kind).scattering == kind
 
 
 @pytest.mark.parametrize("record", [Config, Rates, Densification, PointExtraction, Surroundings])

@@ -183,7 +183,7 @@ class Waves(Scattering):
 
     kind: ClassVar[str] = "normal-lobes"  # instead of that, whose name configurations know
 
-    def _misfit(self) -> str | None:
+    def _shape_error(self) -> str | None:
         return None if self.parameters.shape[1:] == (48,) else "it must be (N, 48)"
 
     def amplitudes(self, directions: torch.Tensor, quaternions: torch.Tensor, scales: torch.Tensor) -> torch.Tensor:

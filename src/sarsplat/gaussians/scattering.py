@@ -28,9 +28,8 @@ differ, come out worse, because Gaussians turn before their law is known; with l
 class Scattering(ABC):
     """What N Gaussians scatter towards u per area projected along the line of sight, dimensionless; first of all γ⁰(u).
 
-    To add a law, derive from this class, name its `kind`, add it to `SCATTERINGS` (sarsplat/gaussians/__init__.py), and
-    its name to `ScatteringName` (sarsplat/names.py). Everything else finds it there. Settings of a law
-    that are not learned are further fields; they must be what JSON can hold.
+    To add a law, derive from this class, name its `kind`, and list it in `SCATTERING_LAWS` (sarsplat/names.py), where
+    everything else finds it. Settings of a law that are not learned are further fields, of types that JSON can hold.
 
     Parameters
     ----------
@@ -69,11 +68,11 @@ class Scattering(ABC):
             )
         if not 0 <= self.p_min < math.inf:
             raise SarsplatError(f"p_min {self.p_min} must be finite and at least 0")
-        if (wrong := self._misfit()) is not None:
+        if (wrong := self._shape_error()) is not None:
             raise SarsplatError(f"scattering has shape {tuple(self.parameters.shape)}; {wrong}")
 
     @abstractmethod
-    def _misfit(self) -> str | None:
+    def _shape_error(self) -> str | None:
         """What the parameters' shape must be, if it is another."""
 
     @abstractmethod
@@ -126,7 +125,7 @@ class Harmonics(Scattering):
         """Degree of the harmonics, 0 to 3."""
         return math.isqrt(self.parameters.shape[1]) - 1
 
-    def _misfit(self) -> str | None:
+    def _shape_error(self) -> str | None:
         if self.parameters.ndim == 2 and self.parameters.shape[1] in (1, 4, 9, 16):
             return None
         return "for N Gaussians it must be (N, K) with K = 1, 4, 9 or 16 (harmonics of degree 0 to 3)"
@@ -190,7 +189,7 @@ class NormalLobes(Scattering):
             raise SarsplatError(f"sharpness {self.sharpness} of the lobes must be finite and at least 0")
         super().__post_init__()
 
-    def _misfit(self) -> str | None:
+    def _shape_error(self) -> str | None:
         wanted = 1 + len(self.sharpness)
         if self.parameters.ndim == 2 and self.parameters.shape[1] == wanted:
             return None
