@@ -1,4 +1,4 @@
-"""The public steps project, attenuate and splat against `render`; several channels against one, splatted and rendered."""
+"""The steps project, attenuate and splat against `render`; several channels against one, splatted and rendered."""
 
 from __future__ import annotations
 
