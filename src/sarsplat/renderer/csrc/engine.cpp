@@ -62,7 +62,7 @@ int32_t backward(sg_context& c, const sg_problem& p, const sg_gradients* gradien
   const sg_gradients& g = *gradients;
   const Channels channels{p.channels, p.amplitudes};
   Backward* scratch = c.arena.take<Backward>(p.views);
-  float* sections = C > kTogether ? c.arena.take<float>(p.views * n * C) : nullptr;
+  float* sections = C > group_of(p.channels) ? c.arena.take<float>(p.views * n * C) : nullptr;
   if (c.arena.failed()) return SG_MEMORY;
   for (int v = 0; v < p.views; v++) scratch[v].sections = sections ? sections + v * n * C : nullptr;
   // dL/dsigma to dL/dw and to dL/dP(u)
