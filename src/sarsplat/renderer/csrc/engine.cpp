@@ -30,13 +30,12 @@ int32_t forward(sg_context& c, const sg_problem& p, const sg_outputs* out, int64
     const ViewState& s = c.views[v];
     const Amplitudes amplitudes = channels.of(v, n);
     float *lit_area = out->lit_area + v * n, *sections = out->cross_sections + v * n * C;
-    light(s, p, first, end, lit_area);
     for (int64_t i = first; i < end; i++) {
       PixelEntry& e = s.on_pixels[i];
-      const float* of_channels = amplitudes.of(e, i);
-      e.lit = lit_area[i];
-      sections[C * i] = of_channels[0] * lit_area[i];
-      for (int64_t k = 1; k < C; k++) sections[C * i + k] = of_channels[k] * lit_area[i];
+      const float lit = lit_area_of(s, p, i);
+      lit_area[i] = e.lit = lit;
+      if (C == 1) sections[i] = e.gamma0 * lit;
+      else for (int64_t k = 0; k < C; k++) sections[C * i + k] = amplitudes.of(e, i)[k] * lit;
     }
   });
   return splat_images(c, p, channels, out->images);
@@ -63,25 +62,30 @@ int32_t backward(sg_context& c, const sg_problem& p, const sg_gradients* gradien
   const sg_gradients& g = *gradients;
   const Channels channels{p.channels, p.amplitudes};
   Backward* scratch = c.arena.take<Backward>(p.views);
-  float* sections = c.arena.take<float>(p.views * n * C);
+  float* sections = C > group_of(p.channels) ? c.arena.take<float>(p.views * n * C) : nullptr;
   if (c.arena.failed()) return SG_MEMORY;
-  for (int v = 0; v < p.views; v++) scratch[v].sections = sections + v * n * C;
+  for (int v = 0; v < p.views; v++) scratch[v].sections = sections ? sections + v * n * C : nullptr;
   // dL/dsigma to dL/dw and to dL/dP(u)
-  auto unlight = [&](int64_t v, int64_t id, const PixelEntry& e, Eight& sum) {
-    const float *amplitudes = channels.of(v, n).of(e, id), *d_sections = scratch[v].sections + C * id;
-    float along = d_sections[0] * amplitudes[0];
-    for (int64_t k = 1; k < C; k++) along += d_sections[k] * amplitudes[k];
-    if (g.amplitudes)
-      for (int64_t k = 0; k < C; k++) g.amplitudes[(v * n + id) * C + k] = d_sections[k] * e.lit;
-    c.views[v].on_rays[id].h = along * (p.ray[0] * p.ray[1]);
+  ViewState* const views = c.views;
+  float* const d_amplitudes = g.amplitudes;
+  const float cell_area = p.ray[0] * p.ray[1];
+  auto unlight = [=](int64_t v, int64_t id, const PixelEntry& e, Eight& sum, const float* d_sections) {
+    float along = d_sections[0] * e.gamma0;
+    if (C > 1) {
+      const float* amplitudes = channels.of(v, n).of(e, id);
+      along = 0.0f;
+      for (int64_t k = 0; k < C; k++) along += d_sections[k] * amplitudes[k];
+    }
+    views[v].on_rays[id].h = along * cell_area;
     sum[6] = d_sections[0] * e.lit;
     sum[7] = e.slope;
+    for (int64_t k = 0; d_amplitudes && k < C; k++) d_amplitudes[(v * n + id) * C + k] = d_sections[k] * e.lit;
   };
   int32_t status = splat_images_backward(c, p, channels, g.images, g.cross_sections, scratch, unlight);
   if (!status) status = attenuate_rays_backward(c, p, g.transmittance, scratch);
   if (status) return status;
   return differentiate_all(c, p, g.shift, [&](int64_t first, int64_t end, float* shift_sums) {
-    differentiate(p, g, first, end, shift_sums, [&](int v, int64_t i, int real, const Bodies& bodies, const ViewFrame& frame) {
+    differentiate(p, g, first, end, shift_sums, [&](int v, int64_t i, int real, const Bodies& bodies, const ViewFrame& frame) __attribute__((always_inline)) {
       return share_of(c, p, scratch[v], v, i, real, bodies, frame);
     }, [](F kappa, F sum) { return choose(kappa > 0.0f, sum / choose(kappa > 0.0f, kappa, splat(1.0f)), splat(0.0f)); });
   });

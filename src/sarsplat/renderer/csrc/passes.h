@@ -135,10 +135,12 @@ struct Amplitudes {
   Amplitudes from(int channel) const { return {first ? first + channel : nullptr, stride}; }
 };
 
+int group_of(int channels) { return channels >= kTogether ? kTogether : smaller(4, channels); }  // the first of them
+
 // visit(c, std::integral_constant of how many) for the channels in groups
 template <class Visit> void for_channels(int channels, Visit visit) {
   for (int c = 0, count; c < channels; c += count) {
-    count = channels - c >= kTogether ? kTogether : smaller(4, channels - c);
+    count = group_of(channels - c);
     switch (count) {
       case 1: visit(c, std::integral_constant<int, 1>()); break;
       case 2: visit(c, std::integral_constant<int, 2>()); break;

@@ -79,21 +79,19 @@ void attenuate_rays(const sg_context& c, const sg_problem& p) {
   });
 }
 
-// From the sums of w to lit areas.
-void light(const ViewState& s, const sg_problem& p, int64_t first, int64_t end, float* lit_area) {
-  for (int64_t i = first; i < end; i++) {
-    const RayEntry& ray = s.on_rays[i];
-    float w = 0.0f;
-    for (int slot = ray.slot; slot <= ray.slot + ray.last_band - ray.first_band; slot++) w += s.partial[slot];
-    lit_area[i] = w * (p.ray[0] * p.ray[1]);
-  }
+// From the sums of w to the lit area.
+SG_FN float lit_area_of(const ViewState& s, const sg_problem& p, int64_t i) {
+  const RayEntry& ray = s.on_rays[i];
+  float w = 0.0f;
+  for (int slot = ray.slot; slot <= ray.slot + ray.last_band - ray.first_band; slot++) w += s.partial[slot];
+  return w * (p.ray[0] * p.ray[1]);
 }
 
 struct Backward {                 // scratch of one backward pass, per view: rows of kSums
   float* ray_moments;             // by slot
   float* pixel_moments;           // by id; times the amplitude, then dL/dP(u) and the slope of P(u)
   float *T, *B, *dS;
-  float* sections;                // dL/dsigma [N, C]
+  float* sections;                // dL/dsigma [N, C]; null if one group of channels needs no more than it has at hand
 };
 
 // dL/dw is in the entries; d_transmittance: of the views' lattices one after the other, or null.
@@ -182,10 +180,10 @@ void write_strips(const Strips& s, int first, int end, const float* image, float
 }
 
 // dL/dS of C channels from one on to dL/dsigma (to which `seeds` is added) and moments of the Gaussians of a part; what follows
-// from those of all channels is left to finish(id, entry, moments), once.
+// from those of all channels is left to finish(id, entry, moments, dL/dsigma), once.
 template <int C, class Finish>
 void image_part_backward(const ViewState& s, const Part& part, const Strips& image, const Amplitudes& a, float cut, const float* dS,
-                         const float* seeds, bool first, bool last, float* sections, float* moments, Finish finish) {
+                         const float* seeds, int first, bool last, float* sections, float* moments, Finish finish) {
   for (int k = part.first; k < part.end; k++) {
     const int32_t ahead = s.pixel_list[smaller(k + kAhead, part.end - 1)], id = s.pixel_list[k];
     __builtin_prefetch(s.on_pixels + ahead);
@@ -194,14 +192,16 @@ void image_part_backward(const ViewState& s, const Part& part, const Strips& ima
     float* row = moments + kSums * (int64_t)id;
     float sums[C] = {};           // what is not lit has no gradient
     Eight sum = e.lit == 0.0f ? (Eight)(0.0f) : image_backward<C>(e, image, cut, dS, a.of(e, id), sums);
-    for (int c = 0; c < C; c++) sections[a.stride * id + c] = sums[c] * e.g.height + (seeds ? seeds[a.stride * id + c] : 0.0f);
-    if (!first) sum += load_eight(row);
-    if (last) finish(id, e, sum);
+    for (int c = 0; c < C; c++) sums[c] = sums[c] * e.g.height + (seeds ? seeds[a.stride * id + first + c] : 0.0f);
+    float* all = sections ? sections + a.stride * id : sums;
+    for (int c = 0; sections && c < C; c++) all[first + c] = sums[c];
+    if (first) sum += load_eight(row);
+    if (last) finish(id, e, sum, all);
     store_eight(row, sum);
   }
 }
 
-// seeds: dL/dsigma [V, N, C], or null; finish(view, id, entry, moments)
+// seeds: dL/dsigma [V, N, C], or null; finish(view, id, entry, moments, dL/dsigma)
 template <class Finish>
 int32_t splat_images_backward(sg_context& c, const sg_problem& p, const Channels& channels, const float* d_images, const float* seeds,
                        Backward* scratch, Finish finish) {
@@ -221,8 +221,8 @@ int32_t splat_images_backward(sg_context& c, const sg_problem& p, const Channels
     const ViewState& s = c.views[v];
     for_channels(C, [&](int first, auto count) {
       image_part_backward<count>(s, s.pixel_groups[b], c.image, channels.of(v, n).from(first), image_cut(p), scratch[v].dS + first * size,
-                                 seeds ? seeds + v * n * C + first : nullptr, first == 0, first + count == C, scratch[v].sections + first,
-                                 scratch[v].pixel_moments, [&](int64_t id, const PixelEntry& e, Eight& sum) { finish(v, id, e, sum); });
+                                 seeds ? seeds + v * n * C : nullptr, first, first + count == C, scratch[v].sections, scratch[v].pixel_moments,
+                                 [&](int64_t id, const PixelEntry& e, Eight& sum, const float* all) { finish(v, id, e, sum, all); });
     });
   });
   return SG_OK;

@@ -145,7 +145,9 @@ int32_t attenuate_step(sg_context& c, const sg_problem& p, const sg_projection* 
   if (!status) status = arrange(c, p, kRays, culprit);
   if (status) return status;
   attenuate_rays(c, p);
-  over_chunks(p, [&](int v, int64_t first, int64_t end) { light(c.views[v], p, first, end, lit_area + v * (int64_t)p.gaussians); });
+  over_chunks(p, [&](int64_t v, int64_t first, int64_t end) {
+    for (int64_t i = first; i < end; i++) lit_area[v * p.gaussians + i] = lit_area_of(c.views[v], p, i);
+  });
   return SG_OK;
 }
 
@@ -210,7 +212,7 @@ int32_t splat_step_backward(sg_context& c, const sg_problem& p, const sg_channel
   Backward* scratch = c.arena.take<Backward>(p.views);
   if (c.arena.failed()) return SG_MEMORY;
   for (int v = 0; v < p.views; v++) scratch[v].sections = d_cross_sections + (int64_t)v * p.gaussians * a.count;
-  const int32_t status = splat_images_backward(c, p, a, d_images, nullptr, scratch, [](int64_t, int64_t, const PixelEntry&, Eight&) {});
+  const int32_t status = splat_images_backward(c, p, a, d_images, nullptr, scratch, [](int64_t, int64_t, const PixelEntry&, Eight&, const float*) {});
   if (status) return status;
   over_chunks(p, [&](int v, int64_t first, int64_t end) {
     for (int64_t i = first; i < end; i += kWidth) {
