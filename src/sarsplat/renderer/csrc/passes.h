@@ -135,7 +135,7 @@ struct Amplitudes {
   Amplitudes from(int channel) const { return {first ? first + channel : nullptr, stride}; }
 };
 
-int group_of(int channels) { return channels >= kTogether ? kTogether : smaller(4, channels); }  // the first of them
+SG_FN int group_of(int channels) { return channels >= kTogether ? kTogether : smaller(4, channels); }  // the first of them
 
 // visit(c, std::integral_constant of how many) for the channels in groups
 template <class Visit> void for_channels(int channels, Visit visit) {
