@@ -8,7 +8,7 @@ from typing import ClassVar
 import pytest
 import torch
 from named_scenes import GRID, VIEWS, cloud
-from test_cpu_engine import relative
+from test_cpu_engine import AVAILABLE, relative
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
@@ -19,12 +19,21 @@ from sarsplat.renderer import Rendering, channel_of, render
 ODD = ImageGrid(19, 23, spacing_m=(0.2, 0.21), resolution_m=(0.3, 0.4))
 
 
-def run(gaussians: Gaussians, amplitudes: Tensor, dtype: torch.dtype = torch.float32) -> list[Tensor]:
+def run(
+    gaussians: Gaussians, amplitudes: Tensor, dtype: torch.dtype = torch.float32, instruction_set: str = "auto"
+) -> list[Tensor]:
     """Images, cross-sections and the gradients of both, by random cotangents."""
     fields = {name: t.detach().to(dtype).requires_grad_() for name, t in gaussians.tensors().items()}
     leaves = [*(t for name, t in fields.items() if name != "scattering"), amplitudes.to(dtype).requires_grad_()]
     engine = "cpu" if dtype == torch.float32 else "reference"
-    made = render(gaussians.with_tensors(**fields), VIEWS, ODD, amplitudes=leaves[-1], engine=engine)
+    made = render(
+        gaussians.with_tensors(**fields),
+        VIEWS,
+        ODD,
+        amplitudes=leaves[-1],
+        engine=engine,
+        instruction_set=instruction_set,
+    )
     generator = torch.Generator().manual_seed(7)
     seeds = [torch.randn(t.shape, generator=generator).to(dtype) for t in (made.images, made.cross_sections)]
     gradients = torch.autograd.grad((made.images, made.cross_sections), leaves, seeds)
@@ -37,10 +46,12 @@ def amplitudes_of(count: int, channels: int) -> Tensor:
     return amplitudes
 
 
-@pytest.mark.parametrize("channels", [1, 2, 3, 5, 8, 16])
-def test_engine_and_reference_agree(channels):
+@pytest.mark.parametrize("instruction_set", AVAILABLE)
+@pytest.mark.parametrize("channels", [1, 2, 3, 5, 8, 9, 16])
+def test_engine_and_reference_agree(channels, instruction_set):
     gaussians, amplitudes = cloud(60, 5), amplitudes_of(60, channels)
-    for mine, expected in zip(run(gaussians, amplitudes), run(gaussians, amplitudes, torch.float64), strict=True):
+    engine = run(gaussians, amplitudes, instruction_set=instruction_set)
+    for mine, expected in zip(engine, run(gaussians, amplitudes, torch.float64), strict=True):
         assert expected.norm() > 0
         assert relative(mine, expected) <= 3e-5
 
