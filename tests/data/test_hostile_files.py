@@ -379,7 +379,7 @@ def test_text_that_is_not_utf8(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
-        ("a.zip", "PK", "known format"),
+        ("a.zip", "PK", "supported mesh format"),
         ("a.stl", "\0" * 80 + "\x07\0\0\0" + "\0" * 100, "declares 7 faces .434 bytes. but has 184 bytes"),
         ("a.stl", "solid\nendsolid\n" * 2000, "2000 solids"),
         ("a.obj", "v 0 0 0\nv 2 0 0\nv 2 2 0\nf -3 -2 -1\n", "relative vertex numbers"),

@@ -107,7 +107,7 @@ def test_zeros_are_raised_and_that_is_said():
 
 def test_what_cannot_be_a_dataset():
     black = np.zeros((40, 44), np.complex64)
-    with pytest.raises(SarsplatError, match="there are no images"):
+    with pytest.raises(SarsplatError, match="no images were given"):
         imported([])
     with pytest.raises(SarsplatError, match="some images are complex and others are not"):
         imported([measured(0), measured(1, pixels=np.ones((40, 44), np.float32))])

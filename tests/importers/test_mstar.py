@@ -319,7 +319,7 @@ def test_wrong_labels(chips, content, words):
 def test_damaged_jpegs_are_named(chips):
     path = chips / "T72" / "chip003.jpeg"
     whole = path.read_bytes()
-    for content, words in [(whole[: len(whole) // 2], "truncated"), (whole[:-40], "truncated"), (b"no", "no PNG or")]:
+    for content, words in [(whole[: len(whole) // 2], "truncated"), (whole[:-40], "truncated"), (b"no", "a PNG or")]:
         path.write_bytes(content)
         with pytest.raises(SarsplatError, match=rf"(?i)chip003\.jpeg is .*{words}"):
             run(chips)

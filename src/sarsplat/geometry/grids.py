@@ -13,8 +13,14 @@ from jaxtyping import Float64
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.responses import GAUSSIAN, Response, response_of, variance_of, width_of
 
-CLUTTER, TARGET, SHADOW = 0, 1, 2
-"""Labels of mask pixels: neither, a visible surface of the target, ground that it hides; numbered as SARBake's are."""
+CLUTTER = 0
+"""Label of a pixel (as in SARBake's masks) that shows neither target nor shadow."""
+
+TARGET = 1
+"""Label of a pixel that shows a surface of the target."""
+
+SHADOW = 2
+"""Label of a pixel that shows ground hidden by the target."""
 
 _MIN_LENGTH, _MAX_LENGTH = 1e-6, 1e6  # m: beyond these, float32 squares go wrong long before physics does
 _MAX_PIXELS = 1 << 17
