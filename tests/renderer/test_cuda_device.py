@@ -223,6 +223,19 @@ def test_what_prevents_the_check_is_not_kept(trials, monkeypatch):
     assert trials() == ""
 
 
+def test_a_gpu_that_is_full_is_asked_again(trials, monkeypatch):
+    def launch(*_: object) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2 MiB")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(trials.gpu, "launch", launch)
+        reason = trials()
+    assert reason.startswith("it could not be tried (")
+    assert "memory" in reason
+    assert trials() == ""
+    assert trials.count == 2
+
+
 def test_a_check_that_cannot_be_kept(trials, cache_folder):
     shutil.rmtree(cache_folder)
     cache_folder.touch()

@@ -29,7 +29,7 @@ def objection(where: torch.device) -> str:
     """Why not to use the CUDA engine there; "" if it does what the CPU engine does.
 
     The result of the comparison is kept in the cache folder until the GPU, its driver or the engine changes; what
-    prevents the comparison, such as a missing compiler, is not.
+    prevents the comparison, such as a missing compiler or too little free memory, is not.
     """
     try:
         require_cuda()
@@ -38,7 +38,10 @@ def objection(where: torch.device) -> str:
         return str(error)
     name = f"trial-{hashlib.sha256(repr((gpu.description, _sources())).encode()).hexdigest()[:32]}"
     if (verdict := kept.read(name)) is None:
-        verdict = _disagreement(gpu).encode()
+        try:
+            verdict = _disagreement(gpu).encode()
+        except (SarsplatError, torch.OutOfMemoryError) as error:  # another program may be using the GPU's memory
+            return f"it could not be tried ({_first_line(error)})"
         kept.write(name, verdict)
     return verdict.decode()
 
@@ -53,13 +56,19 @@ def _disagreement(launcher: cuda.Launcher) -> str:
     expected = _rendered(partial(cpu.Pass, "auto"), torch.device("cpu"))
     try:
         computed = _rendered(partial(cuda.Pass, launcher), launcher.device)
-    except (SarsplatError, RuntimeError) as error:
-        return f"it failed when it was tried ({str(error).partition(chr(10))[0]})"
+    except torch.OutOfMemoryError:
+        raise
+    except RuntimeError as error:
+        return f"it failed when it was tried ({_first_line(error)})"
     for name, value in expected.items():
         difference = float((computed[name] - value).norm() / value.norm())
         if not difference <= _LARGEST_ERROR:  # also of NaN
             return f"its {name} differ from the CPU engine's by a part of {difference:.2g}"
     return ""
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).partition("\n")[0]
 
 
 @torch.inference_mode(False)
