@@ -65,8 +65,8 @@ def draw(axes: Axes, edges: Edges, colours: dict[str, object], size: float, *, n
             )
     for name, (x, y) in places.items():
         if names:
-            box = {"facecolor": colours[room_of(name)], "edgecolor": "none", "boxstyle": "round,pad=0.3"}
-            axes.text(x, y, name, ha="center", va="center", fontsize=size, color="white", bbox=box)
+            box = {"facecolor": "white", "edgecolor": colours[room_of(name)], "boxstyle": "round,pad=0.3"}
+            axes.text(x, y, name, ha="center", va="center", fontsize=size, color="black", bbox=box)
         else:
             axes.plot(x, y, "o", color=colours[room_of(name)], markersize=size / 2)
     axes.set(xlim=(0, 1), ylim=(-0.6, max(rows) + 0.6))
@@ -88,7 +88,7 @@ def main() -> None:
     bottom.set_title(f"{len(files)} files, in the colours of their folders: {sum(map(len, files.values()))} imports")
     drawn = io.BytesIO()
     figure.savefig(drawn, dpi=80)
-    Image.open(drawn).convert("RGB").quantize(64).save(PICTURE, optimize=True)
+    Image.open(drawn).convert("RGB").quantize(256, method=Image.Quantize.MAXCOVERAGE).save(PICTURE, optimize=True)
 
 
 if __name__ == "__main__":
