@@ -120,7 +120,6 @@ def test_a_printed_configuration_is_read_back(capsys: pytest.CaptureFixture[str]
         ("{", "mine.json is not valid JSON"),
         ("3", "mine.json: expected `object`, got `int`"),
         ('{"iteratons": 5}', "mine.json: the setting 'iteratons' is unknown; did you mean iterations?"),
-        ('{"iterations": 5}', "mine.json: the setting preset is missing"),
         (json.dumps({**PRESETS["default"].as_dict(), "p_min": "x"}), "mine.json: p_min is 'x'; it must be a number"),
     ],
 )

@@ -126,10 +126,6 @@ def unknown_setting(header: dict[str, Any]) -> None:
     header["config"]["warmth"] = 1
 
 
-def missing_setting(header: dict[str, Any]) -> None:
-    del header["config"]["p_min"]
-
-
 def unknown_rate(header: dict[str, Any]) -> None:
     header["config"]["rates"]["warmth"] = 1
 
@@ -140,7 +136,6 @@ def unknown_rate(header: dict[str, Any]) -> None:
         (newer_schema, "schema_version is 5 but this program reads 4; give a run, or reconstruct it again"),
         (older_schema, "was written by an older version; reconstruct it again with --overwrite"),
         (unknown_setting, "config.json: the setting 'warmth' is unknown"),
-        (missing_setting, "the setting p_min is missing"),
         (unknown_rate, "config.json: the setting 'rates.warmth' is unknown"),
     ],
 )
