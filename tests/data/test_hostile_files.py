@@ -31,7 +31,7 @@ from sarsplat.data import (
     read_dataset,
     read_json,
     read_points_ply,
-    read_power_tiff,
+    read_tiff,
     write_json,
 )
 from sarsplat.errors import SarsplatError
@@ -116,7 +116,7 @@ def read(path: Path) -> None:
         case ".json":
             read_json(path, Any)
         case ".tif":
-            read_power_tiff(path, (6, 5))
+            read_tiff(path, (6, 5))
         case ".safetensors":
             load_checkpoint(path)
         case _:
@@ -241,7 +241,7 @@ def test_images_of_other_kinds(tmp_path):
         tifffile.imwrite(path, data, **options)
         shape = data.shape[-2:]
         with watched() as cost, pytest.raises(SarsplatError, match=words):
-            read_power_tiff(path, shape)
+            read_tiff(path, shape)
         assert cost.bytes < 4 * path.stat().st_size + (64 << 20)
 
 

@@ -42,13 +42,7 @@ def one_of(literal: Any, hint: str = "(optional)") -> Any:
 
 
 def angles(texts: Sequence[str], name: str) -> list[float]:
-    """Degrees from words such as `30`, `-7.5` and `0:360:15` (start:stop:step; the stop is left out).
-
-    Raises
-    ------
-    SarsplatError
-        If a word is neither, or a range is empty or too long.
-    """
+    """Degrees from words such as `30`, `-7.5` and `0:360:15` (start:stop:step; the stop is left out)."""
     values: list[float] = []
     for text in ",".join(texts).split(","):
         try:
@@ -69,13 +63,7 @@ def angles(texts: Sequence[str], name: str) -> list[float]:
 
 
 def metres(text: str, name: str) -> float:
-    """A length from `64m` or `64`.
-
-    Raises
-    ------
-    SarsplatError
-        If it is neither.
-    """
+    """A length from `64m` or `64`."""
     try:
         return float(text.strip().removesuffix("m"))
     except ValueError:
@@ -85,18 +73,7 @@ def metres(text: str, name: str) -> float:
 def views_from(
     azimuth: Sequence[str], grazing: Sequence[str], incidence: Sequence[str], prefix: str = ""
 ) -> list[View]:
-    """Every azimuth at every grazing (or incidence) angle, without repetition; `prefix` names the options in errors.
-
-    Raises
-    ------
-    SarsplatError
-        If azimuths or elevations are missing, elevations are given both ways, or an angle is out of range.
-
-    Warns
-    -----
-    SarsplatWarning
-        If the angles look like radians.
-    """
+    """Every azimuth at every grazing (or incidence) angle, without repetition; `prefix` names the options in errors."""
     from sarsplat.data.plausible import suspicious_angles, warn
     from sarsplat.geometry import View
 
@@ -120,22 +97,7 @@ def views_from(
 
 
 def refuse_existing(path: Path, overwrite: bool, *, marker: str | None = None) -> None:
-    """Say at once, not after minutes of work, that an output is in the way.
-
-    Parameters
-    ----------
-    path : Path
-        The output.
-    overwrite : bool
-        Whether it may be replaced.
-    marker : str, optional
-        For a folder: the file that marks its kind; the same as `new_folder` refuses is then refused.
-
-    Raises
-    ------
-    SarsplatError
-        If something stands at `path` (an empty folder is nothing) and may not be replaced.
-    """
+    """Say at once, not after minutes of work, that an output is in the way; `marker` is as for `new_folder`."""
     if marker is not None:
         from sarsplat.data import folders
 

@@ -9,16 +9,9 @@ from typing import Any
 
 
 def explained(words: Sequence[str], box: str, commands: Mapping[str, Any]) -> str:
-    """One sentence in place of tyro's box.
+    """One sentence in place of tyro's box, for what was typed after the program's name.
 
-    Parameters
-    ----------
-    words : sequence of str
-        What was typed after the program's name.
-    box : str
-        tyro's error.
-    commands : mapping of str to command
-        All commands by name; those that have commands of their own are mappings again.
+    Commands that have commands of their own are mappings again.
     """
     program, rest, level = "sarsplat", list(words), commands
     while isinstance(level, Mapping):

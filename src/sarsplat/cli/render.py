@@ -81,7 +81,7 @@ def render(
         Replace an existing folder of rendered images, or an existing file of the same kind.
     """
     from sarsplat.colours import POWER
-    from sarsplat.data.replaceable import refuse_other_kinds
+    from sarsplat.data.folders import refuse_other_kinds
     from sarsplat.radiometry import to_db
     from sarsplat.reconstruction import Run
     from sarsplat.report.animation import ANIMATIONS

@@ -81,7 +81,7 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 
 
 def _check_header(path: Path) -> None:
-    """Believe the header's length only if the file is that long and ours could be; safetensors checks the rest."""
+    """Trust the header's length only if the file is that long and ours could be; safetensors checks the rest."""
     with open_file(path) as file:
         size = file.seek(0, 2)
         file.seek(0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from sarsplat.data.replaceable import Recognises
+from sarsplat.data.folders import Recognises
 from sarsplat.names import Colour
 from sarsplat.names import Content as Names
 
