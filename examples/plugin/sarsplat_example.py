@@ -27,11 +27,10 @@ def import_arrays(
     finish(out, write_imported(out, dataset_of(images, target=file.stem, source=source), overwrite=overwrite))
 
 
-def write_csv(run, path: Path, colour: str) -> str:
+def write_csv(points, path: Path, colour: str) -> None:
     """The points of a run, m, as text."""
-    lines = ["x,y,z", *(",".join(f"{number:.4f}" for number in point) for point in run.points)]
+    lines = ["x,y,z", *(",".join(f"{number:.4f}" for number in point) for point in points.positions)]
     path.write_text("\n".join(lines) + "\n")
-    return f"{len(run.points)} points, metres"
 
 
 CSV = Format({"points": write_csv}, {"points": "any spreadsheet"}, recognises=lambda head, _: head.startswith(b"x,y,z"))
