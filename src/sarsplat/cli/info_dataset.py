@@ -1,4 +1,4 @@
-"""What `sarsplat info` tells of a dataset: its properties, its views, and where on the sky they are."""
+"""What `sarsplat info` says about a dataset: its properties, its views, and where on the sky they are."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What goes on beside a training: a log, a page, and Ctrl-C between two steps, so that it resumes bit for bit."""
+"""What accompanies a training: a log, a page, and Ctrl-C between two steps, so that it resumes bit for bit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LOG_FOLDER = "tensorboard"  # in the run's folder
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal that ended a training between two steps; the exit code tells which, as shells have it."""
+    """A signal that ended a training between two steps; the exit code says which, as in shells."""
 
     def __init__(self, number: int, text: str = "") -> None:
         super().__init__(*([text] if text else []))

@@ -12,7 +12,7 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.geometry import View
 
 _SAME_GRAZING_DEG = 1.0
-"""Grazing angles that differ by no more belong together: those of measured chips scatter."""
+"""Grazing angles that differ by no more are one group: those of measured images scatter."""
 
 _FEW_GROUPS, _FEW_EACH = 3, 3
 """If there would be more groups, of fewer views on average, the angles are random ones and all views one group."""

@@ -40,7 +40,7 @@ _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of Linux's renameat2
 
 @contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
-    """Be the only process that writes a run while the block runs, be it there yet or not (see `locked`).
+    """Be the only process that writes a run, which need not exist yet, while the block runs (see `locked`).
 
     What a killed process left is removed: temporary files and locks in the run, and our temporary folder beside it.
     """
@@ -140,7 +140,7 @@ def _temporary_name(path: Path) -> Path:
 
 @contextmanager
 def _workshop(path: Path) -> Iterator[tuple[Path, Path]]:
-    """Two free names in a temporary folder beside `path`, removed at the end; for whoever holds the lock of `path`."""
+    """Two free names in a temporary folder beside `path`, removed at the end; for the process that holds the lock of `path`."""
     folder = _temporary_name(path)
     built, retired = folder / _BUILT, folder / _RETIRED
     with suppress(FileExistsError):
@@ -233,6 +233,6 @@ def _foreign(path: Path, marker: str) -> Path | None:
 
 
 def _belongs(relative: Path, marker: str) -> bool:
-    """Whether a file is part of a kind of folder, be it under a temporary name that a killed process left."""
+    """Whether a file is part of a kind of folder, perhaps under a temporary name that a killed process left."""
     finished = relative.with_name(re.sub(r"^\.(.+)\.(tmp|lock)$", r"\1", relative.name))
     return re.fullmatch(_LAYOUTS[marker], finished.as_posix()) is not None

@@ -1,6 +1,6 @@
 """A PLY file of scalars per vertex, binary little endian: columns in, columns out; meshes are read elsewhere.
 
-The files come from strangers: the counts in a header are believed only if the file is as long as they say.
+The files come from strangers: the counts in a header are trusted only if the file is as long as they say.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ def write_tiff(path: Path, image: Shaped[np.ndarray, "rows columns"], descriptio
     image : numpy.ndarray [rows, columns]
         Linear power, stored as float32, or complex amplitudes, stored as complex64; row 0 near range.
     description : str
-        What it shows, for whoever opens the file elsewhere (ASCII; the ImageDescription tag).
+        What it shows, for other programs (ASCII; the ImageDescription tag).
     """
     buffer = io.BytesIO()
     pixels = np.ascontiguousarray(image, dtype=np.complex64 if np.iscomplexobj(image) else np.float32)
