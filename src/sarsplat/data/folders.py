@@ -140,7 +140,7 @@ def _temporary_name(path: Path) -> Path:
 
 @contextmanager
 def _workshop(path: Path) -> Iterator[tuple[Path, Path]]:
-    """Two free names in a temporary folder beside `path`, removed at the end; for the process that holds the lock of `path`."""
+    """Two free names in a temporary folder beside `path`, removed at the end; the caller holds the lock of `path`."""
     folder = _temporary_name(path)
     built, retired = folder / _BUILT, folder / _RETIRED
     with suppress(FileExistsError):
