@@ -22,7 +22,7 @@ from sarsplat.report.scores import score_tables
 def few_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures that are quick to draw."""
     monkeypatch.setattr("sarsplat.report.write._SURFACE_SAMPLES", 500)
-    monkeypatch.setattr("sarsplat.report.solid._PIXELS", 40)
+    monkeypatch.setattr("sarsplat.report.boards._PIXELS", 40)
     monkeypatch.setattr("sarsplat.report.widget._MOST_RENDERED", 20_000)
 
 

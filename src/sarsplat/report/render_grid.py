@@ -10,23 +10,9 @@ from sarsplat.geometry import ImageGrid
 def asked_grid(
     own: ImageGrid, pixels: tuple[int, int] | None, spacing_m: float | None, resolution_m: float | None
 ) -> ImageGrid:
-    """A run's grid with another size, spacing or resolution.
+    """A run's grid with another size (rows, columns), spacing or resolution (m), the same in azimuth and slant range.
 
-    Parameters
-    ----------
-    own : ImageGrid
-        Of the run.
-    pixels : (int, int), optional
-        Rows and columns; by default as many as cover the area of the run's images.
-    spacing_m : float, optional
-        Pixel spacing in azimuth and slant range, m.
-    resolution_m : float, optional
-        3 dB width in azimuth and slant range, m.
-
-    Raises
-    ------
-    SarsplatError
-        If a length or a number of pixels is not positive.
+    Without a size, as many pixels as cover the area of the run's images.
     """
     spacing = own.spacing_m if spacing_m is None else (spacing_m, spacing_m)
     resolution = own.resolution_m if resolution_m is None else (resolution_m, resolution_m)

@@ -34,19 +34,7 @@ FILES = {**ANIMATIONS, **IMAGES}
 
 @dataclass(frozen=True)
 class Rendered:
-    """Rendered images, and how to show them.
-
-    Parameters
-    ----------
-    images : numpy.ndarray, float32 [V, rows, columns]
-        β⁰, linear power.
-    views : sequence of View
-        From where.
-    grid : ImageGrid
-        Its pixels.
-    look : Look
-        Which power is white, and which is black.
-    """
+    """Rendered images of β⁰ (linear power) with their views and pixels, and how to show them."""
 
     images: Float32[np.ndarray, "v rows columns"]
     views: list[View]
@@ -59,13 +47,7 @@ class Rendered:
         return replace(self, images=self.images[:, rows, columns], grid=self.grid.part(rows, columns))
 
     def write(self, out: Path, *, seconds: float, overwrite: bool) -> str:
-        """Write what the name stands for, whole or not at all, and say what that is; an animation takes `seconds`.
-
-        Raises
-        ------
-        SarsplatError
-            If the name is refused by `require_output`, the images do not suit it, or it cannot be written.
-        """
+        """Write what the name stands for (see `require_output`), whole or not at all, and say what that is."""
         ending = out.suffix.lower()
         require_output(out, len(self.views))
         if ending in ANIMATIONS:

@@ -21,20 +21,7 @@ FORMATS = ("png", "svg")
 def sky_picture(train: Sequence[View], test: Sequence[View], title: str, kind: str = "png") -> bytes:
     """The sky from above with a point for every view: straight overhead in the middle, the horizon around.
 
-    Parameters
-    ----------
-    train, test : sequence of View
-        Training views, of which there must be one, and test views. The largest gap in azimuth between training views is
-        shaded.
-    title : str
-        Heading.
-    kind : {"png", "svg"}
-        Format of the picture.
-
-    Raises
-    ------
-    SarsplatError
-        If the format is another one.
+    Shades the largest gap in azimuth between training views, of which there must be one; `kind` is "png" or "svg".
     """
     if kind not in FORMATS:
         raise SarsplatError(f"pictures of format {kind!r} cannot be drawn; choose one of {', '.join(FORMATS)}")
