@@ -4,42 +4,28 @@ from __future__ import annotations
 
 import ast
 import json
-import subprocess
 import sys
-from pathlib import Path
 from types import ModuleType
 
 import pytest
 import torch
 
-ROOT = Path(__file__).parents[1]
+from programs import ROOT, python
+
 BENCHMARKS = ROOT / "benchmarks"
 ON_A_GPU_BOX = ("cuda_check", "clock", "naive_torch", "results", "scene", "work")
 
 
 @pytest.fixture
-def generator(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+def generator(module) -> ModuleType:
     """What fills docs/performance.md."""
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    import performance_page
-
-    return performance_page
+    return module("benchmarks/performance_page")
 
 
 @pytest.fixture
-def bench(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+def bench(module) -> ModuleType:
     """What runs the parts."""
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    monkeypatch.setenv("OMP_WAIT_POLICY", "PASSIVE")  # and unset afterwards
-    import bench
-
-    return bench
-
-
-def run(program: str, *words: str) -> subprocess.CompletedProcess[str]:
-    """One of the benchmarks, as from a command line."""
-    command = [sys.executable, "-W", "error", str(BENCHMARKS / f"{program}.py"), *words]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    return module("benchmarks/bench")
 
 
 def results() -> dict:
@@ -120,7 +106,7 @@ def test_quick_results_do_not_reach_the_page(generator, monkeypatch, tmp_path):
 
 
 def test_a_quick_bench_finds_all_that_the_section_needs(generator, tmp_path):
-    done = run("bench", "--quick", "--out", str(tmp_path))
+    done = python("-W", "error", BENCHMARKS / "bench.py", "--quick", "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["cpu.json"]
     made = json.loads((tmp_path / "cpu.json").read_text())
@@ -155,7 +141,7 @@ def test_the_help_has_a_line_for_every_part(bench):
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
 def test_the_cuda_check_says_in_a_sentence_that_there_is_no_gpu():
-    done = run("cuda_check")
+    done = python("-W", "error", BENCHMARKS / "cuda_check.py")
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr.startswith("cuda_check runs only where there is an NVIDIA GPU: ")
@@ -164,19 +150,15 @@ def test_the_cuda_check_says_in_a_sentence_that_there_is_no_gpu():
 
 
 @pytest.mark.slow
-def test_the_whole_training_is_measured(generator):
-    import paper_run
-
+def test_the_whole_training_is_measured(generator, module):
     made = results()
-    made["parts"]["paper"] = paper_run.measure(quick=True)
+    made["parts"]["paper"] = module("benchmarks/paper_run").measure(quick=True)
     assert "20 iterations" in generator.section(made, [])
 
 
 @pytest.mark.slow
-def test_the_training_on_a_gpu_is_measured_on_the_cpu_too(generator):
-    import cuda_training
-
-    found = cuda_training.measure("cpu", quick=True)
+def test_the_training_on_a_gpu_is_measured_on_the_cpu_too(module):
+    found = module("benchmarks/cuda_training").measure("cpu", quick=True)
     assert found["demo"]["cpu"]["psnr_db"] > 10
     assert found["demo"]["cpu"]["training_s"] > 0
     for name, views in (("default", 8), ("paper", 1)):
