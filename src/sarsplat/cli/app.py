@@ -37,7 +37,7 @@ def run(words: list[str]) -> int:
         try:
             from sarsplat.cli.parser import parse  # here, for it may warn of what other packages offer
 
-            code = parse(words)()
+            code = parse(words or ["--help"])()
         except SarsplatError as error:
             console.complain(str(error))
             return _MISUSED

@@ -56,8 +56,13 @@ def angles(texts: Sequence[str], name: str) -> list[float]:
             raise SarsplatError(f"--{name} {text!r} is neither degrees, such as 30, nor a range, such as 0:360:15")
         start, stop, step = numbers
         steps = (stop - start) / step - 1e-9
-        if not 0 < steps <= _MAX_ANGLES:  # also catches what overflowed
-            raise SarsplatError(f"--{name} {text!r} is a range of {max(steps, 0):.0f} angles; give 1 to {_MAX_ANGLES}")
+        if steps <= 0:
+            raise SarsplatError(
+                f"--{name} {text!r} has no angles: steps of {step:g}° do not lead from {start:g}° to {stop:g}°; give "
+                f"{start:g}:{stop:g}:{-step:g}, or change the stop"
+            )
+        if not steps <= _MAX_ANGLES:  # also catches what overflowed
+            raise SarsplatError(f"--{name} {text!r} is a range of {steps:.0f} angles; give 1 to {_MAX_ANGLES}")
         values += [start + step * k for k in range(math.ceil(steps))]
     return values
 
@@ -77,20 +82,22 @@ def views_from(
     from sarsplat.data.plausible import suspicious_angles, warn
     from sarsplat.geometry import View
 
+    azimuths = angles(azimuth, f"{prefix}azimuth") if azimuth else []
     if grazing and incidence:
         raise SarsplatError(
             f"both were given: --{prefix}grazing and --{prefix}incidence are two ways to give the same angle; "
             "leave out one of them"
         )
     if not grazing and not incidence:
-        raise SarsplatError(f"neither --{prefix}grazing nor --{prefix}incidence was given; give one of them")
+        raise SarsplatError(
+            f"neither --{prefix}grazing nor --{prefix}incidence was given; add one, such as --{prefix}grazing 30"
+        )
     if not azimuth:
         raise SarsplatError(f"--{prefix}azimuth is missing; give degrees or a range, such as 0:360:15")
     if incidence:
         elevations = [90.0 - angle for angle in angles(incidence, f"{prefix}incidence")]
     else:
         elevations = angles(grazing, f"{prefix}grazing")
-    azimuths = angles(azimuth, f"{prefix}azimuth")
     views = list(dict.fromkeys(View(a, e) for e in elevations for a in azimuths))
     warn(suspicious_angles(views))
     return views
