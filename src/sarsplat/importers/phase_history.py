@@ -25,22 +25,9 @@ _UNEVEN = 0.01
 
 @dataclass(frozen=True)
 class PhaseHistory:
-    """Pulses of one flight.
+    """Pulses of one flight, in its order.
 
     A scatterer of amplitude A at p contributes A·exp(−4πj f/c·(|antenna − p| − reference)) to a sample.
-
-    Parameters
-    ----------
-    name : str
-        Its file, for error messages.
-    frequencies_hz : numpy.ndarray, float64 [frequencies]
-        Rising, evenly spaced.
-    antenna_m : numpy.ndarray, float64 [pulses, 3]
-        Where the antenna was, world frame, m, in the order of flight.
-    reference_m : numpy.ndarray, float64 [pulses]
-        Range whose phase was taken out of each pulse (motion compensation), m.
-    samples : numpy.ndarray, complex64 [frequencies, pulses]
-        The echoes.
 
     Raises
     ------
@@ -49,9 +36,13 @@ class PhaseHistory:
     """
 
     name: str
+    """Its file, for error messages."""
     frequencies_hz: Float64[np.ndarray, " frequencies"]
+    """Rising, evenly spaced."""
     antenna_m: Float64[np.ndarray, "pulses 3"]
+    """Where the antenna was, world frame."""
     reference_m: Float64[np.ndarray, " pulses"]
+    """Range whose phase was taken out of each pulse (motion compensation)."""
     samples: Complex64[np.ndarray, "frequencies pulses"]
 
     def __post_init__(self) -> None:

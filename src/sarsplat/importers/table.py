@@ -21,56 +21,32 @@ _SIDES = {"left": True, "l": True, "right": False, "r": False}
 
 @dataclass(frozen=True)
 class ListedPicture:
-    """One row of the table; None where no column says it, or the cell is empty.
-
-    Attributes
-    ----------
-    name : str
-        As the table names it.
-    path : Path
-        The file, which exists.
-    azimuth_deg : float
-        As it stands in the table, degrees.
-    grazing_deg : float or None
-        Degrees; 90° − incidence where the table has that.
-    spacing_m, resolution_m : (float or None, float or None)
-        Azimuth, range, m.
-    azimuth_std_deg : float or None
-        Degrees.
-    split : str or None
-        "train" or "test…".
-    looks_left : bool or None
-        Whether the radar looks to the left of its flight.
-    scale, offset : float or None
-        What the pixels are multiplied by, and then added to.
-    """
+    """One row of the table, lengths in m and angles in degrees; None where no column says it, or the cell is empty."""
 
     name: str
+    """As the table names it."""
     path: Path
     azimuth_deg: float
+    """As it stands in the table."""
     grazing_deg: float | None
     spacing_m: tuple[float | None, float | None]
+    """Azimuth, range."""
     resolution_m: tuple[float | None, float | None]
+    """Azimuth, range."""
     azimuth_std_deg: float | None
     split: str | None
+    """"train" or "test…"."""
     looks_left: bool | None
+    """Whether the radar looks to the left of its flight."""
     scale: float | None
+    """What the pixels are multiplied by."""
     offset: float | None
+    """What is then added to them."""
 
 
 @dataclass(frozen=True)
 class PictureTable:
-    """All rows that have a picture.
-
-    Attributes
-    ----------
-    path : Path
-        The table.
-    columns : dict of str to str
-        What columns say → their names.
-    pictures : tuple of ListedPicture
-        In the order of the table.
-    """
+    """All rows that have a picture, in the order of the table, and which columns say what."""
 
     path: Path
     columns: Columns
@@ -78,27 +54,15 @@ class PictureTable:
 
 
 def read_picture_table(folder: Path, path: Path | None, named: Mapping[str, str]) -> PictureTable:
-    """Read the table and find the pictures.
+    """Read a table (None: the only one in the folder) and find its pictures, in subfolders or not.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the pictures lie, in subfolders or not.
-    path : Path or None
-        The table (CSV); None for the only one in the folder.
-    named : mapping of str to str
-        See `chosen_columns`.
+    `named` is that of `chosen_columns`. Rows without a picture and pictures without a row are warned of.
 
     Raises
     ------
     SarsplatError
         If the table is missing, damaged or lacks a column, names a file twice, none that exists or one outside the
         folder, or a cell is not what its column should hold.
-
-    Warns
-    -----
-    SarsplatWarning
-        Once each, for rows without a picture and pictures without a row.
     """
     with plain_os_errors("read", folder):
         if not folder.is_dir():
