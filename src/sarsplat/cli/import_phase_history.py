@@ -9,6 +9,7 @@ import tyro
 
 from sarsplat.cli.arguments import Folder, Metres, OptionalCount, OptionalNumber, metres
 from sarsplat.cli.imported import carry_out
+from sarsplat.cli.importers import Contents, Recognised, by_ending
 from sarsplat.errors import SarsplatError
 
 
@@ -75,3 +76,8 @@ def _place(text: str) -> tuple[float, float, float]:
     except ValueError:
         raise SarsplatError(f"--around {text!r} is not a place; give x,y or x,y,z in metres, such as 12,-7.5") from None
     return x, y, z
+
+
+def recognise(contents: Contents) -> Recognised | None:
+    """MATLAB files."""
+    return by_ending(contents, (".mat",), "phase-history", "phase history")

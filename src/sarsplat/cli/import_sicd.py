@@ -9,6 +9,7 @@ import tyro
 
 from sarsplat.cli.arguments import Folder, OptionalCount, metres
 from sarsplat.cli.imported import carry_out
+from sarsplat.cli.importers import Contents, Recognised, by_ending
 from sarsplat.errors import SarsplatError, counted
 
 
@@ -81,3 +82,8 @@ def _numbers(text: str | None, name: str, counts: tuple[int, ...]) -> tuple[floa
         example = {"around": "47.3769,8.5417", "pixel": "1200,800"}[name]
         raise SarsplatError(f"--{name} {text!r} is not what it should be; write it as {example}")
     return values
+
+
+def recognise(contents: Contents) -> Recognised | None:
+    """NITF files."""
+    return by_ending(contents, (".nitf", ".ntf"), "sicd", "SICD")

@@ -31,55 +31,41 @@ _LEAST_SCALE, _LARGEST_SCALE = 1e-9, 1e9  # the square of no magnitude leaves fl
 
 @dataclass(frozen=True)
 class Chip:
-    """One measured chip, in the order of the published array: near range is the bottom row.
-
-    Parameters
-    ----------
-    name : str
-        Path relative to the folder of chips.
-    serial : str
-        Serial number of the vehicle.
-    depression : int
-        Depression angle as planned, whole degrees: the name of the collection.
-    grazing_deg : float
-        Depression angle as flown, degrees.
-    target_az_deg : float
-        TargetAz, degrees in [0, 360): 0 = nose toward the radar.
-    magnitude : numpy.ndarray, float32 [rows, columns]
-        Linear magnitude (not power), in whatever unit all chips have in common.
-    step : float
-        Magnitude of one digital number; 0 if magnitudes are not quantised.
-    spacing_m, resolution_m : (float, float)
-        Pixel spacing and 3 dB width (cross-range, slant range), m.
-    response : Response
-        Its shape; of JPEGs, which do not say, that which the Phoenix files' headers state.
-    azimuth_std_deg : float or None
-        Standard deviation of `target_az_deg`, degrees; None where the table says nothing of it.
-    phase : numpy.ndarray, float32 [rows, columns], or None
-        Radians; None if unknown.
-    """
+    """One measured chip, in the order of the published array: near range is the bottom row."""
 
     name: str
+    """Path relative to the folder of chips."""
     serial: str
+    """Of the vehicle."""
     depression: int
+    """Depression angle as planned, whole degrees: the name of the collection."""
     grazing_deg: float
+    """Depression angle as flown."""
     target_az_deg: float
+    """TargetAz, in [0, 360): 0 = nose toward the radar."""
     magnitude: Float32[np.ndarray, "rows columns"]
+    """Linear (not power), in whatever unit all chips have in common."""
     step: float
+    """Magnitude of one digital number; 0 if magnitudes are not quantised."""
     spacing_m: tuple[float, float] = (0.203125, 0.202148)
+    """(cross-range, slant range)."""
     resolution_m: tuple[float, float] = (0.3229, 0.3013)
+    """3 dB widths, as `spacing_m`."""
     response: Response = TAYLOR
+    """Of JPEGs, which do not say, that which the Phoenix files' headers state."""
     azimuth_std_deg: float | None = None
+    """None where the table does not state it."""
     phase: Float32[np.ndarray, "rows columns"] | None = None
+    """Radians; None if unknown."""
 
 
 def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chip]:
-    """Read every chip of one class.
+    """Read every chip of one class from a folder and its subfolders, in the order of the table or of the files' names.
 
     Parameters
     ----------
     folder : Path
-        Where the chips lie, in subfolders or not.
+        Where the chips lie.
     labels : Path or None
         Table (CSV) of the JPEGs: path relative to `folder`, class, serial, desired_depression_deg,
         measured_depression_deg (where it is empty, the desired one counts), target_az_deg; where azimuths are
@@ -89,22 +75,11 @@ def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chi
     target_class : str
         E.g. `T72`; a Phoenix header's `t72_tank` is the same class.
 
-    Returns
-    -------
-    list of Chip
-        In the order of the table, or of the files' names.
-
     Raises
     ------
     SarsplatError
         If the folder is missing or empty, the labels are garbled, contradict each other, lead out of the folder or
-        match no chip, the class is unknown, or a chip is damaged.
-
-    Warns
-    -----
-    SarsplatWarning
-        Once each, with their number, for JPEGs without a label, labels of the class without a chip, labels without a
-        measured depression, labels with other empty fields and labels that are there twice.
+        match no chip, the class is unknown, or a chip is damaged. What the table lacks otherwise is warned of.
     """
     with plain_os_errors("read", folder):
         if not folder.is_dir():
