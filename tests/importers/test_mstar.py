@@ -225,7 +225,7 @@ def rewrite(labels: Path, change) -> None:
         (lambda t: [*t[:2], [t[2][0], "", *t[2][2:]], *t[3:]], "has no label for 1 JPEG in", 9),
         (lambda t: [*t, ["T72/chip002.jpeg", *t[3][1:]], t[4]], "repeats 2 labels; each chip is taken once", 10),
         (lambda t: [*t, ["T72/./chip002.jpeg", *t[3][1:]], t[4]], "repeats 2 labels; each chip is taken once", 10),
-        (lambda t: [*t, ["T72/" + "a" * 5000, *t[1][1:]]], "lacks 1 of 11 T72 chips in", 10),
+        (lambda t: [*t, ["T72/" + "a" * 5000, *t[1][1:]]], "lacks 1 of 11 chips in", 10),
     ],
     ids=["empty", "planned", "no class", "twice", "twice, spelt otherwise", "too long a path"],
 )
@@ -257,10 +257,10 @@ def test_labels_may_not_lead_out_of_the_folder(chips, path):
 
 def test_labels_without_chips_are_counted_once(chips):
     (chips / "T72" / "chip001.jpeg").unlink()
-    with pytest.warns(SarsplatWarning, match="lacks 1 of 10 T72 chips in"):
+    with pytest.warns(SarsplatWarning, match="lacks 1 of 10 chips in"):
         run(chips)
     shutil.rmtree(chips / "T72")
-    with pytest.raises(SarsplatError, match="contains none of 10 T72 chips in"):
+    with pytest.raises(SarsplatError, match="has none of 10 chips in"):
         run(chips, overwrite=True)
 
 

@@ -41,6 +41,10 @@ _MARGIN = 3 / 16
 """Share of a side that is left out when speckled images are scored: around the target there is only ground."""
 
 
+_PIXELS = (8, 4096)
+"""Fewest and most on a side of an image that is cut out or focused."""
+
+
 @dataclass(frozen=True)
 class MeasuredImage:
     """One image as a reader returns it.
@@ -174,6 +178,16 @@ def write_imported(out: str | Path, dataset: Dataset, *, overwrite: bool) -> Dat
     dataset = write_dataset(out, dataset, overwrite=overwrite)
     warn(suspicions(dataset))
     return dataset
+
+
+def check_sides(size_m: float, rows: float, columns: float, spacing: str) -> None:
+    """Refuse a size that makes too few pixels of this spacing, or too many."""
+    fewest, most = _PIXELS
+    if not (math.isfinite(rows + columns) and fewest <= min(rows, columns) and max(rows, columns) <= most):
+        raise SarsplatError(
+            f"--size {size_m:g} makes {columns:.0f} × {rows:.0f} pixels of {spacing} (azimuth × range); give a size "
+            f"that makes {fewest} to {most} a side"
+        )
 
 
 def ready(dataset: Dataset) -> str:

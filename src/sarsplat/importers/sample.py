@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,11 +18,11 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from sarsplat.data.dataset import Dataset
-from sarsplat.data.files import plain_os_errors
 from sarsplat.data.orientation import oriented
-from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
+from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import View
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, stated_taylor
+from sarsplat.importers.files import files_in, warn_caller
 from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.quantity import power_or_signal
@@ -113,10 +112,7 @@ def import_sample(
 
 
 def _chosen(folder: Path, target: str, kind: SampleKind) -> list[SampleName]:
-    with plain_os_errors("read", folder):
-        if not folder.is_dir():
-            raise SarsplatError(f"{folder} is not a folder; give the folder of the SAMPLE set")
-        files = sorted(path for path in folder.rglob("*.mat") if path.is_file())
+    files = [path for path in files_in(folder, "the SAMPLE set") if path.suffix == ".mat"]
     if kind not in get_args(SampleKind):
         raise SarsplatError(f"the kind is {shown(kind)}; it must be one of {', '.join(get_args(SampleKind))}")
     named = [name for name in map(named_as_sample, files) if name is not None]
@@ -125,15 +121,13 @@ def _chosen(folder: Path, target: str, kind: SampleKind) -> list[SampleName]:
             f"{folder} has no file that is called as those of the SAMPLE set; give its folder mat_files"
         )
     if other := len(files) - len(named):
-        warnings.warn(
-            f"{counted(other, 'MATLAB file')} in {folder} with names unlike those of the SAMPLE set are left out",
-            SarsplatWarning,
-            stacklevel=3,
+        warn_caller(
+            f"{counted(other, 'MATLAB file')} in {folder} with names unlike those of the SAMPLE set are left out"
         )
     chosen = [one for one in named if one.target.lower() == target.lower() and one.kind == kind]
     if not chosen:
-        there = sorted({f"{one.target} ({one.kind})" for one in named})
-        raise SarsplatError(f"{folder} has no {kind} images of {shown(target)}; it has {', '.join(there)[:500]}")
+        others = sorted({f"{one.target} ({one.kind})" for one in named})
+        raise SarsplatError(f"{folder} has no {kind} images of {shown(target)}; it has {', '.join(others)[:500]}")
     return chosen
 
 

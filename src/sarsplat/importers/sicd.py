@@ -19,14 +19,12 @@ from sarsplat.data import folders
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.dataset_folder import HEADER
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
-from sarsplat.importers.each_once import each_once
-from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
+from sarsplat.importers.files import each_once
+from sarsplat.importers.images import MeasuredImage, check_sides, dataset_of, write_imported
 from sarsplat.importers.sicd_chip import chip, resolution_of, response_along, spacing_of
 from sarsplat.importers.sicd_file import Sicd, read_sicd
 from sarsplat.importers.sicd_geometry import Layout, Spot, layout_around, spot_of_centre, spot_of_pixel
 
-_PIXELS = (8, 4096)
-"""Fewest and most on a side."""
 _LARGEST_SIZE_M = 1e5
 _LEANS = 0.05
 """m for each metre of height: what leans less is not worth a word."""
@@ -98,12 +96,7 @@ def import_sicd(
     finest = np.min([spacing_of(sicd, layout) for sicd, layout in zip(sicds, layouts, strict=True)], axis=0)
     spacing = float(finest[0]), float(finest[1])
     columns, rows = (round(size_m / step) for step in spacing)
-    fewest, most = _PIXELS
-    if min(columns, rows) < fewest or max(columns, rows) > most:
-        raise SarsplatError(
-            f"{size_m:g} m are {columns} × {rows} pixels of {spacing[0]:.3g} m × {spacing[1]:.3g} m (azimuth × range); "
-            f"give a size that makes {fewest} to {most} a side"
-        )
+    check_sides(size_m, rows, columns, f"{spacing[0]:.3g} m × {spacing[1]:.3g} m")
     absolute = all(sicd.beta_zero is not None for sicd in sicds)
     images = [
         MeasuredImage(
