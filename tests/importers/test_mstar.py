@@ -406,9 +406,12 @@ def test_wrong_originals(originals):
     (originals / "HB1.015").write_bytes(phoenix_bytes(RadarPosition="top"))
     with pytest.raises(SarsplatError, match="RadarPosition= 'top'"):
         run(originals, labels=None)
-    (originals / "HB1.015").write_bytes(phoenix_bytes(CrossRangePixelSpacing="0.4"))
-    with pytest.raises(SarsplatError, match="import chips of one kind"):
-        run(originals, labels=None)
+
+
+def test_chips_of_other_spacings_are_resampled(originals):
+    (originals / "HB1.015").write_bytes(phoenix_bytes(LOWER_LEFT / 300, TargetAz="92", CrossRangePixelSpacing="0.4"))
+    with pytest.warns(SarsplatWarning, match=r"resampled to the finest, 0.2031 m × 0.2021 m"):
+        assert run(originals, labels=None).grid.spacing_m == (0.203125, 0.202148)
 
 
 @needs_measured

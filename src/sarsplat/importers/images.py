@@ -87,6 +87,14 @@ class MeasuredImage:
         return ImageGrid(rows, columns, self.spacing_m, self.resolution_m, self.center_m, self.response)
 
 
+def view_of(name: str, azimuth_deg: float, grazing_deg: float) -> View:
+    """From where the image of this name was taken, which an error names."""
+    try:
+        return View(azimuth_deg % 360, grazing_deg)
+    except SarsplatError as error:
+        raise SarsplatError(f"{name}: {error}") from error
+
+
 def dataset_of(
     images: Sequence[MeasuredImage],
     *,
@@ -140,7 +148,8 @@ def dataset_of(
     if zeros.all():
         raise SarsplatError(f"all {counted(len(images), 'image')} are black; give images of something")
     if zeros.any():
-        pixels[zeros] = _brought_to(_LEAST_POWER * float(np.median(power[~zeros])), pixels.dtype)
+        least = _LEAST_POWER * float(np.median(power[~zeros]))
+        pixels[zeros] = math.sqrt(least) if pixels.dtype.kind == "c" else least
         _say(
             assumptions,
             f"{counted(int(zeros.sum()), 'pixel')} of {zeros.size} held zero, which no radar measures; raised "
@@ -276,10 +285,6 @@ def _on(image: MeasuredImage, grid: ImageGrid) -> Shaped[np.ndarray, "{grid.rows
 
 def _power(pixels: Num[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
     return power_of(pixels) if pixels.dtype.kind == "c" else pixels
-
-
-def _brought_to(power: float, dtype: np.dtype[Any]) -> np.generic:
-    return dtype.type(math.sqrt(power) if dtype.kind == "c" else power)
 
 
 def _say(assumptions: list[str], text: str) -> None:

@@ -20,10 +20,9 @@ import numpy as np
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, counted, shown
-from sarsplat.geometry import View
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, stated_taylor
 from sarsplat.importers.files import files_in, warn_caller
-from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
+from sarsplat.importers.images import MeasuredImage, dataset_of, view_of, write_imported
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.quantity import power_or_signal
 from sarsplat.names import SampleKind, Side
@@ -97,13 +96,12 @@ def import_sample(
         "kind": "sample",
         "images": kind,
         **facts,
-        "azimuth": f"azimuth = {'+' if mirrored else '-'}azimuth of the file",
         "near": near,
         "mirrored": mirrored,
         "assumptions": [
             f"near range is the {near} row, and the images are {'' if mirrored else 'not '}mirrored, "
             "which the set's description does not say",
-            "azimuth 0 is the nose towards the radar, as in MSTAR",
+            f"azimuth = {'+' if mirrored else '−'}azimuth of the file; 0 is the nose towards the radar, as in MSTAR",
             *[f"the Taylor window has n̄ = {TAYLOR.sidelobes}"] * (images[0].response != GAUSSIAN),
         ],
     }
@@ -148,16 +146,12 @@ def _read(named: SampleName, folder: Path, near: Side, mirrored: bool) -> tuple[
         raise SarsplatError(f"{named.path} has no complex matrix complex_img; give files of the SAMPLE set")
     signal = power_or_signal(pixels, "complex", str(named.path))
     azimuth = _angle(named, variables, "azimuth", named.azimuth_deg)
-    spacing = _lengths(named, variables, "pixel_spacing")
-    try:
-        view = View(azimuth if mirrored else -azimuth % 360, _angle(named, variables, "elevation", named.elevation_deg))
-    except SarsplatError as error:
-        raise SarsplatError(f"{named.path}: {error}") from error
+    elevation = _angle(named, variables, "elevation", named.elevation_deg)
     image = MeasuredImage(
         str(named.path.relative_to(folder)),
         oriented(signal, near, mirrored),
-        view,
-        spacing,
+        view_of(str(named.path), azimuth if mirrored else -azimuth, elevation),
+        _lengths(named, variables, "pixel_spacing"),
         _lengths(named, variables, "resolution"),
         response=stated_taylor(_number(variables, "taylor_weights")),
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -113,17 +112,10 @@ class SicdFields:
 
     def amplitudes(self) -> Float64[np.ndarray, " 256"] | None:
         """The table of amplitudes, if there is one."""
-        element = self._tree.find("{*}ImageData/{*}AmpTable")
-        if element is None:
-            return None
-        table = np.full(256, math.nan)
-        for item in element:
-            index = item.get("index") or ""
-            if index.isascii() and index.isdigit() and int(index[:9]) < len(table):
-                table[int(index)] = float(item.text)
-        if not np.all((table >= 0) & (table <= LARGEST)):
+        values = self._load("ImageData/AmpTable")
+        if values is not None and not (np.shape(values) == (256,) and np.all((values >= 0) & (values <= LARGEST))):
             raise SarsplatError(f"{self._path} has a table of amplitudes that is not 256 numbers ≥ 0; get it again")
-        return table
+        return values
 
     def collection(self) -> dict[str, str]:
         """Who took it, when and how."""
