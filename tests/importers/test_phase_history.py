@@ -52,10 +52,6 @@ def test_agrees_with_a_direct_sum(tmp_path, weighting):
     found = aperture(tmp_path, circle(np.linspace(50, 52, 40)), [(1, 2, 0), (-2, 0.5, 1)])
     grid = ImageGrid(20, 24, (0.15, 0.1), (0.1, 0.1), (0.3, -0.2))
     image = focus(found, grid, weighting)
-    assert_close_to_direct_sum(found, grid, image, weighting)
-
-
-def assert_close_to_direct_sum(found, grid, image, weighting):
     history, cross = found.history, found.cross
     middle = (cross.min() + cross.max()) / 2
     pulses = np.abs(np.gradient(cross)) * weighting.window((cross - middle) / found.extent)
@@ -112,11 +108,6 @@ def test_width_and_side_lobes_are_those_of_theory(tmp_path, weighting, side_lobe
         assert 2 * (above - 100) / 20 == pytest.approx(1, abs=0.01)  # in resolutions
         beyond = power[100 + int(np.argmax(np.diff(power[100:]) > 0)) :]  # from the first zero on
         assert beyond.max() == pytest.approx(side_lobe_db, abs=0.7)
-
-
-def test_the_taylor_weighting_is_wider_by_what_is_known_of_it():
-    assert UNIFORM.width == pytest.approx(0.8859, abs=1e-4)
-    assert Taylor().width == pytest.approx(1.184, abs=1e-3)
 
 
 @pytest.fixture

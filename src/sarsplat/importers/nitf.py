@@ -69,7 +69,7 @@ def read_nitf(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, list
         raise SarsplatError(f"{path} {state}: {size} bytes where its header says {int(stated)}; get it again")
     file.seek(0)
     with sarkit_errors(path):
-        nitf = jbpy.Jbp().load(file)
+        nitf = jbpy.Jbp().load(file)  # type: ignore[arg-type]
         extensions = [part["DESDATA"] for part in nitf["DataExtensionSegments"]]
         images = [part for part in nitf["ImageSegments"] if part["subheader"]["IID1"].value.startswith("SICD")]
         images.sort(key=lambda part: part["subheader"]["IID1"].value)
