@@ -44,7 +44,7 @@ def command(
     weighting
         The narrowest response, or side lobes 35 dB down.
     target
-        What is there.
+        What the images show.
     train_views
         Number of training images, nearest to azimuths k·360°/K; the others are test images. Without it, all are for
         training.

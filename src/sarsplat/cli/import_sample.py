@@ -63,7 +63,7 @@ def command(
 
 
 def recognise(contents: Contents) -> Recognised | None:
-    """Files that are called as those of the set."""
+    """Files named like those of the set."""
     from sarsplat.importers.sample import named_as_sample
 
     names = [name for name in map(named_as_sample, contents.ending_in(".mat")) if name is not None]

@@ -58,7 +58,7 @@ def import_folder(
         CSV file; unless given, the only one in the folder.
     columns : mapping of str to str, optional
         What columns say → their names (see `sarsplat.importers.columns.MEANINGS`). Those not named are recognised by
-        their usual names. What a column says of a picture goes before what is said here of all.
+        their usual names. Cells of the table take precedence over the arguments here.
     quantity : {"amplitude", "power", "db", "complex"}, optional
         What `scale`·pixels + `offset` is. Unless given: complex for complex pixels, amplitude for whole numbers.
     scale, offset : float

@@ -29,10 +29,10 @@ _SAME = 1e-3
 """Relative difference of lengths that are meant to be the same."""
 
 _SAME_PLACE = 1e-2
-"""Of a pixel: images that lie no further apart are not moved."""
+"""Images that lie no further apart than this share of a pixel are not moved."""
 
 _LEAST_POWER = 1e-3
-"""Of the median: what is zero is raised to it, for zero has no logarithm and no radar measures it."""
+"""Share of the median power to which zeros are raised: zero has no logarithm, and no radar measures it."""
 
 _FAINTEST = 1e-30
 """Mean power, in whatever unit; far below it, and far above its reciprocal, float32 loses digits."""

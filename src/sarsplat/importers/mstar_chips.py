@@ -34,7 +34,7 @@ class Chip:
     name: str
     """Path relative to the folder of chips."""
     serial: str
-    """Of the vehicle."""
+    """Serial number of the vehicle."""
     depression: int
     """Depression angle as planned, whole degrees: the name of the collection."""
     grazing_deg: float
@@ -236,7 +236,7 @@ def _steps(table: CsvTable, rows: Sequence[Row]) -> list[float]:
 
 
 def _digital_numbers(path: Path) -> Float32[np.ndarray, "rows columns"]:
-    """Those of an 8-bit grey picture."""
+    """The pixels of an 8-bit grey picture."""
     pixels = read_pixels(path)
     if pixels.dtype != np.uint8 or pixels.ndim != 2:
         raise SarsplatError(f"{path} holds {pixels.dtype} of shape {shown(pixels.shape)}; chips are 8-bit grey")

@@ -24,9 +24,9 @@ from sarsplat.progress import progress
 
 _WEIGHTINGS = {"uniform": UNIFORM, "taylor": TAYLOR}
 _SPACING = 2 / 3
-"""Of the narrower 3 dB width, where nobody says otherwise: power has twice the band of the signal."""
+"""Default pixel spacing, as a share of the narrower 3 dB width: power has twice the band of the signal."""
 _TILT_DEG = 3.0
-"""Turn of the slant plane from which on it is worth a word: what is 2 m high moves across by a decimetre."""
+"""Slant planes turned by more than this are reported: what is 2 m high moves across by a decimetre."""
 
 
 def import_phase_history(
@@ -48,7 +48,7 @@ def import_phase_history(
     Parameters
     ----------
     files : sequence of Path
-        MATLAB files, in any order. Those that go on with one another are one flight.
+        MATLAB files, in any order. Files that continue each other are one flight.
     out : Path
         Dataset to make.
     size_m : float
@@ -64,7 +64,7 @@ def import_phase_history(
     weighting : {"uniform", "taylor"}
         Of frequencies and pulses: the narrowest response, or side lobes 35 dB down.
     target : str
-        What is there.
+        What the images show.
     train_views : int, optional
         Number K of training views, nearest to azimuths k·360°/K; the others are test views. None: all are for training.
     overwrite : bool

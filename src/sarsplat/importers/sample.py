@@ -115,9 +115,7 @@ def _chosen(folder: Path, target: str, kind: SampleKind) -> list[SampleName]:
         raise SarsplatError(f"the kind is {shown(kind)}; it must be one of {', '.join(get_args(SampleKind))}")
     named = [name for name in map(named_as_sample, files) if name is not None]
     if not named:
-        raise SarsplatError(
-            f"{folder} has no file that is called as those of the SAMPLE set; give its folder mat_files"
-        )
+        raise SarsplatError(f"{folder} has no file named like those of the SAMPLE set; give its folder mat_files")
     if other := len(files) - len(named):
         warn_caller(
             f"{counted(other, 'MATLAB file')} in {folder} with names unlike those of the SAMPLE set are left out"

@@ -26,13 +26,13 @@ class Axis:
     """What the metadata say of the rows or the columns of an image."""
 
     spacing_m: float
-    """Of pixels, within the image plane."""
+    """Distance of pixels within the image plane."""
     resolution_m: float
     """3 dB width of the power response, within the image plane."""
     bandwidth: float
-    """Of the response, cycles/m."""
+    """Bandwidth of the response, cycles/m."""
     sign: int
-    """Of the exponent of the Fourier transform that leads to spatial frequencies, 1 or −1."""
+    """Sign of the exponent in the Fourier transform to spatial frequencies, 1 or −1."""
     carrier: Float64[np.ndarray, "m n"]
     """Where the band is centred, cycles/m: a polynomial in (xrow, ycol), m."""
     window: str
@@ -95,7 +95,7 @@ class SicdFields:
         )
 
     def _response(self, name: str, window: str) -> Response:
-        """Of a window, if it is one of ours and stated with its parameters."""
+        """The response that a window leads to, if it is one of ours and stated with its parameters."""
         if window == "UNIFORM":
             return UNIFORM
         stated = {item.get("name"): item.text for item in self._tree.iterfind(_any_version(f"{name}/Parameter"))}

@@ -71,11 +71,11 @@ class Layout:
     distance_m: float
     """From the radar to the spot."""
     tilt_deg: float
-    """Of the slant plane about the line of sight; 0 if the image's azimuth is level."""
+    """Tilt of the slant plane about the line of sight; 0 if the image's azimuth is level."""
     extent_m: float
     """Half a side of the square that the fit is for."""
     coefficients: Float64[np.ndarray, "n 2"]
-    """Of the polynomials that lead from (azimuth, range), in units of `extent_m`, to (xrow, ycol), m."""
+    """Coefficients of the polynomials from (azimuth, range), in units of `extent_m`, to (xrow, ycol), m."""
     leaning: tuple[float, float] = (0.0, 0.0)
     """How far (azimuth, range), m, what stands one metre high appears from where parallel rays and a level azimuth
     axis have it."""
