@@ -27,7 +27,7 @@ def carry_out(
 
 
 def finish(out: Path, dataset: Dataset) -> None:
-    """Print what was assumed and what contradicts it, draw a sheet that shows the orientation, and name the next step."""
+    """Print what was assumed and what contradicts it, draw a sheet of the orientation, and name the next step."""
     from sarsplat.data.plausible import warn
     from sarsplat.importers import ready
     from sarsplat.reconstruction.contradictions import examine
