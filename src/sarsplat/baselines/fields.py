@@ -76,14 +76,12 @@ class Perceptron(Field):
     def forward(
         self, places: Float[Tensor, "p 3"], direction: Float[Tensor, " 3"]
     ) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
-        """See `Field`."""
         hidden = self._trunk(places)
         from_where = encoded(direction[None], _DIRECTION_OCTAVES).expand(len(places), -1)
         directed = self.directed(torch.cat([self.bottleneck(hidden), from_where], dim=1)).relu()
         return self.attenuation_head(hidden)[:, 0], self.scattering_head(directed)[:, 0]
 
     def attenuation(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, " p"]:
-        """See `Field`."""
         return self.attenuation_head(self._trunk(places))[:, 0]
 
     def _trunk(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, "p w"]:
@@ -141,7 +139,6 @@ class VoxelGrid(Field):
     def forward(
         self, places: Float[Tensor, "p 3"], direction: Float[Tensor, " 3"]
     ) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
-        """See `Field`."""
         basis = harmonic_basis(direction, self.degree)
         # the sum over harmonics first: nodes have more neighbours than numbers
         tables = [torch.stack([table[0], torch.einsum("k,kzyx->zyx", basis, table[1:])]) for table in self.tables]
@@ -149,7 +146,6 @@ class VoxelGrid(Field):
         return attenuation, scattering
 
     def attenuation(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, " p"]:
-        """See `Field`."""
         return self._between([table[:1] for table in self.tables], places)[0]
 
     def total_variation(self) -> Float[Tensor, ""]:

@@ -61,7 +61,6 @@ class BaselineMethod(Method):
 
     @property
     def settings(self) -> type[BaselineConfig]:  # type: ignore[override]
-        """See `Method`."""
         return type(self.defaults)
 
     def preset(self, name: str, dataset: Dataset) -> BaselineConfig:
@@ -92,11 +91,9 @@ class BaselineMethod(Method):
     def open(
         self, snapshot: Snapshot, config: BaselineConfig, device: str, folder: Path | None
     ) -> BaselineReconstruction:
-        """See `Method`."""
         return BaselineReconstruction(self, snapshot, config, device, folder)
 
     def loss_title(self, config: BaselineConfig) -> tuple[str, str]:
-        """See `Method`."""
         return self.loss, "loss"
 
 
@@ -150,7 +147,6 @@ class BaselineReconstruction(Reconstruction):
         return _seen_points(self.surface, self.snapshot.views, self.grid.cell_m / _RAYS_PER_CELL)
 
     def points(self) -> Points:
-        """See `Reconstruction`."""
         return self._seen[0]
 
     def normals_at(self, points: Points) -> Points:
@@ -166,12 +162,10 @@ class BaselineReconstruction(Reconstruction):
     # ---- for readers ------------------------------------------------------------------------------------------------
     @property
     def learned(self) -> str:
-        """See `Reconstruction`."""
         return f"{self.method.learns} ({self.method.title})"
 
     @property
     def facts(self) -> dict[str, str]:
-        """See `Reconstruction`."""
         return {"numbers learned": f"{sum(parameter.numel() for parameter in self.baseline.parameters()):,}"}
 
 

@@ -18,16 +18,15 @@ from sarsplat.errors import SarsplatWarning, counted
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruction.config import DEFAULT_METHOD, Config
-from sarsplat.reconstruction.lengths import lengths
 from sarsplat.reconstruction.losses import LOSSES
 from sarsplat.reconstruction.masks import scene_masks, without_imitated_ground
 from sarsplat.reconstruction.mesh import surface_mesh
 from sarsplat.reconstruction.method import Inputs, Method, Reconstruction
 from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.normals import surface_normals
+from sarsplat.reconstruction.parts.target import scales_m
 from sarsplat.reconstruction.points import extract_points
 from sarsplat.reconstruction.presets import preset
-from sarsplat.reconstruction.saved_model import saved_model
 from sarsplat.reconstruction.seen import Seen
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.reconstruction.strategies.azimuths import AZIMUTH_OFFSETS
@@ -72,11 +71,9 @@ class SarGs(Method):
         return Trainer(dataset, config, inputs.loss, device, inputs.strategies)
 
     def open(self, snapshot: Snapshot, config: Config, device: str, folder: Path | None) -> GaussianReconstruction:
-        """See `Method`."""
         return GaussianReconstruction(snapshot, config, device)
 
     def loss_title(self, config: Config) -> tuple[str, str]:
-        """See `Method`."""
         loss = LOSSES.get(config.loss)
         return (loss.title, loss.unit) if loss else (f"function {config.loss}", "loss")
 
@@ -101,7 +98,7 @@ class GaussianReconstruction(Reconstruction):
 
     def __init__(self, snapshot: Snapshot, config: Config, device: str) -> None:
         self.snapshot, self.config, self.grid = snapshot, config, snapshot.grid
-        self.model = saved_model(snapshot, config, device)
+        self.model = SceneModel.saved(snapshot, config, device)
 
     @property
     def gaussians(self) -> Gaussians:  # type: ignore[override]
@@ -158,7 +155,6 @@ class GaussianReconstruction(Reconstruction):
 
     @property
     def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"] | None:
-        """See `Reconstruction`."""
         offsets = self.snapshot.tensors.get(AZIMUTH_OFFSETS)
         return None if offsets is None else offsets.double().numpy()
 
@@ -187,13 +183,26 @@ class GaussianReconstruction(Reconstruction):
     # ---- for readers ------------------------------------------------------------------------------------------------
     @property
     def learned(self) -> str:
-        """See `Reconstruction`."""
         return counted(len(self.gaussians), "Gaussian")
 
     @property
     def facts(self) -> dict[str, str]:
-        """See `Reconstruction`."""
         return {"preset": self.config.preset, "start": self.config.initialisation}
+
+
+def lengths(config: Config, grid: ImageGrid) -> str:
+    """One line: the lengths, in metres, that a reconstruction of images on this grid works with."""
+    cell_m = grid.cell_m
+    scales, rates = scales_m(config, cell_m), config.rates
+    rays = [
+        RayGrid.for_image(grid, count).spacing_m[0] for count in (config.rays_per_pixel, config.fine_rays_per_pixel)
+    ]
+    ray = f"{rays[0]:.2g} m" if config.fine_from == 1 else f"{rays[0]:.2g}, then {rays[1]:.2g} m"
+    return (
+        f"lengths from {cell_m:.3g} m resolution cells: start {scales[1]:.2g} m, sizes {scales[0]:.2g} … "
+        f"{scales[2]:.2g} m, steps {rates.means * cell_m:.2g} → {rates.means_end * cell_m:.2g} m, rays {ray}, "
+        f"voxels {config.points.voxel * cell_m:.2g} m"
+    )
 
 
 def _finer(asked: ImageGrid, own: ImageGrid) -> str:

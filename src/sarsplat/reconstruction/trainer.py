@@ -21,12 +21,10 @@ from sarsplat.reconstruction.dropout import dropped
 from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss
 from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.optimiser import Optimiser, followed
-from sarsplat.reconstruction.saved_model import model_tensors, saved_model
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.reconstruction.strategies import Info, Strategy, strategies_of
 from sarsplat.reconstruction.strategies.strategy import of_rows
-from sarsplat.reconstruction.training_images import TrainingImages
-from sarsplat.reconstruction.view_queue import ViewQueue
+from sarsplat.reconstruction.training_images import TrainingImages, ViewQueue
 from sarsplat.renderer import Rendering, channel_of
 
 
@@ -201,7 +199,7 @@ class Trainer:
             If a step was given what it cannot render.
         """
         self.check()
-        tensors = {"generator": self._generator.get_state(), **model_tensors(self.model)}
+        tensors = {"generator": self._generator.get_state(), **self.model.tensors()}
         tensors |= {f"optimiser/{name}": tensor for name, tensor in self.optimiser.tensors().items()}
         for strategy, state in zip(self.strategies, self._states, strict=True):
             tensors[f"strategy/{strategy.name}"] = torch.empty(0, device="cpu")  # it is there, even without any state
@@ -234,7 +232,7 @@ class Trainer:
                 f"the training was begun with the strategies {', '.join(sorted(begun)) or 'none'}, not "
                 f"{', '.join(sorted(own)) or 'none'}; give the same"
             )
-        self._learn(saved_model(snapshot, self.config, self.device))
+        self._learn(SceneModel.saved(snapshot, self.config, self.device))
         self.optimiser.load(snapshot.part("optimiser"))
         for strategy, state in zip(self.strategies, self._states, strict=True):
             state.load(snapshot.part(f"strategy/{strategy.name}"))

@@ -23,12 +23,10 @@ class Gains(Nuisance):
 
     @property
     def learned(self) -> dict[str, Learned]:
-        """See `Part`."""
         rate = self.config.rates.nuisance if self.settings.gain_std else 0.0
         return {"log_gain": Learned((len(self.setting.views),), (rate,))}
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        """See `Part`."""
         return {"log_gain": torch.zeros(len(train), device="cpu")}
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
@@ -37,11 +35,9 @@ class Gains(Nuisance):
             yield normal_nats(p["log_gain"], self.settings.gain_std)
 
     def shot(self, shot: Shot, p: Parameters) -> Shot:
-        """See `Part`."""
         return shot if shot.chips is not None else replace(shot, additive=gains(p).reciprocal().mean())
 
     def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
-        """See `Part`."""
         if shot.chips is None:
             return images
         # not by `render`, which would look at its values, and a GPU would be waited for; expanded, so that its gradient

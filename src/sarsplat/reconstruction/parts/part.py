@@ -180,7 +180,6 @@ class Nuisance(Part):
 
     @classmethod
     def wanted(cls, config: Config) -> bool:
-        """See `Part`."""
         return config.surroundings is not None
 
     def __init__(self, config: Config, setting: Setting, device: torch.device) -> None:

@@ -48,11 +48,9 @@ class Texture(Nuisance):
 
     @classmethod
     def wanted(cls, config: Config) -> bool:
-        """See `Part`."""
         return config.surroundings is not None and config.surroundings.texture_looks > 0
 
     def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
-        """See `Part`."""
         if self.maps is None:
             return images
         unseen = shot.chips is None
@@ -60,11 +58,9 @@ class Texture(Nuisance):
         return images * factor[:, None]
 
     def state(self) -> Parameters:
-        """See `Part`."""
         return {} if self.maps is None else self.maps.tensors
 
     def load(self, state: Parameters) -> None:
-        """See `Part`."""
         self.maps = Maps(state, self.setting.grid, self.settings) if state else None
         if self.maps is not None and len(state["ratio"]) != len(self.setting.views):
             raise ValueError(f"a texture of {len(state['ratio'])} chips for {counted(len(self.setting.views), 'view')}")

@@ -53,7 +53,6 @@ class AzimuthRefinement(Configured):
 
     @classmethod
     def of(cls, config: Config, train: Dataset) -> Self | None:
-        """See `Configured`."""
         uncertain = any(entry.azimuth_std_deg for entry in train.entries)
         return cls(train, config.surroundings, config.iterations) if config.surroundings and uncertain else None
 
@@ -70,7 +69,6 @@ class AzimuthRefinement(Configured):
     def step_post_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
     ) -> None:
-        """See `Strategy`."""
         if not self.due(step):
             return
         info.check()

@@ -30,7 +30,6 @@ class DensityControl(Configured):
 
     @classmethod
     def of(cls, config: Config, train: Dataset) -> Self | None:
-        """See `Configured`."""
         return cls(config.densification) if config.densification else None
 
     def initial_state(self, params: dict[str, Tensor]) -> State:
@@ -39,7 +38,6 @@ class DensityControl(Configured):
         return State(rows={name: torch.zeros(count, device=device) for name in ("gradient", "seen")})
 
     def wants_plane_gradients(self, step: int) -> bool:
-        """See `Strategy`."""
         return step <= self._config.stop
 
     def due(self, step: int) -> bool:
@@ -50,7 +48,6 @@ class DensityControl(Configured):
     def step_post_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
     ) -> None:
-        """See `Strategy`."""
         if self.wants_plane_gradients(step):
             gather(state, info.rendering, info.images.grid)
         if self.due(step):

@@ -26,7 +26,6 @@ class Relocating(Configured):
 
     @classmethod
     def of(cls, config: Config, train: Dataset) -> Self | None:
-        """See `Configured`."""
         return cls(config.relocation, config.iterations) if config.relocation.rounds else None
 
     def due(self, step: int) -> bool:
@@ -36,7 +35,6 @@ class Relocating(Configured):
     def step_post_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
     ) -> None:
-        """See `Strategy`."""
         if self.due(step):
             info.check()
             rows = pairs(info.cross_sections(), self._config.idle_share, info.generator)
