@@ -146,12 +146,7 @@ def speckle_loss(
 ) -> Float[Tensor, ""]:
     """Negative log-likelihood of single-look speckle, nats per pixel: the mean of log S + I / S.
 
-    Parameters
-    ----------
-    power : Tensor [V, rows, columns]
-        Rendered β⁰ with its noise floor, > 0.
-    intensity : Tensor [V, rows, columns]
-        Measured intensity.
+    S is the rendered β⁰ with its noise floor, > 0, and I the measured one.
     """
     return speckle_nats(power, intensity).mean(0)
 
@@ -174,18 +169,12 @@ def _means(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, " v"]:
 
 @dataclass(frozen=True)
 class ImageScale:
-    """How bright the training images are, in linear power.
-
-    Parameters
-    ----------
-    brightest : float
-        Largest β⁰.
-    unit : float
-        Power that counts as 1 in the model: their mean where the ground shows, else 1.
-    """
+    """How bright the training images are, in linear power."""
 
     brightest: float
+    """Largest β⁰."""
     unit: float
+    """Power that counts as 1 in the model: their mean where the ground shows, else 1."""
 
 
 def _amplitude(config: Config, scale: ImageScale) -> Loss:

@@ -51,7 +51,7 @@ class SarGs(Method):
     watchable = True
 
     def preset(self, name: str, dataset: Dataset) -> Config:
-        """See `Method`: "auto" is for what the images show; where there is ground or speckle, it must be modelled."""
+        """A preset; "auto" is for what the images show: where there is ground or speckle, it must be modelled."""
         if name != "auto":
             return preset(name)
         return preset("measured" if dataset.ground else "default" if dataset.looks is None else "speckled")
@@ -64,7 +64,7 @@ class SarGs(Method):
         device: torch.device,
         begun: Callable[[], Reconstruction] | None,
     ) -> Trainer:
-        """See `Method`; the settings have the name of a loss of one's own."""
+        """A training at its beginning; the settings get the name of a loss of one's own."""
         if inputs.loss is not None:
             name = getattr(inputs.loss, "__name__", type(inputs.loss).__name__)
             config = replace(config, loss=f"own {name}" if name in LOSSES else name)
@@ -78,7 +78,7 @@ class SarGs(Method):
         return (loss.title, loss.unit) if loss else (f"function {config.loss}", "loss")
 
     def about(self, config: Config, grid: ImageGrid) -> tuple[str, str]:
-        """See `Method`: the preset, and lengths in metres."""
+        """The preset, and lengths in metres."""
         return config.preset, lengths(config, grid)
 
 
@@ -86,13 +86,7 @@ METHOD = SarGs()
 
 
 class GaussianReconstruction(Reconstruction):
-    """A scene of Gaussians; its folder also gets `gaussians.ply`.
-
-    Raises
-    ------
-    KeyError, ValueError, TypeError, IndexError, RuntimeError, SarsplatError
-        If the snapshot does not hold a whole model.
-    """
+    """A scene of Gaussians; its folder also gets `gaussians.ply`. Errors as in `Method.open`."""
 
     model: SceneModel
 
@@ -102,7 +96,6 @@ class GaussianReconstruction(Reconstruction):
 
     @property
     def gaussians(self) -> Gaussians:  # type: ignore[override]
-        """The target's Gaussians."""
         return self.model.target(self._degree).detach()
 
     @property
@@ -110,20 +103,11 @@ class GaussianReconstruction(Reconstruction):
         return self.model.degree(self.snapshot.iteration)
 
     def mesh(self, points: Float32[np.ndarray, "p 3"], normals: Float32[np.ndarray, "p 3"]) -> trimesh.Trimesh:
-        """The surface through the points as triangles, world frame, m.
-
-        Its vertices have the attribute `gamma0`, γ⁰ (linear), and colours that show it in decibels. It is open where no
-        view looked, and has no faces if there are no points.
-
-        Raises
-        ------
-        SarsplatError
-            If scikit-image or trimesh is missing, or the points span too many voxels.
-        """
+        """The surface through the points, with γ⁰ of its vertices (`surface_mesh`); open where no view looked."""
         return surface_mesh(points, normals, self._seen, self.grid.cell_m)
 
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
-        """See `Reconstruction`.
+        """β⁰ of any views, linear power.
 
         Rays are at a quarter of its own pixel spacing on every grid: they measure how much each Gaussian is lit, which
         has nothing to do with the pixels.
@@ -141,12 +125,10 @@ class GaussianReconstruction(Reconstruction):
         return np.concatenate(images)
 
     def masks(self, views: Sequence[View], points: Float32[np.ndarray, "p 3"]) -> UInt8[np.ndarray, "v rows columns"]:
-        """What the pixels of any views show: 0 clutter, 1 target, 2 shadow; on its grid, uint8.
+        """What the pixels of any views show, by what target and ground would return, each alone (`scene_masks`).
 
-        By what target and ground would return, each alone, at the sharpness of the pixels
-        (`sarsplat.reconstruction.masks.scene_masks`), where `render` shows them. The target are the Gaussians near the
-        points and, if ground was learned, at least one resolution cell above it: others may stand for clutter as well
-        as the ground does. Without learned ground there is no shadow.
+        The target are the Gaussians near the points and, if ground was learned, at least one resolution cell above it
+        (`without_imitated_ground`). Without learned ground there is no shadow.
         """
         scene = self.model.scene(self._degree).detach()
         scene, count = without_imitated_ground(scene, len(self.model), points, self.grid.cell_m)
@@ -159,17 +141,17 @@ class GaussianReconstruction(Reconstruction):
         return None if offsets is None else offsets.double().numpy()
 
     def points(self) -> Float32[np.ndarray, "p 3"]:
-        """See `Reconstruction`: first returns of rays, or centres, as configured."""
+        """First returns of rays, or centres, as configured."""
         points = extract_points(self.gaussians, self.snapshot.views, self.grid, self.config.points)
         return points.astype(np.float32)  # as the file has them
 
     def normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
-        """See `Reconstruction`: of the planes through their neighbours."""
+        """Normals of the planes through their neighbours."""
         towards = self._seen.around(points)[1]
         return surface_normals(points, towards, _NORMAL_RADIUS * self.grid.cell_m).astype(np.float32)
 
     def gamma0_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, " p"]:
-        """See `Reconstruction`: mean over the views that see the Gaussians there, weighted by how much they see."""
+        """Mean γ⁰ over the views that see the Gaussians there, weighted by how much they see."""
         return self._seen.around(points)[0].astype(np.float32)
 
     @cached_property
@@ -177,10 +159,9 @@ class GaussianReconstruction(Reconstruction):
         return Seen.of(self.gaussians, self.snapshot.views, self.grid)
 
     def write(self, folder: Path) -> None:
-        """See `Reconstruction`: `gaussians.ply`."""
+        """Write `gaussians.ply`."""
         write_gaussians_ply(folder / "gaussians.ply", self.gaussians)
 
-    # ---- for readers ------------------------------------------------------------------------------------------------
     @property
     def learned(self) -> str:
         return counted(len(self.gaussians), "Gaussian")

@@ -156,13 +156,7 @@ class Trainer:
         return RayGrid.for_image(self.grid, config.fine_rays_per_pixel if fine else config.rays_per_pixel)
 
     def check(self) -> None:
-        """Wait for the device, and see that every step so far was given what it can render.
-
-        Raises
-        ------
-        SarsplatError
-            If not.
-        """
+        """Wait for the device, and raise a SarsplatError if a step so far was given what it cannot render."""
         self._bounds.check()
 
     @property
@@ -191,13 +185,7 @@ class Trainer:
         return self.model.target(self.model.degree(self.iteration)).detach()
 
     def snapshot(self, seconds: float) -> Snapshot:
-        """Everything the next step depends on, as it is now; `seconds` is how long the training took until here.
-
-        Raises
-        ------
-        SarsplatError
-            If a step was given what it cannot render.
-        """
+        """Everything the next step depends on, as it is now; `seconds` is how long the training took until here."""
         self.check()
         tensors = {"generator": self._generator.get_state(), **self.model.tensors()}
         tensors |= {f"optimiser/{name}": tensor for name, tensor in self.optimiser.tensors().items()}
@@ -218,12 +206,7 @@ class Trainer:
     def restore(self, snapshot: Snapshot) -> None:
         """Undo `snapshot`.
 
-        Raises
-        ------
-        SarsplatError
-            If it is of a training with other strategies.
-        KeyError, ValueError
-            If it is not of such a training.
+        Raises a SarsplatError if it is of a training with other strategies, KeyError or ValueError if of no such one.
         """
         names = [name.removeprefix("strategy/") for name in snapshot.tensors if name.startswith("strategy/")]
         begun, own = {name for name in names if "/" not in name}, {strategy.name for strategy in self.strategies}

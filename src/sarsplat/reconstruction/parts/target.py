@@ -110,7 +110,7 @@ class Target(Part):
     def scene(
         self, scene: Gaussians | None, p: Parameters, degree: int, dropped: Bool[Tensor, " n"] | None
     ) -> Gaussians:
-        """See `Part`; the Gaussians that are left make up for those `dropped`."""
+        """The Gaussians that are left compensate for the optical depth of those `dropped`."""
         depth = p["optical_depth"]
         if dropped is not None:
             more = (depth / (1 - self.config.dropout)).clamp(max=self.config.max_optical_depth)
@@ -120,7 +120,7 @@ class Target(Part):
         return target if scene is None else join(scene, target)
 
     def reach(self) -> Bounds:
-        """See `Part`; also of the first scene."""
+        """Bounds of every scene, the first included."""
         config, (low, high) = self.config, self._box
         depth = max(config.max_optical_depth, config.initial_optical_depth)
         return Bounds((*low.tolist(),), (*high.tolist(),), max(scales_m(config, self.setting.cell_m)), depth, "cpu")

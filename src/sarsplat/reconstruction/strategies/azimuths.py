@@ -1,4 +1,4 @@
-"""Azimuths of training chips that are known only to within some degrees: refined while the scene is learned."""
+"""Azimuths of training images that are known only to within some degrees: refined while the scene is learned."""
 
 from __future__ import annotations
 
@@ -24,25 +24,14 @@ _EACH_WAY = 5
 """Offsets tried on each side of the label."""
 
 NegativeLogLikelihood = Callable[[Sequence[View], Int64[np.ndarray, " n"]], Float64[np.ndarray, " n"]]
-"""Of training chips, given by their numbers, as seen from these views; nats."""
-
+"""From views and the numbers of training images to the images' negative log-likelihood as seen from there, nats."""
 
 AZIMUTH_OFFSETS = "strategy/azimuths/offset_deg"
 """In a snapshot: float64 [K], what is added to the azimuths of the training views, degrees; if any is uncertain."""
 
 
 class AzimuthRefinement(Configured):
-    """From where the training images are taken to have been taken.
-
-    Parameters
-    ----------
-    train : Dataset
-        The training images: azimuths as labelled, and how well each is known.
-    settings : Surroundings
-        When to refine them.
-    iterations : int
-        Length of the training.
-    """
+    """Estimates the azimuths of training images, given their labels and how well each is known."""
 
     order = 30
     name = "azimuths"
@@ -89,8 +78,8 @@ class AzimuthRefinement(Configured):
     def most_likely(self, nats: NegativeLogLikelihood) -> Float64[np.ndarray, " k"]:
         """How far each azimuth is from its label where it is most likely, given that and its image, degrees.
 
-        The offsets of all have no mean: turning all chips the same way would turn the target, away from the test
-        views. Each counts as much as it is known, so one that is known exactly holds the target alone.
+        The weighted mean of all offsets is 0: turning all images the same way would turn the target, away from the test
+        views. The better an azimuth is known, the more it counts; one that is known exactly fixes the target's heading.
         """
         chips = np.flatnonzero(self._std_deg)
         std = self._std_deg[chips]
@@ -107,15 +96,7 @@ class AzimuthRefinement(Configured):
 
 
 def lowest(places: Float64[np.ndarray, "k n"], values: Float64[np.ndarray, "k n"]) -> Float64[np.ndarray, " k"]:
-    """Where each row has its least value: of the parabola through the lowest three, or at the end.
-
-    Parameters
-    ----------
-    places : numpy.ndarray, float64 [K, N]
-        Evenly spaced in each row.
-    values : numpy.ndarray, float64 [K, N]
-        There.
-    """
+    """Where each row of values at evenly spaced places is least, by the parabola through the lowest three; or an end."""
     rows = np.arange(len(places))
     best = values.argmin(axis=1)
     middle = best.clip(1, places.shape[1] - 2)

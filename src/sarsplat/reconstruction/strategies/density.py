@@ -20,7 +20,7 @@ from sarsplat.renderer import Rendering
 
 
 class DensityControl(Configured):
-    """Gathers gradients on the planes and, every so often, decides which Gaussians come and go."""
+    """Sums gradients on the planes and, at intervals, decides which Gaussians come and go."""
 
     order = 10
     name = "density"
@@ -60,21 +60,9 @@ class DensityControl(Configured):
             state.rows = {name: torch.zeros_like(rows) for name, rows in state.rows.items()}
 
     def decide(self, gaussians: Gaussians, grid: ImageGrid, state: State) -> tuple[Tensor, Tensor, Tensor]:
-        """Which Gaussians are pruned, cloned and split, each bool [N].
+        """Which of the present Gaussians are pruned, cloned and split, each bool [N]; refused if none would be left.
 
-        Parameters
-        ----------
-        gaussians : Gaussians
-            The present ones.
-        grid : ImageGrid
-            Of the images: its resolution cell and its extent in range are what sizes are compared with.
-        state : State
-            What has been gathered.
-
-        Raises
-        ------
-        SarsplatError
-            If none would be left.
+        Their sizes are compared with the grid's resolution cell and its extent in range.
         """
         c = self._config
         size = gaussians.scales.max(dim=1).values
