@@ -38,28 +38,19 @@ T = TypeVar("T", bound=Trainable)
 
 @dataclass(frozen=True)
 class Step(Generic[T]):
-    """What is passed to a watcher of a training after each step.
-
-    Parameters
-    ----------
-    iteration : int
-        Steps done, this one included.
-    loss : Tensor
-        Its loss, a single number; reading it waits for the device.
-    trainer : Trainable
-        The training itself, between two steps; that of `sar-gs` has the target as it is now, `trainer.gaussians`.
-    line : LogLine or None
-        The line that the log gets after this step; None after most.
-    folder_to_come : Path or None
-        The run's folder as long as it is being built elsewhere, which is until after the first checkpoint: nothing may
-        be written there yet. Then, and for a run in memory, None.
-    """
+    """What is passed to a watcher of a training after each step."""
 
     iteration: int
+    """Steps done, this one included."""
     loss: Tensor
+    """Its loss, a single number; reading it waits for the device."""
     trainer: T
+    """The training itself, between two steps; that of `sar-gs` has the target as it is now, `trainer.gaussians`."""
     line: LogLine | None = None
+    """The line that the log gets after this step; None after most."""
     folder_to_come: Path | None = None
+    """The run's folder as long as it is being built elsewhere, which is until after the first checkpoint: nothing may
+    be written there yet. Then, and for a run in memory, None."""
 
 
 class Training(Generic[T]):

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import lru_cache
 from typing import Any
 
@@ -16,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.errors import SarsplatError, advised, shown
 from sarsplat.reconstruction import adam
 from sarsplat.reconstruction.config import Config
 from sarsplat.renderer import cpu, structs
@@ -206,15 +205,7 @@ LOSSES = {
 
 
 def named_loss(config: Config, scale: ImageScale) -> Loss:
-    """The loss that a configuration names.
-
-    Raises
-    ------
-    SarsplatError
-        If there is none of that name.
-    """
+    """The loss that a configuration names; a SarsplatError if there is none."""
     if config.loss not in LOSSES:
-        near = get_close_matches(config.loss, LOSSES, 1)
-        hint = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(LOSSES)}"
-        raise SarsplatError(f"loss {shown(config.loss)} is unknown; {hint}")
+        raise SarsplatError(f"loss {shown(config.loss)} is unknown; {advised(config.loss, LOSSES)}")
     return LOSSES[config.loss].make(config, scale)

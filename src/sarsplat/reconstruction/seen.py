@@ -53,7 +53,7 @@ class Seen:
         return cls(means, cross_section, area.sum(0), area.T @ directions, _RADIUS * grid.cell_m)
 
     def around(self, points: Real[np.ndarray, "p 3"]) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p 3"]]:
-        """γ⁰ (linear) around points in m, 0 where nothing was seen, and the mean direction to the radars, of any length.
+        """γ⁰ (linear) around points (m), 0 where nothing was seen, and the mean direction to the radars, of any length.
 
         γ⁰ is the sum of the cross-sections of the Gaussians there over that of the areas they are seen across: a view
         counts as much as it sees of them.

@@ -150,7 +150,6 @@ class Trainer:
 
     @property
     def _rays(self) -> RayGrid:
-        """Coarse at first, finer towards the end."""
         config = self.config
         fine = self.iteration >= config.fine_from * config.iterations
         return RayGrid.for_image(self.grid, config.fine_rays_per_pixel if fine else config.rays_per_pixel)

@@ -96,7 +96,7 @@ class AzimuthRefinement(Configured):
 
 
 def lowest(places: Float64[np.ndarray, "k n"], values: Float64[np.ndarray, "k n"]) -> Float64[np.ndarray, " k"]:
-    """Where each row of values at evenly spaced places is least, by the parabola through the lowest three; or an end."""
+    """Where each row of values at evenly spaced places is least: of the parabola through the lowest 3, or at an end."""
     rows = np.arange(len(places))
     best = values.argmin(axis=1)
     middle = best.clip(1, places.shape[1] - 2)
