@@ -41,13 +41,7 @@ class BaselineConfig(AnyConfig):
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What a dataset fixes for a method that learns from its training images.
-
-    Raises
-    ------
-    SarsplatError
-        If there are no views, the box is empty, or the unit or the brightest power is not positive.
-    """
+    """What a dataset fixes for a method that learns from its training images; refused if the box is empty."""
 
     views: tuple[View, ...]
     """Of the training images."""
@@ -68,8 +62,6 @@ class Scene:
     """Number of looks of the speckle in the training images; None if there is none."""
 
     def __post_init__(self) -> None:
-        if not self.views:
-            raise SarsplatError("there are no training views to learn from; give at least one training image")
         corners = np.array([self.low_m, self.high_m])
         if corners.shape != (2, 3) or not np.isfinite(corners).all() or not (corners[0] < corners[1]).all():
             raise SarsplatError(
@@ -78,12 +70,6 @@ class Scene:
             )
         if self.looks is not None and not 0 < self.looks < float("inf"):
             raise SarsplatError(f"the number of looks {self.looks} is not positive and finite; None means no speckle")
-        for name in ("unit", "brightest"):
-            value = getattr(self, name)
-            if not 0 < value < float("inf"):  # also catches NaN
-                raise SarsplatError(
-                    f"the {name} power {value} is not positive and finite; give images that are not black"
-                )
 
 
 class Baseline(torch.nn.Module, ABC):
