@@ -164,7 +164,7 @@ class SceneModel:
         degree: int,
         *,
         rays: RayGrid | None = None,
-        chips: Int64[Tensor, " v"] | None = None,
+        numbers: Int64[Tensor, " v"] | None = None,
         plane_gradients: bool = False,
         bounds: Bounds | None = None,
         dropped: Bool[Tensor, " n"] | None = None,
@@ -172,11 +172,11 @@ class SceneModel:
     ) -> tuple[Float[Tensor, "v c {grid.rows} {grid.columns}"], Rendering]:
         """Images [V, C, rows, columns], in the power channel with noise floor, and the rendering behind them.
 
-        `chips` are the indices of training views, whose own shift and gain then apply; without them, images are as
+        `numbers` are those of training images, whose own shift and gain then apply; without them, images are as
         expected of unseen views (`Shot`). `bounds` are those of `render`; Gaussians that are `dropped` are left out;
         `estimated` is whether what was estimated rather than learned applies, as the texture.
         """
-        shot = self.shot(views, grid, chips)
+        shot = self.shot(views, grid, numbers)
         rendering = render(
             self.scene(degree, dropped),
             views,
@@ -192,15 +192,15 @@ class SceneModel:
                 images = part.images(images, shot, self.parameters)
         return images if self.unit == 1 else images * self.unit, rendering
 
-    def shot(self, views: Sequence[View], grid: ImageGrid, chips: Int64[Tensor, " v"] | None = None) -> Shot:
+    def shot(self, views: Sequence[View], grid: ImageGrid, numbers: Int64[Tensor, " v"] | None = None) -> Shot:
         """How images are taken: see `render`."""
-        shot = Shot(views, grid, self.power_channel, chips)
+        shot = Shot(views, grid, self.power_channel, numbers)
         for part in self.parts:
             shot = part.shot(shot, self.parameters)
         return shot
 
     def as_displaced(self, grid: ImageGrid) -> ImageGrid:
-        """The grid on which a scene that is not displaced lies as unseen chips on `grid` show it: as the mean one."""
+        """The grid on which a scene that is not displaced lies as unseen images on `grid` show it: as the mean one."""
         for part in self.parts:
             grid = part.displaced(grid, self.parameters)
         return grid

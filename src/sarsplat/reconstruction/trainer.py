@@ -92,7 +92,7 @@ class Trainer:
             self.grid,
             self.model.degree(self.iteration),
             rays=self._rays,
-            chips=torch.stack([self.images.numbers[i] for i in chosen]),
+            numbers=torch.stack([self.images.numbers[i] for i in chosen]),
             plane_gradients=any(strategy.wants_plane_gradients(step) for strategy in self.strategies),
             bounds=self._bounds,
             dropped=dropped(len(self.model), share, self.config.seed, step, self.device) if share else None,

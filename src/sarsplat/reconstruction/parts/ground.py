@@ -56,7 +56,7 @@ class Ground(Nuisance):
         self, scene: Gaussians | None, p: Parameters, degree: int, dropped: Bool[Tensor, " n"] | None
     ) -> Gaussians:
         uniform = p["ground"].expand(len(self._sheet), -1)
-        # only its level is learned: chips of one grazing angle cannot say how γ⁰ goes on at others
+        # only its level is learned: images of one grazing angle cannot say how γ⁰ goes on at others
         level = torch.cat([uniform[:, :1] + p["ground_texture"], uniform[:, 1:].detach()], dim=1)
         ground = replace(self._sheet, scattering=replace(self._law, parameters=level).detailed(degree))
         return ground if scene is None else join(scene, ground)

@@ -1,4 +1,4 @@
-"""Noise floor: power that measured chips show where nothing scatters."""
+"""Noise floor: power that measured images show where nothing scatters."""
 
 from __future__ import annotations
 

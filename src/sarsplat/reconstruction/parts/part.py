@@ -58,8 +58,8 @@ class Shot:
     """Pixels and response that the scene is rendered with."""
     power_channel: int
     """The channel of the images that is β⁰."""
-    chips: Int64[Tensor, " v"] | None
-    """Numbers of the training images. None for unseen ones: of what belongs to single images (shift, gain), only the
+    numbers: Int64[Tensor, " v"] | None
+    """Which training images they are. None for unseen ones: of what belongs to single images (shift, gain), only the
     distribution is known, and their expectation is rendered."""
     shift: Float[Tensor, "v 2"] | None = None
     """Displacement (azimuth, range) of each image, m."""

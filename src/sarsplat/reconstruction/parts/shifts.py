@@ -1,4 +1,4 @@
-"""Shifts: measured chips are cut out around their targets, by eye."""
+"""Shifts: measured images are cut out around their targets, by eye."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class Shifts(Nuisance):
             yield normal_nats(p["shift"], self.settings.shift_std * self.setting.cell_m)
 
     def shot(self, shot: Shot, p: Parameters) -> Shot:
-        if shot.chips is not None:
-            return replace(shot, shift=p["shift"][shot.chips])
+        if shot.numbers is not None:
+            return replace(shot, shift=p["shift"][shot.numbers])
         widened = shot.grid.widened(*p["shift"].detach().var(dim=0, correction=0).tolist())
         return replace(shot, grid=widened, shift=p["shift"].mean(0).expand(len(shot.views), 2))
 

@@ -20,7 +20,7 @@ from sarsplat.reconstruction.config import Config, Surroundings
 from sarsplat.reconstruction.parts.part import Nuisance, Parameters, Shot
 
 _NEGLIGIBLE = 0.02
-"""Weight below which a chip is dropped: most are far away."""
+"""Weight below which an image is dropped: most are far away."""
 
 _PITCH = 0.6
 """Of the maps on the ground, resolution cells."""
@@ -47,8 +47,8 @@ class Texture(Nuisance):
     def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
         if self.maps is None:
             return images
-        unseen = shot.chips is None
-        factor = self.maps.factor(shot.views, shot.grid) if unseen else self.maps.among_chips[shot.chips]
+        unseen = shot.numbers is None
+        factor = self.maps.factor(shot.views, shot.grid) if unseen else self.maps.among_images[shot.numbers]
         return images * factor[:, None]
 
     def state(self) -> Parameters:
@@ -57,7 +57,9 @@ class Texture(Nuisance):
     def load(self, state: Parameters) -> None:
         self.maps = Maps(state, self.setting.grid, self.settings) if state else None
         if self.maps is not None and len(state["ratio"]) != len(self.setting.views):
-            raise ValueError(f"a texture of {len(state['ratio'])} chips for {counted(len(self.setting.views), 'view')}")
+            raise ValueError(
+                f"a texture of {len(state['ratio'])} images for {counted(len(self.setting.views), 'view')}"
+            )
 
 
 class Maps:
@@ -118,12 +120,12 @@ class Maps:
         )
 
     def factor(self, views: Sequence[View], grid: ImageGrid) -> Float32[Tensor, "v {grid.rows} {grid.columns}"]:
-        """For images from any views, on any grid; 1 where no chip reaches."""
+        """For images from any views, on any grid; 1 where no image reaches."""
         return torch.stack([self._factor(view, self._shifts_m.mean(axis=0), None, grid) for view in views])
 
     @cached_property
-    def among_chips(self) -> Float32[Tensor, "k rows columns"]:
-        """For each training chip, from all others: it must not explain its own speckle."""
+    def among_images(self) -> Float32[Tensor, "k rows columns"]:
+        """For each training image, from all others: it must not explain its own speckle."""
         return torch.stack([self._factor(view, self._shifts_m[k], k, self._grid) for k, view in enumerate(self._views)])
 
     def _image_at(

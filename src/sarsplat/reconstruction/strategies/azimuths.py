@@ -62,8 +62,8 @@ class AzimuthRefinement(Configured):
             return
         info.check()
 
-        def nats(views: Sequence[View], chips: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-            each = [speckle_nats(rendered, measured) for measured, rendered in info.compared(views, chips)]
+        def nats(views: Sequence[View], numbers: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+            each = [speckle_nats(rendered, measured) for measured, rendered in info.compared(views, numbers)]
             return torch.cat(each).double().cpu().numpy() * info.images.samples
 
         offset_deg = self.most_likely(nats)
@@ -81,16 +81,18 @@ class AzimuthRefinement(Configured):
         The weighted mean of all offsets is 0: turning all images the same way would turn the target, away from the test
         views. The better an azimuth is known, the more it counts; one that is known exactly fixes the target's heading.
         """
-        chips = np.flatnonzero(self._std_deg)
-        std = self._std_deg[chips]
+        uncertain = np.flatnonzero(self._std_deg)
+        std = self._std_deg[uncertain]
         tried = std[:, None] * np.linspace(-_REACH, _REACH, 2 * _EACH_WAY + 1)
         views = [
-            _turned(self._labelled[k], offset) for k, row in zip(chips, tried.tolist(), strict=True) for offset in row
+            _turned(self._labelled[k], offset)
+            for k, row in zip(uncertain, tried.tolist(), strict=True)
+            for offset in row
         ]
-        misfit = nats(views, np.repeat(chips, tried.shape[1])).reshape(tried.shape)
+        misfit = nats(views, np.repeat(uncertain, tried.shape[1])).reshape(tried.shape)
         offset = np.zeros(len(self._std_deg))
-        offset[chips] = lowest(tried, misfit + (tried / std[:, None]) ** 2 / 2)
-        if len(chips) == len(offset):
+        offset[uncertain] = lowest(tried, misfit + (tried / std[:, None]) ** 2 / 2)
+        if len(uncertain) == len(offset):
             offset -= np.average(offset, weights=std**-2.0)
         return offset
 

@@ -74,14 +74,14 @@ class Info:
 
     @torch.no_grad()
     def compared(
-        self, views: Sequence[View], chips: Int64[np.ndarray, " v"]
+        self, views: Sequence[View], chosen: Int64[np.ndarray, " v"]
     ) -> Iterator[tuple[Float[Tensor, "n rows columns"], Float[Tensor, "n rows columns"]]]:
         """Training images, and how the model shows them as seen from these views; a few at a time, in its unit.
 
         Each has its own shift and gain; what is estimated from such comparisons (`Part.estimated`) is left out.
         """
         for few in self._few(len(views)):
-            numbers = self.images.numbers[torch.from_numpy(chips[few]).to(self.model.device)]
+            numbers = self.images.numbers[torch.from_numpy(chosen[few]).to(self.model.device)]
             images, _ = self._rendered(views[few], numbers)
             yield (
                 self.images.truth[numbers] / self.model.unit,
@@ -103,13 +103,13 @@ class Info:
         size = self.model.config.views_per_step
         return [slice(first, first + size) for first in range(0, count, size)]
 
-    def _rendered(self, views: Sequence[View], chips: Int64[Tensor, " v"] | None) -> tuple[Tensor, Rendering]:
+    def _rendered(self, views: Sequence[View], numbers: Int64[Tensor, " v"] | None) -> tuple[Tensor, Rendering]:
         return self.model.render(
             views,
             self.images.grid,
             self.degree,
             rays=self.rays,
-            chips=chips,
+            numbers=numbers,
             bounds=self.bounds,
             estimated=False,
         )
