@@ -135,6 +135,11 @@ def test_ctrl_c_says_how_to_continue(tmp_path: Path, monkeypatch, capsys, said) 
     assert "3 of 9" in said(f"info {tmp_path}/run")
 
 
+@pytest.mark.parametrize("command", ["evaluate dataset", "report dataset", "export dataset a.ply"])
+def test_a_dataset_in_place_of_a_run_is_to_be_reconstructed(command: str, refused) -> None:
+    assert "dataset is a dataset, not a run; give a run of it, which `sarsplat reconstruct dataset" in refused(command)
+
+
 @pytest.mark.parametrize("command", ["evaluate run", "report run", "reconstruct dataset --out run --resume"])
 def test_a_second_process_is_refused(workshop: Path, command: str, refused) -> None:
     before = {path: path.stat().st_mtime_ns for path in (workshop / "run").rglob("*")}

@@ -69,12 +69,14 @@ def test_mistakes_are_reported_in_one_sentence(name: str, place: Path, refused) 
 WORDS = {
     "recontruct": "'recontruct' is not a command of sarsplat; did you mean reconstruct?",
     "bogus": "'bogus' is not a command of sarsplat; choose one of ",
-    "": "sarsplat needs a command; choose one of ",
     "import": "sarsplat import needs a command; choose one of folder, mstar, phase-history, ",
     "import mstr": "'mstr' is not a command of sarsplat import; did you mean mstar?",
     "simulate --target t72 --oout x": "--oout is not an option of sarsplat simulate; did you mean --out?",
     "simulate --target t27 --out new": "--target 't27' is unknown; did you mean t72?",
-    "simulate --target=zeppelin --out new": "--target 'zeppelin' is unknown; choose one of ",
+    "simulate --target T-72 --out new": "--target 'T-72' is unknown; did you mean t72?",
+    "simulate --target=zeppelin --out new": "--target 'zeppelin' is unknown; choose one of 2s1, btr70, building-a, ",
+    "simulate --target t72 --azimuth 0:360:-10 --out new": "--azimuth '0:360:-10' has no angles: steps of -10° do not ",
+    "simulate --target t72 --azimuth 0,30,60 --out new": "neither --grazing nor --incidence was given; add one, such as",
     "simulate --target t72 --out new --source magic": "--source 'magic' is unknown; choose one of raycast, splat",
     "simulate --target t72 --out new --law 1": "--law does not accept '1'; see sarsplat simulate --help",
     "simulate --target t72 --out new --law 1 a": "--law does not accept '1', 'a'",
@@ -96,7 +98,7 @@ WORDS = {
     "reconstruct full other --out new": "'other' is one argument too many for sarsplat reconstruct; remove it",
     "reconstruct --out new": "DATASET is missing; see sarsplat reconstruct --help",
     "evaluate": "RUN is missing; see sarsplat evaluate --help",
-    "completion tcsh": "shell 'tcsh' is unknown; choose one of bash, zsh, fish",
+    "completion tcsh": "shell 'tcsh' is unknown; choose one of bash, fish, zsh",
 }
 
 

@@ -79,6 +79,16 @@ def test_one_image(run: Path, tmp_path: Path, said) -> None:
     assert Image.open(tmp_path / "c.png").convert("RGB").getpixel((0, 0)) == (68, 1, 84)  # viridis begins there
 
 
+def test_levels_of_uncalibrated_images_are_not_given_as_power(run: Path, tmp_path: Path, said) -> None:
+    render, header = f"render {run} --azimuth 0 --grazing 45 --out {tmp_path}", run.parent / "dataset" / "dataset.json"
+    assert "brightest training pixel, β⁰ = " in said(f"{render}/a.png")
+    text = header.read_text()
+    header.write_text(text.replace('"absolute"', '"relative"'))
+    told = said(f"{render}/b.png")
+    header.write_text(text)
+    assert "brightest training pixel, β⁰ up to an unknown factor;" in told
+
+
 def test_other_pixels_show_the_same_power(run: Path) -> None:
     """The cross-section, β⁰ times the area of the pixels, is that of the run's own images."""
     from sarsplat.report.rendered import asked_grid
