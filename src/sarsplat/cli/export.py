@@ -28,7 +28,7 @@ def export(
         Folder written by `sarsplat reconstruct`.
     file
         File to write. Its ending decides the format: .ply (Gaussians, unless --format says otherwise); .splat
-        (Gaussians); .glb, .obj (a mesh); .las, .xyz (points); .npz (all arrays, for numpy).
+        (Gaussians); .glb, .obj, .stl (a mesh); .las, .laz, .pcd, .xyz (points); .npz (all arrays, for numpy).
     format
         What a .ply file holds. gaussians: in the layout of 3D Gaussian splatting; points: of the surface, metres, with
         normals and γ⁰; mesh: triangles through the points, with normals and γ⁰ at the vertices.

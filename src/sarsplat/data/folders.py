@@ -33,7 +33,7 @@ _LAYOUTS = {
 Recognises = Callable[[bytes, int], bool]
 """Whether a file that begins with these bytes, and has that many, is of some kind."""
 
-_HEAD = 64  # bytes by which a kind of file is recognised
+_HEAD = 96  # bytes by which a kind of file is recognised
 _BUILT, _RETIRED = "new", "old"
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of Linux's renameat2
 
