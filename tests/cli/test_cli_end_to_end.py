@@ -148,6 +148,18 @@ def test_a_second_process_is_refused(workshop: Path, command: str, refused) -> N
     assert {path: path.stat().st_mtime_ns for path in (workshop / "run").rglob("*")} == before
 
 
+@pytest.mark.parametrize(
+    ("number", "code", "words"), [(signal.SIGTERM, 143, "terminated"), (signal.SIGINT, 130, "Ctrl-C")]
+)
+def test_a_signal_leaves_no_empty_report(tmp_path: Path, number, code, words, monkeypatch, capsys) -> None:
+    shutil.copytree("run", tmp_path / "run")
+    shutil.rmtree(tmp_path / "run" / "report")
+    monkeypatch.setattr("sarsplat.report.write.write_bytes", lambda *_: signal.raise_signal(number))
+    assert main(["report", f"{tmp_path}/run"]) == code
+    assert f"{words}; nothing half-written was left behind" in capsys.readouterr().err
+    assert not (tmp_path / "run" / "report").exists()
+
+
 def test_export_replaces_nothing_but_its_like(workshop: Path, tmp_path: Path, said, refused) -> None:
     export = "export run --overwrite"
     before = Path("run/gaussians.ply").read_bytes()

@@ -37,6 +37,7 @@ def evaluate(
     from sarsplat.evaluation import (
         NOT_THE_SAME_EXPERIMENT,
         Yardstick,
+        beaten_by_baselines,
         comparison,
         evaluate_run,
         metrics_table,
@@ -54,4 +55,6 @@ def evaluate(
     paper = paper_beside(done.dataset)
     yardstick = Yardstick(metrics["parameters"]["yardstick_m"])
     console.show(metrics_table(comparison(metrics, paper), yardstick, NOT_THE_SAME_EXPERIMENT if paper else None))
+    for sentence in beaten_by_baselines(metrics):
+        console.warn(sentence)
     console.finish(f"{run / 'metrics.json'} and {page}", f"open {page} in a browser")

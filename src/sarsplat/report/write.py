@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -57,9 +57,14 @@ def write_report(run: Run) -> Path:
         training, turning = [*_curves(run), *_azimuths(run)], widget(run)
         with scores_expected(run):
             html = page(run, figures, training, turning)
-        with plain_os_errors("write", folder):  # last, so that an interruption leaves no empty folder
+        with plain_os_errors("write", folder):
             folder.mkdir(exist_ok=True)
-        write_bytes(folder / "index.html", html.encode())
+        try:
+            write_bytes(folder / "index.html", html.encode())
+        except BaseException:
+            with suppress(OSError):  # an interruption leaves no empty folder
+                folder.rmdir()
+            raise
     return folder / "index.html"
 
 
