@@ -123,7 +123,7 @@ class Pass:
     """One forward pass and what its backward pass needs. Memory goes back to a small pool for the next one."""
 
     _idle: dict[int, list[int]] = {}  # noqa: RUF012 - shared on purpose: handles waiting for reuse, per instruction set
-    _keep = 2
+    _keep = 3  # as many as there are steps
 
     def __init__(self, instruction_set: str = "auto") -> None:
         self._isa = INSTRUCTION_SETS.index(instruction_set)
