@@ -113,15 +113,20 @@ def test_what_breaks_them_is_told_and_no_memory_is_harmed(name, library):
 
 
 @pytest.mark.usefixtures("guarded")
-@pytest.mark.parametrize("change", [("scales", 8.0), ("means", math.nan)])
-def test_a_footprint_of_more_tiles_than_there_is_room_for(change, library):
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("scales", 8.0, "a Gaussian has left its bounds"),
+        ("means", math.nan, r"^means\[0\] was out of range"),
+    ],
+)
+def test_a_footprint_of_more_tiles_than_there_is_room_for(name, value, message, library):
     """A single Gaussian in a wide image, so that there is no room of others to take."""
-    name, value = change
     scene = Scene(cloud(1, 13), VIEWS[:1], ImageGrid(300, 300, (0.2, 0.2), (0.3, 0.3)))
     bounds = bounds_of(scene.gaussians)
     worse = scene.gaussians.with_tensors(**{name: torch.full_like(scene.gaussians.tensors()[name], value)})
     everything(replace(scene, gaussians=worse), partial(render_on, Emulator(library)), bounds=bounds)
-    with pytest.raises(SarsplatError):
+    with pytest.raises(SarsplatError, match=message):
         bounds.check()
 
 
