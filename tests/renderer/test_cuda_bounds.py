@@ -8,14 +8,14 @@ from functools import partial
 
 import pytest
 import torch
-from emulated_cuda import SCHEDULES, Emulator, render_on
+from emulated_cuda import SCHEDULES, Emulator, guarded, render_on
 from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
 from test_cpu_engine import relative
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid
-from sarsplat.renderer import Bounds, cuda, render
+from sarsplat.renderer import Bounds, render
 
 
 def bounds_of(gaussians: Gaussians) -> Bounds:
@@ -84,21 +84,10 @@ BROKEN = {
 }
 
 
-@pytest.fixture
-def guarded(monkeypatch):
-    """Arrays with a margin on both sides that nobody may write to."""
-    arrays, margin = [], 1024
-
-    def new(self: cuda.Pass, key: str, *shape: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
-        whole = torch.full((math.prod(shape) * dtype.itemsize + 2 * margin,), 255, dtype=torch.uint8)  # NaN, or -1
-        arrays.append(whole)
-        return self._keep(key, whole[margin:-margin].view(dtype).view(shape))
-
-    monkeypatch.setattr(cuda.Pass, "_new", new)
-    yield
-    assert len(arrays) > 20
-    for whole in arrays:
-        assert bool((whole[:margin] == 255).all() and (whole[-margin:] == 255).all())
+@pytest.fixture(name="guarded")
+def arrays_are_guarded():
+    with guarded():
+        yield
 
 
 @pytest.mark.usefixtures("guarded")

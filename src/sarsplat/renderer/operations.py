@@ -35,12 +35,12 @@ def render_with(
     grid: ImageGrid,
     *,
     rays: RayGrid,
-    amplitudes: Float[Tensor, "v n c"] | None,
-    shift: Float[Tensor, "v 2"] | None,
-    gain: Float[Tensor, " v"] | None,
-    imaging_weight: str,
-    first_return_depth: float | None,
-    plane_gradients: bool,
+    amplitudes: Float[Tensor, "v n c"] | None = None,
+    shift: Float[Tensor, "v 2"] | None = None,
+    gain: Float[Tensor, " v"] | None = None,
+    imaging_weight: str = "area",
+    first_return_depth: float | None = None,
+    plane_gradients: bool = False,
     bounds: Bounds | None = None,
 ) -> Rendering:
     """`sarsplat.render` on an engine's passes; arguments are documented there. With bounds, no value is looked at."""
