@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "plugin"
+from programs import ROOT, python
+
+EXAMPLE = ROOT / "examples" / "plugin"
 
 
 @pytest.fixture
@@ -32,15 +33,16 @@ def site(tmp_path: Path) -> Path:
 
 def sarsplat(site: Path, *words: object) -> subprocess.CompletedProcess[str]:
     path = os.pathsep.join([str(site), *filter(None, [os.environ.get("PYTHONPATH")])])
-    command = [sys.executable, "-m", "sarsplat", *map(str, words)]
-    env = {**os.environ, "PYTHONPATH": path}
-    return subprocess.run(command, cwd=site.parent, env=env, capture_output=True, text=True, check=False)
+    return python("-m", "sarsplat", *words, cwd=site.parent, env={**os.environ, "PYTHONPATH": path})
 
 
 def test_the_example_imports_and_exports(site: Path, tmp_path: Path) -> None:
     power = np.random.default_rng(0).gamma(1.0, size=(4, 24, 24)).astype(np.float32)
     power[:, 10:14, 10:14] *= 50
     np.savez(tmp_path / "box.npz", power=power, azimuth_deg=np.arange(4) * 90.0, grazing_deg=np.full(4, 40.0))
+    for given in ("box.npz", tmp_path):
+        done = sarsplat(site, "info", given)
+        assert "box.npz --spacing METRES --out DIR" in done.stdout, done.stderr
     done = sarsplat(site, "import", "arrays", "box.npz", "--out", "box", "--spacing", "0.3")
     assert done.returncode == 0, done.stderr
     assert "assumed: row 0 is near range" in done.stdout
@@ -62,4 +64,4 @@ def test_a_broken_plugin_is_named_and_the_others_work(site: Path, tmp_path: Path
     assert done.returncode == 2
     assert done.stderr.startswith("warning: the plugin arrays of sarsplat.importers cannot be imported from")
     assert "error: " in done.stderr
-    assert "warning" not in sarsplat(site, "info", tmp_path).stderr
+    assert "warning" not in sarsplat(site, "check", tmp_path).stderr
