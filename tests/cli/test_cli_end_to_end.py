@@ -255,6 +255,33 @@ def test_info_on_rendered_images(tmp_path: Path, said, refused) -> None:
     assert "no longer contains its images" in refused(f"info {out}")
 
 
+def test_info_lists_datasets_and_runs_in_a_folder(tmp_path: Path, said) -> None:
+    for folder in ("dataset", "run"):
+        shutil.copytree(folder, tmp_path / "deep" / folder)
+        shutil.copytree(folder, tmp_path / f"bad-{folder}")
+    shutil.copytree("run", tmp_path / "begun")
+    log = (tmp_path / "begun" / "metrics.jsonl").read_text().splitlines(keepends=True)
+    (tmp_path / "begun" / "metrics.jsonl").write_text(log[0].replace('"iteration":4', '"iteration":3'))
+    (tmp_path / "begun" / "metrics.json").unlink()
+    (tmp_path / "bad-dataset" / "dataset.json").write_text('{"schema": "sarsplat-dataset"}')
+    (tmp_path / "bad-run" / "config.json").write_text('{"schema": "sarsplat-run"}')
+    (tmp_path / "model").mkdir()
+    (tmp_path / "model" / "config.json").write_text('{"hidden_size": 768}')
+    lines = [" ".join(line.split()) for line in said(f"info {tmp_path}").splitlines()]
+    assert lines[0] == f"{tmp_path}: 2 datasets and 3 runs"
+    rows = {line.split()[0]: line for line in lines[2:]}
+    assert rows["deep/dataset"] == "deep/dataset 16 images of box.obj 8 train, 8 test; 32 × 32 pixels"
+    metrics = json.loads(Path("run/metrics.json").read_text())
+    psnr_db, cd_m = metrics["images"]["test"]["psnr_target_db"], metrics["points"]["visible"]["cd_m"]
+    assert rows["deep/run"].startswith("deep/run run of dataset (sar-gs) finished ")
+    assert f"target {psnr_db:.2f} dB" in rows["deep/run"]
+    assert f"CD {cd_m:#.3g} m" in rows["deep/run"]
+    assert rows["begun"] == "begun run of dataset (sar-gs) 3 of 4 iterations not evaluated"
+    assert "unusable: " in rows["bad-dataset"]
+    assert "unusable: " in rows["bad-run"]
+    assert "model" not in rows
+
+
 def test_info_on_a_run_whose_dataset_has_moved(tmp_path: Path, said) -> None:
     run = tmp_path / "run"
     shutil.copytree("run", run)

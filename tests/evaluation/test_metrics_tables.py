@@ -118,7 +118,7 @@ def test_a_baseline_that_wins_is_named():
     nats = "registered_nats_per_pixel"
     baselines = {split: {"nearest_chip": {nats: 0.573}, "rotated_average": {nats: 0.53}} for split in ("a", "b")}
     measured = metrics(baselines, a={nats: 0.55}, b={nats: 0.52}, c={nats: 0.9})
-    measured |= {"by_image": dict.fromkeys("abc", {"metric": nats}), "parameters": {"yardstick_m": 0.3}}
+    measured |= {"by_image": {split: {"metric": nats} for split in "abc"}, "parameters": {"yardstick_m": 0.3}}
     assert beaten_by_baselines(measured) == [
         "on the set a the baseline rotated average, which knows no third dimension, is better than sar-gs: negative "
         "log-likelihood, registered, nats/pixel 0.530 against 0.550"
