@@ -100,6 +100,8 @@ def evaluate_run(
         metrics = _evaluate(run, dataset, alignment, folder, weights, quiet)
         if run.path is not None:
             write_json(run.path / "metrics.json", metrics)
+        elif run.memory is not None:
+            run.memory.metrics = metrics
     return metrics
 
 
