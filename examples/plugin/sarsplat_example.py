@@ -6,6 +6,7 @@ from typing import Annotated
 import tyro
 
 from sarsplat.cli.arguments import Folder
+from sarsplat.cli.importers import Contents, Recognised
 from sarsplat.exports import Format
 
 
@@ -27,11 +28,17 @@ def import_arrays(
     finish(out, write_imported(out, dataset_of(images, target=file.stem, source=source), overwrite=overwrite))
 
 
-def write_csv(run, path: Path, colour: str) -> str:
+def recognise(contents: Contents) -> Recognised | None:
+    """What `sarsplat info` says of an .npz file, or of a folder of them."""
+    stacks = contents.ending_in(".npz")
+    command = "sarsplat import arrays {} --spacing METRES --out DIR"
+    return Recognised("stacks of images", {}, command.format(stacks[0]), certainty=0.5) if stacks else None
+
+
+def write_csv(points, path: Path, colour: str) -> None:
     """The points of a run, m, as text."""
-    lines = ["x,y,z", *(",".join(f"{number:.4f}" for number in point) for point in run.points)]
+    lines = ["x,y,z", *(",".join(f"{number:.4f}" for number in point) for point in points.positions)]
     path.write_text("\n".join(lines) + "\n")
-    return f"{len(run.points)} points, metres"
 
 
 CSV = Format({"points": write_csv}, {"points": "any spreadsheet"}, recognises=lambda head, _: head.startswith(b"x,y,z"))

@@ -9,20 +9,18 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import OptionalFile
+from sarsplat.cli.importers import recognised
 from sarsplat.cli.info_dataset import describe_dataset
 from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from sarsplat.importers.recognise import Recognised
-
 _MARKERS = ("config.json", "contact-sheet.png")
 """Of folders that we make, besides datasets."""
 
 _UNDERSTOOD = (
-    "a dataset, a run, rendered images, a folder of images to import, a PLY of Gaussians or points, a Phoenix chip, a "
-    "power TIFF or a mesh"
+    "a dataset, a run, rendered images, images to import, a PLY of Gaussians or points, a power TIFF or a mesh"
 )
 
 
@@ -45,26 +43,14 @@ def info(
         return
     if plot is not None:
         raise SarsplatError(f"--plot {plot} draws the views of a dataset, and {path} is none; omit it")
-    if (importable := _to_import(path)) is not None:
+    ours = any((path / name).is_file() for name in _MARKERS) or _part_of(path) is not None
+    if not ours and (importable := recognised(path)) is not None:
         console.facts(f"{path}: {importable.kind}", importable.facts)
         if importable.command is not None:
             console.say(f"import with: {importable.command}")
         return
     kind, rows = _folder(path) if path.is_dir() else _file(path)
     console.facts(f"{path}: {kind}", rows)
-
-
-def _to_import(path: Path) -> Recognised | None:
-    """What a folder, or the table of labels in it, can be imported as."""
-    from sarsplat.importers.mstar_chips import has_label_columns
-    from sarsplat.importers.recognise import recognised
-
-    if path.is_dir():
-        ours = any((path / name).is_file() for name in _MARKERS)
-        return None if ours or _part_of(path) is not None else recognised(path)
-    if path.suffix.lower() == ".csv" and has_label_columns(path):
-        return recognised(path.absolute().parent)
-    return None
 
 
 def _folder(path: Path) -> tuple[str, dict[str, str]]:
@@ -93,10 +79,6 @@ def _part_of(path: Path) -> str | None:
 
 
 def _file(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.importers.phoenix import is_phoenix
-
-    if is_phoenix(path):
-        return _phoenix(path)
     match path.suffix.lower():
         case ".tif" | ".tiff":
             return _tiff(path)
@@ -157,26 +139,10 @@ def _extent(points: np.ndarray) -> str:
     return f"{len(points)}; {ranges}"
 
 
-def _phoenix(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.importers import read_phoenix
-
-    chip = read_phoenix(path)
-    rows = {
-        "vehicle": f"{chip.target_type}, serial {chip.serial}",
-        "depression": f"{chip.measured_depression_deg:g}° (planned {chip.desired_depression_deg:g}°)",
-        "TargetAz": f"{chip.target_az_deg:g}°; azimuth here {-chip.target_az_deg % 360:g}°",
-        "pixels": f"{chip.magnitude.shape[0]} × {chip.magnitude.shape[1]}, linear magnitude, phase not read",
-        "spacing": f"{chip.spacing_m[0]:g} m in cross-range, {chip.spacing_m[1]:g} m in slant range",
-        "resolution": f"{chip.resolution_m[0]:g} m, {chip.resolution_m[1]:g} m (3 dB)",
-        "radar at the": chip.radar_position,
-    }
-    return "a Phoenix chip (MSTAR)", rows
-
-
 def _tiff(path: Path) -> tuple[str, dict[str, str]]:
     import tifffile
 
-    from sarsplat.data import read_power_tiff
+    from sarsplat.data import read_tiff
 
     try:
         with tifffile.TiffFile(path) as tiff:
@@ -186,7 +152,7 @@ def _tiff(path: Path) -> tuple[str, dict[str, str]]:
         raise SarsplatError(f"{path} is not a readable TIFF ({error}); give {_UNDERSTOOD}") from error
     if len(shape) != 2:
         raise SarsplatError(f"{path} is a TIFF of shape {shape}; give a power image, which has only rows and columns")
-    power = read_power_tiff(path, (shape[0], shape[1]))
+    power = read_tiff(path, (shape[0], shape[1]))
     rows = {
         "pixels": f"{shape[0]} rows × {shape[1]} columns, float32",
         "power": f"mean {power.mean():.4g}, largest {power.max():.4g}, linear",
