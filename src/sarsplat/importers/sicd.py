@@ -86,7 +86,7 @@ def import_sicd(
         If sarkit is not installed, a file is not a valid SICD or does not show the whole of what is asked for, or the
         output exists.
     """
-    _check_installed()
+    require_sarkit()
     folders.refuse_existing(Path(out), overwrite, marker=HEADER)
     paths = each_once(files)
     _check_request(size_m, around, pixel, heading_deg)
@@ -131,7 +131,8 @@ def import_sicd(
     return write_imported(out, dataset, overwrite=overwrite)
 
 
-def _check_installed() -> None:
+def require_sarkit() -> None:
+    """Refuse to go on without sarkit, and say how to get it."""
     try:
         import sarkit.sicd  # noqa: F401
     except ImportError as error:
