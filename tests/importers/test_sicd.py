@@ -296,7 +296,7 @@ def test_the_command_says_what_it_assumed(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "look to the left (3)" in said and "nothing is mirrored" in said
     assert "compass heading 90°" in said and "one factor" in said and "UNIFORM" in said
-    assert "3 views, largest gap 120°, ready" in said
+    assert re.search(r"3 views of 4[78]\.?\d* m × 4[78]\.?\d* m, largest gap 120°, ready", said)
     assert "next: " in said and "reconstruct" in said
     assert read_dataset(tmp_path / "set").target == "sphere"
 
