@@ -221,6 +221,22 @@ def test_files_from_strangers(tmp_path, name, data, words):
     assert cost.bytes < 64 << 20
 
 
+def test_transparent_pixels_are_refused(tmp_path):
+    path = tmp_path / "a.png"
+    opaque = np.full_like(EIGHT, 255)
+    Image.fromarray(np.stack([EIGHT, opaque], axis=-1)).save(path)
+    np.testing.assert_array_equal(read_pixels(path), EIGHT)
+    opaque[1, 1:3] = 0
+    for image, options in (
+        (Image.fromarray(np.stack([EIGHT, opaque], axis=-1)), {}),
+        (Image.fromarray(np.stack([EIGHT] * 3 + [opaque], axis=-1)), {}),
+        (Image.fromarray(np.where(opaque, EIGHT, 7)), {"transparency": 7}),
+    ):
+        image.save(path, **options)
+        with pytest.raises(SarsplatError, match="transparent pixels, 2 of 12"):
+            read_pixels(path)
+
+
 def test_colours_and_objects_are_refused(tmp_path):
     Image.fromarray(np.stack([EIGHT, EIGHT, 255 - EIGHT], axis=-1)).save(tmp_path / "a.png")
     with pytest.raises(SarsplatError, match="picture in colour"):

@@ -146,7 +146,8 @@ def dataset_of(
     power = _power(pixels)
     zeros = power == 0
     if zeros.all():
-        raise SarsplatError(f"all {counted(len(images), 'image')} are black; give images of something")
+        black = "the image is" if len(images) == 1 else f"all {len(images)} images are"
+        raise SarsplatError(f"{black} black; give images of something")
     if zeros.any():
         least = _LEAST_POWER * float(np.median(power[~zeros]))
         pixels[zeros] = math.sqrt(least) if pixels.dtype.kind == "c" else least

@@ -117,8 +117,10 @@ def doubts(images: Sequence[Num[np.ndarray, "rows columns"]], quantity: Quantity
                 f"as decibels, the numbers span {high - low:.0f} dB, and those of radar images hardly {_WIDEST_DB:g}; "
                 f"if they are those of a picture, give {_EIGHT_BITS}; if they are amplitude, give --quantity amplitude"
             )
-    numbers = {"amplitude": np.sqrt, "power": np.array, "db": to_db}[quantity]
-    deviations = np.concatenate([_from_local_mean(numbers(part.astype(np.float64))) for part in middles])
+    numbers = [part.astype(np.float64) for part in middles]
+    if quantity != "power":
+        numbers = [to_db(part) if quantity == "db" else np.sqrt(part) for part in numbers]
+    deviations = np.concatenate([_from_local_mean(part) for part in numbers])
     if len(deviations) == 0:
         return None
     dark, middle, bright = np.quantile(deviations, (0.1, 0.5, 0.9))
