@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import os
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 # before torch is loaded: threads that spin while they wait stall everyone on a shared machine
@@ -14,6 +17,7 @@ import pytest
 import torch
 
 import shapes
+from programs import ROOT
 from sarsplat.renderer import cpu
 
 shapes.watch()
@@ -29,6 +33,23 @@ def threads() -> Iterator[Callable[[int], None]]:
     before = torch.get_num_threads()
     yield torch.set_num_threads
     torch.set_num_threads(before)
+
+
+@pytest.fixture
+def module(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], ModuleType]]:
+    """Imports a program by its path, such as experiments/tables; gone again afterwards, with all beside it."""
+    monkeypatch.setenv("OMP_WAIT_POLICY", "PASSIVE")  # and unset afterwards
+    before = set(sys.modules)
+
+    def load(path: str) -> ModuleType:
+        folder, _, name = path.partition("/")
+        monkeypatch.syspath_prepend(str(ROOT / folder))
+        return importlib.import_module(name)
+
+    yield load
+    for name in set(sys.modules) - before:
+        if Path(getattr(sys.modules[name], "__file__", None) or "/").parent.parent == ROOT:
+            del sys.modules[name]
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

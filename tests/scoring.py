@@ -21,6 +21,6 @@ def few_samples() -> Iterator[None]:
         patch.setattr("sarsplat.evaluation.evaluate.visible_surface", coarse)
         patch.setattr("sarsplat.evaluation.evaluate._MESH_SAMPLES", 5000)
         patch.setattr("sarsplat.report.write._SURFACE_SAMPLES", 500)
-        patch.setattr("sarsplat.report.solid._PIXELS", 40)
+        patch.setattr("sarsplat.report.boards._PIXELS", 40)
         patch.setattr("sarsplat.report.widget._MOST_RENDERED", 3000)
         yield

@@ -5,23 +5,19 @@ from __future__ import annotations
 import csv
 import json
 import re
-import subprocess
-import sys
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
 
-EXPERIMENTS = Path(__file__).parents[1] / "experiments"
+from programs import ROOT, python
+
+PROGRAM = ROOT / "experiments" / "baselines.py"
 
 
 @pytest.fixture
-def baselines(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(str(EXPERIMENTS))
-    import baselines
-
-    return baselines
+def baselines(module) -> ModuleType:
+    return module("experiments/baselines")
 
 
 def finished(comparison, cell, psnr: float, time_s: float) -> None:
@@ -125,20 +121,14 @@ def test_what_is_finished_is_not_done_again(baselines, tmp_path, monkeypatch):
 
 
 def test_half_of_what_measured_chips_need_is_refused():
-    words = [sys.executable, str(EXPERIMENTS / "baselines.py"), "--quick", "--chips", "nowhere"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    done = python(PROGRAM, "--quick", "--chips", "nowhere")
     assert done.returncode == 2
     assert "need --chips, --labels and --masks together" in done.stderr
 
 
 @pytest.mark.slow
 def test_everything_works_in_small(tmp_path):
-    done = subprocess.run(
-        [sys.executable, str(EXPERIMENTS / "baselines.py"), "--quick", "--work", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = python(PROGRAM, "--quick", "--work", tmp_path, timeout=None)
     assert done.returncode == 0, done.stderr
     page = (tmp_path / "quick" / "baselines.md").read_text()
     for method in ("sarsplat", "SAR-NeRF on a grid, sound, full", "DSR, full", "SAR-NeRF, published, full"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import shlex
 import shutil
@@ -15,16 +14,14 @@ from types import ModuleType
 import pytest
 
 from datasets import FEW_POINTS
+from programs import ROOT, python
 from sarsplat import Dataset, ImageGrid, SarImage, View, preset, reconstruct, simulate_images, write_dataset
 from sarsplat.cli import main
 from sarsplat.cli.parser import COMMANDS, parse
 from sarsplat.evaluation import IMAGE_METRICS, MASK_METRICS, RUN_METRICS, Yardstick, metrics_of_points
 from sarsplat.scenes import target_mesh
 
-ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
-EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.py"))
 CHEAP = ("completion", "doctor", "export", "info", "render", "report")
 """Commands that are run here as the pages show them; the others are only read."""
 
@@ -35,8 +32,7 @@ def blocks(page: Path, language: str) -> list[str]:
 
 def run_python(*arguments: str, folder: Path | None = None) -> str:
     """Standard output of a fresh interpreter in which every warning is an error."""
-    command = [sys.executable, "-W", "error", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120, cwd=folder)
+    done = python("-W", "error", *arguments, cwd=folder)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -94,11 +90,6 @@ def test_python_of_a_page_runs_from_top_to_bottom(page, bench, threads, monkeypa
     module = ModuleType("page")
     monkeypatch.setitem(sys.modules, "page", module)  # where a dataclass looks up its annotations
     exec(compile("\n".join(blocks(page, "python")), str(page), "exec"), vars(module))
-
-
-@pytest.mark.parametrize("script", [*EXAMPLES, *TUTORIALS], ids=lambda path: path.name)
-def test_example_compiles(script):
-    compile(script.read_text(encoding="utf-8"), str(script), "exec")
 
 
 def test_own_arrays(tmp_path):
@@ -199,11 +190,8 @@ def test_names_in_the_paper_map_exist():
             )
 
 
-def test_results_table_comes_from_metrics_and_leaves_gaps_open():
-    spec = importlib.util.spec_from_file_location("readme_results", ROOT / "docs" / "readme_results.py")
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+def test_results_table_comes_from_metrics_and_leaves_gaps_open(module):
+    results = module("docs/readme_results")
     metrics = {
         "images": {"test": {"psnr_db": 50.13, "psnr_target_db": 33.0, "ssim": 0.999, "lpips": None}},
         "points": {"visible": {"cd_m": 0.08, "f1@0.3": 0.97, "f1@0.1": 0.7}},
@@ -212,12 +200,12 @@ def test_results_table_comes_from_metrics_and_leaves_gaps_open():
         "truth": {"mesh": None},
         "time_s": 83.2,
     }
-    table = module.table(metrics)
+    table = results.table(metrics)
     assert "| 50.13 | 35.91 |" in table
     assert "| LPIPS (↓) | – | 0.0165 |" in table
     assert "| training time (s, ↓) | 83 | 400 |" in table
     assert "| F1 at 0.1 m, visible surface (↑) | 0.700 | – |" in table
-    assert module.BLOCK.search((ROOT / "README.md").read_text(encoding="utf-8"))
+    assert results.BLOCK.search((ROOT / "README.md").read_text(encoding="utf-8"))
 
 
 def test_documented_metrics_are_those_of_the_registry():

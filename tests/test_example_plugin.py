@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "plugin"
+from programs import ROOT, python
+
+EXAMPLE = ROOT / "examples" / "plugin"
 
 
 @pytest.fixture
@@ -32,9 +33,7 @@ def site(tmp_path: Path) -> Path:
 
 def sarsplat(site: Path, *words: object) -> subprocess.CompletedProcess[str]:
     path = os.pathsep.join([str(site), *filter(None, [os.environ.get("PYTHONPATH")])])
-    command = [sys.executable, "-m", "sarsplat", *map(str, words)]
-    env = {**os.environ, "PYTHONPATH": path}
-    return subprocess.run(command, cwd=site.parent, env=env, capture_output=True, text=True, check=False)
+    return python("-m", "sarsplat", *words, cwd=site.parent, env={**os.environ, "PYTHONPATH": path})
 
 
 def test_the_example_imports_and_exports(site: Path, tmp_path: Path) -> None:

@@ -1,16 +1,17 @@
-"""Imports run one way; the renderer needs torch and numpy only; everything imports without the optional packages."""
+"""Imports run one way, need no more than they say, and offer the public names."""
 
 from __future__ import annotations
 
 import ast
-import re
-import subprocess
+import importlib
 import sys
-import tomllib
+from pathlib import Path
 
 import pytest
 
+import sarsplat
 from import_graph import PACKAGE, circle, graph, imported
+from programs import python
 from sarsplat.cli.extras import EXTRAS
 
 ORDER = (
@@ -28,10 +29,6 @@ ORDER = (
     ("cli",),
 )
 RANK = {folder: rank for rank, folders in enumerate(ORDER) for folder in folders}
-
-
-def fresh_python(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
 
 
 def rooms(module: str) -> str | None:
@@ -96,7 +93,7 @@ def test_the_renderer_imports_torch_and_numpy_only():
 @pytest.mark.parametrize(("folder", "more"), [("renderer", set()), ("scenes", {"scipy"})])
 def test_importing_the_renderer_or_scenes_loads_little_more(folder, more):
     """And scenes, which are truth, never the renderer."""
-    loaded = fresh_python("-c", f"import sys, sarsplat.{folder}; print(*sorted(sys.modules))").stdout.split()
+    loaded = python("-c", f"import sys, sarsplat.{folder}; print(*sorted(sys.modules))").stdout.split()
     heavy = {"scipy", "safetensors", "tifffile", "rich", "tyro", "trimesh", "embreex", "matplotlib", "PIL", "sklearn"}
     assert not {module.split(".")[0] for module in loaded} & heavy - more
     assert {rooms(module) for module in loaded} & set(RANK) == {"geometry", "gaussians", folder}
@@ -131,7 +128,7 @@ sys.exit(main(["simulate", "--target", "t72", "--out", sys.argv[2]]))
 
 def test_everything_imports_and_renders_with_the_core_dependencies_alone(tmp_path):
     extras = {module for modules in EXTRAS.values() for module in modules}
-    done = fresh_python("-W", "error", "-c", WITHOUT_EXTRAS, ",".join(sorted(extras)), str(tmp_path / "out"))
+    done = python("-W", "error", "-c", WITHOUT_EXTRAS, ",".join(sorted(extras)), tmp_path / "out")
     assert done.returncode == 2, done.stderr
     assert "which is not installed; install it with: pip install 'sarsplat[simulate]'" in " ".join(done.stderr.split())
     assert not list(tmp_path.iterdir())
@@ -164,26 +161,29 @@ UNIX_NAMES = (
 
 @pytest.mark.skipif(sys.platform != "linux", reason="takes from Linux what Windows lacks")
 def test_everything_imports_without_what_windows_lacks():
-    done = fresh_python("-W", "error", "-c", AS_ON_WINDOWS, ",".join(UNIX_NAMES))
+    done = python("-W", "error", "-c", AS_ON_WINDOWS, ",".join(UNIX_NAMES))
     assert done.returncode == 0, done.stderr
 
 
-def test_the_extras_in_the_code_are_those_of_the_package():
-    optional = tomllib.loads((PACKAGE.parents[1] / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    for extra, modules in EXTRAS.items():
-        assert {requirement.partition(">")[0] for requirement in optional[extra]} == set(modules.values())
+# ---- public names ----------------------------------------------------------------------------------------------------
+def test_every_public_name_is_what_its_folder_offers():
+    stub = ast.parse(Path(sarsplat.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+    imports = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
+    listed = [(alias.name, node.module) for node in imports for alias in node.names]
+    assert sorted(name for name, _ in listed) == sarsplat.__all__ == dir(sarsplat)
+    for name, folder in listed:
+        offered = importlib.import_module(f"sarsplat.{folder}")
+        assert getattr(sarsplat, name) is getattr(offered, name)
+        assert folder in ("errors", "scenes.simulate") or name in offered.__all__
 
 
-def test_no_requirement_is_declared_twice():
-    project = tomllib.loads((PACKAGE.parents[1] / "pyproject.toml").read_text())["project"]
-    for lines in (project["dependencies"], *project["optional-dependencies"].values()):
-        names = [re.split(r"[>=\[; ]", line)[0] for line in lines]
-        assert len(set(names)) == len(names), names
+def test_no_folder_of_modules_has_the_name_of_something_public():
+    assert not RANK.keys() & set(sarsplat.__all__)
 
 
-def test_core_dependencies_are_declared_and_used():
-    project = tomllib.loads((PACKAGE.parents[1] / "pyproject.toml").read_text())["project"]
-    declared = {requirement.partition(">")[0] for requirement in project["dependencies"]}
-    extras = {module for modules in EXTRAS.values() for module in modules}
-    used = {module.partition(".")[0] for path in PACKAGE.rglob("*.py") for module in imported(path)}
-    assert used - {"sarsplat", *sys.stdlib_module_names} - extras == declared
+def test_importing_a_folder_first_changes_no_public_name():
+    code = (
+        "import sys, importlib; [importlib.import_module(f'sarsplat.{name}') for name in sys.argv[1].split(',')]; "
+        "import sarsplat; print(callable(sarsplat.render) and callable(sarsplat.reconstruct))"
+    )
+    assert python("-c", code, ",".join(RANK)).stdout.strip() == "True"

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -14,16 +11,10 @@ from datasets import dataset_of
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction import preset
 
-EXPERIMENTS = Path(__file__).parents[1] / "experiments"
-
 
 @pytest.fixture
-def measured(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
-    """The program as a module, gone again afterwards with what it imports from beside it."""
-    monkeypatch.syspath_prepend(str(EXPERIMENTS))
-    yield __import__("measured")
-    for name in ("measured", "code_version", "fill_block"):
-        sys.modules.pop(name, None)
+def measured(module) -> ModuleType:
+    return module("experiments/measured")
 
 
 def test_every_term_but_the_first_is_one_of_the_preset(measured):

@@ -7,8 +7,6 @@ import os
 import pkgutil
 import re
 import shutil
-import subprocess
-import sys
 from html.parser import HTMLParser
 from importlib import import_module
 from pathlib import Path
@@ -19,11 +17,11 @@ import pytest
 import sarsplat
 import sarsplat.radar
 from chromium import chromium
+from programs import ROOT, python
 
 for needed in ("material", "mkdocstrings", "jupytext", "nbconvert"):
     pytest.importorskip(needed, reason="the site needs the extra docs")
 
-ROOT = Path(__file__).parents[1]
 FOLDERS = [info.name for info in pkgutil.iter_modules(sarsplat.__path__) if info.ispkg]
 
 
@@ -51,9 +49,8 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(made)]
     quiet = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
-    done = subprocess.run(command, cwd=ROOT, env=quiet, capture_output=True, text=True, check=False, timeout=600)
+    done = python("-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", made, cwd=ROOT, env=quiet)
     assert done.returncode == 0, done.stdout + done.stderr
     return made
 
@@ -129,8 +126,7 @@ def test_a_link_that_leads_nowhere_stops_the_build(tmp_path):
     (copy / "mkdocs.yml").write_text(re.sub(r"  - mkdocstrings:\n(?:    .*\n)+", "", settings), encoding="utf-8")
     with (copy / "docs" / "limits.md").open("a", encoding="utf-8") as page:
         page.write("\n[nowhere](conventions.md#nowhere-at-all) [gone](gone.md) [out](../examples/gone.py)\n")
-    command = [sys.executable, "-m", "mkdocs", "build", "--site-dir", str(tmp_path / "site")]
-    done = subprocess.run(command, cwd=copy, capture_output=True, text=True, check=False, timeout=600)
+    done = python("-m", "mkdocs", "build", "--site-dir", tmp_path / "site", cwd=copy)
     assert done.returncode != 0
     for link in ("#nowhere-at-all", "gone.md", "gone.py"):
         assert link in done.stdout + done.stderr

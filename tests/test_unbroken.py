@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
+from programs import python
 
 PROGRAM = """
 import os, signal, threading
@@ -23,5 +22,5 @@ except KeyboardInterrupt:
 
 
 def test_a_search_that_is_interrupted_harms_nothing() -> None:
-    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, timeout=120)
+    done = python("-c", PROGRAM)
     assert (done.returncode, done.stdout) == (0, "interrupted\n"), done.stderr

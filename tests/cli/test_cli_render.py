@@ -100,7 +100,7 @@ def test_one_image(run: Path, tmp_path: Path) -> None:
 
 def test_other_pixels_show_the_same_power(run: Path) -> None:
     """The cross-section, β⁰ times the area of the pixels, is that of the run's own images."""
-    from sarsplat.report.render_grid import asked_grid
+    from sarsplat.report.rendered import asked_grid
 
     done = Run.load(run)
     own = done.grid

@@ -12,14 +12,6 @@ from sarsplat.report import compare, write_comparison
 from sarsplat.report.scores import compared_tables
 
 
-@pytest.fixture(autouse=True)
-def few_samples(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures that are quick to draw."""
-    monkeypatch.setattr("sarsplat.report.write._SURFACE_SAMPLES", 500)
-    monkeypatch.setattr("sarsplat.report.solid._PIXELS", 40)
-    monkeypatch.setattr("sarsplat.report.widget._MOST_RENDERED", 20_000)
-
-
 def two_runs(folder: Path, **changes: Any) -> list[Any]:
     dataset = make_dataset(folder)
     runs = []

@@ -18,14 +18,6 @@ from sarsplat.report import write_report
 from sarsplat.report.scores import score_tables
 
 
-@pytest.fixture(autouse=True)
-def few_samples(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures that are quick to draw."""
-    monkeypatch.setattr("sarsplat.report.write._SURFACE_SAMPLES", 500)
-    monkeypatch.setattr("sarsplat.report.solid._PIXELS", 40)
-    monkeypatch.setattr("sarsplat.report.widget._MOST_RENDERED", 20_000)
-
-
 def words_of(page: Path) -> str:
     """The page without the letters that pictures are coded in."""
     return re.sub(r"base64,[A-Za-z0-9+/=]+", "base64,", page.read_text())

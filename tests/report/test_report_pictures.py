@@ -7,7 +7,6 @@ import pytest
 from PIL import Image
 
 from datasets import dataset_of
-from sarsplat.colours import DARK
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction.log import LogLine
@@ -92,21 +91,13 @@ def test_scale_bars_fit(width_m: float) -> None:
     assert nice(width_m) <= width_m
 
 
-@pytest.mark.parametrize("count", [1, 7])
-def test_a_contact_sheet_of_any_length(count: int) -> None:
-    grid = ImageGrid(16, 24, spacing_m=(0.3, 0.2), resolution_m=(0.3, 0.3))
-    views = [View(10.0 * k, 30.0) for k in range(count)]
-    sheet = Image.open(io.BytesIO(contact_sheet(np.ones((count, 16, 24)), views, grid, Look(1.0))))
-    assert min(sheet.size) > 100
-
-
 def test_a_contact_sheet_shows_the_target_large() -> None:
     grid = ImageGrid(128, 128, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
-    images = np.zeros((6, 128, 128))
+    images = np.zeros((7, 128, 128))  # and two empty places
     images[:, 60:68, 60:68] = 1.0  # 0.4 % of the image
-    views = [View(60.0 * k, 30.0) for k in range(6)]
+    views = [View(50.0 * k, 30.0) for k in range(7)]
     sheet = np.asarray(Image.open(io.BytesIO(contact_sheet(images, views, grid, Look(1.0)))).convert("L"))
-    assert (sheet > 250).mean() > 0.08
+    assert (sheet > 250).mean() > 0.07
 
 
 @pytest.mark.parametrize("spacing_m", [0.01, 0.3, 4.0])
@@ -135,22 +126,6 @@ def test_one_corner_reflector_does_not_darken_a_sheet() -> None:
     data = dataset_of(grid, [(View(20.0, 30.0), "train")], images)
     for png in (contact_sheet(images, data.views, grid, Look(1e4)), check_sheet(data)):
         assert (np.asarray(Image.open(io.BytesIO(png)).convert("L")) > 250).mean() > 0.05
-
-
-def test_minor_ticks_can_be_read_on_the_dark_panel() -> None:
-    from matplotlib.colors import to_hex
-
-    from sarsplat.report.canvas import dress, new_figure
-
-    figure = new_figure(4, 3)
-    axes = figure.subplots()
-    axes.plot([1, 2], [2.0, 9.0])
-    axes.set_yscale("log")
-    dress(axes)
-    figure.canvas.draw()
-    labels = [label for label in axes.get_yticklabels(minor=True) if label.get_text()]
-    assert labels
-    assert {to_hex(label.get_color()) for label in labels} == {DARK.muted}
 
 
 def test_a_contact_sheet_of_nothing_is_refused() -> None:

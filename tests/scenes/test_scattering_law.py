@@ -23,11 +23,6 @@ def test_law_is_floor_plus_lobe(law, expected):
     np.testing.assert_allclose(law.gamma0(np.array([1.0, -1.0, 0.5, -0.5, 0.0])), expected)
 
 
-def test_the_default_law_is_the_squared_cosine_to_the_bit():
-    cosines = np.random.default_rng(0).uniform(-1, 1, 1000)
-    assert (ScatteringLaw().gamma0(cosines) == 0.1 + 0.9 * np.square(cosines)).all()
-
-
 def test_law_can_be_recorded_and_restored():
     law = ScatteringLaw(0.02, 3.0, 5.0)
     assert law.as_dict() == {"floor": 0.02, "lobe": 3.0, "exponent": 5.0}

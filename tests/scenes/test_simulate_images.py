@@ -100,11 +100,6 @@ def test_the_record_is_json_and_says_the_law(source: str) -> None:
     assert (record["kind"], record["seed"]) == (source, 3)
 
 
-def test_a_mesh_in_millimetres_is_refused() -> None:
-    with pytest.raises(SarsplatError, match="if it is in millimetres"):
-        simulate_images(scaled(BOX, 1000.0), VIEWS, GRID, source="raycast")
-
-
 # ---- speckle ---------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("looks", [1, 4, 2.5])
 def test_speckle_keeps_the_mean_and_has_variance_one_over_looks(looks):

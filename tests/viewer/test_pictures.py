@@ -9,8 +9,7 @@ from sarsplat.radar import Pixel, RadarMaps
 
 pytest.importorskip("matplotlib")
 
-from sarsplat.viewer.pictures import MAPS, Strip, difference_panel, map_panel, power_panel
-from sarsplat.viewer.scale import Scale
+from sarsplat.viewer.pictures import MAPS, Scale, Strip, difference_panel, map_panel, power_panel
 
 GRID = ImageGrid(20, 30, (0.4, 0.2), (0.5, 0.5))
 

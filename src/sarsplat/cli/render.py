@@ -86,8 +86,7 @@ def render(
     from sarsplat.reconstruction import Run
     from sarsplat.report.animation import ANIMATIONS
     from sarsplat.report.look import Look
-    from sarsplat.report.render_grid import asked_grid
-    from sarsplat.report.rendered import FILES, SHEET, Rendered, require_distinct, require_output
+    from sarsplat.report.rendered import FILES, SHEET, Rendered, asked_grid, require_distinct, require_output
 
     views = None if sweep else views_from(azimuth, grazing, incidence)
     require_output(out, frames if views is None else len(views))

@@ -85,23 +85,10 @@ ANIMATIONS: dict[str, Recognises] = {
 
 
 def write_animation(path: Path, frames: Sequence[Frame], palette: Palette, seconds: float) -> None:
-    """Write frames as a looping animation, whole or not at all.
+    """Write frames as a looping animation of so many seconds, whole or not at all.
 
-    Parameters
-    ----------
-    path : Path
-        A .mp4, .gif or .webp file; an existing one is replaced. Whether .mp4 loops is up to the player.
-    frames : sequence of numpy.ndarray, uint8 [height, width]
-        At least one; indices into the palette; sizes are even.
-    palette : numpy.ndarray, uint8 [256, 3]
-        RGB.
-    seconds : float
-        Duration.
-
-    Raises
-    ------
-    SarsplatError
-        If the frame rate is too high, a package is missing, or the file cannot be written.
+    Whether .mp4 loops is up to the player. Frames have even sides and index into the palette (RGB). Raises
+    `SarsplatError` if the frame rate is too high, a package is missing, or the file cannot be written.
     """
     if not 0 < seconds < 3600:
         raise SarsplatError(f"an animation cannot take {seconds:g} s; give more than 0 and less than 3600")

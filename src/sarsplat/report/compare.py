@@ -11,7 +11,7 @@ from sarsplat.data import new_folder, write_bytes
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Yardstick
 from sarsplat.reconstruction import Run
-from sarsplat.report.cloud import point_boards
+from sarsplat.report.boards import point_boards
 from sarsplat.report.figure import Figure
 from sarsplat.report.page import rendered
 from sarsplat.report.scores import ScoreTable, compared_tables

@@ -1,10 +1,11 @@
-"""Training curves: loss, and number of Gaussians if the method learns any."""
+"""What a training did: loss, number of Gaussians, and corrections of azimuths."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from sarsplat.reconstruction.log import LogLine
 from sarsplat.report.figure import Axis, Block, Figure, Panel, axis, chart, polyline, written
@@ -13,15 +14,7 @@ _FALLS_FAR = 5.0  # times: the loss then gets a logarithmic axis
 
 
 def curves_figure(history: Sequence[LogLine], loss_name: str, loss_unit: str) -> Figure:
-    """Loss and, if any are learned, number of Gaussians against the iteration.
-
-    Parameters
-    ----------
-    history : sequence of LogLine
-        Lines of `metrics.jsonl`, at least one.
-    loss_name, loss_unit : str
-        What the loss is, and its unit; it gets a logarithmic axis if it falls far.
-    """
+    """Loss and, if any are learned, number of Gaussians against the iteration, of a history with at least one line."""
     iteration = np.array([line.iteration for line in history], dtype=float)
     loss = np.array([line.loss for line in history], dtype=float)
     counts = np.array([line.gaussians for line in history if line.gaussians is not None], dtype=float)
@@ -64,3 +57,37 @@ def _powers_of_ten(label: str, low: float, high: float) -> Axis:
 
 def _short(number: float) -> str:
     return written(number) if 1e-5 < number < 1e6 else f"{number:.0e}"
+
+
+def azimuths_figure(
+    azimuth_deg: Sequence[float], offset_deg: Float[np.ndarray, " k"], std_deg: Float[np.ndarray, " k"]
+) -> Figure:
+    """Corrections against azimuths as labelled, with the standard deviations that the dataset gives, all in degrees."""
+    azimuth = np.asarray(azimuth_deg) % 360
+    order = np.argsort(azimuth, kind="stable")
+    azimuth, offset, std = azimuth[order] / 360, offset_deg[order], std_deg[order]
+    largest = 1.1 * max(float(np.abs(offset).max()), float(std.max()))
+
+    def share(value: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        return (value / largest + 1) / 2
+
+    band = polyline(np.concatenate([azimuth, azimuth[::-1]]), share(np.concatenate([std, -std[::-1]])), "band")
+    drawn = [
+        polyline(np.array([x, x]), share(np.array(ends)), style)
+        for x, y in zip(azimuth, offset, strict=True)
+        for ends, style in (((0.0, y), "line second"), ((y, y), "dot second"))
+    ]
+    rms, most = np.sqrt((offset**2).mean()), np.abs(offset).max()
+    title = f"rms {rms:.2f}°, largest {most:.2f}°"
+    panel = chart(
+        title,
+        f"corrections of {len(offset)} azimuths, {title}",
+        axis("azimuth as labelled, degrees", 0, 360, 5),
+        axis("correction, degrees", largest, -largest, 5),
+        [band, *drawn],
+    )
+    text = (
+        "The estimated deviation of each training image's azimuth from its label. "
+        "The band is ± one standard deviation, as the dataset gives it."
+    )
+    return Figure("Azimuth corrections", text, (Block("", (panel,)),))

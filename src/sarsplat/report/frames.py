@@ -27,15 +27,7 @@ _INK = 190  # shade of what is written: it is not to outshine the picture
 
 @dataclass(frozen=True)
 class Framing:
-    """How images on a grid become frames.
-
-    Parameters
-    ----------
-    grid : ImageGrid
-        Of the images.
-    look : Look
-        How power is shown.
-    """
+    """How images on a grid become frames, their power shown by a look."""
 
     grid: ImageGrid
     look: Look
@@ -50,15 +42,7 @@ class Framing:
         return width, height
 
     def shades(self, power: Real[np.ndarray, "rows columns"], view: View) -> UInt8[np.ndarray, "height width"]:
-        """The frame as indices into the palette of its look; near range is on top.
-
-        Parameters
-        ----------
-        power : numpy.ndarray, float [rows, columns]
-            β⁰, linear power.
-        view : View
-            From where.
-        """
+        """The frame of β⁰ (linear power) from a view, as indices into the palette of its look; near range is on top."""
         from PIL import Image, ImageDraw
 
         width, height = self.picture_size

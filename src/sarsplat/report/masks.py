@@ -24,15 +24,7 @@ Mask = UInt8[np.ndarray, "rows columns"]
 
 
 def masks_figure(run: Run, folder: Path) -> Figure | None:
-    """Test images with the outlines of both masks; None if the run has no masks to draw.
-
-    Parameters
-    ----------
-    run : Run
-        A reconstruction with its dataset.
-    folder : Path
-        True masks, as `evaluate --masks` was given.
-    """
+    """Test images with the outlines of the true masks in a folder and of the predicted ones; None if there are none."""
     dataset = run.dataset
     masks = read_masks(folder, dataset)
     given = list(masks)

@@ -34,19 +34,7 @@ FILES = {**ANIMATIONS, **IMAGES}
 
 @dataclass(frozen=True)
 class Rendered:
-    """Rendered images, and how to show them.
-
-    Parameters
-    ----------
-    images : numpy.ndarray, float32 [V, rows, columns]
-        β⁰, linear power.
-    views : sequence of View
-        From where.
-    grid : ImageGrid
-        Its pixels.
-    look : Look
-        Which power is white, and which is black.
-    """
+    """Rendered images of β⁰ (linear power) with their views and pixels, and how to show them."""
 
     images: Float32[np.ndarray, "v rows columns"]
     views: list[View]
@@ -59,13 +47,7 @@ class Rendered:
         return replace(self, images=self.images[:, rows, columns], grid=self.grid.part(rows, columns))
 
     def write(self, out: Path, *, seconds: float, overwrite: bool) -> str:
-        """Write what the name stands for, whole or not at all, and say what that is; an animation takes `seconds`.
-
-        Raises
-        ------
-        SarsplatError
-            If the name is refused by `require_output`, the images do not suit it, or it cannot be written.
-        """
+        """Write what the name stands for (see `require_output`), whole or not at all, and say what that is."""
         ending = out.suffix.lower()
         require_output(out, len(self.views))
         if ending in ANIMATIONS:
@@ -123,3 +105,21 @@ def _name(view: View) -> str:
         return f"{angle:0{width}.6f}".rstrip("0").rstrip(".")
 
     return f"az{digits(view.azimuth_deg, 10)}_gr{digits(view.grazing_deg, 9)}"
+
+
+def asked_grid(
+    own: ImageGrid, pixels: tuple[int, int] | None, spacing_m: float | None, resolution_m: float | None
+) -> ImageGrid:
+    """A run's grid with another size (rows, columns), spacing or resolution (m), the same in azimuth and slant range.
+
+    Without a size, as many pixels as cover the area of the run's images.
+    """
+    spacing = own.spacing_m if spacing_m is None else (spacing_m, spacing_m)
+    resolution = own.resolution_m if resolution_m is None else (resolution_m, resolution_m)
+    changed = replace(own, spacing_m=spacing, resolution_m=resolution)
+    if pixels is None:
+        pixels = (
+            max(1, round(own.rows * own.spacing_m[1] / changed.spacing_m[1])),
+            max(1, round(own.columns * own.spacing_m[0] / changed.spacing_m[0])),
+        )
+    return replace(changed, rows=pixels[0], columns=pixels[1])

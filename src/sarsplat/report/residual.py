@@ -49,14 +49,7 @@ class Window:
 class Difference:
     """The error shown in figures: its label, its range and its explanation.
 
-    Attributes
-    ----------
-    looks : float or None
-        Looks of the true images; None if these are without speckle.
-    grid : ImageGrid
-        Pixels of all images.
-    peak : float
-        Power shown white.
+    `looks` are those of the true images, None if these are without speckle; `peak` is the power shown white.
     """
 
     looks: float | None

@@ -55,15 +55,7 @@ def score_table(
 
 
 def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> list[ScoreTable]:
-    """Tables of `metrics.json`: one for each test set, one for the surface; tables without rows are dropped.
-
-    Parameters
-    ----------
-    metrics : mapping
-        Content of `metrics.json`.
-    others : sequence of Scores
-        Comparable methods; each gets a column in every table.
-    """
+    """Tables of `metrics.json`: for each test set and for the surface; each of `others` gets a column in them."""
     tables = []
     for split, values in metrics["images"].items():
         ours = Scores(whose(metrics), values)
@@ -85,14 +77,7 @@ def compared_tables(
 ) -> list[ScoreTable]:
     """Scores of several runs: a table for each test set that any has, one for the surface, one for the training.
 
-    Parameters
-    ----------
-    names : sequence of str
-        What to call the runs.
-    every : sequence of mapping
-        Content of the `metrics.json` of each.
-    ranked : bool
-        Whether to mark the best of a row: not if the runs saw different data.
+    `every` holds the content of the `metrics.json` of each; the best of a row is marked if `ranked`.
     """
 
     def column(name: str, values: Mapping[str, Any]) -> Scores:

@@ -9,35 +9,18 @@ from typing import Any
 
 from sarsplat.colours import DARK
 from sarsplat.data.coverage import largest_gap
-from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.report.canvas import dress, new_figure
 
 _SIZE = (5.6, 6.0)  # inches
 _GRAZINGS = (0, 15, 30, 45, 60, 75)
-FORMATS = ("png", "svg")
 
 
 def sky_picture(train: Sequence[View], test: Sequence[View], title: str, kind: str = "png") -> bytes:
     """The sky from above with a point for every view: straight overhead in the middle, the horizon around.
 
-    Parameters
-    ----------
-    train, test : sequence of View
-        Training views, of which there must be one, and test views. The largest gap in azimuth between training views is
-        shaded.
-    title : str
-        Heading.
-    kind : {"png", "svg"}
-        Format of the picture.
-
-    Raises
-    ------
-    SarsplatError
-        If the format is another one.
+    Shades the largest gap in azimuth between training views, of which there must be one.
     """
-    if kind not in FORMATS:
-        raise SarsplatError(f"pictures of format {kind!r} cannot be drawn; choose one of {', '.join(FORMATS)}")
     figure = new_figure(*_SIZE)
     axes: Any = figure.add_axes((0.1, 0.12, 0.8, 0.72), projection="polar")  # PolarAxes
     dress(axes)

@@ -13,7 +13,7 @@ from sarsplat.names import Swept
 def sweep_views(
     swept: Swept,
     frames: int,
-    known: Sequence[View],
+    training: Sequence[View],
     *,
     ends_deg: tuple[float, float] | None = None,
     other_deg: float | None = None,
@@ -26,23 +26,18 @@ def sweep_views(
         The angle that changes.
     frames : int
         Number of views, at least 2.
-    known : sequence of View
-        The training views: what is not given follows from them.
+    training : sequence of View
+        Decides what is not given.
     ends_deg : (float, float), optional
         Between which angles the sweep goes, there and back, slower at its ends. Without them, azimuths make a whole
         turn, and grazing angles go between the lowest and the highest training view.
     other_deg : float, optional
         The angle that stays: by default, the middle one of the training views' grazing angles, or the azimuth of the
         first of them.
-
-    Raises
-    ------
-    SarsplatError
-        If there are too few frames, the ends are the same or, without ends, all training views have one grazing angle.
     """
     if frames < 2:
         raise SarsplatError(f"a sweep of {frames} frames does not move; give at least 2")
-    grazing = sorted(view.grazing_deg for view in known)
+    grazing = sorted(view.grazing_deg for view in training)
     if swept == "grazing" and ends_deg is None:
         ends_deg = grazing[0], grazing[-1]
         if ends_deg[1] - ends_deg[0] < 1:
@@ -61,5 +56,5 @@ def sweep_views(
     if swept == "azimuth":
         stays = grazing[len(grazing) // 2] if other_deg is None else other_deg
         return [View(angle, stays) for angle in moving]
-    stays = known[0].azimuth_deg if other_deg is None else other_deg
+    stays = training[0].azimuth_deg if other_deg is None else other_deg
     return [View(stays, angle) for angle in moving]

@@ -78,16 +78,7 @@ def views_figure(
 ) -> Figure:
     """Truth, reconstructions and errors of images of the dataset that some runs share.
 
-    Parameters
-    ----------
-    title, text : str
-        Heading, and what the caption begins with.
-    runs : mapping of str to Run
-        By what to call their images.
-    chosen : sequence of Chosen
-        Which images.
-    largest : int
-        Pixels along a side that the page shows of an image; larger ones are averaged.
+    `runs` are keyed by what to call their images; images with a side of more than `largest` pixels are averaged.
     """
     dataset = next(iter(runs.values())).dataset
     indices = [one.index for one in chosen]

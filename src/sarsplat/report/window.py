@@ -13,14 +13,7 @@ _MARGIN = 5  # pixels around the target
 def target_window(images: Real[np.ndarray, "v rows columns"], peak: float, margin: int = 0) -> tuple[slice, slice]:
     """The rows and columns worth showing: the target with a margin if all around is dark, else what is scored.
 
-    Parameters
-    ----------
-    images : numpy.ndarray, float [V, rows, columns]
-        β⁰, linear power; all that is to be shown side by side.
-    peak : float
-        The power shown white: what is `DYNAMIC_RANGE_DB` below it is dark.
-    margin : int
-        Pixels on each side that are not scored.
+    What is `DYNAMIC_RANGE_DB` below `peak` is dark; `margin` is how many pixels on each side are not scored.
     """
     size = images.shape[1:]
     bright = brighter(images.max(axis=0), -DYNAMIC_RANGE_DB, peak)

@@ -15,13 +15,11 @@ from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Alignment, Yardstick, read_truth_mesh
 from sarsplat.reconstruction import Run
-from sarsplat.report.azimuths import azimuths_figure
-from sarsplat.report.cloud import point_boards
-from sarsplat.report.curves import curves_figure
+from sarsplat.report.boards import mesh_boards, point_boards
+from sarsplat.report.curves import azimuths_figure, curves_figure
 from sarsplat.report.figure import Figure
 from sarsplat.report.masks import masks_figure
 from sarsplat.report.page import page
-from sarsplat.report.solid import mesh_boards
 from sarsplat.report.views import chosen_views, unseen_figure
 from sarsplat.report.widget import widget
 

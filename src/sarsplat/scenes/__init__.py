@@ -5,8 +5,7 @@ from sarsplat.scenes.buildings import BUILDINGS, Building, Gamma0
 from sarsplat.scenes.meshes import load_mesh
 from sarsplat.scenes.protocols import mstar_grid, mstar_views, paper_grid, paper_views
 from sarsplat.scenes.raycast import simulate_raycast
-from sarsplat.scenes.scattering import ScatteringLaw
-from sarsplat.scenes.speckle import add_speckle
+from sarsplat.scenes.scattering import ScatteringLaw, add_speckle
 from sarsplat.scenes.splat_truth import law_scattering, surface_gaussians
 from sarsplat.scenes.targets import TARGETS, VEHICLES, target_mesh
 

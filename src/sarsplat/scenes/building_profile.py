@@ -32,18 +32,9 @@ class MeasuredEdge:
 
 @dataclass(frozen=True)
 class BuildingProfile:
-    """A building's image, averaged along the wall, and its closed form.
+    """A building's image averaged along the wall, and its closed form: β⁰, linear power.
 
-    Parameters
-    ----------
-    slant_range : numpy.ndarray [rows]
-        m, from the foot of the near wall.
-    measured, analytic : numpy.ndarray [rows]
-        β⁰, linear power.
-    edges : list of MeasuredEdge
-        From near to far.
-    regions : list of MeasuredRegion
-        From near to far.
+    Slant range is from the foot of the near wall, m. Edges and regions are listed from near to far.
     """
 
     slant_range: Float64[np.ndarray, " rows"]

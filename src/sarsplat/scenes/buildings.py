@@ -33,17 +33,7 @@ class Gamma0:
 
 @dataclass(frozen=True)
 class Region:
-    """A stretch of ground range in which the same surfaces are seen.
-
-    Parameters
-    ----------
-    start, stop : float
-        Ground range, m; −∞ and ∞ for the free ground.
-    surfaces : tuple of {"roof", "wall", "ground"}
-        Surfaces that are superimposed there; none in the shadow.
-    beta0 : float
-        Level, linear power.
-    """
+    """A stretch of ground range (m), the surfaces superimposed there (none in the shadow), and their β⁰, linear."""
 
     start: float
     stop: float
@@ -53,18 +43,9 @@ class Region:
 
 @dataclass(frozen=True)
 class Building:
-    """A box with its near wall facing azimuth 0 and the middle of the foot of that wall at the scene centre.
+    """A box with its near wall facing azimuth 0 and the middle of the foot of that wall at the scene centre, in metres.
 
-    Parameters
-    ----------
-    height, depth : float
-        Height h, and depth w away from the radar, m.
-    length : float
-        Along the wall, m.
-
-    Notes
-    -----
-    Source: SAR-GS, section III-A, which states heights and depths only.
+    The depth points away from the radar. SAR-GS, section III-A, states heights and depths only.
     """
 
     height: float
@@ -108,20 +89,9 @@ class Building:
     def profile(
         self, slant_range: Float[np.ndarray, " n"], grazing_deg: float, gamma0: Gamma0, resolution: float
     ) -> Float64[np.ndarray, " n"]:
-        """β⁰ across the building, seen through the power response.
+        """β⁰ across the building at slant ranges from the scene centre (m), seen through the power response.
 
-        Parameters
-        ----------
-        slant_range : numpy.ndarray [K]
-            From the scene centre, m.
-        grazing_deg, gamma0
-            Grazing angle, degrees, and scattering.
-        resolution : float
-            3 dB width of the response in range, m.
-
-        Returns
-        -------
-        numpy.ndarray, float64 [K]
+        `resolution` is the 3 dB width of that response in range, m.
         """
         cos = math.cos(math.radians(grazing_deg))
         std_m = math.sqrt(variance_of(resolution))

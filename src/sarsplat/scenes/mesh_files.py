@@ -36,22 +36,10 @@ logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # our own errors report
 
 
 def read_mesh(path: Path) -> trimesh.Trimesh:
-    """All triangles of a mesh file, unchanged; a scene's parts become one mesh.
+    """All triangles of a self-contained .obj, .stl, .ply, .off or .glb file, unchanged; parts of a scene become one.
 
-    Parameters
-    ----------
-    path : Path
-        A self-contained .obj, .stl, .ply, .off or .glb file; materials and textures are ignored.
-
-    Returns
-    -------
-    trimesh.Trimesh
-        At least one face; every face refers to existing vertices. Vertices may be NaN or infinite.
-
-    Raises
-    ------
-    SarsplatError
-        If the file is missing, of another format or damaged, or expands to far more than its size.
+    Materials and textures are ignored. Every face refers to existing vertices, which may be NaN or infinite. Raises
+    `SarsplatError` if the file is missing, of another format or damaged, or expands to far more than its size.
     """
     import trimesh
 

@@ -33,28 +33,13 @@ def raycast_masks(
 
 
 def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np.ndarray, "{grid.rows} {grid.columns}"]:
-    """Mask of a mesh that stands on flat ground at z = 0.
+    """Mask of a mesh that stands on flat ground at z = 0: 0 clutter, 1 target (lit), 2 shadow; row 0 near range.
 
     A pixel is target if visible surfaces cover at least half of it, or if their area across the line of sight is at
-    least half that of flat ground: what faces the radar covers little of the image. Layover counts, and brightness does
-    not matter. Otherwise it is shadow if the mesh hides at least half of its ground. Nothing below the ground is seen.
-
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        Opaque triangles, m; orientation does not matter.
-    view, grid
-        Direction to the radar, and where the pixels lie; the resolution does not matter.
-
-    Returns
-    -------
-    numpy.ndarray, uint8 [rows, columns]
-        0 clutter, 1 target (lit), 2 shadow; row 0 near range.
-
-    Raises
-    ------
-    SarsplatError
-        If the mesh has no faces, is not finite or needs too many rays, or embreex is missing.
+    least half that of flat ground: what faces the radar covers little of the image. Layover counts; neither brightness
+    nor resolution nor the orientation of the triangles matters. Otherwise it is shadow if the mesh hides at least half
+    of its ground. Nothing below the ground is seen. Raises `SarsplatError` if the mesh has no faces, is not finite or
+    needs too many rays, or embreex is missing.
     """
     spacing = min(grid.spacing_m) / _PARTS / _RAYS
     check_rays(mesh, None, spacing, _OFFSET)

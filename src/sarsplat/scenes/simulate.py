@@ -18,8 +18,7 @@ from sarsplat.names import Simulator
 from sarsplat.renderer import render
 from sarsplat.scenes._random import generator
 from sarsplat.scenes.raycast import simulate_raycast
-from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflectivity
-from sarsplat.scenes.speckle import add_speckle
+from sarsplat.scenes.scattering import ScatteringLaw, add_speckle, check_ground, check_reflectivity
 from sarsplat.scenes.splat_truth import law_scattering, surface_gaussians
 
 if TYPE_CHECKING:

@@ -49,18 +49,8 @@ class Choices:
 class Controls:
     """The page's panels: settings on the left, images on the right.
 
-    Parameters
-    ----------
-    server : viser.ViserServer
-        The page.
-    subject : Subject
-        The subject shown; it decides which controls are offered.
-    view : View
-        Where the radar is at first.
-    on_change : callable
-        Called when any control changes.
-    on_aim : callable
-        Called with the view set by the sliders or buttons.
+    The subject decides which controls are offered. `on_change` is called when any of them changes, `on_aim` with the
+    view that the sliders or buttons set.
     """
 
     def __init__(

@@ -22,15 +22,7 @@ _WAIT_S = 2.0
 
 
 class TrainingSubject(OfScene):
-    """A training as it is between two steps.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        Its images.
-    trainer : Trainer
-        The training, between two steps; what is shown is copied.
-    """
+    """A training as it is between two steps; what is shown is copied."""
 
     surface = None  # its normals would take seconds
 
@@ -42,7 +34,6 @@ class TrainingSubject(OfScene):
 
     @cached_property
     def clouds(self) -> list[Cloud]:
-        """See `Subject`."""
         return [self.gaussian_cloud]
 
 
@@ -51,21 +42,8 @@ def watched(dataset: Dataset, port: int, say: Callable[[str], None]) -> Iterator
     """A page that shows a training; call the yielded function after each step, which leaves the training unchanged.
 
     The page is drawn while the training waits, at most for 3 % of its time: two processors that share the work would
-    only slow each other down.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        The images that are trained on.
-    port : int
-        Port on 127.0.0.1; 0 takes any free one.
-    say : callable
-        Called once with a sentence that gives the page's address.
-
-    Raises
-    ------
-    SarsplatError
-        If the port is taken.
+    only slow each other down. `say` gets a sentence with the page's address. Raises `SarsplatError` if the port is
+    taken; 0 takes any free one.
     """
     viewer, pause_until = Viewer(dataset_subject(dataset), port), 0.0
     say(f"open {viewer.address} in a browser on this machine to watch the training")

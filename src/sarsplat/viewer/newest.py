@@ -14,11 +14,6 @@ class Newest:
 
     What is asked for while it works is done once, after that, however often it was asked for: the work looks up the
     newest state itself. An error is logged, and the next request is served all the same.
-
-    Parameters
-    ----------
-    work : callable
-        Takes nothing; what it returns is ignored.
     """
 
     def __init__(self, work: Callable[[], object]) -> None:

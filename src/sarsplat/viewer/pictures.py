@@ -4,16 +4,29 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 from jaxtyping import Float, Real, UInt8
 from scipy.ndimage import uniform_filter
 
-from sarsplat.colours import DARK, DIFFERENCE, HEIGHT, INCIDENCE, LAYOVER, PICKED, SHADOW, SPREAD, TARGET, rgb
+from sarsplat.colours import (
+    DARK,
+    DIFFERENCE,
+    HEIGHT,
+    INCIDENCE,
+    LAYOVER,
+    PICKED,
+    SHADOW,
+    SPREAD,
+    TARGET,
+    gradient,
+    over,
+    rgb,
+)
 from sarsplat.geometry import ImageGrid
 from sarsplat.radar import Pixel, RadarMaps
 from sarsplat.radiometry import difference_db, to_db
-from sarsplat.viewer.scale import Scale
 
 _SIDE = 256  # pixels of the longer side of a panel, at least half of it
 _GAP = 6  # pixels between panels
@@ -23,18 +36,39 @@ MAPS = ("height", "incidence", "layover", "shadow and layover")
 
 
 @dataclass(frozen=True)
-class Panel:
-    """One picture of a strip.
+class Scale:
+    """How numbers of one kind are coloured: their unit is in the label; values beyond the ends look like these."""
 
-    Parameters
-    ----------
-    title : str
-        What it shows, for people.
-    rgb : numpy.ndarray, uint8 [rows, columns, 3]
-        Its colours.
-    legend : str
-        What the colours mean, as HTML.
-    """
+    label: str
+    low: float
+    high: float
+    colours: str
+
+    def rgb(self, values: Real[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape 3"]:
+        """Colours of values, on a dark panel; NaN is nearly as dark."""
+        width = self.high - self.low
+        parts = (np.asarray(values, np.float64) - self.low) / (width if width > 0 else 1.0)
+        finite = np.isfinite(parts)
+        index = np.rint(255 * np.clip(np.where(finite, parts, 0), 0, 1)).astype(np.uint8)
+        colours: UInt8[np.ndarray, "*shape 3"] = over(self.colours, DARK.card)[index]
+        return np.where(finite[..., None], colours, np.array(rgb(DARK.line), np.uint8))
+
+    def bar(self) -> str:
+        """A colour bar with numbers at its ends and in the middle, as HTML."""
+        digits = 0 if self.high - self.low >= 8 else 1 if self.high - self.low >= 1 else 2
+        places = (self.low, (self.low + self.high) / 2, self.high)
+        numbers = "".join(f"<span>{place:.{digits}f}</span>".replace("-", "−") for place in places)
+        return (
+            f'<div style="margin:2px 0 6px"><div style="font-size:12px;opacity:.8">{escape(self.label)}</div>'
+            f'<div style="height:9px;border-radius:2px;background:{gradient(self.colours)},{DARK.card}"></div>'
+            '<div style="display:flex;justify-content:space-between;font-size:11px;opacity:.8">'
+            f"{numbers}</div></div>"
+        )
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One picture of a strip, with what it shows in words, and what its colours mean as HTML."""
 
     title: str
     rgb: UInt8[np.ndarray, "rows columns 3"]
@@ -93,15 +127,7 @@ def map_panel(name: str, maps: RadarMaps, highest_m: float, cell_m: float) -> Pa
 
 
 class Strip:
-    """Panels of one grid beside each other, in pixels as square as the ground they show.
-
-    Parameters
-    ----------
-    grid : ImageGrid
-        Of every panel.
-    count : int
-        How many there are.
-    """
+    """So many panels of one grid beside each other, in pixels as square as the ground they show."""
 
     def __init__(self, grid: ImageGrid, count: int) -> None:
         self.grid, self.count = grid, count

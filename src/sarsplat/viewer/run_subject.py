@@ -20,13 +20,7 @@ from sarsplat.viewer.subject import TRUTH, Cloud, Subject, at_most, dataset_subj
 
 
 def subject_at(path: str | Path) -> Subject:
-    """The run or dataset in a folder.
-
-    Raises
-    ------
-    SarsplatError
-        If it is neither, or cannot be read.
-    """
+    """The run or dataset in a folder."""
     path = Path(path)
     if (path / "config.json").is_file():
         return subject_of_run(Run.load(path))
@@ -44,13 +38,7 @@ def subject_of_run(run: Run) -> Subject:
 
 
 class RunSubject(Subject):
-    """A run of any method.
-
-    Parameters
-    ----------
-    run : Run
-        The run.
-    """
+    """A run of any method."""
 
     renders = True
 
@@ -65,7 +53,6 @@ class RunSubject(Subject):
 
     @cached_property
     def clouds(self) -> list[Cloud]:
-        """See `Subject`."""
         points = Cloud("surface points", at_most(self.run.points), self.grid.cell_m / 5)
         return [points] if self.truth is None else [points, self._truth_cloud]
 
@@ -79,7 +66,6 @@ class RunSubject(Subject):
 
     @cached_property
     def surface(self) -> Surface | None:
-        """See `Subject`."""
         try:
             return surface_of_run(self.run)
         except SarsplatError:  # it has learned no surface
@@ -87,11 +73,9 @@ class RunSubject(Subject):
 
     @property
     def knows_errors(self) -> bool:
-        """See `Subject`."""
         return self.truth is not None
 
     def error_m(self, cloud: Cloud) -> Float[np.ndarray, " n"]:
-        """See `Subject`."""
         assert self.truth is not None
         if cloud.name not in self._errors:
             triangles = np.asarray(self.truth.triangles, np.float64)
@@ -103,7 +87,6 @@ class RunSubject(Subject):
         return {}
 
     def render(self, view: View, *, ground: bool = True, shadow: bool = True) -> Float32[np.ndarray, "rows columns"]:
-        """See `Subject`."""
         return self.run.render([view])[0]
 
 
@@ -116,6 +99,5 @@ class GaussianSubject(OfScene, RunSubject):
 
     @cached_property
     def clouds(self) -> list[Cloud]:
-        """See `Subject`."""
         points, *others = super().clouds
         return [points, self.gaussian_cloud, *others]

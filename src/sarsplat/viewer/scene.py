@@ -32,7 +32,6 @@ class OfScene(Subject):
 
     @property
     def maps_grid(self) -> ImageGrid:
-        """See `Subject`."""
         return self._model.as_displaced(self.grid)
 
     @cached_property
@@ -54,7 +53,6 @@ class OfScene(Subject):
         return {}
 
     def render(self, view: View, *, ground: bool = True, shadow: bool = True) -> Float32[np.ndarray, "rows columns"]:
-        """See `Subject`."""
         if not self.has_ground or (ground and shadow):
             return self._image(self._model, view)
         target = self._image(self._groundless, view)

@@ -34,20 +34,10 @@ _STARTING = threading.Lock()
 
 
 def start_server(port: int, on_pick: Callable[[float, float], None]) -> viser.ViserServer:
-    """Serve a page on 127.0.0.1.
+    """Serve a page on a port of 127.0.0.1; 0 takes any free one.
 
-    Parameters
-    ----------
-    port : int
-        0 takes any free one.
-    on_pick : callable
-        Called with where the page's picture was clicked: parts of its width and height, from the upper left. It runs
-        in the server's thread and must return at once.
-
-    Raises
-    ------
-    SarsplatError
-        If the port is taken or not allowed.
+    `on_pick` gets where the page's picture was clicked: parts of its width and height, from the upper left. It runs in
+    the server's thread and must return at once. Raises `SarsplatError` if the port is taken or not allowed.
     """
     import viser
 

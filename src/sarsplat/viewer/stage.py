@@ -26,20 +26,10 @@ _LEAST_SHARE = 0.01  # of a pixel: Gaussians that add less are not lit
 
 
 class Stage:
-    """Everything in three dimensions.
+    """Everything in three dimensions, around the corners of the target's bounding box (m).
 
-    Parameters
-    ----------
-    server : viser.ViserServer
-        The page.
-    box_m : pair of numpy.ndarray [3]
-        Corners of the target's bounding box, m.
-    views : list of (View, str)
-        Known views with their sets.
-    on_aim : callable
-        Called with the view that the radar was dragged to, or whose dot was clicked.
-    on_plane : callable
-        Called with the ray of a click on the image's plane: origin and direction, m.
+    `views` are the known ones with their sets. `on_aim` gets the view that the radar was dragged to or whose dot was
+    clicked, `on_plane` the ray of a click on the image's plane: origin and direction, m.
     """
 
     def __init__(

@@ -33,17 +33,7 @@ MAX_POINTS = 60_000
 
 @dataclass(frozen=True)
 class Cloud:
-    """Places in the world with what colours them.
-
-    Parameters
-    ----------
-    name : str
-        What they are, in words.
-    places_m : numpy.ndarray, float32 [N, 3]
-        World frame, m.
-    size_m : float
-        How large to draw each, m.
-    """
+    """Places in the world (m) by name, and how large to draw each, m."""
 
     name: str
     places_m: Float32[np.ndarray, "n 3"]
@@ -60,20 +50,9 @@ class Contributors:
 
 
 class Subject:
-    """A dataset, and whatever a run of it adds.
+    """A dataset, and whatever a run of it adds; `dataset` is None if its images are no longer there.
 
-    Parameters
-    ----------
-    title : str
-        What to call it.
-    grid : ImageGrid
-        Pixels of its images.
-    train_views : tuple of View
-        From where the training images were taken.
-    peak : float
-        Power shown white.
-    dataset : Dataset or None
-        Its images; None if they are no longer there.
+    `peak` is the power shown white.
     """
 
     renders = False

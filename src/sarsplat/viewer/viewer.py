@@ -16,8 +16,7 @@ from sarsplat.radar import Pixel
 from sarsplat.radiometry import to_db
 from sarsplat.viewer.controls import BY_ERROR, BY_GAMMA0, Choices, Controls
 from sarsplat.viewer.newest import Newest
-from sarsplat.viewer.pictures import Panel, Strip, difference_panel, heights_up_to, map_panel, power_panel
-from sarsplat.viewer.scale import Scale
+from sarsplat.viewer.pictures import Panel, Scale, Strip, difference_panel, heights_up_to, map_panel, power_panel
 from sarsplat.viewer.server import HOST, start_server, stop_server
 from sarsplat.viewer.stage import Stage
 from sarsplat.viewer.subject import TRUTH, Cloud, Contributors, Subject

@@ -1,15 +1,19 @@
-"""Nothing that the package or its extras need is under the GPL, the AGPL or the LGPL."""
+"""What the package needs: declared once, pinned once, used, and not under the GPL, the AGPL or the LGPL."""
 
 from __future__ import annotations
 
 import re
+import sys
 import tomllib
 from importlib.metadata import PackageMetadata, distribution
-from pathlib import Path
 
 from packaging.requirements import Requirement
 
-PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+from import_graph import PACKAGE, imported
+from programs import ROOT
+from sarsplat.cli.extras import EXTRAS
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 COPYLEFT = re.compile(r"[AL]?GPL|GNU (Affero |Lesser |Library )?General Public", re.IGNORECASE)
 
 
@@ -59,3 +63,32 @@ def test_copyleft_is_recognised():
         assert is_copyleft(words), words
     for words in ("Apache-2.0", "MIT OR GPL-2.0-only", "BSD-3-Clause AND MIT"):
         assert not is_copyleft(words), words
+
+
+def test_the_extras_in_the_code_are_those_of_the_package():
+    for extra, modules in EXTRAS.items():
+        assert {requirement.partition(">")[0] for requirement in PROJECT["optional-dependencies"][extra]} == set(
+            modules.values()
+        )
+
+
+def test_no_requirement_is_declared_twice():
+    for lines in (PROJECT["dependencies"], *PROJECT["optional-dependencies"].values()):
+        names = [re.split(r"[>=\[; ]", line)[0] for line in lines]
+        assert len(set(names)) == len(names), names
+
+
+def test_core_dependencies_are_declared_and_used():
+    declared = {requirement.partition(">")[0] for requirement in PROJECT["dependencies"]}
+    extras = {module for modules in EXTRAS.values() for module in modules}
+    used = {module.partition(".")[0] for path in PACKAGE.rglob("*.py") for module in imported(path)}
+    assert used - {"sarsplat", *sys.stdlib_module_names} - extras == declared
+
+
+def test_each_package_is_pinned_once_and_sections_are_alphabetical():
+    sections = [section.splitlines() for section in (ROOT / "constraints.txt").read_text().split("\n\n")[1:]]
+    assert all(section[0].startswith("# ") for section in sections)
+    names = [[line.partition("==")[0] for line in section[1:]] for section in sections]
+    assert names == [sorted(section) for section in names]
+    everything = [name for section in names for name in section]
+    assert len(everything) == len(set(everything))

@@ -1,17 +1,21 @@
-"""The reconstructed points from three sides, beside the true surface where it is known."""
+"""Reconstructed points and meshes from three sides, beside the true surface where it is known."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from sarsplat.colours import ERROR, HEIGHT
+from sarsplat.colours import ERROR, HEIGHT, POWER
 from sarsplat.errors import counted
 from sarsplat.report.figure import Block, ColourBar, colour_bar
 from sarsplat.report.sides import Corner, Raster
+
+if TYPE_CHECKING:
+    import trimesh
 
 Points = Float[np.ndarray, "p 3"]
 
@@ -19,20 +23,21 @@ _LEAST_PIXELS, _MOST_PIXELS = 120, 400  # along the longest side of what is show
 _MARGIN = 0.025
 """Around the points, as a part of the longest side."""
 
+# Of meshes.
+_LIGHT = np.array([0.4, -0.5, 0.77])
+_AMBIENT = 0.25
+_PIXELS = 300  # along the longest side
+_SAMPLES_PER_PIXEL, _MOST_SAMPLES = 8, 2_000_000  # a pixel without any is a hole
+_MESH_MARGIN = 0.03  # of the longest side
+
 
 def point_boards(
     clouds: Mapping[str, Points], surface: Float[np.ndarray, "s 3"] | None, farthest_m: float
 ) -> tuple[tuple[Block, ...], tuple[ColourBar, ...]]:
     """Points from the side, the front and the top, coloured by height; then their distances to the true surface.
 
-    Parameters
-    ----------
-    clouds : mapping of str to numpy.ndarray, float [P, 3]
-        Reconstructed points, m, by name.
-    surface : numpy.ndarray, float [S, 3] or None
-        Samples of the true surface, m; drawn before the points.
-    farthest_m : float
-        Distances to the surface beyond this share one colour, m.
+    `clouds` are reconstructed points by name and `surface` samples of the true surface, all in metres; distances beyond
+    `farthest_m` share one colour.
     """
     by_height = {f"{name}, {counted(len(points), 'point')}": points for name, points in clouds.items()}
     if surface is not None:
@@ -61,3 +66,24 @@ def _limits(points: Points) -> tuple[Corner, Corner]:
     low, high = np.quantile(points, (0.001, 0.999), axis=0)
     margin = _MARGIN * float((high - low).max()) or 1.0  # of a single point
     return low - margin, high + margin
+
+
+def mesh_boards(reconstructed: trimesh.Trimesh, truth: trimesh.Trimesh | None) -> tuple[Block, ...]:
+    """Shaded meshes (m) from the side, the front and the top, the true surface before the reconstructed one."""
+    meshes = {f"reconstruction, {len(reconstructed.faces):,} triangles": reconstructed}
+    if truth is not None:
+        meshes = {"true surface": truth, **meshes}
+    bounds = np.stack([mesh.bounds for mesh in meshes.values()])
+    low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
+    margin = _MESH_MARGIN * (high - low).max()
+    raster = Raster.around(low - margin, high + margin, _PIXELS)
+    return tuple(_board(raster, name, mesh) for name, mesh in meshes.items())
+
+
+def _board(raster: Raster, title: str, mesh: trimesh.Trimesh) -> Block:
+    from trimesh.sample import sample_surface
+
+    count = min(int(_SAMPLES_PER_PIXEL * mesh.area / raster.pixel_m**2) + 1, _MOST_SAMPLES)
+    places, faces = sample_surface(mesh, count, seed=0)
+    lit = _AMBIENT + (1 - _AMBIENT) * np.abs(mesh.face_normals[faces] @ (_LIGHT / np.linalg.norm(_LIGHT)))
+    return raster.board(title, np.asarray(places), lit, (0.0, 1.0), POWER)

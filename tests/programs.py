@@ -1,0 +1,16 @@
+"""Programs of this repository: run by an interpreter of their own, or imported as modules."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+
+
+def python(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
+    """What a fresh interpreter does with these words."""
+    command = [sys.executable, *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, **{"timeout": 600, **options})
