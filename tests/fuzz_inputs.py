@@ -23,6 +23,7 @@ from PIL import Image
 
 import fuzz_pictures as pics
 import fuzz_sicd
+from chip_files import COLUMNS, phoenix_bytes
 from datasets import dataset_of
 from fuzz_mutations import FLOATS, NUMBERS, Mutation, spoil_bytes, spoil_json
 from pulses import FREQUENCIES, circle, record
@@ -76,19 +77,6 @@ class Reader:
 MAX_BYTES = 1 << 17
 
 # ---- Phoenix ----
-
-
-def phoenix() -> bytes:
-    """A chip of 4 × 6 pixels."""
-    fields = (
-        "native_header_length= 0|NumberOfColumns= 6|NumberOfRows= 4|TargetType= t72_tank|TargetSerNum= 132|"
-        "TargetAz= 10.79|DesiredDepression= 17|MeasuredDepression= 17.09|RadarPosition= bottom|Range3dBWidth= 0.3013|"
-        "CrossRange3dBWidth= 0.3229|RangePixelSpacing= 0.202148|CrossRangePixelSpacing= 0.203125|"
-    )
-    body = fields.replace("|", "\n") + "[EndofPhoenixHeader]\n"
-    top = "\n[PhoenixHeaderVer01.04]\nPhoenixHeaderLength= 00000\n"
-    header = top.replace("00000", f"{len(top) + len(body):05d}") + body
-    return header.encode() + (np.arange(48) / 50).astype(">f4").tobytes()
 
 
 def _phoenix_fits(data: bytes, rng: random.Random) -> bytes:
@@ -369,9 +357,8 @@ def _jpeg() -> bytes:
 
 
 _LABELS = (
-    b"path,class,serial,frame,desired_depression_deg,measured_depression_deg,target_az_deg,dn_per_magnitude,width\n"
-    b"a.jpeg,T72,132,1,17,17.1,10.5,500,5\nb.jpeg,BMP2,9563,1,15,15.1,20,99.5,5\n"
-)
+    ",".join([*COLUMNS, "dn_per_magnitude"]) + "\na.jpeg,T72,132,17,17.1,10.5,500\nb.jpeg,BMP2,9563,15,15.1,20,99.5\n"
+).encode()
 
 
 def _chips(folder: Path) -> None:
@@ -445,7 +432,7 @@ def _read_pulses(folder: Path) -> object:
 
 
 READERS = (
-    Reader("phoenix", "HB00001.000", _read_phoenix, lambda: [phoenix()], (_phoenix_fits,)),
+    Reader("phoenix", "HB00001.000", _read_phoenix, lambda: [phoenix_bytes()], (_phoenix_fits,)),
     Reader("dataset.json", "set/dataset.json", _read_dataset, _dataset_header, (spoil_json,), prepare_dataset),
     Reader("image.tif", "image.tif", _read_tiff, _tiffs, (_spoil_tiff,)),
     Reader("gaussians.ply", "g.ply", _read_gaussians, lambda: [_gaussians(0), _gaussians(2)], (_ply_fits,)),

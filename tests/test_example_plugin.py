@@ -40,6 +40,9 @@ def test_the_example_imports_and_exports(site: Path, tmp_path: Path) -> None:
     power = np.random.default_rng(0).gamma(1.0, size=(4, 24, 24)).astype(np.float32)
     power[:, 10:14, 10:14] *= 50
     np.savez(tmp_path / "box.npz", power=power, azimuth_deg=np.arange(4) * 90.0, grazing_deg=np.full(4, 40.0))
+    for given in ("box.npz", tmp_path):
+        done = sarsplat(site, "info", given)
+        assert "box.npz --spacing METRES --out DIR" in done.stdout, done.stderr
     done = sarsplat(site, "import", "arrays", "box.npz", "--out", "box", "--spacing", "0.3")
     assert done.returncode == 0, done.stderr
     assert "assumed: row 0 is near range" in done.stdout
@@ -61,4 +64,4 @@ def test_a_broken_plugin_is_named_and_the_others_work(site: Path, tmp_path: Path
     assert done.returncode == 2
     assert done.stderr.startswith("warning: the plugin arrays of sarsplat.importers cannot be imported from")
     assert "error: " in done.stderr
-    assert "warning" not in sarsplat(site, "info", tmp_path).stderr
+    assert "warning" not in sarsplat(site, "check", tmp_path).stderr

@@ -6,6 +6,7 @@ from typing import Annotated
 import tyro
 
 from sarsplat.cli.arguments import Folder
+from sarsplat.cli.importers import Contents, Recognised
 from sarsplat.exports import Format
 
 
@@ -25,6 +26,13 @@ def import_arrays(
     images = [MeasuredImage(f"{k:03d}", arrays["power"][k], view, cell, cell) for k, view in enumerate(views)]
     source = {"kind": "arrays", "assumptions": ["row 0 is near range", "the resolution is the pixel spacing"]}
     finish(out, write_imported(out, dataset_of(images, target=file.stem, source=source), overwrite=overwrite))
+
+
+def recognise(contents: Contents) -> Recognised | None:
+    """What `sarsplat info` says of an .npz file, or of a folder of them."""
+    stacks = contents.ending_in(".npz")
+    command = "sarsplat import arrays {} --spacing METRES --out DIR"
+    return Recognised("stacks of images", {}, command.format(stacks[0]), certainty=0.5) if stacks else None
 
 
 def write_csv(run, path: Path, colour: str) -> str:

@@ -23,8 +23,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sarsplat
+from chip_files import phoenix_bytes
 from fuzz import Tally, judge, sentence_faults, watched
-from fuzz_inputs import GRID, READERS, phoenix, prepare_dataset
+from fuzz_inputs import GRID, READERS, prepare_dataset
 from sarsplat.cli import main
 from sarsplat.data import (
     load_checkpoint,
@@ -246,7 +247,7 @@ def test_images_of_other_kinds(tmp_path):
 
 
 def test_phoenix_magnitudes_whose_square_overflows(tmp_path):
-    path, data = tmp_path / "a.000", phoenix()
+    path, data = tmp_path / "a.000", phoenix_bytes()
     path.write_bytes(data[:-192] + np.full(48, 3e38, ">f4").tobytes())
     with pytest.raises(SarsplatError, match=r"holds the magnitude 3e\+38 at row 0, column 0"):
         read_phoenix(path)

@@ -26,30 +26,25 @@ def test_numbers(tmp_path, kind, shape, compressed):
     values = (100 * rng.random(shape)).astype(kind)
     if values.dtype.kind == "c":
         values = values + (1j * rng.random(shape)).astype(kind)
-    found = read_mat(write(tmp_path / "a.mat", compressed, values=values, other=1.5))
-    np.testing.assert_array_equal(found["values"], values)
-    assert found["values"].dtype == values.dtype
-    assert found["other"] == [[1.5]]
+    read = read_mat(write(tmp_path / "a.mat", compressed, values=values, other=1.5))
+    np.testing.assert_array_equal(read["values"], values)
+    assert read["values"].dtype == values.dtype
+    assert read["other"] == [[1.5]]
 
 
 @pytest.mark.parametrize("compressed", [False, True])
-def test_structs_cells_and_text(tmp_path, compressed):
-    inner = {"name": "M1 ü", "sizes": np.arange(3.0), "deeper": {"n": np.int32(7)}}
-    cells = np.array([np.ones((2, 2)), "two"], object)
+def test_structs_and_what_has_no_counterpart(tmp_path, compressed):
     many = np.zeros(2, [("az", object)])
     many["az"] = [1.0, 2.0]
-    found = read_mat(
-        write(
-            tmp_path / "a.mat", compressed, one=inner, cells=cells, many=many, rows=["ab", "cd"], none=np.zeros((0, 3))
-        )
-    )
-    assert found["one"]["name"] == "M1 ü"
-    assert found["one"]["deeper"]["n"] == [[7]]
-    np.testing.assert_array_equal(found["one"]["sizes"], [[0, 1, 2]])
-    assert (found["cells"][0, 1], found["cells"][0, 0].shape) == ("two", (2, 2))
-    assert [element["az"][0, 0] for element in found["many"][0]] == [1, 2]
-    assert found["rows"] == ["ab", "cd"]
-    assert found["none"].size == 0
+    cells = np.array([np.ones((2, 2)), "two"], object)
+    sparse = scipy.sparse.eye_array(3).tocsc()
+    inner = {"name": "M1 ü", "sizes": np.arange(3.0), "deeper": {"n": np.int32(7)}, "many": many, "sparse": sparse}
+    read = read_mat(write(tmp_path / "a.mat", compressed, one=inner, cells=cells, rows=["ab"], none=np.zeros((0, 3))))
+    assert set(read) == {"one", "none"}
+    assert read["one"]["deeper"]["n"] == [[7]]
+    np.testing.assert_array_equal(read["one"]["sizes"], [[0, 1, 2]])
+    assert [read["one"][name] for name in ("name", "many", "sparse")] == [None, None, None]
+    assert read["none"].size == 0
 
 
 def element(kind: int, data: bytes, order: str = "<") -> bytes:
@@ -82,12 +77,6 @@ def test_either_byte_order_and_values_in_a_narrower_type(tmp_path, order):
     assert values.tolist() == [[3, -500]]
 
 
-def test_what_has_no_counterpart_is_none(tmp_path):
-    found = read_mat(write(tmp_path / "a.mat", a={"sparse": scipy.sparse.eye_array(3).tocsc(), "x": 1.0}))
-    assert found["a"]["sparse"] is None
-    assert found["a"]["x"] == [[1]]
-
-
 HUGE = 2**31 - 1
 DAMAGED = {
     "not such a file": (b"nothing of the kind", "is not a MATLAB 5 file"),
@@ -102,9 +91,6 @@ DAMAGED = {
     "one dimension": (mat(matrix((2,))), r"the shape \[2\]"),
     "text as numbers": (mat(matrix(kind=16)), "values of type 16 in an array of float64"),
     "fractions as integers": (mat(matrix((1, 1), bytes(4), 7, 12)), "values of type 7 in an array of int32"),
-    "text": (mat(matrix(values=b"\xff\xff", kind=16, array_class=4)), "text of type 16 that cannot be read"),
-    "endless cells": (mat(matrix((HUGE, HUGE), b"", 14, 1)), "expands to more than"),
-    "cells that are not there": (mat(matrix((3, 3), b"", 14, 1)), "0 bytes where an element should begin"),
     "garbled": (mat(element(15, b"not zlib")), "a compressed element that cannot be read"),
     "nothing compressed": (mat(packed(b"")), "a compressed element with nothing in it"),
     "less than stated": (mat(packed(matrix()[:-9])), "a compressed element of 55 bytes where 64 are stated"),

@@ -52,10 +52,6 @@ def test_agrees_with_a_direct_sum(tmp_path, weighting):
     found = aperture(tmp_path, circle(np.linspace(50, 52, 40)), [(1, 2, 0), (-2, 0.5, 1)])
     grid = ImageGrid(20, 24, (0.15, 0.1), (0.1, 0.1), (0.3, -0.2))
     image = focus(found, grid, weighting)
-    assert_close_to_direct_sum(found, grid, image, weighting)
-
-
-def assert_close_to_direct_sum(found, grid, image, weighting):
     history, cross = found.history, found.cross
     middle = (cross.min() + cross.max()) / 2
     pulses = np.abs(np.gradient(cross)) * weighting.window((cross - middle) / found.extent)
@@ -112,11 +108,6 @@ def test_width_and_side_lobes_are_those_of_theory(tmp_path, weighting, side_lobe
         assert 2 * (above - 100) / 20 == pytest.approx(1, abs=0.01)  # in resolutions
         beyond = power[100 + int(np.argmax(np.diff(power[100:]) > 0)) :]  # from the first zero on
         assert beyond.max() == pytest.approx(side_lobe_db, abs=0.7)
-
-
-def test_the_taylor_weighting_is_wider_by_what_is_known_of_it():
-    assert UNIFORM.width == pytest.approx(0.8859, abs=1e-4)
-    assert Taylor().width == pytest.approx(1.184, abs=1e-3)
 
 
 @pytest.fixture
@@ -203,7 +194,7 @@ BAD = {
     "half an autofocus": (changed(af={"r_correct": np.zeros(20)}), "has no field ph_correct"),
     "short autofocus": (changed(af={"r_correct": np.zeros(3), "ph_correct": np.zeros(20)}), "3 values of r_correct"),
     "not finite": (changed(fp=GOOD["fp"] * np.nan), "holds a sample of nan"),
-    "endless antenna": (changed(y=GOOD["y"] * np.inf), "values of y that are not finite"),
+    "endless antenna": (changed(y=GOOD["y"] * np.inf), "holds an antenna position of -?inf"),
     "falling frequencies": (changed(freq=FREQUENCIES[::-1]), "only rising, evenly spaced ones"),
     "uneven frequencies": (changed(freq=np.geomspace(30e9, 40e9, 64)), "only rising, evenly spaced ones"),
     "megahertz": (changed(freq=FREQUENCIES / 1e6), "give them in hertz"),
@@ -224,15 +215,15 @@ def test_bad_files(tmp_path, name):
 
 OPTIONS = {
     "too large": (["--size", "40"], "show ±4.7 m; give a smaller --size"),
-    "too few pixels": (["--size", "0.2"], "makes 2 pixels a side"),
-    "too many pixels": (["--size", "4", "--spacing", "1e-4"], "makes 40000 pixels a side"),
-    "no size": (["--size", "nan"], "makes 0 pixels a side"),
-    "endless": (["--size", "inf"], "makes inf pixels a side"),
+    "too few pixels": (["--size", "0.2"], "makes 2 × 2 pixels of"),
+    "too many pixels": (["--size", "4", "--spacing", "1e-4"], "makes 40000 × 40000 pixels of"),
+    "no size": (["--size", "nan"], "makes 0 × 0 pixels of"),
+    "endless": (["--size", "inf"], "makes inf × inf pixels of"),
     "too wide": (["--size", "4", "--aperture", "9"], "an aperture of 9° is more than the 2.11°"),
     "no aperture": (["--size", "4", "--aperture", "0"], "an aperture of 0° is not possible"),
     "too narrow": (["--size", "4", "--aperture", "0.05"], "holds 0 of 20 pulses"),
     "no length": (["--size", "wide"], "--size 'wide' is not a valid length; give metres, such as 64 or 64m"),
-    "no place": (["--size", "4", "--around", "here"], "--around 'here' is not a place"),
+    "no place": (["--size", "4", "--around", "here"], "--around 'here' is not what it should be; write it as 12,-7.5"),
     "beyond the world": (["--size", "4", "--around", "1e308,0"], "must be metres from the scene centre, at most 1e+08"),
     "too many views": (["--size", "2", "--train-views", "2"], "2 training views asked for"),
 }  # fmt: skip

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from chip_files import ROWS, phoenix_bytes, write_chips
 from sample_files import write_sample
 from sarsplat.cli import main
-from sarsplat.importers.recognise import recognised
+from sarsplat.cli.importers import recognised
+from sarsplat.errors import SarsplatError
 
 POWER = np.random.default_rng(0).gamma(1.0, size=(4, 12, 10)).astype(np.float32) + 0.1
 
@@ -27,6 +29,14 @@ def typed(command: str | None, out: Path, **words: str) -> int:
 
 
 @pytest.fixture
+def chips(tmp_path: Path) -> Path:
+    folder = tmp_path / "my chips"  # a name that must be quoted
+    folder.mkdir()
+    write_chips(folder, ROWS)
+    return folder
+
+
+@pytest.fixture
 def shots(tmp_path: Path) -> Path:
     folder = tmp_path / "my shots"  # a name that must be quoted
     folder.mkdir()
@@ -37,24 +47,24 @@ def shots(tmp_path: Path) -> Path:
 
 
 def test_pictures_with_a_table(shots, tmp_path, capsys):
-    found = recognised(shots)
-    assert found is not None
-    assert found.kind == "pictures with a table of their angles"
-    assert found.facts["columns"] == "file = file, azimuth = Azimuth (deg)"
-    assert "--grazing DEGREES --spacing METRES" in str(found.command)
+    it = recognised(shots)
+    assert it is not None
+    assert it.kind == "pictures with a table of their angles"
+    assert it.facts["columns"] == "file = file, azimuth = Azimuth (deg)"
+    assert "--grazing DEGREES --spacing METRES" in str(it.command)
     assert main(["info", str(shots)]) == 0
-    assert f"import with: {found.command}\n" in capsys.readouterr().out
-    assert typed(found.command, tmp_path / "out", DEGREES="30", METRES="0.2") == 0
+    assert f"import with: {it.command}\n" in capsys.readouterr().out
+    assert typed(it.command, tmp_path / "out", DEGREES="30", METRES="0.2") == 0
     assert (tmp_path / "out" / "dataset.json").is_file()
 
 
 def test_pictures_without_a_table(shots):
     (shots / "t.csv").write_text("some,thing\n1,2\n")
-    found = recognised(shots)
-    assert found is not None
-    assert found.kind == "4 pictures (4 .png) without a table of their angles"
-    assert "the columns file, azimuth, grazing, spacing" in found.facts["missing"]
-    assert "--table TABLE.csv" in str(found.command)
+    it = recognised(shots)
+    assert it is not None
+    assert it.kind == "4 pictures (4 .png) without a table of their angles"
+    assert "the columns file, azimuth, grazing, spacing" in it.facts["missing"]
+    assert "--table TABLE.csv" in str(it.command)
 
 
 def test_a_table_with_columns_of_other_names(tmp_path):
@@ -62,21 +72,21 @@ def test_a_table_with_columns_of_other_names(tmp_path):
     shots.mkdir()
     Image.fromarray(np.ones((5, 4), np.uint8)).save(shots / "a.png")
     (shots / "flights.csv").write_text("picture,pointing,elev,comment\na.png,10,30,fine\n")
-    found = recognised(shots)
-    assert found is not None
-    assert found.facts["missing"].endswith("it has picture, pointing, elev, comment")
-    assert "azimuth=NAME --spacing METRES" in str(found.command)
+    it = recognised(shots)
+    assert it is not None
+    assert it.facts["missing"].endswith("it has picture, pointing, elev, comment")
+    assert "azimuth=NAME --spacing METRES" in str(it.command)
 
 
 def test_the_sample_set(tmp_path):
     for azimuth in (11.0, 30.0, 44.0, 60.0):
         write_sample(tmp_path / "set", POWER[0] * (1 + 1j), azimuth)
     write_sample(tmp_path / "set", POWER[0] * (1 + 1j), 30.0, kind="synth", target="m1")
-    found = recognised(tmp_path / "set")
-    assert found is not None
-    assert found.facts == {"class m1": "1 synthetic", "class t72": "4 real"}
-    assert "--class t72 --kind real --train-views 2" in str(found.command)
-    assert typed(found.command, tmp_path / "out") == 0
+    it = recognised(tmp_path / "set")
+    assert it is not None
+    assert it.facts == {"class m1": "1 synthetic", "class t72": "4 real"}
+    assert "--class t72 --kind real --train-views 2" in str(it.command)
+    assert typed(it.command, tmp_path / "out") == 0
 
 
 @pytest.mark.parametrize(
@@ -86,12 +96,61 @@ def test_files_of_other_formats(tmp_path, ending, command):
     (tmp_path / "a b").mkdir()
     for k in range(3):
         (tmp_path / "a b" / f"{k}{ending}").write_bytes(b"\0")
-    found = recognised(tmp_path)
-    assert found is not None
-    assert found.kind.startswith(f"3 {ending} files")
-    assert f"sarsplat {command} {shlex.quote(str(tmp_path / 'a b'))}/*{ending} --size METRES" in str(found.command)
+    it = recognised(tmp_path)
+    assert it is not None
+    assert it.kind.startswith(f"3 {ending} files")
+    assert f"sarsplat {command} {shlex.quote(str(tmp_path / 'a b'))}/*{ending} --size METRES" in str(it.command)
 
 
 def test_no_images_are_nothing(tmp_path):
     (tmp_path / "notes.txt").write_text("nothing")
     assert recognised(tmp_path) is None
+
+
+def test_labelled_jpegs(chips: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    it = recognised(chips)
+    assert it is not None
+    assert it.facts["chips"] == "11"
+    assert it.facts["class T72"] == "8 at 17°, 2 at 15°"
+    assert it.command is not None
+    assert "--class T72 --train-views 4" in it.command
+    assert main(["info", str(chips)]) == 0
+    assert f"import with: {it.command}\n" in capsys.readouterr().out
+    assert typed(it.command, tmp_path / "out") == 0
+    assert (tmp_path / "out" / "dataset.json").is_file()
+
+
+def test_the_table_itself_and_a_subfolder_lead_to_the_same(chips: Path, tmp_path: Path) -> None:
+    below = recognised(chips / "BMP2")
+    assert below is not None
+    assert below.facts["chips"] == "1"
+    assert f"{shlex.quote(str(chips))} --labels {shlex.quote(str(chips / 'labels.csv'))} --class BMP2" in str(
+        below.command
+    )
+    assert main(["info", str(chips / "labels.csv")]) == 0
+
+
+def test_another_depression_is_asked_for(chips: Path, tmp_path: Path) -> None:
+    table = chips / "labels.csv"
+    table.write_text(table.read_text().replace(",17,17.1,", ",30,30.1,"))
+    it = recognised(chips)
+    assert it is not None
+    assert "--train-depression 30" in str(it.command)
+    assert typed(it.command, tmp_path / "out") == 0
+
+
+def test_phoenix_files(tmp_path: Path) -> None:
+    folder = tmp_path / "phoenix"
+    folder.mkdir()
+    for k in range(4):
+        (folder / f"HB0000{k}.015").write_bytes(phoenix_bytes(TargetAz=90.0 * k))
+    it = recognised(folder)
+    assert it is not None
+    assert it.kind == "original MSTAR chips (Phoenix files)"
+    assert typed(it.command, tmp_path / "out") == 0
+
+
+def test_a_damaged_table_is_told_in_one_sentence(chips: Path) -> None:
+    (chips / "labels.csv").write_text("path,class\n")
+    with pytest.raises(SarsplatError, match="is missing the column 'serial'"):
+        recognised(chips)

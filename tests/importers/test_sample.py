@@ -94,7 +94,7 @@ def test_what_is_there_is_named(folder, tmp_path):
     with pytest.raises(SarsplatError, match="the kind is 'odd'"):
         import_sample(folder, tmp_path / "out", target="t72", kind="odd")
     shutil.rmtree(folder)
-    with pytest.raises(SarsplatError, match="no file that is called as those"):
+    with pytest.raises(SarsplatError, match="no file named like those"):
         import_sample(tmp_path, tmp_path / "out", target="t72")
 
 

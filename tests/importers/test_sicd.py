@@ -18,7 +18,7 @@ from sarsplat.data import Dataset, read_dataset
 from sarsplat.geometry import radar_frame
 from sarsplat.geometry.responses import GAUSSIAN, UNIFORM, Taylor
 from sarsplat.importers import import_sicd
-from sicds import FREQUENCY, LIGHT, SPOT, Recording, Track, axes, describe, ecef, write_sicd
+from sicds import FREQUENCY, LIGHT, SPOT, Recording, Track, describe, ecef, write_sicd
 
 pytestmark = pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")  # of one view alone, for instance
 
@@ -222,11 +222,6 @@ def test_the_spot_may_be_a_pixel_or_the_centre(tmp_path):
     assert without_height.source["spot"]["height_m"] == pytest.approx(SPOT[2], abs=1e-3)
 
 
-def test_axes_of_the_world_are_level_and_right_handed():
-    east, north, up = axes()
-    assert np.cross(east, north) == pytest.approx(up, abs=1e-12)
-
-
 def test_only_what_is_needed_is_read(tmp_path):
     """A chip of a large image: neither memory nor reading grows with it."""
     import sarkit.sicd
@@ -247,16 +242,8 @@ def test_the_command_says_what_it_assumed(tmp_path, capsys):
         for bearing in (0, 120, 240)
     ]
     latitude, longitude, height = SPOT
-    words = [
-        "import",
-        "sicd",
-        *files,
-        f"--around={latitude},{longitude},{height}",
-        "--size",
-        "48m",
-        "--target",
-        "sphere",
-    ]
+    words = ["import", "sicd", *files, f"--around={latitude},{longitude},{height}", "--size", "48m"]
+    words += ["--target", "sphere"]
     assert main([*words, "--out", str(tmp_path / "set")]) == 0
     said = capsys.readouterr().out
     assert "look to the left (3)" in said and "nothing is mirrored" in said

@@ -82,6 +82,23 @@ def metres(text: str, name: str) -> float:
         raise SarsplatError(f"--{name} {text!r} is not a valid length; give metres, such as 64 or 64m") from None
 
 
+def numbers(text: str, name: str, counts: tuple[int, ...], example: str) -> tuple[float, ...]:
+    """Numbers with commas between them, as many as `counts` allows.
+
+    Raises
+    ------
+    SarsplatError
+        If the text is anything else.
+    """
+    try:
+        values = tuple(map(float, text.split(",")))
+    except ValueError:
+        values = ()
+    if len(values) not in counts:
+        raise SarsplatError(f"--{name} {text!r} is not what it should be; write it as {example}")
+    return values
+
+
 def views_from(
     azimuth: Sequence[str], grazing: Sequence[str], incidence: Sequence[str], prefix: str = ""
 ) -> list[View]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -16,8 +16,12 @@ from sarsplat.cli.arguments import (
     one_of,
 )
 from sarsplat.cli.imported import carry_out
-from sarsplat.errors import SarsplatError
+from sarsplat.cli.importers import Contents, Recognised, dataset_name, typed_import
+from sarsplat.errors import SarsplatError, counted
 from sarsplat.names import Quantity, Side
+
+if TYPE_CHECKING:
+    from sarsplat.importers.columns import Columns
 
 Lengths = Annotated[tuple[float, ...], tyro.conf.arg(metavar="METRES [METRES]", help_behavior_hint="(optional)")]
 
@@ -145,3 +149,61 @@ def _pair(lengths: tuple[float, ...], name: str) -> tuple[float, float] | None:
     if len(lengths) > 2:
         raise SarsplatError(f"--{name} has {len(lengths)} numbers; give one, or two: azimuth and range")
     return (lengths[0], lengths[-1]) if lengths else None
+
+
+def recognise(contents: Contents) -> Recognised | None:
+    """Pictures, with or without a table of their angles."""
+    from sarsplat.importers.pictures import PICTURE_ENDINGS
+
+    pictures = len(contents.ending_in(*PICTURE_ENDINGS))
+    if not pictures or not contents.path.is_dir():
+        return None
+    return _with_table(contents, pictures) or _without_table(contents, pictures, PICTURE_ENDINGS)
+
+
+def _with_table(contents: Contents, pictures: int) -> Recognised | None:
+    """Pictures and one table with at least one column that is of use."""
+    from sarsplat.data.csv_table import read_table
+    from sarsplat.importers.columns import chosen_columns
+
+    tables = contents.ending_in(".csv")
+    if len(tables) != 1:
+        return None
+    try:
+        table = read_table(tables[0], "a table with a row for each picture")
+        columns = chosen_columns(table, {})
+    except SarsplatError:
+        return None  # whatever table that is
+    if not columns:
+        return None
+    facts = {"pictures": str(pictures), "table": f"{table.path} ({counted(len(table.rows), 'row')})"}
+    facts["columns"] = ", ".join(f"{meaning} = {name}" for meaning, name in columns.items())
+    lacking = [meaning for meaning in ("file", "azimuth") if meaning not in columns]
+    if lacking:
+        facts["missing"] = f"which column is the {' and which the '.join(lacking)}; it has {', '.join(table.columns)}"
+    command = _command(contents.path, columns, lacking)
+    return Recognised("pictures with a table of their angles", facts, command, certainty=0.2 if lacking else 1.0)
+
+
+def _command(folder: Path, columns: Columns, lacking: list[str]) -> str:
+    words = ["folder", str(folder)]
+    if lacking:
+        words += ["--columns", ",".join(f"{meaning}=NAME" for meaning in lacking)]
+    if "grazing" not in columns and "incidence" not in columns:
+        words += ["--grazing", "DEGREES"]
+    if not any("spacing" in meaning for meaning in columns):
+        words += ["--spacing", "METRES"]
+    return typed_import(*words, out=dataset_name(folder))
+
+
+def _without_table(contents: Contents, pictures: int, endings: tuple[str, ...]) -> Recognised:
+    numbers = {ending: len(contents.ending_in(ending)) for ending in endings}
+    kinds = ", ".join(f"{number} {ending}" for ending, number in numbers.items() if number)
+    needed = "a table (CSV) with a row for each, with the columns file, azimuth, grazing, spacing (docs/formats.md)"
+    words = ("folder", str(contents.path), "--table", "TABLE.csv", "--spacing", "METRES")
+    return Recognised(
+        f"{counted(pictures, 'picture')} ({kinds}) without a table of their angles",
+        {"missing": needed},
+        typed_import(*words, out=dataset_name(contents.path)),
+        certainty=0.1,
+    )

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +12,12 @@ import tyro
 
 from sarsplat.cli.arguments import Angles, Folder, OptionalFile, OptionalName, angles
 from sarsplat.cli.imported import carry_out
+from sarsplat.cli.importers import Contents, Recognised, training_half, typed_import
 from sarsplat.errors import SarsplatError
+
+_USUAL_DEPRESSION = 17
+_MOST_READ = 500
+"""Number of Phoenix files whose headers are read; the others are assumed to be of the same classes."""
 
 
 def command(
@@ -82,3 +90,93 @@ def _whole(angle: float) -> int:
     if not angle.is_integer():  # nor NaN or infinite
         raise SarsplatError(f"--train-depression {angle:g} is not a whole number of degrees; chips are named by these")
     return round(angle)
+
+
+def recognise(contents: Contents) -> Recognised | None:
+    """JPEGs that a table of labels describes, which may lie up to two folders above; or Phoenix files."""
+    from sarsplat.importers.mstar_chips import has_label_columns
+    from sarsplat.importers.phoenix import is_phoenix
+    from sarsplat.importers.pictures import PICTURE_ENDINGS
+
+    if contents.path.is_dir() and contents.ending_in(".jpg", ".jpeg"):
+        above = (path for parent in contents.path.absolute().parents[:2] for path in sorted(parent.glob("*.csv")))
+        for table in (*contents.ending_in(".csv"), *above):
+            if has_label_columns(table) and (labelled := _labelled(contents.path, table)) is not None:
+                return labelled
+    phoenix = [path for path in contents.files if path.suffix.lower() not in PICTURE_ENDINGS and is_phoenix(path)]
+    if contents.path.is_file() and phoenix:
+        return _one_phoenix(contents.path)
+    return _phoenix(contents.path, phoenix) if phoenix else None
+
+
+def _labelled(folder: Path, table: Path) -> Recognised | None:
+    """The chips in a folder that a table describes; None if it describes none of them."""
+    from sarsplat.data.csv_table import parsed
+    from sarsplat.importers.mstar_chips import read_labels
+
+    rows = [row for _, row in read_labels(table).rows]
+    for root in dict.fromkeys((folder, table.parent)):
+        inside = [row for row in rows if (root / row["path"]).absolute().is_relative_to(folder.absolute())]
+        if present := [row for row in inside if (root / row["path"]).is_file()]:
+            break
+    else:
+        return None
+    missing = f" ({len(inside) - len(present)} more in the table are not there)" if len(present) < len(inside) else ""
+    return _chips(
+        "MSTAR chips as JPEGs, with a table of labels",
+        {"chips": f"{len(present)}{missing}", "labels": str(table)},
+        [(row["class"], parsed(row["desired_depression_deg"])) for row in present],
+        [str(root), "--labels", str(table)],
+    )
+
+
+def _phoenix(folder: Path, files: list[Path]) -> Recognised:
+    from sarsplat.importers import read_phoenix
+
+    chips = [read_phoenix(path) for path in files[:_MOST_READ]]
+    (rows, columns), spacing = chips[0].magnitude.shape, chips[0].spacing_m
+    pixels = f"{rows} × {columns} pixels of {spacing[1]:g} m in range, {spacing[0]:g} m across"
+    return _chips(
+        "original MSTAR chips (Phoenix files)",
+        {"chips": str(len(files)), "the first": pixels},
+        [(chip.target_type, chip.desired_depression_deg) for chip in chips],
+        [str(folder)],
+    )
+
+
+def _one_phoenix(path: Path) -> Recognised:
+    from sarsplat.importers import read_phoenix
+
+    chip = read_phoenix(path)
+    rows = {
+        "vehicle": f"{chip.target_type}, serial {chip.serial}",
+        "depression": f"{chip.measured_depression_deg:g}° (planned {chip.desired_depression_deg:g}°)",
+        "TargetAz": f"{chip.target_az_deg:g}°; azimuth here {-chip.target_az_deg % 360:g}°",
+        "pixels": f"{chip.magnitude.shape[0]} × {chip.magnitude.shape[1]}, linear magnitude and phase",
+        "spacing": f"{chip.spacing_m[0]:g} m in cross-range, {chip.spacing_m[1]:g} m in slant range",
+        "resolution": f"{chip.resolution_m[0]:g} m, {chip.resolution_m[1]:g} m (3 dB)",
+        "radar at the": chip.radar_position,
+    }
+    return Recognised("a Phoenix chip (MSTAR)", rows)
+
+
+def _chips(kind: str, facts: dict[str, str], planned: Sequence[tuple[str, float]], where: list[str]) -> Recognised:
+    """Classes and their planned depressions, degrees, NaN if unknown; and the command for the largest class."""
+    by_class: dict[str, Counter[int | None]] = {name: Counter() for name in sorted({name for name, _ in planned})}
+    for name, angle in planned:
+        by_class[name][round(angle) if math.isfinite(angle) else None] += 1
+    for name, depressions in by_class.items():
+        facts[f"class {name}"] = ", ".join(
+            f"{number} at {'an unknown depression' if angle is None else f'{angle}°'}"
+            for angle, number in sorted(depressions.items(), key=lambda item: -(item[0] or 0))
+        )
+    name = max(by_class, key=lambda its: by_class[its].total())
+    usable = {angle: number for angle, number in by_class[name].items() if angle is not None}
+    if not usable:
+        return Recognised(kind, facts)
+    angle = _USUAL_DEPRESSION if _USUAL_DEPRESSION in usable else max(usable, key=lambda its: usable[its])
+    words = [*where, "--class", name, "--train-views", training_half(usable[angle])]
+    if angle != _USUAL_DEPRESSION:
+        words += ["--train-depression", str(angle)]
+    plain = "".join(c for c in name.lower().split("_")[0] if c.isalnum()) or "chips"
+    return Recognised(kind, facts, typed_import("mstar", *words, out=f"mstar-{plain}"))

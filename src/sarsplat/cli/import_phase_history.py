@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from sarsplat.cli.arguments import Folder, Metres, OptionalCount, OptionalNumber, metres
+from sarsplat.cli.arguments import Folder, Metres, OptionalCount, OptionalNumber, metres, numbers
 from sarsplat.cli.imported import carry_out
-from sarsplat.errors import SarsplatError
+from sarsplat.cli.importers import Contents, Recognised, by_ending
 
 
 def command(
@@ -44,7 +44,7 @@ def command(
     weighting
         The narrowest response, or side lobes 35 dB down.
     target
-        What is there.
+        What the images show.
     train_views
         Number of training images, nearest to azimuths k·360°/K; the others are test images. Without it, all are for
         training.
@@ -53,12 +53,13 @@ def command(
     """
     from sarsplat.importers import import_phase_history
 
+    x, y, *height = numbers(around, "around", (2, 3), "12,-7.5")
     carry_out(
         import_phase_history,
         files,
         out,
         size_m=metres(size, "size"),
-        around_m=_place(around),
+        around_m=(x, y, height[0] if height else 0.0),
         aperture_deg=aperture,
         spacing_m=spacing,
         weighting=weighting,
@@ -69,9 +70,6 @@ def command(
     )
 
 
-def _place(text: str) -> tuple[float, float, float]:
-    try:
-        x, y, z = map(float, text.split(",") if text.count(",") > 1 else (*text.split(","), "0"))
-    except ValueError:
-        raise SarsplatError(f"--around {text!r} is not a place; give x,y or x,y,z in metres, such as 12,-7.5") from None
-    return x, y, z
+def recognise(contents: Contents) -> Recognised | None:
+    """MATLAB files."""
+    return by_ending(contents, (".mat",), "phase-history", "phase history")

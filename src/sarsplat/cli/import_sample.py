@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -9,6 +10,7 @@ import tyro
 
 from sarsplat.cli.arguments import Folder, OptionalCount
 from sarsplat.cli.imported import carry_out
+from sarsplat.cli.importers import Contents, Recognised, training_half, typed_import
 from sarsplat.names import SampleKind
 
 
@@ -58,3 +60,19 @@ def command(
         mirrored=mirrored,
         overwrite=overwrite,
     )
+
+
+def recognise(contents: Contents) -> Recognised | None:
+    """Files named like those of the set."""
+    from sarsplat.importers.sample import named_as_sample
+
+    names = [name for name in map(named_as_sample, contents.ending_in(".mat")) if name is not None]
+    if not names:
+        return None
+    by_kind = Counter((name.target, name.kind) for name in names)
+    target, kind = max(by_kind, key=lambda its: (by_kind[its], its[1] == "real"))
+    facts = {f"class {target}": f"{number} {kind}" for (target, kind), number in sorted(by_kind.items())}
+    words = ("--class", target, "--kind", kind, "--train-views", training_half(by_kind[target, kind]))
+    folder = contents.path if contents.path.is_dir() else contents.path.parent
+    command = typed_import("sample", str(folder), *words, out=f"sample-{target}")
+    return Recognised("images of the SAMPLE set (complex, MATLAB files)", facts, command)

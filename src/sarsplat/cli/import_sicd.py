@@ -7,9 +7,10 @@ from typing import Annotated
 
 import tyro
 
-from sarsplat.cli.arguments import Folder, OptionalCount, metres
+from sarsplat.cli.arguments import Folder, OptionalCount, metres, numbers
 from sarsplat.cli.imported import carry_out
-from sarsplat.errors import SarsplatError, counted
+from sarsplat.cli.importers import Contents, Recognised, by_ending
+from sarsplat.errors import counted
 
 
 def command(
@@ -52,7 +53,8 @@ def command(
     """
     from sarsplat.importers import import_sicd
 
-    place, spot = _numbers(around, "around", (2, 3)), _numbers(pixel, "pixel", (2,))
+    place = None if around is None else numbers(around, "around", (2, 3), "47.3769,8.5417")
+    spot = None if pixel is None else numbers(pixel, "pixel", (2,), "1200,800")
     carry_out(
         import_sicd,
         files,
@@ -69,15 +71,6 @@ def command(
     )
 
 
-def _numbers(text: str | None, name: str, counts: tuple[int, ...]) -> tuple[float, ...] | None:
-    """Numbers with commas between them."""
-    if text is None:
-        return None
-    try:
-        values = tuple(map(float, text.split(",")))
-    except ValueError:
-        values = ()
-    if len(values) not in counts:
-        example = {"around": "47.3769,8.5417", "pixel": "1200,800"}[name]
-        raise SarsplatError(f"--{name} {text!r} is not what it should be; write it as {example}")
-    return values
+def recognise(contents: Contents) -> Recognised | None:
+    """NITF files."""
+    return by_ending(contents, (".nitf", ".ntf"), "sicd", "SICD")

@@ -27,7 +27,7 @@ def carry_out(
 
 
 def finish(out: Path, dataset: Dataset) -> None:
-    """Tell it, also what contradicts it, and draw a sheet on which one sees whether the images lie as they should."""
+    """Print what was assumed and what contradicts it, draw a sheet of the orientation, and name the next step."""
     from sarsplat.data.plausible import warn
     from sarsplat.importers import ready
     from sarsplat.reconstruction.contradictions import examine

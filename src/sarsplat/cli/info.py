@@ -9,20 +9,18 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import OptionalFile
+from sarsplat.cli.importers import recognised
 from sarsplat.cli.info_dataset import describe_dataset
 from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from sarsplat.importers.recognise import Recognised
-
 _MARKERS = ("config.json", "contact-sheet.png")
 """Of folders that we make, besides datasets."""
 
 _UNDERSTOOD = (
-    "a dataset, a run, rendered images, a folder of images to import, a PLY of Gaussians or points, a Phoenix chip, a "
-    "power TIFF or a mesh"
+    "a dataset, a run, rendered images, images to import, a PLY of Gaussians or points, a power TIFF or a mesh"
 )
 
 
@@ -45,26 +43,14 @@ def info(
         return
     if plot is not None:
         raise SarsplatError(f"--plot {plot} draws the views of a dataset, and {path} is none; omit it")
-    if (importable := _to_import(path)) is not None:
+    ours = any((path / name).is_file() for name in _MARKERS) or _part_of(path) is not None
+    if not ours and (importable := recognised(path)) is not None:
         console.facts(f"{path}: {importable.kind}", importable.facts)
         if importable.command is not None:
             console.say(f"import with: {importable.command}")
         return
     kind, rows = _folder(path) if path.is_dir() else _file(path)
     console.facts(f"{path}: {kind}", rows)
-
-
-def _to_import(path: Path) -> Recognised | None:
-    """What a folder, or the table of labels in it, can be imported as."""
-    from sarsplat.importers.mstar_chips import has_label_columns
-    from sarsplat.importers.recognise import recognised
-
-    if path.is_dir():
-        ours = any((path / name).is_file() for name in _MARKERS)
-        return None if ours or _part_of(path) is not None else recognised(path)
-    if path.suffix.lower() == ".csv" and has_label_columns(path):
-        return recognised(path.absolute().parent)
-    return None
 
 
 def _folder(path: Path) -> tuple[str, dict[str, str]]:
@@ -93,10 +79,6 @@ def _part_of(path: Path) -> str | None:
 
 
 def _file(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.importers.phoenix import is_phoenix
-
-    if is_phoenix(path):
-        return _phoenix(path)
     match path.suffix.lower():
         case ".tif" | ".tiff":
             return _tiff(path)
@@ -155,22 +137,6 @@ def _extent(points: np.ndarray) -> str:
     low, high = points.min(axis=0), points.max(axis=0)
     ranges = ", ".join(f"{name} {a:.4g} … {b:.4g} m" for name, a, b in zip("xyz", low, high, strict=True))
     return f"{len(points)}; {ranges}"
-
-
-def _phoenix(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.importers import read_phoenix
-
-    chip = read_phoenix(path)
-    rows = {
-        "vehicle": f"{chip.target_type}, serial {chip.serial}",
-        "depression": f"{chip.measured_depression_deg:g}° (planned {chip.desired_depression_deg:g}°)",
-        "TargetAz": f"{chip.target_az_deg:g}°; azimuth here {-chip.target_az_deg % 360:g}°",
-        "pixels": f"{chip.magnitude.shape[0]} × {chip.magnitude.shape[1]}, linear magnitude, phase not read",
-        "spacing": f"{chip.spacing_m[0]:g} m in cross-range, {chip.spacing_m[1]:g} m in slant range",
-        "resolution": f"{chip.resolution_m[0]:g} m, {chip.resolution_m[1]:g} m (3 dB)",
-        "radar at the": chip.radar_position,
-    }
-    return "a Phoenix chip (MSTAR)", rows
 
 
 def _tiff(path: Path) -> tuple[str, dict[str, str]]:

@@ -16,6 +16,7 @@ from sarsplat.cli.compare import compare
 from sarsplat.cli.doctor import doctor
 from sarsplat.cli.evaluate import evaluate
 from sarsplat.cli.export import export
+from sarsplat.cli.importers import IMPORTERS
 from sarsplat.cli.info import info
 from sarsplat.cli.mistakes import explained
 from sarsplat.cli.reconstruct import reconstruct
@@ -24,7 +25,6 @@ from sarsplat.cli.report import report
 from sarsplat.cli.simulate import simulate
 from sarsplat.cli.view import view
 from sarsplat.errors import SarsplatError
-from sarsplat.plugins import discover
 
 Command = Callable[..., int | None]
 
@@ -45,7 +45,7 @@ def completion(shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positi
 
 COMMANDS: dict[str, Command | Mapping[str, Command]] = {
     "simulate": simulate,
-    "import": discover("sarsplat.cli", "import_", "command", "sarsplat.importers"),
+    "import": IMPORTERS,
     "check": check,
     "reconstruct": reconstruct,
     "evaluate": evaluate,
@@ -58,7 +58,7 @@ COMMANDS: dict[str, Command | Mapping[str, Command]] = {
     "doctor": doctor,
     "completion": completion,
 }
-"""Commands by name; `import NAME` is `command` in the file `import_NAME.py` of this folder, or an entry point."""
+"""Commands by name; those of `import` are found."""
 
 _GROUPS = {"import": "Import measured images as a dataset."}
 """What the commands that have commands of their own are for."""

@@ -15,29 +15,20 @@ from sarsplat.geometry.responses import Taylor
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory
 
 WIDEST_DEG = 60.0
-"""Of an aperture: beyond it the radar has no one direction."""
+"""Widest aperture: beyond it the radar has no one direction."""
 
 
 @dataclass(frozen=True)
 class Aperture:
-    """Pulses that make one image of what is around a place.
-
-    Parameters
-    ----------
-    history : PhaseHistory
-        The pulses.
-    around_m : numpy.ndarray, float64 [3]
-        The place, world frame, m.
-    view : View
-        Direction to the middle of the aperture from there.
-    width_deg : float
-        Azimuths it covers, degrees, half a pulse beyond the outer ones included.
-    """
+    """Pulses that make one image of what is around a place."""
 
     history: PhaseHistory
     around_m: Float64[np.ndarray, " 3"]
+    """The place, world frame."""
     view: View
+    """Direction to the middle of the aperture from there."""
     width_deg: float
+    """Azimuths it covers, half a pulse beyond the outer ones included."""
 
     @property
     def cross(self) -> Float64[np.ndarray, " pulses"]:
@@ -75,17 +66,10 @@ class Aperture:
 
 
 def apertures(history: PhaseHistory, around_m: Float64[np.ndarray, " 3"], width_deg: float | None) -> list[Aperture]:
-    """The parts of a flight, in its order.
+    """The parts of a whole flight around a place, in its order.
 
-    Parameters
-    ----------
-    history : PhaseHistory
-        A whole flight.
-    around_m : numpy.ndarray, float64 [3]
-        What the images will show the surroundings of.
-    width_deg : float, optional
-        Azimuths of each part, degrees; what is left over is divided between both ends and not used. Without it, equal
-        parts about as wide as makes the azimuth resolution that of slant range; a shorter flight is one part.
+    Each has `width_deg` of azimuth; what is left over is divided between both ends and not used. Without a width, the
+    parts are equal and about as wide as makes the azimuth resolution that of slant range; a shorter flight is one part.
 
     Raises
     ------

@@ -21,13 +21,7 @@ _USUALLY_OCCUPIED = 1 / 1.2  # share of the sampled band that radars fill at mos
 
 
 def taps(occupied: float) -> int:
-    """Pixels along one axis that a value is made of, an even number.
-
-    Parameters
-    ----------
-    occupied : float
-        Share of the sampled band that the image fills, 0 to 1.
-    """
+    """Pixels along one axis that a value is made of (even), if the image fills this share of the sampled band."""
     # Kaiser's formula: the transition is from the edge of the band to that of its repetition
     needed = (_SUPPRESSION_DB - 8) / (2.285 * 2 * math.pi * max(1 - occupied, 1e-3))
     return 2 * math.ceil(min(max(needed, _FEWEST), _MOST) / 2)
@@ -39,20 +33,10 @@ def interpolate(
     column: Float64[np.ndarray, " n"],
     occupied: tuple[float, float],
 ) -> Complex64[np.ndarray, " n"]:
-    """Values of an image at places between its pixels.
+    """Values of an image at places, in pixels from the centre of the first one.
 
-    Parameters
-    ----------
-    image : numpy.ndarray, complex64 [rows, columns]
-        Its band must be centred at zero; outside it is zero.
-    row, column : numpy.ndarray, float64 [n]
-        Places, in pixels from the centre of the first one.
-    occupied : (float, float)
-        Shares of the sampled band that the image fills along rows and columns (see `taps`).
-
-    Returns
-    -------
-    numpy.ndarray, complex64 [n]
+    Its band must be centred at zero and fill the shares `occupied` of the sampled one along rows and columns; outside
+    its edges there is nothing.
     """
     high, wide = (taps(share) for share in occupied)
     padded = np.pad(image, ((high, high), (wide, wide)))
@@ -73,20 +57,10 @@ def interpolate(
 
 
 def resample(pixels: Pixels, rows: Float64[np.ndarray, " m"], columns: Float64[np.ndarray, " n"]) -> Pixels:
-    """An image on another lattice that is parallel to its own; beyond its edge there is nothing.
+    """An image on another lattice that is parallel to its own; beyond its edges there is nothing.
 
-    Parameters
-    ----------
-    pixels : numpy.ndarray [rows, columns]
-        Its band must be centred at zero. Of power, which has twice the band of the signal, the result is not quite that
-        of the signal's.
-    rows, columns : numpy.ndarray, float64 [m], [n]
-        Where to sample it, in pixels from the centre of its first one; not more coarsely than it is sampled.
-
-    Returns
-    -------
-    numpy.ndarray [m, n]
-        Of the type of `pixels`.
+    Its band must be centred at zero, and the lattice (in pixels from the centre of the first one) no coarser than its
+    own. Of power, which has twice the band of the signal, the result is not quite that of the signal's.
     """
     height, width = pixels.shape
     sampled = _matrix(rows, height) @ pixels.astype(np.result_type(pixels, np.float64)) @ _matrix(columns, width).T

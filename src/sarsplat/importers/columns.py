@@ -38,14 +38,7 @@ Columns = dict[str, str]
 
 
 def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
-    """The columns that matter.
-
-    Parameters
-    ----------
-    table : CsvTable
-        The table.
-    named : mapping of str to str
-        Meanings (keys of `MEANINGS`, or az, graz, inc, std) and the columns that have them; all others are recognised.
+    """The columns that matter: those `named` (meaning, az, graz, inc or std → column), and others by their usual names.
 
     Raises
     ------
@@ -88,17 +81,11 @@ def _recognised(table: CsvTable, meaning: str, chosen: Columns) -> str | None:
     return candidates[0] if candidates else None
 
 
-def require(table: CsvTable, columns: Columns, meaning: str, or_else: str = "") -> None:
-    """Refuse a table that does not say something; `or_else` is another way to say it.
-
-    Raises
-    ------
-    SarsplatError
-        If no column has this meaning.
-    """
+def require(table: CsvTable, columns: Columns, meaning: str) -> None:
+    """Refuse a table without a column of this meaning."""
     if meaning not in columns:
         raise SarsplatError(
-            f"{table.path} has no column that looks like the {meaning}; name it with --columns {meaning}=NAME{or_else} "
+            f"{table.path} has no column that looks like the {meaning}; name it with --columns {meaning}=NAME "
             f"(there are {_listed(table)})"
         )
 

@@ -24,32 +24,17 @@ _ACCURACY = 1e-7
 def focus(
     aperture: Aperture, grid: ImageGrid, weighting: Taylor
 ) -> Complex64[np.ndarray, "{grid.rows} {grid.columns}"]:
-    """The complex image of an aperture.
+    """The complex image of an aperture, row 0 near range, columns along the view's x_r.
 
-    Parameters
-    ----------
-    aperture : Aperture
-        Its pulses and view.
-    grid : ImageGrid
-        Pixels of the slant plane, relative to the place that the aperture looks at.
-    weighting : Taylor
-        Of frequencies and pulses.
-
-    Returns
-    -------
-    numpy.ndarray, complex64 [rows, columns]
-        Row 0 near range, columns along the view's x_r. A scatterer of amplitude A on the ground has A as its peak. The
-        carrier's phase, 4π f/c times slant range, is taken out, so that the spectrum is around zero.
+    A scatterer of amplitude A on the ground has A as its peak. Pixels are focused on the places of the ground, at the
+    height of the aperture's place, that the radar frame maps to them, so that what stands there is where `radar_frame`
+    says, without wavefront curvature. The carrier's phase, 4π f/c times slant range, is taken out, so that the spectrum
+    is around zero.
 
     Raises
     ------
     SarsplatError
         If the grid reaches beyond what the frequencies or the pulses show unambiguously, or finufft is not installed.
-
-    Notes
-    -----
-    A pixel is focused on the place of the ground, at the height of the aperture's place, that the radar frame maps to
-    it. What stands on the ground in range and Doppler is thus where `radar_frame` says, without wavefront curvature.
     """
     try:
         import finufft

@@ -13,7 +13,7 @@ from sarsplat.data.header import Calibration
 from sarsplat.data.orientation import Layout, oriented
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
-from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
+from sarsplat.importers.images import MeasuredImage, dataset_of, view_of, write_imported
 from sarsplat.importers.pictures import read_pixels
 from sarsplat.importers.quantity import likely_quantity, power_or_signal
 from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
@@ -59,7 +59,7 @@ def import_folder(
         CSV file; unless given, the only one in the folder.
     columns : mapping of str to str, optional
         What columns say → their names (see `sarsplat.importers.columns.MEANINGS`). Those not named are recognised by
-        their usual names. What a column says of a picture goes before what is said here of all.
+        their usual names. Cells of the table take precedence over the arguments here.
     quantity : {"amplitude", "power", "db", "complex"}, optional
         What `scale`·pixels + `offset` is. Unless given: complex for complex pixels, amplitude for whole numbers.
     scale, offset : float
@@ -110,7 +110,7 @@ def import_folder(
             pixels, guessed, str(picture.path), _either(picture.scale, scale), _either(picture.offset, offset)
         )
         turn = -picture.azimuth_deg if counter_clockwise else picture.azimuth_deg
-        view = _view(listed.path, picture, (azimuth_offset_deg + turn) % 360, grazing_deg)
+        view = _view(listed.path, picture, azimuth_offset_deg + turn, grazing_deg)
         slant = math.cos(math.radians(view.grazing_deg)) if ground_range else 1.0
         spacing = _lengths(listed.path, picture, "spacing", spacing_m, slant)
         stated = resolution_m is not None or any(picture.resolution_m)
@@ -173,10 +173,7 @@ def _view(table: Path, picture: ListedPicture, azimuth_deg: float, grazing_deg: 
             f"{table} does not say from what grazing angle {picture.name} is; name the column with "
             "--columns grazing=NAME (or incidence=NAME), or give one angle for all with --grazing"
         )
-    try:
-        return View(azimuth_deg, grazing)
-    except SarsplatError as error:
-        raise SarsplatError(f"{table}: {picture.name}: {error}") from error
+    return view_of(f"{table}: {picture.name}", azimuth_deg, grazing)
 
 
 def _lengths(table: Path, picture: ListedPicture, what: str, common: Pair | None, slant: float) -> Pair:

@@ -67,8 +67,6 @@ def _of_pulses(path: Path, record: dict[str, Any], names: tuple[str, ...], pulse
     for name, values in zip(names, lines, strict=True):
         if len(values) != pulses:
             raise SarsplatError(f"{path} has {len(values)} values of {name} for {pulses} pulses; download it again")
-        if not np.isfinite(values).all():
-            raise SarsplatError(f"{path} has values of {name} that are not finite; download it again")
     return lines
 
 

@@ -29,16 +29,20 @@ _SAME = 1e-3
 """Relative difference of lengths that are meant to be the same."""
 
 _SAME_PLACE = 1e-2
-"""Of a pixel: images that lie no further apart are not moved."""
+"""Images that lie no further apart than this share of a pixel are not moved."""
 
 _LEAST_POWER = 1e-3
-"""Of the median: what is zero is raised to it, for zero has no logarithm and no radar measures it."""
+"""Share of the median power to which zeros are raised: zero has no logarithm, and no radar measures it."""
 
 _FAINTEST = 1e-30
 """Mean power, in whatever unit; far below it, and far above its reciprocal, float32 loses digits."""
 
 _MARGIN = 3 / 16
 """Share of a side that is left out when speckled images are scored: around the target there is only ground."""
+
+
+_PIXELS = (8, 4096)
+"""Fewest and most on a side of an image that is cut out or focused."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,14 @@ class MeasuredImage:
         """Where its pixels lie."""
         rows, columns = self.pixels.shape
         return ImageGrid(rows, columns, self.spacing_m, self.resolution_m, self.center_m, self.response)
+
+
+def view_of(name: str, azimuth_deg: float, grazing_deg: float) -> View:
+    """From where the image of this name was taken, which an error names."""
+    try:
+        return View(azimuth_deg % 360, grazing_deg)
+    except SarsplatError as error:
+        raise SarsplatError(f"{name}: {error}") from error
 
 
 def dataset_of(
@@ -136,7 +148,8 @@ def dataset_of(
     if zeros.all():
         raise SarsplatError(f"all {counted(len(images), 'image')} are black; give images of something")
     if zeros.any():
-        pixels[zeros] = _brought_to(_LEAST_POWER * float(np.median(power[~zeros])), pixels.dtype)
+        least = _LEAST_POWER * float(np.median(power[~zeros]))
+        pixels[zeros] = math.sqrt(least) if pixels.dtype.kind == "c" else least
         _say(
             assumptions,
             f"{counted(int(zeros.sum()), 'pixel')} of {zeros.size} held zero, which no radar measures; raised "
@@ -174,6 +187,16 @@ def write_imported(out: str | Path, dataset: Dataset, *, overwrite: bool) -> Dat
     dataset = write_dataset(out, dataset, overwrite=overwrite)
     warn(suspicions(dataset))
     return dataset
+
+
+def check_sides(size_m: float, rows: float, columns: float, spacing: str) -> None:
+    """Refuse a size that makes too few pixels of this spacing, or too many."""
+    fewest, most = _PIXELS
+    if not (math.isfinite(rows + columns) and fewest <= min(rows, columns) and max(rows, columns) <= most):
+        raise SarsplatError(
+            f"--size {size_m:g} makes {columns:.0f} × {rows:.0f} pixels of {spacing} (azimuth × range); give a size "
+            f"that makes {fewest} to {most} a side"
+        )
 
 
 def ready(dataset: Dataset) -> str:
@@ -262,10 +285,6 @@ def _on(image: MeasuredImage, grid: ImageGrid) -> Shaped[np.ndarray, "{grid.rows
 
 def _power(pixels: Num[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
     return power_of(pixels) if pixels.dtype.kind == "c" else pixels
-
-
-def _brought_to(power: float, dtype: np.dtype[Any]) -> np.generic:
-    return dtype.type(math.sqrt(power) if dtype.kind == "c" else power)
 
 
 def _say(assumptions: list[str], text: str) -> None:

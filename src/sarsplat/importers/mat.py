@@ -1,4 +1,4 @@
-"""MATLAB 5 files (`save -v6` and `-v7`): numbers, text, structs and cells.
+"""MATLAB 5 files (`save -v6` and `-v7`): numbers and structs. SciPy's reader crashes on some damaged files.
 
 A file is a list of elements, each a tag (type, bytes) and data; an array is an element that holds further ones: flags,
 dimensions, name, values. The files come from strangers: a size is believed only if it fits what holds it, and what is
@@ -20,9 +20,7 @@ from sarsplat.errors import SarsplatError, shown
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 """Types of elements that hold numbers, with what numpy calls them."""
 _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED = 1, 5, 6, 14, 15
-_TEXT = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
-"""Types of elements that hold text, with its encoding."""
-_CELL, _STRUCT, _CHAR = 1, 2, 4
+_STRUCT = 2
 _CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
 """Classes of arrays of numbers, with what numpy calls them; a file may hold their values in a narrower type."""
 _COMPLEX = 0x800
@@ -34,19 +32,10 @@ _BYTES_PER_ARRAY = 512
 
 
 def read_mat(path: str | Path) -> dict[str, Any]:
-    """Read a MATLAB 5 file.
+    """The variables of a MATLAB 5 file, as `save -v6` or `save -v7` (MATLAB's default) writes it.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file, as `save -v6` or `save -v7` (MATLAB's default) writes it.
-
-    Returns
-    -------
-    dict of str to value
-        Its variables. Numbers are arrays of MATLAB's shape and type, complex ones included; text is `str`, of several
-        rows a list of `str`; a struct is a dict of its fields; an array of structs, or of cells, is an object array of
-        these. What has no counterpart here (sparse matrices, objects, functions) is None, and as a variable left out.
+    Numbers are arrays of MATLAB's shape and type, complex ones included; a struct is a dict of its fields. What has no
+    counterpart here (text, cells, arrays of structs, sparse matrices …) is None, and as a variable left out.
 
     Raises
     ------
@@ -70,7 +59,7 @@ def read_mat(path: str | Path) -> dict[str, Any]:
                 decoder.refuse(f"an element of type {kind} among its variables")
             name, value = decoder.array(data, 0)
             if not name.isidentifier():
-                continue  # MATLAB's own notes on objects
+                continue  # no counterpart, or MATLAB's own notes on objects
             if name in variables:
                 decoder.refuse(f"the variable {name!r} twice")
             variables[name] = value
@@ -146,24 +135,22 @@ class _Decoder:
             return "", np.zeros((0, 0))
         flags, data = self.whole(data, _UINT32)
         kind = flags[0] & 0xFF if len(flags) == 2 else 0
-        if kind not in (_CELL, _STRUCT, _CHAR, *_CLASSES):
+        if kind not in (_STRUCT, *_CLASSES):
             return "", None
         shape, data = self.whole(data, _INT32)
         if not 2 <= len(shape) <= 32 or min(shape) < 0:
             self.refuse(f"an array of the shape {shown(shape)}")
         name, data = self.name(data)
-        if kind == _CHAR:
-            return name, self.text(data, shape)
-        if kind in _CLASSES:
-            values, data = self.numbers(data, shape, np.dtype(_CLASSES[kind]))
-            if not flags[0] & _COMPLEX:
-                return name, values
-            imaginary, _ = self.numbers(data, shape, values.dtype)
-            self.spend(2 * values.nbytes)
-            joined = np.empty_like(values, np.complex64 if values.dtype == np.float32 else np.complex128)
-            joined.real, joined.imag = values, imaginary
-            return name, joined
-        return name, self.holder(data, shape, kind, depth)
+        if kind == _STRUCT:
+            return (name, self.struct(data, depth)) if math.prod(shape) == 1 else ("", None)
+        values, data = self.numbers(data, shape, np.dtype(_CLASSES[kind]))
+        if not flags[0] & _COMPLEX:
+            return name, values
+        imaginary, _ = self.numbers(data, shape, values.dtype)
+        self.spend(2 * values.nbytes)
+        joined = np.empty_like(values, np.complex64 if values.dtype == np.float32 else np.complex128)
+        joined.real, joined.imag = values, imaginary
+        return name, joined
 
     def whole(self, data: memoryview, wanted: int) -> tuple[list[int], memoryview]:
         """An element of whole numbers, and what follows it."""
@@ -191,48 +178,19 @@ class _Decoder:
         with np.errstate(over="ignore"):
             return np.frombuffer(values, stored).reshape(shape, order="F").astype(wanted), rest
 
-    def text(self, data: memoryview, shape: list[int]) -> str | list[str]:
-        kind, letters, _ = self.element(data)
-        self.spend(4 * len(letters))
-        encoding = _TEXT.get(kind, "")
-        if encoding.startswith("utf-") and encoding != "utf-8":
-            encoding += "-le" if self.order == "<" else "-be"
-        try:
-            text = bytes(letters).decode(encoding) if encoding else None
-        except UnicodeDecodeError:
-            text = None
-        if text is None or (shape[0] != 1 and len(text) != math.prod(shape)):
-            self.refuse(f"text of type {kind} that cannot be read")
-        rows = shape[0]
-        return text if rows <= 1 or not text else [text[row::rows] for row in range(rows)]
-
-    def holder(self, data: memoryview, shape: list[int], kind: int, depth: int) -> Any:
-        """A struct, or an array of structs or of cells."""
-        fields = [""]
-        if kind == _STRUCT:
-            fields, data = self.fields(data)
-        count = math.prod(shape)
-        self.spend(count * _BYTES_PER_ARRAY)
-        records = np.empty(count, object)
-        for index in range(count):
-            values = {}
-            for field in fields:
-                _, value, data = self.element(data)
-                values[field] = self.array(value, depth + 1)[1]
-            records[index] = values if kind == _STRUCT else values[""]
-        if kind == _STRUCT and count == 1:
-            return records[0]
-        return records.reshape(shape, order="F") if count else np.empty((0, 0), object)
-
-    def fields(self, data: memoryview) -> tuple[list[str], memoryview]:
-        """The names of a struct's fields: one length for all, then each filled up with zeros."""
+    def struct(self, data: memoryview, depth: int) -> dict[str, Any]:
+        """The fields of one struct: names of one length for all, filled up with zeros, and then their values."""
         lengths, data = self.whole(data, _INT32)
         _, letters, data = self.element(data)
         longest = lengths[0] if len(lengths) == 1 else 0
         if longest < 1 or len(letters) % longest or not bytes(letters).isascii():
             self.refuse("names of fields that cannot be read")
         self.spend(len(letters) // longest * _BYTES_PER_ARRAY)
-        names = [bytes(letters[k : k + longest]).partition(b"\0")[0].decode() for k in range(0, len(letters), longest)]
-        if len(set(names)) < len(names):
-            self.refuse("two fields of one name")
-        return names, data
+        fields: dict[str, Any] = {}
+        for k in range(0, len(letters), longest):
+            name = bytes(letters[k : k + longest]).partition(b"\0")[0].decode()
+            if name in fields:
+                self.refuse("two fields of one name")
+            _, value, data = self.element(data)
+            fields[name] = self.array(value, depth + 1)[1]
+        return fields

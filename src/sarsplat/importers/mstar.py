@@ -29,8 +29,7 @@ from sarsplat.data.evenly import nearest_to
 from sarsplat.data.header import Box
 from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, SarsplatWarning
-from sarsplat.geometry import View
-from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
+from sarsplat.importers.images import MeasuredImage, dataset_of, view_of, write_imported
 from sarsplat.importers.mstar_chips import Chip, read_chips
 
 MIN_DN = 2.0
@@ -109,13 +108,13 @@ def import_mstar(
     chosen = {id(chip) for chip in train}
     test = [chip for chip in every if id(chip) not in chosen]
     test.sort(key=lambda chip: (-chip.depression, chip.target_az_deg, chip.name))
-    ordered = _of_one_kind([*train, *test])
+    ordered = [*train, *test]
     sign = 1 if mirrored else -1
     images = [
         MeasuredImage(
             chip.name,
             oriented(pixels, "bottom", mirrored),
-            _view(sign, chip),
+            view_of(chip.name, sign * chip.target_az_deg, chip.grazing_deg),
             chip.spacing_m,
             chip.resolution_m,
             response=chip.response,
@@ -132,8 +131,6 @@ def import_mstar(
         "train_views": train_views,
         "train_depression_deg": depressions,
         "mirrored": mirrored,
-        "azimuth": f"azimuth = {'+' if mirrored else '-'}TargetAz; grazing = measured depression",
-        "orientation": f"published array turned by 180 degrees{', then columns flipped' if mirrored else ''}",
         **_calibration(ordered),
         "cut_to_common_size": len({image.pixels.shape for image in images}) > 1,
         "chips": [{"name": chip.name, "target_az_deg": chip.target_az_deg} for chip in ordered],
@@ -183,17 +180,6 @@ def _training_chips(chips: list[Chip], count: int, depressions: Sequence[int]) -
         nearest = nearest_to([chip.target_az_deg for chip in candidates], [k * 360 / count for k in numbers])
         chosen |= {k: candidates[i] for k, i in zip(numbers, nearest, strict=True)}
     return [chosen[k] for k in sorted(chosen)]
-
-
-def _of_one_kind(chips: list[Chip]) -> list[Chip]:
-    first = chips[0]
-    for chip in chips:
-        if not np.allclose([*chip.spacing_m, *chip.resolution_m], [*first.spacing_m, *first.resolution_m], rtol=1e-3):
-            raise SarsplatError(
-                f"{chip.name} has pixel spacing {chip.spacing_m} m and resolution {chip.resolution_m} m "
-                f"but {first.name} has {first.spacing_m} and {first.resolution_m}; import chips of one kind"
-            )
-    return chips
 
 
 def _pixels(chips: list[Chip], training: int) -> list[Num[np.ndarray, "rows columns"]]:
@@ -246,10 +232,3 @@ def _assumptions(chips: list[Chip], images: list[MeasuredImage], mirrored: bool)
 
 def _scaled_alike(chips: list[Chip]) -> bool:
     return all(chip.step == 1 for chip in chips)
-
-
-def _view(sign: int, chip: Chip) -> View:
-    try:
-        return View((sign * chip.target_az_deg) % 360, chip.grazing_deg)
-    except SarsplatError as error:
-        raise SarsplatError(f"{chip.name}: {error}") from error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,12 +11,11 @@ import numpy as np
 from jaxtyping import Float32
 
 from sarsplat.data.csv_table import CsvTable, Row, column_names, parsed, read_table, relative_path
-from sarsplat.data.files import plain_os_errors
-from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
+from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry.responses import TAYLOR, Response
+from sarsplat.importers.files import files_in, listed_files, warn_caller
 from sarsplat.importers.phoenix import is_phoenix, read_phoenix
 from sarsplat.importers.pictures import read_pixels
-from sarsplat.importers.table import listed_file
 
 _DESIRED, _MEASURED, _AZIMUTH = "desired_depression_deg", "measured_depression_deg", "target_az_deg"
 LABEL_COLUMNS = ("path", "class", "serial", _DESIRED, _MEASURED, _AZIMUTH)
@@ -31,55 +29,41 @@ _LEAST_SCALE, _LARGEST_SCALE = 1e-9, 1e9  # the square of no magnitude leaves fl
 
 @dataclass(frozen=True)
 class Chip:
-    """One measured chip, in the order of the published array: near range is the bottom row.
-
-    Parameters
-    ----------
-    name : str
-        Path relative to the folder of chips.
-    serial : str
-        Serial number of the vehicle.
-    depression : int
-        Depression angle as planned, whole degrees: the name of the collection.
-    grazing_deg : float
-        Depression angle as flown, degrees.
-    target_az_deg : float
-        TargetAz, degrees in [0, 360): 0 = nose toward the radar.
-    magnitude : numpy.ndarray, float32 [rows, columns]
-        Linear magnitude (not power), in whatever unit all chips have in common.
-    step : float
-        Magnitude of one digital number; 0 if magnitudes are not quantised.
-    spacing_m, resolution_m : (float, float)
-        Pixel spacing and 3 dB width (cross-range, slant range), m.
-    response : Response
-        Its shape; of JPEGs, which do not say, that which the Phoenix files' headers state.
-    azimuth_std_deg : float or None
-        Standard deviation of `target_az_deg`, degrees; None where the table says nothing of it.
-    phase : numpy.ndarray, float32 [rows, columns], or None
-        Radians; None if unknown.
-    """
+    """One measured chip, in the order of the published array: near range is the bottom row."""
 
     name: str
+    """Path relative to the folder of chips."""
     serial: str
+    """Serial number of the vehicle."""
     depression: int
+    """Depression angle as planned, whole degrees: the name of the collection."""
     grazing_deg: float
+    """Depression angle as flown."""
     target_az_deg: float
+    """TargetAz, in [0, 360): 0 = nose toward the radar."""
     magnitude: Float32[np.ndarray, "rows columns"]
+    """Linear (not power), in whatever unit all chips have in common."""
     step: float
+    """Magnitude of one digital number; 0 if magnitudes are not quantised."""
     spacing_m: tuple[float, float] = (0.203125, 0.202148)
+    """(cross-range, slant range)."""
     resolution_m: tuple[float, float] = (0.3229, 0.3013)
+    """3 dB widths, as `spacing_m`."""
     response: Response = TAYLOR
+    """Of JPEGs, which do not say, that which the Phoenix files' headers state."""
     azimuth_std_deg: float | None = None
+    """None where the table does not state it."""
     phase: Float32[np.ndarray, "rows columns"] | None = None
+    """Radians; None if unknown."""
 
 
 def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chip]:
-    """Read every chip of one class.
+    """Read every chip of one class from a folder and its subfolders, in the order of the table or of the files' names.
 
     Parameters
     ----------
     folder : Path
-        Where the chips lie, in subfolders or not.
+        Where the chips lie.
     labels : Path or None
         Table (CSV) of the JPEGs: path relative to `folder`, class, serial, desired_depression_deg,
         measured_depression_deg (where it is empty, the desired one counts), target_az_deg; where azimuths are
@@ -89,29 +73,15 @@ def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chi
     target_class : str
         E.g. `T72`; a Phoenix header's `t72_tank` is the same class.
 
-    Returns
-    -------
-    list of Chip
-        In the order of the table, or of the files' names.
-
     Raises
     ------
     SarsplatError
         If the folder is missing or empty, the labels are garbled, contradict each other, lead out of the folder or
-        match no chip, the class is unknown, or a chip is damaged.
-
-    Warns
-    -----
-    SarsplatWarning
-        Once each, with their number, for JPEGs without a label, labels of the class without a chip, labels without a
-        measured depression, labels with other empty fields and labels that are there twice.
+        match no chip, the class is unknown, or a chip is damaged. What the table lacks otherwise is warned of.
     """
-    with plain_os_errors("read", folder):
-        if not folder.is_dir():
-            raise SarsplatError(f"{folder} is not a folder; give the folder that holds the MSTAR chips")
-        files = sorted(path for path in folder.rglob("*") if path.is_file())
+    files = files_in(folder, "the MSTAR chips")
     if not files:
-        raise SarsplatError(f"{folder} is empty; give the folder that holds the MSTAR chips")
+        raise SarsplatError(f"{folder} is empty; give the folder of the MSTAR chips")
     jpegs = {path for path in files if path.suffix.lower() in (".jpeg", ".jpg")}
     if labels is None:
         return _phoenix_chips(folder, files, bool(jpegs), target_class)
@@ -138,7 +108,7 @@ def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_clas
         remedy = "name the table of its JPEGs with --labels" if has_jpegs else "give the folder of the MSTAR chips"
         raise SarsplatError(f"there is no Phoenix file in {folder}; {remedy}")
     if has_jpegs:
-        _warn(
+        warn_caller(
             f"{folder} also contains JPEG chips, which are ignored; to use them instead of the Phoenix files, "
             "give the table of their labels with --labels"
         )
@@ -170,18 +140,11 @@ def _jpeg_chips(folder: Path, jpegs: set[Path], labels: Path, target_class: str)
     rows = [row for row in table.rows if _same_class(target_class, row[1]["class"])]
     if not rows:
         raise _refuse_class(target_class, labels, {row["class"] for _, row in table.rows})
-    chips_of_class = counted(len(rows), f"{target_class} chip")
-    files = [listed_file(folder, table, row, "path", of="chips") for row in rows]
-    present = [(row, file) for row, file in zip(rows, files, strict=True) if file is not None]
-    if not present:
-        raise SarsplatError(
-            f"{folder} contains none of {chips_of_class} in {labels} "
-            f"(the first is {shown(rows[0][1]['path'])}); give the folder that its paths are relative to"
-        )
-    if len(present) < len(rows):
-        _warn(f"{folder} lacks {len(rows) - len(present)} of {chips_of_class} in {labels}; the others are used")
+    present = listed_files(folder, table, rows, "path", of="chip")
     if unlabelled := len(jpegs - {folder / row["path"] for _, row in table.rows if row["class"]}):
-        _warn(f"{labels} has no label for {counted(unlabelled, 'JPEG')} in {folder}; add them if you need these chips")
+        warn_caller(
+            f"{labels} has no label for {counted(unlabelled, 'JPEG')} in {folder}; add them if you need these chips"
+        )
     chosen = _once(labels, _complete(labels, [row for row, _ in present]))
     return [
         Chip(
@@ -198,10 +161,6 @@ def _jpeg_chips(folder: Path, jpegs: set[Path], labels: Path, target_class: str)
     ]
 
 
-def _warn(text: str) -> None:
-    warnings.warn(text, SarsplatWarning, stacklevel=5)  # whoever called import_mstar
-
-
 def _complete(labels: Path, rows: Sequence[Row]) -> list[Row]:
     """The rows that have the angles they need; those with empty fields are counted.
 
@@ -214,9 +173,9 @@ def _complete(labels: Path, rows: Sequence[Row]) -> list[Row]:
         what = f"{labels} has empty fields for {len(rows) - len(whole)} of {counted(len(rows), 'chip')}"
         if not whole:
             raise SarsplatError(f"{what} (line {line}: {missing} is empty); fill them in")
-        _warn(f"{what} (the first: {missing} in line {line}), which are ignored; fill them in if you need them")
+        warn_caller(f"{what} (the first: {missing} in line {line}), which are ignored; fill them in if you need them")
     if planned := [line for line, row in whole if not row[_MEASURED]]:
-        _warn(
+        warn_caller(
             f"{labels} has no {_MEASURED} for {len(planned)} of {counted(len(whole), 'chip')} (the first in line "
             f"{planned[0]}), so their {_DESIRED} is used; fill them in if you know better"
         )
@@ -233,7 +192,7 @@ def _once(labels: Path, rows: Sequence[Row]) -> list[Row]:
                 f"{labels} gives {shown(row['path'])} two labels, in lines {other_line} and {line}; remove one"
             )
     if repeated := len(rows) - len(first):
-        _warn(f"{labels} repeats {counted(repeated, 'label')}; each chip is taken once")
+        warn_caller(f"{labels} repeats {counted(repeated, 'label')}; each chip is taken once")
     return list(first.values())
 
 
@@ -277,7 +236,7 @@ def _steps(table: CsvTable, rows: Sequence[Row]) -> list[float]:
 
 
 def _digital_numbers(path: Path) -> Float32[np.ndarray, "rows columns"]:
-    """Those of an 8-bit grey picture."""
+    """The pixels of an 8-bit grey picture."""
     pixels = read_pixels(path)
     if pixels.dtype != np.uint8 or pixels.ndim != 2:
         raise SarsplatError(f"{path} holds {pixels.dtype} of shape {shown(pixels.shape)}; chips are 8-bit grey")

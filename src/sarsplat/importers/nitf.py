@@ -1,14 +1,19 @@
-"""What a NITF file says of itself, held against its size before anything in it is believed.
+"""What a NITF file holds of a SICD: its metadata, as plain XML, and where its pixels lie.
 
-A NITF 2.1 file is a header, which states the length of every part, followed by the parts: segments of image, graphics,
-text, data extensions and reserved extensions, each with a header of its own. The metadata of a SICD are XML in the
-first data extension. The files come from strangers: lengths must add up to the file's, and the XML must be plain.
+The files come from strangers: lengths must add up to the file's, and the XML must be plain.
 """
 
 from __future__ import annotations
 
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, NoReturn
+from typing import TYPE_CHECKING, BinaryIO
+
+import numpy as np
 
 from sarsplat.errors import SarsplatError, shown
 
@@ -16,18 +21,8 @@ if TYPE_CHECKING:
     import lxml.etree
 
 _MAGICS = (b"NITF02.10", b"NSIF01.00")
-_FILE_LENGTH_AT = 342  # bytes from the start; 12 digits
-_PARTS = (
-    ("image", 6, 10),
-    ("graphic", 4, 6),
-    (None, 0, 0),
-    ("text", 4, 5),
-    ("data extension", 4, 9),
-    ("reserved", 4, 7),
-)
-"""Kinds of segments in the order of the header, with digits of the lengths of a segment's header and data."""
+_FILE_LENGTH = slice(342, 354)  # bytes of the header that state it
 _LONGEST_XML = 4 << 20
-_MOST_SEGMENTS = 100
 _HIGHEST_ORDER = 20
 _OTHERS = {
     b"CPHD": "phase history (CPHD)",
@@ -38,20 +33,19 @@ _OTHERS = {
 }
 
 
-def read_sicd_xml(path: Path, file: BinaryIO) -> lxml.etree._ElementTree:
-    """The metadata of a SICD, after checks of the file's structure.
+@dataclass(frozen=True)
+class Segment:
+    """Some rows of an image: where they begin in the file, and how many bytes they have there."""
 
-    Parameters
-    ----------
-    path : Path
-        What an error names.
-    file : file object
-        The open file.
+    offset: int
+    length: int
+    rows: int
+    columns: int
+    compressed: bool
 
-    Returns
-    -------
-    lxml.etree.ElementTree
-        Plain XML without entities or references to other files, whose root is a SICD's.
+
+def read_nitf(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, list[Segment]]:
+    """The metadata of a SICD, without entities or references to other files, and its image segments in their order.
 
     Raises
     ------
@@ -59,11 +53,52 @@ def read_sicd_xml(path: Path, file: BinaryIO) -> lxml.etree._ElementTree:
         If it is no NITF file, is truncated or states lengths that contradict its size, holds no SICD, or its XML is
         garbled or not plain.
     """
+    import jbpy
+
+    size = file.seek(0, 2)
+    file.seek(0)
+    head = file.read(_FILE_LENGTH.stop)
+    if not head.startswith(_MAGICS):
+        kind = next((words for magic, words in _OTHERS.items() if head.startswith(magic)), None)
+        raise SarsplatError(
+            f"{path} is {kind or 'not a NITF file'}, so it is not a SICD; give files of complex SAR images (SICD)"
+        )
+    stated = head[_FILE_LENGTH]
+    if stated.isdigit() and int(stated) != size:
+        state = "is truncated" if size < int(stated) else "is too long"
+        raise SarsplatError(f"{path} {state}: {size} bytes where its header says {int(stated)}; get it again")
+    file.seek(0)
+    with sarkit_errors(path):
+        nitf = jbpy.Jbp().load(file)  # type: ignore[arg-type]
+        extensions = [part["DESDATA"] for part in nitf["DataExtensionSegments"]]
+        images = [part for part in nitf["ImageSegments"] if part["subheader"]["IID1"].value.startswith("SICD")]
+        images.sort(key=lambda part: part["subheader"]["IID1"].value)
+        segments = [
+            Segment(
+                part["Data"].get_offset(),
+                part["Data"].size,
+                part["subheader"]["NROWS"].value,
+                part["subheader"]["NCOLS"].value,
+                part["subheader"]["IC"].value != "NC",
+            )
+            for part in images
+        ]
+        place, length = (extensions[0].get_offset(), extensions[0].size) if extensions else (0, 0)
+    if not extensions:
+        raise SarsplatError(f"{path} is a NITF file without metadata in XML, so it is not a SICD; give SICD files")
+    if max([place + length, *(part.offset + part.length for part in segments)]) > size:
+        raise SarsplatError(f"{path} has a header whose lengths do not fit its size; get it again")
+    if length > _LONGEST_XML:
+        raise SarsplatError(
+            f"{path} has {length} bytes of metadata, where SICDs have at most {_LONGEST_XML}; get it again"
+        )
+    file.seek(place)
+    return _plain_xml(path, file.read(length)), segments
+
+
+def _plain_xml(path: Path, text: bytes) -> lxml.etree._ElementTree:
     import lxml.etree
 
-    start, length = _first_extension(path, file)
-    file.seek(start)
-    text = file.read(length)
     plain = lxml.etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
     try:
         tree = lxml.etree.fromstring(text, plain).getroottree()
@@ -88,61 +123,20 @@ def read_sicd_xml(path: Path, file: BinaryIO) -> lxml.etree._ElementTree:
     return tree
 
 
-def _first_extension(path: Path, file: BinaryIO) -> tuple[int, int]:
-    """Where the data of the first data extension start, and how long they are, bytes."""
-    size = file.seek(0, 2)
-    file.seek(0)
-    head = file.read(9)
-    if head not in _MAGICS:
-        kind = next((words for magic, words in _OTHERS.items() if head.startswith(magic)), None)
-        raise SarsplatError(
-            f"{path} is {kind or 'not a NITF file'}, so it is not a SICD; give files of complex SAR images (SICD)"
-        )
-    file.seek(_FILE_LENGTH_AT)
-    numbers = _Numbers(path, file)
-    stated, header = numbers.next(12), numbers.next(6)
-    if stated != size:
-        state = "is truncated" if size < stated else "is too long"
-        raise SarsplatError(f"{path} {state}: {size} bytes where its header says {stated}; get it again")
-    place, extension = header, None
-    for kind, header_digits, data_digits in _PARTS:
-        count = numbers.next(3)
-        if count > _MOST_SEGMENTS or (kind is None and count):
-            numbers.contradict()
-        for _ in range(count if kind else 0):
-            subheader, data = numbers.next(header_digits), numbers.next(data_digits)
-            if kind == "data extension" and extension is None:
-                extension = (place + subheader, data)
-            place += subheader + data
-    if place != size or numbers.place > header:
-        numbers.contradict()
-    if extension is None:
-        raise SarsplatError(f"{path} is a NITF file without metadata in XML, so it is not a SICD; give SICD files")
-    if extension[1] > _LONGEST_XML:
-        raise SarsplatError(
-            f"{path} has {extension[1]} bytes of metadata, where SICDs have at most {_LONGEST_XML}; get it again"
-        )
-    return extension
-
-
-class _Numbers:
-    """Decimal numbers of fixed width, one after the other, from a file's header."""
-
-    def __init__(self, path: Path, file: BinaryIO) -> None:
-        self._path, self._file = path, file
-
-    @property
-    def place(self) -> int:
-        """Bytes from the start of the file."""
-        return self._file.tell()
-
-    def next(self, digits: int) -> int:
-        """The number in the next so many bytes."""
-        text = self._file.read(digits)
-        if len(text) != digits or not text.isdigit():
-            self.contradict()
-        return int(text)
-
-    def contradict(self) -> NoReturn:
-        """Give up on a header that cannot be right."""
-        raise SarsplatError(f"{self._path} has a header whose lengths do not fit its size; get it again")
+@contextmanager
+def sarkit_errors(path: Path) -> Iterator[None]:
+    """One sentence in place of whatever sarkit and jbpy raise, which trust their files; their warnings are hidden."""
+    log = logging.getLogger("jbpy")
+    level = log.level
+    log.setLevel(logging.CRITICAL + 1)
+    try:
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except (SarsplatError, OSError, MemoryError):
+        raise
+    except Exception as error:
+        problem = shown(f"{type(error).__name__}: {error}")
+        raise SarsplatError(f"{path} is not a valid SICD (sarkit says {problem}); get it again") from error
+    finally:
+        log.setLevel(level)

@@ -17,30 +17,17 @@ FARTHEST_M = 1e8
 _LARGEST = 1e9  # no amplitude comes near it, and its square still fits into float32
 _FREQUENCIES_HZ = (1e6, 1e12)
 _LONGEST_GAP = 3
-"""Between two pieces of a flight, in steps from pulse to pulse."""
+"""Longest gap between two pieces of one flight, in steps from pulse to pulse."""
 _OTHER_BAND = 0.1  # of the bandwidth: what may differ between passes of one radar
 _UNEVEN = 0.01
-"""Of a step: how far a frequency may be from its place among evenly spaced ones. Single precision costs 0.03 %."""
+"""Largest distance of a frequency from its place among evenly spaced ones, in steps. Single precision costs 0.03 %."""
 
 
 @dataclass(frozen=True)
 class PhaseHistory:
-    """Pulses of one flight.
+    """Pulses of one flight, in its order.
 
     A scatterer of amplitude A at p contributes A·exp(−4πj f/c·(|antenna − p| − reference)) to a sample.
-
-    Parameters
-    ----------
-    name : str
-        Its file, for error messages.
-    frequencies_hz : numpy.ndarray, float64 [frequencies]
-        Rising, evenly spaced.
-    antenna_m : numpy.ndarray, float64 [pulses, 3]
-        Where the antenna was, world frame, m, in the order of flight.
-    reference_m : numpy.ndarray, float64 [pulses]
-        Range whose phase was taken out of each pulse (motion compensation), m.
-    samples : numpy.ndarray, complex64 [frequencies, pulses]
-        The echoes.
 
     Raises
     ------
@@ -49,9 +36,13 @@ class PhaseHistory:
     """
 
     name: str
+    """Its file, for error messages."""
     frequencies_hz: Float64[np.ndarray, " frequencies"]
+    """Rising, evenly spaced."""
     antenna_m: Float64[np.ndarray, "pulses 3"]
+    """Where the antenna was, world frame."""
     reference_m: Float64[np.ndarray, " pulses"]
+    """Range whose phase was taken out of each pulse (motion compensation)."""
     samples: Complex64[np.ndarray, "frequencies pulses"]
 
     def __post_init__(self) -> None:
@@ -128,9 +119,9 @@ class PhaseHistory:
 
 
 def flights(histories: Sequence[PhaseHistory]) -> list[PhaseHistory]:
-    """Whole flights, out of pieces in any order: a piece that begins where another ends goes on with it.
+    """Whole flights, joined from pieces in any order: a piece that begins where another ends continues it.
 
-    "Where" is a gap of up to three steps from pulse to pulse, with the same frequencies on both sides.
+    The gap between them may be three steps from pulse to pulse; the frequencies must be the same on both sides.
 
     Raises
     ------

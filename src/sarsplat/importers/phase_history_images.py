@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,20 +15,18 @@ from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import TAYLOR, UNIFORM, Taylor
 from sarsplat.importers.apertures import Aperture, apertures
-from sarsplat.importers.each_once import each_once
+from sarsplat.importers.files import each_once
 from sarsplat.importers.focus import focus
 from sarsplat.importers.gotcha import read_gotcha
-from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
+from sarsplat.importers.images import MeasuredImage, check_sides, dataset_of, write_imported
 from sarsplat.importers.phase_history import FARTHEST_M, flights
 from sarsplat.progress import progress
 
 _WEIGHTINGS = {"uniform": UNIFORM, "taylor": TAYLOR}
 _SPACING = 2 / 3
-"""Of the narrower 3 dB width, where nobody says otherwise: power has twice the band of the signal."""
-_PIXELS = (8, 4096)
-"""Fewest and most on a side."""
+"""Default pixel spacing, as a share of the narrower 3 dB width: power has twice the band of the signal."""
 _TILT_DEG = 3.0
-"""Turn of the slant plane from which on it is worth a word: what is 2 m high moves across by a decimetre."""
+"""Slant planes turned by more than this are reported: what is 2 m high moves across by a decimetre."""
 
 
 def import_phase_history(
@@ -51,7 +48,7 @@ def import_phase_history(
     Parameters
     ----------
     files : sequence of Path
-        MATLAB files, in any order. Those that go on with one another are one flight.
+        MATLAB files, in any order. Files that continue each other are one flight.
     out : Path
         Dataset to make.
     size_m : float
@@ -67,7 +64,7 @@ def import_phase_history(
     weighting : {"uniform", "taylor"}
         Of frequencies and pulses: the narrowest response, or side lobes 35 dB down.
     target : str
-        What is there.
+        What the images show.
     train_views : int, optional
         Number K of training views, nearest to azimuths k·360°/K; the others are test views. None: all are for training.
     overwrite : bool
@@ -124,13 +121,8 @@ def _spacing(parts: list[Aperture], weighting: Taylor) -> float:
 
 def _image(index: int, aperture: Aperture, size_m: float, spacing_m: float, weighting: Taylor) -> MeasuredImage:
     resolution = aperture.resolution_m(weighting)
-    fewest, most = _PIXELS
     pixels = size_m / spacing_m if size_m > 0 and spacing_m > 0 else 0.0  # also of NaN
-    if not (math.isfinite(pixels) and fewest <= round(pixels) <= most):
-        raise SarsplatError(
-            f"--size {size_m:g} with a pixel spacing of {spacing_m:.3g} m makes {pixels:.0f} pixels a side; give a "
-            f"size and a --spacing that make {fewest} to {most}"
-        )
+    check_sides(size_m, pixels, pixels, f"{spacing_m:.3g} m")
     grid = ImageGrid(round(pixels), round(pixels), (spacing_m, spacing_m), resolution)
     signal = focus(aperture, grid, weighting)
     return MeasuredImage(f"{index:03d}", signal, aperture.view, grid.spacing_m, resolution, response=weighting)

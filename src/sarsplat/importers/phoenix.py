@@ -123,13 +123,7 @@ class PhoenixChip:
         return SarImage.of_complex(oriented(self.signal, "bottom"), view, grid)
 
     def require_radar_at_the_bottom(self) -> None:
-        """Refuse a chip that lies otherwise.
-
-        Raises
-        ------
-        SarsplatError
-            If the radar is not at the bottom of the array.
-        """
+        """Refuse a chip whose radar is at another side of the array."""
         if self.radar_position != "bottom":
             raise SarsplatError(
                 f"{self.path} has RadarPosition= {self.radar_position!r}; only 'bottom' is supported, so remove it"
@@ -147,17 +141,7 @@ def _begins(start: bytes) -> bool:
 
 
 def read_phoenix(path: str | Path) -> PhoenixChip:
-    """Read one Phoenix file.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file; its suffix (.000, .015, …) is a serial, not an angle.
-
-    Returns
-    -------
-    PhoenixChip
-        Header, magnitudes and phases.
+    """Read one Phoenix file; its suffix (.000, .015, …) is a serial, not an angle.
 
     Raises
     ------
@@ -189,19 +173,17 @@ def read_phoenix(path: str | Path) -> PhoenixChip:
         file.seek(length)
         data = file.read(8 * rows * columns)
     magnitude, phase = np.frombuffer(data, dtype=">f4").reshape(2, rows, columns).astype(np.float32)
-    bad = ~((magnitude >= 0) & (magnitude <= _LARGEST))  # also catches NaN
-    if bad.any():
-        row, column = np.argwhere(bad)[0]
-        raise SarsplatError(
-            f"{path} holds the magnitude {magnitude[row, column]:.6g} at row {row}, column {column}; "
-            f"magnitudes must be between 0 and {_LARGEST:g}, so download it again"
-        )
-    if not (np.abs(phase) <= _LARGEST_PHASE).all():  # also catches NaN
-        row, column = np.argwhere(~(np.abs(phase) <= _LARGEST_PHASE))[0]
-        raise SarsplatError(
-            f"{path} holds the phase {phase[row, column]:.6g} at row {row}, column {column}; phases must be radians "
-            f"within ±{_LARGEST_PHASE:g}, so download it again"
-        )
+    for what, values, least, most in (
+        ("magnitude", magnitude, 0.0, _LARGEST),
+        ("phase", phase, -_LARGEST_PHASE, _LARGEST_PHASE),
+    ):
+        bad = ~((values >= least) & (values <= most))  # also catches NaN
+        if bad.any():
+            row, column = np.argwhere(bad)[0]
+            raise SarsplatError(
+                f"{path} holds the {what} {values[row, column]:.6g} at row {row}, column {column}; it must be between "
+                f"{least:g} and {most:g}, so download it again"
+            )
     return PhoenixChip(path, header, magnitude, phase)
 
 

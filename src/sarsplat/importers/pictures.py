@@ -27,16 +27,8 @@ _TIFF, _NPY = (".tif", ".tiff"), ".npy"
 def read_pixels(path: Path) -> Shaped[np.ndarray, "*shape"]:
     """The pixels of one image: [rows, columns], or with a third dimension of 2 on either side of these: two bands.
 
-    Parameters
-    ----------
-    path : Path
-        Its ending decides the format. Grey pictures that are stored in colour are grey here; of a GeoTIFF, reduced
-        copies (overviews) and where it lies on the earth are not looked at.
-
-    Returns
-    -------
-    numpy.ndarray
-        Of whatever type of numbers the file has.
+    Grey pictures that are stored in colour are grey here; of a GeoTIFF, reduced copies (overviews) and where it lies on
+    the earth are not looked at.
 
     Raises
     ------

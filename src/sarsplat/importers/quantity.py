@@ -17,10 +17,7 @@ QUANTITIES: tuple[str, ...] = get_args(Quantity)
 def likely_quantity(pixels: Shaped[np.ndarray, "*shape"], name: str) -> Quantity:
     """What pixels of this type usually are: complex numbers themselves, and whole numbers scaled amplitudes.
 
-    Raises
-    ------
-    SarsplatError
-        Of real numbers nothing is usual.
+    Of real numbers nothing is usual, so they are refused.
     """
     if pixels.dtype.kind == "c" or pixels.ndim == 3:
         return "complex"

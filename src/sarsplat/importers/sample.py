@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,12 +18,11 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from sarsplat.data.dataset import Dataset
-from sarsplat.data.files import plain_os_errors
 from sarsplat.data.orientation import oriented
-from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
-from sarsplat.geometry import View
+from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, stated_taylor
-from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
+from sarsplat.importers.files import files_in, warn_caller
+from sarsplat.importers.images import MeasuredImage, dataset_of, view_of, write_imported
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.quantity import power_or_signal
 from sarsplat.names import SampleKind, Side
@@ -98,13 +96,12 @@ def import_sample(
         "kind": "sample",
         "images": kind,
         **facts,
-        "azimuth": f"azimuth = {'+' if mirrored else '-'}azimuth of the file",
         "near": near,
         "mirrored": mirrored,
         "assumptions": [
             f"near range is the {near} row, and the images are {'' if mirrored else 'not '}mirrored, "
             "which the set's description does not say",
-            "azimuth 0 is the nose towards the radar, as in MSTAR",
+            f"azimuth = {'+' if mirrored else '−'}azimuth of the file; 0 is the nose towards the radar, as in MSTAR",
             *[f"the Taylor window has n̄ = {TAYLOR.sidelobes}"] * (images[0].response != GAUSSIAN),
         ],
     }
@@ -113,27 +110,20 @@ def import_sample(
 
 
 def _chosen(folder: Path, target: str, kind: SampleKind) -> list[SampleName]:
-    with plain_os_errors("read", folder):
-        if not folder.is_dir():
-            raise SarsplatError(f"{folder} is not a folder; give the folder of the SAMPLE set")
-        files = sorted(path for path in folder.rglob("*.mat") if path.is_file())
+    files = [path for path in files_in(folder, "the SAMPLE set") if path.suffix == ".mat"]
     if kind not in get_args(SampleKind):
         raise SarsplatError(f"the kind is {shown(kind)}; it must be one of {', '.join(get_args(SampleKind))}")
     named = [name for name in map(named_as_sample, files) if name is not None]
     if not named:
-        raise SarsplatError(
-            f"{folder} has no file that is called as those of the SAMPLE set; give its folder mat_files"
-        )
+        raise SarsplatError(f"{folder} has no file named like those of the SAMPLE set; give its folder mat_files")
     if other := len(files) - len(named):
-        warnings.warn(
-            f"{counted(other, 'MATLAB file')} in {folder} with names unlike those of the SAMPLE set are left out",
-            SarsplatWarning,
-            stacklevel=3,
+        warn_caller(
+            f"{counted(other, 'MATLAB file')} in {folder} with names unlike those of the SAMPLE set are left out"
         )
     chosen = [one for one in named if one.target.lower() == target.lower() and one.kind == kind]
     if not chosen:
-        there = sorted({f"{one.target} ({one.kind})" for one in named})
-        raise SarsplatError(f"{folder} has no {kind} images of {shown(target)}; it has {', '.join(there)[:500]}")
+        others = sorted({f"{one.target} ({one.kind})" for one in named})
+        raise SarsplatError(f"{folder} has no {kind} images of {shown(target)}; it has {', '.join(others)[:500]}")
     return chosen
 
 
@@ -154,16 +144,12 @@ def _read(named: SampleName, folder: Path, near: Side, mirrored: bool) -> tuple[
         raise SarsplatError(f"{named.path} has no complex matrix complex_img; give files of the SAMPLE set")
     signal = power_or_signal(pixels, "complex", str(named.path))
     azimuth = _angle(named, variables, "azimuth", named.azimuth_deg)
-    spacing = _lengths(named, variables, "pixel_spacing")
-    try:
-        view = View(azimuth if mirrored else -azimuth % 360, _angle(named, variables, "elevation", named.elevation_deg))
-    except SarsplatError as error:
-        raise SarsplatError(f"{named.path}: {error}") from error
+    elevation = _angle(named, variables, "elevation", named.elevation_deg)
     image = MeasuredImage(
         str(named.path.relative_to(folder)),
         oriented(signal, near, mirrored),
-        view,
-        spacing,
+        view_of(str(named.path), azimuth if mirrored else -azimuth, elevation),
+        _lengths(named, variables, "pixel_spacing"),
         _lengths(named, variables, "resolution"),
         response=stated_taylor(_number(variables, "taylor_weights")),
     )

@@ -19,17 +19,15 @@ from sarsplat.data import folders
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.dataset_folder import HEADER
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
-from sarsplat.importers.each_once import each_once
-from sarsplat.importers.images import MeasuredImage, dataset_of, write_imported
+from sarsplat.importers.files import each_once
+from sarsplat.importers.images import MeasuredImage, check_sides, dataset_of, write_imported
 from sarsplat.importers.sicd_chip import chip, resolution_of, response_along, spacing_of
 from sarsplat.importers.sicd_file import Sicd, read_sicd
 from sarsplat.importers.sicd_geometry import Layout, Spot, layout_around, spot_of_centre, spot_of_pixel
 
-_PIXELS = (8, 4096)
-"""Fewest and most on a side."""
 _LARGEST_SIZE_M = 1e5
 _LEANS = 0.05
-"""m for each metre of height: what leans less is not worth a word."""
+"""Displacement, m for each metre of height, above which it is reported."""
 
 
 def import_sicd(
@@ -98,12 +96,7 @@ def import_sicd(
     finest = np.min([spacing_of(sicd, layout) for sicd, layout in zip(sicds, layouts, strict=True)], axis=0)
     spacing = float(finest[0]), float(finest[1])
     columns, rows = (round(size_m / step) for step in spacing)
-    fewest, most = _PIXELS
-    if min(columns, rows) < fewest or max(columns, rows) > most:
-        raise SarsplatError(
-            f"{size_m:g} m are {columns} × {rows} pixels of {spacing[0]:.3g} m × {spacing[1]:.3g} m (azimuth × range); "
-            f"give a size that makes {fewest} to {most} a side"
-        )
+    check_sides(size_m, rows, columns, f"{spacing[0]:.3g} m × {spacing[1]:.3g} m")
     absolute = all(sicd.beta_zero is not None for sicd in sicds)
     images = [
         MeasuredImage(
@@ -216,7 +209,7 @@ def _assumptions(
         how += ", as high as the first image's scene centre point"
     looks = Counter(layout.look for layout in layouts)
     windows = sorted({axis.window or "not stated" for sicd in sicds for axis in (sicd.column, sicd.row)})
-    said = [
+    sentences = [
         f"the origin of the scene is {spot.latitude_deg:.6f}°, {spot.longitude_deg:.6f}°, {spot.height_m:.1f} m above "
         f"the ellipsoid ({how}), and the ground there is level at z = 0",
         f"the x axis points to the compass heading {spot.heading_deg:g}°, so azimuth = compass bearing of the radar − "
@@ -227,22 +220,21 @@ def _assumptions(
         f"the weighting is {', '.join(windows)}; widths of the response are those that the files state",
         "power is β⁰ by the files' own polynomials"
         if absolute
-        else "how to get β⁰ is not said by "
-        f"{sum(sicd.beta_zero is None for sicd in sicds)} of {counted(len(sicds), 'file')}, so power is known up to "
-        "one factor, which is taken to be the same for all",
+        else f"{sum(sicd.beta_zero is None for sicd in sicds)} of {counted(len(sicds), 'file')} do not say how to get "
+        "β⁰, so power is known up to one factor, which is taken to be the same for all",
     ]
     polarizations = sorted({sicd.collection.get("polarization", "not stated") for sicd in sicds})
     if len(polarizations) > 1:
         text = f"polarisations differ ({', '.join(polarizations)}), but are taken to show the same power"
-        said.append(text)
+        sentences.append(text)
         warnings.warn(f"{text}; give files of one", SarsplatWarning, stacklevel=3)
     leaning = [(math.hypot(*layout.leaning), sicd, layout) for sicd, layout in zip(sicds, layouts, strict=True)]
     worst, sicd, layout = max(leaning, key=lambda item: item[0])
     if worst > _LEANS:
         several = sum(value > _LEANS for value, _, _ in leaning)
-        said.append(
+        sentences.append(
             f"in {counted(several, 'image')} the slant plane is tilted about the line of sight; level ground is laid "
             f"out right, but what stands 1 m high appears up to {worst:.2f} m beside its place (tilt "
             f"{layout.tilt_deg:.1f}° in {sicd.path.name})"
         )
-    return said
+    return sentences

@@ -47,14 +47,12 @@ def response_along(sicd: Sicd, layout: Layout) -> Response:
 def chip(
     sicd: Sicd, layout: Layout, shape: tuple[int, int], spacing_m: tuple[float, float], absolute: bool
 ) -> Complex64[np.ndarray, "rows columns"]:
-    """Complex amplitudes around the spot.
+    """Complex amplitudes around the spot; nothing else of the image is read.
 
     Parameters
     ----------
-    sicd : Sicd
-        Only the part that is needed of its image is read.
-    layout : Layout
-        Where the ground lies in it.
+    sicd, layout : Sicd, Layout
+        The file, and where the ground lies in its image.
     shape : (int, int)
         Rows (range, near first) and columns (azimuth).
     spacing_m : (float, float)

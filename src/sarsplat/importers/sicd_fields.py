@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.responses import GAUSSIAN, UNIFORM, Response, stated_taylor
+
+if TYPE_CHECKING:
+    import lxml.etree
 
 LARGEST = 1e9
 """No amplitude comes near it, and its square still fits into float32."""
@@ -21,31 +23,22 @@ FARTHEST = 1e12
 
 @dataclass(frozen=True)
 class Axis:
-    """What the metadata say of the rows or the columns of an image.
-
-    Parameters
-    ----------
-    spacing_m, resolution_m : float
-        Of pixels, and 3 dB width of the power response, m, within the image plane.
-    bandwidth : float
-        Of the response, cycles/m.
-    sign : int
-        Of the exponent of the Fourier transform that leads to spatial frequencies, 1 or −1.
-    carrier : numpy.ndarray, float64 [m, n]
-        Where the band is centred, cycles/m: a polynomial in (xrow, ycol), m.
-    window : str
-        How the band was weighted, in the file's words; "" where it does not say.
-    response : Response
-        What follows from that; a Gaussian where the file does not say enough.
-    """
+    """What the metadata say of the rows or the columns of an image."""
 
     spacing_m: float
+    """Distance of pixels within the image plane."""
     resolution_m: float
+    """3 dB width of the power response, within the image plane."""
     bandwidth: float
+    """Bandwidth of the response, cycles/m."""
     sign: int
+    """Sign of the exponent in the Fourier transform to spatial frequencies, 1 or −1."""
     carrier: Float64[np.ndarray, "m n"]
+    """Where the band is centred, cycles/m: a polynomial in (xrow, ycol), m."""
     window: str
+    """How the band was weighted, in the file's words; "" where it does not say."""
     response: Response
+    """What follows from that; a Gaussian where the file does not say enough."""
 
     @property
     def occupied(self) -> float:
@@ -54,26 +47,18 @@ class Axis:
 
 
 class SicdFields:
-    """Single fields of the XML, each refused with a sentence if it is not what it must be.
+    """Single fields of the XML, each refused with a sentence if it is not what it must be."""
 
-    Parameters
-    ----------
-    path : Path
-        The file, for errors.
-    tree : lxml.etree.ElementTree
-        Its metadata.
-    """
-
-    def __init__(self, path: Path, tree: Any) -> None:
+    def __init__(self, path: Path, tree: lxml.etree._ElementTree) -> None:
         from sarkit.sicd import XmlHelper
 
         self._path, self._tree, self._helper = path, tree, XmlHelper(tree)
 
     def _load(self, name: str) -> Any:
-        return self._helper.load("/".join("{*}" + part for part in name.split("/")))
+        return self._helper.load(_any_version(name))
 
     def _text(self, name: str) -> str:
-        text = self._tree.findtext("/".join("{*}" + part for part in name.split("/"))) or ""
+        text = self._tree.findtext(_any_version(name)) or ""
         return "".join(letter if letter.isprintable() else "?" for letter in text.strip())[:80]
 
     def _number(self, name: str, least: float, most: float) -> float:
@@ -110,11 +95,10 @@ class SicdFields:
         )
 
     def _response(self, name: str, window: str) -> Response:
-        """Of a window, if it is one of ours and stated with its parameters."""
+        """The response that a window leads to, if it is one of ours and stated with its parameters."""
         if window == "UNIFORM":
             return UNIFORM
-        elements = self._tree.iterfind("/".join("{*}" + part for part in f"{name}/Parameter".split("/")))
-        stated = {element.get("name"): element.text for element in elements}
+        stated = {item.get("name"): item.text for item in self._tree.iterfind(_any_version(f"{name}/Parameter"))}
         return stated_taylor(stated.get("SLL"), stated.get("NBAR")) if window == "TAYLOR" else GAUSSIAN
 
     def pixel_type(self) -> str:
@@ -128,17 +112,10 @@ class SicdFields:
 
     def amplitudes(self) -> Float64[np.ndarray, " 256"] | None:
         """The table of amplitudes, if there is one."""
-        element = self._tree.find("{*}ImageData/{*}AmpTable")
-        if element is None:
-            return None
-        table = np.full(256, math.nan)
-        for item in element:
-            index = item.get("index") or ""
-            if index.isascii() and index.isdigit() and int(index[:9]) < len(table):
-                table[int(index)] = float(item.text)
-        if not np.all((table >= 0) & (table <= LARGEST)):
+        values = self._load("ImageData/AmpTable")
+        if values is not None and not (np.shape(values) == (256,) and np.all((values >= 0) & (values <= LARGEST))):
             raise SarsplatError(f"{self._path} has a table of amplitudes that is not 256 numbers ≥ 0; get it again")
-        return table
+        return values
 
     def collection(self) -> dict[str, str]:
         """Who took it, when and how."""
@@ -150,3 +127,8 @@ class SicdFields:
             "polarization": "ImageFormation/TxRcvPolarizationProc",
         }
         return {key: text for key, name in names.items() if (text := self._text(name))}
+
+
+def _any_version(name: str) -> str:
+    """A path of elements whatever their namespace, which is that of a version."""
+    return "/".join("{*}" + part for part in name.split("/"))

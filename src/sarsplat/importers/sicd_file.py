@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import logging
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Complex64, Float64
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.importers.nitf import read_sicd_xml
+from sarsplat.importers.nitf import Segment, read_nitf, sarkit_errors
 from sarsplat.importers.sicd_fields import FARTHEST, LARGEST, Axis, SicdFields
 
 if TYPE_CHECKING:
@@ -26,37 +22,25 @@ _MOST_PIXELS_PER_SIDE = 1_000_000
 
 @dataclass(frozen=True)
 class Sicd:
-    """The metadata of a SICD file that the importer uses.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    projection : sarkit.sicd.projection.MetadataParams
-        What relates pixels to places, all of it finite.
-    offsets : sarkit.sicd.projection.AdjustableParameterOffsets or None
-        Corrections of it.
-    row, column : Axis
-        The two directions of the image.
-    pixel_type : str
-        "RE32F_IM32F", "RE16I_IM16I" or "AMP8I_PHS8I".
-    amplitudes : numpy.ndarray, float64 [256], or None
-        What the amplitudes of the last of these stand for; None for themselves.
-    beta_zero : numpy.ndarray, float64 [m, n], or None
-        What power is multiplied by to be β⁰: a polynomial in (xrow, ycol), m; None if unknown.
-    collection : dict of str to str
-        Sensor, collection and polarisation, for people to read.
-    """
+    """The metadata of a SICD file that the importer uses; places (xrow, ycol) are m from the scene centre point."""
 
     path: Path
     projection: MetadataParams
+    """What relates pixels to places, all of it finite."""
     offsets: AdjustableParameterOffsets | None
+    """Corrections of it."""
     row: Axis
     column: Axis
     pixel_type: str
+    """"RE32F_IM32F", "RE16I_IM16I" or "AMP8I_PHS8I"."""
+    segments: list[Segment]
+    """Where the rows are in the file, all of them and no more."""
     amplitudes: Float64[np.ndarray, " 256"] | None
+    """What the amplitudes of the last pixel type stand for; None for themselves."""
     beta_zero: Float64[np.ndarray, "m n"] | None
+    """What power is multiplied by to be β⁰: a polynomial in (xrow, ycol), m; None if unknown."""
     collection: dict[str, str]
+    """Sensor, collection and polarisation, for people to read."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -64,7 +48,7 @@ class Sicd:
         return self.projection.NumRows, self.projection.NumCols
 
     def pixel_of(self, place: Float64[np.ndarray, "*n 2"]) -> Float64[np.ndarray, "*n 2"]:
-        """Rows and columns in this file of places (xrow, ycol), m from the scene centre point."""
+        """Rows and columns in this file of places (xrow, ycol)."""
         metadata = self.projection
         first = np.array([metadata.SCP_Row - metadata.FirstRow, metadata.SCP_Col - metadata.FirstCol])
         return place / [metadata.Row_SS, metadata.Col_SS] + first
@@ -74,28 +58,14 @@ class Sicd:
         return (pixel - self.pixel_of(np.zeros(2))) * [self.projection.Row_SS, self.projection.Col_SS]
 
     def read(self, rows: tuple[int, int], columns: tuple[int, int]) -> Complex64[np.ndarray, "rows columns"]:
-        """Amplitudes of a part of the image; nothing else of it is read.
-
-        Parameters
-        ----------
-        rows, columns : (int, int)
-            First, and the one after the last, within the image.
+        """Amplitudes from the first row and column to before the last; nothing else of the image is read.
 
         Raises
         ------
         SarsplatError
-            If the pixels are compressed, their segments contradict the metadata, or one is not finite or absurdly
-            large.
+            If an amplitude is not finite or absurdly large.
         """
-        import sarkit.sicd
-
-        with open_file(self.path) as file:
-            read_sicd_xml(self.path, file)  # the file may have changed
-            with sarkit_errors(self.path):
-                file.seek(0)
-                reader = sarkit.sicd.NitfReader(file)
-                self._check_segments(reader)
-                raw, _ = reader.read_sub_image(rows[0], columns[0], rows[1], columns[1])
+        raw = self._stored(rows, columns)
         if self.pixel_type == "RE32F_IM32F":
             values = raw.astype(np.complex64)
         elif self.pixel_type == "RE16I_IM16I":
@@ -114,26 +84,17 @@ class Sicd:
             )
         return values
 
-    def _check_segments(self, reader: Any) -> None:
-        """Image segments must be uncompressed and hold the image's rows, no more and no less."""
+    def _stored(self, rows: tuple[int, int], columns: tuple[int, int]) -> np.ndarray:
         from sarkit.sicd import PIXEL_TYPES
 
-        size = PIXEL_TYPES[self.pixel_type]["bytes"]
-        parts = [part for part in reader.jbp["ImageSegments"] if part["subheader"]["IID1"].value.startswith("SICD")]
-        held = 0
-        for part in parts:
-            rows, columns = part["subheader"]["NROWS"].value, part["subheader"]["NCOLS"].value
-            if part["subheader"]["IC"].value != "NC":
-                raise SarsplatError(f"{self.path} has compressed pixels, which no SICD may have; get it uncompressed")
-            if columns != self.shape[1] or part["Data"].size != rows * columns * size:
-                held = -1
-                break
-            held += rows
-        if held != self.shape[0]:
-            raise SarsplatError(
-                f"{self.path} says that its image has {self.shape[0]} × {self.shape[1]} pixels of type "
-                f"{self.pixel_type}, but its segments hold other numbers of bytes; get it again"
-            )
+        dtype = PIXEL_TYPES[self.pixel_type]["dtype"].newbyteorder(">")
+        parts, first = [], 0
+        with open_file(self.path) as file, sarkit_errors(self.path):  # the file may have become shorter
+            for part in self.segments:
+                stored = np.memmap(file, dtype, "r", part.offset, (part.rows, part.columns))
+                parts.append(stored[max(rows[0] - first, 0) : max(rows[1] - first, 0), slice(*columns)])
+                first += part.rows
+            return np.concatenate(parts)
 
 
 def read_sicd(path: Path) -> Sicd:
@@ -142,11 +103,11 @@ def read_sicd(path: Path) -> Sicd:
     Raises
     ------
     SarsplatError
-        If it is not a SICD of one radar (monostatic), truncated, garbled, or what is needed of its metadata is missing
-        or impossible.
+        If it is not a SICD of one radar (monostatic), truncated, garbled, compressed, or what is needed of its metadata
+        is missing or impossible.
     """
     with open_file(path) as file:
-        tree = read_sicd_xml(path, file)
+        tree, segments = read_nitf(path, file)
     import sarkit.sicd.projection as projection
 
     with sarkit_errors(path):
@@ -155,36 +116,20 @@ def read_sicd(path: Path) -> Sicd:
         moved = offsets.from_xml(tree) if offsets.exists(tree) else None
         fields_of = SicdFields(path, tree)
         _check(path, metadata)
+        pixel_type = fields_of.pixel_type()
+        _check_segments(path, metadata, pixel_type, segments)
         return Sicd(
             path,
             metadata,
             moved,
             fields_of.axis("Row"),
             fields_of.axis("Col"),
-            fields_of.pixel_type(),
+            pixel_type,
+            segments,
             fields_of.amplitudes(),
             fields_of.polynomial("Radiometric/BetaZeroSFPoly"),
             fields_of.collection(),
         )
-
-
-@contextmanager
-def sarkit_errors(path: Path) -> Iterator[None]:
-    """One sentence in place of whatever sarkit raises: it trusts its files. What it warns of and logs is kept back."""
-    log = logging.getLogger("jbpy")
-    level = log.level
-    log.setLevel(logging.CRITICAL + 1)
-    try:
-        with np.errstate(all="ignore"), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    except (SarsplatError, OSError, MemoryError):
-        raise
-    except Exception as error:
-        problem = shown(f"{type(error).__name__}: {error}")
-        raise SarsplatError(f"{path} is not a valid SICD (sarkit says {problem}); get it again") from error
-    finally:
-        log.setLevel(level)
 
 
 def _check(path: Path, metadata: MetadataParams) -> None:
@@ -214,4 +159,19 @@ def _check(path: Path, metadata: MetadataParams) -> None:
         raise SarsplatError(
             f"{path} says that its radar looks to side {shown(metadata.SideOfTrack)} of its track, but its position "
             f"and velocity are those of a {'left' if left else 'right'}-looking one; get it again"
+        )
+
+
+def _check_segments(path: Path, metadata: MetadataParams, pixel_type: str, segments: list[Segment]) -> None:
+    """Image segments must be uncompressed and hold the image's rows, no more and no less."""
+    from sarkit.sicd import PIXEL_TYPES
+
+    if any(part.compressed for part in segments):
+        raise SarsplatError(f"{path} has compressed pixels, which no SICD may have; get it uncompressed")
+    width = metadata.NumCols * PIXEL_TYPES[pixel_type]["bytes"]
+    whole = all(part.columns == metadata.NumCols and part.length == part.rows * width for part in segments)
+    if not whole or sum(part.rows for part in segments) != metadata.NumRows:
+        raise SarsplatError(
+            f"{path} says that its image has {metadata.NumRows} × {metadata.NumCols} pixels of type {pixel_type}, but "
+            "its segments hold other numbers of bytes; get it again"
         )

@@ -11,14 +11,15 @@ slant plane is tilted about the line of sight, and what stands one metre high ap
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View, radar_frame
-from sarsplat.importers.sicd_file import Sicd, sarkit_errors
+from sarsplat.importers.nitf import sarkit_errors
+from sarsplat.importers.sicd_file import Sicd
 
 _LATTICE = 9  # places to a side that a layout is fitted to
 _DEGREE = 3  # of the polynomials that are fitted
@@ -30,20 +31,13 @@ _DIGITS = 9  # of angles in degrees: what is left is rounding
 
 @dataclass(frozen=True)
 class Spot:
-    """A place on the ground, and the level frame there.
-
-    Parameters
-    ----------
-    latitude_deg, longitude_deg, height_m : float
-        WGS 84; the height is that above the ellipsoid.
-    heading_deg : float
-        Compass heading of the world's x axis, degrees clockwise from north.
-    """
+    """A place on the ground (WGS 84, with its height above the ellipsoid), and the level frame there."""
 
     latitude_deg: float
     longitude_deg: float
     height_m: float
     heading_deg: float = 90.0
+    """Compass heading of the world's x axis, clockwise from north."""
 
     @property
     def ecef(self) -> Float64[np.ndarray, " 3"]:
@@ -69,34 +63,22 @@ class Spot:
 
 @dataclass(frozen=True)
 class Layout:
-    """How level ground around the spot lies in an image.
-
-    Parameters
-    ----------
-    view : View
-        From where the radar saw it.
-    look : {"left", "right"}
-        Which side of its track the spot is on.
-    distance_m : float
-        From the radar to the spot.
-    tilt_deg : float
-        Of the slant plane about the line of sight; 0 if the image's azimuth is level.
-    leaning : (float, float)
-        How far (azimuth, range), m, what stands one metre high appears from where parallel rays and a level azimuth
-        axis have it.
-    extent_m : float
-        Half a side of the square that the fit is for.
-    coefficients : numpy.ndarray, float64 [n, 2]
-        Of the polynomials that lead from (azimuth, range), in units of `extent_m`, to (xrow, ycol), m.
-    """
+    """How level ground around the spot lies in an image."""
 
     view: View
     look: str
+    """On which side of the radar's track the spot is, "left" or "right"."""
     distance_m: float
+    """From the radar to the spot."""
     tilt_deg: float
-    leaning: tuple[float, float]
+    """Tilt of the slant plane about the line of sight; 0 if the image's azimuth is level."""
     extent_m: float
+    """Half a side of the square that the fit is for."""
     coefficients: Float64[np.ndarray, "n 2"]
+    """Coefficients of the polynomials from (azimuth, range), in units of `extent_m`, to (xrow, ycol), m."""
+    leaning: tuple[float, float] = (0.0, 0.0)
+    """How far (azimuth, range), m, what stands one metre high appears from where parallel rays and a level azimuth
+    axis have it."""
 
     def place_of(
         self, azimuth_m: Float64[np.ndarray, "*n"], range_m: Float64[np.ndarray, "*n"]
@@ -174,10 +156,8 @@ def layout_around(sicd: Sicd, spot: Spot, extent_m: float) -> Layout:
                 f"{sicd.path} has a slant plane that is tilted by {tilt:.0f}° about the line of sight, because its "
                 f"radar looks ahead or back or climbs; at most {_STEEPEST_TILT_DEG:g}° is supported, so leave it out"
             )
-        coefficients = _fit(sicd, spot, view, extent_m)
-        layout = Layout(view, look, distance, tilt, (0.0, 0.0), extent_m, coefficients)
-        leaning = _leaning(sicd, spot, layout)
-    return Layout(view, look, distance, tilt, leaning, extent_m, coefficients)
+        layout = Layout(view, look, distance, tilt, extent_m, _fit(sicd, spot, view, extent_m))
+        return replace(layout, leaning=_leaning(sicd, spot, layout))
 
 
 def _locate(sicd: Sicd, spot: Spot, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:

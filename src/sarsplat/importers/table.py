@@ -2,75 +2,47 @@
 
 from __future__ import annotations
 
-import itertools
-import os
-import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from sarsplat.data.csv_table import CsvTable, Row, read_table, relative_path
-from sarsplat.data.files import plain_os_errors
-from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
+from sarsplat.data.csv_table import CsvTable, Row, read_table
+from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.importers.columns import Columns, chosen_columns, require
+from sarsplat.importers.files import files_in, listed_files, warn_caller
 from sarsplat.importers.pictures import PICTURE_ENDINGS
 
-_MOST_FILES = 100_000
 _SIDES = {"left": True, "l": True, "right": False, "r": False}
 
 
 @dataclass(frozen=True)
 class ListedPicture:
-    """One row of the table; None where no column says it, or the cell is empty.
-
-    Attributes
-    ----------
-    name : str
-        As the table names it.
-    path : Path
-        The file, which exists.
-    azimuth_deg : float
-        As it stands in the table, degrees.
-    grazing_deg : float or None
-        Degrees; 90° − incidence where the table has that.
-    spacing_m, resolution_m : (float or None, float or None)
-        Azimuth, range, m.
-    azimuth_std_deg : float or None
-        Degrees.
-    split : str or None
-        "train" or "test…".
-    looks_left : bool or None
-        Whether the radar looks to the left of its flight.
-    scale, offset : float or None
-        What the pixels are multiplied by, and then added to.
-    """
+    """One row of the table, lengths in m and angles in degrees; None where no column says it, or the cell is empty."""
 
     name: str
+    """As the table names it."""
     path: Path
     azimuth_deg: float
+    """As it stands in the table."""
     grazing_deg: float | None
     spacing_m: tuple[float | None, float | None]
+    """Azimuth, range."""
     resolution_m: tuple[float | None, float | None]
+    """Azimuth, range."""
     azimuth_std_deg: float | None
     split: str | None
+    """"train" or "test…"."""
     looks_left: bool | None
+    """Whether the radar looks to the left of its flight."""
     scale: float | None
+    """What the pixels are multiplied by."""
     offset: float | None
+    """What is then added to them."""
 
 
 @dataclass(frozen=True)
 class PictureTable:
-    """All rows that have a picture.
-
-    Attributes
-    ----------
-    path : Path
-        The table.
-    columns : dict of str to str
-        What columns say → their names.
-    pictures : tuple of ListedPicture
-        In the order of the table.
-    """
+    """All rows that have a picture, in the order of the table, and which columns say what."""
 
     path: Path
     columns: Columns
@@ -78,95 +50,40 @@ class PictureTable:
 
 
 def read_picture_table(folder: Path, path: Path | None, named: Mapping[str, str]) -> PictureTable:
-    """Read the table and find the pictures.
+    """Read a table (None: the only one in the folder) and find its pictures, in subfolders or not.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the pictures lie, in subfolders or not.
-    path : Path or None
-        The table (CSV); None for the only one in the folder.
-    named : mapping of str to str
-        See `chosen_columns`.
+    `named` is that of `chosen_columns`. Rows without a picture and pictures without a row are warned of.
 
     Raises
     ------
     SarsplatError
         If the table is missing, damaged or lacks a column, names a file twice, none that exists or one outside the
         folder, or a cell is not what its column should hold.
-
-    Warns
-    -----
-    SarsplatWarning
-        Once each, for rows without a picture and pictures without a row.
     """
-    with plain_os_errors("read", folder):
-        if not folder.is_dir():
-            raise SarsplatError(f"{folder} is not a folder; give the folder of the pictures")
-        inside = [item for item in itertools.islice(folder.rglob("*"), _MOST_FILES) if item.is_file()]
+    inside = files_in(folder, "the pictures")
     table = read_table(_the_table(folder, inside) if path is None else path, "a table with a row for each picture")
     columns = chosen_columns(table, named)
     require(table, columns, "file")
     require(table, columns, "azimuth")
+    column = columns["file"]
     row_of: dict[Path, Row] = {}
-    for row in table.rows:
-        picture = listed_file(folder, table, row, columns["file"], of="pictures", endings=PICTURE_ENDINGS)
-        if picture is not None and row_of.setdefault(picture, row) is not row:
+    for row, picture in listed_files(folder, table, table.rows, column, of="picture", endings=PICTURE_ENDINGS):
+        if (first := row_of.setdefault(picture, row)) is not row:
             raise SarsplatError(
-                f"{table.path} has two rows for {shown(row[1][columns['file']])}, lines {row_of[picture][0]} and "
-                f"{row[0]}; remove one"
+                f"{table.path} has two rows for {shown(row[1][column])}, lines {first[0]} and {row[0]}; remove one"
             )
-    if not row_of:
-        first = table.rows[0][1][columns["file"]]
-        raise SarsplatError(
-            f"{folder} has none of {counted(len(table.rows), 'picture')} in {table.path} (the first is "
-            f"{shown(first)}); give the folder that they are relative to"
-        )
-    _count_strays(folder, table, inside, row_of)
+    pictures = {path for path in inside if path.suffix.lower() in PICTURE_ENDINGS}
+    if unlisted := len(pictures - set(row_of)):
+        warn_caller(f"{table.path} has no row for {counted(unlisted, 'picture')} in {folder}, which are left out")
     return PictureTable(table.path, columns, tuple(_listed(table, row, columns, at) for at, row in row_of.items()))
 
 
 def _the_table(folder: Path, files: list[Path]) -> Path:
     tables = [path for path in files if path.suffix.lower() == ".csv"]
     if len(tables) != 1:
-        there = "no table (CSV) of its pictures" if not tables else f"{len(tables)} tables (CSV)"
-        raise SarsplatError(f"{folder} has {there}; name it with --table")
+        number = f"{len(tables)} tables (CSV)" if tables else "no table (CSV) of its pictures"
+        raise SarsplatError(f"{folder} has {number}; name it with --table")
     return tables[0]
-
-
-def listed_file(
-    folder: Path, table: CsvTable, row: Row, column: str, *, of: str, endings: Sequence[str] = ()
-) -> Path | None:
-    """The file that a row names, one of the endings left out or not; None if there is none.
-
-    Raises
-    ------
-    SarsplatError
-        If it is outside the folder of `of`, such as "chips", be it by a link.
-    """
-    text = relative_path(table.path, row, column, of=of).replace("\\", "/")
-    for ending in ("", *endings):
-        path = folder / f"{text}{ending}"
-        # os.path's: pathlib's raises if a name is too long for the system, as if something were wrong with the folder
-        if text and os.path.isfile(path):  # noqa: PTH113
-            if not path.resolve().is_relative_to(folder.resolve()):
-                raise SarsplatError(
-                    f"{table.path}, line {row[0]}: {shown(text)} is a link out of the folder of {of}; copy the file"
-                )
-            return path
-    return None
-
-
-def _count_strays(folder: Path, table: CsvTable, inside: list[Path], row_of: Mapping[Path, Row]) -> None:
-    if missing := len(table.rows) - len(row_of):
-        _warn(f"{folder} lacks {missing} of {counted(len(table.rows), 'picture')} in {table.path}; the others are used")
-    pictures = {path for path in inside if path.suffix.lower() in PICTURE_ENDINGS}
-    if unlisted := len(pictures - set(row_of)):
-        _warn(f"{table.path} has no row for {counted(unlisted, 'picture')} in {folder}, which are left out")
-
-
-def _warn(text: str) -> None:
-    warnings.warn(text, SarsplatWarning, stacklevel=5)  # whoever called import_folder
 
 
 def _listed(table: CsvTable, row: Row, columns: Columns, path: Path) -> ListedPicture:

@@ -1,0 +1,99 @@
+"""Which importers there are, and which of them reads a file or folder: each says so in its function `recognise`.
+
+`recognise(contents)`, beside the function that is the command, returns a `Recognised`, or None for what is not its own.
+"""
+
+from __future__ import annotations
+
+import inspect
+import itertools
+import shlex
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from sarsplat.plugins import discover
+
+IMPORTERS = discover("sarsplat.cli", "import_", "command", "sarsplat.importers")
+"""`import NAME` by name: `command` in the file `import_NAME.py` of this folder, or an entry point."""
+
+USUAL_TRAIN_VIEWS = 36
+
+_MOST_FILES = 20_000
+"""More are not looked at: somebody gave a home folder."""
+
+
+@dataclass(frozen=True)
+class Contents:
+    """A folder with the files in it and in its subfolders, sorted; or a single file."""
+
+    path: Path
+    files: list[Path]
+
+    def ending_in(self, *endings: str) -> list[Path]:
+        """The files with one of these endings, which are in small letters."""
+        return [path for path in self.files if path.suffix.lower() in endings]
+
+
+@dataclass(frozen=True)
+class Recognised:
+    """What a file or folder of images seems to be."""
+
+    kind: str
+    """In a few words."""
+    facts: dict[str, str] = field(default_factory=dict)
+    """Names and values."""
+    command: str | None = None
+    """What to type to import it; words in capitals are to be replaced. None if there is no such command."""
+    certainty: float = 1.0
+    """Between 0 and 1: of several importers, the most certain one is believed."""
+
+
+def recognised(path: Path) -> Recognised | None:
+    """What a file, or a folder that is neither a dataset nor a run, can be imported as; None if it holds no images.
+
+    Of a table (CSV), what it is the table of.
+
+    Raises
+    ------
+    SarsplatError
+        If it cannot be read, or a file that decides is damaged.
+    """
+    from sarsplat.data.files import plain_os_errors
+
+    is_table = path.suffix.lower() == ".csv" and path.is_file()
+    folder = path.absolute().parent if is_table else path
+    with plain_os_errors("read", folder):
+        inside = itertools.islice(filter(Path.is_file, folder.rglob("*")), _MOST_FILES) if folder.is_dir() else [path]
+        contents = Contents(folder, sorted(inside))
+    asked: list[Callable[[Contents], Recognised | None] | None]
+    asked = [getattr(inspect.getmodule(command), "recognise", None) for command in IMPORTERS.loaded().values()]
+    answers = [answer for recognise in asked if recognise is not None and (answer := recognise(contents)) is not None]
+    best = max(answers, key=lambda answer: answer.certainty, default=None)
+    return None if best is not None and is_table and best.certainty < 1 else best
+
+
+def by_ending(contents: Contents, endings: tuple[str, ...], command: str, what: str) -> Recognised | None:
+    """Files that may be of some kind, as their endings are all that is known of them."""
+    if not (files := contents.ending_in(*endings)):
+        return None
+    first = files[0]
+    pattern = f"{shlex.quote(str(first.parent))}/*{first.suffix}" if len(files) > 1 else shlex.quote(str(first))
+    typed = f"sarsplat import {command} {pattern} --size METRES --out {shlex.quote(dataset_name(first.parent))}"
+    kind = f"{len(files)} {first.suffix} files" if len(files) > 1 else f"a {first.suffix} file"
+    return Recognised(f"{kind}, which may be {what}", {}, typed, certainty=0.5)
+
+
+def typed_import(*words: str, out: str) -> str:
+    """The command, as a shell takes it."""
+    return shlex.join(["sarsplat", "import", *words, "--out", out])
+
+
+def dataset_name(folder: Path) -> str:
+    """What to call the dataset that is made of a folder."""
+    return f"{folder.resolve().name}-dataset"
+
+
+def training_half(images: int) -> str:
+    """How many of them to train on, as an option takes it."""
+    return str(min(USUAL_TRAIN_VIEWS, max(1, images // 2)))
