@@ -10,9 +10,8 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import OptionalFile, refuse_existing
+from sarsplat.cli.imported import CONTRADICTED
 from sarsplat.errors import SarsplatError, counted
-
-_CONTRADICTED = 1
 
 
 def check(
@@ -69,7 +68,7 @@ def check(
         console.say(f"wrote {out}")
     if examined.contradictions:
         console.say(f"{counted(len(examined.contradictions), 'contradiction')} found")
-        return _CONTRADICTED
+        return CONTRADICTED
     words = ["sarsplat", "reconstruct", str(dataset), "--out", f"{dataset}-run"]
     console.say(f"no contradictions; next: {shlex.join(words)}")
     return 0

@@ -199,13 +199,13 @@ def check_sides(size_m: float, rows: float, columns: float, spacing: str) -> Non
         )
 
 
-def ready(dataset: Dataset) -> str:
-    """What was made, in a line: "36 views (24 train, 12 test), largest gap of the training views 14°, ready"."""
+def summary(dataset: Dataset) -> str:
+    """What was made, in a line: "36 views (24 train, 12 test), largest gap of the training views 14°"."""
     sets = [f"{len(dataset.images(split))} {split}" for split in dataset.splits()]
     training = [entry.view.azimuth_deg for entry in dataset.entries if entry.split == "train"]
     shares, whose = (f" ({', '.join(sets)})", " of the training views") if len(sets) > 1 else ("", "")
     gap = largest_gap(training).width_deg
-    return f"{counted(len(dataset), 'view')}{shares}, largest gap{whose} {gap:.3g}°, ready"
+    return f"{counted(len(dataset), 'view')}{shares}, largest gap{whose} {gap:.3g}°"
 
 
 def _with_sets(images: Sequence[MeasuredImage], train_views: int | None) -> list[MeasuredImage]:

@@ -25,6 +25,8 @@ _FEWEST_BLOCKS = 20
 _WHITE = 0.1
 """Neighbouring pixels of speckle that correlate less are taken as drawn independently of each other."""
 
+_TINY = np.finfo(float).tiny
+
 _BRIGHT_DB = 25.0
 """Below the brightest of an image: what is darker is not looked at for its sharpness."""
 
@@ -86,7 +88,7 @@ def clutter(
                 if other[place].any() or not block.mean() > 0:
                     continue
                 contrasts.append(float(block.std(ddof=1) / block.mean()))
-                skewness.append(float(((block - block.mean()) ** 3).mean() / max(float(block.std()) ** 3, np.finfo(float).tiny)))
+                skewness.append(float(((block - block.mean()) ** 3).mean()) / max(float(block.std()) ** 3, _TINY))
                 values.append(np.unique(block).size)
                 correlations.append(_neighbours(block))
     if len(contrasts) < _FEWEST_BLOCKS:

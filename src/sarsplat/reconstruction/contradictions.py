@@ -65,17 +65,18 @@ def examine(dataset: Dataset) -> Examination:
 def _upright(dataset: Dataset, examined: Examination) -> Dataset:
     """The images with near range on top, and with ground if they show it; what contradicts that is noted."""
     ground = dataset.ground or bool(np.median(_edges(dataset.power)) > _EMPTY * bright_level(dataset.power))
-    seen = orientation(dataset.power, dataset.views, dataset.grid, ground)
+    centred = dataset.calibration == "absolute"  # simulated or georeferenced, not cut out around a target
+    seen = orientation(dataset.power, dataset.views, dataset.grid, ground=ground, centred=centred)
     if ground and not dataset.ground:
         if seen.by_shadow:
             examined.contradictions.append(
-                f"the images show ground, for it is {seen.shadow.lead:.1f} dB darker beyond the target than on its other "
-                "sides, but are said to show none; import them without --no-ground (ground=True)"
+                f"the images are said to show no ground, but there is shadow on it, {seen.shadow.lead:.1f} dB darker "
+                "than on the other sides of the target; import them without --no-ground (ground=True)"
             )
         else:  # a floor of noise, for all that is seen
             ground = False
-            seen = orientation(dataset.power, dataset.views, dataset.grid, ground)
-    near: Side = seen.near or "top"
+            seen = orientation(dataset.power, dataset.views, dataset.grid, ground=ground, centred=centred)
+    near = seen.near or "top"
     examined.checks["near range"] = _near_range(seen)
     examined.checks["azimuths"] = _azimuths(seen)
     examined.checks["grazing angles"] = _grazing(seen)
@@ -107,34 +108,39 @@ def _orientation(seen: Orientation, near: Side, layout: Layout | None) -> str:
         darker = f"{seen.shadow.lead:.1f} dB darker there than on the other sides of the target"
         wrong.append(f"shadows fall {_FALL[near]} ({darker}), so near range is at the {near} of the images")
     elif near != "top":
-        wrong.append(f"what is high leans to the {near}, as bright edges do, so near range is at the {near} of the images")
+        wrong.append(f"what is high leans to the {near} of the images, so near range is there")
     if opposite:
         higher = f"correlation higher by {-seen.sense.mean:.2f}"
         wrong.append(f"images of neighbouring azimuths match better if azimuths run the other way ({higher})")
-    if layout is not None:
-        mended = layout.corrected(near, opposite)
-        remedy = f"import with {mended}"
+    unsure = "" if seen.near else " (which side is near cannot be determined)"
+    return f"{', and '.join(wrong)}; {_mend(near, opposite, layout)}{unsure}"
+
+
+def _mend(near: Side, opposite: bool, layout: Layout | None) -> str:
+    if layout is None:
+        remedies = [f"turn the images (np.rot90(power, {SIDES.index(near)}, axes=(1, 2)))"] * (near != "top")
         if opposite:
-            sense = "counter-clockwise" if mended.twin.counter_clockwise else "clockwise"
-            remedy += f"; images do not tell this from {mended.twin}, which is right if the table's azimuths run {sense}"
-        return f"{', and '.join(wrong)}; {remedy}"
-    remedies = []
-    if near != "top":
-        remedies.append(f"turn the images (np.rot90(power, {SIDES.index(near)}, axes=(1, 2)))")
-    if opposite:
-        remedies.append("negate the azimuths, or flip the columns (power[:, :, ::-1]) if azimuths do run clockwise")
-    return f"{', and '.join(wrong)}; {', and '.join(remedies)}"
+            remedies.append("negate the azimuths, or flip the columns (power[:, :, ::-1]) if azimuths do run clockwise")
+        return ", and ".join(remedies)
+    mended = layout.corrected(near, opposite)
+    if not opposite and not layout.mirrored:
+        return f"import with {mended}"
+    sense = "counter-clockwise" if mended.twin.counter_clockwise else "clockwise"
+    twin = f"{mended.twin} if the table's azimuths do run {sense}"
+    return f"import with {mended}, or with {twin}: images do not tell which"
 
 
 def _incidence(dataset: Dataset, seen: Orientation) -> str:
     grazings = [entry.view.grazing_deg for entry in dataset.entries]
-    column = dataset.source.get("columns", {}).get("grazing")
-    if column is not None:
-        remedy = f"import with --columns incidence={column}"
-    else:
-        remedy = f"give 90° less them (--grazing {90 - grazings[0]:g})" if np.ptp(grazings) == 0 else "give 90° less them"
+    columns = dataset.source.get("columns")
+    remedy = "give 90° less them"
+    if isinstance(columns, dict) and columns.keys() & {"grazing", "incidence"}:
+        wrong, right = ("grazing", "incidence") if "grazing" in columns else ("incidence", "grazing")
+        remedy = f"import with --columns {right}={columns[wrong]}"
+    elif np.ptp(grazings) == 0:
+        remedy += f" (--grazing {90 - grazings[0]:g})"
     return (
-        f"images match better if the grazing angles ({min(grazings):g}° to {max(grazings):g}°) are incidence angles "
+        f"images match better if grazing angles ({min(grazings):.4g}° to {max(grazings):.4g}°) are incidence angles "
         f"(correlation higher by {-seen.grazing.mean:.2f}); {remedy}"
     )
 
@@ -144,22 +150,23 @@ def _near_range(seen: Orientation) -> str:
         return "cannot be determined: neither shadows nor layover and bright edges tell, or there are too few images"
     if seen.by_shadow:
         images = counted(seen.shadow.count, "image")
-        return f"at the {seen.near}: {seen.shadow.lead:.1f} dB darker beyond the target than on its other sides, in {images}"
-    return f"at the {seen.near}: what is high leans to it, and bright edges face it"
+        darker = f"{seen.shadow.lead:.1f} dB darker beyond the target than on its other sides"
+        return f"at the {seen.near}: {darker}, in {images}"
+    return f"at the {seen.near}, to which what is high leans"
 
 
 def _azimuths(seen: Orientation) -> str:
     if seen.opposite is None:
-        return "cannot be determined: images of neighbouring azimuths (2° to 60° apart) match as well in both senses, or are too few"
+        return "cannot be determined: images 2° to 60° apart match as well in both senses, or are too few"
     sense = "in the opposite sense" if seen.opposite else "as given"
     return (
         f"{counted(seen.sense.count, 'pair')} of neighbouring views match better with azimuths {sense} (correlation "
-        f"{abs(seen.sense.mean):.2f} higher); so would mirrored images with the other sense"
+        f"{abs(seen.sense.mean):.2f} higher), which mirrored images with the other sense would, too"
     )
 
 
 def _grazing(seen: Orientation) -> str:
-    if seen.near is None or not seen.grazing.supports(0.0) and not seen.incidence:
+    if seen.near is None or (not seen.grazing.supports(0.0) and not seen.incidence):
         return "cannot be determined: as grazing and as incidence angles they explain the images as well"
     better = "if they are incidence angles" if seen.incidence else "as given than if they were incidence angles"
     return (

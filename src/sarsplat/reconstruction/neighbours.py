@@ -67,11 +67,12 @@ class Matches:
         """Each pair's mean correlation if what is bright is displaced to row 0 (−1) or away from it (+1)."""
         off = np.stack([np.zeros(len(_RADII)), sense * _RADII * self.half_m], axis=1)
         size = self.correlations.shape[1]
-        found = []
+        means = []
         for correlation, turn in zip(self.correlations, self.turns, strict=True):
             shift = (off @ turn - off) / self.pitch_m  # turn.T is the inverse
-            found.append(map_coordinates(correlation, [shift[:, 1] % size, shift[:, 0] % size], order=1, mode="grid-wrap").mean())
-        return np.array(found)
+            at = [shift[:, 1] % size, shift[:, 0] % size]
+            means.append(map_coordinates(correlation, at, order=1, mode="grid-wrap").mean())
+        return np.array(means)
 
 
 def match(
@@ -123,9 +124,7 @@ def match(
         other = _at(ground[j], (x + half) / pitch, (y + half) / pitch)
         correlations.append(irfft2(first[i] * rfft2(_normalised(other, inside), padded), padded))
         turns.append(turn)
-    return Matches(
-        np.array(correlations).reshape(-1, *padded), np.array(turns).reshape(-1, 2, 2), half, float(pitch)
-    )
+    return Matches(np.array(correlations).reshape(-1, *padded), np.array(turns).reshape(-1, 2, 2), half, float(pitch))
 
 
 def reach(grid: ImageGrid) -> float:

@@ -80,7 +80,12 @@ class Orientation:
 
 
 def orientation(
-    power: Real[np.ndarray, "v rows columns"], views: Sequence[View], grid: ImageGrid, ground: bool
+    power: Real[np.ndarray, "v rows columns"],
+    views: Sequence[View],
+    grid: ImageGrid,
+    *,
+    ground: bool,
+    centred: bool = False,
 ) -> Orientation:
     """What images say of their orientation.
 
@@ -92,6 +97,8 @@ def orientation(
         Where they are said to be taken from, and where their pixels lie.
     ground : bool
         Whether they show ground around the target.
+    centred : bool
+        Whether the world's origin surely lies where the grid says, so that layover alone tells which side is near.
     """
     levels = levels_db(power, grid, ground)
     shadow = shadow_sides(levels if ground else levels[:0])
@@ -105,7 +112,7 @@ def orientation(
     better = [int(np.argmax([values.sum() for values in both])) for both in best]
     displaced = [senses[k][better[k]].displaced(away) for away in (-1, 1) for k in (0, 1)]  # in the order of SIDES
     layover = SideEvidence(np.stack(displaced, axis=1))
-    near = _near(shadow, edge, layover)
+    near = _near(shadow, edge, layover, centred)
     axis = SIDES.index(near) % 2 if near else int(best[1][better[1]].sum() > best[0][better[0]].sum())
     more = [*pairs, *(steeper_neighbours(views) if pairs else [])]
     sense = (1, -1)[better[axis]]
@@ -129,14 +136,14 @@ def turned_grid(grid: ImageGrid, near: Side) -> ImageGrid:
     return grid if SIDES.index(near) % 2 == 0 else replace(grid, rows=grid.columns, columns=grid.rows)
 
 
-def _near(shadow: SideEvidence, edge: SideEvidence, layover: SideEvidence) -> Side | None:
+def _near(shadow: SideEvidence, edge: SideEvidence, layover: SideEvidence, centred: bool) -> Side | None:
     """Shadow decides; where it does not, layover and the bright edge together.
 
     Layover alone might be targets that do not lie in the middle of their images.
     """
-    by_shadow = shadow.side(_LEAST_SHADOW_DB)
-    if by_shadow is not None:
-        return by_shadow
+    certain = shadow.side(_LEAST_SHADOW_DB) or (layover.side(_LEAST_LAYOVER) if centred else None)
+    if certain is not None:
+        return certain
     chance = math.sqrt(CHANCE)  # of each of the two
     by_layover = layover.side(_LEAST_LAYOVER, chance)
     agree = by_layover == edge.side(_LEAST_EDGE, chance) and (not shadow.count or shadow.strongest == by_layover)

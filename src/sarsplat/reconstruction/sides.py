@@ -36,14 +36,14 @@ def shadow_sides(levels: Float64[np.ndarray, "v rows columns"]) -> SideEvidence:
     weight = np.where((distance > 0) & (distance <= min(rows, columns) / 2), 1 / np.maximum(distance, 1.0), 0.0)
     beyond = (down > abs(right), -right > abs(down), -down > abs(right), right > abs(down))  # of top, right …
     quadrants = [rfft2(weight * where) for where in beyond]
-    found = []
+    darkness = []
     for level in levels:
         bright = rfft2(np.clip(level - _BRIGHT_DB, 0.0, _BRIGHTEST_DB - _BRIGHT_DB), padded)
         dark = np.clip(-level, 0.0, -_DARKEST_DB)
         reached = [irfft2(bright * quadrant, padded)[:rows, :columns] for quadrant in quadrants]
         if bright[0, 0].real > 0 and min(share.sum() for share in reached) > 0:
-            found.append([float((share * dark).sum() / share.sum()) for share in reached])
-    return SideEvidence(np.array(found).reshape(-1, 4))
+            darkness.append([float((share * dark).sum() / share.sum()) for share in reached])
+    return SideEvidence(np.array(darkness).reshape(-1, 4))
 
 
 def edge_sides(levels: Float64[np.ndarray, "v rows columns"], outlines: Sequence[Outline]) -> SideEvidence:

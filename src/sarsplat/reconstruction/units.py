@@ -20,6 +20,9 @@ _WIDEST_RANGE_DB = 100.0
 _LEAST_SKEWNESS = 0.1
 """Below this, skewness to the dark side is no evidence of decibels."""
 
+_SMOOTH = 0.1
+"""Contrast of ground that has neither speckle nor coarse steps."""
+
 _FEWEST_VALUES = 8
 """In a block of ground: of fewer, neither speckle nor its correlation can be measured."""
 
@@ -58,8 +61,7 @@ def _plausible_range(dataset: Dataset, examined: Examination) -> bool:
     examined.checks["unit"] = f"brightest pixels are {range_db:.0f} dB above the ground"
     examined.contradictions.append(
         f"brightest pixels are {range_db:.0f} dB above the ground, more than any radar image has, so the values are no "
-        "decibels, or scaled ones; import with --quantity amplitude, or with the --scale and --offset that make decibels "
-        "of them"
+        "decibels, or scaled ones; import with --quantity amplitude, or with the --scale and --offset of the decibels"
     )
     return False
 
@@ -70,7 +72,7 @@ def _speckle(dataset: Dataset, examined: Examination) -> None:
     if ground is None:
         examined.checks["unit"] = "cannot be determined: too little ground around the target"
         return
-    if ground.values < _FEWEST_VALUES:
+    if ground.values < _FEWEST_VALUES and ground.contrast > _SMOOTH:
         few = f"the ground has only {ground.values:g} different values in a block of pixels"
         examined.checks["unit"] = f"cannot be determined: so coarsely are pixels quantised that {few}"
         return
@@ -90,7 +92,7 @@ def _speckle(dataset: Dataset, examined: Examination) -> None:
     wrong = ""
     if Evidence(ground.skewness).against(_LEAST_SKEWNESS):
         wrong = (
-            f"of the ground more is dark than bright (skewness {ground.skewness.mean():.2f}), as in decibels and never in "
+            f"more of the ground is dark than bright (skewness {ground.skewness.mean():.2f}), as in decibels, not in "
             f"power or amplitude; import with {_DECIBELS}"
         )
     elif ground.contrast < of_amplitude**1.5 / of_power**0.5:
@@ -105,8 +107,8 @@ def _speckle(dataset: Dataset, examined: Examination) -> None:
         )
     elif ground.contrast > of_power**1.5 / of_amplitude**0.5:
         wrong = (
-            f"the {measured}, but power of {stated} has {of_power:.2f}; take the root of the values (--quantity power) if "
-            f"they were squared twice, give another number of looks (--looks), or {_DECIBELS}"
+            f"the {measured}, but power of {stated} has {of_power:.2f}; take the root of the values (--quantity power) "
+            f"if they were squared twice, or give another number of looks (--looks), or {_DECIBELS}"
         )
     if wrong:
         examined.contradictions.append(wrong)
@@ -140,4 +142,6 @@ def _resolution(dataset: Dataset, widths: tuple[float | None, float | None], by:
     if measured:
         examined.checks["resolution"] = f"{how} of {' and '.join(measured)}"
     else:
-        examined.checks["resolution"] = "cannot be determined: neighbouring pixels do not correlate, or too little is seen"
+        examined.checks["resolution"] = (
+            "cannot be determined: neighbouring pixels do not correlate, or too little is seen"
+        )

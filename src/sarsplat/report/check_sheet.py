@@ -27,8 +27,8 @@ _WIDTH, _FOOT, _TITLE = 2.4, 1.3, 0.3  # inches
 _MOST_COLUMNS = 4
 _LINE = 0.17
 _TABLE_WIDTH = 7.4
-_PLACES = (0.15, 2.4, 3.4, 4.2, 4.9, 6.1)
-"""Height of a line of the table, its width, and where its columns begin, inches."""
+_PLACES = (0.02, 0.32, 0.46, 0.57, 0.67, 0.82)
+"""Height of a line of the table and its width, inches, and where its columns begin, as shares of the width."""
 
 _NOSE = 0.36
 """Length of the nose's arrow on the ground, of the shorter side of the images."""
@@ -66,9 +66,10 @@ def check_sheet(dataset: Dataset, most: int = 12, orientations: Sequence[tuple[s
     lines = math.ceil(count / columns)
     aspect = grid.rows * grid.spacing_m[1] / (grid.columns * grid.spacing_m[0])
     tall = min(max(_WIDTH * aspect, 0.8), 3 * _WIDTH)
-    table = len(orientations) * _LINE
+    table = (len(orientations) + 1) * _LINE if orientations else 0.0
     foot = _FOOT + table
-    width, height = max(columns * _WIDTH, (_TABLE_WIDTH if orientations else 2 * _WIDTH)), lines * (tall + _TITLE) + foot
+    width = max(columns * _WIDTH, _TABLE_WIDTH if orientations else 2 * _WIDTH)
+    height = lines * (tall + _TITLE) + foot
     margins = {"left": 0.02, "right": 0.98, "top": 1 - _TITLE / height, "bottom": foot / height}
     figure, panels = new_sheet((width, height), lines, columns, **margins, wspace=0.06, hspace=_TITLE / tall)
     look = Look(bright_level(power))
@@ -88,18 +89,19 @@ def check_sheet(dataset: Dataset, most: int = 12, orientations: Sequence[tuple[s
         f"{legend}\n{dataset.target}: {count} of {len(dataset)} images, "
         f"{wide:.3g} m of azimuth × {high:.3g} m of slant range."
     )
-    figure.text(0.02, (0.1 + table) / height, text, color=DARK.muted, size=8 if columns > 2 else 6, va="bottom", linespacing=1.35)
+    size = 8 if columns > 2 or orientations else 6
+    figure.text(0.02, (0.1 + table) / height, text, color=DARK.muted, size=size, va="bottom", linespacing=1.35)
     _table(figure, orientations)
     return to_png(figure)
 
 
 def _table(figure: Figure, rows: Sequence[tuple[str, ...]]) -> None:
     """Rows of text at the foot of the sheet; the row of the best orientation is set off."""
-    width, height = figure.get_size_inches()
+    height = figure.get_size_inches()[1]
     for line, row in enumerate(reversed(rows)):
         colour = TARGET if "best" in row[-1] else DARK.ink if line == len(rows) - 1 else DARK.muted
         for place, text in zip(_PLACES, row, strict=True):
-            figure.text(place / width, (0.1 + line * _LINE) / height, text, color=colour, size=8, va="bottom")
+            figure.text(place, (0.1 + line * _LINE) / height, text, color=colour, size=8, va="bottom")
 
 
 def _contour(axes: Axes, mask: Bool[np.ndarray, "rows columns"], grid: ImageGrid, colour: str) -> None:
