@@ -40,7 +40,7 @@ def training(count: int, views_per_step: int, clock: Clock) -> Callable[[int], N
 
     def iterate(k: int) -> None:
         chosen = [(k * views_per_step + i) % len(views) for i in range(views_per_step)]
-        images, _ = model.render([views[i] for i in chosen], grid, 3, chips=torch.tensor(chosen))
+        images, _ = model.render([views[i] for i in chosen], grid, 3, numbers=torch.tensor(chosen))
         images = channel_of(images, model.power_channel)
         images.backward(loss(images, torch.stack([truth[i] for i in chosen])))
         step(0)

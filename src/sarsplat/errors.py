@@ -1,4 +1,7 @@
-"""The one exception and the one warning that users are meant to read."""
+"""The one exception and the one warning that users are meant to read, and how their sentences are made."""
+
+from collections.abc import Collection
+from difflib import get_close_matches
 
 
 class SarsplatError(Exception):
@@ -24,3 +27,9 @@ def shown(value: object) -> str:
     """The value as an error quotes it, whatever it is: printable, at most 120 characters."""
     text = repr(value)
     return text if len(text) <= 120 else text[:119] + "…"
+
+
+def advised(name: str, names: Collection[str]) -> str:
+    """What to do about an unknown name: `did you mean default?`, or `choose one of a, b`."""
+    near = get_close_matches(name, names, 1)
+    return f"did you mean {near[0]}?" if near else f"choose one of {', '.join(names)}"

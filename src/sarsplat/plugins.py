@@ -5,12 +5,15 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
+from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pkgutil import iter_modules
-from typing import Any
+from typing import Any, TypeVar
 
 from sarsplat.errors import SarsplatError, SarsplatWarning, shown
+
+T = TypeVar("T")
 
 
 class Plugins(Mapping[str, Any]):
@@ -95,3 +98,15 @@ def _search(packages: Sequence[str], prefix: str, attribute: str, group: str) ->
                 stacklevel=2,
             )
     return entries
+
+
+def classes_in(package: str, base: type[T]) -> tuple[type[T], ...]:
+    """Every class derived from `base` that another module of a package of ours defines, by its `order`."""
+    modules = [import_module(f"{package}.{info.name}") for info in iter_modules(import_module(package).__path__)]
+    kinds = [
+        kind
+        for module in modules
+        for kind in vars(module).values()
+        if isinstance(kind, type) and issubclass(kind, base) and kind.__module__ == module.__name__ != base.__module__
+    ]
+    return tuple(sorted(kinds, key=lambda kind: kind.order))  # type: ignore[attr-defined]

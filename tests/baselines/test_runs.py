@@ -86,13 +86,6 @@ def test_a_resumed_training_ends_with_the_same_bits(method, dataset, tmp_path, f
 
 
 @EVERY
-def test_a_seed_is_a_result(method, dataset, finished):
-    first, again = Run.load(finished(method)).snapshot.tensors, trained(method, dataset).snapshot.tensors
-    assert first.keys() == again.keys()
-    assert all(torch.equal(tensor, again[name]) for name, tensor in first.items())
-
-
-@EVERY
 def test_its_run_is_rendered_scored_and_shown(method, tmp_path, run_of):
     run_of(method)
     with pytest.raises(SarsplatError, match="device 'gpu' is unknown; choose auto, cpu or cuda"):

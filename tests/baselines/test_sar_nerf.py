@@ -307,11 +307,8 @@ def test_a_box_that_no_image_shows_is_refused():
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"views": ()}, "no training views"),
         ({"high_m": LOW}, "is empty or not finite"),
         ({"low_m": np.array([np.nan, 0, 0])}, "is empty or not finite"),
-        ({"unit": 0.0}, "unit power 0.0 is not positive"),
-        ({"brightest": math.nan}, "brightest power nan is not positive"),
     ],
 )
 def test_a_scene_that_is_none_is_refused(fields, message):

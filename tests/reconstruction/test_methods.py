@@ -13,7 +13,7 @@ import torch
 
 import sarsplat
 from sarsplat import Config, Dataset, Run, SarsplatError, evaluate_run, reconstruct
-from sarsplat.reconstruction.view_queue import ViewQueue
+from sarsplat.reconstruction.training_images import ViewQueue
 
 
 def test_names_need_no_torch():

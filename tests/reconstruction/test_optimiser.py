@@ -134,21 +134,17 @@ def test_every_parameter_needs_a_gradient() -> None:
         optimiser.step(0)
 
 
-def test_threads_change_nothing() -> None:
-    usual = torch.get_num_threads()
+def test_threads_change_nothing(threads) -> None:
     actual = []
-    try:
-        for threads in (1, 2, 3):
-            torch.set_num_threads(threads)
-            parameters = leaves()
-            optimiser = Optimiser(parameters, LEARNED, ITERATIONS)
-            for iteration in range(3):
-                for tensor in parameters.values():
-                    tensor.grad = tensor.detach().sin()
-                optimiser.step(iteration)
-            actual.append(parameters)
-    finally:
-        torch.set_num_threads(usual)
+    for count in (1, 2, 3):
+        threads(count)
+        parameters = leaves()
+        optimiser = Optimiser(parameters, LEARNED, ITERATIONS)
+        for iteration in range(3):
+            for tensor in parameters.values():
+                tensor.grad = tensor.detach().sin()
+            optimiser.step(iteration)
+        actual.append(parameters)
     for parameters in actual[1:]:
         for name in SHAPES:
             assert torch.equal(parameters[name], actual[0][name])

@@ -12,7 +12,6 @@ from sarsplat import Dataset, View, preset
 from sarsplat.geometry import radar_frame
 from sarsplat.reconstruction import Trainer
 from sarsplat.reconstruction.config import Relocation
-from sarsplat.reconstruction.points import between
 from sarsplat.reconstruction.strategies import State, ops
 from sarsplat.reconstruction.strategies.relocation import Relocating, pairs
 
@@ -61,19 +60,6 @@ def test_a_round_keeps_the_number_and_about_the_power(dataset: Dataset) -> None:
     assert 5 < int((trainer.gaussians.means != means).any(dim=1).sum()) < 300
     assert float(after.mean()) == pytest.approx(float(before.mean()), rel=0.15)  # halves that hid each other are seen
     trainer.step()
-
-
-def angles(views: list[View]) -> list[tuple[float, float]]:
-    return sorted((round(view.azimuth_deg, 2), round(view.grazing_deg, 2)) for view in views)
-
-
-def test_views_halfway_between_neighbours() -> None:
-    ring = [View(90.0 * k, 20.0) for k in range(4)]
-    actual = angles(between(ring))
-    assert [azimuth for azimuth, _ in actual] == [45, 135, 225, 315]  # and none from above, between opposite ones
-    assert {grazing for _, grazing in actual} == {27.24}  # on the great circle: tan 20° / cos 45°
-    assert between(ring[:1]) == []
-    assert angles(between([*ring[:2], ring[0]])) == [(45.0, 27.24)]
 
 
 @pytest.mark.parametrize("direction", [(1.0, 2.0, 3.0), (-0.3, 0.1, 0.2), (0.0, 0.0, 1.0)])

@@ -11,7 +11,8 @@ from scipy.spatial import cKDTree
 from sarsplat import Config, Dataset, ImageGrid, Run, SarsplatError, preset, reconstruct
 from sarsplat.gaussians import MIN_SCALE
 from sarsplat.reconstruction.config import Densification
-from sarsplat.reconstruction.lengths import lengths, scales_m
+from sarsplat.reconstruction.method_sar_gs import lengths
+from sarsplat.reconstruction.parts.target import scales_m
 
 SHORT = {"iterations": 30, "gaussians": 600, "harmonics_every": 10, "views_per_step": 4}
 DENSITY = Densification(start=5, every=10, gradient=3e-5, max_gaussians=900)

@@ -6,6 +6,7 @@ import io
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from sarsplat.cli import main
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.reconstruction import METHODS, Config, TensorBoard, preset, reconstruct
+from sarsplat.reconstruction import METHODS, Config, Step, TensorBoard, preset, reconstruct
 
 pytest.importorskip("tensorboard")
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -69,21 +70,29 @@ def test_curves_and_images(dataset: Dataset, tmp_path: Path) -> None:
     assert shown[0].max() == 0
 
 
+class Died(Exception):
+    """Raised by nothing but `dying`."""
+
+
+def dying(board: TensorBoard, iteration: int) -> Callable[[Step], None]:
+    """The same log, of a training that dies after that step."""
+
+    def look(step: Step) -> None:
+        board(step)
+        if step.iteration == iteration:
+            raise Died
+
+    return look
+
+
 @pytest.mark.parametrize("inside", [True, False])
 def test_nothing_changes_and_resuming_appends(dataset: Dataset, tmp_path: Path, inside: bool) -> None:
-    """A training that dies at step 9 goes on from its checkpoint at step 6; what it logged since is hidden."""
-
-    def die(step: object) -> None:
-        board(step)
-        if step.iteration == 9:
-            raise RuntimeError
-
+    """A training that dies at step 9 is resumed from its checkpoint at step 6; what it logged since is hidden."""
     out = tmp_path / "run"
     log = out / "tensorboard" if inside else tmp_path / "log"
     whole = reconstruct(dataset, CONFIG, tmp_path / "whole", quiet=True)
-    board = TensorBoard(log, dataset)
-    with pytest.raises(RuntimeError):
-        reconstruct(dataset, CONFIG, out, on_step=die, quiet=True)
+    with pytest.raises(Died):
+        reconstruct(dataset, CONFIG, out, on_step=dying(TensorBoard(log, dataset), 9), quiet=True)
     assert steps(read(log), "loss") == list(range(1, 10))  # flushed, though nobody closed it
     (out / "checkpoints" / "00000009.safetensors").unlink()  # as if killed
     resumed = reconstruct(dataset, CONFIG, out, on_step=TensorBoard(log, dataset), resume=True, quiet=True)
@@ -101,14 +110,8 @@ def test_a_run_that_is_overwritten_keeps_its_log_until_the_new_one_is_there(data
     once(CONFIG)
     before = sorted((out / "tensorboard").iterdir())
     board = TensorBoard(out / "tensorboard", dataset)
-
-    def die(step: object) -> None:
-        board(step)
-        if step.iteration == 3:
-            raise RuntimeError
-
-    with pytest.raises(RuntimeError):
-        reconstruct(dataset, CONFIG, out, on_step=die, quiet=True, overwrite=True)
+    with pytest.raises(Died):
+        reconstruct(dataset, CONFIG, out, on_step=dying(board, 3), quiet=True, overwrite=True)
     board.close()
     assert sorted((out / "tensorboard").iterdir()) == before
     once(replace(CONFIG, iterations=8), overwrite=True)

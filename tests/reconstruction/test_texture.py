@@ -45,7 +45,7 @@ def test_a_pattern_on_the_ground_is_seen_from_anywhere(grazing_deg: float) -> No
     inside = (slice(8, -8), slice(8, -8))
     found = texture.factor([wanted], GRID)[0].numpy()[inside]
     assert np.abs(found - pattern(wanted, shifts_m.mean(axis=0))[inside]).max() < 0.06
-    own = texture.among_chips[7].numpy()[inside]
+    own = texture.among_images[7].numpy()[inside]
     assert np.abs(own - pattern(VIEWS[7], shifts_m[7])[inside]).max() < 0.06
 
 
@@ -53,7 +53,7 @@ def test_a_chip_does_not_explain_itself() -> None:
     tensors = chips(VIEWS, np.zeros((len(VIEWS), 2)))
     changed = {**tensors, "ratio": tensors["ratio"].clone()}
     changed["ratio"][3] = 50.0
-    before, after = (Maps(some, GRID, SETTINGS).among_chips for some in (tensors, changed))
+    before, after = (Maps(some, GRID, SETTINGS).among_images for some in (tensors, changed))
     assert torch.equal(before[3], after[3])
     assert float((after[4] / before[4]).median()) > 5
 

@@ -45,42 +45,36 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_threads_change_nothing(dataset: Dataset, kind: str) -> None:
-    def trained(threads: int) -> dict[str, torch.Tensor]:
-        torch.set_num_threads(threads)
+def test_threads_change_nothing(dataset: Dataset, kind: str, threads: Any) -> None:
+    def trained(count: int) -> dict[str, torch.Tensor]:
+        threads(count)
         trainer, states = Trainer(dataset, config(kind)), {}
         for step in range(_STEPS):
             trainer.step()
             states |= {f"{step}/{name}": tensor.clone() for name, tensor in trainer.snapshot(0.0).tensors.items()}
         return states
 
-    usual = torch.get_num_threads()
-    try:
-        alone = trained(1)
-        for threads in (2, 3):
-            states = trained(threads)
-            assert states.keys() == alone.keys()
-            assert [name for name in alone if not torch.equal(states[name], alone[name])] == []
-    finally:
-        torch.set_num_threads(usual)
+    alone = trained(1)
+    for count in (2, 3):
+        states = trained(count)
+        assert states.keys() == alone.keys()
+        assert [name for name in alone if not torch.equal(states[name], alone[name])] == []
 
 
 @pytest.mark.parametrize("changes", [{}, {"scattering": "harmonics", "harmonics_degree": 0}])
-def test_threads_do_not_change_what_many_gaussians_cost(dataset: Dataset, changes: dict[str, Any]) -> None:
+def test_threads_do_not_change_what_many_gaussians_cost(
+    dataset: Dataset, changes: dict[str, Any], threads: Any
+) -> None:
     """More of them than torch sums on one thread, 2^15 numbers."""
-    generator = torch.Generator().manual_seed(0)
-    usual, actual = torch.get_num_threads(), []
+    generator, actual = torch.Generator().manual_seed(0), []
     model = SceneModel.initial(replace(preset("default"), gaussians=40_000, **changes), dataset, generator)
     scattering = model.parameters["scattering"]
     with torch.no_grad():
         scattering += torch.randn(scattering.shape, generator=generator)
-    try:
-        for threads in (1, 2, 3):
-            torch.set_num_threads(threads)
-            (spread,) = model.penalties().values()
-            actual.append((spread.item(), torch.autograd.grad(spread, scattering)[0]))
-    finally:
-        torch.set_num_threads(usual)
+    for count in (1, 2, 3):
+        threads(count)
+        (spread,) = model.penalties().values()
+        actual.append((spread.item(), torch.autograd.grad(spread, scattering)[0]))
     assert len({spread for spread, _ in actual}) == 1
     assert all(torch.equal(gradient, actual[0][1]) for _, gradient in actual[1:])
 

@@ -31,11 +31,6 @@ class BaselineConfig(AnyConfig):
         Training images in one step.
     seed : int
         Of everything random.
-
-    Raises
-    ------
-    SarsplatError
-        If a value is of another type or out of range.
     """
 
     iterations: Count = 1000
@@ -46,46 +41,27 @@ class BaselineConfig(AnyConfig):
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What a dataset fixes for a method that learns from its training images.
-
-    Parameters
-    ----------
-    views : tuple of View
-        Of the training images.
-    grid : ImageGrid
-        Where the pixels of every image lie.
-    low_m, high_m : numpy.ndarray, float64 [3]
-        Corners of the box the target lies in, world frame, m.
-    unit : float
-        Power that counts as 1.
-    masks : numpy.ndarray, uint8 [V, rows, columns], or None
-        What each pixel of the training images shows: 0 clutter, 1 target, 2 shadow; None if unknown.
-    brightest : float
-        Largest power of a training image, in that unit.
-    ground : bool
-        Whether the images show the ground around the target.
-    looks : float or None
-        Number of looks of the speckle in the training images; None if there is none.
-
-    Raises
-    ------
-    SarsplatError
-        If there are no views, the box is empty, or the unit or the brightest power is not positive.
-    """
+    """What a dataset fixes for a method that learns from its training images; refused if the box is empty."""
 
     views: tuple[View, ...]
+    """Of the training images."""
     grid: ImageGrid
+    """Where the pixels of every image lie."""
     low_m: Float64[np.ndarray, " 3"]
     high_m: Float64[np.ndarray, " 3"]
+    """Corners of the box the target lies in, world frame, m."""
     unit: float
+    """Power that counts as 1."""
     masks: UInt8[np.ndarray, "v rows columns"] | None = None
+    """What each pixel of the training images shows: 0 clutter, 1 target, 2 shadow; None if unknown."""
     brightest: float = 1.0
+    """Largest power of a training image, in that unit."""
     ground: bool = False
+    """Whether the images show the ground around the target."""
     looks: float | None = None
+    """Number of looks of the speckle in the training images; None if there is none."""
 
     def __post_init__(self) -> None:
-        if not self.views:
-            raise SarsplatError("there are no training views to learn from; give at least one training image")
         corners = np.array([self.low_m, self.high_m])
         if corners.shape != (2, 3) or not np.isfinite(corners).all() or not (corners[0] < corners[1]).all():
             raise SarsplatError(
@@ -94,24 +70,10 @@ class Scene:
             )
         if self.looks is not None and not 0 < self.looks < float("inf"):
             raise SarsplatError(f"the number of looks {self.looks} is not positive and finite; None means no speckle")
-        for name in ("unit", "brightest"):
-            value = getattr(self, name)
-            if not 0 < value < float("inf"):  # also catches NaN
-                raise SarsplatError(
-                    f"the {name} power {value} is not positive and finite; give images that are not black"
-                )
 
 
 class Baseline(torch.nn.Module, ABC):
-    """A model that learns from the training images of a dataset and then renders any view.
-
-    Parameters
-    ----------
-    scene : Scene
-        What the dataset fixes.
-    config : BaselineConfig
-        Settings.
-    """
+    """A model that learns from the training images of a dataset and then renders any view."""
 
     config: Any
 
@@ -131,16 +93,10 @@ class Baseline(torch.nn.Module, ABC):
     def loss(
         self, chosen: Int64[Tensor, " v"], images: Float[Tensor, "v rows columns"], generator: torch.Generator
     ) -> Float[Tensor, ""]:
-        """What training minimises.
+        """What training minimises, for the `chosen` training images.
 
-        Parameters
-        ----------
-        chosen : Tensor, int64 [V]
-            Which of the training images to look at.
-        images : Tensor [V, rows, columns]
-            Their β⁰, linear power, in units of `Scene.unit`.
-        generator : torch.Generator
-            Of every random number that is drawn; on the CPU.
+        `images` are their β⁰, linear power, in units of `Scene.unit`. Every random number is drawn from `generator`, of
+        the CPU.
         """
 
     @abstractmethod

@@ -22,15 +22,10 @@ _MOST_NUMBERS = 1 << 28
 
 
 class Field(nn.Module, ABC):
-    """Attenuation and scattering at places, as what their activations are applied to.
-
-    Attributes
-    ----------
-    at_once : int
-        Places for which one step keeps everything in memory; more are computed in parts, and again on the way back.
-    """
+    """Attenuation and scattering at places, as what their activations are applied to."""
 
     at_once: int
+    """Places for which one step keeps everything in memory; more are computed in parts, and again on the way back."""
 
     @abstractmethod
     def forward(
@@ -46,14 +41,8 @@ class Field(nn.Module, ABC):
 class Perceptron(Field):
     """The published network: 8 × 256 with the input joined again, and heads of which the second sees the direction.
 
-    Parameters
-    ----------
-    center_m : numpy.ndarray, float64 [3]
-        Place whose coordinates are 0 …
-    unit_m : float
-        … and the length, m, that counts as 1 before they are encoded.
-    generator : torch.Generator
-        Of the first weights, on the CPU: uniform within ±1/√(number of inputs), biases too.
+    Places are encoded relative to `center_m`, in units of `unit_m`. Weights and biases are at first uniform within
+    ±1/√(number of inputs), drawn from a generator of the CPU.
     """
 
     at_once = 1 << 16
@@ -76,14 +65,12 @@ class Perceptron(Field):
     def forward(
         self, places: Float[Tensor, "p 3"], direction: Float[Tensor, " 3"]
     ) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
-        """See `Field`."""
         hidden = self._trunk(places)
         from_where = encoded(direction[None], _DIRECTION_OCTAVES).expand(len(places), -1)
         directed = self.directed(torch.cat([self.bottleneck(hidden), from_where], dim=1)).relu()
         return self.attenuation_head(hidden)[:, 0], self.scattering_head(directed)[:, 0]
 
     def attenuation(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, " p"]:
-        """See `Field`."""
         return self.attenuation_head(self._trunk(places))[:, 0]
 
     def _trunk(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, "p w"]:
@@ -100,22 +87,9 @@ Box = tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"], float]
 class VoxelGrid(Field):
     """Numbers on the nodes of nested lattices over boxes, interpolated trilinearly and added up; no network.
 
-    At each node lie one number for the attenuation and coefficients of spherical harmonics for the scattering; all
-    are 0 at first. Interpolation is `grid_sample` with one batch: in a fixed order on the CPU, not so on a GPU.
-
-    Parameters
-    ----------
-    boxes : sequence of (low, high, voxel)
-        Corners of the boxes that the lattices fill, float64 [3], m, and the finest spacing, m; boxes may overlap.
-    levels : int
-        Lattices over each box; each has twice the distance of the next.
-    degree : int
-        Of the harmonics.
-
-    Raises
-    ------
-    SarsplatError
-        If there are too many nodes.
+    At each node lie one number for the attenuation and coefficients of spherical harmonics up to `degree` for the
+    scattering; all are 0 at first. Boxes, which may overlap, have `levels` lattices each, with twice the spacing of the
+    next. Interpolation is `grid_sample` with one batch: in a fixed order on the CPU, not so on a GPU.
     """
 
     at_once = 1 << 20
@@ -141,7 +115,6 @@ class VoxelGrid(Field):
     def forward(
         self, places: Float[Tensor, "p 3"], direction: Float[Tensor, " 3"]
     ) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
-        """See `Field`."""
         basis = harmonic_basis(direction, self.degree)
         # the sum over harmonics first: nodes have more neighbours than numbers
         tables = [torch.stack([table[0], torch.einsum("k,kzyx->zyx", basis, table[1:])]) for table in self.tables]
@@ -149,7 +122,6 @@ class VoxelGrid(Field):
         return attenuation, scattering
 
     def attenuation(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, " p"]:
-        """See `Field`."""
         return self._between([table[:1] for table in self.tables], places)[0]
 
     def total_variation(self) -> Float[Tensor, ""]:

@@ -34,24 +34,16 @@ _MOST_PARTS = 4
 
 @dataclass(frozen=True)
 class Layers:
-    """What the mesh does to an image.
-
-    Attributes
-    ----------
-    target : Tensor [rows, columns]
-        β⁰ of the lit faces in units of `Scene.unit`.
-    lit : Tensor [rows, columns]
-        Share of each pixel in which a lit face appears.
-    hidden : Tensor [rows, columns]
-        Share of each pixel's flat ground (z = 0) that the target hides from the radar.
-    sections : Tensor [F]
-        Radar cross-section of each face in m² times the unit.
-    """
+    """What the mesh does to an image."""
 
     target: Float[Tensor, "rows columns"]
+    """β⁰ of the lit faces in units of `Scene.unit`."""
     lit: Float[Tensor, "rows columns"]
+    """Share of each pixel in which a lit face appears."""
     hidden: Float[Tensor, "rows columns"]
+    """Share of each pixel's flat ground (z = 0) that the target hides from the radar."""
     sections: Float[Tensor, " f"]
+    """Radar cross-section of each face in m² times the unit."""
 
     @property
     def shadow(self) -> Float[Tensor, "rows columns"]:

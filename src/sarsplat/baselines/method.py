@@ -35,37 +35,27 @@ _RAYS_PER_CELL = 4.0
 
 @dataclass(frozen=True)
 class BaselineMethod(Method):
-    """A method whose model is a `Baseline`.
-
-    Parameters
-    ----------
-    name : str
-        On the command line and in files.
-    title, learns, loss : str
-        For readers: its name, what it learns (`a closed mesh`) and what its training minimises.
-    defaults : BaselineConfig
-        Default settings; all its settings are of their type.
-    model : callable (Scene, BaselineConfig) -> Baseline
-        Makes the model of a scene before the first step.
-    takes : frozenset of str
-        `{"masks"}` if it learns from masks of the training images.
-    """
+    """A method whose model is a `Baseline`."""
 
     name: str
+    """On the command line and in files."""
     title: str
     learns: str
     loss: str
+    """For readers: its name, what it learns (`a closed mesh`) and what its training minimises."""
     defaults: BaselineConfig
+    """Default settings; all its settings are of their type."""
     model: Callable[[Scene, Any], Baseline]
+    """Makes the model of a scene before the first step."""
     takes: frozenset[str] = frozenset()
+    """`{"masks"}` if it learns from masks of the training images."""
 
     @property
     def settings(self) -> type[BaselineConfig]:  # type: ignore[override]
-        """See `Method`."""
         return type(self.defaults)
 
     def preset(self, name: str, dataset: Dataset) -> BaselineConfig:
-        """See `Method`; there is only "auto"."""
+        """Its default settings; there is only "auto"."""
         if name != "auto":
             raise SarsplatError(f"{self.name} has no presets, so {shown(name)} is unknown; omit it, or give settings")
         return self.defaults
@@ -78,7 +68,7 @@ class BaselineMethod(Method):
         device: torch.device,
         begun: Callable[[], Reconstruction] | None,
     ) -> BaselineTrainer:
-        """See `Method`; a resumed training keeps its masks."""
+        """A training at its beginning; a resumed one keeps its masks."""
         if begun is None:
             masks = None if inputs.masks is None else read_masks(inputs.masks, dataset, ("train",))
             scene = scene_of(dataset, None if masks is None else np.stack([*masks.values()]))
@@ -92,11 +82,9 @@ class BaselineMethod(Method):
     def open(
         self, snapshot: Snapshot, config: BaselineConfig, device: str, folder: Path | None
     ) -> BaselineReconstruction:
-        """See `Method`."""
         return BaselineReconstruction(self, snapshot, config, device, folder)
 
     def loss_title(self, config: BaselineConfig) -> tuple[str, str]:
-        """See `Method`."""
         return self.loss, "loss"
 
 
@@ -113,7 +101,7 @@ class BaselineReconstruction(Reconstruction):
         self.baseline.to(device)
 
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
-        """See `Reconstruction`; only on the grid of its training images."""
+        """β⁰ of any views, linear power; only on the grid of its training images."""
         if grid not in (None, self.grid):
             raise SarsplatError(
                 f"{self.method.title} renders the pixels that it was trained with, and no others; "
@@ -122,7 +110,7 @@ class BaselineReconstruction(Reconstruction):
         return self.baseline.images(views)
 
     def masks(self, views: Sequence[View], points: Float32[np.ndarray, "p 3"]) -> UInt8[np.ndarray, "v rows columns"]:
-        """See `Reconstruction`: of its surface on flat ground, by ray casting, which needs embreex."""
+        """Masks of its surface on flat ground, by ray casting, which needs embreex."""
         from sarsplat.scenes.raycast_masks import raycast_mask
 
         images = np.zeros((len(views), self.grid.rows, self.grid.columns), np.uint8)
@@ -142,7 +130,7 @@ class BaselineReconstruction(Reconstruction):
         return trimesh.Trimesh(vertices, faces, process=False)
 
     def mesh(self, points: Points, normals: Points) -> trimesh.Trimesh:
-        """See `Reconstruction`: the whole surface, including parts that no view saw."""
+        """The whole surface, including parts that no view saw."""
         return self.surface
 
     @cached_property
@@ -150,36 +138,29 @@ class BaselineReconstruction(Reconstruction):
         return _seen_points(self.surface, self.snapshot.views, self.grid.cell_m / _RAYS_PER_CELL)
 
     def points(self) -> Points:
-        """See `Reconstruction`."""
         return self._seen[0]
 
     def normals_at(self, points: Points) -> Points:
-        """See `Reconstruction`: the normals of the nearest points that rays meet."""
+        """Normals of the nearest points that rays meet."""
         seen, normals = self._seen
         return normals[cKDTree(seen).query(points)[1]] if len(points) and len(seen) else np.zeros_like(points)
 
     def write(self, folder: Path) -> None:
-        """See `Reconstruction`: `mesh.ply`, if there is a surface."""
+        """Write `mesh.ply`, if there is a surface."""
         if len(self.surface.faces):
             write_mesh(folder / MESH, self.surface)
 
-    # ---- for readers ------------------------------------------------------------------------------------------------
     @property
     def learned(self) -> str:
-        """See `Reconstruction`."""
         return f"{self.method.learns} ({self.method.title})"
 
     @property
     def facts(self) -> dict[str, str]:
-        """See `Reconstruction`."""
         return {"numbers learned": f"{sum(parameter.numel() for parameter in self.baseline.parameters()):,}"}
 
 
 def _seen_points(mesh: trimesh.Trimesh, views: Sequence[View], spacing_m: float) -> tuple[Points, Points]:
-    """Points, m, where parallel rays of any view first meet a mesh, one in each cube of the spacing, and their normals.
-
-    The normals are of unit length, on the side that the radar saw.
-    """
+    """Where parallel rays of any view first meet a mesh, m, one in each cube of the spacing, and unit normals there."""
     points, normals = np.empty((0, 3), np.float32), np.empty((0, 3), np.float32)
     for view in views if len(mesh.faces) else ():
         frame, facets = radar_frame(view), Facets.of(mesh, view)

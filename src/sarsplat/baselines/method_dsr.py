@@ -85,20 +85,7 @@ class DsrConfig(BaselineConfig):
 
 
 class Dsr(Baseline):
-    """The differentiable SAR renderer on a scene.
-
-    Parameters
-    ----------
-    scene : Scene
-        With masks.
-    config : DsrConfig
-        Settings.
-
-    Raises
-    ------
-    SarsplatError
-        If the scene has no masks, or no mask shows the target.
-    """
+    """The differentiable SAR renderer on a scene; refused if that has no masks, or none shows the target."""
 
     faces: Tensor
     edges: Tensor

@@ -88,13 +88,6 @@ class SarNerf(Baseline):
 
     The field ends at the box of the target and, with ground, at that of all ground that images show; the published
     perceptron's does not end.
-
-    Parameters
-    ----------
-    scene : Scene
-        What the dataset fixes.
-    config : SarNerfConfig
-        How it is learned.
     """
 
     start: tuple[float, float] = (0.0, 0.0)
@@ -130,7 +123,7 @@ class SarNerf(Baseline):
     def loss(
         self, chosen: Int64[Tensor, " v"], images: Float[Tensor, "v rows columns"], generator: torch.Generator
     ) -> Float[Tensor, ""]:
-        """See `Baseline`: the squared difference of amplitudes, of the brightest; or if sound, speckle's likelihood."""
+        """Squared difference of amplitudes, of the brightest; if sound, the speckle's negative log-likelihood."""
         views = [self.scene.views[index] for index in chosen.tolist()]
         power = torch.stack([self._image(view, generator) for view in views])
         if torch.is_grad_enabled() and not power.requires_grad:
@@ -151,7 +144,7 @@ class SarNerf(Baseline):
         return _mean((_amplitude(power / brightest) - (images / brightest).sqrt()) ** 2)
 
     def optimiser(self) -> torch.optim.Adam:
-        """See `Baseline`: Adam, slower for the noise floor."""
+        """Adam, slower for the noise floor."""
         rate = self.config.learning_rate
         groups = [{"params": list(self.field.parameters()), "lr": rate}]
         if self.log_noise is not None:
@@ -159,12 +152,12 @@ class SarNerf(Baseline):
         return torch.optim.Adam(groups)
 
     def image(self, view: View) -> Float[Tensor, "{self.scene.grid.rows} {self.scene.grid.columns}"]:
-        """See `Baseline`: from rays in the middles of their strata."""
+        """β⁰ from rays in the middles of their strata."""
         return self._image(view, None)
 
     @torch.no_grad()
     def surface(self) -> tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, "f 3"]]:
-        """See `Baseline`: marching cubes of the attenuation in the target's box, at `level_of_half` of all views."""
+        """Marching cubes of the attenuation in the target's box, at `level_of_half` of all views."""
         low, high = self.scene.low_m, self.scene.high_m
         depths = []
         for view in self.scene.views:

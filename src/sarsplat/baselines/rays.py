@@ -25,29 +25,20 @@ from sarsplat.geometry import ImageGrid, View, radar_frame
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """Rays of one view through a box.
-
-    Parameters
-    ----------
-    turn : numpy.ndarray, float64 [3, 3]
-        Rotation from the world to the radar frame.
-    azimuth_m, range_m : numpy.ndarray, float64 [A], [R]
-        Of the pixels' centres that are sampled.
-    first_column, first_row : int
-        Which pixels these begin with.
-    elevation_m : pair of float
-        Edges of the scene across the line of sight.
-    count : int
-        Rays for each column, in as many strata of equal width.
-    """
+    """Rays of one view through a box."""
 
     turn: Float64[np.ndarray, "3 3"]
+    """Rotation from the world to the radar frame."""
     azimuth_m: Float64[np.ndarray, " a"]
     range_m: Float64[np.ndarray, " r"]
+    """`azimuth_m` and `range_m` are those of the sampled pixels' centres …"""
     first_column: int
     first_row: int
+    """… of which the first has this column and this row."""
     elevation_m: tuple[float, float]
+    """Edges of the scene across the line of sight."""
     count: int
+    """Rays for each column, in as many strata of equal width."""
 
     @classmethod
     def through(

@@ -59,25 +59,17 @@ class Lattice:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Pairs of triangles and pixels that these touch, ordered by triangle.
-
-    Attributes
-    ----------
-    face : Tensor, int64 [P]
-        Triangle of each pair.
-    pixel : Tensor, int64 [P]
-        Pixel of each pair, row · columns + column; `pixels` if it lies beside the lattice.
-    signed : Tensor [P]
-        ±d²/σ, whose sigmoid is the coverage.
-    faces, pixels : int
-        How many there are.
-    """
+    """Pairs of triangles and pixels that these touch, ordered by triangle."""
 
     face: Int64[Tensor, " p"]
+    """Triangle of each pair."""
     pixel: Int64[Tensor, " p"]
+    """Pixel of each pair, row · columns + column; `pixels` if it lies beside the lattice."""
     signed: Float[Tensor, " p"]
+    """±d²/σ, whose sigmoid is the coverage."""
     faces: int
     pixels: int
+    """How many there are."""
 
     def shares(self) -> Float[Tensor, " p"]:
         """Coverage of each pair as a share of its triangle's, over all pixels, beside the lattice too."""

@@ -17,24 +17,16 @@ from sarsplat.errors import SarsplatError
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """A closed mesh around the origin.
-
-    Attributes
-    ----------
-    vertices : numpy.ndarray, float64 [N, 3]
-        On the unit sphere.
-    faces : numpy.ndarray, int64 [F, 3]
-        Counter-clockwise seen from outside.
-    edges : numpy.ndarray, int64 [E, 2]
-        Pairs of vertices, each edge once.
-    flaps : numpy.ndarray, int64 [E, 2]
-        The two faces at each edge.
-    """
+    """A closed mesh around the origin."""
 
     vertices: Float64[np.ndarray, "n 3"]
+    """On the unit sphere."""
     faces: Int64[np.ndarray, "f 3"]
+    """Counter-clockwise seen from outside."""
     edges: Int64[np.ndarray, "e 2"]
+    """Pairs of vertices, each edge once."""
     flaps: Int64[np.ndarray, "e 2"]
+    """The two faces at each edge."""
 
 
 def sphere(vertices: int) -> Template:

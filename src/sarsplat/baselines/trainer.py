@@ -16,7 +16,7 @@ from sarsplat.gaussians.initialise import bounded_region
 from sarsplat.geometry import View
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.reconstruction.target_box import target_box
-from sarsplat.reconstruction.view_queue import ViewQueue
+from sarsplat.reconstruction.training_images import ViewQueue
 
 
 class BaselineTrainer:

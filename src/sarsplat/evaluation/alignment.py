@@ -24,21 +24,14 @@ _COUNT = 4000  # of the points, and of the surface's samples
 
 @dataclass(frozen=True)
 class Alignment:
-    """A turn about the vertical through the origin, then a shift.
-
-    Attributes
-    ----------
-    shift_m : (float, float, float)
-        World frame, m.
-    heading_deg : float
-        Counter-clockwise seen from above, degrees.
-    farthest_m : float
-        Largest shift allowed along each axis, m.
-    """
+    """A turn about the vertical through the origin, then a shift."""
 
     shift_m: tuple[float, float, float]
+    """World frame, m."""
     heading_deg: float
+    """Counter-clockwise seen from above, degrees."""
     farthest_m: float = math.inf
+    """Largest shift allowed along each axis, m."""
 
     def moved(self, points: Float[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]:
         """Return the points rotated and shifted, m."""

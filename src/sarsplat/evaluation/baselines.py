@@ -1,4 +1,4 @@
-"""Baselines without a third dimension for measured chips: a reconstruction should do better than these."""
+"""Baselines without a third dimension for measured images: a reconstruction should do better than these."""
 
 from __future__ import annotations
 
@@ -75,20 +75,10 @@ def rotated_average(
 
 
 def baseline_scores(dataset: Dataset, reasons: dict[str, str]) -> dict[str, dict[str, dict[str, float | None]]]:
-    """Scores of both baselines on every test set.
+    """Scores `[set][baseline][metric]` of `nearest_chip` and `rotated_average` on every test set of measured images.
 
-    Parameters
-    ----------
-    dataset : Dataset
-        Measured chips.
-    reasons : dict of str to str
-        Filled in: for every score that does not exist, `baselines.<set>.<baseline>.<score>` and why.
-
-    Returns
-    -------
-    dict
-        `scores[set][baseline][metric]`, of the metrics that apply to speckled images; baselines: `nearest_chip`,
-        `rotated_average`.
+    Only metrics that apply to speckled images; `reasons` is filled in: for every score that does not exist,
+    `baselines.<set>.<baseline>.<score>` and why.
     """
     train, train_views = dataset.images("train").astype(np.float64), dataset.select("train").views
     applicable = [metric for metric in IMAGE_METRICS if metric.requires.met(dataset)]

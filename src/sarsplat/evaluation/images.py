@@ -34,19 +34,7 @@ class UndefinedScore(SarsplatError):
 
 
 def normalised_amplitude(power: Stack, reference_amplitude: float) -> Stack:
-    """√power / reference_amplitude, not clipped: what the scores of protocol R compare.
-
-    Parameters
-    ----------
-    power : numpy.ndarray, float [V, rows, columns]
-        β⁰, linear power.
-    reference_amplitude : float
-        The largest amplitude √β⁰ of the *training* set.
-
-    Returns
-    -------
-    numpy.ndarray, float32 [V, rows, columns]
-    """
+    """√power / reference_amplitude, float32, not clipped: what the scores of protocol R compare."""
     if not (np.isfinite(reference_amplitude) and reference_amplitude > 0):
         raise SarsplatError(
             f"the reference amplitude {reference_amplitude} must be positive; give the largest of the training set"

@@ -66,17 +66,7 @@ class Lpips:
     def __call__(
         self, first: Float32[torch.Tensor, "v 3 rows columns"], second: Float32[torch.Tensor, "v 3 rows columns"]
     ) -> Float32[torch.Tensor, " v"]:
-        """Distance of each pair.
-
-        Parameters
-        ----------
-        first, second : torch.Tensor, float32 [V, 3, rows, columns]
-            Colour images with values in [−1, 1], at least 31 pixels on a side.
-
-        Returns
-        -------
-        torch.Tensor, float32 [V]
-        """
+        """Distance of each pair of colour images with values in [−1, 1], at least 31 pixels on a side."""
         if min(first.shape[2:]) < _SMALLEST_IMAGE:
             raise UndefinedScore(
                 f"LPIPS needs images of at least {_SMALLEST_IMAGE} × {_SMALLEST_IMAGE} pixels, "

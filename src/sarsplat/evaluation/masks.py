@@ -16,16 +16,11 @@ from sarsplat.reconstruction import Run
 
 @dataclass(frozen=True)
 class MaskPair:
-    """Masks of some images of one test set.
-
-    Attributes
-    ----------
-    truth, predicted : numpy.ndarray, uint8 [V, rows, columns]
-        0 clutter, 1 target, 2 shadow; predicted masks are shifted to where their images fit best.
-    """
+    """Masks of some images of one test set."""
 
     truth: Masks
     predicted: Masks
+    """0 clutter, 1 target, 2 shadow; those predicted are shifted to where their images fit best."""
 
     def iou(self, kind: int) -> float:
         """Intersection over union of one kind of pixels, averaged over the images where truth or prediction has any.

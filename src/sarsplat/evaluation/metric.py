@@ -25,42 +25,28 @@ Measured = TypeVar("Measured")
 
 @dataclass(frozen=True)
 class Metric(Generic[Measured]):
-    """One metric.
-
-    Attributes
-    ----------
-    key : str
-        Its name in `metrics.json`.
-    label : str
-        Its name for readers, without the unit.
-    unit : str
-        Its unit; empty if it has none.
-    digits : str
-        How it is printed, as Python formats numbers: lengths with three significant digits, whatever their size.
-    better : {"more", "less"} or None
-        Which of two values is the better one; None if neither is.
-    definition : str
-        What exactly is computed, in one line.
-    compute : callable
-        Its value; raises `UndefinedScore` where it has none.
-    requires : Requirement
-        To which datasets it applies.
-    short : str
-        Heading of its column in the terminal, without the unit; empty if it has no column there and in the README.
-    place : {"headline", "table", "file"}
-        In the report: large at the top and in the table, in the table only, or not at all.
-    """
+    """One metric."""
 
     key: str
+    """Its name in `metrics.json`."""
     label: str
+    """Its name for readers, without the unit."""
     unit: str
+    """Its unit; empty if it has none."""
     digits: str
+    """How it is printed, as Python formats numbers: lengths with three significant digits, whatever their size."""
     better: Literal["more", "less"] | None
+    """Which of two values is the better one; None if neither is."""
     definition: str
+    """What exactly is computed, in one line."""
     compute: Callable[[Measured], float]
+    """Its value; raises `UndefinedScore` where it has none."""
     requires: Requirement = NOTHING
+    """To which datasets it applies."""
     short: str = ""
+    """Heading of its column in the terminal, without the unit; empty if it has no column there and in the README."""
     place: Literal["headline", "table", "file"] = "table"
+    """In the report: large at the top and in the table, in the table only, or not at all."""
 
     @property
     def title(self) -> str:

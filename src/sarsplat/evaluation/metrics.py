@@ -25,28 +25,19 @@ from sarsplat.reconstruction import Run
 
 @dataclass(frozen=True)
 class ImagePair:
-    """Images of one test set, true and rendered, with what their scores refer to.
-
-    Attributes
-    ----------
-    truth, rendered : numpy.ndarray, float [V, rows, columns]
-        β⁰, linear power.
-    reference_amplitude : float
-        Largest amplitude √β⁰ of the training set, or of the test images if these alone are without speckle.
-    mean_power : float
-        Mean β⁰ of the training set.
-    score_margin : int
-        Pixels excluded on each side where speckled images are scored.
-    network : Lpips, optional
-        The network that LPIPS needs.
-    """
+    """Images of one test set, true and rendered, with what their scores refer to."""
 
     truth: Stack
     rendered: Stack
+    """β⁰, linear power."""
     reference_amplitude: float
+    """Largest amplitude √β⁰ of the training set, or of the test images if these alone are without speckle."""
     mean_power: float
+    """Mean β⁰ of the training set."""
     score_margin: int
+    """Pixels excluded on each side where speckled images are scored."""
     network: lpips.Lpips | None = None
+    """The network that LPIPS needs."""
 
 
 def image_parameters(dataset: Dataset) -> dict[str, Any]:

@@ -56,32 +56,23 @@ def _rounded(length: float) -> float:
 
 @dataclass(frozen=True)
 class PointMetrics:
-    """Scores of reconstructed points against a surface.
-
-    Attributes
-    ----------
-    accuracy_m : float
-        Mean distance of the reconstructed points from the surface, m.
-    completeness_m : float
-        Mean distance of the surface samples from the nearest reconstructed point, m.
-    cd_m : float
-        Chamfer distance: the mean of both means, m.
-    cd_squared_m2 : float
-        The paper's: half the sum of the mean squared distances, m².
-    precision, recall, f1 : dict of float to float
-        For each threshold (m): share of points near the surface, share of samples near a point, their harmonic mean.
-    count : int
-        Number of reconstructed points left after thinning.
-    """
+    """Scores of reconstructed points against a surface."""
 
     accuracy_m: float
+    """Mean distance of the reconstructed points from the surface, m."""
     completeness_m: float
+    """Mean distance of the surface samples from the nearest reconstructed point, m."""
     cd_m: float
+    """Chamfer distance: the mean of both means, m."""
     cd_squared_m2: float
+    """The paper's: half the sum of the mean squared distances, m²."""
     precision: dict[float, float]
     recall: dict[float, float]
     f1: dict[float, float]
+    """`precision`, `recall`, `f1` by threshold, m: share of points near the surface, of samples near a point, and their
+    harmonic mean."""
     count: int
+    """Number of reconstructed points left after thinning."""
 
 
 def point_metrics(
@@ -95,7 +86,7 @@ def point_metrics(
     Parameters
     ----------
     points : numpy.ndarray, float [P, 3]
-        Reconstructed points, world frame, m; thinned to one per voxel here.
+        Reconstructed points, world frame, m; of each voxel only the first counts.
     triangles : numpy.ndarray, float [T, 3, 3]
         The true surface, against which accuracy and precision are measured exactly.
     samples : numpy.ndarray, float [S, 3]
@@ -142,21 +133,8 @@ def thin(points: Float[np.ndarray, "p 3"], voxel: float) -> Float[np.ndarray, "f
 def surface_distance(
     points: Float[np.ndarray, "p 3"], triangles: Float[np.ndarray, "t 3 3"]
 ) -> Float64[np.ndarray, " p"]:
-    """Exact distance of each point from the nearest triangle, m.
+    """Exact distance of each point from the nearest triangle, m; triangles without area are ignored.
 
-    Parameters
-    ----------
-    points : numpy.ndarray, float [P, 3]
-        Points, m.
-    triangles : numpy.ndarray, float [T, 3, 3]
-        Triangles, m; those without area are ignored.
-
-    Returns
-    -------
-    numpy.ndarray, float64 [P]
-
-    Notes
-    -----
     Triangles are cut into pieces within a radius r of their centres. The triangle of the nearest centre is at a
     distance d, and any nearer triangle has a piece whose centre is within d + r: those are tried, so none is missed.
     """

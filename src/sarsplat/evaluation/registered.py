@@ -29,21 +29,14 @@ REACH = 3
 
 @dataclass(frozen=True)
 class Registration:
-    """How predictions fit their chips best.
-
-    Attributes
-    ----------
-    nats : numpy.ndarray, float64 [V]
-        Negative log-likelihood of single-look speckle, nats per pixel.
-    shift : numpy.ndarray, int64 [V, 2]
-        How far each prediction was moved, pixels in range and in azimuth.
-    gain : numpy.ndarray, float64 [V]
-        Factor applied to each prediction.
-    """
+    """How predictions fit their chips best."""
 
     nats: Float64[np.ndarray, " v"]
+    """Negative log-likelihood of single-look speckle, nats per pixel."""
     shift: Int64[np.ndarray, "v 2"]
+    """How far each prediction was moved, pixels in range and in azimuth."""
     gain: Float64[np.ndarray, " v"]
+    """Factor applied to each prediction."""
 
 
 def register(truth: Stack, rendered: Stack, margin: int = 0) -> Registration:

@@ -27,24 +27,16 @@ _LARGEST_ROUND = 4_000_000  # samples drawn at once when most of them turn out t
 
 @dataclass(frozen=True)
 class VisibleSurface:
-    """The true surface, whole and as far as it is seen from at least one view, world frame, m.
-
-    Attributes
-    ----------
-    triangles : numpy.ndarray, float64 [T, 3, 3]
-        Visible triangles, whole: those that are the first hit of at least one ray (vertex, coordinate last).
-    all_triangles : numpy.ndarray, float64 [A, 3, 3]
-        Every triangle of the mesh.
-    samples : numpy.ndarray, float32 [S, 3]
-        Area-weighted random points of the visible surface: each lies on a visible triangle and is itself seen.
-    samples_whole : numpy.ndarray, float32 [S, 3]
-        Area-weighted random points of every triangle.
-    """
+    """The true surface, whole and as far as it is seen from at least one view, world frame, m."""
 
     triangles: Float64[np.ndarray, "visible 3 3"]
+    """Visible triangles, whole: those that are the first hit of at least one ray (vertex, coordinate last)."""
     all_triangles: Float64[np.ndarray, "all 3 3"]
+    """Every triangle of the mesh."""
     samples: Float32[np.ndarray, "s 3"]
+    """Area-weighted random points of the visible surface: each lies on a visible triangle and is itself seen."""
     samples_whole: Float32[np.ndarray, "w 3"]
+    """Area-weighted random points of every triangle."""
 
 
 def read_truth_mesh(path: Path) -> trimesh.Trimesh:

@@ -17,21 +17,14 @@ from sarsplat.reconstruction.config import DEFAULT_METHOD
 
 @dataclass(frozen=True)
 class Scores:
-    """What one method reached.
-
-    Attributes
-    ----------
-    name : str
-        The method, and on what: heading of its column or row.
-    values : mapping of str to float or None
-        Values by the metric's key; unknown ones are absent or None.
-    ranked : bool
-        Whether it competes for the best value in a table.
-    """
+    """What one method reached."""
 
     name: str
+    """The method, and on what: heading of its column or row."""
     values: Mapping[str, float | None]
+    """Values by the metric's key; unknown ones are absent or None."""
     ranked: bool = True
+    """Whether it competes for the best value in a table."""
 
 
 def comparison(metrics: Mapping[str, Any], paper: Scores | None = None) -> list[Scores]:
@@ -78,16 +71,9 @@ def summary_metrics(scores: list[Scores], yardstick: Yardstick) -> list[Metric[A
 
 
 def metrics_table(scores: list[Scores], yardstick: Yardstick, caption: str | None = None) -> Table:
-    """A line for every method, a column for every metric of the summary; "–" stands for what is not known.
+    """A line for each of the scores that `comparison` returned, a column for each metric of the summary; "–" is None.
 
-    Parameters
-    ----------
-    scores : list of Scores
-        What `comparison` returned.
-    yardstick : Yardstick
-        What the points were scored with.
-    caption : str, optional
-        A note below the table.
+    `yardstick` is what the points were scored with; `caption` is a note below the table.
     """
     shown = summary_metrics(scores, yardstick)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, caption=caption, caption_justify="left")

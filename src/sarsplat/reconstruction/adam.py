@@ -33,16 +33,9 @@ def engine_takes(tensors: Iterable[Tensor]) -> bool:
 
 @dataclass(frozen=True)
 class Stepped:
-    """A parameter, its moments, and what holds for each of its columns; all on one device and of one floating dtype.
+    """A parameter and its moments, changed in place, and rates and range of each of its columns ([1] without any).
 
-    Parameters
-    ----------
-    value, mean, square : Tensor [rows] or [rows, columns]
-        Changed in place.
-    rates, low, high : Tensor [columns]
-        Learning rates, and the range that values are brought back into; [1] for a value without columns.
-    logarithmic : bool
-        Step the logarithm of a positive value.
+    All on one device and of one floating dtype. `logarithmic`: step the logarithm of a positive value.
     """
 
     value: Float[Tensor, "*shape"]
@@ -56,19 +49,7 @@ class Stepped:
 
 @torch.no_grad()
 def step(tensors: Sequence[Stepped], gradients: Sequence[Tensor], decays: Sequence[float], count: int) -> None:
-    """One update of every parameter, and back into its range.
-
-    Parameters
-    ----------
-    tensors : sequence of Stepped
-        The parameters.
-    gradients : sequence of Tensor
-        Of the loss with respect to each value.
-    decays : sequence of float
-        Factor on the rates of each.
-    count : int
-        How many updates this one makes, from 1: moments that began at zero are corrected for it.
-    """
+    """The `count`-th update of every parameter (from 1), and back into its range; `decays` are factors on the rates."""
     rate, spread = 1 / (1 - BETA1**count), 1 / math.sqrt(1 - BETA2**count)
     max_log_factor = math.log(_LARGEST_FACTOR)
     for tensor, gradient, decay in zip(tensors, gradients, decays, strict=True):
@@ -97,7 +78,7 @@ class EngineAdam:
             )
 
     def step(self, gradients: Sequence[Tensor], decays: Sequence[float], count: int) -> None:
-        """See the function `step`."""
+        """As the function `step`."""
         gradients = [gradient.contiguous() for gradient in gradients]  # kept alive until the call is over
         for group, gradient, decay in zip(self._groups, gradients, decays, strict=True):
             group.gradient, group.decay = gradient.data_ptr(), decay

@@ -67,11 +67,11 @@ class Rates(Record):
     directional_scattering : float
         Directional part of the scattering.
     shift : float
-        Shifts of measured chips, resolution cells per step.
+        Shifts of measured images, resolution cells per step.
     ground : float
         Single Gaussians of the ground.
     nuisance : float
-        Ground as a whole, noise floor, side lobes and logarithms of the gains of measured chips.
+        Ground as a whole, noise floor, side lobes and logarithms of the gains of measured images.
     """
 
     _section: ClassVar[str] = "rates."
@@ -210,14 +210,14 @@ class Surroundings(Record):
     ground_std : float
         Standard deviation of the isotropic harmonic of a single one of the ground's Gaussians.
     shift_std : float
-        Standard deviation of a chip's shift, in resolution cells.
+        Standard deviation of an image's shift, in resolution cells.
     gain_std : float
-        Standard deviation of the logarithm of a chip's gain.
+        Standard deviation of the logarithm of an image's gain.
     side_lobes : float
         Power of the side lobes of bright scatterers at the start, relative to those of the response (−35 dB Taylor
         where that has none); 0: none.
     texture_looks : float
-        The factor between images and scene that is shared by neighbouring chips: how many looks it takes to believe in
+        The factor between images and scene that is shared by neighbouring images: how many looks it takes to believe in
         one that differs from 1 by half of what they show; 0: there is none.
     texture_reach_deg : float
         Difference of azimuth at which it is shared to 1/e, whatever the grazing angles.
@@ -228,7 +228,7 @@ class Surroundings(Record):
     texture_from : float
         … at this share of the iterations.
     azimuth_rounds : int
-        How often uncertain azimuths of training chips are refined, evenly spaced …
+        How often uncertain azimuths of training images are refined, evenly spaced …
     azimuth_from : float
         … from this share of all iterations on …
     azimuth_until : float

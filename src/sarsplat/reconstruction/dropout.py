@@ -1,4 +1,4 @@
-"""Dropout: which Gaussians a step does without, the same on every device and without asking any."""
+"""Dropout: which Gaussians a step leaves out, the same on every device and computed there."""
 
 from __future__ import annotations
 
@@ -18,18 +18,9 @@ _BITS = 24
 
 
 def dropped(count: int, share: float, seed: int, step: int, device: torch.device) -> Bool[Tensor, " {count}"]:
-    """A share of the Gaussians, by chance: a number made from seed, step and row says whether, not a generator's state.
+    """Which of `count` Gaussians are dropped, a share (0 to 1) of them at random; made on the device.
 
-    Parameters
-    ----------
-    count : int
-        Number of Gaussians.
-    share : float
-        Of them, 0 to 1.
-    seed, step : int
-        Others drop others.
-    device : torch.device
-        Where the answer is made; nothing is copied there.
+    A hash of seed, step and row decides, not a generator's state, which would have to be copied to the device.
     """
     mixed = _rows(count, device) + _signed(seed * _SEED + step * _STEP)
     for factor, shift in zip(_MIX, (30, 27), strict=True):

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import lru_cache
 from typing import Any
 
@@ -16,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.errors import SarsplatError, advised, shown
 from sarsplat.reconstruction import adam
 from sarsplat.reconstruction.config import Config
 from sarsplat.renderer import cpu, structs
@@ -146,12 +145,7 @@ def speckle_loss(
 ) -> Float[Tensor, ""]:
     """Negative log-likelihood of single-look speckle, nats per pixel: the mean of log S + I / S.
 
-    Parameters
-    ----------
-    power : Tensor [V, rows, columns]
-        Rendered β⁰ with its noise floor, > 0.
-    intensity : Tensor [V, rows, columns]
-        Measured intensity.
+    S is the rendered β⁰ with its noise floor, > 0, and I the measured one.
     """
     return speckle_nats(power, intensity).mean(0)
 
@@ -174,18 +168,12 @@ def _means(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, " v"]:
 
 @dataclass(frozen=True)
 class ImageScale:
-    """How bright the training images are, in linear power.
-
-    Parameters
-    ----------
-    brightest : float
-        Largest β⁰.
-    unit : float
-        Power that counts as 1 in the model: their mean where the ground shows, else 1.
-    """
+    """How bright the training images are, in linear power."""
 
     brightest: float
+    """Largest β⁰."""
     unit: float
+    """Power that counts as 1 in the model: their mean where the ground shows, else 1."""
 
 
 def _amplitude(config: Config, scale: ImageScale) -> Loss:
@@ -217,15 +205,7 @@ LOSSES = {
 
 
 def named_loss(config: Config, scale: ImageScale) -> Loss:
-    """The loss that a configuration names.
-
-    Raises
-    ------
-    SarsplatError
-        If there is none of that name.
-    """
+    """The loss that a configuration names; a SarsplatError if there is none."""
     if config.loss not in LOSSES:
-        near = get_close_matches(config.loss, LOSSES, 1)
-        hint = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(LOSSES)}"
-        raise SarsplatError(f"loss {shown(config.loss)} is unknown; {hint}")
+        raise SarsplatError(f"loss {shown(config.loss)} is unknown; {advised(config.loss, LOSSES)}")
     return LOSSES[config.loss].make(config, scale)

@@ -114,14 +114,14 @@ class _Planes:
         distance, normal = np.empty(len(places)), np.empty((len(places), 3))
         count = np.arange(1, min(_NEIGHBOURS, len(self.points)) + 1)
         for first in range(0, len(places), _AT_ONCE):
-            some = slice(first, first + _AT_ONCE)
-            apart, index = unbroken(self.tree.query, places[some], k=count, workers=-1)
+            part = slice(first, first + _AT_ONCE)
+            apart, index = unbroken(self.tree.query, places[part], k=count, workers=-1)
             weight = np.exp(-0.5 * (apart**2 - apart[:, :1] ** 2) / self.smoothing_m**2)[:, :, None]
-            offset = places[some] - (weight * self.points[index]).sum(1) / weight.sum(1)
+            offset = places[part] - (weight * self.points[index]).sum(1) / weight.sum(1)
             mean = (weight * self.normals[index]).sum(1)
             length = np.linalg.norm(mean, axis=1, keepdims=True)
             mean /= np.maximum(length, 1e-12)  # normals on both sides of a sheet may cancel
-            distance[some], normal[some] = np.einsum("pc,pc->p", offset, mean), mean
+            distance[part], normal[part] = np.einsum("pc,pc->p", offset, mean), mean
         return distance, normal
 
 

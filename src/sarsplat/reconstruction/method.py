@@ -28,21 +28,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Arguments of `reconstruct` that only some methods take (`Method.takes`).
-
-    Parameters
-    ----------
-    masks : Path, optional
-        Folder of masks of the training images.
-    loss : callable, optional
-        Loss to be trained with.
-    strategies : sequence
-        What else happens between steps.
-    """
+    """Arguments of `reconstruct` that only some methods take (`Method.takes`)."""
 
     masks: Path | None = None
+    """Folder of masks of the training images."""
     loss: Loss | None = None
+    """Loss to be trained with."""
     strategies: Sequence[Any] = ()
+    """What else happens between steps."""
 
 
 class Trainable(Protocol):
@@ -83,37 +76,22 @@ class Trainable(Protocol):
 
 
 class Method(ABC):
-    """A way from images to a target. One object, `METHOD` of a module `method_NAME.py` or an entry point.
-
-    Attributes
-    ----------
-    name : str
-        On the command line and in files.
-    title : str
-        For readers.
-    settings : type of AnyConfig
-        What its settings are.
-    takes : frozenset of str
-        Fields of `Inputs` that it uses.
-    watchable : bool
-        Whether the viewer can show its trainings: its trainer has a `model` of Gaussians.
-    """
+    """A way from images to a target. One object, `METHOD` of a module `method_NAME.py` or an entry point."""
 
     name: str
+    """On the command line and in files."""
     title: str
+    """For readers."""
     settings: type[AnyConfig]
+    """What its settings are."""
     takes: frozenset[str] = frozenset()
+    """Fields of `Inputs` that it uses."""
     watchable: bool = False
+    """Whether the viewer can show its trainings: its trainer has a `model` of Gaussians."""
 
     @abstractmethod
     def preset(self, name: str, dataset: Dataset) -> Any:
-        """Its settings of that name; "auto" is what suits the dataset.
-
-        Raises
-        ------
-        SarsplatError
-            If there are none of that name.
-        """
+        """Its settings of that name; "auto" is what suits the dataset. A SarsplatError if none have that name."""
 
     @abstractmethod
     def trainer(
@@ -124,30 +102,18 @@ class Method(ABC):
         device: torch.device,
         begun: Callable[[], Reconstruction] | None,
     ) -> Trainable:
-        """A training at its beginning.
+        """A training at its beginning: on the dataset's training images, with settings of the type `settings`.
 
-        Parameters
-        ----------
-        dataset : Dataset
-            Its training images are learned from.
-        config : AnyConfig
-            Settings, of the type `settings`.
-        inputs : Inputs
-            Only what it `takes`.
-        device : torch.device
-            Where to train.
-        begun : callable or None
-            Opens what the run that will be resumed has learned, if it has a checkpoint.
+        `inputs` has only what it `takes`; `begun` opens what the run that will be resumed has learned, if that has a
+        checkpoint.
         """
 
     @abstractmethod
     def open(self, snapshot: Snapshot, config: Any, device: str, folder: Path | None) -> Reconstruction:
         """What a training has learned; `folder` is where it keeps its results, if it has a folder.
 
-        Raises
-        ------
-        KeyError, ValueError, TypeError, IndexError, RuntimeError, SarsplatError
-            If the snapshot does not hold a whole model of these settings.
+        Raises KeyError, ValueError, TypeError, IndexError, RuntimeError or SarsplatError if the snapshot does not hold
+        a whole model of these settings.
         """
 
     @abstractmethod
@@ -159,13 +125,7 @@ class Method(ABC):
         return self.name, None
 
     def checked(self, config: AnyConfig) -> AnyConfig:
-        """The settings, if they are its own.
-
-        Raises
-        ------
-        SarsplatError
-            If they are not.
-        """
+        """The settings; refused if they are not its own."""
         if type(config) is not self.settings:
             raise SarsplatError(
                 f"the settings are a {type(config).__name__}; {self.name} takes a {self.settings.__name__}"
@@ -173,13 +133,7 @@ class Method(ABC):
         return config
 
     def refuse_others(self, inputs: Inputs) -> None:
-        """Refuse inputs that it does not use.
-
-        Raises
-        ------
-        SarsplatError
-            If there are any.
-        """
+        """Refuse inputs that it does not use."""
         for field in fields(Inputs):
             value = getattr(inputs, field.name)
             if value != field.default and field.name not in self.takes:
@@ -188,33 +142,16 @@ class Method(ABC):
 
 
 class Reconstruction(ABC):
-    """What was learned of a target, on a device; arrays come back in any case.
-
-    Attributes
-    ----------
-    gaussians : Gaussians or None
-        The target's Gaussians, of methods that learn any.
-    model : SceneModel or None
-        The scene of Gaussians, of methods that learn one: what radar maps and the viewer take apart.
-    """
+    """What was learned of a target, on a device; arrays come back in any case."""
 
     gaussians: Gaussians | None = None
+    """The target's Gaussians, of methods that learn any."""
     model: SceneModel | None = None
+    """The scene of Gaussians, of methods that learn one: what radar maps and the viewer take apart."""
 
     @abstractmethod
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
-        """β⁰ of any views, linear power, on its grid or another one.
-
-        Raises
-        ------
-        SarsplatError
-            If the method cannot render on that grid.
-
-        Warns
-        -----
-        SarsplatWarning
-            If the grid is finer than what it was learned from.
-        """
+        """β⁰ of any views, linear power, on its grid or another one: see `Run.render`."""
 
     @abstractmethod
     def masks(self, views: Sequence[View], points: Float32[np.ndarray, "p 3"]) -> UInt8[np.ndarray, "v rows columns"]:

@@ -18,16 +18,15 @@ from sarsplat.errors import SarsplatWarning, counted
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruction.config import DEFAULT_METHOD, Config
-from sarsplat.reconstruction.lengths import lengths
 from sarsplat.reconstruction.losses import LOSSES
 from sarsplat.reconstruction.masks import scene_masks, without_imitated_ground
 from sarsplat.reconstruction.mesh import surface_mesh
 from sarsplat.reconstruction.method import Inputs, Method, Reconstruction
 from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.normals import surface_normals
+from sarsplat.reconstruction.parts.target import scales_m
 from sarsplat.reconstruction.points import extract_points
 from sarsplat.reconstruction.presets import preset
-from sarsplat.reconstruction.saved_model import saved_model
 from sarsplat.reconstruction.seen import Seen
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.reconstruction.strategies.azimuths import AZIMUTH_OFFSETS
@@ -52,7 +51,7 @@ class SarGs(Method):
     watchable = True
 
     def preset(self, name: str, dataset: Dataset) -> Config:
-        """See `Method`: "auto" is for what the images show; where there is ground or speckle, it must be modelled."""
+        """A preset; "auto" is for what the images show: where there is ground or speckle, it must be modelled."""
         if name != "auto":
             return preset(name)
         return preset("measured" if dataset.ground else "default" if dataset.looks is None else "speckled")
@@ -65,23 +64,21 @@ class SarGs(Method):
         device: torch.device,
         begun: Callable[[], Reconstruction] | None,
     ) -> Trainer:
-        """See `Method`; the settings have the name of a loss of one's own."""
+        """A training at its beginning; the settings get the name of a loss of one's own."""
         if inputs.loss is not None:
             name = getattr(inputs.loss, "__name__", type(inputs.loss).__name__)
             config = replace(config, loss=f"own {name}" if name in LOSSES else name)
         return Trainer(dataset, config, inputs.loss, device, inputs.strategies)
 
     def open(self, snapshot: Snapshot, config: Config, device: str, folder: Path | None) -> GaussianReconstruction:
-        """See `Method`."""
         return GaussianReconstruction(snapshot, config, device)
 
     def loss_title(self, config: Config) -> tuple[str, str]:
-        """See `Method`."""
         loss = LOSSES.get(config.loss)
         return (loss.title, loss.unit) if loss else (f"function {config.loss}", "loss")
 
     def about(self, config: Config, grid: ImageGrid) -> tuple[str, str]:
-        """See `Method`: the preset, and lengths in metres."""
+        """The preset, and lengths in metres."""
         return config.preset, lengths(config, grid)
 
 
@@ -89,23 +86,16 @@ METHOD = SarGs()
 
 
 class GaussianReconstruction(Reconstruction):
-    """A scene of Gaussians; its folder also gets `gaussians.ply`.
-
-    Raises
-    ------
-    KeyError, ValueError, TypeError, IndexError, RuntimeError, SarsplatError
-        If the snapshot does not hold a whole model.
-    """
+    """A scene of Gaussians; its folder also gets `gaussians.ply`. Errors as in `Method.open`."""
 
     model: SceneModel
 
     def __init__(self, snapshot: Snapshot, config: Config, device: str) -> None:
         self.snapshot, self.config, self.grid = snapshot, config, snapshot.grid
-        self.model = saved_model(snapshot, config, device)
+        self.model = SceneModel.saved(snapshot, config, device)
 
     @property
     def gaussians(self) -> Gaussians:  # type: ignore[override]
-        """The target's Gaussians."""
         return self.model.target(self._degree).detach()
 
     @property
@@ -113,20 +103,11 @@ class GaussianReconstruction(Reconstruction):
         return self.model.degree(self.snapshot.iteration)
 
     def mesh(self, points: Float32[np.ndarray, "p 3"], normals: Float32[np.ndarray, "p 3"]) -> trimesh.Trimesh:
-        """The surface through the points as triangles, world frame, m.
-
-        Its vertices have the attribute `gamma0`, γ⁰ (linear), and colours that show it in decibels. It is open where no
-        view looked, and has no faces if there are no points.
-
-        Raises
-        ------
-        SarsplatError
-            If scikit-image or trimesh is missing, or the points span too many voxels.
-        """
+        """The surface through the points, with γ⁰ of its vertices (`surface_mesh`); open where no view looked."""
         return surface_mesh(points, normals, self._seen, self.grid.cell_m)
 
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
-        """See `Reconstruction`.
+        """β⁰ of any views, linear power.
 
         Rays are at a quarter of its own pixel spacing on every grid: they measure how much each Gaussian is lit, which
         has nothing to do with the pixels.
@@ -144,12 +125,10 @@ class GaussianReconstruction(Reconstruction):
         return np.concatenate(images)
 
     def masks(self, views: Sequence[View], points: Float32[np.ndarray, "p 3"]) -> UInt8[np.ndarray, "v rows columns"]:
-        """What the pixels of any views show: 0 clutter, 1 target, 2 shadow; on its grid, uint8.
+        """What the pixels of any views show, by what target and ground would return, each alone (`scene_masks`).
 
-        By what target and ground would return, each alone, at the sharpness of the pixels
-        (`sarsplat.reconstruction.masks.scene_masks`), where `render` shows them. The target are the Gaussians near the
-        points and, if ground was learned, at least one resolution cell above it: others may stand for clutter as well
-        as the ground does. Without learned ground there is no shadow.
+        The target are the Gaussians near the points and, if ground was learned, at least one resolution cell above it
+        (`without_imitated_ground`). Without learned ground there is no shadow.
         """
         scene = self.model.scene(self._degree).detach()
         scene, count = without_imitated_ground(scene, len(self.model), points, self.grid.cell_m)
@@ -158,22 +137,21 @@ class GaussianReconstruction(Reconstruction):
 
     @property
     def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"] | None:
-        """See `Reconstruction`."""
         offsets = self.snapshot.tensors.get(AZIMUTH_OFFSETS)
         return None if offsets is None else offsets.double().numpy()
 
     def points(self) -> Float32[np.ndarray, "p 3"]:
-        """See `Reconstruction`: first returns of rays, or centres, as configured."""
+        """First returns of rays, or centres, as configured."""
         points = extract_points(self.gaussians, self.snapshot.views, self.grid, self.config.points)
         return points.astype(np.float32)  # as the file has them
 
     def normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
-        """See `Reconstruction`: of the planes through their neighbours."""
+        """Normals of the planes through their neighbours."""
         towards = self._seen.around(points)[1]
         return surface_normals(points, towards, _NORMAL_RADIUS * self.grid.cell_m).astype(np.float32)
 
     def gamma0_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, " p"]:
-        """See `Reconstruction`: mean over the views that see the Gaussians there, weighted by how much they see."""
+        """Mean γ⁰ over the views that see the Gaussians there, weighted by how much they see."""
         return self._seen.around(points)[0].astype(np.float32)
 
     @cached_property
@@ -181,19 +159,31 @@ class GaussianReconstruction(Reconstruction):
         return Seen.of(self.gaussians, self.snapshot.views, self.grid)
 
     def write(self, folder: Path) -> None:
-        """See `Reconstruction`: `gaussians.ply`."""
+        """Write `gaussians.ply`."""
         write_gaussians_ply(folder / "gaussians.ply", self.gaussians)
 
-    # ---- for readers ------------------------------------------------------------------------------------------------
     @property
     def learned(self) -> str:
-        """See `Reconstruction`."""
         return counted(len(self.gaussians), "Gaussian")
 
     @property
     def facts(self) -> dict[str, str]:
-        """See `Reconstruction`."""
         return {"preset": self.config.preset, "start": self.config.initialisation}
+
+
+def lengths(config: Config, grid: ImageGrid) -> str:
+    """One line: the lengths, in metres, that a reconstruction of images on this grid works with."""
+    cell_m = grid.cell_m
+    scales, rates = scales_m(config, cell_m), config.rates
+    rays = [
+        RayGrid.for_image(grid, count).spacing_m[0] for count in (config.rays_per_pixel, config.fine_rays_per_pixel)
+    ]
+    ray = f"{rays[0]:.2g} m" if config.fine_from == 1 else f"{rays[0]:.2g}, then {rays[1]:.2g} m"
+    return (
+        f"lengths from {cell_m:.3g} m resolution cells: start {scales[1]:.2g} m, sizes {scales[0]:.2g} … "
+        f"{scales[2]:.2g} m, steps {rates.means * cell_m:.2g} → {rates.means_end * cell_m:.2g} m, rays {ray}, "
+        f"voxels {config.points.voxel * cell_m:.2g} m"
+    )
 
 
 def _finer(asked: ImageGrid, own: ImageGrid) -> str:

@@ -18,13 +18,7 @@ METHODS: Mapping[str, Method] = discover(
 
 
 def method_named(name: str) -> Method:
-    """One of `METHODS`.
-
-    Raises
-    ------
-    SarsplatError
-        If there is none of that name, or it cannot be imported.
-    """
+    """One of `METHODS`; a SarsplatError if there is none of that name, or it cannot be imported."""
     if name not in METHODS:
         raise SarsplatError(f"there is no method {shown(name)}; choose one of {', '.join(METHODS)}")
     return METHODS[name]

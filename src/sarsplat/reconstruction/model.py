@@ -21,8 +21,11 @@ from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.parts import parts_of
 from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, Shot
 from sarsplat.reconstruction.setting import Setting
+from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.renderer import Bounds, Rendering, render
 from sarsplat.scenes.mesh_files import read_mesh
+
+_REGION = ("normals", "offsets", "low", "high")
 
 
 class SceneModel:
@@ -35,16 +38,9 @@ class SceneModel:
     setting : Setting
         What the dataset fixes.
     parameters : dict of str to Tensor
-        Those that the parts declare.
+        Those that the parts declare; copied to leaves, some of which row operations replace.
     device : torch.device or str
         Where the parameters are copied to, and rendered.
-
-    Attributes
-    ----------
-    parameters : dict of str to Tensor
-        Leaves on the device. Row operations replace some of them.
-    parts : list of Part
-        In the order in which they make the scene and its images.
 
     Raises
     ------
@@ -60,18 +56,14 @@ class SceneModel:
         self.unit = setting.unit
         self.device = torch.device(device)
         self.parts = parts_of(config, setting, self.device)
+        self.parameters: Parameters = {}
         count = len(next(parameters[name] for name, learned in self.learned.items() if learned.per_gaussian))
         for name, learned in self.learned.items():
-            tensor, shape = parameters[name], tuple(count if size is None else size for size in learned.shape)
+            tensor, shape = parameters[name].detach(), tuple(count if size is None else size for size in learned.shape)
             if tensor.dtype != torch.float32 or tensor.shape != shape:
                 raise ValueError(f"{name} is {tensor.dtype} {list(tensor.shape)}, not float32 {list(shape)}")
-        self.parameters = {
-            name: parameters[name]
-            .detach()
-            .to(device, copy=True, memory_format=torch.contiguous_format)
-            .requires_grad_()
-            for name in self.learned
-        }
+            own = tensor.to(device, copy=True, memory_format=torch.contiguous_format)
+            self.parameters[name] = own.requires_grad_()
 
     @classmethod
     def initial(
@@ -88,6 +80,39 @@ class SceneModel:
         for part in parts_of(config, setting, torch.device("cpu")):
             parameters |= part.initial(train, generator)
         return cls(config, setting, parameters, device)
+
+    @classmethod
+    def saved(cls, snapshot: Snapshot, config: Config, device: torch.device | str = "cpu") -> SceneModel:
+        """The model that a snapshot holds (`tensors`).
+
+        Raises
+        ------
+        ValueError, KeyError, TypeError, IndexError, RuntimeError, SarsplatError
+            If the tensors are not those of a model with this configuration.
+        """
+        arrays = [snapshot.tensors[f"region/{name}"].numpy() for name in _REGION]
+        if arrays[0].shape != (len(arrays[1]), 3) or arrays[2].shape != (3,) or arrays[3].shape != (3,):
+            raise ValueError(f"a region of {[array.shape for array in arrays]}")
+        setting = Setting(Region(*arrays), snapshot.unit, snapshot.views, snapshot.grid)
+        learned, state = snapshot.part("model"), snapshot.part("part")
+        model = cls(config, setting, learned, device)
+        others = [learned[name] for name, how in model.learned.items() if not how.per_gaussian]
+        if not all(tensor.isfinite().all() for tensor in (*others, *state.values())):
+            raise ValueError("numbers that are not finite")
+        for part in model.parts:
+            prefix = f"{part.name}/"
+            part.load(
+                {name.removeprefix(prefix): t.to(model.device) for name, t in state.items() if name.startswith(prefix)}
+            )
+        model.scene(config.harmonics_degree)  # the Gaussians' values are checked where they are used
+        return model
+
+    def tensors(self) -> dict[str, Tensor]:
+        """The model as a snapshot keeps it."""
+        region = {f"region/{name}": torch.from_numpy(getattr(self.setting.region, name)) for name in _REGION}
+        learned = {f"model/{name}": tensor.detach() for name, tensor in self.parameters.items()}
+        state = {f"part/{part.name}/{name}": tensor for part in self.parts for name, tensor in part.state().items()}
+        return learned | state | region
 
     def __len__(self) -> int:
         """Number of the target's Gaussians."""
@@ -139,7 +164,7 @@ class SceneModel:
         degree: int,
         *,
         rays: RayGrid | None = None,
-        chips: Int64[Tensor, " v"] | None = None,
+        numbers: Int64[Tensor, " v"] | None = None,
         plane_gradients: bool = False,
         bounds: Bounds | None = None,
         dropped: Bool[Tensor, " n"] | None = None,
@@ -147,12 +172,11 @@ class SceneModel:
     ) -> tuple[Float[Tensor, "v c {grid.rows} {grid.columns}"], Rendering]:
         """Images [V, C, rows, columns], in the power channel with noise floor, and the rendering behind them.
 
-        `chips` are the indices of training views, whose own shift and gain then apply. Of an unseen chip only the
-        distribution of its shift and gain is known: its expected image is seen through a response widened by that
-        spread, above the expected floor. `bounds` are those of `render`; `dropped` are Gaussians to do without;
+        `numbers` are those of training images, whose own shift and gain then apply; without them, images are as
+        expected of unseen views (`Shot`). `bounds` are those of `render`; Gaussians that are `dropped` are left out;
         `estimated` is whether what was estimated rather than learned applies, as the texture.
         """
-        shot = self.shot(views, grid, chips)
+        shot = self.shot(views, grid, numbers)
         rendering = render(
             self.scene(degree, dropped),
             views,
@@ -168,15 +192,15 @@ class SceneModel:
                 images = part.images(images, shot, self.parameters)
         return images if self.unit == 1 else images * self.unit, rendering
 
-    def shot(self, views: Sequence[View], grid: ImageGrid, chips: Int64[Tensor, " v"] | None = None) -> Shot:
+    def shot(self, views: Sequence[View], grid: ImageGrid, numbers: Int64[Tensor, " v"] | None = None) -> Shot:
         """How images are taken: see `render`."""
-        shot = Shot(views, grid, self.power_channel, chips)
+        shot = Shot(views, grid, self.power_channel, numbers)
         for part in self.parts:
             shot = part.shot(shot, self.parameters)
         return shot
 
     def as_displaced(self, grid: ImageGrid) -> ImageGrid:
-        """The grid on which a scene that is not displaced lies as unseen chips on `grid` show it: as the mean one."""
+        """The grid on which a scene that is not displaced lies as unseen images on `grid` show it: as the mean one."""
         for part in self.parts:
             grid = part.displaced(grid, self.parameters)
         return grid
@@ -200,16 +224,6 @@ class SceneModel:
         )
         scale_m, depth = max(r.scale_m for r in reaches), max(r.optical_depth for r in reaches)
         return Bounds(low, high, scale_m, depth, self.device)
-
-    def state(self) -> dict[str, Tensor]:
-        """What its parts know besides their parameters, by `part/name`."""
-        return {f"{part.name}/{name}": tensor for part in self.parts for name, tensor in part.state().items()}
-
-    def load(self, state: dict[str, Tensor]) -> None:
-        """Undo `state`; ValueError or KeyError if that is not of this model."""
-        for part in self.parts:
-            prefix = f"{part.name}/"
-            part.load({name.removeprefix(prefix): t for name, t in state.items() if name.startswith(prefix)})
 
 
 def _cut_off(region: Region, margin: float, dataset: Dataset) -> list[str]:

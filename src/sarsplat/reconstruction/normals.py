@@ -16,21 +16,10 @@ _CUBES = 4  # to a radius: a dense cloud has hundreds of neighbours for each poi
 def surface_normals(
     points: Real[np.ndarray, "p 3"], towards: Real[np.ndarray, "p 3"], radius: float
 ) -> Float64[np.ndarray, "p 3"]:
-    """Unit normals of the planes that fit the neighbours best, on the side that was seen.
+    """Unit normals of the planes that fit the neighbours (within a radius, m) of surface points best.
 
-    Parameters
-    ----------
-    points : numpy.ndarray [P, 3]
-        Surface points, m.
-    towards : numpy.ndarray [P, 3]
-        From where each is seen, of any length; zero stands for above.
-    radius : float
-        Up to which distance a point is a neighbour, m.
-
-    Returns
-    -------
-    numpy.ndarray, float64 [P, 3]
-        The direction of `towards` for points with fewer than three neighbours, themselves included.
+    They are on the side of `towards`, from where each point is seen: of any length; zero stands for above. Points with
+    fewer than three neighbours, themselves included, have that direction.
     """
     if len(points) == 0:
         return np.empty((0, 3))
@@ -43,16 +32,16 @@ def surface_normals(
     table = np.column_stack([np.bincount(owner.ravel(), column) for column in table.T])  # sums over each cube
     tree, normals = cKDTree(table[:, 1:4] / table[:, :1]), np.empty((len(points), 3))
     for first in range(0, len(points), _AT_ONCE):
-        some = slice(first, first + _AT_ONCE)
-        found = unbroken(tree.query_ball_point, centred[some], radius, workers=-1)
-        ends = np.cumsum([0, *map(len, found)])
+        part = slice(first, first + _AT_ONCE)
+        near = unbroken(tree.query_ball_point, centred[part], radius, workers=-1)
+        ends = np.cumsum([0, *map(len, near)])
         neighbours = csr_array(
-            (np.ones(ends[-1]), np.concatenate(found).astype(np.int64), ends), (len(found), len(table))
+            (np.ones(ends[-1]), np.concatenate(near).astype(np.int64), ends), (len(near), len(table))
         )
         sums = neighbours @ table
         count, mean = sums[:, :1], sums[:, 1:4] / sums[:, :1]
         spread = sums[:, 4:].reshape(-1, 3, 3) / count[:, :, None] - mean[:, :, None] * mean[:, None, :]
         planes = np.linalg.eigh(spread)[1][:, :, 0]
-        normals[some] = np.where(count < 3, towards[some], planes)
+        normals[part] = np.where(count < 3, towards[part], planes)
     normals *= np.where(np.einsum("pc,pc->p", normals, towards) < 0, -1.0, 1.0)[:, None]
     return normals / np.linalg.norm(normals, axis=1, keepdims=True)

@@ -28,16 +28,11 @@ class Optimiser:
         How each is learned.
     iterations : int
         Length of the training, by which rates decay.
-
-    Attributes
-    ----------
-    state : dict of str to dict of str to Tensor
-        Moments of each parameter, shaped like it.
     """
 
     def __init__(self, parameters: dict[str, Tensor], learned: Mapping[str, Learned], iterations: int) -> None:
         self._parameters, self._learned, self._iterations = parameters, learned, iterations
-        self.state = {
+        self.state = {  # moments of each parameter, shaped like it
             name: {moment: torch.zeros_like(tensor, requires_grad=False) for moment in _MOMENTS}
             for name, tensor in parameters.items()
         }

@@ -46,12 +46,12 @@ def extract_points(
         returns = [
             _FirstReturns.of(gaussians, view, grid, rays, how.optical_depth) for view in [*views, *between(views)]
         ]
-        points = np.concatenate([found.points() for found in returns])
+        points = np.concatenate([each.points() for each in returns])
         points = _thin(points[points[:, 2] >= how.min_height * cell], how.voxel * cell)
         # haze that one view takes for a surface is looked through by others, or seen by no other
         through, seen = np.zeros((2, len(points)), int)
-        for found in returns:
-            beyond = found.beyond(points)
+        for each in returns:
+            beyond = each.beyond(points)
             through += beyond > how.behind * cell
             seen += abs(beyond) <= how.behind * cell
         enough = min(how.seen_by, len(returns) // 5)  # a fifth, so that of few views there are points, too
@@ -105,9 +105,9 @@ class _FirstReturns:
         column, row = np.rint((local[:, :2] - self.origin) / self.spacing_m).astype(int).T
         rows, columns = self.range_m.shape
         inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        found = np.full(len(points), np.inf)
-        found[inside] = np.nan_to_num(self.range_m[row[inside], column[inside]], nan=np.inf)
-        return found - local[:, 2]
+        returned = np.full(len(points), np.inf)
+        returned[inside] = np.nan_to_num(self.range_m[row[inside], column[inside]], nan=np.inf)
+        return returned - local[:, 2]
 
 
 def _thin(points: Float64[np.ndarray, "p 3"], voxel: float) -> Float64[np.ndarray, "fewer 3"]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
-
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.errors import SarsplatError, advised, shown
 from sarsplat.reconstruction.config import Config, Densification, PointExtraction, Rates, Relocation, Surroundings
 
 PRESETS: dict[str, Config] = {
@@ -91,15 +89,7 @@ PRESETS: dict[str, Config] = {
 
 
 def preset(name: str) -> Config:
-    """The preset of that name.
-
-    Raises
-    ------
-    SarsplatError
-        If there is none.
-    """
+    """The preset of that name; a SarsplatError if there is none."""
     if name not in PRESETS:
-        near = get_close_matches(name, PRESETS, 1)
-        hint = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(PRESETS)}"
-        raise SarsplatError(f"preset {shown(name)} is unknown; {hint}")
+        raise SarsplatError(f"preset {shown(name)} is unknown; {advised(name, PRESETS)}")
     return PRESETS[name]

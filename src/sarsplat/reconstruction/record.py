@@ -15,14 +15,10 @@ from sarsplat.errors import SarsplatError, shown
 
 @dataclass(frozen=True)
 class Record:
-    """Base of the records: `msgspec` holds each value against the annotation of its field, ranges included.
+    """Base of the records: `msgspec` checks each value against the annotation of its field, ranges included.
 
-    A whole number becomes a float and a list a tuple where the field is one.
-
-    Raises
-    ------
-    SarsplatError
-        If a value is of another type, or outside the range that the field allows.
+    A whole number becomes a float and a list a tuple where the field is one. A value of another type or outside the
+    field's range is a SarsplatError.
     """
 
     _section: ClassVar[str] = ""
@@ -41,24 +37,17 @@ class Record:
         return msgspec.to_builtins(self)
 
     def changes(self, other: Self) -> Iterator[tuple[str, Any, Any]]:
-        """What differs: dotted names, such as ``rates.means``, with the value here and there."""
+        """What differs: dotted names, such as ``rates.means``, with its own value and the other's."""
         for name in _hints(type(self)):
-            here, there = getattr(self, name), getattr(other, name)
-            if isinstance(here, Record) and isinstance(there, Record):
-                yield from here.changes(there)
-            elif here != there:
-                yield f"{self._section}{name}", here, there
+            own, others = getattr(self, name), getattr(other, name)
+            if isinstance(own, Record) and isinstance(others, Record):
+                yield from own.changes(others)
+            elif own != others:
+                yield f"{self._section}{name}", own, others
 
     @classmethod
     def from_dict(cls, data: object, source: str = "the configuration") -> Self:
-        """Undo `as_dict`.
-
-        Parameters
-        ----------
-        data : object
-            What the JSON holds.
-        source : str
-            What to call it in errors, e.g. the path of a file.
+        """Undo `as_dict`; errors name the `source`, e.g. the path of a file.
 
         Raises
         ------

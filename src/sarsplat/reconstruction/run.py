@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NotRequired, TypedDict
@@ -21,11 +21,9 @@ from sarsplat.data import (
     write_json,
     write_points_ply,
 )
-from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.reconstruction.config import AnyConfig
 from sarsplat.reconstruction.device import device_named
 from sarsplat.reconstruction.log import LogLine, read_log
 from sarsplat.reconstruction.method import Reconstruction
@@ -43,14 +41,11 @@ HEADER = "config.json"
 MESH = "mesh.ply"
 """The surface, of methods that learn one as such."""
 
-_RESULTS = ("gaussians.ply", MESH, "points.ply", "metrics.json", "report/index.html")
-"""What is made from the newest checkpoint."""
-
 _Scores = dict[str, float | None]
 
 
 class Truth(TypedDict):
-    """What surface the points were held against: its file, unless it is the dataset's, and how they were moved."""
+    """What surface the points were compared with: its file, unless it is the dataset's, and how they were moved."""
 
     mesh: str | None
     shift_m: NotRequired[tuple[float, float, float]]
@@ -103,7 +98,7 @@ class InMemory:
 
 @dataclass(frozen=True)
 class Run:
-    """A reconstruction. Points and renderings need nothing but itself; its images are in its dataset.
+    """A reconstruction: renders, and has points, normals and a mesh, without its dataset.
 
     Parameters
     ----------
@@ -147,10 +142,10 @@ class Run:
 
     @cached_property
     def reconstruction(self) -> Reconstruction:
-        """What its method makes of that state."""
-        snapshot, method = self.snapshot, METHODS[self.method]
+        """What its method has learned."""
+        snapshot = self.snapshot
         try:
-            return method.open(snapshot, self.config, self.device, self.path)
+            return METHODS[self.method].open(snapshot, self.config, self.device, self.path)
         except (KeyError, ValueError, TypeError, IndexError, RuntimeError, SarsplatError) as error:
             raise SarsplatError(
                 f"{self.checkpoint_path} does not hold a whole model ({shown(str(error))}); "
@@ -168,7 +163,30 @@ class Run:
         return self.reconstruction.model
 
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
-        """β⁰ of any views, linear power, on its grid or another one (`Reconstruction.render`)."""
+        """Images as seen from any views.
+
+        Parameters
+        ----------
+        views : sequence of View
+            V views.
+        grid : ImageGrid, optional
+            Pixels and resolution; its own if omitted, and for other methods than `sar-gs` only that.
+
+        Returns
+        -------
+        numpy.ndarray, float32 [V, rows, columns]
+            β⁰, linear power.
+
+        Raises
+        ------
+        SarsplatError
+            If the method cannot render on that grid.
+
+        Warns
+        -----
+        SarsplatWarning
+            If the grid is finer than the training images.
+        """
         return self.reconstruction.render(views, grid)
 
     def masks(self, views: Sequence[View]) -> UInt8[np.ndarray, "v rows columns"]:
@@ -331,28 +349,6 @@ class Run:
         on = device_named(device).type
         return cls(header.method, config, header.dataset_fingerprint, path, where, device=on, images=dataset)
 
-    def placed(self, path: Path, dataset: Dataset) -> Run:
-        """The same run in a new folder, in which `config.json` and `checkpoints/` are made."""
-        where = None if dataset.path is None else dataset.path.resolve()
-        run = replace(self, path=path, dataset_path=where)
-        (path / "checkpoints").mkdir()
-        run.write_header()
-        return run
-
-    def write_header(self) -> None:
-        """Write `config.json`."""
-        where = None if self.dataset_path is None else str(self.dataset_path)
-        header = Header(SCHEMA, SCHEMA_VERSION, where, self.fingerprint, self.config.as_dict(), self.method)
-        write_json(self.folder / HEADER, header)
-
-    def resumed(self, dataset: Dataset, config: AnyConfig) -> Run:
-        """The same run with its dataset where it is now, and settings as it goes on; written to the disk."""
-        where = None if dataset.path is None else dataset.path.resolve()
-        changed = replace(self, dataset_path=where, config=config)
-        if changed != self:
-            changed.write_header()
-        return changed
-
     @property
     def folder(self) -> Path:
         """Where it is on the disk.
@@ -397,11 +393,12 @@ class Run:
         points = learned.points()
         write_points_ply(self.folder / "points.ply", points, normals=learned.normals_at(points))
 
-    def remove_results(self) -> None:
-        """Before training goes on: results of an earlier state must not be taken for those of the next checkpoint."""
-        with plain_os_errors("write", self.folder):
-            for name in _RESULTS:
-                (self.folder / name).unlink(missing_ok=True)
+
+def write_header(run: Run) -> None:
+    """Write the `config.json` of a run with a folder."""
+    where = None if run.dataset_path is None else str(run.dataset_path)
+    header = Header(SCHEMA, SCHEMA_VERSION, where, run.fingerprint, run.config.as_dict(), run.method)
+    write_json(run.folder / HEADER, header)
 
 
 def read_header(path: Path) -> Header:

@@ -23,27 +23,18 @@ _NEIGHBOURS = 16  # Gaussians that count around a place; those farther away weig
 
 @dataclass(frozen=True)
 class Seen:
-    """Sums over views, for each of N Gaussians that are there.
-
-    Attributes
-    ----------
-    means : numpy.ndarray, float64 [N, 3]
-        Centres, world frame, m.
-    cross_section : numpy.ndarray, float64 [N]
-        Radar cross-sections σ, m².
-    lit_area : numpy.ndarray, float64 [N]
-        Areas across the line of sight over which a Gaussian is seen, m².
-    towards : numpy.ndarray, float64 [N, 3]
-        Directions to the radar, each weighted with that area, m².
-    radius_m : float
-        Gaussians speak for the space around them; standard deviation of their weight there, m.
-    """
+    """Sums over views, for each of N Gaussians."""
 
     means: Float64[np.ndarray, "n 3"]
+    """Centres, world frame, m."""
     cross_section: Float64[np.ndarray, " n"]
+    """Radar cross-sections σ, m²."""
     lit_area: Float64[np.ndarray, " n"]
+    """Areas across the line of sight over which a Gaussian is seen, m²."""
     towards: Float64[np.ndarray, "n 3"]
+    """Directions to the radar, each weighted with that area, m²."""
     radius_m: float
+    """Standard deviation of a Gaussian's weight in the space around it, m."""
 
     @classmethod
     def of(cls, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid) -> Seen:
@@ -62,15 +53,10 @@ class Seen:
         return cls(means, cross_section, area.sum(0), area.T @ directions, _RADIUS * grid.cell_m)
 
     def around(self, points: Real[np.ndarray, "p 3"]) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p 3"]]:
-        """What was seen around points [P, 3], m.
+        """γ⁰ (linear) around points (m), 0 where nothing was seen, and the mean direction to the radars, of any length.
 
-        Returns
-        -------
-        gamma0 : numpy.ndarray, float64 [P]
-            γ⁰, linear: the cross-sections of the Gaussians there over the areas they are seen across, summed over all
-            views. Who sees more of them counts more; who sees nothing does not count. 0 where nothing was seen.
-        towards : numpy.ndarray, float64 [P, 3]
-            Mean direction to the radars that see something there, not normalised.
+        γ⁰ is the sum of the cross-sections of the Gaussians there over that of the areas they are seen across: a view
+        counts as much as it sees of them.
         """
         if len(self.means) == 0:
             return np.zeros(len(points)), np.zeros((len(points), 3))

@@ -1,4 +1,4 @@
-"""What a dataset fixes about a learned scene."""
+"""What the training images fix about a learned scene."""
 
 from __future__ import annotations
 
@@ -17,25 +17,16 @@ from sarsplat.reconstruction.target_box import target_box
 
 @dataclass(frozen=True)
 class Setting:
-    """What the dataset fixes about the learned scene.
-
-    Parameters
-    ----------
-    region : Region
-        The space the target may occupy.
-    unit : float
-        Power that counts as 1: every γ⁰, the noise floor and P_min are in this unit. β⁰ itself, or with surroundings,
-        calibrated or not, the training set's mean.
-    views : tuple of View
-        Of the training images.
-    grid : ImageGrid
-        Of the training images. Lengths in configurations are multiples of its resolution cell.
-    """
+    """What the training images fix about the learned scene."""
 
     region: Region
+    """The space the target may occupy."""
     unit: float
+    """Power that counts as 1: every γ⁰, the noise floor and P_min are in this unit. β⁰ itself, or with surroundings,
+    calibrated or not, the training set's mean."""
     views: tuple[View, ...]
     grid: ImageGrid
+    """Lengths in configurations are multiples of its resolution cell."""
 
     @classmethod
     def of(cls, config: Config, dataset: Dataset) -> Setting:

@@ -23,49 +23,31 @@ _Power = Annotated[float, msgspec.Meta(gt=0, le=1e18)]
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A training's state, and what its results are made with.
-
-    Parameters
-    ----------
-    iteration : int
-        Steps done.
-    seconds : float
-        Time they took, s of wall clock.
-    queue : tuple of int
-        Training views that come next.
-    grid : ImageGrid
-        Of the images.
-    views : tuple of View
-        Of the training images, as the training has refined them.
-    unit : float
-        Power that counts as 1 in the model.
-    brightest : float
-        Largest β⁰ of the training images, linear power.
-    tensors : dict of str to Tensor
-        `model/…`, `optimiser/…` and whatever else the training needs, on the CPU.
-    """
+    """A training's state, and what its results are made with."""
 
     iteration: int
+    """Steps done."""
     seconds: float
+    """Time they took, s of wall clock."""
     queue: tuple[int, ...]
+    """Training views that come next."""
     grid: ImageGrid
+    """Of the images."""
     views: tuple[View, ...]
+    """Of the training images, as the training has refined them."""
     unit: float
+    """Power that counts as 1 in the model."""
     brightest: float
+    """Largest β⁰ of the training images, linear power."""
     tensors: dict[str, Tensor]
+    """`model/…`, `optimiser/…` and whatever else the training needs, on the CPU."""
 
     def part(self, prefix: str) -> dict[str, Tensor]:
         """The tensors whose names begin with this and a slash, without it."""
         return {name.removeprefix(f"{prefix}/"): t for name, t in self.tensors.items() if name.startswith(f"{prefix}/")}
 
     def like(self, prefix: str, expected: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Its `part` of that name.
-
-        Raises
-        ------
-        ValueError
-            If that has not the names, shapes and types of these tensors, or not only finite numbers.
-        """
+        """Its `part` of that name; ValueError unless it has these names, shapes and types, and finite numbers."""
         saved = self.part(prefix)
         if saved.keys() != expected.keys():
             raise ValueError(f"{prefix}: it holds {', '.join(saved) or 'nothing'} instead of {', '.join(expected)}")

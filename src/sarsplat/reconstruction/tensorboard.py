@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32
 
-from sarsplat.data import Dataset, DatasetEntry
+from sarsplat.data import Dataset
 from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
 from sarsplat.radiometry import LEAST_POWER, shade
+from sarsplat.reconstruction.log import LogLine
 from sarsplat.reconstruction.loop import Step
 from sarsplat.reconstruction.run import HEADER
 
@@ -73,12 +74,11 @@ class TensorBoard:
         if self._began_at is None:
             self._begin(step)
         if step.line is not None:
-            self._scalars(step)
+            self._scalars(step, step.line)
         last = step.iteration == step.trainer.config.iterations
         if last or _shows(step.iteration):
             images = step.trainer.rendered([entry.view for entry in self._entries])
-            for entry, image in zip(self._entries, images, strict=True):
-                self._image(f"{_tag(entry)}/rendered", image, step.iteration)
+            self._images("rendered", images, step.iteration)
         if self._must_wait(step):
             return
         self._awaited = None
@@ -102,16 +102,13 @@ class TensorBoard:
 
     def _begin(self, step: Step[Any]) -> None:
         self._began_at = step.iteration
-        self._last = (0, 0.0) if step.iteration == 1 else None
         if self._must_wait(step) and step.folder_to_come is not None and not (step.folder_to_come / HEADER).exists():
             self._awaited = step.folder_to_come
         if step.iteration == 1:
-            for entry, image in zip(self._entries, self._truth, strict=True):
-                self._image(f"{_tag(entry)}/truth", image, 0)
+            self._last = (0, 0.0)
+            self._images("truth", self._truth, 0)
 
-    def _scalars(self, step: Step[Any]) -> None:
-        line = step.line
-        assert line is not None
+    def _scalars(self, step: Step[Any], line: LogLine) -> None:
         values = {"loss": line.loss, **{f"terms/{name}": float(value) for name, value in step.trainer.terms.items()}}
         values |= {f"learning rate/{name}": rate for name, rate in step.trainer.learning_rates.items()}
         if line.gaussians is not None:
@@ -122,9 +119,14 @@ class TensorBoard:
         for name, value in values.items():
             self._waiting.append(methodcaller("add_scalar", name, value, line.iteration))
 
-    def _image(self, tag: str, power: Float32[np.ndarray, "rows columns"], iteration: int) -> None:
-        grey = _grey(power, self._brightest)
-        self._waiting.append(methodcaller("add_image", tag, grey, iteration, dataformats="HW"))
+    def _images(self, kind: str, power: Float32[np.ndarray, "v rows columns"], iteration: int) -> None:
+        """White is the brightest pixel of the truth; row 0, near range, at the top."""
+        grey = np.round(255 * shade(power, max(self._brightest, LEAST_POWER))).astype(np.uint8)
+        for entry, image in zip(self._entries, grey, strict=True):
+            name = entry.name.replace("/", " ")  # which would make groups
+            angles = f"azimuth {entry.view.azimuth_deg:g}°, grazing {entry.view.grazing_deg:g}°"
+            tag = f"{entry.split} {name}, {angles}/{kind}"
+            self._waiting.append(methodcaller("add_image", tag, image, iteration, dataformats="HW"))
 
     def _write(self) -> None:
         with plain_os_errors("write", self._folder):
@@ -154,17 +156,6 @@ def _evenly(indices: list[int], count: int) -> list[int]:
     return [indices[k * len(indices) // count] for k in range(count)]
 
 
-def _tag(entry: DatasetEntry) -> str:
-    """E.g. `test 007, azimuth 30°, grazing 45°`."""
-    name = entry.name.replace("/", " ")  # which would make groups
-    return f"{entry.split} {name}, azimuth {entry.view.azimuth_deg:g}°, grazing {entry.view.grazing_deg:g}°"
-
-
 def _shows(iteration: int) -> bool:
     power = round(math.log(iteration, _GROWTH)) if iteration > 1 else 0
     return iteration in {round(_GROWTH**k) for k in (power - 1, power, power + 1)}
-
-
-def _grey(power: Float32[np.ndarray, "rows columns"], brightest: float) -> UInt8[np.ndarray, "rows columns"]:
-    """White is the brightest pixel of the truth; row 0, near range, at the top."""
-    return np.round(255 * shade(power, max(brightest, LEAST_POWER))).astype(np.uint8)

@@ -21,12 +21,10 @@ from sarsplat.reconstruction.dropout import dropped
 from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss
 from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.optimiser import Optimiser, followed
-from sarsplat.reconstruction.saved_model import model_tensors, saved_model
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.reconstruction.strategies import Info, Strategy, strategies_of
 from sarsplat.reconstruction.strategies.strategy import of_rows
-from sarsplat.reconstruction.training_images import TrainingImages
-from sarsplat.reconstruction.view_queue import ViewQueue
+from sarsplat.reconstruction.training_images import TrainingImages, ViewQueue
 from sarsplat.renderer import Rendering, channel_of
 
 
@@ -94,7 +92,7 @@ class Trainer:
             self.grid,
             self.model.degree(self.iteration),
             rays=self._rays,
-            chips=torch.stack([self.images.numbers[i] for i in chosen]),
+            numbers=torch.stack([self.images.numbers[i] for i in chosen]),
             plane_gradients=any(strategy.wants_plane_gradients(step) for strategy in self.strategies),
             bounds=self._bounds,
             dropped=dropped(len(self.model), share, self.config.seed, step, self.device) if share else None,
@@ -152,19 +150,12 @@ class Trainer:
 
     @property
     def _rays(self) -> RayGrid:
-        """Coarse at first, finer towards the end."""
         config = self.config
         fine = self.iteration >= config.fine_from * config.iterations
         return RayGrid.for_image(self.grid, config.fine_rays_per_pixel if fine else config.rays_per_pixel)
 
     def check(self) -> None:
-        """Wait for the device, and see that every step so far was given what it can render.
-
-        Raises
-        ------
-        SarsplatError
-            If not.
-        """
+        """Wait for the device, and raise a SarsplatError if a step so far was given what it cannot render."""
         self._bounds.check()
 
     @property
@@ -193,15 +184,9 @@ class Trainer:
         return self.model.target(self.model.degree(self.iteration)).detach()
 
     def snapshot(self, seconds: float) -> Snapshot:
-        """Everything the next step depends on, as it is now; `seconds` is how long the training took until here.
-
-        Raises
-        ------
-        SarsplatError
-            If a step was given what it cannot render.
-        """
+        """Everything the next step depends on, as it is now; `seconds` is how long the training took until here."""
         self.check()
-        tensors = {"generator": self._generator.get_state(), **model_tensors(self.model)}
+        tensors = {"generator": self._generator.get_state(), **self.model.tensors()}
         tensors |= {f"optimiser/{name}": tensor for name, tensor in self.optimiser.tensors().items()}
         for strategy, state in zip(self.strategies, self._states, strict=True):
             tensors[f"strategy/{strategy.name}"] = torch.empty(0, device="cpu")  # it is there, even without any state
@@ -220,12 +205,7 @@ class Trainer:
     def restore(self, snapshot: Snapshot) -> None:
         """Undo `snapshot`.
 
-        Raises
-        ------
-        SarsplatError
-            If it is of a training with other strategies.
-        KeyError, ValueError
-            If it is not of such a training.
+        Raises a SarsplatError if it is of a training with other strategies, KeyError or ValueError if of no such one.
         """
         names = [name.removeprefix("strategy/") for name in snapshot.tensors if name.startswith("strategy/")]
         begun, own = {name for name in names if "/" not in name}, {strategy.name for strategy in self.strategies}
@@ -234,7 +214,7 @@ class Trainer:
                 f"the training was begun with the strategies {', '.join(sorted(begun)) or 'none'}, not "
                 f"{', '.join(sorted(own)) or 'none'}; give the same"
             )
-        self._learn(saved_model(snapshot, self.config, self.device))
+        self._learn(SceneModel.saved(snapshot, self.config, self.device))
         self.optimiser.load(snapshot.part("optimiser"))
         for strategy, state in zip(self.strategies, self._states, strict=True):
             state.load(snapshot.part(f"strategy/{strategy.name}"))

@@ -103,6 +103,7 @@ def reconstruct(
     with progress(f"reconstruct ({heading})", config.iterations, quiet) as shown:
         if note is not None:
             shown.note(note)
-        new = Run(method, trainer.config, dataset.fingerprint())
+        where = None if dataset.path is None else dataset.path.resolve()
+        new = Run(method, trainer.config, dataset.fingerprint(), dataset_path=where)
         folder = None if out is None else Path(out)
         return train(Training(trainer, on_step, shown), new, dataset, folder, resume=resume, overwrite=overwrite)

@@ -1,4 +1,4 @@
-"""The images that a training learns from, on its device."""
+"""The images that a training learns from, on its device, and the order in which its steps look at them."""
 
 from __future__ import annotations
 
@@ -6,20 +6,14 @@ import torch
 
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
+from sarsplat.reconstruction.snapshot import Snapshot
 
 _FAINTEST = 1e-30
 """Largest β⁰ below which images count as black: squares and reciprocals of it would leave float32."""
 
 
 class TrainingImages:
-    """A dataset's training images.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        All images.
-    device : torch.device
-        Where to keep them.
+    """The training images of a dataset; refused if they are black.
 
     Attributes
     ----------
@@ -35,11 +29,6 @@ class TrainingImages:
         Largest β⁰.
     samples : float
         Independent samples of speckle in each.
-
-    Raises
-    ------
-    SarsplatError
-        If the images are black.
     """
 
     def __init__(self, dataset: Dataset, device: torch.device) -> None:
@@ -53,3 +42,36 @@ class TrainingImages:
         self.samples = self.grid.independent_samples * (train.looks or 1.0)
         self.truth = power.to(device)
         self.numbers = torch.arange(len(self.views), device=device)
+
+
+class ViewQueue:
+    """Numbers of the training views in a random order, then in another, `per_step` or all of them at a time.
+
+    `generator` is one of the CPU, so that the order is the same on every device.
+    """
+
+    def __init__(self, views: int, per_step: int, generator: torch.Generator) -> None:
+        self.waiting: list[int] = []
+        self._views, self._count, self._generator = views, min(per_step, views), generator
+
+    def next(self) -> list[int]:
+        """Numbers of the views of the next step."""
+        while len(self.waiting) < self._count:
+            self.waiting += torch.randperm(self._views, generator=self._generator, device="cpu").tolist()
+        chosen, self.waiting = self.waiting[: self._count], self.waiting[self._count :]
+        return chosen
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Continue with the views and the state of the generator that a snapshot holds.
+
+        Raises
+        ------
+        ValueError, KeyError, TypeError, RuntimeError
+            If it does not hold them.
+        """
+        if len(snapshot.views) != self._views:
+            raise ValueError(f"it has {len(snapshot.views)} views for {self._views} training images")
+        if not all(0 <= k < self._views for k in snapshot.queue):
+            raise ValueError("it queues views that do not exist")
+        self._generator.set_state(snapshot.tensors["generator"])
+        self.waiting = list(snapshot.queue)

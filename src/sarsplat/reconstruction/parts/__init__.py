@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import torch
 
+from sarsplat.plugins import classes_in
 from sarsplat.reconstruction.config import Config
-from sarsplat.reconstruction.discovery import classes_in
 from sarsplat.reconstruction.parts.part import Part
 from sarsplat.reconstruction.setting import Setting
 

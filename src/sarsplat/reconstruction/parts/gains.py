@@ -1,4 +1,4 @@
-"""Gains: measured chips are not of one brightness."""
+"""Gains: measured images differ in brightness."""
 
 from __future__ import annotations
 
@@ -23,12 +23,10 @@ class Gains(Nuisance):
 
     @property
     def learned(self) -> dict[str, Learned]:
-        """See `Part`."""
         rate = self.config.rates.nuisance if self.settings.gain_std else 0.0
         return {"log_gain": Learned((len(self.setting.views),), (rate,))}
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        """See `Part`."""
         return {"log_gain": torch.zeros(len(train), device="cpu")}
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
@@ -37,16 +35,14 @@ class Gains(Nuisance):
             yield normal_nats(p["log_gain"], self.settings.gain_std)
 
     def shot(self, shot: Shot, p: Parameters) -> Shot:
-        """See `Part`."""
-        return shot if shot.chips is not None else replace(shot, additive=gains(p).reciprocal().mean())
+        return shot if shot.numbers is not None else replace(shot, additive=gains(p).reciprocal().mean())
 
     def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
-        """See `Part`."""
-        if shot.chips is None:
+        if shot.numbers is None:
             return images
         # not by `render`, which would look at its values, and a GPU would be waited for; expanded, so that its gradient
         # is summed column by column: to one number, torch would split it by threads
-        return images * gains(p)[shot.chips, None, None, None].expand(-1, images.shape[1], 1, shot.grid.columns)
+        return images * gains(p)[shot.numbers, None, None, None].expand(-1, images.shape[1], 1, shot.grid.columns)
 
 
 def gains(p: Parameters) -> Float[Tensor, " v"]:

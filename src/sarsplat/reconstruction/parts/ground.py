@@ -30,12 +30,10 @@ class Ground(Nuisance):
 
     @classmethod
     def wanted(cls, config: Config) -> bool:
-        """See `Part`."""
         return config.surroundings is not None and config.surroundings.ground_pitch > 0
 
     @property
     def learned(self) -> dict[str, Learned]:
-        """See `Part`."""
         rates = self.config.rates
         return {
             "ground": Learned((self._law.parameters.shape[1],), (rates.nuisance,)),
@@ -43,7 +41,6 @@ class Ground(Nuisance):
         }
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        """See `Part`."""
         mean_tangent = float(np.mean([beta0_of_gamma0(1.0, view.grazing_deg) for view in train.views]))
         # γ⁰ of single-look clutter, from its median
         level = float(np.median(train.power)) / self.setting.unit / math.log(2) / mean_tangent
@@ -58,15 +55,13 @@ class Ground(Nuisance):
     def scene(
         self, scene: Gaussians | None, p: Parameters, degree: int, dropped: Bool[Tensor, " n"] | None
     ) -> Gaussians:
-        """See `Part`."""
         uniform = p["ground"].expand(len(self._sheet), -1)
-        # only its level is learned: chips of one grazing angle cannot say how γ⁰ goes on at others
+        # only its level is learned: images of one grazing angle cannot say how γ⁰ goes on at others
         level = torch.cat([uniform[:, :1] + p["ground_texture"], uniform[:, 1:].detach()], dim=1)
         ground = replace(self._sheet, scattering=replace(self._law, parameters=level).detailed(degree))
         return ground if scene is None else join(scene, ground)
 
     def reach(self) -> Bounds:
-        """See `Part`."""
         sheet = self._made
         low, high = sheet.means.amin(0).tolist(), sheet.means.amax(0).tolist()
         return Bounds((*low,), (*high,), float(sheet.scales.max()), float(sheet.optical_depth.max()), "cpu")

@@ -1,4 +1,4 @@
-"""Noise floor: power that measured chips show where nothing scatters."""
+"""Noise floor: power that measured images show where nothing scatters."""
 
 from __future__ import annotations
 
@@ -19,15 +19,12 @@ class NoiseFloor(Nuisance):
 
     @property
     def learned(self) -> dict[str, Learned]:
-        """See `Part`."""
         return {"noise": Learned((1,), (self.config.rates.nuisance,))}
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        """See `Part`."""
         return {"noise": torch.full((1,), math.log(self.settings.noise_floor), device="cpu")}
 
     def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
-        """See `Part`."""
         floor = p["noise"].exp()
         if shot.additive is not None:
             floor = floor * shot.additive

@@ -29,29 +29,19 @@ def late(done: float) -> float:
 
 @dataclass(frozen=True)
 class Learned:
-    """How a parameter is learned.
-
-    Parameters
-    ----------
-    shape : tuple of (int or None)
-        Of the parameter; None is the number of Gaussians: such a parameter has a row for each, and follows where
-        Gaussians come and go.
-    rates : tuple of float
-        First learning rate: one, or one for each column. 0 for what keeps its value.
-    decay : callable
-        From the share of the training that is done to a factor on the rates.
-    low, high : Tensor or float
-        Range that it is brought back into after each step: one number, or one for each column.
-    logarithmic : bool
-        It is positive and moves by factors: what is stepped is its logarithm.
-    """
+    """How a parameter is learned."""
 
     shape: tuple[int | None, ...]
+    """None is the number of Gaussians: the parameter has a row for each, and follows where Gaussians come and go."""
     rates: tuple[float, ...]
+    """First learning rate: one, or one for each column. 0 for what keeps its value."""
     decay: Callable[[float], float] = late
+    """From the share of the training that is done to a factor on the rates."""
     low: Tensor | float = -torch.inf
+    """Range that it is brought back into after each step: one number, or one for each column."""
     high: Tensor | float = torch.inf
     logarithmic: bool = False
+    """Whether its logarithm is stepped: it is positive and changes by factors."""
 
     @property
     def per_gaussian(self) -> bool:
@@ -61,31 +51,20 @@ class Learned:
 
 @dataclass(frozen=True)
 class Shot:
-    """How images of the scene are to be taken.
-
-    Parameters
-    ----------
-    views : sequence of View
-        V views.
-    grid : ImageGrid
-        Pixels and response that the scene is rendered with.
-    power_channel : int
-        The channel of the images that is β⁰.
-    chips : Tensor, int64 [V], or None
-        Which training images they are. None for unseen ones: of what belongs to single images (shift, gain), only the
-        distribution is known, and their expectation is rendered.
-    shift : Tensor [V, 2], optional
-        Displacement (azimuth, range) of each image, m.
-    additive : Tensor, a single number, optional
-        Factor on power that is added to unseen images instead of being scattered.
-    """
+    """How images of the scene are to be taken."""
 
     views: Sequence[View]
     grid: ImageGrid
+    """Pixels and response that the scene is rendered with."""
     power_channel: int
-    chips: Int64[Tensor, " v"] | None
+    """The channel of the images that is β⁰."""
+    numbers: Int64[Tensor, " v"] | None
+    """Which training images they are. None for unseen ones: of what belongs to single images (shift, gain), only the
+    distribution is known, and their expectation is rendered."""
     shift: Float[Tensor, "v 2"] | None = None
+    """Displacement (azimuth, range) of each image, m."""
     additive: Float[Tensor, ""] | None = None
+    """Factor on power that is added to unseen images instead of being scattered."""
 
 
 class Part(ABC):
@@ -93,15 +72,6 @@ class Part(ABC):
 
     To add a part, put a file with a class derived from this one into this folder. Its settings are a `Record` in
     `reconstruction/config.py` and a field of `Config` that is None where the part is absent.
-
-    Parameters
-    ----------
-    config : Config
-        The reconstruction's configuration.
-    setting : Setting
-        What the dataset fixes.
-    device : torch.device
-        Where everything is computed.
     """
 
     order: ClassVar[int]
@@ -180,7 +150,6 @@ class Nuisance(Part):
 
     @classmethod
     def wanted(cls, config: Config) -> bool:
-        """See `Part`."""
         return config.surroundings is not None
 
     def __init__(self, config: Config, setting: Setting, device: torch.device) -> None:

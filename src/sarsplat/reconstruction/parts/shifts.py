@@ -1,4 +1,4 @@
-"""Shifts: measured chips are cut out around their targets, by eye."""
+"""Shifts: measured images are cut out around their targets, by eye."""
 
 from __future__ import annotations
 
@@ -24,12 +24,10 @@ class Shifts(Nuisance):
 
     @property
     def learned(self) -> dict[str, Learned]:
-        """See `Part`."""
         rate = self.config.rates.shift * self.setting.cell_m if self.settings.shift_std else 0.0
         return {"shift": Learned((len(self.setting.views), 2), (rate,))}
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        """See `Part`."""
         return {"shift": torch.zeros(len(train), 2, device="cpu")}
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
@@ -38,13 +36,11 @@ class Shifts(Nuisance):
             yield normal_nats(p["shift"], self.settings.shift_std * self.setting.cell_m)
 
     def shot(self, shot: Shot, p: Parameters) -> Shot:
-        """See `Part`."""
-        if shot.chips is not None:
-            return replace(shot, shift=p["shift"][shot.chips])
+        if shot.numbers is not None:
+            return replace(shot, shift=p["shift"][shot.numbers])
         widened = shot.grid.widened(*p["shift"].detach().var(dim=0, correction=0).tolist())
         return replace(shot, grid=widened, shift=p["shift"].mean(0).expand(len(shot.views), 2))
 
     def displaced(self, grid: ImageGrid, p: Parameters) -> ImageGrid:
-        """See `Part`."""
         azimuth, slant_range = p["shift"].detach().mean(0).tolist()
         return replace(grid, center_m=(grid.center_m[0] - azimuth, grid.center_m[1] - slant_range))

@@ -12,13 +12,14 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sarsplat.data import Dataset
-from sarsplat.gaussians import SCATTERINGS, Gaussians, Scattering, join
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import MIN_SCALE, SCATTERINGS, Gaussians, Scattering, join
 from sarsplat.gaussians.initialise import BRIGHT_DB, Region, hemisphere_shell, random_quaternions
 from sarsplat.radiometry import brighter
 from sarsplat.reconstruction.config import Config
-from sarsplat.reconstruction.lengths import scales_m
 from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, column_means, normal_nats
 from sarsplat.renderer import Bounds
+from sarsplat.renderer.checks import MAX_SCALE
 
 _MIN_OPTICAL_DEPTH = 1e-3
 
@@ -49,7 +50,6 @@ class Target(Part):
 
     @cached_property
     def learned(self) -> dict[str, Learned]:
-        """See `Part`."""
         config, rates = self.config, self.config.rates
         low, high = self._box
         smallest, _, largest = scales_m(config, self.setting.cell_m)
@@ -73,7 +73,6 @@ class Target(Part):
         }
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        """See `Part`."""
         config = self.config
         sample = hemisphere_shell if config.initialisation == "hemisphere" else Region.sample
         n = config.gaussians or _enough(train)
@@ -111,7 +110,7 @@ class Target(Part):
     def scene(
         self, scene: Gaussians | None, p: Parameters, degree: int, dropped: Bool[Tensor, " n"] | None
     ) -> Gaussians:
-        """See `Part`; the Gaussians that are left make up for those `dropped`."""
+        """The Gaussians that are left compensate for the optical depth of those `dropped`."""
         depth = p["optical_depth"]
         if dropped is not None:
             more = (depth / (1 - self.config.dropout)).clamp(max=self.config.max_optical_depth)
@@ -121,7 +120,7 @@ class Target(Part):
         return target if scene is None else join(scene, target)
 
     def reach(self) -> Bounds:
-        """See `Part`; also of the first scene."""
+        """Bounds of every scene, the first included."""
         config, (low, high) = self.config, self._box
         depth = max(config.max_optical_depth, config.initial_optical_depth)
         return Bounds((*low.tolist(),), (*high.tolist(),), max(scales_m(config, self.setting.cell_m)), depth, "cpu")
@@ -146,6 +145,26 @@ class Target(Part):
 def law(config: Config, count: int, gamma0: float) -> Scattering:
     """The configuration's law of scattering, as a training starts with it."""
     return SCATTERINGS[config.scattering].initial(count, gamma0, config.p_min).detailed(config.harmonics_degree)
+
+
+def scales_m(config: Config, cell_m: float) -> tuple[float, float, float]:
+    """Smallest, first and largest standard deviation of a Gaussian, m; the smallest at least `MIN_SCALE`.
+
+    Raises
+    ------
+    SarsplatError
+        If the first or the largest cannot be rendered.
+    """
+    smallest, first, largest = (
+        cells * cell_m for cells in (config.scale_bounds[0], config.initial_scale, config.scale_bounds[1])
+    )
+    for name, scale in (("initial_scale", first), ("scale_bounds", largest)):
+        if not MIN_SCALE <= scale <= MAX_SCALE:
+            raise SarsplatError(
+                f"{name} makes Gaussians of {scale:.3g} m from resolution cells of {cell_m:.3g} m, and only "
+                f"{MIN_SCALE:g} m to {MAX_SCALE:g} m can be rendered; choose another, or check the grid's metres"
+            )
+    return max(smallest, MIN_SCALE), first, largest
 
 
 def _enough(train: Dataset) -> int:

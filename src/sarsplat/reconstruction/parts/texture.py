@@ -20,7 +20,7 @@ from sarsplat.reconstruction.config import Config, Surroundings
 from sarsplat.reconstruction.parts.part import Nuisance, Parameters, Shot
 
 _NEGLIGIBLE = 0.02
-"""Weight below which a chip is dropped: most are far away."""
+"""Weight below which an image is dropped: most are far away."""
 
 _PITCH = 0.6
 """Of the maps on the ground, resolution cells."""
@@ -33,13 +33,7 @@ _LARGEST = 2**27
 
 
 class Texture(Nuisance):
-    """The factor that `Maps` are, once it has been estimated: not learned by steps, but saved.
-
-    Attributes
-    ----------
-    maps : Maps or None
-        Replaced, never changed.
-    """
+    """The factor that `Maps` are, once it has been estimated: not learned by steps, but saved."""
 
     order = 70
     name = "texture"
@@ -48,59 +42,48 @@ class Texture(Nuisance):
 
     @classmethod
     def wanted(cls, config: Config) -> bool:
-        """See `Part`."""
         return config.surroundings is not None and config.surroundings.texture_looks > 0
 
     def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
-        """See `Part`."""
         if self.maps is None:
             return images
-        unseen = shot.chips is None
-        factor = self.maps.factor(shot.views, shot.grid) if unseen else self.maps.among_chips[shot.chips]
+        unseen = shot.numbers is None
+        factor = self.maps.factor(shot.views, shot.grid) if unseen else self.maps.among_images[shot.numbers]
         return images * factor[:, None]
 
     def state(self) -> Parameters:
-        """See `Part`."""
         return {} if self.maps is None else self.maps.tensors
 
     def load(self, state: Parameters) -> None:
-        """See `Part`."""
         self.maps = Maps(state, self.setting.grid, self.settings) if state else None
         if self.maps is not None and len(state["ratio"]) != len(self.setting.views):
-            raise ValueError(f"a texture of {len(state['ratio'])} chips for {counted(len(self.setting.views), 'view')}")
+            raise ValueError(
+                f"a texture of {len(state['ratio'])} images for {counted(len(self.setting.views), 'view')}"
+            )
 
 
 class Maps:
-    """A factor on the power of rendered images: what chips have more or less than the scene, as a map on the ground.
+    """A factor on the power of rendered images: what images show more or less than the scene, as a map on the ground.
 
     No ground is uniform, and glints last for a few degrees: neither is in the scene, and both keep their place on the
-    ground from one chip to the next. With single-look speckle, ratios r_k of measured to rendered power and factors
+    ground from one image to the next. With single-look speckle, ratios r_k of measured to rendered power and factors
     that are expected to be 1, by a gamma distribution worth n looks, the mean afterwards is
-    (n + Σ w_k r_k) / (n + Σ w_k). The weights w_k = exp(−Δ_k / reach) fall with the difference in azimuth. Chips of all
-    grazing angles count the same: bumps, and corners between walls and ground, are seen under each.
+    (n + Σ w_k r_k) / (n + Σ w_k). The weights w_k = exp(−Δ_k / reach) fall with the difference in azimuth. Images of
+    all grazing angles count the same: bumps, and corners between walls and ground, are seen under each.
 
     Parameters
     ----------
     tensors : dict of str to Tensor
-        Of the K training chips `ratio`, float32 [K, rows, columns]: measured over rendered power, smoothed; `shift_m`,
+        Of the K training images `ratio`, float32 [K, rows, columns]: measured over rendered power, smoothed; `shift_m`,
         float32 [K, 2]: displacement in azimuth and slant range, m; `view_deg`, float64 [K, 2]: azimuth and grazing.
+        KeyError or ValueError if they are not.
     grid : ImageGrid
         Of all images.
     settings : Surroundings
         n and the reach.
-
-    Raises
-    ------
-    KeyError, ValueError
-        If the tensors are not those.
     """
 
-    def __init__(
-        self,
-        tensors: dict[str, Tensor],
-        grid: ImageGrid,
-        settings: Surroundings,
-    ) -> None:
+    def __init__(self, tensors: dict[str, Tensor], grid: ImageGrid, settings: Surroundings) -> None:
         _check(tensors, grid)
         self.tensors, ratio = tensors, tensors["ratio"]
         self._shifts_m = tensors["shift_m"].cpu().double().numpy()
@@ -111,9 +94,9 @@ class Maps:
         self._half = math.ceil(radius_m / self._pitch_m)
         axis = np.arange(-self._half, self._half + 1) * self._pitch_m
         ground = np.stack(np.meshgrid(axis, axis), axis=-1)
-        known = torch.ones_like(ratio)
-        self._maps = torch.stack(  # [K, 2, y, x]: the ratio, and whether the chip shows the place
-            [self._chip_at(torch.stack([ratio[k], known[k]]), k, ground) for k in range(len(ratio))]
+        shown = torch.ones_like(ratio)
+        self._maps = torch.stack(  # [K, 2, y, x]: the ratio, and whether the image shows the place
+            [self._image_at(torch.stack([ratio[k], shown[k]]), k, ground) for k in range(len(ratio))]
         )
 
     @classmethod
@@ -137,18 +120,18 @@ class Maps:
         )
 
     def factor(self, views: Sequence[View], grid: ImageGrid) -> Float32[Tensor, "v {grid.rows} {grid.columns}"]:
-        """For images from any views, on any grid; 1 where no chip reaches."""
+        """For images from any views, on any grid; 1 where no image reaches."""
         return torch.stack([self._factor(view, self._shifts_m.mean(axis=0), None, grid) for view in views])
 
     @cached_property
-    def among_chips(self) -> Float32[Tensor, "k rows columns"]:
-        """For each training chip, from all others: it must not explain its own speckle."""
+    def among_images(self) -> Float32[Tensor, "k rows columns"]:
+        """For each training image, from all others: it must not explain its own speckle."""
         return torch.stack([self._factor(view, self._shifts_m[k], k, self._grid) for k, view in enumerate(self._views)])
 
-    def _chip_at(
+    def _image_at(
         self, layers: Float32[Tensor, "2 rows columns"], k: int, ground_m: Float64[np.ndarray, "y x 2"]
     ) -> Float32[Tensor, "2 y x"]:
-        """What chip k shows at places on the ground."""
+        """What image k shows at places on the ground."""
         grid = self._grid
         place = ground_m @ _onto_image(self._views[k]).T + self._shifts_m[k] - grid.center_m
         size = np.array([grid.columns, grid.rows])

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from sarsplat.data import Dataset
+from sarsplat.plugins import classes_in
 from sarsplat.reconstruction.config import Config
-from sarsplat.reconstruction.discovery import classes_in
 from sarsplat.reconstruction.strategies.strategy import Configured, Info, State, Strategy
 
 __all__ = ["Info", "State", "Strategy", "strategies_of"]

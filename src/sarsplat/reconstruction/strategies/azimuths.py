@@ -1,4 +1,4 @@
-"""Azimuths of training chips that are known only to within some degrees: refined while the scene is learned."""
+"""Azimuths of training images that are known only to within some degrees: refined while the scene is learned."""
 
 from __future__ import annotations
 
@@ -24,25 +24,14 @@ _EACH_WAY = 5
 """Offsets tried on each side of the label."""
 
 NegativeLogLikelihood = Callable[[Sequence[View], Int64[np.ndarray, " n"]], Float64[np.ndarray, " n"]]
-"""Of training chips, given by their numbers, as seen from these views; nats."""
-
+"""From views and the numbers of training images to the images' negative log-likelihood as seen from there, nats."""
 
 AZIMUTH_OFFSETS = "strategy/azimuths/offset_deg"
 """In a snapshot: float64 [K], what is added to the azimuths of the training views, degrees; if any is uncertain."""
 
 
 class AzimuthRefinement(Configured):
-    """From where the training images are taken to have been taken.
-
-    Parameters
-    ----------
-    train : Dataset
-        The training images: azimuths as labelled, and how well each is known.
-    settings : Surroundings
-        When to refine them.
-    iterations : int
-        Length of the training.
-    """
+    """Estimates the azimuths of training images, given their labels and how well each is known."""
 
     order = 30
     name = "azimuths"
@@ -53,7 +42,6 @@ class AzimuthRefinement(Configured):
 
     @classmethod
     def of(cls, config: Config, train: Dataset) -> Self | None:
-        """See `Configured`."""
         uncertain = any(entry.azimuth_std_deg for entry in train.entries)
         return cls(train, config.surroundings, config.iterations) if config.surroundings and uncertain else None
 
@@ -70,13 +58,12 @@ class AzimuthRefinement(Configured):
     def step_post_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
     ) -> None:
-        """See `Strategy`."""
         if not self.due(step):
             return
         info.check()
 
-        def nats(views: Sequence[View], chips: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-            each = [speckle_nats(rendered, measured) for measured, rendered in info.compared(views, chips)]
+        def nats(views: Sequence[View], numbers: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+            each = [speckle_nats(rendered, measured) for measured, rendered in info.compared(views, numbers)]
             return torch.cat(each).double().cpu().numpy() * info.images.samples
 
         offset_deg = self.most_likely(nats)
@@ -91,33 +78,27 @@ class AzimuthRefinement(Configured):
     def most_likely(self, nats: NegativeLogLikelihood) -> Float64[np.ndarray, " k"]:
         """How far each azimuth is from its label where it is most likely, given that and its image, degrees.
 
-        The offsets of all have no mean: turning all chips the same way would turn the target, away from the test
-        views. Each counts as much as it is known, so one that is known exactly holds the target alone.
+        The weighted mean of all offsets is 0: turning all images the same way would turn the target, away from the test
+        views. The better an azimuth is known, the more it counts; one that is known exactly fixes the target's heading.
         """
-        chips = np.flatnonzero(self._std_deg)
-        std = self._std_deg[chips]
+        uncertain = np.flatnonzero(self._std_deg)
+        std = self._std_deg[uncertain]
         tried = std[:, None] * np.linspace(-_REACH, _REACH, 2 * _EACH_WAY + 1)
         views = [
-            _turned(self._labelled[k], offset) for k, row in zip(chips, tried.tolist(), strict=True) for offset in row
+            _turned(self._labelled[k], offset)
+            for k, row in zip(uncertain, tried.tolist(), strict=True)
+            for offset in row
         ]
-        misfit = nats(views, np.repeat(chips, tried.shape[1])).reshape(tried.shape)
+        misfit = nats(views, np.repeat(uncertain, tried.shape[1])).reshape(tried.shape)
         offset = np.zeros(len(self._std_deg))
-        offset[chips] = lowest(tried, misfit + (tried / std[:, None]) ** 2 / 2)
-        if len(chips) == len(offset):
+        offset[uncertain] = lowest(tried, misfit + (tried / std[:, None]) ** 2 / 2)
+        if len(uncertain) == len(offset):
             offset -= np.average(offset, weights=std**-2.0)
         return offset
 
 
 def lowest(places: Float64[np.ndarray, "k n"], values: Float64[np.ndarray, "k n"]) -> Float64[np.ndarray, " k"]:
-    """Where each row has its least value: of the parabola through the lowest three, or at the end.
-
-    Parameters
-    ----------
-    places : numpy.ndarray, float64 [K, N]
-        Evenly spaced in each row.
-    values : numpy.ndarray, float64 [K, N]
-        There.
-    """
+    """Where each row of values at evenly spaced places is least: of the parabola through the lowest 3, or at an end."""
     rows = np.arange(len(places))
     best = values.argmin(axis=1)
     middle = best.clip(1, places.shape[1] - 2)

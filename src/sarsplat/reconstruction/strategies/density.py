@@ -20,7 +20,7 @@ from sarsplat.renderer import Rendering
 
 
 class DensityControl(Configured):
-    """Gathers gradients on the planes and, every so often, decides which Gaussians come and go."""
+    """Sums gradients on the planes and, at intervals, decides which Gaussians come and go."""
 
     order = 10
     name = "density"
@@ -30,7 +30,6 @@ class DensityControl(Configured):
 
     @classmethod
     def of(cls, config: Config, train: Dataset) -> Self | None:
-        """See `Configured`."""
         return cls(config.densification) if config.densification else None
 
     def initial_state(self, params: dict[str, Tensor]) -> State:
@@ -39,7 +38,6 @@ class DensityControl(Configured):
         return State(rows={name: torch.zeros(count, device=device) for name in ("gradient", "seen")})
 
     def wants_plane_gradients(self, step: int) -> bool:
-        """See `Strategy`."""
         return step <= self._config.stop
 
     def due(self, step: int) -> bool:
@@ -50,7 +48,6 @@ class DensityControl(Configured):
     def step_post_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
     ) -> None:
-        """See `Strategy`."""
         if self.wants_plane_gradients(step):
             gather(state, info.rendering, info.images.grid)
         if self.due(step):
@@ -63,21 +60,9 @@ class DensityControl(Configured):
             state.rows = {name: torch.zeros_like(rows) for name, rows in state.rows.items()}
 
     def decide(self, gaussians: Gaussians, grid: ImageGrid, state: State) -> tuple[Tensor, Tensor, Tensor]:
-        """Which Gaussians are pruned, cloned and split, each bool [N].
+        """Which of the present Gaussians are pruned, cloned and split, each bool [N]; refused if none would be left.
 
-        Parameters
-        ----------
-        gaussians : Gaussians
-            The present ones.
-        grid : ImageGrid
-            Of the images: its resolution cell and its extent in range are what sizes are compared with.
-        state : State
-            What has been gathered.
-
-        Raises
-        ------
-        SarsplatError
-            If none would be left.
+        Their sizes are compared with the grid's resolution cell and its extent in range.
         """
         c = self._config
         size = gaussians.scales.max(dim=1).values

@@ -16,7 +16,7 @@ from sarsplat.reconstruction.strategies.strategy import Configured, Info, State,
 
 
 class Relocating(Configured):
-    """Every so often, the weakest Gaussians join strong ones."""
+    """At intervals, the weakest Gaussians join strong ones."""
 
     order = 20
     name = "relocation"
@@ -26,7 +26,6 @@ class Relocating(Configured):
 
     @classmethod
     def of(cls, config: Config, train: Dataset) -> Self | None:
-        """See `Configured`."""
         return cls(config.relocation, config.iterations) if config.relocation.rounds else None
 
     def due(self, step: int) -> bool:
@@ -36,7 +35,6 @@ class Relocating(Configured):
     def step_post_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
     ) -> None:
-        """See `Strategy`."""
         if self.due(step):
             info.check()
             rows = pairs(info.cross_sections(), self._config.idle_share, info.generator)
@@ -47,21 +45,10 @@ class Relocating(Configured):
 def pairs(
     cross_sections: Float[Tensor, " n"], idle_share: float, generator: torch.Generator
 ) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
-    """Which Gaussians are idle, and which strong ones they join, each its own; a strong one is likely to be joined.
+    """Numbers of the idle Gaussians, and of the strong one that each joins; on the CPU, no number in both.
 
-    Parameters
-    ----------
-    cross_sections : Tensor [N]
-        Radar cross-sections σ, mean over the training views, m²; on any device.
-    idle_share : float
-        Idle are the weakest that together have at most this share of the total.
-    generator : torch.Generator
-        Of the CPU.
-
-    Returns
-    -------
-    idle, strong : Tensor, int64 [M]
-        On the CPU; no number is in both.
+    Idle are the weakest that together have at most `idle_share` of all mean radar cross-sections σ, m². The probability
+    to be joined is proportional to σ.
     """
     sigma = cross_sections.double().cpu()
     order = sigma.argsort(stable=True)

@@ -23,18 +23,12 @@ from sarsplat.renderer import Bounds, Rendering, channel_of
 
 @dataclass
 class State:
-    """What a strategy remembers from step to step; saved and restored with the training.
-
-    Parameters
-    ----------
-    rows : dict of str to Tensor
-        Of one row for each Gaussian: they follow where Gaussians come and go, and begin as 0 with a new one.
-    whole : dict of str to Tensor
-        Of any other shape, which stays.
-    """
+    """What a strategy remembers from step to step; saved and restored with the training."""
 
     rows: dict[str, Tensor] = field(default_factory=dict)
+    """Tensors with a row for each Gaussian: rows follow where Gaussians come and go, and are 0 for a new one."""
     whole: dict[str, Tensor] = field(default_factory=dict)
+    """Tensors of any other shape, which stays."""
 
     def follow(self, source: Int64[Tensor, " n"], kept: Bool[Tensor, " n"]) -> None:
         """Take over from row `source`[k] what belongs to the new row k if that is still the same Gaussian: `kept`."""
@@ -56,37 +50,23 @@ class State:
 
 @dataclass(frozen=True)
 class Info:
-    """What a strategy is shown of a step.
-
-    Parameters
-    ----------
-    model : SceneModel
-        As it is now.
-    images : TrainingImages
-        What it learns from; their `views` may be changed.
-    chosen : tuple of int
-        Numbers of those that this step rendered.
-    rendering : Rendering
-        What it rendered, with `plane_gradients` if any strategy asked for them. What it says of single Gaussians is
-        about the target's, detached; where a strategy before this one moved rows, it has followed: 0 for new ones.
-    degree : int
-        Degree of the harmonics in use.
-    rays : RayGrid
-        In use.
-    bounds : Bounds
-        What the Gaussians keep.
-    generator : torch.Generator
-        The only source of chance, of the CPU.
-    """
+    """What a strategy is shown of a step."""
 
     model: SceneModel
     images: TrainingImages
+    """What the model learns from; their `views` may be changed."""
     chosen: tuple[int, ...]
+    """Numbers of the images that this step rendered."""
     rendering: Rendering
+    """What it rendered, with `plane_gradients` if any strategy asked for them. What it says of single Gaussians is
+    about the target's, detached; where a strategy before this one moved rows, it has followed: 0 for new ones."""
     degree: int
+    """Degree of the harmonics in use."""
     rays: RayGrid
     bounds: Bounds
+    """What the Gaussians keep."""
     generator: torch.Generator
+    """The only source of random numbers, on the CPU."""
 
     def check(self) -> None:
         """Wait for the device, and raise what went wrong there: before anything is read from it."""
@@ -94,14 +74,14 @@ class Info:
 
     @torch.no_grad()
     def compared(
-        self, views: Sequence[View], chips: Int64[np.ndarray, " v"]
+        self, views: Sequence[View], chosen: Int64[np.ndarray, " v"]
     ) -> Iterator[tuple[Float[Tensor, "n rows columns"], Float[Tensor, "n rows columns"]]]:
         """Training images, and how the model shows them as seen from these views; a few at a time, in its unit.
 
-        Each has its own shift and gain; what was estimated from such comparisons does not apply.
+        Each has its own shift and gain; what is estimated from such comparisons (`Part.estimated`) is left out.
         """
         for few in self._few(len(views)):
-            numbers = self.images.numbers[torch.from_numpy(chips[few]).to(self.model.device)]
+            numbers = self.images.numbers[torch.from_numpy(chosen[few]).to(self.model.device)]
             images, _ = self._rendered(views[few], numbers)
             yield (
                 self.images.truth[numbers] / self.model.unit,
@@ -123,13 +103,13 @@ class Info:
         size = self.model.config.views_per_step
         return [slice(first, first + size) for first in range(0, count, size)]
 
-    def _rendered(self, views: Sequence[View], chips: Int64[Tensor, " v"] | None) -> tuple[Tensor, Rendering]:
+    def _rendered(self, views: Sequence[View], numbers: Int64[Tensor, " v"] | None) -> tuple[Tensor, Rendering]:
         return self.model.render(
             views,
             self.images.grid,
             self.degree,
             rays=self.rays,
-            chips=chips,
+            numbers=numbers,
             bounds=self.bounds,
             estimated=False,
         )
@@ -182,19 +162,8 @@ class Strategy(ABC):
     ) -> None:
         """Called after each step of Adam, the `step`-th.
 
-        Parameters
-        ----------
-        params : dict of str to Tensor
-            All parameters of the model. Rows come and go by the functions of `strategies.ops`; values are changed in
-            place, under `torch.no_grad`, and kept in their ranges by `optimizers.constrain()`.
-        optimizers : Optimiser
-            Of these parameters.
-        state : State
-            Its own.
-        step : int
-            Steps done.
-        info : Info
-            What else there is.
+        Of `params`, rows come and go by the functions of `strategies.ops`; values are changed in place, under
+        `torch.no_grad`, and kept in their ranges by `optimizers.constrain()`. `state` is its own.
         """
 
 
@@ -211,12 +180,9 @@ class Configured(Strategy):
 
 
 def at_round(iteration: int, first: float, last: float, steps: int) -> bool:
-    """Whether an iteration is one of `steps` + 1 evenly spaced ones, the first and the last included.
-
-    However many there are, only those near the iteration are looked at.
-    """
+    """Whether an iteration is one of `steps` + 1 evenly spaced ones, the first and the last included."""
     if steps == 0 or first == last:
         return iteration == round(first)
     near = min(max(round((iteration - first) * steps / (last - first)), 0), steps)
-    around = range(max(0, near - 1), min(steps, near + 1) + 1)
+    around = range(max(0, near - 1), min(steps, near + 1) + 1)  # there may be 10⁸
     return any(iteration == round(first + (last - first) * k / steps) for k in around)

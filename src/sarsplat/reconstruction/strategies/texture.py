@@ -26,7 +26,6 @@ class TextureEstimation(Configured):
 
     @classmethod
     def of(cls, config: Config, train: Dataset) -> Self | None:
-        """See `Configured`."""
         return cls(config.surroundings, config.iterations) if config.surroundings and Texture.wanted(config) else None
 
     def due(self, step: int) -> bool:
@@ -38,7 +37,6 @@ class TextureEstimation(Configured):
     def step_post_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
     ) -> None:
-        """See `Strategy`."""
         if not self.due(step):
             return
         info.check()
