@@ -177,7 +177,7 @@ def _grazing(seen: Orientation) -> str:
 
 def _table(seen: Orientation, layout: Layout) -> list[tuple[str, ...]]:
     """The eight orientations, with what speaks for each."""
-    rows = [_TABLE]
+    rows: list[tuple[str, ...]] = [_TABLE]
     for k, side in enumerate(SIDES):
         for opposite in (False, True):
             notes = ["as it is"] * (side == "top" and not opposite)
