@@ -39,8 +39,8 @@ def visited(scene: Scene) -> dict[str, int]:
     per_view = []
     forward = cpu.Pass.forward
 
-    def counted(self: cpu.Pass, problem: Any, outputs: Any) -> tuple[str, int]:
-        result = forward(self, problem, outputs)
+    def counted(self: cpu.Pass, step: str, problem: Any, outputs: Any) -> tuple[str, int]:
+        result = forward(self, step, problem, outputs)
         per_view.append(self.statistics(problem))
         return result
 

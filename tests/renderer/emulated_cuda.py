@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import math
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Any
 
+import pytest
 import torch
-from torch import Tensor
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
@@ -79,6 +82,24 @@ class Emulator:
             raise RuntimeError(f"{name}: {fault.decode()}")
 
 
+@contextmanager
+def guarded() -> Iterator[None]:
+    """Meanwhile the engine's arrays begin as NaN, with a margin on both sides that nobody may write to."""
+    arrays, margin = [], 1024
+
+    def new(self: cuda.Pass, key: str, *shape: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+        whole = torch.full((math.prod(shape) * dtype.itemsize + 2 * margin,), 255, dtype=torch.uint8)  # NaN, or -1
+        arrays.append(whole)
+        return self._keep(key, whole[margin:-margin].view(dtype).view(shape))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cuda.Pass, "_new", new)
+        yield
+    assert len(arrays) > 20
+    for whole in arrays:
+        assert bool((whole[:margin] == 255).all() and (whole[-margin:] == 255).all())
+
+
 def render_on(
     launcher: cuda.Launcher,
     gaussians: Gaussians,
@@ -86,28 +107,11 @@ def render_on(
     grid: ImageGrid,
     *,
     rays: RayGrid | None = None,
-    amplitudes: Tensor | None = None,
-    shift: Tensor | None = None,
-    gain: Tensor | None = None,
-    imaging_weight: str = "area",
-    first_return_depth: float | None = None,
-    plane_gradients: bool = False,
     bounds: Bounds | None = None,
+    **options: Any,
 ) -> Rendering:
     """`sarsplat.render` with engine="cuda", as this launcher runs it."""
     rays = rays or RayGrid.for_image(grid)
     capacity = None if bounds is None else bounds.capacity(len(gaussians), views, grid, rays)
-    return render_with(
-        partial(cuda.Pass, launcher, capacity),
-        gaussians,
-        views,
-        grid,
-        rays=rays,
-        amplitudes=amplitudes,
-        shift=shift,
-        gain=gain,
-        imaging_weight=imaging_weight,
-        first_return_depth=first_return_depth,
-        plane_gradients=plane_gradients,
-        bounds=bounds if capacity else None,
-    )
+    new_pass, kept = partial(cuda.Pass, launcher, capacity), bounds if capacity else None
+    return render_with(new_pass, gaussians, views, grid, rays=rays, bounds=kept, **options)

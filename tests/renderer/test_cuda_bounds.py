@@ -8,14 +8,14 @@ from functools import partial
 
 import pytest
 import torch
-from emulated_cuda import SCHEDULES, Emulator, render_on
+from emulated_cuda import SCHEDULES, Emulator, guarded, render_on
 from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
 from test_cpu_engine import relative
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid
-from sarsplat.renderer import Bounds, cuda, render
+from sarsplat.renderer import Bounds, render
 
 
 def bounds_of(gaussians: Gaussians) -> Bounds:
@@ -84,21 +84,10 @@ BROKEN = {
 }
 
 
-@pytest.fixture
-def guarded(monkeypatch):
-    """Arrays with a margin on both sides that nobody may write to."""
-    arrays, margin = [], 1024
-
-    def new(self: cuda.Pass, key: str, *shape: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
-        whole = torch.full((math.prod(shape) * dtype.itemsize + 2 * margin,), 255, dtype=torch.uint8)  # NaN, or -1
-        arrays.append(whole)
-        return self._keep(key, whole[margin:-margin].view(dtype).view(shape))
-
-    monkeypatch.setattr(cuda.Pass, "_new", new)
-    yield
-    assert len(arrays) > 20
-    for whole in arrays:
-        assert bool((whole[:margin] == 255).all() and (whole[-margin:] == 255).all())
+@pytest.fixture(name="guarded")
+def arrays_are_guarded():
+    with guarded():
+        yield
 
 
 @pytest.mark.usefixtures("guarded")
@@ -113,15 +102,20 @@ def test_what_breaks_them_is_told_and_no_memory_is_harmed(name, library):
 
 
 @pytest.mark.usefixtures("guarded")
-@pytest.mark.parametrize("change", [("scales", 8.0), ("means", math.nan)])
-def test_a_footprint_of_more_tiles_than_there_is_room_for(change, library):
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("scales", 8.0, "a Gaussian has left its bounds"),
+        ("means", math.nan, r"^means\[0\] was out of range"),
+    ],
+)
+def test_a_footprint_of_more_tiles_than_there_is_room_for(name, value, message, library):
     """A single Gaussian in a wide image, so that there is no room of others to take."""
-    name, value = change
     scene = Scene(cloud(1, 13), VIEWS[:1], ImageGrid(300, 300, (0.2, 0.2), (0.3, 0.3)))
     bounds = bounds_of(scene.gaussians)
     worse = scene.gaussians.with_tensors(**{name: torch.full_like(scene.gaussians.tensors()[name], value)})
     everything(replace(scene, gaussians=worse), partial(render_on, Emulator(library)), bounds=bounds)
-    with pytest.raises(SarsplatError):
+    with pytest.raises(SarsplatError, match=message):
         bounds.check()
 
 

@@ -11,13 +11,13 @@ from types import SimpleNamespace
 import pytest
 import step_cases
 import torch
-from emulated_cuda import SCHEDULES, Emulator, mutated, render_on
+from emulated_cuda import SCHEDULES, Emulator, guarded, mutated, render_on
 from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
 from test_cpu_engine import check, judged, loss_of, outputs_of, relative
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import RayGrid
-from sarsplat.renderer import Bounds, Footprints, cuda, cuda_device, nvrtc, project, render
+from sarsplat.renderer import Bounds, cuda, cuda_device, nvrtc, project, render
 from sarsplat.renderer.checks import check_for_cuda
 from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
 
@@ -68,7 +68,7 @@ def test_every_step_matches_its_twin_in_every_schedule(step, name, library):
         assert same_bits(again, found), schedule
 
 
-@pytest.mark.parametrize("channels", [1, 3, 5])
+@pytest.mark.parametrize("channels", [1, 4, 9])
 def test_channels_of_a_whole_rendering(channels, library):
     """Amplitudes of any sign, one of them zero everywhere; rays counted, so that both planes are seeded."""
     generator = torch.Generator().manual_seed(channels)
@@ -106,26 +106,6 @@ def test_channels_of_a_whole_rendering(channels, library):
                 assert relative(computed[name], value) <= 1e-5, (name, schedule)
             assert options or same_bits(computed, first), schedule
         bounds.check()
-
-
-@pytest.mark.parametrize("channels", [1, 4, 5, 9])
-def test_channels_are_single_splats(channels, library):
-    new_pass, generator = partial(cuda.Pass, Emulator(library)), torch.Generator().manual_seed(channels)
-    pixels = project(cloud(40, 1), VIEWS, GRID).pixels
-
-    def run(cross_sections, seeds):
-        leaves = [t.detach().clone().requires_grad_() for t in (pixels.centers, pixels.roots, cross_sections)]
-        images = splat_with(new_pass, Footprints(*leaves[:2]), leaves[2], GRID, imaging_weight="area")
-        return [images.detach().double(), *(g.double() for g in torch.autograd.grad(images, leaves, seeds))]
-
-    cross_sections = torch.randn(3, 40, channels, generator=generator)
-    seeds = torch.randn(3, channels, GRID.rows, GRID.columns, generator=generator)
-    images, d_centers, d_roots, d_cross_sections = run(cross_sections, seeds)
-    single = [run(cross_sections[..., c : c + 1], seeds[:, c : c + 1]) for c in range(channels)]
-    assert relative(images, torch.cat([each[0] for each in single], dim=1)) <= 1e-6
-    assert relative(d_centers, sum(each[1] for each in single)) <= 1e-5
-    assert relative(d_roots, sum(each[2] for each in single)) <= 1e-5
-    assert relative(d_cross_sections, torch.cat([each[3] for each in single], dim=2)) <= 1e-6
 
 
 def test_steps_refuse_bad_values(library):
@@ -181,24 +161,14 @@ def test_a_loss_on_the_cross_sections_alone(emulated):
 @pytest.mark.parametrize(
     "name", ["overlap", "partly outside", "larger than the image", "one pixel", "many views", "none"]
 )
-def test_memory_is_written_before_it_is_read_and_never_beyond_its_end(name, emulated, library, monkeypatch):
+def test_memory_is_written_before_it_is_read_and_never_beyond_its_end(name, emulated, library):
     scene, _, norms, *_ = judged(name)
     expected = everything(scene, emulated, norms)
-    guarded, margin = [], 1024
-
-    def new(self: cuda.Pass, key: str, *shape: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
-        whole = torch.full((math.prod(shape) * dtype.itemsize + 2 * margin,), 255, dtype=torch.uint8)  # NaN, or -1
-        guarded.append(whole)
-        return self._keep(key, whole[margin:-margin].view(dtype).view(shape))
-
     steps = {step: step_cases.found_by(partial(cuda.Pass, Emulator(library)), step, name) for step in step_cases.STEPS}
-    monkeypatch.setattr(cuda.Pass, "_new", new)
-    assert same_bits(everything(scene, emulated, norms), expected)
-    for step, once in steps.items():
-        assert same_bits(step_cases.found_by(partial(cuda.Pass, Emulator(library)), step, name), once), step
-    assert len(guarded) > 20
-    for whole in guarded:
-        assert bool((whole[:margin] == 255).all() and (whole[-margin:] == 255).all())
+    with guarded():
+        assert same_bits(everything(scene, emulated, norms), expected)
+        for step, once in steps.items():
+            assert same_bits(step_cases.found_by(partial(cuda.Pass, Emulator(library)), step, name), once), step
 
 
 # ---- the emulator tells right from wrong ----------------------------------------------------------------------------

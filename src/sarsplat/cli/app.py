@@ -37,7 +37,7 @@ def run(words: list[str]) -> int:
         try:
             from sarsplat.cli.parser import parse  # here, for it may warn of what other packages offer
 
-            code = parse(words)()
+            code = parse(words or ["--help"])()
         except SarsplatError as error:
             console.complain(str(error))
             return _MISUSED
@@ -47,7 +47,7 @@ def run(words: list[str]) -> int:
                 raise
             console.complain(f"this needs {error.name}, which is not installed; {extras.install_command(extra)}")
             return _MISUSED
-        except BrokenPipeError:  # whoever read what we print has had enough, as `head` has
+        except BrokenPipeError:  # the program that reads our output has ended, as `head` does
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what Python flushes at its end
             return _READER_LEFT
         except OSError as error:  # what no command foresaw: no permission to look, a name too long

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
@@ -123,7 +124,14 @@ def render(
     )
     check_shapes(gaussians, views, amplitudes, shift, gain)
     engine = chosen_engine(engine, gaussians.means)
-    tensors = {**gaussians.tensors(), "amplitudes": amplitudes, "shift": shift, "gain": gain}
+    by_view = {"amplitudes": amplitudes, "shift": shift, "gain": gain}
+    tensors = {**gaussians.tensors(), **by_view}
+    options: dict[str, Any] = {
+        **by_view,
+        "rays": rays,
+        "imaging_weight": imaging_weight,
+        "first_return_depth": first_return_depth,
+    }
     if engine in ENGINES:
         new_pass = ENGINES[engine].prepare(tensors, grid, instruction_set)
         if bounds is not None and ENGINES[engine].takes_bounds:
@@ -136,34 +144,12 @@ def render(
             bounds = bounds if capacity else None
         else:
             bounds = None
-        return render_with(
-            new_pass,
-            gaussians,
-            views,
-            grid,
-            rays=rays,
-            amplitudes=amplitudes,
-            shift=shift,
-            gain=gain,
-            imaging_weight=imaging_weight,
-            first_return_depth=first_return_depth,
-            plane_gradients=plane_gradients,
-            bounds=bounds,
-        )
+        options |= {"plane_gradients": plane_gradients, "bounds": bounds}
+        return render_with(new_pass, gaussians, views, grid, **options)
     if plane_gradients:
         raise SarsplatError(
             f"plane_gradients=True needs another engine ({', '.join(ENGINES)}); the reference has autograd instead"
         )
     check_for_reference("means", gaussians.means.dtype)
     check_values(tensors)
-    return render_reference(
-        gaussians,
-        views,
-        grid,
-        rays=rays,
-        amplitudes=amplitudes,
-        shift=shift,
-        gain=gain,
-        imaging_weight=imaging_weight,
-        first_return_depth=first_return_depth,
-    )
+    return render_reference(gaussians, views, grid, **options)

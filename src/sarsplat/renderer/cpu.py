@@ -37,6 +37,28 @@ _FOOTPRINTS = ("centers", "roots", "optical_depth", "range_m", "tilt", "cross_se
 FAULTS = ("", *_INPUTS, "lattice", "memory", *_FOOTPRINTS)
 """What a pass can reject, by status code."""
 
+_PROBLEM = (c_void_p, POINTER(Problem))
+_PROJECTION, _CHANNELS, _INDEX = POINTER(Projection), POINTER(Channels), POINTER(c_int64)
+_ARGUMENTS: dict[str, tuple[Any, ...]] = {
+    "create": (c_int32,),
+    "destroy": (c_void_p,),
+    "render": (*_PROBLEM, POINTER(Outputs), _INDEX),
+    "render_backward": (*_PROBLEM, POINTER(Gradients)),
+    "project": (*_PROBLEM, _PROJECTION, _INDEX),
+    "project_backward": (*_PROBLEM, _PROJECTION, POINTER(Gradients)),
+    "attenuate": (*_PROBLEM, _PROJECTION, c_void_p, _INDEX),
+    "attenuate_backward": (*_PROBLEM, c_void_p, c_void_p, _PROJECTION),
+    "splat": (*_PROBLEM, _PROJECTION, _CHANNELS, c_void_p, _INDEX),
+    "splat_backward": (*_PROBLEM, _CHANNELS, c_void_p, _PROJECTION, c_void_p),
+    "get_lattice": (c_void_p, c_int32, POINTER(Lattice)),
+    "trace": (*_PROBLEM, c_int32, c_float, c_void_p, c_void_p),
+    "get_statistics": (*_PROBLEM, POINTER(Statistics)),
+    "amplitude_loss": (c_void_p, POINTER(Loss)),
+    "adam": (c_int32, POINTER(AdamStep)),
+    "use_torch": (c_void_p,),
+}
+"""Of the engine's functions, without the sg_ of their names (csrc/dispatch.cpp)."""
+
 _NO_MEMORY = "there is not enough memory for the rendering; render fewer views at a time or use coarser rays"
 
 
@@ -56,32 +78,9 @@ def library() -> ctypes.CDLL:
             f"the CPU engine cannot be loaded ({error}); reinstall with `pip install .`, or use engine='reference'"
         ) from error
     check_layouts(lib)
-    lib.sg_create.restype = c_void_p
-    lib.sg_create.argtypes = [c_int32]
-    lib.sg_destroy.argtypes = [c_void_p]
-    lib.sg_forward.argtypes = [c_void_p, POINTER(Problem), POINTER(Outputs), POINTER(c_int64)]
-    lib.sg_backward.argtypes = [c_void_p, POINTER(Problem), POINTER(Gradients)]
-    lib.sg_get_lattice.argtypes = [c_void_p, c_int32, POINTER(Lattice)]
-    lib.sg_trace.argtypes = [c_void_p, POINTER(Problem), c_int32, c_float, c_void_p, c_void_p]
-    lib.sg_project.argtypes = [c_void_p, POINTER(Problem), POINTER(Projection), POINTER(c_int64)]
-    lib.sg_project_backward.argtypes = [c_void_p, POINTER(Problem), POINTER(Projection), POINTER(Gradients)]
-    lib.sg_attenuate.argtypes = [c_void_p, POINTER(Problem), POINTER(Projection), c_void_p, POINTER(c_int64)]
-    lib.sg_attenuate_backward.argtypes = [c_void_p, POINTER(Problem), c_void_p, c_void_p, POINTER(Projection)]
-    lib.sg_splat.argtypes = [
-        *(c_void_p, POINTER(Problem), POINTER(Projection), POINTER(Channels)),
-        *(c_void_p, POINTER(c_int64)),
-    ]
-    lib.sg_splat_backward.argtypes = [
-        *(c_void_p, POINTER(Problem), POINTER(Channels)),
-        *(c_void_p, POINTER(Projection), c_void_p),
-    ]
-    lib.sg_get_statistics.argtypes = [c_void_p, POINTER(Problem), POINTER(Statistics)]
-    lib.sg_amplitude_loss.argtypes = [c_void_p, POINTER(Loss)]
-    lib.sg_adam.argtypes = [c_int32, POINTER(AdamStep)]
-    lib.sg_adam.restype = None
-    lib.sg_isa_name.restype = ctypes.c_char_p
-    lib.sg_use_torch.argtypes = [c_void_p]
-    lib.sg_use_torch.restype = None
+    lib.sg_create.restype, lib.sg_isa_name.restype = c_void_p, ctypes.c_char_p
+    for name, arguments in _ARGUMENTS.items():
+        getattr(lib, f"sg_{name}").argtypes = arguments
     pool = torch_pool()
     if pool is None:
         warnings.warn(
@@ -123,7 +122,7 @@ class Pass:
     """One forward pass and what its backward pass needs. Memory goes back to a small pool for the next one."""
 
     _idle: dict[int, list[int]] = {}  # noqa: RUF012 - shared on purpose: handles waiting for reuse, per instruction set
-    _keep = 2
+    _keep = 3  # as many as there are steps
 
     def __init__(self, instruction_set: str = "auto") -> None:
         self._isa = INSTRUCTION_SETS.index(instruction_set)
@@ -146,7 +145,7 @@ class Pass:
         else:
             self._library.sg_destroy(handle)
 
-    def forward(self, problem: ctypes.Structure, outputs: ctypes.Structure) -> tuple[str, int]:
+    def forward(self, step: str, problem: ctypes.Structure, *arguments: object) -> tuple[str, int]:
         """Run; returns what was rejected ("" for nothing) and at which index.
 
         Raises
@@ -154,12 +153,16 @@ class Pass:
         SarsplatError
             If there is not enough memory, here and below.
         """
-        return self._run(self._library.sg_forward, problem, outputs)
-
-    def backward(self, problem: ctypes.Structure, gradients: ctypes.Structure) -> None:
-        """Run the adjoint of the last forward pass."""
+        culprit = c_int64(-1)
         self._library.sg_set_threads(torch.get_num_threads())
-        _require_memory(self._library.sg_backward(self._handle, problem, gradients))
+        status = getattr(self._library, f"sg_{step}")(self._handle, problem, *arguments, culprit)
+        _require_memory(status)
+        return FAULTS[status], culprit.value
+
+    def backward(self, step: str, problem: ctypes.Structure, *arguments: object) -> None:
+        """Run the adjoint of the last forward call."""
+        self._library.sg_set_threads(torch.get_num_threads())
+        _require_memory(getattr(self._library, f"sg_{step}_backward")(self._handle, problem, *arguments))
 
     def amplitude_loss(self, loss: ctypes.Structure) -> None:
         """Fill in the loss and its gradient."""
@@ -176,58 +179,6 @@ class Pass:
         """Fill T_end and the first-return range of a view's rays."""
         status = self._library.sg_trace(self._handle, problem, view, depth, transmittance, first_return)
         _require_memory(status)
-
-    def project(self, problem: ctypes.Structure, out: ctypes.Structure) -> tuple[str, int]:
-        """Gaussians to footprints, alone; returns as `forward` does."""
-        return self._run(self._library.sg_project, problem, out)
-
-    def project_backward(self, problem: ctypes.Structure, seeds: ctypes.Structure, gradients: ctypes.Structure) -> None:
-        """The adjoint of `project`, which keeps nothing: of any problem."""
-        self._library.sg_set_threads(torch.get_num_threads())
-        _require_memory(self._library.sg_project_backward(self._handle, problem, seeds, gradients))
-
-    def attenuate(self, problem: ctypes.Structure, footprints: ctypes.Structure, lit_area: int) -> tuple[str, int]:
-        """Footprints on rays to lit areas, alone; returns as `forward` does."""
-        return self._run(self._library.sg_attenuate, problem, footprints, lit_area)
-
-    def attenuate_backward(
-        self,
-        problem: ctypes.Structure,
-        d_lit_area: int | None,
-        d_transmittance: int | None,
-        gradients: ctypes.Structure,
-    ) -> None:
-        """The adjoint of the last `attenuate`."""
-        self._library.sg_set_threads(torch.get_num_threads())
-        arguments = problem, d_lit_area, d_transmittance, gradients
-        _require_memory(self._library.sg_attenuate_backward(self._handle, *arguments))
-
-    def splat(
-        self, problem: ctypes.Structure, footprints: ctypes.Structure, channels: ctypes.Structure, images: int
-    ) -> tuple[str, int]:
-        """Cross-sections to images, alone; returns as `forward` does."""
-        return self._run(self._library.sg_splat, problem, footprints, channels, images)
-
-    def splat_backward(
-        self,
-        problem: ctypes.Structure,
-        channels: ctypes.Structure,
-        d_images: int,
-        gradients: ctypes.Structure,
-        d_cross_sections: int,
-    ) -> None:
-        """The adjoint of the last `splat`."""
-        self._library.sg_set_threads(torch.get_num_threads())
-        arguments = problem, channels, d_images, gradients, d_cross_sections
-        _require_memory(self._library.sg_splat_backward(self._handle, *arguments))
-
-    def _run(self, function: Any, *arguments: object) -> tuple[str, int]:
-        """A step forward: its status, and the index of what it rejects."""
-        culprit = c_int64(-1)
-        self._library.sg_set_threads(torch.get_num_threads())
-        status = function(self._handle, *arguments, culprit)
-        _require_memory(status)
-        return FAULTS[status], culprit.value
 
     def statistics(self, problem: ctypes.Structure) -> ctypes.Structure:
         """Visited blocks and live lanes of the last forward pass."""

@@ -68,7 +68,7 @@ class Pass:
         self._lattices: list[tuple[int, int, int, int]] = []
         self._rays: list[ctypes.Structure] = []
 
-    def forward(self, problem: ctypes.Structure, outputs: ctypes.Structure) -> tuple[str, int]:
+    def forward(self, step: str, problem: ctypes.Structure, *arguments: object) -> tuple[str, int]:
         """Run; returns what was rejected ("" for nothing) and at which index.
 
         Raises
@@ -77,36 +77,12 @@ class Pass:
             If there is not enough memory, here and below.
         """
         with self._memory():
-            bounds = self._begin(problem)
-            self._new_planes("rays", "pixels")
-            self._fill(slope=(self._pairs, 2), lit_area=(self._pairs,))
-            if problem.coefficients:
-                self._new("gamma0", self._pairs)
-            channels = self._channels(problem)
-            self._over_pairs("project_gaussians", problem, problem, self._state, self._gamma0("gamma0"))
-            if (fault := self._place_lattices(bounds)) is not None:
-                return fault
-            pixels = self._pixels(problem)
-            self._arrange(problem, {"rays": self._rays, "pixels": pixels})
-            if self._capacity is not None:
-                self._report(self._capacity, bounds)
-            self._attenuate(problem, channels, outputs)
-            self._splat(problem, channels, pixels, outputs.images)
-        return "", -1
+            return getattr(self, f"_{step}")(problem, *arguments)  # type: ignore[no-any-return]
 
-    def backward(self, problem: ctypes.Structure, gradients: ctypes.Structure) -> None:
-        """Run the adjoint of the last forward pass."""
-        with self._memory("gamma0 gradient", "d_cross_sections"):
-            channels = self._channels(problem)
-            through_images = self._new("d_cross_sections", self._pairs, channels.count).data_ptr()
-            if problem.coefficients:
-                d_amplitudes = self._new("gamma0 gradient", self._pairs).data_ptr()
-            else:
-                d_amplitudes = gradients.amplitudes
-            self._splat_backward(problem, channels, gradients.images, through_images)
-            seeds = (c_void_p(p) for p in (None, through_images, gradients.cross_sections, d_amplitudes))
-            self._attenuate_backward(problem, channels, gradients.transmittance, *seeds)
-            self._project_backward(problem, self._gamma0("gamma0 gradient"), gradients)
+    def backward(self, step: str, problem: ctypes.Structure, *arguments: object) -> None:
+        """Run the adjoint of the last forward call."""
+        with self._memory():
+            getattr(self, f"_{step}_backward")(problem, *arguments)
 
     def lattice(self, view: int) -> ctypes.Structure:
         """Where the rays of a view stand."""
@@ -122,61 +98,88 @@ class Pass:
             *(c_void_p(transmittance), c_void_p(first_return)),
         )
 
-    # ---- one step alone
-    def project(self, problem: ctypes.Structure, out: ctypes.Structure) -> tuple[str, int]:
-        """Gaussians to footprints, alone; returns as `forward` does."""
-        with self._memory():
-            faults = self._begin(problem)
-            self._over_pairs("project_gaussians", problem, problem, self._state, out)
-            return _fault(faults.tolist()[0])
-
-    def project_backward(self, problem: ctypes.Structure, seeds: ctypes.Structure, gradients: ctypes.Structure) -> None:
-        """The adjoint of `project`, which keeps nothing: of any problem."""
-        with self._memory():
-            self._project_backward(problem, seeds, gradients)
-
-    def attenuate(self, problem: ctypes.Structure, footprints: ctypes.Structure, lit_area: int) -> tuple[str, int]:
-        """Footprints on rays to lit areas, alone; returns as `forward` does."""
-        with self._memory():
-            bounds = self._begin(problem)
-            self._new_planes("rays")
-            self._fill(slope=(self._pairs, 2))
-            self._over_pairs("place_footprints", problem, problem, self._state, footprints, Channels())
-            if (fault := self._place_lattices(bounds)) is not None:
-                return fault
-            self._arrange(problem, {"rays": self._rays})
-            self._attenuate(problem, Channels(), Outputs(lit_area=lit_area))
+    # ---- a whole rendering
+    def _render(self, problem: ctypes.Structure, outputs: ctypes.Structure) -> tuple[str, int]:
+        bounds = self._begin(problem)
+        self._new_planes("rays", "pixels")
+        self._fill(slope=(self._pairs, 2), lit_area=(self._pairs,))
+        if problem.coefficients:
+            self._new("gamma0", self._pairs)
+        channels = self._channels(problem)
+        self._over_pairs("project_gaussians", problem, problem, self._state, self._gamma0("gamma0"))
+        if (fault := self._place_lattices(bounds)) is not None:
+            return fault
+        pixels = self._pixels(problem)
+        self._arrange(problem, {"rays": self._rays, "pixels": pixels})
+        if self._capacity is not None:
+            self._report(self._capacity, bounds)
+        self._attenuate_tiles(problem, channels, outputs)
+        self._splat_tiles(problem, channels, pixels, outputs.images)
         return "", -1
 
-    def attenuate_backward(
+    def _render_backward(self, problem: ctypes.Structure, gradients: ctypes.Structure) -> None:
+        channels = self._channels(problem)
+        through_images = self._new("d_cross_sections", self._pairs, channels.count).data_ptr()
+        if problem.coefficients:
+            d_amplitudes = self._new("gamma0 gradient", self._pairs).data_ptr()
+        else:
+            d_amplitudes = gradients.amplitudes
+        self._splat_tiles_backward(problem, channels, gradients.images, through_images)
+        seeds = (c_void_p(p) for p in (None, through_images, gradients.cross_sections, d_amplitudes))
+        self._attenuate_tiles_backward(problem, channels, gradients.transmittance, *seeds)
+        self._project_backward(problem, self._gamma0("gamma0 gradient"), gradients)
+
+    # ---- one step alone
+    def _project(self, problem: ctypes.Structure, out: ctypes.Structure) -> tuple[str, int]:
+        faults = self._begin(problem)
+        self._over_pairs("project_gaussians", problem, problem, self._state, out)
+        return _fault(faults.tolist()[0])
+
+    def _project_backward(
+        self, problem: ctypes.Structure, seeds: ctypes.Structure, gradients: ctypes.Structure
+    ) -> None:
+        planes = gradients.planes or self._new("planes", problem.views * problem.gaussians, 4).data_ptr()
+        self._state.planes = planes
+        blocks = -(-problem.gaussians // _THREADS)
+        self._launch("project_gaussians_backward", blocks, problem, self._state, seeds, gradients)
+        self._launch("sum_shift", problem.views, problem, self._state, c_void_p(gradients.shift))
+
+    def _attenuate(self, problem: ctypes.Structure, footprints: ctypes.Structure, lit_area: int) -> tuple[str, int]:
+        bounds = self._begin(problem)
+        self._new_planes("rays")
+        self._fill(slope=(self._pairs, 2))
+        self._over_pairs("place_footprints", problem, problem, self._state, footprints, Channels())
+        if (fault := self._place_lattices(bounds)) is not None:
+            return fault
+        self._arrange(problem, {"rays": self._rays})
+        self._attenuate_tiles(problem, Channels(), Outputs(lit_area=lit_area))
+        return "", -1
+
+    def _attenuate_backward(
         self,
         problem: ctypes.Structure,
         d_lit_area: int | None,
         d_transmittance: int | None,
         gradients: ctypes.Structure,
     ) -> None:
-        """The adjoint of the last `attenuate`."""
-        with self._memory():
-            seeds = (c_void_p(p) for p in (d_lit_area, None, None, None))
-            self._attenuate_backward(problem, Channels(), d_transmittance, *seeds)
-            self._over_pairs("write_footprint_gradients", problem, problem, self._state, gradients)
+        seeds = (c_void_p(p) for p in (d_lit_area, None, None, None))
+        self._attenuate_tiles_backward(problem, Channels(), d_transmittance, *seeds)
+        self._over_pairs("write_footprint_gradients", problem, problem, self._state, gradients)
 
-    def splat(
+    def _splat(
         self, problem: ctypes.Structure, footprints: ctypes.Structure, channels: ctypes.Structure, images: int
     ) -> tuple[str, int]:
-        """Cross-sections to images, alone; returns as `forward` does."""
-        with self._memory():
-            faults = self._begin(problem)
-            self._new_planes("pixels")
-            self._over_pairs("place_footprints", problem, problem, self._state, footprints, channels)
-            if (status := faults.tolist()[0]) >= 0:
-                return _fault(status)
-            pixels = self._pixels(problem)
-            self._arrange(problem, {"pixels": pixels})
-            self._splat(problem, channels, pixels, images)
+        faults = self._begin(problem)
+        self._new_planes("pixels")
+        self._over_pairs("place_footprints", problem, problem, self._state, footprints, channels)
+        if (status := faults.tolist()[0]) >= 0:
+            return _fault(status)
+        pixels = self._pixels(problem)
+        self._arrange(problem, {"pixels": pixels})
+        self._splat_tiles(problem, channels, pixels, images)
         return "", -1
 
-    def splat_backward(
+    def _splat_backward(
         self,
         problem: ctypes.Structure,
         channels: ctypes.Structure,
@@ -184,10 +187,8 @@ class Pass:
         gradients: ctypes.Structure,
         d_cross_sections: int,
     ) -> None:
-        """The adjoint of the last `splat`."""
-        with self._memory():
-            self._splat_backward(problem, channels, d_images, d_cross_sections)
-            self._over_pairs("write_footprint_gradients", problem, problem, self._state, gradients)
+        self._splat_tiles_backward(problem, channels, d_images, d_cross_sections)
+        self._over_pairs("write_footprint_gradients", problem, problem, self._state, gradients)
 
     # ---- what they are made of
     def _begin(self, problem: ctypes.Structure) -> Tensor:
@@ -201,7 +202,7 @@ class Pass:
         return minima
 
     @contextmanager
-    def _memory(self, *scratch: str) -> Iterator[None]:
+    def _memory(self) -> Iterator[None]:
         """Say in a sentence that there is not enough; afterwards, forget what only a backward pass needs."""
         try:
             yield
@@ -210,7 +211,7 @@ class Pass:
                 f"the memory of {self._launcher.device} is not enough for the rendering; render fewer views at a time "
                 "or use coarser rays"
             ) from error
-        for name in (*scratch, *_BACKWARD):
+        for name in ("gamma0 gradient", "d_cross_sections", *_BACKWARD):
             self._arrays.pop(name, None)
 
     def _new_planes(self, *names: str) -> None:
@@ -269,7 +270,9 @@ class Pass:
             plane = getattr(self._state, name)
             self._list(name, plane, slots, total(tiles)[1], problem, by_depth=name == "rays")
 
-    def _attenuate(self, problem: ctypes.Structure, channels: ctypes.Structure, outputs: ctypes.Structure) -> None:
+    def _attenuate_tiles(
+        self, problem: ctypes.Structure, channels: ctypes.Structure, outputs: ctypes.Structure
+    ) -> None:
         """Once the rays are arranged."""
         rays, tiles = total(self._rays)
         self._fill(transmittance=(rays,))
@@ -279,7 +282,7 @@ class Pass:
         self._launch("attenuate_tiles", tiles, problem, self._state)
         self._over_pairs("light_gaussians", problem, problem, self._state, channels, outputs)
 
-    def _splat(
+    def _splat_tiles(
         self, problem: ctypes.Structure, channels: ctypes.Structure, pixels: list[ctypes.Structure], images: int
     ) -> None:
         """Once the pixels are arranged."""
@@ -287,7 +290,7 @@ class Pass:
             arguments = channels, c_int32(first), c_void_p(images)
             self._launch(f"splat_tiles_{together}", total(pixels)[1], problem, self._state, *arguments)
 
-    def _splat_backward(
+    def _splat_tiles_backward(
         self, problem: ctypes.Structure, channels: ctypes.Structure, d_images: int, d_cross_sections: int
     ) -> None:
         self._fill(pixel_moments=(self._pairs, 6))
@@ -296,7 +299,7 @@ class Pass:
             blocks = -(-self._pairs // _WARPS)
             self._launch(f"splat_tiles_{together}_backward", blocks, problem, self._state, *arguments)
 
-    def _attenuate_backward(
+    def _attenuate_tiles_backward(
         self, problem: ctypes.Structure, channels: ctypes.Structure, d_transmittance: int | None, *seeds: c_void_p
     ) -> None:
         self._fill(h=(self._pairs,), slot_moments=(len(self._arrays["slot_weights"]), 6))
@@ -304,15 +307,6 @@ class Pass:
         self._over_pairs("light_gaussians_backward", problem, problem, self._state, channels, *seeds)
         tiles = total(self._rays)[1]
         self._launch("attenuate_tiles_backward", tiles, problem, self._state, c_void_p(d_transmittance))
-
-    def _project_backward(
-        self, problem: ctypes.Structure, seeds: ctypes.Structure, gradients: ctypes.Structure
-    ) -> None:
-        planes = gradients.planes or self._new("planes", problem.views * problem.gaussians, 4).data_ptr()
-        self._state.planes = planes
-        blocks = -(-problem.gaussians // _THREADS)
-        self._launch("project_gaussians_backward", blocks, problem, self._state, seeds, gradients)
-        self._launch("sum_shift", problem.views, problem, self._state, c_void_p(gradients.shift))
 
     def _count(
         self, name: str, plane: ctypes.Structure, lattices: Sequence[ctypes.Structure], problem: ctypes.Structure

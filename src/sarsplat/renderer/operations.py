@@ -35,12 +35,12 @@ def render_with(
     grid: ImageGrid,
     *,
     rays: RayGrid,
-    amplitudes: Float[Tensor, "v n c"] | None,
-    shift: Float[Tensor, "v 2"] | None,
-    gain: Float[Tensor, " v"] | None,
-    imaging_weight: str,
-    first_return_depth: float | None,
-    plane_gradients: bool,
+    amplitudes: Float[Tensor, "v n c"] | None = None,
+    shift: Float[Tensor, "v 2"] | None = None,
+    gain: Float[Tensor, " v"] | None = None,
+    imaging_weight: str = "area",
+    first_return_depth: float | None = None,
+    plane_gradients: bool = False,
     bounds: Bounds | None = None,
 ) -> Rendering:
     """`sarsplat.render` on an engine's passes; arguments are documented there. With bounds, no value is looked at."""
@@ -155,7 +155,7 @@ class _Render(_OfGaussians):
         images = means.new_empty(views, channels, self.grid.rows, self.grid.columns)
         cross_sections, lit_area = means.new_empty(views, n, channels), means.new_empty(views, n)
         outputs = structs.Outputs(*map(pointer, (images, cross_sections, lit_area)))
-        self.accept(inputs, *self.kernel.forward(problem, outputs))
+        self.accept(inputs, *self.kernel.forward("render", problem, outputs))
         return images, cross_sections, lit_area, *_traced(self.kernel, problem, self.depth, lit_area)
 
     def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
@@ -167,7 +167,7 @@ class _Render(_OfGaussians):
         seeds = d_images, d_cross_sections, d_transmittance
         gradients = structs.Gradients(*map(pointer, (*seeds, *results, self.planes)))
         point_at(self.problem, saved)
-        self.kernel.backward(self.problem, gradients)
+        self.kernel.backward("render", self.problem, gradients)
         return results
 
 
@@ -178,7 +178,7 @@ class _Project(_OfGaussians):
         problem, means = self.pose(inputs), inputs[0]
         assert means is not None
         outputs = tuple(_by_view(means, problem, width) for width in _WIDTHS)
-        self.accept(inputs, *self.kernel.project(problem, structs.Projection(*map(pointer, outputs))))
+        self.accept(inputs, *self.kernel.forward("project", problem, structs.Projection(*map(pointer, outputs))))
         self.constant = (3, 4) if problem.coefficients else (3, 4, 7)
         return outputs
 
@@ -190,7 +190,7 @@ class _Project(_OfGaussians):
         results = [None if t is None else torch.empty_like(t) for t in saved]
         gradients = structs.Gradients(**dict(zip(ARRAYS, map(pointer, results), strict=True)))
         point_at(self.problem, saved)
-        self.kernel.project_backward(self.problem, structs.Projection(*map(pointer, seeds)), gradients)
+        self.kernel.backward("project", self.problem, structs.Projection(*map(pointer, seeds)), gradients)
         return results
 
 
@@ -213,7 +213,7 @@ class _Attenuate(Operation):
         self.problem = new_problem(*optical_depth.shape, rays=self.rays)
         lit_area = torch.empty_like(optical_depth)
         footprints = structs.Projection(*map(pointer, inputs))
-        fault, index = self.kernel.attenuate(self.problem, footprints, lit_area.data_ptr())
+        fault, index = self.kernel.forward("attenuate", self.problem, footprints, lit_area.data_ptr())
         if fault == "lattice":
             reach, width = centers[index].abs().max(), deviations(roots[index]).max()
             raise SarsplatError(_too_many_rays(index, self.rays, float(reach), float(width)))
@@ -224,7 +224,7 @@ class _Attenuate(Operation):
         like = next(grad for grad in grads if grad is not None)
         results = [_by_view(like, self.problem, width) for width in (2, 3, None)]
         gradients = structs.Projection(*map(pointer, results))
-        self.kernel.attenuate_backward(self.problem, pointer(grads[0]), pointer(grads[1]), gradients)
+        self.kernel.backward("attenuate", self.problem, pointer(grads[0]), pointer(grads[1]), gradients)
         return (*results, None, None)
 
 
@@ -246,7 +246,7 @@ class _Splat(Operation):
         images = cross_sections.new_empty(views, channels, self.grid.rows, self.grid.columns)
         footprints = structs.Projection(pixel_centers=pointer(centers), pixel_roots=pointer(roots))
         splatted = structs.Channels(channels, pointer(cross_sections))
-        fault = self.kernel.splat(self.problem, footprints, splatted, images.data_ptr())
+        fault = self.kernel.forward("splat", self.problem, footprints, splatted, images.data_ptr())
         _accept_footprints(self.names, inputs, *fault)
         return (images,)
 
@@ -255,7 +255,8 @@ class _Splat(Operation):
         assert d_images is not None
         centers, roots = (_by_view(cross_sections, self.problem, width) for width in (2, 3))
         d_cross_sections = torch.empty_like(cross_sections)
-        self.kernel.splat_backward(
+        self.kernel.backward(
+            "splat",
             self.problem,
             structs.Channels(cross_sections.shape[2], pointer(cross_sections)),
             d_images.data_ptr(),

@@ -7,14 +7,18 @@ from typing import Protocol
 
 
 class Pass(Protocol):
-    """What an engine does: one forward pass, and what its backward pass needs."""
+    """One call forward, and what the call backward needs.
 
-    def forward(self, problem: ctypes.Structure, outputs: ctypes.Structure) -> tuple[str, int]:
+    The steps are "render", "project", "attenuate" and "splat". A problem and whatever else a step takes are structures
+    and addresses of arrays, in the order of `sg_engine` in csrc/api.h.
+    """
+
+    def forward(self, step: str, problem: ctypes.Structure, *arguments: object) -> tuple[str, int]:
         """Run; returns what was rejected ("" for nothing) and at which index."""
         ...
 
-    def backward(self, problem: ctypes.Structure, gradients: ctypes.Structure) -> None:
-        """Run the adjoint of the last forward pass."""
+    def backward(self, step: str, problem: ctypes.Structure, *arguments: object) -> None:
+        """Run the adjoint of the last forward call; that of "project" keeps nothing: of any problem."""
         ...
 
     def lattice(self, view: int) -> ctypes.Structure:
@@ -24,28 +28,3 @@ class Pass(Protocol):
     def trace(self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int) -> None:
         """Fill T_end and the first-return range of a view's rays."""
         ...
-
-    # one step alone each (structs.Projection between them), and its adjoint
-    def project(self, problem: ctypes.Structure, out: ctypes.Structure) -> tuple[str, int]: ...
-    def project_backward(
-        self, problem: ctypes.Structure, seeds: ctypes.Structure, gradients: ctypes.Structure
-    ) -> None: ...
-    def attenuate(self, problem: ctypes.Structure, footprints: ctypes.Structure, lit_area: int) -> tuple[str, int]: ...
-    def attenuate_backward(
-        self,
-        problem: ctypes.Structure,
-        d_lit_area: int | None,
-        d_transmittance: int | None,
-        gradients: ctypes.Structure,
-    ) -> None: ...
-    def splat(
-        self, problem: ctypes.Structure, footprints: ctypes.Structure, channels: ctypes.Structure, images: int
-    ) -> tuple[str, int]: ...
-    def splat_backward(
-        self,
-        problem: ctypes.Structure,
-        channels: ctypes.Structure,
-        d_images: int,
-        gradients: ctypes.Structure,
-        d_cross_sections: int,
-    ) -> None: ...

@@ -98,10 +98,6 @@ def _rendered(new_pass: Callable[[], Pass], where: torch.device) -> dict[str, Te
             rays=RayGrid.for_image(_GRID),
             amplitudes=amplitudes,
             shift=leaves["shift"],
-            gain=None,
-            imaging_weight="area",
-            first_return_depth=None,
-            plane_gradients=False,
         )
         for output in (rendering.images, rendering.cross_sections):
             loss = loss + (output * (draw(output.shape) - 0.5).to(where)).sum() / output.detach().norm()

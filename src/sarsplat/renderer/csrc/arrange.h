@@ -63,7 +63,7 @@ void cut_rays(ViewState& s, int n, int parts) {
     e.y0 = larger(e.y0, all.y0); e.y1 = smaller(e.y1, all.y0 + all.rows - 1);
     if (e.x1 < e.x0) e.y1 = e.y0 - 1;
     if (e.y1 < e.y0) continue;
-    const int wide = (e.x1 - all.x0) / kBlockX - (e.x0 - all.x0) / kBlockX + 1;
+    const int wide = block_of<kBlockX>(e.x1 - all.x0) - block_of<kBlockX>(e.x0 - all.x0) + 1;
     work[e.y0 - all.y0] += wide;
     work[e.y1 - all.y0 + 1] -= wide;
   }
@@ -114,11 +114,13 @@ void cut_pixels(ViewState& s, const Strips& image, int n, int parts) {
   auto wide = [&](int key) { return smaller(kMaxBlocks[key % kShapes], image.count()); };
   auto work = [&](int key) { return 2 + (int64_t)tall(key) * wide(key); };
   int64_t total = 0, done = 0;
-  for (int k = 0; k < keys; k++) total += counts[k] * work(k);
+  for (int k = 0; k < keys; k++)
+    if (counts[k]) total += counts[k] * work(k);  // most keys are nobody's
   s.pixel_parts = 0;
   Part* part = nullptr;
   int at = 0;
   for (int k = 0; k < keys; k++) {
+    if (!counts[k]) continue;
     const int64_t each = work(k);
     const int first_row = smaller(k / kShapes / kShapes, image.rows - 1);
     const int last_row = smaller(first_row + tall(k) * kBlockY, image.rows) - 1;

@@ -9,9 +9,9 @@ namespace SG_ISA {
 
 constexpr int kFields = 16;  // numbers of a row that are turned at a time
 
-// 16 vectors of one field each from rows of 16 numbers; row(k, part): numbers [part, part + kWidth) of lane k's
-template <class Row> SG_FN void turn(Row row, F (&columns)[kFields]) {
-  for (int part = 0; part < kFields; part += kWidth) {
+// Vectors of one field each from the first `count` numbers of rows; row(k, part): numbers [part, part + kWidth) of lane k's
+template <class Row, int count> SG_FN void turn(Row row, F (&columns)[count]) {
+  for (int part = 0; part < count; part += kWidth) {
     F m[kWidth];
     for (int k = 0; k < kWidth; k++) m[k] = row(k, part);
     transpose(m);

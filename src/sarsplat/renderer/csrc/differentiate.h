@@ -17,8 +17,9 @@ SG_FN Eight ray_row(const ViewState& s, const Backward& scratch, int64_t id) {
 }
 SG_FN Eight pixel_row(const Backward& scratch, int64_t id) { return load_eight(scratch.pixel_moments + kSums * id); }
 
-// Two rows of each of kWidth Gaussians, first(k) and second(k), as columns.
-template <class First, class Second> SG_FN void gather(int real, First first, Second second, F (&sums)[kFields]) {
+// Two rows of each of kWidth Gaussians, first(k) and second(k), as columns; with room for kRow, of the first alone.
+constexpr int kRow = kWidth > kSums ? kWidth : kSums;
+template <class First, class Second, int count> SG_FN void gather(int real, First first, Second second, F (&sums)[count]) {
   turn([&](int k, [[maybe_unused]] int part) {
     if (k >= real) return splat(0.0f);
 #if SG_WIDTH == 16

@@ -39,10 +39,10 @@ SG_EXPORT void sg_destroy(sg_handle* h) {
   h->engine->destroy(h->context);
   delete h;
 }
-SG_EXPORT int32_t sg_forward(sg_handle* h, const sg_problem* p, const sg_outputs* out, int64_t* culprit) {
+SG_EXPORT int32_t sg_render(sg_handle* h, const sg_problem* p, const sg_outputs* out, int64_t* culprit) {
   return h->engine->forward(h->context, p, out, culprit);
 }
-SG_EXPORT int32_t sg_backward(sg_handle* h, const sg_problem* p, const sg_gradients* g) {
+SG_EXPORT int32_t sg_render_backward(sg_handle* h, const sg_problem* p, const sg_gradients* g) {
   return h->engine->backward(h->context, p, g);
 }
 SG_EXPORT void sg_get_lattice(const sg_handle* h, int32_t view, sg_lattice* out) { h->engine->lattice(h->context, view, out); }

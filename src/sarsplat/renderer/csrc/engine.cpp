@@ -93,9 +93,9 @@ int32_t backward(sg_context& c, const sg_problem& p, const sg_gradients* gradien
 
 // A function of the context and the problem as it stands in the table: on the threads of the pool, and backward with its scratch
 // given back.
-template <auto function, class... Rest> int32_t run(sg_context* c, const sg_problem* p, Rest... rest) {
+template <auto function, auto worthwhile = worth_waking, class... Rest> int32_t run(sg_context* c, const sg_problem* p, Rest... rest) {
   int32_t status = SG_OK;
-  together(worth_waking(*p), [&] { status = function(*c, *p, rest...); });
+  together(worthwhile(*p), [&] { status = function(*c, *p, rest...); });
   return status;
 }
 template <auto function, class... Rest> int32_t run_back(sg_context* c, const sg_problem* p, Rest... rest) {
@@ -116,6 +116,7 @@ void destroy(sg_context* c) { delete c; }
 #define SG_TEXT_(a) #a
 #define SG_TEXT(a) SG_TEXT_(a)
 extern "C" const sg_engine SG_JOIN(sg_engine_, SG_ISA);
-const sg_engine SG_JOIN(sg_engine_, SG_ISA) = {SG_TEXT(SG_ISA), create, destroy, run<forward>, run_back<backward>, lattice, trace, amplitude_loss,
-                                             adam, statistics, run<project_step>, run<project_step_backward>, run<attenuate_step>,
-                                             run_back<attenuate_step_backward>, run<splat_step>, run_back<splat_step_backward>};
+const sg_engine SG_JOIN(sg_engine_, SG_ISA) = {
+    SG_TEXT(SG_ISA), create, destroy, run<forward>, run_back<backward>, lattice, trace, amplitude_loss, adam, statistics,
+    run<project_step, worth_waking_to_project>, run<project_step_backward, worth_waking_to_project>,
+    run<attenuate_step>, run_back<attenuate_step_backward>, run<splat_step>, run_back<splat_step_backward>};

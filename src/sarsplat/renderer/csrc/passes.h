@@ -34,6 +34,9 @@ SG_FN Eight sum6(const Moments<F>& m) { return sum6(m.m0, m.mu, m.mv, m.muu, m.m
 
 constexpr int kBlockX = 4, kBlockY = kWidth / kBlockX;
 
+// A distance in blocks, rounded down: one instruction, which a division of what may be negative is not.
+template <int size> SG_FN int block_of(int distance) { return distance >> __builtin_ctz(size); }
+
 // A rectangle of rays or pixels as strips of four columns, with spare rows for blocks that reach beyond the last.
 struct Strips {
   int x0, y0, columns, rows;
@@ -57,8 +60,8 @@ struct Strips {
 // visit(offset, index of the block's first lane) for the blocks of one Gaussian in a rectangle
 template <class Visit> SG_FN void for_blocks(const Entry& e, const Strips& s, Visit visit) {
   const int top = e.y0 > s.y0 ? e.y0 : s.y0, bottom = e.y1 < s.y0 + s.rows ? e.y1 : s.y0 + s.rows - 1;
-  const int first = (e.x0 - s.x0) / kBlockX, last = (e.x1 - s.x0) / kBlockX;
-  const int tall = (bottom - top) / kBlockY + 1, count = bottom < top ? 0 : tall * (last - first + 1);
+  const int first = block_of<kBlockX>(e.x0 - s.x0), last = block_of<kBlockX>(e.x1 - s.x0);
+  const int tall = block_of<kBlockY>(bottom - top) + 1, count = bottom < top ? 0 : tall * (last - first + 1);
   const int64_t begin = (int64_t)(top - s.y0) * kBlockX, end = begin + (int64_t)tall * kWidth;
   const int64_t height = (int64_t)s.height() * kBlockX;
   int64_t strip = first * height, down = begin;
@@ -186,15 +189,16 @@ template <int C> SG_FN Eight image_backward(const PixelEntry& e, const Strips& s
   const F zero = splat(0.0f);
   Moments<F> m{zero, zero, zero, zero, zero, zero};
   float heights[C];
-  read_heights<C>(e, amplitudes, heights);
   if constexpr (C == 1) {
     for_blocks(e, s, [&](const Offset<F>& d, int64_t at) {
       m.add(d, imaging_weight(distance(d), cut) * load_anywhere(dS + at));
     });
     const Eight moments = sum6(m);
     sums[0] = moments[0];
+    read_heights<C>(e, amplitudes, heights);
     return moments * heights[0];
   } else {
+    read_heights<C>(e, amplitudes, heights);
     const int64_t size = s.size();
     F all[C + 1];                 // by channel, and one that is never read
     for (F& x : all) x = zero;

@@ -82,8 +82,12 @@ int32_t project_step_backward(sg_context& c, const sg_problem& p, const sg_proje
 void check_footprints(const sg_problem& p, const float* centers, const float* roots, int64_t first, int64_t end, Fault& fault) {
   find_outside(centers, first, end, 2, -2.0f * p.farthest, 2.0f * p.farthest, SG_CENTERS, fault);
   find_outside(roots, first, end, 3, -p.steepest, p.steepest, SG_ROOTS, fault);
-  for (int64_t i = first; i < end; i++)
-    if (!(roots[3 * i] >= p.flattest && roots[3 * i + 2] >= p.flattest) && (!fault.status || fault.status > SG_ROOTS)) fault = {SG_ROOTS, i};
+  auto flat = [&](int64_t i) { return !(roots[3 * i] >= p.flattest) | !(roots[3 * i + 2] >= p.flattest); };
+  bool any_flat = false;
+  for (int64_t i = first; i < end; i++) any_flat |= flat(i);
+  if (!any_flat || (fault.status && fault.status <= SG_ROOTS)) return;
+  for (int64_t i = first; fault.status != SG_ROOTS; i++)
+    if (flat(i)) fault = {SG_ROOTS, i};
 }
 
 Placed<F> read_footprints(const float* centers, const float* roots, int64_t at, int real, const float* spacing) {
@@ -101,12 +105,17 @@ template <class Place> int32_t place_all(const sg_context& c, const sg_problem& 
   return worst(c.faults, p.views * chunks, culprit);
 }
 
-// The sums of kWidth Gaussians, row(k), as gradients of their footprints; the first six fields of `sums` hold the moments.
-template <class E>
-void write_footprint_gradients(const E* entries, const float* spacing, const Moments<F>& m, int real, int64_t at, float* d_centers,
+// The footprints of kWidth entries; those beyond the last are harmless.
+struct Shapes { Whitening<F> w; F height; };
+template <class E> SG_FN Shapes read_shapes(const E* entries, int real) {
+  F fields[kRow];
+  turn([&](int k, int part) { return k < real ? load((const float*)(entries + k) + part) : splat(1.0f); }, fields);
+  return {{fields[2], fields[3], fields[4]}, fields[5]};  // as in Footprint
+}
+
+// Moments of kWidth Gaussians as gradients of their footprints.
+void write_footprint_gradients(const Whitening<F>& w, const float* spacing, const Moments<F>& m, int real, int64_t at, float* d_centers,
                                float* d_roots) {
-  Whitening<F> w{splat(1.0f), splat(1.0f), splat(1.0f)};  // those beyond the last are harmless
-  for (int k = 0; k < real; k++) { w.ux[k] = entries[k].g.ux; w.uy[k] = entries[k].g.uy; w.vy[k] = entries[k].g.vy; }
   F center[2], columns[3];
   footprint_gradient(w, spacing, m, center, columns);
   write_few<2>(center, real, d_centers + 2 * at);
@@ -164,12 +173,12 @@ int32_t attenuate_step_backward(sg_context& c, const sg_problem& p, const float*
     for (int64_t i = first; i < end; i += kWidth) {
       const int real = smaller(kWidth, (int)(end - i));
       const int64_t at = v * (int64_t)p.gaussians + i;
-      F sums[kFields], depth = splat(1.0f);
+      F sums[kRow];
       gather(real, [&](int k) { return ray_row(s, scratch[v], i + k); }, [](int) { return (Eight)(0.0f); }, sums);
       for (int k = 0; k < 6; k++) sums[k] *= kLn2;  // tau is in units of log2(e)
-      for (int k = 0; k < real; k++) depth[k] = s.on_rays[i + k].g.height;
-      store_some(out->optical_depth + at, sums[0] / (power2(depth) * kLn2), real);
-      write_footprint_gradients(s.on_rays + i, p.ray, moments_of(sums), real, at, out->ray_centers, out->ray_roots);
+      const Shapes shapes = read_shapes(s.on_rays + i, real);
+      store_some(out->optical_depth + at, sums[0] / (power2(shapes.height) * kLn2), real);
+      write_footprint_gradients(shapes.w, p.ray, moments_of(sums), real, at, out->ray_centers, out->ray_roots);
     }
   });
   return SG_OK;
@@ -217,15 +226,15 @@ int32_t splat_step_backward(sg_context& c, const sg_problem& p, const sg_channel
   over_chunks(p, [&](int v, int64_t first, int64_t end) {
     for (int64_t i = first; i < end; i += kWidth) {
       const int real = smaller(kWidth, (int)(end - i));
-      F sums[kFields];
+      F sums[kRow];
       gather(real, [&](int k) { return pixel_row(scratch[v], i + k); }, [](int) { return (Eight)(0.0f); }, sums);
       Moments<F> m = moments_of(sums);
       if (!p.peak) {                    // d ln norm = da / a + dc / c
         m.muu -= m.m0 * (0.5f / kLn2);
         m.mvv -= m.m0 * (0.5f / kLn2);
       }
-      write_footprint_gradients(c.views[v].on_pixels + i, p.pixel, m, real, v * (int64_t)p.gaussians + i, out->pixel_centers,
-                                out->pixel_roots);
+      write_footprint_gradients(read_shapes(c.views[v].on_pixels + i, real).w, p.pixel, m, real, v * (int64_t)p.gaussians + i,
+                                out->pixel_centers, out->pixel_roots);
     }
   });
   return SG_OK;
