@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import tifffile
+import torch
 from PIL import Image
 
 from elsewhere import elsewhere
@@ -29,7 +30,7 @@ from scoring import few_samples
 def workshop(box: Path) -> Path:
     """A folder with a mesh, a dataset and an evaluated run."""
     simulate = f"simulate --mesh {box}/box.obj --out {box}/dataset --azimuth 0:360:90 --grazing 30 60"
-    assert main([*simulate.split(), "--test-azimuth", "0:360:45", "--pixels", "32"]) == 0
+    assert main([*simulate.split(), "--test-azimuth", "0:360:45", "--pixels", "32", "--masks"]) == 0
     few = "--iterations 4 --points.voxel 0.3 --points.rays-per-pixel 2"
     assert main(f"reconstruct {box}/dataset --out {box}/run {few}".split()) == 0
     with few_samples():
@@ -113,6 +114,49 @@ def test_export_and_info(tmp_path: Path, said, refused) -> None:
     }
     for path, text in expected.items():
         assert text in said(f"info {path}").replace("\n", " ")
+
+
+def test_gaussians_in_a_file_are_taken_like_a_run(tmp_path: Path, said, refused) -> None:
+    gaussians = tmp_path / "g.ply"
+    said(f"export run {gaussians}")
+    for source, name in (("run", "a.splat"), (gaussians, "b.splat")):
+        said(f"export {source} {tmp_path}/{name}")
+    assert (tmp_path / "a.splat").read_bytes() == (tmp_path / "b.splat").read_bytes()
+    assert "0 dB is the brightest pixel from all sides" in said(
+        f"render {gaussians} --azimuth 0 --grazing 45 --pixels 20 30 --spacing 0.3 --out {tmp_path}/g.png"
+    )
+    with Image.open(tmp_path / "g.png") as picture:
+        assert picture.size == (30, 20)
+    assert "is the file that is exported" in refused(f"export {gaussians} {gaussians} --overwrite")
+    assert "give --dataset DIR, or --mesh FILE" in refused(f"evaluate {gaussians}")
+    assert "is for PLY files, and run is a run" in refused("evaluate run --dataset dataset")
+    with few_samples():
+        told = said(f"evaluate {gaussians} --dataset dataset")
+    psnr_db = json.loads(Path("run/metrics.json").read_text())["images"]["test"]["psnr_db"]
+    assert f"{psnr_db:.2f}" in told
+
+
+def test_gaussians_in_a_file_are_scored_against_a_mesh_alone(tmp_path: Path, said) -> None:
+    from sarsplat import Gaussians, Harmonics, write_gaussians_ply
+
+    place = torch.cartesian_prod(torch.linspace(-1.2, 1.2, 9), torch.linspace(-0.6, 0.6, 5), torch.linspace(0, 1, 4))
+    turn = torch.tensor([1.0, 0, 0, 0]).expand(len(place), 4)
+    size, depth = torch.full((len(place), 3), 0.2), torch.full((len(place),), 3.0)
+    write_gaussians_ply(tmp_path / "own.ply", Gaussians(place, turn, size, depth, Harmonics(torch.ones(len(place), 1))))
+    with few_samples():
+        told = said(f"evaluate {tmp_path}/own.ply --mesh box.obj")
+    assert "CD m" in told
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["own.ply"]
+
+
+def test_mesh_and_masks_in_one_command(tmp_path: Path, said) -> None:
+    shutil.copytree("run", tmp_path / "run")
+    with few_samples():
+        said(f"evaluate {tmp_path}/run --mesh box.obj --masks dataset/masks")
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert metrics["truth"]["mesh"].endswith("box.obj")
+    assert metrics["points"]["visible"]["cd_m"] > 0
+    assert 0 <= metrics["images"]["test"]["target_iou"] <= 1
 
 
 def test_ctrl_c_says_how_to_continue(tmp_path: Path, monkeypatch, capsys, said) -> None:

@@ -122,6 +122,8 @@ def refuse_existing(path: Path, overwrite: bool, *, marker: str) -> None:
 
 def refuse_other_kinds(path: Path, run: Path, recognises: Recognises) -> None:
     """Refuse to write an export of a run inside its folder, or over a file of another kind."""
+    if Path(os.path.realpath(path)) == run.resolve():
+        raise SarsplatError(f"{path} is the file that is exported; choose another name")
     if Path(os.path.realpath(path)).is_relative_to(run.resolve()):
         raise SarsplatError(f"{path} is inside the run; choose a path outside {run}")
     if path.exists():
