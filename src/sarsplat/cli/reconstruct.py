@@ -16,6 +16,7 @@ from sarsplat.cli import console
 from sarsplat.cli.arguments import DEFAULT_PORT, MARKERS, Folder, OptionalFile, OptionalFolder, refuse_existing
 from sarsplat.cli.watch import watched
 from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.names import SCATTERINGS
 from sarsplat.reconstruction.config import DEFAULT_METHOD, AnyConfig, Config, Densification, Surroundings
 from sarsplat.reconstruction.methods import METHODS, method_named
 from sarsplat.reconstruction.presets import PRESETS
@@ -26,9 +27,11 @@ if TYPE_CHECKING:
 
     MethodName = str
     PresetName = str
+    ScatteringName = str
 else:
     MethodName = tyro.extras.literal_type_from_choices(METHODS)
     PresetName = tyro.extras.literal_type_from_choices(("auto", *PRESETS))
+    ScatteringName = tyro.extras.literal_type_from_choices(SCATTERINGS)
 
 _PARTS = {"densification": Densification, "surroundings": Surroundings}
 """Parts of the settings that may be absent."""
@@ -43,6 +46,7 @@ class Settings(Config):
     """Settings as flags: parts that may be absent are always here, so that their flags are."""
 
     preset: Annotated[str, tyro.conf.Fixed, tyro.conf.Suppress] = "default"
+    scattering: ScatteringName = "normal-lobes"
     densification: Densification = field(default_factory=Densification)
     surroundings: Surroundings = field(default_factory=Surroundings)
 
