@@ -67,7 +67,7 @@ def examine(dataset: Dataset) -> Examination:
     found.contradictions.extend(suspicious_angles(dataset.select("train").views))
     wrong = suspicious_images(dataset)
     found.contradictions.extend(wrong)
-    found.checks["images"] = "see below" if wrong else f"all {len(dataset)} differ, none is constant"
+    found.checks["images"] = "see below" if wrong else _all_differ(len(dataset))
     some = _evenly(dataset)
     if not np.ptp(some.power, axis=(1, 2)).any():
         return found
@@ -76,6 +76,10 @@ def examine(dataset: Dataset) -> Examination:
     _orientation(some, levels, outlines, found)
     _statistics(some, levels, outlines, found)
     return found
+
+
+def _all_differ(images: int) -> str:
+    return "the only one is not constant" if images == 1 else f"all {images} differ, none is constant"
 
 
 def _evenly(dataset: Dataset) -> Dataset:
