@@ -32,7 +32,7 @@ from sarsplat.data import (
     read_dataset,
     read_gaussians_ply,
     read_points_ply,
-    read_power_tiff,
+    read_tiff,
     save_checkpoint,
     write_dataset,
     write_gaussians_ply,
@@ -166,7 +166,7 @@ def _spoil_tiff(data: bytes, rng: random.Random) -> bytes:
 
 
 def _read_tiff(folder: Path) -> object:
-    power = read_power_tiff(folder / "image.tif", (6, 5))
+    power = read_tiff(folder / "image.tif", (6, 5))
     assert power.shape == (6, 5)
     return power.mean()
 

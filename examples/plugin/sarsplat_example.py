@@ -35,11 +35,10 @@ def recognise(contents: Contents) -> Recognised | None:
     return Recognised("stacks of images", {}, command.format(stacks[0]), certainty=0.5) if stacks else None
 
 
-def write_csv(run, path: Path, colour: str) -> str:
+def write_csv(points, path: Path, colour: str) -> None:
     """The points of a run, m, as text."""
-    lines = ["x,y,z", *(",".join(f"{number:.4f}" for number in point) for point in run.points)]
+    lines = ["x,y,z", *(",".join(f"{number:.4f}" for number in point) for point in points.positions)]
     path.write_text("\n".join(lines) + "\n")
-    return f"{len(run.points)} points, metres"
 
 
 CSV = Format({"points": write_csv}, {"points": "any spreadsheet"}, recognises=lambda head, _: head.startswith(b"x,y,z"))

@@ -1,4 +1,4 @@
-"""Capabilities by name: each is a file of ours or an entry point of another package."""
+"""Capabilities: each is a file of ours, or an entry point of another package, and nothing else lists it."""
 
 from __future__ import annotations
 
@@ -88,14 +88,30 @@ def discover(package: str, prefix: str, attribute: str, group: str, *more_packag
     return Plugins(partial(_search, (package, *more_packages), prefix, attribute, group))
 
 
+def classes_in(package: str, base: type[T]) -> tuple[type[T], ...]:
+    """Every class derived from `base` that another module of the package defines, by its `order`; imports them all."""
+    modules = [import_module(f"{package}.{name}") for name in _modules(package)]
+    kinds = [
+        kind
+        for module in modules
+        for kind in vars(module).values()
+        if isinstance(kind, type) and issubclass(kind, base) and kind.__module__ == module.__name__ != base.__module__
+    ]
+    return tuple(sorted(kinds, key=lambda kind: kind.order))  # type: ignore[attr-defined]
+
+
+def _modules(package: str) -> Iterator[str]:
+    spec = find_spec(package)
+    return (info.name for info in iter_modules((spec and spec.submodule_search_locations) or ()))
+
+
 def _search(packages: Sequence[str], prefix: str, attribute: str, group: str) -> dict[str, EntryPoint]:
     entries: dict[str, EntryPoint] = {}
     for home in packages:
-        spec = find_spec(home)
-        for info in iter_modules((spec and spec.submodule_search_locations) or ()):
-            if info.name.startswith(prefix):
-                name = info.name.removeprefix(prefix).replace("_", "-")
-                entries[name] = EntryPoint(name, f"{home}.{info.name}:{attribute}", group)
+        for module in _modules(home):
+            if module.startswith(prefix):
+                name = module.removeprefix(prefix).replace("_", "-")
+                entries[name] = EntryPoint(name, f"{home}.{module}:{attribute}", group)
     for entry in entry_points(group=group):
         taken = entries.setdefault(entry.name, entry)
         if taken.value != entry.value:
@@ -106,15 +122,3 @@ def _search(packages: Sequence[str], prefix: str, attribute: str, group: str) ->
                 stacklevel=2,
             )
     return entries
-
-
-def classes_in(package: str, base: type[T]) -> tuple[type[T], ...]:
-    """Every class derived from `base` that another module of a package of ours defines, by its `order`."""
-    modules = [import_module(f"{package}.{info.name}") for info in iter_modules(import_module(package).__path__)]
-    kinds = [
-        kind
-        for module in modules
-        for kind in vars(module).values()
-        if isinstance(kind, type) and issubclass(kind, base) and kind.__module__ == module.__name__ != base.__module__
-    ]
-    return tuple(sorted(kinds, key=lambda kind: kind.order))  # type: ignore[attr-defined]

@@ -43,7 +43,13 @@ def test_help_is_fast_and_imports_nothing_heavy(command: list[str]) -> None:
     assert f"usage: {' '.join(['sarsplat', *command[:-1]])} [-h]" in shown
 
 
-def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_without_a_command_names_the_version_option_too(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main([])
+    assert end.value.code in (0, None)
+    told = capsys.readouterr().out
+    assert "usage: sarsplat [-h]" in told
+    assert "`sarsplat --version`" in told
     assert main(["--version"]) == 0
     assert capsys.readouterr().out.startswith("sarsplat ")
 

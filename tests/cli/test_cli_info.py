@@ -10,7 +10,6 @@ import pytest
 from rich.console import Console
 
 from datasets import dataset_of
-from sarsplat.cli import main
 from sarsplat.cli.sky import PLAIN, PRETTY, sky_chart, symbols_for
 from sarsplat.data import Dataset, read_dataset, write_dataset
 from sarsplat.geometry import ImageGrid, View
@@ -27,12 +26,9 @@ def dataset(tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-def test_views_gap_and_chart(dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["info", str(dataset)]) == 0
-    told = capsys.readouterr().out
-    assert "largest gap        120°, from 90° clockwise to 210° (azimuths of the training views)" in " ".join(
-        told.split(" ")
-    )
+def test_views_gap_and_chart(dataset: Path, said) -> None:
+    told = said(f"info {dataset}")
+    assert "largest gap        120°, from 90° clockwise to 210° (azimuths of the training views)" in told
     assert re.search(r"train +45° +17 +210° … 90°, clockwise +15° +120°", told)
     assert re.search(r"test +30° +1 +150° +– +–", told)
     assert "0° (nose)" in told
@@ -42,15 +38,14 @@ def rows(symbols=PRETTY, train=(), test=(), width=80) -> list[str]:
     return sky_chart(train, test, width, symbols).plain.splitlines()
 
 
-def test_images_with_phase_say_so(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_images_with_phase_say_so(dataset: Path, tmp_path: Path, said) -> None:
     power = read_dataset(dataset)
     write_dataset(tmp_path / "complex", Dataset.of_complex(GRID, power.entries, power.power.astype(np.complex64)))
     for path, told in ((dataset, "linear power, float32"), (tmp_path / "complex", "is β⁰, complex64")):
-        assert main(["info", str(path)]) == 0
-        assert told in capsys.readouterr().out
+        assert told in said(f"info {path}")
 
 
-def test_where_images_come_from_is_told_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_where_images_come_from_is_said_in_words(tmp_path: Path, said) -> None:
     source = {
         "kind": "phase-history",
         "around_m": [1.5, 2.0],
@@ -61,8 +56,7 @@ def test_where_images_come_from_is_told_in_words(tmp_path: Path, capsys: pytest.
     }
     one = dataset_of(GRID, [(RING[0], "train")], np.ones((1, 8, 8), np.float32), source=source)
     write_dataset(tmp_path / "data", one)
-    assert main(["info", str(tmp_path / "data")]) == 0
-    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    lines = [" ".join(line.split()) for line in said(f"info {tmp_path}/data").splitlines()]
     first = lines.index("assumed the nose is at 0°")
     assert lines[first + 1] == "the ground is flat"
     assert "source.apertures 2, listed in dataset.json" in lines
@@ -93,14 +87,12 @@ def test_narrow_terminals_and_few_letters() -> None:
     assert Console(width=40).width == 40
 
 
-def test_pictures(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_pictures(dataset: Path, tmp_path: Path, said, refused) -> None:
     pytest.importorskip("matplotlib")
-    assert main(["info", str(dataset), "--plot", str(tmp_path / "sky.png")]) == 0
-    assert (tmp_path / "sky.png").read_bytes().startswith(b"\x89PNG")
     for _ in range(2):
-        assert main(["info", str(dataset), "--plot", str(tmp_path / "sky.svg")]) == 0
+        said(f"info {dataset} --plot {tmp_path}/sky.png")
+        said(f"info {dataset} --plot {tmp_path}/sky.svg")
+    assert (tmp_path / "sky.png").read_bytes().startswith(b"\x89PNG")
     assert b"<svg" in (tmp_path / "sky.svg").read_bytes()
-    capsys.readouterr()
-    assert main(["info", str(dataset), "--plot", str(tmp_path / "sky.bmp")]) == 2
-    assert "does not end in .png or .svg" in " ".join(capsys.readouterr().err.split())
+    assert "does not end in .png or .svg" in refused(f"info {dataset} --plot {tmp_path}/sky.bmp")
     assert not (tmp_path / "sky.bmp").exists()

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
-import trimesh
 from PIL import Image
 
 from sarsplat.cli import main
@@ -17,25 +16,13 @@ from sarsplat.reconstruction import Run
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run(box: Path) -> Path:
     """Of a box, in images that are not square."""
-    folder = tmp_path_factory.mktemp("render")
-    box = trimesh.creation.box(extents=(2.4, 1.2, 1.0))
-    box.apply_translation((0, 0, 0.5))
-    box.export(folder / "box.obj")
-    simulate = ["simulate", "--mesh", str(folder / "box.obj"), "--out", str(folder / "dataset"), "--pixels", "32"]
-    assert main([*simulate, "--azimuth", "10:370:90", "--grazing", "30", "60"]) == 0
-    few = ["--iterations", "4", "--points.voxel", "0.3", "--points.rays-per-pixel", "2"]
-    assert main(["reconstruct", str(folder / "dataset"), "--out", str(folder / "run"), *few]) == 0
-    return folder / "run"
-
-
-def refusal(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    capsys.readouterr()
-    assert main(words) == 2
-    complaint = capsys.readouterr().err
-    assert complaint.startswith("error: ") and complaint.count("\n") == 1
-    return complaint
+    simulate = f"simulate --mesh {box}/box.obj --out {box}/dataset --pixels 32 --azimuth 10:370:90 --grazing 30 60"
+    assert main(simulate.split()) == 0
+    few = "--iterations 4 --points.voxel 0.3 --points.rays-per-pixel 2"
+    assert main(f"reconstruct {box}/dataset --out {box}/run {few}".split()) == 0
+    return box / "run"
 
 
 def frames_of(path: Path) -> list[np.ndarray]:
@@ -55,10 +42,9 @@ def frames_of(path: Path) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("ending", ["gif", "webp", "mp4"])
-def test_a_sweep_all_around_is_an_animation_without_a_jump(run: Path, tmp_path: Path, ending: str) -> None:
+def test_a_sweep_all_around_is_an_animation_without_a_jump(run: Path, tmp_path: Path, ending: str, said) -> None:
     out = tmp_path / f"sweep.{ending}"
-    sweep = ["render", str(run), "--sweep", "azimuth", "--frames", "12", "--seconds", "1.2", "--out", str(out)]
-    assert main(sweep) == 0
+    said(f"render {run} --sweep azimuth --frames 12 --seconds 1.2 --out {out}")
     assert [path.name for path in tmp_path.iterdir()] == [out.name]
     frames = frames_of(out)
     assert len(frames) == 12
@@ -68,34 +54,39 @@ def test_a_sweep_all_around_is_an_animation_without_a_jump(run: Path, tmp_path: 
     assert 0 < steps[0] < 2 * np.median(steps[1:])  # from the last one to the first
 
 
-def test_a_grazing_sweep_goes_there_and_back(run: Path, tmp_path: Path) -> None:
-    out = tmp_path / "sweep.gif"
-    sweep = ["render", str(run), "--sweep", "grazing", "--grazing", "20", "70", "--azimuth", "33", "--frames", "8"]
-    assert main([*sweep, "--out", str(out)]) == 0
-    frames = frames_of(out)
+def test_a_grazing_sweep_goes_there_and_back(run: Path, tmp_path: Path, said) -> None:
+    said(f"render {run} --sweep grazing --grazing 20 70 --azimuth 33 --frames 8 --out {tmp_path}/sweep.gif")
+    frames = frames_of(tmp_path / "sweep.gif")
     for number in (1, 2, 3):
         np.testing.assert_array_equal(frames[number], frames[8 - number])
     assert np.abs(frames[0] - frames[4]).mean() > 0.5
 
 
-def test_a_sweep_in_a_folder_has_each_view_once(run: Path, tmp_path: Path) -> None:
-    sweep = ["render", str(run), "--sweep", "grazing", "--frames", "6", "--out", str(tmp_path / "images")]
-    assert main(sweep) == 0
+def test_a_sweep_in_a_folder_has_each_view_once(run: Path, tmp_path: Path, said) -> None:
+    said(f"render {run} --sweep grazing --frames 6 --out {tmp_path}/images")
     names = sorted(path.name for path in (tmp_path / "images").glob("*.tif"))
     assert names == [f"az010_gr{grazing}.tif" for grazing in ("30", "37.5", "52.5", "60")]
 
 
-def test_one_image(run: Path, tmp_path: Path) -> None:
-    view = ["--azimuth", "40", "--grazing", "45"]
-    for name in ("one.tif", "one.png"):
-        assert main(["render", str(run), *view, "--range", "20", "--out", str(tmp_path / name)]) == 0
+def test_one_image(run: Path, tmp_path: Path, said) -> None:
+    render = f"render {run} --azimuth 40 --grazing 45 --range 20"
+    for name in ("one.tif", "one.png", "c.png --cmap viridis"):
+        said(f"{render} --out {tmp_path}/{name}")
     power = tifffile.imread(tmp_path / "one.tif")
     np.testing.assert_array_equal(power, Run.load(run).render([View(40, 45)])[0])
     shade = np.clip(1 + 10 * np.log10(np.maximum(power, 1e-30) / Run.load(run).brightest) / 20, 0, 1)
     np.testing.assert_allclose(np.asarray(Image.open(tmp_path / "one.png")), 255 * shade, atol=0.51)
-    coloured = ["render", str(run), *view, "--range", "20", "--cmap", "viridis", "--out", str(tmp_path / "c.png")]
-    assert main(coloured) == 0
     assert Image.open(tmp_path / "c.png").convert("RGB").getpixel((0, 0)) == (68, 1, 84)  # viridis begins there
+
+
+def test_levels_of_uncalibrated_images_are_not_given_as_power(run: Path, tmp_path: Path, said) -> None:
+    render, header = f"render {run} --azimuth 0 --grazing 45 --out {tmp_path}", run.parent / "dataset" / "dataset.json"
+    assert "brightest training pixel, β⁰ = " in said(f"{render}/a.png")
+    text = header.read_text()
+    header.write_text(text.replace('"absolute"', '"relative"'))
+    told = said(f"{render}/b.png")
+    header.write_text(text)
+    assert "brightest training pixel, β⁰ up to an unknown factor;" in told
 
 
 def test_other_pixels_show_the_same_power(run: Path) -> None:
@@ -132,45 +123,36 @@ def test_other_pixels_show_the_same_power(run: Path) -> None:
         ("--azimuth 0 --grazing 45 --spacing -1 --out r", "pixel spacing"),
     ],
 )
-def test_what_is_refused(
-    run: Path,
-    tmp_path: Path,
-    words: str,
-    complaint: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_what_is_refused(run: Path, tmp_path: Path, words: str, complaint: str, monkeypatch, refused) -> None:
     monkeypatch.chdir(tmp_path)
     if "--seconds" not in words:
         monkeypatch.setattr(Run, "render", lambda *_: pytest.fail("must not get here"))
-    assert complaint in refusal(["render", str(run), *words.split()], capsys)
+    assert complaint in refused(f"render {run} {words}")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_files_of_other_kinds_are_spared(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_files_of_other_kinds_are_spared(run: Path, tmp_path: Path, said, refused) -> None:
     thesis = tmp_path / "thesis.gif"
     thesis.write_text("\\documentclass")
-    sweep = ["render", str(run), "--sweep", "azimuth", "--frames", "4", "--seconds", "1"]
-    assert "already exists" in refusal([*sweep, "--out", str(thesis)], capsys)
-    assert "not a .gif file as exported" in refusal([*sweep, "--overwrite", "--out", str(thesis)], capsys)
-    assert "is inside the run" in refusal([*sweep, "--out", str(run / "new.gif")], capsys)
+    sweep = f"render {run} --sweep azimuth --frames 4 --seconds 1"
+    assert "already exists" in refused(f"{sweep} --out {thesis}")
+    assert "not a .gif file as exported" in refused(f"{sweep} --overwrite --out {thesis}")
+    assert "is inside the run" in refused(f"{sweep} --out {run}/new.gif")
     assert thesis.read_text() == "\\documentclass"
     for _ in range(2):
-        assert main([*sweep, "--overwrite", "--out", str(tmp_path / "new.gif")]) == 0
+        said(f"{sweep} --overwrite --out {tmp_path}/new.gif")
 
 
-def test_folders_may_have_a_dot(run: Path, tmp_path: Path) -> None:
+def test_folders_may_have_a_dot(run: Path, tmp_path: Path, said) -> None:
     for name in ("images.v2", "az_0.5"):
-        assert main(["render", str(run), "--azimuth", "0", "--grazing", "45", "--out", str(tmp_path / name)]) == 0
+        said(f"render {run} --azimuth 0 --grazing 45 --out {tmp_path}/{name}")
         assert (tmp_path / name / "contact-sheet.png").is_file()
 
 
-def test_without_opencv_other_animations_are_offered(
-    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_opencv_other_animations_are_offered(run: Path, tmp_path: Path, monkeypatch, refused) -> None:
     monkeypatch.setitem(__import__("sys").modules, "cv2", None)
-    sweep = ["render", str(run), "--sweep", "azimuth", "--frames", "4", "--out", str(tmp_path / "r.mp4")]
-    assert "pip install 'sarsplat[video]', or write a .gif or .webp file" in refusal(sweep, capsys)
+    sweep = f"render {run} --sweep azimuth --frames 4 --out {tmp_path}/r.mp4"
+    assert "pip install 'sarsplat[video]', or write a .gif or .webp file" in refused(sweep)
     assert list(tmp_path.iterdir()) == []
 
 

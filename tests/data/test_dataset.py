@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from datasets import dataset_of
-from sarsplat.data import Dataset, SarImage, read_dataset, read_power_tiff, write_dataset
+from sarsplat.data import Dataset, SarImage, read_dataset, read_tiff, write_dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.responses import Taylor
@@ -147,8 +147,8 @@ def test_images_of_two_grids_are_no_dataset():
 def test_each_image_is_read_once(dataset, monkeypatch):
     opened = []
     monkeypatch.setattr(
-        "sarsplat.data.dataset_folder.read_power_tiff",
-        lambda path, shape: opened.append(path.name) or read_power_tiff(path, shape),
+        "sarsplat.data.dataset_folder.read_tiff",
+        lambda path, *expected: opened.append(path.name) or read_tiff(path, *expected),
     )
     again = read_dataset(dataset.path)
     again.images("train"), again.fingerprint(), again.select("test").power, again[0]
@@ -253,7 +253,7 @@ def test_missing_empty_and_other_folders(tmp_path, dataset):
         read_dataset(tmp_path / "empty")
     with pytest.raises(SarsplatError, match="give the folder"):
         read_dataset(dataset.path / "dataset.json")
-    with pytest.raises(SarsplatError, match=r"not a dataset: there is no dataset\.json in it; make one"):
+    with pytest.raises(SarsplatError, match=r"not a dataset, .* no dataset\.json; `sarsplat info .*` says"):
         read_dataset(dataset.path / "images")
     (tmp_path / "empty" / "metrics.jsonl").write_text("")
     with pytest.raises(SarsplatError, match="looks like a run"):

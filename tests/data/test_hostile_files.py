@@ -32,7 +32,7 @@ from sarsplat.data import (
     read_dataset,
     read_json,
     read_points_ply,
-    read_power_tiff,
+    read_tiff,
     write_json,
 )
 from sarsplat.errors import SarsplatError
@@ -117,7 +117,7 @@ def read(path: Path) -> None:
         case ".json":
             read_json(path, Any)
         case ".tif":
-            read_power_tiff(path, (6, 5))
+            read_tiff(path, (6, 5))
         case ".safetensors":
             load_checkpoint(path)
         case _:
@@ -129,15 +129,12 @@ def read(path: Path) -> None:
 def test_what_is_no_file_is_refused_at_once(tmp_path, suffix, kind):
     path = tmp_path / f"it{suffix}"
     special(path, kind)
-    with at_most(5), watched() as cost:
-        with pytest.raises(SarsplatError) as caught:
-            read(path)
-        if suffix == ".ply":
-            with pytest.raises(SarsplatError):
-                read_points_ply(path)
-    assert cost.seconds < 1
-    assert cost.bytes < 64 << 20
-    assert sentence_faults(str(caught.value)) == []
+    for reader in (read, read_points_ply) if suffix == ".ply" else (read,):
+        with at_most(5), watched() as cost, pytest.raises(SarsplatError, match=re.escape(str(path))) as caught:
+            reader(path)
+        assert cost.seconds < 1
+        assert cost.bytes < 64 << 20
+        assert sentence_faults(str(caught.value)) == []
 
 
 @pytest.mark.parametrize("kind", NEVER_OPENED)
@@ -147,7 +144,9 @@ def test_info_says_so_in_one_line(tmp_path, capsys, suffix, kind):
     special(path, kind)
     with at_most(5):
         assert main(["info", str(path)]) == 2
-    assert "Traceback" not in capsys.readouterr().err
+    complaint = capsys.readouterr().err
+    assert complaint.startswith("error: ")
+    assert complaint.count("\n") == 1
 
 
 def test_nothing_is_ever_unpickled(tmp_path):
@@ -158,7 +157,7 @@ def test_nothing_is_ever_unpickled(tmp_path):
     for suffix in (*SUFFIXES, ".pkl", ".npy", ".npz", ".pt"):
         path = tmp_path / f"it{suffix}"
         path.write_bytes(pickle.dumps(Evil()))
-        with pytest.raises(SarsplatError):
+        with pytest.raises(SarsplatError, match=str(path)):
             read(path)
     assert not (tmp_path / "ran").exists()
     sources = "".join(file.read_text() for file in Path(sarsplat.__file__).parent.rglob("*.py"))
@@ -171,18 +170,21 @@ def test_nothing_is_ever_unpickled(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (r'["\ud800"]', "not valid JSON"),
-        (r'{"\udfff": 1}', "not valid JSON"),
-        ("[" + "[]," * 400_000 + "0]", "packs"),
-        ('{"a":' * 100_000, "nested too deeply"),
-        ("\ufeff{}", "not valid JSON"),
+        *((text, "not valid JSON") for text in (b"{", b"", b"\xff\xfe", b'{"a": NaN}', b'{"a": -Infinity}')),
+        *((text, "not valid JSON") for text in (rb'["\ud800"]', rb'{"\udfff": 1}', "\ufeff{}".encode())),
+        (b'{"a": 1e999}', "number out of range"),
+        (b'{"a": ' + b"9" * 5000 + b"}", "integer value out of range"),
+        (b"[" + b"[]," * 400_000 + b"0]", "packs"),
+        (b'{"a":' * 100_000, "nested too deeply"),
+        (b"[" * 200_000, "nested too deeply"),
     ],
 )
 def test_json(tmp_path, text, words):
     path = tmp_path / "a.json"
-    path.write_text(text, encoding="utf-8")
-    with watched() as cost, pytest.raises(SarsplatError, match=words):
+    path.write_bytes(text)
+    with watched() as cost, pytest.raises(SarsplatError, match=words) as caught:
         read_json(path, Any)
+    assert str(path) in str(caught.value)
     assert cost.bytes < 4 * len(text) + (64 << 20)
     path.write_text(r'["😀 \ud83d\ude00"]', encoding="utf-8")
     assert read_json(path, Any) == ["😀 😀"]
@@ -217,12 +219,6 @@ def test_two_names_for_one_image(dataset):
         read_dataset(dataset)
 
 
-def test_half_a_surrogate_pair_in_a_dataset(dataset):
-    change(dataset, '"kind": "é"', r'"kind": "\ud800"')
-    with pytest.raises(SarsplatError, match="not valid JSON"):
-        read_dataset(dataset)
-
-
 def test_folders_whose_names_are_not_text(dataset, tmp_path):
     there = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff\xfe"))
     shutil.move(dataset, there)
@@ -242,7 +238,7 @@ def test_images_of_other_kinds(tmp_path):
         tifffile.imwrite(path, data, **options)
         shape = data.shape[-2:]
         with watched() as cost, pytest.raises(SarsplatError, match=words):
-            read_power_tiff(path, shape)
+            read_tiff(path, shape)
         assert cost.bytes < 4 * path.stat().st_size + (64 << 20)
 
 

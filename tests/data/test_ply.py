@@ -174,13 +174,13 @@ def test_points_beyond_all_measure_are_refused(tmp_path, far):
 
 def test_wrong_points_are_not_written(tmp_path):
     good = np.zeros((4, 3))
-    for array, columns in [
-        (good[:, :2], {}),
-        (good, {"a": np.zeros(3)}),
-        (good, {"x": np.zeros(4)}),
-        (good * np.nan, {}),
+    for array, columns, words in [
+        (good[:, :2], {}, r"shape \(4, 2\); it must be \(P, 3\)"),
+        (good, {"a": np.zeros(3)}, r"column 'a' has shape \(3,\)"),
+        (good, {"x": np.zeros(4)}, "column 'x'"),
+        (good * np.nan, {}, "contains NaN"),
     ]:
-        with pytest.raises(SarsplatError):
+        with pytest.raises(SarsplatError, match=words):
             write_points_ply(tmp_path / "p.ply", array, **columns)
     assert list(tmp_path.iterdir()) == []
 

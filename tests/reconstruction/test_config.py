@@ -106,14 +106,16 @@ def test_unknown_settings_are_refused(path: str, message: str) -> None:
     assert len(str(refusal.value)) < 600
 
 
-@pytest.mark.parametrize("path", ["p_min", "rates.means", "densification.every"])
-def test_missing_settings_are_refused(path: str) -> None:
+@pytest.mark.parametrize("path", ["p_min", "rates.means", "densification.every", "surroundings"])
+def test_absent_settings_take_their_defaults(path: str) -> None:
+    """As in files from before there were these settings."""
     data = changed(path, 1)
     *groups, name = path.split(".")
-    record = data[groups[0]] if groups else data
-    del record[name]
-    with pytest.raises(SarsplatError, match=f"the setting {path} is missing"):
-        Config.from_dict(data)
+    del (data[groups[0]] if groups else data)[name]
+    read = Config.from_dict(data)
+    for key in path.split("."):
+        read = getattr(read, key)
+    assert read == {"p_min": 0.03, "rates.means": 0.067, "densification.every": 500, "surroundings": None}[path]
 
 
 @pytest.mark.parametrize("data", [None, 3, [], "text"])

@@ -44,8 +44,8 @@ def test_results_are_never_older_than_the_checkpoint(
     dataset: Dataset, config: Config, tmp_path: Path, finished: Run, stop_at: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "run"
-    stop_at(25, ValueError())
-    with pytest.raises(ValueError):
+    stop_at(25, ValueError("stopped here"))
+    with pytest.raises(ValueError, match="stopped here"):
         reconstruct(dataset, config, out)
     assert (out / "points.ply").is_file()  # as of iteration 20
     (out / "metrics.json").write_text("{}")

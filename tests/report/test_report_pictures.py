@@ -1,5 +1,6 @@
 """Pictures: decibels, windows, sheets."""
 
+import base64
 import io
 
 import numpy as np
@@ -11,6 +12,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction.log import LogLine
 from sarsplat.report import Look, contact_sheet, decibel_png
+from sarsplat.report.boards import point_boards
 from sarsplat.report.check_sheet import check_sheet
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.figure import axis, nice, scale_bar
@@ -46,6 +48,18 @@ def test_the_window_holds_every_bright_pixel() -> None:
     rows, columns = target_window(truth, peak=1.0)
     assert (truth[:, rows, columns] > 0).sum() == 2
     assert rows.stop - rows.start == columns.stop - columns.start < 40
+
+
+@pytest.mark.parametrize("spacing_m", [0.02, 0.5])
+def test_points_on_a_lattice_are_drawn_without_gaps(spacing_m: float) -> None:
+    """Thinning to voxels leaves about one point in each."""
+    plate = spacing_m * np.stack(np.meshgrid(np.arange(60.0), np.arange(40.0), [0.0]), axis=-1).reshape(-1, 3)
+    (block,), _ = point_boards({"plate": plate}, None, 1.0)
+    top = Image.open(io.BytesIO(base64.b64decode(block.panels[2].image.partition(",")[2])))
+    covered = np.asarray(top) > 0
+    rows, columns = np.nonzero(covered)
+    assert covered[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1].all()
+    assert covered.mean() > 0.8
 
 
 def test_the_difference_ignores_what_is_too_dark_to_see() -> None:
@@ -118,14 +132,22 @@ def test_sheets_have_a_scale_bar_as_long_as_it_says(spacing_m: float) -> None:
         assert bar / panel == pytest.approx(share, abs=3 / panel)
 
 
-def test_one_corner_reflector_does_not_darken_a_sheet() -> None:
+def test_one_corner_reflector_does_not_darken_a_check() -> None:
     grid = ImageGrid(64, 64, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
     images = np.full((1, 64, 64), 1e-9, np.float32)
     images[0, 16:48, 16:48] = 1.0
     images[0, 5, 5] = 1e4  # 40 dB above the rest
     data = dataset_of(grid, [(View(20.0, 30.0), "train")], images)
-    for png in (contact_sheet(images, data.views, grid, Look(1e4)), check_sheet(data)):
-        assert (np.asarray(Image.open(io.BytesIO(png)).convert("L")) > 250).mean() > 0.05
+    assert (np.asarray(Image.open(io.BytesIO(check_sheet(data))).convert("L")) > 250).mean() > 0.05
+
+
+def test_a_contact_sheet_is_as_bright_as_the_single_pictures_and_capped() -> None:
+    grid = ImageGrid(24, 24, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
+    images, views = np.full((720, 24, 24), 1.0), [View(0.5 * k, 30.0) for k in range(720)]
+    picture = Image.open(io.BytesIO(contact_sheet(images, views, grid, Look(100.0))))
+    assert picture.height < 3000
+    grey = np.asarray(picture.convert("L"))
+    assert (grey == 128).mean() > 0.4  # half of 40 dB below white, as in the PNGs
 
 
 def test_a_contact_sheet_of_nothing_is_refused() -> None:

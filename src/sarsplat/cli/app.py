@@ -9,7 +9,7 @@ import warnings
 from typing import TextIO
 
 from sarsplat.cli import console, extras
-from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.errors import AssumptionWarning, SarsplatError, SarsplatWarning
 
 _MISUSED = 2
 _READER_LEFT = 141  # as shells have it
@@ -33,11 +33,12 @@ def run(words: list[str]) -> int:
         return 0
     with warnings.catch_warnings():
         warnings.simplefilter("default", SarsplatWarning)
+        warnings.simplefilter("ignore", AssumptionWarning)
         warnings.showwarning = _show_warning
         try:
             from sarsplat.cli.parser import parse  # here, for it may warn of what other packages offer
 
-            code = parse(words)()
+            code = parse(words or ["--help"])()
         except SarsplatError as error:
             console.complain(str(error))
             return _MISUSED
@@ -47,7 +48,7 @@ def run(words: list[str]) -> int:
                 raise
             console.complain(f"this needs {error.name}, which is not installed; {extras.install_command(extra)}")
             return _MISUSED
-        except BrokenPipeError:  # whoever read what we print has had enough, as `head` has
+        except BrokenPipeError:  # the program that reads our output has ended, as `head` does
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what Python flushes at its end
             return _READER_LEFT
         except OSError as error:  # what no command foresaw: no permission to look, a name too long

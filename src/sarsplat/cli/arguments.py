@@ -42,13 +42,7 @@ def one_of(literal: Any, hint: str = "(optional)") -> Any:
 
 
 def angles(texts: Sequence[str], name: str) -> list[float]:
-    """Degrees from words such as `30`, `-7.5` and `0:360:15` (start:stop:step; the stop is left out).
-
-    Raises
-    ------
-    SarsplatError
-        If a word is neither, or a range is empty or too long.
-    """
+    """Degrees from words such as `30`, `-7.5` and `0:360:15` (start:stop:step; the stop is left out)."""
     values: list[float] = []
     for text in ",".join(texts).split(","):
         try:
@@ -62,20 +56,19 @@ def angles(texts: Sequence[str], name: str) -> list[float]:
             raise SarsplatError(f"--{name} {text!r} is neither degrees, such as 30, nor a range, such as 0:360:15")
         start, stop, step = numbers
         steps = (stop - start) / step - 1e-9
-        if not 0 < steps <= _MAX_ANGLES:  # also catches what overflowed
-            raise SarsplatError(f"--{name} {text!r} is a range of {max(steps, 0):.0f} angles; give 1 to {_MAX_ANGLES}")
+        if steps <= 0:
+            raise SarsplatError(
+                f"--{name} {text!r} has no angles: steps of {step:g}° do not lead from {start:g}° to {stop:g}°; give "
+                f"{start:g}:{stop:g}:{-step:g}, or change the stop"
+            )
+        if not steps <= _MAX_ANGLES:  # also catches what overflowed
+            raise SarsplatError(f"--{name} {text!r} is a range of {steps:.0f} angles; give 1 to {_MAX_ANGLES}")
         values += [start + step * k for k in range(math.ceil(steps))]
     return values
 
 
 def metres(text: str, name: str) -> float:
-    """A length from `64m` or `64`.
-
-    Raises
-    ------
-    SarsplatError
-        If it is neither.
-    """
+    """A length from `64m` or `64`."""
     try:
         return float(text.strip().removesuffix("m"))
     except ValueError:
@@ -102,57 +95,33 @@ def numbers(text: str, name: str, counts: tuple[int, ...], example: str) -> tupl
 def views_from(
     azimuth: Sequence[str], grazing: Sequence[str], incidence: Sequence[str], prefix: str = ""
 ) -> list[View]:
-    """Every azimuth at every grazing (or incidence) angle, without repetition; `prefix` names the options in errors.
-
-    Raises
-    ------
-    SarsplatError
-        If azimuths or elevations are missing, elevations are given both ways, or an angle is out of range.
-
-    Warns
-    -----
-    SarsplatWarning
-        If the angles look like radians.
-    """
+    """Every azimuth at every grazing (or incidence) angle, without repetition; `prefix` names the options in errors."""
     from sarsplat.data.plausible import suspicious_angles, warn
     from sarsplat.geometry import View
 
+    azimuths = angles(azimuth, f"{prefix}azimuth") if azimuth else []
     if grazing and incidence:
         raise SarsplatError(
             f"both were given: --{prefix}grazing and --{prefix}incidence are two ways to give the same angle; "
             "leave out one of them"
         )
     if not grazing and not incidence:
-        raise SarsplatError(f"neither --{prefix}grazing nor --{prefix}incidence was given; give one of them")
+        raise SarsplatError(
+            f"neither --{prefix}grazing nor --{prefix}incidence was given; add one, such as --{prefix}grazing 30"
+        )
     if not azimuth:
         raise SarsplatError(f"--{prefix}azimuth is missing; give degrees or a range, such as 0:360:15")
     if incidence:
         elevations = [90.0 - angle for angle in angles(incidence, f"{prefix}incidence")]
     else:
         elevations = angles(grazing, f"{prefix}grazing")
-    azimuths = angles(azimuth, f"{prefix}azimuth")
     views = list(dict.fromkeys(View(a, e) for e in elevations for a in azimuths))
     warn(suspicious_angles(views))
     return views
 
 
 def refuse_existing(path: Path, overwrite: bool, *, marker: str | None = None) -> None:
-    """Say at once, not after minutes of work, that an output is in the way.
-
-    Parameters
-    ----------
-    path : Path
-        The output.
-    overwrite : bool
-        Whether it may be replaced.
-    marker : str, optional
-        For a folder: the file that marks its kind; the same as `new_folder` refuses is then refused.
-
-    Raises
-    ------
-    SarsplatError
-        If something stands at `path` (an empty folder is nothing) and may not be replaced.
-    """
+    """Say at once, not after minutes of work, that an output is in the way; `marker` is as for `new_folder`."""
     if marker is not None:
         from sarsplat.data import folders
 

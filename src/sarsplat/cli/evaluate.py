@@ -27,10 +27,10 @@ def evaluate(
         ground at z = 0); without it, the dataset's true mesh, if it has one.
     align
         rigid: bring the points onto the visible surface first, by at most three resolution cells and 5° about the
-        vertical. Where a measured target stands in its chips says nothing about its reconstruction.
+        vertical. Where a measured target stands in its images says nothing about its reconstruction.
     masks
-        Folder of true masks, grey PNGs with the names of the chips (T72/17deg/hb03333.png): 0 clutter, 1 target,
-        2 shadow, in the orientation of the chips as published, or of the images where these are not chips.
+        Folder of true masks, grey PNGs with the names of the images (T72/17deg/hb03333.png): 0 clutter, 1 target,
+        2 shadow; of MSTAR chips in the orientation as published, of others in that of the images.
     lpips_weights
         Folder of the LPIPS weights (default: SARSPLAT_LPIPS_WEIGHTS); without weights, LPIPS is skipped.
     """

@@ -38,7 +38,7 @@ def export(
         Replace an existing file of the same kind.
     """
     from sarsplat import exports
-    from sarsplat.data.replaceable import refuse_other_kinds
+    from sarsplat.data.folders import refuse_other_kinds
     from sarsplat.reconstruction import Run
 
     kind, _ = exports.format_of(file, format)

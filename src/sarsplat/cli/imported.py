@@ -29,7 +29,7 @@ def carry_out(
 def finish(out: Path, dataset: Dataset) -> None:
     """Print what was assumed and what contradicts it, draw a sheet of the orientation, and name the next step."""
     from sarsplat.data.plausible import warn
-    from sarsplat.importers import ready
+    from sarsplat.importers import summary
     from sarsplat.reconstruction.contradictions import examine
 
     for assumption in dataset.source.get("assumptions", ()):
@@ -40,7 +40,8 @@ def finish(out: Path, dataset: Dataset) -> None:
     except ModuleNotFoundError as error:
         console.say(f"no preview.png was drawn, for {error.name} is not installed; {install_command('report')}")
     console.finish(
-        f"{out}: {ready(dataset)}", f"sarsplat reconstruct {shlex.quote(str(out))} --out {shlex.quote(f'{out}-run')}"
+        f"{out}: {summary(dataset)}, ready",
+        f"sarsplat reconstruct {shlex.quote(str(out))} --out {shlex.quote(f'{out}-run')}",
     )
 
 

@@ -142,7 +142,7 @@ def _extent(points: np.ndarray) -> str:
 def _tiff(path: Path) -> tuple[str, dict[str, str]]:
     import tifffile
 
-    from sarsplat.data import read_power_tiff
+    from sarsplat.data import read_tiff
 
     try:
         with tifffile.TiffFile(path) as tiff:
@@ -152,7 +152,7 @@ def _tiff(path: Path) -> tuple[str, dict[str, str]]:
         raise SarsplatError(f"{path} is not a readable TIFF ({error}); give {_UNDERSTOOD}") from error
     if len(shape) != 2:
         raise SarsplatError(f"{path} is a TIFF of shape {shape}; give a power image, which has only rows and columns")
-    power = read_power_tiff(path, (shape[0], shape[1]))
+    power = read_tiff(path, (shape[0], shape[1]))
     rows = {
         "pixels": f"{shape[0]} rows × {shape[1]} columns, float32",
         "power": f"mean {power.mean():.4g}, largest {power.max():.4g}, linear",

@@ -1,4 +1,4 @@
-"""What `sarsplat info` tells of a dataset: its properties, its views, and where on the sky they are."""
+"""What `sarsplat info` says about a dataset: its properties, its views, and where on the sky they are."""
 
 from __future__ import annotations
 
@@ -33,13 +33,7 @@ _QUANTITIES = {False: "β⁰, linear power, float32", True: "complex amplitude, 
 
 
 def describe_dataset(path: Path, plot: Path | None) -> None:
-    """Say what is in a dataset, and draw its views as a picture if asked to.
-
-    Raises
-    ------
-    SarsplatError
-        If it cannot be read, or the picture's name has another ending or it cannot be written.
-    """
+    """Say what is in a dataset, and draw its views as a picture if asked to."""
     from sarsplat.data import read_dataset
     from sarsplat.data.coverage import view_groups
     from sarsplat.data.plausible import suspicions

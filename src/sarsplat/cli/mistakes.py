@@ -9,16 +9,9 @@ from typing import Any
 
 
 def explained(words: Sequence[str], box: str, commands: Mapping[str, Any]) -> str:
-    """One sentence in place of tyro's box.
+    """One sentence in place of tyro's box, for what was typed after the program's name.
 
-    Parameters
-    ----------
-    words : sequence of str
-        What was typed after the program's name.
-    box : str
-        tyro's error.
-    commands : mapping of str to command
-        All commands by name; those that have commands of their own are mappings again.
+    Commands that have commands of their own are mappings again.
     """
     program, rest, level = "sarsplat", list(words), commands
     while isinstance(level, Mapping):
@@ -30,17 +23,16 @@ def explained(words: Sequence[str], box: str, commands: Mapping[str, Any]) -> st
 
 def _no_command(program: str, rest: Sequence[str], commands: Iterable[str]) -> str:
     if not rest:
-        return f"{program} needs a command; {_one_of(commands)}"
-    return f"{rest[0]!r} is not a command of {program}; {_meant(rest[0], commands) or _one_of(commands)}"
-
-
-def _one_of(names: Iterable[str]) -> str:
-    return f"choose one of {', '.join(names)}"
+        return f"{program} needs a command; choose one of {', '.join(commands)}"
+    meant = _meant(rest[0], commands) or f"choose one of {', '.join(commands)}"
+    return f"{rest[0]!r} is not a command of {program}; {meant}"
 
 
 def _meant(word: str, names: Iterable[str]) -> str:
-    near = get_close_matches(word, list(names), 1)
-    return f"did you mean {near[0]}?" if near else ""
+    """Which name is meant, whatever its capitals and hyphens: `T-72` is t72."""
+    plain = {re.sub(r"[\W_]", "", name).lower(): name for name in names}
+    near = get_close_matches(re.sub(r"[\W_]", "", word).lower(), plain, 1)
+    return f"did you mean {plain[near[0]]}?" if near else ""
 
 
 def _plain(program: str, box: str) -> str:
@@ -59,7 +51,8 @@ def _plain(program: str, box: str) -> str:
         return f"{flag.replace('_', '-')} is not an option of {program}; {meant}"
     if choice := re.match(r"invalid choice '(.*?)' for argument '(.*?)'\. Expected one of \((.*?)\)", text):
         choices = [name for name in re.findall(r"'(.*?)'", choice[3]) if name != "None"]
-        return f"{choice[2]} {choice[1]!r} is unknown; {_meant(choice[1], choices) or _one_of(choices)}"
+        meant = _meant(choice[1], choices) or f"choose one of {', '.join(sorted(choices))}"
+        return f"{choice[2]} {choice[1]!r} is unknown; {meant}"
     if missing := re.match(r"Missing from .*?: (\S+)( \S+)?", text):
         return f"{missing[1]} is missing; {see}"
     if wrong := re.match(r"Error parsing (\S+): .*?(string to float|for int\(\)).*?: ('[^']*')", text):

@@ -63,7 +63,10 @@ COMMANDS: dict[str, Command | Mapping[str, Command]] = {
 _GROUPS = {"import": "Import measured images as a dataset."}
 """What the commands that have commands of their own are for."""
 
-_DESCRIPTION = "From SAR images to a 3D target and back: simulate or import → reconstruct → evaluate → render."
+_DESCRIPTION = (
+    "From SAR images to a 3D target and back: simulate or import → reconstruct → evaluate → render. "
+    "`sarsplat COMMAND --help` explains a command, `sarsplat --version` prints the version."
+)
 
 
 def parse(words: Sequence[str]) -> Callable[[], int | None]:

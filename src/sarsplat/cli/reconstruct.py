@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, make_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,9 +18,10 @@ from sarsplat.cli.arguments import DEFAULT_PORT, MARKERS, Folder, OptionalFile, 
 from sarsplat.cli.watch import watched
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.names import SCATTERINGS
-from sarsplat.reconstruction.config import DEFAULT_METHOD, AnyConfig, Config, Densification, Surroundings
+from sarsplat.reconstruction.config import DEFAULT_METHOD, AnyConfig, Config
 from sarsplat.reconstruction.methods import METHODS, method_named
 from sarsplat.reconstruction.presets import PRESETS
+from sarsplat.reconstruction.record import Record, record_in
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
@@ -27,28 +29,40 @@ if TYPE_CHECKING:
 
     MethodName = str
     PresetName = str
-    ScatteringName = str
 else:
     MethodName = tyro.extras.literal_type_from_choices(METHODS)
     PresetName = tyro.extras.literal_type_from_choices(("auto", *PRESETS))
-    ScatteringName = tyro.extras.literal_type_from_choices(SCATTERINGS)
 
-_PARTS = {"densification": Densification, "surroundings": Surroundings}
-"""Parts of the settings that may be absent."""
+_PARTS = {one.name: kind for one in fields(Config) if one.default is None and (kind := record_in(Config, one.name))}
+"""Records of settings that may be absent, by the name of their field: each is switched on or off as a whole."""
+
+# Settings as options: records that may be absent are always here, so that their options are.
+Settings = make_dataclass(
+    "Settings",
+    [
+        ("preset", Annotated[str, tyro.conf.Fixed, tyro.conf.Suppress], "default"),
+        ("scattering", tyro.extras.literal_type_from_choices(SCATTERINGS), Config.scattering),
+        *((name, kind, field(default_factory=kind)) for name, kind in _PARTS.items()),
+    ],
+    bases=(Config,),
+    frozen=True,
+)
 
 
-def _switch(part: str) -> object:
-    return tyro.conf.arg(name=part, metavar="{on,off}", help_behavior_hint="(default: as the preset)")
+def _switch(kind: type[Record]) -> object:
+    about = re.split(r"[.;]", kind.__doc__ or "")[0]
+    return tyro.conf.arg(
+        metavar="{on,off}",
+        help=f"{about}; any of its options below switches it on.",
+        help_behavior_hint="(default: as the preset)",
+    )
 
 
-@dataclass(frozen=True)
-class Settings(Config):
-    """Settings as flags: parts that may be absent are always here, so that their flags are."""
-
-    preset: Annotated[str, tyro.conf.Fixed, tyro.conf.Suppress] = "default"
-    scattering: ScatteringName = "normal-lobes"
-    densification: Densification = field(default_factory=Densification)
-    surroundings: Surroundings = field(default_factory=Surroundings)
+Switches = make_dataclass(
+    "Switches",
+    [(name, Annotated[Literal["on", "off"] | None, _switch(kind)], None) for name, kind in _PARTS.items()],
+    frozen=True,
+)
 
 
 @dataclass(frozen=True)
@@ -89,10 +103,8 @@ class Options:
         Also write a log for TensorBoard to the run's folder `tensorboard`: curves, and images of a few fixed views.
     overwrite
         Replace an existing run, which is kept until the new one has its first checkpoint.
-    densify
-        Density control; any of its options below switches it on.
-    surround
-        Model of ground and noise; any of its options below switches it on.
+    switches
+        Parts of the model and of its training.
     settings
         Settings.
     """
@@ -110,9 +122,8 @@ class Options:
     resume: bool = False
     tensorboard: bool = False
     overwrite: bool = False
-    densify: Annotated[Literal["on", "off"] | None, _switch("densification")] = None
-    surround: Annotated[Literal["on", "off"] | None, _switch("surroundings")] = None
-    settings: Annotated[Settings, tyro.conf.arg(name="")] = Settings()
+    switches: Annotated[Any, tyro.conf.arg(name="")] = field(default_factory=Switches)
+    settings: Annotated[Any, tyro.conf.arg(name="")] = field(default_factory=Settings)
 
 
 def reconstruct(
@@ -200,7 +211,8 @@ def _overridden(method: Method, base: AnyConfig, options: Options, words: Sequen
     defaults = Options(options.dataset, options.out, settings=Settings(**{**values, **present}))
     settings = tyro.cli(Options, args=words, default=defaults, config=MARKERS).settings
     changed = {name: getattr(settings, name) for name in values}
-    for part, switch in (("densification", options.densify), ("surroundings", options.surround)):
+    for part in _PARTS:
+        switch = getattr(options.switches, part)
         inside = next((flag for flag in flags if flag.startswith(f"{part}.")), None)
         if switch == "off" and inside is not None:
             raise SarsplatError(f"--{inside} has no effect with --{part} off; omit one of them")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -81,7 +81,7 @@ def render(
         Replace an existing folder of rendered images, or an existing file of the same kind.
     """
     from sarsplat.colours import POWER
-    from sarsplat.data.replaceable import refuse_other_kinds
+    from sarsplat.data.folders import refuse_other_kinds
     from sarsplat.radiometry import to_db
     from sarsplat.reconstruction import Run
     from sarsplat.report.animation import ANIMATIONS
@@ -112,9 +112,20 @@ def render(
     ends = ("grey", "black", "white") if look.cmap == POWER else (look.cmap, "its lower end", "its upper end")
     console.say(
         f"pictures: {ends[0]} from −{look.range_db:g} dB ({ends[1]}) to 0 dB ({ends[2]}), where 0 dB is the brightest "
-        f"training pixel, β⁰ = {float(to_db(look.peak)):.1f} dB; row 0 is near range"
+        f"training pixel, {f'β⁰ = {to_db(look.peak):.1f} dB' if _absolute(done) else 'β⁰ up to an unknown factor'}; "
+        "row 0 is near range"
     )
     console.finish(f"{out}: {wrote}", f"look at {out if recognises else out / SHEET}")
+
+
+def _absolute(run: Run) -> bool:
+    """Whether the run's images are known to be β⁰ itself."""
+    from sarsplat.data import read_json
+
+    if run.images is not None or run.dataset_path is None:
+        return run.images is not None and run.images.calibration == "absolute"
+    header = run.dataset_path / "dataset.json"
+    return header.is_file() and read_json(header, dict[str, Any]).get("calibration") == "absolute"
 
 
 def _swept(

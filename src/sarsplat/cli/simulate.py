@@ -125,7 +125,7 @@ def simulate(
     """
     from sarsplat.data import Dataset, DatasetEntry, write_dataset
     from sarsplat.data.dataset_folder import HEADER
-    from sarsplat.data.mask_files import pillow
+    from sarsplat.data.masks import pillow
     from sarsplat.data.plausible import suspicions, warn
     from sarsplat.geometry.responses import response_of
     from sarsplat.progress import progress

@@ -18,23 +18,10 @@ Raster = tuple[Angles, Angles, Angles]
 def simulated_views(
     theirs: list[tuple[View, str]], train: Raster, random: int | None, seed: int, test: Raster, test_theirs: bool
 ) -> list[tuple[View, str]]:
-    """Views with their splits.
+    """Views with their splits: `theirs`, the protocol's, where nothing else is given.
 
-    Parameters
-    ----------
-    theirs : list of (View, str)
-        The protocol's, which apply where nothing else is given.
-    train, test : Raster
-        Training and test views instead.
-    random, seed : int
-        Number of random training views instead, between the lowest and the highest grazing angle, and their seed.
-    test_theirs : bool
-        Whether to test on the protocol's test views, whatever the training views are.
-
-    Raises
-    ------
-    SarsplatError
-        If options contradict each other, or no test view is unseen.
+    `random` training views lie between the lowest and the highest grazing angle; with `test_theirs` the test views are
+    the protocol's, whatever the training views are.
     """
     if random is not None:
         own = _random(theirs, train, random, seed)

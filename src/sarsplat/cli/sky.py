@@ -46,14 +46,7 @@ def symbols_for(encoding: str) -> Symbols:
 def sky_chart(train: Sequence[View], test: Sequence[View], width: int, symbols: Symbols) -> Text:
     """The sky from above: straight overhead in the middle, the horizon around, azimuth 0° (the nose) at the top.
 
-    Parameters
-    ----------
-    train, test : sequence of View
-        Where points are drawn; a training view hides a test view in the same place.
-    width : int
-        Columns that there are.
-    symbols : Symbols
-        What to draw with.
+    At most `width` columns; a training view hides a test view in the same place.
     """
     columns = max(_NARROWEST, min(width, _WIDEST)) - 10  # labels at the sides
     rows = columns * _DOTS_ACROSS // _DOTS_DOWN + 1

@@ -1,21 +1,32 @@
-"""What is called after every step of a training that the command line started."""
+"""What accompanies a training: a log, a page, and Ctrl-C between two steps, so that it resumes bit for bit."""
 
 from __future__ import annotations
 
+import os
+import shlex
+import signal
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from sarsplat.cli import console
-from sarsplat.cli.interrupt import interruptible
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
     from sarsplat.reconstruction import Step
 
-LOG_FOLDER = "tensorboard"
-"""In the run's folder."""
+_LOG_FOLDER = "tensorboard"  # in the run's folder
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal that ended a training between two steps; the exit code says which, as in shells."""
+
+    def __init__(self, number: int, text: str = "") -> None:
+        super().__init__(*([text] if text else []))
+        self.number = number
 
 
 @contextmanager
@@ -24,30 +35,63 @@ def watched(
 ) -> Iterator[Callable[[Step[Any]], object]]:
     """A training that Ctrl-C ends between two steps, logged for TensorBoard and shown in a browser if asked for.
 
-    Raises
-    ------
-    SarsplatError
-        If tensorboard is asked for but not installed, or the page's port is taken.
-    KeyboardInterrupt
-        If there was one; it says how to resume, if there is a checkpoint.
+    The yielded function is called after each step. The KeyboardInterrupt says how to resume if there is a checkpoint.
     """
     with ExitStack() as stack:
-        stop_if_asked = stack.enter_context(interruptible(dataset, out))
+        interrupted = stack.enter_context(_interrupts_held_back())
         watchers: list[Callable[[Step[Any]], object]] = []
         if tensorboard:
             from sarsplat.reconstruction.tensorboard import TensorBoard
 
-            board = TensorBoard(out / LOG_FOLDER, images)
+            board = TensorBoard(out / _LOG_FOLDER, images)
             stack.callback(board.close)
             watchers.append(board)
         if port is not None:
             from sarsplat.viewer import watched as shown
 
             watchers.append(stack.enter_context(shown(images, port, console.say)))
-        watchers.append(stop_if_asked)
 
         def on_step(step: Step[Any]) -> None:
             for watcher in watchers:
                 watcher(step)
+            if number := interrupted():
+                raise Stopped(number)
 
-        yield on_step
+        try:
+            yield on_step
+        except KeyboardInterrupt as interrupt:
+            if interrupt.args or not (out / "config.json").is_file():
+                raise
+            number = interrupt.number if isinstance(interrupt, Stopped) else signal.SIGINT
+            raise Stopped(
+                number,
+                f"{'terminated' if number == signal.SIGTERM else 'stopped by Ctrl-C'}; {out} keeps the progress so "
+                f"far; continue with `sarsplat reconstruct {shlex.quote(str(dataset))} --out {shlex.quote(str(out))} "
+                "--resume`",
+            ) from None
+
+
+@contextmanager
+def _interrupts_held_back() -> Iterator[Callable[[], int]]:
+    """Hold back Ctrl-C (and a polite kill) inside the block; the yielded function gives the signal's number, or 0.
+
+    A second Ctrl-C is not held back. Outside the main thread, where no signal arrives, nothing changes.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: 0
+        return
+    asked = 0
+
+    def hold(number: int, frame: FrameType | None) -> None:
+        nonlocal asked
+        if asked:
+            raise Stopped(number)
+        asked = number
+        os.write(2, b"\nstopping after this step; once more stops at once\n")  # print must not be called in here
+
+    before = {number: signal.signal(number, hold) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: asked
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

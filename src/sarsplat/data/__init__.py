@@ -9,7 +9,7 @@ from sarsplat.data.image import SarImage
 from sarsplat.data.masks import Mask, Masks, read_masks
 from sarsplat.data.mesh import write_mesh
 from sarsplat.data.ply import read_gaussians_ply, read_points_ply, write_gaussians_ply, write_points_ply
-from sarsplat.data.tiff import read_power_tiff, read_signal_tiff, write_power_tiff, write_signal_tiff
+from sarsplat.data.tiff import read_tiff, write_tiff
 
 __all__ = [
     "Dataset",
@@ -24,8 +24,7 @@ __all__ = [
     "read_json",
     "read_masks",
     "read_points_ply",
-    "read_power_tiff",
-    "read_signal_tiff",
+    "read_tiff",
     "read_versioned_json",
     "save_checkpoint",
     "write_bytes",
@@ -34,6 +33,5 @@ __all__ = [
     "write_json",
     "write_mesh",
     "write_points_ply",
-    "write_power_tiff",
-    "write_signal_tiff",
+    "write_tiff",
 ]

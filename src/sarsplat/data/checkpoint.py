@@ -20,7 +20,7 @@ _SCHEMA = "sarsplat-checkpoint"
 _VERSION = "1"
 _LONGEST_HEADER = 1 << 20  # bytes; it describes some dozens of tensors, and each costs memory however small it is
 
-_REMEDY = "delete it, and `sarsplat reconstruct … --resume` goes on from the one before"
+_REMEDY = "delete it, and `sarsplat reconstruct … --resume` continues from the one before"
 
 
 def save_checkpoint(path: Path, tensors: Mapping[str, Tensor], state: dict[str, Any]) -> None:
@@ -81,7 +81,7 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 
 
 def _check_header(path: Path) -> None:
-    """Believe the header's length only if the file is that long and ours could be; safetensors checks the rest."""
+    """Trust the header's length only if the file is that long and ours could be; safetensors checks the rest."""
     with open_file(path) as file:
         size = file.seek(0, 2)
         file.seek(0)

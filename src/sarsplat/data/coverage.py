@@ -12,7 +12,7 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.geometry import View
 
 _SAME_GRAZING_DEG = 1.0
-"""Grazing angles that differ by no more belong together: those of measured chips scatter."""
+"""Grazing angles that differ by no more are one group: those of measured images scatter."""
 
 _FEW_GROUPS, _FEW_EACH = 3, 3
 """If there would be more groups, of fewer views on average, the angles are random ones and all views one group."""
@@ -20,15 +20,7 @@ _FEW_GROUPS, _FEW_EACH = 3, 3
 
 @dataclass(frozen=True)
 class Gap:
-    """The widest range of azimuths without a view.
-
-    Attributes
-    ----------
-    width_deg : float
-        Its width, degrees; 360 if all views have the same azimuth.
-    first_deg, last_deg : float
-        Azimuths of the views on either side, degrees in [0, 360); clockwise from the first to the last.
-    """
+    """The widest range of azimuths without a view, clockwise from the first to the last; 360° if all are the same."""
 
     width_deg: float
     first_deg: float
@@ -39,13 +31,7 @@ class Gap:
 
 
 def largest_gap(azimuths_deg: Iterable[float]) -> Gap:
-    """The largest gap between azimuths, of which there must be at least one.
-
-    Parameters
-    ----------
-    azimuths_deg : iterable of float
-        In any order and of any turn, degrees.
-    """
+    """The largest gap between azimuths, of which there must be at least one, in any order and of any turn."""
     azimuths = np.unique(np.round(np.array(list(azimuths_deg)) % 360, 6) % 360)
     gaps = np.diff([*azimuths, azimuths[0] + 360])
     widest = int(gaps.argmax())
@@ -54,15 +40,7 @@ def largest_gap(azimuths_deg: Iterable[float]) -> Gap:
 
 @dataclass(frozen=True)
 class ViewGroup:
-    """Views of one set at (nearly) one grazing angle.
-
-    Attributes
-    ----------
-    split : str
-        The set.
-    views : tuple of View
-        In order of azimuth.
-    """
+    """Views of one set at (nearly) one grazing angle, in order of azimuth."""
 
     split: str
     views: tuple[View, ...]

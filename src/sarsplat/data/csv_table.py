@@ -27,33 +27,16 @@ Row = tuple[int, dict[str, str]]
 
 @dataclass(frozen=True)
 class CsvTable:
-    """What a file of comma-separated values holds.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    columns : tuple of str
-        Names of the columns, in their order.
-    rows : tuple of (int, dict of str to str)
-        Line and cells of each row; there is at least one.
-    decimal_comma : bool
-        Whether `1,5` is a number: where commas do not separate the cells.
-    """
+    """A file of comma-separated values, with at least one row."""
 
     path: Path
     columns: tuple[str, ...]
     rows: tuple[Row, ...]
     decimal_comma: bool = False
+    """Whether `1,5` is a number: where commas do not separate the cells."""
 
     def number(self, row: Row, column: str) -> float:
-        """A cell as a finite number.
-
-        Raises
-        ------
-        SarsplatError
-            If it is none.
-        """
+        """A cell as a finite number; refused if it is none."""
         value = parsed(row[1][column], self.decimal_comma)
         if not math.isfinite(value):
             raise SarsplatError(f"{self.path}, line {row[0]}: {column} is {shown(row[1][column])}; it must be a number")
@@ -61,22 +44,10 @@ class CsvTable:
 
 
 def read_table(path: Path, purpose: str, needed: Sequence[str] = ()) -> CsvTable:
-    """Read a table with a line of column names.
+    """Read a table of UTF-8 text whose first line names the columns.
 
-    Parameters
-    ----------
-    path : Path
-        UTF-8 text; cells that contain the separator are quoted.
-    purpose : str
-        What to give instead if it is not such a table, e.g. "the table of labels".
-    needed : sequence of str
-        Columns that must be there.
-
-    Raises
-    ------
-    SarsplatError
-        If it cannot be read, is too large, lacks a column, has no rows or too many, a column is there twice, or a row
-        has more cells than there are columns.
+    `purpose` is what an error asks for instead, such as "the table of labels"; without the `needed` columns the table
+    is refused.
     """
     with open_file(path) as file:
         if file.seek(0, os.SEEK_END) > _LARGEST:
@@ -115,13 +86,7 @@ def column_names(path: Path) -> tuple[str, ...]:
 
 
 def relative_path(path: Path, row: Row, column: str, of: str) -> str:
-    """A cell of the table `path` that names a file in a folder; `of` is what the folder holds, such as "chips".
-
-    Raises
-    ------
-    SarsplatError
-        If it leads out of the folder.
-    """
+    """A cell of the table `path` that names a file in a folder of, say, "chips"; refused if it leads out of it."""
     line, text = row[0], row[1][column]
     inside = PurePosixPath(text.replace("\\", "/"))
     if inside.is_absolute() or ".." in inside.parts or "\0" in text:

@@ -23,7 +23,7 @@ from sarsplat.geometry import ImageGrid, View
 
 _FARTHEST_M = 1e6
 _LEAST_CERTAIN_DEG = 10.0
-_AS_THEY_ARE = (
+AS_THEY_ARE = (
     *("target", "calibration", "looks", "clean_tests", "ground", "score_margin", "target_box_m", "protocol", "source"),
 )
 """Fields that `dataset.json` holds as they are here."""
@@ -43,11 +43,6 @@ class DatasetEntry:
         What to call it, e.g. the measured chip's path.
     azimuth_std_deg : float
         Standard deviation of the view's azimuth, degrees, at most 10; 0 if it is known exactly.
-
-    Raises
-    ------
-    SarsplatError
-        If the standard deviation is not a number within its range.
     """
 
     view: View
@@ -195,16 +190,8 @@ class Dataset:
         images: Sequence[SarImage],
         *,
         test: Sequence[SarImage] = (),
-        target: str = "unnamed",
-        calibration: Calibration = "absolute",
-        looks: float | None = None,
-        clean_tests: bool = False,
-        ground: bool = False,
-        score_margin: int = 0,
-        target_box_m: Box | None = None,
-        truth_mesh: Path | None = None,
-        source: dict[str, Any] | None = None,
         azimuth_std_deg: float | Sequence[float] = 0.0,
+        **fields: Any,
     ) -> Dataset:
         """A dataset in memory: `images` to train on, and those of `test` to score with.
 
@@ -212,10 +199,10 @@ class Dataset:
         ----------
         images, test : sequence of SarImage
             All on the same grid; either all with their phase (`SarImage.of_complex`) or all without.
-        target, calibration, looks, clean_tests, ground, score_margin, target_box_m, truth_mesh, source
-            See `Dataset`.
         azimuth_std_deg : float or sequence of float
             Standard deviation of the azimuths, degrees: of all images, or of each, those of `test` last.
+        **fields
+            What is known of them: `target`, `calibration`, `looks`, `ground` and the others of `Dataset`.
 
         Raises
         ------
@@ -249,21 +236,8 @@ class Dataset:
             DatasetEntry(image.view, "train" if index < len(images) else "test", f"{index:0{digits}d}", std)
             for index, (image, std) in enumerate(zip(every, stds, strict=True))
         )
-        return cls(
-            grid,
-            entries,
-            np.stack([image.power for image in every]).astype(np.float32, copy=False),
-            signal=np.stack(signals) if signals else None,
-            target=target,
-            calibration=calibration,
-            looks=looks,
-            clean_tests=clean_tests,
-            ground=ground,
-            score_margin=score_margin,
-            target_box_m=target_box_m,
-            truth_mesh=truth_mesh,
-            source=source or {},
-        )
+        power = np.stack([image.power for image in every]).astype(np.float32, copy=False)
+        return cls(grid, entries, power, signal=np.stack(signals) if signals else None, **fields)
 
     def __len__(self) -> int:
         return len(self.entries)
@@ -343,20 +317,14 @@ class Dataset:
         return chosen
 
     def header(self) -> DatasetHeader:
-        """What `dataset.json` holds, each number of the type it will be read back as.
-
-        Raises
-        ------
-        SarsplatError
-            If a field is of another type, or `source` does not fit into JSON.
-        """
+        """What `dataset.json` holds, each number of the type it will be read back as; refused if it is no JSON."""
         digits = max(3, len(str(len(self) - 1)))
         plain = {
             "schema": SCHEMA,
             "schema_version": SCHEMA_VERSION,
             "quantity": "beta0",
             "unit": "linear power",
-            **{name: getattr(self, name) for name in _AS_THEY_ARE},
+            **{name: getattr(self, name) for name in AS_THEY_ARE},
             "pixels": "power" if self.signal is None else "complex",
             "truth_mesh": None if self.truth_mesh is None else self.truth_mesh.name,
             "grid": self.grid.as_dict(),

@@ -12,12 +12,12 @@ import msgspec
 import numpy as np
 from jaxtyping import UInt8
 
-from sarsplat.data.dataset import Dataset, DatasetEntry
+from sarsplat.data.dataset import AS_THEY_ARE, Dataset, DatasetEntry
 from sarsplat.data.files import open_file, plain_os_errors, read_versioned_json, write_bytes, write_json
 from sarsplat.data.folders import new_folder
 from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, DatasetHeader, ViewHeader
-from sarsplat.data.mask_files import encode_masks
-from sarsplat.data.tiff import read_power_tiff, read_signal_tiff, write_power_tiff, write_signal_tiff
+from sarsplat.data.masks import encode_masks
+from sarsplat.data.tiff import read_tiff, write_tiff
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 HEADER = "dataset.json"
 _MESH = "truth.ply"
-_MAKE_ONE = "make one with `sarsplat simulate` or `sarsplat import mstar`"
+_MAKE_ONE = "make one with `sarsplat simulate` or `sarsplat import`"
 
 
 def write_dataset(
@@ -69,6 +69,7 @@ def write_dataset(
     pictures = {} if masks is None else encode_masks(masks, dataset)
     written = replace(dataset, path=path, truth_mesh=None if mesh is None else path / _MESH)
     header = written.header()
+    pixels = dataset.power if dataset.signal is None else dataset.signal
     with new_folder(path, overwrite, marker=HEADER) as folder:
         write_json(folder / HEADER, header)
         if mesh is not None:
@@ -87,10 +88,7 @@ def write_dataset(
                 f"pixel spacing {dataset.grid.spacing_m[0]:.6g} m (azimuth) x {dataset.grid.spacing_m[1]:.6g} m "
                 f"(slant range); set {item.split}"
             )
-            if dataset.signal is None:
-                write_power_tiff(folder / item.file, dataset.power[index], description)
-            else:
-                write_signal_tiff(folder / item.file, dataset.signal[index], description)
+            write_tiff(folder / item.file, pixels[index], description)
     return written
 
 
@@ -145,24 +143,15 @@ def read_dataset(path: str | Path) -> Dataset:
     with plain_os_errors("read", path):  # a name may be longer than the system has names
         if mesh is not None and not mesh.is_file():
             raise SarsplatError(f"{path} is missing its mesh {shown(mesh.name)}; {_MAKE_ONE}")
-    complex_ = header.pixels == "complex"
-    read, pixel = (read_signal_tiff, np.complex64) if complex_ else (read_power_tiff, np.float32)
-    images = [read(file, (grid.rows, grid.columns)) for file in files]
+    make, pixel = (Dataset.of_complex, np.complex64) if header.pixels == "complex" else (Dataset, np.float32)
+    images = [read_tiff(file, (grid.rows, grid.columns), pixel) for file in files]
     with _blamed_on(path / HEADER):
-        dataset = (Dataset.of_complex if complex_ else Dataset)(
+        dataset = make(
             grid,
             entries,
             np.stack(images) if images else np.empty((0, grid.rows, grid.columns), pixel),
-            target=header.target,
-            calibration=header.calibration,
-            looks=header.looks,
-            clean_tests=header.clean_tests,
-            ground=header.ground,
-            score_margin=header.score_margin,
-            target_box_m=header.target_box_m,
-            protocol=header.protocol,
+            **{name: getattr(header, name) for name in AS_THEY_ARE},
             truth_mesh=mesh,
-            source=header.source,
             path=path,
         )
         _require_training(dataset)
@@ -180,23 +169,24 @@ def _require_dataset(path: Path) -> None:
         return
     if not names:
         raise SarsplatError(f"{path} is empty; {_MAKE_ONE}")
-    looks = " (it looks like a run; give the dataset it was made from)" if "metrics.jsonl" in names else ""
-    raise SarsplatError(f"{path} is not a dataset: there is no {HEADER} in it{looks}; {_MAKE_ONE}")
+    if "metrics.jsonl" in names:
+        remedy = "it looks like a run, so give the dataset it was made from"
+    else:
+        remedy = f"`sarsplat info {path}` says how to import images in it, such as with `sarsplat import folder`"
+    raise SarsplatError(f"{path} is not a dataset, for it holds no {HEADER}; {remedy}")
 
 
 @contextmanager
-def _blamed_on(header: Path) -> Iterator[None]:
+def _blamed_on(place: object) -> Iterator[None]:
     try:
         yield
     except SarsplatError as error:
-        raise SarsplatError(f"{header}: {error}") from error
+        raise SarsplatError(f"{place}: {error}") from error
 
 
 def _view(index: int, item: ViewHeader) -> View:
-    try:
+    with _blamed_on(f"views[{index}]"):
         return View(item.azimuth_deg, item.grazing_deg)
-    except SarsplatError as error:
-        raise SarsplatError(f"views[{index}]: {error}") from error
 
 
 def _inside(folder: Path, name: str) -> Path:

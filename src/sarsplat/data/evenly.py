@@ -12,15 +12,7 @@ from sarsplat.geometry import View
 
 
 def evenly_chosen(views: Sequence[View], count: int) -> list[int]:
-    """Numbers of the views to train on: even in azimuth, and the same at every grazing angle.
-
-    Parameters
-    ----------
-    views : sequence of View
-        At least `count`.
-    count : int
-        How many are wanted; of several grazing angles, each gets the next azimuth in turn.
-    """
+    """Indices of `count` of the views: even in azimuth, where every grazing angle gets the next azimuth in turn."""
     groups = by_grazing(views)
     if any(len(range(first, count, len(groups))) > len(group) for first, group in enumerate(groups)):
         groups = [[*range(len(views))]]
@@ -33,15 +25,7 @@ def evenly_chosen(views: Sequence[View], count: int) -> list[int]:
 
 
 def even_azimuths(azimuths_deg: Sequence[float], count: int) -> list[float]:
-    """Azimuths k·360°/count; if images leave out more of the circle than one such step, as many within what they cover.
-
-    Parameters
-    ----------
-    azimuths_deg : sequence of float
-        Of the images, degrees; at least one.
-    count : int
-        How many are wanted.
-    """
+    """Azimuths k·360°/count; if a gap is wider than one such step, as many within what the images cover."""
     gap = largest_gap(azimuths_deg)
     if gap.width_deg <= 360 / count:
         return [k * 360 / count for k in range(count)]
@@ -50,19 +34,7 @@ def even_azimuths(azimuths_deg: Sequence[float], count: int) -> list[float]:
 
 
 def nearest_to(azimuths_deg: Sequence[float], wanted_deg: Sequence[float]) -> list[int]:
-    """Distinct images nearest to the azimuths that are wanted, one for each, in their order.
-
-    Parameters
-    ----------
-    azimuths_deg : sequence of float
-        Of the images, degrees; at least as many as are wanted.
-    wanted_deg : sequence of float
-        Degrees.
-
-    Notes
-    -----
-    The total distance is the least possible: where two azimuths want the same image, they share out.
-    """
+    """Indices of distinct azimuths, one for each that is wanted and in its order, at the least total distance."""
     apart = np.subtract.outer(np.asarray(wanted_deg, dtype=float), np.asarray(azimuths_deg, dtype=float))
     _, chosen = linear_sum_assignment(np.abs((apart + 180) % 360 - 180))
     return [int(index) for index in chosen]

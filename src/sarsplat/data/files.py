@@ -41,13 +41,7 @@ _LARGEST_JSON = 1 << 28  # bytes
 
 @contextmanager
 def plain_os_errors(verb: str, path: Path) -> Iterator[None]:
-    """Turn an OSError inside the block into one sentence: "cannot {verb} {path}: reason; remedy".
-
-    Raises
-    ------
-    SarsplatError
-        In place of any OSError.
-    """
+    """Turn an OSError inside the block into a SarsplatError: "cannot {verb} {path}: reason; remedy"."""
     try:
         yield
     except OSError as error:
@@ -74,18 +68,9 @@ def sync(path: Path) -> None:
 def locked(path: Path) -> Iterator[None]:
     """Be the only one who writes a file or folder while the block runs: hold the file `.NAME.lock` beside it.
 
-    Who holds it may come again. The system lets go of it when the process ends, however it ends: what is left then is
-    an empty file, which the next one removes.
-
-    Parameters
-    ----------
-    path : Path
-        What is written; it need not exist yet.
-
-    Raises
-    ------
-    SarsplatError
-        If another process or thread holds it, or something other than a lock has that name.
+    Refused if another process or thread holds it, or something other than a lock has that name. Whoever holds it may
+    lock it again. The system releases it when the process ends, however it ends: what is left then is an empty file,
+    which the next one removes.
     """
     path = Path(os.path.realpath(path))  # unlike resolve() it tolerates a link to itself
     place = path.with_name(f".{path.name}.lock")
@@ -183,10 +168,7 @@ def _struct_as_dict(value: object) -> dict[str, Any]:
 def open_file(path: Path) -> Iterator[BinaryIO]:
     """Open a regular file for reading; pipes, sockets and devices may never end, so they are refused unopened.
 
-    Raises
-    ------
-    SarsplatError
-        If it is missing, closed to us, or not a regular file; in place of any OSError or MemoryError in the block.
+    Any OSError or MemoryError in the block becomes a SarsplatError.
     """
     path = Path(path)
     with plain_os_errors("read", path):

@@ -1,4 +1,7 @@
-"""Output folders that are whole or absent, replaced in one step, and written by one process at a time."""
+"""Output folders that are whole or absent, replaced in one step, and written by one process at a time.
+
+Nothing is replaced that is of another kind: neither a folder nor the file of an export.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +12,11 @@ import re
 import shutil
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from sarsplat.data.files import locked, plain_os_errors, sync
+from sarsplat.data.files import locked, open_file, plain_os_errors, sync
 from sarsplat.errors import SarsplatError
 
 _LAYOUTS = {
@@ -27,20 +30,19 @@ _LAYOUTS = {
 }
 """The kinds of folder we make, by the file that marks them, and what may be in them."""
 
+Recognises = Callable[[bytes, int], bool]
+"""Whether a file that begins with these bytes, and has that many, is of some kind."""
+
+_HEAD = 64  # bytes by which a kind of file is recognised
 _BUILT, _RETIRED = "new", "old"
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of Linux's renameat2
 
 
 @contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
-    """Be the only process that writes a run while the block runs, be it there yet or not (see `locked`).
+    """Be the only process that writes a run, which need not exist yet, while the block runs (see `locked`).
 
     What a killed process left is removed: temporary files and locks in the run, and our temporary folder beside it.
-
-    Raises
-    ------
-    SarsplatError
-        If another process is writing it, or it cannot be written.
     """
     with plain_os_errors("write", folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -110,18 +112,26 @@ def new_folder(path: Path, overwrite: bool, *, marker: str) -> Iterator[Path]:
 
 
 def refuse_existing(path: Path, overwrite: bool, *, marker: str) -> None:
-    """Refuse what `new_folder` would refuse, without making anything.
-
-    Raises
-    ------
-    SarsplatError
-        If `path` exists and may not be replaced, or a folder that is not ours has the temporary name.
-    """
+    """Refuse what `new_folder` would refuse, without making anything."""
     path = Path(os.path.realpath(path))  # unlike resolve() it tolerates a link to itself
     with plain_os_errors("write", path):
         _refuse_existing(path, overwrite, marker)
         with suppress(FileNotFoundError):
             _refuse_foreign_workshop(_temporary_name(path))
+
+
+def refuse_other_kinds(path: Path, run: Path, recognises: Recognises) -> None:
+    """Refuse to write an export of a run inside its folder, or over a file of another kind."""
+    if Path(os.path.realpath(path)).is_relative_to(run.resolve()):
+        raise SarsplatError(f"{path} is inside the run; choose a path outside {run}")
+    if path.exists():
+        with open_file(path) as content:
+            head, size = content.read(_HEAD), content.seek(0, os.SEEK_END)
+        if not recognises(head, size):
+            raise SarsplatError(
+                f"{path} exists and is not a {path.suffix.lower()} file as exported, so it will not be replaced; "
+                "choose another name"
+            )
 
 
 def _temporary_name(path: Path) -> Path:
@@ -130,7 +140,7 @@ def _temporary_name(path: Path) -> Path:
 
 @contextmanager
 def _workshop(path: Path) -> Iterator[tuple[Path, Path]]:
-    """Two free names in a temporary folder beside `path`, removed at the end; for whoever holds the lock of `path`."""
+    """Two free names in a temporary folder beside `path`, removed at the end; the caller holds the lock of `path`."""
     folder = _temporary_name(path)
     built, retired = folder / _BUILT, folder / _RETIRED
     with suppress(FileExistsError):
@@ -223,6 +233,6 @@ def _foreign(path: Path, marker: str) -> Path | None:
 
 
 def _belongs(relative: Path, marker: str) -> bool:
-    """Whether a file is part of a kind of folder, be it under a temporary name that a killed process left."""
+    """Whether a file is part of a kind of folder, perhaps under a temporary name that a killed process left."""
     finished = relative.with_name(re.sub(r"^\.(.+)\.(tmp|lock)$", r"\1", relative.name))
     return re.fullmatch(_LAYOUTS[marker], finished.as_posix()) is not None

@@ -97,7 +97,7 @@ class SarImage:
         ----------
         path : str or Path
             File to write; it must end in `.png`, and is replaced if it exists. For numbers there are
-            `sarsplat.data.write_power_tiff` and datasets.
+            `sarsplat.data.write_tiff` and datasets.
         dynamic_range_db : float
             What is this far below the brightest pixel is black, dB.
 

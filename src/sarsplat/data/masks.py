@@ -1,26 +1,31 @@
-"""True masks of target and shadow, read from a folder of pictures."""
+"""True masks of target and shadow as files: a grey 8-bit PNG for each image of a dataset, named after it."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Collection
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import UInt8
 
-from sarsplat.data.dataset import Dataset
+from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.files import plain_os_errors
-from sarsplat.data.mask_files import NUMBERS, mask_names, pillow
 from sarsplat.data.orientation import oriented
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import SHADOW
+
+if TYPE_CHECKING:
+    from types import ModuleType
 
 Mask = UInt8[np.ndarray, "rows columns"]
 """Of an image: 0 clutter, 1 target, 2 shadow."""
 
 Masks = UInt8[np.ndarray, "v rows columns"]
 """Of V images: 0 clutter, 1 target, 2 shadow."""
+
+_NUMBERS = "masks are 0 clutter, 1 target and 2 shadow"
 
 
 def read_masks(folder: Path, dataset: Dataset, splits: Collection[str] | None = None) -> dict[int, Mask]:
@@ -54,7 +59,7 @@ def read_masks(folder: Path, dataset: Dataset, splits: Collection[str] | None = 
     masks: dict[int, Mask] = {}
     missing: list[Path] = []
     asked = folder
-    for index, name in mask_names(dataset, chosen).items():
+    for index, name in _mask_names(dataset, chosen).items():
         asked = folder / name
         with plain_os_errors("read", folder):
             if asked.is_file():
@@ -100,5 +105,63 @@ def _read(path: Path, dataset: Dataset) -> Mask:
             "give masks of the images' size"
         )
     if mask.max() > SHADOW:
-        raise SarsplatError(f"{path} holds the number {mask.max()}; {NUMBERS}")
+        raise SarsplatError(f"{path} holds the number {mask.max()}; {_NUMBERS}")
     return mask
+
+
+def encode_masks(masks: Masks, dataset: Dataset) -> dict[PurePosixPath, bytes]:
+    """PNG files that `read_masks` finds again, by their names in its folder; refused for measured chips."""
+    if masks.shape != dataset.power.shape or masks.dtype != np.uint8:
+        raise SarsplatError(
+            f"the masks are {masks.dtype} of shape {masks.shape}; for the images of {dataset.target} they must be "
+            f"uint8 {dataset.power.shape}"
+        )
+    if masks.max() > SHADOW:
+        raise SarsplatError(f"a mask holds the number {masks.max()}; {_NUMBERS}")
+    names = _mask_names(dataset, dataset.splits())
+    nested = next((name for name in names.values() if len(name.parts) > 1), None)
+    if nested is not None or dataset.source.get("kind") == "mstar":
+        what = "these are measured chips" if nested is None else f"the name {shown(str(nested))} has a folder in it"
+        raise SarsplatError(f"masks are written beside simulated images only, but {what}; write them yourself")
+    image = pillow()
+    files = {}
+    for index, name in names.items():
+        buffer = io.BytesIO()
+        image.fromarray(masks[index]).save(buffer, format="PNG")
+        files[name] = buffer.getvalue()
+    return files
+
+
+def pillow() -> ModuleType:
+    """Pillow's `Image`, or a SarsplatError that says how to install it."""
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise SarsplatError("masks need Pillow; install it with: pip install 'sarsplat[mstar]'") from error
+    return Image
+
+
+def _mask_names(dataset: Dataset, splits: Collection[str]) -> dict[int, PurePosixPath]:
+    """Name of the mask of each image of some sets, by the image's index in the dataset; all names differ."""
+    images: dict[PurePosixPath, str] = {}
+    names = {}
+    for index, entry in enumerate(dataset.entries):
+        if entry.split not in splits:
+            continue
+        names[index] = name = _mask_name(entry)
+        if name in images:
+            raise SarsplatError(
+                f"the images {shown(images[name])} and {shown(entry.name)} would share the mask {shown(str(name))}; "
+                "give each image a name of its own"
+            )
+        images[name] = entry.name
+    return names
+
+
+def _mask_name(entry: DatasetEntry) -> PurePosixPath:
+    name = PurePosixPath(entry.name)
+    if not name.name or name.is_absolute() or ".." in name.parts or not entry.name.isprintable():
+        raise SarsplatError(
+            f"no mask can be named after the image {shown(entry.name)}; give it the name of a file, such as 007"
+        )
+    return name.with_suffix(".png")

@@ -1,13 +1,12 @@
 """A PLY file of scalars per vertex, binary little endian: columns in, columns out; meshes are read elsewhere.
 
-The files come from strangers: the counts in a header are believed only if the file is as long as they say.
+The files come from strangers: the counts in a header are trusted only if the file is as long as they say.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -31,22 +30,7 @@ _LONGEST_HEADER = 65_536
 
 
 def write_ply(path: Path, columns: Mapping[str, Real[np.ndarray, " n"]], comments: Sequence[str]) -> None:
-    """Write vertices, whole or not at all.
-
-    Parameters
-    ----------
-    path : Path
-        File to write; an existing one is replaced.
-    columns : mapping of str to numpy.ndarray [N]
-        Each property by name; stored as float32.
-    comments : sequence of str
-        For the header, where they are split into lines of ASCII.
-
-    Raises
-    ------
-    SarsplatError
-        If the file cannot be written.
-    """
+    """Write the properties of vertices as float32, and comments as lines of ASCII, whole or not at all."""
     table = np.empty(len(next(iter(columns.values()))), dtype=[(name, "<f4") for name in columns])
     for name, column in columns.items():
         table[name] = column
@@ -59,20 +43,7 @@ def write_ply(path: Path, columns: Mapping[str, Real[np.ndarray, " n"]], comment
 
 
 def read_ply(path: Path) -> tuple[dict[str, Float32[np.ndarray, " n"]], list[str]]:
-    """Read vertices.
-
-    Returns
-    -------
-    columns : dict of str to numpy.ndarray, float32 [N]
-        Each property by name.
-    comments : list of str
-        Those of the header.
-
-    Raises
-    ------
-    SarsplatError
-        If the file is missing, damaged, truncated, of another format, or a mesh.
-    """
+    """Read the properties of vertices, by name, and the comments of the header."""
     with open_file(path) as file:
         data = file.read(_LONGEST_HEADER)
         head, end, _ = data.partition(b"\nend_header\n")
@@ -83,28 +54,19 @@ def read_ply(path: Path) -> tuple[dict[str, Float32[np.ndarray, " n"]], list[str
             raise SarsplatError(
                 f"{path} has a PLY header that is not plain ASCII text with LF line ends; create it again"
             )
-        vertices = _vertices(path, head.decode("ascii").split("\n")[1:], len(head) + len(end), size)
-        file.seek(vertices.offset)
-        content = file.read(vertices.count * vertices.dtype.itemsize)
-    table = np.ndarray(vertices.count, vertices.dtype, content)
-    with np.errstate(over="ignore"):
-        return {name: table[name].astype(np.float32) for name in vertices.dtype.names or ()}, vertices.comments
-
-
-@dataclass(frozen=True)
-class _Vertices:
-    """Where the vertices lie in a file, and what its comments say."""
-
-    offset: int
-    count: int
-    dtype: np.dtype
-    comments: list[str]
-
-
-def _vertices(path: Path, header: list[str], offset: int, size: int) -> _Vertices:
-    """What the lines of a header say of a file of `size` bytes, in which the data begin at `offset`."""
-    elements = _elements(path, header)
+        header = head.decode("ascii").split("\n")[1:]
+        offset, count, dtype = _vertices(path, header, len(head) + len(end), size)
+        file.seek(offset)
+        content = file.read(count * dtype.itemsize)
+    table = np.ndarray(count, dtype, content)
     comments = [line.removeprefix("comment").strip() for line in header if line.split()[:1] == ["comment"]]
+    with np.errstate(over="ignore"):
+        return {name: table[name].astype(np.float32) for name in dtype.names or ()}, comments
+
+
+def _vertices(path: Path, header: list[str], offset: int, size: int) -> tuple[int, int, np.dtype]:
+    """Offset, number and type of the vertices in a file of `size` bytes, in which the data begin at `offset`."""
+    elements = _elements(path, header)
     names = [name for name, _, _ in elements]
     if names.count("vertex") != 1:
         raise SarsplatError(f"{path} has the elements {shown(names)} in its PLY header, not one of vertices")
@@ -118,7 +80,7 @@ def _vertices(path: Path, header: list[str], offset: int, size: int) -> _Vertice
     _, count, properties = elements[place]
     if len({name for name, _ in properties}) < len(properties):
         raise SarsplatError(f"{path} has two vertex properties with the same name in its PLY header; create it again")
-    return _Vertices(offset + sum(sizes[:place]), count if properties else 0, np.dtype(properties), comments)
+    return offset + sum(sizes[:place]), count if properties else 0, np.dtype(properties)
 
 
 def _elements(path: Path, header: list[str]) -> list[tuple[str, int, list[tuple[str, str]]]]:

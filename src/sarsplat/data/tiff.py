@@ -5,11 +5,11 @@ from __future__ import annotations
 import io
 import logging
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import tifffile
-from jaxtyping import Complex64, Float32, Real, Shaped
+from jaxtyping import Shaped
+from numpy.typing import DTypeLike
 
 from sarsplat.data.files import open_file, write_bytes
 from sarsplat.data.image import check_power, power_of
@@ -20,95 +20,47 @@ _LONGEST_HEADER = 1 << 20  # bytes of a TIFF that are not pixels: tags, descript
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what is wrong with a file is said by our own errors
 
 
-def write_power_tiff(path: Path, power: Real[np.ndarray, "rows columns"], description: str) -> None:
-    """Write an image as an uncompressed single-page float32 TIFF, whole or not at all.
+def write_tiff(path: Path, image: Shaped[np.ndarray, "rows columns"], description: str) -> None:
+    """Write an image as an uncompressed TIFF of one page, whole or not at all.
 
     Parameters
     ----------
     path : Path
         File to write.
-    power : numpy.ndarray, float32 [rows, columns]
-        Linear power, row 0 near range.
+    image : numpy.ndarray [rows, columns]
+        Linear power, stored as float32, or complex amplitudes, stored as complex64; row 0 near range.
     description : str
-        What it shows, for whoever opens the file elsewhere (ASCII; the ImageDescription tag).
+        What it shows, for other programs (ASCII; the ImageDescription tag).
     """
-    _write(path, np.asarray(power, dtype=np.float32), description)
-
-
-def write_signal_tiff(path: Path, signal: Complex64[np.ndarray, "rows columns"], description: str) -> None:
-    """Write complex amplitudes as an uncompressed single-page complex64 TIFF, whole or not at all.
-
-    Parameters
-    ----------
-    path, description
-        See `write_power_tiff`.
-    signal : numpy.ndarray, complex64 [rows, columns]
-        Complex amplitudes, row 0 near range.
-    """
-    _write(path, signal, description)
-
-
-def _write(path: Path, image: Shaped[np.ndarray, "rows columns"], description: str) -> None:
     buffer = io.BytesIO()
-    image = np.ascontiguousarray(image)
+    pixels = np.ascontiguousarray(image, dtype=np.complex64 if np.iscomplexobj(image) else np.float32)
     tifffile.imwrite(
-        buffer, image, photometric="minisblack", metadata=None, description=description, software="sarsplat"
+        buffer, pixels, photometric="minisblack", metadata=None, description=description, software="sarsplat"
     )
     write_bytes(path, buffer.getvalue())
 
 
-def read_power_tiff(path: Path, shape: tuple[int, int]) -> Float32[np.ndarray, "{shape[0]} {shape[1]}"]:
-    """Read an image of power that must have the given shape.
+def read_tiff(
+    path: Path, shape: tuple[int, int], pixel: DTypeLike = np.float32
+) -> Shaped[np.ndarray, "{shape[0]} {shape[1]}"]:
+    """Read an image that must have the given shape and pixels.
 
     Parameters
     ----------
     path : Path
-        An uncompressed float32 TIFF; its header is trusted only where it fits `shape` and the size of the file.
+        An uncompressed TIFF; its header is trusted only where it fits `shape` and the size of the file.
     shape : (int, int)
         Rows and columns to expect.
-
-    Returns
-    -------
-    numpy.ndarray, float32 [rows, columns]
-        Linear power.
+    pixel : numpy dtype
+        float32 for linear power, complex64 for complex amplitudes.
 
     Raises
     ------
     SarsplatError
-        If the file is missing, damaged, truncated, compressed, of another shape or type, or holds NaN, an infinity or
-        negative power.
+        If the file is missing, damaged, truncated, compressed, of another shape or type, or its power is negative,
+        absurdly large or not finite.
     """
-    power = _read(Path(path), shape, np.dtype(np.float32))
-    check_power(power, str(path))
-    return power
-
-
-def read_signal_tiff(path: Path, shape: tuple[int, int]) -> Complex64[np.ndarray, "{shape[0]} {shape[1]}"]:
-    """Read complex amplitudes that must have the given shape.
-
-    Parameters
-    ----------
-    path : Path
-        An uncompressed complex64 TIFF, trusted as little as `read_power_tiff` does.
-    shape : (int, int)
-        Rows and columns to expect.
-
-    Returns
-    -------
-    numpy.ndarray, complex64 [rows, columns]
-        Complex amplitudes.
-
-    Raises
-    ------
-    SarsplatError
-        As `read_power_tiff`.
-    """
-    signal = _read(Path(path), shape, np.dtype(np.complex64))
-    check_power(power_of(signal), str(path))
-    return signal
-
-
-def _read(path: Path, shape: tuple[int, int], dtype: np.dtype[Any]) -> Shaped[np.ndarray, "{shape[0]} {shape[1]}"]:
+    path, dtype = Path(path), np.dtype(pixel)
     pixel_bytes = dtype.itemsize * shape[0] * shape[1]
     with open_file(path) as file:
         size = file.seek(0, 2)
@@ -131,4 +83,6 @@ def _read(path: Path, shape: tuple[int, int], dtype: np.dtype[Any]) -> Shaped[np
             f"{path} holds {layout[1]} pixels of shape {shown(layout[0])}, compression {layout[2]!r:.30}, on "
             f"{'several pages' if layout[3] else 'one page'}; give one page of uncompressed {dtype} of shape {shape}"
         )
-    return np.asarray(image, dtype=dtype)
+    image = np.asarray(image, dtype=dtype)
+    check_power(power_of(image) if np.iscomplexobj(image) else image, str(path))
+    return image

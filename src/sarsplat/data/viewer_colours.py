@@ -32,33 +32,18 @@ _DEGREE = 3
 
 @dataclass(frozen=True)
 class ViewerColours:
-    """Colours of N Gaussians as a viewer takes them.
-
-    Attributes
-    ----------
-    harmonics : numpy.ndarray, float32 [N, 3, 16]
-        Coefficients of degree 3 for each channel, for the direction from the camera.
-    mean : numpy.ndarray, float32 [N, 3]
-        Mean colour over all directions, 0 to 1, for formats with one colour only.
-    legend : str
-        What black and white, or the ends of the colours, stand for.
-    """
+    """Colours of N Gaussians as a viewer takes them."""
 
     harmonics: Float32[np.ndarray, "n 3 16"]
+    """Coefficients of degree 3 for each channel, for the direction from the camera."""
     mean: Float32[np.ndarray, "n 3"]
+    """Mean colour over all directions, 0 to 1, for formats with one colour only."""
     legend: str
+    """What black and white, or the ends of the colours, stand for."""
 
 
 def viewer_colours(gaussians: Gaussians, colour: Colour = "db") -> ViewerColours:
-    """What a viewer is to show of Gaussians; coefficients are rounded, so that they are the same in every call.
-
-    Parameters
-    ----------
-    gaussians : Gaussians
-        On any device.
-    colour : "db" or "height"
-        Grey by γ⁰ in decibels in the direction that is looked from, or colours by height alone.
-    """
+    """Greys by γ⁰ in decibels towards the camera, or colours by height; rounded, to be the same in every call."""
     if colour == "height":
         height = gaussians.means[:, 2].detach().double().cpu().numpy()
         low, high = _span(height, _weight(gaussians))

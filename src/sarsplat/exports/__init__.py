@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sarsplat.errors import SarsplatError
+from sarsplat.exports.contents import Points, content_of
 from sarsplat.exports.format import Content, Format
 from sarsplat.names import Colour
 from sarsplat.plugins import discover
 from sarsplat.reconstruction import Run
 
-__all__ = ["FORMATS", "Content", "Format", "Written", "export", "format_of"]
+__all__ = ["FORMATS", "Content", "Format", "Points", "Written", "export", "format_of"]
 
 _PLUGINS = discover(__name__, "format_", "FORMAT", "sarsplat.exports").loaded()
 FORMATS: dict[str, Format] = {f".{ending}": format for ending, format in _PLUGINS.items()}
@@ -64,4 +65,6 @@ def export(run: Run, path: str | Path, content: Content | None = None, *, colour
     format, holds = format_of(path, content)
     if colour is not None and holds != "gaussians":
         raise SarsplatError(f"{path} will hold {holds}, whose colours are not chosen; omit the colour")
-    return Written(format.writers[holds](run, path, colour or "db"), format.opened_with[holds])
+    thing, summary = content_of(run, holds)
+    format.writers[holds](thing, path, colour or "db")
+    return Written(summary, format.opened_with[holds])

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
 
-from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians
+from sarsplat.errors import SarsplatError, counted
+from sarsplat.exports.format import Content
 from sarsplat.reconstruction import Run
-
-if TYPE_CHECKING:
-    import trimesh
 
 
 @dataclass(frozen=True)
@@ -38,36 +35,33 @@ class Points:
         return normals if self.gamma0 is None else {**normals, "gamma0": self.gamma0}
 
 
-def name_of(run: Run) -> str:
-    """The run's name in error messages."""
-    return "the run in memory" if run.path is None else str(run.path)
-
-
-def gaussians_of(run: Run) -> Gaussians:
-    """The run's Gaussians; refused if its method learns none, or none are left."""
-    gaussians = run.gaussians
-    if gaussians is None:
-        raise SarsplatError(
-            f"{name_of(run)} was made by {run.method}, which learns no Gaussians; export its points or its "
-            "mesh, such as with --format points to a .ply file"
-        )
-    if len(gaussians) == 0:
-        raise SarsplatError(f"{name_of(run)} has no Gaussians left; reconstruct it again, or look at its report")
-    return gaussians
-
-
-def points_of(run: Run) -> Points:
-    """The points of the run's surface; refused if there are none."""
-    if len(run.points) == 0:
-        raise SarsplatError(f"{name_of(run)} has no points of a surface yet; train it longer, or look at its report")
-    return Points(run.points.astype(np.float32), run.normals, run.points_gamma0)
-
-
-def mesh_of(run: Run) -> trimesh.Trimesh:
-    """The run's surface as triangles; refused if there are none or a package is missing."""
-    mesh = run.mesh()
-    if len(mesh.faces) == 0:
-        raise SarsplatError(
-            f"{name_of(run)} has too few points of a surface for a mesh; train it longer, or look at its report"
-        )
-    return mesh
+def content_of(run: Run, content: Content) -> tuple[Any, str]:
+    """A run's Gaussians, `Points`, mesh, or the run itself ("everything"), and what it is in words; never empty."""
+    name = "the run in memory" if run.path is None else str(run.path)
+    match content:
+        case "gaussians":
+            gaussians = run.gaussians
+            if gaussians is None:
+                raise SarsplatError(
+                    f"{name} was made by {run.method}, which learns no Gaussians; export its points or its mesh, such "
+                    "as with --format points to a .ply file"
+                )
+            if len(gaussians) == 0:
+                raise SarsplatError(f"{name} has no Gaussians left; reconstruct it again, or look at its report")
+            return gaussians, counted(len(gaussians), "Gaussian")
+        case "points":
+            if len(run.points) == 0:
+                raise SarsplatError(f"{name} has no points of a surface yet; train it longer, or look at its report")
+            points = Points(run.points.astype(np.float32), run.normals, run.points_gamma0)
+            return points, f"{counted(len(run.points), 'point')}, metres, in the target's own frame"
+        case "mesh":
+            mesh = run.mesh()
+            if len(mesh.faces) == 0:
+                raise SarsplatError(
+                    f"{name} has too few points of a surface for a mesh; train it longer, or look at its report"
+                )
+            return mesh, f"{counted(len(mesh.faces), 'triangle')}, metres, z up"
+        case "everything":
+            if len(run.points if run.gaussians is None else run.gaussians) == 0:
+                raise SarsplatError(f"{name} has no surface yet; train it longer, or look at its report")
+            return run, "all that was learned, as arrays"

@@ -5,20 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Any, Literal
 
-from sarsplat.data.replaceable import Recognises
+from sarsplat.data import write_mesh
+from sarsplat.data.folders import Recognises
 from sarsplat.names import Colour
 from sarsplat.names import Content as Names
-
-if TYPE_CHECKING:
-    from sarsplat.reconstruction import Run
 
 Content = Names | Literal["everything"]
 """The part of a run that a file holds."""
 
-Write = Callable[["Run", Path, Colour], str]
-"""Writes a run to a file, whole or not at all, and says what it wrote; the colour is that of Gaussians."""
+Write = Callable[[Any, Path, Colour], object]
+"""Writes `Gaussians`, `Points`, a trimesh or the `Run` to a file, whole or not at all; the colour is of Gaussians."""
 
 
 @dataclass(frozen=True)
@@ -38,3 +36,8 @@ class Format:
     writers: Mapping[Content, Write]
     opened_with: Mapping[Content, str]
     recognises: Recognises
+
+
+def mesh_format(recognises: Recognises) -> Format:
+    """A format of meshes that `write_mesh` knows."""
+    return Format({"mesh": lambda mesh, path, _: write_mesh(path, mesh)}, {"mesh": "any mesh viewer"}, recognises)

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import io
 import math
-from pathlib import Path
 
 import numpy as np
 
 from sarsplat.data import write_bytes
-from sarsplat.errors import SarsplatError, counted
-from sarsplat.exports.contents import Points, points_of
+from sarsplat.errors import SarsplatError
+from sarsplat.exports.contents import Points
 from sarsplat.exports.format import Format
-from sarsplat.names import Colour
 from sarsplat.radiometry import LEAST_POWER, shade
-from sarsplat.reconstruction import Run
 
 _DARKEST_DB = -30.0  # of the brightest point: intensity 0, as black in a mesh
 _FINEST_M = 1e-4  # of coordinates, which are whole numbers of such steps
@@ -57,14 +54,8 @@ def las_bytes(points: Points) -> bytes:
     return content.getvalue()
 
 
-def _write(run: Run, path: Path, _: Colour) -> str:
-    points = points_of(run)
-    write_bytes(path, las_bytes(points))
-    return f"{counted(len(points.positions), 'point')}, metres, in the target's own frame"
-
-
 FORMAT = Format(
-    writers={"points": _write},
+    writers={"points": lambda points, path, _: write_bytes(path, las_bytes(points))},
     opened_with={"points": "CloudCompare, QGIS or any viewer of laser scans"},
     recognises=lambda head, _: head.startswith(b"LASF"),
 )

@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 
 from sarsplat.data import write_bytes
-from sarsplat.errors import SarsplatError, counted
-from sarsplat.exports.contents import gaussians_of, name_of
 from sarsplat.exports.format import Format
 from sarsplat.names import Colour
 from sarsplat.reconstruction import Run
@@ -29,15 +27,12 @@ _MEANING = {
 }
 
 
-def _write(run: Run, path: Path, _: Colour) -> str:
+def _write(run: Run, path: Path, _: Colour) -> None:
     arrays: dict[str, Any] = {}
     law = None
-    if run.gaussians is not None:
-        gaussians = gaussians_of(run)
+    if (gaussians := run.gaussians) is not None:
         arrays = {name: tensor.detach().cpu().numpy() for name, tensor in gaussians.tensors().items()}
         law = {"kind": gaussians.scattering.kind, **gaussians.scattering.settings()}
-    elif len(run.points) == 0:
-        raise SarsplatError(f"{name_of(run)} has learned no surface yet; train it longer, or look at its report")
     arrays |= {"points": run.points, "normals": run.normals}
     if run.points_gamma0 is not None:
         arrays["points_gamma0"] = run.points_gamma0
@@ -51,7 +46,6 @@ def _write(run: Run, path: Path, _: Colour) -> str:
     content = io.BytesIO()
     np.savez(content, **({_DESCRIPTION: np.array(json.dumps(description))} | arrays))
     write_bytes(path, content.getvalue())
-    return counted(len(arrays), "array")
 
 
 FORMAT = Format(

@@ -1,10 +1,5 @@
 """`.obj`: a mesh as Wavefront text."""
 
-from sarsplat.exports.format import Format
-from sarsplat.exports.meshes import write_mesh_of
+from sarsplat.exports.format import mesh_format
 
-FORMAT = Format(
-    writers={"mesh": write_mesh_of},
-    opened_with={"mesh": "any mesh viewer"},
-    recognises=lambda head, _: head.startswith(b"# sarsplat"),
-)
+FORMAT = mesh_format(lambda head, _: head.startswith(b"# sarsplat"))

@@ -7,18 +7,13 @@ The viewer shows the first ones first while it loads, so the largest and densest
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from sarsplat.data import write_bytes
 from sarsplat.data.viewer_colours import viewer_colours
-from sarsplat.errors import counted
-from sarsplat.exports.contents import gaussians_of
 from sarsplat.exports.format import Format
 from sarsplat.gaussians import Gaussians
 from sarsplat.names import Colour
-from sarsplat.reconstruction import Run
 
 RECORD = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
 """One Gaussian."""
@@ -38,14 +33,8 @@ def splat_bytes(gaussians: Gaussians, colour: Colour) -> bytes:
     return table[np.argsort(-importance, kind="stable")].tobytes()
 
 
-def _write(run: Run, path: Path, colour: Colour) -> str:
-    gaussians = gaussians_of(run)
-    write_bytes(path, splat_bytes(gaussians, colour))
-    return counted(len(gaussians), "Gaussian")
-
-
 FORMAT = Format(
-    writers={"gaussians": _write},
+    writers={"gaussians": lambda gaussians, path, colour: write_bytes(path, splat_bytes(gaussians, colour))},
     opened_with={"gaussians": "a web viewer of .splat files"},
     recognises=lambda _, size: size % RECORD.itemsize == 0,  # it has no signature
 )

@@ -8,22 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from sarsplat.data import write_bytes
-from sarsplat.errors import counted
-from sarsplat.exports.contents import points_of
+from sarsplat.exports.contents import Points
 from sarsplat.exports.format import Format
 from sarsplat.names import Colour
-from sarsplat.reconstruction import Run
 
 _BEGINS = "# x_m y_m z_m"
 
 
-def _write(run: Run, path: Path, _: Colour) -> str:
-    points = points_of(run)
+def _write(points: Points, path: Path, _: Colour) -> None:
     columns = points.columns()
     text = io.StringIO()
     np.savetxt(text, np.column_stack([points.positions, *columns.values()]), fmt="%.7g")
     write_bytes(path, f"{' '.join([_BEGINS, *columns])}\n{text.getvalue()}".encode("ascii"))
-    return f"{counted(len(points.positions), 'point')}, metres"
 
 
 FORMAT = Format(

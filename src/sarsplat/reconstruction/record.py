@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from difflib import get_close_matches
 from types import UnionType
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -49,10 +49,12 @@ class Record:
     def from_dict(cls, data: object, source: str = "the configuration") -> Self:
         """Undo `as_dict`; errors name the `source`, e.g. the path of a file.
 
+        Absent fields take their defaults, as in files from before there were these settings.
+
         Raises
         ------
         SarsplatError
-            If a field is missing, unknown or not what it must be.
+            If a field is unknown, not what it must be, or missing without a default.
         """
         try:
             return _read(data, cls)
@@ -68,6 +70,12 @@ def _hints(record: type) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in fields(record)}
 
 
+def record_in(record: type[Record], name: str) -> type[Record] | None:
+    """The kind of record that a field holds, or that it holds where it is not None; None if it holds other values."""
+    kinds = (kind for kind in _choices(_hints(record)[name]) if isinstance(kind, type))
+    return next((kind for kind in kinds if issubclass(kind, Record)), None)
+
+
 def _choices(hint: Any) -> tuple[Any, ...]:
     """The parts of a union; else the type alone."""
     return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
@@ -81,14 +89,10 @@ def _read(data: object, record: type[R]) -> R:
         near = get_close_matches(str(unknown), hints, 1)
         meant = f"did you mean {section}{near[0]}?" if near else "remove it"
         raise SarsplatError(f"the setting {shown(f'{section}{unknown}')} is unknown; {meant}")
-    if missing := next((name for name in hints if name not in data), None):
+    needed = (field.name for field in fields(record) if field.default is field.default_factory is MISSING)
+    if missing := next((name for name in needed if name not in data), None):
         raise SarsplatError(f"the setting {section}{missing} is missing; add it")
-    inner = {
-        name: choice
-        for name, hint in hints.items()
-        for choice in _choices(hint)
-        if isinstance(choice, type) and issubclass(choice, Record)
-    }
+    inner = {name: kind for name in hints if (kind := record_in(record, name)) is not None}
     return record(**{k: _read(v, inner[k]) if k in inner and isinstance(v, dict) else v for k, v in data.items()})
 
 

@@ -13,7 +13,7 @@ from jaxtyping import UInt8
 
 from sarsplat.data import write_bytes
 from sarsplat.data.files import plain_os_errors
-from sarsplat.data.replaceable import Recognises
+from sarsplat.data.folders import Recognises
 from sarsplat.errors import SarsplatError
 
 if TYPE_CHECKING:

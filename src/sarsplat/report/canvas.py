@@ -65,15 +65,17 @@ def draw_image(axes: Axes, power: np.ndarray, grid: ImageGrid, look: Look, title
     axes.set_title(title, size=size, pad=3)
 
 
-def decibel_bar(figure: Figure, place: tuple[float, float, float, float], look: Look) -> None:
-    """A horizontal colour bar at a place of a sheet."""
+def decibel_bar(
+    figure: Figure, place: tuple[float, float, float, float], look: Look, label: str = OF_THE_BRIGHTEST
+) -> None:
+    """A horizontal colour bar at a place of a sheet; the label says what 0 dB is."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
     axes = figure.add_axes(place)
     colours = ScalarMappable(Normalize(-look.range_db, 0), colormap(look.cmap))
     bar: Any = figure.colorbar(colours, cax=axes, orientation="horizontal")
-    bar.set_label(OF_THE_BRIGHTEST, color=DARK.muted, size=9)
+    bar.set_label(label, color=DARK.muted, size=9)
     bar.outline.set_visible(False)
     axes.tick_params(colors=DARK.muted, labelsize=8, length=3)
 

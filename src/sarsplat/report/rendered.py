@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from sarsplat.data import new_folder, write_bytes, write_power_tiff
-from sarsplat.data.replaceable import Recognises
+from sarsplat.data import new_folder, write_bytes, write_tiff
+from sarsplat.data.folders import Recognises
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.report.animation import ANIMATIONS, write_animation
@@ -57,13 +57,13 @@ class Rendered:
             return f"{counted(len(frames), 'frame')}, {seconds:g} s, {out.stat().st_size / 1e6:.1f} MB"
         if ending in IMAGES:
             if ending == ".tif":
-                write_power_tiff(out, self.images[0], _description(self.views[0]))
+                write_tiff(out, self.images[0], _description(self.views[0]))
             else:
                 write_bytes(out, decibel_png(self.images[0], self.look))
             return f"{self.grid.rows} × {self.grid.columns} pixels"
         with new_folder(out, overwrite, marker=SHEET) as folder:
             for view, image in zip(self.views, self.images, strict=True):
-                write_power_tiff(folder / f"{_name(view)}.tif", image, _description(view))
+                write_tiff(folder / f"{_name(view)}.tif", image, _description(view))
                 write_bytes(folder / f"{_name(view)}.png", decibel_png(image, self.look))
             write_bytes(folder / SHEET, contact_sheet(self.images, self.views, self.grid, self.look))
         return f"{counted(len(self.views), 'image')} as TIFF and PNG, and {SHEET}"

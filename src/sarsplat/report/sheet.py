@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Real
 
+from sarsplat.colours import DARK
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.radiometry import bright_level
@@ -18,6 +18,7 @@ from sarsplat.report.window import target_window
 
 _SIDE = 1.6  # inches
 _MAX_COLUMNS = 8
+_MOST = 12 * _MAX_COLUMNS  # images: more would not fit on a screen
 _TEXT = 7.5  # points
 
 
@@ -33,20 +34,26 @@ def contact_sheet(
     views, grid
         From where, and where the pixels lie.
     look : Look
-        The colours, and how far down they go; white is what the brightest 0.1 % of all shown pixels exceed.
+        The colours, as of the single pictures.
 
     Raises
     ------
     SarsplatError
         If there are no images.
+
+    Notes
+    -----
+    Of more than 96 images, 96 are shown that are evenly spaced in their order; the sheet says so.
     """
     if len(images) == 0:
         raise SarsplatError("there are no images to put on a contact sheet; give at least one")
+    every = len(images)
+    chosen = np.unique(np.linspace(0, every - 1, min(every, _MOST)).round().astype(int))
+    images, views = images[chosen], [views[index] for index in chosen]
     columns = min(len(views), _MAX_COLUMNS, max(3, math.ceil(math.sqrt(len(views)))))
     lines = math.ceil(len(views) / columns)
     window = target_window(images, bright_level(images))
     shown, grid = images[(slice(None), *window)], grid.part(*window)
-    look = replace(look, peak=bright_level(shown))
     aspect = (grid.rows * grid.spacing_m[1]) / (grid.columns * grid.spacing_m[0])
     width, height = max(columns * _SIDE, 3.6), lines * (_SIDE * aspect + 0.22) + 0.66
     margins = {"left": 0.02, "right": 0.98, "top": 1 - 0.24 / height, "bottom": 0.6 / height}
@@ -54,5 +61,8 @@ def contact_sheet(
     for axes, image, view in zip(panels, shown, views):  # empty places stay dark
         title = f"{round(view.azimuth_deg, 1):g}°, grazing {round(view.grazing_deg, 1):g}°"
         draw_image(axes, image, grid, look, title, _TEXT)
-    decibel_bar(figure, ((1 - 2.6 / width) / 2, 0.44 / height, 2.6 / width, 0.08 / height), look)
+    bar = ((1 - 2.6 / width) / 2, 0.44 / height, 2.6 / width, 0.08 / height)
+    decibel_bar(figure, bar, look, "power, dB; 0 dB as in the single pictures")
+    if every > len(images):
+        figure.text(0.02, 0.2 / height, f"{len(images)} of {every} images", color=DARK.muted, size=9)
     return to_png(figure)
