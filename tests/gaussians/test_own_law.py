@@ -121,7 +121,7 @@ def test_what_cannot_be_registered_or_trained(dataset: Dataset) -> None:
         register_scattering(Other)
     for thing in (Scattering, dict, "fan"):
         with pytest.raises(
-            SarsplatError, match="is no law of scattering; derive it from Scattering and give it a kind"
+            SarsplatError, match="is not a scattering law; derive it from Scattering and give it a kind"
         ):
             register_scattering(thing)  # type: ignore[type-var]
     Other.kind = "without a start"

@@ -133,7 +133,7 @@ def register_scattering(law: L) -> L:
         If it is not a law with a kind, or another law has that kind.
     """
     if not (isinstance(law, type) and issubclass(law, Scattering) and isinstance(getattr(law, "kind", None), str)):
-        raise SarsplatError(f"{law!r} is no law of scattering; derive it from Scattering and give it a kind, a str")
+        raise SarsplatError(f"{law!r} is not a scattering law; derive it from Scattering and give it a kind, a str")
     other = SCATTERINGS.get(law.kind)
     if other is not None and _home(other) != _home(law):
         raise SarsplatError(f"the scattering law {law.kind!r} is {_home(other)} already; give yours another kind")
@@ -161,7 +161,7 @@ def scattering_named(kind: str) -> type[Scattering]:
     law = SCATTERINGS[kind]
     if getattr(law, "kind", None) != kind:
         raise SarsplatError(
-            f"the entry point {kind!r} of sarsplat.scattering names {law!r}, which is no law of that kind; correct its "
+            f"the entry point {kind!r} of sarsplat.scattering names {law!r}, which is not a law of that kind; correct its "
             "package"
         )
     return law  # type: ignore[no-any-return]
