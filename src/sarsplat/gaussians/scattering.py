@@ -161,8 +161,8 @@ def scattering_named(kind: str) -> type[Scattering]:
     law = SCATTERINGS[kind]
     if getattr(law, "kind", None) != kind:
         raise SarsplatError(
-            f"the entry point {kind!r} of sarsplat.scattering names {law!r}, which is not a law of that kind; correct its "
-            "package"
+            f"the entry point {kind!r} of sarsplat.scattering names {law!r}, which is not a law of that kind; correct "
+            "its package"
         )
     return law  # type: ignore[no-any-return]
 
