@@ -235,6 +235,9 @@ def test_transparent_pixels_are_refused(tmp_path):
         image.save(path, **options)
         with pytest.raises(SarsplatError, match="transparent pixels, 2 of 12"):
             read_pixels(path)
+    Image.fromarray(np.stack([EIGHT, opaque], axis=-1)).save(tmp_path / "a.tif")  # not the real and imaginary part
+    with pytest.raises(SarsplatError, match="has a band for transparency"):
+        read_pixels(tmp_path / "a.tif")
 
 
 def test_colours_and_objects_are_refused(tmp_path):
