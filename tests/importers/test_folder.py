@@ -232,8 +232,11 @@ def test_zeros_and_cuts_are_said_once(tmp_path, capsys):
 def test_the_command_says_every_oddity_once(tmp_path, capsys):
     folder = write(tmp_path / "in", [np.ones_like(image) for image in POWER])
     words = ["import", "folder", str(folder), "--out", str(tmp_path / "out"), "--quantity", "power", "--spacing", "0.1"]
-    assert main(words) == 0
-    assert capsys.readouterr().err.count("images are constant") == 1
+    assert main(words) == 1
+    shown = capsys.readouterr()
+    assert shown.err.count("images are constant") == 1
+    assert "ready" not in shown.out
+    assert "with 1 contradiction" in shown.out
 
 
 @pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured MSTAR chips are not here")

@@ -28,7 +28,7 @@ def command(
     train_views: OptionalCount = None,
     no_ground: bool = False,
     overwrite: bool = False,
-) -> None:
+) -> int:
     """Import SICD files: what one or several complex SAR images show of one spot.
 
     Parameters
@@ -58,7 +58,7 @@ def command(
 
     place = None if around is None else numbers(around, "around", (2, 3), "47.3769,8.5417")
     spot = None if pixel is None else numbers(pixel, "pixel", (2,), "1200,800")
-    carry_out(
+    return carry_out(
         import_sicd,
         files,
         out,

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.header import Calibration
-from sarsplat.data.orientation import oriented
+from sarsplat.data.orientation import Layout, oriented
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.importers.files import warn_caller
@@ -137,6 +138,7 @@ def import_folder(
         "scale": scale,
         "offset": offset,
         "ground_range": ground_range,
+        **_layout(near, mirrored, counter_clockwise, listed),
         "assumptions": [
             _said_by(listed),
             *([f"the numbers are {guessed}"] if quantity is None else []),
@@ -157,6 +159,12 @@ def import_folder(
         ground=ground,
     )
     return write_imported(out, dataset, overwrite=overwrite)
+
+
+def _layout(near: Side, mirrored: bool, counter_clockwise: bool, listed: PictureTable) -> dict[str, Any]:
+    """How all pictures lie; nothing if some look to the left and others do not."""
+    looks = {bool(picture.looks_left) for picture in listed.pictures}
+    return {"layout": asdict(Layout(near, mirrored, counter_clockwise, looks.pop()))} if len(looks) == 1 else {}
 
 
 def _either(own: float | None, common: float) -> float:
