@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -63,6 +63,12 @@ def rendered(template: str, **values: Any) -> str:
     return templates.get_template(template).render(**values)
 
 
+def in_words(names: Iterable[str]) -> str:
+    """E.g. a, b and c."""
+    *others, last = [*names] or [""]
+    return f"{', '.join(others)} and {last}" if others else last
+
+
 def _lead(run: Run) -> str:
     dataset = run.dataset
     train = sum(entry.split == "train" for entry in dataset.entries)
@@ -79,9 +85,9 @@ def _card(table: ScoreTable, row: Row, definitions: Mapping[str, str]) -> dict[s
     competing = [cell for cell in others if cell.column.ranked and cell.column.values.get(row.metric.key) is not None]
     winners = [cell.column.name for cell in competing if cell.best]
     if own.best:
-        verdict = "This run is the best." if not winners else f"As good as {' and '.join(winners)}."
+        verdict = "This run is the best." if not winners else f"As good as {in_words(winners)}."
     else:
-        verdict = f"Better than this run: {' and '.join(winners)}."
+        verdict = f"Better than this run: {in_words(winners)}."
     return {
         "name": row.metric.title,
         "definition": definitions.get(row.metric.key),
