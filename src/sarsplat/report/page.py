@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from sarsplat.colours import DARK, LIGHT, PREDICTED, TRUE
+from sarsplat.colours import DARK, LIGHT, PREDICTED, RADAR, TRUE
 from sarsplat.data import Dataset
 from sarsplat.data.determined import weakest_direction
 from sarsplat.errors import counted
@@ -59,7 +59,7 @@ def rendered(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    templates.globals.update(light=vars(LIGHT), dark=vars(DARK), true_mask=TRUE, own_mask=PREDICTED)
+    templates.globals.update(light=vars(LIGHT), dark=vars(DARK), true_mask=TRUE, own_mask=PREDICTED, radar=RADAR)
     return templates.get_template(template).render(**values)
 
 
