@@ -76,7 +76,7 @@ WORDS = {
     "simulate --target T-72 --out new": "--target 'T-72' is unknown; did you mean t72?",
     "simulate --target=zeppelin --out new": "--target 'zeppelin' is unknown; choose one of 2s1, btr70, building-a, ",
     "simulate --target t72 --azimuth 0:360:-10 --out new": "--azimuth '0:360:-10' has no angles: steps of -10° do not ",
-    "simulate --target t72 --azimuth 0,30,60 --out new": "neither --grazing nor --incidence was given; add one, such as",
+    "simulate --target t72 --azimuth 0,30,60 --out new": "neither --grazing nor --incidence was given; add one, such",
     "simulate --target t72 --out new --source magic": "--source 'magic' is unknown; choose one of raycast, splat",
     "simulate --target t72 --out new --law 1": "--law does not accept '1'; see sarsplat simulate --help",
     "simulate --target t72 --out new --law 1 a": "--law does not accept '1', 'a'",

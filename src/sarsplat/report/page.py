@@ -145,7 +145,7 @@ def _run_facts(run: Run) -> dict[str, str]:
     except PackageNotFoundError:  # run from source
         program = "from source"
     return {
-        "folder": str(run.path),
+        "folder": "in memory" if run.path is None else str(run.path),
         "method": run.method,
         **run.facts,
         "training time": _duration(run.time_s),

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from html import escape
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from sarsplat.colours import DARK, ERROR, HEIGHT, LIGHT, STRENGTH, rgb
+from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.radar import Pixel
 from sarsplat.radiometry import to_db
 from sarsplat.viewer.controls import BY_ERROR, BY_GAMMA0, Choices, Controls
 from sarsplat.viewer.newest import Newest
 from sarsplat.viewer.pictures import Panel, Scale, Strip, difference_panel, heights_up_to, map_panel, power_panel
+from sarsplat.viewer.scene import OwnScene
 from sarsplat.viewer.server import HOST, start_server, stop_server
 from sarsplat.viewer.stage import Stage
 from sarsplat.viewer.subject import TRUTH, Cloud, Contributors, Subject
@@ -29,16 +33,26 @@ _ACROSS = 2  # pictures in a row
 _SAME_DEG = 0.05
 _FIRST_AZIMUTH_DEG = 45.0
 
+_SHARE = 0.03
+"""Largest share of a training's time that may be spent on showing it."""
+
+_WAIT_S = 2.0
+"""Longest wait for one picture, s."""
+
 
 class Viewer:
-    """A page on this machine; it works until `close`.
+    """A page on this machine; it works until `close`, or in a `with` block until that ends.
 
     Parameters
     ----------
-    subject : Subject
-        What to look at.
+    subject : Subject or Gaussians
+        What to look at: the subject of a folder (`subject_at`), or Gaussians of a loop of one's own (`update`).
     port : int
         Port on 127.0.0.1; 0 takes any free one.
+    grid : ImageGrid, optional
+        Of Gaussians: pixels and resolution of their images; 128 × 128 that show all of them if omitted.
+    views : sequence of View, optional
+        Of Gaussians: views to choose from; 24 from all sides if omitted.
 
     Attributes
     ----------
@@ -51,7 +65,16 @@ class Viewer:
         If the port is taken.
     """
 
-    def __init__(self, subject: Subject, port: int = 0) -> None:
+    def __init__(
+        self,
+        subject: Subject | Gaussians,
+        port: int = 0,
+        *,
+        grid: ImageGrid | None = None,
+        views: Sequence[View] | None = None,
+    ) -> None:
+        subject = OwnScene(subject, grid, views) if isinstance(subject, Gaussians) else subject
+        self._pause_until = 0.0
         self._subject = subject
         self._view, self._pixel = _first_view(subject), None  # type: tuple[View, Pixel | None]
         self._picked: tuple[View, Pixel, Contributors | None] | None = None
@@ -94,6 +117,32 @@ class Viewer:
         """Continue with a newer state of the same subject."""
         self._subject, self._picked, self._offered = subject, None, False
         self._ask()
+
+    def update(self, gaussians: Gaussians) -> None:
+        """Show a newer state of Gaussians of one's own; called after every step, it takes 3 % of a loop's time at most.
+
+        States in between are left out.
+        """
+        now = self._subject
+        self.keep_up(lambda: OwnScene(gaussians, now.grid, now.train_views, now.peak))
+
+    def keep_up(self, newer: Callable[[], Subject]) -> None:
+        """Show a newer state of a training that waits meanwhile, unless that would take more than 3 % of its time.
+
+        Two processors that share the work would only slow each other down.
+        """
+        begun = time.monotonic()
+        if begun >= self._pause_until:
+            self.show(newer())
+            self.wait(_WAIT_S)
+            ended = time.monotonic()
+            self._pause_until = ended + (ended - begun) / _SHARE
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def wait(self, timeout_s: float = 10.0) -> bool:
         """Wait until everything requested is drawn; False on timeout."""
