@@ -21,7 +21,7 @@ from sarsplat.progress import stage
 from sarsplat.reconstruction.config import PointExtraction
 from sarsplat.renderer import render
 
-_MOST_VIEWS = 160
+_MOST_VIEWS = 96
 _MOST_RAYS = 2e7
 """In all views together."""
 
@@ -47,7 +47,7 @@ def extract_points(
         Sets the spacing of the rays and the unit of `how`, its resolution cell.
     how : PointExtraction
         Method, thinning and clean-up. In large scenes rays and voxels are coarser than it says: at most 20 million rays
-        are traced, from at most 160 views.
+        are traced, from at most 96 views.
 
     Returns
     -------
