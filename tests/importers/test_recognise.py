@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from chip_files import ROWS, phoenix_bytes, write_chips
+from chip_files import MAGNITUDE, ROWS, phoenix_bytes, write_chips
 from sample_files import write_sample
 from sarsplat.cli import main
 from sarsplat.cli.importers import recognised
@@ -58,6 +58,12 @@ def test_pictures_with_a_table(shots, tmp_path, capsys):
     assert (tmp_path / "out" / "dataset.json").is_file()
 
 
+def test_reconstruct_leads_to_the_import(shots, capsys):
+    assert main(["reconstruct", str(shots), "--out", str(shots / "run")]) == 2
+    told = capsys.readouterr().err
+    assert f"`sarsplat info {shots}` says how to import images in it, such as with `sarsplat import folder`" in told
+
+
 def test_pictures_without_a_table(shots):
     (shots / "t.csv").write_text("some,thing\n1,2\n")
     it = recognised(shots)
@@ -79,8 +85,8 @@ def test_a_table_with_columns_of_other_names(tmp_path):
 
 
 def test_the_sample_set(tmp_path):
-    for azimuth in (11.0, 30.0, 44.0, 60.0):
-        write_sample(tmp_path / "set", POWER[0] * (1 + 1j), azimuth)
+    for image, azimuth in zip(POWER, (11.0, 30.0, 44.0, 60.0), strict=True):
+        write_sample(tmp_path / "set", image * (1 + 1j), azimuth)
     write_sample(tmp_path / "set", POWER[0] * (1 + 1j), 30.0, kind="synth", target="m1")
     it = recognised(tmp_path / "set")
     assert it is not None
@@ -143,7 +149,7 @@ def test_phoenix_files(tmp_path: Path) -> None:
     folder = tmp_path / "phoenix"
     folder.mkdir()
     for k in range(4):
-        (folder / f"HB0000{k}.015").write_bytes(phoenix_bytes(TargetAz=90.0 * k))
+        (folder / f"HB0000{k}.015").write_bytes(phoenix_bytes(MAGNITUDE + k, TargetAz=90.0 * k))
     it = recognised(folder)
     assert it is not None
     assert it.kind == "original MSTAR chips (Phoenix files)"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from datasets import dataset_of
 from sarsplat import ScatteringLaw, add_speckle, simulate_raycast
 from sarsplat.cli import main
 from sarsplat.data import Dataset, write_dataset
+from sarsplat.data.orientation import SIDES, Layout, oriented
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction.clutter import contrast_of
 from sarsplat.reconstruction.contradictions import examine
@@ -86,35 +88,131 @@ def test_what_is_right_passes(bare: Dataset, grounded: Dataset, looks: float | N
         assert "as given" in found.checks["azimuths"]
 
 
-def test_another_size_and_spacing_pass() -> None:
+def imported(dataset: Dataset, layout: Layout, seen: Layout) -> Dataset:
+    """The dataset that `import folder` makes of pictures that lie as in `seen`, told that they lie as in `layout`."""
+    pictures = dataset.power[..., ::-1] if seen.mirrored else dataset.power
+    pictures = np.rot90(pictures, -SIDES.index(seen.near), axes=(1, 2))
+    power = oriented(pictures, layout.near, layout.mirrored)
+    sign = 1 if layout.counter_clockwise == seen.counter_clockwise else -1
+    turned = with_azimuths(dataset, lambda azimuth: (sign * azimuth + 20) % 360)
+    grid = replace(dataset.grid, rows=power.shape[1], columns=power.shape[2])
+    return replace(turned, power=power, grid=grid, source={"kind": "folder", "layout": asdict(layout)})
+
+
+LAYOUTS = [Layout(*options) for options in itertools.product(SIDES, (False, True), (False, True))]
+
+
+@pytest.mark.parametrize("seen", LAYOUTS, ids=str)
+def test_every_orientation_is_recovered(bare: Dataset, grounded: Dataset, seen: Layout) -> None:
+    """Images, azimuths or both lie otherwise than an import was told: it names the options that were right."""
+    right = Layout(seen.near, False, seen.counter_clockwise ^ seen.mirrored)  # the same, but for a mirrored target
+    for dataset in (grounded, speckled(grounded, 1, 0), bare):
+        for layout in (Layout(), Layout("left", True), Layout("bottom", False, True)):
+            said = examine(imported(dataset, layout, seen)).contradictions
+            if layout in (right, right.twin):
+                assert said == []
+            else:
+                assert len(said) == 1
+                assert f"import with {right}" in said[0]
+                if right.counter_clockwise != (layout.counter_clockwise ^ layout.mirrored):
+                    assert f"or with {right.twin} if the table" in said[0]
+
+
+def test_another_size_and_spacing(bare: Dataset) -> None:
     ship = simulated(0.1, ImageGrid(40, 64, (8.0, 10.0), (12.0, 10.0)), scale=20, step=24)
     assert examine(speckled(ship, 1, 0)).contradictions == []
-    assert "flip the rows" in only(with_power(ship, ship.power[:, ::-1]))
+    assert "--near bottom --counter-clockwise, or with --near bottom --mirrored if" in only(
+        imported(ship, Layout(), Layout("bottom", True))
+    )
 
 
-def test_rows_that_are_flipped(bare: Dataset, grounded: Dataset) -> None:
-    flipped = only(with_power(grounded, grounded.power[:, ::-1]))
-    assert flipped.startswith("shadows lie on the near side of the target")
-    assert flipped.endswith("flip the rows (power[:, ::-1])")
-    assert only(with_power(bare, bare.power[:, ::-1])).startswith("what is bright leans away from the radar")
-    for dataset in (bare, grounded, speckled(grounded, 1, 0)):
-        assert "turn the images by 180°" in only(with_power(dataset, dataset.power[:, ::-1, ::-1]))
+def test_the_remedy_for_arrays(grounded: Dataset) -> None:
+    """What no importer laid out is turned by numpy; doing so mends it."""
+    wrong = with_power(grounded, grounded.power[:, ::-1, ::-1])
+    assert only(wrong).startswith("shadows fall upwards")
+    assert only(wrong).endswith("; turn the images (np.rot90(power, 2, axes=(1, 2)))")
+    sense = only(with_power(grounded, grounded.power[:, :, ::-1]))
+    assert "if azimuths run the other way" in sense
+    assert "; negate the azimuths, or flip the columns (power[:, :, ::-1]) if azimuths do run clockwise" in sense
 
 
-def test_azimuths_that_run_the_other_way(bare: Dataset, grounded: Dataset) -> None:
-    for dataset in (bare, grounded, speckled(grounded, 1, 0), speckled(bare, 1, 0)):
-        wrong = only(with_azimuths(dataset, lambda azimuth: -azimuth))
-        assert "match better if azimuths run the other way" in wrong
-        assert "negate the azimuths" in wrong
-        assert only(with_power(dataset, dataset.power[:, :, ::-1]))[:60] == wrong[:60]
-        assert examine(with_azimuths(dataset, lambda azimuth: azimuth + 90)).contradictions == []  # unclear
+def test_the_table_of_orientations(grounded: Dataset) -> None:
+    head, *rows = examine(imported(grounded, Layout(), Layout("right", False, True))).orientations
+    assert [row[0] for row in rows] == [str(Layout(near, False, ccw)) for near in SIDES for ccw in (False, True)]
+    assert [row[-1] for row in rows] == ["as it is", "", "", "best", "", "", "", ""]
+    darkest = max(rows, key=lambda row: float(row[head.index("shadow beyond")].split()[0]))
+    assert darkest[0].startswith("--near right")
+
+
+def test_a_target_of_no_azimuth_is_undecided() -> None:
+    """A cone looks the same from everywhere: no sense of the azimuths is right."""
+    cone = trimesh.creation.cone(2.0, 3.0, sections=720)
+    views = [View(float(azimuth), 40.0) for azimuth in range(0, 360, 30)]
+    power = np.stack([simulate_raycast(cone, view, GRID, ScatteringLaw(), ground_gamma0=0.05) for view in views])
+    dataset = dataset_of(GRID, [(view, "train") for view in views], power, ground=True)
+    dataset = speckled(dataset, 1, 3)
+    for changed in (dataset, with_azimuths(dataset, lambda azimuth: -azimuth)):
+        examined = examine(changed)
+        assert examined.contradictions == []
+        assert "cannot be determined" in examined.checks["azimuths"]
+        assert examined.checks["near range"].startswith("at the top")
+
+
+@pytest.mark.parametrize("looks", [None, 1.0])
+def test_incidence_angles_for_grazing_angles(looks: float | None) -> None:
+    for ground, columns, remedy in (
+        (0.05, {"grazing": "elev"}, "import with --columns incidence=elev"),
+        (None, {"incidence": "inc"}, "import with --columns grazing=inc"),
+        (0.05, {}, "(--grazing 30)"),
+    ):
+        dataset = replace(simulated(ground, step=20), source={"kind": "folder", "columns": columns})
+        dataset = dataset if looks is None else speckled(dataset, looks, 0)
+        assert "than if they were incidence angles" in examine(dataset).checks["grazing angles"]
+        swapped = tuple(replace(entry, view=View(entry.view.azimuth_deg, 60.0)) for entry in dataset.entries)
+        wrong = [text for text in examine(replace(dataset, entries=swapped)).contradictions if "incidence" in text]
+        assert len(wrong) == 1
+        assert remedy in wrong[0]
+
+
+def test_ground_that_is_said_not_to_be_there(bare: Dataset, grounded: Dataset) -> None:
+    for dataset in (grounded, speckled(grounded, 1, 0)):
+        assert "import them without --no-ground" in only(replace(dataset, ground=False))
+    noise = np.random.default_rng(0).exponential(np.quantile(bare.power, 0.999) / 300, bare.power.shape)
+    assert (
+        examine(with_power(bare, (bare.power + noise).astype(np.float32))).contradictions == []
+    )  # a floor, not ground
 
 
 @pytest.mark.parametrize("looks", [1.0, 4.0])
 def test_values_that_are_not_power(grounded: Dataset, looks: float) -> None:
     dataset = speckled(grounded, looks, 1)
-    assert "square the values" in only(with_power(dataset, np.sqrt(dataset.power)))
+    assert "square the values (--quantity amplitude)" in only(with_power(dataset, np.sqrt(dataset.power)))
     assert "take the root" in only(with_power(dataset, dataset.power**2))
+
+
+@pytest.mark.parametrize("looks", [1.0, 4.0])
+def test_pictures_in_eight_bits(grounded: Dataset, looks: float) -> None:
+    dataset = speckled(grounded, looks, 1)
+    bright = np.quantile(dataset.power, 0.999)
+    amplitude = np.clip(np.round(255 * np.sqrt(dataset.power / bright)), 1, 255)
+    decibels = np.clip(np.round(255 * (10 * np.log10(np.maximum(dataset.power / bright, 1e-9)) + 60) / 60), 1, 255)
+    assert examine(with_power(dataset, (amplitude**2).astype(np.float32))).contradictions == []
+    as_decibels = only(with_power(dataset, (10 ** (amplitude / 10) / 1e12).astype(np.float32)))
+    assert "dB above the ground, more than any radar image has" in as_decibels
+    assert "--quantity amplitude" in as_decibels
+    for power in (decibels, decibels**2):
+        assert "as in decibels" in only(with_power(dataset, power.astype(np.float32)))
+        assert "--quantity db, with --scale and --offset" in only(with_power(dataset, power.astype(np.float32)))
+
+
+def test_ground_of_few_values_tells_no_unit(grounded: Dataset) -> None:
+    """Coarse steps, as of pictures that a glint has darkened, look like speckle of another unit."""
+    dataset = speckled(grounded, 1, 1)
+    step = np.sqrt(np.median(dataset.power))
+    coarse = np.maximum(np.round(np.sqrt(dataset.power) / step), 1) ** 2
+    examined = examine(with_power(dataset, coarse.astype(np.float32)))
+    assert examined.contradictions == []
+    assert "so coarsely are pixels quantised" in examined.checks["unit"]
 
 
 def test_speckle_that_is_not_as_stated(grounded: Dataset) -> None:
@@ -180,8 +278,11 @@ def test_the_command(grounded: Dataset, tmp_path: Path, capsys: pytest.CaptureFi
     assert "no contradictions" in capsys.readouterr().out
     assert main(["check", str(tmp_path / "wrong")]) == 1
     shown = capsys.readouterr()
-    assert "flip the rows" in " ".join(shown.err.split())
+    assert "np.rot90(power, 2, axes=(1, 2))" in " ".join(shown.err.split())
     assert "1 contradiction found" in shown.out
+    assert "--near bottom --counter-clockwise" not in shown.out
+    assert main(["check", str(tmp_path / "wrong"), "--verbose"]) == 1
+    assert "--near bottom --counter-clockwise" in capsys.readouterr().out
     assert main(["check", str(tmp_path / "right"), "--out", str(sheet)]) == 2  # it is there
     assert main(["check", str(tmp_path / "right"), "--out", str(tmp_path / "sheet.gif")]) == 2
     assert main(["check", str(tmp_path / "nowhere")]) == 2

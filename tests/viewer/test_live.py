@@ -44,7 +44,7 @@ def test_the_page_shows_the_newest_state(dataset, config):
             trainer.step()
         viewer.show(live.TrainingSubject(dataset, trainer))
         assert viewer.wait(60)
-        pictures.append(viewer._controls.strip.image.copy())
+        pictures.append(viewer._controls._rows[0][1].image.copy())
     viewer.close()
     assert pictures[0].shape == pictures[1].shape
     assert not np.array_equal(*pictures)

@@ -9,7 +9,7 @@ import warnings
 from typing import TextIO
 
 from sarsplat.cli import console, extras
-from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.errors import AssumptionWarning, SarsplatError, SarsplatWarning
 
 _MISUSED = 2
 _READER_LEFT = 141  # as shells have it
@@ -18,7 +18,7 @@ _READER_LEFT = 141  # as shells have it
 def run(words: list[str]) -> int:
     """Do what the words after the program's name ask for; the exit code is 0, or 2 after a mistake in the input.
 
-    `sarsplat check` ends with 1 if it has found contradictions.
+    `sarsplat check` and `sarsplat import` end with 1 if images contradict what is said of them.
     """
     # before torch is loaded: threads that spin while they wait cost tens of milliseconds a step on a shared machine
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -33,6 +33,7 @@ def run(words: list[str]) -> int:
         return 0
     with warnings.catch_warnings():
         warnings.simplefilter("default", SarsplatWarning)
+        warnings.simplefilter("ignore", AssumptionWarning)
         warnings.showwarning = _show_warning
         try:
             from sarsplat.cli.parser import parse  # here, for it may warn of what other packages offer

@@ -10,9 +10,8 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import OptionalFile, refuse_existing
+from sarsplat.cli.imported import CONTRADICTED
 from sarsplat.errors import SarsplatError, counted
-
-_CONTRADICTED = 1
 
 
 def check(
@@ -20,13 +19,14 @@ def check(
     *,
     out: OptionalFile = None,
     images: int = 12,
+    verbose: bool = False,
     overwrite: bool = False,
 ) -> int:
     """Hold a dataset's images against what it says of them; the exit code is 1 if they contradict each other.
 
-    Checked are near range (shadow lies beyond the target), the sense of the azimuths (neighbouring images match), the
-    unit (speckle of power has another contrast than that of amplitude), the resolution, and whether images are constant
-    or the same.
+    Checked are near range (shadow lies beyond the target), the sense of the azimuths (neighbouring images match),
+    grazing angles (lengths in range fit), the unit (speckle of power has another contrast than that of amplitude or
+    decibels), the resolution, and whether images are constant or the same.
 
     Parameters
     ----------
@@ -37,6 +37,8 @@ def check(
         target's nose.
     images
         Number of images on the sheet, evenly chosen.
+    verbose
+        Also list what speaks for each of the eight orientations of the images.
     overwrite
         Replace an existing sheet.
     """
@@ -54,8 +56,10 @@ def check(
         if out is not None:
             from sarsplat.report.check_sheet import check_sheet
 
-            write_bytes(out, check_sheet(read, images))
+            write_bytes(out, check_sheet(read, images, examined.orientations))
     console.facts(f"{dataset}: {counted(len(read), 'image')}", examined.checks)
+    if verbose and examined.orientations:
+        _show(examined.orientations)
     for text in suspicious_coverage(read.select("train").views):
         console.warn(text)
     for text in examined.contradictions:
@@ -64,7 +68,21 @@ def check(
         console.say(f"wrote {out}")
     if examined.contradictions:
         console.say(f"{counted(len(examined.contradictions), 'contradiction')} found")
-        return _CONTRADICTED
+        return CONTRADICTED
     words = ["sarsplat", "reconstruct", str(dataset), "--out", f"{dataset}-run"]
     console.say(f"no contradictions; next: {shlex.join(words)}")
     return 0
+
+
+def _show(orientations: list[tuple[str, ...]]) -> None:
+    """The table of the eight, and how to read it."""
+    from rich.table import Table
+
+    from sarsplat.reconstruction.contradictions import TWINS
+
+    head, *rows = orientations
+    table = Table(*head, box=None, pad_edge=False, padding=(0, 2, 0, 2), header_style="bold")
+    for row in rows:
+        table.add_row(*row)
+    console.show(table)
+    console.say(f"  {TWINS}")

@@ -50,7 +50,7 @@ def command(
     looks: Annotated[float, tyro.conf.arg(metavar="NUMBER")] = 1.0,
     no_ground: bool = False,
     overwrite: bool = False,
-) -> None:
+) -> int:
     """Import pictures (PNG, JPEG, TIFF, GeoTIFF, NPY) with a table (CSV) of angles.
 
     Parameters
@@ -106,7 +106,7 @@ def command(
     """
     from sarsplat.importers import import_folder
 
-    carry_out(
+    return carry_out(
         import_folder,
         folder,
         out,

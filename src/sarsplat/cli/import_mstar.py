@@ -36,7 +36,7 @@ def command(
     azimuth_std: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 0.0,
     mirrored: bool = False,
     overwrite: bool = False,
-) -> None:
+) -> int:
     """Import MSTAR chips: JPEGs with a table of labels, or original Phoenix files.
 
     Parameters
@@ -68,7 +68,7 @@ def command(
     """
     from sarsplat.importers import import_mstar
 
-    carry_out(
+    return carry_out(
         import_mstar,
         chips,
         out,

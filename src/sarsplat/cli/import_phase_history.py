@@ -24,7 +24,7 @@ def command(
     target: Annotated[str, tyro.conf.arg(metavar="NAME")] = "unnamed",
     train_views: OptionalCount = None,
     overwrite: bool = False,
-) -> None:
+) -> int:
     """Import phase history, in the layout of AFRL's GOTCHA: one focused image for every few degrees of flight.
 
     Parameters
@@ -54,7 +54,7 @@ def command(
     from sarsplat.importers import import_phase_history
 
     x, y, *height = numbers(around, "around", (2, 3), "12,-7.5")
-    carry_out(
+    return carry_out(
         import_phase_history,
         files,
         out,

@@ -24,7 +24,7 @@ def command(
     near: Literal["top", "bottom"] = "bottom",
     mirrored: bool = False,
     overwrite: bool = False,
-) -> None:
+) -> int:
     """Import images of AFRL's SAMPLE set: measured MSTAR chips and simulated ones (.mat), complex.
 
     Parameters
@@ -48,7 +48,7 @@ def command(
     """
     from sarsplat.importers import import_sample
 
-    carry_out(
+    return carry_out(
         import_sample,
         folder,
         out,

@@ -2,26 +2,88 @@
 
 from __future__ import annotations
 
-from typing import get_args
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self, get_args
 
+import msgspec
 import numpy as np
 from jaxtyping import Shaped
 
 from sarsplat.errors import SarsplatError
 from sarsplat.names import Side
 
+SIDES: tuple[Side, ...] = get_args(Side)
+
 
 def oriented(
-    image: Shaped[np.ndarray, "rows columns"], near: Side, mirrored: bool = False
-) -> Shaped[np.ndarray, "m n"]:
-    """The picture with its side `near` at the top, and its columns flipped if it is then a mirror image.
+    images: Shaped[np.ndarray, "*v rows columns"], near: Side, mirrored: bool = False
+) -> Shaped[np.ndarray, "*v m n"]:
+    """The pictures with their side `near` at the top, and their columns flipped if they are then mirror images.
 
     Raises
     ------
     SarsplatError
         If there is no such side.
     """
-    if near not in get_args(Side):
-        raise SarsplatError(f"near is {near!r}; it must be one of {', '.join(get_args(Side))}")
-    turned = np.rot90(image, get_args(Side).index(near))
-    return np.ascontiguousarray(turned[:, ::-1] if mirrored else turned)
+    if near not in SIDES:
+        raise SarsplatError(f"near is {near!r}; it must be one of {', '.join(SIDES)}")
+    turned = np.rot90(images, SIDES.index(near), axes=(-2, -1))
+    return np.ascontiguousarray(turned[..., ::-1] if mirrored else turned)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How pictures lie and azimuths run, as `import folder` is told.
+
+    Attributes
+    ----------
+    near : {"top", "right", "bottom", "left"}
+        Side of the pictures that is near the radar.
+    mirrored, counter_clockwise : bool
+        Whether the pictures, turned with the near side up, are mirror images, and azimuths run counter-clockwise.
+    looks_left : bool
+        Whether the table says that the radar looked to the left, which mirrors the pictures once more.
+    """
+
+    near: Side = "top"
+    mirrored: bool = False
+    counter_clockwise: bool = False
+    looks_left: bool = False
+
+    @classmethod
+    def of(cls, source: Mapping[str, Any]) -> Self | None:
+        """That of a dataset, by its `source`; None if it does not say, for it was imported otherwise."""
+        try:
+            return msgspec.convert(source.get("layout"), cls)
+        except msgspec.ValidationError:
+            return None
+
+    def corrected(self, near: Side, opposite: bool) -> Self:
+        """That of the same pictures, of whose dataset the side `near` is near; never mirrored.
+
+        Parameters
+        ----------
+        near : {"top", "right", "bottom", "left"}
+            As seen in the dataset.
+        opposite : bool
+            Whether the dataset's azimuths run the other way, or its images are mirrored.
+        """
+        flipped = self.mirrored != self.looks_left
+        turns = SIDES.index(self.near) + (-1 if flipped else 1) * SIDES.index(near)
+        return type(self)(
+            SIDES[turns % 4],
+            False,
+            self.counter_clockwise ^ opposite ^ self.mirrored,  # no mirror, but the other sense instead
+            self.looks_left,
+        )
+
+    @property
+    def twin(self) -> Self:
+        """The one that images cannot tell from it: mirrored, with azimuths in the opposite sense."""
+        return type(self)(self.near, not self.mirrored, not self.counter_clockwise, self.looks_left)
+
+    def __str__(self) -> str:
+        """As options of the command line."""
+        words = [f"--near {self.near}", "--mirrored" * self.mirrored, "--counter-clockwise" * self.counter_clockwise]
+        return " ".join(word for word in words if word)

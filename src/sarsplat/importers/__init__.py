@@ -1,7 +1,7 @@
 """Measured images of other formats become datasets: a file for each format, and what they have in common."""
 
 from sarsplat.importers.folder import import_folder
-from sarsplat.importers.images import MeasuredImage, dataset_of, ready, write_imported
+from sarsplat.importers.images import MeasuredImage, dataset_of, summary, write_imported
 from sarsplat.importers.mstar import import_mstar
 from sarsplat.importers.phase_history_images import import_phase_history
 from sarsplat.importers.phoenix import PhoenixChip, read_phoenix
@@ -18,6 +18,6 @@ __all__ = [
     "import_sample",
     "import_sicd",
     "read_phoenix",
-    "ready",
+    "summary",
     "write_imported",
 ]

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.header import Calibration
-from sarsplat.data.orientation import oriented
+from sarsplat.data.orientation import Layout, oriented
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
+from sarsplat.importers.files import warn_caller
 from sarsplat.importers.images import MeasuredImage, dataset_of, view_of, write_imported
 from sarsplat.importers.pictures import read_pixels
-from sarsplat.importers.quantity import likely_quantity, power_or_signal
+from sarsplat.importers.quantity import doubts, likely_quantity, power_or_signal
 from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
 from sarsplat.names import Quantity, Side
 
@@ -125,6 +127,9 @@ def import_folder(
                 split=picture.split,
             )
         )
+    doubt = doubts([image.pixels for image in images], guessed) if looks is not None and guessed is not None else None
+    if doubt is not None:
+        warn_caller(doubt)
     source: dict[str, Any] = {
         "kind": "folder",
         "table": listed.path.name,
@@ -133,6 +138,7 @@ def import_folder(
         "scale": scale,
         "offset": offset,
         "ground_range": ground_range,
+        **_layout(near, mirrored, counter_clockwise, listed),
         "assumptions": [
             _said_by(listed),
             *([f"the numbers are {guessed}"] if quantity is None else []),
@@ -141,6 +147,7 @@ def import_folder(
             f"{azimuth_offset_deg:g}° from the target's nose",
             *([] if _resolution_known(listed, resolution_m) else ["the resolution is the pixel spacing"]),
         ],
+        **({} if doubt is None else {"doubts": [doubt]}),
     }
     dataset = dataset_of(
         images,
@@ -152,6 +159,12 @@ def import_folder(
         ground=ground,
     )
     return write_imported(out, dataset, overwrite=overwrite)
+
+
+def _layout(near: Side, mirrored: bool, counter_clockwise: bool, listed: PictureTable) -> dict[str, Any]:
+    """How all pictures lie; nothing if some look to the left and others do not."""
+    looks = {bool(picture.looks_left) for picture in listed.pictures}
+    return {"layout": asdict(Layout(near, mirrored, counter_clockwise, looks.pop()))} if len(looks) == 1 else {}
 
 
 def _either(own: float | None, common: float) -> float:

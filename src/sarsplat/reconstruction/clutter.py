@@ -25,6 +25,8 @@ _FEWEST_BLOCKS = 20
 _WHITE = 0.1
 """Neighbouring pixels of speckle that correlate less are taken as drawn independently of each other."""
 
+_TINY = np.finfo(float).tiny
+
 _BRIGHT_DB = 25.0
 """Below the brightest of an image: what is darker is not looked at for its sharpness."""
 
@@ -40,16 +42,19 @@ class Clutter:
     ----------
     contrast : float
         Standard deviation over mean, the median of all blocks.
+    skewness : numpy.ndarray, float64 [blocks]
+        Of each block: positive for power and amplitude of speckle, negative for its decibels.
+    values : float
+        Number of different values in a block, the median of all: few if pixels are quantised coarsely.
     width_m : (float or None, float or None)
         3 dB width in azimuth and slant range of the response that correlates neighbouring pixels of speckle so much;
         None if they hardly do.
-    blocks : int
-        Number of blocks.
     """
 
     contrast: float
+    skewness: Float64[np.ndarray, " blocks"]
+    values: float
     width_m: tuple[float | None, float | None]
-    blocks: int
 
 
 def clutter(
@@ -73,7 +78,7 @@ def clutter(
         max(_SMALLEST_BLOCK, min(math.ceil(_CELLS_PER_BLOCK * width / spacing), pixels // _BLOCKS_PER_SIDE))
         for width, spacing, pixels in zip(grid.resolution_m, grid.spacing_m, (grid.columns, grid.rows), strict=True)
     )
-    contrasts, correlations = [], []
+    contrasts, skewness, values, correlations = [], [], [], []
     for image, level, outline in zip(power, levels, outlines, strict=True):
         other = binary_dilation(outline.target | outline.shadow | (np.abs(level) > 6.0))
         for row in range(0, grid.rows - along + 1, along):
@@ -83,6 +88,8 @@ def clutter(
                 if other[place].any() or not block.mean() > 0:
                     continue
                 contrasts.append(float(block.std(ddof=1) / block.mean()))
+                skewness.append(float(((block - block.mean()) ** 3).mean()) / max(float(block.std()) ** 3, _TINY))
+                values.append(np.unique(block).size)
                 correlations.append(_neighbours(block))
     if len(contrasts) < _FEWEST_BLOCKS:
         return None
@@ -90,7 +97,7 @@ def clutter(
         _response_width(float(value), spacing)
         for value, spacing in zip(np.mean(correlations, axis=0), grid.spacing_m, strict=True)
     ]
-    return Clutter(float(np.median(contrasts)), (widths[0], widths[1]), len(contrasts))
+    return Clutter(float(np.median(contrasts)), np.array(skewness), float(np.median(values)), (widths[0], widths[1]))
 
 
 def _neighbours(block: Float64[np.ndarray, "rows columns"]) -> tuple[float, float]:

@@ -2,50 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float64
 
 from sarsplat.data import Dataset
+from sarsplat.data.orientation import SIDES, Layout, oriented
 from sarsplat.data.plausible import suspicious_angles, suspicious_images
 from sarsplat.errors import counted
-from sarsplat.reconstruction.clutter import clutter, contrast_of, sharpest_widths_m
-from sarsplat.reconstruction.orientation import NOTHING, Evidence, Match, neighbours_match, shadow_beyond
-from sarsplat.reconstruction.outlines import Outline, levels_db, outline
+from sarsplat.names import Side
+from sarsplat.radiometry import bright_level
+from sarsplat.reconstruction.examination import Examination
+from sarsplat.reconstruction.orientation import Orientation, orientation, turned_grid
+from sarsplat.reconstruction.units import examine_units
 
 _MOST_IMAGES = 120
 """Evenly chosen of more: they say the same."""
 
-_LEAST_DARKER_DB = 0.5
-_LEAST_MATCH, _LEAST_UPRIGHT = 0.02, 0.01
-"""Differences of decibels and correlations below these are no evidence, however many images show them."""
+_EMPTY = 1e-6
+"""Power at the edges of images that show nothing there, relative to the bright ones: far below any ground."""
 
-_SPECKLED = 0.4
-"""Contrast from which on ground is speckled: about that of six looks."""
+_FALL: dict[Side, str] = {"top": "downwards", "right": "to the left", "bottom": "upwards", "left": "to the right"}
+"""Side that is near → where shadows fall."""
 
-_WIDTH_RATIOS = {"speckle": (0.5, 1.7), "structure": (0.8, 2.0)}
-"""Measured over stated resolution, within which they agree: by how far pixels of speckle correlate, and by the sharpest
-structure, which may be smoother than a point but not sharper."""
+TWINS = (
+    "Images with --mirrored and azimuths in the other sense would match as well, as those of a mirrored target: "
+    "which way the table counts azimuths decides."
+)
+"""What the table of orientations does not show."""
 
-_LEAST_PIXEL = 0.5
-"""Least resolution, in pixels: finer ones are those of other images."""
-
-
-@dataclass(frozen=True)
-class Examination:
-    """What was found in a dataset.
-
-    Attributes
-    ----------
-    contradictions : list of str
-        What contradicts the dataset's own statements: one sentence each, with the remedy. Empty if nothing does.
-    checks : dict of str to str
-        What was looked at, and what there was to see, or why nothing can be said.
-    """
-
-    contradictions: list[str] = field(default_factory=list)
-    checks: dict[str, str] = field(default_factory=dict)
+_TABLE = ("import with", "shadow beyond", "bright edge", "layover", "neighbours match", "")
 
 
 def examine(dataset: Dataset) -> Examination:
@@ -60,164 +46,150 @@ def examine(dataset: Dataset) -> Examination:
     -------
     Examination
         Contradictions: angles that look like radians; images that are constant or the same; near range that is not row
-        0; azimuths in the opposite sense, or mirrored images; values that are not power; speckle of another number of
-        looks; a resolution that the images do not have. The zero of the azimuth cannot be determined from images.
+        0; azimuths in the opposite sense, or mirrored images; grazing angles that are incidence angles; ground in
+        images that are said to show none; values that are not power; speckle of another number of looks; a resolution
+        that the images do not have. The zero of the azimuth cannot be determined from images.
     """
-    found = Examination()
-    found.contradictions.extend(suspicious_angles(dataset.select("train").views))
+    examined = Examination()
+    angles = suspicious_angles(dataset.select("train").views)
     wrong = suspicious_images(dataset)
-    found.contradictions.extend(wrong)
-    found.checks["images"] = "see below" if wrong else f"all {len(dataset)} differ, none is constant"
-    some = _evenly(dataset)
-    if not np.ptp(some.power, axis=(1, 2)).any():
-        return found
-    levels = levels_db(some.power, some.grid, some.ground)
-    outlines = [outline(level) for level in levels]
-    _orientation(some, levels, outlines, found)
-    _statistics(some, levels, outlines, found)
-    return found
-
-
-def _evenly(dataset: Dataset) -> Dataset:
+    examined.contradictions.extend([*angles, *wrong])
+    examined.checks["images"] = "see below" if wrong else f"all {len(dataset)} differ, none is constant"
     count = min(len(dataset), _MOST_IMAGES)
-    chosen = [k * len(dataset) // count for k in range(count)]
-    return dataset.take(chosen)
+    chosen = dataset.take([k * len(dataset) // count for k in range(count)])
+    if not angles and np.ptp(chosen.power, axis=(1, 2)).any():
+        examine_units(_upright(chosen, examined), examined)
+    return examined
 
 
-def _orientation(
-    some: Dataset, levels: Float64[np.ndarray, "v rows columns"], outlines: list[Outline], found: Examination
-) -> None:
-    shadow = shadow_beyond(levels, outlines) if some.ground else NOTHING
-    match = neighbours_match(levels, some.views, some.grid)
-    found.checks["near range"] = _told_range(shadow, match, some.ground)
-    found.checks["azimuths"] = _told_sense(match)
-    upright = NOTHING if match is None or some.ground else match.upright
-    wrong_way_up = shadow.against(_LEAST_DARKER_DB) or upright.against(_LEAST_UPRIGHT)
-    opposite = match is not None and match.sense.against(_LEAST_MATCH)
-    if wrong_way_up:
-        if shadow.count:
-            seen = f"shadows lie on the near side of the target ({-shadow.mean:.1f} dB darker there than beyond it)"
-        else:
-            seen = "what is bright leans away from the radar, as if it lay below the ground"
-        turned = match is not None and match.sense.supports(_LEAST_MATCH)
-        remedy = "turn the images by 180° (power[:, ::-1, ::-1])" if turned else "flip the rows (power[:, ::-1])"
-        found.contradictions.append(f"{seen}, so row 0 does not seem to be near range; {remedy}")
-    elif opposite and match is not None:
-        found.contradictions.append(
-            f"images of neighbouring azimuths match better if azimuths run the other way (correlation higher by "
-            f"{-match.sense.mean:.2f}), so azimuths are counted counter-clockwise or the images are mirrored; negate "
-            "the azimuths, or flip the columns (power[:, :, ::-1])"
-        )
-
-
-def _told_range(shadow: Evidence, match: Match | None, ground: bool) -> str:
-    if shadow.count:
-        side = "beyond" if shadow.mean >= 0 else "before"
-        return f"{abs(shadow.mean):.1f} dB darker {side} the target than on its other side, in {_images(shadow)}"
-    if not ground and match is not None and match.upright.count:
-        where = "above" if match.upright.mean >= 0 else "below"
-        return f"no ground, so no shadow; what is bright lies {where} the ground, by {_pairs(match.upright)}"
-    return "cannot be determined: too few images show shadow, or suit each other"
-
-
-def _told_sense(match: Match | None) -> str:
-    if match is None or not match.sense.count:
-        return "cannot be determined: too few images of neighbouring azimuths (2° to 60° apart)"
-    side = "as given" if match.sense.mean >= 0 else "in the opposite sense"
-    return f"{_pairs(match.sense)} match better with azimuths {side} (correlation {abs(match.sense.mean):.2f} higher)"
-
-
-def _images(evidence: Evidence) -> str:
-    return counted(evidence.count, "image")
-
-
-def _pairs(evidence: Evidence) -> str:
-    return f"{counted(evidence.count, 'pair')} of neighbouring views"
-
-
-def _statistics(
-    some: Dataset, levels: Float64[np.ndarray, "v rows columns"], outlines: list[Outline], found: Examination
-) -> None:
-    smooth = np.array([some.looks is None or (some.clean_tests and entry.split != "train") for entry in some.entries])
-    if some.ground:
-        which = np.flatnonzero(smooth if smooth.all() else ~smooth)
-        _speckle(some, levels[which], [outlines[k] for k in which], some.power[which], found)
-    else:
-        found.checks["unit"] = "cannot be determined: there is no ground whose speckle could be measured"
-    if smooth.any() and "resolution" not in found.checks:
-        widths = sharpest_widths_m(some.power[smooth], some.grid)
-        _resolution(some, widths or (None, None), "structure", found)
-    if "resolution" not in found.checks:
-        _resolution(some, (None, None), "speckle", found)
-
-
-def _speckle(
-    some: Dataset,
-    levels: Float64[np.ndarray, "v rows columns"],
-    outlines: list[Outline],
-    power: np.ndarray,
-    found: Examination,
-) -> None:
-    ground = clutter(power, levels, outlines, some.grid)
-    if ground is None:
-        found.checks["unit"] = "cannot be determined: too little ground around the target"
-        return
-    measured = f"standard deviation over mean of the ground is {ground.contrast:.2f}"
-    if some.looks is None:
-        found.checks["unit"] = f"{measured}; without speckle, this does not tell power from amplitude"
-        if ground.contrast > _SPECKLED:
-            found.contradictions.append(
-                f"the {measured}, as of speckle with {1 / ground.contrast**2:.1f} looks, but the dataset states no "
-                "speckle; give the number of looks"
+def _upright(dataset: Dataset, examined: Examination) -> Dataset:
+    """The images with near range on top, and with ground if they show it; what contradicts that is noted."""
+    ground = dataset.ground or bool(np.median(_edges(dataset.power)) > _EMPTY * bright_level(dataset.power))
+    centred = dataset.calibration == "absolute"  # simulated or georeferenced, not cut out around a target
+    seen = orientation(dataset.power, dataset.views, dataset.grid, ground=ground, centred=centred)
+    if ground and not dataset.ground:
+        if seen.by_shadow:
+            examined.contradictions.append(
+                f"the images are said to show no ground, but there is shadow on it, {seen.shadow.lead:.1f} dB darker "
+                "than on the other sides of the target; import them without --no-ground (ground=True)"
             )
-            found.checks["resolution"] = "cannot be determined from speckle of unknown looks"
-        return
-    of_power, of_amplitude = contrast_of(some.looks)
-    stated = f"{some.looks:g} look{'' if some.looks == 1 else 's'}"
-    found.checks["unit"] = f"{measured}; power of {stated} has {of_power:.2f}, amplitude {of_amplitude:.2f}"
-    if ground.contrast < of_amplitude**1.5 / of_power**0.5:
-        found.contradictions.append(
-            f"the {measured}, but speckle of {stated} has {of_power:.2f}, so the images are smoother than stated; "
-            "give their number of looks, or none"
-        )
-    elif ground.contrast < (of_power * of_amplitude) ** 0.5:
-        found.contradictions.append(
-            f"the {measured}, as of amplitude with {stated} ({of_amplitude:.2f}), not of power ({of_power:.2f}); "
-            "square the values, or give another number of looks if they are power"
-        )
-    elif ground.contrast > of_power**1.5 / of_amplitude**0.5:
-        found.contradictions.append(
-            f"the {measured}, but power of {stated} has {of_power:.2f}; take the root of the values if they were "
-            "squared twice, or give another number of looks"
-        )
-    else:  # what it says of the width holds for power only
-        _resolution(some, ground.width_m, "speckle", found)
+        else:  # a floor of noise, for all that is seen
+            ground = False
+            seen = orientation(dataset.power, dataset.views, dataset.grid, ground=ground, centred=centred)
+    near = seen.near or "top"
+    examined.checks["near range"] = _near_range(seen)
+    examined.checks["azimuths"] = _azimuths(seen)
+    examined.checks["grazing angles"] = _grazing(seen)
+    layout = Layout.of(dataset.source)
+    if near != "top" or seen.opposite:
+        examined.contradictions.append(_orientation(seen, near, layout))
+    if seen.incidence:
+        examined.contradictions.append(_incidence(dataset, seen))
+    examined.orientations.extend(_table(seen, layout or Layout()))
+    return replace(
+        dataset,
+        power=oriented(dataset.power, near),
+        signal=None,
+        grid=turned_grid(dataset.grid, near),
+        ground=ground,
+    )
 
 
-def _resolution(some: Dataset, widths: tuple[float | None, float | None], by: str, found: Examination) -> None:
-    """Hold measured 3 dB widths in azimuth and range against those stated."""
-    told, low_high = [], _WIDTH_RATIOS[by]
-    how = "pixels of speckle correlate as" if by == "speckle" else "the sharpest structure is as"
-    for name, width, spacing, stated in zip(
-        ("azimuth", "range"), widths, some.grid.spacing_m, some.grid.resolution_m, strict=True
-    ):
-        if stated < _LEAST_PIXEL * spacing:
-            found.contradictions.append(
-                f"the resolution of {stated:.3g} m in {name} is less than half a pixel of {spacing:.3g} m, which such "
-                f"pixels cannot show; correct the resolution or the pixel spacing in {name}"
+def _edges(power: np.ndarray) -> np.ndarray:
+    """The outermost pixels of all images."""
+    return np.concatenate([power[:, [0, -1]].ravel(), power[:, :, [0, -1]].ravel()])
+
+
+def _orientation(seen: Orientation, near: Side, layout: Layout | None) -> str:
+    """What is wrong, and how it is mended: a half turn rather than a mirror."""
+    opposite = seen.opposite is True
+    wrong = []
+    if near != "top" and seen.by_shadow:
+        darker = f"{seen.shadow.lead:.1f} dB darker there than on the other sides of the target"
+        wrong.append(f"shadows fall {_FALL[near]} ({darker}), so near range is at the {near} of the images")
+    elif near != "top":
+        wrong.append(f"what is high leans to the {near} of the images, so near range is there")
+    if opposite:
+        higher = f"correlation higher by {-seen.sense.mean:.2f}"
+        wrong.append(f"images of neighbouring azimuths match better if azimuths run the other way ({higher})")
+    unsure = "" if seen.near else " (which side is near cannot be determined)"
+    return f"{', and '.join(wrong)}; {_mend(near, opposite, layout)}{unsure}"
+
+
+def _mend(near: Side, opposite: bool, layout: Layout | None) -> str:
+    if layout is None:
+        remedies = [f"turn the images (np.rot90(power, {SIDES.index(near)}, axes=(1, 2)))"] * (near != "top")
+        if opposite:
+            remedies.append("negate the azimuths, or flip the columns (power[:, :, ::-1]) if azimuths do run clockwise")
+        return ", and ".join(remedies)
+    mended = layout.corrected(near, opposite)
+    if not opposite and not layout.mirrored:
+        return f"import with {mended}"
+    sense = "counter-clockwise" if mended.twin.counter_clockwise else "clockwise"
+    twin = f"{mended.twin} if the table's azimuths do run {sense}"
+    return f"import with {mended}, or with {twin}: images do not tell which"
+
+
+def _incidence(dataset: Dataset, seen: Orientation) -> str:
+    grazings = [entry.view.grazing_deg for entry in dataset.entries]
+    columns = dataset.source.get("columns")
+    remedy = "give 90° less them"
+    if isinstance(columns, dict) and columns.keys() & {"grazing", "incidence"}:
+        wrong, right = ("grazing", "incidence") if "grazing" in columns else ("incidence", "grazing")
+        remedy = f"import with --columns {right}={columns[wrong]}"
+    elif np.ptp(grazings) == 0:
+        remedy += f" (--grazing {90 - grazings[0]:g})"
+    return (
+        f"images match better if grazing angles ({min(grazings):.4g}° to {max(grazings):.4g}°) are incidence angles "
+        f"(correlation higher by {-seen.grazing.mean:.2f}); {remedy}"
+    )
+
+
+def _near_range(seen: Orientation) -> str:
+    if seen.near is None:
+        return "cannot be determined: neither shadows nor layover and bright edges tell, or there are too few images"
+    if seen.by_shadow:
+        images = counted(seen.shadow.count, "image")
+        darker = f"{seen.shadow.lead:.1f} dB darker beyond the target than on its other sides"
+        return f"at the {seen.near}: {darker}, in {images}"
+    return f"at the {seen.near}, to which what is high leans"
+
+
+def _azimuths(seen: Orientation) -> str:
+    if seen.opposite is None:
+        return "cannot be determined: images 2° to 60° apart match as well in both senses, or are too few"
+    sense = "in the opposite sense" if seen.opposite else "as given"
+    return (
+        f"{counted(seen.sense.count, 'pair')} of neighbouring views match better with azimuths {sense} (correlation "
+        f"{abs(seen.sense.mean):.2f} higher), which mirrored images with the other sense would, too"
+    )
+
+
+def _grazing(seen: Orientation) -> str:
+    if seen.near is None or (not seen.grazing.supports(0.0) and not seen.incidence):
+        return "cannot be determined: as grazing and as incidence angles they explain the images as well"
+    better = "if they are incidence angles" if seen.incidence else "as given than if they were incidence angles"
+    return (
+        f"{counted(seen.grazing.count, 'pair')} of neighbouring views match better {better} (correlation "
+        f"{abs(seen.grazing.mean):.2f} higher)"
+    )
+
+
+def _table(seen: Orientation, layout: Layout) -> list[tuple[str, ...]]:
+    """The eight orientations, with what speaks for each."""
+    rows: list[tuple[str, ...]] = [_TABLE]
+    for k, side in enumerate(SIDES):
+        for opposite in (False, True):
+            notes = ["as it is"] * (side == "top" and not opposite)
+            notes += ["best"] * (side == seen.near and opposite == seen.opposite)
+            rows.append(
+                (
+                    str(layout.corrected(side, opposite)),
+                    f"{seen.shadow.mean[k]:.2f} dB" if seen.shadow.count else "–",
+                    f"{seen.edge.mean[k]:+.2f}" if seen.edge.count else "–",
+                    f"{seen.layover.mean[k]:.3f}" if seen.layover.count else "–",
+                    f"{seen.correlation[side][opposite]:.3f}" if seen.correlation else "–",
+                    ", ".join(notes),
+                )
             )
-            continue
-        if width is None:
-            continue
-        told.append(f"{width:.2g} m in {name}")
-        blurred = by == "structure" and width > stated  # by the pixels, as speckle is not
-        ratio = width / (max(stated, spacing) if blurred else stated)
-        if not low_high[0] <= ratio <= low_high[1]:
-            found.contradictions.append(
-                f"{how} of a resolution of {width:.2g} m in {name}, but {stated:.3g} m is stated, with pixels of "
-                f"{spacing:.3g} m; correct the resolution or the pixel spacing in {name}"
-            )
-    if told:
-        found.checks["resolution"] = f"{how} of {' and '.join(told)}"
-    else:
-        found.checks["resolution"] = "cannot be determined: neighbouring pixels do not correlate, or too little is seen"
+    return rows

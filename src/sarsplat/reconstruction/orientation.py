@@ -1,201 +1,150 @@
-"""Whether images are the way up that their metadata say: which rows are near, and which way azimuths run.
+"""Whether images are the way up that their metadata say: which side is near, and which way azimuths run.
 
-The shadow of what stands on the ground lies beyond it. And images of neighbouring azimuths, projected on the ground,
-show the same target if azimuths run the way they are said to; if not, they show it turned by twice the difference. They
-match best where they are projected on a plane at the height of what is bright. Of images that show no ground, this
-tells near from far, too: what is high is displaced towards the radar.
+Eight orientations are told apart: each of the four sides may be near, and the images mirrored or not. Mirrored images
+with azimuths in the opposite sense are those of a mirrored target, and no image shows a target to be mirrored: so a
+wrong sense of the azimuths and a mirror are one finding.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
-from scipy.ndimage import map_coordinates
+from jaxtyping import Real
 
-from sarsplat.geometry import ImageGrid, View, radar_frame
-from sarsplat.reconstruction.outlines import Outline
-from sarsplat.reconstruction.target_box import seen_by_all
+from sarsplat.data.orientation import SIDES, oriented
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.names import Side
+from sarsplat.reconstruction.evidence import CHANCE, Evidence, SideEvidence
+from sarsplat.reconstruction.neighbours import match, neighbours, reach, steeper_neighbours
+from sarsplat.reconstruction.outlines import levels_db, outline
+from sarsplat.reconstruction.sides import edge_sides, shadow_sides
 
-_DARKEST_DB = -10.0
-"""Below the ground: what is darker says no more."""
-
-_BETWEEN_DEG = (2.0, 60.0)
-_PREFERRED_DEG = 15.0
-"""Azimuths of images that are compared: so close that they show the same, so far apart that the sense matters."""
-
-_SAME_GRAZING_DEG = 5.0
-_PLACES = 64
-_PLANES = 9
-"""Places along a side of the ground, and heights, at which images are compared."""
-
-_MOST_PAIRS = 60
-_FEWEST = 5
-"""Pairs, or images: of fewer nothing is said."""
+_LEAST_SHADOW_DB = 0.2
+_LEAST_EDGE = 0.05
+_LEAST_LAYOVER = 0.005
+_LEAST_SENSE = 0.01
+_LEAST_GRAZING = 0.01
+"""Differences of decibels, skewness and correlation below these are no evidence, however many images show them."""
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """What many images, or pairs of images, say: positive for the metadata, negative against them.
+class Orientation:
+    """What images say of their orientation.
 
     Attributes
     ----------
-    mean : float
-        Mean over all.
-    significance : float
-        The mean in units of its standard deviation, as estimated from the spread.
-    count : int
-        Number of images or pairs; 0 if there are too few.
-    """
-
-    mean: float
-    significance: float
-    count: int
-
-    def against(self, least: float) -> bool:
-        """Whether they contradict, by at least so much."""
-        return self.mean < -least and self.significance < -_SURE
-
-    def supports(self, least: float) -> bool:
-        """Whether they agree, by at least so much."""
-        return self.mean > least and self.significance > _SURE
-
-
-_SURE = 5.0
-
-NOTHING = Evidence(0.0, 0.0, 0)
-
-
-@dataclass(frozen=True)
-class Match:
-    """How well images of neighbouring azimuths match.
-
-    Attributes
-    ----------
+    near : {"top", "right", "bottom", "left"} or None
+        The side that is near the radar; None if they do not tell.
+    shadow : SideEvidence
+        Decibels by which it is darker than the ground beyond what is bright; of no images if they show no ground.
+    edge : SideEvidence
+        Skewness of the target's amplitude away from each side.
+    layover : SideEvidence
+        Correlation of neighbouring images if what is bright is displaced to that side.
+    correlation : dict of str to (float, float)
+        Side that is near → mean correlation of neighbouring images, with azimuths as given and in the opposite sense.
+        Empty if there are no such images.
     sense : Evidence
-        By how much the correlation is higher with azimuths as given than with azimuths in the opposite sense.
-    upright : Evidence
-        By how much, in the better sense, it is higher on planes above the ground than as far below.
+        By how much that is higher with azimuths as given.
+    grazing : Evidence
+        By how much it is higher with grazing angles as given than with 90° less them.
     """
 
+    near: Side | None
+    shadow: SideEvidence
+    edge: SideEvidence
+    layover: SideEvidence
+    correlation: dict[Side, tuple[float, float]]
     sense: Evidence
-    upright: Evidence
+    grazing: Evidence
+
+    @property
+    def by_shadow(self) -> bool:
+        """Whether shadow alone tells which side is near."""
+        return self.shadow.side(_LEAST_SHADOW_DB) is not None
+
+    @property
+    def opposite(self) -> bool | None:
+        """Whether azimuths run the other way, or the images are mirrored; None if they do not tell."""
+        if self.sense.supports(_LEAST_SENSE):
+            return False
+        return True if self.sense.against(_LEAST_SENSE) else None
+
+    @property
+    def incidence(self) -> bool:
+        """Whether grazing angles seem to be incidence angles."""
+        return self.near is not None and self.grazing.against(_LEAST_GRAZING)
 
 
-def shadow_beyond(levels: Float64[np.ndarray, "v rows columns"], outlines: Sequence[Outline]) -> Evidence:
-    """By how many decibels it is darker beyond the target than before it, if row 0 is near range.
-
-    Parameters
-    ----------
-    levels : numpy.ndarray, float64 [V, rows, columns]
-        Decibels above the ground, of images that show it.
-    outlines : sequence of Outline
-        Of the same images.
-    """
-    found = []
-    for level, outline in zip(levels, outlines, strict=True):
-        rows = np.flatnonzero(outline.target.any(axis=1))
-        if not len(rows):
-            continue
-        window = max(3, int(rows[-1] - rows[0]) + 1)
-        dark = np.clip(level, _DARKEST_DB, 0.0)
-        darker = []
-        for column in np.flatnonzero(outline.target.any(axis=0)):
-            first, last = np.flatnonzero(outline.target[:, column])[[0, -1]]
-            before, beyond = dark[max(0, first - window) : first, column], dark[last + 1 : last + 1 + window, column]
-            if len(before) and len(beyond):
-                darker.append(before.mean() - beyond.mean())
-        if darker:
-            found.append(float(np.mean(darker)))
-    return _evidence(np.array(found))
-
-
-def neighbours_match(
-    levels: Float64[np.ndarray, "v rows columns"], views: Sequence[View], grid: ImageGrid
-) -> Match | None:
-    """How well images of neighbouring azimuths match; None if there are too few pairs, or they do not show the origin.
-
-    Parameters
-    ----------
-    levels : numpy.ndarray, float64 [V, rows, columns]
-        Decibels above the ground, or above what counts as nothing.
-    views, grid
-        Where they were taken from, and where their pixels lie.
-    """
-    pairs, half = _pairs(views), seen_by_all(views, grid)
-    if len(pairs) < _FEWEST or half <= 0:
-        return None
-    axis = np.linspace(-half, half, _PLACES)
-    x, y = np.meshgrid(axis, axis)
-    inside = x**2 + y**2 < half**2
-    x, y = x[inside], y[inside]
-    heights = np.linspace(-half / 3, half / 3, _PLANES)
-    bright = np.maximum(levels, 0.0)  # a shadow ends where something below the ground would be
-    used = sorted({k for pair in pairs for k in pair})
-    matches = np.full((2, _PLANES, len(pairs)), np.nan)
-    for s, sense in enumerate((1, -1)):
-        for h, height in enumerate(heights):
-            seen = {k: _on_plane(bright[k], _turned(views[k], sense), grid, x, y, height) for k in used}
-            matches[s, h] = [_correlation(seen[i], seen[j]) for i, j in pairs]
-    matches = matches[:, :, np.isfinite(matches).all(axis=(0, 1))]
-    if matches.shape[2] < _FEWEST:
-        return None
-    mean = matches.mean(axis=2)
-    as_given, opposite = (matches[s, mean[s].argmax()] for s in (0, 1))
-    better = matches[int(mean.max(axis=1).argmax())]
-    above, below = better[_PLANES // 2 + 1 :].mean(axis=0), better[: _PLANES // 2].mean(axis=0)
-    return Match(_evidence(as_given - opposite), _evidence(above - below))
-
-
-def _pairs(views: Sequence[View]) -> list[tuple[int, int]]:
-    """Each view with the one clockwise of it that suits best; evenly chosen of too many."""
-    azimuths = np.array([view.azimuth_deg for view in views]) % 360
-    grazings = np.array([view.grazing_deg for view in views])
-    pairs = []
-    for k in range(len(views)):
-        apart = (azimuths - azimuths[k]) % 360
-        suits = (apart > _BETWEEN_DEG[0]) & (apart <= _BETWEEN_DEG[1])
-        suits &= np.abs(grazings - grazings[k]) <= _SAME_GRAZING_DEG
-        if suits.any():
-            pairs.append((k, int(np.flatnonzero(suits)[np.abs(apart[suits] - _PREFERRED_DEG).argmin()])))
-    count = min(len(pairs), _MOST_PAIRS)
-    return [pairs[k * len(pairs) // count] for k in range(count)]
-
-
-def _turned(view: View, sense: int) -> View:
-    return View((sense * view.azimuth_deg) % 360, view.grazing_deg)
-
-
-def _on_plane(
-    image: Float64[np.ndarray, "rows columns"],
-    view: View,
+def orientation(
+    power: Real[np.ndarray, "v rows columns"],
+    views: Sequence[View],
     grid: ImageGrid,
-    x: Float64[np.ndarray, " n"],
-    y: Float64[np.ndarray, " n"],
-    height: float,
-) -> Float64[np.ndarray, " n"]:
-    """An image at places of a level plane; NaN outside of it."""
-    across, _, along = radar_frame(view) @ np.stack([x, y, np.full_like(x, height)])
-    row = (along - grid.range_m[0]) / grid.spacing_m[1]
-    column = (across - grid.azimuth_m[0]) / grid.spacing_m[0]
-    return map_coordinates(image, [row, column], order=1, mode="constant", cval=np.nan)
+    *,
+    ground: bool,
+    centred: bool = False,
+) -> Orientation:
+    """What images say of their orientation.
+
+    Parameters
+    ----------
+    power : numpy.ndarray [V, rows, columns]
+        β⁰, linear power.
+    views, grid
+        Where they are said to be taken from, and where their pixels lie.
+    ground : bool
+        Whether they show ground around the target.
+    centred : bool
+        Whether the world's origin surely lies where the grid says, so that layover alone tells which side is near.
+    """
+    levels = levels_db(power, grid, ground)
+    shadow = shadow_sides(levels if ground else levels[:0])
+    edge = edge_sides(levels, [outline(level) for level in levels])
+    sideways = turned_grid(grid, "right")
+    frames = [(levels, grid), (levels_db(oriented(power, "right"), sideways, ground), sideways)]
+    bright = [np.maximum(shown, 0.0) for shown, _ in frames]
+    pairs = neighbours(views) if reach(grid) > 0 else []
+    senses = [[match(bright[k], views, frames[k][1], pairs, sense=sense) for sense in (1, -1)] for k in (0, 1)]
+    best = [[matches.best() for matches in both] for both in senses]  # by axis of range and sense
+    better = [int(np.argmax([values.sum() for values in both])) for both in best]
+    displaced = [senses[k][better[k]].displaced(away) for away in (-1, 1) for k in (0, 1)]  # in the order of SIDES
+    layover = SideEvidence(np.stack(displaced, axis=1))
+    near = _near(shadow, edge, layover, centred)
+    axis = SIDES.index(near) % 2 if near else int(best[1][better[1]].sum() > best[0][better[0]].sum())
+    more = [*pairs, *(steeper_neighbours(views) if pairs else [])]
+    sense = (1, -1)[better[axis]]
+    as_given, swapped = (
+        match(bright[axis], views, frames[axis][1], more, sense=sense, to_range=to_range).best()
+        for to_range in (math.cos, math.sin)
+    )
+    return Orientation(
+        near,
+        shadow,
+        edge,
+        layover,
+        {side: (float(best[k % 2][0].mean()), float(best[k % 2][1].mean())) for k, side in enumerate(SIDES) if pairs},
+        Evidence(best[axis][0] - best[axis][1]),
+        Evidence(as_given - swapped),
+    )
 
 
-def _correlation(one: Float64[np.ndarray, " n"], other: Float64[np.ndarray, " n"]) -> float:
-    both = np.isfinite(one) & np.isfinite(other)
-    if not both.any():
-        return math.nan
-    one, other = one[both] - one[both].mean(), other[both] - other[both].mean()
-    norm = math.sqrt(float((one**2).sum() * (other**2).sum()))
-    return float((one * other).sum()) / norm if norm > 0 else math.nan
+def turned_grid(grid: ImageGrid, near: Side) -> ImageGrid:
+    """The grid of images whose side `near` is brought to the top; spacings stay those of azimuth and range."""
+    return grid if SIDES.index(near) % 2 == 0 else replace(grid, rows=grid.columns, columns=grid.rows)
 
 
-def _evidence(values: Float64[np.ndarray, " n"]) -> Evidence:
-    if len(values) < _FEWEST:
-        return NOTHING
-    deviation = float(values.std(ddof=1)) / math.sqrt(len(values))
-    mean = float(values.mean())
-    return Evidence(mean, mean / max(deviation, 1e-9), len(values))
+def _near(shadow: SideEvidence, edge: SideEvidence, layover: SideEvidence, centred: bool) -> Side | None:
+    """Shadow decides; where it does not, layover and the bright edge together.
+
+    Layover alone might be targets that do not lie in the middle of their images.
+    """
+    certain = shadow.side(_LEAST_SHADOW_DB) or (layover.side(_LEAST_LAYOVER) if centred else None)
+    if certain is not None:
+        return certain
+    chance = math.sqrt(CHANCE)  # of each of the two
+    by_layover = layover.side(_LEAST_LAYOVER, chance)
+    agree = by_layover == edge.side(_LEAST_EDGE, chance) and (not shadow.count or shadow.strongest == by_layover)
+    return by_layover if agree else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,9 +21,15 @@ from sarsplat.report.marks import arrow
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _WIDTH, _FOOT, _TITLE = 2.4, 1.3, 0.3  # inches
 _MOST_COLUMNS = 4
+_LINE = 0.17
+_TABLE_WIDTH = 7.4
+_PLACES = (0.02, 0.32, 0.46, 0.57, 0.67, 0.82)
+"""Height of a line of the table and its width, inches, and where its columns begin, as shares of the width."""
+
 _NOSE = 0.36
 """Length of the nose's arrow on the ground, of the shorter side of the images."""
 
@@ -33,7 +40,7 @@ _LEGEND = (
 _SHADOW = " Blue: dark beside it; shadow should lie below the target."
 
 
-def check_sheet(dataset: Dataset, most: int = 12) -> bytes:
+def check_sheet(dataset: Dataset, most: int = 12, orientations: Sequence[tuple[str, ...]] = ()) -> bytes:
     """Evenly chosen images of a dataset with target and shadow outlined and directions marked, as PNG.
 
     Parameters
@@ -42,6 +49,8 @@ def check_sheet(dataset: Dataset, most: int = 12) -> bytes:
         Its images.
     most : int
         Largest number of images.
+    orientations : sequence of (str, ...)
+        A table to show below the images; see `Examination.orientations`.
 
     Raises
     ------
@@ -57,8 +66,11 @@ def check_sheet(dataset: Dataset, most: int = 12) -> bytes:
     lines = math.ceil(count / columns)
     aspect = grid.rows * grid.spacing_m[1] / (grid.columns * grid.spacing_m[0])
     tall = min(max(_WIDTH * aspect, 0.8), 3 * _WIDTH)
-    width, height = max(columns * _WIDTH, 2 * _WIDTH), lines * (tall + _TITLE) + _FOOT
-    margins = {"left": 0.02, "right": 0.98, "top": 1 - _TITLE / height, "bottom": _FOOT / height}
+    table = (len(orientations) + 1) * _LINE if orientations else 0.0
+    foot = _FOOT + table
+    width = max(columns * _WIDTH, _TABLE_WIDTH if orientations else 2 * _WIDTH)
+    height = lines * (tall + _TITLE) + foot
+    margins = {"left": 0.02, "right": 0.98, "top": 1 - _TITLE / height, "bottom": foot / height}
     figure, panels = new_sheet((width, height), lines, columns, **margins, wspace=0.06, hspace=_TITLE / tall)
     look = Look(bright_level(power))
     for axes, index, image, level in zip(panels, chosen, power, levels_db(power, grid, dataset.ground)):
@@ -70,15 +82,26 @@ def check_sheet(dataset: Dataset, most: int = 12) -> bytes:
         if dataset.ground:
             _contour(axes, outlined.shadow, grid, SHADOW)
         _nose(axes, entry.view, grid)
-    decibel_bar(figure, (0.03, 1.08 / height, 2.6 / width, 0.08 / height), look)
+    decibel_bar(figure, (0.03, (foot - 0.22) / height, 2.6 / width, 0.08 / height), look)
     wide, high = grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1]
     legend = _LEGEND.format(shadow=_SHADOW if dataset.ground else "")
     text = (
         f"{legend}\n{dataset.target}: {count} of {len(dataset)} images, "
         f"{wide:.3g} m of azimuth × {high:.3g} m of slant range."
     )
-    figure.text(0.02, 0.1 / height, text, color=DARK.muted, size=8 if columns > 2 else 6, va="bottom", linespacing=1.35)
+    size = 8 if columns > 2 or orientations else 6
+    figure.text(0.02, (0.1 + table) / height, text, color=DARK.muted, size=size, va="bottom", linespacing=1.35)
+    _table(figure, orientations)
     return to_png(figure)
+
+
+def _table(figure: Figure, rows: Sequence[tuple[str, ...]]) -> None:
+    """Rows of text at the foot of the sheet; the row of the best orientation is set off."""
+    height = figure.get_size_inches()[1]
+    for line, row in enumerate(reversed(rows)):
+        colour = TARGET if "best" in row[-1] else DARK.ink if line == len(rows) - 1 else DARK.muted
+        for place, text in zip(_PLACES, row, strict=True):
+            figure.text(place, (0.1 + line * _LINE) / height, text, color=colour, size=8, va="bottom")
 
 
 def _contour(axes: Axes, mask: Bool[np.ndarray, "rows columns"], grid: ImageGrid, colour: str) -> None:

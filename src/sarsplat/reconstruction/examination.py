@@ -1,0 +1,24 @@
+"""What an examination of a dataset's images ends with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Examination:
+    """What a dataset's images say of it.
+
+    Attributes
+    ----------
+    contradictions : list of str
+        What contradicts the dataset's own statements: one sentence each, with the remedy. Empty if nothing does.
+    checks : dict of str to str
+        What was looked at, and what there was to see, or why nothing can be said.
+    orientations : list of (str, ...)
+        A table of the eight orientations and what speaks for each, its head first; empty if they were not looked at.
+    """
+
+    contradictions: list[str] = field(default_factory=list)
+    checks: dict[str, str] = field(default_factory=dict)
+    orientations: list[tuple[str, ...]] = field(default_factory=list)
