@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64, Int64, Real
@@ -71,7 +71,7 @@ def _seen_points(
     """Mean returns in each voxel, but for those that too many views look through, or too few see."""
     cell, rays = grid.cell_m, RayGrid.for_image(grid, how.rays_per_pixel)
     coarser = math.sqrt(max(1.0, _rays(gaussians, views, rays) / _MOST_RAYS))
-    rays = replace(rays, spacing_m=tuple(coarser * spacing for spacing in rays.spacing_m))
+    rays = RayGrid((coarser * rays.spacing_m[0], coarser * rays.spacing_m[1]))
     needed_m = max(rays.spacing_m) * math.sqrt(3 * _SAMPLES / len(views)) if coarser > 1 else 0.0
     voxels, returns = _Voxels(max(how.voxel * cell, needed_m)), []
     with stage("surface: rays from the views", len(views)) as shown:
@@ -178,7 +178,8 @@ class _Voxels:
 
     def __init__(self, side_m: float) -> None:
         self._side_m = side_m
-        self._cells, self._sums, self._counts = np.empty((0, 3), np.int64), np.empty((0, 3)), np.empty(0)
+        self._cells, self._sums = np.empty((0, 3), np.int64), np.empty((0, 3))
+        self._counts: Float64[np.ndarray, " v"] = np.empty(0)
         self._waiting: list[Float64[np.ndarray, "p 3"]] = []
 
     def add(self, points: Float64[np.ndarray, "p 3"]) -> None:
