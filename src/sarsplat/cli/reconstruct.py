@@ -6,6 +6,7 @@ import json
 import re
 import shlex
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, make_dataclass, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from sarsplat.cli import console
 from sarsplat.cli.arguments import DEFAULT_PORT, MARKERS, Folder, OptionalFile, OptionalFolder, refuse_existing
 from sarsplat.cli.watch import watched
 from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.names import SCATTERINGS
 from sarsplat.reconstruction.config import DEFAULT_METHOD, AnyConfig, Config
 from sarsplat.reconstruction.methods import METHODS, method_named
 from sarsplat.reconstruction.presets import PRESETS
@@ -40,6 +42,7 @@ Settings = make_dataclass(
     "Settings",
     [
         ("preset", Annotated[str, tyro.conf.Fixed, tyro.conf.Suppress], "default"),
+        ("scattering", tyro.extras.literal_type_from_choices(SCATTERINGS), Config.scattering),
         *((name, kind, field(default_factory=kind)) for name, kind in _PARTS.items()),
     ],
     bases=(Config,),
@@ -148,7 +151,7 @@ def reconstruct(
         return
     if not options.resume:
         refuse_existing(out, options.overwrite, marker=HEADER)
-    port = options.port if options.view else None
+    port, begun_at = options.port if options.view else None, time.monotonic()
     with watched(options.dataset, options.out, images, tensorboard=options.tensorboard, port=port) as on_step:
         run = train(
             images,
@@ -162,8 +165,8 @@ def reconstruct(
             overwrite=options.overwrite,
         )
     console.finish(
-        f"{out}: {run.learned} and {counted(len(run.points), 'point')} in {run.time_s:.0f} s "
-        f"({method.about(config, images.grid)[0]}, seed {run.seed})",
+        f"{out}: {run.learned} and {counted(len(run.points), 'point')} in {time.monotonic() - begun_at:.0f} s "
+        f"({run.time_s:.0f} s of training; {method.about(config, images.grid)[0]}, seed {run.seed})",
         f"sarsplat evaluate {shlex.quote(str(out))}",
     )
 
