@@ -8,15 +8,9 @@ import threading
 from collections.abc import Sequence
 from types import FrameType
 
+from sarsplat.cli.stopped import Stopped
+
 _SIGNALLED = 128  # and the signal's number: exit codes as in shells
-
-
-class Stopped(KeyboardInterrupt):
-    """A signal that ended the work; the exit code says which."""
-
-    def __init__(self, number: int, text: str = "") -> None:
-        super().__init__(*([text] if text else []))
-        self.number = number
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -58,4 +52,4 @@ def _terminate(number: int, frame: FrameType | None) -> None:
     raise Stopped(number)
 
 
-__all__ = ["Stopped", "main"]
+__all__ = ["main"]
