@@ -49,3 +49,9 @@ def test_without_the_library_the_reference_still_renders(reload, tmp_path, capsy
     assert render(GAUSSIANS, VIEWS, GRID, engine="reference").images.sum() > 0
     assert main(["doctor"]) == 0
     assert "the CPU engine cannot be loaded" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_library_of_other_sources(reload):
+    reload.setitem(cpu._ARGUMENTS, "of_tomorrow", ())
+    with pytest.raises(SarsplatError, match=r"no sg_of_tomorrow, which this version .* reinstall with `pip"):
+        render(GAUSSIANS, VIEWS, GRID, engine="cpu")

@@ -80,6 +80,11 @@ def library() -> ctypes.CDLL:
     check_layouts(lib)
     lib.sg_create.restype, lib.sg_isa_name.restype = c_void_p, ctypes.c_char_p
     for name, arguments in _ARGUMENTS.items():
+        if not hasattr(lib, f"sg_{name}"):
+            raise SarsplatError(
+                f"the compiled CPU engine has no sg_{name}, which this version of sarsplat calls; reinstall with "
+                "`pip install .`"
+            )
         getattr(lib, f"sg_{name}").argtypes = arguments
     pool = torch_pool()
     if pool is None:
