@@ -98,7 +98,7 @@ WORDS = {
     "reconstruct full other --out new": "sarsplat reconstruct does one target at a time, and 'other' is another; give",
     "evaluate full other": "'other' is one argument too many for sarsplat evaluate; remove it",
     "reconstruct --out new": "DATASET is missing; see sarsplat reconstruct --help",
-    "evaluate": "RUN is missing; see sarsplat evaluate --help",
+    "evaluate": "RUN|PLY is missing; see sarsplat evaluate --help",
     "completion tcsh": "shell 'tcsh' is unknown; choose one of bash, fish, zsh",
 }
 

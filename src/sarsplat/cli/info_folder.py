@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from rich.markup import escape
 from rich.table import Table
@@ -68,19 +69,24 @@ def _dataset(folder: Path) -> tuple[str, str, str]:
 
 
 def _run(folder: Path) -> tuple[str, str, str]:
-    from sarsplat.evaluation import Yardstick, all_metrics, comparison
     from sarsplat.reconstruction import Run
 
     run = Run.load(folder)
     learned_from = "images in memory" if run.dataset_path is None else run.dataset_path.name
     done = run.history[-1].iteration if run.history else 0
     state = "finished" if done >= run.config.iterations else f"{done:,} of {run.config.iterations:,} iterations"
-    scores = ""
-    if (metrics := run.metrics) is not None:
-        known = [metric for metric in all_metrics(Yardstick(metrics["parameters"]["yardstick_m"])) if metric.short]
+    return f"run of {learned_from} ({run.method})", state, _scores(run.metrics)
+
+
+def _scores(metrics: Mapping[str, Any] | None) -> str:
+    from sarsplat.evaluation import Yardstick, all_metrics, comparison
+
+    if metrics is None:
+        return "not evaluated"
+    try:
+        headed = [metric for metric in all_metrics(Yardstick(metrics["parameters"]["yardstick_m"])) if metric.short]
         values = comparison(metrics)[0].values
-        headline = [metric for metric in known if metric.place == "headline" and values.get(metric.key) is not None]
-        scores = ", ".join(
-            f"{metric.short} {metric.text(values[metric.key])} {metric.unit}".strip() for metric in headline
-        )
-    return f"run of {learned_from} ({run.method})", state, scores or "not evaluated"
+        headline = [metric for metric in headed if metric.place == "headline" and values.get(metric.key) is not None]
+        return ", ".join(f"{one.short} {one.text(values[one.key])} {one.unit}".strip() for one in headline)
+    except (KeyError, TypeError, AttributeError, ValueError):
+        return "scores of another version; evaluate it again"

@@ -63,10 +63,10 @@ def baselines(metrics: Mapping[str, Any], split: str) -> list[Scores]:
 
 def beaten_by_baselines(metrics: Mapping[str, Any]) -> list[str]:
     """A sentence for each test set whose leading metric is better for a baseline than for the run."""
-    known = {metric.key: metric for metric in all_metrics(Yardstick(metrics["parameters"]["yardstick_m"]))}
+    by_key = {metric.key: metric for metric in all_metrics(Yardstick(metrics["parameters"]["yardstick_m"]))}
     sentences = []
     for split, values in metrics["images"].items():
-        metric = known[metrics["by_image"][split]["metric"]]
+        metric = by_key[metrics["by_image"][split]["metric"]]
         own = Scores(whose(metrics), values)
         scores = [own, *baselines(metrics, split)]
         best = metric.best([method.values.get(metric.key) for method in scores])
