@@ -6,17 +6,10 @@ import signal
 import sys
 import threading
 from collections.abc import Sequence
-from types import FrameType
+
+from sarsplat.cli.stopped import stop
 
 _SIGNALLED = 128  # and the signal's number: exit codes as in shells
-
-
-class Stopped(KeyboardInterrupt):
-    """A signal that ended the work; the exit code says which."""
-
-    def __init__(self, number: int, text: str = "") -> None:
-        super().__init__(*([text] if text else []))
-        self.number = number
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -34,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         not parse end the process with code 2.
     """
     main_thread = threading.current_thread() is threading.main_thread()  # the only one that receives signals
-    before = signal.signal(signal.SIGTERM, _terminate) if main_thread else None
+    before = signal.signal(signal.SIGTERM, stop) if main_thread else None
     try:
         from sarsplat.cli.app import run  # here, because Ctrl-C may come while this is imported
 
@@ -53,9 +46,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _terminate(number: int, frame: FrameType | None) -> None:
-    """As Ctrl-C does, so that what is half-written is removed."""
-    raise Stopped(number)
-
-
-__all__ = ["Stopped", "main"]
+__all__ = ["main"]

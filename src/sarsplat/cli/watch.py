@@ -12,7 +12,8 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from sarsplat.cli import Stopped, console
+from sarsplat.cli import console
+from sarsplat.cli.stopped import Stopped
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
