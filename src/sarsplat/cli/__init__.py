@@ -6,8 +6,9 @@ import signal
 import sys
 import threading
 from collections.abc import Sequence
+from types import FrameType
 
-from sarsplat.cli.stopped import stop
+from sarsplat.cli.stopped import Stopped
 
 _SIGNALLED = 128  # and the signal's number: exit codes as in shells
 
@@ -27,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         not parse end the process with code 2.
     """
     main_thread = threading.current_thread() is threading.main_thread()  # the only one that receives signals
-    before = signal.signal(signal.SIGTERM, stop) if main_thread else None
+    before = signal.signal(signal.SIGTERM, _terminate) if main_thread else None
     try:
         from sarsplat.cli.app import run  # here, because Ctrl-C may come while this is imported
 
@@ -44,6 +45,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             signal.signal(signal.SIGTERM, before)
         if arguments is None:  # the process ends: a late Ctrl-C must not make it look as if it had not done its work
             signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    """As Ctrl-C does, so that what is half-written is removed."""
+    raise Stopped(number)
 
 
 __all__ = ["main"]
