@@ -321,8 +321,8 @@ def test_info_lists_datasets_and_runs_in_a_folder(tmp_path: Path, said) -> None:
     assert f"target {psnr_db:.2f} dB" in rows["deep/run"]
     assert f"CD {cd_m:#.3g} m" in rows["deep/run"]
     assert rows["begun"] == "begun run of dataset (sar-gs) 1 of 4 iterations not evaluated"
-    assert "unusable: " in rows["bad-dataset"]
-    assert "unusable: " in rows["bad-run"]
+    assert "unusable:" in rows["bad-dataset"]
+    assert "unusable:" in rows["bad-run"]
     assert "model" not in rows
 
 
