@@ -17,6 +17,12 @@ from scoring import few_samples
 VIEWS = [View(10.0, 30.0), View(200.0, 50.0)]
 
 
+@pytest.fixture(autouse=True)
+def few_rays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Points cost little here, on whatever grid."""
+    monkeypatch.setattr("sarsplat.reconstruction.points._MOST_RAYS", 1e5)
+
+
 def test_a_run_in_memory_is_saved_with_its_scores_and_resumed(dataset: Dataset, config: Config, tmp_path: Path) -> None:
     short = replace(config, iterations=6, gaussians=80)
     held = reconstruct(dataset, short, on_step=lambda step: step.iteration == 3, quiet=True)
@@ -103,7 +109,7 @@ def test_harmonics_of_every_degree_and_p_min_are_kept(degree: int, tmp_path: Pat
         torch.full((count,), 30.0),
         Harmonics(torch.randn(count, (degree + 1) ** 2, generator=generator), p_min=0.25),
     )
-    saved = Run.load(Run.from_gaussians(own).save(tmp_path / "run").folder).gaussians
+    saved = Run.load(Run.from_gaussians(own, views=VIEWS).save(tmp_path / "run").folder).gaussians
     assert saved.scattering.settings() == own.scattering.settings()
     for name, tensor in own.tensors().items():
         assert torch.equal(saved.tensors()[name], tensor), name
