@@ -12,21 +12,13 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from sarsplat.cli import console
+from sarsplat.cli import Stopped, console
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
     from sarsplat.reconstruction import Step
 
 _LOG_FOLDER = "tensorboard"  # in the run's folder
-
-
-class Stopped(KeyboardInterrupt):
-    """A signal that ended a training between two steps; the exit code says which, as in shells."""
-
-    def __init__(self, number: int, text: str = "") -> None:
-        super().__init__(*([text] if text else []))
-        self.number = number
 
 
 @contextmanager

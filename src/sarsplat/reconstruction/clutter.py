@@ -43,7 +43,7 @@ class Clutter:
     contrast : float
         Standard deviation over mean, the median of all blocks.
     skewness : numpy.ndarray, float64 [blocks]
-        Of each block: positive for power and amplitude of speckle, negative for its decibels.
+        Of each block's amplitude: positive for speckle, negative if decibels were read as power or amplitude.
     values : float
         Number of different values in a block, the median of all: few if pixels are quantised coarsely.
     width_m : (float or None, float or None)
@@ -88,7 +88,9 @@ def clutter(
                 if other[place].any() or not block.mean() > 0:
                     continue
                 contrasts.append(float(block.std(ddof=1) / block.mean()))
-                skewness.append(float(((block - block.mean()) ** 3).mean()) / max(float(block.std()) ** 3, _TINY))
+                amplitude = np.sqrt(block)
+                rest, deviation = amplitude - amplitude.mean(), float(amplitude.std())
+                skewness.append(float((rest**3).mean()) / max(deviation**3, _TINY))
                 values.append(np.unique(block).size)
                 correlations.append(_neighbours(block))
     if len(contrasts) < _FEWEST_BLOCKS:
