@@ -79,7 +79,7 @@ def test_gaussians_of_ones_own_are_scored_exported_and_shown_in_a_report(
         reconstruct(dataset, replace(saved.config, iterations=9), saved.folder, resume=True, quiet=True)
 
 
-def test_without_images_they_fill_usual_ones_from_all_sides(finished: Run, dataset: Dataset, tmp_path: Path) -> None:
+def test_without_images_they_are_shown_whole_from_all_sides(finished: Run, dataset: Dataset, tmp_path: Path) -> None:
     tenfold = finished.gaussians.with_tensors(
         means=10 * finished.gaussians.means, scales=10 * finished.gaussians.scales
     ).to(torch.float64)
@@ -89,7 +89,7 @@ def test_without_images_they_fill_usual_ones_from_all_sides(finished: Run, datas
         images = each.render(each.snapshot.views)
         lit = (images > 1e-3 * images.max()).any(axis=0)
         assert not (lit[[0, -1]].any() or lit[:, [0, -1]].any())  # nothing is cut off
-        assert lit.any(axis=0).sum() > 0.3 * each.grid.columns
+        assert lit.any(axis=0).sum() > 8  # pixels, none finer than the Gaussians
         assert each.brightest == pytest.approx(images.max(), rel=0.02)
     saved = Run.load(run.save(tmp_path / "run").folder)
     np.testing.assert_array_equal(saved.render(VIEWS), run.render(VIEWS))
