@@ -39,7 +39,7 @@ def main(run: str) -> None:
         page = browser.page
         page.size(*SIZE)
         page.open(f"{viewer.address}/")
-        page.until("document.querySelector('#heads') !== null")
+        page.until("document.querySelector('.heads') !== null")
         page.until("document.querySelector('.mantine-Notification-closeButton') !== null", timeout_s=SECONDS)
         page.value("document.querySelector('.mantine-Notification-closeButton').click()")  # "software rendering"
         time.sleep(SECONDS)

@@ -23,7 +23,15 @@ from .gaussians import (
     Scattering as Scattering,
 )
 from .geometry import ImageGrid as ImageGrid, RayGrid as RayGrid, View as View, radar_frame as radar_frame
-from .importers import PhoenixChip as PhoenixChip, import_mstar as import_mstar, read_phoenix as read_phoenix
+from .importers import (
+    PhoenixChip as PhoenixChip,
+    import_folder as import_folder,
+    import_mstar as import_mstar,
+    import_phase_history as import_phase_history,
+    import_sample as import_sample,
+    import_sicd as import_sicd,
+    read_phoenix as read_phoenix,
+)
 from .reconstruction import (
     PRESETS as PRESETS,
     Config as Config,

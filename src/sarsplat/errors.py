@@ -18,6 +18,13 @@ class SarsplatWarning(UserWarning):
     """
 
 
+class AssumptionWarning(SarsplatWarning):
+    """Something that was done to images, which `source["assumptions"]` of their dataset says as well.
+
+    The command line prints it among the assumptions.
+    """
+
+
 def counted(number: int, noun: str) -> str:
     """A number with its noun: `1 chip`, `2 chips`, `1,200 chips`."""
     return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"

@@ -196,12 +196,37 @@ def test_the_command_draws_a_preview_and_says_what_it_took(tmp_path, capsys):
     assert main(words) == 0
     told = capsys.readouterr().out
     assert "assumed: columns of the table: azimuth = azimuth, grazing = grazing, file = file" in told
-    assert f"wrote {out}: 4 views (3 train, 1 test), largest gap of the training views 180°, ready" in told
+    assert (
+        f"wrote {out}: 4 views (3 train, 1 test) of 2.6 m × 6 m, largest gap of the training views 180°, ready" in told
+    )
     with Image.open(out / "preview.png") as preview:
         assert preview.size[0] > 500
     assert main([*words, "--overwrite"]) == 0  # the preview is ours, and replaced with the rest
     assert main([*words, "--overwrite", "--columns", "az"]) == 2
     assert "'az' is not of the form MEANING=NAME" in capsys.readouterr().err
+
+
+def test_decibels_in_a_picture_are_not_taken_for_amplitude(tmp_path, capsys):
+    power = np.random.default_rng(0).gamma(1.0, size=(6, 70, 50)) + 1e-3
+    pictures = np.clip(np.round((10 * np.log10(power) + 40) * 255 / 60), 0, 255).astype(np.uint8)
+    rows = [[f"{index}.png", 60 * index, 30] for index in range(6)]
+    folder = write(tmp_path / "in", pictures, rows, ending="png")
+    words = ["import", "folder", str(folder), "--out", str(tmp_path / "out"), "--spacing", "0.1"]
+    main(words)
+    assert "if they are decibels, give --quantity db" in capsys.readouterr().err
+    assert len(read_dataset(tmp_path / "out").source["doubts"]) == 1
+    main([*words, "--overwrite", "--quantity", "db", "--scale", "0.2353", "--offset", "-40"])
+    assert "decibels" not in capsys.readouterr().err
+    assert "doubts" not in read_dataset(tmp_path / "out").source
+
+
+def test_zeros_and_cuts_are_said_once(tmp_path, capsys):
+    power = [POWER[0], POWER[1][:-2], POWER[2] * (POWER[2] > 0.3), POWER[3]]
+    folder = write(tmp_path / "in", power)
+    words = ["import", "folder", str(folder), "--out", str(tmp_path / "out"), "--quantity", "power", "--spacing", "0.1"]
+    main(words)
+    said = "".join(capsys.readouterr())
+    assert said.count("held zero") == said.count("cut to what they have in common") == 1
 
 
 def test_the_command_says_every_oddity_once(tmp_path, capsys):

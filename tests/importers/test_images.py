@@ -43,7 +43,7 @@ def test_images_that_fit_stay_as_they_are_but_for_the_scale():
     np.testing.assert_allclose(made.signal, scale * np.stack([image.pixels for image in images]), rtol=1e-5)
     assert made.source["assumptions"] == ["flat ground"]
     assert made.source["mean_power"] == pytest.approx(abs(scale) ** -2, rel=1e-5)
-    assert summary(made) == "4 views, largest gap 90°"
+    assert summary(made) == "4 views of 6.6 m × 6.8 m, largest gap 90°"
     absolute = imported(images, calibration="absolute")
     np.testing.assert_array_equal(absolute.signal[2], images[2].pixels)
 
@@ -75,7 +75,7 @@ def test_sets():
     images = [measured(index, count=8) for index in range(8)]
     made = imported(images, train_views=3)
     assert [entry.view.azimuth_deg for entry in made.entries if entry.split == "train"] == [0, 135, 225]
-    assert summary(made) == "8 views (3 train, 5 test), largest gap of the training views 135°"
+    assert summary(made) == "8 views (3 train, 5 test) of 6.6 m × 6.8 m, largest gap of the training views 135°"
     named = [measured(index, count=8, split="test-17" if index > 5 else "train") for index in range(8)]
     assert imported(named[::-1]).splits() == ("train", "test-17")
     for count in (0, 9):

@@ -73,7 +73,7 @@ def test_training_chips_are_distinct_and_limited(chips):
     dataset = run(chips, train_views=8)
     assert sorted(target_az(dataset.select("train"))) == sorted(row[3] for row in ROWS[:8])
     for count in (0, 9):
-        with pytest.raises(SarsplatError, match=f"{count} training views were requested, but there are 8 chips at 17°"):
+        with pytest.raises(SarsplatError, match=f"{count} training views asked for, but there are 8 chips at 17°; ask"):
             run(chips, train_views=count, overwrite=True)
     with pytest.raises(SarsplatError, match="no chips at the training depression of 30°; choose one of 15°, 17°"):
         run(chips, train_depression=30, overwrite=True)
@@ -89,7 +89,7 @@ def test_several_depressions_take_the_azimuths_in_turn(chips):
     assert target_az(train)[::2] == [359.5, 181]
     assert dataset.splits() == ("train", "test-17")  # both of 15° are trained on
     assert dataset.source["train_depression_deg"] == [17, 15]
-    with pytest.raises(SarsplatError, match="3 of 6 training views were requested, but there are 2 chips at 15°"):
+    with pytest.raises(SarsplatError, match="3 of 6 training views asked for, but there are 2 chips at 15°; ask"):
         run(chips, train_views=6, train_depression=(17, 15), overwrite=True)
     with pytest.raises(SarsplatError, match=r"\[17, 17\] must be at least one, each named once"):
         run(chips, train_depression=(17, 17), overwrite=True)
@@ -363,7 +363,7 @@ def test_black_chips_are_refused(chips, originals):
         Image.fromarray(np.zeros_like(np.asarray(Image.open(path)))).save(path)
     write_originals(originals, 0)
     for folder, options in ((chips, {}), (originals, {"labels": None})):
-        with pytest.raises(SarsplatError, match=f"all 4 training chips are black; remove them from .*{folder.name}"):
+        with pytest.raises(SarsplatError, match=f"all 4 training chips are black; .* from .*{folder.name}"):
             run(folder, **options)
         assert not (folder.parent / "out").exists()
 

@@ -58,6 +58,12 @@ def test_pictures_with_a_table(shots, tmp_path, capsys):
     assert (tmp_path / "out" / "dataset.json").is_file()
 
 
+def test_reconstruct_leads_to_the_import(shots, capsys):
+    assert main(["reconstruct", str(shots), "--out", str(shots / "run")]) == 2
+    told = capsys.readouterr().err
+    assert f"`sarsplat info {shots}` says how to import images in it, such as with `sarsplat import folder`" in told
+
+
 def test_pictures_without_a_table(shots):
     (shots / "t.csv").write_text("some,thing\n1,2\n")
     it = recognised(shots)

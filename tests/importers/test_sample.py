@@ -103,4 +103,4 @@ def test_the_command(folder, tmp_path, capsys):
     assert main(words) == 0
     told = capsys.readouterr().out
     assert "assumed: near range is the bottom row, and the images are not mirrored" in told
-    assert "5 views, largest gap 292°, ready" in told
+    assert "5 views of 3.66 m × 4.85 m, largest gap 292°, ready" in told

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,10 +16,11 @@ from fuzz import watched
 from sarsplat import preset, reconstruct
 from sarsplat.cli import main
 from sarsplat.data import Dataset, read_dataset
+from sarsplat.errors import SarsplatError
 from sarsplat.geometry import radar_frame
 from sarsplat.geometry.responses import GAUSSIAN, UNIFORM, Taylor
 from sarsplat.importers import import_sicd
-from sicds import FREQUENCY, LIGHT, SPOT, Recording, Track, describe, ecef, write_sicd
+from sicds import FREQUENCY, LIGHT, SPOT, Recording, Track, describe, ecef, with_xml, write_sicd, xml_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")  # of one view alone, for instance
 
@@ -157,6 +159,52 @@ def test_every_pixel_type_means_the_same(tmp_path, pixel_type, table, tolerance)
     assert dataset.source["images"][0]["pixel_type"] == pixel_type
 
 
+def of_version(data: bytes, version: str) -> bytes:
+    """A SICD as files of a version have it: those of 0.4 state types, and 0.4.0 has a rate of one variable."""
+    xml = xml_of(data).decode().replace("urn:SICD:1.4.0", f"urn:SICD:{version}")
+    if version < "1":
+        data = data.replace(b"XML_DATA_CONTENT", b"SICD_XML".ljust(16))
+    if version < "0.5":
+        xml = re.sub(r"<WgtType><WindowName>(\w+)</WindowName>.*?</WgtType>", r"<WgtType>\1</WgtType>", xml)
+        xml = re.sub(r"<Coef ", '<Coef class="xs:double" ', xml)
+        xml = re.sub(r"<(NumRows|SS|ModeType)>", r'<\1 class="xs:string">', xml)
+    if version == "0.4.0":
+        start, rate, end = xml.partition("<DRateSFPoly")[0], *re.findall(r"(<DRateSFPoly.*</DRateSFPoly>)(.*)", xml)[0]
+        xml = start + re.sub(r' (order2|exponent2)="0"', "", rate) + end
+    return with_xml(data, xml.encode())
+
+
+@pytest.mark.parametrize(
+    "version", ["0.4.0", "0.4.1", "0.5.0", "1.0.0", "1.0.1", "1.1.0", "1.2.0", "1.2.1", "1.3.0", "1.4.0", "1.5"]
+)
+def test_every_version_means_the_same(tmp_path, version, capsys):
+    recording = Recording(kind="RGZERO", pixel_type="RE16I_IM16I", offset=(-6.0, 10.0, 0.0), beta_zero=2.0)
+    expected = imported(tmp_path, Track(look="L"), recording)
+    path = tmp_path / "image.nitf"
+    path.write_bytes(of_version(path.read_bytes(), version))
+    options = {"around": SPOT, "looks": None, "ground": False, "size_m": SIZE}
+    dataset = import_sicd([path], tmp_path / "set", overwrite=True, **options)
+    np.testing.assert_array_equal(dataset.signal, expected.signal)
+    assert (dataset.views, dataset.grid) == (expected.views, expected.grid)
+    assert dataset.source["images"] == expected.source["images"]
+    assert main(["info", str(path)]) == 0
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    for line in (f"version {version}", "sensor made up", "mode SPOTLIGHT", "date 2024-05-01T00:00:00.000000Z"):
+        assert line in lines
+    assert "polarisation V:V" in lines and "size 300 rows × 280 columns, 160 m × 160 m" in lines
+    assert any(line.startswith("radar looks left, 500 km away at the compass bearing 90") for line in lines)
+    assert any(line.startswith("where 47.30") and "pixel 150,140" in line for line in lines)
+    assert lines[-1].endswith(f"import sicd {path} --pixel 150,140 --size METRES --out image-dataset")
+
+
+@pytest.mark.parametrize("version", ["0.3.1", "1.9.0", "x"])
+def test_other_versions_are_named(tmp_path, version):
+    path = write_sicd(tmp_path / "image.nitf", Track(), PLACES, Recording())
+    path.write_bytes(of_version(path.read_bytes(), version))
+    with pytest.raises(SarsplatError, match=rf"is SICD of version {version}, and 0\.4\.0, .*, 1\.5 are read"):
+        import_sicd([path], tmp_path / "set", size_m=SIZE)
+
+
 def test_widths_weighting_and_beta_zero(tmp_path):
     recording = Recording(window="TAYLOR", beta_zero=3.0, bandwidth=(2.0, 1.0), rows=400, columns=200)
     dataset = imported(tmp_path, Track(), recording)
@@ -248,7 +296,7 @@ def test_the_command_says_what_it_assumed(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "look to the left (3)" in said and "nothing is mirrored" in said
     assert "compass heading 90°" in said and "one factor" in said and "UNIFORM" in said
-    assert "3 views, largest gap 120°, ready" in said
+    assert re.search(r"3 views of 4[78]\.?\d* m × 4[78]\.?\d* m, largest gap 120°, ready", said)
     assert "next: " in said and "reconstruct" in said
     assert read_dataset(tmp_path / "set").target == "sphere"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -33,17 +34,40 @@ FIRST_OVERFLOWING = """
 """
 
 
+DRAWN = """
+(() => {
+  const {width, height} = cloud, data = cloud.getContext("2d").getImageData(0, 0, width, height).data;
+  let [left, right, top, bottom] = [width, 0, height, 0];
+  for (let y = 0; y < height; y++) for (let x = 0; x < width; x++) if (data[4 * (y * width + x) + 3]) {
+    left = Math.min(left, x); right = Math.max(right, x); top = Math.min(top, y); bottom = Math.max(bottom, y);
+  }
+  return [(right - left) / width, (bottom - top) / height];
+})()
+"""
+"""How much of the width and of the height of the box something is drawn in."""
+
+
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> str:
-    folder = tmp_path_factory.mktemp("report")
+    """Of views from one grazing angle."""
+    return written(tmp_path_factory.mktemp("report"))
+
+
+def written(folder: Path, **grazing_deg: float) -> str:
+    """The address of a report; the views have a grazing angle of 30° except those of the splits named."""
     metrics = make_metrics(registered_nats_per_pixel=0.5, registered_log_correlation=0.8)
     metrics["baselines"] = {"test": {"rotated_average": {"registered_nats_per_pixel": 0.6}}}
     dataset = make_dataset(folder, measured=True)
     brighter = np.arange(1, 1 + len(dataset), dtype=np.float32)[:, None, None]  # no two images are the same
-    dataset = replace(dataset, power=dataset.power * brighter)
+    entries = [
+        replace(entry, view=replace(entry.view, grazing_deg=grazing_deg.get(entry.split, 30.0)))
+        for entry in dataset.entries
+    ]
+    dataset = replace(dataset, power=dataset.power * brighter, entries=tuple(entries))
 
     def render(views: Sequence[View]) -> np.ndarray:
-        return np.stack([np.full((32, 32), 0.1 + view.azimuth_deg / 20, np.float32) for view in views])
+        levels = [0.1 + view.azimuth_deg / 20 + view.grazing_deg / 5 for view in views]
+        return np.stack([np.full((32, 32), level, np.float32) for level in levels])
 
     return write_report(make_run(folder, dataset, metrics, render=render)).as_uri()
 
@@ -76,6 +100,37 @@ def test_a_drag_turns_the_points_and_changes_the_images(tab: Page, report: str) 
     assert "azimuth 60°" in tab.value("document.getElementById('sar-true-title').textContent")
     assert {name for name in canvases if pixels(tab, name) != before[name]} >= {"cloud", "sar-rendered", "sar-true"}
     assert tab.complaints == []
+
+
+def test_a_grazing_angle_is_offered_only_where_it_changes_the_image(tab: Page, report: str, tmp_path: Path) -> None:
+    tab.size(1400, 900)
+    ready = "document.getElementById('sar-true-title').textContent.startsWith('measured, azimuth')"
+    tab.open(report)
+    tab.until(ready)
+    assert not tab.value("document.getElementById('grazing') !== null")
+    tab.value("document.getElementById('stage').focus()")
+    tab.key("ArrowUp")
+    assert "grazing 30°" in tab.value("document.getElementById('sar-rendered-title').textContent")
+
+    tab.open(written(tmp_path, test=60.0))
+    tab.until(ready)
+    assert tab.value("[grazing.min, grazing.max].map(Number)") == [30, 60]
+    for angle in (30, 60):
+        before = pixels(tab, "sar-rendered")
+        tab.value(f"grazing.value = {angle}; grazing.dispatchEvent(new Event('input'))")
+        tab.until(f"document.getElementById('sar-rendered-title').textContent.endsWith('grazing {angle}°')")
+    assert pixels(tab, "sar-rendered") != before
+
+
+def test_pictures_use_the_room_of_a_wide_page(tab: Page, report: str) -> None:
+    tab.size(1400, 900)
+    tab.open(report)
+    tab.until("document.getElementById('sar-true-title').textContent.startsWith('measured, azimuth')")
+    assert min(tab.value("[...document.querySelectorAll('.widget .frame')].map(e => e.offsetWidth)")) > 280
+    boards = "[...document.querySelectorAll('.board .panels')].map(e => e.lastElementChild.offsetTop - e.offsetTop)"
+    assert max(tab.value(boards)) < 50  # all three sides in one row
+    drawn = tab.value(DRAWN)
+    assert max(drawn) > 0.9 and min(drawn) > 0.7
 
 
 def test_no_request_leaves_the_machine(report: str) -> None:

@@ -1,5 +1,6 @@
 """Pictures: decibels, windows, sheets."""
 
+import base64
 import io
 
 import numpy as np
@@ -11,6 +12,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction.log import LogLine
 from sarsplat.report import Look, contact_sheet, decibel_png
+from sarsplat.report.boards import point_boards
 from sarsplat.report.check_sheet import check_sheet
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.figure import axis, nice, scale_bar
@@ -46,6 +48,18 @@ def test_the_window_holds_every_bright_pixel() -> None:
     rows, columns = target_window(truth, peak=1.0)
     assert (truth[:, rows, columns] > 0).sum() == 2
     assert rows.stop - rows.start == columns.stop - columns.start < 40
+
+
+@pytest.mark.parametrize("spacing_m", [0.02, 0.5])
+def test_points_on_a_lattice_are_drawn_without_gaps(spacing_m: float) -> None:
+    """Thinning to voxels leaves about one point in each."""
+    plate = spacing_m * np.stack(np.meshgrid(np.arange(60.0), np.arange(40.0), [0.0]), axis=-1).reshape(-1, 3)
+    (block,), _ = point_boards({"plate": plate}, None, 1.0)
+    top = Image.open(io.BytesIO(base64.b64decode(block.panels[2].image.partition(",")[2])))
+    covered = np.asarray(top) > 0
+    rows, columns = np.nonzero(covered)
+    assert covered[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1].all()
+    assert covered.mean() > 0.8
 
 
 def test_the_difference_ignores_what_is_too_dark_to_see() -> None:

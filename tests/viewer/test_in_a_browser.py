@@ -10,7 +10,7 @@ from sarsplat.geometry import View
 
 pytest.importorskip("viser")
 
-HEADS = "document.querySelector('#heads')?.innerText ?? ''"
+HEADS = "[...document.querySelectorAll('.heads')].map(e => e.innerText).join('\\n')"
 FOOT = "document.querySelector('#foot')?.innerText ?? ''"
 PICTURE = "document.querySelector('img[src^=\"blob:\"]')"
 PIXELS = (
@@ -70,18 +70,39 @@ def test_a_drag_changes_the_image_a_click_lights_what_makes_a_pixel_and_nobody_e
     assert [address for address in asked if not address.startswith((viewer.address, socket))] == []
 
 
+@pytest.mark.parametrize("width", [390, 1400])
+def test_images_are_large_and_the_radar_is_in_sight(viewer, browser, width):
+    page = browser.page
+    page.size(width, 850)
+    page.open(f"{viewer.address}/")
+    page.until(f"{PICTURE} !== null && {PICTURE}.complete && {PICTURE}.offsetWidth > 0")
+    left, top, wide, _ = page.value(PLACE.format(PICTURE))
+    page.value("new Promise(done => setTimeout(done, 1000))")  # the camera moves when the page is there
+    x, y = _on_the_screen(viewer, page, viewer._stage._at(viewer.view))
+    if width == 390:  # the images come first on a sheet below, then the controls
+        assert left < 20 and wide > 350
+        assert page.value("document.querySelector('canvas').getBoundingClientRect().top") == 0
+        assert top < page.value(PLACE.format(AZIMUTH))[1]
+        assert 0 < x < 390 and 0 < y < page.value(PLACE.format("document.querySelector('.heads')"))[1]
+    else:
+        assert wide > 500  # two of them
+        canvas = page.value(PLACE.format("document.querySelector('canvas')"))
+        assert canvas[0] < x < canvas[0] + canvas[2] and 0 < y < 850
+
+
 @pytest.mark.slow
 def test_the_radar_is_dragged_in_the_scene(viewer, browser):
     page = browser.page
-    viewer.look_from(View(150.0, 40.0))
-    page.until(HEADS, lambda text: "azimuth 150.0°, grazing 40.0°" in text)
+    page.size(1400, 850)
+    viewer.look_from(View(80.0, 40.0))
+    page.until(HEADS, lambda text: "azimuth 80.0°, grazing 40.0°" in text)
     place = _on_the_screen(viewer, page, viewer._stage._at(viewer.view))
     page.mouse("mousePressed", *place)
     for step in range(1, 8):
         page.mouse("mouseMoved", place[0] - 6 * step, place[1] + 2 * step)
         page.value("new Promise(done => setTimeout(done, 120))")
     page.mouse("mouseReleased", place[0] - 42, place[1] + 14)
-    page.until(HEADS, lambda text: "azimuth 150.0°, grazing 40.0°" not in text)
+    page.until(HEADS, lambda text: "azimuth 80.0°, grazing 40.0°" not in text)
     assert viewer.wait(60)
     dragged_to = _on_the_screen(viewer, page, viewer._stage._at(viewer.view))
     assert np.hypot(dragged_to[0] - place[0] + 42, dragged_to[1] - place[1] - 14) < 25
@@ -89,7 +110,7 @@ def test_the_radar_is_dragged_in_the_scene(viewer, browser):
 
 def _on_the_screen(viewer, page, place: np.ndarray) -> tuple[float, float]:
     """Where the page shows a place of the scene."""
-    client = next(iter(viewer._server.get_clients().values()))
+    client = list(viewer._server.get_clients().values())[-1]
     camera, wxyz = client.camera, client.camera.wxyz
     from scipy.spatial.transform import Rotation
 

@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 import torch
 
+from sarsplat import View
 from sarsplat.errors import SarsplatError
 from sarsplat.reconstruction import reconstruct
 
 pytest.importorskip("viser")
 
-from sarsplat.viewer import live
+from sarsplat.viewer import live, viewer
+from sarsplat.viewer.scene import OwnScene
 
 
 def test_a_watched_training_learns_the_same_bits(dataset, config, finished, monkeypatch):
-    monkeypatch.setattr(live, "_SHARE", 1e9)  # drawn after every step
+    monkeypatch.setattr(viewer, "_SHARE", 1e9)  # drawn after every step
     said, drawn = [], []
     with live.watched(dataset, 0, said.append) as show:
 
@@ -42,29 +44,32 @@ def test_the_page_shows_the_newest_state(dataset, config):
             trainer.step()
         viewer.show(live.TrainingSubject(dataset, trainer))
         assert viewer.wait(60)
-        pictures.append(viewer._controls.strip.image.copy())
+        pictures.append(viewer._controls._rows[0][1].image.copy())
     viewer.close()
     assert pictures[0].shape == pictures[1].shape
     assert not np.array_equal(*pictures)
     assert "10 steps" in viewer._controls.title.content
 
 
-def test_the_time_that_it_takes_is_a_small_share(dataset, config, monkeypatch):
-    from types import SimpleNamespace
-
+def test_the_time_that_it_takes_is_a_small_share(monkeypatch):
     clock, cost, shown = [100.0], 0.5, []
 
-    def stand_in(*_: object) -> SimpleNamespace:
-        wait = lambda _: clock.__setitem__(0, clock[0] + cost)  # noqa: E731
-        return SimpleNamespace(address="", show=shown.append, wait=wait, close=lambda: None)
+    class Slow(viewer.Viewer):
+        def __init__(self) -> None:
+            self._pause_until = 0.0
 
-    monkeypatch.setattr(live, "Viewer", stand_in)
-    monkeypatch.setattr(live, "TrainingSubject", lambda *_: "state")
-    monkeypatch.setattr(live.time, "monotonic", lambda: clock[0])
-    with live.watched(dataset, 0, lambda _: None) as after_step:
-        for _ in range(10_000):
-            after_step(SimpleNamespace(trainer=None))
-            clock[0] += 0.01
+        def show(self, subject: str) -> None:
+            shown.append(subject)
+
+        def wait(self, timeout_s: float = 10.0) -> bool:
+            clock[0] += cost
+            return True
+
+    monkeypatch.setattr(viewer.time, "monotonic", lambda: clock[0])
+    page = Slow()
+    for _ in range(10_000):
+        page.keep_up(lambda: "state")
+        clock[0] += 0.01
     assert len(shown) >= 3
     assert len(shown) * cost <= 0.05 * 10_000 * 0.01 + cost
 
@@ -79,3 +84,32 @@ def test_a_port_in_use_is_told_before_anything_is_learned(dataset):
             live.watched(dataset, port, print),
         ):
             pass
+
+
+def test_gaussians_of_ones_own_loop_are_shown_and_followed(finished, monkeypatch):
+    """By whatever they are now, in pixels that show all of them; the loop's own tensors stay differentiable."""
+    monkeypatch.setattr(viewer, "_SHARE", 1e9)
+    gaussians, pictures = finished.gaussians, []
+    moving = gaussians.means.clone().requires_grad_()
+    with viewer.Viewer(gaussians) as page:
+        assert page.wait(60)
+        for _ in range(2):
+            pictures.append(page._controls.strip.image.copy())
+            assert pictures[-1].max() > 100
+            with torch.no_grad():
+                moving[:, 0] += 1.0
+            page.update(gaussians.with_tensors(means=moving))
+            assert page.wait(60)
+        assert f"{len(gaussians):,} Gaussians" in page._controls.title.content
+        server = page._server
+    assert not np.array_equal(*pictures)
+    assert moving.requires_grad
+    with pytest.raises(OSError):
+        socket.create_connection(("127.0.0.1", server.get_port()), 1)
+
+
+def test_gaussians_are_shown_on_a_grid_of_ones_own(finished):
+    view = View(10.0, 20.0)
+    scene = OwnScene(finished.gaussians, finished.grid, [view])
+    assert scene.views == [(view, "train")]
+    np.testing.assert_allclose(scene.render(view), finished.render([view])[0], rtol=0.05, atol=0.05 * scene.peak)

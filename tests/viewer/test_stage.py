@@ -29,3 +29,13 @@ def test_the_line_of_a_pixel_runs_from_the_image_to_well_above_the_target(viewer
         stage.high[2] * np.cos(np.radians(grazing_deg)),
     )
     assert elevation[1] > highest + stage.size_m
+
+
+def test_what_is_not_highlighted_stays_visible(viewer):
+    """On a dark page and on a light one: neither black nor white, and its colours can still be distinguished."""
+    viewer.look_from(View(50.0, 40.0))
+    viewer.pick(Pixel(18, 15))
+    assert viewer.wait(60)
+    colours = viewer._stage._cloud[1].colors.astype(int)
+    assert colours.max(axis=1).min() > 50 and colours.min(axis=1).max() < 200
+    assert np.abs(colours - colours[0]).sum(axis=1).max() > 60

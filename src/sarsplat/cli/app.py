@@ -9,7 +9,7 @@ import warnings
 from typing import TextIO
 
 from sarsplat.cli import console, extras
-from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.errors import AssumptionWarning, SarsplatError, SarsplatWarning
 
 _MISUSED = 2
 _READER_LEFT = 141  # as shells have it
@@ -33,6 +33,7 @@ def run(words: list[str]) -> int:
         return 0
     with warnings.catch_warnings():
         warnings.simplefilter("default", SarsplatWarning)
+        warnings.simplefilter("ignore", AssumptionWarning)
         warnings.showwarning = _show_warning
         try:
             from sarsplat.cli.parser import parse  # here, for it may warn of what other packages offer

@@ -9,8 +9,12 @@ import tyro
 
 from sarsplat.cli.arguments import Folder, OptionalCount, metres, numbers
 from sarsplat.cli.imported import carry_out
-from sarsplat.cli.importers import Contents, Recognised, by_ending
+from sarsplat.cli.importers import Contents, Recognised, by_ending, typed_import
 from sarsplat.errors import counted
+
+_ENDINGS = (".nitf", ".ntf")
+_NAMES = {"start": "date", "polarization": "polarisation"}
+"""What else to call facts of a file."""
 
 
 def command(
@@ -72,5 +76,36 @@ def command(
 
 
 def recognise(contents: Contents) -> Recognised | None:
-    """NITF files."""
-    return by_ending(contents, (".nitf", ".ntf"), "sicd", "SICD")
+    """NITF files; one alone is described."""
+    if contents.path.is_file() and contents.ending_in(*_ENDINGS):
+        return _described(contents.path)
+    return by_ending(contents, _ENDINGS, "sicd", "SICD")
+
+
+def _described(path: Path) -> Recognised:
+    from sarsplat.importers.sicd import require_sarkit
+    from sarsplat.importers.sicd_file import read_sicd
+    from sarsplat.importers.sicd_geometry import layout_around, spot_of_pixel
+
+    require_sarkit()
+    sicd = read_sicd(path)
+    rows, columns = sicd.axes
+    (height, width), middle = sicd.shape, (sicd.shape[0] // 2, sicd.shape[1] // 2)
+    spot = spot_of_pixel(sicd, middle, heading_deg=0.0)
+    layout = layout_around(sicd, spot, rows.spacing_m)
+    facts = {
+        "version": sicd.version,
+        **{_NAMES.get(name, name): text for name, text in sicd.collection.items()},
+        "where": f"{spot.latitude_deg:.6f}°, {spot.longitude_deg:.6f}°, {spot.height_m:.1f} m above the ellipsoid "
+        f"(its middle, pixel {middle[0]},{middle[1]})",
+        "radar": f"looks {layout.look}, {layout.distance_m / 1e3:.4g} km away at the compass bearing "
+        f"{layout.view.azimuth_deg:.1f}°",
+        "grazing": f"{layout.view.grazing_deg:.2f}°, slant plane tilted by {layout.tilt_deg:.1f}°",
+        "size": f"{height} rows × {width} columns, {height * rows.spacing_m:.4g} m × {width * columns.spacing_m:.4g} m",
+        "spacing": f"{rows.spacing_m:.4g} m × {columns.spacing_m:.4g} m",
+        "resolution": f"{rows.resolution_m:.4g} m × {columns.resolution_m:.4g} m (3 dB)",
+        "pixels": f"{sicd.pixel_type}, grid {sicd.projection.Grid_Type}",
+        "power": "β⁰ up to one factor" if sicd.beta_zero is None else "β⁰ (BetaZeroSFPoly)",
+    }
+    words = ["sicd", str(path), "--pixel", f"{middle[0]},{middle[1]}", "--size", "METRES"]
+    return Recognised("a SICD (complex SAR image)", facts, typed_import(*words, out=f"{path.stem}-dataset"))

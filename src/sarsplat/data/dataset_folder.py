@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 HEADER = "dataset.json"
 _MESH = "truth.ply"
-_MAKE_ONE = "make one with `sarsplat simulate` or `sarsplat import mstar`"
+_MAKE_ONE = "make one with `sarsplat simulate` or `sarsplat import`"
 
 
 def write_dataset(
@@ -169,8 +169,11 @@ def _require_dataset(path: Path) -> None:
         return
     if not names:
         raise SarsplatError(f"{path} is empty; {_MAKE_ONE}")
-    looks = " (it looks like a run; give the dataset it was made from)" if "metrics.jsonl" in names else ""
-    raise SarsplatError(f"{path} is not a dataset: there is no {HEADER} in it{looks}; {_MAKE_ONE}")
+    if "metrics.jsonl" in names:
+        remedy = "it looks like a run, so give the dataset it was made from"
+    else:
+        remedy = f"`sarsplat info {path}` says how to import images in it, such as with `sarsplat import folder`"
+    raise SarsplatError(f"{path} is not a dataset, for it holds no {HEADER}; {remedy}")
 
 
 @contextmanager

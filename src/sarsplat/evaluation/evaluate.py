@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -37,6 +37,9 @@ from sarsplat.evaluation.surface import read_truth_mesh, visible_surface
 from sarsplat.geometry import View
 from sarsplat.progress import Reporter, progress
 from sarsplat.reconstruction import Run
+
+if TYPE_CHECKING:
+    from sarsplat.reconstruction.run import Metrics
 
 _VIEWS_AT_A_TIME = 8
 _MESH_SAMPLES = 100_000
@@ -100,6 +103,8 @@ def evaluate_run(
         metrics = _evaluate(run, dataset, alignment, folder, weights, quiet)
         if run.path is not None:
             write_json(run.path / "metrics.json", metrics)
+        elif run.memory is not None:
+            run.memory.metrics = cast("Metrics", metrics)
     return metrics
 
 

@@ -19,7 +19,7 @@ from sarsplat.data.evenly import evenly_chosen
 from sarsplat.data.header import Box, Calibration
 from sarsplat.data.image import power_of
 from sarsplat.data.plausible import suspicions, warn
-from sarsplat.errors import SarsplatError, SarsplatWarning, counted
+from sarsplat.errors import AssumptionWarning, SarsplatError, counted
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.importers.band_limited import resample
@@ -146,11 +146,12 @@ def dataset_of(
     power = _power(pixels)
     zeros = power == 0
     if zeros.all():
-        raise SarsplatError(f"all {counted(len(images), 'image')} are black; give images of something")
+        black = "the image is" if len(images) == 1 else f"all {len(images)} images are"
+        raise SarsplatError(f"{black} black; give images of something")
     if zeros.any():
         least = _LEAST_POWER * float(np.median(power[~zeros]))
         pixels[zeros] = math.sqrt(least) if pixels.dtype.kind == "c" else least
-        _say(
+        assume(
             assumptions,
             f"{counted(int(zeros.sum()), 'pixel')} of {zeros.size} held zero, which no radar measures; raised "
             f"to {to_db(_LEAST_POWER):g} dB of the median power",
@@ -199,13 +200,21 @@ def check_sides(size_m: float, rows: float, columns: float, spacing: str) -> Non
         )
 
 
+def assume(assumptions: list[str], text: str) -> None:
+    """Add an assumption that is worth a warning."""
+    assumptions.append(text)
+    warnings.warn(text, AssumptionWarning, stacklevel=4)
+
+
 def summary(dataset: Dataset) -> str:
-    """What was made, in a line: "36 views (24 train, 12 test), largest gap of the training views 14°"."""
+    """What was made: "36 views (24 train, 12 test) of 26 m × 26 m, largest gap of the training views 14°"."""
     sets = [f"{len(dataset.images(split))} {split}" for split in dataset.splits()]
     training = [entry.view.azimuth_deg for entry in dataset.entries if entry.split == "train"]
     shares, whose = (f" ({', '.join(sets)})", " of the training views") if len(sets) > 1 else ("", "")
     gap = largest_gap(training).width_deg
-    return f"{counted(len(dataset), 'view')}{shares}, largest gap{whose} {gap:.3g}°"
+    sides = (dataset.grid.columns * dataset.grid.spacing_m[0], dataset.grid.rows * dataset.grid.spacing_m[1])
+    size = " × ".join(f"{side:.3g} m" for side in sides)
+    return f"{counted(len(dataset), 'view')}{shares} of {size}, largest gap{whose} {gap:.3g}°"
 
 
 def _with_sets(images: Sequence[MeasuredImage], train_views: int | None) -> list[MeasuredImage]:
@@ -237,19 +246,19 @@ def _common_grid(images: Sequence[MeasuredImage], assumptions: list[str]) -> Ima
     resolution = np.array([grid.resolution_m for grid in grids])
     finest = spacing.min(axis=0)
     if np.ptp(spacing, axis=0).max() > _SAME * finest.min():
-        _say(assumptions, f"pixel spacings differ; all images are resampled to the finest, {_metres(finest)}")
+        assume(assumptions, f"pixel spacings differ; all images are resampled to the finest, {_metres(finest)}")
     else:
         finest = spacing[0]
     typical = np.median(resolution, axis=0)
     if (np.abs(resolution / typical - 1) > 0.05).any():
-        _say(
+        assume(
             assumptions,
             f"resolutions differ, from {_metres(resolution.min(axis=0))} to {_metres(resolution.max(axis=0))}; "
             f"{_metres(typical)} is used for all",
         )
     response = grids[0].response
     if any(grid.response != response for grid in grids):
-        _say(assumptions, "responses differ in their shape, which is taken for that of a Gaussian")
+        assume(assumptions, "responses differ in their shape, which is taken for that of a Gaussian")
         response = GAUSSIAN
     low = np.max([_edges(grid)[0] for grid in grids], axis=0)
     high = np.min([_edges(grid)[1] for grid in grids], axis=0)
@@ -257,7 +266,7 @@ def _common_grid(images: Sequence[MeasuredImage], assumptions: list[str]) -> Ima
     if min(rows, columns) < 1:
         raise SarsplatError("the images have no part in common; give images around one spot")
     if len({(grid.rows, grid.columns) for grid in grids}) > 1 or (rows, columns) < (grids[0].rows, grids[0].columns):
-        _say(assumptions, f"all images are cut to what they have in common, {rows} × {columns} pixels")
+        assume(assumptions, f"all images are cut to what they have in common, {rows} × {columns} pixels")
     return ImageGrid(int(rows), int(columns), tuple(finest), tuple(typical), tuple((low + high) / 2), response)
 
 
@@ -285,11 +294,6 @@ def _on(image: MeasuredImage, grid: ImageGrid) -> Shaped[np.ndarray, "{grid.rows
 
 def _power(pixels: Num[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
     return power_of(pixels) if pixels.dtype.kind == "c" else pixels
-
-
-def _say(assumptions: list[str], text: str) -> None:
-    assumptions.append(text)
-    warnings.warn(text, SarsplatWarning, stacklevel=4)
 
 
 def _metres(pair: np.ndarray) -> str:

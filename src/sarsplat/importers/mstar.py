@@ -28,7 +28,7 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.data.evenly import nearest_to
 from sarsplat.data.header import Box
 from sarsplat.data.orientation import oriented
-from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.importers.images import MeasuredImage, dataset_of, view_of, write_imported
 from sarsplat.importers.mstar_chips import Chip, read_chips
 
@@ -104,7 +104,8 @@ def import_mstar(
     depressions = [train_depression] if isinstance(train_depression, int) else list(train_depression)
     train = _training_chips(every, train_views, depressions)
     if not any(chip.magnitude.any() for chip in train):
-        raise SarsplatError(f"all {len(train)} training chips are black; remove them from {chips}")
+        black = "the training chip is" if len(train) == 1 else f"all {len(train)} training chips are"
+        raise SarsplatError(f"{black} black; choose others, or remove what is black from {chips}")
     chosen = {id(chip) for chip in train}
     test = [chip for chip in every if id(chip) not in chosen]
     test.sort(key=lambda chip: (-chip.depression, chip.target_az_deg, chip.name))
@@ -172,10 +173,11 @@ def _training_chips(chips: list[Chip], count: int, depressions: Sequence[int]) -
                 f"there are no chips at the training depression of {depression}°; choose one of {others}"
             )
         if not 1 <= len(numbers) <= len(candidates):
-            share = str(count) if len(depressions) == 1 else f"{len(numbers)} of {count}"
+            share = "" if len(depressions) == 1 else f"{len(numbers)} of "
+            are, most = "is" if len(candidates) == 1 else "are", len(candidates) * len(depressions)
             raise SarsplatError(
-                f"{share} training views were requested, but there are {len(candidates)} chips at {depression}°; "
-                f"request between {len(depressions)} and {len(candidates) * len(depressions)} in all"
+                f"{share}{counted(count, 'training view')} asked for, but there {are} "
+                f"{counted(len(candidates), 'chip')} at {depression}°; ask for {len(depressions)} to {most}"
             )
         nearest = nearest_to([chip.target_az_deg for chip in candidates], [k * 360 / count for k in numbers])
         chosen |= {k: candidates[i] for k, i in zip(numbers, nearest, strict=True)}

@@ -114,7 +114,7 @@ def _plain_xml(path: Path, text: bytes) -> lxml.etree._ElementTree:
             raise SarsplatError(f"{path} is a SIDD, a picture derived from SAR images; give the SICD it was made from")
         raise SarsplatError(f"{path} holds {shown(name)}, not a SICD; give files of complex SAR images (SICD)")
     for element in tree.iter("{*}Coef"):  # sarkit makes an array as large as the highest exponents say
-        for power in element.attrib.values():
+        for power in (element.get(name, "0") for name in ("exponent1", "exponent2")):
             if not (power.isascii() and power.isdigit() and int(power[:9]) <= _HIGHEST_ORDER):
                 raise SarsplatError(
                     f"{path} has a polynomial with the exponent {shown(power)}; at most {_HIGHEST_ORDER} is plausible, "

@@ -55,7 +55,7 @@ class PhaseHistory:
             )
         if min(frequencies, pulses) < 2:
             raise SarsplatError(
-                f"{self.name} has {frequencies} frequencies and {pulses} pulses; an image needs at least two of each"
+                f"{self.name} has {frequencies} × {pulses} samples (frequencies × pulses); an image needs two of each"
             )
         for what, values, limit in (
             ("an antenna position", self.antenna_m, FARTHEST_M),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -11,14 +10,14 @@ import numpy as np
 
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.folders import refuse_existing
-from sarsplat.errors import SarsplatError, SarsplatWarning, counted
+from sarsplat.errors import SarsplatError, counted
 from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import TAYLOR, UNIFORM, Taylor
 from sarsplat.importers.apertures import Aperture, apertures
 from sarsplat.importers.files import each_once
 from sarsplat.importers.focus import focus
 from sarsplat.importers.gotcha import read_gotcha
-from sarsplat.importers.images import MeasuredImage, check_sides, dataset_of, write_imported
+from sarsplat.importers.images import MeasuredImage, assume, check_sides, dataset_of, write_imported
 from sarsplat.importers.phase_history import FARTHEST_M, flights
 from sarsplat.progress import progress
 
@@ -141,12 +140,11 @@ def _source(
         )
     steepest = max(abs(aperture.tilt_deg) for aperture in parts)
     if steepest > _TILT_DEG:
-        text = (
+        assume(
+            assumptions,
             f"the flight is inclined, so that the slant plane is turned by up to {steepest:.1f}° about the line of "
-            "sight; what stands up is displaced across by the tangent of it"
+            "sight; what stands up is displaced across by the tangent of it",
         )
-        assumptions.append(text)
-        warnings.warn(text, SarsplatWarning, stacklevel=3)
     taper = "uniform" if weighting == UNIFORM else f"Taylor, {weighting.level_db:g} dB, nbar {weighting.sidelobes}"
     return {
         "kind": "phase-history",

@@ -101,15 +101,21 @@ def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
     try:
         image = Image.open(io.BytesIO(data), formats=("PNG", "JPEG"))
         _refuse_bomb(path, math.prod(image.size) * len(image.getbands()) * 2, len(data), True)
-        if image.mode == "L" or image.mode[0] in "IF":
+        if (image.mode == "L" and "transparency" not in image.info) or image.mode[0] in "IF":
             return np.asarray(image)
-        colours = np.asarray(image.convert("RGB"))
+        coloured = np.asarray(image.convert("RGBA"))
     except (*_MANY_WRONG, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:  # what Pillow says
         raise SarsplatError(
             f"{path} is not a PNG or JPEG, or is damaged ({shown(str(error))}); save it again"
         ) from error
+    colours, opaque = coloured[..., :3], coloured[..., 3] == 255
     if (colours != colours[..., :1]).any():
         raise SarsplatError(f"{path} is a picture in colour; give the measured values, in grey")
+    if not opaque.all():
+        raise SarsplatError(
+            f"{path} has transparent pixels, {(~opaque).sum()} of {opaque.size}, whose values mean nothing; cut the "
+            "image, or save it without transparency if they hold measured values too"
+        )
     return colours[..., 0]
 
 

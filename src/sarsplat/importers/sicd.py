@@ -7,7 +7,6 @@ interpolation of the complex pixels (`sicd_chip`; where they lie is found in `si
 from __future__ import annotations
 
 import math
-import warnings
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,9 +17,9 @@ import numpy as np
 from sarsplat.data import folders
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.dataset_folder import HEADER
-from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
+from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.importers.files import each_once
-from sarsplat.importers.images import MeasuredImage, check_sides, dataset_of, write_imported
+from sarsplat.importers.images import MeasuredImage, assume, check_sides, dataset_of, write_imported
 from sarsplat.importers.sicd_chip import chip, resolution_of, response_along, spacing_of
 from sarsplat.importers.sicd_file import Sicd, read_sicd
 from sarsplat.importers.sicd_geometry import Layout, Spot, layout_around, spot_of_centre, spot_of_pixel
@@ -86,7 +85,7 @@ def import_sicd(
         If sarkit is not installed, a file is not a valid SICD or does not show the whole of what is asked for, or the
         output exists.
     """
-    _check_installed()
+    require_sarkit()
     folders.refuse_existing(Path(out), overwrite, marker=HEADER)
     paths = each_once(files)
     _check_request(size_m, around, pixel, heading_deg)
@@ -131,7 +130,8 @@ def import_sicd(
     return write_imported(out, dataset, overwrite=overwrite)
 
 
-def _check_installed() -> None:
+def require_sarkit() -> None:
+    """Refuse to go on without sarkit, and say how to get it."""
     try:
         import sarkit.sicd  # noqa: F401
     except ImportError as error:
@@ -225,9 +225,8 @@ def _assumptions(
     ]
     polarizations = sorted({sicd.collection.get("polarization", "not stated") for sicd in sicds})
     if len(polarizations) > 1:
-        text = f"polarisations differ ({', '.join(polarizations)}), but are taken to show the same power"
-        sentences.append(text)
-        warnings.warn(f"{text}; give files of one", SarsplatWarning, stacklevel=3)
+        differ = f"polarisations differ ({', '.join(polarizations)}), but are taken to show the same power"
+        assume(sentences, f"{differ}; give files of one if they do not")
     leaning = [(math.hypot(*layout.leaning), sicd, layout) for sicd, layout in zip(sicds, layouts, strict=True)]
     worst, sicd, layout = max(leaning, key=lambda item: item[0])
     if worst > _LEANS:

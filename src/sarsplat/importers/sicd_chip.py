@@ -17,7 +17,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.importers.band_limited import interpolate, taps
 from sarsplat.importers.sicd_file import Axis, Sicd
-from sarsplat.importers.sicd_geometry import Layout
+from sarsplat.importers.sicd_geometry import Layout, middle_of
 
 _ASKEW = 0.05
 """Slope of an image's axes against ours from which on its side lobes run beside these."""
@@ -72,10 +72,12 @@ def chip(
     pixel = sicd.pixel_of(place)
     least, most = pixel.min(axis=0), pixel.max(axis=0)
     if least.min() < -0.5 or (most > np.array(sicd.shape) - 0.5).any():
+        asked = f"rows {least[0]:.0f} to {most[0]:.0f} and columns {least[1]:.0f} to {most[1]:.0f}"
+        inside = np.all((pixel.mean(axis=0) >= 0) & (pixel.mean(axis=0) <= np.array(sicd.shape) - 1))
+        size = " × ".join(f"{axis.spacing_m * count:.4g} m" for axis, count in zip(sicd.axes, sicd.shape, strict=True))
         raise SarsplatError(
-            f"{sicd.path} shows rows 0 to {sicd.shape[0] - 1} and columns 0 to {sicd.shape[1] - 1}, but rows "
-            f"{least[0]:.0f} to {most[0]:.0f} and columns {least[1]:.0f} to {most[1]:.0f} are asked for; give a "
-            "smaller size or another spot"
+            f"{sicd.path} shows rows 0 to {sicd.shape[0] - 1} and columns 0 to {sicd.shape[1] - 1} ({size}), but "
+            f"{asked} are asked for; give a smaller --size{'' if inside else ' or another spot'}: {middle_of(sicd)}"
         )
     occupied = sicd.row.occupied, sicd.column.occupied
     margin = np.array([taps(share) for share in occupied])

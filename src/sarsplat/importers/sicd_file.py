@@ -13,6 +13,7 @@ from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.importers.nitf import Segment, read_nitf, sarkit_errors
 from sarsplat.importers.sicd_fields import FARTHEST, LARGEST, Axis, SicdFields
+from sarsplat.importers.sicd_versions import modernise
 
 if TYPE_CHECKING:
     from sarkit.sicd.projection import AdjustableParameterOffsets, MetadataParams
@@ -25,6 +26,8 @@ class Sicd:
     """The metadata of a SICD file that the importer uses; places (xrow, ycol) are m from the scene centre point."""
 
     path: Path
+    version: str
+    """Version of the format, as the file states it."""
     projection: MetadataParams
     """What relates pixels to places, all of it finite."""
     offsets: AdjustableParameterOffsets | None
@@ -40,12 +43,17 @@ class Sicd:
     beta_zero: Float64[np.ndarray, "m n"] | None
     """What power is multiplied by to be β⁰: a polynomial in (xrow, ycol), m; None if unknown."""
     collection: dict[str, str]
-    """Sensor, collection and polarisation, for people to read."""
+    """Sensor, collection, date and polarisation, for people to read."""
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
         return self.projection.NumRows, self.projection.NumCols
+
+    @property
+    def axes(self) -> tuple[Axis, Axis]:
+        """Rows and columns."""
+        return self.row, self.column
 
     def pixel_of(self, place: Float64[np.ndarray, "*n 2"]) -> Float64[np.ndarray, "*n 2"]:
         """Rows and columns in this file of places (xrow, ycol)."""
@@ -110,6 +118,7 @@ def read_sicd(path: Path) -> Sicd:
         tree, segments = read_nitf(path, file)
     import sarkit.sicd.projection as projection
 
+    version = modernise(path, tree)
     with sarkit_errors(path):
         metadata = projection.MetadataParams.from_xml(tree)
         offsets = projection.AdjustableParameterOffsets
@@ -120,6 +129,7 @@ def read_sicd(path: Path) -> Sicd:
         _check_segments(path, metadata, pixel_type, segments)
         return Sicd(
             path,
+            version,
             metadata,
             moved,
             fields_of.axis("Row"),

@@ -94,6 +94,16 @@ class Layout:
         return (ahead - self.place_of(np.zeros(1), np.zeros(1))).T / step
 
 
+def middle_of(sicd: Sicd) -> str:
+    """Where an image is, as options name it."""
+    row, column = (size // 2 for size in sicd.shape)
+    spot = spot_of_pixel(sicd, (row, column), 90.0)
+    return (
+        f"the middle of {sicd.path.name} is --pixel {row},{column}, or "
+        f"--around={spot.latitude_deg:.6f},{spot.longitude_deg:.6f},{spot.height_m:.1f}"
+    )
+
+
 def spot_of_pixel(sicd: Sicd, pixel: tuple[float, float], heading_deg: float) -> Spot:
     """The place on the ground, as high as the scene centre point, that a pixel shows.
 
@@ -108,7 +118,7 @@ def spot_of_pixel(sicd: Sicd, pixel: tuple[float, float], heading_deg: float) ->
     if not all(0 <= value <= size - 1 for value, size in zip(pixel, sicd.shape, strict=True)):
         raise SarsplatError(
             f"the pixel {pixel[0]:g}, {pixel[1]:g} is outside {sicd.path}, which has {sicd.shape[0]} rows and "
-            f"{sicd.shape[1]} columns; count from 0"
+            f"{sicd.shape[1]} columns, counted from 0; {middle_of(sicd)}"
         )
     metadata = sicd.projection
     with sarkit_errors(sicd.path):
@@ -143,7 +153,7 @@ def layout_around(sicd: Sicd, spot: Spot, extent_m: float) -> Layout:
         place = _locate(sicd, spot, np.zeros((1, 3)))
         toward, velocity, distance = _radar(sicd, spot, place[0])
         if not toward[2] > 0:  # also catches NaN
-            raise SarsplatError(f"the radar of {sicd.path} is below the horizon of the spot; give a spot that it shows")
+            raise SarsplatError(f"the radar of {sicd.path} is below the horizon of the spot; {middle_of(sicd)}")
         exact = View.towards(toward)
         view = View(round(exact.azimuth_deg, _DIGITS) % 360, round(exact.grazing_deg, _DIGITS))
         frame = radar_frame(view)
@@ -173,8 +183,7 @@ def _locate(sicd: Sicd, spot: Spot, points: Float64[np.ndarray, "n 3"]) -> Float
     )
     if not ground or not np.isfinite(places).all():
         raise SarsplatError(
-            f"{sicd.path} does not show the spot {spot.latitude_deg:.6f}, {spot.longitude_deg:.6f}; give one that it "
-            "does"
+            f"{sicd.path} does not show the spot {spot.latitude_deg:.6f}, {spot.longitude_deg:.6f}; {middle_of(sicd)}"
         )
     return places
 

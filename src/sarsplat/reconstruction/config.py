@@ -31,6 +31,9 @@ Share = Annotated[float, Meta(ge=0, le=1)]
 DEFAULT_METHOD = "sar-gs"
 """The method where none is named."""
 
+OWN_LOOP = "own loop"
+"""Instead of a preset: Gaussians that no training of ours has made (`Run.from_gaussians`)."""
+
 
 class AnyConfig(Record):
     """Base of every method's settings: what its loop and its run need to know."""

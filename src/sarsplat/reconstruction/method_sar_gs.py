@@ -17,7 +17,7 @@ from sarsplat.data import Dataset, write_gaussians_ply
 from sarsplat.errors import SarsplatWarning, counted
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.reconstruction.config import DEFAULT_METHOD, Config
+from sarsplat.reconstruction.config import DEFAULT_METHOD, OWN_LOOP, Config
 from sarsplat.reconstruction.losses import LOSSES
 from sarsplat.reconstruction.masks import scene_masks, without_imitated_ground
 from sarsplat.reconstruction.mesh import surface_mesh
@@ -168,7 +168,8 @@ class GaussianReconstruction(Reconstruction):
 
     @property
     def facts(self) -> dict[str, str]:
-        return {"preset": self.config.preset, "start": self.config.initialisation}
+        own = self.config.preset == OWN_LOOP
+        return {"made by": OWN_LOOP} if own else {"preset": self.config.preset, "start": self.config.initialisation}
 
 
 def lengths(config: Config, grid: ImageGrid) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NotRequired, TypedDict
@@ -14,21 +14,26 @@ from jaxtyping import Float32, Float64, UInt8
 
 from sarsplat.data import (
     Dataset,
+    new_folder,
     read_dataset,
     read_json,
     read_points_ply,
     read_versioned_json,
+    write_bytes,
     write_json,
     write_points_ply,
 )
+from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.reconstruction.config import DEFAULT_METHOD, OWN_LOOP
 from sarsplat.reconstruction.device import device_named
-from sarsplat.reconstruction.log import LogLine, read_log
+from sarsplat.reconstruction.log import LogLine, log_text, read_log
 from sarsplat.reconstruction.method import Reconstruction
 from sarsplat.reconstruction.methods import METHODS, method_named
 from sarsplat.reconstruction.model import SceneModel
+from sarsplat.reconstruction.own_gaussians import own_scene
 from sarsplat.reconstruction.snapshot import Snapshot
 
 if TYPE_CHECKING:
@@ -88,12 +93,14 @@ class Header(msgspec.Struct, forbid_unknown_fields=True):
     method: str
 
 
-@dataclass(frozen=True)
+@dataclass
 class InMemory:
     """What a run without a folder holds itself."""
 
     snapshot: Snapshot
     history: tuple[LogLine, ...]
+    metrics: Metrics | None = None
+    """The scores of the last evaluation."""
 
 
 @dataclass(frozen=True)
@@ -276,6 +283,8 @@ class Run:
     @property
     def facts(self) -> dict[str, str]:
         """How it was made, for readers: names and values."""
+        if getattr(self.config, "preset", None) == OWN_LOOP:
+            return self.reconstruction.facts
         steps, each = self.config.iterations, counted(self.config.views_per_step, "view")
         return {**self.reconstruction.facts, "iterations": f"{self.iteration:,} of {steps:,}, {each} each"}
 
@@ -296,6 +305,11 @@ class Run:
         """
         if self.images is not None:
             return self.images
+        if self.dataset_path is None and not self.fingerprint:
+            raise SarsplatError(
+                "this run of one's own Gaussians has no dataset; give it to Run.from_gaussians(…, dataset=…), or to "
+                "Run.load(…, dataset=…)"
+            )
         if self.dataset_path is None:
             raise SarsplatError(
                 f"{self.path} was made from images in memory; give them with Run.load({str(self.path)!r}, "
@@ -343,11 +357,90 @@ class Run:
                 "or install the package that has this method"
             )
         config = method_named(header.method).settings.from_dict(header.config, str(path / HEADER))
-        if dataset is not None and dataset.fingerprint() != header.dataset_fingerprint:
+        if dataset is not None and header.dataset_fingerprint not in ("", dataset.fingerprint()):
             raise SarsplatError(f"{path} was made from another dataset than {dataset}; give the one it was made from")
         where = None if header.dataset is None else Path(header.dataset)
         on = device_named(device).type
         return cls(header.method, config, header.dataset_fingerprint, path, where, device=on, images=dataset)
+
+    @classmethod
+    def from_gaussians(
+        cls,
+        gaussians: Gaussians,
+        grid: ImageGrid | None = None,
+        views: Sequence[View] | None = None,
+        *,
+        dataset: Dataset | None = None,
+        time_s: float = 0.0,
+        device: str = "cpu",
+    ) -> Run:
+        """A run in memory of Gaussians from a loop of one's own or from a file: for viewer, exports, scores and report.
+
+        Parameters
+        ----------
+        gaussians : Gaussians
+            The target alone; copied.
+        grid : ImageGrid, optional
+            Pixels and resolution of its images; the unit of lengths in points and mesh is its resolution cell. Without
+            it the dataset's, or else 128 × 128 pixels that show all Gaussians.
+        views : sequence of View, optional
+            From where its images were taken: its points and mesh are what these see. Without them the dataset's
+            training views, or else 24 views from all sides.
+        dataset : Dataset, optional
+            The images that it was learned from; scores and report need them.
+        time_s : float
+            How long that took, s.
+        device : {"auto", "cpu", "cuda"}
+            Where it renders.
+
+        Raises
+        ------
+        SarsplatError
+            If there are no Gaussians or no views, or the law of scattering is not a registered one.
+        """
+        brightest = None
+        if dataset is not None:
+            train = dataset.select("train")
+            grid, views, brightest = grid or train.grid, views or train.views, float(train.power.max())
+        config, snapshot = own_scene(gaussians, grid, views, brightest, time_s)
+        where = None if dataset is None or dataset.path is None else dataset.path.resolve()
+        fingerprint = "" if dataset is None else dataset.fingerprint()
+        held, on = InMemory(snapshot, ()), device_named(device).type
+        return cls(DEFAULT_METHOD, config, fingerprint, None, where, held, on, dataset)
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> Run:
+        """Write the run to a folder, from where every command takes it; with the scores, if it was evaluated.
+
+        Parameters
+        ----------
+        path : str or Path
+            The folder; it appears when it is whole.
+        overwrite : bool
+            Replace an existing run.
+
+        Returns
+        -------
+        Run
+            The run in that folder. A finished training in it can be extended as any other.
+
+        Raises
+        ------
+        SarsplatError
+            If the folder exists, another process is writing it, or the disk is full.
+        """
+        path = Path(path)
+        if overwrite:
+            require_replaceable(path)
+        with only_writer(path), new_folder(path, overwrite, marker=HEADER) as folder:
+            copy = replace(self, path=folder, memory=None)
+            (folder / "checkpoints").mkdir()
+            write_header(copy)
+            self.snapshot.save(folder / "checkpoints" / f"{self.iteration:08d}.safetensors")
+            write_bytes(copy.log_path, log_text(self.history))
+            copy.write_results()
+            if self.metrics is not None:
+                write_json(folder / "metrics.json", self.metrics)
+        return replace(self, path=path, memory=None)
 
     @property
     def folder(self) -> Path:
@@ -359,7 +452,7 @@ class Run:
             If it is in memory only.
         """
         if self.path is None:
-            raise SarsplatError("this run is in memory and has no folder; pass `out` to reconstruct()")
+            raise SarsplatError("this run is in memory and has no folder; save it first with run.save(PATH)")
         return self.path
 
     @property
@@ -382,7 +475,9 @@ class Run:
 
     @property
     def metrics(self) -> Metrics | None:
-        """What `sarsplat evaluate` wrote; None before."""
+        """The scores of the last evaluation; None before."""
+        if self.memory is not None:
+            return self.memory.metrics
         path = None if self.path is None else self.path / "metrics.json"
         return None if path is None or not path.is_file() else read_json(path, Metrics)
 

@@ -207,6 +207,8 @@ class Trainer:
 
         Raises a SarsplatError if it is of a training with other strategies, KeyError or ValueError if of no such one.
         """
+        if not snapshot.part("optimiser"):
+            raise SarsplatError("it holds Gaussians that were not trained here, which cannot be resumed")
         names = [name.removeprefix("strategy/") for name in snapshot.tensors if name.startswith("strategy/")]
         begun, own = {name for name in names if "/" not in name}, {strategy.name for strategy in self.strategies}
         if begun != own:

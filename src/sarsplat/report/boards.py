@@ -19,14 +19,16 @@ if TYPE_CHECKING:
 
 Points = Float[np.ndarray, "p 3"]
 
-_LEAST_PIXELS, _MOST_PIXELS = 120, 400  # along the longest side of what is shown
+_LEAST_PIXELS, _MOST_PIXELS = 120, 450  # along the longest side of what is shown
 _MARGIN = 0.025
 """Around the points, as a part of the longest side."""
+
+_NEIGHBOURS, _CLOSING = 4, 1.2  # a point is so many times as wide as its fourth neighbour is away
 
 # Of meshes.
 _LIGHT = np.array([0.4, -0.5, 0.77])
 _AMBIENT = 0.25
-_PIXELS = 300  # along the longest side
+_PIXELS = 420  # along the longest side
 _SAMPLES_PER_PIXEL, _MOST_SAMPLES = 8, 2_000_000  # a pixel without any is a hole
 _MESH_MARGIN = 0.03  # of the longest side
 
@@ -45,18 +47,28 @@ def point_boards(
     low, high = _limits(np.concatenate(list(by_height.values())))
     fewest = min((len(points) for points in by_height.values() if len(points)), default=0)
     raster = Raster.around(low, high, int(np.clip(2 * np.sqrt(fewest), _LEAST_PIXELS, _MOST_PIXELS)))
+    heights = float(low[2]), float(high[2])
     blocks = [
-        raster.board(name, points, points[:, 2], (float(low[2]), float(high[2])), HEIGHT)
+        raster.board(name, points, points[:, 2], heights, HEIGHT, _apart_m(points))
         for name, points in by_height.items()
     ]
-    bars = [colour_bar("height z, m", HEIGHT, float(low[2]), float(high[2]))]
+    bars = [colour_bar("height z, m", HEIGHT, *heights)]
     if surface is not None:
         tree = KDTree(surface)
         for name, points in clouds.items():
             distance = tree.query(points)[0] if len(points) else np.empty(0)
-            blocks.append(raster.board(f"error of the {name}", points, distance, (0.0, farthest_m), ERROR))
+            title, limits = f"error of the {name}", (0.0, farthest_m)
+            blocks.append(raster.board(title, points, distance, limits, ERROR, _apart_m(points)))
         bars.append(colour_bar("distance to the true surface, m", ERROR, 0, farthest_m))
     return tuple(blocks), tuple(bars)
+
+
+def _apart_m(points: Points) -> float:
+    """How wide points are drawn to close the gaps between them: thinning to voxels left them about as far apart, m."""
+    if len(points) <= _NEIGHBOURS:
+        return 0.0
+    sample = points[:: max(1, len(points) // 2000)]
+    return _CLOSING * float(np.median(KDTree(points).query(sample, k=[1 + _NEIGHBOURS])[0]))
 
 
 def _limits(points: Points) -> tuple[Corner, Corner]:

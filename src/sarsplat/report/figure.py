@@ -80,7 +80,8 @@ class ColourBar:
 class Block:
     """Panels that belong together, and what they have in common.
 
-    `columns` are the relative widths of the sides of a target; other panels are as wide as if `across` stood in a row.
+    `columns` are the relative widths of three sides of a target, of which narrow pages show two in a row; other panels
+    are as wide as if `across` stood in a row.
     """
 
     title: str

@@ -74,18 +74,18 @@ def _lead(run: Run) -> str:
 
 
 def _card(table: ScoreTable, row: Row, definitions: Mapping[str, str]) -> dict[str, Any]:
-    """A headline: our value, the competing ones, and the winner."""
-    ours, *others = row.cells
+    """A headline: the run's value, the competing ones, and the winner."""
+    own, *others = row.cells
     competing = [cell for cell in others if cell.column.ranked and cell.column.values.get(row.metric.key) is not None]
     winners = [cell.column.name for cell in competing if cell.best]
-    if ours.best:
+    if own.best:
         verdict = "This run is the best." if not winners else f"As good as {' and '.join(winners)}."
     else:
         verdict = f"Better than this run: {' and '.join(winners)}."
     return {
         "name": row.metric.title,
         "definition": definitions.get(row.metric.key),
-        "value": ours.text,
+        "value": own.text,
         "others": [{"name": cell.column.name, "text": cell.text, "best": cell.best} for cell in competing],
         "verdict": verdict,
         "table": table.title,
@@ -139,7 +139,7 @@ def _run_facts(run: Run) -> dict[str, str]:
     except PackageNotFoundError:  # run from source
         program = "from source"
     return {
-        "folder": str(run.path),
+        "folder": "in memory" if run.path is None else str(run.path),
         "method": run.method,
         **run.facts,
         "training time": _duration(run.time_s),

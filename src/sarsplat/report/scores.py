@@ -58,8 +58,7 @@ def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> l
     """Tables of `metrics.json`: for each test set and for the surface; each of `others` gets a column in them."""
     tables = []
     for split, values in metrics["images"].items():
-        ours = Scores(whose(metrics), values)
-        columns = [ours, *baselines(metrics, split), *others]
+        columns = [Scores(whose(metrics), values), *baselines(metrics, split), *others]
         tables.append(score_table(f"Unseen views: {split}", (*IMAGE_METRICS, *MASK_METRICS), columns, deciding=1))
     visible, whole = metrics["points"]["visible"], metrics["points"]["whole"]
     columns = [

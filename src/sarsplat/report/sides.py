@@ -25,6 +25,8 @@ class Side:
     sign: int
 
 
+_WIDEST = 15  # pixels of a point
+
 SIDES = (Side("side", 0, 2, 1, -1), Side("front", 1, 2, 0, 1), Side("top", 0, 1, 2, 1))
 
 
@@ -42,27 +44,32 @@ class Raster:
         return cls(low, high, float((high - low).max()) / pixels)
 
     def nearest(
-        self, points: Float[np.ndarray, "p 3"], side: Side
+        self, points: Float[np.ndarray, "p 3"], side: Side, size: int = 1
     ) -> tuple[Int64[np.ndarray, "rows columns"], Bool[np.ndarray, "rows columns"]]:
-        """Index of the point that is seen in each pixel from a side, row 0 at the top, and whether there is one."""
+        """Index of the point that is seen in each pixel from a side, row 0 at the top, and whether there is one.
+
+        A point covers `size` × `size` pixels.
+        """
         across, up = side.across, side.up
         shape = [max(1, int(np.ceil((self.high - self.low)[axis] / self.pixel_m))) for axis in (up, across)]
         place = np.floor((points[:, (up, across)] - self.low[[up, across]]) / self.pixel_m).astype(int)
-        inside = np.flatnonzero(((place >= 0) & (place < shape)).all(axis=1))
-        far_first = inside[np.argsort(side.sign * points[inside, side.towards], kind="stable")]
+        far_first = np.argsort(side.sign * points[:, side.towards], kind="stable")
+        around = np.stack(np.meshgrid(*2 * [np.arange(size) - size // 2]), axis=-1).reshape(-1, 2)
+        place = (place[far_first, None] + around).reshape(-1, 2)
+        inside = ((place >= 0) & (place < shape)).all(axis=1)
         seen = np.full(shape, -1)
-        seen[place[far_first, 0], place[far_first, 1]] = far_first
+        seen[tuple(place[inside].T)] = np.repeat(far_first, size**2)[inside]
         return seen[::-1], seen[::-1] >= 0
 
     def board(
         self, title: str, points: Float[np.ndarray, "p 3"], values: Float[np.ndarray, " p"],
-        limits: tuple[float, float], colours: str,
+        limits: tuple[float, float], colours: str, width_m: float = 0.0,
     ) -> Block:  # fmt: skip
-        """The three sides as panels, side and front above the top: values of points from the low to the high limit."""
+        """The three sides as panels: values from the low to the high limit, of points that are so wide, m."""
         indices = np.maximum(indexed(values, *limits), 1)  # 0: nothing is there
 
         def picture(side: Side) -> str:
-            seen, covered = self.nearest(points, side)
+            seen, covered = self.nearest(points, side, int(np.clip(np.ceil(width_m / self.pixel_m), 1, _WIDEST)))
             shades = np.zeros(seen.shape, np.uint8)
             shades[covered] = indices[seen[covered]]
             return data_uri(png(shades, hollow(colours)))
@@ -85,4 +92,4 @@ class Raster:
                     scale=scale_bar(width),
                 )
             )
-        return Block(title, tuple(panels), (float(size[0]), float(size[1])))
+        return Block(title, tuple(panels), tuple(float(size[side.across]) for side in SIDES))

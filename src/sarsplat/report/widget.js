@@ -4,12 +4,16 @@
   const data = JSON.parse(document.getElementById("widget-data").textContent);
   const byId = (name) => document.getElementById(name);
   const stage = byId("stage"), cloud = byId("cloud");
-  const inputs = { azimuth: byId("azimuth"), grazing: byId("grazing"), depth: byId("depth") };
+  const inputs = { azimuth: byId("azimuth"), depth: byId("depth") };
+  const climbs = byId("grazing") !== null;      // directions of one grazing angle have no slider for it
+  if (climbs) inputs.grazing = byId("grazing");
   const state = { azimuth: data.start[0], grazing: data.start[1] };
 
   const CAMERA_ASIDE = 50, CAMERA_UP = 24;      // where the reader looks from, degrees from the radar and above the horizon
   const DEGREES_PER_PIXEL = 0.5, DEGREES_PER_KEY = 5;
-  const DOME = 1.12;                            // its radius in half diagonals of the target
+  const DOME = 1.25;                            // its radius in half diagonals of the target
+  const [LOWEST, HIGHEST] = data.grazing;       // of the directions that there are images from
+  const RINGS = [0, 30, 60].filter((grazing) => grazing === 0 || grazing < HIGHEST);
 
   // ---- directions: azimuth clockwise from x seen from above, grazing above the horizon ----------------------------
   const radians = (degrees) => degrees * Math.PI / 180;
@@ -50,14 +54,21 @@
       towards[0] * right[1] - towards[1] * right[0]];
     return { towards, right, up };
   }
+  // how far all that is drawn reaches above and below the foot of the dome, in its radii
+  const above = Math.max(...[...RINGS, HIGHEST].map((grazing) => Math.sin(radians(Math.min(grazing + CAMERA_UP, 90)))));
+  const below = Math.sin(radians(CAMERA_UP));
+  stage.style.aspectRatio = Math.min(Math.max(2 / (above + below), 1.2), 1.6);
   let placed = [];  // where the dots of the views are on the screen, for clicks
+  const layer = document.createElement("canvas");
   function drawCloud() {
     const box = stage.getBoundingClientRect(), ratio = Math.min(window.devicePixelRatio || 1, 2);
     const width = cloud.width = Math.max(1, Math.round(box.width * ratio));
     const height = cloud.height = Math.max(1, Math.round(box.height * ratio));
     const context = cloud.getContext("2d"), eye = camera();
-    const scale = Math.min(width, height) / (2.5 * DOME * radius);
-    const middle = [width / 2, height * 0.56];
+    const reach = DOME * radius, ground = -extent[2] / 2, room = 24 * ratio;  // for the radar's label and the dots
+    const scale = Math.min((width - room) / 2, (height - 2 * room) / (above + below)) / reach;
+    const foot = room + (height - 2 * room + scale * reach * (above - below)) / 2;
+    const middle = [width / 2, foot + scale * ground * eye.up[2]];
     const project = (p) => [middle[0] + scale * dot(p, eye.right), middle[1] - scale * dot(p, eye.up), dot(p, eye.towards)];
 
     const picture = context.createImageData(width, height), pixels = new Uint32Array(picture.data.buffer);
@@ -73,26 +84,33 @@
           if (z > depth[at]) { depth[at] = z; pixels[at] = colours[shade[i]]; }
         }
     }
-    context.putImageData(picture, 0, 0);
+    layer.width = width; layer.height = height;
+    layer.getContext("2d").putImageData(picture, 0, 0);
 
     const style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(name).trim();
-    const reach = DOME * radius, ground = -extent[2] / 2;
     const onDome = (azimuth, grazing) => direction(azimuth, grazing).map((c, k) => reach * c + (k === 2 ? ground : 0));
     context.lineWidth = ratio;
     context.strokeStyle = colour("--line");
-    for (const grazing of [0, 30, 60]) {
+    for (const grazing of RINGS) {
       context.beginPath();
       for (let a = 0; a <= 360; a += 5) context.lineTo(...project(onDome(a, grazing)).slice(0, 2));
       context.stroke();
     }
-    placed = data.dots.map(([azimuth, grazing, test]) => {
-      const [x, y, z] = project(onDome(azimuth, grazing));
-      context.globalAlpha = z < 0 ? 0.35 : 1;
-      context.fillStyle = colour(test ? "--second" : "--accent");
-      context.beginPath(); context.arc(x, y, 3 * ratio, 0, 7); context.fill();
-      return [x / ratio, y / ratio, azimuth, grazing];
-    });
+    const dots = data.dots.map(([azimuth, grazing, test]) => [...project(onDome(azimuth, grazing)), azimuth, grazing, test]);
+    const dotRadius = Math.max(1.6, Math.min(3, 40 / Math.sqrt(dots.length))) * ratio;
+    const drawDots = (front) => {
+      context.globalAlpha = front ? 1 : 0.35;
+      for (const [x, y, z, , , test] of dots) {
+        if ((z >= 0) !== front) continue;
+        context.fillStyle = colour(test ? "--second" : "--accent");
+        context.beginPath(); context.arc(x, y, dotRadius, 0, 7); context.fill();
+      }
+    };
+    drawDots(false);
     context.globalAlpha = 1;
+    context.drawImage(layer, 0, 0);  // the target hides what is behind it
+    drawDots(true);
+    placed = dots.map(([x, y, , azimuth, grazing]) => [x / ratio, y / ratio, azimuth, grazing]);
     arrow(context, project(onDome(state.azimuth, state.grazing)), project([0, 0, ground]), colour, ratio);
     scaleBar(scale / ratio, box.width);
   }
@@ -178,7 +196,7 @@
     asked = true;
     requestAnimationFrame(() => {
       asked = false;
-      for (const name of ["azimuth", "grazing"]) inputs[name].value = state[name];
+      for (const name of ["azimuth", "grazing"]) if (inputs[name]) inputs[name].value = state[name];
       for (const name in inputs)
         document.querySelector(`output[for=${name}]`).textContent =
           name === "depth" ? `${inputs.depth.value} dB` : `${state[name].toFixed(1)}°`;
@@ -188,7 +206,7 @@
   }
   function move(azimuth, grazing) {
     state.azimuth = (azimuth % 360 + 360) % 360;
-    state.grazing = Math.min(89, Math.max(1, grazing));
+    state.grazing = Math.min(HIGHEST, Math.max(LOWEST, grazing));
     draw();
   }
   let grip = null;
@@ -198,7 +216,8 @@
   });
   stage.addEventListener("pointermove", (event) => {
     if (!grip) return;
-    move(grip.azimuth + DEGREES_PER_PIXEL * (event.clientX - grip.x), grip.grazing + DEGREES_PER_PIXEL * (grip.y - event.clientY));
+    const climb = climbs ? DEGREES_PER_PIXEL * (grip.y - event.clientY) : 0;
+    move(grip.azimuth + DEGREES_PER_PIXEL * (event.clientX - grip.x), grip.grazing + climb);
   });
   stage.addEventListener("pointerup", (event) => {
     if (grip && Math.hypot(event.clientX - grip.x, event.clientY - grip.y) < 4) {  // a click: go to the view there
@@ -211,12 +230,12 @@
   stage.addEventListener("pointercancel", () => { grip = null; });
   stage.addEventListener("keydown", (event) => {
     const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
-    if (!steps) return;
+    if (!steps || (steps[1] && !climbs)) return;
     event.preventDefault();
     move(state.azimuth + DEGREES_PER_KEY * steps[0], state.grazing + DEGREES_PER_KEY * steps[1]);
   });
-  for (const name of ["azimuth", "grazing"])
-    inputs[name].addEventListener("input", () => move(Number(inputs.azimuth.value), Number(inputs.grazing.value)));
+  inputs.azimuth.addEventListener("input", () => move(Number(inputs.azimuth.value), state.grazing));
+  if (climbs) inputs.grazing.addEventListener("input", () => move(state.azimuth, Number(inputs.grazing.value)));
   inputs.depth.addEventListener("input", draw);
   byId("colours").addEventListener("input", draw);
   window.addEventListener("resize", draw);

@@ -52,6 +52,12 @@ class Widget:
     text: str
     data: dict[str, Any]
 
+    @property
+    def climbs(self) -> bool:
+        """Whether there are images from several grazing angles."""
+        lowest, highest = self.data["grazing"]
+        return bool(highest - lowest >= _FINEST_DEG)
+
 
 def widget(run: Run) -> Widget | None:
     """The widget of a run with its dataset; None if it has no points to turn."""
@@ -105,6 +111,7 @@ def widget(run: Run) -> Widget | None:
         "powerColours": {"grey" if name == POWER else name: ramp(name)[:, :3].tolist() for name in POWER_RAMPS},
         "name": name,
         "start": _angles(views[len(views) // 3]),
+        "grazing": [bound(_angles(view)[1] for view in (*views, *raster)) for bound in (min, max)],
     }
     text = (
         "Drag the points, or use the sliders, to move the radar around the target. Beside them is the SAR image of the "

@@ -29,38 +29,51 @@ _SURFACE_SAMPLES = 200_000
 _STILL = Alignment((0.0, 0.0, 0.0), 0.0)
 
 
-def write_report(run: Run) -> Path:
-    """Write `RUN/report/index.html`: one page that holds all it shows and needs no network.
+def write_report(run: Run, out: str | Path | None = None) -> Path:
+    """Write `RUN/report/index.html`, or another file: one page that holds all it shows and needs no network.
 
     Parameters
     ----------
     run : Run
-        A reconstruction; its scores are shown if `metrics.json` is there.
+        A reconstruction; its scores are shown if it was evaluated.
+    out : str or Path, optional
+        The page, such as `target.html`; a run in memory needs one.
 
     Returns
     -------
     Path
-        `RUN/report/index.html`.
+        The page.
 
     Raises
     ------
     SarsplatError
-        If the run's dataset is missing, `RUN/report` is a link, a file cannot be written or another process is writing
-        the run.
+        If the run's dataset is missing, it is in memory and `out` is not given, `RUN/report` is a link, a file cannot
+        be written or another process is writing the run.
     """
+    if out is not None:
+        path = Path(out)
+        if path.is_dir():
+            raise SarsplatError(f"{path} is a folder; give the name of the page, such as {path / 'report.html'}")
+        return _written(path, _html(run))
     refuse_linked_report(run.folder)
-    folder = run.folder / _FOLDER
     with only_writer(run.folder):
-        with scores_expected(run):
-            chosen = chosen_views(run.dataset, run.metrics)
-        figures = [unseen_figure(run, chosen), *_masks(run), _points(run), *_mesh(run)]
-        training, turning = [*_curves(run), *_azimuths(run)], widget(run)
-        with scores_expected(run):
-            html = page(run, figures, training, turning)
-        with plain_os_errors("write", folder):  # last, so that an interruption leaves no empty folder
-            folder.mkdir(exist_ok=True)
-        write_bytes(folder / "index.html", html.encode())
-    return folder / "index.html"
+        return _written(run.folder / _FOLDER / "index.html", _html(run))
+
+
+def _html(run: Run) -> bytes:
+    with scores_expected(run):
+        chosen = chosen_views(run.dataset, run.metrics)
+    figures = [unseen_figure(run, chosen), *_masks(run), _points(run), *_mesh(run)]
+    training, turning = [*_curves(run), *_azimuths(run)], widget(run)
+    with scores_expected(run):
+        return page(run, figures, training, turning).encode()
+
+
+def _written(path: Path, html: bytes) -> Path:
+    with plain_os_errors("write", path.parent):  # last, so that an interruption leaves no empty folder
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes(path, html)
+    return path
 
 
 def refuse_linked_report(run: Path) -> None:
@@ -76,6 +89,8 @@ def scores_expected(run: Run) -> Iterator[None]:
     try:
         yield
     except (KeyError, TypeError, AttributeError, ValueError, StopIteration) as error:
+        if run.path is None:
+            raise
         raise SarsplatError(
             f"{run.folder / 'metrics.json'} does not contain all scores ({error!r}); write it again with "
             f"`sarsplat evaluate {run.path}`"

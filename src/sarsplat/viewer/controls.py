@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import UInt8
 
 from sarsplat.colours import DARK, POWER_RAMPS, rgb
 from sarsplat.geometry import View
@@ -44,6 +45,7 @@ class Choices:
     views: bool
     plane: bool
     lines: bool
+    dark: bool
 
 
 class Controls:
@@ -64,6 +66,7 @@ class Controls:
         self._gui = gui = server.gui
         self._on_change, self._on_aim = on_change, on_aim
         self._set: dict[str, Any] = {}
+        self._rows: list[tuple[Any, Any, Any]] = []
         self._dark()
         gui.set_panel_label("sarsplat view")
         gui.main_panel.dock_left()
@@ -79,13 +82,13 @@ class Controls:
             self._watched("lines", gui.add_checkbox("ground lines", True))
             dark = gui.add_checkbox("dark page", True)
             dark.on_update(lambda _: self._dark(dark.value))
+            self._watched("dark", dark)
         panel = gui.add_panel()
         panel.dock_right()
-        panel.set_width(520)
+        panel.expand()  # on a phone, too
+        panel.set_width(560)
         self._tab = panel.add_tab("SAR image")
         with self._tab:
-            self.heads = gui.add_html("")
-            self.strip: Any = None
             self.foot = gui.add_html("", order=1e12)
 
     def _dark(self, dark: bool = True) -> None:
@@ -170,32 +173,42 @@ class Controls:
             if slider.value != round(angle, 1):
                 slider.value = round(angle, 1)
 
-    def show_strip(self, picture: Any) -> None:
-        """Show the images."""
-        if self.strip is not None:
-            self.strip.image = picture
-            return
-        with self._tab:
-            self.strip = self._gui.add_image(picture, format="png", order=1e11)
-
-    def show_heads(self, heads: list[tuple[str, str]]) -> None:
-        """Titles above the images, each with a smaller line."""
-        cells = "".join(
-            f'<div style="flex:1;min-width:0"><b>{escape(title)}</b>'
-            f'<div style="font-size:11px;opacity:.75">{escape(line)}</div></div>'
+    def show_row(
+        self, index: int, heads: list[tuple[str, str]], picture: UInt8[np.ndarray, "height width 4"], legends: list[str]
+    ) -> None:
+        """Show a row of images: titles above, each with a smaller line, and what the colours mean below."""
+        if index == len(self._rows):
+            with self._tab:
+                html, order = self._gui.add_html, 10.0 * index
+                image = self._gui.add_image(picture, format="png", order=order + 1)
+                self._rows.append((html("", order=order), image, html("", order=order + 2)))
+        titles, image, meanings = self._rows[index]
+        image.image = picture
+        words = (
+            f'<b>{escape(title)}</b><div style="font-size:11px;opacity:.75">{escape(line)}</div>'
             for title, line in heads
         )
-        style = "display:flex;gap:6px;padding:0 10px;min-height:54px;font-size:13px;line-height:1.35"
-        text = f'<div id="heads" style="{style}">{cells}</div>'
-        if self.heads.content != text:
-            self.heads.content = text
+        self._show(titles, _cells(words, 'class="heads" style="font-size:13px;line-height:1.35;'))
+        self._show(meanings, _cells(legends, 'style="'))
+        for handle in self._rows[index]:
+            handle.visible = True
 
-    def show_foot(self, legends: list[str], text: str) -> None:
-        """What the colours mean, below the images, and a line of text."""
-        cells = "".join(f'<div style="flex:1;min-width:0">{legend}</div>' for legend in legends)
-        content = (
-            f'<div style="display:flex;gap:10px;padding:0 10px">{cells}</div>'
-            f'<div id="foot" style="font-size:13px;line-height:1.5;margin-top:4px;padding:0 10px">{text}</div>'
-        )
-        if self.foot.content != content:
-            self.foot.content = content
+    def hide_rows(self, first: int) -> None:
+        """Hide this row of images and all after it."""
+        for handle in (handle for row in self._rows[first:] for handle in row):
+            handle.visible = False
+
+    def show_foot(self, text: str) -> None:
+        """A line of text below the images."""
+        style = "font-size:13px;line-height:1.5;margin-top:4px;padding:0 10px"
+        self._show(self.foot, f'<div id="foot" style="{style}">{text}</div>')
+
+    def _show(self, handle: Any, content: str) -> None:
+        if handle.content != content:
+            handle.content = content
+
+
+def _cells(contents: Iterable[str], attributes: str) -> str:
+    """HTML side by side, in as many columns as there are images in a row."""
+    cells = "".join(f'<div style="flex:0 1 50%;min-width:0">{content}</div>' for content in contents)
+    return f'<div {attributes}display:flex;gap:6px;padding:0 10px">{cells}</div>'

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
@@ -13,12 +12,6 @@ from sarsplat.reconstruction import Step, Trainer
 from sarsplat.viewer.scene import OfScene
 from sarsplat.viewer.subject import Cloud, dataset_subject
 from sarsplat.viewer.viewer import Viewer
-
-_SHARE = 0.03
-"""Largest share of a training's time that may be spent on showing it."""
-
-_WAIT_S = 2.0
-"""Longest wait for one picture, s."""
 
 
 class TrainingSubject(OfScene):
@@ -41,24 +34,9 @@ class TrainingSubject(OfScene):
 def watched(dataset: Dataset, port: int, say: Callable[[str], None]) -> Iterator[Callable[[Step[Any]], None]]:
     """A page that shows a training; call the yielded function after each step, which leaves the training unchanged.
 
-    The page is drawn while the training waits, at most for 3 % of its time: two processors that share the work would
-    only slow each other down. `say` gets a sentence with the page's address. Raises `SarsplatError` if the port is
-    taken; 0 takes any free one.
+    The page is drawn while the training waits, at most for 3 % of its time (`Viewer.keep_up`). `say` gets a sentence
+    with the page's address. Raises `SarsplatError` if the port is taken; 0 takes any free one.
     """
-    viewer, pause_until = Viewer(dataset_subject(dataset), port), 0.0
-    say(f"open {viewer.address} in a browser on this machine to watch the training")
-
-    def after_step(step: Step[Any]) -> None:
-        nonlocal pause_until
-        begun = time.monotonic()
-        if begun < pause_until:
-            return
-        viewer.show(TrainingSubject(dataset, step.trainer))
-        viewer.wait(_WAIT_S)
-        ended = time.monotonic()
-        pause_until = ended + (ended - begun) / _SHARE
-
-    try:
-        yield after_step
-    finally:
-        viewer.close()
+    with Viewer(dataset_subject(dataset), port) as viewer:
+        say(f"open {viewer.address} in a browser on this machine to watch the training")
+        yield lambda step: viewer.keep_up(lambda: TrainingSubject(dataset, step.trainer))

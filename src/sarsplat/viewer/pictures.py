@@ -137,15 +137,18 @@ class Strip:
         factor = math.floor(factor) if factor < 8 else 8.0  # whole multiples keep all pixels the same size
         self._height, self._width = (max(round(side * factor), 1) for side in size.tolist())
 
-    def drawn(self, panels: list[Panel], pixel: Pixel | None) -> UInt8[np.ndarray, "height width 3"]:
-        """All panels in one picture, with a frame around the picked pixel in each."""
-        pictures = [self.enlarged(panel) for panel in panels]
-        if pixel is not None:
-            for picture in pictures:
+    def drawn(self, panels: list[Panel], pixel: Pixel | None) -> UInt8[np.ndarray, "height width 4"]:
+        """The panels in one picture, RGBA, with a frame around the picked pixel in each; missing ones are empty."""
+        step = self._width + _GAP
+        strip = np.zeros((self._height, self.count * step - _GAP, 4), np.uint8)
+        for place, panel in enumerate(panels):
+            picture = self.enlarged(panel)
+            if pixel is not None:
                 self._frame(picture, pixel)
-        gap = np.full((self._height, _GAP, 3), rgb(DARK.card), np.uint8)
-        parts = [part for picture in pictures for part in (picture, gap)][:-1]
-        return np.concatenate(parts, axis=1)
+            strip[:, place * step : place * step + self._width] = np.pad(
+                picture, ((0, 0), (0, 0), (0, 1)), constant_values=255
+            )
+        return strip
 
     def enlarged(self, panel: Panel) -> UInt8[np.ndarray, "height width 3"]:
         """One panel as large as it is drawn."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -9,9 +10,11 @@ import torch
 from jaxtyping import Float, Float32
 from scipy.spatial import cKDTree
 
+from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.radar import Pixel
 from sarsplat.reconstruction.model import SceneModel
+from sarsplat.reconstruction.own_gaussians import own_scene
 from sarsplat.viewer.subject import Cloud, Contributors, Subject
 
 _FAINT = 0.05
@@ -72,3 +75,26 @@ class OfScene(Subject):
     def contributors(self, view: View, pixel: Pixel) -> Contributors | None:
         """See `Subject`: by power."""
         return self._shares(self.scene, len(self.target), view, pixel)
+
+
+class OwnScene(OfScene):
+    """Gaussians that no run holds, copied; grid, views and the power shown white are chosen unless given."""
+
+    surface = None  # its normals would take seconds
+
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        grid: ImageGrid | None = None,
+        views: Sequence[View] | None = None,
+        peak: float | None = None,
+    ) -> None:
+        config, snapshot = own_scene(gaussians, grid, views, peak, 0.0)
+        super().__init__(
+            f"{len(gaussians):,} Gaussians", snapshot.grid, snapshot.views, peak or snapshot.brightest, None
+        )
+        self.look_at(SceneModel.saved(snapshot, config), config.harmonics_degree)
+
+    @cached_property
+    def clouds(self) -> list[Cloud]:
+        return [self.gaussian_cloud]

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
-from sarsplat.colours import DARK, LIGHT, PICKED, RADAR, rgb
+from sarsplat.colours import DARK, LIGHT, PICKED, RADAR, Page, rgb
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.viewer.subject import Cloud, Contributors
 
@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 _RADAR, _LIT, _FAINT, _LINES = rgb(RADAR), rgb(PICKED), rgb(LIGHT.muted), rgb(DARK.line)
 _DOME = 1.9  # radius, in those of the target
 _REACH = 0.6  # of the dome's radius: how far above the target the line of one range goes on
+_FIELD_DEG = 50.0  # vertical field of view
+_CAMERA_ASIDE_DEG, _CAMERA_UP_DEG = 100.0, 27.0  # where the reader looks from, from the first view and the horizon
+_ROOM = 1.15  # half of what is seen, in radii of the dome
+_PHONE, _BETWEEN_PANELS = 0.55, 0.62  # width over height of what is free on a phone, at most, and on a small laptop
 _STEPS = 72  # of a circle of latitude
 _LOWEST_DEG, _HIGHEST_DEG = 1.0, 89.0
 _LEAST_SHARE = 0.01  # of a pixel: Gaussians that add less are not lit
@@ -37,6 +41,7 @@ class Stage:
         server: viser.ViserServer,
         box_m: tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]],
         views: list[tuple[View, str]],
+        first: View,
         on_aim: Callable[[View], None],
         on_plane: Callable[[np.ndarray, np.ndarray], None],
     ) -> None:
@@ -47,12 +52,16 @@ class Stage:
         self._radius = _DOME * self.size_m
         self._foot = np.array([*self.centre[:2], 0.0])
         self._on_plane = on_plane
-        server.initial_camera.position = self._foot + self._radius * np.array([-2.1, -2.35, 1.9])
-        server.initial_camera.look_at = self._foot + np.array([0, 0, 0.25 * self._radius])
-        server.initial_camera.fov = np.radians(50)
+        self._aside = View((first.azimuth_deg - _CAMERA_ASIDE_DEG) % 360, _CAMERA_UP_DEG).direction
+        server.initial_camera.position, server.initial_camera.look_at = self._camera(1.0)
+        server.initial_camera.fov = np.radians(_FIELD_DEG)
+        server.on_client_connect(self._fit)
         scene.set_up_direction("+z")
         scene.world_axes.visible = False
-        scene.configure_default_lights(cast_shadow=False)
+        scene.configure_default_lights(enabled=False)  # colours mean something: nothing shades them
+        scene.configure_environment_map(None, environment_intensity=0.0)
+        scene.add_light_ambient("/light", intensity=np.pi)
+        self._ground: Page | None = None
         self._grid(scene)
         self._dome(scene, views, on_aim)
         self._radar(scene, on_aim)
@@ -68,6 +77,24 @@ class Stage:
         )
         self._line.visible = self._lit.visible = False
         self._cloud: Any = None
+
+    def _camera(self, aspect: float) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
+        """Position and aim of a camera that sees the whole dome in a window of this width over height.
+
+        On a phone the controls cover the lower part of the window.
+        """
+        distance = _ROOM * self._radius / np.tan(np.radians(_FIELD_DEG / 2)) / min(aspect, _BETWEEN_PANELS)
+        down = 0.25 if aspect > _PHONE else -0.3 * _ROOM / aspect
+        return self._foot + distance * self._aside, self._foot + np.array([0, 0, down * self._radius])
+
+    def _fit(self, client: viser.ClientHandle) -> None:
+        client.camera.position, client.camera.look_at = self._camera(client.camera.aspect)
+
+    def paint(self, page: Page) -> None:
+        """Give the scene the background of a page of the report."""
+        if page is not self._ground:
+            self._ground = page
+            self._scene.set_background_image(np.full((2, 2, 3), rgb(page.ground), np.uint8), format="png")
 
     def _grid(self, scene: Any) -> None:
         step = float(10 ** np.floor(np.log10(self.size_m)))  # 1 m for a vehicle, 10 m for a ship
@@ -86,7 +113,8 @@ class Stage:
     def _dome(self, scene: Any, views: list[tuple[View, str]], on_aim: Callable[[View], None]) -> None:
         turns = np.linspace(0, 2 * np.pi, _STEPS + 1)
         segments = []
-        for grazing in (0.0, 30.0, 60.0):
+        highest = max(view.grazing_deg for view, _ in views)
+        for grazing in (ring for ring in (0.0, 30.0, 60.0) if ring == 0 or ring < highest):
             c, s = np.cos(np.radians(grazing)), np.sin(np.radians(grazing))
             ring = self._foot + self._radius * np.column_stack(
                 [c * np.cos(turns), c * np.sin(turns), np.full_like(turns, s)]
@@ -114,7 +142,7 @@ class Stage:
                 np.tile([1.0, 0, 0, 0], (len(chosen), 1)),
                 places,
                 batched_scales=np.full(len(chosen), size),
-                batched_colors=rgb(colour),
+                batched_colors=_linear(colour),
                 cast_shadow=False,
                 receive_shadow=False,
             )
@@ -131,7 +159,7 @@ class Stage:
         self._arrow = scene.add_arrows(
             "/radar/line",
             np.zeros((1, 2, 3)),
-            _RADAR,
+            _linear(RADAR),
             shaft_radius=0.008 * r,
             head_radius=0.022 * r,
             head_length=0.06 * r,
@@ -164,7 +192,7 @@ class Stage:
         place = self._at(view)
         self._handle.position = place
         self._arrow.points = np.stack([place, self._foot + 0.45 * (place - self._foot)])[None].astype(np.float32)
-        self._label.position = place + np.array([0, 0, 0.08 * self._radius])
+        self._label.position = place + np.array([0, 0, 0.1 * self._radius])
 
     def show_dome(self, visible: bool) -> None:
         """Show or hide the views and the lines between them."""
@@ -240,3 +268,9 @@ class Stage:
             shown = lit.shares >= min(_LEAST_SHARE, lit.shares[0])
             self._lit.points = lit.places_m[shown].astype(np.float32)
             self._lit.colors = np.tile(np.array(_LIT, np.uint8), (int(shown.sum()), 1))
+
+
+def _linear(colour: str) -> tuple[int, int, int]:
+    """A colour as viser wants it of instances, which it does not decode from sRGB."""
+    red, green, blue = (round(255 * (value / 255) ** 2.2) for value in rgb(colour))
+    return red, green, blue

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from html import escape
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from sarsplat.colours import DARK, ERROR, HEIGHT, STRENGTH, rgb
+from sarsplat.colours import DARK, ERROR, HEIGHT, LIGHT, STRENGTH, rgb
+from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.radar import Pixel
 from sarsplat.radiometry import to_db
 from sarsplat.viewer.controls import BY_ERROR, BY_GAMMA0, Choices, Controls
 from sarsplat.viewer.newest import Newest
 from sarsplat.viewer.pictures import Panel, Scale, Strip, difference_panel, heights_up_to, map_panel, power_panel
+from sarsplat.viewer.scene import OwnScene
 from sarsplat.viewer.server import HOST, start_server, stop_server
 from sarsplat.viewer.stage import Stage
 from sarsplat.viewer.subject import TRUTH, Cloud, Contributors, Subject
@@ -24,20 +28,31 @@ from sarsplat.viewer.subject import TRUTH, Cloud, Contributors, Subject
 _MARGIN = 1.4  # of the part of an image around the target: its shadow is behind it
 _GAMMA0_DB = 30.0  # shown below the strongest
 _MOST_OF_IT = 0.9
-_DIMMED = 0.35
+_KEPT = 0.4  # of a colour where something else is highlighted; the rest is grey
+_ACROSS = 2  # pictures in a row
 _SAME_DEG = 0.05
 _FIRST_AZIMUTH_DEG = 45.0
 
+_SHARE = 0.03
+"""Largest share of a training's time that may be spent on showing it."""
+
+_WAIT_S = 2.0
+"""Longest wait for one picture, s."""
+
 
 class Viewer:
-    """A page on this machine; it works until `close`.
+    """A page on this machine; it works until `close`, or in a `with` block until that ends.
 
     Parameters
     ----------
-    subject : Subject
-        What to look at.
+    subject : Subject or Gaussians
+        What to look at: the subject of a folder (`subject_at`), or Gaussians of a loop of one's own (`update`).
     port : int
         Port on 127.0.0.1; 0 takes any free one.
+    grid : ImageGrid, optional
+        Of Gaussians: pixels and resolution of their images; 128 × 128 that show all of them if omitted.
+    views : sequence of View, optional
+        Of Gaussians: views to choose from; 24 from all sides if omitted.
 
     Attributes
     ----------
@@ -50,7 +65,16 @@ class Viewer:
         If the port is taken.
     """
 
-    def __init__(self, subject: Subject, port: int = 0) -> None:
+    def __init__(
+        self,
+        subject: Subject | Gaussians,
+        port: int = 0,
+        *,
+        grid: ImageGrid | None = None,
+        views: Sequence[View] | None = None,
+    ) -> None:
+        subject = OwnScene(subject, grid, views) if isinstance(subject, Gaussians) else subject
+        self._pause_until = 0.0
         self._subject = subject
         self._view, self._pixel = _first_view(subject), None  # type: tuple[View, Pixel | None]
         self._picked: tuple[View, Pixel, Contributors | None] | None = None
@@ -59,7 +83,7 @@ class Viewer:
         self.frame_s = 0.0
         self._server = start_server(port, self._pick_at)
         self._newest = Newest(self._draw)
-        self._stage = Stage(self._server, subject.box_m, subject.views, self.look_from, self._pick_on_plane)
+        self._stage = Stage(self._server, subject.box_m, subject.views, self._view, self.look_from, self._pick_on_plane)
         self._controls = Controls(self._server, subject, self._view, self._ask, self.look_from)
         self._ready = True
         self._ask()
@@ -94,6 +118,32 @@ class Viewer:
         self._subject, self._picked, self._offered = subject, None, False
         self._ask()
 
+    def update(self, gaussians: Gaussians) -> None:
+        """Show a newer state of Gaussians of one's own; called after every step, it takes 3 % of a loop's time at most.
+
+        States in between are left out.
+        """
+        now = self._subject
+        self.keep_up(lambda: OwnScene(gaussians, now.grid, now.train_views, now.peak))
+
+    def keep_up(self, newer: Callable[[], Subject]) -> None:
+        """Show a newer state of a training that waits meanwhile, unless that would take more than 3 % of its time.
+
+        Two processors that share the work would only slow each other down.
+        """
+        begun = time.monotonic()
+        if begun >= self._pause_until:
+            self.show(newer())
+            self.wait(_WAIT_S)
+            ended = time.monotonic()
+            self._pause_until = ended + (ended - begun) / _SHARE
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
     def wait(self, timeout_s: float = 10.0) -> bool:
         """Wait until everything requested is drawn; False on timeout."""
         return self._newest.wait(timeout_s)
@@ -118,12 +168,15 @@ class Viewer:
         part, window = self._window(view, choices.zoom)
         heads, panels = self._panels(subject, view, choices)
         cut = [replace(panel, rgb=panel.rgb[window]) for panel in panels]
-        self._strip, self._part = Strip(part, len(cut)), part
+        self._strip, self._part = Strip(part, min(len(cut), _ACROSS)), part
         inside = None if pixel is None else _within(pixel, window)
         on_plane = cut[-1 if choices.map else 0]
         with self._server.atomic():
-            self._controls.show_strip(self._strip.drawn(cut, inside))
-            self._controls.show_heads(heads)
+            rows = [slice(first, first + _ACROSS) for first in range(0, len(cut), _ACROSS)]
+            for index, row in enumerate(rows):
+                legends = [panel.legend for panel in cut[row]]
+                self._controls.show_row(index, heads[row], self._strip.drawn(cut[row], inside), legends)
+            self._controls.hide_rows(len(rows))
             self._controls.follow(view)
             self._stage.aim(view)
             self._stage.lay_image(_framed(self._strip.enlarged(on_plane)), view, part, choices.plane)
@@ -131,8 +184,9 @@ class Viewer:
             self._draw_target(subject, view, choices, dimmed=lit is not None)
             self._stage.show_dome(choices.views)
             self._stage.show_ground(choices.lines)
+            self._stage.paint(DARK if choices.dark else LIGHT)
             self.frame_s = time.perf_counter() - begun
-            self._controls.show_foot([panel.legend for panel in cut], self._text(subject, view, pixel, lit))
+            self._controls.show_foot(self._text(subject, view, pixel, lit))
 
     def _panels(self, subject: Subject, view: View, choices: Choices) -> tuple[list[tuple[str, str]], list[Panel]]:
         """Every picture of the strip with its title and the line below that."""
@@ -151,7 +205,7 @@ class Viewer:
             panels.append(power_panel("nearest image", power, *style))
             away = "the same view" if apart_deg < _SAME_DEG else f"{apart_deg:.1f}° away: {_name(entry.view)}"
             heads.append((f"nearest {kind} image", away))
-            if rendered is not None and not choices.map:
+            if rendered is not None:
                 panels.append(
                     difference_panel(rendered, power, subject.peak, choices.limits_db[0], speckled=subject.speckled)
                 )
@@ -184,7 +238,7 @@ class Viewer:
         values, scale = _coloured(subject, cloud, view, choices.coloured_by)
         colours: UInt8[np.ndarray, "n 3"] = scale.rgb(values)
         if dimmed:
-            colours = np.rint(_DIMMED * colours).astype(np.uint8)
+            colours = np.rint(_KEPT * colours + (1 - _KEPT) * np.array(rgb(LIGHT.muted))).astype(np.uint8)
         self._stage.draw_cloud(cloud, colours, choices.point_size)
         bar = f'<div style="padding:0 10px">{scale.bar()}</div>'
         if self._controls.legend.content != bar:

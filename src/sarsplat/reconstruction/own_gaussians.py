@@ -1,0 +1,92 @@
+"""A run of Gaussians that another program or a loop of one's own has made: the settings and the state that it needs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians.initialise import Region
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.reconstruction.config import OWN_LOOP, Config
+from sarsplat.reconstruction.model import SceneModel
+from sarsplat.reconstruction.parts.target import law
+from sarsplat.reconstruction.setting import Setting
+from sarsplat.reconstruction.snapshot import Snapshot
+from sarsplat.renderer import channel_of
+
+_SIGMAS = 2.5
+"""Standard deviations of a Gaussian that count as its extent."""
+
+_DEGREES = (3, 2, 1, 0)
+"""Of the harmonics, largest first."""
+
+_PIXELS = 128
+_FILLED = 0.7
+"""Of an image's width, by the Gaussians that are not faint."""
+
+_FAINT = 0.05
+"""Optical depth below which a Gaussian hardly shows."""
+
+_AROUND = tuple(View(azimuth, grazing) for grazing in (15.0, 45.0, 75.0) for azimuth in range(0, 360, 45))
+
+
+def usual_grid(gaussians: Gaussians) -> ImageGrid:
+    """128 × 128 square pixels as wide as their resolution, which the Gaussians fill from any direction."""
+    shown = gaussians[gaussians.optical_depth > _FAINT]
+    shown = (shown if len(shown) else gaussians).detach()
+    if not len(shown) or not bool(shown.means.isfinite().all()):
+        raise SarsplatError("there are no Gaussians, or a centre is not finite, so no grid can be chosen; give one")
+    reach = shown.means.norm(dim=1) + _SIGMAS * shown.scales.amax(dim=1)  # images are centred on the world's origin
+    spacing_m = float(f"{2 * float(reach.max()) / (_FILLED * _PIXELS):.2g}")
+    return ImageGrid(_PIXELS, _PIXELS, (spacing_m, spacing_m), (spacing_m, spacing_m))
+
+
+def own_scene(
+    gaussians: Gaussians, grid: ImageGrid | None, views: Sequence[View] | None, brightest: float | None, time_s: float
+) -> tuple[Config, Snapshot]:
+    """Settings and state of a run; without grid, views or the brightest power, usual ones are chosen.
+
+    Raises
+    ------
+    SarsplatError
+        If there are no Gaussians or no views, or configurations cannot name the law of scattering and its settings.
+    """
+    own = gaussians.detach().to("cpu").to(torch.float32)
+    grid, views = grid or usual_grid(own), _AROUND if views is None else tuple(views)
+    if not views or not len(own):
+        raise SarsplatError(f"a run needs at least one {'view' if len(own) else 'Gaussian'}; give some")
+    scattering, settings = own.scattering, own.scattering.settings()
+    usual = Config(
+        preset=OWN_LOOP,
+        iterations=_DEGREES[0],
+        gaussians=len(own),
+        scattering=scattering.kind,
+        p_min=scattering.p_min,
+        harmonics_every=1,
+    )
+    configs = [replace(usual, harmonics_degree=degree) for degree in _DEGREES]
+    laws = [law(config, 1, 1.0) for config in configs]
+    columns = scattering.parameters.shape[1]
+    fits = [each.parameters.shape[1] == columns and each.settings() == settings for each in laws]
+    if type(scattering) is not type(laws[0]) or not any(fits):
+        raise SarsplatError(
+            f"a run cannot keep the scattering law {shown(scattering.kind)} with {columns} columns of parameters and "
+            f"the settings {shown(settings)}; use what its `initial` gives"
+        )
+    config = configs[fits.index(True)]
+    tensors: dict[str, Tensor] = {name: tensor.contiguous() for name, tensor in own.tensors().items()}
+    means = own.means.double().numpy()
+    setting = Setting(Region.box(means.min(axis=0), means.max(axis=0)), 1.0, views, grid)
+    model = SceneModel(config, setting, tensors)
+    if brightest is None:
+        with torch.no_grad():
+            images = (channel_of(model.render([view], grid, _DEGREES[0])[0], model.power_channel) for view in views)
+            brightest = max(float(image.max()) for image in images)
+    brightest = max(brightest, torch.finfo(torch.float32).tiny)
+    kept = {name: tensor.clone() for name, tensor in model.tensors().items()}
+    return config, Snapshot(config.iterations, time_s, (), grid, views, 1.0, brightest, kept)
