@@ -44,12 +44,12 @@ def show_images(axes: list[Axes], run: Run) -> None:
 
 def show_distances(axes: list[Axes], points: np.ndarray, others: np.ndarray) -> PathCollection:
     """Points from the side and from above, coloured by how far each is from the others."""
-    some = np.random.default_rng(0).permutation(points)[:SHOWN]
-    distance = KDTree(others).query(some, workers=-1)[0]
+    sample = np.random.default_rng(0).permutation(points)[:SHOWN]
+    distance = KDTree(others).query(sample, workers=-1)[0]
     order = np.argsort(distance)  # what is wrong is on top
     for ax, up in zip(axes, (2, 1), strict=True):
         dots = ax.scatter(
-            *(some[order, 0], some[order, up], 0.5, distance[order]),
+            *(sample[order, 0], sample[order, up], 0.5, distance[order]),
             cmap=colormap(ERROR),
             vmin=0,
             vmax=FARTHEST_M,

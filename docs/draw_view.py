@@ -22,7 +22,7 @@ sys.path.insert(0, str(HERE.parent / "tests"))
 from chromium import chromium  # noqa: E402
 
 PICTURE = HERE / "images" / "view.png"
-SIZE = (1400, 800)
+SIZE = (1400, 900)
 VIEW = View(50.0, 35.0)
 SECONDS = 60  # in which the scene fades in, drawn in software
 

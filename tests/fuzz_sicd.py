@@ -17,7 +17,7 @@ from sarsplat.importers import import_sicd
 
 
 def seeds() -> list[bytes]:
-    """One of each pixel type, small."""
+    """One of each pixel type, small, and one of the oldest version."""
     made = []
     for kind, pixel_type in (("PLANE", "RE16I_IM16I"), ("RGAZIM", "AMP8I_PHS8I"), ("RGZERO", "RE32F_IM32F")):
         recording = sicds.Recording(
@@ -26,7 +26,7 @@ def seeds() -> list[bytes]:
         with tempfile.TemporaryDirectory() as folder:
             path = sicds.write_sicd(Path(folder) / "a.nitf", sicds.Track(), [(0, 0, 0)], recording)
             made.append(path.read_bytes())
-    return made
+    return [*made, sicds.of_version(made[-1], "0.4.0")]
 
 
 def spoil(data: bytes, rng: random.Random) -> bytes:

@@ -7,6 +7,7 @@ Where a scatterer lies in an image follows from its range and range rate at the 
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -133,6 +134,21 @@ def with_xml(data: bytes, xml: bytes) -> bytes:
     kept = data[: len(data) - int(data[395:404])]
     length = b"%012d" % (len(kept) + len(xml))
     return kept[:342] + length + kept[354:395] + b"%09d" % len(xml) + kept[404:] + xml
+
+
+def of_version(data: bytes, version: str) -> bytes:
+    """A SICD as files of a version have it: those of 0.4 state types, and 0.4.0 has a rate of one variable."""
+    xml = xml_of(data).decode().replace("urn:SICD:1.4.0", f"urn:SICD:{version}")
+    if version < "1":
+        data = data.replace(b"XML_DATA_CONTENT", b"SICD_XML".ljust(16))
+    if version < "0.5":
+        xml = re.sub(r"<WgtType><WindowName>(\w+)</WindowName>.*?</WgtType>", r"<WgtType>\1</WgtType>", xml)
+        xml = re.sub(r"<Coef ", '<Coef class="xs:double" ', xml)
+        xml = re.sub(r"<(NumRows|SS|ModeType)>", r'<\1 class="xs:string">', xml)
+    if version == "0.4.0":
+        start, rate, end = xml.partition("<DRateSFPoly")[0], *re.findall(r"(<DRateSFPoly.*</DRateSFPoly>)(.*)", xml)[0]
+        xml = start + re.sub(r' (order2|exponent2)="0"', "", rate) + end
+    return with_xml(data, xml.encode())
 
 
 @contextmanager

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import importlib
+import pydoc
+import re
 import sys
 from pathlib import Path
 
@@ -187,3 +189,11 @@ def test_importing_a_folder_first_changes_no_public_name():
         "import sarsplat; print(callable(sarsplat.render) and callable(sarsplat.reconstruct))"
     )
     assert python("-c", code, ",".join(RANK)).stdout.strip() == "True"
+
+
+@pytest.mark.parametrize("package", ["sarsplat.gaussians", "sarsplat.renderer", "sarsplat.geometry", "sarsplat.radar"])
+def test_help_names_nothing_private(package: str) -> None:
+    module = importlib.import_module(package)
+    for name in module.__all__:
+        text = pydoc.plain(pydoc.render_doc(getattr(module, name))).replace("numpy._core", "numpy")
+        assert re.findall(r"(?<!\w)_[a-z]\w*", text) == [], name

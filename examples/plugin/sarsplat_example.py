@@ -12,7 +12,7 @@ from sarsplat.exports import Format
 
 def import_arrays(
     file: Annotated[Path, tyro.conf.Positional], *, out: Folder, spacing: float, overwrite: bool = False
-) -> None:
+) -> int:
     """Import images from the arrays `power`, `azimuth_deg` and `grazing_deg` of one .npz file."""
     import numpy as np
 
@@ -25,7 +25,7 @@ def import_arrays(
     views = [View(azimuth, grazing) for azimuth, grazing in angles]
     images = [MeasuredImage(f"{k:03d}", arrays["power"][k], view, cell, cell) for k, view in enumerate(views)]
     source = {"kind": "arrays", "assumptions": ["row 0 is near range", "the resolution is the pixel spacing"]}
-    finish(out, write_imported(out, dataset_of(images, target=file.stem, source=source), overwrite=overwrite))
+    return finish(out, write_imported(out, dataset_of(images, target=file.stem, source=source), overwrite=overwrite))
 
 
 def recognise(contents: Contents) -> Recognised | None:

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
+
+from sarsplat.plugins import discover
 
 TargetName = Literal["t72", "btr70", "2s1", "kraz", "slicy", "building-a", "building-b", "building-c"]
 """Built-in targets; a test compares them with `sarsplat.scenes.TARGETS`."""
 
-SCATTERING_LAWS = {
-    "harmonics": "sarsplat.gaussians.scattering:Harmonics",
-    "normal-lobes": "sarsplat.gaussians.scattering:NormalLobes",
-}
-"""Module and class of each law of scattering, by its `kind`; `sarsplat.gaussians.SCATTERINGS` are the classes."""
-
-if TYPE_CHECKING:
-    ScatteringName = str
-else:
-    ScatteringName = Literal[tuple(SCATTERING_LAWS)]
+SCATTERINGS = discover("sarsplat.gaussians", "law_", "LAW", "sarsplat.scattering")
+"""Laws of scattering by their `kind`; each is imported when it is asked for."""
 
 Simulator = Literal["raycast", "splat"]
 """What makes simulated images."""

@@ -30,9 +30,12 @@ class Plugins(Mapping[str, Any]):
     def _entries(self) -> dict[str, EntryPoint]:
         return self._search()
 
+    def __contains__(self, name: object) -> bool:
+        return name in self._entries
+
     def __getitem__(self, name: str) -> Any:
+        entry = self._entries[name]
         if name not in self._loaded:
-            entry = self._entries[name]
             try:
                 self._loaded[name] = entry.load()
             except Exception as error:  # whatever third-party code raises
@@ -47,6 +50,11 @@ class Plugins(Mapping[str, Any]):
 
     def __len__(self) -> int:
         return len(self._entries)
+
+    def add(self, name: str, plugin: Any) -> None:
+        """Let a name of this program mean this, too."""
+        self._entries[name] = EntryPoint(name, f"{plugin.__module__}:{plugin.__qualname__}", "")
+        self._loaded[name] = plugin
 
     def loaded(self) -> dict[str, Any]:
         """All plugins that can be imported, by name, with a SarsplatWarning for each of the others."""

@@ -225,7 +225,7 @@ def test_points_are_no_gaussians_and_versions_are_checked(tmp_path):
         (
             b"harmonics",
             b"harmonica",
-            "has the unknown scattering law .*harmonica.*; choose one of harmonics, normal-lobes",
+            "scattering law 'harmonica' is unknown; choose one of harmonics, normal-lobes",
         ),
         (b'"p_min": 0.05', b'"p_min": 1e99e', "not valid JSON"),
         (b'"p_min": 0.05', b'"p_min": 1e+999', r"the header of .*p\.ply: .*number out of range"),

@@ -6,8 +6,6 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.covariance import covariance, rotation_matrix
 
 
@@ -25,24 +23,3 @@ def test_covariance_has_the_scales_along_the_gaussians_axes():
     matrix, axes = covariance(q, s), rotation_matrix(q)
     assert torch.equal(matrix, matrix.transpose(1, 2))
     assert torch.allclose(matrix @ axes, axes * (s**2)[:, None, :], atol=1e-12)
-
-
-def test_gaussians_select_detach_and_convert():
-    n = 5
-    scene = Gaussians(
-        torch.randn(n, 3).requires_grad_(),
-        torch.randn(n, 4),
-        torch.ones(n, 3),
-        torch.ones(n),
-        Harmonics(torch.zeros(n, 9), 0.1),
-    )
-    assert (len(scene), scene.scattering.degree) == (5, 2)
-    some = scene[torch.tensor([True, False, True, False, False])]
-    assert len(some) == 2
-    assert some.scattering.p_min == 0.1
-    assert torch.equal(some.means, scene.means[[0, 2]])
-    assert some.means.requires_grad
-    assert not some.detach().means.requires_grad
-    assert {t.dtype for t in scene.to(torch.float64).tensors().values()} == {torch.float64}
-    with pytest.raises(SarsplatError, match="use one floating dtype and one device"):
-        scene.detach().with_tensors(**{name: t.long() for name, t in scene.detach().tensors().items()})

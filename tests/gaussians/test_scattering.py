@@ -10,7 +10,7 @@ import torch
 
 from sarsplat.data import read_gaussians_ply, write_gaussians_ply
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import SCATTERINGS, Gaussians, Harmonics, NormalLobes, Scattering, join
+from sarsplat.gaussians import SCATTERINGS, Gaussians, Harmonics, NormalLobes, Scattering
 from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.renderer import render
@@ -152,13 +152,13 @@ def test_joining():
     assert both.parameters[0].tolist() == [1.0] * 4 + [0.0] * 5
     assert both.p_min == 0
     with pytest.raises(SarsplatError, match="normal-lobes and harmonics cannot be joined"):
-        join(scene(LAWS["squared cosine"]), scene(LAWS["harmonics"]))
+        Gaussians.cat([scene(LAWS["squared cosine"]), scene(LAWS["harmonics"])])
 
 
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: NormalLobes(torch.zeros(3, 3)), r"shape \(3, 3\); for N Gaussians and 1 lobes it must be \(N, 2\)"),
+        (lambda: NormalLobes(torch.zeros(3, 3)), r"shape \(3, 3\); for N Gaussians it must be \(N, K\) with K = 2"),
         (lambda: NormalLobes(torch.zeros(3, 2), sharpness=(math.nan,)), "sharpness .*nan.* finite and at least 0"),
         (lambda: NormalLobes([[0.0, 0.0]]), "parameters of the scattering are a list; give a torch.Tensor"),
         (lambda: Harmonics(torch.zeros(3, 4), math.inf), "p_min inf must be finite"),
@@ -169,14 +169,6 @@ def test_joining():
 def test_refusals(make, words):
     with pytest.raises(SarsplatError, match=words):
         make()
-
-
-def test_indexing():
-    gaussians = scene(LAWS["harmonics"])
-    assert [len(gaussians[k]) for k in (0, -1, slice(1, 3), torch.tensor([4, 4]))] == [1, 1, 2, 2]
-    assert torch.equal(gaussians[-1].means[0], gaussians.means[-1])
-    with pytest.raises(IndexError, match="no Gaussian 6 among 6"):
-        gaussians[6]
 
 
 @pytest.mark.parametrize("kind", SCATTERINGS)

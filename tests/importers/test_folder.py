@@ -206,18 +206,34 @@ def test_the_command_draws_a_preview_and_says_what_it_took(tmp_path, capsys):
     assert "'az' is not of the form MEANING=NAME" in capsys.readouterr().err
 
 
-def test_decibels_in_a_picture_are_not_taken_for_amplitude(tmp_path, capsys):
-    power = np.random.default_rng(0).gamma(1.0, size=(6, 70, 50)) + 1e-3
-    pictures = np.clip(np.round((10 * np.log10(power) + 40) * 255 / 60), 0, 255).astype(np.uint8)
-    rows = [[f"{index}.png", 60 * index, 30] for index in range(6)]
-    folder = write(tmp_path / "in", pictures, rows, ending="png")
-    words = ["import", "folder", str(folder), "--out", str(tmp_path / "out"), "--spacing", "0.1"]
-    main(words)
-    assert "if they are decibels, give --quantity db" in capsys.readouterr().err
-    assert len(read_dataset(tmp_path / "out").source["doubts"]) == 1
-    main([*words, "--overwrite", "--quantity", "db", "--scale", "0.2353", "--offset", "-40"])
-    assert "decibels" not in capsys.readouterr().err
-    assert "doubts" not in read_dataset(tmp_path / "out").source
+@pytest.mark.parametrize("looks", [1, 4])
+@pytest.mark.parametrize(
+    ("numbers", "wrong", "told", "right"),
+    [
+        ("db in 8 bits", "amplitude", "import with --quantity db", "db --scale 0.2353 --offset -40"),
+        ("db in 8 bits", "db", "--scale and --offset", "db --scale 0.2353 --offset -40"),
+        ("amplitude", "db", "--quantity amplitude, or", "amplitude"),
+        ("db", "power", "import with --quantity db", "db"),
+    ],
+)
+def test_the_option_for_what_the_numbers_are(tmp_path, capsys, looks, numbers, wrong, told, right):
+    rng = np.random.default_rng(0)
+    mean = np.where(np.hypot(*np.mgrid[-40:40, -50:50]) < 6, 300, 0.5)
+    power = rng.gamma(looks, 1 / looks, size=(12, 80, 100)) * mean
+    decibels = 10 * np.log10(power)
+    stored = {
+        "db in 8 bits": np.clip(np.round((decibels + 40) * 255 / 60), 0, 255).astype(np.uint8),
+        "amplitude": np.clip(np.round(np.sqrt(power) * 20), 1, 255).astype(np.uint8),
+        "db": (decibels + 90).astype(np.float32),
+    }[numbers]
+    ending = "tif" if numbers == "db" else "png"
+    folder = write(tmp_path / "in", stored, [[f"{k}.{ending}", 30 * k, 30] for k in range(12)], ending=ending)
+    words = ["import", "folder", str(folder), "--out", str(tmp_path / "out"), "--spacing", "0.2", "--overwrite"]
+    words += ["--looks", str(looks), "--quantity"]
+    assert main([*words, wrong]) == 1
+    assert told in capsys.readouterr().err
+    main([*words, *right.split()])
+    assert "--quantity" not in capsys.readouterr().err
 
 
 def test_zeros_and_cuts_are_said_once(tmp_path, capsys):

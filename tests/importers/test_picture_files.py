@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 import struct
 import zlib
 from pathlib import Path
@@ -16,7 +15,7 @@ from PIL import Image
 from fuzz import watched
 from sarsplat.errors import SarsplatError
 from sarsplat.importers.pictures import read_pixels
-from sarsplat.importers.quantity import doubts, likely_quantity, power_or_signal
+from sarsplat.importers.quantity import likely_quantity, power_or_signal
 
 EIGHT = np.arange(12, dtype=np.uint8).reshape(3, 4) * 20
 SIXTEEN = EIGHT.astype(np.uint16) * 250
@@ -132,35 +131,6 @@ def test_a_scale_that_is_to_blame_is_named():
         power_or_signal(REAL, "power", "it", scale=float("nan"))
 
 
-AMPLITUDE_8 = lambda power: np.clip(np.round(np.sqrt(power) * 40), 1, 255)  # noqa: E731
-DECIBELS_8 = lambda power: np.clip(np.round((10 * np.log10(power) + 40) * 255 / 60), 1, 255)  # noqa: E731
-DECIBELS = lambda power: 10 * np.log10(power) + 90  # noqa: E731
-
-
-@pytest.mark.parametrize("looks", [1, 4])
-@pytest.mark.parametrize(
-    ("numbers", "quantity", "words"),
-    [
-        (AMPLITUDE_8, "amplitude", None),
-        (AMPLITUDE_8, "db", "--quantity amplitude"),
-        (DECIBELS_8, "amplitude", "--quantity db, .* --scale 0.2353 --offset -60"),
-        (DECIBELS_8, "db", "the numbers span .* dB, .* --scale 0.2353 --offset -60"),
-        (lambda power: DECIBELS_8(power) * 60 / 255 - 40, "db", None),
-        (DECIBELS, "db", None),
-        (DECIBELS, "power", "--quantity db"),
-        (DECIBELS, "amplitude", "--quantity db"),
-        (lambda power: 1e-6 * power, "power", None),
-        (lambda power: 10 * np.log10(np.where(power < 0.1, 1e-30, power)), "db", None),  # shadows of a simulation
-    ],
-)
-def test_speckle_says_whether_numbers_are_the_quantity(looks, numbers, quantity, words):
-    rng = np.random.default_rng(5)
-    mean = np.where(np.hypot(*np.mgrid[:60, :75]) % 40 < 5, 100, 0.5)
-    power = rng.gamma(looks, 1 / looks, size=(6, 60, 75)) * mean
-    doubt = doubts([power_or_signal(numbers(image), quantity, "it") for image in power], quantity)
-    assert doubt is None if words is None else re.search(words, doubt)
-
-
 @pytest.mark.parametrize("quantity", ["amplitude", "power"])
 def test_negative_numbers_may_be_decibels(quantity):
     with pytest.raises(SarsplatError, match=r"holds -18\.5 at \(0, 0\) as .*; if .* decibels, give --quantity db"):
@@ -235,6 +205,9 @@ def test_transparent_pixels_are_refused(tmp_path):
         image.save(path, **options)
         with pytest.raises(SarsplatError, match="transparent pixels, 2 of 12"):
             read_pixels(path)
+    Image.fromarray(np.stack([EIGHT, opaque], axis=-1)).save(tmp_path / "a.tif")  # not the real and imaginary part
+    with pytest.raises(SarsplatError, match="has a band for transparency"):
+        read_pixels(tmp_path / "a.tif")
 
 
 def test_colours_and_objects_are_refused(tmp_path):

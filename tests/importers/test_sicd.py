@@ -20,7 +20,8 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import radar_frame
 from sarsplat.geometry.responses import GAUSSIAN, UNIFORM, Taylor
 from sarsplat.importers import import_sicd
-from sicds import FREQUENCY, LIGHT, SPOT, Recording, Track, describe, ecef, with_xml, write_sicd, xml_of
+from sarsplat.importers.sicd_file import read_sicd
+from sicds import FREQUENCY, LIGHT, SPOT, Recording, Track, describe, ecef, of_version, write_sicd
 
 pytestmark = pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")  # of one view alone, for instance
 
@@ -159,21 +160,6 @@ def test_every_pixel_type_means_the_same(tmp_path, pixel_type, table, tolerance)
     assert dataset.source["images"][0]["pixel_type"] == pixel_type
 
 
-def of_version(data: bytes, version: str) -> bytes:
-    """A SICD as files of a version have it: those of 0.4 state types, and 0.4.0 has a rate of one variable."""
-    xml = xml_of(data).decode().replace("urn:SICD:1.4.0", f"urn:SICD:{version}")
-    if version < "1":
-        data = data.replace(b"XML_DATA_CONTENT", b"SICD_XML".ljust(16))
-    if version < "0.5":
-        xml = re.sub(r"<WgtType><WindowName>(\w+)</WindowName>.*?</WgtType>", r"<WgtType>\1</WgtType>", xml)
-        xml = re.sub(r"<Coef ", '<Coef class="xs:double" ', xml)
-        xml = re.sub(r"<(NumRows|SS|ModeType)>", r'<\1 class="xs:string">', xml)
-    if version == "0.4.0":
-        start, rate, end = xml.partition("<DRateSFPoly")[0], *re.findall(r"(<DRateSFPoly.*</DRateSFPoly>)(.*)", xml)[0]
-        xml = start + re.sub(r' (order2|exponent2)="0"', "", rate) + end
-    return with_xml(data, xml.encode())
-
-
 @pytest.mark.parametrize(
     "version", ["0.4.0", "0.4.1", "0.5.0", "1.0.0", "1.0.1", "1.1.0", "1.2.0", "1.2.1", "1.3.0", "1.4.0", "1.5"]
 )
@@ -203,6 +189,16 @@ def test_other_versions_are_named(tmp_path, version):
     path.write_bytes(of_version(path.read_bytes(), version))
     with pytest.raises(SarsplatError, match=rf"is SICD of version {version}, and 0\.4\.0, .*, 1\.5 are read"):
         import_sicd([path], tmp_path / "set", size_m=SIZE)
+
+
+def test_an_image_in_several_segments_is_one(tmp_path):
+    sicd = read_sicd(write_sicd(tmp_path / "image.nitf", Track(), PLACES, Recording()))
+    [whole], width = sicd.segments, sicd.segments[0].length // sicd.shape[0]
+    first = replace(whole, rows=100, length=100 * width)
+    second = replace(whole, offset=whole.offset + first.length, rows=200, length=200 * width)
+    for rows in ((90, 130), (0, 80), (150, 300)):
+        divided = replace(sicd, segments=[first, second]).read(rows, (5, 50))
+        np.testing.assert_array_equal(divided, sicd.read(rows, (5, 50)))
 
 
 def test_widths_weighting_and_beta_zero(tmp_path):

@@ -311,3 +311,8 @@ def test_the_command(grounded: Dataset, tmp_path: Path, capsys: pytest.CaptureFi
     pixels = np.asarray(image.open(sheet).convert("RGB")).astype(int)
     orange, blue = ((abs(pixels - colour).sum(axis=2) < 60).sum() for colour in ((255, 180, 84), (92, 200, 255)))
     assert min(orange, blue) > 300  # outlines of targets and shadows
+
+
+def test_one_image_is_not_called_all(bare: Dataset) -> None:
+    assert examine(bare.take([0])).checks["images"] == "the only one is not constant"
+    assert examine(bare.take([0, 1])).checks["images"] == "all 2 differ, none is constant"

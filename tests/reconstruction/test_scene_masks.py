@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from sarsplat.gaussians import Gaussians, Harmonics, join
+from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.ground import ground_sheet
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, View
 from sarsplat.reconstruction.masks import scene_masks
@@ -30,7 +30,7 @@ def scene(mesh: trimesh.Trimesh, *, ground: bool = True) -> tuple[Gaussians, int
 
     target, _ = surface_gaussians(mesh, 0.15)
     target = target.with_tensors(scattering=torch.zeros(len(target), 1))
-    return (join(target, ground_sheet(12, 0.2)) if ground else target), len(target)
+    return (Gaussians.cat([target, ground_sheet(12, 0.2)]) if ground else target), len(target)
 
 
 def overlap(first: np.ndarray, second: np.ndarray, kind: int) -> float:
@@ -72,7 +72,7 @@ def masks_of(target: Gaussians, ground: Gaussians | None, points: np.ndarray, vi
         def __len__(self) -> int:
             return len(target)
 
-    whole = target if ground is None else join(target, ground)
+    whole = target if ground is None else Gaussians.cat([target, ground])
     model = Model(scene=lambda degree: whole, degree=lambda iteration: 0, as_displaced=lambda grid: grid)
     learned = object.__new__(GaussianReconstruction)
     vars(learned).update(model=model, grid=GRID, snapshot=SimpleNamespace(iteration=0))
@@ -94,8 +94,8 @@ def haze(count: int) -> Gaussians:
 def test_what_lies_around_the_points_is_not_the_target() -> None:
     clean, count = scene(box())
     target, ground = clean[:count], clean[count:]
-    points = join(target, haze(100)).means.numpy()
-    masks = masks_of(join(target, haze(500)), ground, points, VIEWS)
+    points = Gaussians.cat([target, haze(100)]).means.numpy()
+    masks = masks_of(Gaussians.cat([target, haze(500)]), ground, points, VIEWS)
     for mask, view in zip(masks, VIEWS, strict=True):
         true = raycast_mask(box(), view, GRID)
         assert overlap(mask, true, TARGET) > 0.8

@@ -125,3 +125,12 @@ def test_one_channel_of_a_rendering():
     for missing in (2, -1):
         with pytest.raises(SarsplatError, match=rf"no channel {missing} in images of 2; give one from 0 to 1"):
             channel_of(made.images, missing)
+
+
+def test_a_rendering_prints_shapes_and_no_tensors():
+    rendering = render(cloud(10, 0), VIEWS[:2], GRID, first_return_depth=0.5, plane_gradients=True)
+    rays = [list(ray_map.transmittance.shape) for ray_map in rendering.ray_maps]
+    assert repr(rendering) == (
+        f"Rendering(images=[2, 1, {GRID.rows}, {GRID.columns}], cross_sections=[2, 10, 1], lit_area=[2, 10], "
+        f"plane_gradients=[2, 10, 4], ray_maps={rays}, torch.float32 on cpu)"
+    )

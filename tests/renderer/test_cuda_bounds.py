@@ -1,4 +1,4 @@
-"""A CUDA rendering with bounds: the same as without, no wait for the device, and what breaks them is told."""
+"""A CUDA rendering with bounds: the same as without, no wait for the device, and what breaks them is reported."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def arrays_are_guarded():
 
 @pytest.mark.usefixtures("guarded")
 @pytest.mark.parametrize("name", BROKEN)
-def test_what_breaks_them_is_told_and_no_memory_is_harmed(name, library):
+def test_what_breaks_them_is_reported_and_no_memory_is_harmed(name, library):
     change, message = BROKEN[name]
     bounds, emulated = bounds_of(cloud(40, 0)), partial(render_on, Emulator(library))
     everything(Scene(changed(*change)), emulated, bounds=bounds)  # as if nothing were wrong

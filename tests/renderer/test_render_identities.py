@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import reduce
 
 import numpy as np
 import pytest
 import torch
 from named_scenes import MATRIX, VIEWS, cloud, facing, with_scales
 
-from sarsplat.gaussians import Gaussians, Harmonics, join
+from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.covariance import covariance, rotation_matrix
 from sarsplat.gaussians.harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
@@ -56,7 +55,7 @@ def sheet(origin, along, across, counts, gamma0: float, spacing: float) -> Gauss
 
 
 def joined(*parts: Gaussians) -> Gaussians:
-    return reduce(join, parts)
+    return Gaussians.cat(parts)
 
 
 def one(kappa: float = 1.0, scales: tuple[float, float, float] = (0.4, 0.3, 0.2), mean=(0.1, 0.2, 0.3)) -> Gaussians:

@@ -153,6 +153,30 @@ def test_channels_are_single_splats(channels):
     assert relative(d_roots, sum(single[2].double() for single in singles)) <= 1e-5
 
 
+@pytest.mark.parametrize("engine", ["cpu", "reference"])
+@pytest.mark.parametrize("channels", [1, 2])
+def test_complex_amplitudes_are_two_channels(channels, engine):
+    pixels, generator = project(cloud(60, 1), VIEWS, GRID).pixels, torch.Generator().manual_seed(channels)
+    cross_sections = torch.randn(3, 60, channels, generator=generator, dtype=torch.complex64).requires_grad_()
+    images = splat(pixels, cross_sections.conj(), GRID, engine=engine)
+    real, imaginary = (splat(pixels, part, GRID, engine=engine) for part in (cross_sections.real, -cross_sections.imag))
+    assert images.dtype == torch.complex64
+    assert relative(images.real, real.detach().double()) <= 1e-6
+    assert relative(images.imag, imaginary.detach().double()) <= 1e-6
+    power, apart = images.abs().square().sum(), real.square().sum() + imaginary.square().sum()
+    (found,), (expected,) = (torch.autograd.grad(loss, cross_sections) for loss in (power, apart))
+    assert float(expected.norm()) > 0
+    assert relative(*(torch.view_as_real(g.resolve_conj()).double() for g in (found, expected))) <= 1e-5
+
+
+def test_finite_differences_of_complex_amplitudes():
+    pixels, generator = project(cloud(4, 1).to(torch.float64), VIEWS[:1], GRID).pixels, torch.Generator().manual_seed(1)
+    cross_sections = torch.randn(1, 4, 1, generator=generator, dtype=torch.complex128).requires_grad_()
+    assert torch.autograd.gradcheck(lambda sections: splat(pixels, sections, GRID), (cross_sections,))
+    with pytest.raises(SarsplatError, match=r"cross_sections is torch.complex64 on cpu but footprints.centers"):
+        splat(pixels, cross_sections.to(torch.complex64), GRID)
+
+
 def test_a_dark_gaussian_has_a_gradient():
     pixels = project(cloud(5, 1), VIEWS, GRID).pixels
     cross_sections = torch.zeros(3, 5, 1, requires_grad=True)

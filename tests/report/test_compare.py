@@ -2,13 +2,16 @@
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from chromium import chromium
 from reports import make_dataset, make_metrics, make_run
 from sarsplat.errors import SarsplatError
 from sarsplat.report import compare, write_comparison
+from sarsplat.report.page import in_words
 from sarsplat.report.scores import compared_tables
 
 
@@ -58,10 +61,31 @@ def test_the_page_shows_the_same_views_of_every_run(tmp_path: Path) -> None:
     for name in ("run-one", "run-two"):
         assert len(re.findall(f'alt="{name}, azimuth', text)) == 5
         assert len(re.findall(f'alt="error of {name}, azimuth', text)) == 5
-        assert f'alt="error of the {name}, from the top"' in text
+        assert f'alt="error of {name}, from the top"' in text
     with pytest.raises(SarsplatError, match="already exists"):
         write_comparison(comparison, tmp_path / "page")
     write_comparison(comparison, tmp_path / "page", overwrite=True)
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_the_page_is_at_most_three_screens_long_and_its_tables_are_aligned(tmp_path: Path, count: int) -> None:
+    runs = two_runs(tmp_path)
+    for number in range(2, count):
+        runs.append(SimpleNamespace(**{**vars(runs[0]), "folder": tmp_path / f"run-{number}"}))
+    page = write_comparison(compare(runs), tmp_path / "page")
+    with chromium() as browser:
+        browser.page.size(1400, 900)
+        browser.page.open(page.as_uri())
+        assert browser.page.value("document.documentElement.scrollHeight") <= 3 * 900
+        edges = "[...document.querySelectorAll('thead')].map(e => [...e.querySelectorAll('th')].map(c => c.offsetLeft))"
+        first, *others = browser.page.value(edges)
+        assert len(first) == 1 + count and others == [first] * len(others)
+        browser.page.size(390, 900)
+        assert browser.page.value("document.documentElement.scrollWidth") <= 390
+
+
+def test_names_are_listed_in_words() -> None:
+    assert [in_words(names) for names in ("a", "ab", "abc")] == ["a", "a and b", "a, b and c"]
 
 
 def test_runs_of_different_datasets_are_compared_with_a_caution(tmp_path: Path) -> None:
@@ -79,8 +103,8 @@ def test_runs_of_different_datasets_are_compared_with_a_caution(tmp_path: Path) 
     for name, views in (("run-one", 5), ("run-two", 2)):  # each against the images of its own dataset
         assert len(re.findall(f'alt="error of {name}, azimuth', text)) == views
         assert f"The same views: {name}" in text
-    assert 'alt="error of the run-one, from the top"' in text
-    assert 'alt="error of the run-two, from the top"' not in text
+    assert 'alt="error of run-one, from the top"' in text
+    assert 'alt="error of run-two, from the top"' not in text
 
 
 @pytest.mark.parametrize("change", [{"metrics": None}, {"metrics": {"images": {}}}, {"folder": None}, {"alone": True}])

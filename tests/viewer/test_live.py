@@ -94,7 +94,7 @@ def test_gaussians_of_ones_own_loop_are_shown_and_followed(finished, monkeypatch
     with viewer.Viewer(gaussians) as page:
         assert page.wait(60)
         for _ in range(2):
-            pictures.append(page._controls.strip.image.copy())
+            pictures.append(page._controls._rows[0][1].image.copy())
             assert pictures[-1].max() > 100
             with torch.no_grad():
                 moving[:, 0] += 1.0

@@ -18,7 +18,7 @@ EXTRAS: dict[str, dict[str, str]] = {
     "baselines": {"trimesh": "trimesh", "skimage": "scikit-image", "embreex": "embreex"},
     "view": {"viser": "viser", "websockets": "websockets", "matplotlib": "matplotlib", "trimesh": "trimesh"},
     "report": {"matplotlib": "matplotlib", "jinja2": "jinja2", "trimesh": "trimesh", "skimage": "scikit-image"},
-    "sicd": {"sarkit": "sarkit", "jbpy": "jbpy", "lxml": "lxml"},
+    "sicd": {"sarkit": "sarkit", "lxml": "lxml"},
     "phase-history": {"finufft": "finufft"},
     "las": {"laspy": "laspy"},
     "video": {"PIL": "pillow", "cv2": "opencv-python-headless"},

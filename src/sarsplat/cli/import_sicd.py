@@ -12,7 +12,6 @@ from sarsplat.cli.imported import carry_out
 from sarsplat.cli.importers import Contents, Recognised, by_ending, typed_import
 from sarsplat.errors import counted
 
-_ENDINGS = (".nitf", ".ntf")
 _NAMES = {"start": "date", "polarization": "polarisation"}
 """What else to call facts of a file."""
 
@@ -77,9 +76,11 @@ def command(
 
 def recognise(contents: Contents) -> Recognised | None:
     """NITF files; one alone is described."""
-    if contents.path.is_file() and contents.ending_in(*_ENDINGS):
+    from sarsplat.importers.nitf import is_nitf
+
+    if contents.path.is_file() and is_nitf(contents.path):
         return _described(contents.path)
-    return by_ending(contents, _ENDINGS, "sicd", "SICD")
+    return by_ending(contents, (".nitf", ".ntf", ".sicd"), "sicd", "SICD")
 
 
 def _described(path: Path) -> Recognised:

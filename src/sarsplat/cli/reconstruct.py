@@ -17,6 +17,7 @@ from sarsplat.cli import console
 from sarsplat.cli.arguments import DEFAULT_PORT, MARKERS, Folder, OptionalFile, OptionalFolder, refuse_existing
 from sarsplat.cli.watch import watched
 from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.names import SCATTERINGS
 from sarsplat.reconstruction.config import DEFAULT_METHOD, AnyConfig, Config
 from sarsplat.reconstruction.methods import METHODS, method_named
 from sarsplat.reconstruction.presets import PRESETS
@@ -40,6 +41,7 @@ Settings = make_dataclass(
     "Settings",
     [
         ("preset", Annotated[str, tyro.conf.Fixed, tyro.conf.Suppress], "default"),
+        ("scattering", tyro.extras.literal_type_from_choices(SCATTERINGS), Config.scattering),
         *((name, kind, field(default_factory=kind)) for name, kind in _PARTS.items()),
     ],
     bases=(Config,),

@@ -27,7 +27,15 @@ from sarsplat.data.files import decode_json
 from sarsplat.data.ply_table import read_ply, write_ply
 from sarsplat.data.viewer_colours import ODD, viewer_colours
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, SCATTERINGS, Gaussians, Harmonics, Scattering
+from sarsplat.gaussians import (
+    MAX_OPTICAL_DEPTH,
+    MIN_SCALE,
+    SCATTERINGS,
+    Gaussians,
+    Harmonics,
+    Scattering,
+    scattering_named,
+)
 from sarsplat.names import Colour
 
 _VERSION = "sarsplat gaussians 2"
@@ -55,8 +63,10 @@ def write_gaussians_ply(
     Raises
     ------
     SarsplatError
-        If a value is not finite or outside its range, or the file cannot be written.
+        If a value is not finite or outside its range, the scattering law is not registered, so that the file could not
+        be read again, or the file cannot be written.
     """
+    law = _stated(gaussians.scattering)
     values = {name: t.detach().cpu().numpy().astype(np.float32) for name, t in gaussians.tensors().items()}
     _check_gaussians(values, "the Gaussians")
     depth = values["optical_depth"].astype(np.float64)
@@ -76,8 +86,7 @@ def write_gaussians_ply(
         **_columns((f"scale_m_{k}" for k in range(3)), values["scales"]),
         **_columns((f"scattering_{k}" for k in range(values["scattering"].shape[1])), values["scattering"]),
     }
-    law = {"kind": gaussians.scattering.kind, **gaussians.scattering.settings()}
-    write_ply(Path(path), columns, [_VERSION, _LAW + json.dumps(law), shown_as.legend, *comments])
+    write_ply(Path(path), columns, [_VERSION, _LAW + law, shown_as.legend, *comments])
 
 
 def read_gaussians_ply(path: str | Path) -> Gaussians:
@@ -238,17 +247,41 @@ def _check_gaussians(values: dict[str, np.ndarray], name: str) -> None:
         raise SarsplatError(f"{name} contain a quaternion of zeros; give each Gaussian an orientation")
 
 
+def _stated(law: Scattering) -> str:
+    """A law in JSON, from which `_law` makes the same one again."""
+    name = f"the scattering law {type(law).__name__}"
+    if (kind := getattr(law, "kind", "")) not in SCATTERINGS or SCATTERINGS[kind] is not type(law):
+        raise SarsplatError(
+            f"{name} ({shown(kind)}) is not registered, so that the file could not be read again; decorate the "
+            "class with @sarsplat.gaussians.register_scattering"
+        )
+    try:
+        text = json.dumps(law.settings())
+        type(law)(law.parameters, **json.loads(text))
+    except (TypeError, ValueError, SarsplatError) as error:
+        raise SarsplatError(
+            f"{name} cannot be made again from its settings ({shown(str(error))}); let their types be those of JSON"
+        ) from error
+    return json.dumps({"kind": kind, **law.settings()})
+
+
+def _named(path: Path, kind: str) -> type[Scattering]:
+    try:
+        return scattering_named(kind)
+    except SarsplatError as error:
+        raise SarsplatError(f"{path}: {error}") from error
+
+
 def _law(path: Path, comments: list[str], parameters: Tensor) -> Scattering:
     """The law of scattering that the header states, with these parameters."""
     stated = [line.removeprefix(_LAW) for line in comments if line.startswith(_LAW)]
     if len(stated) != 1:
         raise SarsplatError(f"{path} does not give exactly one scattering law in its header; create it again")
     law = decode_json(stated[0].encode(), Path(f"the header of {path}"), dict[str, Any])
-    if not isinstance(law.get("kind"), str) or law["kind"] not in SCATTERINGS:
-        raise SarsplatError(
-            f"{path} has the unknown scattering law {shown(law)}; choose one of {', '.join(SCATTERINGS)}"
-        )
+    if not isinstance(law.get("kind"), str):
+        raise SarsplatError(f"{path} does not name its scattering law ({shown(law)}); create it again")
+    make = _named(path, law.pop("kind"))
     try:
-        return SCATTERINGS[law.pop("kind")](parameters, **law)
+        return make(parameters, **law)
     except (TypeError, SarsplatError) as error:
         raise SarsplatError(f"{path} has an invalid scattering law ({shown(str(error))}); create it again") from error

@@ -1,13 +1,10 @@
 """The scene model: parameters, covariance, scattering."""
 
-from pkgutil import resolve_name
-
-from sarsplat.gaussians.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians, join
-from sarsplat.gaussians.scattering import Harmonics, NormalLobes, Scattering
-from sarsplat.names import SCATTERING_LAWS
-
-SCATTERINGS: dict[str, type[Scattering]] = {kind: resolve_name(home) for kind, home in SCATTERING_LAWS.items()}
-"""Laws of scattering by their names in files and configurations."""
+from sarsplat.gaussians.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
+from sarsplat.gaussians.law_harmonics import Harmonics
+from sarsplat.gaussians.law_normal_lobes import NormalLobes
+from sarsplat.gaussians.scattering import Scattering, register_scattering, scattering_named
+from sarsplat.names import SCATTERINGS
 
 __all__ = [
     "MAX_OPTICAL_DEPTH",
@@ -17,5 +14,6 @@ __all__ = [
     "Harmonics",
     "NormalLobes",
     "Scattering",
-    "join",
+    "register_scattering",
+    "scattering_named",
 ]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -21,11 +23,35 @@ MAX_OPTICAL_DEPTH = 40.0
 _GEOMETRY = ("means", "quaternions", "scales", "optical_depth")
 
 
+def check_tensors(tensors: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], whole: str) -> None:
+    """See that each is a floating-point tensor of its shape, and all are of one dtype and on one device.
+
+    Raises
+    ------
+    SarsplatError
+        If one is not; `whole` says what the shapes are for.
+    """
+    first, like = next(iter(tensors.items()))
+    for name, tensor in tensors.items():
+        if not isinstance(tensor, Tensor):
+            raise SarsplatError(f"{name} is a {type(tensor).__name__}; give a torch.Tensor (torch.as_tensor makes one)")
+        if tuple(tensor.shape) != shapes[name]:
+            raise SarsplatError(f"{name} has shape {tuple(tensor.shape)}; for {whole} it must be {shapes[name]}")
+        if not tensor.is_floating_point():
+            raise SarsplatError(f"{name} is {tensor.dtype}; give floating-point numbers, such as torch.float32")
+        if tensor.dtype != like.dtype or tensor.device != like.device:
+            raise SarsplatError(
+                f"{name} is {tensor.dtype} on {tensor.device} but {first} is {like.dtype} on {like.device}; use one "
+                "floating dtype and one device for all tensors"
+            )
+
+
 @dataclass(frozen=True)
 class Gaussians:
     """N Gaussians in physical units, every tensor differentiable, on one device and of one floating dtype.
 
-    `len` counts them; a slice, a boolean mask [N] or integer indices select some: `gaussians[:100]`.
+    `len` counts them. An integer, a slice, a boolean mask [N] or integer indices select some (`gaussians[:100]`),
+    `Gaussians.cat` joins several scenes, and `to` moves one; gradients flow through all three.
 
     Parameters
     ----------
@@ -59,33 +85,19 @@ class Gaussians:
                 f"scattering is a {type(self.scattering).__name__}; give a law with its parameters, such as "
                 "Harmonics(torch.zeros(n, 16))"
             )
-        for name, tensor in self.tensors().items():
-            if not isinstance(tensor, Tensor):
-                raise SarsplatError(
-                    f"{name} is a {type(tensor).__name__}; give a torch.Tensor (torch.as_tensor makes one)"
-                )
-        n = self.means.shape[0] if self.means.ndim else 0
-        expected = dict(zip(_GEOMETRY, ((n, 3), (n, 4), (n, 3), (n,)), strict=True))
-        expected["scattering"] = (n, self.scattering.parameters.shape[1])
-        for name, shape in expected.items():
-            tensor = self.tensors()[name]
-            if tuple(tensor.shape) != shape:
-                raise SarsplatError(f"{name} has shape {tuple(tensor.shape)}; for {n} Gaussians it must be {shape}")
-            if not tensor.is_floating_point() or tensor.dtype != self.means.dtype or tensor.device != self.means.device:
-                raise SarsplatError(
-                    f"{name} is {tensor.dtype} on {tensor.device} but means is {self.means.dtype} on "
-                    f"{self.means.device}; use one floating dtype and one device for all tensors"
-                )
+        n = len(self.means) if isinstance(self.means, Tensor) and self.means.ndim else 0
+        shapes: dict[str, tuple[int, ...]] = {"means": (n, 3), "quaternions": (n, 4), "scales": (n, 3)}
+        shapes |= {"optical_depth": (n,), "scattering": (n, self.scattering.parameters.shape[1])}
+        check_tensors(self.tensors(), shapes, f"{n} Gaussians")
 
     def __len__(self) -> int:
         return self.means.shape[0]
 
-    def __getitem__(self, index: int | slice | Tensor) -> Gaussians:
-        if isinstance(index, int):
-            if not -len(self) <= index < len(self):
-                raise IndexError(f"there is no Gaussian {index} among {len(self)}")
-            index = slice(index, index + 1 or None)
-        return self._with(lambda tensor: tensor[index])
+    def __getitem__(self, index: Any) -> Gaussians:
+        chosen = torch.arange(len(self), device=self.means.device)[index]
+        if chosen.ndim > 1:
+            raise IndexError("Gaussians have one index: an integer, a slice, a mask [N] or integers [M]")
+        return self._with(lambda tensor: tensor[index if chosen.ndim else chosen[None]])
 
     def tensors(self) -> dict[str, Tensor]:
         """The five tensors by name; that of `scattering` are its parameters [N, K]."""
@@ -109,15 +121,30 @@ class Gaussians:
         """The same Gaussians outside the autograd graph."""
         return self._with(Tensor.detach)
 
-    def to(self, target: torch.dtype | torch.device | str) -> Gaussians:
-        """The same Gaussians in another dtype or on another device."""
-        return self._with(lambda tensor: tensor.to(target))
+    def to(self, *target: Any, **options: Any) -> Gaussians:
+        """The same Gaussians on another device or in another dtype; arguments are those of `torch.Tensor.to`."""
+        return self._with(lambda tensor: tensor.to(*target, **options))
+
+    @staticmethod
+    def cat(scenes: Sequence[Gaussians]) -> Gaussians:
+        """All scenes in one, in their order, under the scattering settings of the first (see `Scattering.joined`).
+
+        Raises
+        ------
+        SarsplatError
+            If there is no scene, or their scattering laws, dtypes or devices differ.
+        """
+        if not scenes:
+            raise SarsplatError("there are no Gaussians to join; give at least one scene")
+        for scene in scenes:
+            if (scene.means.dtype, scene.means.device) != (scenes[0].means.dtype, scenes[0].means.device):
+                raise SarsplatError(
+                    f"Gaussians of {scene.means.dtype} on {scene.means.device} cannot be joined to those of "
+                    f"{scenes[0].means.dtype} on {scenes[0].means.device}; convert them with .to(...)"
+                )
+        geometry = {name: torch.cat([getattr(scene, name) for scene in scenes]) for name in _GEOMETRY}
+        laws = [scene.scattering for scene in scenes]
+        return Gaussians(**geometry, scattering=reduce(lambda first, second: first.joined(second), laws))
 
     def _with(self, change: Callable[[Tensor], Tensor]) -> Gaussians:
         return self.with_tensors(**{name: change(tensor) for name, tensor in self.tensors().items()})
-
-
-def join(first: Gaussians, second: Gaussians) -> Gaussians:
-    """Both scenes in one, under the scattering settings of the first (see `Scattering.joined`)."""
-    geometry = {name: torch.cat([getattr(first, name), getattr(second, name)]) for name in _GEOMETRY}
-    return Gaussians(**geometry, scattering=first.scattering.joined(second.scattering))

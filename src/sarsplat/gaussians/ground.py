@@ -10,7 +10,7 @@ import torch
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.gaussians import Gaussians
-from sarsplat.gaussians.scattering import Harmonics
+from sarsplat.gaussians.law_harmonics import Harmonics
 from sarsplat.geometry import ImageGrid, View
 
 _WIDTH = 0.6

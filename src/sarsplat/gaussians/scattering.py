@@ -1,35 +1,33 @@
-"""How strongly Gaussians scatter towards the radar: laws of it against direction, each with its table of parameters."""
+"""How strongly Gaussians scatter towards the radar: the base of the laws, and how a law is registered."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.nn.functional import logsigmoid, pad
+from torch.nn.functional import logsigmoid
 
-from sarsplat.errors import SarsplatError
-from sarsplat.gaussians.covariance import rotation_matrix
-from sarsplat.gaussians.harmonics import CONSTANTS, harmonic_basis
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.names import SCATTERINGS
 
-_MIN_EXCESS = 1e-3
+MIN_EXCESS = 1e-3
 """γ⁰ above p_min that a law starts with at least: softplus never reaches zero."""
 
-_IN_LOBE = 0.2
-"""Share of γ⁰ that a lobe starts with. With half of it, surfaces that scatter alike to all sides, or have parts that
-differ, come out worse, because Gaussians turn before their law is known; with little, those that follow a cosine do."""
+L = TypeVar("L", bound="type[Scattering]")
 
 
 @dataclass(frozen=True)
 class Scattering(ABC):
     """What N Gaussians scatter towards u per area projected along the line of sight, dimensionless; first of all γ⁰(u).
 
-    To add a law, derive from this class, name its `kind`, and list it in `SCATTERING_LAWS` (sarsplat/names.py), where
-    everything else finds it. Settings of a law that are not learned are further fields, of types that JSON can hold.
+    A law of your own is a frozen dataclass derived from this one, with its `kind` and `amplitudes`; for trainings also
+    `initial`. `register_scattering` makes it known to trainings and files. Settings that are not learned are further
+    fields, of types that JSON can hold.
 
     Parameters
     ----------
@@ -68,12 +66,16 @@ class Scattering(ABC):
             )
         if not 0 <= self.p_min < math.inf:
             raise SarsplatError(f"p_min {self.p_min} must be finite and at least 0")
-        if (wrong := self._shape_error()) is not None:
-            raise SarsplatError(f"scattering has shape {tuple(self.parameters.shape)}; {wrong}")
+        shape, allowed = tuple(self.parameters.shape), self.columns
+        if len(shape) != 2 or (shape[1] not in allowed if allowed else shape[1] < 1):
+            numbers = " or ".join(", ".join(map(str, allowed)).rsplit(", ", 1))
+            wanted = f"= {numbers}" if allowed else "at least 1"
+            raise SarsplatError(f"scattering has shape {shape}; for N Gaussians it must be (N, K) with K {wanted}")
 
-    @abstractmethod
-    def _shape_error(self) -> str | None:
-        """What the parameters' shape must be, if it is another."""
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """How many columns the parameters may have: one of these numbers, or any number if there is none."""
+        return ()
 
     @abstractmethod
     def amplitudes(
@@ -89,9 +91,18 @@ class Scattering(ABC):
         """
 
     @classmethod
-    @abstractmethod
     def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
-        """Where a training starts: alike for all Gaussians, γ⁰ on average over all directions; float32, on the CPU."""
+        """Where a training starts: the same for all Gaussians, γ⁰ on average over all directions; float32, on the CPU.
+
+        Raises
+        ------
+        SarsplatError
+            If the law does not say: it can be rendered, but not trained.
+        """
+        raise SarsplatError(
+            f"a training cannot start with the scattering law {cls.__name__}; give it a class method "
+            "initial(count, gamma0, p_min)"
+        )
 
     def detailed(self, degree: int) -> Self:
         """The law with no more detail than `degree`, 0 to 3: a training adds it by and by; most laws have none."""
@@ -110,121 +121,57 @@ class Scattering(ABC):
         return replace(self, parameters=torch.cat([self.parameters, other.parameters]))
 
 
-@dataclass(frozen=True)
-class Harmonics(Scattering):
-    """Real spherical harmonics: γ⁰(u) = p_min + softplus(Σ_k parameters_k Y_k(u)).
+def register_scattering(law: L) -> L:
+    """Make a law known by its `kind`, as a decorator of the class: in `reconstruct(..., scattering=KIND)` and in files.
 
-    `parameters` is [N, K] with K = (degree + 1)², degree ≤ 3; order and signs are those of 3D Gaussian splatting
-    (docs/conventions.md). Whatever else is at `Scattering` holds here too.
+    That holds in this program. A package makes a law known to all programs, the command line among them, by an entry
+    point of the group `sarsplat.scattering`, whose name is the kind.
+
+    Raises
+    ------
+    SarsplatError
+        If it is not a law with a kind, or another law has that kind.
     """
-
-    kind: ClassVar[str] = "harmonics"
-
-    @property
-    def degree(self) -> int:
-        """Degree of the harmonics, 0 to 3."""
-        return math.isqrt(self.parameters.shape[1]) - 1
-
-    def _shape_error(self) -> str | None:
-        if self.parameters.ndim == 2 and self.parameters.shape[1] in (1, 4, 9, 16):
-            return None
-        return "for N Gaussians it must be (N, K) with K = 1, 4, 9 or 16 (harmonics of degree 0 to 3)"
-
-    def amplitudes(
-        self,
-        directions: Float[Tensor, "v 3"],
-        quaternions: Float[Tensor, "n 4"],
-        scales: Float[Tensor, "n 3"],
-    ) -> Float[Tensor, "v n 1"]:
-        """See `Scattering.amplitudes`; how a Gaussian is turned does not matter."""
-        return (self.p_min + _softplus(harmonic_basis(directions, self.degree) @ self.parameters.T))[..., None]
-
-    @classmethod
-    def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
-        """See `Scattering.initial`; of degree 3, and the same in all directions."""
-        parameters = torch.zeros(count, len(CONSTANTS), device="cpu")
-        parameters[:, 0] = _softplus_inverse(gamma0 - p_min) / CONSTANTS[0]
-        return cls(parameters, p_min)
-
-    def detailed(self, degree: int) -> Self:
-        """The harmonics up to that degree."""
-        if degree >= self.degree:  # a slice of everything would be a copy all the same
-            return self
-        return replace(self, parameters=self.parameters[:, : (degree + 1) ** 2])
-
-    def joined(self, other: Scattering) -> Self:
-        """See `Scattering.joined`; the shorter rows are filled up with zeros."""
-        if not isinstance(other, Harmonics):
-            return super().joined(other)
-        columns = max(self.parameters.shape[1], other.parameters.shape[1])
-        rows = [pad(law.parameters, (0, columns - law.parameters.shape[1])) for law in (self, other)]
-        return replace(self, parameters=torch.cat(rows))
+    if not (isinstance(law, type) and issubclass(law, Scattering) and isinstance(getattr(law, "kind", None), str)):
+        raise SarsplatError(f"{law!r} is not a scattering law; derive it from Scattering and give it a kind, a str")
+    other = SCATTERINGS.get(law.kind)
+    if other is not None and _home(other) != _home(law):
+        raise SarsplatError(f"the scattering law {law.kind!r} is {_home(other)} already; give yours another kind")
+    SCATTERINGS.add(law.kind, law)
+    return law
 
 
-@dataclass(frozen=True)
-class NormalLobes(Scattering):
-    """Lobes around the surface normal: γ⁰(u) = p_min + b₀ + Σ_j b_j·exp(κ_j((n·u)² − 1)).
+def _home(law: type[Scattering]) -> str:
+    return f"{law.__module__}.{law.__qualname__}"
 
-    n is the shortest axis of a Gaussian, and two-sided: a flat Gaussian is a piece of surface. Differentiable with
-    respect to quaternions too; which axis is the shortest is held constant.
 
-    Parameters
-    ----------
-    parameters : Tensor [N, 1 + J]
-        softplus of them is b₀, the same in all directions, and b_1 … b_J.
-    p_min : float
-        Minimum scattering P_min ≥ 0 (γ⁰).
-    sharpness : tuple of J numbers
-        κ_j ≥ 0, fixed. Zero would only repeat b₀, so it stands for the squared cosine (n·u)².
+def scattering_named(kind: str) -> type[Scattering]:
+    """The law of that kind.
+
+    Raises
+    ------
+    SarsplatError
+        If there is none, or its package does not fit.
     """
-
-    sharpness: tuple[float, ...] = (0.0,)
-
-    kind: ClassVar[str] = "normal-lobes"
-    oriented: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "sharpness", tuple(self.sharpness))  # JSON has lists
-        if not all(0 <= value < math.inf for value in self.sharpness):
-            raise SarsplatError(f"sharpness {self.sharpness} of the lobes must be finite and at least 0")
-        super().__post_init__()
-
-    def _shape_error(self) -> str | None:
-        wanted = 1 + len(self.sharpness)
-        if self.parameters.ndim == 2 and self.parameters.shape[1] == wanted:
-            return None
-        return f"for N Gaussians and {len(self.sharpness)} lobes it must be (N, {wanted})"
-
-    def amplitudes(
-        self,
-        directions: Float[Tensor, "v 3"],
-        quaternions: Float[Tensor, "n 4"],
-        scales: Float[Tensor, "n 3"],
-    ) -> Float[Tensor, "v n 1"]:
-        """See `Scattering.amplitudes`."""
-        axes, shortest = rotation_matrix(quaternions), scales.detach().argmin(dim=1)
-        normals = axes.gather(2, shortest[:, None, None].expand(-1, 3, 1))[:, :, 0]
-        squared = (directions @ normals.T) ** 2  # [V, N]
-        b = _softplus(self.parameters)
-        total = self.p_min + b[:, 0].expand(len(directions), -1)
-        for j, sharpness in enumerate(self.sharpness, start=1):
-            total = total + b[:, j] * (squared if sharpness == 0 else torch.exp(sharpness * (squared - 1)))
-        return total[..., None]
-
-    @classmethod
-    def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
-        """See `Scattering.initial`; a part of it in one lobe, the squared cosine."""
-        excess = max(gamma0 - p_min, _MIN_EXCESS)
-        b = ((1 - _IN_LOBE) * excess, 3 * _IN_LOBE * excess)  # cos² is 1/3 on average
-        raw = torch.tensor([_softplus_inverse(value) for value in b], device="cpu")
-        return cls(raw.repeat(count, 1), p_min)
+    if kind not in SCATTERINGS:
+        raise SarsplatError(
+            f"the scattering law {shown(kind)} is unknown; choose one of {', '.join(SCATTERINGS)}, or register yours "
+            "(sarsplat.gaussians.register_scattering)"
+        )
+    law = SCATTERINGS[kind]
+    if getattr(law, "kind", None) != kind:
+        raise SarsplatError(
+            f"the entry point {kind!r} of sarsplat.scattering names {law!r}, which is not a law of that kind; correct "
+            "its package"
+        )
+    return law  # type: ignore[no-any-return]
 
 
-def _softplus(values: Tensor) -> Tensor:
+def softplus(values: Tensor) -> Tensor:
     """log(1 + e^x). torch rounds the last numbers of a thread's share otherwise: bits would depend on threads."""
     return -logsigmoid(-values)
 
 
-def _softplus_inverse(value: float) -> float:
-    value = max(value, _MIN_EXCESS)
+def softplus_inverse(value: float) -> float:
+    value = max(value, MIN_EXCESS)
     return value + math.log(-math.expm1(-value))  # of large ones the exponential would overflow

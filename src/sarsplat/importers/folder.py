@@ -13,10 +13,9 @@ from sarsplat.data.header import Calibration
 from sarsplat.data.orientation import Layout, oriented
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
-from sarsplat.importers.files import warn_caller
 from sarsplat.importers.images import MeasuredImage, dataset_of, view_of, write_imported
 from sarsplat.importers.pictures import read_pixels
-from sarsplat.importers.quantity import doubts, likely_quantity, power_or_signal
+from sarsplat.importers.quantity import likely_quantity, power_or_signal
 from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
 from sarsplat.names import Quantity, Side
 
@@ -127,9 +126,6 @@ def import_folder(
                 split=picture.split,
             )
         )
-    doubt = doubts([image.pixels for image in images], guessed) if looks is not None and guessed is not None else None
-    if doubt is not None:
-        warn_caller(doubt)
     source: dict[str, Any] = {
         "kind": "folder",
         "table": listed.path.name,
@@ -147,7 +143,6 @@ def import_folder(
             f"{azimuth_offset_deg:g}° from the target's nose",
             *([] if _resolution_known(listed, resolution_m) else ["the resolution is the pixel spacing"]),
         ],
-        **({} if doubt is None else {"doubts": [doubt]}),
     }
     dataset = dataset_of(
         images,

@@ -1,27 +1,40 @@
 """What a NITF file holds of a SICD: its metadata, as plain XML, and where its pixels lie.
 
-The files come from strangers: lengths must add up to the file's, and the XML must be plain.
+A NITF 2.1 file is a header, which states the length of every part, followed by the parts: segments of image, graphics,
+text, data extensions and reserved extensions, each with a header of its own. The files come from strangers: lengths
+must add up to the file's, and the XML must be plain.
 """
 
 from __future__ import annotations
 
-import logging
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, NoReturn
 
 import numpy as np
 
+from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 
 if TYPE_CHECKING:
     import lxml.etree
 
 _MAGICS = (b"NITF02.10", b"NSIF01.00")
-_FILE_LENGTH = slice(342, 354)  # bytes of the header that state it
+_FILE_LENGTH_AT = 342  # bytes from the start
+_ROWS_AT, _CORNERS_AT = 333, 372  # bytes from the start of an image segment's header
+_KINDS = (
+    ("image", 6, 10),
+    ("graphic", 4, 6),
+    ("nothing", 0, 0),
+    ("text", 4, 5),
+    ("data extension", 4, 9),
+    ("reserved", 4, 7),
+)
+"""Kinds of segments in the order of the header, with digits of the lengths of a segment's header and data."""
+_MOST_SEGMENTS = 100
 _LONGEST_XML = 4 << 20
 _HIGHEST_ORDER = 20
 _OTHERS = {
@@ -44,6 +57,12 @@ class Segment:
     compressed: bool
 
 
+def is_nitf(path: Path) -> bool:
+    """Whether a file begins as NITF files do."""
+    with open_file(path) as file:
+        return file.read(len(_MAGICS[0])) in _MAGICS
+
+
 def read_nitf(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, list[Segment]]:
     """The metadata of a SICD, without entities or references to other files, and its image segments in their order.
 
@@ -53,47 +72,89 @@ def read_nitf(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, list
         If it is no NITF file, is truncated or states lengths that contradict its size, holds no SICD, or its XML is
         garbled or not plain.
     """
-    import jbpy
-
     size = file.seek(0, 2)
     file.seek(0)
-    head = file.read(_FILE_LENGTH.stop)
-    if not head.startswith(_MAGICS):
+    head = file.read(9)
+    if head not in _MAGICS:
         kind = next((words for magic, words in _OTHERS.items() if head.startswith(magic)), None)
         raise SarsplatError(
             f"{path} is {kind or 'not a NITF file'}, so it is not a SICD; give files of complex SAR images (SICD)"
         )
-    stated = head[_FILE_LENGTH]
-    if stated.isdigit() and int(stated) != size:
-        state = "is truncated" if size < int(stated) else "is too long"
-        raise SarsplatError(f"{path} {state}: {size} bytes where its header says {int(stated)}; get it again")
-    file.seek(0)
-    with sarkit_errors(path):
-        nitf = jbpy.Jbp().load(file)  # type: ignore[arg-type]
-        extensions = [part["DESDATA"] for part in nitf["DataExtensionSegments"]]
-        images = [part for part in nitf["ImageSegments"] if part["subheader"]["IID1"].value.startswith("SICD")]
-        images.sort(key=lambda part: part["subheader"]["IID1"].value)
-        segments = [
-            Segment(
-                part["Data"].get_offset(),
-                part["Data"].size,
-                part["subheader"]["NROWS"].value,
-                part["subheader"]["NCOLS"].value,
-                part["subheader"]["IC"].value != "NC",
-            )
-            for part in images
-        ]
-        place, length = (extensions[0].get_offset(), extensions[0].size) if extensions else (0, 0)
-    if not extensions:
+    numbers = _Numbers(path, file)
+    stated = numbers.at(_FILE_LENGTH_AT, 12)
+    if stated != size:
+        state = "is truncated" if size < stated else "is too long"
+        raise SarsplatError(f"{path} {state}: {size} bytes where its header says {stated}; get it again")
+    parts = _parts(numbers, size)
+    if not parts["data extension"]:
         raise SarsplatError(f"{path} is a NITF file without metadata in XML, so it is not a SICD; give SICD files")
-    if max([place + length, *(part.offset + part.length for part in segments)]) > size:
-        raise SarsplatError(f"{path} has a header whose lengths do not fit its size; get it again")
+    place, subheader, length = parts["data extension"][0]
     if length > _LONGEST_XML:
         raise SarsplatError(
             f"{path} has {length} bytes of metadata, where SICDs have at most {_LONGEST_XML}; get it again"
         )
-    file.seek(place)
-    return _plain_xml(path, file.read(length)), segments
+    file.seek(place + subheader)
+    tree = _plain_xml(path, file.read(length))
+    images = [(numbers.text_at(part[0] + 2, 10), part) for part in parts["image"]]
+    return tree, [_segment(numbers, *part) for name, part in sorted(images) if name.startswith("SICD")]
+
+
+def _parts(numbers: _Numbers, size: int) -> dict[str, list[tuple[int, int, int]]]:
+    """Segments by their kind: where each begins, and how long its header and its data are; they fill the file."""
+    place = numbers.next(6)
+    end_of_header, parts = place, {}
+    for kind, header_digits, data_digits in _KINDS:
+        count = numbers.next(3)
+        if count > _MOST_SEGMENTS or (kind == "nothing" and count):
+            numbers.contradict()
+        parts[kind] = [(0, numbers.next(header_digits), numbers.next(data_digits)) for _ in range(count)]
+    if numbers.place > end_of_header:
+        numbers.contradict()
+    for segments in parts.values():
+        for index, (_, header, data) in enumerate(segments):
+            segments[index] = place, header, data
+            place += header + data
+    if place != size:
+        numbers.contradict()
+    return parts
+
+
+def _segment(numbers: _Numbers, place: int, header: int, length: int) -> Segment:
+    """An image segment, from the fields of its header; those after the corners depend on what is there before."""
+    rows, columns = numbers.at(place + _ROWS_AT, 8), numbers.next(8)
+    comments = place + _CORNERS_AT + (60 if numbers.text_at(place + _CORNERS_AT - 1, 1).strip() else 0)
+    compression = numbers.text_at(comments + 1 + 80 * numbers.at(comments, 1), 2)
+    return Segment(place + header, length, rows, columns, compression != "NC")
+
+
+class _Numbers:
+    """Decimal numbers of fixed width, and text, in a file's headers."""
+
+    def __init__(self, path: Path, file: BinaryIO) -> None:
+        self._path, self._file = path, file
+
+    @property
+    def place(self) -> int:
+        """Bytes from the start of the file."""
+        return self._file.tell()
+
+    def at(self, place: int, digits: int) -> int:
+        self._file.seek(place)
+        return self.next(digits)
+
+    def next(self, digits: int) -> int:
+        text = self._file.read(digits)
+        if len(text) != digits or not text.isdigit():
+            self.contradict()
+        return int(text)
+
+    def text_at(self, place: int, length: int) -> str:
+        self._file.seek(place)
+        return self._file.read(length).decode("latin-1")
+
+    def contradict(self) -> NoReturn:
+        """Give up on a header that cannot be right."""
+        raise SarsplatError(f"{self._path} has a header whose lengths do not fit its size; get it again")
 
 
 def _plain_xml(path: Path, text: bytes) -> lxml.etree._ElementTree:
@@ -125,10 +186,7 @@ def _plain_xml(path: Path, text: bytes) -> lxml.etree._ElementTree:
 
 @contextmanager
 def sarkit_errors(path: Path) -> Iterator[None]:
-    """One sentence in place of whatever sarkit and jbpy raise, which trust their files; their warnings are hidden."""
-    log = logging.getLogger("jbpy")
-    level = log.level
-    log.setLevel(logging.CRITICAL + 1)
+    """One sentence in place of whatever sarkit raises, which trusts its files; its warnings are hidden."""
     try:
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -138,5 +196,3 @@ def sarkit_errors(path: Path) -> Iterator[None]:
     except Exception as error:
         problem = shown(f"{type(error).__name__}: {error}")
         raise SarsplatError(f"{path} is not a valid SICD (sarkit says {problem}); get it again") from error
-    finally:
-        log.setLevel(level)

@@ -77,6 +77,10 @@ def _tiff(path: Path) -> Shaped[np.ndarray, "*shape"]:
                 what = "several pages" if pages else "no image in it"
                 raise SarsplatError(f"{path} has {what}; give one image for each file")
             page = pages[0]
+            if {tifffile.EXTRASAMPLE.ASSOCALPHA, tifffile.EXTRASAMPLE.UNASSALPHA} & set(page.extrasamples):
+                raise SarsplatError(
+                    f"{path} has a band for transparency, which is not read; save it again without transparency"
+                )
             whole, part = (math.prod(shape) * np.dtype(page.dtype).itemsize for shape in (page.shape, page.chunks))
             packed = page.compression != tifffile.COMPRESSION.NONE
             _refuse_bomb(path, max(whole, part), len(data), packed)

@@ -41,7 +41,7 @@ class Clutter:
     contrast : float
         Standard deviation over mean, the median of all blocks.
     skewness : numpy.ndarray, float64 [blocks]
-        Of each block: positive for power and amplitude of speckle, negative for its decibels.
+        Of each block's amplitude: positive for speckle, negative if decibels were read as power or amplitude.
     values : float
         Number of different values in a block, the median of all: few if pixels are quantised coarsely.
     width_m : (float or None, float or None)
@@ -84,8 +84,7 @@ def clutter(
     blocks = np.concatenate(parts).astype(np.float64)
     if len(blocks) < _FEWEST_BLOCKS:
         return None
-    mean, deviation = blocks.mean(axis=(1, 2)), blocks.std(axis=(1, 2))
-    rest = (blocks - mean[:, None, None]) / np.maximum(deviation, np.finfo(float).tiny)[:, None, None]
+    rest = _standardised(blocks)
     pixels = np.sort(blocks.reshape(len(blocks), -1), axis=1)
     neighbours = (rest[:, :, 1:] * rest[:, :, :-1], rest[:, 1:] * rest[:, :-1])
     widths = [
@@ -93,11 +92,17 @@ def clutter(
         for products, spacing in zip(neighbours, grid.spacing_m, strict=True)
     ]
     return Clutter(
-        float(np.median(blocks.std(axis=(1, 2), ddof=1) / mean)),
-        (rest**3).mean(axis=(1, 2)),
+        float(np.median(blocks.std(axis=(1, 2), ddof=1) / blocks.mean(axis=(1, 2)))),
+        (_standardised(np.sqrt(blocks)) ** 3).mean(axis=(1, 2)),
         float(np.median(1 + (np.diff(pixels, axis=1) > 0).sum(axis=1))),
         (widths[0], widths[1]),
     )
+
+
+def _standardised(blocks: Float64[np.ndarray, "n along across"]) -> Float64[np.ndarray, "n along across"]:
+    """Each block with mean 0 and standard deviation 1; 0 if it is constant."""
+    rest = blocks - blocks.mean(axis=(1, 2), keepdims=True)
+    return rest / np.maximum(blocks.std(axis=(1, 2), keepdims=True), np.finfo(float).tiny)
 
 
 def _blocks(image: Shaped[np.ndarray, "rows columns"], along: int, across: int) -> Shaped[np.ndarray, "n along across"]:

@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, Literal
 from msgspec import Meta
 
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.names import ScatteringName
+from sarsplat.names import SCATTERINGS
 from sarsplat.reconstruction.record import Record
 
 Count = Annotated[int, Meta(ge=1, le=100_000_000)]
@@ -286,7 +286,7 @@ class Config(AnyConfig):
     ssim_weight : float
         Weight of SSIM in the loss on amplitudes; L1 has the rest.
     scattering : str
-        Scattering law: "harmonics" or "normal-lobes".
+        Scattering law: "harmonics", "normal-lobes", or another that is registered.
     p_min : float
         Smallest γ⁰ of a Gaussian.
     scattering_penalty : float
@@ -354,7 +354,7 @@ class Config(AnyConfig):
     initialisation: Literal["box", "hemisphere"] = "box"
     loss: str = "amplitude"
     ssim_weight: NotNegative = 0.0
-    scattering: ScatteringName = "normal-lobes"
+    scattering: str = "normal-lobes"
     p_min: NotNegative = 0.03
     scattering_penalty: NotNegative = 0.03
     initial_scale: Positive = 0.27
@@ -382,6 +382,11 @@ class Config(AnyConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.scattering not in SCATTERINGS:
+            raise SarsplatError(
+                f"scattering is {shown(self.scattering)}; it must be one of {', '.join(SCATTERINGS)}, or a law that is "
+                "registered first (sarsplat.gaussians.register_scattering)"
+            )
         if self.scale_bounds[0] > self.scale_bounds[1]:
             raise SarsplatError(f"scale_bounds is {shown(self.scale_bounds)}; give the smaller one first")
         if self.directional_std is not None and self.scattering != "harmonics":

@@ -54,12 +54,16 @@ def examine(dataset: Dataset) -> Examination:
     angles = suspicious_angles(dataset.select("train").views)
     wrong = suspicious_images(dataset)
     examined.contradictions.extend([*angles, *wrong])
-    examined.checks["images"] = "see below" if wrong else f"all {len(dataset)} differ, none is constant"
+    examined.checks["images"] = "see below" if wrong else _all_differ(len(dataset))
     count = min(len(dataset), _MOST_IMAGES)
     chosen = dataset.take([k * len(dataset) // count for k in range(count)])
     if not angles and np.ptp(chosen.power, axis=(1, 2)).any():
         examine_units(_upright(chosen, examined), examined)
     return examined
+
+
+def _all_differ(images: int) -> str:
+    return "the only one is not constant" if images == 1 else f"all {images} differ, none is constant"
 
 
 def _upright(dataset: Dataset, examined: Examination) -> Dataset:

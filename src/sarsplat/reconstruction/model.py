@@ -14,7 +14,7 @@ from torch import Tensor
 from sarsplat.data import Dataset
 from sarsplat.data.plausible import warn
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import SCATTERINGS, Gaussians
+from sarsplat.gaussians import Gaussians, scattering_named
 from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruction.config import Config
@@ -121,7 +121,7 @@ class SceneModel:
     @property
     def power_channel(self) -> int:
         """The channel of the images that is shown, scored and trained on."""
-        return SCATTERINGS[self.config.scattering].power_channel
+        return scattering_named(self.config.scattering).power_channel
 
     @cached_property
     def learned(self) -> dict[str, Learned]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from sarsplat.data import Dataset, read_dataset
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError
 from sarsplat.progress import progress
-from sarsplat.reconstruction.config import DEFAULT_METHOD, AnyConfig
+from sarsplat.reconstruction.config import DEFAULT_METHOD, AnyConfig, Config
 from sarsplat.reconstruction.device import device_named
 from sarsplat.reconstruction.loop import Step, Training, train
 from sarsplat.reconstruction.losses import Loss
@@ -26,6 +27,7 @@ def reconstruct(
     *,
     method: str = DEFAULT_METHOD,
     masks: str | Path | None = None,
+    scattering: str | None = None,
     loss: Loss | None = None,
     strategies: Sequence[Any] = (),
     device: str = "auto",
@@ -51,6 +53,9 @@ def reconstruct(
         Name of the method, one of `METHODS`.
     masks : str or Path, optional
         Folder of masks of the training images (`read_masks`), for methods that learn from them. The run keeps them.
+    scattering : str, optional
+        For `sar-gs`, instead of the configuration's: the kind of a law of scattering, of ours ("harmonics",
+        "normal-lobes") or registered (`sarsplat.gaussians.register_scattering`).
     loss : callable, optional
         For `sar-gs`, instead of the configuration's: `loss(rendered, truth)` is given two float32 stacks
         [V, rows, columns] of β⁰, linear power, and returns one number that torch can differentiate. It is first asked
@@ -96,6 +101,10 @@ def reconstruct(
         config = begun.config if begun is not None and preset == "auto" else chosen.preset(preset, dataset)
     else:
         config = chosen.checked(preset)
+    if scattering is not None:
+        if not isinstance(config, Config):
+            raise SarsplatError(f"{method} uses no scattering; omit {scattering!r}, or choose a method that does")
+        config = replace(config, scattering=scattering)
     warn(suspicions(dataset))
     learned = None if begun is None or begun.checkpoint_path is None else lambda: begun.reconstruction
     trainer = chosen.trainer(dataset, config, inputs, device_named(device), learned)

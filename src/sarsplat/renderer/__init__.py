@@ -22,7 +22,6 @@ from sarsplat.renderer.rendering import RayMap, Rendering, channel_of
 from sarsplat.renderer.steps import attenuate, project, splat
 
 __all__ = [
-    "ENGINES",
     "Attenuation",
     "Bounds",
     "Footprints",

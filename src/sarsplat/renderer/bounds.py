@@ -30,7 +30,7 @@ _MOST = 1 << 26
 """Slots or rays that are allocated unasked: a few gigabytes."""
 
 _MARGIN = 1.001
-"""On extents: the GPU computes in float32."""
+"""Factor on extents, because the GPU computes in float32."""
 
 Corner = tuple[float, float, float]
 

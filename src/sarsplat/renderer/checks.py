@@ -52,10 +52,10 @@ _STEP_LIMITS = {
     "tilt": (-STRONGEST, STRONGEST),
     "cross_sections": (-STRONGEST, STRONGEST),
 }
-"""Of footprints and cross-sections."""
+"""Least and largest values of footprints and cross-sections."""
 
 _MAX_PIXELS = 32_767
-"""Of an image's side, on the CPU engine; 4,096 is the largest that was measured."""
+"""Largest side of an image on the CPU engine; 4,096 is the largest that was measured."""
 
 
 def check_shapes(
@@ -104,9 +104,9 @@ def check_options(
         "imaging_weight": (imaging_weight, ("area", "peak")),
         "instruction_set": (instruction_set, INSTRUCTION_SETS),
     }
-    for name, (value, known) in choices.items():
-        if value not in known:
-            raise SarsplatError(f"{name} {value!r} is unknown; choose one of {', '.join(known)}")
+    for name, (value, allowed) in choices.items():
+        if value not in allowed:
+            raise SarsplatError(f"{name} {value!r} is unknown; choose one of {', '.join(allowed)}")
     if first_return_depth is not None and not 0 < first_return_depth < float("inf"):
         raise SarsplatError(f"first_return_depth {first_return_depth} must be a positive two-way optical depth")
 

@@ -57,7 +57,7 @@ _ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "adam": (c_int32, POINTER(AdamStep)),
     "use_torch": (c_void_p,),
 }
-"""Of the engine's functions, without the sg_ of their names (csrc/dispatch.cpp)."""
+"""Argument types of the engine's functions (csrc/dispatch.cpp), by their names without sg_."""
 
 _NO_MEMORY = "there is not enough memory for the rendering; render fewer views at a time or use coarser rays"
 

@@ -24,7 +24,7 @@ _TOGETHER = 4
 """The most channels to a launch, of csrc/cuda_pixels.cuh."""
 
 _MAX_SIDE, _MAX_RAYS = 131_068, 1 << 28
-"""Of a view's ray lattice, as on the CPU engine."""
+"""Largest side and most rays of a view's lattice, as on the CPU engine."""
 
 _MAX_PAIRS = 1 << 31
 

@@ -40,13 +40,14 @@ def ordered_bits(value: float) -> int:
 
 
 def cut_into_tiles(lattices: Sequence[tuple[int, int, int, int]], offset: float) -> list[ctypes.Structure]:
-    found, tile, point = [], 0, 0
+    """The views' lattices as the kernels want them, with tiles and points counted through."""
+    cut, tile, point = [], 0, 0
     for k0x, k0y, rows, columns in lattices:
         tiles_x = -(-columns // TILE)
-        found.append(ViewLattice(k0x + offset, k0y + offset, rows, columns, tiles_x, tile, point))
-        tile += tiles_of(found[-1])
+        cut.append(ViewLattice(k0x + offset, k0y + offset, rows, columns, tiles_x, tile, point))
+        tile += tiles_of(cut[-1])
         point += rows * columns
-    return found
+    return cut
 
 
 def tiles_of(lattice: ctypes.Structure) -> int:

@@ -67,9 +67,9 @@ def chosen_engine(name: str, like: Tensor) -> str:
     SarsplatError
         If there is none of that name, or what "auto" means there did not pass its check.
     """
-    known = ("auto", *ENGINES, "reference")
-    if name not in known:
-        raise SarsplatError(f"engine {name!r} is unknown; choose one of {', '.join(known)}")
+    names = ("auto", *ENGINES, "reference")
+    if name not in names:
+        raise SarsplatError(f"engine {name!r} is unknown; choose one of {', '.join(names)}")
     return _fitting(like.dtype, like.device) if name == "auto" else name
 
 

@@ -9,26 +9,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
+from sarsplat.gaussians.gaussians import check_tensors
 from sarsplat.renderer.rendering import RayMap
 
 
 def _check_fields(owner: object, shapes: dict[str, tuple[int, ...]]) -> None:
     """Each field a floating tensor of its shape, of one dtype and on one device."""
-    first = next(iter(shapes))
-    for name, shape in shapes.items():
-        tensor, like = getattr(owner, name), getattr(owner, first)
-        if not isinstance(tensor, Tensor):
-            raise SarsplatError(f"{name} is a {type(tensor).__name__}; give a torch.Tensor")
-        if tuple(tensor.shape) != shape:
-            raise SarsplatError(
-                f"{name} has shape {tuple(tensor.shape)}; for {shape[0]} views of {shape[1]} Gaussians it must be "
-                f"{shape}"
-            )
-        if not tensor.is_floating_point() or tensor.dtype != like.dtype or tensor.device != like.device:
-            raise SarsplatError(
-                f"{name} is {tensor.dtype} on {tensor.device} but {first} is {like.dtype} on {like.device}; use one "
-                "floating dtype and one device for all tensors"
-            )
+    v, n = next(iter(shapes.values()))[:2]
+    check_tensors({name: getattr(owner, name) for name in shapes}, shapes, f"{v} views of {n} Gaussians")
 
 
 def _sizes(tensor: Tensor) -> tuple[int, int]:

@@ -27,7 +27,7 @@ class Operation(ABC):
     """
 
     names: ClassVar[tuple[str, ...]]
-    """Of the inputs, for errors."""
+    """Names of the inputs, for errors."""
 
     saved: ClassVar[slice] = slice(None)
     """Which inputs the backward pass reads."""

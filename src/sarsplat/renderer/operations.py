@@ -112,7 +112,7 @@ def splat_with(
 
 # ---- the operations --------------------------------------------------------------------------------------------------
 class _OfGaussians(Operation):
-    """Of the arrays of a problem."""
+    """An operation whose inputs are the arrays of a problem."""
 
     names = ARRAYS
     peak = False

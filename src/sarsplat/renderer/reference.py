@@ -97,12 +97,12 @@ def attenuate_reference(
     """Attenuate as `sarsplat.attenuate` does; `cuts` as at `render_reference`."""
     p = projection
     with torch.autocast(p.optical_depth.device.type, enabled=False):
-        found = [
+        by_view = [
             _attenuate_view(*view, rays, cuts, first_return_depth)
             for view in zip(p.rays.centers, p.rays.roots, p.optical_depth, p.range_m, p.tilt, strict=True)
         ]
-        lit_area = rays.cell_area * torch.stack([weight for weight, _ in found])
-    return Attenuation(lit_area, None if first_return_depth is None else tuple(ray_map for _, ray_map in found))
+        lit_area = rays.cell_area * torch.stack([weight for weight, _ in by_view])
+    return Attenuation(lit_area, None if first_return_depth is None else tuple(ray_map for _, ray_map in by_view))
 
 
 def splat_reference(
@@ -186,12 +186,12 @@ def _attenuate_view(
         tau = torch.where(before >= MIN_TRANSMITTANCE, tau, torch.zeros_like(tau))
     weight = before * -torch.expm1(-tau)
     transmittance = torch.exp(-tau.sum(0))
-    found = torch.full_like(transmittance, math.nan)
+    first_return = torch.full_like(transmittance, math.nan)
     if first_return_depth is not None:
         # the range of each Gaussian's densest point on the ray, at the Gaussian where the depth is first reached
         peak = range_m[order][:, None, None] + torch.einsum("nyxi,ni->nyx", d, tilt[order])
         reached = torch.cumsum(tau, dim=0) >= first_return_depth
         first = reached.to(torch.uint8).argmax(dim=0)
-        found = torch.where(reached.any(0), torch.gather(peak, 0, first[None])[0], found).detach()
-    ray_map = RayMap(transmittance, found, (float(x[0]), float(y[0])))
+        first_return = torch.where(reached.any(0), torch.gather(peak, 0, first[None])[0], first_return).detach()
+    ray_map = RayMap(transmittance, first_return, (float(x[0]), float(y[0])))
     return torch.zeros_like(kappa).index_copy(0, order, weight.sum((1, 2))), ray_map

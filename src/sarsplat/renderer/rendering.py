@@ -54,6 +54,13 @@ class Rendering:
     ray_maps: tuple[RayMap, ...] | None = None
     plane_gradients: Float[Tensor, "v n 4"] | None = None
 
+    def __repr__(self) -> str:
+        """Shapes instead of tensors."""
+        parts = [f"{name}={list(value.shape)}" for name, value in vars(self).items() if isinstance(value, Tensor)]
+        if self.ray_maps is not None:
+            parts.append(f"ray_maps={[list(ray_map.transmittance.shape) for ray_map in self.ray_maps]}")
+        return f"Rendering({', '.join(parts)}, {self.images.dtype} on {self.images.device})"
+
     def channel(self, index: int) -> Float[Tensor, "v rows columns"]:
         """The images of one channel: see `channel_of`."""
         return channel_of(self.images, index)

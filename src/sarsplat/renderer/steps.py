@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from jaxtyping import Float
+import torch
+from jaxtyping import Float, Inexact
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
@@ -135,12 +136,12 @@ def attenuate(
 
 def splat(
     footprints: Footprints,
-    cross_sections: Float[Tensor, "v n c"],
+    cross_sections: Inexact[Tensor, "v n c"],
     grid: ImageGrid,
     *,
     imaging_weight: str = "area",
     engine: str = "auto",
-) -> Float[Tensor, "v c {grid.rows} {grid.columns}"]:
+) -> Inexact[Tensor, "v c {grid.rows} {grid.columns}"]:
     """Add footprints to images, each with a cross-section for every channel: linear in them, in any order.
 
     Differentiable with respect to the centres, the roots and the cross-sections; footprint cuts are held constant.
@@ -151,7 +152,8 @@ def splat(
     footprints : Footprints
         On the imaging plane: `Projection.pixels`, N Gaussians in V views.
     cross_sections : Tensor [V, N, C]
-        Of each Gaussian in each view and channel, m² for an image of β⁰. Any sign.
+        Of each Gaussian in each view and channel, m² for an image of β⁰. Any sign; or complex amplitudes, whose real
+        and imaginary parts are two channels, for complex images.
     grid : ImageGrid
         Pixels; the same as for `project`, which widened the footprints by its response.
     imaging_weight : {"area", "peak"}
@@ -162,7 +164,7 @@ def splat(
     Returns
     -------
     Tensor [V, C, rows, columns]
-        The images.
+        The images, complex if the cross-sections are.
 
     Raises
     ------
@@ -181,11 +183,16 @@ def splat(
             f"({v}, {n}, C) with at least one channel"
         )
     centers = footprints.centers
-    if cross_sections.dtype != centers.dtype or cross_sections.device != centers.device:
+    dtype = cross_sections.dtype.to_real() if cross_sections.is_complex() else cross_sections.dtype
+    if dtype != centers.dtype or cross_sections.device != centers.device:
         raise SarsplatError(
             f"cross_sections is {cross_sections.dtype} on {cross_sections.device} but footprints.centers is "
             f"{centers.dtype} on {centers.device}; use one floating dtype and one device for all tensors"
         )
+    if cross_sections.is_complex():
+        parts = torch.view_as_real(cross_sections.resolve_conj()).flatten(2)
+        images = splat(footprints, parts, grid, imaging_weight=imaging_weight, engine=engine)
+        return torch.view_as_complex(images.unflatten(1, (-1, 2)).movedim(2, -1).contiguous())
     tensors: dict[str, Tensor | None] = {
         "footprints.centers": centers,
         "footprints.roots": footprints.roots,

@@ -34,12 +34,12 @@ _MESH_MARGIN = 0.03  # of the longest side
 
 
 def point_boards(
-    clouds: Mapping[str, Points], surface: Float[np.ndarray, "s 3"] | None, farthest_m: float
+    clouds: Mapping[str, Points], surface: Float[np.ndarray, "s 3"] | None, farthest_m: float, *, heights: bool = True
 ) -> tuple[tuple[Block, ...], tuple[ColourBar, ...]]:
-    """Points from the side, the front and the top, coloured by height; then their distances to the true surface.
+    """Points from the side, the front and the top, coloured by height; then by their distances to the true surface.
 
     `clouds` are reconstructed points by name and `surface` samples of the true surface, all in metres; distances beyond
-    `farthest_m` share one colour.
+    `farthest_m` share one colour. Where these are known, heights may be left out.
     """
     by_height = {f"{name}, {counted(len(points), 'point')}": points for name, points in clouds.items()}
     if surface is not None:
@@ -47,17 +47,17 @@ def point_boards(
     low, high = _limits(np.concatenate(list(by_height.values())))
     fewest = min((len(points) for points in by_height.values() if len(points)), default=0)
     raster = Raster.around(low, high, int(np.clip(2 * np.sqrt(fewest), _LEAST_PIXELS, _MOST_PIXELS)))
-    heights = float(low[2]), float(high[2])
-    blocks = [
-        raster.board(name, points, points[:, 2], heights, HEIGHT, _apart_m(points))
-        for name, points in by_height.items()
-    ]
-    bars = [colour_bar("height z, m", HEIGHT, *heights)]
+    blocks, bars = [], []
+    if heights or surface is None:
+        span = float(low[2]), float(high[2])
+        for name, points in by_height.items():
+            blocks.append(raster.board(name, points, points[:, 2], span, HEIGHT, _apart_m(points)))
+        bars.append(colour_bar("height z, m", HEIGHT, *span))
     if surface is not None:
         tree = KDTree(surface)
         for name, points in clouds.items():
             distance = tree.query(points)[0] if len(points) else np.empty(0)
-            title, limits = f"error of the {name}", (0.0, farthest_m)
+            title, limits = f"error of {name}", (0.0, farthest_m)
             blocks.append(raster.board(title, points, distance, limits, ERROR, _apart_m(points)))
         bars.append(colour_bar("distance to the true surface, m", ERROR, 0, farthest_m))
     return tuple(blocks), tuple(bars)

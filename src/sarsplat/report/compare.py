@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,14 +14,15 @@ from sarsplat.evaluation import Yardstick
 from sarsplat.reconstruction import Run
 from sarsplat.report.boards import point_boards
 from sarsplat.report.figure import Figure
-from sarsplat.report.page import rendered
+from sarsplat.report.page import in_words, rendered
 from sarsplat.report.scores import ScoreTable, compared_tables
 from sarsplat.report.views import Chosen, ranked_images, views_figure, with_others
 from sarsplat.report.write import sampled, scores_expected
 
 PAGE = "comparison.html"
 
-_VIEWS = 6
+_FEWEST_VIEWS, _MOST_VIEWS = 6, 14
+_VIEWS_PER_ROW = 1.5  # the more rows there are, the smaller are their images: the page keeps its length
 _LARGEST = 192  # pixels along a side that the page shows of an image
 
 
@@ -92,8 +94,8 @@ def write_comparison(comparison: Comparison, out: Path, *, overwrite: bool = Fal
         definitions |= scores_of(run)["definitions"]
     html = rendered(
         "compare.html.j2",
-        target=" and ".join(dict.fromkeys(run.dataset.target for run in comparison.runs)),
-        lead=f"{', '.join(comparison.names[:-1])} and {comparison.names[-1]} side by side.",
+        target=in_words(dict.fromkeys(run.dataset.target for run in comparison.runs)),
+        lead=f"{in_words(comparison.names)} side by side.",
         caution=comparison.caution,
         tables=comparison.tables,
         definitions=definitions,
@@ -149,11 +151,13 @@ def _views(comparison: Comparison) -> Figure:
             index = best_first[-1][1]
             worst[index] = f"{worst[index]}, {name}" if index in worst else f"worst of {name}"
     of_note = [Chosen(index, why) for index, why in worst.items()]
-    chosen = with_others(dataset, of_note, max(2, _VIEWS - len(of_note)))
+    rows = 1 + 2 * len(comparison.runs)
+    views = min(max(_FEWEST_VIEWS, math.ceil(_VIEWS_PER_ROW * rows)), _MOST_VIEWS)
+    chosen = with_others(dataset, of_note, max(2, views - len(of_note)))
     true = "Measured" if dataset.calibration == "relative" else "Truth"
     text = f"{true} and reconstructions on one scale, the radar above."
     runs = dict(zip(comparison.names, comparison.runs, strict=True))
-    return views_figure(_title("The same views", comparison), text, runs, chosen, _LARGEST)
+    return views_figure(_title("The same views", comparison), text, runs, chosen, _LARGEST, views)
 
 
 def _points(comparison: Comparison) -> Figure:
@@ -161,7 +165,6 @@ def _points(comparison: Comparison) -> Figure:
     truth = first.dataset.truth_mesh
     clouds = {name: run.points for name, run in zip(comparison.names, comparison.runs, strict=True)}
     farthest_m = Yardstick.of(first.dataset.grid).thresholds_m[1]
-    blocks, bars = point_boards(clouds, None if truth is None else sampled(truth), farthest_m)
-    compared = "" if truth is None else ", and their distances from the true surface"
-    text = f"The surface points of every run, in the same space and colours{compared}."
-    return Figure(_title("Points", comparison), text, blocks, bars)
+    blocks, bars = point_boards(clouds, None if truth is None else sampled(truth), farthest_m, heights=False)
+    text = f"The surface points of every run, coloured by {'height' if truth is None else 'their error'}."
+    return Figure(_title("Points", comparison), text, blocks, bars, layout="beside")

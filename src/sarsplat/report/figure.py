@@ -89,16 +89,28 @@ class Block:
     columns: tuple[float, ...] = ()
     across: int = 3
 
+    @property
+    def tall(self) -> bool:
+        """Whether two rows of sides would be higher than half as wide: such a target is better shown in one row."""
+        if not self.columns:
+            return False
+        side, _, top = (width / (panel.aspect or 1) for width, panel in zip(self.columns, self.panels, strict=True))
+        return side + top > (self.columns[0] + self.columns[1]) / 2
+
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of a page: heading, what is seen, blocks of panels, what their colours mean, and a legend's name."""
+    """A figure of a page: heading, what is seen, blocks of panels, what their colours mean, and a legend's name.
+
+    Its layout is "beside" if blocks are to be compared side by side, or "sheet" if each is a row of small panels.
+    """
 
     title: str
     text: str
     blocks: tuple[Block, ...]
     bars: tuple[ColourBar, ...] = ()
     legend: str = ""
+    layout: str = ""
 
 
 def nice(length: float) -> float:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from sarsplat.colours import DARK, LIGHT, PREDICTED, TRUE
+from sarsplat.colours import DARK, LIGHT, PREDICTED, RADAR, TRUE
 from sarsplat.data import Dataset
 from sarsplat.data.determined import weakest_direction
 from sarsplat.errors import counted
@@ -59,8 +59,14 @@ def rendered(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    templates.globals.update(light=vars(LIGHT), dark=vars(DARK), true_mask=TRUE, own_mask=PREDICTED)
+    templates.globals.update(light=vars(LIGHT), dark=vars(DARK), true_mask=TRUE, own_mask=PREDICTED, radar=RADAR)
     return templates.get_template(template).render(**values)
+
+
+def in_words(names: Iterable[str]) -> str:
+    """E.g. a, b and c."""
+    *others, last = [*names] or [""]
+    return f"{', '.join(others)} and {last}" if others else last
 
 
 def _lead(run: Run) -> str:
@@ -79,9 +85,9 @@ def _card(table: ScoreTable, row: Row, definitions: Mapping[str, str]) -> dict[s
     competing = [cell for cell in others if cell.column.ranked and cell.column.values.get(row.metric.key) is not None]
     winners = [cell.column.name for cell in competing if cell.best]
     if own.best:
-        verdict = "This run is the best." if not winners else f"As good as {' and '.join(winners)}."
+        verdict = "This run is the best." if not winners else f"As good as {in_words(winners)}."
     else:
-        verdict = f"Better than this run: {' and '.join(winners)}."
+        verdict = f"Better than this run: {in_words(winners)}."
     return {
         "name": row.metric.title,
         "definition": definitions.get(row.metric.key),

@@ -13,14 +13,14 @@ from sarsplat.errors import counted
 from sarsplat.evaluation import IMAGE_METRICS, Metric
 from sarsplat.evaluation.metrics import ImagePair
 from sarsplat.reconstruction import Run
-from sarsplat.report.figure import Block, Figure
+from sarsplat.report.figure import Block, Figure, Panel
 from sarsplat.report.images import Part, difference_bar, power_bar, view_name
-from sarsplat.report.residual import Difference, fitted
+from sarsplat.report.residual import Difference, Stack, fitted
 from sarsplat.report.window import target_window
 
 _VIEWS = 8
 _LARGEST = 256
-_OURS = "reconstruction"
+_OWN = "reconstruction"
 
 
 @dataclass(frozen=True)
@@ -74,11 +74,12 @@ def with_others(dataset: Dataset, chosen: Sequence[Chosen], others: int) -> list
 
 
 def views_figure(
-    title: str, text: str, runs: Mapping[str, Run], chosen: Sequence[Chosen], largest: int = _LARGEST
+    title: str, text: str, runs: Mapping[str, Run], chosen: Sequence[Chosen], largest: int = _LARGEST, across: int = 3
 ) -> Figure:
     """Truth, reconstructions and errors of images of the dataset that some runs share.
 
     `runs` are keyed by what to call their images; images with a side of more than `largest` pixels are averaged.
+    Those of several runs are as wide as if at least `across` of them stood in a row.
     """
     dataset = next(iter(runs.values())).dataset
     indices = [one.index for one in chosen]
@@ -89,37 +90,47 @@ def views_figure(
     part = Part.of(dataset.grid, target_window(np.maximum.reduce([truth, *stacks.values()]), peak, margin), largest)
     difference = Difference(looks, dataset.grid, peak)
     errors = {name: difference.of(truth, stack) for name, stack in stacks.items()}
-    true, alone = "measured" if dataset.calibration == "relative" else "truth", len(runs) == 1
-    blocks = []
-    for k, one in enumerate(chosen):
-        where = view_name(views[k])
-        heading = f"{where}{f' ({one.why})' if one.why else ''}"
-        images = [part.power(true, f"{true}, {where}", truth[k], peak)]
-        images += [part.power(name, f"{name}, {where}", stack[k], peak) for name, stack in stacks.items()]
-        wrong = [
-            part.difference(
-                "error" if alone else name,
-                f"error of {'the ' if name == _OURS else ''}{name}, {where}",
-                error[k],
-                difference.largest,
+    true = "measured" if dataset.calibration == "relative" else "truth"
+    names = [f"{view_name(views[k])}{f' ({one.why})' if one.why else ''}" for k, one in enumerate(chosen)]
+
+    def power(name: str, images: Stack, k: int, title: str) -> Panel:
+        return part.power(title, f"{name}, {view_name(views[k])}", images[k], peak)
+
+    def error(name: str, images: Stack, k: int, title: str) -> Panel:
+        alt = f"error of {'the ' if name == _OWN else ''}{name}, {view_name(views[k])}"
+        return part.difference(title, alt, images[k], difference.largest)
+
+    if len(runs) == 1:  # a block for every view
+        ((name, stack),) = stacks.items()
+        blocks = [
+            Block(
+                heading,
+                (power(true, truth, k, true), power(name, stack, k, name), error(name, errors[name], k, "error")),
             )
-            for name, error in errors.items()
+            for k, heading in enumerate(names)
         ]
-        if alone:
-            blocks.append(Block(heading, (*images, *wrong)))
-        else:
-            blocks.append(Block(heading, tuple(images), across=1 + len(runs)))
-            blocks.append(Block("error", tuple(wrong), across=1 + len(runs)))
+    else:  # a row for the truth and for every run
+        rows = [(true, power, true, truth), *((name, power, name, stack) for name, stack in stacks.items())]
+        rows += [(f"error of {name}", error, name, stack) for name, stack in errors.items()]
+        blocks = [
+            Block(
+                heading,
+                tuple(draw(name, images, k, "" if index else names[k]) for k in range(len(names))),
+                across=max(across, len(names)),
+            )
+            for index, (heading, draw, name, images) in enumerate(rows)
+        ]
     text += f" {difference.explained}"
     if part.factor > 1:
         text += f" Shown averaged over {part.factor} × {part.factor} pixels."
-    return Figure(title, text, tuple(blocks), (power_bar(), difference_bar(difference)))
+    layout = "" if len(runs) == 1 else "sheet"
+    return Figure(title, text, tuple(blocks), (power_bar(), difference_bar(difference)), layout=layout)
 
 
 def unseen_figure(run: Run, chosen: Sequence[Chosen]) -> Figure:
     """Truth, reconstruction and error of some images of a run's dataset."""
     text = f"{_which(run.dataset, chosen)} Power in decibels, the radar above, near range first."
-    return views_figure("Unseen views", text, {_OURS: run}, chosen)
+    return views_figure("Unseen views", text, {_OWN: run}, chosen)
 
 
 def _which(dataset: Dataset, chosen: Sequence[Chosen]) -> str:

@@ -73,7 +73,7 @@
 
     const picture = context.createImageData(width, height), pixels = new Uint32Array(picture.data.buffer);
     const depth = new Float32Array(width * height).fill(-Infinity);
-    const size = Math.max(2, Math.round(1.6 * scale * radius / Math.sqrt(count)));
+    const size = Math.max(2, Math.round(2.2 * scale * radius / Math.sqrt(count)));
     const colours = data.heightColours.map(([r, g, b]) => 0xff000000 | (b << 16) | (g << 8) | r);
     for (let i = 0; i < count; i++) {
       const [x, y, z] = project([points[3 * i], points[3 * i + 1], points[3 * i + 2]]);
@@ -117,7 +117,7 @@
   function arrow(context, from, to, colour, ratio) {
     const end = [from[0] + 0.45 * (to[0] - from[0]), from[1] + 0.45 * (to[1] - from[1])];
     const angle = Math.atan2(to[1] - from[1], to[0] - from[0]), head = 11 * ratio;
-    context.strokeStyle = context.fillStyle = colour("--ink");
+    context.strokeStyle = context.fillStyle = colour("--radar");
     context.lineWidth = 2.5 * ratio;
     context.beginPath(); context.moveTo(from[0], from[1]); context.lineTo(end[0], end[1]); context.stroke();
     context.beginPath(); context.moveTo(end[0] + head * Math.cos(angle), end[1] + head * Math.sin(angle));
@@ -128,6 +128,7 @@
     context.textAlign = "center";
     context.strokeStyle = colour("--card");
     context.lineWidth = 4 * ratio;
+    context.fillStyle = colour("--ink");
     context.strokeText("radar", from[0], from[1] - 11 * ratio);
     context.fillText("radar", from[0], from[1] - 11 * ratio);
   }

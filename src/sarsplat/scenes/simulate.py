@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, Float32, Float64, Real
 
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import join
+from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import ground_radius_m, ground_sheet
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.geometry.responses import GAUSSIAN
@@ -153,7 +153,7 @@ def _splat(
     gaussians, faces = surface_gaussians(mesh, pixel / _PIECES_PER_PIXEL)
     target = len(gaussians)
     if ground_gamma0 is not None:
-        gaussians = join(gaussians, ground_sheet(ground_radius_m(views, grid), pixel / _GROUND_PER_PIXEL))
+        gaussians = Gaussians.cat([gaussians, ground_sheet(ground_radius_m(views, grid), pixel / _GROUND_PER_PIXEL)])
     rays = RayGrid.for_image(grid, _RAYS_PER_PIXEL)
     for view in views:
         gamma0 = torch.full((1, len(gaussians), 1), ground_gamma0 or 0.0)

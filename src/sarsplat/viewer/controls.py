@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import UInt8
 
-from sarsplat.colours import DARK, POWER_RAMPS, rgb
+from sarsplat.colours import DARK, LIGHT, POWER_RAMPS, rgb
 from sarsplat.geometry import View
 from sarsplat.radiometry import DYNAMIC_RANGE_DB
 from sarsplat.viewer.pictures import MAPS
@@ -24,8 +24,8 @@ _NO_MAP = "none"
 
 _HINT = (
     '<div style="font-size:12px;line-height:1.5;padding:0 10px;opacity:.85">Drag the red ball, or click on a dot: '
-    f'<span style="color:{DARK.train}">●</span> training view, '
-    f'<span style="color:{DARK.test}">●</span> test view.</div>'
+    f'<span style="color:light-dark({LIGHT.train},{DARK.train})">●</span> training view, '
+    f'<span style="color:light-dark({LIGHT.test},{DARK.test})">●</span> test view.</div>'
 )
 
 
@@ -96,7 +96,7 @@ class Controls:
             dark_mode=dark,
             show_logo=False,
             show_share_button=False,
-            brand_color=rgb(DARK.train),
+            brand_color=rgb((DARK if dark else LIGHT).train),
             control_width="medium",
         )
 

@@ -91,10 +91,12 @@ class Stage:
         client.camera.position, client.camera.look_at = self._camera(client.camera.aspect)
 
     def paint(self, page: Page) -> None:
-        """Give the scene the background of a page of the report."""
+        """Give the scene the colours of a page of the report."""
         if page is not self._ground:
             self._ground = page
             self._scene.set_background_image(np.full((2, 2, 3), rgb(page.ground), np.uint8), format="png")
+            for name, dots in self._dots.items():
+                dots.batched_colors = np.array(_linear(page.train if name == "train" else page.test), np.uint8)
 
     def _grid(self, scene: Any) -> None:
         step = float(10 ** np.floor(np.log10(self.size_m)))  # 1 m for a vehicle, 10 m for a ship
@@ -126,11 +128,9 @@ class Stage:
         import trimesh
 
         ball = trimesh.creation.icosphere(subdivisions=1)
-        self._dots = []
-        for name, colour, chosen in (
-            ("train", DARK.train, [view for view, split in views if split == "train"]),
-            ("test", DARK.test, [view for view, split in views if split != "train"]),
-        ):
+        self._dots: dict[str, Any] = {}
+        for name in ("train", "test"):
+            chosen = [view for view, split in views if (split == "train") == (name == "train")]
             if not chosen:
                 continue
             places = np.stack([self._at(view) for view in chosen])
@@ -142,7 +142,6 @@ class Stage:
                 np.tile([1.0, 0, 0, 0], (len(chosen), 1)),
                 places,
                 batched_scales=np.full(len(chosen), size),
-                batched_colors=_linear(colour),
                 cast_shadow=False,
                 receive_shadow=False,
             )
@@ -152,7 +151,7 @@ class Stage:
                 if event.instance_index is not None:
                     on_aim(chosen[event.instance_index])
 
-            self._dots.append(dots)
+            self._dots[name] = dots
 
     def _radar(self, scene: Any, on_aim: Callable[[View], None]) -> None:
         r = self._radius
@@ -196,7 +195,7 @@ class Stage:
 
     def show_dome(self, visible: bool) -> None:
         """Show or hide the views and the lines between them."""
-        for node in (self._rings, *self._dots):
+        for node in (self._rings, *self._dots.values()):
             node.visible = visible
 
     def show_ground(self, visible: bool) -> None:

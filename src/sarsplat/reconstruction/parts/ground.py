@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sarsplat.data import Dataset
-from sarsplat.gaussians import Gaussians, Scattering, join
+from sarsplat.gaussians import Gaussians, Scattering
 from sarsplat.gaussians.ground import ground_sheet
 from sarsplat.radiometry import beta0_of_gamma0
 from sarsplat.reconstruction.config import Config
@@ -59,7 +59,7 @@ class Ground(Nuisance):
         # only its level is learned: images of one grazing angle cannot say how γ⁰ goes on at others
         level = torch.cat([uniform[:, :1] + p["ground_texture"], uniform[:, 1:].detach()], dim=1)
         ground = replace(self._sheet, scattering=replace(self._law, parameters=level).detailed(degree))
-        return ground if scene is None else join(scene, ground)
+        return ground if scene is None else Gaussians.cat([scene, ground])
 
     def reach(self) -> Bounds:
         sheet = self._made

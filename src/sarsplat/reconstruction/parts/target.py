@@ -13,7 +13,7 @@ from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import MIN_SCALE, SCATTERINGS, Gaussians, Scattering, join
+from sarsplat.gaussians import MIN_SCALE, Gaussians, Scattering, scattering_named
 from sarsplat.gaussians.initialise import BRIGHT_DB, Region, hemisphere_shell, random_quaternions
 from sarsplat.radiometry import brighter
 from sarsplat.reconstruction.config import Config
@@ -117,7 +117,7 @@ class Target(Part):
             depth = torch.where(dropped, 0.0, more)
         scattering = replace(self._law, parameters=p["scattering"]).detailed(degree)
         target = Gaussians(p["means"], p["quaternions"], p["scales"], depth, scattering)
-        return target if scene is None else join(scene, target)
+        return target if scene is None else Gaussians.cat([scene, target])
 
     def reach(self) -> Bounds:
         """Bounds of every scene, the first included."""
@@ -144,7 +144,7 @@ class Target(Part):
 
 def law(config: Config, count: int, gamma0: float) -> Scattering:
     """The configuration's law of scattering, as a training starts with it."""
-    return SCATTERINGS[config.scattering].initial(count, gamma0, config.p_min).detailed(config.harmonics_degree)
+    return scattering_named(config.scattering).initial(count, gamma0, config.p_min).detailed(config.harmonics_degree)
 
 
 def scales_m(config: Config, cell_m: float) -> tuple[float, float, float]:
@@ -177,6 +177,6 @@ def _enough(train: Dataset) -> int:
 def _start_scales_m(config: Config, cell_m: float) -> list[float]:
     """Standard deviations of a Gaussian at the start, m."""
     smallest, first, _ = scales_m(config, cell_m)
-    if not SCATTERINGS[config.scattering].oriented:
+    if not scattering_named(config.scattering).oriented:
         return [first] * 3
     return [max(share * first, min(smallest, first)) for share in _START]

@@ -1,0 +1,69 @@
+"""γ⁰ in spherical harmonics."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn.functional import pad
+
+from sarsplat.gaussians.harmonics import CONSTANTS, harmonic_basis
+from sarsplat.gaussians.scattering import Scattering, softplus, softplus_inverse
+
+
+@dataclass(frozen=True)
+class Harmonics(Scattering):
+    """Real spherical harmonics: γ⁰(u) = p_min + softplus(Σ_k parameters_k Y_k(u)).
+
+    `parameters` is [N, K] with K = (degree + 1)², degree ≤ 3; order and signs are those of 3D Gaussian splatting
+    (docs/conventions.md). Whatever else is at `Scattering` holds here too.
+    """
+
+    kind: ClassVar[str] = "harmonics"
+
+    @property
+    def degree(self) -> int:
+        """Degree of the harmonics, 0 to 3."""
+        return math.isqrt(self.parameters.shape[1]) - 1
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """Of degree 0 to 3."""
+        return 1, 4, 9, 16
+
+    def amplitudes(
+        self,
+        directions: Float[Tensor, "v 3"],
+        quaternions: Float[Tensor, "n 4"],
+        scales: Float[Tensor, "n 3"],
+    ) -> Float[Tensor, "v n 1"]:
+        """See `Scattering.amplitudes`; how a Gaussian is turned does not matter."""
+        return (self.p_min + softplus(harmonic_basis(directions, self.degree) @ self.parameters.T))[..., None]
+
+    @classmethod
+    def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
+        """See `Scattering.initial`; of degree 3, and the same in all directions."""
+        parameters = torch.zeros(count, len(CONSTANTS), device="cpu")
+        parameters[:, 0] = softplus_inverse(gamma0 - p_min) / CONSTANTS[0]
+        return cls(parameters, p_min)
+
+    def detailed(self, degree: int) -> Self:
+        """The harmonics up to that degree."""
+        if degree >= self.degree:  # a slice of everything would be a copy all the same
+            return self
+        return replace(self, parameters=self.parameters[:, : (degree + 1) ** 2])
+
+    def joined(self, other: Scattering) -> Self:
+        """See `Scattering.joined`; the shorter rows are filled up with zeros."""
+        if not isinstance(other, Harmonics):
+            return super().joined(other)
+        columns = max(self.parameters.shape[1], other.parameters.shape[1])
+        rows = [pad(law.parameters, (0, columns - law.parameters.shape[1])) for law in (self, other)]
+        return replace(self, parameters=torch.cat(rows))
+
+
+LAW = Harmonics

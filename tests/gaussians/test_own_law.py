@@ -1,0 +1,157 @@
+"""A scattering law of one's own: rendered, trained, saved and read like ours, here and by an entry point."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar, Self
+
+import pytest
+import torch
+from torch import Tensor
+
+from datasets import FEW_POINTS, box_dataset
+from programs import python
+from sarsplat import Run, preset, reconstruct
+from sarsplat.data import Dataset, read_gaussians_ply, write_gaussians_ply
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import SCATTERINGS, Gaussians, Harmonics, Scattering, register_scattering
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.renderer import render
+
+
+@dataclass(frozen=True)
+class Fan(Scattering):
+    """Brighter towards one azimuth than away from it."""
+
+    width: float = 1.0
+    kind: ClassVar[str] = "fan"
+
+    def amplitudes(self, directions: Tensor, quaternions: Tensor, scales: Tensor) -> Tensor:
+        level, x, y = torch.nn.functional.pad(self.parameters, (0, 3 - self.parameters.shape[1])).unbind(1)
+        along = directions[:, :1] * x + directions[:, 1:2] * y
+        return self.p_min + torch.nn.functional.softplus(level + self.width * along)[..., None]
+
+    @classmethod
+    def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
+        level = torch.tensor(max(gamma0 - p_min, 1e-3)).expm1().log()
+        return cls(torch.cat([level.expand(count, 1), torch.zeros(count, 2)], 1), p_min)
+
+
+@pytest.fixture
+def forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a test registers, the next one does not know."""
+    monkeypatch.setattr(SCATTERINGS, "_entries", dict(SCATTERINGS._entries))
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return box_dataset(tmp_path_factory.mktemp("box"), ImageGrid(20, 26, (0.3, 0.25), (0.45, 0.3)))
+
+
+def scene(law: Scattering) -> Gaussians:
+    n = len(law.parameters)
+    return Gaussians(torch.randn(n, 3), torch.randn(n, 4), torch.full((n, 3), 0.2), torch.ones(n), law)
+
+
+@pytest.mark.usefixtures("forgotten")
+def test_registered_it_is_trained_saved_and_read(dataset: Dataset, tmp_path: Path) -> None:
+    short = replace(preset("default"), iterations=40, gaussians=200, points=FEW_POINTS)
+    with pytest.raises(
+        SarsplatError, match=r"scattering is 'fan'; it must be one of .* a law that is registered first"
+    ):
+        reconstruct(dataset, short, scattering="fan", quiet=True)
+    assert register_scattering(Fan) is Fan
+    run = reconstruct(dataset, short, tmp_path / "run", scattering="fan", quiet=True)
+    assert run.history[-1].loss < 0.8 * run.history[0].loss
+    assert run.config.scattering == "fan"
+    law = Run.load(tmp_path / "run").gaussians.scattering
+    assert isinstance(law, Fan)
+    assert bool((law.parameters.std(0) > 0).all())  # every column was learned
+    read = read_gaussians_ply(tmp_path / "run" / "gaussians.ply")
+    assert torch.equal(read.scattering.parameters, law.parameters)
+    write_gaussians_ply(tmp_path / "wide.ply", scene(Fan(torch.randn(4, 3), 0.1, width=2.5)))
+    assert read_gaussians_ply(tmp_path / "wide.ply").scattering.settings() == {"p_min": 0.1, "width": 2.5}
+
+
+@pytest.mark.usefixtures("forgotten")
+def test_without_registration_it_is_rendered_but_no_file_is_written(tmp_path: Path) -> None:
+    gaussians = scene(Fan(torch.randn(5, 3).requires_grad_()))
+    images = render(gaussians, [View(20, 30)], ImageGrid(12, 10, (0.3, 0.3), (0.4, 0.4))).images
+    assert torch.autograd.grad(images.sum(), gaussians.scattering.parameters)[0].abs().sum() > 0
+    with pytest.raises(
+        SarsplatError, match=r"^the scattering law Fan \('fan'\) is not registered, .* decorate the class"
+    ):
+        write_gaussians_ply(tmp_path / "a.ply", gaussians)
+    assert not list(tmp_path.iterdir())
+    register_scattering(Fan)
+    write_gaussians_ply(tmp_path / "a.ply", gaussians)
+    with pytest.raises(
+        SarsplatError, match=r"law Fan cannot be made again from its settings \(.*not JSON serializable"
+    ):
+        write_gaussians_ply(
+            tmp_path / "b.ply", replace(gaussians, scattering=Fan(torch.zeros(5, 3), width=torch.ones(())))
+        )
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
+    del SCATTERINGS._entries["fan"]
+    with pytest.raises(SarsplatError, match=r"a.ply: the scattering law 'fan' is unknown; .* or register yours"):
+        read_gaussians_ply(tmp_path / "a.ply")
+
+
+def test_shapes_are_checked_without_a_word_from_the_law() -> None:
+    assert Fan(torch.zeros(3, 2)).parameters.shape == (3, 2)
+    for shape in ((3,), (3, 0), (2, 3, 4)):
+        with pytest.raises(SarsplatError, match=r"scattering has shape .*; .* \(N, K\) with K at least 1"):
+            Fan(torch.zeros(shape))
+
+
+@pytest.mark.usefixtures("forgotten")
+def test_what_cannot_be_registered_or_trained(dataset: Dataset) -> None:
+    @dataclass(frozen=True)
+    class Other(Scattering):
+        kind: ClassVar[str] = "harmonics"
+        amplitudes = Fan.amplitudes
+
+    with pytest.raises(
+        SarsplatError, match=r"the scattering law 'harmonics' is sarsplat.*Harmonics already; give yours"
+    ):
+        register_scattering(Other)
+    for thing in (Scattering, dict, "fan"):
+        with pytest.raises(
+            SarsplatError, match="is not a scattering law; derive it from Scattering and give it a kind"
+        ):
+            register_scattering(thing)  # type: ignore[type-var]
+    Other.kind = "without a start"
+    register_scattering(Other)
+    register_scattering(Other)  # as a notebook's cell does that runs again
+    with pytest.raises(
+        SarsplatError, match=r"cannot start with the scattering law Other; give it a class method initial"
+    ):
+        reconstruct(dataset, replace(preset("default"), iterations=1), scattering=Other.kind, quiet=True)
+    with pytest.raises(SarsplatError, match="sar-nerf uses no scattering; omit 'harmonics'"):
+        reconstruct(dataset, method="sar-nerf", scattering=Harmonics.kind, quiet=True)
+
+
+def test_the_command_line_knows_the_law_of_a_package(dataset: Dataset, tmp_path: Path) -> None:
+    text = inspect.getsource(sys.modules[__name__]).partition("@pytest.fixture")[0].replace("from datasets", "# ")
+    (tmp_path / "fans.py").write_text(text.replace("from programs", "# ").replace("import pytest", ""))
+    (tmp_path / "fans-1.0.dist-info").mkdir()
+    (tmp_path / "fans-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: fans\nVersion: 1.0\n")
+    points = tmp_path / "fans-1.0.dist-info" / "entry_points.txt"
+    points.write_text("[sarsplat.scattering]\nfan = fans:Fan\n")
+    path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+
+    def sarsplat(*words: object) -> str:
+        done = python("-m", "sarsplat", *words, cwd=tmp_path, env={**os.environ, "PYTHONPATH": path})
+        return done.stdout + done.stderr
+
+    options = "--preset", "quick", "--iterations", 20, "--gaussians", 100, "--scattering"
+    out = sarsplat("reconstruct", dataset.path, "--out", "run", *options, "fan")
+    assert (tmp_path / "run" / "gaussians.ply").is_file(), out
+    assert "fan, 3 numbers each" in sarsplat("info", "run/gaussians.ply")
+    points.write_text("[sarsplat.scattering]\nfan = fans:Fan\nfun = fans:Fan\n")
+    wrong = sarsplat("reconstruct", dataset.path, "--out", "wrong", *options, "fun")
+    assert "error: the entry point 'fun' of sarsplat.scattering names <class 'fans.Fan'>" in wrong
