@@ -14,6 +14,7 @@ from .data import (
 )
 from .errors import SarsplatError as SarsplatError, SarsplatWarning as SarsplatWarning
 from .evaluation import evaluate_run as evaluate_run, point_metrics as point_metrics, visible_surface as visible_surface
+from .exports import export as export
 from .gaussians import (
     MAX_OPTICAL_DEPTH as MAX_OPTICAL_DEPTH,
     MIN_SCALE as MIN_SCALE,
@@ -33,6 +34,7 @@ from .importers import (
     read_phoenix as read_phoenix,
 )
 from .reconstruction import (
+    LOSSES as LOSSES,
     PRESETS as PRESETS,
     Config as Config,
     Run as Run,
@@ -65,5 +67,6 @@ from .scenes import (
     target_mesh as target_mesh,
 )
 from .scenes.simulate import simulate_images as simulate_images
+from .viewer import Viewer as Viewer
 
 __version__: str

@@ -5,11 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 _SECONDS_BETWEEN_LINES = 5.0
+
+_shown: ContextVar[Reporter | None] = ContextVar("_shown", default=None)
+"""The progress that is being shown."""
 
 
 class Reporter:
@@ -21,6 +25,10 @@ class Reporter:
         self._begun = self._last = time.monotonic()
         self._first = self._done = 0
         self._ended = False
+
+    def part(self, description: str, total: int) -> Reporter:
+        """The progress of a part of the work."""
+        return Reporter(total, self._bar, description, self._quiet)
 
     def note(self, text: str) -> None:
         """Print a line that stays."""
@@ -57,7 +65,8 @@ def progress(description: str, total: int, quiet: bool = False) -> Iterator[Repo
     """Show progress of `total` steps while the block runs, unless `quiet`."""
     console = Console()
     if quiet or not console.is_terminal:
-        yield Reporter(total, None, description, quiet)
+        with _as_shown(Reporter(total, None, description, quiet)) as reporter:
+            yield reporter
         return
     columns = (
         TextColumn("{task.description}"),
@@ -68,5 +77,24 @@ def progress(description: str, total: int, quiet: bool = False) -> Iterator[Repo
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console) as bar:
-        yield Reporter(total, bar, description)
+    with Progress(*columns, console=console) as bar, _as_shown(Reporter(total, bar, description)) as reporter:
+        yield reporter
+
+
+@contextmanager
+def _as_shown(reporter: Reporter) -> Iterator[Reporter]:
+    before = _shown.set(reporter)
+    try:
+        yield reporter
+    finally:
+        _shown.reset(before)
+
+
+@contextmanager
+def stage(description: str, total: int) -> Iterator[Reporter]:
+    """A long part of the work whose progress is being shown, in a bar or lines of its own; quiet if none is."""
+    outer = _shown.get()
+    if outer is None:
+        yield Reporter(total, None, description, quiet=True)
+        return
+    yield outer.part(description, total)

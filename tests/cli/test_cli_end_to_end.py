@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import tifffile
+import torch
 from PIL import Image
 
 from elsewhere import elsewhere
@@ -29,7 +30,7 @@ from scoring import few_samples
 def workshop(box: Path) -> Path:
     """A folder with a mesh, a dataset and an evaluated run."""
     simulate = f"simulate --mesh {box}/box.obj --out {box}/dataset --azimuth 0:360:90 --grazing 30 60"
-    assert main([*simulate.split(), "--test-azimuth", "0:360:45", "--pixels", "32"]) == 0
+    assert main([*simulate.split(), "--test-azimuth", "0:360:45", "--pixels", "32", "--masks"]) == 0
     few = "--iterations 4 --points.voxel 0.3 --points.rays-per-pixel 2"
     assert main(f"reconstruct {box}/dataset --out {box}/run {few}".split()) == 0
     with few_samples():
@@ -115,6 +116,49 @@ def test_export_and_info(tmp_path: Path, said, refused) -> None:
         assert text in said(f"info {path}").replace("\n", " ")
 
 
+def test_gaussians_in_a_file_are_taken_like_a_run(tmp_path: Path, said, refused) -> None:
+    gaussians = tmp_path / "g.ply"
+    said(f"export run {gaussians}")
+    for source, name in (("run", "a.splat"), (gaussians, "b.splat")):
+        said(f"export {source} {tmp_path}/{name}")
+    assert (tmp_path / "a.splat").read_bytes() == (tmp_path / "b.splat").read_bytes()
+    assert "0 dB is the brightest pixel from all sides" in said(
+        f"render {gaussians} --azimuth 0 --grazing 45 --pixels 20 30 --spacing 0.3 --out {tmp_path}/g.png"
+    )
+    with Image.open(tmp_path / "g.png") as picture:
+        assert picture.size == (30, 20)
+    assert "is the file that is exported" in refused(f"export {gaussians} {gaussians} --overwrite")
+    assert "give --dataset DIR, or --mesh FILE" in refused(f"evaluate {gaussians}")
+    assert "is for PLY files, and run is a run" in refused("evaluate run --dataset dataset")
+    with few_samples():
+        told = said(f"evaluate {gaussians} --dataset dataset")
+    psnr_db = json.loads(Path("run/metrics.json").read_text())["images"]["test"]["psnr_db"]
+    assert f"{psnr_db:.2f}" in told
+
+
+def test_gaussians_in_a_file_are_scored_against_a_mesh_alone(tmp_path: Path, said) -> None:
+    from sarsplat import Gaussians, Harmonics, write_gaussians_ply
+
+    place = torch.cartesian_prod(torch.linspace(-1.2, 1.2, 9), torch.linspace(-0.6, 0.6, 5), torch.linspace(0, 1, 4))
+    turn = torch.tensor([1.0, 0, 0, 0]).expand(len(place), 4)
+    size, depth = torch.full((len(place), 3), 0.2), torch.full((len(place),), 3.0)
+    write_gaussians_ply(tmp_path / "own.ply", Gaussians(place, turn, size, depth, Harmonics(torch.ones(len(place), 1))))
+    with few_samples():
+        told = said(f"evaluate {tmp_path}/own.ply --mesh box.obj")
+    assert "CD m" in told
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["own.ply"]
+
+
+def test_mesh_and_masks_in_one_command(tmp_path: Path, said) -> None:
+    shutil.copytree("run", tmp_path / "run")
+    with few_samples():
+        said(f"evaluate {tmp_path}/run --mesh box.obj --masks dataset/masks")
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert metrics["truth"]["mesh"].endswith("box.obj")
+    assert metrics["points"]["visible"]["cd_m"] > 0
+    assert 0 <= metrics["images"]["test"]["target_iou"] <= 1
+
+
 def test_ctrl_c_says_how_to_continue(tmp_path: Path, monkeypatch, capsys, said) -> None:
     from sarsplat.reconstruction import Trainer
 
@@ -146,6 +190,18 @@ def test_a_second_process_is_refused(workshop: Path, command: str, refused) -> N
     with elsewhere(only_writer(workshop / "run")):
         assert "in use by another process; wait" in refused(command)
     assert {path: path.stat().st_mtime_ns for path in (workshop / "run").rglob("*")} == before
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "words"), [(signal.SIGTERM, 143, "terminated"), (signal.SIGINT, 130, "Ctrl-C")]
+)
+def test_a_signal_leaves_no_empty_report(tmp_path: Path, number, code, words, monkeypatch, capsys) -> None:
+    shutil.copytree("run", tmp_path / "run")
+    shutil.rmtree(tmp_path / "run" / "report")
+    monkeypatch.setattr("sarsplat.report.write.write_bytes", lambda *_: signal.raise_signal(number))
+    assert main(["report", f"{tmp_path}/run"]) == code
+    assert f"{words}; nothing half-written was left behind" in capsys.readouterr().err
+    assert not (tmp_path / "run" / "report").exists()
 
 
 def test_export_replaces_nothing_but_its_like(workshop: Path, tmp_path: Path, said, refused) -> None:
@@ -241,6 +297,33 @@ def test_info_on_rendered_images(tmp_path: Path, said, refused) -> None:
     for path in out.glob("*.tif"):
         path.unlink()
     assert "no longer contains its images" in refused(f"info {out}")
+
+
+def test_info_lists_datasets_and_runs_in_a_folder(tmp_path: Path, said) -> None:
+    for folder in ("dataset", "run"):
+        shutil.copytree(folder, tmp_path / "deep" / folder)
+        shutil.copytree(folder, tmp_path / f"bad-{folder}")
+    shutil.copytree("run", tmp_path / "begun")
+    log = (tmp_path / "begun" / "metrics.jsonl").read_text().splitlines(keepends=True)
+    (tmp_path / "begun" / "metrics.jsonl").write_text(log[0])
+    (tmp_path / "begun" / "metrics.json").unlink()
+    (tmp_path / "bad-dataset" / "dataset.json").write_text('{"schema": "sarsplat-dataset"}')
+    (tmp_path / "bad-run" / "config.json").write_text('{"schema": "sarsplat-run"}')
+    (tmp_path / "model").mkdir()
+    (tmp_path / "model" / "config.json").write_text('{"hidden_size": 768}')
+    lines = [" ".join(line.split()) for line in said(f"info {tmp_path}").splitlines()]
+    assert lines[0] == f"{tmp_path}: 2 datasets and 3 runs"
+    rows = {line.split()[0]: line for line in lines[2:]}
+    assert rows["deep/dataset"] == "deep/dataset 16 images of box.obj 8 train, 8 test; 32 × 32 pixels"
+    metrics = json.loads(Path("run/metrics.json").read_text())
+    psnr_db, cd_m = metrics["images"]["test"]["psnr_target_db"], metrics["points"]["visible"]["cd_m"]
+    assert rows["deep/run"].startswith("deep/run run of dataset (sar-gs) finished ")
+    assert f"target {psnr_db:.2f} dB" in rows["deep/run"]
+    assert f"CD {cd_m:#.3g} m" in rows["deep/run"]
+    assert rows["begun"] == "begun run of dataset (sar-gs) 1 of 4 iterations not evaluated"
+    assert "unusable: " in rows["bad-dataset"]
+    assert "unusable: " in rows["bad-run"]
+    assert "model" not in rows
 
 
 def test_info_on_a_run_whose_dataset_has_moved(tmp_path: Path, said) -> None:

@@ -95,9 +95,10 @@ WORDS = {
     "reconstruct full --out new --rates.means -1": "rates.means is -1.0; it must be a number from 1e-06",
     "reconstruct full --out new --rates.means x": "--rates.means 'x' is not a number; give one",
     "reconstruct full --out new --points.cluster-radius x": "--points.cluster-radius 'x' is not a number; give one",
-    "reconstruct full other --out new": "'other' is one argument too many for sarsplat reconstruct; remove it",
+    "reconstruct full other --out new": "sarsplat reconstruct does one target at a time, and 'other' is another; give",
+    "evaluate full other": "'other' is one argument too many for sarsplat evaluate; remove it",
     "reconstruct --out new": "DATASET is missing; see sarsplat reconstruct --help",
-    "evaluate": "RUN is missing; see sarsplat evaluate --help",
+    "evaluate": "RUN|PLY is missing; see sarsplat evaluate --help",
     "completion tcsh": "shell 'tcsh' is unknown; choose one of bash, fish, zsh",
 }
 

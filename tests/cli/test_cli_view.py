@@ -9,8 +9,10 @@ import urllib.request
 from pathlib import Path
 
 import pytest
+import torch
 
 from datasets import small_dataset
+from sarsplat import Gaussians, Harmonics, write_gaussians_ply
 from sarsplat.data import write_dataset
 
 pytest.importorskip("viser")
@@ -53,6 +55,17 @@ def test_a_port_in_use_is_one_sentence(folder, refused):
         port = taken.getsockname()[1]
         told = refused(f"view {folder} --port {port}")
     assert f"port {port} of this machine cannot be used (address already in use); choose another" in told
+
+
+def test_gaussians_in_a_file_are_shown(tmp_path, said, monkeypatch):
+    gaussians = Gaussians(*(torch.ones(2, k) for k in (3, 4, 3)), torch.ones(2), Harmonics(torch.ones(2, 1)))
+    write_gaussians_ply(tmp_path / "g.ply", gaussians)
+
+    def interrupt(_: float) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("time.sleep", interrupt)
+    assert "open http://127.0.0.1:" in said(f"view {tmp_path}/g.ply --port 0")
 
 
 def test_what_is_neither_run_nor_dataset_is_one_sentence(tmp_path, refused):

@@ -10,6 +10,7 @@ from sarsplat.evaluation import (
     IMAGE_METRICS,
     Yardstick,
     all_metrics,
+    beaten_by_baselines,
     comparison,
     metrics_of_points,
     metrics_table,
@@ -110,6 +111,17 @@ def test_measured_sets_stand_beside_the_baselines():
         ["sar-gs, test-17", "0.550", "0.860", "62"],
         ["nearest chip, test-17", "0.573", "0.841", "–"],
         ["sar-gs, test-15", "0.500", "–", "62"],
+    ]
+
+
+def test_a_baseline_that_wins_is_named():
+    nats = "registered_nats_per_pixel"
+    baselines = {split: {"nearest_chip": {nats: 0.573}, "rotated_average": {nats: 0.53}} for split in ("a", "b")}
+    measured = metrics(baselines, a={nats: 0.55}, b={nats: 0.52}, c={nats: 0.9})
+    measured |= {"by_image": {split: {"metric": nats} for split in "abc"}, "parameters": {"yardstick_m": 0.3}}
+    assert beaten_by_baselines(measured) == [
+        "on the set a the baseline rotated average, which knows no third dimension, is better than sar-gs: negative "
+        "log-likelihood, registered, nats/pixel 0.530 against 0.550"
     ]
 
 

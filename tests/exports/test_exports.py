@@ -17,6 +17,7 @@ from sarsplat.data import read_gaussians_ply
 from sarsplat.errors import SarsplatError
 from sarsplat.exports import FORMATS, export, format_of
 from sarsplat.reconstruction import METHODS, Run, preset, reconstruct
+from sarsplat.scenes import load_mesh
 
 
 @pytest.fixture(scope="module")
@@ -45,13 +46,16 @@ def test_gaussians_come_back_exactly_whatever_their_colour(run: Run, tmp_path: P
     assert (tmp_path / "db.ply").read_bytes() != (tmp_path / "height.ply").read_bytes()
 
 
-@pytest.mark.parametrize("ending", ["glb", "obj", "ply"])
+@pytest.mark.parametrize("ending", ["glb", "obj", "ply", "stl"])
 def test_meshes_are_read_by_trimesh(run: Run, tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"mesh.{ending}"
     assert "triangles, metres" in export(run, path, "mesh").summary
-    read = trimesh.load(path, force="mesh")
+    read = trimesh.load(path, force="mesh")  # a scene's nodes applied
     expected = run.mesh()
-    np.testing.assert_allclose(read.bounds, expected.bounds, atol=1e-5)
+    (x0, y0, z0), (x1, y1, z1) = expected.bounds
+    upright = [(x0, z0, -y1), (x1, z1, -y0)] if ending == "glb" else expected.bounds  # y is up in glTF
+    np.testing.assert_allclose(read.bounds, upright, atol=1e-5)
+    np.testing.assert_allclose(load_mesh(path).bounds, expected.bounds, atol=1e-5)
     assert read.area == pytest.approx(expected.area, rel=1e-4)
     assert len(read.faces) == len(expected.faces)
 
@@ -65,10 +69,13 @@ def test_points_are_read_by_trimesh(run: Run, tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.ravel(values["nz"]), run.normals[:, 2])
 
 
-def test_las_is_read_by_laspy(run: Run, tmp_path: Path) -> None:
+@pytest.mark.parametrize("ending", ["las", "laz"])
+def test_las_is_read_by_laspy(run: Run, tmp_path: Path, ending: str) -> None:
     laspy = pytest.importorskip("laspy")
-    export(run, tmp_path / "points.las")
-    read = laspy.read(tmp_path / "points.las")
+    pytest.importorskip("lazrs")
+    export(run, tmp_path / f"points.{ending}")
+    read = laspy.read(tmp_path / f"points.{ending}")
+    assert read.header.are_points_compressed == (ending == "laz")
     assert (str(read.header.version), read.header.point_format.id) == ("1.4", 6)
     np.testing.assert_allclose(read.xyz, run.points, atol=0.5001e-4)  # m
     for name, expected in zip(("nx", "ny", "nz"), run.normals.T, strict=True):
@@ -87,6 +94,19 @@ def test_las_holds_targets_of_any_size(run: Run, tmp_path: Path) -> None:
     large.__dict__.update(points=run.points * np.float32(1e6), normals=run.normals, points_gamma0=None)
     export(large, tmp_path / "large.las")
     np.testing.assert_allclose(laspy.read(tmp_path / "large.las").xyz, run.points * 1e6, atol=1, rtol=1e-6)
+
+
+def test_pcd_is_as_its_specification_says(run: Run, tmp_path: Path) -> None:
+    """https://pointclouds.org/documentation/tutorials/pcd_file_format.html, read in the plainest way."""
+    export(run, tmp_path / "points.pcd")
+    head, _, data = (tmp_path / "points.pcd").read_bytes().partition(b"DATA binary\n")
+    fields = dict(line.split(" ", 1) for line in head.decode("ascii").splitlines()[1:])
+    assert list(fields) == ["VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS"]
+    assert fields["FIELDS"] == "x y z normal_x normal_y normal_z gamma0"
+    assert (fields["SIZE"], fields["TYPE"], fields["COUNT"]) == ("4 4 4 4 4 4 4", "F F F F F F F", "1 1 1 1 1 1 1")
+    assert int(fields["WIDTH"]) * int(fields["HEIGHT"]) == int(fields["POINTS"]) == len(run.points)
+    table = np.frombuffer(data, "<f4").reshape(len(run.points), 7)
+    np.testing.assert_array_equal(table, np.column_stack([run.points, run.normals, run.points_gamma0]))
 
 
 def test_xyz_is_read_by_numpy(run: Run, tmp_path: Path) -> None:
@@ -137,8 +157,8 @@ def test_splat_holds_what_its_viewer_reads(run: Run, tmp_path: Path) -> None:
 
 
 def test_errors_on_unknown_endings_list_the_valid_ones(tmp_path: Path) -> None:
-    endings = ".glb, .las, .npz, .obj, .ply, .splat or .xyz"
-    for name in ("a.stl", "a", "a.PLYX"):
+    endings = ".glb, .las, .laz, .npz, .obj, .pcd, .ply, .splat, .stl or .xyz"
+    for name in ("a.3ds", "a", "a.PLYX"):
         with pytest.raises(SarsplatError, match=rf"not a valid name for an export; .* ends in {endings}"):
             format_of(Path(name))
     with pytest.raises(

@@ -213,8 +213,8 @@ def test_what_is_no_surface_is_an_empty_mesh_and_no_file(ball: Ball, tmp_path: P
     empty = surface_mesh(np.empty((0, 3)), np.empty((0, 3)), ball.seen, GRID.cell_m)
     with pytest.raises(SarsplatError, match="has no faces"):
         write_mesh(tmp_path / "empty.ply", empty)
-    with pytest.raises(SarsplatError, match=r"choose a name that ends in \.ply, \.glb, \.obj"):
-        write_mesh(tmp_path / "ball.stl", ball.mesh)
+    with pytest.raises(SarsplatError, match=r"choose a name that ends in \.ply, \.glb, \.obj, \.stl"):
+        write_mesh(tmp_path / "ball.3ds", ball.mesh)
     assert list(tmp_path.iterdir()) == []
 
 

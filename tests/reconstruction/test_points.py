@@ -9,9 +9,11 @@ import pytest
 import torch
 
 from sarsplat import Gaussians, Harmonics, ImageGrid, View
+from sarsplat.geometry import RayGrid
 from sarsplat.reconstruction import extract_points
+from sarsplat.reconstruction import points as of_points
 from sarsplat.reconstruction.config import PointExtraction
-from sarsplat.reconstruction.points import _FirstReturns, between
+from sarsplat.reconstruction.points import _FirstReturns, _Voxels, between, spread
 
 GRID = ImageGrid(32, 32, (0.3, 0.3), (0.3, 0.3))
 VIEWS = [View(45.0 * k, 30.0) for k in range(8)]
@@ -68,11 +70,83 @@ def test_views_between_neighbours_alone() -> None:
 
 
 def test_how_far_behind_a_place_its_ray_returns() -> None:
-    ranges = np.array([[1.0, 2.0, np.nan], [4.0, 5.0, 6.0]])  # two rows of y, three columns of x
-    returns = _FirstReturns(np.eye(3), ranges, np.array([10.0, 20.0]), np.array([0.5, 2.0]))
+    ranges = np.pad([[1.0, 2.0, np.inf], [4.0, 5.0, 6.0]], 1, constant_values=np.inf)  # two rows of y, three columns
+    returns = _FirstReturns(np.eye(3), ranges, np.array([9.5, 18.0]), np.array([0.5, 2.0]))
     beyond = {(10, 20): 1, (10.5, 20): 2, (11, 20): np.inf, (11.2, 22.9): 6, (10.2, 21.1): 4}
     beyond |= dict.fromkeys([(9.7, 20), (11.3, 20), (10, 18.9), (10, 23.1)], np.inf)
     places = np.array([(*place, 0.25) for place in beyond])
     assert returns.beyond(places).tolist() == [far - 0.25 for far in beyond.values()]
     x, y, r = returns.points().T
     assert [*zip(x, y, r)] == [(10, 20, 1), (10.5, 20, 2), (10, 22, 4), (10.5, 22, 5), (11, 22, 6)]
+
+
+def test_points_are_those_that_enough_of_all_views_confirm(ball_with_a_hole: Gaussians) -> None:
+    """By the definition, every point held against every view."""
+    how = replace(KEPT, seen_by=3)
+    rays = RayGrid.for_image(GRID, how.rays_per_pixel)
+    views = [*VIEWS, *between(VIEWS)]
+    returns = [_FirstReturns.of(ball_with_a_hole, view, GRID, rays, how.optical_depth) for view in views]
+    every = np.concatenate([each.points() for each in returns])
+    cells, owner = np.unique(np.floor(every / (how.voxel * GRID.cell_m)), axis=0, return_inverse=True)
+    expected = np.stack([every[owner.ravel() == k].mean(axis=0) for k in range(len(cells))])
+    beyond = np.stack([each.beyond(expected) for each in returns])
+    through, seen = beyond > how.behind * GRID.cell_m, np.abs(beyond) <= how.behind * GRID.cell_m
+    expected = expected[(through.mean(axis=0) <= how.seen_through) & (seen.sum(axis=0) >= 3)]
+    assert 0 < len(expected) < len(cells)
+    np.testing.assert_allclose(extract_points(ball_with_a_hole, VIEWS, GRID, how), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e15])
+def test_voxels_are_the_same_however_the_points_come(offset: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All at once or in parts, and where cells are so many that no number counts them."""
+    places = np.random.default_rng(0).uniform(-1, 1, (500, 3))
+    places[0] += offset
+    once = _Voxels(0.3)
+    once.add(places)
+    monkeypatch.setattr(of_points, "_AT_ONCE", 40)
+    parts = _Voxels(0.3)
+    for part in np.array_split(places, 20):
+        parts.add(part)
+    cells = np.unique(np.floor(places / 0.3), axis=0)
+    assert len(once.means()) == len(cells)
+    np.testing.assert_array_equal(np.floor(once.means() / 0.3), cells)
+    np.testing.assert_allclose(parts.means(), once.means(), rtol=1e-12)
+    assert _Voxels(0.3).means().shape == (0, 3)
+
+
+def test_many_views_are_thinned_evenly() -> None:
+    ring = [View(float(azimuth), 30.0) for azimuth in range(360)]
+    some = spread(ring, 12)
+    assert len(some) == 12
+    assert some[0] == ring[0]
+    gaps = np.diff([view.azimuth_deg for view in some] + [360.0])
+    assert gaps.max() <= 2 * gaps.min() + 1
+    assert spread(ring, 360) == ring
+    assert len(spread([ring[0]] * 9, 4)) <= 4
+
+
+def test_large_scenes_are_traced_by_fewer_rays_and_still_are_on_the_surface(
+    ball_with_a_hole: Gaussians, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The ball's cost has a limit, whatever rays and views are asked for."""
+    counted: list[int] = []
+    first_returns = _FirstReturns.of.__func__
+
+    def counting(cls: type, *arguments: object) -> _FirstReturns:
+        returns = first_returns(cls, *arguments)
+        counted.append(returns.range_m.size)
+        return returns
+
+    monkeypatch.setattr(_FirstReturns, "of", classmethod(counting))
+    usual = extract_points(ball_with_a_hole, VIEWS, GRID, KEPT)
+    rays = sum(counted)
+    counted.clear()
+    monkeypatch.setattr(of_points, "_MOST_RAYS", rays / 16)
+    monkeypatch.setattr(of_points, "_MOST_VIEWS", 12)
+    many = [View(10.0 * k, 30.0) for k in range(36)]
+    points = extract_points(ball_with_a_hole, many, GRID, KEPT)
+    assert len(counted) == 12
+    assert rays / 64 < sum(counted) < rays / 8
+    assert len(usual) / 40 < len(points) < len(usual)
+    off = np.abs(np.linalg.norm(points - [0, 0, HEIGHT], axis=1) - RADIUS)
+    assert np.median(off) < 0.2

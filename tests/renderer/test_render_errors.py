@@ -178,3 +178,12 @@ def test_the_reference_refuses_at_once_what_would_take_hours():
     with pytest.raises(SarsplatError, match=r"too many rays at a spacing of \(0.001, 0.001\) m: .* use coarser rays"):
         render(cloud(60, 0), VIEWS, GRID, rays=RayGrid((0.001, 0.001)), engine="reference")
     assert time.monotonic() - begun < 2
+
+
+@pytest.mark.parametrize("engine", ["cpu", "reference"])
+def test_complex_amplitudes_are_for_splat(engine):
+    amplitudes = torch.ones(len(VIEWS), 10, 1, dtype=torch.complex64)
+    with pytest.raises(
+        SarsplatError, match=r"amplitudes is torch.complex64, but render takes real ones; .* sarsplat.splat"
+    ):
+        render(cloud(10, 0), VIEWS, GRID, amplitudes=amplitudes, engine=engine)

@@ -41,6 +41,13 @@ def test_parts_of_a_scene_become_one_mesh(tmp_path):
     assert mesh.extents == pytest.approx((6, 1, 1))
 
 
+def test_up_is_y_in_glb_files(tmp_path):
+    tower = trimesh.creation.box((1, 9, 2)).apply_translation((0, 4.5, 0))  # as any program for glTF draws it
+    tower.export(tmp_path / "tower.glb")
+    mesh = load_mesh(tmp_path / "tower.glb")
+    assert mesh.bounds == pytest.approx(np.array([[-0.5, -1, 0], [0.5, 1, 9]]))
+
+
 def test_bad_faces_are_dropped_with_their_number(tmp_path):
     text = SQUARE + "v nan 0 0\nf 1 2 3\nf 1 3 4\nf 3 2 1\nf 1 1 2\nf 1 2 5\n"  # doubled, degenerate, not finite
     path = write(tmp_path / "dirty.obj", text)

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import signal
 import sys
+import threading
 from collections.abc import Sequence
+from types import FrameType
 
-_INTERRUPTED, _TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM  # as shells have it
+from sarsplat.cli.stopped import Stopped
+
+_SIGNALLED = 128  # and the signal's number: exit codes as in shells
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -23,6 +27,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit code: 0, or 2 after a mistake in the input, 130 after Ctrl-C, 143 after being terminated. Options that do
         not parse end the process with code 2.
     """
+    main_thread = threading.current_thread() is threading.main_thread()  # the only one that receives signals
+    before = signal.signal(signal.SIGTERM, _terminate) if main_thread else None
     try:
         from sarsplat.cli.app import run  # here, because Ctrl-C may come while this is imported
 
@@ -30,13 +36,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as interrupt:
         from sarsplat.cli import console
 
-        terminated = getattr(interrupt, "number", signal.SIGINT) == signal.SIGTERM
-        by = "terminated" if terminated else "stopped by Ctrl-C"
+        number = getattr(interrupt, "number", signal.SIGINT)
+        by = "terminated" if number == signal.SIGTERM else "stopped by Ctrl-C"
         console.complain(str(interrupt) or f"{by}; nothing half-written was left behind")
-        return _TERMINATED if terminated else _INTERRUPTED
+        return _SIGNALLED + number
     finally:
+        if main_thread:
+            signal.signal(signal.SIGTERM, before)
         if arguments is None:  # the process ends: a late Ctrl-C must not make it look as if it had not done its work
             signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    """As Ctrl-C does, so that what is half-written is removed."""
+    raise Stopped(number)
 
 
 __all__ = ["main"]

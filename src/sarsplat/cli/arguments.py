@@ -14,11 +14,15 @@ from sarsplat.errors import SarsplatError
 
 if TYPE_CHECKING:
     from sarsplat.geometry import View
+    from sarsplat.reconstruction import Run
 
 MARKERS = (tyro.conf.FlagCreatePairsOff,)
 """How tyro makes options of parameters everywhere."""
 
 RunFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+RunOrFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN|PLY")]
+"""A run's folder, or a PLY file of Gaussians; see `run_at`."""
+
 Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 File = Annotated[Path, tyro.conf.arg(metavar="FILE")]
 OptionalFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(optional)")]
@@ -118,6 +122,19 @@ def views_from(
     views = list(dict.fromkeys(View(a, e) for e in elevations for a in azimuths))
     warn(suspicious_angles(views))
     return views
+
+
+def is_ply(path: Path) -> bool:
+    """Whether a path is that of Gaussians in a PLY file, not of a run."""
+    return path.suffix.lower() == ".ply" and not path.is_dir()
+
+
+def run_at(path: Path) -> Run:
+    """The run in a folder, or a run in memory of the Gaussians in a PLY file."""
+    from sarsplat.data import read_gaussians_ply
+    from sarsplat.reconstruction import Run
+
+    return Run.from_gaussians(read_gaussians_ply(path)) if is_ply(path) else Run.load(path)
 
 
 def refuse_existing(path: Path, overwrite: bool, *, marker: str | None = None) -> None:

@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import OptionalFile, OptionalFolder, RunFolder
+from sarsplat.cli.arguments import OptionalFile, OptionalFolder, RunOrFile, is_ply
+from sarsplat.errors import SarsplatError
+
+if TYPE_CHECKING:
+    from sarsplat.reconstruction import Run
 
 
 def evaluate(
-    run: RunFolder,
+    run: RunOrFile,
     *,
     mesh: OptionalFile = None,
     align: Literal["none", "rigid"] = "none",
     masks: OptionalFolder = None,
     lpips_weights: OptionalFolder = None,
+    dataset: OptionalFolder = None,
 ) -> None:
     """Score a run on unseen views and against the true surface, and write its report.
 
     Parameters
     ----------
     run
-        Folder written by `sarsplat reconstruct`.
+        Folder written by `sarsplat reconstruct`, or a PLY file of Gaussians, which is scored on --dataset, or without
+        images against --mesh; its scores are printed only.
     mesh
         A model of the target to hold the points against, metres, in the frame of the views (x towards the nose, z up,
         ground at z = 0); without it, the dataset's true mesh, if it has one.
@@ -33,10 +40,13 @@ def evaluate(
         2 shadow; of MSTAR chips in the orientation as published, of others in that of the images.
     lpips_weights
         Folder of the LPIPS weights (default: SARSPLAT_LPIPS_WEIGHTS); without weights, LPIPS is skipped.
+    dataset
+        Dataset to score a PLY file on; a run has its own.
     """
     from sarsplat.evaluation import (
         NOT_THE_SAME_EXPERIMENT,
         Yardstick,
+        beaten_by_baselines,
         comparison,
         evaluate_run,
         metrics_table,
@@ -46,12 +56,37 @@ def evaluate(
     from sarsplat.report import write_report
     from sarsplat.report.write import refuse_linked_report
 
-    done = Run.load(run)
-    refuse_linked_report(run)
+    if is_ply(run):
+        done = _of_gaussians(run, dataset, mesh)
+    elif dataset is None:
+        done = Run.load(run)
+        refuse_linked_report(run)
+    else:
+        raise SarsplatError(f"--dataset {dataset} is for PLY files, and {run} is a run, which has its own; omit it")
     metrics = evaluate_run(done, mesh=mesh, alignment=align, masks=masks, lpips_weights=lpips_weights)
-    with console.busy("writing the report"):
-        page = write_report(done)
     paper = paper_beside(done.dataset)
     yardstick = Yardstick(metrics["parameters"]["yardstick_m"])
     console.show(metrics_table(comparison(metrics, paper), yardstick, NOT_THE_SAME_EXPERIMENT if paper else None))
+    for sentence in beaten_by_baselines(metrics):
+        console.warn(sentence)
+    if done.path is None:
+        return
+    with console.busy("writing the report"):
+        page = write_report(done)
     console.finish(f"{run / 'metrics.json'} and {page}", f"open {page} in a browser")
+
+
+def _of_gaussians(file: Path, dataset: Path | None, mesh: Path | None) -> Run:
+    """The Gaussians of a file as a run of the dataset, or else of their own images from all sides."""
+    from sarsplat.data import Dataset, SarImage, read_dataset, read_gaussians_ply
+    from sarsplat.reconstruction import Run
+
+    gaussians = read_gaussians_ply(file)
+    if dataset is not None:
+        return Run.from_gaussians(gaussians, dataset=read_dataset(dataset))
+    if mesh is None:
+        raise SarsplatError(f"{file} holds Gaussians without images; give --dataset DIR, or --mesh FILE for the points")
+    alone = Run.from_gaussians(gaussians)
+    views = alone.snapshot.views
+    images = [SarImage(image, view, alone.grid) for view, image in zip(views, alone.render(views), strict=True)]
+    return Run.from_gaussians(gaussians, dataset=Dataset.from_images(images, target=file.stem))

@@ -8,27 +8,27 @@ from typing import Annotated
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import RunFolder, one_of, refuse_existing
+from sarsplat.cli.arguments import RunOrFile, one_of, refuse_existing, run_at
 from sarsplat.names import Colour, Content
 
 
 def export(
-    run: RunFolder,
+    run: RunOrFile,
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")],
     *,
     format: Annotated[Content | None, one_of(Content)] = None,
     colour: Annotated[Colour | None, one_of(Colour, hint="(default: db)")] = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a run's Gaussians, points or mesh to one file for other programs.
+    """Write Gaussians, points or a mesh of a run to one file for other programs.
 
     Parameters
     ----------
     run
-        Folder written by `sarsplat reconstruct`.
+        Folder written by `sarsplat reconstruct`, or a PLY file of Gaussians.
     file
         File to write. Its ending decides the format: .ply (Gaussians, unless --format says otherwise); .splat
-        (Gaussians); .glb, .obj (a mesh); .las, .xyz (points); .npz (all arrays, for numpy).
+        (Gaussians); .glb, .obj, .stl (a mesh); .las, .laz, .pcd, .xyz (points); .npz (all arrays, for numpy).
     format
         What a .ply file holds. gaussians: in the layout of 3D Gaussian splatting; points: of the surface, metres, with
         normals and γ⁰; mesh: triangles through the points, with normals and γ⁰ at the vertices.
@@ -39,10 +39,9 @@ def export(
     """
     from sarsplat import exports
     from sarsplat.data.folders import refuse_other_kinds
-    from sarsplat.reconstruction import Run
 
     kind, _ = exports.format_of(file, format)
-    done = Run.load(run)
+    done = run_at(run)
     refuse_existing(file, overwrite)
     refuse_other_kinds(file, run, kind.recognises)
     with console.busy(f"writing {file}"):

@@ -20,7 +20,7 @@ EXTRAS: dict[str, dict[str, str]] = {
     "report": {"matplotlib": "matplotlib", "jinja2": "jinja2", "trimesh": "trimesh", "skimage": "scikit-image"},
     "sicd": {"sarkit": "sarkit", "lxml": "lxml"},
     "phase-history": {"finufft": "finufft"},
-    "las": {"laspy": "laspy"},
+    "las": {"laspy": "laspy", "lazrs": "lazrs"},
     "video": {"PIL": "pillow", "cv2": "opencv-python-headless"},
     "tensorboard": {"tensorboard": "tensorboard"},
 }

@@ -11,6 +11,7 @@ from sarsplat.cli import console
 from sarsplat.cli.arguments import OptionalFile
 from sarsplat.cli.importers import recognised
 from sarsplat.cli.info_dataset import describe_dataset
+from sarsplat.cli.info_folder import describe_contents
 from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ _UNDERSTOOD = (
 def info(
     path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")], *, plot: OptionalFile = None
 ) -> None:
-    """Describe a file or folder: dataset with its views, run, images to import, PLY, Phoenix chip, TIFF or mesh.
+    """Describe a file or folder: dataset with its views, run, folder of these, images to import, PLY, TIFF or mesh.
 
     Parameters
     ----------
@@ -43,6 +44,8 @@ def info(
         return
     if plot is not None:
         raise SarsplatError(f"--plot {plot} draws the views of a dataset, and {path} is none; omit it")
+    if path.is_dir() and not (path / "config.json").is_file() and describe_contents(path):
+        return
     ours = any((path / name).is_file() for name in _MARKERS) or _part_of(path) is not None
     if not ours and (importable := recognised(path)) is not None:
         console.facts(f"{path}: {importable.kind}", importable.facts)

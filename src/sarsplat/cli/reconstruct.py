@@ -6,6 +6,7 @@ import json
 import re
 import shlex
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, make_dataclass, replace
 from pathlib import Path
@@ -150,7 +151,7 @@ def reconstruct(
         return
     if not options.resume:
         refuse_existing(out, options.overwrite, marker=HEADER)
-    port = options.port if options.view else None
+    port, begun_at = options.port if options.view else None, time.monotonic()
     with watched(options.dataset, options.out, images, tensorboard=options.tensorboard, port=port) as on_step:
         run = train(
             images,
@@ -164,8 +165,8 @@ def reconstruct(
             overwrite=options.overwrite,
         )
     console.finish(
-        f"{out}: {run.learned} and {counted(len(run.points), 'point')} in {run.time_s:.0f} s "
-        f"({method.about(config, images.grid)[0]}, seed {run.seed})",
+        f"{out}: {run.learned} and {counted(len(run.points), 'point')} in {time.monotonic() - begun_at:.0f} s "
+        f"({run.time_s:.0f} s of training; {method.about(config, images.grid)[0]}, seed {run.seed})",
         f"sarsplat evaluate {shlex.quote(str(out))}",
     )
 

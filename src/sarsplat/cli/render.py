@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import Angles, Metres, OptionalName, RunFolder, angles, one_of, refuse_existing, views_from
+from sarsplat.cli.arguments import (
+    Angles,
+    Metres,
+    OptionalName,
+    RunOrFile,
+    angles,
+    one_of,
+    refuse_existing,
+    run_at,
+    views_from,
+)
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.names import Swept
 
@@ -24,7 +34,7 @@ _AT_A_TIME = 4  # views, between two steps of the progress
 
 
 def render(
-    run: RunFolder,
+    run: RunOrFile,
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR|FILE")],
     azimuth: Angles = (),
@@ -47,7 +57,7 @@ def render(
     Parameters
     ----------
     run
-        Folder written by `sarsplat reconstruct`.
+        Folder written by `sarsplat reconstruct`, or a PLY file of Gaussians.
     out
         What to write. A folder: float32 TIFFs (β⁰), PNGs (dB) and a contact sheet. A .mp4, .gif or .webp file: an
         animation. A .png or .tif file: one image.
@@ -83,7 +93,6 @@ def render(
     from sarsplat.colours import POWER
     from sarsplat.data.folders import refuse_other_kinds
     from sarsplat.radiometry import to_db
-    from sarsplat.reconstruction import Run
     from sarsplat.report.animation import ANIMATIONS
     from sarsplat.report.look import Look
     from sarsplat.report.rendered import FILES, SHEET, Rendered, asked_grid, require_distinct, require_output
@@ -93,7 +102,7 @@ def render(
     recognises = FILES.get(out.suffix.lower())
     if views is not None and recognises is None:
         require_distinct(views)
-    done = Run.load(run)
+    done = run_at(run)
     refuse_existing(out, overwrite, marker=None if recognises else SHEET)
     if recognises is not None:
         refuse_other_kinds(out, run, recognises)
@@ -110,10 +119,11 @@ def render(
     with console.busy(f"writing {out}"):
         wrote = rendered.write(out, seconds=seconds, overwrite=overwrite)
     ends = ("grey", "black", "white") if look.cmap == POWER else (look.cmap, "its lower end", "its upper end")
+    brightest = "brightest training pixel" if run.is_dir() else "brightest pixel from all sides"
+    level = f"β⁰ = {to_db(look.peak):.1f} dB" if _absolute(done) else "β⁰ up to an unknown factor"
     console.say(
-        f"pictures: {ends[0]} from −{look.range_db:g} dB ({ends[1]}) to 0 dB ({ends[2]}), where 0 dB is the brightest "
-        f"training pixel, {f'β⁰ = {to_db(look.peak):.1f} dB' if _absolute(done) else 'β⁰ up to an unknown factor'}; "
-        "row 0 is near range"
+        f"pictures: {ends[0]} from −{look.range_db:g} dB ({ends[1]}) to 0 dB ({ends[2]}), where 0 dB is the "
+        f"{brightest}, {level}; row 0 is near range"
     )
     console.finish(f"{out}: {wrote}", f"look at {out if recognises else out / SHEET}")
 

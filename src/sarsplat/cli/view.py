@@ -9,29 +9,30 @@ from typing import Annotated
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import DEFAULT_PORT
+from sarsplat.cli.arguments import DEFAULT_PORT, is_ply
 
 _LOOK_AGAIN_S = 0.5
 
 
 def view(
-    path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN|DATASET")],
+    path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN|DATASET|PLY")],
     *,
     port: Annotated[int, tyro.conf.arg(metavar="PORT")] = DEFAULT_PORT,
 ) -> None:
-    """Look at a run or a dataset in the browser: drag the radar, and see the image that it would take.
+    """Look at a run, a dataset or Gaussians in the browser: drag the radar, and see the image that it would take.
 
     Parameters
     ----------
     path
-        Folder of a run or of a dataset.
+        Folder of a run or of a dataset, or a PLY file of Gaussians.
     port
         Port of 127.0.0.1 for the page, which no other machine can open; 0 takes any that is free.
     """
+    from sarsplat.data import read_gaussians_ply
     from sarsplat.viewer import Viewer, subject_at
 
     with console.busy(f"reading {path}"):
-        viewer = Viewer(subject_at(path), port)
+        viewer = Viewer(read_gaussians_ply(path) if is_ply(path) else subject_at(path), port)
     try:
         console.say(f"open {viewer.address} in a browser on this machine; Ctrl-C ends it")
         while True:

@@ -13,6 +13,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from sarsplat.cli import console
+from sarsplat.cli.stopped import Stopped
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
@@ -21,24 +22,18 @@ if TYPE_CHECKING:
 _LOG_FOLDER = "tensorboard"  # in the run's folder
 
 
-class Stopped(KeyboardInterrupt):
-    """A signal that ended a training between two steps; the exit code says which, as in shells."""
-
-    def __init__(self, number: int, text: str = "") -> None:
-        super().__init__(*([text] if text else []))
-        self.number = number
-
-
 @contextmanager
 def watched(
     dataset: Path, out: Path, images: Dataset, *, tensorboard: bool, port: int | None
 ) -> Iterator[Callable[[Step[Any]], object]]:
     """A training that Ctrl-C ends between two steps, logged for TensorBoard and shown in a browser if asked for.
 
+    Before the first step is done and after the last one, Ctrl-C ends it at once.
+
     The yielded function is called after each step. The KeyboardInterrupt says how to resume if there is a checkpoint.
     """
     with ExitStack() as stack:
-        interrupted = stack.enter_context(_interrupts_held_back())
+        hold_back = stack.enter_context(_interrupts())
         watchers: list[Callable[[Step[Any]], object]] = []
         if tensorboard:
             from sarsplat.reconstruction.tensorboard import TensorBoard
@@ -54,7 +49,7 @@ def watched(
         def on_step(step: Step[Any]) -> None:
             for watcher in watchers:
                 watcher(step)
-            if number := interrupted():
+            if number := hold_back(step.iteration < step.trainer.config.iterations):
                 raise Stopped(number)
 
         try:
@@ -72,26 +67,32 @@ def watched(
 
 
 @contextmanager
-def _interrupts_held_back() -> Iterator[Callable[[], int]]:
-    """Hold back Ctrl-C (and a polite kill) inside the block; the yielded function gives the signal's number, or 0.
+def _interrupts() -> Iterator[Callable[[bool], int]]:
+    """Raise `Stopped` at Ctrl-C (and a polite kill) inside the block, at first at once.
 
-    A second Ctrl-C is not held back. Outside the main thread, where no signal arrives, nothing changes.
+    The yielded function says whether signals are held back from now on, and gives the number of one that was, or 0. A
+    second one is not held back. Outside the main thread, where no signal arrives, nothing changes.
     """
     if threading.current_thread() is not threading.main_thread():
-        yield lambda: 0
+        yield lambda held: 0
         return
-    asked = 0
+    asked, holding = 0, False
 
     def hold(number: int, frame: FrameType | None) -> None:
         nonlocal asked
-        if asked:
+        if asked or not holding:
             raise Stopped(number)
         asked = number
         os.write(2, b"\nstopping after this step; once more stops at once\n")  # print must not be called in here
 
+    def hold_back(held: bool) -> int:
+        nonlocal holding
+        holding = held
+        return asked
+
     before = {number: signal.signal(number, hold) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield lambda: asked
+        yield hold_back
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -126,10 +126,7 @@ def read_dataset(path: str | Path) -> Dataset:
         folder, an image is missing, damaged or of another shape or type, or there is nothing to train on.
     """
     path = Path(path)
-    _require_dataset(path)
-    header = read_versioned_json(
-        path / HEADER, DatasetHeader, schema=SCHEMA, version=SCHEMA_VERSION, remedy="simulate or import it again"
-    )
+    header = read_header(path)
     with _blamed_on(path / HEADER):
         grid = ImageGrid.of(**msgspec.structs.asdict(header.grid))
         entries = tuple(
@@ -156,6 +153,14 @@ def read_dataset(path: str | Path) -> Dataset:
         )
         _require_training(dataset)
     return dataset
+
+
+def read_header(path: Path) -> DatasetHeader:
+    """What a dataset's `dataset.json` holds; refused if there is no dataset, or one of another version."""
+    _require_dataset(path)
+    return read_versioned_json(
+        path / HEADER, DatasetHeader, schema=SCHEMA, version=SCHEMA_VERSION, remedy="simulate or import it again"
+    )
 
 
 def _require_dataset(path: Path) -> None:

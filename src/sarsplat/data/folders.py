@@ -33,7 +33,7 @@ _LAYOUTS = {
 Recognises = Callable[[bytes, int], bool]
 """Whether a file that begins with these bytes, and has that many, is of some kind."""
 
-_HEAD = 64  # bytes by which a kind of file is recognised
+_HEAD = 96  # bytes by which a kind of file is recognised
 _BUILT, _RETIRED = "new", "old"
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of Linux's renameat2
 
@@ -122,6 +122,8 @@ def refuse_existing(path: Path, overwrite: bool, *, marker: str) -> None:
 
 def refuse_other_kinds(path: Path, run: Path, recognises: Recognises) -> None:
     """Refuse to write an export of a run inside its folder, or over a file of another kind."""
+    if Path(os.path.realpath(path)) == run.resolve():
+        raise SarsplatError(f"{path} is the file that is exported; choose another name")
     if Path(os.path.realpath(path)).is_relative_to(run.resolve()):
         raise SarsplatError(f"{path} is inside the run; choose a path outside {run}")
     if path.exists():

@@ -1,9 +1,11 @@
-"""Triangle meshes as PLY, GLB or OBJ, for other programs."""
+"""Triangle meshes as PLY, GLB, OBJ or STL, for other programs."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from sarsplat.data.files import write_bytes
 from sarsplat.errors import SarsplatError
@@ -11,20 +13,23 @@ from sarsplat.errors import SarsplatError
 if TYPE_CHECKING:
     import trimesh
 
-MESH_FORMATS = (".ply", ".glb", ".obj")
+MESH_FORMATS = (".ply", ".glb", ".obj", ".stl")
 """How names of mesh files end."""
+
+_GLTF_FROM_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""glTF takes y for up: the turn about x that makes z of the world y there."""
 
 
 def write_mesh(path: str | Path, mesh: trimesh.Trimesh) -> None:
     """Write a mesh with its normals and colours at the vertices, whole or not at all.
 
-    A PLY file also holds the vertices' other scalars, such as `gamma0`. The axes are the world's in every format: z up,
-    metres.
+    A PLY file also holds the vertices' other scalars, such as `gamma0`; an STL file holds triangles alone. Coordinates
+    are the world's, z up, metres; a GLB file turns them by its root node, as y is up there.
 
     Parameters
     ----------
     path : str or Path
-        A .ply, .glb or .obj file; an existing one is replaced.
+        A .ply, .glb, .obj or .stl file; an existing one is replaced.
     mesh : trimesh.Trimesh
         At least one face.
 
@@ -33,9 +38,11 @@ def write_mesh(path: str | Path, mesh: trimesh.Trimesh) -> None:
     SarsplatError
         If the name ends otherwise, the mesh has no faces, or the file cannot be written.
     """
+    import trimesh
     from trimesh.exchange.gltf import export_glb
     from trimesh.exchange.obj import export_obj
     from trimesh.exchange.ply import export_ply
+    from trimesh.exchange.stl import export_stl
 
     path = Path(path)
     if len(mesh.faces) == 0:
@@ -44,9 +51,13 @@ def write_mesh(path: str | Path, mesh: trimesh.Trimesh) -> None:
         case ".ply":
             data = export_ply(mesh, vertex_normal=True)
         case ".glb":
-            data = export_glb(mesh.scene(), include_normals=True)
+            upright = trimesh.Scene()
+            upright.add_geometry(mesh, transform=_GLTF_FROM_WORLD)
+            data = export_glb(upright, include_normals=True)
         case ".obj":
             data = export_obj(mesh, include_normals=True, include_texture=False, header="sarsplat mesh, m").encode()
+        case ".stl":
+            data = export_stl(mesh)
         case _:
             raise SarsplatError(f"{path} is not named as a mesh; choose a name that ends in {', '.join(MESH_FORMATS)}")
     write_bytes(path, data)

@@ -24,7 +24,7 @@ from sarsplat.evaluation.paper import (
 from sarsplat.evaluation.points import PointMetrics, Yardstick, point_metrics
 from sarsplat.evaluation.registered import Registration, register, registered_log_correlation
 from sarsplat.evaluation.surface import VisibleSurface, read_truth_mesh, visible_surface
-from sarsplat.evaluation.tables import Scores, comparison, metrics_table, summary_metrics
+from sarsplat.evaluation.tables import Scores, beaten_by_baselines, comparison, metrics_table, summary_metrics
 
 __all__ = [
     "IMAGE_METRICS",
@@ -46,6 +46,7 @@ __all__ = [
     "align",
     "all_metrics",
     "baseline_scores",
+    "beaten_by_baselines",
     "comparison",
     "evaluate_run",
     "log_correlation",

@@ -61,6 +61,24 @@ def baselines(metrics: Mapping[str, Any], split: str) -> list[Scores]:
     return [Scores(name.replace("_", " "), values) for name, values in of_set.items()]
 
 
+def beaten_by_baselines(metrics: Mapping[str, Any]) -> list[str]:
+    """A sentence for each test set whose leading metric is better for a baseline than for the run."""
+    by_key = {metric.key: metric for metric in all_metrics(Yardstick(metrics["parameters"]["yardstick_m"]))}
+    sentences = []
+    for split, values in metrics["images"].items():
+        metric = by_key[metrics["by_image"][split]["metric"]]
+        own = Scores(whose(metrics), values)
+        scores = [own, *baselines(metrics, split)]
+        best = metric.best([method.values.get(metric.key) for method in scores])
+        winner = next((method for method in scores if best is not None and method.values.get(metric.key) == best), own)
+        if winner is not own:
+            sentences.append(
+                f"on the set {split} the baseline {winner.name}, which knows no third dimension, is better than "
+                f"{own.name}: {metric.title} {metric.text(best)} against {metric.text(values.get(metric.key))}"
+            )
+    return sentences
+
+
 def summary_metrics(scores: list[Scores], yardstick: Yardstick) -> list[Metric[Any]]:
     """The metrics of a summary: those with a short name that any of the methods has."""
     return [

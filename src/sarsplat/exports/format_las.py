@@ -23,13 +23,17 @@ _FRAME = (
 _DESCRIBED = {"nx": "unit normal", "ny": "unit normal", "nz": "unit normal", "gamma0": "gamma0, linear"}
 
 
-def las_bytes(points: Points) -> bytes:
-    """A LAS file of points: coordinates, intensity by γ⁰ in decibels, and normals and γ⁰ as extra dimensions."""
+def las_bytes(points: Points, *, compressed: bool = False) -> bytes:
+    """A LAS or LAZ file of points: coordinates, intensity by γ⁰ in decibels, and normals and γ⁰ as extra dimensions."""
     try:
         import laspy
+
+        if compressed:
+            import lazrs  # noqa: F401 (laspy's means of compression)
     except ImportError as error:
         raise SarsplatError(
-            f".las files need {error.name}, which is not installed; install it with: pip install 'sarsplat[las]'"
+            f"{'.laz' if compressed else '.las'} files need {error.name}, which is not installed; install it with: "
+            "pip install 'sarsplat[las]'"
         ) from error
     header = laspy.LasHeader(point_format=6, version="1.4")
     farthest = max(float(np.abs(points.positions).max()), _FINEST_M)
@@ -50,7 +54,7 @@ def las_bytes(points: Points) -> bytes:
         brightest = max(float(points.gamma0.max()), LEAST_POWER)
         cloud.intensity = np.round(65535 * shade(points.gamma0, brightest, -_DARKEST_DB)).astype(np.uint16)
     content = io.BytesIO()
-    cloud.write(content, do_compress=False)
+    cloud.write(content, do_compress=compressed)
     return content.getvalue()
 
 

@@ -1,6 +1,7 @@
 # ruff: isort: skip_file
 from .config import Config as Config
 from .loop import Step as Step
+from .losses import LOSSES as LOSSES
 from .method import Inputs as Inputs, Method as Method, Reconstruction as Reconstruction
 from .methods import METHODS as METHODS
 from .points import extract_points as extract_points

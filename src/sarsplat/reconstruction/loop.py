@@ -234,7 +234,7 @@ def train(
         finally:  # the run is usable as far as it has come
             finished = replace(Run.load(out), images=dataset)
             if finished.checkpoint_path is not None:
-                training.shown.note("extracting the surface: points and normals")
+                training.shown.note("extracting the surface: points and normals; Ctrl-C leaves that for later")
                 finished.write_results()
     if stopped is not None:
         raise stopped

@@ -29,6 +29,7 @@ _PIXELS = 128
 _FILLED = 0.7
 """Of an image's width, by the Gaussians that are not faint."""
 
+_CELL_SIGMAS = 2.0  # resolution cell in standard deviations of a Gaussian, as after our own trainings
 _FAINT = 0.05
 """Optical depth below which a Gaussian hardly shows."""
 
@@ -36,13 +37,17 @@ _AROUND = tuple(View(azimuth, grazing) for grazing in (15.0, 45.0, 75.0) for azi
 
 
 def usual_grid(gaussians: Gaussians) -> ImageGrid:
-    """128 × 128 square pixels as wide as their resolution, which the Gaussians fill from any direction."""
+    """128 × 128 square pixels as wide as their resolution, which show the Gaussians from any direction.
+
+    No pixel is much finer than the Gaussians: points and meshes are as fine as the pixels, and would be huge.
+    """
     shown = gaussians[gaussians.optical_depth > _FAINT]
     shown = (shown if len(shown) else gaussians).detach()
     if not len(shown) or not bool(shown.means.isfinite().all()):
         raise SarsplatError("there are no Gaussians, or a centre is not finite, so no grid can be chosen; give one")
     reach = shown.means.norm(dim=1) + _SIGMAS * shown.scales.amax(dim=1)  # images are centred on the world's origin
-    spacing_m = float(f"{2 * float(reach.max()) / (_FILLED * _PIXELS):.2g}")
+    coarse_m = _CELL_SIGMAS * float(shown.scales.amax(dim=1).median())
+    spacing_m = float(f"{max(2 * float(reach.max()) / (_FILLED * _PIXELS), coarse_m):.2g}")
     return ImageGrid(_PIXELS, _PIXELS, (spacing_m, spacing_m), (spacing_m, spacing_m))
 
 

@@ -1,19 +1,35 @@
-"""From Gaussians to a point cloud: where the rays of the training views return, thinned and cleaned."""
+"""From Gaussians to a point cloud: where the rays of the training views return, thinned and cleaned.
+
+However many views and pixels there are, at most so many rays are traced and so many views compared: beyond that, views
+are chosen evenly and rays lie farther apart. Memory holds the rays' ranges and the voxels, not every return.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64, Real
 from scipy.spatial import cKDTree
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.progress import stage
 from sarsplat.reconstruction.config import PointExtraction
 from sarsplat.renderer import render
+
+_MOST_VIEWS = 96
+_MOST_RAYS = 2e7
+"""In all views together."""
+
+_SAMPLES = 3.0
+"""Returns that a voxel has at least, on average; a surface is seen by about a third of the views."""
+
+_AT_ONCE = 1 << 22
+"""Returns that wait to be thinned."""
 
 
 def extract_points(
@@ -30,7 +46,8 @@ def extract_points(
     grid : ImageGrid
         Sets the spacing of the rays and the unit of `how`, its resolution cell.
     how : PointExtraction
-        Method, thinning and clean-up.
+        Method, thinning and clean-up. In large scenes rays and voxels are coarser than it says: at most 20 million rays
+        are traced, from at most 96 views.
 
     Returns
     -------
@@ -40,23 +57,68 @@ def extract_points(
     gaussians, cell = gaussians.detach(), grid.cell_m
     if how.method == "centres":
         points = gaussians.means[gaussians.optical_depth >= how.optical_depth].double().cpu().numpy()
-        points = _thin(points[points[:, 2] >= how.min_height * cell], how.voxel * cell)
+        voxels = _Voxels(how.voxel * cell)
+        voxels.add(points[points[:, 2] >= how.min_height * cell])
+        points = voxels.means()
     else:
-        rays = RayGrid.for_image(grid, how.rays_per_pixel)
-        returns = [
-            _FirstReturns.of(gaussians, view, grid, rays, how.optical_depth) for view in [*views, *between(views)]
-        ]
-        points = np.concatenate([each.points() for each in returns])
-        points = _thin(points[points[:, 2] >= how.min_height * cell], how.voxel * cell)
-        # haze that one view takes for a surface is looked through by others, or seen by no other
-        through, seen = np.zeros((2, len(points)), int)
-        for each in returns:
-            beyond = each.beyond(points)
-            through += beyond > how.behind * cell
-            seen += abs(beyond) <= how.behind * cell
-        enough = min(how.seen_by, len(returns) // 5)  # a fifth, so that of few views there are points, too
-        points = points[(through <= how.seen_through * len(returns)) & (seen >= enough)]
+        points = _seen_points(gaussians, spread([*views, *between(views)], _MOST_VIEWS), grid, how)
     return points if how.cluster_radius is None else _cluster(points, how.cluster_radius * cell, how.cluster_size)
+
+
+def _seen_points(
+    gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, how: PointExtraction
+) -> Float64[np.ndarray, "p 3"]:
+    """Mean returns in each voxel, but for those that too many views look through, or too few see."""
+    cell, rays = grid.cell_m, RayGrid.for_image(grid, how.rays_per_pixel)
+    coarser = math.sqrt(max(1.0, _rays(gaussians, views, rays) / _MOST_RAYS))
+    rays = RayGrid((coarser * rays.spacing_m[0], coarser * rays.spacing_m[1]))
+    needed_m = max(rays.spacing_m) * math.sqrt(3 * _SAMPLES / len(views)) if coarser > 1 else 0.0
+    voxels, returns = _Voxels(max(how.voxel * cell, needed_m)), []
+    with stage("surface: rays from the views", len(views)) as shown:
+        for view in views:
+            returns.append(_FirstReturns.of(gaussians, view, grid, rays, how.optical_depth))
+            points = returns[-1].points()
+            voxels.add(points[points[:, 2] >= how.min_height * cell])
+            shown.advance(1)
+    # haze that one view takes for a surface is looked through by others, or seen by no other
+    points = voxels.means()
+    through, seen, left = np.zeros(len(points), int), np.zeros(len(points), int), np.arange(len(points))
+    with stage("surface: points compared with the views", len(views)) as shown:
+        for number in _mixed(len(views)):  # so that haze is soon looked through
+            beyond = returns[number].beyond(points[left])
+            through[left] += beyond > how.behind * cell
+            seen[left] += abs(beyond) <= how.behind * cell
+            left = left[through[left] <= how.seen_through * len(views)]
+            shown.advance(1)
+    enough = min(how.seen_by, len(views) // 5)  # a fifth, so that of few views there are points, too
+    return points[left[seen[left] >= enough]]
+
+
+def _rays(gaussians: Gaussians, views: Sequence[View], rays: RayGrid) -> float:
+    """About how many rays the views have, as far as there are Gaussians."""
+    means, reach = gaussians.means.double().cpu().numpy(), 3 * float(gaussians.scales.max()) if len(gaussians) else 0
+    total = 0.0
+    for view in views if len(means) else ():
+        sides = np.ptp(means @ radar_frame(view)[:2].T, axis=0) + 2 * reach
+        total += math.prod(sides / rays.spacing_m)
+    return total
+
+
+def _mixed(count: int) -> Int64[np.ndarray, " n"]:
+    """0 … count − 1 in an order in which neighbours are far apart."""
+    return np.argsort(np.arange(count) * (5**0.5 - 1) / 2 % 1, kind="stable")
+
+
+def spread(views: Sequence[View], most: int) -> list[View]:
+    """At most so many views, in their order: each the farthest from those chosen before it, the first one included."""
+    if len(views) <= most:
+        return list(views)
+    directions = np.array([view.direction for view in views])
+    chosen, nearest = [0], directions @ directions[0]
+    while len(chosen) < most:
+        chosen.append(int(nearest.argmin()))
+        nearest = np.maximum(nearest, directions @ directions[chosen[-1]])
+    return [views[k] for k in sorted(set(chosen))]
 
 
 def between(views: Sequence[View]) -> list[View]:
@@ -78,11 +140,14 @@ def between(views: Sequence[View]) -> list[View]:
 
 @dataclass(frozen=True)
 class _FirstReturns:
-    """Where the rays of one view return: ranges on its lattice, NaN where a ray meets nothing."""
+    """Where the rays of one view return."""
 
-    frame: Float64[np.ndarray, "3 3"]  # R_r
-    range_m: Float64[np.ndarray, "rows columns"]
-    origin: Float64[np.ndarray, " 2"]  # (x_r, y_r) of row 0, column 0
+    frame: Float64[np.ndarray, "3 3"]
+    """R_r."""
+    range_m: Real[np.ndarray, "rows columns"]
+    """Ranges on the rays' lattice, with one more ray on each side; infinite where a ray meets nothing."""
+    origin: Float64[np.ndarray, " 2"]
+    """(x_r, y_r) of row 0, column 0."""
     spacing_m: Float64[np.ndarray, " 2"]
 
     @classmethod
@@ -90,34 +155,60 @@ class _FirstReturns:
         cls, gaussians: Gaussians, view: View, grid: ImageGrid, rays: RayGrid, optical_depth: float
     ) -> _FirstReturns:
         (ray_map,) = render(gaussians, [view], grid, rays=rays, first_return_depth=optical_depth).ray_maps or ()
-        ranges = ray_map.first_return.double().cpu().numpy()
-        return cls(radar_frame(view), ranges, np.array(ray_map.origin), np.array(rays.spacing_m))
+        ranges = np.nan_to_num(ray_map.first_return.cpu().numpy(), nan=np.inf)
+        origin, spacing_m = np.array(ray_map.origin), np.array(rays.spacing_m)
+        return cls(radar_frame(view), np.pad(ranges, 1, constant_values=np.inf), origin - spacing_m, spacing_m)
 
     def points(self) -> Float64[np.ndarray, "p 3"]:
         """The returns in the world frame, [P, 3]."""
-        row, column = np.nonzero(~np.isnan(self.range_m))
+        row, column = np.nonzero(np.isfinite(self.range_m))
         plane = self.origin + np.column_stack([column, row]) * self.spacing_m
         return np.column_stack([plane, self.range_m[row, column]]) @ self.frame
 
     def beyond(self, points: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, " p"]:
         """How far behind each point the ray through it returns, m; infinite where it never does, [P]."""
         local = points @ self.frame.T
-        column, row = np.rint((local[:, :2] - self.origin) / self.spacing_m).astype(int).T
-        rows, columns = self.range_m.shape
-        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        returned = np.full(len(points), np.inf)
-        returned[inside] = np.nan_to_num(self.range_m[row[inside], column[inside]], nan=np.inf)
-        return returned - local[:, 2]
+        last = np.array(self.range_m.shape[::-1]) - 1
+        column, row = np.rint((local[:, :2] - self.origin) / self.spacing_m).clip(0, last).astype(np.int32).T
+        return self.range_m[row, column] - local[:, 2]
 
 
-def _thin(points: Float64[np.ndarray, "p 3"], voxel: float) -> Float64[np.ndarray, "fewer 3"]:
-    """The mean of the points in each voxel."""
-    if len(points) == 0:
-        return points
-    cells = np.floor(points / voxel).astype(np.int64)
-    _, owner, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    sums = np.stack([np.bincount(owner.ravel(), points[:, k], len(count)) for k in range(3)], axis=1)
-    return sums / count[:, None]
+class _Voxels:
+    """Sums of points in cubes of a side, m."""
+
+    def __init__(self, side_m: float) -> None:
+        self._side_m = side_m
+        self._cells, self._sums = np.empty((0, 3), np.int64), np.empty((0, 3))
+        self._counts: Float64[np.ndarray, " v"] = np.empty(0)
+        self._waiting: list[Float64[np.ndarray, "p 3"]] = []
+
+    def add(self, points: Float64[np.ndarray, "p 3"]) -> None:
+        """Count these points."""
+        self._waiting.append(points)
+        if sum(map(len, self._waiting)) > _AT_ONCE:
+            self._merge()
+
+    def means(self) -> Float64[np.ndarray, "v 3"]:
+        """The mean of the points in each cube that has any."""
+        self._merge()
+        return self._sums / self._counts[:, None]
+
+    def _merge(self) -> None:
+        points, self._waiting = np.concatenate([np.empty((0, 3)), *self._waiting]), []
+        cells = np.concatenate([self._cells, np.floor(points / self._side_m).astype(np.int64)])
+        if not len(cells):
+            return
+        low = cells.min(axis=0)
+        size = [int(side) for side in cells.max(axis=0) - low + 1]
+        if math.prod(size) < 1 << 62:  # one number is sorted many times as fast as three
+            keys, axis = np.ravel_multi_index(tuple((cells - low).T), size), None
+        else:
+            keys, axis = cells, 0
+        _, first, owner = np.unique(keys, axis=axis, return_index=True, return_inverse=True)
+        owner, sums = owner.ravel(), np.concatenate([self._sums, points])
+        self._cells = cells[first]
+        self._sums = np.stack([np.bincount(owner, sums[:, k], len(first)) for k in range(3)], axis=1)
+        self._counts = np.bincount(owner, np.concatenate([self._counts, np.ones(len(points))]), len(first))
 
 
 def _cluster(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Float64[np.ndarray, "fewer 3"]:

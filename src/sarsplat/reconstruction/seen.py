@@ -12,11 +12,12 @@ from scipy.spatial import cKDTree
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.progress import stage
 from sarsplat.renderer import render
 from sarsplat.unbroken import unbroken
 
 _RAYS_PER_PIXEL = 4.0
-_VIEWS_AT_A_TIME = 8
+_AT_ONCE = 1 << 18  # places
 _RADIUS = 0.25  # standard deviation of the weights around a place, resolution cells
 _NEIGHBOURS = 16  # Gaussians that count around a place; those farther away weigh next to nothing
 
@@ -40,17 +41,20 @@ class Seen:
     def of(cls, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid) -> Seen:
         """What these views see of the target's Gaussians, in images on this grid."""
         gaussians, rays = gaussians.detach(), RayGrid.for_image(grid, _RAYS_PER_PIXEL)
-        areas, cross_section = [], np.zeros(len(gaussians))
-        for first in range(0, len(views), _VIEWS_AT_A_TIME):  # memory stays small
-            with torch.no_grad():
-                done = render(gaussians, views[first : first + _VIEWS_AT_A_TIME], grid, rays=rays)
-            areas.append(done.lit_area.double().cpu().numpy())
-            power = done.cross_sections[..., gaussians.scattering.power_channel]
-            cross_section += power.double().sum(0).cpu().numpy()
-        area = np.concatenate(areas)
-        directions = np.stack([view.direction for view in views])
-        means = gaussians.means.double().cpu().numpy()
-        return cls(means, cross_section, area.sum(0), area.T @ directions, _RADIUS * grid.cell_m)
+        cross_section, lit_area, towards = (
+            np.zeros(len(gaussians)),
+            np.zeros(len(gaussians)),
+            np.zeros(gaussians.means.shape),
+        )
+        with stage("surface: what each view sees", len(views)) as shown, torch.no_grad():
+            for view in views:  # memory stays small
+                done = render(gaussians, [view], grid, rays=rays)
+                area = done.lit_area[0].double().cpu().numpy()
+                lit_area += area
+                towards += area[:, None] * view.direction
+                cross_section += done.cross_sections[0, :, gaussians.scattering.power_channel].double().cpu().numpy()
+                shown.advance(1)
+        return cls(gaussians.means.double().cpu().numpy(), cross_section, lit_area, towards, _RADIUS * grid.cell_m)
 
     def around(self, points: Real[np.ndarray, "p 3"]) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p 3"]]:
         """γ⁰ (linear) around points (m), 0 where nothing was seen, and the mean direction to the radars, of any length.
@@ -58,13 +62,16 @@ class Seen:
         γ⁰ is the sum of the cross-sections of the Gaussians there over that of the areas they are seen across: a view
         counts as much as it sees of them.
         """
-        if len(self.means) == 0:
-            return np.zeros(len(points)), np.zeros((len(points), 3))
-        count = min(_NEIGHBOURS, len(self.means))
-        distance, index = unbroken(cKDTree(self.means).query, points, k=np.arange(1, count + 1), workers=-1)
-        # relative to the nearest: far from every Gaussian, the nearest still speaks
-        weight = np.exp(-0.5 * (distance**2 - distance[:, :1] ** 2) / self.radius_m**2)
-        area = (weight * self.lit_area[index]).sum(1)
-        cross_section = (weight * self.cross_section[index]).sum(1)
-        gamma0 = np.divide(cross_section, area, out=np.zeros_like(area), where=area > 0)
-        return gamma0, np.einsum("pk,pkc->pc", weight, self.towards[index])
+        gamma0, towards = np.zeros(len(points)), np.zeros((len(points), 3))
+        count = np.arange(1, min(_NEIGHBOURS, len(self.means)) + 1)
+        tree = cKDTree(self.means)
+        for first in range(0, len(points) if len(count) else 0, _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            distance, index = unbroken(tree.query, points[part], k=count, workers=-1)
+            # relative to the nearest: far from every Gaussian, the nearest still speaks
+            weight = np.exp(-0.5 * (distance**2 - distance[:, :1] ** 2) / self.radius_m**2)
+            area = (weight * self.lit_area[index]).sum(1)
+            cross_section = (weight * self.cross_section[index]).sum(1)
+            np.divide(cross_section, area, out=gamma0[part], where=area > 0)
+            towards[part] = np.einsum("pk,pkc->pc", weight, self.towards[index])
+        return gamma0, towards

@@ -82,6 +82,10 @@ def check_shapes(
             f"amplitudes has shape {tuple(amplitudes.shape)}; for {v} views and {n} Gaussians it must be ({v}, {n}, C) "
             "with at least one channel"
         )
+    if amplitudes is not None and amplitudes.is_complex():
+        raise SarsplatError(
+            f"amplitudes is {amplitudes.dtype}, but render takes real ones; give complex amplitudes to sarsplat.splat"
+        )
     expected = {
         "shift": (shift, (v, 2)),
         "gain": (gain, (v,)),

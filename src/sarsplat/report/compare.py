@@ -150,7 +150,8 @@ def _views(comparison: Comparison) -> Figure:
         if best_first:
             index = best_first[-1][1]
             worst[index] = f"{worst[index]}, {name}" if index in worst else f"worst of {name}"
-    of_note = [Chosen(index, why) for index, why in worst.items()]
+    every = f"worst of {', '.join(comparison.names)}"
+    of_note = [Chosen(index, "worst of all" if why == every else why) for index, why in worst.items()]
     rows = 1 + 2 * len(comparison.runs)
     views = min(max(_FEWEST_VIEWS, math.ceil(_VIEWS_PER_ROW * rows)), _MOST_VIEWS)
     chosen = with_others(dataset, of_note, max(2, views - len(of_note)))

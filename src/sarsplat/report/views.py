@@ -74,12 +74,12 @@ def with_others(dataset: Dataset, chosen: Sequence[Chosen], others: int) -> list
 
 
 def views_figure(
-    title: str, text: str, runs: Mapping[str, Run], chosen: Sequence[Chosen], largest: int = _LARGEST, across: int = 3
+    title: str, text: str, runs: Mapping[str, Run], chosen: Sequence[Chosen], largest: int = _LARGEST, across: int = 0
 ) -> Figure:
     """Truth, reconstructions and errors of images of the dataset that some runs share.
 
     `runs` are keyed by what to call their images; images with a side of more than `largest` pixels are averaged.
-    Those of several runs are as wide as if at least `across` of them stood in a row.
+    With `across`, they are a sheet: a row for the truth and for every run, as if at least so many stood in it.
     """
     dataset = next(iter(runs.values())).dataset
     indices = [one.index for one in chosen]
@@ -100,7 +100,7 @@ def views_figure(
         alt = f"error of {'the ' if name == _OWN else ''}{name}, {view_name(views[k])}"
         return part.difference(title, alt, images[k], difference.largest)
 
-    if len(runs) == 1:  # a block for every view
+    if not across:  # one run, a block for every view
         ((name, stack),) = stacks.items()
         blocks = [
             Block(
@@ -109,7 +109,7 @@ def views_figure(
             )
             for k, heading in enumerate(names)
         ]
-    else:  # a row for the truth and for every run
+    else:
         rows = [(true, power, true, truth), *((name, power, name, stack) for name, stack in stacks.items())]
         rows += [(f"error of {name}", error, name, stack) for name, stack in errors.items()]
         blocks = [
@@ -123,7 +123,7 @@ def views_figure(
     text += f" {difference.explained}"
     if part.factor > 1:
         text += f" Shown averaged over {part.factor} × {part.factor} pixels."
-    layout = "" if len(runs) == 1 else "sheet"
+    layout = "sheet" if across else ""
     return Figure(title, text, tuple(blocks), (power_bar(), difference_bar(difference)), layout=layout)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -70,9 +70,14 @@ def _html(run: Run) -> bytes:
 
 
 def _written(path: Path, html: bytes) -> Path:
-    with plain_os_errors("write", path.parent):  # last, so that an interruption leaves no empty folder
+    with plain_os_errors("write", path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
-    write_bytes(path, html)
+    try:
+        write_bytes(path, html)
+    except BaseException:
+        with suppress(OSError):  # an interruption leaves no empty folder
+            path.parent.rmdir()
+        raise
     return path
 
 
