@@ -118,6 +118,28 @@ def test_every_orientation_is_recovered(bare: Dataset, grounded: Dataset, seen: 
                     assert f"or with {right.twin} if the table" in said[0]
 
 
+@pytest.mark.parametrize("look", ["right", "left"])
+def test_an_import_names_the_options_that_mend_it(
+    grounded: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], look: str
+) -> None:
+    dataset = speckled(grounded, 1, 0)
+    table = ["file,azimuth,grazing,look"]
+    for entry, image in zip(dataset.entries, dataset.power, strict=True):
+        picture = np.rot90(image[:, ::-1] if look == "left" else image, -SIDES.index("left"))
+        np.save(tmp_path / f"{entry.name}.npy", picture)
+        table.append(f"{entry.name}.npy,{-entry.view.azimuth_deg:g},{entry.view.grazing_deg:g},{look}")
+    (tmp_path / "table.csv").write_text("\n".join(table))
+    lengths = ["--spacing", "0.4", "0.35", "--resolution", "0.5", "0.45", "--quantity", "power"]
+    words = ["import", "folder", str(tmp_path), "--out", str(tmp_path / "made"), *lengths]
+    assert main([*words, "--near", "bottom"]) == 1
+    shown = capsys.readouterr()
+    assert "ready" not in shown.out
+    options = shown.err.split("import with ")[1].split(",")[0].split()
+    assert options == ["--near", "left", "--counter-clockwise"]
+    assert main([*words, "--overwrite", *options]) == 0
+    assert "ready" in capsys.readouterr().out
+
+
 def test_another_size_and_spacing(bare: Dataset) -> None:
     ship = simulated(0.1, ImageGrid(40, 64, (8.0, 10.0), (12.0, 10.0)), scale=20, step=24)
     assert examine(speckled(ship, 1, 0)).contradictions == []

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Real
+from jaxtyping import Float64, Real, Shaped
 from scipy.ndimage import binary_dilation
 
 from sarsplat.geometry import ImageGrid
@@ -24,8 +24,6 @@ _BLOCKS_PER_SIDE = 4
 _FEWEST_BLOCKS = 20
 _WHITE = 0.1
 """Neighbouring pixels of speckle that correlate less are taken as drawn independently of each other."""
-
-_TINY = np.finfo(float).tiny
 
 _BRIGHT_DB = 25.0
 """Below the brightest of an image: what is darker is not looked at for its sharpness."""
@@ -78,37 +76,40 @@ def clutter(
         max(_SMALLEST_BLOCK, min(math.ceil(_CELLS_PER_BLOCK * width / spacing), pixels // _BLOCKS_PER_SIDE))
         for width, spacing, pixels in zip(grid.resolution_m, grid.spacing_m, (grid.columns, grid.rows), strict=True)
     )
-    contrasts, skewness, values, correlations = [], [], [], []
+    parts = []
     for image, level, outline in zip(power, levels, outlines, strict=True):
         other = binary_dilation(outline.target | outline.shadow | (np.abs(level) > 6.0))
-        for row in range(0, grid.rows - along + 1, along):
-            for column in range(0, grid.columns - across + 1, across):
-                place = slice(row, row + along), slice(column, column + across)
-                block = image[place].astype(np.float64)
-                if other[place].any() or not block.mean() > 0:
-                    continue
-                contrasts.append(float(block.std(ddof=1) / block.mean()))
-                amplitude = np.sqrt(block)
-                rest, deviation = amplitude - amplitude.mean(), float(amplitude.std())
-                skewness.append(float((rest**3).mean()) / max(deviation**3, _TINY))
-                values.append(np.unique(block).size)
-                correlations.append(_neighbours(block))
-    if len(contrasts) < _FEWEST_BLOCKS:
+        blocks = _blocks(image, along, across)
+        parts.append(blocks[(blocks.mean(axis=(1, 2)) > 0) & ~_blocks(other, along, across).any(axis=(1, 2))])
+    blocks = np.concatenate(parts).astype(np.float64)
+    if len(blocks) < _FEWEST_BLOCKS:
         return None
+    rest = _standardised(blocks)
+    pixels = np.sort(blocks.reshape(len(blocks), -1), axis=1)
+    neighbours = (rest[:, :, 1:] * rest[:, :, :-1], rest[:, 1:] * rest[:, :-1])
     widths = [
-        _response_width(float(value), spacing)
-        for value, spacing in zip(np.mean(correlations, axis=0), grid.spacing_m, strict=True)
+        _response_width(float(products.mean()), spacing)
+        for products, spacing in zip(neighbours, grid.spacing_m, strict=True)
     ]
-    return Clutter(float(np.median(contrasts)), np.array(skewness), float(np.median(values)), (widths[0], widths[1]))
+    return Clutter(
+        float(np.median(blocks.std(axis=(1, 2), ddof=1) / blocks.mean(axis=(1, 2)))),
+        (_standardised(np.sqrt(blocks)) ** 3).mean(axis=(1, 2)),
+        float(np.median(1 + (np.diff(pixels, axis=1) > 0).sum(axis=1))),
+        (widths[0], widths[1]),
+    )
 
 
-def _neighbours(block: Float64[np.ndarray, "rows columns"]) -> tuple[float, float]:
-    """Correlation of neighbours in azimuth and in range."""
-    rest = block - block.mean()
-    variance = float((rest**2).mean())
-    if not variance > 0:
-        return 0.0, 0.0
-    return float((rest[:, 1:] * rest[:, :-1]).mean()) / variance, float((rest[1:] * rest[:-1]).mean()) / variance
+def _standardised(blocks: Float64[np.ndarray, "n along across"]) -> Float64[np.ndarray, "n along across"]:
+    """Each block with mean 0 and standard deviation 1; 0 if it is constant."""
+    rest = blocks - blocks.mean(axis=(1, 2), keepdims=True)
+    return rest / np.maximum(blocks.std(axis=(1, 2), keepdims=True), np.finfo(float).tiny)
+
+
+def _blocks(image: Shaped[np.ndarray, "rows columns"], along: int, across: int) -> Shaped[np.ndarray, "n along across"]:
+    """An image cut into blocks; what is left over at its ends is left out."""
+    rows, columns = (pixels // side for pixels, side in zip(image.shape, (along, across), strict=True))
+    cut = image[: rows * along, : columns * across].reshape(rows, along, columns, across)
+    return cut.swapaxes(1, 2).reshape(-1, along, across)
 
 
 def _response_width(correlation: float, spacing_m: float) -> float | None:

@@ -110,9 +110,9 @@ def _orientation(seen: Orientation, near: Side, layout: Layout | None) -> str:
     wrong = []
     if near != "top" and seen.by_shadow:
         darker = f"{seen.shadow.lead:.1f} dB darker there than on the other sides of the target"
-        wrong.append(f"shadows fall {_FALL[near]} ({darker}), so near range is at the {near} of the images")
+        wrong.append(f"shadows fall {_FALL[near]} ({darker}), so near range is at the {near} of the dataset's images")
     elif near != "top":
-        wrong.append(f"what is high leans to the {near} of the images, so near range is there")
+        wrong.append(f"what is high leans to the {near} of the dataset's images, so near range is there")
     if opposite:
         higher = f"correlation higher by {-seen.sense.mean:.2f}"
         wrong.append(f"images of neighbouring azimuths match better if azimuths run the other way ({higher})")

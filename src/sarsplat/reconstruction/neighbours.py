@@ -83,6 +83,7 @@ def match(
     *,
     sense: int = 1,
     to_range: Callable[[float], float] = math.cos,
+    within: float = 1.0,
 ) -> Matches:
     """Correlate pairs of images on the ground.
 
@@ -98,11 +99,13 @@ def match(
         1 if azimuths run as given, −1 if they run the other way.
     to_range : function of float
         Lengths in range over those on the ground, by the grazing angle in radians.
+    within : float
+        Radius of the ground that is compared, of the largest that every image shows.
     """
     half = reach(grid)
     axis = np.linspace(-half, half, _PLACES)
     across, along = np.meshgrid(axis, axis)
-    inside = np.hypot(across, along) < half
+    inside = np.hypot(across, along) < within * half
     pitch = axis[1] - axis[0]
     coarse = [max(1, round(pitch / spacing)) for spacing in reversed(grid.spacing_m)]  # no pixel is left out
     used = sorted({k for pair in pairs for k in pair})
@@ -125,6 +128,26 @@ def match(
         correlations.append(irfft2(first[i] * rfft2(_normalised(other, inside), padded), padded))
         turns.append(turn)
     return Matches(np.array(correlations).reshape(-1, *padded), np.array(turns).reshape(-1, 2, 2), half, float(pitch))
+
+
+def as_grazing_and_incidence(
+    bright: Float64[np.ndarray, "v rows columns"],
+    views: Sequence[View],
+    grid: ImageGrid,
+    pairs: Sequence[tuple[int, int]],
+    sense: int,
+) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+    """Each pair's highest correlation with grazing angles as given, and with 90° less them.
+
+    As many pixels are compared either way: the more ground is around a target, the lower is the correlation.
+    """
+    angles = np.radians([view.grazing_deg for view in views])
+    scales = np.cos(angles).mean(), np.sin(angles).mean()
+    given, swapped = (
+        match(bright, views, grid, pairs, sense=sense, to_range=to_range, within=math.sqrt(min(scales) / scale)).best()
+        for to_range, scale in zip((math.cos, math.sin), scales, strict=True)
+    )
+    return given, swapped
 
 
 def reach(grid: ImageGrid) -> float:

@@ -18,7 +18,7 @@ from sarsplat.data.orientation import SIDES, oriented
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.names import Side
 from sarsplat.reconstruction.evidence import CHANCE, Evidence, SideEvidence
-from sarsplat.reconstruction.neighbours import match, neighbours, reach, steeper_neighbours
+from sarsplat.reconstruction.neighbours import as_grazing_and_incidence, match, neighbours, reach, steeper_neighbours
 from sarsplat.reconstruction.outlines import levels_db, outline
 from sarsplat.reconstruction.sides import edge_sides, shadow_sides
 
@@ -115,11 +115,7 @@ def orientation(
     near = _near(shadow, edge, layover, centred)
     axis = SIDES.index(near) % 2 if near else int(best[1][better[1]].sum() > best[0][better[0]].sum())
     more = [*pairs, *(steeper_neighbours(views) if pairs else [])]
-    sense = (1, -1)[better[axis]]
-    as_given, swapped = (
-        match(bright[axis], views, frames[axis][1], more, sense=sense, to_range=to_range).best()
-        for to_range in (math.cos, math.sin)
-    )
+    given, swapped = as_grazing_and_incidence(bright[axis], views, frames[axis][1], more, (1, -1)[better[axis]])
     return Orientation(
         near,
         shadow,
@@ -127,7 +123,7 @@ def orientation(
         layover,
         {side: (float(best[k % 2][0].mean()), float(best[k % 2][1].mean())) for k, side in enumerate(SIDES) if pairs},
         Evidence(best[axis][0] - best[axis][1]),
-        Evidence(as_given - swapped),
+        Evidence(given - swapped),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,6 +18,9 @@ _BRIGHT_DB, _BRIGHTEST_DB = 3.0, 23.0
 _DARKEST_DB = -10.0
 """Below the ground: what is darker says no more."""
 
+_PIXELS = 256
+"""Most on a side in the search for shadow: larger images are averaged."""
+
 
 def shadow_sides(levels: Float64[np.ndarray, "v rows columns"]) -> SideEvidence:
     """By how many decibels it is darker than the ground beyond what is bright, if the radar is at each side.
@@ -29,7 +33,8 @@ def shadow_sides(levels: Float64[np.ndarray, "v rows columns"]) -> SideEvidence:
     levels : numpy.ndarray, float64 [V, rows, columns]
         Decibels above the ground, of images that show it.
     """
-    rows, columns = levels.shape[1:]
+    step = math.ceil(max(levels.shape[1:]) / _PIXELS)
+    rows, columns = (pixels // step for pixels in levels.shape[1:])
     padded = next_fast_len(2 * rows), next_fast_len(2 * columns)
     down, right = np.meshgrid(*(np.fft.fftfreq(n, 1 / n) for n in padded), indexing="ij")
     distance = np.hypot(down, right)
@@ -38,12 +43,18 @@ def shadow_sides(levels: Float64[np.ndarray, "v rows columns"]) -> SideEvidence:
     quadrants = [rfft2(weight * where) for where in beyond]
     darkness = []
     for level in levels:
-        bright = rfft2(np.clip(level - _BRIGHT_DB, 0.0, _BRIGHTEST_DB - _BRIGHT_DB), padded)
-        dark = np.clip(-level, 0.0, -_DARKEST_DB)
+        bright = rfft2(_coarse(np.clip(level - _BRIGHT_DB, 0.0, _BRIGHTEST_DB - _BRIGHT_DB), step), padded)
+        dark = _coarse(np.clip(-level, 0.0, -_DARKEST_DB), step)
         reached = [irfft2(bright * quadrant, padded)[:rows, :columns] for quadrant in quadrants]
         if bright[0, 0].real > 0 and min(share.sum() for share in reached) > 0:
             darkness.append([float((share * dark).sum() / share.sum()) for share in reached])
     return SideEvidence(np.array(darkness).reshape(-1, 4))
+
+
+def _coarse(image: Float64[np.ndarray, "rows columns"], step: int) -> Float64[np.ndarray, "m n"]:
+    """Means of squares of pixels; what is left over at the ends is left out."""
+    rows, columns = (pixels // step for pixels in image.shape)
+    return image[: rows * step, : columns * step].reshape(rows, step, columns, step).mean(axis=(1, 3))
 
 
 def edge_sides(levels: Float64[np.ndarray, "v rows columns"], outlines: Sequence[Outline]) -> SideEvidence:
