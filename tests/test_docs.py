@@ -19,6 +19,7 @@ from sarsplat import Dataset, ImageGrid, SarImage, View, preset, reconstruct, si
 from sarsplat.cli import main
 from sarsplat.cli.parser import COMMANDS, parse
 from sarsplat.evaluation import IMAGE_METRICS, MASK_METRICS, RUN_METRICS, Yardstick, metrics_of_points
+from sarsplat.gaussians import SCATTERINGS
 from sarsplat.scenes import target_mesh
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -89,6 +90,7 @@ def test_python_of_a_page_runs_from_top_to_bottom(page, bench, threads, monkeypa
     monkeypatch.setenv("OMP_WAIT_POLICY", "PASSIVE")
     module = ModuleType("page")
     monkeypatch.setitem(sys.modules, "page", module)  # where a dataclass looks up its annotations
+    monkeypatch.setattr(SCATTERINGS, "_entries", dict(SCATTERINGS._entries))  # a law is not registered for other tests
     exec(compile("\n".join(blocks(page, "python")), str(page), "exec"), vars(module))
 
 

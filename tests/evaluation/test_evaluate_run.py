@@ -50,6 +50,7 @@ class FakeRun:
     seed: int = 3
     method: str = "sar-gs"
     has_mesh: bool = True
+    memory: None = None
     asked: list[View] = field(default_factory=list)
 
     def mesh(self):

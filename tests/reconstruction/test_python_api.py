@@ -33,7 +33,7 @@ def test_a_run_in_memory_is_the_same_as_one_on_the_disk(dataset: Dataset, config
     assert np.array_equal(held.render(views), finished.render(views))
     assert [line.loss for line in held.history] == [line.loss for line in finished.history]
     assert (held.iteration, held.metrics, held.dataset) == (60, None, dataset)
-    with pytest.raises(SarsplatError, match="in memory and has no folder; pass `out`"):
+    with pytest.raises(SarsplatError, match="in memory and has no folder; save it first"):
         held.write_results()
     with pytest.raises(SarsplatError, match="neither resumed nor overwritten"):
         reconstruct(dataset, config, resume=True)
@@ -176,7 +176,7 @@ def test_scores_of_a_run_in_memory(dataset: Dataset, config: Config) -> None:
         scores = evaluate_run(run)
     assert scores["images"]["test"]["psnr_db"] > 15
     assert scores["points"]["visible"]["cd_m"] < 1
-    assert run.metrics is None  # nothing was written
+    assert run.metrics == scores  # kept with the run, as metrics.json is
 
 
 @pytest.mark.parametrize(

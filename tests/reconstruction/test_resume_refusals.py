@@ -191,5 +191,5 @@ def test_a_run_that_is_not_there(dataset: Dataset, tmp_path: Path) -> None:
     with pytest.raises(SarsplatError, match="does not exist"):
         reconstruct(dataset, CONFIG, tmp_path / "nowhere", resume=True)
     shutil.copytree(dataset.path, tmp_path / "a dataset")
-    with pytest.raises(SarsplatError, match="is not a run"):
+    with pytest.raises(SarsplatError, match="is a dataset, not a run"):
         reconstruct(dataset, CONFIG, tmp_path / "a dataset", resume=True)
