@@ -199,7 +199,11 @@ def test_a_signal_leaves_no_empty_report(tmp_path: Path, number, code, words, mo
     shutil.copytree("run", tmp_path / "run")
     shutil.rmtree(tmp_path / "run" / "report")
     monkeypatch.setattr("sarsplat.report.write.write_bytes", lambda *_: signal.raise_signal(number))
-    assert main(["report", f"{tmp_path}/run"]) == code
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+    try:
+        assert main(["report", f"{tmp_path}/run"]) == code
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert f"{words}; nothing half-written was left behind" in capsys.readouterr().err
     assert not (tmp_path / "run" / "report").exists()
 
