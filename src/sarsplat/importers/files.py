@@ -58,8 +58,12 @@ def listed_files(
             f"{folder} has none of {counted(len(rows), of)} in {table.path} (the first is {first}); give the folder "
             "that they are relative to"
         )
-    if missing := len(rows) - len(listed):
-        warn_caller(f"{folder} lacks {missing} of {counted(len(rows), of)} in {table.path}; the others are used")
+    used = {id(row) for row, _ in listed}
+    if missing := [shown(row[1][column]) for row in rows if id(row) not in used]:
+        warn_caller(
+            f"{folder} lacks {len(missing)} of {counted(len(rows), of)} in {table.path}, the first of them "
+            f"{missing[0]}; the others are used"
+        )
     return listed
 
 

@@ -95,7 +95,7 @@ def _tiff(path: Path) -> Shaped[np.ndarray, "*shape"]:
 
 def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
     try:
-        from PIL import Image
+        from PIL import Image, UnidentifiedImageError
     except ImportError as error:
         raise SarsplatError(
             "reading PNG and JPEG needs Pillow; install it with pip install 'sarsplat[mstar]'"
@@ -109,9 +109,8 @@ def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
             return np.asarray(image)
         coloured = np.asarray(image.convert("RGBA"))
     except (*_MANY_WRONG, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:  # what Pillow says
-        raise SarsplatError(
-            f"{path} is not a PNG or JPEG, or is damaged ({shown(str(error))}); save it again"
-        ) from error
+        why = "" if isinstance(error, UnidentifiedImageError) else f" ({shown(str(error))})"
+        raise SarsplatError(f"{path} is not a PNG or JPEG, or is damaged{why}; save it again") from error
     colours, opaque = coloured[..., :3], coloured[..., 3] == 255
     if (colours != colours[..., :1]).any():
         raise SarsplatError(f"{path} is a picture in colour; give the measured values, in grey")
