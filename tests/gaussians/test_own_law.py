@@ -108,6 +108,28 @@ def test_shapes_are_checked_without_a_word_from_the_law() -> None:
             Fan(torch.zeros(shape))
 
 
+@pytest.mark.parametrize("engine", ["auto", "reference"])
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda a: a.double(), "is torch.float64 on cpu but means is torch.float32"),
+        (lambda a: a.to(torch.complex64), "is torch.complex64"),
+        (lambda a: a.long(), "is torch.int64"),
+        (lambda a: a[:1], r"has shape \(1, 5, 1\); it must be \(2, 5, C\)"),
+        (lambda a: a[..., 0], r"has shape \(2, 5\)"),
+        (lambda a: a.detach().numpy(), "is of type ndarray; return a tensor"),
+    ],
+)
+def test_what_a_law_returns_is_checked_before_an_engine_reads_it(engine, wrong, message) -> None:
+    class Wrong(Fan):
+        def amplitudes(self, directions, quaternions, scales):
+            return wrong(super().amplitudes(directions, quaternions, scales))
+
+    gaussians = scene(Wrong(torch.randn(5, 3)))
+    with pytest.raises(SarsplatError, match=rf"^amplitudes of the scattering law Wrong {message}"):
+        render(gaussians, [View(20, 30), View(50, 30)], ImageGrid(12, 10, (0.3, 0.3), (0.4, 0.4)), engine=engine)
+
+
 @pytest.mark.usefixtures("forgotten")
 def test_what_cannot_be_registered_or_trained(dataset: Dataset) -> None:
     @dataclass(frozen=True)

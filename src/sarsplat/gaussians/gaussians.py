@@ -110,8 +110,25 @@ class Gaussians:
         return Gaussians(**merged, scattering=law)
 
     def amplitudes(self, directions: Float[Tensor, "v 3"]) -> Float[Tensor, "v n c"]:
-        """What each channel returns per lit area [V, N, C] towards unit vectors u [V, 3] (`Scattering.amplitudes`)."""
-        return self.scattering.amplitudes(directions, self.quaternions, self.scales)
+        """What each channel returns per lit area [V, N, C] towards unit vectors u [V, 3] (`Scattering.amplitudes`).
+
+        Raises
+        ------
+        SarsplatError
+            If the law returns anything else, or of another dtype or device than the means: an engine would misread it.
+        """
+        made = self.scattering.amplitudes(directions, self.quaternions, self.scales)
+        law, means = f"amplitudes of the scattering law {type(self.scattering).__name__}", self.means
+        if not isinstance(made, Tensor):
+            raise SarsplatError(f"{law} is of type {type(made).__name__}; return a tensor")
+        wanted = (len(directions), len(self))
+        if made.ndim != 3 or made.shape[:2] != wanted or not made.shape[2]:
+            raise SarsplatError(f"{law} has shape {tuple(made.shape)}; it must be ({wanted[0]}, {wanted[1]}, C)")
+        if (made.dtype, made.device) != (means.dtype, means.device):
+            raise SarsplatError(
+                f"{law} is {made.dtype} on {made.device} but means is {means.dtype} on {means.device}; return its like"
+            )
+        return made
 
     def gamma0(self, directions: Float[Tensor, "v 3"]) -> Float[Tensor, "v n"]:
         """γ⁰ [V, N] towards unit vectors u [V, 3] of the world frame, the power channel of it; differentiable."""
