@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from contextlib import AbstractContextManager
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +12,7 @@ import torch
 
 from sarsplat import Gaussians, Harmonics, ImageGrid, View
 from sarsplat.geometry import RayGrid
+from sarsplat.progress import Reporter
 from sarsplat.reconstruction import extract_points
 from sarsplat.reconstruction import points as of_points
 from sarsplat.reconstruction.config import PointExtraction
@@ -144,7 +147,16 @@ def test_large_scenes_are_traced_by_fewer_rays_and_still_are_on_the_surface(
     monkeypatch.setattr(of_points, "_MOST_RAYS", rays / 16)
     monkeypatch.setattr(of_points, "_MOST_VIEWS", 12)
     many = [View(10.0 * k, 30.0) for k in range(36)]
+    said: list[str] = []
+    shown = of_points.stage
+
+    def noted(description: str, total: int) -> AbstractContextManager[Reporter]:
+        said.append(description)
+        return shown(description, total)
+
+    monkeypatch.setattr(of_points, "stage", noted)
     points = extract_points(ball_with_a_hole, many, GRID, KEPT)
+    assert re.fullmatch(r"surface: rays [\d.]+ times as far apart as set from 12 of \d+ views", said[0])
     assert len(counted) == 12
     assert rays / 64 < sum(counted) < rays / 8
     assert len(usual) / 40 < len(points) < len(usual)

@@ -61,7 +61,7 @@ def extract_points(
         voxels.add(points[points[:, 2] >= how.min_height * cell])
         points = voxels.means()
     else:
-        points = _seen_points(gaussians, spread([*views, *between(views)], _MOST_VIEWS), grid, how)
+        points = _seen_points(gaussians, [*views, *between(views)], grid, how)
     return points if how.cluster_radius is None else _cluster(points, how.cluster_radius * cell, how.cluster_size)
 
 
@@ -69,12 +69,15 @@ def _seen_points(
     gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, how: PointExtraction
 ) -> Float64[np.ndarray, "p 3"]:
     """Mean returns in each voxel, but for those that too many views look through, or too few see."""
-    cell, rays = grid.cell_m, RayGrid.for_image(grid, how.rays_per_pixel)
+    cell, rays, chosen = grid.cell_m, RayGrid.for_image(grid, how.rays_per_pixel), spread(views, _MOST_VIEWS)
+    said = "the views" if len(chosen) == len(views) else f"{len(chosen)} of {len(views)} views"
+    views = chosen
     coarser = math.sqrt(max(1.0, _rays(gaussians, views, rays) / _MOST_RAYS))
     rays = RayGrid((coarser * rays.spacing_m[0], coarser * rays.spacing_m[1]))
     needed_m = max(rays.spacing_m) * math.sqrt(3 * _SAMPLES / len(views)) if coarser > 1 else 0.0
     voxels, returns = _Voxels(max(how.voxel * cell, needed_m)), []
-    with stage("surface: rays from the views", len(views)) as shown:
+    rarer = f" {coarser:.2g} times as far apart as set" if coarser > 1 else ""
+    with stage(f"surface: rays{rarer} from {said}", len(views)) as shown:
         for view in views:
             returns.append(_FirstReturns.of(gaussians, view, grid, rays, how.optical_depth))
             points = returns[-1].points()
