@@ -49,7 +49,8 @@ from sarsplat.importers.mat import read_mat
 from sarsplat.importers.mstar_chips import read_chips
 from sarsplat.importers.phase_history import flights
 from sarsplat.reconstruction.presets import PRESETS
-from sarsplat.reconstruction.run import SCHEMA_VERSION, Run
+from sarsplat.reconstruction.run import Run
+from sarsplat.reconstruction.run_folder import SCHEMA_VERSION
 from sarsplat.scenes import load_mesh
 
 GRID = ImageGrid(6, 5, (0.2, 0.3), (0.25, 0.35))

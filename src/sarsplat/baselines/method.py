@@ -19,7 +19,7 @@ from sarsplat.data import Dataset, read_masks, write_mesh
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.reconstruction.method import Inputs, Method, Reconstruction
-from sarsplat.reconstruction.run import MESH
+from sarsplat.reconstruction.run_folder import MESH
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.scenes import load_mesh
 from sarsplat.scenes.raycast import Facets, first_hits

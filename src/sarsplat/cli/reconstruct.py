@@ -137,7 +137,7 @@ def reconstruct(
         raise SarsplatError("--resume continues the run and --overwrite discards it; give only one of them")
     from sarsplat.data import read_dataset
     from sarsplat.reconstruction import reconstruct as train
-    from sarsplat.reconstruction.run import HEADER, read_header
+    from sarsplat.reconstruction.run_folder import HEADER, read_header
 
     begun = read_header(out).method if options.resume and options.method is None else DEFAULT_METHOD
     method = method_named(options.method or begun)

@@ -39,7 +39,7 @@ from sarsplat.progress import Reporter, progress
 from sarsplat.reconstruction import Run
 
 if TYPE_CHECKING:
-    from sarsplat.reconstruction.run import Metrics
+    from sarsplat.reconstruction.run_folder import Metrics
 
 _VIEWS_AT_A_TIME = 8
 _MESH_SAMPLES = 100_000

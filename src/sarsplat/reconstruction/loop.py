@@ -20,7 +20,8 @@ from sarsplat.progress import Reporter
 from sarsplat.reconstruction.config import AnyConfig, refuse_other_settings
 from sarsplat.reconstruction.log import LogLine, log_text
 from sarsplat.reconstruction.method import Trainable
-from sarsplat.reconstruction.run import HEADER, MESH, InMemory, Run, require_replaceable, write_header
+from sarsplat.reconstruction.run import InMemory, Run, write_header
+from sarsplat.reconstruction.run_folder import HEADER, MESH, require_replaceable
 
 _LINES_PER_RUN = 200
 """About how many lines `metrics.jsonl` gets."""

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NotRequired, TypedDict
+from typing import TYPE_CHECKING, Any
 
-import msgspec
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
@@ -18,7 +17,6 @@ from sarsplat.data import (
     read_dataset,
     read_json,
     read_points_ply,
-    read_versioned_json,
     write_bytes,
     write_json,
     write_points_ply,
@@ -34,63 +32,19 @@ from sarsplat.reconstruction.method import Reconstruction
 from sarsplat.reconstruction.methods import METHODS, method_named
 from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.own_gaussians import own_scene
+from sarsplat.reconstruction.run_folder import (
+    HEADER,
+    SCHEMA,
+    SCHEMA_VERSION,
+    Header,
+    Metrics,
+    read_header,
+    require_replaceable,
+)
 from sarsplat.reconstruction.snapshot import Snapshot
 
 if TYPE_CHECKING:
     import trimesh
-
-SCHEMA = "sarsplat-run"
-SCHEMA_VERSION = 4
-HEADER = "config.json"
-
-MESH = "mesh.ply"
-"""The surface, of methods that learn one as such."""
-
-_Scores = dict[str, float | None]
-
-
-class Truth(TypedDict):
-    """What surface the points were compared with: its file, unless it is the dataset's, and how they were moved."""
-
-    mesh: str | None
-    shift_m: NotRequired[tuple[float, float, float]]
-    heading_deg: NotRequired[float]
-
-
-class ByImage(TypedDict):
-    """One metric of each image of a test set, in the dataset's order."""
-
-    metric: str
-    scores: list[float | None]
-
-
-class Metrics(TypedDict):
-    """What `metrics.json` holds: scores by test set, surface or baseline, and by metric."""
-
-    images: dict[str, _Scores]
-    by_image: NotRequired[dict[str, ByImage]]
-    points: dict[str, _Scores]
-    mesh: dict[str, _Scores]
-    baselines: dict[str, dict[str, _Scores]] | None
-    truth: NotRequired[Truth]
-    masks: NotRequired[str | None]
-    time_s: float | None
-    seed: int
-    method: NotRequired[str]
-    parameters: dict[str, float]
-    definitions: dict[str, str]
-    reasons: dict[str, str]
-
-
-class Header(msgspec.Struct, forbid_unknown_fields=True):
-    """What `config.json` holds."""
-
-    schema: str
-    schema_version: int
-    dataset: str | None
-    dataset_fingerprint: str
-    config: dict[str, Any]
-    method: str
 
 
 @dataclass
@@ -494,38 +448,3 @@ def write_header(run: Run) -> None:
     where = None if run.dataset_path is None else str(run.dataset_path)
     header = Header(SCHEMA, SCHEMA_VERSION, where, run.fingerprint, run.config.as_dict(), run.method)
     write_json(run.folder / HEADER, header)
-
-
-def read_header(path: Path) -> Header:
-    """The header of a run's folder.
-
-    Raises
-    ------
-    SarsplatError
-        If it is missing, or not a run of this version.
-    """
-    header = path / HEADER
-    if not header.is_file():
-        if (path / "dataset.json").is_file():
-            raise SarsplatError(
-                f"{path} is a dataset, not a run; give a run of it, which "
-                f"`sarsplat reconstruct {path} --out {path}-run` makes"
-            )
-        what = "does not exist" if not path.exists() else f"holds no {HEADER}, so it is not a run"
-        raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out {path}`")
-    data = read_json(header, dict[str, Any])
-    version = data.get("schema_version")
-    if data.get("schema") == SCHEMA and isinstance(version, int) and version < SCHEMA_VERSION:
-        raise SarsplatError(f"{path} was written by an older version; reconstruct it again with --overwrite")
-    return read_versioned_json(
-        header, Header, schema=SCHEMA, version=SCHEMA_VERSION, remedy="give a run, or reconstruct it again"
-    )
-
-
-def require_replaceable(out: Path) -> None:
-    """Refuse to overwrite a folder that is not a run, of whatever version: many programs keep a `config.json`."""
-    header = out / HEADER
-    if header.is_file():
-        data = read_json(header, dict[str, Any])
-        if data.get("schema") != SCHEMA:
-            raise SarsplatError(f"{header} is not the header of a run, so it will not be replaced; choose another name")

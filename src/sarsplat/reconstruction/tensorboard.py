@@ -17,7 +17,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.radiometry import LEAST_POWER, shade
 from sarsplat.reconstruction.log import LogLine
 from sarsplat.reconstruction.loop import Step
-from sarsplat.reconstruction.run import HEADER
+from sarsplat.reconstruction.run_folder import HEADER
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
