@@ -100,7 +100,13 @@ def import_folder(
         Once each, for rows without a picture, pictures without a row, and what `dataset_of` warns of.
     """
     folder = Path(folder)
-    listed = read_picture_table(folder, None if table is None else Path(table), columns or {})
+    listed = read_picture_table(
+        folder,
+        None if table is None else Path(table),
+        columns or {},
+        grazing=grazing_deg is None,
+        spacing=spacing_m is None,
+    )
     guessed = quantity
     images = []
     for picture in listed.pictures:

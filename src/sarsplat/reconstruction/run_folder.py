@@ -75,10 +75,10 @@ def read_header(path: Path) -> Header:
     header = path / HEADER
     if not header.is_file():
         if (path / "dataset.json").is_file():
-            raise SarsplatError(
-                f"{path} is a dataset, not a run; give a run of it, which "
-                f"`sarsplat reconstruct {path} --out {path}-run` makes"
-            )
+            usual = path.with_name(f"{path.name}-run")
+            made = (usual / HEADER).is_file()
+            one = f"such as {usual}" if made else f"which `sarsplat reconstruct {path} --out {usual}` makes"
+            raise SarsplatError(f"{path} is a dataset, not a run; give a run of it, {one}")
         what = "does not exist" if not path.exists() else f"holds no {HEADER}, so it is not a run"
         raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out {path}`")
     data = read_json(header, dict[str, Any])
