@@ -66,7 +66,7 @@ def point_boards(
     return tuple(blocks), tuple(bars)
 
 
-def _at_most(points: Points, most: int) -> Points:
+def _at_most(points: Points, most: int) -> Float[np.ndarray, "fewer 3"]:
     """A random choice of points where there are more."""
     return points if len(points) <= most else points[np.random.default_rng(0).choice(len(points), most, replace=False)]
 
