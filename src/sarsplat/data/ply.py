@@ -23,6 +23,7 @@ import torch
 from jaxtyping import Float, Float32, Real
 from torch import Tensor
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import decode_json
 from sarsplat.data.ply_table import read_ply, write_ply
 from sarsplat.data.viewer_colours import ODD, viewer_colours
@@ -44,6 +45,7 @@ _FARTHEST = 1e9  # m from the origin, of points: squares of it stay finite
 _MIN_LOGIT = -30.0  # stands for an opacity of zero, whose logit is −∞
 
 
+@checks_arguments
 def write_gaussians_ply(
     path: str | Path, gaussians: Gaussians, comments: Iterable[str] = (), *, colour: Colour = "db"
 ) -> None:
@@ -89,6 +91,7 @@ def write_gaussians_ply(
     write_ply(Path(path), columns, [_VERSION, _LAW + law, shown_as.legend, *comments])
 
 
+@checks_arguments
 def read_gaussians_ply(path: str | Path) -> Gaussians:
     """Read Gaussians: our own files exactly, those of other 3DGS programs as well as they translate.
 
@@ -145,6 +148,7 @@ def _of_3dgs(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray
     return {"scales": scales, "optical_depth": depth.astype(np.float32), "scattering": _flip_odd(harmonics)}
 
 
+@checks_arguments
 def write_points_ply(
     path: str | Path,
     points: Real[np.ndarray, "p 3"],
@@ -187,6 +191,7 @@ def write_points_ply(
     write_ply(Path(path), table, ["sarsplat points 1"])
 
 
+@checks_arguments
 def read_points_ply(path: str | Path) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]]:
     """Read points.
 

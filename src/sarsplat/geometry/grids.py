@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 from jaxtyping import Float64
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.responses import GAUSSIAN, Response, response_of, variance_of, width_of
 
@@ -161,6 +162,7 @@ class RayGrid:
         _check_lengths("ray spacing", self.spacing_m)
 
     @classmethod
+    @checks_arguments
     def for_image(cls, grid: ImageGrid, per_pixel: float = 2.0) -> RayGrid:
         """Square lattice with `per_pixel` rays in the smaller pixel spacing."""
         spacing = min(grid.spacing_m) / per_pixel

@@ -10,6 +10,7 @@ from typing import Self
 import numpy as np
 from jaxtyping import Float64
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 
 _MAX_AZIMUTH = 3600  # degrees: ten turns
@@ -56,6 +57,7 @@ class View:
             )
 
     @classmethod
+    @checks_arguments
     def towards(cls, direction: Float64[np.ndarray, " 3"]) -> Self:
         """The view from a direction above the horizon, a vector of any length; the zenith becomes 89.999°."""
         x, y, z = direction
@@ -73,6 +75,7 @@ class View:
         return -radar_frame(self)[2]
 
 
+@checks_arguments
 def radar_frame(view: View) -> Float64[np.ndarray, "3 3"]:
     """Rotation R_r from the world to the radar frame, x_r = R_r x_w.
 

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float64, Int64, Real
 from scipy.spatial import cKDTree
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
@@ -32,6 +33,7 @@ _AT_ONCE = 1 << 22
 """Returns that wait to be thinned."""
 
 
+@checks_arguments
 def extract_points(
     gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, how: PointExtraction
 ) -> Float64[np.ndarray, "p 3"]:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Float64, Int32, Real
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.radiometry import beta0_of_gamma0
@@ -66,6 +67,7 @@ class Facets:
         return np.clip(z, *self.z_span[:, face])
 
 
+@checks_arguments
 def simulate_raycast(
     mesh: trimesh.Trimesh,
     view: View,

@@ -11,6 +11,7 @@ from jaxtyping import Float, Float64, Real
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from sarsplat.arguments import checks_arguments, expect
 from sarsplat.errors import SarsplatError
 from sarsplat.radiometry import from_db
 from sarsplat.scenes._random import generator
@@ -51,6 +52,7 @@ class ScatteringLaw:
     exponent: float = 2.0
 
     def __post_init__(self) -> None:
+        expect(float, **self.as_dict())
         for name, value in self.as_dict().items():
             if not 0 <= value <= _MAX_GAMMA0:  # also catches NaN
                 unit = "" if name == "exponent" else " (linear γ⁰)"
@@ -80,6 +82,7 @@ def part_reflectivity(mesh: trimesh.Trimesh, spread_db: float, seed: int) -> Flo
     return factors[part[corners[:, 0]]]
 
 
+@checks_arguments
 def add_speckle(
     power: Real[np.ndarray, "*shape"], looks: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "*shape"]:

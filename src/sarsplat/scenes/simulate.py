@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64, Real
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import ground_radius_m, ground_sheet
@@ -30,6 +31,7 @@ _OVERSAMPLE = 9
 _PIECES_PER_PIXEL, _GROUND_PER_PIXEL, _RAYS_PER_PIXEL = 3.0, 2.0, 15.0
 
 
+@checks_arguments
 def simulate_images(
     mesh: trimesh.Trimesh,
     views: Sequence[View],
