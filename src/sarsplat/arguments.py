@@ -28,6 +28,7 @@ _GIVE = {
     "Path": "a path, a str or a pathlib.Path",
     "Projection": "what sarsplat.project returned",
     "RayGrid": "a RayGrid, such as RayGrid.for_image(grid)",
+    "Response": "Gaussian() or Taylor()",
     "Run": "a Run, as reconstruct returns or Run.load(PATH) reads",
     "SarImage": "a SarImage(power, view, grid)",
     "Scattering": "a law with its parameters, such as Harmonics(torch.zeros(n, 16))",

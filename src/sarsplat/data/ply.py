@@ -174,21 +174,21 @@ def write_points_ply(
     SarsplatError
         If shapes do not fit, a value is not finite, or the file cannot be written.
     """
-    points = np.asarray(points)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise SarsplatError(f"the points have shape {points.shape}; it must be (P, 3)")
+    for table, what in ((points, "points"), (normals, "normals")):
+        if table is not None and (table.ndim != 2 or table.shape[1] != 3):
+            raise SarsplatError(f"the {what} have shape {table.shape}; it must be (P, 3)")
     if normals is not None:
-        columns = {**_columns(("nx", "ny", "nz"), np.asarray(normals)), **columns}
+        columns = {**_columns(("nx", "ny", "nz"), normals), **columns}
     for name, column in columns.items():
         if np.shape(column) != (len(points),) or name in ("x", "y", "z"):
             raise SarsplatError(
                 f"the column {name!r} has shape {np.shape(column)}; for these points it must be ({len(points)},)"
             )
-    table = {**_columns(("x", "y", "z"), points), **columns}
-    for name, column in table.items():
+    named = {**_columns(("x", "y", "z"), points), **columns}
+    for name, column in named.items():
         if not np.isfinite(column).all():
             raise SarsplatError(f"the column {name!r} of the points contains NaN or an infinity; remove those points")
-    write_ply(Path(path), table, ["sarsplat points 1"])
+    write_ply(Path(path), named, ["sarsplat points 1"])
 
 
 @checks_arguments

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 from jaxtyping import Float64
 
-from sarsplat.arguments import checks_arguments
+from sarsplat.arguments import checks_arguments, described
 from sarsplat.errors import SarsplatError
 
 _MAX_AZIMUTH = 3600  # degrees: ten turns
@@ -43,7 +43,7 @@ class View:
         for field, name in (("azimuth_deg", "azimuth"), ("grazing_deg", "grazing angle")):
             value = getattr(self, field)
             if not isinstance(value, Real):
-                raise SarsplatError(f"{name} {value!r} is not a number; give degrees")
+                raise SarsplatError(f"{name} {described(value)} is not a number; give degrees")
             object.__setattr__(self, field, float(value))  # JSON cannot hold numpy's numbers
         if not abs(self.azimuth_deg) <= _MAX_AZIMUTH:  # also catches NaN; 1e308° has no meaningful direction
             raise SarsplatError(

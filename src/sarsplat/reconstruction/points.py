@@ -55,7 +55,14 @@ def extract_points(
     -------
     numpy.ndarray, float64 [P, 3]
         World frame, m; possibly empty.
+
+    Raises
+    ------
+    SarsplatError
+        If there are no views.
     """
+    if not views:
+        raise SarsplatError("there are no views that could see a surface; give at least one View")
     gaussians, cell = gaussians.detach(), grid.cell_m
     if how.method == "centres":
         points = gaussians.means[gaussians.optical_depth >= how.optical_depth].double().cpu().numpy()

@@ -352,6 +352,12 @@ class Run:
         device : {"auto", "cpu", "cuda"}
             Where it renders.
 
+        Returns
+        -------
+        Run
+            Its `config` has the preset "own loop", the number and the scattering of the Gaussians; what else stands
+            there, `iterations` among it, says how the Gaussians are held, and nothing of how they were made.
+
         Raises
         ------
         SarsplatError
