@@ -185,8 +185,8 @@ def train(
     """Train to the end, in memory or, with `out`, in a folder from which it can be resumed at any time.
 
     `training` is at its beginning; `new` is the run as it will be, with settings and the dataset's fingerprint. An
-    exception leaves a checkpoint, from which a run shows what it has learned; only a finished one gets its points, which
-    may take longer than the training.
+    exception leaves a checkpoint, from which a run shows what it has learned; only a finished one gets its points,
+    which may take longer than the training.
 
     Raises
     ------
