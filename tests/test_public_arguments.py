@@ -37,8 +37,8 @@ from sarsplat import (
     write_report,
 )
 from sarsplat.arguments import checks_arguments
-from sarsplat.data import write_mesh
-from sarsplat.scenes import ScatteringLaw
+from sarsplat.data import read_points_ply, write_mesh, write_points_ply
+from sarsplat.scenes import ScatteringLaw, law_scattering
 
 if TYPE_CHECKING:
     import trimesh
@@ -150,6 +150,23 @@ def test_arguments_by_position_are_checked_too() -> None:
 def test_a_class_imported_for_types_alone_is_known_by_its_name() -> None:
     trimesh = pytest.importorskip("trimesh")
     assert sample(mesh=trimesh.creation.box()) == sample(mesh=None) == "done"
+
+
+def test_lists_of_numbers_are_as_good_as_arrays(tmp_path: Path) -> None:
+    assert View.towards([1.0, 0.0, 1.0]) == View.towards(np.array([1.0, 0.0, 1.0]))
+    write_points_ply(tmp_path / "p.ply", [(0.0, 1.0, 2.0)], normals=[[0.0, 0.0, 1.0]], weight=[0.5])
+    points, columns = read_points_ply(tmp_path / "p.ply")
+    assert points.tolist() == [[0.0, 1.0, 2.0]]
+    assert {name: column.tolist() for name, column in columns.items()} == {
+        "nx": [0.0],
+        "ny": [0.0],
+        "nz": [1.0],
+        "weight": [0.5],
+    }
+    assert law_scattering([[0.0, 0.0, 1.0]], [VIEW], ScatteringLaw()).shape == (1, 1)
+    for wrong in ([[0.0, 1.0]], [[0.0], [1.0, 2.0]]):
+        with pytest.raises(SarsplatError, match=r"^the points (have shape|are rows of different lengths)"):
+            write_points_ply(tmp_path / "p.ply", wrong)
 
 
 # ---- all that is public ---------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ The header's comments carry the version, as JSON which law of scattering it is, 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -151,10 +151,10 @@ def _of_3dgs(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray
 @checks_arguments
 def write_points_ply(
     path: str | Path,
-    points: Real[np.ndarray, "p 3"],
+    points: Real[np.ndarray, "p 3"] | Sequence[Sequence[float]],
     /,
-    normals: Real[np.ndarray, "p 3"] | None = None,
-    **columns: np.ndarray,
+    normals: Real[np.ndarray, "p 3"] | Sequence[Sequence[float]] | None = None,
+    **columns: np.ndarray | Sequence[float],
 ) -> None:
     """Write points with any number of named scalars each, whole or not at all.
 
@@ -162,11 +162,11 @@ def write_points_ply(
     ----------
     path : str or Path
         File to write; an existing one is replaced.
-    points : numpy.ndarray [P, 3]
+    points : numpy.ndarray [P, 3], or a list
         Positions, m; stored as float32.
-    normals : numpy.ndarray [P, 3], optional
+    normals : numpy.ndarray [P, 3], or a list, optional
         Unit normals, stored as nx, ny, nz.
-    **columns : numpy.ndarray [P]
+    **columns : numpy.ndarray [P], or a list
         One scalar per point under that name; stored as float32.
 
     Raises
@@ -174,21 +174,29 @@ def write_points_ply(
     SarsplatError
         If shapes do not fit, a value is not finite, or the file cannot be written.
     """
-    for table, what in ((points, "points"), (normals, "normals")):
-        if table is not None and (table.ndim != 2 or table.shape[1] != 3):
-            raise SarsplatError(f"the {what} have shape {table.shape}; it must be (P, 3)")
+    places = _triples("points", points)
     if normals is not None:
-        columns = {**_columns(("nx", "ny", "nz"), normals), **columns}
+        columns = {**_columns(("nx", "ny", "nz"), _triples("normals", normals)), **columns}
     for name, column in columns.items():
-        if np.shape(column) != (len(points),) or name in ("x", "y", "z"):
+        if np.shape(column) != (len(places),) or name in ("x", "y", "z"):
             raise SarsplatError(
-                f"the column {name!r} has shape {np.shape(column)}; for these points it must be ({len(points)},)"
+                f"the column {name!r} has shape {np.shape(column)}; for these points it must be ({len(places)},)"
             )
-    named = {**_columns(("x", "y", "z"), points), **columns}
-    for name, column in named.items():
+    table = {**_columns(("x", "y", "z"), places), **{name: np.asarray(column) for name, column in columns.items()}}
+    for name, column in table.items():
         if not np.isfinite(column).all():
             raise SarsplatError(f"the column {name!r} of the points contains NaN or an infinity; remove those points")
-    write_ply(Path(path), named, ["sarsplat points 1"])
+    write_ply(Path(path), table, ["sarsplat points 1"])
+
+
+def _triples(name: str, values: Any) -> Real[np.ndarray, "p 3"]:
+    try:
+        table = np.asarray(values)
+    except ValueError as error:  # rows of different lengths
+        raise SarsplatError(f"the {name} are rows of different lengths; give each three numbers") from error
+    if table.ndim != 2 or table.shape[1] != 3:
+        raise SarsplatError(f"the {name} have shape {table.shape}; it must be (P, 3)")
+    return table
 
 
 @checks_arguments

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
 from typing import Self
@@ -58,7 +59,7 @@ class View:
 
     @classmethod
     @checks_arguments
-    def towards(cls, direction: Float64[np.ndarray, " 3"]) -> Self:
+    def towards(cls, direction: Float64[np.ndarray, " 3"] | Sequence[float]) -> Self:
         """The view from a direction above the horizon, a vector of any length; the zenith becomes 89.999°."""
         x, y, z = direction
         grazing = math.degrees(math.atan2(z, math.hypot(x, y)))

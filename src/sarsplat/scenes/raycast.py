@@ -8,7 +8,7 @@ Direct scattering only: no multiple reflections, no phase.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -74,7 +74,7 @@ def simulate_raycast(
     grid: ImageGrid,
     law: ScatteringLaw,
     *,
-    reflectivity: Real[np.ndarray, " faces"] | None = None,
+    reflectivity: Real[np.ndarray, " faces"] | Sequence[float] | None = None,
     ground_gamma0: float | None = None,
     ray_spacing: float | None = None,
     ray_offset: tuple[float, float] = (0.5, 0.5),
@@ -90,7 +90,7 @@ def simulate_raycast(
         Direction to the radar, and where the pixels lie.
     law : ScatteringLaw
         γ⁰ of the mesh's facets against incidence angle.
-    reflectivity : numpy.ndarray [F], optional
+    reflectivity : numpy.ndarray [F], or a list, optional
         Factor on the law's γ⁰ for each face; 1 unless given.
     ground_gamma0 : float, optional
         γ⁰ (linear) of an infinite flat ground at z = 0; without it nothing lies behind the mesh. What lies below the

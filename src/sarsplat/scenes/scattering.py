@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
@@ -120,7 +121,7 @@ def check_ground(gamma0: float | None) -> None:
 
 
 def check_reflectivity(
-    reflectivity: Real[np.ndarray, " {faces}"] | None, faces: int
+    reflectivity: Real[np.ndarray, " {faces}"] | Sequence[float] | None, faces: int
 ) -> Float64[np.ndarray, " {faces}"]:
     """Factors on the law's γ⁰ as float64: 1 unless given; refused if their number or a value is wrong."""
     if reflectivity is None:

@@ -39,7 +39,7 @@ def simulate_images(
     *,
     source: Simulator = "raycast",
     law: ScatteringLaw | None = None,
-    reflectivity: Real[np.ndarray, " faces"] | None = None,
+    reflectivity: Real[np.ndarray, " faces"] | Sequence[float] | None = None,
     ground_gamma0: float | None = None,
     ray_spacing: float | None = None,
     looks: float | None = None,
@@ -60,7 +60,7 @@ def simulate_images(
         its surface (R-self, as in the paper).
     law : ScatteringLaw, optional
         γ⁰ of the surface against incidence angle; 0.1 + 0.9 cos² i unless given.
-    reflectivity : numpy.ndarray [F], optional
+    reflectivity : numpy.ndarray [F], or a list, optional
         Factor on the law's γ⁰ for each face; 1 unless given.
     ground_gamma0 : float, optional
         γ⁰ (linear) of a flat ground at z = 0; none unless given.

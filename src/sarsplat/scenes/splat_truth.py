@@ -106,13 +106,13 @@ def _bisected(
 
 @checks_arguments
 def law_scattering(
-    normals: Float[np.ndarray, "n 3"], views: Sequence[View], law: ScatteringLaw
+    normals: Float[np.ndarray, "n 3"] | Sequence[Sequence[float]], views: Sequence[View], law: ScatteringLaw
 ) -> Float64[np.ndarray, "v n"]:
     """γ⁰ of surface points in every view, two-sided.
 
     Parameters
     ----------
-    normals : numpy.ndarray [N, 3]
+    normals : numpy.ndarray [N, 3], or a list
         Unit normals, world frame.
     views : sequence of View
         V views.
