@@ -261,7 +261,7 @@ def test_wrong_folders(tmp_path, chips):
         run(tmp_path / "empty")
     with pytest.raises(SarsplatError, match=r"no Phoenix file .* --labels"):
         run(chips, labels=None)
-    with pytest.raises(SarsplatError, match="--overwrite"):
+    with pytest.raises(SarsplatError, match="overwrite=True"):
         run(chips)
         run(chips)
     shutil.rmtree(chips / "T72")

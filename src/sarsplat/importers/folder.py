@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.header import Calibration
 from sarsplat.data.orientation import Layout, oriented
@@ -22,6 +23,7 @@ from sarsplat.names import Quantity, Side
 Pair = tuple[float, float]
 
 
+@checks_arguments
 def import_folder(
     folder: str | Path,
     out: str | Path,

@@ -84,7 +84,7 @@ def read_header(path: Path) -> Header:
     data = read_json(header, dict[str, Any])
     version = data.get("schema_version")
     if data.get("schema") == SCHEMA and isinstance(version, int) and version < SCHEMA_VERSION:
-        raise SarsplatError(f"{path} was written by an older version; reconstruct it again with --overwrite")
+        raise SarsplatError(f"{path} was written by an older version; reconstruct it again with overwrite=True")
     return read_versioned_json(
         header, Header, schema=SCHEMA, version=SCHEMA_VERSION, remedy="give a run, or reconstruct it again"
     )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import ImageGrid
 from sarsplat.scenes.mesh_files import read_mesh
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 _LARGEST_TARGET, _SMALLEST_TARGET = 1.0, 2.0
 
 
+@checks_arguments
 def load_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
     """Triangle mesh of an .obj, .stl, .ply, .off or .glb file; a scene's parts become one mesh.
 
