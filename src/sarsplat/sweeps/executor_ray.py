@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,13 +25,16 @@ def run(cells: Sequence[Cell], out: Path, means: Means) -> Iterator[tuple[Cell, 
 
     ours = not ray.is_initialized()
     if ours:
+        terminate = signal.getsignal(signal.SIGTERM)
         try:
             ray.init(address=means.address, log_to_driver=False, logging_level="ERROR")
-        except (ConnectionError, ValueError, RuntimeError) as error:
+        except (ConnectionError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
             raise SarsplatError(
                 f"there is no Ray cluster at {shown(means.address)} ({shown(str(error))}); start one with "
                 "`ray start --head`, or give its address"
             ) from error
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, terminate)  # Ray's own ends the process without a word
     running: dict[Any, Cell] = {}
     waiting = list(reversed(cells))
     remote = ray.remote(_do)
