@@ -43,8 +43,9 @@ class Worker:
         self.close()
         if self._ended:
             return None
-        ended = f"was ended by {_SIGNALS.get(-code, -code)}" if code < 0 else f"ended with code {code}"
-        why = ", as when memory runs out: give fewer --processes" if -code == signal.SIGKILL.value else ""
+        by = _SIGNALS.get(-code, f"signal {-code}")
+        ended = f"was ended by {by}" if code < 0 else f"ended with code {code}"
+        why = ", as when memory runs out: give fewer --processes" if by == "SIGKILL" else ""
         return lost(cell, self._out, f"its process {ended}{why}; start the sweep again to continue it")
 
     def kill(self) -> None:
