@@ -27,7 +27,7 @@ ORDER = (
     ("evaluation",),
     ("exports",),
     ("report",),
-    ("viewer",),
+    ("viewer", "sweeps"),
     ("cli",),
 )
 RANK = {folder: rank for rank, folders in enumerate(ORDER) for folder in folders}

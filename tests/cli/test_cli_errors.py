@@ -97,7 +97,7 @@ WORDS = {
     "reconstruct full --out new --rates.means -1": "rates.means is -1.0; it must be a number from 1e-06",
     "reconstruct full --out new --rates.means x": "--rates.means 'x' is not a number; give one",
     "reconstruct full --out new --points.cluster-radius x": "--points.cluster-radius 'x' is not a number; give one",
-    "reconstruct full other --out new": "sarsplat reconstruct does one target at a time, and 'other' is another; give",
+    "reconstruct full other --out new": "sarsplat reconstruct does one target at a time, and 'other' is another; see `",
     "evaluate full other": "'other' is one argument too many for sarsplat evaluate; remove it",
     "reconstruct --out new": "DATASET is missing; see sarsplat reconstruct --help",
     "evaluate": "RUN|PLY is missing; see sarsplat evaluate --help",

@@ -46,7 +46,7 @@ def _plain(program: str, box: str) -> str:
         flag = next((word.partition("=")[0] for word in unknown if word.startswith("--")), None)
         if flag is None:
             if program == "sarsplat reconstruct":
-                return f"{program} does one target at a time, and {unread[1]!r} is another; give each its own command"
+                return f"{program} does one target at a time, and {unread[1]!r} is another; see `sarsplat sweep`"
             return f"{unread[1]!r} is one argument too many for {program}; remove it"
         others = {word for word in re.findall(r"--[\w.-]+", text) if word != flag}
         meant = _meant(flag, others) or f"{program} --help lists them"
