@@ -130,10 +130,10 @@ class GaussianReconstruction(Reconstruction):
         The target are the Gaussians near the points and, if ground was learned, at least one resolution cell above it
         (`without_imitated_ground`). Without learned ground there is no shadow.
         """
-        scene = self.model.scene(self._degree).detach()
-        scene, count = without_imitated_ground(scene, len(self.model), points, self.grid.cell_m)
+        ground = self.model.ground()
+        target = without_imitated_ground(self.gaussians, points, self.grid.cell_m, ground=ground is not None)
         rays = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL)
-        return scene_masks(scene, count, views, self.model.as_displaced(self.grid), rays)
+        return scene_masks(target, ground, views, self.model.as_displaced(self.grid), rays)
 
     @property
     def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"] | None:
