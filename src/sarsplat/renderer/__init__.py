@@ -17,7 +17,7 @@ from sarsplat.renderer.bounds import Bounds
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
 from sarsplat.renderer.engines import ENGINES, chosen_engine
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
-from sarsplat.renderer.ground import above, check_ground
+from sarsplat.renderer.ground import above, check_ground, ground_values
 from sarsplat.renderer.operations import render_with
 from sarsplat.renderer.reference import render_reference
 from sarsplat.renderer.rendering import RayMap, Rendering, channel_of
@@ -160,5 +160,5 @@ def render(
             f"plane_gradients=True needs another engine ({', '.join(ENGINES)}); the reference has autograd instead"
         )
     check_for_reference("means", gaussians.means.dtype)
-    check_values(tensors)
+    check_values(tensors if ground is None else tensors | ground_values(ground))
     return render_reference(gaussians, views, grid, **options)

@@ -43,6 +43,12 @@ def check_ground(ground: Ground, like: Tensor, channels: int, channel: int, imag
         )
 
 
+def ground_values(ground: Ground) -> dict[str, Tensor | None]:
+    """What must be in range, by name."""
+    exponent = None if ground.exponent is None else ground.exponent.reshape(1)
+    return {"ground.gamma0": ground.gamma0.reshape(-1), "ground.exponent": exponent}
+
+
 def with_ground(
     images: Float[Tensor, "v c h w"],
     ground: Ground,

@@ -19,7 +19,7 @@ from sarsplat.renderer.bounds import Bounds
 from sarsplat.renderer.checks import check_values, complaint, complaint_by_view
 from sarsplat.renderer.cpu import FAULTS
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, deviations
-from sarsplat.renderer.ground import with_ground
+from sarsplat.renderer.ground import ground_values, with_ground
 from sarsplat.renderer.lit_ground import RayEnds, lit_ground
 from sarsplat.renderer.operation import Operation, Tensors
 from sarsplat.renderer.passes import Pass
@@ -53,6 +53,8 @@ def render_with(
         bounds.watch(gain)
     else:
         check_values({"gain": gain})  # the rest is checked on the way in
+    if ground is not None and bounds is None:
+        check_values(ground_values(ground))
     g = gaussians
     planes = g.means.new_zeros(len(views), len(g), 4) if plane_gradients else None
     harmonics = None
