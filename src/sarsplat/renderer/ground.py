@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 from torch.nn.functional import embedding
 
@@ -15,7 +16,6 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, View, radar_frame
-from sarsplat.radiometry import beta0_of_gamma0
 
 
 def above(gaussians: Gaussians, ground: Ground) -> Gaussians:
@@ -68,37 +68,52 @@ def free_ground(
     ground: Ground, views: Sequence[View], grid: ImageGrid, shift: Float[Tensor, "v 2"] | None = None
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
     """β⁰ of the ground that nothing hides."""
-    shifts = [None] * len(views) if shift is None else shift.unbind()
-    return torch.stack([_beta0(ground, view, grid, moved) for view, moved in zip(views, shifts, strict=True)])
-
-
-def _beta0(
-    ground: Ground, view: View, grid: ImageGrid, shift: Float[Tensor, " 2"] | None
-) -> Float[Tensor, "{grid.rows} {grid.columns}"]:
-    """`free_ground` of one view."""
-    gamma0 = ground.gamma0
-    if ground.exponent is not None:
-        gamma0 = gamma0 * math.sin(math.radians(view.grazing_deg)) ** ground.exponent
-    beta0 = beta0_of_gamma0(gamma0, view.grazing_deg)
-    if beta0.numel() == 1:
+    table, device = ground.gamma0, ground.gamma0.device
+    numbers = torch.stack([_of_view(view, device) for view in views]).to(table).T[..., None, None]
+    tangent, log_sine, sine, *onto = numbers  # [V, 1, 1] each
+    level = tangent if ground.exponent is None else tangent * (ground.exponent * log_sine).exp()
+    if table.numel() == 1:
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
-        return beta0.reshape(1, 1).expand(1, grid.columns).expand(grid.rows, -1)
-    frame, cosine = radar_frame(view), math.cos(math.radians(view.grazing_deg))
-    x, r = (torch.from_numpy(axis).to(beta0) for axis in (grid.azimuth_m, grid.range_m))
-    x, r = (x, r) if shift is None else (x - shift[0], r - shift[1])
-    away = (r - frame[2, 2] * ground.height_m) / cosine  # ground range: r = away·cos θ − z·sin θ
-    sides = []
-    for axis, count in ((0, beta0.shape[1]), (1, beta0.shape[0])):
-        place = frame[0, axis] * x + frame[2, axis] / cosine * away[:, None]
-        place = (place / ground.pitch_m + (count - 1) / 2).clamp(0, count - 1)
-        below = place.detach().floor().clamp(max=max(count - 2, 0))
-        sides.append((below.long(), place - below, min(count - 1, 1)))
-    (column, right, next_column), (row, down, next_row) = sides
-    table, at = beta0.reshape(-1), row * beta0.shape[1] + column
-    step = next_row * beta0.shape[1]
-    upper = _rows(table, at) * (1 - right) + _rows(table, at + next_column) * right
-    lower = _rows(table, at + step) * (1 - right) + _rows(table, at + step + next_column) * right
-    return upper * (1 - down) + lower * down
+        return (table.reshape(()) * level).expand(-1, 1, grid.columns).expand(-1, grid.rows, -1)
+    x, r = (axis.to(table) for axis in _axes(grid, device))
+    if shift is not None:
+        x, r = x - shift[:, None, :1], r - shift[:, 1:, None]
+    r = r + sine * ground.height_m  # r = ground range · cos θ − z · sin θ
+    (column, right, next_column), (row, down, next_row) = (
+        _between(across * x + along * r, ground.pitch_m, count)
+        for across, along, count in zip(onto[:2], onto[2:], reversed(table.shape), strict=True)
+    )
+    flat, at, step = table.reshape(-1), row * table.shape[1] + column, next_row * table.shape[1]
+    upper = torch.lerp(_rows(flat, at), _rows(flat, at + next_column), right)
+    lower = torch.lerp(_rows(flat, at + step), _rows(flat, at + step + next_column), right)
+    return torch.lerp(upper, lower, down) * level
+
+
+def _between(
+    place_m: Float[Tensor, "v h w"], pitch_m: float, count: int
+) -> tuple[Int64[Tensor, "v h w"], Float[Tensor, "v h w"], int]:
+    """The places before, how far on it is to the next ones, and how many numbers on those are."""
+    place = (place_m / pitch_m + (count - 1) / 2).clamp(0, count - 1)
+    before = place.detach().floor().clamp(max=max(count - 2, 0))
+    return before.long(), place - before, min(count - 1, 1)
+
+
+# A training asks for the same few views again and again, and a GPU should not be sent them each time.
+@lru_cache(maxsize=4096)
+def _of_view(view: View, device: torch.device) -> Float64[Tensor, " 7"]:
+    """Of θ: tan, ln sin and sin; and how x and y on the ground grow with azimuth and with slant range."""
+    frame, theta = radar_frame(view), math.radians(view.grazing_deg)
+    numbers = [math.tan(theta), math.log(math.sin(theta)), math.sin(theta)]
+    return torch.tensor(
+        [*numbers, *frame[0, :2], *(frame[2, :2] / math.cos(theta) ** 2)], dtype=torch.float64, device=device
+    )
+
+
+@lru_cache(maxsize=16)
+def _axes(grid: ImageGrid, device: torch.device) -> tuple[Float64[Tensor, "1 1 w"], Float64[Tensor, "1 h 1"]]:
+    """Azimuth and slant range of the pixels, m."""
+    x, r = torch.from_numpy(grid.azimuth_m), torch.from_numpy(grid.range_m)
+    return x[None, None].to(device), r[None, :, None].to(device)
 
 
 def _rows(table: Float[Tensor, " n"], index: Tensor) -> Tensor:

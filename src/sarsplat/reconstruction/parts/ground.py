@@ -17,6 +17,12 @@ from sarsplat.radiometry import beta0_of_gamma0
 from sarsplat.reconstruction.config import Config, FlatGround
 from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, normal_nats
 
+_FAINTEST = 0.01
+"""Its level at the start at least, of the images' mean: where most of an image is black, a logarithm could not rise."""
+
+_MOST = 512
+"""Places along a side."""
+
 _ALIKE = 1e-3
 """Spread of the logarithm of sin θ below which all grazing angles are the same, and say nothing of others."""
 
@@ -43,12 +49,13 @@ class FlatGroundPart(Part):
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
         mean_tangent = float(np.mean([beta0_of_gamma0(1.0, view.grazing_deg) for view in train.views]))
-        level = float(np.median(train.power)) / self.setting.unit / mean_tangent
+        level, brightness = float(np.median(train.power)), float(train.power.mean(dtype=np.float64))
         if train.looks is not None:
             level /= (1 - 1 / (9 * train.looks)) ** 3  # the median of gamma-distributed power, in means
+        level = max(level, _FAINTEST * brightness) / self.setting.unit / mean_tangent
         places = {"ground_texture": torch.zeros(self._side**2, 1, device="cpu")} if self._side else {}
         return {
-            "ground": torch.full((1,), math.log(max(level, torch.finfo(torch.float32).tiny)), device="cpu"),
+            "ground": torch.full((1,), math.log(level), device="cpu"),
             "ground_exponent": torch.zeros(1, device="cpu"),
         } | places
 
@@ -88,7 +95,3 @@ class FlatGroundPart(Part):
     @property
     def _radius_m(self) -> float:
         return ground_radius_m(self.setting.views, self.setting.grid)
-
-
-_MOST = 512
-"""Places along a side."""
