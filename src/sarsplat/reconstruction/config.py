@@ -5,6 +5,7 @@ Lengths are in resolution cells (`sarsplat.ImageGrid.cell_m`), so that settings 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
@@ -253,6 +254,10 @@ class Surroundings(Record):
     """
 
     _section: ClassVar[str] = "surroundings."
+    _gone: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("ground_pitch", "ground_std"),
+        "ground is a plane now, so train again (settings: ground.pitch, ground.std)",
+    )
 
     noise_floor: Positive = 0.05
     shift_std: NotNegative = 1.0
