@@ -16,7 +16,7 @@ from fill_block import fill_block
 from matplotlib.axes import Axes
 
 from sarsplat import ImageGrid, ScatteringLaw, View
-from sarsplat.colours import POWER, colormap
+from sarsplat.colours import LIGHT, POWER, TARGET, colormap
 from sarsplat.names import Simulator
 from sarsplat.scenes import BUILDINGS, Building, BuildingProfile, Gamma0, building_profile
 from sarsplat.scenes.simulate import simulate_images
@@ -29,7 +29,7 @@ LAW = ScatteringLaw(floor=1.0, lobe=0.0)  # the same at every angle: the faces' 
 GRAZING = (30.0, 45.0, 60.0)
 GAMMA0 = {"equal": Gamma0(0.5, 0.5, 0.5), "unequal": Gamma0(wall=0.8, roof=0.3, ground=0.1)}
 SOURCES: dict[Simulator, str] = {"splat": "splat renderer", "raycast": "ray caster"}
-STYLES = {"splat": {"color": "#1f5fa8", "marker": "o"}, "raycast": {"color": "#c0392b", "marker": "x"}}
+STYLES = {"splat": {"color": LIGHT.train, "marker": "o"}, "raycast": {"color": LIGHT.test, "marker": "x"}}
 LETTER = {"ground": "SG", "wall": "SW", "roof": "SR"}
 
 
@@ -100,7 +100,7 @@ def draw(ax_image: Axes, ax_profile: Axes, name: str, grazing: float = 45.0) -> 
     regions = box.regions(grazing, gamma0)
     fine = np.linspace(*limits, 4000)
     sharp = box.profile(fine * cos, grazing, gamma0, 1e-9)
-    ax_profile.fill_between(fine, sharp, color="#dddddd", lw=0, label="analytic")
+    ax_profile.fill_between(fine, sharp, color=LIGHT.line, lw=0, label="analytic")
     seen = box.profile(fine * cos, grazing, gamma0, GRID.resolution_m[1])
     ax_profile.plot(fine, seen, color="black", lw=1, label="analytic, 0.3 m resolution")
     for source, label in SOURCES.items():
@@ -109,7 +109,7 @@ def draw(ax_image: Axes, ax_profile: Axes, name: str, grazing: float = 45.0) -> 
     for region in regions:
         if math.isfinite(region.start):
             for ax in (ax_image, ax_profile):
-                ax.axvline(region.start, color="#e0a030", lw=0.8, ls="--")
+                ax.axvline(region.start, color=TARGET, lw=0.8, ls="--")
         text = "\n".join(LETTER[part] for part in region.surfaces) or "S"
         middle = (max(region.start, -18.0) + min(region.stop, 22.0)) / 2
         halo = {"facecolor": "black", "edgecolor": "none", "pad": 1.5, "alpha": 0.65}

@@ -30,6 +30,7 @@ TRUTH_RAYS = 0.005  # m
 SIZES = (0.4, 0.2, 0.1, 0.05, 0.025)  # longest edges of the pieces that become Gaussians, m
 RAYS = (0.075, 0.0375, 0.02, 0.01, 0.005)  # m
 STUDIED = (0.05, 0.01)  # size and rays at which one thing at a time is changed, m
+WIDENING, SHEET_DEPTH = 1.2, 7.0  # of `surface_gaussians`
 
 
 def psnr(truth: np.ndarray, image: np.ndarray) -> float:
@@ -64,6 +65,16 @@ def isotropic(gaussians: Gaussians) -> Gaussians:
     return replace(gaussians, scales=radius[:, None].repeat(1, 3))
 
 
+def respread(gaussians: Gaussians, widening: float, depth: float) -> Gaussians:
+    """Discs of another width, whose surface has another mean optical depth."""
+    wider = widening / WIDENING
+    return replace(
+        gaussians,
+        scales=gaussians.scales * torch.tensor([1.0, wider, wider]),
+        optical_depth=gaussians.optical_depth * (depth / SHEET_DEPTH) / wider**2,
+    )
+
+
 def inset(gaussians: Gaussians, faces: np.ndarray, depth: float) -> Gaussians:
     """The same, moved inwards by so many metres."""
     return replace(gaussians, means=gaussians.means - depth * torch.from_numpy(MESH.face_normals[faces]).float())
@@ -85,12 +96,12 @@ def changes(truth: Sequence[np.ndarray]) -> tuple[list[tuple[str, np.ndarray]], 
     gaussians, faces = surface_gaussians(MESH, size)
     plain = splat(gaussians, faces, spacing)
     found = [
-        ("as it is: discs, widened by 1.2, mean depth 7", plain),
+        (f"as it is: discs, widened by {WIDENING:g}, mean depth {SHEET_DEPTH:g}", plain),
         ("balls instead of discs", splat(isotropic(gaussians), faces, spacing)),
     ]
     for widening, depth in ((1.0, 7.0), (1.6, 7.0), (2.2, 7.0), (1.2, 5.0), (1.2, 10.0)):
-        other = surface_gaussians(MESH, size, widening=widening, sheet_depth=depth)
-        found.append((f"widened by {widening:g}, mean depth {depth:g}", splat(*other, spacing)))
+        images = splat(respread(gaussians, widening, depth), faces, spacing)
+        found.append((f"widened by {widening:g}, mean depth {depth:g}", images))
     found += [
         ("image moved away from the radar by 4 mm", splat(gaussians, faces, spacing, farther=0.004)),
         ("discs moved inwards by 2.5 mm", splat(inset(gaussians, faces, 0.0025), faces, spacing)),

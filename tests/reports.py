@@ -43,6 +43,7 @@ def make_run(folder: Path, dataset: Dataset, metrics: dict[str, Any] | None, **c
         "config": preset("measured" if dataset.ground else "default"),
         "metrics": metrics,
         "learned": "1,234 Gaussians",
+        "gaussians": None,
         "method": "sar-gs",
         "facts": {"preset": "measured" if dataset.ground else "default"},
         "loss_title": ("mean difference of amplitudes", "amplitude"),

@@ -117,6 +117,20 @@ def test_voxels_are_the_same_however_the_points_come(offset: float, monkeypatch:
     assert _Voxels(0.3).means().shape == (0, 3)
 
 
+def test_voxels_grow_where_there_are_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory and what is done with the points have a limit, also while points are added; none is lost."""
+    monkeypatch.setattr(of_points, "_AT_ONCE", 1000)
+    monkeypatch.setattr(of_points, "_MOST_POINTS", 600)
+    places = np.random.default_rng(0).uniform(-1, 1, (9000, 3)) * [1, 1, 0]
+    voxels = _Voxels(0.01)
+    for part in np.array_split(places, 9):
+        voxels.add(part)
+        assert len(voxels._cells) <= 600
+    assert 300 < len(voxels.means()) <= 600
+    assert voxels._counts.sum() == len(places)
+    np.testing.assert_allclose(voxels._sums.sum(axis=0), places.sum(axis=0), atol=1e-9)
+
+
 def test_many_views_are_thinned_evenly() -> None:
     ring = [View(float(azimuth), 30.0) for azimuth in range(360)]
     some = spread(ring, 12)

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from sarsplat import Dataset, Run, SarsplatError, View, evaluate_run, preset, reconstruct
-from sarsplat.data import read_dataset, read_gaussians_ply
+from sarsplat.data import read_dataset, read_gaussians_ply, read_points_ply, write_points_ply
 from sarsplat.gaussians import SCATTERINGS
 from sarsplat.reconstruction import Config, Step, Trainer
 from scoring import few_samples
@@ -55,6 +55,17 @@ def test_a_run_needs_its_dataset_for_nothing_but_the_images(
     assert alone.brightest == dataset.images("train").max()
     with pytest.raises(SarsplatError, match="needs its dataset, which is no longer at"):
         _ = alone.dataset
+
+
+def test_normals_are_read_with_the_points_and_computed_where_they_are_missing(finished: Run, tmp_path: Path) -> None:
+    shutil.copytree(finished.folder, tmp_path / "run")
+    points, columns = read_points_ply(tmp_path / "run" / "points.ply")
+    assert np.array_equal(Run.load(tmp_path / "run").normals[:, 2], columns["nz"])
+    write_points_ply(tmp_path / "run" / "points.ply", points, normals=np.tile([0.0, 0.0, 1.0], (len(points), 1)))
+    assert (Run.load(tmp_path / "run").normals == [0, 0, 1]).all()
+    write_points_ply(tmp_path / "run" / "points.ply", points)
+    computed = Run.load(tmp_path / "run").normals
+    np.testing.assert_allclose(computed[:, 2], columns["nz"], atol=1e-5)
 
 
 def test_a_run_renders_where_it_is_told_to(finished: Run) -> None:

@@ -125,3 +125,26 @@ def test_what_cannot_be_compared_is_refused_in_one_sentence(tmp_path: Path, chan
 def replace_folder(runs: list[Any]) -> Any:
     runs[1].folder = runs[0].folder
     return runs[1]
+
+
+@pytest.mark.parametrize("shared", [(1, 1), (2, 1, 1), (1, 1, 1, 1), (3, 1)])
+def test_the_page_of_several_datasets_is_as_short(tmp_path: Path, shared: tuple[int, ...]) -> None:
+    runs = []
+    for number, count in enumerate(shared):
+        folder = tmp_path / f"{number}"
+        folder.mkdir()
+        first, _ = two_runs(folder, fingerprint=f"{number}")
+        for copy in range(count):
+            named = {"folder": folder / f"run-{number}-{copy}", "fingerprint": f"{number}"}
+            runs.append(SimpleNamespace(**{**vars(first), **named}))
+    page = write_comparison(compare(runs), tmp_path / "page")
+    with chromium() as browser:
+        browser.page.size(1400, 900)
+        browser.page.open(page.as_uri())
+        assert browser.page.value("document.documentElement.scrollHeight") <= 3 * 900
+        tops = "[...document.querySelectorAll('.halves .figure')].map(e => [e.offsetLeft, e.offsetTop])"
+        places = browser.page.value(tops)
+        assert len(places) == len(shared) and len({left for left, _ in places}) == 2  # side by side
+        assert browser.page.value("document.querySelectorAll('.board').length") == sum(shared)
+        browser.page.size(390, 900)
+        assert browser.page.value("document.documentElement.scrollWidth") <= 390

@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from sarsplat.evaluation import Scores
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.report import write_report
 from sarsplat.report.scores import score_tables
+from sarsplat.report.widget import widget
 
 
 def words_of(page: Path) -> str:
@@ -174,6 +176,22 @@ def test_corrections_of_azimuths_are_drawn_where_there_are_any(tmp_path: Path) -
     assert "Azimuth corrections" in text and "rms 1.00°, largest 1.00°" in text
     (tmp_path / "known").mkdir()
     assert "Azimuth corrections" not in words_of(write_report(make_run(tmp_path / "known", dataset, None)))
+
+
+def test_of_many_gaussians_fewer_directions_are_rendered(tmp_path: Path) -> None:
+    run = make_run(tmp_path, make_dataset(tmp_path, measured=True), None)
+    few, many = (widget(SimpleNamespace(**vars(run) | {"gaussians": range(n)})) for n in (100, 4000))
+    assert few is not None and many is not None and len(many.data["views"]) < len(few.data["views"])
+
+
+def test_the_progress_of_a_report_is_shown_unless_it_is_to_be_quiet(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = make_run(tmp_path, make_dataset(tmp_path), None)
+    write_report(run)
+    assert "report: 5/5" in capsys.readouterr().out
+    write_report(run, quiet=True)
+    assert capsys.readouterr().out == ""
 
 
 def test_a_report_is_replaced(tmp_path: Path) -> None:

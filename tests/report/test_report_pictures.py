@@ -62,6 +62,15 @@ def test_points_on_a_lattice_are_drawn_without_gaps(spacing_m: float) -> None:
     assert covered.mean() > 0.8
 
 
+def test_of_more_points_than_a_picture_can_show_some_are_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sarsplat.report.boards._MOST_POINTS", 500)
+    places = np.random.default_rng(0).uniform(0, 1, (20_000, 3))
+    drawn = []
+    monkeypatch.setattr("sarsplat.report.boards._apart_m", lambda points: drawn.append(len(points)) or 0.0)
+    (block,), _ = point_boards({"cloud": places}, None, 1.0)
+    assert block.title == "cloud, 20,000 points" and drawn == [500]
+
+
 def test_the_difference_ignores_what_is_too_dark_to_see() -> None:
     truth, rendered = np.array([[[1.0, 1e-9]]]), np.array([[[2.0, 1e-7]]])
     grid = ImageGrid(1, 2, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sarsplat.colours import DIFFERENCE
+from sarsplat.colours import DARK, DIFFERENCE, LIGHT, rgb
 from sarsplat.geometry import ImageGrid
 from sarsplat.radar import Pixel, RadarMaps
 
@@ -15,7 +15,7 @@ GRID = ImageGrid(20, 30, (0.4, 0.2), (0.5, 0.5))
 
 
 def panel_of(value: float = 1.0):
-    return power_panel("rendered", np.full((20, 30), value, np.float32), 1.0, (-40.0, 0.0), "gray")
+    return power_panel("rendered", np.full((20, 30), value, np.float32), 1.0, (-40.0, 0.0), "gray", DARK)
 
 
 def test_white_is_the_brightest_and_black_the_bottom_of_the_range():
@@ -26,32 +26,31 @@ def test_white_is_the_brightest_and_black_the_bottom_of_the_range():
 
 
 def test_what_is_unknown_is_neither_end_of_the_scale():
-    scale = Scale("height, m", 0.0, 2.0, "viridis")
+    scale = Scale("height, m", 0.0, 2.0, "viridis", DARK)
     low, high, unknown = scale.rgb(np.array([0.0, 2.0, np.nan]))
     assert not (unknown == low).all() and not (unknown == high).all()
     assert "height, m" in scale.bar() and "2.0" in scale.bar()
 
 
 def test_a_scale_of_no_width_colours_all_the_same():
-    assert (
-        Scale("height, m", 0.0, 0.0, "viridis").rgb(np.zeros(3)) == Scale("", 0, 1, "viridis").rgb(np.zeros(3))
-    ).all()
+    flat, unit = (Scale("height, m", 0.0, high, "viridis", DARK) for high in (0.0, 1.0))
+    assert (flat.rgb(np.zeros(3)) == unit.rgb(np.zeros(3))).all()
 
 
 def test_equal_images_differ_nowhere_and_what_is_dark_in_both_is_equal():
     image = np.full((20, 30), 0.1, np.float32)
-    middle = Scale("", -6, 6, DIFFERENCE).rgb(np.zeros(1))[0]
+    middle = Scale("", -6, 6, DIFFERENCE, DARK).rgb(np.zeros(1))[0]
     for other in (image, image.copy()):
-        assert (difference_panel(image, other, 1.0, -40.0, speckled=False).rgb == middle).all()
-    dark = difference_panel(image * 1e-6, image * 1e-9, 1.0, -40.0, speckled=True)
+        assert (difference_panel(image, other, 1.0, -40.0, DARK, speckled=False).rgb == middle).all()
+    dark = difference_panel(image * 1e-6, image * 1e-9, 1.0, -40.0, DARK, speckled=True)
     assert (dark.rgb == middle).all()
-    brighter = difference_panel(image * 2, image, 1.0, -40.0, speckled=False).rgb[0, 0].astype(int)
+    brighter = difference_panel(image * 2, image, 1.0, -40.0, DARK, speckled=False).rgb[0, 0].astype(int)
     assert brighter[0] > brighter[2] + 30  # orange
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_a_click_finds_the_pixel_that_is_drawn_there(count):
-    strip = Strip(GRID, count)
+    strip = Strip(GRID, count, DARK)
     for pixel in (Pixel(0, 0), Pixel(19, 29), Pixel(7, 12)):
         marked = panel_of(0.0)
         marked.rgb[pixel.row, pixel.column] = 255
@@ -63,18 +62,18 @@ def test_a_click_finds_the_pixel_that_is_drawn_there(count):
 
 
 def test_pixels_are_as_square_as_on_the_ground():
-    height, width, _ = Strip(GRID, 1).drawn([panel_of()], None).shape
+    height, width, _ = Strip(GRID, 1, DARK).drawn([panel_of()], None).shape
     assert width / height == pytest.approx(30 * 0.4 / (20 * 0.2), rel=0.02)
 
 
 def test_between_two_panels_there_is_no_pixel():
-    strip = Strip(GRID, 2)
+    strip = Strip(GRID, 2, DARK)
     assert strip.pixel_at(0.5, 0.5) is None
     assert strip.pixel_at(0.2, 1.0) is None
 
 
 def test_a_picked_pixel_is_framed_in_every_panel():
-    strip, panel = Strip(GRID, 3), panel_of(0.0)
+    strip, panel = Strip(GRID, 3, DARK), panel_of(0.0)
     plain, framed = strip.drawn([panel] * 3, None), strip.drawn([panel] * 3, Pixel(10, 15))
     columns = np.nonzero((plain != framed).any(axis=(0, 2)))[0]
     assert len(np.nonzero(np.diff(columns) > 20)[0]) >= 2  # in three places
@@ -86,7 +85,19 @@ def test_every_map_has_a_picture_and_a_legend(name):
     some = np.full((20, 30), np.nan, np.float32)
     some[5:9] = 1.0
     maps = RadarMaps(some, 40 * some, some, some == 1, np.roll(some == 1, 6, axis=0))
-    panel = map_panel(name, maps, 2.0, 0.3)
+    panel = map_panel(name, maps, 2.0, 0.3, DARK)
     assert panel.rgb.shape == (20, 30, 3)
     assert len(np.unique(panel.rgb.reshape(-1, 3), axis=0)) >= 2
     assert panel.legend
+
+
+@pytest.mark.parametrize("page", [DARK, LIGHT])
+def test_what_is_empty_has_the_colour_of_the_page(page):
+    image = np.full((20, 30), 0.1, np.float32)
+    nothing = np.full((20, 30), np.nan, np.float32)
+    shadowless = RadarMaps(nothing, nothing, nothing, np.zeros((20, 30), bool), np.zeros((20, 30), bool))
+    equal = difference_panel(image, image, 1.0, -40.0, page, speckled=False)
+    for panel in (equal, map_panel("shadow and layover", shadowless, 2.0, 0.3, page)):
+        assert (np.abs(panel.rgb.astype(int) - rgb(page.card)) <= 1).all()
+        framed = Strip(GRID, 1, page).enlarged(panel)
+        assert (framed[0] == rgb(page.muted)).all() and (framed[5:-5, 5:-5] != rgb(page.muted)).any()

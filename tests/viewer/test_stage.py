@@ -39,3 +39,15 @@ def test_what_is_not_highlighted_stays_visible(viewer):
     colours = viewer._stage._cloud[1].colors.astype(int)
     assert colours.max(axis=1).min() > 50 and colours.min(axis=1).max() < 200
     assert np.abs(colours - colours[0]).sum(axis=1).max() > 60
+
+
+def test_lines_of_the_ground_leave_out_the_image_while_it_is_shown(viewer):
+    viewer.look_from(View(50.0, 40.0))
+    lengths = []
+    for shown in (True, False):
+        viewer._controls._set["plane"].value = shown
+        viewer._ask()
+        assert viewer.wait(60)
+        starts, ends = np.swapaxes(viewer._stage.grid.points, 0, 1)
+        lengths.append(np.linalg.norm(ends - starts, axis=1).sum())
+    assert lengths[0] < 0.95 * lengths[1]

@@ -71,8 +71,7 @@ def evaluate(
         console.warn(sentence)
     if done.path is None:
         return
-    with console.busy("writing the report"):
-        page = write_report(done)
+    page = write_report(done)
     console.finish(f"{run / 'metrics.json'} and {page}", f"open {page} in a browser")
 
 

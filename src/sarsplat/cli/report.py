@@ -20,8 +20,7 @@ def report(run: RunFolder) -> None:
     from sarsplat.report import write_report
 
     done = Run.load(run)
-    with console.busy(f"writing the report of {run}"):
-        page = write_report(done)
+    page = write_report(done)
     evaluated = done.metrics is not None
     console.finish(
         str(page), f"open {page} in a browser" if evaluated else f"sarsplat evaluate {shlex.quote(str(run))}"

@@ -184,7 +184,9 @@ def train(
 ) -> Run:
     """Train to the end, in memory or, with `out`, in a folder from which it can be resumed at any time.
 
-    `training` is at its beginning; `new` is the run as it will be, with settings and the dataset's fingerprint.
+    `training` is at its beginning; `new` is the run as it will be, with settings and the dataset's fingerprint. An
+    exception leaves a checkpoint, from which a run shows what it has learned; only a finished one gets its points,
+    which may take longer than the training.
 
     Raises
     ------
@@ -229,14 +231,10 @@ def train(
                         ) from error
                     stopped = error
             training.run, training.folder_to_come = Run.load(out), None
-        try:
-            if stopped is None:
-                training.advance_to(config.iterations)
-        finally:  # the run is usable as far as it has come
-            finished = replace(Run.load(out), images=dataset)
-            if finished.checkpoint_path is not None:
-                training.shown.note("extracting the surface: points and normals; Ctrl-C leaves that for later")
-                finished.write_results()
-    if stopped is not None:
-        raise stopped
+        if stopped is not None:
+            raise stopped
+        training.advance_to(config.iterations)
+        training.shown.note("extracting the surface: points and normals; Ctrl-C leaves that for later")
+        finished = replace(Run.load(out), images=dataset)
+        finished.write_results()
     return finished

@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from sarsplat.errors import SarsplatError
+from sarsplat.progress import stage
 from sarsplat.radiometry import shade
 from sarsplat.reconstruction.seen import Seen
 from sarsplat.unbroken import unbroken
@@ -113,15 +114,17 @@ class _Planes:
         """Signed distances of places from their planes, m, and the planes' unit normals."""
         distance, normal = np.empty(len(places)), np.empty((len(places), 3))
         count = np.arange(1, min(_NEIGHBOURS, len(self.points)) + 1)
-        for first in range(0, len(places), _AT_ONCE):
-            part = slice(first, first + _AT_ONCE)
-            apart, index = unbroken(self.tree.query, places[part], k=count, workers=-1)
-            weight = np.exp(-0.5 * (apart**2 - apart[:, :1] ** 2) / self.smoothing_m**2)[:, :, None]
-            offset = places[part] - (weight * self.points[index]).sum(1) / weight.sum(1)
-            mean = (weight * self.normals[index]).sum(1)
-            length = np.linalg.norm(mean, axis=1, keepdims=True)
-            mean /= np.maximum(length, 1e-12)  # normals on both sides of a sheet may cancel
-            distance[part], normal[part] = np.einsum("pc,pc->p", offset, mean), mean
+        with stage("surface: mesh", len(places)) as shown:
+            for first in range(0, len(places), _AT_ONCE):
+                part = slice(first, first + _AT_ONCE)
+                apart, index = unbroken(self.tree.query, places[part], k=count, workers=-1)
+                weight = np.exp(-0.5 * (apart**2 - apart[:, :1] ** 2) / self.smoothing_m**2)[:, :, None]
+                offset = places[part] - (weight * self.points[index]).sum(1) / weight.sum(1)
+                mean = (weight * self.normals[index]).sum(1)
+                length = np.linalg.norm(mean, axis=1, keepdims=True)
+                mean /= np.maximum(length, 1e-12)  # normals on both sides of a sheet may cancel
+                distance[part], normal[part] = np.einsum("pc,pc->p", offset, mean), mean
+                shown.advance(len(apart))
         return distance, normal
 
 

@@ -1,7 +1,8 @@
 """From Gaussians to a point cloud: where the rays of the training views return, thinned and cleaned.
 
-However many views and pixels there are, at most so many rays are traced and so many views compared: beyond that, views
-are chosen evenly and rays lie farther apart. Memory holds the rays' ranges and the voxels, not every return.
+However many views and pixels there are, at most so many rays are traced, views compared and points kept: beyond that,
+views are chosen evenly, rays lie farther apart and voxels are larger. Memory holds the rays' ranges and the voxels, not
+every return.
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ _MOST_VIEWS = 96
 _MOST_RAYS = 2e7
 """In all views together."""
 
+_MOST_POINTS = 1_000_000
+"""Before those are removed that only some views see."""
+
 _SAMPLES = 3.0
 """Returns that a voxel has at least, on average; a surface is seen by about a third of the views."""
 
@@ -47,7 +51,7 @@ def extract_points(
         Sets the spacing of the rays and the unit of `how`, its resolution cell.
     how : PointExtraction
         Method, thinning and clean-up. In large scenes rays and voxels are coarser than it says: at most 20 million rays
-        are traced, from at most 96 views.
+        are traced, from at most 96 views, and at most a million points kept.
 
     Returns
     -------
@@ -177,7 +181,7 @@ class _FirstReturns:
 
 
 class _Voxels:
-    """Sums of points in cubes of a side, m."""
+    """Sums of points in cubes of a side, m, which grows where there are too many."""
 
     def __init__(self, side_m: float) -> None:
         self._side_m = side_m
@@ -198,7 +202,15 @@ class _Voxels:
 
     def _merge(self) -> None:
         points, self._waiting = np.concatenate([np.empty((0, 3)), *self._waiting]), []
-        cells = np.concatenate([self._cells, np.floor(points / self._side_m).astype(np.int64)])
+        self._sums = np.concatenate([self._sums, points])
+        self._counts = np.concatenate([self._counts, np.ones(len(points))])
+        self._group(np.concatenate([self._cells, np.floor(points / self._side_m).astype(np.int64)]))
+        while len(self._cells) > _MOST_POINTS:
+            self._side_m *= max(1.1, (len(self._cells) / _MOST_POINTS) ** (1 / 3))  # a volume, at most
+            self._group(np.floor(self._sums / self._counts[:, None] / self._side_m).astype(np.int64))
+
+    def _group(self, cells: Int64[np.ndarray, "p 3"]) -> None:
+        """Add up what lies in the same cells."""
         if not len(cells):
             return
         low = cells.min(axis=0)
@@ -208,10 +220,10 @@ class _Voxels:
         else:
             keys, axis = cells, 0
         _, first, owner = np.unique(keys, axis=axis, return_index=True, return_inverse=True)
-        owner, sums = owner.ravel(), np.concatenate([self._sums, points])
+        owner = owner.ravel()
         self._cells = cells[first]
-        self._sums = np.stack([np.bincount(owner, sums[:, k], len(first)) for k in range(3)], axis=1)
-        self._counts = np.bincount(owner, np.concatenate([self._counts, np.ones(len(points))]), len(first))
+        self._sums = np.stack([np.bincount(owner, self._sums[:, k], len(first)) for k in range(3)], axis=1)
+        self._counts = np.bincount(owner, self._counts, len(first))
 
 
 def _cluster(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Float64[np.ndarray, "fewer 3"]:

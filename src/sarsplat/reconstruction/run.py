@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Float32, Float64, Real, UInt8
 
 from sarsplat.data import (
     Dataset,
@@ -45,6 +45,9 @@ from sarsplat.reconstruction.snapshot import Snapshot
 
 if TYPE_CHECKING:
     import trimesh
+
+_NORMAL = ("nx", "ny", "nz")
+"""The columns of `points.ply` that hold normals."""
 
 
 @dataclass
@@ -170,13 +173,21 @@ class Run:
 
         From `points.ply`; extracted anew if there is none, as after a training that was killed.
         """
-        path = None if self.path is None else self.path / "points.ply"
-        return read_points_ply(path)[0] if path is not None and path.is_file() else self.reconstruction.points()
+        return self.reconstruction.points() if self._stored is None else self._stored[0]
 
     @cached_property
     def normals(self) -> Float32[np.ndarray, "p 3"]:
-        """Unit normals of the points, on the side that the radar saw."""
-        return self.reconstruction.normals_at(self.points)
+        """Unit normals of the points, on the side that the radar saw; from `points.ply` as well, if it has them."""
+        columns = {} if self._stored is None else self._stored[1]
+        if not columns.keys() >= set(_NORMAL):
+            return self.reconstruction.normals_at(self.points)
+        return np.stack([columns[name] for name in _NORMAL], axis=1)
+
+    @cached_property
+    def _stored(self) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]] | None:
+        """The content of `points.ply`, if there is one: positions, and other columns."""
+        path = None if self.path is None else self.path / "points.ply"
+        return read_points_ply(path) if path is not None and path.is_file() else None
 
     @cached_property
     def points_gamma0(self) -> Float32[np.ndarray, " p"] | None:

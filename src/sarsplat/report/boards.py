@@ -23,6 +23,7 @@ _LEAST_PIXELS, _MOST_PIXELS = 120, 450  # along the longest side of what is show
 _MARGIN = 0.025
 """Around the points, as a part of the longest side."""
 
+_MOST_POINTS = _MOST_PIXELS**2  # of a cloud that are drawn: more would hide each other
 _NEIGHBOURS, _CLOSING = 4, 1.2  # a point is so many times as wide as its fourth neighbour is away
 
 # Of meshes.
@@ -41,7 +42,9 @@ def point_boards(
     `clouds` are reconstructed points by name and `surface` samples of the true surface, all in metres; distances beyond
     `farthest_m` share one colour. Where these are known, heights may be left out.
     """
-    by_height = {f"{name}, {counted(len(points), 'point')}": points for name, points in clouds.items()}
+    titles = [f"{name}, {counted(len(points), 'point')}" for name, points in clouds.items()]
+    clouds = {name: _at_most(points, _MOST_POINTS) for name, points in clouds.items()}
+    by_height = dict(zip(titles, clouds.values(), strict=True))
     if surface is not None:
         by_height = {"true surface": surface, **by_height}
     low, high = _limits(np.concatenate(list(by_height.values())))
@@ -61,6 +64,11 @@ def point_boards(
             blocks.append(raster.board(title, points, distance, limits, ERROR, _apart_m(points)))
         bars.append(colour_bar("distance to the true surface, m", ERROR, 0, farthest_m))
     return tuple(blocks), tuple(bars)
+
+
+def _at_most(points: Points, most: int) -> Float[np.ndarray, "fewer 3"]:
+    """A random choice of points where there are more."""
+    return points if len(points) <= most else points[np.random.default_rng(0).choice(len(points), most, replace=False)]
 
 
 def _apart_m(points: Points) -> float:

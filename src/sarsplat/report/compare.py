@@ -13,7 +13,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Yardstick
 from sarsplat.reconstruction import Run
 from sarsplat.report.boards import point_boards
-from sarsplat.report.figure import Figure
+from sarsplat.report.figure import Block, ColourBar, Figure
 from sarsplat.report.page import in_words, rendered
 from sarsplat.report.scores import ScoreTable, compared_tables
 from sarsplat.report.views import Chosen, ranked_images, views_figure, with_others
@@ -21,8 +21,8 @@ from sarsplat.report.write import sampled, scores_expected
 
 PAGE = "comparison.html"
 
-_FEWEST_VIEWS, _MOST_VIEWS = 6, 14
-_VIEWS_PER_ROW = 1.5  # the more rows there are, the smaller are their images: the page keeps its length
+_WHOLE, _HALF = (1.5, 6, 14), (1.2, 5, 7)  # views beside each other: as a multiple of the rows, at least, and at most
+_LARGE_BOARDS = 2  # of points, at most; more are drawn smaller
 _LARGEST = 192  # pixels along a side that the page shows of an image
 
 
@@ -92,6 +92,7 @@ def write_comparison(comparison: Comparison, out: Path, *, overwrite: bool = Fal
     definitions: dict[str, str] = {}
     for run in comparison.runs:
         definitions |= scores_of(run)["definitions"]
+    parts = _by_dataset(comparison)
     html = rendered(
         "compare.html.j2",
         target=in_words(dict.fromkeys(run.dataset.target for run in comparison.runs)),
@@ -99,7 +100,8 @@ def write_comparison(comparison: Comparison, out: Path, *, overwrite: bool = Fal
         caution=comparison.caution,
         tables=comparison.tables,
         definitions=definitions,
-        figures=[draw(part) for part in _by_dataset(comparison) for draw in (_views, _points)],
+        views=[_views(part, _across(parts)) for part in parts],
+        points=_points(parts),
     )
     with new_folder(out, overwrite, marker=PAGE) as folder:
         write_bytes(folder / PAGE, html.encode())
@@ -116,10 +118,11 @@ def scores_of(run: Run) -> Mapping[str, Any]:
 def _caution(runs: Sequence[Run], names: Sequence[str]) -> str | None:
     if len({run.fingerprint for run in runs}) == 1:
         return None
-    made = ", ".join(
-        f"{name} from {run.dataset_path or 'images in memory'}" for name, run in zip(names, runs, strict=True)
-    )
-    return f"These runs were made from different datasets, so their scores are not comparable one to one: {made}."
+    made = dict[str, list[str]]()
+    for name, run in zip(names, runs, strict=True):
+        made.setdefault(str(run.dataset_path or "images in memory"), []).append(name)
+    which = ", ".join(f"{in_words(of_one)} from {source}" for source, of_one in made.items())
+    return f"These runs were made from different datasets, so their scores are not comparable one to one: {which}."
 
 
 def _by_dataset(comparison: Comparison) -> list[Comparison]:
@@ -137,12 +140,17 @@ def _by_dataset(comparison: Comparison) -> list[Comparison]:
     ]
 
 
-def _title(what: str, comparison: Comparison) -> str:
-    """Says whose pictures these are where the page shows several datasets."""
-    return f"{what}: {', '.join(comparison.names)}" if comparison.caution else what
+def _across(parts: Sequence[Comparison]) -> int:
+    """How many views stand beside each other: the more rows there are, the smaller are their images.
+
+    So the page keeps its length. Datasets share its width in two columns, of which the longer counts.
+    """
+    rows = [1 + 2 * len(part.runs) for part in parts]
+    per_row, fewest, most = _HALF if len(parts) > 1 else _WHOLE
+    return min(max(fewest, math.ceil(per_row * max(*rows, sum(rows) / 2))), most)
 
 
-def _views(comparison: Comparison) -> Figure:
+def _views(comparison: Comparison, views: int) -> Figure:
     """The same views rendered by every run of one dataset, and their errors."""
     dataset, worst = comparison.runs[0].dataset, dict[int, str]()
     for name, run in zip(comparison.names, comparison.runs, strict=True):
@@ -152,20 +160,26 @@ def _views(comparison: Comparison) -> Figure:
             worst[index] = f"{worst[index]}, {name}" if index in worst else f"worst of {name}"
     every = f"worst of {', '.join(comparison.names)}"
     of_note = [Chosen(index, "worst of all" if why == every else why) for index, why in worst.items()]
-    rows = 1 + 2 * len(comparison.runs)
-    views = min(max(_FEWEST_VIEWS, math.ceil(_VIEWS_PER_ROW * rows)), _MOST_VIEWS)
     chosen = with_others(dataset, of_note, max(2, views - len(of_note)))
     true = "Measured" if dataset.calibration == "relative" else "Truth"
     text = f"{true} and reconstructions on one scale, the radar above."
     runs = dict(zip(comparison.names, comparison.runs, strict=True))
-    return views_figure(_title("The same views", comparison), text, runs, chosen, _LARGEST, views)
+    title = f"The same views: {in_words(comparison.names)}" if comparison.caution else "The same views"
+    return views_figure(title, text, runs, chosen, _LARGEST, views)
 
 
-def _points(comparison: Comparison) -> Figure:
-    first = comparison.runs[0]
-    truth = first.dataset.truth_mesh
-    clouds = {name: run.points for name, run in zip(comparison.names, comparison.runs, strict=True)}
-    farthest_m = Yardstick.of(first.dataset.grid).thresholds_m[1]
-    blocks, bars = point_boards(clouds, None if truth is None else sampled(truth), farthest_m, heights=False)
-    text = f"The surface points of every run, coloured by {'height' if truth is None else 'their error'}."
-    return Figure(_title("Points", comparison), text, blocks, bars, layout="beside")
+def _points(parts: Sequence[Comparison]) -> Figure:
+    """The points of every run, those of one dataset in boards of one size."""
+    blocks, bars, truths = list[Block](), list[ColourBar](), list[Path | None]()
+    for part in parts:
+        dataset = part.runs[0].dataset
+        truths.append(dataset.truth_mesh)
+        surface = None if dataset.truth_mesh is None else sampled(dataset.truth_mesh)
+        clouds = {name: run.points for name, run in zip(part.names, part.runs, strict=True)}
+        boards, meanings = point_boards(clouds, surface, Yardstick.of(dataset.grid).thresholds_m[1], heights=False)
+        blocks += boards
+        bars += [bar for bar in meanings if bar not in bars]
+    by = "their error" if all(truths) else "their error where the true surface is known, else by height"
+    text = f"The surface points of every run, coloured by {by if any(truths) else 'height'}."
+    layout = "beside" if len(blocks) <= _LARGE_BOARDS else "beside low"
+    return Figure("Points", text, tuple(blocks), tuple(bars), layout=layout)

@@ -102,7 +102,8 @@ class Block:
 class Figure:
     """A figure of a page: heading, what is seen, blocks of panels, what their colours mean, and a legend's name.
 
-    Its layout is "beside" if blocks are to be compared side by side, or "sheet" if each is a row of small panels.
+    Its layout is "beside" if blocks are to be compared side by side, "beside low" if there are many of them, or "sheet"
+    if each is a row of small panels.
     """
 
     title: str

@@ -78,9 +78,10 @@ class Raster:
         names = ("x, m", "y, m", "z, m")
         for side in SIDES:
             width, height = (float(size[k]) for k in (side.across, side.up))
-            wanted = int(np.clip(round(4 * height / width), 2, 4))
-            down = axis(names[side.up], float(self.high[side.up]), float(self.low[side.up]), wanted)
-            across = axis(names[side.across], float(self.low[side.across]), float(self.high[side.across]))
+            shares = height / width, width / float(size.max())
+            ticks_down, ticks_across = (int(np.clip(round(4 * share), 2, 4)) for share in shares)
+            down = axis(names[side.up], float(self.high[side.up]), float(self.low[side.up]), ticks_down)
+            across = axis(names[side.across], float(self.low[side.across]), float(self.high[side.across]), ticks_across)
             panels.append(
                 Panel(
                     side.name,

@@ -19,6 +19,7 @@ from sarsplat.colours import DIFFERENCE, DIFFERENCE_IN_WORDS, HEIGHT, POWER, POW
 from sarsplat.data import Dataset
 from sarsplat.data.coverage import largest_gap
 from sarsplat.geometry import View
+from sarsplat.progress import stage
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, shade
 from sarsplat.reconstruction import Run
 from sarsplat.report.figure import ColourBar, Panel, colour_bar
@@ -32,7 +33,7 @@ _BYTES = 900_000
 """Of the PNGs of the raster, and again of those of the true images with their errors."""
 
 _LARGEST = 128  # pixels along a side
-_MOST_RENDERED = 8_000_000  # pixels of all images on the raster: larger images take longer
+_MOST_RENDERED = 8_000_000  # pixels and Gaussians of all images on the raster: of these, an image takes its time
 _DEEPEST_DB, _SHALLOWEST_DB = 60.0, 10.0  # below the brightest training pixel, that can be shown
 _LEVELS = 120  # of brightness: half a decibel each
 _FINEST_DEG = 5.0  # of the raster
@@ -74,9 +75,12 @@ def widget(run: Run) -> Widget | None:
     views = [dataset.views[index] for index in chosen]
     truth, rendered = dataset.power[chosen], run.render(views)
     errors = difference.of(truth, fitted(truth, rendered, looks, dataset.score_margin))
-    raster = _raster(dataset.views, _count(part, rendered, peak))
+    raster = _raster(dataset.views, _count(part, rendered, peak, len(run.gaussians or ())))
     shown = [_codes(part.of_images(rendered), peak)]
-    shown += [_codes(part.of_images(run.render([view])), peak) for view in raster]  # one at a time: memory stays small
+    with stage("report: images from all sides", len(raster)) as done:
+        for view in raster:  # one at a time: memory stays small
+            shown.append(_codes(part.of_images(run.render([view])), peak))
+            done.advance(1)
 
     rows, columns = part.size
     low, high = np.quantile(points, (0.001, 0.999), axis=0)
@@ -148,11 +152,11 @@ def _affordable(dataset: Dataset, part: Part, peak: float) -> list[int]:
     return [train[k] for k in of_train] + [test[k] for k in of_test]
 
 
-def _count(part: Part, rendered: Real[np.ndarray, "v rows columns"], peak: float) -> int:
-    """How many images of the raster fit into the budget."""
+def _count(part: Part, rendered: Real[np.ndarray, "v rows columns"], peak: float, gaussians: int) -> int:
+    """How many images of the raster, of so many Gaussians, fit into the budget."""
     sample = rendered[evenly(len(rendered), _TRIED)]
     by_bytes = _BYTES / _bytes_each(_codes(part.of_images(sample), peak)) - len(rendered)
-    return max(0, int(min(by_bytes, _MOST_RENDERED / (part.grid.rows * part.grid.columns))))
+    return max(0, int(min(by_bytes, _MOST_RENDERED / (part.grid.rows * part.grid.columns + gaussians))))
 
 
 def _raster(views: Sequence[View], count: int) -> list[View]:

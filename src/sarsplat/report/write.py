@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Alignment, Yardstick, read_truth_mesh
+from sarsplat.progress import progress
 from sarsplat.reconstruction import Run
 from sarsplat.report.boards import mesh_boards, point_boards
 from sarsplat.report.curves import azimuths_figure, curves_figure
@@ -21,7 +22,7 @@ from sarsplat.report.figure import Figure
 from sarsplat.report.masks import masks_figure
 from sarsplat.report.page import page
 from sarsplat.report.views import chosen_views, unseen_figure
-from sarsplat.report.widget import widget
+from sarsplat.report.widget import Widget, widget
 
 _FOLDER = "report"
 
@@ -29,7 +30,7 @@ _SURFACE_SAMPLES = 200_000
 _STILL = Alignment((0.0, 0.0, 0.0), 0.0)
 
 
-def write_report(run: Run, out: str | Path | None = None) -> Path:
+def write_report(run: Run, out: str | Path | None = None, *, quiet: bool = False) -> Path:
     """Write `RUN/report/index.html`, or another file: one page that holds all it shows and needs no network.
 
     Parameters
@@ -38,6 +39,8 @@ def write_report(run: Run, out: str | Path | None = None) -> Path:
         A reconstruction; its scores are shown if it was evaluated.
     out : str or Path, optional
         The page, such as `target.html`; a run in memory needs one.
+    quiet : bool
+        Show no progress.
 
     Returns
     -------
@@ -54,19 +57,30 @@ def write_report(run: Run, out: str | Path | None = None) -> Path:
         path = Path(out)
         if path.is_dir():
             raise SarsplatError(f"{path} is a folder; give the name of the page, such as {path / 'report.html'}")
-        return _written(path, _html(run))
+        return _written(path, _html(run, quiet))
     refuse_linked_report(run.folder)
     with only_writer(run.folder):
-        return _written(run.folder / _FOLDER / "index.html", _html(run))
+        return _written(run.folder / _FOLDER / "index.html", _html(run, quiet))
 
 
-def _html(run: Run) -> bytes:
+def _html(run: Run, quiet: bool) -> bytes:
     with scores_expected(run):
         chosen = chosen_views(run.dataset, run.metrics)
-    figures = [unseen_figure(run, chosen), *_masks(run), _points(run), *_mesh(run)]
-    training, turning = [*_curves(run), *_azimuths(run)], widget(run)
+    figures, turning = list[Figure](), list[Widget | None]()
+    parts: dict[str, Callable[[], object]] = {
+        "unseen views": lambda: figures.append(unseen_figure(run, chosen)),
+        "masks": lambda: figures.extend(_masks(run)),
+        "points": lambda: figures.append(_points(run)),
+        "mesh": lambda: figures.extend(_mesh(run)),
+        "images from all sides": lambda: turning.append(widget(run)),
+    }
+    with progress("report", len(parts), quiet) as shown:
+        for name, draw in parts.items():
+            shown.advance(0, name)
+            draw()
+            shown.advance(1)
     with scores_expected(run):
-        return page(run, figures, training, turning).encode()
+        return page(run, figures, [*_curves(run), *_azimuths(run)], turning[0]).encode()
 
 
 def _written(path: Path, html: bytes) -> Path:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import UInt8
 
-from sarsplat.colours import DARK, LIGHT, POWER_RAMPS, rgb
+from sarsplat.colours import DARK, LIGHT, POWER_RAMPS, Page, rgb
 from sarsplat.geometry import View
 from sarsplat.radiometry import DYNAMIC_RANGE_DB
 from sarsplat.viewer.pictures import MAPS
@@ -46,6 +46,11 @@ class Choices:
     plane: bool
     lines: bool
     dark: bool
+
+    @property
+    def page(self) -> Page:
+        """The colours of the page."""
+        return DARK if self.dark else LIGHT
 
 
 class Controls:

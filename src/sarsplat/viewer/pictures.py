@@ -11,7 +11,6 @@ from jaxtyping import Float, Real, UInt8
 from scipy.ndimage import uniform_filter
 
 from sarsplat.colours import (
-    DARK,
     DIFFERENCE,
     HEIGHT,
     INCIDENCE,
@@ -20,6 +19,7 @@ from sarsplat.colours import (
     SHADOW,
     SPREAD,
     TARGET,
+    Page,
     gradient,
     over,
     rgb,
@@ -37,21 +37,25 @@ MAPS = ("height", "incidence", "layover", "shadow and layover")
 
 @dataclass(frozen=True)
 class Scale:
-    """How numbers of one kind are coloured: their unit is in the label; values beyond the ends look like these."""
+    """How numbers of one kind are coloured: their unit is in the label; values beyond the ends look like these.
+
+    What is transparent in a ramp shows the `page`'s panels.
+    """
 
     label: str
     low: float
     high: float
     colours: str
+    page: Page
 
     def rgb(self, values: Real[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape 3"]:
-        """Colours of values, on a dark panel; NaN is nearly as dark."""
+        """Colours of values; NaN looks almost like an empty panel."""
         width = self.high - self.low
         parts = (np.asarray(values, np.float64) - self.low) / (width if width > 0 else 1.0)
         finite = np.isfinite(parts)
         index = np.rint(255 * np.clip(np.where(finite, parts, 0), 0, 1)).astype(np.uint8)
-        colours: UInt8[np.ndarray, "*shape 3"] = over(self.colours, DARK.card)[index]
-        return np.where(finite[..., None], colours, np.array(rgb(DARK.line), np.uint8))
+        colours: UInt8[np.ndarray, "*shape 3"] = over(self.colours, self.page.card)[index]
+        return np.where(finite[..., None], colours, np.array(rgb(self.page.line), np.uint8))
 
     def bar(self) -> str:
         """A colour bar with numbers at its ends and in the middle, as HTML."""
@@ -60,7 +64,7 @@ class Scale:
         numbers = "".join(f"<span>{place:.{digits}f}</span>".replace("-", "−") for place in places)
         return (
             f'<div style="margin:2px 0 6px"><div style="font-size:12px;opacity:.8">{escape(self.label)}</div>'
-            f'<div style="height:9px;border-radius:2px;background:{gradient(self.colours)},{DARK.card}"></div>'
+            f'<div style="height:9px;border-radius:2px;background:{gradient(self.colours)},{self.page.card}"></div>'
             '<div style="display:flex;justify-content:space-between;font-size:11px;opacity:.8">'
             f"{numbers}</div></div>"
         )
@@ -76,10 +80,15 @@ class Panel:
 
 
 def power_panel(
-    title: str, power: Real[np.ndarray, "rows columns"], peak: float, limits_db: tuple[float, float], colours: str
+    title: str,
+    power: Real[np.ndarray, "rows columns"],
+    peak: float,
+    limits_db: tuple[float, float],
+    colours: str,
+    page: Page,
 ) -> Panel:
     """An image in decibels of `peak`."""
-    scale = Scale("dB relative to the brightest pixel", *limits_db, colours)
+    scale = Scale("dB relative to the brightest pixel", *limits_db, colours, page)
     return Panel(title, scale.rgb(to_db(power, peak)), scale.bar())
 
 
@@ -88,6 +97,7 @@ def difference_panel(
     measured: Real[np.ndarray, "rows columns"],
     peak: float,
     darkest_db: float,
+    page: Page,
     *,
     speckled: bool,
 ) -> Panel:
@@ -95,27 +105,28 @@ def difference_panel(
     widest = 10.0 if speckled else 6.0
     if speckled:
         rendered, measured = (uniform_filter(power, 3) for power in (rendered, measured))
-    scale = Scale(f"dB{' (3×3 means)' if speckled else ''}", -widest, widest, DIFFERENCE)
+    scale = Scale(f"dB{' (3×3 means)' if speckled else ''}", -widest, widest, DIFFERENCE, page)
     return Panel("difference", scale.rgb(difference_db(rendered, measured, peak, darkest_db)), scale.bar())
 
 
-def map_panel(name: str, maps: RadarMaps, highest_m: float, cell_m: float) -> Panel:
+def map_panel(name: str, maps: RadarMaps, highest_m: float, cell_m: float, page: Page) -> Panel:
     """One of `MAPS`; heights are coloured up to `highest_m`."""
     if name == "height":
-        scale = Scale("height of the first return, m", 0.0, highest_m, HEIGHT)
+        scale = Scale("height of the first return, m", 0.0, highest_m, HEIGHT, page)
         return Panel("first-return height", scale.rgb(maps.height_m), scale.bar())
     if name == "incidence":
-        scale = Scale("local incidence angle, degrees", 0.0, 90.0, INCIDENCE)
+        scale = Scale("local incidence angle, degrees", 0.0, 90.0, INCIDENCE, page)
         return Panel("local incidence", scale.rgb(maps.incidence_deg), scale.bar())
     if name == "layover":
-        scale = Scale(f"separation in elevation, m (cell {cell_m:.2g} m)", 0.0, max(highest_m, 2 * cell_m), SPREAD)
+        label = f"separation in elevation, m (cell {cell_m:.2g} m)"
+        scale = Scale(label, 0.0, max(highest_m, 2 * cell_m), SPREAD, page)
         return Panel("layover", scale.rgb(maps.spread_m), scale.bar())
     kinds = (
         (maps.shadow, SHADOW, "shadow on flat ground"),
         (~np.isnan(maps.height_m), TARGET, "target"),
         (maps.layover, LAYOVER, "layover"),
     )
-    classes = np.full((*maps.shadow.shape, 3), rgb(DARK.card), np.uint8)
+    classes = np.full((*maps.shadow.shape, 3), rgb(page.card), np.uint8)
     legend = ""
     for where, colour, text in kinds:
         classes[where] = rgb(colour)
@@ -127,10 +138,10 @@ def map_panel(name: str, maps: RadarMaps, highest_m: float, cell_m: float) -> Pa
 
 
 class Strip:
-    """So many panels of one grid beside each other, in pixels as square as the ground they show."""
+    """So many panels of one grid beside each other, in pixels as square as the ground they show, on a page."""
 
-    def __init__(self, grid: ImageGrid, count: int) -> None:
-        self.grid, self.count = grid, count
+    def __init__(self, grid: ImageGrid, count: int, page: Page) -> None:
+        self.grid, self.count, self._page = grid, count, page
         finest = min(grid.spacing_m)
         size = np.array([grid.rows * grid.spacing_m[1], grid.columns * grid.spacing_m[0]]) / finest
         factor = max(_SIDE / size.max(), 1.0)
@@ -151,10 +162,12 @@ class Strip:
         return strip
 
     def enlarged(self, panel: Panel) -> UInt8[np.ndarray, "height width 3"]:
-        """One panel as large as it is drawn."""
+        """One panel as large as it is drawn, with a thin line around it: some look like the page."""
         row = np.arange(self._height) * self.grid.rows // self._height
         column = np.arange(self._width) * self.grid.columns // self._width
-        return panel.rgb[row[:, None], column]
+        picture: UInt8[np.ndarray, "height width 3"] = panel.rgb[row[:, None], column]
+        picture[[0, -1]] = picture[:, [0, -1]] = rgb(self._page.muted)
+        return picture
 
     def pixel_at(self, x: float, y: float) -> Pixel | None:
         """The pixel at parts of the width and height of the whole picture, or None between two panels."""

@@ -10,20 +10,22 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
-from sarsplat.colours import DARK, LIGHT, PICKED, RADAR, Page, rgb
+from sarsplat.colours import LIGHT, PICKED, RADAR, Page, rgb
 from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.viewer.ground_lines import ground_lines, seen_through
 from sarsplat.viewer.subject import Cloud, Contributors
 
 if TYPE_CHECKING:
     import viser
 
-_RADAR, _LIT, _FAINT, _LINES = rgb(RADAR), rgb(PICKED), rgb(LIGHT.muted), rgb(DARK.line)
+_RADAR, _LIT, _FAINT = rgb(RADAR), rgb(PICKED), rgb(LIGHT.muted)
 _DOME = 1.9  # radius, in those of the target
 _REACH = 0.6  # of the dome's radius: how far above the target the line of one range goes on
 _FIELD_DEG = 50.0  # vertical field of view
 _CAMERA_ASIDE_DEG, _CAMERA_UP_DEG = 100.0, 27.0  # where the reader looks from, from the first view and the horizon
 _ROOM = 1.15  # half of what is seen, in radii of the dome
 _PHONE, _BETWEEN_PANELS = 0.55, 0.62  # width over height of what is free on a phone, at most, and on a small laptop
+_THIN = 0.0015  # width of a line, in radii of the dome
 _STEPS = 72  # of a circle of latitude
 _LOWEST_DEG, _HIGHEST_DEG = 1.0, 89.0
 _LEAST_SHARE = 0.01  # of a pixel: Gaussians that add less are not lit
@@ -61,7 +63,9 @@ class Stage:
         scene.configure_default_lights(enabled=False)  # colours mean something: nothing shades them
         scene.configure_environment_map(None, environment_intensity=0.0)
         scene.add_light_ambient("/light", intensity=np.pi)
-        self._ground: Page | None = None
+        self._page: Page | None = None
+        self._corners: Float[np.ndarray, "corners 3"] = np.empty((0, 3))  # of the image, where it is shown
+        self._eye, _ = self._camera(1.0)
         self._grid(scene)
         self._dome(scene, views, on_aim)
         self._radar(scene, on_aim)
@@ -90,27 +94,31 @@ class Stage:
     def _fit(self, client: viser.ClientHandle) -> None:
         client.camera.position, client.camera.look_at = self._camera(client.camera.aspect)
 
+        @client.camera.on_update
+        def moved(camera: viser.CameraHandle) -> None:  # of several browsers, the one that moved last
+            self._eye = np.array(camera.position)
+            self._leave_out()
+
+    def _leave_out(self) -> None:
+        """Draw no line of the ground across the image below it."""
+        hidden = seen_through(self._corners, self._eye)
+        self.grid.points = ground_lines(self._foot, self._radius, self._step_m, hidden).astype(np.float32)
+
     def paint(self, page: Page) -> None:
         """Give the scene the colours of a page of the report."""
-        if page is not self._ground:
-            self._ground = page
+        if page is not self._page:
+            self._page = page
+            self.grid.colors = np.array(rgb(page.line), np.uint8)
             self._scene.set_background_image(np.full((2, 2, 3), rgb(page.ground), np.uint8), format="png")
             for name, dots in self._dots.items():
                 dots.batched_colors = np.array(_linear(page.train if name == "train" else page.test), np.uint8)
 
     def _grid(self, scene: Any) -> None:
-        step = float(10 ** np.floor(np.log10(self.size_m)))  # 1 m for a vehicle, 10 m for a ship
-        self.grid = scene.add_grid(
-            "/ground",
-            *(2 * self._radius,) * 2,
-            cell_size=step,
-            section_size=5 * step,
-            cell_color=_LINES,
-            section_color=_LINES,
-            position=self._foot,
-        )
+        self._step_m = float(10 ** np.floor(np.log10(self.size_m)))  # 1 m for a vehicle, 10 m for a ship
+        self.grid = scene.add_line_segments("/ground", np.zeros((1, 2, 3)), _FAINT, thickness=_THIN * self._radius)
+        self._leave_out()
         nose = self._foot + np.array([self._radius, 0, 0])
-        self._nose = scene.add_label("/nose", f"nose (+x); squares: {step:g} m", position=nose)
+        self._nose = scene.add_label("/nose", f"nose (+x); squares: {self._step_m:g} m", position=nose)
 
     def _dome(self, scene: Any, views: list[tuple[View, str]], on_aim: Callable[[View], None]) -> None:
         turns = np.linspace(0, 2 * np.pi, _STEPS + 1)
@@ -123,7 +131,7 @@ class Stage:
             )
             segments.append(np.stack([ring[:-1], ring[1:]], axis=1))
         self._rings = scene.add_line_segments(
-            "/dome/rings", np.concatenate(segments), _FAINT, thickness=0.0015 * self._radius
+            "/dome/rings", np.concatenate(segments), _FAINT, thickness=_THIN * self._radius
         )
         import trimesh
 
@@ -256,6 +264,10 @@ class Stage:
 
             self._plane = (plane, size)
         plane.visible = visible
+        across, down = size[0] / 2 * frame[0], size[1] / 2 * frame[2]
+        corners = place + np.stack([-across - down, across - down, across + down, down - across])
+        self._corners = corners if visible else corners[:0]
+        self._leave_out()
 
     def light(self, line: Float[np.ndarray, "2 3"] | None, lit: Contributors | None) -> None:
         """Show the line of one azimuth and range, and the contributors on it."""

@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from sarsplat.colours import DARK, ERROR, HEIGHT, LIGHT, STRENGTH, rgb
+from sarsplat.colours import DARK, ERROR, HEIGHT, STRENGTH, rgb
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.radar import Pixel
@@ -78,7 +78,7 @@ class Viewer:
         self._subject = subject
         self._view, self._pixel = _first_view(subject), None  # type: tuple[View, Pixel | None]
         self._picked: tuple[View, Pixel, Contributors | None] | None = None
-        self._strip, self._part = Strip(subject.grid, 1), subject.grid
+        self._strip, self._part = Strip(subject.grid, 1, DARK), subject.grid
         self._offered, self._ready = True, False
         self.frame_s = 0.0
         self._server = start_server(port, self._pick_at)
@@ -168,7 +168,7 @@ class Viewer:
         part, window = self._window(view, choices.zoom)
         heads, panels = self._panels(subject, view, choices)
         cut = [replace(panel, rgb=panel.rgb[window]) for panel in panels]
-        self._strip, self._part = Strip(part, min(len(cut), _ACROSS)), part
+        self._strip, self._part = Strip(part, min(len(cut), _ACROSS), choices.page), part
         inside = None if pixel is None else _within(pixel, window)
         on_plane = cut[-1 if choices.map else 0]
         with self._server.atomic():
@@ -179,12 +179,12 @@ class Viewer:
             self._controls.hide_rows(len(rows))
             self._controls.follow(view)
             self._stage.aim(view)
-            self._stage.lay_image(_framed(self._strip.enlarged(on_plane)), view, part, choices.plane)
+            self._stage.lay_image(self._strip.enlarged(on_plane), view, part, choices.plane)
             lit = self._light(subject, view, pixel)
             self._draw_target(subject, view, choices, dimmed=lit is not None)
             self._stage.show_dome(choices.views)
             self._stage.show_ground(choices.lines)
-            self._stage.paint(DARK if choices.dark else LIGHT)
+            self._stage.paint(choices.page)
             self.frame_s = time.perf_counter() - begun
             self._controls.show_foot(self._text(subject, view, pixel, lit))
 
@@ -192,7 +192,7 @@ class Viewer:
         """Every picture of the strip with its title and the line below that."""
         heads, panels = [], []
         here = _name(view)
-        style = subject.peak, choices.limits_db, choices.colours
+        style = subject.peak, choices.limits_db, choices.colours, choices.page
         rendered = None
         if subject.renders:
             rendered = subject.render(view, ground=choices.ground, shadow=choices.shadow)
@@ -206,14 +206,12 @@ class Viewer:
             away = "the same view" if apart_deg < _SAME_DEG else f"{apart_deg:.1f}° away: {_name(entry.view)}"
             heads.append((f"nearest {kind} image", away))
             if rendered is not None:
-                panels.append(
-                    difference_panel(rendered, power, subject.peak, choices.limits_db[0], speckled=subject.speckled)
-                )
+                levels = subject.peak, choices.limits_db[0]
+                panels.append(difference_panel(rendered, power, *levels, choices.page, speckled=subject.speckled))
                 heads.append(("difference", "rendered over nearest image"))
         if choices.map and (maps := subject.maps(view)) is not None:
-            panels.append(
-                map_panel(choices.map, maps, heights_up_to(subject.clouds[0].places_m[:, 2]), subject.grid.cell_m)
-            )
+            highest_m = heights_up_to(subject.clouds[0].places_m[:, 2])
+            panels.append(map_panel(choices.map, maps, highest_m, subject.grid.cell_m, choices.page))
             heads.append((panels[-1].title, here))
         return heads, panels
 
@@ -235,10 +233,10 @@ class Viewer:
         cloud = next((cloud for cloud in subject.clouds if cloud.name == choices.cloud), None)
         if cloud is None or len(cloud.places_m) == 0:
             return
-        values, scale = _coloured(subject, cloud, view, choices.coloured_by)
+        values, scale = _coloured(subject, cloud, view, choices)
         colours: UInt8[np.ndarray, "n 3"] = scale.rgb(values)
         if dimmed:
-            colours = np.rint(_KEPT * colours + (1 - _KEPT) * np.array(rgb(LIGHT.muted))).astype(np.uint8)
+            colours = np.rint(_KEPT * colours + (1 - _KEPT) * np.array(rgb(choices.page.muted))).astype(np.uint8)
         self._stage.draw_cloud(cloud, colours, choices.point_size)
         bar = f'<div style="padding:0 10px">{scale.bar()}</div>'
         if self._controls.legend.content != bar:
@@ -313,26 +311,20 @@ def _who(lit: Contributors, gaussians: bool) -> str:
     )
 
 
-def _coloured(subject: Subject, cloud: Cloud, view: View, way: str) -> tuple[np.ndarray, Scale]:
+def _coloured(subject: Subject, cloud: Cloud, view: View, choices: Choices) -> tuple[np.ndarray, Scale]:
     """A number for each place, and how it is coloured."""
+    way, page = choices.coloured_by, choices.page
     if way == BY_GAMMA0 and cloud.name != TRUTH:
         level = to_db(subject.gamma0(cloud, view))
         top = float(np.ceil(np.quantile(level, 0.995)))
-        return level, Scale("γ⁰ towards the radar, dB", top - _GAMMA0_DB, top, STRENGTH)
+        return level, Scale("γ⁰ towards the radar, dB", top - _GAMMA0_DB, top, STRENGTH, page)
     if way == BY_ERROR and cloud.name != TRUTH:
-        return subject.error_m(cloud), Scale("distance to the true surface, m", 0.0, subject.grid.cell_m, ERROR)
-    return cloud.places_m[:, 2], Scale("height, m", 0.0, heights_up_to(cloud.places_m[:, 2]), HEIGHT)
+        return subject.error_m(cloud), Scale("distance to the true surface, m", 0.0, subject.grid.cell_m, ERROR, page)
+    return cloud.places_m[:, 2], Scale("height, m", 0.0, heights_up_to(cloud.places_m[:, 2]), HEIGHT, page)
 
 
 def _name(view: View) -> str:
     return f"azimuth {view.azimuth_deg:.1f}°, grazing {view.grazing_deg:.1f}°"
-
-
-def _framed(picture: UInt8[np.ndarray, "rows columns 3"]) -> UInt8[np.ndarray, "rows columns 3"]:
-    """With a thin line around it: a dark image on a dark page has no edge."""
-    framed = np.full_like(picture, rgb(DARK.muted))
-    framed[1:-1, 1:-1] = picture[1:-1, 1:-1]
-    return framed
 
 
 def _within(pixel: Pixel, window: tuple[slice, slice]) -> Pixel | None:
