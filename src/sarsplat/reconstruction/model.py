@@ -249,6 +249,5 @@ def _cut_off(region: Region, margin: float, dataset: Dataset) -> list[str]:
 
     return [
         f"the target ({spans(low, high)} m) is larger than the box it is looked for in "
-        f"({spans(region.low, region.high)} m) and will be cut off; widen target_box_m in the dataset, or simulate "
-        "without ground for the preset default"
+        f"({spans(region.low, region.high)} m) and will be cut off; widen target_box_m in the dataset"
     ]

@@ -140,7 +140,10 @@ class Target(Part):
             centre = (low + high) / 2
             low, high = torch.minimum(low, centre - half), torch.maximum(high, centre + half)
         margin = self.config.margin * self.setting.cell_m
-        return low - margin, high + margin
+        low, high = low - margin, high + margin
+        if self.config.ground is not None:
+            low[2] = low[2].clamp(min=0.0)  # what is below is not seen
+        return low, high
 
 
 def law(config: Config, count: int, gamma0: float) -> Scattering:
