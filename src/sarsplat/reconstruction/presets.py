@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, advised, shown
-from sarsplat.reconstruction.config import Config, Densification, PointExtraction, Rates, Relocation, Surroundings
+from sarsplat.reconstruction.config import (
+    Config,
+    Densification,
+    FlatGround,
+    PointExtraction,
+    Rates,
+    Relocation,
+    Surroundings,
+)
 
 PRESETS: dict[str, Config] = {
     # what measures best on noise-free images
@@ -83,6 +91,7 @@ PRESETS: dict[str, Config] = {
             seen_by=3,
             cluster_radius=1.0,
         ),
+        ground=FlatGround(),
         surroundings=Surroundings(),
     ),
 }

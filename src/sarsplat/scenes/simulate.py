@@ -11,8 +11,7 @@ from jaxtyping import Float, Float32, Float64, Real
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.ground import ground_radius_m, ground_sheet
+from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.geometry.responses import GAUSSIAN
 from sarsplat.names import Simulator
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 
 # Protocol R: nodes of the ray caster, and Gaussians and rays of the splat truth, per pixel spacing.
 _OVERSAMPLE = 9
-_PIECES_PER_PIXEL, _GROUND_PER_PIXEL, _RAYS_PER_PIXEL = 3.0, 2.0, 15.0
+_PIECES_PER_PIXEL, _RAYS_PER_PIXEL = 3.0, 15.0
 
 
 @checks_arguments
@@ -129,7 +128,6 @@ def simulation_record(
         "raycast": {"ray_spacing_m": ray_spacing, "nodes_per_pixel": _OVERSAMPLE},
         "splat": {
             "surface_pieces_per_pixel": _PIECES_PER_PIXEL,
-            "ground_pieces_per_pixel": _GROUND_PER_PIXEL,
             "rays_per_pixel": _RAYS_PER_PIXEL,
         },
     }
@@ -153,13 +151,11 @@ def _splat(
 ) -> Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]:
     pixel = min(grid.spacing_m)
     gaussians, faces = surface_gaussians(mesh, pixel / _PIECES_PER_PIXEL)
-    target = len(gaussians)
-    if ground_gamma0 is not None:
-        gaussians = Gaussians.cat([gaussians, ground_sheet(ground_radius_m(views, grid), pixel / _GROUND_PER_PIXEL)])
+    ground = None if ground_gamma0 is None else Ground(torch.tensor(ground_gamma0))
     rays = RayGrid.for_image(grid, _RAYS_PER_PIXEL)
     for view in views:
-        gamma0 = torch.full((1, len(gaussians), 1), ground_gamma0 or 0.0)
         face_gamma0 = reflectivity * law_scattering(mesh.face_normals, [view], law)
-        gamma0[:, :target, 0] = torch.from_numpy(face_gamma0[:, faces])
+        gamma0 = torch.from_numpy(face_gamma0[:, faces, None]).float()
         with torch.no_grad():
-            yield render(gaussians, [view], grid, rays=rays, amplitudes=gamma0).channel(0)[0].numpy()
+            rendering = render(gaussians, [view], grid, rays=rays, amplitudes=gamma0, ground=ground)
+            yield rendering.channel(0)[0].numpy()

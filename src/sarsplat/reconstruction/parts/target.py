@@ -18,6 +18,7 @@ from sarsplat.gaussians import MIN_SCALE, Gaussians, Scattering, scattering_name
 from sarsplat.gaussians.initialise import BRIGHT_DB, Region, hemisphere_shell, random_quaternions
 from sarsplat.radiometry import brighter
 from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.outlines import levels_db, outline
 from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, column_means, normal_nats
 from sarsplat.renderer import Bounds
 from sarsplat.renderer.checks import MAX_SCALE
@@ -140,7 +141,10 @@ class Target(Part):
             centre = (low + high) / 2
             low, high = torch.minimum(low, centre - half), torch.maximum(high, centre + half)
         margin = self.config.margin * self.setting.cell_m
-        return low - margin, high + margin
+        low, high = low - margin, high + margin
+        if self.config.ground is not None:
+            low[2] = low[2].clamp(min=0.0)  # what is below is not seen
+        return low, high
 
 
 def law(config: Config, count: int, gamma0: float) -> Scattering:
@@ -184,8 +188,11 @@ def scales_m(config: Config, cell_m: float) -> tuple[float, float, float]:
 
 def _enough(train: Dataset) -> int:
     """How many Gaussians a target of this size needs, seen at this resolution."""
-    bright = brighter(train.power, BRIGHT_DB).sum() / len(train)
-    cells = bright * math.prod(train.grid.spacing_m) / train.grid.cell_m**2
+    if train.ground:
+        shown = sum(outline(level).target.sum() for level in levels_db(train.power, train.grid, ground=True))
+    else:
+        shown = brighter(train.power, BRIGHT_DB).sum()
+    cells = shown / len(train) * math.prod(train.grid.spacing_m) / train.grid.cell_m**2
     return max(_FEWEST, round(_PER_CELL * cells))
 
 
