@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from programs import ROOT
 from sarsplat import SarsplatError, preset
 from sarsplat.sweeps import Plan
 from sarsplat.sweeps.cell import Cell, cells_of
@@ -78,6 +81,17 @@ def test_settings_are_said_as_on_the_command_line(place):
     assert [cell.config["scale_bounds"] for cell in found[:2]] == [(0.1, 0.5), (0.2, 0.6)]
     switched = cells(place, 'datasets = ["data/*"]\nsettings = { "densification.start" = 7 }')[0]
     assert switched.config["densification"]["start"] == 7
+
+
+def test_plans_of_the_page_are_plans(place):
+    for name in ("t72", "targets/box", "chips/box"):
+        shutil.copytree(place / "data" / "box", place / name)
+    page = (ROOT / "docs" / "how-to" / "sweep.md").read_text(encoding="utf-8")
+    combined, parts = (
+        cells(place, text) for text in re.findall(r"^```toml\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    )
+    # two datasets, three seeds, two counts of iterations: with two counts of Gaussians, and with the other method
+    assert (len(combined), len(parts)) == (2 * 3 * 2 * (2 + 1), 2)
 
 
 def test_parts_inherit_and_override(place):
