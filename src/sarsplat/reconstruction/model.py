@@ -247,7 +247,8 @@ def _cut_off(region: Region, margin: float, dataset: Dataset) -> list[str]:
     def spans(low: np.ndarray, high: np.ndarray) -> str:
         return ", ".join(f"{name} {a:.3g} … {b:.3g}" for name, a, b in zip("xyz", low, high, strict=True))
 
+    remedy = "give" if dataset.target_box_m is None else "widen"
     return [
         f"the target ({spans(low, high)} m) is larger than the box it is looked for in "
-        f"({spans(region.low, region.high)} m) and will be cut off; widen target_box_m in the dataset"
+        f"({spans(region.low, region.high)} m) and will be cut off; {remedy} target_box_m in dataset.json"
     ]
