@@ -29,8 +29,9 @@ def is_copyleft(licence: str) -> bool:
 
 
 def needed() -> dict[str, str]:
-    """The licence of everything that `pip install 'sarsplat[all]'` brings here, by name."""
-    extras = {name: lines for name, lines in PROJECT["optional-dependencies"].items() if name not in ("all", "dev")}
+    """The licence of everything that `pip install 'sarsplat[all]'` brings here, by name; it leaves out Ray."""
+    optional = PROJECT["optional-dependencies"]
+    extras = {name: lines for name, lines in optional.items() if name not in ("all", "dev", "ray")}
     waiting = [(Requirement(line), {""}) for lines in (PROJECT["dependencies"], *extras.values()) for line in lines]
     seen, licences = set(), {}
     while waiting:

@@ -68,6 +68,7 @@ from .scenes import (
     target_mesh as target_mesh,
 )
 from .scenes.simulate import simulate_images as simulate_images
+from .sweeps import sweep as sweep
 from .viewer import Viewer as Viewer
 
 __version__: str

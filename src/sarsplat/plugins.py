@@ -51,6 +51,10 @@ class Plugins(Mapping[str, Any]):
     def __len__(self) -> int:
         return len(self._entries)
 
+    def module(self, name: str) -> str:
+        """The module that holds a plugin."""
+        return self._entries[name].module
+
     def add(self, name: str, plugin: Any) -> None:
         """Let a name of this program mean this, too."""
         self._entries[name] = EntryPoint(name, f"{plugin.__module__}:{plugin.__qualname__}", "")

@@ -23,6 +23,7 @@ EXTRAS: dict[str, dict[str, str]] = {
     "las": {"laspy": "laspy", "lazrs": "lazrs"},
     "video": {"PIL": "pillow", "cv2": "opencv-python-headless"},
     "tensorboard": {"tensorboard": "tensorboard"},
+    "ray": {"ray": "ray"},
 }
 """Extra → modules it brings → names of their distributions."""
 

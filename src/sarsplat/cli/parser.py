@@ -23,6 +23,7 @@ from sarsplat.cli.reconstruct import reconstruct
 from sarsplat.cli.render import render
 from sarsplat.cli.report import report
 from sarsplat.cli.simulate import simulate
+from sarsplat.cli.sweep import sweep
 from sarsplat.cli.view import view
 from sarsplat.errors import SarsplatError
 
@@ -51,6 +52,7 @@ COMMANDS: dict[str, Command | Mapping[str, Command]] = {
     "evaluate": evaluate,
     "report": report,
     "compare": compare,
+    "sweep": sweep,
     "render": render,
     "view": view,
     "export": export,

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.reconstruction import Run
@@ -50,6 +51,7 @@ class Surface:
             )
 
 
+@checks_arguments
 def surface_of_run(run: Run) -> Surface:
     """A run's estimate of the target's surface: its Gaussians, or the triangles of a method that has none.
 
@@ -72,6 +74,7 @@ def surface_of_run(run: Run) -> Surface:
     return Surface(target, np.asarray(run.normals, np.float64)[nearest])
 
 
+@checks_arguments
 def surface_of_mesh(mesh: trimesh.Trimesh, cell_m: float) -> Surface:
     """The surface of triangles, m, in pieces of half a resolution cell of `cell_m`.
 

@@ -11,9 +11,8 @@ from sarsplat.plugins import discover
 if TYPE_CHECKING:
     from sarsplat.reconstruction.method import Method
 
-METHODS: Mapping[str, Method] = discover(
-    "sarsplat.reconstruction", "method_", "METHOD", "sarsplat.methods", "sarsplat.baselines"
-)
+_PLUGINS = discover("sarsplat.reconstruction", "method_", "METHOD", "sarsplat.methods", "sarsplat.baselines")
+METHODS: Mapping[str, Method] = _PLUGINS
 """By name, as on the command line; each is imported when it is asked for."""
 
 
@@ -22,3 +21,9 @@ def method_named(name: str) -> Method:
     if name not in METHODS:
         raise SarsplatError(f"there is no method {shown(name)}; choose one of {', '.join(METHODS)}")
     return METHODS[name]
+
+
+def module_of(name: str) -> str:
+    """The module that a method is, ours or another package's."""
+    method_named(name)
+    return _PLUGINS.module(name)

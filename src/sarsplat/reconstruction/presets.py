@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, advised, shown
 from sarsplat.reconstruction.config import (
     Config,
@@ -97,6 +98,7 @@ PRESETS: dict[str, Config] = {
 """Known presets by name."""
 
 
+@checks_arguments
 def preset(name: str) -> Config:
     """The preset of that name; a SarsplatError if there is none."""
     if name not in PRESETS:

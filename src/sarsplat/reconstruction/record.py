@@ -48,6 +48,32 @@ class Record:
             elif own != others:
                 yield f"{self._section}{name}", own, others
 
+    def with_settings(self, changes: Mapping[str, Any], source: str = "the settings") -> Self:
+        """The same with other values, by dotted names such as ``rates.means``; errors name the `source`.
+
+        As on the command line, "on" or "off" switches a record that may be absent, a value of it switches it on, and
+        "None" is no value.
+        """
+        data = self.as_dict()
+        for name, value in changes.items():
+            *sections, last = name.split(".")
+            place: dict[str, Any] = data
+            kind: type[Record] = type(self)
+            for section in sections:
+                if section not in place or (inner := record_in(kind, section)) is None:
+                    break  # `from_dict` says what is wrong
+                kind = inner
+                if place[section] is None:
+                    place[section] = {}
+                place = place[section]
+            else:
+                if value in ("on", "off") and last in place and record_in(kind, last) is not None:
+                    value = (place[last] or {}) if value == "on" else None
+                place[last] = None if value == "None" else value
+                continue
+            data[name] = value
+        return type(self).from_dict(data, source)
+
     @classmethod
     def from_dict(cls, data: object, source: str = "the configuration") -> Self:
         """Undo `as_dict`; errors name the `source`, e.g. the path of a file.
@@ -108,6 +134,10 @@ def _allowed(hint: Any) -> str:
         return f"a {'whole ' if kind is int else ''}number from {limits.ge:g} to {limits.le:g}"
     if get_origin(hint) is Literal:
         return f"one of {', '.join(map(str, get_args(hint)))}"
+    if get_origin(hint) is tuple and get_args(hint)[-1] is Ellipsis:
+        return f"a list, each {_allowed(get_args(hint)[0])}"
+    if get_origin(hint) is dict:
+        return "a table"
     if get_origin(hint) is tuple:
         return f"{len(get_args(hint))} values, each {_allowed(get_args(hint)[0])}"
     if len(_choices(hint)) > 1:

@@ -9,6 +9,7 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
@@ -38,6 +39,7 @@ __all__ = [
 ]
 
 
+@checks_arguments
 def render(
     gaussians: Gaussians,
     views: Sequence[View],
@@ -120,7 +122,7 @@ def render(
     agree, "auto" is an error for tensors on that GPU.
     """
     rays = rays or RayGrid.for_image(grid)
-    views = views if isinstance(views, View) else tuple(views)
+    views = tuple(views)
     check_options(
         imaging_weight=imaging_weight,
         first_return_depth=first_return_depth,

@@ -69,11 +69,6 @@ def check_shapes(
     gain: Tensor | None,
 ) -> None:
     """No views, tensors without values, or tensors per view that do not fit them."""
-    if isinstance(views, View):
-        raise SarsplatError(f"views is a single {views}; give a sequence: [view]")
-    for view in views:
-        if not isinstance(view, View):
-            raise SarsplatError(f"views holds {view!r}; each must be a View(azimuth_deg, grazing_deg)")
     if not views:
         raise SarsplatError("there are no views to render; give at least one View")
     v, n = len(views), len(gaussians)

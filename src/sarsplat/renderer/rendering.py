@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 
 
@@ -69,6 +70,7 @@ class Rendering:
         return channel_of(self.images, index)
 
 
+@checks_arguments
 def channel_of(images: Float[Tensor, "v c rows columns"], index: int) -> Float[Tensor, "v rows columns"]:
     """The images of one channel [V, rows, columns].
 

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64, Real
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
@@ -29,6 +30,7 @@ _OVERSAMPLE = 9
 _PIECES_PER_PIXEL, _RAYS_PER_PIXEL = 3.0, 15.0
 
 
+@checks_arguments
 def simulate_images(
     mesh: trimesh.Trimesh,
     views: Sequence[View],
@@ -36,7 +38,7 @@ def simulate_images(
     *,
     source: Simulator = "raycast",
     law: ScatteringLaw | None = None,
-    reflectivity: Real[np.ndarray, " faces"] | None = None,
+    reflectivity: Real[np.ndarray, " faces"] | Sequence[float] | None = None,
     ground_gamma0: float | None = None,
     ray_spacing: float | None = None,
     looks: float | None = None,
@@ -57,7 +59,7 @@ def simulate_images(
         its surface (R-self, as in the paper).
     law : ScatteringLaw, optional
         γ⁰ of the surface against incidence angle; 0.1 + 0.9 cos² i unless given.
-    reflectivity : numpy.ndarray [F], optional
+    reflectivity : numpy.ndarray [F], or a list, optional
         Factor on the law's γ⁰ for each face; 1 unless given.
     ground_gamma0 : float, optional
         γ⁰ (linear) of a flat ground at z = 0; none unless given.

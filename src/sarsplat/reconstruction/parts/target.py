@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from sarsplat.arguments import described
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MIN_SCALE, Gaussians, Scattering, scattering_named
@@ -147,8 +148,22 @@ class Target(Part):
 
 
 def law(config: Config, count: int, gamma0: float) -> Scattering:
-    """The configuration's law of scattering, as a training starts with it."""
-    return scattering_named(config.scattering).initial(count, gamma0, config.p_min).detailed(config.harmonics_degree)
+    """The configuration's law of scattering, as a training starts with it.
+
+    Raises
+    ------
+    SarsplatError
+        If a law of one's own starts with something else.
+    """
+    kind = scattering_named(config.scattering)
+    made = kind.initial(count, gamma0, config.p_min)
+    if type(made) is not kind or made.parameters.shape[0] != count or made.parameters.dtype != torch.float32:
+        what = f"{made.parameters.dtype} {list(made.parameters.shape)}" if type(made) is kind else described(made)
+        raise SarsplatError(
+            f"{kind.__name__}.initial({count}, …) returned {what}; it must return a {kind.__name__} whose parameters "
+            f"are torch.float32 [{count}, K]"
+        )
+    return made.detailed(config.harmonics_degree)
 
 
 def scales_m(config: Config, cell_m: float) -> tuple[float, float, float]:

@@ -1,0 +1,83 @@
+"""`sarsplat sweep`: a plan in, many runs and one table out."""
+
+from __future__ import annotations
+
+import shlex
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from sarsplat.cli import console
+from sarsplat.cli.arguments import Folder, OptionalCount, OptionalNumber
+from sarsplat.cli.stopped import Stopped
+from sarsplat.errors import counted
+from sarsplat.sweeps.executor import EXECUTORS, Means
+
+if TYPE_CHECKING:
+    ExecutorName = str
+else:
+    ExecutorName = tyro.extras.literal_type_from_choices(EXECUTORS)
+
+
+def sweep(
+    plan: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PLAN")],
+    *,
+    out: Folder,
+    executor: ExecutorName = "local",
+    processes: OptionalCount = None,
+    address: str = "auto",
+    gpus: OptionalNumber = None,
+    retries: int = 3,
+    shard: Annotated[str | None, tyro.conf.arg(metavar="I/N", help_behavior_hint="(optional)")] = None,
+    again: bool = False,
+    show: bool = False,
+) -> None:
+    """Reconstruct and score every combination of datasets, methods, settings and seeds that a plan lists.
+
+    Parameters
+    ----------
+    plan
+        TOML file: datasets (patterns), methods, preset, seeds, and settings, of which every list is swept
+        (docs/how-to/sweep.md).
+    out
+        Folder of the sweep: results.csv, index.html and the runs. Of what is there already only the missing is done:
+        Ctrl-C stops at once, and the same command continues.
+    executor
+        Who does it: local, processes of this machine with one thread each, or ray, a Ray cluster.
+    processes
+        Runs at a time with local (default: as many as processors). Each takes the memory of one reconstruction.
+    address
+        Of the cluster with ray; auto is the one that runs here.
+    gpus
+        GPUs of a run with ray: 0.25 lets four runs share one (default: 1 if the plan's device is cuda).
+    retries
+        How often ray starts a run again whose node has died.
+    shard
+        Only a share of the runs, such as 2/8, the second of eight: for job arrays.
+    again
+        Also try again what failed.
+    show
+        Do nothing but write and show the results so far.
+    """
+    from sarsplat.sweeps import sweep as do
+
+    means = Means(processes, address, gpus, retries, again)
+    try:
+        results = do(plan, out, executor=executor, means=means, shard=shard, run=not show)
+    except KeyboardInterrupt as interrupt:
+        number = interrupt.number if isinstance(interrupt, Stopped) else signal.SIGINT
+        by = "terminated" if number == signal.SIGTERM else "stopped by Ctrl-C"
+        words = f"sarsplat sweep {shlex.quote(str(plan))} --out {shlex.quote(str(out))}"
+        raise Stopped(
+            number, f"{by}; what is finished is kept, and `{words}` with the same options continues"
+        ) from None
+    console.show(results.table())
+    for one in results.failed:
+        console.warn(f"{', '.join(map(str, one.cell.labels.values()))}, seed {one.cell.seed} failed: {one.reason}")
+    done = sum(one.finished for one in results.results)
+    console.finish(
+        f"{out / 'results.csv'} and {out / 'index.html'}: {done} of {counted(len(results.results), 'run')}",
+        f"open {out / 'index.html'} in a browser",
+    )

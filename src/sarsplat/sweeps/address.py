@@ -1,0 +1,142 @@
+"""What a run is known by: its data, its settings and the source of the modules that made it."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from sarsplat.reconstruction.methods import module_of
+from sarsplat.renderer.cpu import LIBRARY
+
+TRAINING, SCORING = "sarsplat.reconstruction.training", "sarsplat.evaluation.evaluate"
+"""Modules that training and scoring begin with; what a method adds is in its own module."""
+
+_SETTLED = "sarsplat.reconstruction.presets"
+"""Not a part of what a training runs: what it says is in the settings."""
+
+_DIGITS = 16
+
+
+def digest(content: Any) -> str:
+    """Sixteen hexadecimal digits for JSON data, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:_DIGITS]
+
+
+def code_of(method: str, device: str) -> str:
+    """Digest of everything of ours that a training by a method runs, and of the plugin's package if it is one."""
+    own = module_of(method)
+    return _code((TRAINING, own), device)
+
+
+def scoring_code() -> str:
+    """Digest of everything of ours that scoring a run takes."""
+    return _code((SCORING,), "cpu")
+
+
+@cache
+def _code(roots: tuple[str, ...], device: str) -> str:
+    """What the modules do, and the engine of the device; words, as comments and docstrings, do not count."""
+    sources = {name: ast.unparse(_without_words(_tree(path))) for name, path in imported_by(roots).items()}
+    engine = [LIBRARY] if device == "cpu" else sorted((LIBRARY.parent / "csrc").glob("*.[ch]*"))
+    parts = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in engine if path.is_file()}
+    return digest([sources, parts])
+
+
+def imported_by(roots: Iterable[str]) -> dict[str, Path]:
+    """The files of all modules that these import, at the top or in a function, in the packages of these; by name.
+
+    They are read, not executed. A package that finds its modules by itself imports all of them; of the methods there
+    are only those among the roots.
+    """
+    found: dict[str, Path] = {}
+    waiting = list(roots)
+    packages = {"sarsplat", *(root.partition(".")[0] for root in waiting)}
+    while waiting:
+        name = waiting.pop()
+        if name in (*found, _SETTLED) or name.partition(".")[0] not in packages or (path := _file(name)) is None:
+            continue
+        found[name] = path
+        if "." in name:
+            waiting.append(name.rpartition(".")[0])
+        waiting += _imports(name, path)
+    return dict(sorted(found.items()))
+
+
+@cache
+def _file(name: str) -> Path | None:
+    """The source of a module; None if there is no such module."""
+    try:
+        spec = find_spec(name)
+    except (ImportError, ValueError):
+        return None
+    return Path(spec.origin) if spec is not None and spec.origin and spec.origin.endswith(".py") else None
+
+
+@cache
+def _tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def _imports(name: str, path: Path) -> Iterator[str]:
+    for node in ast.walk(_tree(path)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            module = _absolute(node, name, path)
+            lazy = _lazy(module)
+            for alias in node.names:
+                yield lazy.get(alias.name, f"{module}.{alias.name}")
+            yield module
+        elif isinstance(node, ast.Call):
+            yield from _discovered(node, name, path)
+
+
+def _absolute(node: ast.ImportFrom, name: str, path: Path) -> str:
+    if not node.level:
+        return node.module or ""
+    package = name.split(".") if path.name.startswith("__init__") else name.split(".")[:-1]
+    return ".".join([*package[: len(package) - node.level + 1], *([node.module] if node.module else [])])
+
+
+@cache
+def _lazy(package: str) -> Mapping[str, str]:
+    """Of a package that loads its names when they are used: the module of each name, as its stub says."""
+    file = _file(package) if package.partition(".")[0] == "sarsplat" else None
+    if file is None or not (stub := file.with_suffix(".pyi")).is_file():
+        return {}
+    found = (node for node in ast.walk(_tree(stub)) if isinstance(node, ast.ImportFrom))
+    return {alias.name: _absolute(node, package, stub) for node in found for alias in node.names}
+
+
+def _discovered(call: ast.Call, name: str, path: Path) -> Iterator[str]:
+    """Modules that a package or `discover` finds by their place and name."""
+    called = call.func.id if isinstance(call.func, ast.Name) else ""
+    if called in ("classes_in", "import_module") and path.name == "__init__.py":
+        yield from _modules(name)
+    elif called == "discover":
+        words = [one.value for one in call.args if isinstance(one, ast.Constant) and isinstance(one.value, str)]
+        for package in words[:1] if words[1:2] != ["method_"] else []:
+            yield from (module for module in _modules(package) if module.rpartition(".")[2].startswith(words[1]))
+
+
+def _modules(package: str) -> Iterator[str]:
+    if (file := _file(package)) is not None:
+        yield from (f"{package}.{path.stem}" for path in file.parent.glob("*.py") if path.stem != "__init__")
+
+
+def _without_words(tree: ast.Module) -> ast.Module:
+    """The tree without docstrings."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            node.body = [one for one in node.body if not _is_text(one)] or [ast.Pass()]
+    return tree
+
+
+def _is_text(node: ast.AST) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)

@@ -1,0 +1,143 @@
+"""One run of a sweep: what is done, and the address it has for that."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from sarsplat.data import Dataset, read_dataset, read_masks
+from sarsplat.errors import SarsplatError
+from sarsplat.reconstruction.methods import method_named
+from sarsplat.sweeps.address import code_of, digest, scoring_code
+from sarsplat.sweeps.plan import Plan
+
+_NO_RESULT = ("preset", "checkpoint_every")
+"""Settings on which no result depends."""
+
+
+class Cell(msgspec.Struct, frozen=True):
+    """One run: a dataset, a method, settings and a seed.
+
+    Attributes
+    ----------
+    dataset : str
+        The dataset's folder.
+    method : str
+        Name of the method.
+    config : dict
+        All its settings, the seed among them.
+    masks, mesh, align, reports, device
+        As in `Plan`; of `masks` also those that the method learns from.
+    labels : dict
+        What tables call it: dataset, method, preset, and each setting that the plan names.
+    seed : int
+        Of the training.
+    recipe : str
+        Digest of data, method and settings.
+    code : str
+        Digest of what a training by that method runs.
+    scoring : str
+        Digest of how it is scored, code included.
+    """
+
+    dataset: str
+    method: str
+    config: dict[str, Any]
+    masks: str | None
+    mesh: str | None
+    align: str
+    reports: bool
+    device: str
+    labels: dict[str, Any]
+    seed: int
+    fingerprint: str
+    recipe: str
+    code: str
+    scoring: str
+
+    @property
+    def address(self) -> str:
+        """What its run and its row are called: other data, settings or training code are another address."""
+        return digest([self.recipe, self.code])
+
+
+def cells_of(plan: Plan, base: Path) -> list[Cell]:
+    """Every run of a plan, in its order; patterns are below the folder `base`.
+
+    Raises
+    ------
+    SarsplatError
+        If there is no dataset, method or preset of a name, or a setting is unknown or out of its range.
+    """
+    return [cell for part in plan.each_part() for cell in _cells(part.at(base), base)]
+
+
+def _cells(plan: Plan, base: Path) -> Iterator[Cell]:
+    for folder, name in plan.folders(base).items():
+        unreadable, dataset = "", None
+        try:
+            dataset = read_dataset(folder)
+        except SarsplatError as error:  # the run's reason to fail, once it is tried
+            unreadable = str(error)
+        for method in plan.each_method():
+            yield from _of_dataset(plan, folder, name, dataset, unreadable, *method)
+
+
+def _of_dataset(
+    plan: Plan,
+    folder: Path,
+    name: str,
+    dataset: Dataset | None,
+    unreadable: str,
+    method: str,
+    settings: Mapping[str, Any],
+) -> Iterator[Cell]:
+    kind = method_named(method)
+    masks = plan.masks or (str(folder / "masks") if (folder / "masks").is_dir() else None)
+    learned = "masks" in kind.takes and masks is not None and dataset is not None
+    learned_from = _fingerprint_of_masks(Path(masks or ""), dataset) if learned and dataset else ""
+    fingerprint = f"{folder}: {unreadable}" if dataset is None else dataset.fingerprint()
+    code = code_of(method, plan.device)
+    scoring = digest([scoring_code(), masks, plan.mesh, plan.align])
+    for preset, chosen in plan.each_choice(settings):
+        labels = {"dataset": name, "method": method, "preset": preset, **chosen}
+        if plan.name:
+            labels = {"part": plan.name, **labels}
+        base = None if dataset is None else kind.preset(preset, dataset).with_settings(chosen, _where(plan, method))
+        for seed in plan.seeds:
+            config = {**labels, "seed": seed} if base is None else replace(base, seed=seed).as_dict()
+            decisive = {one: value for one, value in config.items() if one not in _NO_RESULT}
+            recipe = digest([fingerprint, method, decisive, plan.device, learned_from])
+            yield Cell(
+                dataset=str(folder),
+                method=method,
+                config=config,
+                masks=masks,
+                mesh=plan.mesh,
+                align=plan.align,
+                reports=plan.reports,
+                device=plan.device,
+                labels=labels,
+                seed=seed,
+                fingerprint=fingerprint,
+                recipe=recipe,
+                code=code,
+                scoring=scoring,
+            )
+
+
+def _where(plan: Plan, method: str) -> str:
+    return f"settings of {method}{f' in {plan.name}' if plan.name else ''}"
+
+
+def _fingerprint_of_masks(folder: Path, dataset: Dataset) -> str:
+    try:
+        masks = read_masks(folder, dataset, ("train",))
+    except SarsplatError as error:
+        return str(error)
+    return digest([np.stack([*masks.values()]).tobytes().hex(), sorted(masks)])

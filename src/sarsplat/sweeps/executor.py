@@ -1,0 +1,70 @@
+"""Where the runs of a sweep are done: modules `executor_NAME.py` here, and entry points. Needs no torch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from sarsplat.errors import SarsplatError, advised, shown
+from sarsplat.plugins import discover
+
+if TYPE_CHECKING:
+    from sarsplat.sweeps.cell import Cell
+    from sarsplat.sweeps.work import Row
+
+
+@dataclass(frozen=True)
+class Means:
+    """What an executor may use; each takes what concerns it.
+
+    Parameters
+    ----------
+    processes : int or None
+        Runs at a time on this machine; None: as many as there are processors.
+    address : str
+        Of the Ray cluster, as in `ray.init`; "auto" is the one that is running here.
+    gpus : float or None
+        GPUs of a run on a Ray cluster: 0.25 lets four runs share one; None: one if the plan's device is cuda.
+    retries : int
+        How often Ray starts a run again whose node or process has died.
+    again : bool
+        Whether failed runs are tried again.
+    """
+
+    processes: int | None = None
+    address: str = "auto"
+    gpus: float | None = None
+    retries: int = 3
+    again: bool = False
+
+    def __post_init__(self) -> None:
+        if self.processes is not None and self.processes < 1:
+            raise SarsplatError(f"processes is {self.processes}; give at least 1")
+        if self.gpus is not None and not 0 <= self.gpus < float("inf"):
+            raise SarsplatError(f"gpus is {self.gpus}; give a share of a GPU such as 0.25, or a whole number")
+        if self.retries < 0:
+            raise SarsplatError(f"retries is {self.retries}; give 0 or more")
+
+
+class Executor(Protocol):
+    """Does runs, each by `work.do` in a process that has one thread of the engine."""
+
+    def __call__(self, cells: Sequence[Cell], out: Path, means: Means) -> Iterator[tuple[Cell, Row | None]]:
+        """Yield every run with its row as it ends; None where another process is at it.
+
+        What is left undone when the iterator is closed, or an exception leaves it, is stopped at once.
+        """
+
+
+EXECUTORS = discover("sarsplat.sweeps", "executor_", "run", "sarsplat.executors")
+"""By name, as on the command line; each is imported when it is asked for."""
+
+
+def executor_named(name: str) -> Executor:
+    """One of `EXECUTORS`; a SarsplatError if there is none of that name."""
+    if name not in EXECUTORS:
+        raise SarsplatError(f"executor {shown(name)} is unknown; {advised(name, EXECUTORS)}")
+    executor: Executor = EXECUTORS[name]
+    return executor

@@ -1,0 +1,141 @@
+"""The page of a sweep: the table, a figure for every swept setting, what failed, and links to all reports."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sarsplat.errors import counted
+from sarsplat.evaluation import Metric
+from sarsplat.report.figure import Axis, Block, Figure, Panel, axis, chart, polyline
+from sarsplat.report.page import in_words, rendered
+from sarsplat.sweeps.results import Line, Result, Results, Spread, label_text, varying
+from sarsplat.sweeps.work import RUNS
+
+_SETTLED = ("dataset", "method", "preset", "part", "test set")
+"""Labels that are no settings."""
+
+_DECADE = 8.0
+"""Of a setting, largest over smallest value from which on its axis is logarithmic."""
+
+
+@dataclass(frozen=True)
+class _Row:
+    texts: Sequence[str]
+    link: str = ""
+
+
+def page(results: Results) -> str:
+    """The page as HTML that needs no other file, except for the reports that it links to."""
+    lines = results.lines()
+    names, metrics = varying(lines), results.metrics(lines)
+    states = Counter(one.state for one in results.results)
+    datasets = dict.fromkeys(str(one.cell.labels["dataset"]) for one in results.results)
+    few = [*datasets] if len(datasets) <= 3 else [counted(len(datasets), "dataset")]
+    return rendered(
+        "sweep_page.html.j2",
+        target=in_words(few),
+        lead=f"{counted(len(results.results), 'run')}: {in_words(f'{n:,} {state}' for state, n in states.items())}.",
+        unfinished="waiting" in states,
+        heads=[*names, "runs", *(f"{metric.heading} {metric.arrow}".strip() for metric in metrics)],
+        lines=[_row(line, names, metrics) for line in lines],
+        figures=[figure for name in names if name not in _SETTLED for figure in _figure(name, lines, metrics)],
+        failed=[_Row((_words(one, names), one.reason)) for one in results.failed],
+        run_heads=[*(name for name in names if name != "test set"), "seed", "state", "run"],
+        runs=[_run(one, [name for name in names if name != "test set"], results) for one in results.results],
+    )
+
+
+def _row(line: Line, names: Sequence[str], metrics: Sequence[Metric[Any]]) -> _Row:
+    spreads = (line.spreads.get(metric.key) for metric in metrics)
+    scores = ("–" if one is None else one.text(metric) for metric, one in zip(metrics, spreads, strict=True))
+    runs = f"{line.done}/{line.of}{', older code' if line.older else ''}"
+    return _Row([*(label_text(line.labels.get(name, "")) for name in names), runs, *scores])
+
+
+def _words(one: Result, names: Sequence[str]) -> str:
+    labels = (label_text(one.cell.labels[name]) for name in names if name in one.cell.labels)
+    return ", ".join([*labels, f"seed {one.cell.seed}"])
+
+
+def _run(one: Result, names: Sequence[str], results: Results) -> _Row:
+    labels = [label_text(one.cell.labels.get(name, "")) for name in names]
+    place = "" if one.row is None else f"{RUNS}/{one.row.address}"
+    report = f"{place}/report/index.html"
+    there = bool(place) and (results.out / report).is_file()
+    what = f"{one.row.address}{', report' if there else ''}" if one.row is not None else ""
+    return _Row([*labels, str(one.cell.seed), one.state, what], report if there else "")
+
+
+def _figure(name: str, lines: Sequence[Line], metrics: Sequence[Metric[Any]]) -> list[Figure]:
+    """How the headline scores change with one setting, everything else that is swept averaged."""
+    drawn = [metric for metric in metrics if metric.place == "headline" or metric.key == "time_s"]
+    groups: dict[str, list[Line]] = {}
+    for line in lines:
+        if name in line.labels:
+            words = (str(line.labels.get(label, "")) for label in ("part", "method", "preset", "test set"))
+            groups.setdefault(", ".join(filter(None, words)), []).append(line)
+    blocks = []
+    for title, members in groups.items():
+        values = sorted({line.labels[name] for line in members}, key=_order)
+        panels = [panel for metric in drawn if (panel := _panel(name, values, members, metric)) is not None]
+        if len(values) > 1 and panels:
+            blocks.append(Block(title if len(groups) > 1 else "", tuple(panels)))
+    text = "Dots are means over everything else, one standard deviation over the seeds around them."
+    return [Figure(name, text, tuple(blocks))] if blocks else []
+
+
+def _panel(name: str, values: Sequence[Any], lines: Sequence[Line], metric: Metric[Any]) -> Panel | None:
+    found: dict[int, Spread] = {}
+    for index, value in enumerate(values):
+        here = [line.spreads.get(metric.key) for line in lines if line.labels[name] == value]
+        if spread := _averaged([one for one in here if one is not None]):
+            found[index] = spread
+    if not found:
+        return None
+    places = _places(values)
+    x = np.array([places[index] for index in found])
+    mean = np.array([spread.mean for spread in found.values()])
+    sd = np.array([spread.sd or 0.0 for spread in found.values()])
+    low, high = float((mean - sd).min()), float((mean + sd).max())
+    room = 0.08 * (high - low) or 0.05 * abs(high) or 1.0
+    low, high = low - room, high + room
+
+    def share(heights: np.ndarray) -> np.ndarray:
+        return (heights - low) / (high - low)
+
+    band = polyline(np.concatenate([x, x[::-1]]), share(np.concatenate([mean + sd, (mean - sd)[::-1]])), "band")
+    dots = [polyline(np.array([a, a]), share(np.array([b, b])), "dot accent") for a, b in zip(x, mean, strict=True)]
+    across = Axis(name, tuple((place, label_text(value)) for place, value in zip(places, values, strict=True)))
+    parts = [band, polyline(x, share(mean), "line accent"), *dots]
+    return chart(metric.title, f"{metric.title} against {name}", across, axis(metric.unit, high, low), parts)
+
+
+def _averaged(spreads: Sequence[Spread]) -> Spread | None:
+    """The mean over lines of as many seeds, seed by seed; of other numbers of seeds nothing can be said."""
+    most = max((len(one.values) for one in spreads), default=0)
+    whole = [one.values for one in spreads if len(one.values) == most]
+    return Spread(tuple(float(np.mean(of_seed)) for of_seed in zip(*whole, strict=True))) if whole else None
+
+
+def _places(values: Sequence[Any]) -> list[float]:
+    """Where values stand on an axis from 0 to 1: numbers by their size, words one after the other."""
+    if all(isinstance(value, int | float) for value in values):
+        size = np.array(values, dtype=float)
+        if size.min() > 0 and size.max() > _DECADE * size.min():
+            size = np.log(size)
+    else:
+        size = np.arange(len(values), dtype=float)
+    reach = float(size.max() - size.min()) or 1.0
+    return [0.04 + 0.92 * float(one) for one in (size - size.min()) / reach]
+
+
+def _order(value: Any) -> tuple[bool, float, str]:
+    """Numbers by their size, then words."""
+    number = isinstance(value, int | float) and math.isfinite(value)
+    return (not number, float(value) if number else 0.0, str(value))

@@ -1,0 +1,227 @@
+"""What a sweep has found so far: a line for every run, and means with their spread over the seeds."""
+
+from __future__ import annotations
+
+import csv
+import io
+import statistics
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.markup import escape
+from rich.table import Table
+
+from sarsplat.data import read_json
+from sarsplat.errors import SarsplatError
+from sarsplat.evaluation import Metric, Scores, Yardstick, summary_metrics
+from sarsplat.sweeps.cell import Cell
+from sarsplat.sweeps.work import ROWS, RUNS, Row
+
+
+@dataclass(frozen=True)
+class Result:
+    """A run of the plan with its row.
+
+    Attributes
+    ----------
+    cell : Cell
+        What was asked for.
+    row : Row or None
+        What came of it; None if that is not known yet.
+    older : bool
+        Whether the row is of the same data and settings, but of older code, or scored otherwise.
+    """
+
+    cell: Cell
+    row: Row | None
+    older: bool = False
+
+    @property
+    def finished(self) -> bool:
+        """Whether it has scores."""
+        return self.row is not None and self.row.state == "finished"
+
+    @property
+    def reason(self) -> str:
+        """Why it failed, if it did."""
+        return "" if self.row is None else self.row.reason
+
+    @property
+    def state(self) -> str:
+        """In one or two words."""
+        return "waiting" if self.row is None else f"{self.row.state}{', older code' if self.older else ''}"
+
+
+@dataclass(frozen=True)
+class Spread:
+    """One figure over the seeds.
+
+    Attributes
+    ----------
+    values : tuple of float
+        One for each seed, at least one.
+    """
+
+    values: tuple[float, ...]
+
+    @property
+    def mean(self) -> float:
+        """Mean over the seeds."""
+        return statistics.fmean(self.values)
+
+    @property
+    def sd(self) -> float | None:
+        """Sample standard deviation over the seeds; None for a single one."""
+        return statistics.stdev(self.values) if len(self.values) > 1 else None
+
+    def text(self, metric: Metric[Any]) -> str:
+        """Mean ± standard deviation, both with the mean's decimals."""
+        mean = metric.text(self.mean)
+        return mean if self.sd is None else f"{mean} ± {self.sd:.{len(mean.partition('.')[2])}f}"
+
+
+@dataclass(frozen=True)
+class Line:
+    """What differs in nothing but the seed.
+
+    Attributes
+    ----------
+    labels : dict
+        What tables call it; of several test sets, the set as well.
+    spreads : dict of str to Spread
+        By the metric's key; unknown ones are absent.
+    done, of : int
+        Runs that are finished, and all of them.
+    older : bool
+        Whether some are of older code.
+    """
+
+    labels: Mapping[str, Any]
+    spreads: Mapping[str, Spread]
+    done: int
+    of: int
+    older: bool
+
+
+class Results:
+    """The runs of a sweep as they are now.
+
+    Parameters
+    ----------
+    cells : sequence of Cell
+        Runs of the plan.
+    out : Path
+        Folder of the sweep.
+    """
+
+    def __init__(self, cells: Sequence[Cell], out: Path) -> None:
+        self.out = out
+        rows = [*_rows(out)]
+        here = {row.address: row for row in rows}
+        older = {row.recipe: row for row in rows if row.state == "finished"}
+        self.results = [_result(cell, here.get(cell.address) or older.get(cell.recipe)) for cell in cells]
+
+    @property
+    def failed(self) -> list[Result]:
+        """Runs that failed."""
+        return [one for one in self.results if one.row is not None and one.row.state == "failed"]
+
+    def lines(self) -> list[Line]:
+        """Runs that differ in nothing but the seed, together; a line for each test set."""
+        groups: dict[str, list[Result]] = {}
+        for one in self.results:
+            groups.setdefault(repr(one.cell.labels), []).append(one)
+        sets = dict.fromkeys(split for one in self.results if one.finished for split in _sets(one))
+        return [_line(group, split, len(sets) > 1) for group in groups.values() for split in sets or [""]]
+
+    def metrics(self, lines: Sequence[Line]) -> list[Metric[Any]]:
+        """Those with a short name that any line has."""
+        sides = sorted({one.row.yardstick_m for one in self.results if one.row is not None and one.finished})
+        scores = [Scores("", {key: spread.mean for key, spread in line.spreads.items()}) for line in lines]
+        return [*{one.key: one for side in sides for one in summary_metrics(scores, Yardstick(side))}.values()]
+
+    def table(self) -> Table:
+        """Every line with mean ± standard deviation over the seeds, for the terminal."""
+        lines = self.lines()
+        names, shown = varying(lines), self.metrics(lines)
+        table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+        for name in names:
+            table.add_column(escape(name), overflow="fold")
+        table.add_column("runs", justify="right")
+        for metric in shown:
+            table.add_column(metric.heading, justify="right")
+        for line in lines:
+            spreads = (line.spreads.get(metric.key) for metric in shown)
+            cells = ("–" if one is None else one.text(metric) for metric, one in zip(shown, spreads, strict=True))
+            runs = f"{line.done}/{line.of}{', older code' if line.older else ''}"
+            table.add_row(*(escape(label_text(line.labels.get(name, ""))) for name in names), runs, *cells)
+        return table
+
+    def csv(self) -> str:
+        """A line for every run: what was done, its state, and every score by dotted key."""
+        rows = []
+        for one in self.results:
+            cell, row = one.cell, one.row
+            done = {} if row is None else {"iterations": row.iterations, "took_s": row.took_s, **row.scores}
+            rows.append(
+                {
+                    **cell.labels,
+                    "seed": cell.seed,
+                    "state": one.state,
+                    "reason": one.reason,
+                    "code": cell.code if row is None else row.code,
+                    "run": "" if row is None else f"{RUNS}/{row.address}",
+                    **done,
+                }
+            )
+        file = io.StringIO()
+        writer = csv.DictWriter(file, list(dict.fromkeys(name for row in rows for name in row)), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        return file.getvalue()
+
+
+def varying(lines: Sequence[Line]) -> list[str]:
+    """Names of what tables must say: the dataset, and what is not the same everywhere."""
+    names = dict.fromkeys(name for line in lines for name in line.labels)
+    return [n for n in names if n == "dataset" or len({repr(line.labels.get(n)) for line in lines}) > 1]
+
+
+def label_text(value: Any) -> str:
+    """A setting's value as tables have it."""
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _result(cell: Cell, row: Row | None) -> Result:
+    return Result(cell, row, row is not None and (row.address, row.scoring) != (cell.address, cell.scoring))
+
+
+def _rows(out: Path) -> Iterable[Row]:
+    """The rows of a sweep, the latest last."""
+    for path in sorted((out / ROWS).glob("*.json"), key=lambda path: (path.stat().st_mtime, path.name)):
+        try:
+            yield read_json(path, Row)
+        except SarsplatError:  # of another version, or being replaced
+            continue
+
+
+def _sets(one: Result) -> list[str]:
+    """Test sets of a run."""
+    keys = (name.split(".") for name in (one.row.scores if one.row else {}))
+    return [*dict.fromkeys(parts[1] for parts in keys if parts[0] == "images")]
+
+
+def _line(group: Sequence[Result], split: str, several: bool) -> Line:
+    finished = [one for one in group if one.finished]
+    values: dict[str, list[float]] = {}
+    for one in finished:
+        for name, value in (one.row.scores if one.row else {}).items():
+            for before in (f"images.{split}.", "points.visible.", "time_s"):
+                if name.startswith(before):
+                    values.setdefault(name.removeprefix(before) or name, []).append(value)
+    labels = {**group[0].cell.labels, **({"test set": split} if several else {})}
+    spreads = {name: Spread(tuple(many)) for name, many in values.items()}
+    return Line(labels, spreads, len(finished), len(group), any(one.older for one in finished))

@@ -1,0 +1,173 @@
+"""Do one run of a sweep: train, or go on where it was stopped, score it, and leave its row."""
+
+from __future__ import annotations
+
+import time
+import traceback
+import warnings
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import torch
+
+from sarsplat.data import read_dataset, read_json, write_json
+from sarsplat.data.files import locked
+from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.evaluation import evaluate_run
+from sarsplat.reconstruction import Run, reconstruct
+from sarsplat.reconstruction.methods import method_named
+from sarsplat.reconstruction.run_folder import HEADER
+from sarsplat.sweeps.cell import Cell
+
+ROWS, RUNS = "rows", "runs"
+"""Folders of a sweep."""
+
+
+class Row(msgspec.Struct):
+    """What came of a run.
+
+    Attributes
+    ----------
+    address, recipe, code, scoring
+        As of its `Cell`.
+    state : {"finished", "failed"}
+        Whether there are scores.
+    reason : str
+        Why it failed: one sentence.
+    passing : bool
+        Whether it failed for what may pass, such as a full disk: it is tried again by the next sweep.
+    scores : dict
+        Scores by dotted key, as `images.test.psnr_db` and `points.visible.cd_m`; those that are None are absent.
+    yardstick_m : float
+        What the points were scored with.
+    iterations : int
+        Iterations done.
+    took_s : float
+        Time of training, scoring and report, s, since it was last begun.
+    warnings : list of str
+        What was warned of.
+    """
+
+    address: str
+    recipe: str
+    code: str
+    scoring: str
+    state: str
+    reason: str = ""
+    passing: bool = False
+    scores: dict[str, float] = {}
+    yardstick_m: float = 0.0
+    iterations: int = 0
+    took_s: float = 0.0
+    warnings: list[str] = []
+
+    def settles(self, cell: Cell) -> bool:
+        """Whether nothing is left to do for a run."""
+        return not self.passing and (self.address, self.scoring) == (cell.address, cell.scoring)
+
+
+def row_path(cell: Cell, out: Path) -> Path:
+    """Where the row of a run is."""
+    return out / ROWS / f"{cell.address}.json"
+
+
+def row_of(cell: Cell, out: Path) -> Row | None:
+    """The row of a run, if it is finished or failed."""
+    path = row_path(cell, out)
+    return row if path.is_file() and (row := read_json(path, Row)).settles(cell) else None
+
+
+def do(cell: Cell, out: Path, again: bool = False) -> Row | None:
+    """Do a run unless that was done; None if another process is doing it.
+
+    Parameters
+    ----------
+    cell : Cell
+        What to do.
+    out : Path
+        Folder of the sweep.
+    again : bool
+        Whether a failed one is tried again.
+    """
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(locked(row_path(cell, out)))
+        except SarsplatError:
+            return None
+        done = row_of(cell, out)
+        if done is not None and not (again and done.state == "failed"):
+            return done
+        row, begun = Row(cell.address, cell.recipe, cell.code, cell.scoring, "finished"), time.monotonic()
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", SarsplatWarning)
+            try:
+                _train_and_score(cell, out / RUNS / cell.address, row)
+            except SarsplatError as error:
+                row.state, row.reason, row.passing = "failed", str(error), isinstance(error.__cause__, OSError)
+            except ModuleNotFoundError as error:
+                row.state, row.reason, row.passing = "failed", f"{error.name} is not installed; install it", True
+            except Exception as error:  # a fault of ours or of a plugin, or no memory: the others go on
+                traceback.print_exc()
+                row.state, row.reason, row.passing = "failed", f"{type(error).__name__}: {error}", True
+        row.warnings = [str(one.message) for one in caught if issubclass(one.category, SarsplatWarning)]
+        row.took_s = round(time.monotonic() - begun, 1)
+        write_json(row_path(cell, out), row)
+        return row
+
+
+def lost(cell: Cell, out: Path, reason: str) -> Row | None:
+    """Leave the row of a run whose process has ended; None if another process is doing it."""
+    row = Row(cell.address, cell.recipe, cell.code, cell.scoring, "failed", reason, passing=True)
+    try:
+        with locked(row_path(cell, out)):
+            write_json(row_path(cell, out), row)
+    except SarsplatError:
+        return None
+    return row
+
+
+def _train_and_score(cell: Cell, folder: Path, row: Row) -> None:
+    torch.set_num_threads(1)
+    dataset, method = read_dataset(Path(cell.dataset)), method_named(cell.method)
+    if dataset.fingerprint() != cell.fingerprint:
+        raise SarsplatError(f"{cell.dataset} has changed since the sweep was started; start it again")
+    config = method.settings.from_dict(cell.config)
+    begun = (folder / HEADER).is_file()
+    masks = None if cell.masks is None else Path(cell.masks)
+    run = Run.load(folder, cell.device, dataset) if begun else None
+    if run is None or run.iteration < config.iterations or not (folder / "points.ply").is_file():
+        learned_from = masks if "masks" in method.takes and not begun else None
+        run = reconstruct(
+            dataset,
+            config,
+            folder,
+            method=cell.method,
+            masks=learned_from,
+            device=cell.device,
+            quiet=True,
+            resume=begun,
+        )
+    mesh, align = None if cell.mesh is None else Path(cell.mesh), cell.align
+    metrics = evaluate_run(run, mesh=mesh, alignment=align, masks=masks, quiet=True)  # type: ignore[arg-type]
+    if cell.reports:
+        from sarsplat.report import write_report
+
+        write_report(run)
+    row.scores, row.yardstick_m = scores_in(metrics), metrics["parameters"]["yardstick_m"]
+    row.iterations = run.iteration
+
+
+def scores_in(metrics: Mapping[str, Any]) -> dict[str, float]:
+    """The scores of a `metrics.json` by dotted key, without those that are None."""
+    kept = {name: metrics[name] for name in ("images", "points", "mesh", "time_s")}
+    return {name: value for name, value in _flat(kept) if value is not None}
+
+
+def _flat(values: Mapping[str, Any], before: str = "") -> list[tuple[str, float | None]]:
+    flat: list[tuple[str, float | None]] = []
+    for name, value in values.items():
+        flat += _flat(value, f"{before}{name}.") if isinstance(value, Mapping) else [(f"{before}{name}", value)]
+    return flat

@@ -1,0 +1,54 @@
+"""A plan whose runs take a second: images without a surface, few Gaussians, no reports."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from datasets import box_dataset
+from sarsplat import ImageGrid, write_dataset
+from sarsplat.sweeps import EXECUTORS, Means
+from sarsplat.sweeps.cell import Cell
+from sarsplat.sweeps.work import Row, do
+
+
+def here(cells: Sequence[Cell], out: Path, means: Means) -> Iterator[tuple[Cell, Row | None]]:
+    """An executor that does one run after the other in this process."""
+    for cell in cells:
+        yield cell, do(cell, out, means.again)
+
+
+@pytest.fixture(scope="session")
+def _made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("sweeps")
+    made = box_dataset(folder, ImageGrid(24, 24, (0.3, 0.3), (0.4, 0.4)))
+    write_dataset(folder / "data" / "box", replace(made, truth_mesh=None))
+    return folder / "data" / "box"
+
+
+@pytest.fixture
+def place(_made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder: it holds the dataset data/box."""
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "box").symlink_to(_made)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(EXECUTORS._entries, "here", None)
+    monkeypatch.setitem(EXECUTORS._loaded, "here", here)
+    return tmp_path
+
+
+@pytest.fixture
+def plan() -> dict[str, Any]:
+    """Two runs."""
+    settings = {"iterations": 20, "gaussians": 100, "checkpoint_every": 10, "points.voxel": 0.5}
+    return {
+        "datasets": ["data/*"],
+        "preset": "quick",
+        "seeds": [0, 1],
+        "reports": False,
+        "settings": {**settings, "points.rays_per_pixel": 2},
+    }

@@ -1,0 +1,86 @@
+"""A run is stale when what it depends on has changed, and only then."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from sarsplat import read_dataset, write_dataset
+from sarsplat.sweeps import Plan, address
+from sarsplat.sweeps.cell import cells_of
+
+GS, DSR = ((address.TRAINING, f"sarsplat.{name}") for name in ("reconstruction.method_sar_gs", "baselines.method_dsr"))
+
+
+def rooms(modules: dict[str, Path]) -> set[str]:
+    return {name.split(".")[1] for name in modules if name.count(".")}
+
+
+def test_training_depends_on_what_it_imports_and_on_nothing_else():
+    ours, theirs = address.imported_by(GS), address.imported_by(DSR)
+    assert not rooms(ours) & {"cli", "report", "viewer", "evaluation", "exports", "sweeps", "radar", "importers"}
+    assert {"renderer", "geometry", "gaussians", "data", "reconstruction"} <= rooms(ours)
+    assert "baselines" not in rooms(ours)
+    assert not {"sarsplat.baselines.method_sar_nerf", "sarsplat.reconstruction.method_sar_gs"} & theirs.keys()
+    assert "sarsplat.baselines.method_dsr" in theirs
+    assert {"evaluation", "reconstruction"} <= rooms(address.imported_by([address.SCORING]))
+
+
+def test_modules_that_are_found_by_their_place_are_seen():
+    found = address.imported_by(GS)
+    for folder in ("reconstruction/parts", "reconstruction/strategies", "geometry/responses"):
+        files = {path for path in found.values() if path.parent.match(folder)}
+        assert files == {*next(iter(files)).parent.glob("*.py")}, folder
+
+
+@pytest.fixture
+def code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str], str]:
+    """Writes a module of a package and says what the package's code is."""
+    (tmp_path / "foreign").mkdir()
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    def written(name: str, text: str) -> str:
+        (tmp_path / "foreign" / f"{name}.py").write_text(text)
+        importlib.invalidate_caches()
+        for cached in (address._code, address._file, address._tree, address._lazy):
+            cached.cache_clear()
+        return address._code(("foreign.method",), "cpu")
+
+    written("__init__", "")
+    return written
+
+
+def test_code_is_what_it_does_and_not_its_words(code):
+    first = code("method", '"""Words."""\nfrom foreign import used\n\ndef f():\n    """More."""\n    return 1  # why\n')
+    used = code("used", "x = 1\n")
+    assert used != first
+    assert code("unused", "y = 1\n") == used
+    assert code("method", "from foreign import used\ndef f():\n    return 1\n") == used
+    assert code("method", "from foreign import used\ndef f():\n    return 2\n") != used
+    assert code("used", "x = 2\n") != used
+
+
+def test_data_and_device_are_part_of_the_address(place):
+    plan = Plan(("data/*",))
+    before = {cell.address for cell in cells_of(plan, place)}
+    assert not before & {cell.address for cell in cells_of(replace(plan, device="cuda"), place)}
+    same = read_dataset(place / "data" / "box")
+    (place / "data" / "box").unlink()
+    write_dataset(place / "data" / "moved", same)
+    assert {cell.address for cell in cells_of(plan, place)} == before
+    write_dataset(place / "data" / "moved", replace(same, power=same.power * 2), overwrite=True)
+    assert not {cell.address for cell in cells_of(plan, place)} & before
+
+
+def test_masks_that_a_method_learns_from_are_data(place, tmp_path):
+    plan = Plan(("data/*",), ("dsr", "sar-gs"))
+    dsr, ours = cells_of(plan, place)
+    masked = replace(plan, masks=str(tmp_path / "nowhere"))
+    other_dsr, same = cells_of(masked, place)
+    assert dsr.address != other_dsr.address
+    assert ours.address == same.address
+    assert ours.scoring != same.scoring

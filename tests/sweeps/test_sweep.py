@@ -1,0 +1,232 @@
+"""What is done is not done again, what failed is a row, and tables say what the rows hold."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sarsplat import Run, SarsplatError, sweep
+from sarsplat.cli import main
+from sarsplat.sweeps import EXECUTORS, Means, Results, cell, work
+
+
+def done(plan: dict[str, Any], out: Path, **options: Any) -> Results:
+    return sweep(plan, out, executor="here", quiet=True, **options)
+
+
+def runs(out: Path) -> dict[str, int]:
+    """When the newest checkpoint of every run was written."""
+    return {
+        run.name: max(path.stat().st_mtime_ns for path in run.rglob("*.safetensors"))
+        for run in (out / "runs").iterdir()
+    }
+
+
+def table(out: Path) -> list[dict[str, str]]:
+    with (out / "results.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture
+def out(place: Path) -> Path:
+    return place / "out"
+
+
+@pytest.fixture(scope="session")
+def _finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("finished") / "out"
+
+
+@pytest.fixture
+def finished(_finished: Path, out: Path, plan: dict[str, Any]) -> Path:
+    """A sweep of two runs that is finished, once for all tests."""
+    if not _finished.exists():
+        done(plan, _finished)
+    shutil.copytree(_finished, out)
+    return out
+
+
+def test_runs_are_runs_and_done_once(finished, plan):
+    before = runs(finished)
+    rows = table(finished)
+    assert [(row["dataset"], row["preset"], row["iterations"], row["seed"], row["state"]) for row in rows] == [
+        ("box", "quick", "20", seed, "finished") for seed in ("0", "1")
+    ]
+    for row in rows:
+        run = Run.load(finished / row["run"])
+        assert (run.iteration, run.seed) == (20, int(row["seed"]))
+        assert run.metrics["images"]["test"]["psnr_db"] == float(row["images.test.psnr_db"])
+    results = done(plan, finished)
+    assert runs(finished) == before
+    assert [one.state for one in results.results] == ["finished"] * 2
+
+
+def test_only_what_differs_is_done(finished, plan):
+    before = runs(finished)
+    done({**plan, "seeds": [1, 2]}, finished)
+    assert runs(finished).items() > before.items()
+    assert len(runs(finished)) == 3
+    done({**plan, "settings": {**plan["settings"], "gaussians": [100, 150]}, "seeds": [0]}, finished)
+    assert len(runs(finished)) == 4
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_same_bits(finished, plan):
+    address = json.loads(next((finished / "rows").iterdir()).read_text())["address"]
+    run = finished / "runs" / address
+    whole = {name: (run / name).read_bytes() for name in ("gaussians.ply", "points.ply")}
+    for stale in ("rows/" + address + ".json", f"runs/{address}/checkpoints/00000020.safetensors"):
+        (finished / stale).unlink()
+    (run / "points.ply").unlink()
+    done(plan, finished)
+    assert whole == {name: (run / name).read_bytes() for name in whole}
+    assert len(runs(finished)) == 2
+
+
+def test_a_failing_run_is_a_row_with_its_reason_and_the_others_go_on(place, out, plan, monkeypatch):
+    bad = place / "data" / "bad"
+    shutil.copytree(place / "data" / "box", bad)
+    image = next((bad / "images").iterdir())
+    image.write_bytes(b"no tiff")
+    results = done(plan, out)
+    assert [(one.cell.labels["dataset"], one.state) for one in results.results] == [
+        (name, state) for name, state in (("bad", "failed"), ("box", "finished")) for _ in range(2)
+    ]
+    assert image.name in results.failed[0].reason
+    page = (out / "index.html").read_text()
+    assert "What failed" in page and image.name in page
+    asked = []
+    monkeypatch.setattr(work, "_train_and_score", lambda *words: asked.append(words))
+    done(plan, out)
+    assert asked == []
+    done(plan, out, means=Means(again=True))
+    assert len(asked) == 2
+
+
+def test_what_may_pass_is_tried_again(out, plan, monkeypatch):
+    whole = work._train_and_score
+
+    def full(*words: object) -> None:
+        try:
+            raise OSError("no space")
+        except OSError as error:
+            raise SarsplatError("the disk is full") from error
+
+    monkeypatch.setattr(work, "_train_and_score", full)
+    assert [one.reason for one in done(plan, out).failed] == ["the disk is full"] * 2
+    monkeypatch.setattr(work, "_train_and_score", lambda *words: 1 / 0)
+    assert "ZeroDivisionError" in done(plan, out).failed[0].reason
+    monkeypatch.setattr(work, "_train_and_score", whole)
+    assert not done(plan, out).failed
+
+
+def test_rows_of_older_code_stay_and_say_so(finished, plan, monkeypatch):
+    monkeypatch.setattr(cell, "code_of", lambda method, device: "newer")
+    shown = done(plan, finished, run=False)
+    assert [one.state for one in shown.results] == ["finished, older code"] * 2
+    assert all(line.older for line in shown.lines())
+    assert len(runs(finished)) == 2
+    assert [one.state for one in done(plan, finished).results] == ["finished"] * 2
+    assert len(runs(finished)) == len(list((finished / "rows").iterdir())) == 4
+
+
+def test_what_is_scored_otherwise_is_not_trained_again(finished, plan, monkeypatch):
+    before = runs(finished)
+    monkeypatch.setattr(cell, "scoring_code", lambda: "newer")
+    assert done(plan, finished, run=False).results[0].older
+    results = done(plan, finished)
+    assert not results.results[0].older
+    assert runs(finished) == before
+
+
+def test_shards_share_the_runs(out, plan):
+    three = {**plan, "seeds": [0, 1, 2]}
+    results = [done(three, out, shard=f"{k}/2") for k in (1, 2)]
+    assert [[one.state for one in found.results] for found in results] == [
+        ["finished", "waiting", "finished"],
+        ["finished"] * 3,
+    ]
+    for shard in ("0/2", "3/2", "2", "a/b", "1/0"):
+        with pytest.raises(SarsplatError, match="give 1/8 for the first of eight"):
+            done(three, out, shard=shard)
+
+
+def test_what_another_process_does_is_waited_for(out, plan, monkeypatch):
+    monkeypatch.setattr("sarsplat.sweeps.fleet._PATIENCE_S", 0.0)
+    asked: list[int] = []
+
+    def busy(cells: list[Any], out: Path, means: Means) -> Iterator[tuple[Any, Any]]:
+        asked.append(len(cells))
+        for index, one in enumerate(cells):
+            yield one, None if len(asked) < 3 and index else work.do(one, out)
+
+    monkeypatch.setitem(EXECUTORS._loaded, "here", busy)
+    assert all(one.finished for one in done({**plan, "seeds": [0, 1, 2]}, out).results)
+    assert asked == [3, 2, 1]
+
+
+def test_the_table_has_means_and_spreads(finished, plan):
+    (line,) = done(plan, finished).lines()
+    scores = [float(row["images.test.psnr_db"]) for row in table(finished)]
+    spread = line.spreads["psnr_db"]
+    assert (line.done, line.of) == (2, 2)
+    assert spread.mean == pytest.approx(sum(scores) / 2)
+    assert spread.sd == pytest.approx(abs(scores[0] - scores[1]) / 2**0.5)
+
+
+def test_the_page_has_a_figure_for_every_swept_setting_and_links_to_reports(out, plan):
+    plan |= {"seeds": [0], "reports": True, "settings": {**plan["settings"], "iterations": [10, 20]}}
+    done(plan, out)
+    page = (out / "index.html").read_text()
+    assert "PSNR, whole image, dB against iterations" in page
+    assert "against gaussians" not in page
+    links = re.findall(r'href="(runs/[^"]+)"', page)
+    assert len(links) == 2
+    assert all((out / link).is_file() for link in links)
+    assert 'http-equiv="refresh"' not in page
+
+
+def test_it_fills_while_it_runs(out, plan, monkeypatch):
+    seen = []
+
+    def watched(cells: list[Any], out: Path, means: Means) -> Iterator[tuple[Any, Any]]:
+        for one in cells:
+            yield one, work.do(one, out)
+            seen.append((out / "index.html").read_text())
+
+    monkeypatch.setitem(EXECUTORS._loaded, "here", watched)
+    done(plan, out)
+    assert "2 runs: 1 finished and 1 waiting." in seen[0]
+    assert 'http-equiv="refresh"' in seen[0]
+
+
+def test_a_foreign_folder_is_left_alone(place, out, plan):
+    with pytest.raises(SarsplatError, match="exists and is not the folder of a sweep"):
+        done(plan, place / "data")
+    out.mkdir()
+    (out / "sweep.json").write_text("{}")
+    with pytest.raises(SarsplatError, match="is not that of a sweep"):
+        done(plan, out)
+    with pytest.raises(SarsplatError, match=r"executor .rai. is unknown; did you mean ray\?"):
+        sweep(plan, out, executor="rai")
+    with pytest.raises(SarsplatError, match="processes is 0"):
+        replace(Means(), processes=0)
+
+
+def test_the_command_shows_the_table(finished, capsys):
+    (finished.parent / "plan.toml").write_text(
+        'datasets = ["data/*"]\npreset = "quick"\nseeds = [0, 1]\nreports = false\n[settings]\niterations = 20\n'
+        'gaussians = 100\ncheckpoint_every = 3\n"points.voxel" = 0.5\npoints.rays_per_pixel = 2\n'
+    )
+    assert main(["sweep", "plan.toml", "--out", "out", "--show"]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"box\s+2/2\s+[\d.]+ ± [\d.]+", said)
+    assert "2 of 2 runs" in said
+    assert main(["sweep", "plan.toml", "--out", "data"]) == 2

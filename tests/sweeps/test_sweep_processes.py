@@ -1,0 +1,140 @@
+"""Processes that do runs: the same bits, and nothing is lost whoever is killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sarsplat import sweep
+from sarsplat.sweeps import Means
+from sarsplat.sweeps.cell import cells_of
+from sarsplat.sweeps.plan import Plan
+from sarsplat.sweeps.work import do, row_path
+from sweeps_results import results
+
+SLOW = pytest.mark.slow
+
+LOCKED = """
+import sys
+from pathlib import Path
+from sarsplat.data.files import locked
+with locked(Path(sys.argv[1])):
+    print(flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def expected(place: Path, plan: dict[str, Any]) -> dict[str, Any]:
+    """Of the plan, done in this process."""
+    sweep(plan, place / "alone", executor="here", quiet=True)
+    return results(place / "alone")
+
+
+@pytest.fixture
+def command(place: Path, plan: dict[str, Any]) -> Callable[[], subprocess.Popen[str]]:
+    """Starts a sweep of the plan to the folder `out`."""
+    settings = "\n".join(f'"{name}" = {json.dumps(value)}' for name, value in plan.pop("settings").items())
+    lines = [f"{name} = {json.dumps(value)}" for name, value in plan.items()]
+    (place / "plan.toml").write_text("\n".join([*lines, "[settings]", settings]))
+    words = [sys.executable, "-m", "sarsplat", "sweep", "plan.toml", "--out", "out", "--processes", "1"]
+    return lambda: subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def until(condition: Callable[[], object]) -> None:
+    end = time.monotonic() + 120
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def workers() -> list[int]:
+    """Processes of `worker.py` that belong to a sweep of this folder."""
+    return [
+        int(path.parent.name)
+        for path in Path("/proc").glob("[0-9]*/cmdline")
+        if os.fsencode(Path.cwd()) in (text := _read(path)) and b"sarsplat.sweeps.worker" in text
+    ]
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return b""
+
+
+def test_a_run_in_another_process_is_left_to_it(place, plan):
+    one = cells_of(Plan.from_dict({**plan, "seeds": [0]}), place)[0]
+    out = place / "out"
+    (out / "rows").mkdir(parents=True)
+    words = [sys.executable, "-c", LOCKED, str(row_path(one, out))]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        assert do(one, out) is None
+        other.communicate()
+    assert do(one, out).state == "finished"
+
+
+def test_local_processes_give_the_same_bits(place, plan, expected):
+    found = sweep(plan, place / "out", means=Means(processes=2), quiet=True)
+    assert all(one.finished for one in found.results)
+    assert results(place / "out") == expected
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds processes in /proc")
+def test_a_killed_worker_is_a_row_and_done_next_time(place, plan, expected, capfd):
+    def kill() -> None:
+        until(workers)
+        os.kill(workers()[0], signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    found = sweep(plan, place / "out", means=Means(processes=1), quiet=True)
+    killer.join()
+    (failed,) = found.failed
+    assert "ended by SIGKILL" in failed.reason
+    assert sum(one.finished for one in found.results) == 1
+    sweep(plan, place / "out", means=Means(processes=1), quiet=True)
+    assert results(place / "out") == expected
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds processes in /proc")
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, *(pytest.param(n, marks=SLOW) for n in (signal.SIGTERM, signal.SIGKILL))]
+)
+def test_a_sweep_that_is_ended_leaves_no_process_and_continues(place, plan, expected, command, number):
+    with command() as process:
+        until(lambda: list(Path("out/rows").glob("*.json")) or process.poll() is not None)
+        process.send_signal(number)
+        _, said = process.communicate(timeout=60)
+    if number != signal.SIGKILL:
+        assert process.returncode == 128 + number
+        assert (
+            "what is finished is kept, and `sarsplat sweep plan.toml --out out` with the same options continues" in said
+        )
+    until(lambda: not workers())
+    with command() as process:
+        _, said = process.communicate(timeout=120)
+    assert process.returncode == 0, said
+    assert results(place / "out") == expected
+
+
+@SLOW
+def test_two_sweeps_of_one_folder_share_the_work(place, plan, expected, command):
+    with command() as first, command() as second:
+        said = [process.communicate(timeout=180)[1] for process in (first, second)]
+    assert [first.returncode, second.returncode] == [0, 0], said
+    assert results(place / "out") == expected
+    assert len((place / "out" / "results.csv").read_text().splitlines()) == 3
