@@ -25,6 +25,7 @@ from code_version import code_version
 from sarsplat import Config, Dataset, evaluate_run, import_mstar, preset, read_dataset, reconstruct, target_mesh
 from sarsplat.data.files import write_bytes
 from sarsplat.data.mesh import write_mesh
+from sarsplat.reconstruction.config import FlatGround
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "docs"))
 
@@ -35,8 +36,8 @@ WORK, RESULTS = HERE / "runs" / "measured", HERE / "docs" / "results"
 
 TERMS: Mapping[str, Mapping[str, Any]] = {
     "everything": {},
-    "no ground": {"ground_pitch": 0},
-    "ground of one γ⁰ only": {"ground_std": 0},
+    "no ground": {"ground": None},
+    "ground of one γ⁰ only": {"ground": FlatGround(pitch=0)},
     "nothing shared by neighbouring chips": {"texture_looks": 0},
     "no side lobes": {"side_lobes": 0},
     "every chip in its place": {"shift_std": 0},

@@ -11,13 +11,19 @@ from datasets import dataset_of
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.evaluation import IMAGE_METRICS, Yardstick, all_metrics, metrics_of_points
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.reconstruction import preset
+from sarsplat.reconstruction import Run, preset
 from sarsplat.reconstruction.log import LogLine
 
 GRID = ImageGrid(32, 32, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
 METRICS = all_metrics(Yardstick(0.3))
 IMAGE_KEYS = [metric.key for metric in IMAGE_METRICS]
 POINT_KEYS = [metric.key for metric in metrics_of_points(Yardstick(0.3))]
+
+
+class MadeUpRun(SimpleNamespace):
+    """What pages need of a run."""
+
+    __class__ = Run  # to `isinstance`
 
 
 def make_dataset(
@@ -56,7 +62,7 @@ def make_run(folder: Path, dataset: Dataset, metrics: dict[str, Any] | None, **c
         "history": [LogLine(k, float(k), 1 / k, 1234) for k in (1, 10, 20)],
         "render": lambda views: np.full((len(views), 32, 32), 0.5, dtype=np.float32),
     }
-    return SimpleNamespace(**{**fields, **changes})
+    return MadeUpRun(**{**fields, **changes})
 
 
 def make_metrics(**scores: float) -> dict[str, Any]:

@@ -53,7 +53,7 @@ def test_imports_run_one_way(folder):
     assert not wrong
 
 
-@pytest.mark.parametrize("name", ["errors", "names", "radiometry", "colours"])
+@pytest.mark.parametrize("name", ["errors", "arguments", "names", "radiometry", "colours"])
 def test_the_bottom_imports_no_room(name):
     """What every room may use."""
     modules = imported(PACKAGE / f"{name}.py")

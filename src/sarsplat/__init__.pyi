@@ -19,6 +19,7 @@ from .gaussians import (
     MAX_OPTICAL_DEPTH as MAX_OPTICAL_DEPTH,
     MIN_SCALE as MIN_SCALE,
     Gaussians as Gaussians,
+    Ground as Ground,
     Harmonics as Harmonics,
     NormalLobes as NormalLobes,
     Scattering as Scattering,

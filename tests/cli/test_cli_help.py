@@ -11,7 +11,7 @@ import pytest
 
 from sarsplat.cli import main
 from sarsplat.names import TargetName
-from sarsplat.reconstruction.config import Config, Densification, Surroundings
+from sarsplat.reconstruction.config import Config, Densification, FlatGround, Surroundings
 from sarsplat.scenes import TARGETS
 
 PROGRAM = """
@@ -65,10 +65,13 @@ def test_help_shows_every_setting(capsys: pytest.CaptureFixture[str], monkeypatc
     with pytest.raises(SystemExit):
         main(["reconstruct", "--help"])
     shown = re.sub(r"[│\s]+", " ", capsys.readouterr().out)
-    whole = Config(densification=Densification(), surroundings=Surroundings())
+    whole = Config(densification=Densification(), ground=FlatGround(), surroundings=Surroundings())
     for record, prefix in (
         (whole, ""),
-        *((getattr(whole, part), f"{part}.") for part in ("rates", "points", "densification", "surroundings")),
+        *(
+            (getattr(whole, part), f"{part}.")
+            for part in ("rates", "points", "densification", "ground", "surroundings")
+        ),
     ):
         for field in fields(record):
             if isinstance(getattr(record, field.name), int | float):
@@ -76,7 +79,7 @@ def test_help_shows_every_setting(capsys: pytest.CaptureFixture[str], monkeypatc
                 assert re.search(rf"{re.escape(flag)} ((?!--).)*\(default: {getattr(record, field.name)}\)", shown), (
                     flag
                 )
-    for part in ("rates", "points", "densification", "surroundings"):
+    for part in ("rates", "points", "densification", "ground", "surroundings"):
         assert f"{part} options" in shown
 
 

@@ -66,6 +66,17 @@ def test_a_module_is_called_by_the_same_python(tmp_path, monkeypatch):
     assert f"next: {sys.executable} -m sarsplat reconstruct made" in done.stdout
 
 
+def test_commands_are_shown_alike_wherever_they_are_named(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(console, "program", lambda: "bin/sarsplat")
+    (tmp_path / "empty").mkdir()
+    assert main(["reconstruct", "empty", "--out", "new"]) == 2
+    assert "`bin/sarsplat simulate` or `bin/sarsplat import`" in capsys.readouterr().err
+    console.warn("x/sarsplat view and what sarsplat did; see sarsplat view --help")
+    told = capsys.readouterr().err
+    assert told == "warning: x/sarsplat view and what sarsplat did; see bin/sarsplat view --help\n"
+
+
 def test_what_is_no_command_stays_as_it_is(capsys):
     assert main(["info", "nowhere"]) == 2
     console.finish("a.png", "look at a.png")

@@ -164,3 +164,22 @@ def test_a_run_of_one_grazing_angle_needs_the_ends_of_its_sweep() -> None:
     with pytest.raises(SarsplatError, match=r"all training views have the grazing angle 17°.*--grazing 10 60"):
         sweep_views("grazing", 8, known)
     assert {view.grazing_deg for view in sweep_views("azimuth", 8, known)} == {17.0}
+
+
+def test_a_dataset_is_no_run_whatever_the_angles(run: Path, tmp_path: Path, refused) -> None:
+    dataset, made = tmp_path / "d", tmp_path / "d-run"
+    dataset.symlink_to(run.with_name("dataset"))
+    told = refused(["render", str(dataset), "--out", str(tmp_path / "new")])
+    assert f"give a run of it, which `sarsplat reconstruct {dataset} --out {made}` makes" in told
+    made.symlink_to(run)
+    told = refused(["render", str(dataset), "--out", str(tmp_path / "new")])
+    assert f"give a run of it, such as {made}" in told
+
+
+def test_no_points_lead_to_a_longer_training(run: Path, tmp_path: Path, monkeypatch, capsys) -> None:
+    out, dataset = tmp_path / "short", run.with_name("dataset")
+    monkeypatch.setattr(Run, "points", np.zeros((0, 3)))
+    assert main(f"reconstruct {dataset} --out {out} --iterations 2 --gaussians 20".split()) == 0
+    shown = capsys.readouterr()
+    assert "and 0 points" in shown.out
+    assert f"train longer, such as with `sarsplat reconstruct {dataset} --out {out} --resume --iter" in shown.err

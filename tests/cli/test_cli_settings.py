@@ -10,14 +10,19 @@ import pytest
 
 from sarsplat import Config, Run
 from sarsplat.cli import main
-from sarsplat.reconstruction.config import Densification, Surroundings
+from sarsplat.reconstruction.config import Densification, FlatGround, Surroundings
 from sarsplat.reconstruction.presets import PRESETS
 
 
 @pytest.fixture(scope="module")
 def place(box: Path) -> Path:
-    """A folder with datasets of a box on nothing, the same in speckle, and a box on the ground."""
-    for name, more in (("plain", ""), ("speckled", "--looks 4"), ("ground", "--ground 0.1")):
+    """A folder with datasets of a box on nothing and on the ground, and both in speckle."""
+    for name, more in (
+        ("plain", ""),
+        ("speckled", "--looks 4"),
+        ("ground", "--ground 0.1"),
+        ("both", "--ground 0.1 --looks 1"),
+    ):
         simulate = f"simulate --mesh {box}/box.obj --azimuth 0:360:120 --grazing 45 --pixels 16 {more}"
         assert main(f"{simulate} --out {box}/{name}".split()) == 0
     return box
@@ -46,7 +51,7 @@ def test_a_preset_alone(name: str, printed, refused) -> None:
     assert Config.from_dict(printed(f"--preset {name}")) == PRESETS[name]
 
 
-@pytest.mark.parametrize(("dataset", "name"), [("plain", "default"), ("speckled", "speckled"), ("ground", "measured")])
+@pytest.mark.parametrize(("dataset", "name"), [("plain", "default"), ("speckled", "speckled"), ("both", "measured")])
 def test_the_preset_that_fits_the_images(dataset: str, name: str, printed, refused) -> None:
     assert printed("", dataset)["preset"] == name
     assert printed("--seed 4", dataset) == {
@@ -94,6 +99,15 @@ def test_surroundings(printed, refused) -> None:
     assert printed("--surroundings off", "ground")["surroundings"] is None
     complaint = refused("reconstruct plain --out new --surroundings off --surroundings.noise-floor 1")
     assert "--surroundings.noise-floor has no effect with --surroundings off" in complaint
+
+
+def test_ground_is_modelled_where_images_show_it(printed) -> None:
+    assert printed("", "plain")["ground"] is None
+    for words in ("--preset default", "--preset quick", "--preset speckled", "--preset measured"):
+        assert printed(words, "ground")["ground"] == FlatGround().as_dict()
+    assert printed("--preset paper", "ground")["ground"] is None
+    assert printed("--ground off", "ground")["ground"] is None
+    assert printed("--ground.pitch 7", "plain")["ground"] == FlatGround(pitch=7).as_dict()
 
 
 def test_a_printed_configuration_is_read_back(printed, refused, tmp_path: Path) -> None:

@@ -197,3 +197,17 @@ def test_masks_without_pillow_are_refused_before_any_work(box: Path, monkeypatch
     assert main(["simulate", "--target", "t72", "--masks", "--out", str(out)]) == 2
     assert "masks need Pillow; install it with" in " ".join(capsys.readouterr().err.split())
     assert not out.exists()
+
+
+def test_images_need_not_be_square(box: Path) -> None:
+    dataset = simulated(box, "--scale 0.001 --pixels 24 40 --spacing 0.2 0.25 --resolution 0.3 0.35")
+    assert (dataset.grid.rows, dataset.grid.columns) == (24, 40)
+    assert (dataset.grid.spacing_m, dataset.grid.resolution_m) == ((0.2, 0.25), (0.3, 0.35))
+    assert simulated(box, "--scale 0.001 --spacing 0.2").grid.spacing_m == (0.2, 0.2)
+
+
+def test_a_mesh_in_another_unit_is_refused_unless_the_images_are_chosen(box: Path, capsys) -> None:
+    words = ["simulate", "--mesh", str(box), "--azimuth", "0", "--grazing", "30", "--out", str(box.parent / "new")]
+    assert main(words) == 2
+    assert "the target is 2.6e+03 m long, but the images are 38.4 m wide" in capsys.readouterr().err
+    assert not (box.parent / "new").exists()

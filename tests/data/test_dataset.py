@@ -131,7 +131,7 @@ def test_azimuths_may_be_uncertain(tmp_path):
     assert written.fingerprint() == read.fingerprint()
     with pytest.raises(SarsplatError, match="azimuth_std_deg holds 2 numbers for 4 images"):
         Dataset.from_images(images, azimuth_std_deg=[1, 2])
-    for wrong in (-1, 11, float("nan"), "north"):
+    for wrong in (-1, 11, float("nan")):
         with pytest.raises(SarsplatError, match="is not a number between 0 and 10"):
             Dataset.from_images(images, azimuth_std_deg=[wrong] * 4)
 
@@ -238,7 +238,7 @@ def test_wrong_input_writes_nothing(tmp_path, changes, words):
 
 
 def test_overwrite(dataset):
-    with pytest.raises(SarsplatError, match="--overwrite"):
+    with pytest.raises(SarsplatError, match="overwrite=True"):
         make(dataset.path)
     make(dataset.path, images=IMAGES * 2, overwrite=True)
     np.testing.assert_array_equal(read_dataset(dataset.path).power, IMAGES * 2)

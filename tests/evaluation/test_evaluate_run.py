@@ -25,6 +25,7 @@ from sarsplat.evaluation import (
 )
 from sarsplat.evaluation.lpips import WEIGHTS_VARIABLE
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.reconstruction import Run
 from scoring import few_samples
 
 trimesh = pytest.importorskip("trimesh")
@@ -52,6 +53,8 @@ class FakeRun:
     has_mesh: bool = True
     memory: None = None
     asked: list[View] = field(default_factory=list)
+
+    __class__ = Run  # to `isinstance`
 
     def mesh(self):
         lid = trimesh.Trimesh([[-1, -1, 2], [1, -1, 2], [1, 1, 2], [-1, 1, 2]], [[0, 1, 2], [0, 2, 3]])

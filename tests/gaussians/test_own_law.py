@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Self
@@ -141,10 +142,8 @@ def test_what_cannot_be_registered_or_trained(dataset: Dataset) -> None:
         SarsplatError, match=r"the scattering law 'harmonics' is sarsplat.*Harmonics already; give yours"
     ):
         register_scattering(Other)
-    for thing in (Scattering, dict, "fan"):
-        with pytest.raises(
-            SarsplatError, match="is not a scattering law; derive it from Scattering and give it a kind"
-        ):
+    for thing in (Scattering, dict, "fan", Fan(torch.ones(1, 3))):
+        with pytest.raises(SarsplatError, match=r"^law is .*; give a class derived from Scattering with a kind, a str"):
             register_scattering(thing)  # type: ignore[type-var]
     Other.kind = "without a start"
     register_scattering(Other)
@@ -155,6 +154,66 @@ def test_what_cannot_be_registered_or_trained(dataset: Dataset) -> None:
         reconstruct(dataset, replace(preset("default"), iterations=1), scattering=Other.kind, quiet=True)
     with pytest.raises(SarsplatError, match="sar-nerf uses no scattering; omit 'harmonics'"):
         reconstruct(dataset, method="sar-nerf", scattering=Harmonics.kind, quiet=True)
+
+
+class _OfKind(Scattering):
+    """Laws that others spoil."""
+
+    kind: ClassVar[str] = "spoilt"
+
+
+class WithoutAmplitudes(_OfKind): ...
+
+
+class OfDirectionsAlone(_OfKind):
+    def amplitudes(self, directions):  # type: ignore[override]
+        return directions
+
+
+class NoClassMethod(_OfKind):
+    amplitudes = Fan.amplitudes
+
+    def initial(self, count, gamma0, p_min):  # type: ignore[override]
+        return self
+
+
+@dataclass(frozen=True)
+class Spoilt(_OfKind):
+    amplitudes = Fan.amplitudes
+    width: ClassVar[float] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        (WithoutAmplitudes, "the scattering law WithoutAmplitudes has no amplitudes; define that, too"),
+        (OfDirectionsAlone, r"amplitudes does not take \(self, directions, quaternions, scales\): too many"),
+        (NoClassMethod, r"initial does not take \(count, gamma0, p_min\): missing .*; define it as Scattering does"),
+    ],
+)
+def test_a_law_that_could_not_be_called_is_not_registered(law: type[Scattering], said: str) -> None:
+    with pytest.raises(SarsplatError, match=said):
+        register_scattering(law)
+    assert "spoilt" not in SCATTERINGS
+
+
+@pytest.mark.usefixtures("forgotten")
+@pytest.mark.parametrize(
+    ("start", "said"),
+    [
+        (lambda count: None, "returned None"),
+        (lambda count: Harmonics(torch.ones(count, 1)), "returned Harmonics|returned an object of type Harmonics"),
+        (lambda count: Spoilt(torch.ones(count + 1, 3)), r"returned torch.float32 \[\d+, 3\]"),
+        (lambda count: Spoilt(torch.ones(count, 3).double()), r"returned torch.float64 \[\d+, 3\]"),
+    ],
+)
+def test_a_law_that_starts_with_something_else_is_refused(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch, start: Callable[[int], object], said: str
+) -> None:
+    register_scattering(Spoilt)
+    monkeypatch.setattr(Spoilt, "initial", classmethod(lambda cls, count, gamma0, p_min: start(count)))
+    with pytest.raises(SarsplatError, match=rf"Spoilt.initial\(\d+, …\) ({said}); it must return a Spoilt whose"):
+        reconstruct(dataset, replace(preset("default"), iterations=1), scattering="spoilt", quiet=True)
 
 
 def test_the_command_line_knows_the_law_of_a_package(dataset: Dataset, tmp_path: Path) -> None:

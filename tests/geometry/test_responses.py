@@ -84,7 +84,7 @@ def test_a_grid_asks_it():
     wider = grid.widened(0.01, 0.0)
     assert wider.response_variance_m2 == pytest.approx((variance_of(0.3) + 0.01, variance_of(0.4)), rel=1e-12)
     assert wider.response is TAYLOR
-    with pytest.raises(SarsplatError, match=r"the response 'taylor' is not a Response"):
+    with pytest.raises(SarsplatError, match=r"response is 'taylor'; give Gaussian"):
         ImageGrid(4, 6, (0.2, 0.3), (0.3, 0.4), response="taylor")
 
 

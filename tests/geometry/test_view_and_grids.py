@@ -105,6 +105,11 @@ def test_numbers_of_every_kind_are_angles():
     assert View(3600, 40).direction == pytest.approx(View(0, 40).direction, abs=1e-12)
 
 
+def test_whole_numbers_of_every_kind_count_pixels():
+    grid = ImageGrid(np.int64(4), np.int32(5), (0.2, 0.2), (0.3, 0.3))
+    assert json.dumps([grid.rows, grid.columns]) == "[4, 5]"
+
+
 GRID = {"rows": 4, "columns": 4, "spacing_m": (0.2, 0.2), "resolution_m": (0.3, 0.3)}
 
 
@@ -120,8 +125,8 @@ GRID = {"rows": 4, "columns": 4, "spacing_m": (0.2, 0.2), "resolution_m": (0.3, 
         ({"center_m": ("0", 0.0)}, r"image centre \('0', 0.0\) must be a pair of finite metres"),
         ({"center_m": (math.inf, 0.0)}, r"image centre \(inf, 0.0\) must be a pair of finite metres"),
         ({"center_m": (0.0, -1.01e6)}, "image centre .* must be a pair of finite metres"),
-        ({"rows": 4.0}, "4.0 × 4 pixels is not possible; give whole numbers"),
-        ({"columns": None}, "4 × None pixels is not possible; give whole numbers"),
+        ({"rows": 4.0}, "rows is 4.0; give a whole number"),
+        ({"columns": None}, "columns is None; give a whole number"),
         ({"rows": 0}, "an image of 0 × 4 pixels is empty"),
         ({"columns": -1}, "an image of 4 × -1 pixels is empty"),
         ({"rows": 131_073}, "131073 × 4 pixels is too large; give at most 131072 per side"),

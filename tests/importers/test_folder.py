@@ -142,12 +142,18 @@ def test_strays_are_counted_once(tmp_path):
     ("names", "options", "words"),
     [
         ("file,heading,grazing", {}, r"no column that looks like the azimuth; name it .* \(there are file, heading"),
-        ("file,azimuth,x", {}, "does not say from what grazing angle 0.npy is"),
+        ("file,azimuth,x", {}, "like the grazing; name it .* grazing=NAME, or give one grazing angle for all"),
+        (
+            "shot,heading,x",
+            {"spacing_m": None},
+            "like the file or the azimuth or the grazing or the spacing; name them with "
+            "--columns file=NAME,azimuth=NAME,grazing=NAME,spacing=NAME, or give one grazing",
+        ),
         ("file,azimuth,grazing", {"columns": {"az": "azimut"}}, r"no column 'azimut' \(did you mean 'azimuth'\?\)"),
         ("file,azimuth,grazing", {"columns": {"azimut": "x"}}, r"can be a 'azimut' \(did you mean 'azimuth'\?\)"),
         ("file,azimuth,az", {"grazing_deg": 3}, None),
         ("file,az,aspect", {}, "several columns that may be the azimuth: 'az', 'aspect'"),
-        ("file,azimuth,grazing", {"spacing_m": None}, "does not say what the pixel spacing of 0.npy is"),
+        ("file,azimuth,grazing", {"spacing_m": None}, "looks like the spacing; .* or give one spacing for all"),
         ("file,azimuth,grazing", {"spacing_m": (0.1, -1)}, "pixel spacing"),
         ("file,azimuth,grazing", {"near": "north"}, "near is 'north'"),
         ("file,azimuth,grazing", {"quantity": None}, "holds float32 numbers, which may be anything"),
@@ -279,3 +285,57 @@ def test_measured_chips_are_as_their_own_importer_has_them(tmp_path):
     order = [[entry.name for entry in made.entries].index(entry.name) for entry in own.entries]
     assert made.take(order).views == own.views
     assert np.corrcoef(made.power[order].ravel(), own.power.ravel())[0, 1] > 0.999999  # but for what was zero
+
+
+def test_a_rejected_import_is_said_again_where_it_is_trained_on(tmp_path, capsys):
+    folder, out = write(tmp_path / "in", [np.ones_like(image) for image in POWER]), tmp_path / "out"
+    words = ["import", "folder", str(folder), "--out", str(out), "--quantity", "power", "--spacing", "0.1"]
+    assert main(words) == 1
+    shown = capsys.readouterr()
+    assert f"import again with --overwrite and the options that mend it, or look closer with sarsplat check {out}" in (
+        shown.out
+    )
+    assert "error: 4 of 4 images are constant" in shown.err
+    assert main(["info", str(out)]) == 0
+    assert "contradicted" in capsys.readouterr().out
+    reconstruct = ["reconstruct", str(out), "--out", str(tmp_path / "run"), "--iterations", "1", "--gaussians", "20"]
+    main([*reconstruct, "--resume"])
+    assert "contradicts" not in capsys.readouterr().err
+    assert main(reconstruct) in (0, 2)
+    told = capsys.readouterr().err
+    assert f"{out} contradicts itself, so what is learned from it may be wrong: 4 of 4 images are constant" in told
+    assert f"`sarsplat check {out}` says how to mend it" in told
+    write(folder, POWER)
+    assert main([*words, "--overwrite"]) == 0
+    assert "contradictions" not in read_dataset(out).source
+
+
+def test_angles_in_radians_are_said_once(tmp_path, capsys):
+    rows = [[f"{k}.npy", f"{np.radians(90 * k + 20):.4f}", 0.5236] for k in range(4)]
+    folder = write(tmp_path / "in", POWER, rows)
+    words = ["import", "folder", str(folder), "--out", str(tmp_path / "out"), "--quantity", "power", "--spacing", "0.1"]
+    assert main(words) == 1
+    shown = capsys.readouterr()
+    assert shown.err.count("radians") == 1
+    assert shown.err.count("error:") == 1
+    assert "warning:" not in shown.err
+    assert "with 1 contradiction" in shown.out
+
+
+def test_warnings_of_an_import_that_fails_are_said(tmp_path, capsys):
+    folder = write(tmp_path / "in", POWER)
+    (folder / "0.npy").unlink()
+    np.save(folder / "1.npy", PHASE[1].astype(str))
+    assert main(["import", "folder", str(folder), "--out", str(tmp_path / "out"), "--spacing", "0.1"]) == 2
+    assert "warning:" in capsys.readouterr().err
+
+
+def test_too_many_files_are_not_cut(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sarsplat.importers.files._MOST_FILES", 5)
+    folder = write(tmp_path / "in", POWER)
+    assert len(imported(folder)) == 4
+    (folder / "notes.txt").touch()
+    with pytest.raises(SarsplatError, match="more than 5 files; give a folder that holds only the pictures"):
+        imported(folder)
+    assert main(["info", str(folder)]) == 2
+    assert "more than 5 files; give a folder that holds only images to import" in capsys.readouterr().err

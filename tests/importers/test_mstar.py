@@ -261,7 +261,7 @@ def test_wrong_folders(tmp_path, chips):
         run(tmp_path / "empty")
     with pytest.raises(SarsplatError, match=r"no Phoenix file .* --labels"):
         run(chips, labels=None)
-    with pytest.raises(SarsplatError, match="--overwrite"):
+    with pytest.raises(SarsplatError, match="overwrite=True"):
         run(chips)
         run(chips)
     shutil.rmtree(chips / "T72")
@@ -272,8 +272,8 @@ def test_wrong_folders(tmp_path, chips):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", "is missing the column 'path'"),
-        (b"path,class\nT72/chip000.jpeg,T72\n", "is missing the column 'serial'"),
+        (b"", "is missing the columns 'path', 'class', "),
+        (b"path,class\nT72/chip000.jpeg,T72\n", "is missing the columns 'serial', 'desired"),
         (",".join(COLUMNS).encode(), "has no rows"),
         (b"\xff\xfe\x00", "not a readable CSV"),
         (

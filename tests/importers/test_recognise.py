@@ -68,9 +68,27 @@ def test_pictures_without_a_table(shots):
     (shots / "t.csv").write_text("some,thing\n1,2\n")
     it = recognised(shots)
     assert it is not None
+    assert it.kind == "pictures with a table"
+    assert it.facts["missing"] == "which column is the file and which the azimuth; it has some, thing"
+    assert "--columns file=NAME,azimuth=NAME --grazing DEGREES --spacing METRES" in str(it.command)
+    (shots / "u.csv").write_text("some,thing\n1,2\n")
+    it = recognised(shots)
+    assert it is not None
+    assert it.facts["missing"] == f"which of 2 tables is theirs: {shots / 't.csv'}, {shots / 'u.csv'}"
+    for table in ("t.csv", "u.csv"):
+        (shots / table).unlink()
+    it = recognised(shots)
+    assert it is not None
     assert it.kind == "4 pictures (4 .png) without a table of their angles"
     assert "the columns file, azimuth, grazing, spacing" in it.facts["missing"]
     assert "--table TABLE.csv" in str(it.command)
+
+
+def test_a_table_that_is_not_in_utf_8(shots):
+    (shots / "t.csv").write_bytes("Höhe\n1\n".encode("latin-1"))
+    it = recognised(shots)
+    assert it is not None
+    assert "byte 1 is not UTF-8; save" in it.facts["table"]
 
 
 def test_a_table_with_columns_of_other_names(tmp_path):
@@ -158,5 +176,5 @@ def test_phoenix_files(tmp_path: Path) -> None:
 
 def test_a_damaged_table_is_told_in_one_sentence(chips: Path) -> None:
     (chips / "labels.csv").write_text("path,class\n")
-    with pytest.raises(SarsplatError, match="is missing the column 'serial'"):
+    with pytest.raises(SarsplatError, match="is missing the columns 'serial', "):
         recognised(chips)

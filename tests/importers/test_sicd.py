@@ -317,3 +317,16 @@ def test_reconstructed_gaussians_are_where_the_scatterers_were(tmp_path):
         around = means[np.linalg.norm(means - place, axis=1) < 1.5 * cell]
         assert len(around) > 20
         assert np.abs(np.median(around, axis=0) - place).max() < 0.1 * cell
+
+
+def test_info_describes_the_first_of_a_folder(tmp_path, capsys):
+    for number in range(2):
+        write_sicd(tmp_path / f"{number}.nitf", Track(), PLACES, Recording())
+    assert main(["info", str(tmp_path)]) == 0
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert lines[0].endswith("2 .nitf files, which may be SICD")
+    assert f"the first {tmp_path / '0.nitf'}" in lines
+    assert "size 300 rows × 280 columns, 160 m × 160 m" in lines
+    (tmp_path / "0.nitf").write_bytes(b"none")
+    assert main(["info", str(tmp_path)]) == 0
+    assert "0.nitf is not" in " ".join(capsys.readouterr().out.split())

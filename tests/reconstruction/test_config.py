@@ -96,6 +96,10 @@ def test_wrong_values_are_refused_in_a_short_sentence(path: str, value: Any, all
         ("iteratons", "the setting 'iteratons' is unknown; did you mean iterations?"),
         ("rates.mean_m", "the setting 'rates.mean_m' is unknown; did you mean rates.means?"),
         ("densification.most", "the setting 'densification.most' is unknown"),
+        (
+            "surroundings.ground_pitch",
+            "surroundings.ground_pitch is of an earlier version; ground is a plane now, so train",
+        ),
         ("x" * 5000, "is unknown"),
     ],
 )

@@ -18,6 +18,7 @@ from sarsplat.data.orientation import SIDES, Layout, oriented
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction.clutter import contrast_of
 from sarsplat.reconstruction.contradictions import examine
+from sarsplat.reconstruction.counting import counting
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")
@@ -25,7 +26,9 @@ pytest.importorskip("embreex")
 GRID = ImageGrid(56, 48, (0.4, 0.35), (0.5, 0.45))
 
 
-def simulated(ground: float | None, grid: ImageGrid = GRID, scale: float = 1.0, step: int = 30) -> Dataset:
+def simulated(
+    ground: float | None, grid: ImageGrid = GRID, scale: float = 1.0, azimuths: range = range(0, 360, 30)
+) -> Dataset:
     """A long box with a cabin at one end and a mast: like a lorry, of no symmetry."""
     parts = []
     for size, place in (((6, 2, 1), (0, 0, 0.5)), ((1.5, 1.8, 1.2), (2.2, 0, 1.6)), ((0.8, 0.8, 1), (-2, 0.6, 1.5))):
@@ -33,7 +36,7 @@ def simulated(ground: float | None, grid: ImageGrid = GRID, scale: float = 1.0, 
         part.apply_translation(np.multiply(place, scale))
         parts.append(part)
     mesh = trimesh.util.concatenate(parts)
-    views = [View(float(azimuth), grazing) for azimuth in range(0, 360, step) for grazing in (30.0,)]
+    views = [View(float(azimuth), grazing) for azimuth in azimuths for grazing in (30.0,)]
     images = [
         simulate_raycast(mesh, view, grid, ScatteringLaw(), ground_gamma0=ground, ray_spacing=min(grid.spacing_m) / 5)
         for view in views
@@ -141,7 +144,7 @@ def test_an_import_names_the_options_that_mend_it(
 
 
 def test_another_size_and_spacing(bare: Dataset) -> None:
-    ship = simulated(0.1, ImageGrid(40, 64, (8.0, 10.0), (12.0, 10.0)), scale=20, step=24)
+    ship = simulated(0.1, ImageGrid(40, 64, (8.0, 10.0), (12.0, 10.0)), scale=20, azimuths=range(0, 360, 24))
     assert examine(speckled(ship, 1, 0)).contradictions == []
     assert "--near bottom --counter-clockwise, or with --near bottom --mirrored if" in only(
         imported(ship, Layout(), Layout("bottom", True))
@@ -187,7 +190,7 @@ def test_incidence_angles_for_grazing_angles(looks: float | None) -> None:
         (None, {"incidence": "inc"}, "import with --columns grazing=inc"),
         (0.05, {}, "(--grazing 30)"),
     ):
-        dataset = replace(simulated(ground, step=20), source={"kind": "folder", "columns": columns})
+        dataset = replace(simulated(ground, azimuths=range(0, 360, 20)), source={"kind": "folder", "columns": columns})
         dataset = dataset if looks is None else speckled(dataset, looks, 0)
         assert "than if they were incidence angles" in examine(dataset).checks["grazing angles"]
         swapped = tuple(replace(entry, view=View(entry.view.azimuth_deg, 60.0)) for entry in dataset.entries)
@@ -316,3 +319,49 @@ def test_the_command(grounded: Dataset, tmp_path: Path, capsys: pytest.CaptureFi
 def test_one_image_is_not_called_all(bare: Dataset) -> None:
     assert examine(bare.take([0])).checks["images"] == "the only one is not constant"
     assert examine(bare.take([0, 1])).checks["images"] == "all 2 differ, none is constant"
+
+
+def numbered(dataset: Dataset, places: np.ndarray | range, first: float = 1.0) -> Dataset:
+    """With the number of each image as its azimuth, of a dataset that was imported from a table."""
+    entries = [
+        replace(dataset.entries[k], view=View(number + first, dataset.entries[k].view.grazing_deg))
+        for number, k in enumerate(places)
+    ]
+    made = replace(dataset.take([*places]), entries=tuple(entries))
+    return replace(made, source={"kind": "folder", "layout": asdict(Layout())})
+
+
+@pytest.mark.parametrize("ground", [None, 0.05])
+@pytest.mark.parametrize("step", [10, 30, 45])
+def test_numbers_of_images_are_no_azimuths(ground: float | None, step: int) -> None:
+    """Neither in the order of their azimuths nor in another; without a table only if other azimuths match better."""
+    dataset = speckled(simulated(ground, azimuths=range(0, 360, step)), 1, 0)
+    count = len(dataset.entries)
+    for places in (range(count), np.random.default_rng(0).permutation(count)):
+        said = only(numbered(dataset, places))
+        assert f"they count from 1 to {count}, and images" in said
+        assert "--columns azimuth=NAME" in said
+    in_order = replace(numbered(dataset, range(count), 100.0), source={})
+    said = examine(in_order).contradictions
+    assert bool(said) == (step == 10)
+    assert all("match better if these are spread all round" in text for text in said)
+
+
+@pytest.mark.parametrize("ground", [None, 0.05])
+@pytest.mark.parametrize("first", [0, 1, 70])
+def test_azimuths_that_do_count_degrees_pass(ground: float | None, first: int) -> None:
+    """A sector in steps of a degree, from the nose or from the side."""
+    grid = ImageGrid(40, 40, (0.4, 0.35), (0.5, 0.45))
+    sector = simulated(ground, grid, azimuths=range(first, first + 36))
+    for dataset in (sector, speckled(sector, 1, 0)):
+        assert examine(replace(dataset, source={"layout": asdict(Layout())})).contradictions == []
+
+
+def test_degrees_all_round_count_nothing() -> None:
+    assert counting([View(float(k), 30.0) for k in range(360)]) is None
+    assert counting([View(float(k), 30.0) for k in (1, 2, 3, 5)]) is None
+    counts = counting([View(float(k), grazing) for k, grazing in ((3, 30), (1, 30), (2, 40), (4, 40))])
+    assert counts is not None
+    assert (counts.first_deg, counts.last_deg) == (1, 4)
+    assert counts.from_one
+    assert [view.azimuth_deg for view in counts.spread] == [180, 0, 0, 180]

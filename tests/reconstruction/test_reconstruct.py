@@ -13,7 +13,7 @@ import torch
 from sarsplat import Dataset, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.errors import SarsplatWarning
 from sarsplat.reconstruction import Config, Step, Trainer, extract_points
-from sarsplat.reconstruction.config import Surroundings
+from sarsplat.reconstruction.config import FlatGround, Surroundings
 from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.parts.gains import gains
 from sarsplat.reconstruction.setting import Setting
@@ -92,24 +92,32 @@ def test_measured_scenes_have_ground_noise_and_their_own_shifts(dataset: Dataset
 
 
 def test_every_term_of_measured_scenes_can_be_switched_off(dataset: Dataset) -> None:
-    off = Surroundings(ground_std=0, shift_std=0, gain_std=0, side_lobes=0, texture_looks=0)
+    off = Surroundings(shift_std=0, gain_std=0, side_lobes=0, texture_looks=0)
     config = replace(
-        preset("measured"), gaussians=200, iterations=5, surroundings=off, dropout=0, sparsity=0, directional_std=None
+        preset("measured"),
+        gaussians=200,
+        iterations=5,
+        ground=FlatGround(pitch=0),
+        surroundings=off,
+        dropout=0,
+        sparsity=0,
+        directional_std=None,
     )
     trainer = Trainer(dataset, config)
     for _ in range(5):
         trainer.step()
     parameters = trainer.model.parameters
     assert "log_side_lobes" not in parameters
-    for name in ("shift", "log_gain", "ground_texture"):
+    assert "ground_texture" not in parameters
+    for name in ("shift", "log_gain"):
         assert not parameters[name].detach().any(), name
     assert trainer.model.penalty() is None
     assert not any(name.startswith("part/") for name in trainer.model.tensors())
     uniform = replace(preset("measured"), gaussians=200, harmonics_degree=0)
     assert bool(Trainer(dataset, uniform).step().isfinite())
-    airborne = Trainer(dataset, replace(config, surroundings=replace(off, ground_pitch=0)))
+    airborne = Trainer(dataset, replace(config, ground=None))
     assert bool(airborne.step().isfinite())
-    assert len(airborne.model.scene(0)) == 200
+    assert airborne.model.ground() is None
 
 
 def test_the_floor_of_an_unseen_chip_is_the_mean_over_gains(dataset: Dataset) -> None:
@@ -118,7 +126,7 @@ def test_the_floor_of_an_unseen_chip_is_the_mean_over_gains(dataset: Dataset) ->
     parameters = {name: tensor.detach().clone() for name, tensor in trainer.model.parameters.items()}
     parameters["log_gain"][0] -= 3
     parameters["optical_depth"][:] = 1e-3
-    parameters["ground"][0] = -60  # black, but for p_min
+    parameters["ground"][0] = -60  # black
     config = replace(trainer.config, p_min=0)
     uneven = SceneModel(config, trainer.model.setting, parameters)
     factors = gains(uneven.parameters).numpy(force=True)
@@ -154,13 +162,14 @@ def test_directions_need_more_than_two_views_for_each_coefficient(dataset: Datas
 
 def test_priors_are_nats_of_normal_distributions(dataset: Dataset) -> None:
     trainer = Trainer(dataset, replace(preset("measured"), gaussians=20, sparsity=0.3))
-    model, settings = trainer.model, preset("measured").surroundings
+    model, settings, ground = trainer.model, preset("measured").surroundings, preset("measured").ground
     assert settings is not None
+    assert ground is not None
     with torch.no_grad():
         model.parameters["optical_depth"][:] = 0.05
         model.parameters["log_gain"][0] = 2 * settings.gain_std
         model.parameters["shift"][1, 0] = 3 * settings.shift_std * dataset.grid.cell_m
-        model.parameters["ground_texture"][5] = 4 * settings.ground_std
+        model.parameters["ground_texture"][5] = 4 * ground.std
         level = model.config.initial_scattering  # of every Gaussian, all around
         model.parameters["scattering"][7, 3] = 5 * model.config.directional_std * level
     grid, count = dataset.grid, len(dataset.select("train"))

@@ -118,7 +118,7 @@ def test_points_are_extracted_anew(dataset: Dataset, tmp_path: Path) -> None:
     ("change", "message"),
     [
         ({"schema_version": 5}, "schema_version is 5 but this program reads 4; give a run, or reconstruct it again"),
-        ({"schema_version": 3}, "was written by an older version; reconstruct it again with --overwrite"),
+        ({"schema_version": 3}, "was written by an older version; reconstruct it again with overwrite=True"),
         ({"config": CONFIG.as_dict() | {"warmth": 1}}, "config.json: the setting 'warmth' is unknown"),
     ],
 )

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from sarsplat.gaussians import Gaussians, Harmonics
-from sarsplat.gaussians.ground import ground_sheet
+from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, View
 from sarsplat.reconstruction.masks import scene_masks
 from sarsplat.reconstruction.method_sar_gs import GaussianReconstruction
@@ -25,12 +25,15 @@ def box(height: float = 1.5) -> trimesh.Trimesh:
     return trimesh.creation.box((4, 2, height), trimesh.transformations.translation_matrix((0.5, 0, height / 2)))
 
 
-def scene(mesh: trimesh.Trimesh, *, ground: bool = True) -> tuple[Gaussians, int]:
+GROUND = Ground(torch.tensor(0.7))
+
+
+def scene(mesh: trimesh.Trimesh) -> Gaussians:
+    """As bright as the ground."""
     from sarsplat.scenes.splat_truth import surface_gaussians
 
     target, _ = surface_gaussians(mesh, 0.15)
-    target = target.with_tensors(scattering=torch.zeros(len(target), 1))
-    return (Gaussians.cat([target, ground_sheet(12, 0.2)]) if ground else target), len(target)
+    return target.with_tensors(scattering=torch.zeros(len(target), 1))
 
 
 def overlap(first: np.ndarray, second: np.ndarray, kind: int) -> float:
@@ -39,7 +42,7 @@ def overlap(first: np.ndarray, second: np.ndarray, kind: int) -> float:
 
 @pytest.mark.parametrize("height", [1.5, 3.0])
 def test_masks_are_those_of_the_mesh(height: float) -> None:
-    masks = scene_masks(*scene(box(height)), VIEWS, GRID, RAYS)
+    masks = scene_masks(scene(box(height)), GROUND, VIEWS, GRID, RAYS)
     assert (masks.dtype, masks.shape) == (np.uint8, (2, 48, 40))
     for mask, view in zip(masks, VIEWS, strict=True):
         true = raycast_mask(box(height), view, GRID)
@@ -48,32 +51,31 @@ def test_masks_are_those_of_the_mesh(height: float) -> None:
 
 
 def test_without_ground_there_is_no_shadow() -> None:
-    with_ground = scene_masks(*scene(box()), VIEWS, GRID, RAYS)
-    alone = scene_masks(*scene(box(), ground=False), VIEWS, GRID, RAYS)
+    with_ground = scene_masks(scene(box()), GROUND, VIEWS, GRID, RAYS)
+    alone = scene_masks(scene(box()), None, VIEWS, GRID, RAYS)
     assert set(np.unique(alone)) == {CLUTTER, TARGET}
     assert ((alone == TARGET) != (with_ground == TARGET)).sum() < 5  # the sheet is not infinitely thin
 
 
 def test_the_ground_decides_what_is_bright() -> None:
-    alike, count = scene(box())
+    alike = scene(box())
     shares = []
     for step in (-20.0, 0.0, 3.0):  # added before softplus: black, as the ground, brighter
-        parameters = alike.scattering.parameters.clone()
-        parameters[:count] += step
-        masks = scene_masks(alike.with_tensors(scattering=parameters), count, VIEWS, GRID, RAYS)
+        parameters = alike.scattering.parameters + step / 0.28
+        masks = scene_masks(alike.with_tensors(scattering=parameters), GROUND, VIEWS, GRID, RAYS)
         shares.append(int((masks == TARGET).sum()))
         assert (masks == SHADOW).any()
     assert shares[0] == 0
     assert shares[1] < shares[2] < 1.5 * shares[1]
 
 
-def masks_of(target: Gaussians, ground: Gaussians | None, points: np.ndarray, views: list[View]) -> np.ndarray:
-    class Model(SimpleNamespace):
-        def __len__(self) -> int:
-            return len(target)
-
-    whole = target if ground is None else Gaussians.cat([target, ground])
-    model = Model(scene=lambda degree: whole, degree=lambda iteration: 0, as_displaced=lambda grid: grid)
+def masks_of(target: Gaussians, ground: Ground | None, points: np.ndarray, views: list[View]) -> np.ndarray:
+    model = SimpleNamespace(
+        target=lambda degree: target,
+        ground=lambda: ground,
+        degree=lambda iteration: 0,
+        as_displaced=lambda grid: grid,
+    )
     learned = object.__new__(GaussianReconstruction)
     vars(learned).update(model=model, grid=GRID, snapshot=SimpleNamespace(iteration=0))
     return learned.masks(views, points.astype(np.float32))
@@ -92,10 +94,9 @@ def haze(count: int) -> Gaussians:
 
 
 def test_what_lies_around_the_points_is_not_the_target() -> None:
-    clean, count = scene(box())
-    target, ground = clean[:count], clean[count:]
+    target = scene(box())
     points = Gaussians.cat([target, haze(100)]).means.numpy()
-    masks = masks_of(Gaussians.cat([target, haze(500)]), ground, points, VIEWS)
+    masks = masks_of(Gaussians.cat([target, haze(500)]), GROUND, points, VIEWS)
     for mask, view in zip(masks, VIEWS, strict=True):
         true = raycast_mask(box(), view, GRID)
         assert overlap(mask, true, TARGET) > 0.8
@@ -104,7 +105,5 @@ def test_what_lies_around_the_points_is_not_the_target() -> None:
 
 @pytest.mark.parametrize("ground", [False, True])
 def test_without_points_there_is_no_target(ground: bool) -> None:
-    clean, count = scene(box())
-    sheet = clean[count:] if ground else None
-    masks = masks_of(clean[:count], sheet, np.empty((0, 3)), VIEWS[:1])
+    masks = masks_of(scene(box()), GROUND if ground else None, np.empty((0, 3)), VIEWS[:1])
     assert not masks[:, 4:-4, 4:-4].any()

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from sarsplat.gaussians import MIN_SCALE, Gaussians, Harmonics
+from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 
 GRID = ImageGrid(20, 24, spacing_m=(0.2, 0.2), resolution_m=(0.3, 0.3))
@@ -28,6 +29,7 @@ class Scene:
     shift: Tensor | None = None
     gain: Tensor | None = None
     imaging_weight: str = "area"
+    ground: Ground | None = None
     first_return_depth: float = 0.5
 
     def options(self) -> dict[str, object]:
@@ -41,6 +43,8 @@ class Scene:
     def leaves(self, dtype: torch.dtype) -> dict[str, Tensor]:
         """Differentiable arguments by name, as fresh leaves."""
         optional = {"amplitudes": self.amplitudes, "shift": self.shift, "gain": self.gain}
+        if self.ground is not None:
+            optional |= {f"ground.{name}": getattr(self.ground, name) for name in ("gamma0", "exponent")}
         tensors = self.gaussians.tensors() | {k: t for k, t in optional.items() if t is not None}
         if self.amplitudes is not None:
             del tensors["scattering"]  # unused then
@@ -51,6 +55,9 @@ class Scene:
         fields = self.gaussians.tensors()
         own = {name: leaves.get(name, tensor.to(leaves["means"].dtype)) for name, tensor in fields.items()}
         arguments = {name: leaves[name] for name in ("amplitudes", "shift", "gain") if name in leaves}
+        if self.ground is not None:
+            levels = {name: leaves[f"ground.{name}"] for name in ("gamma0", "exponent") if f"ground.{name}" in leaves}
+            arguments["ground"] = replace(self.ground, **levels)
         return renderer(
             self.gaussians.with_tensors(**own), self.views, self.grid, **arguments, **self.options(), **more
         )
@@ -117,6 +124,11 @@ def _column() -> Gaussians:
     return replace(cloud(6, 5, scale=0.15, kappa=(0.8, 1.5)), means=facing(VIEWS[0], offsets))
 
 
+def _textured(height_m: float) -> Ground:
+    """Ground of twelve places, that returns less at small angles."""
+    return Ground(0.2 + 0.3 * _random(9, 3, 4).abs(), 0.9, height_m, torch.tensor(1.5))
+
+
 def _gradcheck(base: Gaussians, **more: object) -> Scene:
     # few, coarse rays: finite differences of every number take two renderings each
     grid = ImageGrid(5, 6, spacing_m=(0.35, 0.35), resolution_m=(0.4, 0.45))
@@ -133,6 +145,9 @@ GRADCHECK: dict[str, Callable[[], Scene]] = {
     ),
     "amplitudes given": lambda: _gradcheck(
         cloud(4, 6, size=(0.5, 0.5, 0.5), scale=0.2, kappa=(0.5, 2.0)), amplitudes=0.5 + _random(3, 2, 4, 2).abs()
+    ),
+    "on the ground": lambda: _gradcheck(
+        cloud(3, 3, size=(0.5, 0.5, 0.5), scale=0.2, kappa=(0.7, 2.0), degree=0), ground=_textured(-0.3)
     ),
 }
 """A handful of Gaussians each, with overlap and occlusion, small enough for finite differences of every parameter."""
@@ -171,6 +186,12 @@ MATRIX: dict[str, Callable[[], Scene]] = {
     "coarse rays": lambda: Scene(cloud(40, 28), rays=RayGrid((0.4, 0.4))),
     "depth ties": lambda: Scene(_tied()),
     "one pixel": lambda: Scene(cloud(10, 29), grid=ImageGrid(1, 1, (0.2, 0.2), (0.5, 0.5))),
+    "ground": lambda: Scene(cloud(40, 30), ground=Ground(torch.tensor(0.3), height_m=-0.55)),
+    "ground of many levels": lambda: Scene(cloud(40, 31), ground=_textured(-0.55), gain=torch.tensor([1.3, 0.2, 4.0])),
+    "ground, shifted": lambda: Scene(cloud(40, 32), ground=_textured(-0.55), shift=0.2 * _random(6, 3, 2)),
+    "ground in three channels": lambda: Scene(
+        cloud(40, 33), amplitudes=_random(5, 3, 40, 3), ground=Ground(torch.tensor(0.3), height_m=-0.55)
+    ),
     "many": lambda: Scene(cloud(1100, 50, size=(4.0, 4.0, 2.0), scale=0.05), views=VIEWS[:2]),
 }
 """What the engines are compared on. Rendering is cut (footprints, early stop, image), and a pair that lies on a cut to

@@ -6,6 +6,7 @@ import gc
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from sarsplat.renderer import render
 SCENES = {
     "many": MATRIX["many"],
     "many views": MATRIX["many views"],
+    "ground": lambda: replace(MATRIX["ground, shifted"](), gaussians=cloud(900, 62, scale=0.05)),
     "one view": lambda: Scene(cloud(2500, 60, size=(6.0, 3.0, 3.0), scale=0.05), VIEWS[:1]),
     "shift and gain": lambda: Scene(
         cloud(900, 61, scale=0.05), shift=torch.full((3, 2), 0.1), gain=torch.tensor([1.3, 0.2, 4.0])

@@ -2,13 +2,12 @@
 
 import re
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from chromium import chromium
-from reports import make_dataset, make_metrics, make_run
+from reports import MadeUpRun, make_dataset, make_metrics, make_run
 from sarsplat.errors import SarsplatError
 from sarsplat.report import compare, write_comparison
 from sarsplat.report.page import in_words
@@ -71,7 +70,7 @@ def test_the_page_shows_the_same_views_of_every_run(tmp_path: Path) -> None:
 def test_the_page_is_at_most_three_screens_long_and_its_tables_are_aligned(tmp_path: Path, count: int) -> None:
     runs = two_runs(tmp_path)
     for number in range(2, count):
-        runs.append(SimpleNamespace(**{**vars(runs[0]), "folder": tmp_path / f"run-{number}"}))
+        runs.append(MadeUpRun(**{**vars(runs[0]), "folder": tmp_path / f"run-{number}"}))
     page = write_comparison(compare(runs), tmp_path / "page")
     with chromium() as browser:
         browser.page.size(1400, 900)
@@ -136,7 +135,7 @@ def test_the_page_of_several_datasets_is_as_short(tmp_path: Path, shared: tuple[
         first, _ = two_runs(folder, fingerprint=f"{number}")
         for copy in range(count):
             named = {"folder": folder / f"run-{number}-{copy}", "fingerprint": f"{number}"}
-            runs.append(SimpleNamespace(**{**vars(first), **named}))
+            runs.append(MadeUpRun(**{**vars(first), **named}))
     page = write_comparison(compare(runs), tmp_path / "page")
     with chromium() as browser:
         browser.page.size(1400, 900)

@@ -157,7 +157,7 @@ def test_target_beside_the_image_leaves_it_empty():
         ({"ray_spacing": math.nan}, "ray_spacing nan must be positive"),
         ({"ray_offset": (math.nan, 0.0)}, r"ray_offset \(nan, 0.0\) must be two finite numbers"),
         ({"oversample": 0}, "oversample 0 must be a whole number"),
-        ({"oversample": 2.5}, "oversample 2.5 must be a whole number"),
+        ({"oversample": 2.5}, "oversample is 2.5; give a whole number"),
         ({"oversample": 1}, "too fine for image nodes"),
         ({"ground_gamma0": -10.0}, "ground_gamma0 -10.0 must be finite and at least 0"),
     ],

@@ -87,7 +87,7 @@ def test_a_port_in_use_is_refused_and_not_replaced_by_the_next(served):
 
 @pytest.mark.parametrize("port", [-1, 65536])
 def test_a_number_that_is_not_a_port_is_refused(port):
-    with pytest.raises(SarsplatError, match=f"--port {port} is not a valid port"):
+    with pytest.raises(SarsplatError, match=f"port {port} is not a valid port"):
         start_server(port, lambda *place: None)
 
 

@@ -31,6 +31,9 @@ OptionalName = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior
 OptionalNumber = Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(optional)")]
 OptionalCount = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(optional)")]
 Metres = Annotated[float | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="(optional)")]
+Lengths = Annotated[tuple[float, ...], tyro.conf.arg(metavar="METRES [METRES]", help_behavior_hint="(optional)")]
+"""In azimuth and range, or one for both; see `pair`."""
+
 Angles = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DEG …", help_behavior_hint="")]
 """Numbers or ranges start:stop:step, degrees, with spaces or commas between them; see `angles`."""
 
@@ -77,6 +80,13 @@ def metres(text: str, name: str) -> float:
         return float(text.strip().removesuffix("m"))
     except ValueError:
         raise SarsplatError(f"--{name} {text!r} is not a valid length; give metres, such as 64 or 64m") from None
+
+
+def pair(lengths: tuple[float, ...], name: str) -> tuple[float, float] | None:
+    """Azimuth and range of one or two lengths; None of none."""
+    if len(lengths) > 2:
+        raise SarsplatError(f"--{name} has {len(lengths)} numbers; give one, or two: azimuth and range")
+    return (lengths[0], lengths[-1]) if lengths else None
 
 
 def numbers(text: str, name: str, counts: tuple[int, ...], example: str) -> tuple[float, ...]:

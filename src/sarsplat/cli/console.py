@@ -45,10 +45,9 @@ def facts(title: str, rows: dict[str, str]) -> None:
 
 
 def finish(wrote: str, next_step: str) -> None:
-    """How a command ends: what it wrote, and what to do next; a command of ours is shown as it can be typed here."""
-    typed = re.sub(r"^sarsplat(?= )", lambda _: program(), next_step)
+    """How a command ends: what it wrote, and what to do next."""
     _print(Console(), f"[green]wrote[/] {_safe(wrote)}")
-    _print(Console(), f"[dim]next:[/] {_safe(typed)}")
+    _print(Console(), f"[dim]next:[/] {_safe(next_step)}")
 
 
 def program() -> str:
@@ -95,8 +94,17 @@ def busy(text: str) -> Iterator[None]:
 
 
 def _safe(text: str) -> str:
-    """Foreign text as it may be shown: no markup, and no control characters for the terminal."""
-    return escape("".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text))
+    """Any text as it may be shown: no markup, no control characters, and commands of ours as they can be typed here."""
+    return escape("".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in _typed(text)))
+
+
+def _typed(text: str) -> str:
+    """The text with `program` in place of `sarsplat` before a command's name."""
+    if "sarsplat " not in text or (called := program()) == "sarsplat":
+        return text
+    from sarsplat.cli.parser import COMMANDS  # here, for it imports the commands
+
+    return re.sub(rf"(?<![\w./-])sarsplat(?= (?:{'|'.join(COMMANDS)})\b)", lambda _: called, text)
 
 
 def _print(console: Console, markup: str) -> None:

@@ -9,11 +9,13 @@ import tyro
 
 from sarsplat.cli.arguments import (
     Folder,
+    Lengths,
     OptionalCount,
     OptionalFile,
     OptionalName,
     OptionalNumber,
     one_of,
+    pair,
 )
 from sarsplat.cli.imported import carry_out
 from sarsplat.cli.importers import Contents, Recognised, dataset_name, typed_import
@@ -23,7 +25,12 @@ from sarsplat.names import Quantity, Side
 if TYPE_CHECKING:
     from sarsplat.importers.columns import Columns
 
-Lengths = Annotated[tuple[float, ...], tyro.conf.arg(metavar="METRES [METRES]", help_behavior_hint="(optional)")]
+
+_LEAST_CERTAIN = 0.1
+"""Pictures may be anything's."""
+
+_LISTED = 5
+"""Tables that are named."""
 
 
 def command(
@@ -116,8 +123,8 @@ def command(
         quantity=quantity,
         scale=scale,
         offset=offset,
-        spacing_m=_pair(spacing, "spacing"),
-        resolution_m=_pair(resolution, "resolution"),
+        spacing_m=pair(spacing, "spacing"),
+        resolution_m=pair(resolution, "resolution"),
         ground_range=ground_range,
         grazing_deg=grazing,
         near=near,
@@ -145,12 +152,6 @@ def _named(words: tuple[str, ...]) -> dict[str, str]:
     return named
 
 
-def _pair(lengths: tuple[float, ...], name: str) -> tuple[float, float] | None:
-    if len(lengths) > 2:
-        raise SarsplatError(f"--{name} has {len(lengths)} numbers; give one, or two: azimuth and range")
-    return (lengths[0], lengths[-1]) if lengths else None
-
-
 def recognise(contents: Contents) -> Recognised | None:
     """Pictures, with or without a table of their angles."""
     from sarsplat.importers.pictures import PICTURE_ENDINGS
@@ -158,31 +159,32 @@ def recognise(contents: Contents) -> Recognised | None:
     pictures = len(contents.ending_in(*PICTURE_ENDINGS))
     if not pictures or not contents.path.is_dir():
         return None
-    return _with_table(contents, pictures) or _without_table(contents, pictures, PICTURE_ENDINGS)
+    tables = contents.ending_in(".csv")
+    with_table = _with_table(contents, pictures, tables[0]) if len(tables) == 1 else None
+    return with_table or _without_table(contents, pictures, PICTURE_ENDINGS, tables)
 
 
-def _with_table(contents: Contents, pictures: int) -> Recognised | None:
-    """Pictures and one table with at least one column that is of use."""
+def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:
+    """Pictures and a table, which may lack columns or not be readable."""
     from sarsplat.data.csv_table import read_table
     from sarsplat.importers.columns import chosen_columns
 
-    tables = contents.ending_in(".csv")
-    if len(tables) != 1:
-        return None
+    facts = {"pictures": str(pictures)}
     try:
-        table = read_table(tables[0], "a table with a row for each picture")
+        table = read_table(path, "a table with a row for each picture")
         columns = chosen_columns(table, {})
-    except SarsplatError:
-        return None  # whatever table that is
-    if not columns:
-        return None
-    facts = {"pictures": str(pictures), "table": f"{table.path} ({counted(len(table.rows), 'row')})"}
-    facts["columns"] = ", ".join(f"{meaning} = {name}" for meaning, name in columns.items())
+    except SarsplatError as error:
+        facts["table"] = str(error)
+        return Recognised("pictures with a table that cannot be used as it is", facts, certainty=_LEAST_CERTAIN)
+    facts["table"] = f"{table.path} ({counted(len(table.rows), 'row')})"
+    if columns:
+        facts["columns"] = ", ".join(f"{meaning} = {name}" for meaning, name in columns.items())
     lacking = [meaning for meaning in ("file", "azimuth") if meaning not in columns]
     if lacking:
         facts["missing"] = f"which column is the {' and which the '.join(lacking)}; it has {', '.join(table.columns)}"
     command = _command(contents.path, columns, lacking)
-    return Recognised("pictures with a table of their angles", facts, command, certainty=0.2 if lacking else 1.0)
+    certainty = 1.0 if not lacking else 0.2 if columns else _LEAST_CERTAIN
+    return Recognised(f"pictures with a table{'' if lacking else ' of their angles'}", facts, command, certainty)
 
 
 def _command(folder: Path, columns: Columns, lacking: list[str]) -> str:
@@ -196,14 +198,17 @@ def _command(folder: Path, columns: Columns, lacking: list[str]) -> str:
     return typed_import(*words, out=dataset_name(folder))
 
 
-def _without_table(contents: Contents, pictures: int, endings: tuple[str, ...]) -> Recognised:
+def _without_table(contents: Contents, pictures: int, endings: tuple[str, ...], tables: list[Path]) -> Recognised:
     numbers = {ending: len(contents.ending_in(ending)) for ending in endings}
     kinds = ", ".join(f"{number} {ending}" for ending, number in numbers.items() if number)
     needed = "a table (CSV) with a row for each, with the columns file, azimuth, grazing, spacing (docs/formats.md)"
+    if tables:
+        needed = f"which of {len(tables)} tables is theirs: {', '.join(map(str, tables[:_LISTED]))}"
+        needed += ", …" * (len(tables) > _LISTED)
     words = ("folder", str(contents.path), "--table", "TABLE.csv", "--spacing", "METRES")
     return Recognised(
         f"{counted(pictures, 'picture')} ({kinds}) without a table of their angles",
         {"missing": needed},
         typed_import(*words, out=dataset_name(contents.path)),
-        certainty=0.1,
+        certainty=_LEAST_CERTAIN,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,7 @@ import tyro
 from sarsplat.cli.arguments import Folder, OptionalCount, metres, numbers
 from sarsplat.cli.imported import carry_out
 from sarsplat.cli.importers import Contents, Recognised, by_ending, typed_import
-from sarsplat.errors import counted
+from sarsplat.errors import SarsplatError, counted
 
 _NAMES = {"start": "date", "polarization": "polarisation"}
 """What else to call facts of a file."""
@@ -75,12 +76,20 @@ def command(
 
 
 def recognise(contents: Contents) -> Recognised | None:
-    """NITF files; one alone is described."""
+    """NITF files; one alone, or the first of several, is described."""
     from sarsplat.importers.nitf import is_nitf
 
     if contents.path.is_file() and is_nitf(contents.path):
         return _described(contents.path)
-    return by_ending(contents, (".nitf", ".ntf", ".sicd"), "sicd", "SICD")
+    several = by_ending(contents, (".nitf", ".ntf", ".sicd"), "sicd", "SICD")
+    if several is None or not contents.path.is_dir():
+        return several
+    first = contents.ending_in(".nitf", ".ntf", ".sicd")[0]
+    try:
+        facts = {"the first": str(first), **_described(first).facts}
+    except SarsplatError as error:
+        facts = {"the first": str(error)}
+    return replace(several, facts=facts)
 
 
 def _described(path: Path) -> Recognised:

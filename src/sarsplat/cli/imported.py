@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
-from contextlib import nullcontext
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +17,7 @@ from sarsplat.errors import counted
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
+    from sarsplat.reconstruction.examination import Examination
 
 CONTRADICTED = 1
 """Exit code of commands whose images contradict what is said of them."""
@@ -24,25 +27,46 @@ def carry_out(
     importer: Callable[..., Dataset], files: object, out: Path, *, overwrite: bool, doing: str = "", **options: Any
 ) -> int:
     """Call an importer, unless the output is in the way, and finish; `doing` is what is said meanwhile."""
-    refuse_existing(out, overwrite, marker="dataset.json")
-    with console.busy(doing) if doing else nullcontext():
+    from sarsplat.data import write_json
+    from sarsplat.data.dataset_folder import HEADER
+    from sarsplat.reconstruction.contradictions import examine
+
+    refuse_existing(out, overwrite, marker=HEADER)
+    contradictions: list[str] = []
+    with _warned_later(contradictions), console.busy(doing) if doing else nullcontext():
         dataset = importer(files, out, overwrite=overwrite, **options)
-    return finish(out, dataset)
+        examined = examine(dataset)
+        contradictions += examined.contradictions
+    if contradictions:  # for `reconstruct`, which does not look again
+        dataset = replace(dataset, source={**dataset.source, "contradictions": contradictions})
+        write_json(out / HEADER, dataset.header())
+    return _finish(out, dataset, examined)
 
 
-def finish(out: Path, dataset: Dataset) -> int:
+@contextmanager
+def _warned_later(contradictions: list[str]) -> Iterator[None]:
+    """Warnings inside of the block are said after it, but for those of what contradicts the dataset."""
+    held: list[warnings.WarningMessage] = []
+    try:
+        with warnings.catch_warnings(record=True) as held:
+            yield
+    finally:
+        for one in held:
+            if str(one.message) not in contradictions:
+                warnings.showwarning(one.message, one.category, one.filename, one.lineno)
+
+
+def _finish(out: Path, dataset: Dataset, examined: Examination) -> int:
     """Print what was assumed and what contradicts it, and draw a sheet that shows the orientation.
 
     The exit code is 1 if the images contradict what was assumed.
     """
-    from sarsplat.data.plausible import warn
     from sarsplat.importers import summary
-    from sarsplat.reconstruction.contradictions import examine
 
     for assumption in dataset.source.get("assumptions", ()):
         console.say(f"assumed: {assumption}")
-    examined = examine(dataset)
-    warn(examined.contradictions)  # not what was said when the dataset was written
+    for text in examined.contradictions:
+        console.complain(text)
     try:
         _draw(out / "preview.png", dataset, examined.orientations)
     except ModuleNotFoundError as error:
@@ -51,7 +75,8 @@ def finish(out: Path, dataset: Dataset) -> int:
     if examined.contradictions:
         console.finish(
             f"{out}: {summary(dataset)}, with {counted(len(examined.contradictions), 'contradiction')}",
-            f"import again with what mends them (--overwrite), or look closer: sarsplat check {folder} --verbose",
+            "import again with --overwrite and the options that mend it, or look closer with "
+            f"sarsplat check {folder} --verbose",
         )
         return CONTRADICTED
     console.finish(

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import inspect
-import itertools
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -18,9 +17,6 @@ IMPORTERS = discover("sarsplat.cli", "import_", "command", "sarsplat.importers")
 """`import NAME` by name: `command` in the file `import_NAME.py` of this folder, or an entry point."""
 
 USUAL_TRAIN_VIEWS = 36
-
-_MOST_FILES = 20_000
-"""More are not looked at: somebody gave a home folder."""
 
 
 @dataclass(frozen=True)
@@ -59,13 +55,11 @@ def recognised(path: Path) -> Recognised | None:
     SarsplatError
         If it cannot be read, or a file that decides is damaged.
     """
-    from sarsplat.data.files import plain_os_errors
+    from sarsplat.importers.files import files_in
 
     is_table = path.suffix.lower() == ".csv" and path.is_file()
     folder = path.absolute().parent if is_table else path
-    with plain_os_errors("read", folder):
-        inside = itertools.islice(filter(Path.is_file, folder.rglob("*")), _MOST_FILES) if folder.is_dir() else [path]
-        contents = Contents(folder, sorted(inside))
+    contents = Contents(folder, files_in(folder, "images to import") if folder.is_dir() else [path])
     asked: list[Callable[[Contents], Recognised | None] | None]
     asked = [getattr(inspect.getmodule(command), "recognise", None) for command in IMPORTERS.loaded().values()]
     answers = [answer for recognise in asked if recognise is not None and (answer := recognise(contents)) is not None]

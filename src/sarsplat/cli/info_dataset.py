@@ -58,6 +58,10 @@ def describe_dataset(path: Path, plot: Path | None) -> None:
         console.say(f"wrote {plot}")
 
 
+_SAID = {"assumptions": "assumed", "contradictions": "contradicted"}
+"""Sentences about the source, and what they are called."""
+
+
 def _format(plot: Path) -> str:
     kind = plot.suffix.lower().removeprefix(".")
     if kind not in ("png", "svg"):
@@ -89,7 +93,7 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
 
 
 def _source(source: Mapping[str, Any]) -> dict[str, str]:
-    """Where the images come from: assumptions take a line each, and what is said of every image is only counted."""
+    """Where the images come from: sentences take a line each, and what is said of every image is only counted."""
     from sarsplat.data.dataset_folder import HEADER
 
     rows = {}
@@ -99,8 +103,8 @@ def _source(source: Mapping[str, Any]) -> dict[str, str]:
         parts = [*value.values()] if isinstance(value, dict) else value
         if not isinstance(parts, list):
             rows[f"source.{name}"] = str(value)
-        elif name == "assumptions":
-            rows["assumed"] = "\n".join(map(str, parts))
+        elif name in _SAID:
+            rows[_SAID[name]] = "\n".join(map(str, parts))
         elif any(isinstance(part, dict | list) for part in parts):
             rows[f"source.{name}"] = f"{len(parts)}, listed in {HEADER}"
         elif isinstance(value, dict):

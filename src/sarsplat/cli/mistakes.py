@@ -59,7 +59,7 @@ def _plain(program: str, box: str) -> str:
         return f"{missing[1]} is missing; {see}"
     if wrong := re.match(r"Error parsing (\S+): .*?(string to float|for int\(\)).*?: ('[^']*')", text):
         return f"{wrong[1]} {wrong[3]} is not a {'number' if 'float' in wrong[2] else 'whole number'}; give one"
-    if wrong := re.match(r"Error parsing (\S+): .*(?:arguments|instantiated from) \[(.*?)\]( into|\.)", text):
+    if wrong := re.match(r"Error parsing (\S+): .*(?:arguments:?|instantiated from) \[(.*?)\]( into|\.|$| )", text):
         return f"{wrong[1]} does not accept {wrong[2]}; {see}"
     if short := re.match(r"Missing value for argument '(.*?)'\. Expected (\d+) values", text):
         return f"{short[1]} needs {'a value' if short[2] == '1' else 'more values'}; give {short[2]}, or {see}"

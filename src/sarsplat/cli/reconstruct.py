@@ -151,6 +151,7 @@ def reconstruct(
         return
     if not options.resume:
         refuse_existing(out, options.overwrite, marker=HEADER)
+        _warn_of_contradictions(dataset, images)
     port, begun_at = options.port if options.view else None, time.monotonic()
     with watched(options.dataset, options.out, images, tensorboard=options.tensorboard, port=port) as on_step:
         run = train(
@@ -164,11 +165,27 @@ def reconstruct(
             resume=options.resume,
             overwrite=options.overwrite,
         )
+    typed, again = shlex.quote(str(out)), shlex.join(["sarsplat", "reconstruct", str(dataset), "--out", str(out)])
+    if len(run.points) == 0:
+        longer = f"{again} --resume --iterations {max(2 * config.iterations, Config.iterations)}"
+        console.warn(f"there are no points of a surface yet; train longer, such as with `{longer}`")
     console.finish(
         f"{out}: {run.learned} and {counted(len(run.points), 'point')} in {time.monotonic() - begun_at:.0f} s "
         f"({run.time_s:.0f} s of training; {method.about(config, images.grid)[0]}, seed {run.seed})",
-        f"sarsplat evaluate {shlex.quote(str(out))}",
+        f"sarsplat evaluate {typed}",
     )
+
+
+def _warn_of_contradictions(dataset: Path, images: Dataset) -> None:
+    """Say that the import has found the dataset to contradict itself; to look again would take too long."""
+    found = images.source.get("contradictions")
+    if isinstance(found, list) and found:
+        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+        look = shlex.join(["sarsplat", "check", str(dataset)])
+        console.warn(
+            f"{dataset} contradicts itself, so what is learned from it may be wrong: "
+            f"{str(found[0]).partition(';')[0]}{more}; `{look}` says how to mend it"
+        )
 
 
 def _base(method: Method, options: Options, images: Dataset) -> Any:

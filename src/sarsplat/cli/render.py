@@ -97,12 +97,12 @@ def render(
     from sarsplat.report.look import Look
     from sarsplat.report.rendered import FILES, SHEET, Rendered, asked_grid, require_distinct, require_output
 
+    done = run_at(run)
     views = None if sweep else views_from(azimuth, grazing, incidence)
     require_output(out, frames if views is None else len(views))
     recognises = FILES.get(out.suffix.lower())
     if views is not None and recognises is None:
         require_distinct(views)
-    done = run_at(run)
     refuse_existing(out, overwrite, marker=None if recognises else SHEET)
     if recognises is not None:
         refuse_other_kinds(out, run, recognises)

@@ -12,11 +12,13 @@ from sarsplat.cli import console
 from sarsplat.cli.arguments import (
     Angles,
     Folder,
+    Lengths,
     Metres,
     OptionalCount,
     OptionalFile,
     OptionalNumber,
     one_of,
+    pair,
     refuse_existing,
 )
 from sarsplat.cli.simulated_views import simulated_views
@@ -51,9 +53,9 @@ def simulate(
     ground: OptionalNumber = None,
     looks: OptionalNumber = None,
     clean_tests: bool = False,
-    pixels: OptionalCount = None,
-    spacing: Metres = None,
-    resolution: Metres = None,
+    pixels: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N [N]", help_behavior_hint="(optional)")] = (),
+    spacing: Lengths = (),
+    resolution: Lengths = (),
     response: str = "gaussian",
     ray_spacing: Metres = None,
     masks: bool = False,
@@ -106,11 +108,11 @@ def simulate(
     clean_tests
         Speckle the training images only, so that the test images are scored as noise-free ones.
     pixels
-        Rows and columns of an image (default: the protocol's 128).
+        Size of an image: one number, or rows (slant range) and columns (azimuth) (default: the protocol's 128).
     spacing
-        Pixel spacing in azimuth and slant range (default: the protocol's).
+        Pixel spacing: one number, or azimuth and slant range (default: the protocol's).
     resolution
-        3 dB width in azimuth and slant range (default: the spacing, or the protocol's).
+        3 dB width: one number, or azimuth and slant range (default: the spacing, or the protocol's).
     response
         Shape of the system's response: gaussian, or taylor, with side lobes at −35 dB (ray casting only).
     ray_spacing
@@ -130,7 +132,7 @@ def simulate(
     from sarsplat.geometry.responses import response_of
     from sarsplat.progress import progress
     from sarsplat.scenes import ScatteringLaw, load_mesh, mstar_views, paper_views, target_mesh
-    from sarsplat.scenes.meshes import scaled, suspicious_size
+    from sarsplat.scenes.meshes import is_larger, scaled, suspicious_size
     from sarsplat.scenes.raycast import default_ray_spacing
     from sarsplat.scenes.raycast_masks import raycast_masks
     from sarsplat.scenes.scattering import part_reflectivity
@@ -153,7 +155,10 @@ def simulate(
         problem = "both --target and --mesh were" if target else "neither --target nor --mesh was"
         raise SarsplatError(f"{problem} given; give exactly one of them, e.g. --target t72")
     surface = scaled(surface, scale)
-    warn(suspicious_size(surface, grid))
+    odd = suspicious_size(surface, grid)
+    if odd and is_larger(surface, grid) and not pixels and not spacing:
+        raise SarsplatError(odd[0])  # not minutes of work for images of a part that nobody chose
+    warn(odd)
     if ray_spacing is None and source == "raycast":
         ray_spacing = default_ray_spacing(surface, grid)
     elif ray_spacing is not None and ray_spacing > min(grid.spacing_m) / 2:
@@ -209,13 +214,16 @@ def simulate(
 
 
 def _grid(
-    protocol: str, pixels: int | None = None, spacing: float | None = None, resolution: float | None = None
+    protocol: str, pixels: tuple[int, ...] = (), spacing: tuple[float, ...] = (), resolution: tuple[float, ...] = ()
 ) -> ImageGrid:
     from sarsplat.scenes import mstar_grid, paper_grid
 
     grid = paper_grid() if protocol == "paper" else mstar_grid()
-    if pixels is not None:
-        grid = replace(grid, rows=pixels, columns=pixels)
-    if spacing is not None:
-        grid = replace(grid, spacing_m=(spacing, spacing), resolution_m=(spacing, spacing))
-    return grid if resolution is None else replace(grid, resolution_m=(resolution, resolution))
+    if len(pixels) > 2:
+        raise SarsplatError(f"--pixels has {len(pixels)} numbers; give one, or two: rows and columns")
+    if pixels:
+        grid = replace(grid, rows=pixels[0], columns=pixels[-1])
+    if (spacing_m := pair(spacing, "spacing")) is not None:
+        grid = replace(grid, spacing_m=spacing_m, resolution_m=spacing_m)
+    resolution_m = pair(resolution, "resolution")
+    return grid if resolution_m is None else replace(grid, resolution_m=resolution_m)

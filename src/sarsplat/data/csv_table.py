@@ -60,11 +60,16 @@ def read_table(path: Path, purpose: str, needed: Sequence[str] = ()) -> CsvTable
         reader = _reader(text, separator)
         columns = tuple(name.strip() for name in next(reader, []))
         if missing := [name for name in needed if name not in columns]:
-            raise SarsplatError(f"{path} is missing the column {missing[0]!r}; it needs {', '.join(needed)}")
+            lacks = f"column{'' if len(missing) == 1 else 's'} {', '.join(map(repr, missing))}"
+            raise SarsplatError(f"{path} is missing the {lacks}; it needs {', '.join(needed)}")
         rows = []
         for cells in itertools.islice((cells for cells in reader if cells), _MAX_ROWS + 1):
             rows.append((reader.line_num, _row(path, reader.line_num, columns, cells)))
-    except (UnicodeDecodeError, csv.Error) as error:
+    except UnicodeDecodeError as error:
+        raise SarsplatError(
+            f"{path} is not a readable CSV table, for its byte {error.start} is not UTF-8; save {purpose} in UTF-8"
+        ) from error
+    except csv.Error as error:
         raise SarsplatError(f"{path} is not a readable CSV table ({error}); give {purpose}") from error
     if len(rows) > _MAX_ROWS:
         raise SarsplatError(f"{path} has more than {_MAX_ROWS} rows; split {purpose} into smaller ones")

@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Complex, Complex64, Real
 
+from sarsplat.arguments import checks_arguments, expect
 from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, SPLIT, Box, Calibration, DatasetHeader
 from sarsplat.data.image import SarImage, as_signal, check_power, check_signal, power_of
 from sarsplat.errors import SarsplatError, counted, shown
@@ -51,6 +52,8 @@ class DatasetEntry:
     azimuth_std_deg: float = 0.0
 
     def __post_init__(self) -> None:
+        expect(View, view=self.view)
+        expect(str, split=self.split, name=self.name)
         std = self.azimuth_std_deg
         if not isinstance(std, RealNumber) or not 0 <= std <= _LEAST_CERTAIN_DEG:  # also catches NaN
             raise SarsplatError(
@@ -121,6 +124,8 @@ class Dataset:
     path: Path | None = None
 
     def __post_init__(self) -> None:
+        expect(ImageGrid, grid=self.grid)
+        expect(tuple[DatasetEntry, ...], entries=self.entries)
         if not self.entries:
             raise SarsplatError("a dataset needs images, but there are none; give at least one")
         expected = (len(self.entries), self.grid.rows, self.grid.columns)
@@ -158,6 +163,7 @@ class Dataset:
             raise SarsplatError(f"target_box_m {box} must be a lower and an upper corner (x, y, z) in metres")
 
     @classmethod
+    @checks_arguments
     def of_complex(
         cls,
         grid: ImageGrid,
@@ -185,6 +191,7 @@ class Dataset:
         return cls(grid, entries, power_of(signal), signal=signal, **fields)
 
     @classmethod
+    @checks_arguments
     def from_images(
         cls,
         images: Sequence[SarImage],
@@ -213,9 +220,6 @@ class Dataset:
         every = [*images, *test]
         if not images:
             raise SarsplatError("there are no training images; give at least one")
-        for image in every:
-            if not isinstance(image, SarImage):
-                raise SarsplatError(f"images holds a {type(image).__name__}; make each a SarImage(power, view, grid)")
         grid = every[0].grid
         for index, image in enumerate(every):
             if image.grid != grid:
@@ -276,6 +280,7 @@ class Dataset:
         """Names of the sets it holds, in order of first appearance."""
         return tuple(dict.fromkeys(entry.split for entry in self.entries))
 
+    @checks_arguments
     def select(self, split: str) -> Dataset:
         """The dataset of one set alone, in memory; its `looks` are those of its images.
 
@@ -288,6 +293,7 @@ class Dataset:
         looks = None if clean else self.looks
         return replace(self.take(self._of_set(split)), looks=looks, clean_tests=False)
 
+    @checks_arguments
     def take(self, indices: Sequence[int]) -> Dataset:
         """The dataset of some of its images, in memory, in the order of `indices`."""
         chosen = [*indices]
@@ -300,6 +306,7 @@ class Dataset:
             path=None,
         )
 
+    @checks_arguments
     def images(self, split: str) -> Real[np.ndarray, "v {self.grid.rows} {self.grid.columns}"]:
         """β⁰ of one set, linear power, float32 [V, rows, columns], row 0 near range; not to be written to.
 

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 from jaxtyping import UInt8
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import AS_THEY_ARE, Dataset, DatasetEntry
 from sarsplat.data.files import open_file, plain_os_errors, read_versioned_json, write_bytes, write_json
 from sarsplat.data.folders import new_folder
@@ -29,6 +30,7 @@ _MESH = "truth.ply"
 _MAKE_ONE = "make one with `sarsplat simulate` or `sarsplat import`"
 
 
+@checks_arguments
 def write_dataset(
     path: str | Path,
     dataset: Dataset,
@@ -111,6 +113,7 @@ def _mesh_bytes(dataset: Dataset, mesh: trimesh.Trimesh | None) -> bytes | None:
     return data
 
 
+@checks_arguments
 def read_dataset(path: str | Path) -> Dataset:
     """Read a dataset into memory and check everything in its folder, each pixel included.
 

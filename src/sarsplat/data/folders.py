@@ -209,7 +209,7 @@ def _refuse_existing(path: Path, overwrite: bool, marker: str) -> None:
     if not any(path.iterdir()):
         return
     if not overwrite:
-        raise SarsplatError(f"{path} already exists; choose another name or pass --overwrite")
+        raise SarsplatError(f"{path} already exists; choose another name or pass overwrite=True")
     # Replacing a folder deletes everything in it, so a slip such as `--out . --overwrite` must not cost a day's work.
     if Path.cwd().is_relative_to(path) or Path.home().resolve().is_relative_to(path):
         raise SarsplatError(

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Complex, Complex64, Float, Float32, Real
 from torch import Tensor
 
+from sarsplat.arguments import checks_arguments, expect
 from sarsplat.data.files import write_bytes
 from sarsplat.data.picture import open_window, picture_png
 from sarsplat.errors import SarsplatError
@@ -56,6 +57,8 @@ class SarImage:
                 f"the image is of type {kind}; give power as an array of real numbers (complex amplitudes go to "
                 "SarImage.of_complex)"
             )
+        expect(View, view=self.view)
+        expect(ImageGrid, grid=self.grid)
         expected = (self.grid.rows, self.grid.columns)
         if self.power.shape != expected:
             raise SarsplatError(f"the image has shape {self.power.shape} but its grid has {expected} (range × azimuth)")
@@ -63,6 +66,7 @@ class SarImage:
         check_signal(self.signal, self.power, "the image")
 
     @classmethod
+    @checks_arguments
     def of_complex(cls, signal: Complex[np.ndarray, "rows columns"], view: View, grid: ImageGrid) -> Self:
         """An image that keeps its phase.
 
@@ -90,6 +94,7 @@ class SarImage:
         """10·log10 β⁰, dB; −inf where the power is zero."""
         return to_db(self.power, least=0.0)
 
+    @checks_arguments
     def save(self, path: str | Path, *, dynamic_range_db: float = DYNAMIC_RANGE_DB) -> None:
         """Write a picture of it as PNG, whole or not at all: decibels in grey, axes in metres, a colour bar.
 
@@ -113,6 +118,7 @@ class SarImage:
             )
         write_bytes(path, picture_png(self.power, self.view, self.grid, dynamic_range_db))
 
+    @checks_arguments
     def show(self, *, dynamic_range_db: float = DYNAMIC_RANGE_DB) -> None:
         """Open a window with the picture, or show it in a notebook.
 
@@ -156,6 +162,7 @@ def power_of(signal: Complex64[np.ndarray, "*shape"]) -> Float32[np.ndarray, "*s
         return np.square(signal.real) + np.square(signal.imag)
 
 
+@checks_arguments
 def check_signal(signal: Complex64[np.ndarray, "*shape"] | None, power: Real[np.ndarray, "*shape"], name: str) -> None:
     """Raise SarsplatError if the power is not that of the signal, where there is one."""
     if signal is None:

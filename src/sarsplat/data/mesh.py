@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import write_bytes
 from sarsplat.errors import SarsplatError
 
@@ -20,6 +21,7 @@ _GLTF_FROM_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0,
 """glTF takes y for up: the turn about x that makes z of the world y there."""
 
 
+@checks_arguments
 def write_mesh(path: str | Path, mesh: trimesh.Trimesh) -> None:
     """Write a mesh with its normals and colours at the vertices, whole or not at all.
 

@@ -42,7 +42,8 @@ def suspicions(dataset: Dataset) -> list[str]:
         measured power. Empty if nothing is odd.
     """
     views = dataset.select("train").views
-    return [*suspicious_angles(views), *suspicious_coverage(views), *suspicious_images(dataset)]
+    odd = suspicious_angles(views) or suspicious_coverage(views)  # of angles in another unit, nothing else follows
+    return [*odd, *suspicious_images(dataset)]
 
 
 def suspicious_angles(views: Sequence[View]) -> list[str]:

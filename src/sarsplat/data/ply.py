@@ -14,7 +14,7 @@ The header's comments carry the version, as JSON which law of scattering it is, 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ import torch
 from jaxtyping import Float, Float32, Real
 from torch import Tensor
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import decode_json
 from sarsplat.data.ply_table import read_ply, write_ply
 from sarsplat.data.viewer_colours import ODD, viewer_colours
@@ -44,6 +45,7 @@ _FARTHEST = 1e9  # m from the origin, of points: squares of it stay finite
 _MIN_LOGIT = -30.0  # stands for an opacity of zero, whose logit is −∞
 
 
+@checks_arguments
 def write_gaussians_ply(
     path: str | Path, gaussians: Gaussians, comments: Iterable[str] = (), *, colour: Colour = "db"
 ) -> None:
@@ -89,6 +91,7 @@ def write_gaussians_ply(
     write_ply(Path(path), columns, [_VERSION, _LAW + law, shown_as.legend, *comments])
 
 
+@checks_arguments
 def read_gaussians_ply(path: str | Path) -> Gaussians:
     """Read Gaussians: our own files exactly, those of other 3DGS programs as well as they translate.
 
@@ -145,12 +148,13 @@ def _of_3dgs(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray
     return {"scales": scales, "optical_depth": depth.astype(np.float32), "scattering": _flip_odd(harmonics)}
 
 
+@checks_arguments
 def write_points_ply(
     path: str | Path,
-    points: Real[np.ndarray, "p 3"],
+    points: Real[np.ndarray, "p 3"] | Sequence[Sequence[float]],
     /,
-    normals: Real[np.ndarray, "p 3"] | None = None,
-    **columns: np.ndarray,
+    normals: Real[np.ndarray, "p 3"] | Sequence[Sequence[float]] | None = None,
+    **columns: np.ndarray | Sequence[float],
 ) -> None:
     """Write points with any number of named scalars each, whole or not at all.
 
@@ -158,11 +162,11 @@ def write_points_ply(
     ----------
     path : str or Path
         File to write; an existing one is replaced.
-    points : numpy.ndarray [P, 3]
+    points : numpy.ndarray [P, 3], or a list
         Positions, m; stored as float32.
-    normals : numpy.ndarray [P, 3], optional
+    normals : numpy.ndarray [P, 3], or a list, optional
         Unit normals, stored as nx, ny, nz.
-    **columns : numpy.ndarray [P]
+    **columns : numpy.ndarray [P], or a list
         One scalar per point under that name; stored as float32.
 
     Raises
@@ -170,23 +174,32 @@ def write_points_ply(
     SarsplatError
         If shapes do not fit, a value is not finite, or the file cannot be written.
     """
-    points = np.asarray(points)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise SarsplatError(f"the points have shape {points.shape}; it must be (P, 3)")
+    places = _triples("points", points)
     if normals is not None:
-        columns = {**_columns(("nx", "ny", "nz"), np.asarray(normals)), **columns}
+        columns = {**_columns(("nx", "ny", "nz"), _triples("normals", normals)), **columns}
     for name, column in columns.items():
-        if np.shape(column) != (len(points),) or name in ("x", "y", "z"):
+        if np.shape(column) != (len(places),) or name in ("x", "y", "z"):
             raise SarsplatError(
-                f"the column {name!r} has shape {np.shape(column)}; for these points it must be ({len(points)},)"
+                f"the column {name!r} has shape {np.shape(column)}; for these points it must be ({len(places)},)"
             )
-    table = {**_columns(("x", "y", "z"), points), **columns}
+    table = {**_columns(("x", "y", "z"), places), **{name: np.asarray(column) for name, column in columns.items()}}
     for name, column in table.items():
         if not np.isfinite(column).all():
             raise SarsplatError(f"the column {name!r} of the points contains NaN or an infinity; remove those points")
     write_ply(Path(path), table, ["sarsplat points 1"])
 
 
+def _triples(name: str, values: Any) -> Real[np.ndarray, "p 3"]:
+    try:
+        table = np.asarray(values)
+    except ValueError as error:  # rows of different lengths
+        raise SarsplatError(f"the {name} are rows of different lengths; give each three numbers") from error
+    if table.ndim != 2 or table.shape[1] != 3:
+        raise SarsplatError(f"the {name} have shape {table.shape}; it must be (P, 3)")
+    return table
+
+
+@checks_arguments
 def read_points_ply(path: str | Path) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]]:
     """Read points.
 

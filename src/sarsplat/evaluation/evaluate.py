@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 from jaxtyping import Float
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, Mask, read_masks, write_json
 from sarsplat.data.determined import weakest_direction
 from sarsplat.data.folders import only_writer
@@ -48,6 +49,7 @@ _MESH_SAMPLES = 100_000
 _SAMPLES, _DISTANCES = 3, 10
 
 
+@checks_arguments
 def evaluate_run(
     run: Run,
     *,

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Float64, Int64
 from scipy.spatial import cKDTree
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid
 from sarsplat.unbroken import unbroken
@@ -75,6 +76,7 @@ class PointMetrics:
     """Number of reconstructed points left after thinning."""
 
 
+@checks_arguments
 def point_metrics(
     points: Float[np.ndarray, "p 3"],
     triangles: Float[np.ndarray, "t 3 3"],

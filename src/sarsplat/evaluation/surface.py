@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View, radar_frame
 from sarsplat.scenes.mesh_files import read_mesh
@@ -56,6 +57,7 @@ def read_truth_mesh(path: Path) -> trimesh.Trimesh:
     return mesh
 
 
+@checks_arguments
 def visible_surface(
     mesh: trimesh.Trimesh,
     views: Sequence[View],

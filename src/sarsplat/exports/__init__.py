@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.exports.contents import Points, content_of
 from sarsplat.exports.format import Content, Format
@@ -41,6 +42,7 @@ def format_of(path: Path, content: Content | None = None) -> tuple[Format, Conte
     return named, next(iter(named.writers)) if content is None else content
 
 
+@checks_arguments
 def export(run: Run, path: str | Path, content: Content | None = None, *, colour: Colour | None = None) -> Written:
     """Write a run to one file, whole or not at all.
 

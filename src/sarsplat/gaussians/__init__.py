@@ -1,6 +1,7 @@
 """The scene model: parameters, covariance, scattering."""
 
 from sarsplat.gaussians.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
+from sarsplat.gaussians.ground import Ground
 from sarsplat.gaussians.law_harmonics import Harmonics
 from sarsplat.gaussians.law_normal_lobes import NormalLobes
 from sarsplat.gaussians.scattering import Scattering, register_scattering, scattering_named
@@ -11,6 +12,7 @@ __all__ = [
     "MIN_SCALE",
     "SCATTERINGS",
     "Gaussians",
+    "Ground",
     "Harmonics",
     "NormalLobes",
     "Scattering",

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sarsplat.arguments import checks_arguments, described, expect
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.scattering import Scattering
 
@@ -20,6 +21,7 @@ MIN_SCALE = 1e-4
 MAX_OPTICAL_DEPTH = 40.0
 """Largest two-way peak optical depth κ; e⁻⁴⁰ is dark, and float32 still carries it."""
 
+_INDEX = "give an integer, a slice, a mask [N] or integers [M]"
 _GEOMETRY = ("means", "quaternions", "scales", "optical_depth")
 
 
@@ -33,8 +35,7 @@ def check_tensors(tensors: Mapping[str, Any], shapes: Mapping[str, tuple[int, ..
     """
     first, like = next(iter(tensors.items()))
     for name, tensor in tensors.items():
-        if not isinstance(tensor, Tensor):
-            raise SarsplatError(f"{name} is a {type(tensor).__name__}; give a torch.Tensor (torch.as_tensor makes one)")
+        expect(Tensor, **{name: tensor})
         if tuple(tensor.shape) != shapes[name]:
             raise SarsplatError(f"{name} has shape {tuple(tensor.shape)}; for {whole} it must be {shapes[name]}")
         if not tensor.is_floating_point():
@@ -80,11 +81,7 @@ class Gaussians:
     scattering: Scattering
 
     def __post_init__(self) -> None:
-        if not isinstance(self.scattering, Scattering):
-            raise SarsplatError(
-                f"scattering is a {type(self.scattering).__name__}; give a law with its parameters, such as "
-                "Harmonics(torch.zeros(n, 16))"
-            )
+        expect(Scattering, scattering=self.scattering)
         n = len(self.means) if isinstance(self.means, Tensor) and self.means.ndim else 0
         shapes: dict[str, tuple[int, ...]] = {"means": (n, 3), "quaternions": (n, 4), "scales": (n, 3)}
         shapes |= {"optical_depth": (n,), "scattering": (n, self.scattering.parameters.shape[1])}
@@ -94,9 +91,12 @@ class Gaussians:
         return self.means.shape[0]
 
     def __getitem__(self, index: Any) -> Gaussians:
-        chosen = torch.arange(len(self), device=self.means.device)[index]
+        try:
+            chosen = torch.arange(len(self), device=self.means.device)[index]
+        except TypeError as error:
+            raise SarsplatError(f"the index is {described(index)}; {_INDEX}") from error
         if chosen.ndim > 1:
-            raise IndexError("Gaussians have one index: an integer, a slice, a mask [N] or integers [M]")
+            raise IndexError(f"Gaussians have one index; {_INDEX}")
         return self._with(lambda tensor: tensor[index if chosen.ndim else chosen[None]])
 
     def tensors(self) -> dict[str, Tensor]:
@@ -109,6 +109,7 @@ class Gaussians:
         law = replace(self.scattering, parameters=merged.pop("scattering"))
         return Gaussians(**merged, scattering=law)
 
+    @checks_arguments
     def amplitudes(self, directions: Float[Tensor, "v 3"]) -> Float[Tensor, "v n c"]:
         """What each channel returns per lit area [V, N, C] towards unit vectors u [V, 3] (`Scattering.amplitudes`).
 
@@ -130,6 +131,7 @@ class Gaussians:
             )
         return made
 
+    @checks_arguments
     def gamma0(self, directions: Float[Tensor, "v 3"]) -> Float[Tensor, "v n"]:
         """γ⁰ [V, N] towards unit vectors u [V, 3] of the world frame, the power channel of it; differentiable."""
         return self.amplitudes(directions)[..., self.scattering.power_channel]
@@ -143,6 +145,7 @@ class Gaussians:
         return self._with(lambda tensor: tensor.to(*target, **options))
 
     @staticmethod
+    @checks_arguments
     def cat(scenes: Sequence[Gaussians]) -> Gaussians:
         """All scenes in one, in their order, under the scattering settings of the first (see `Scattering.joined`).
 

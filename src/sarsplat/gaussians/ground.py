@@ -1,72 +1,63 @@
-"""Flat ground as Gaussians: an opaque sheet at z = 0."""
+"""Flat ground: the plane on which rays end."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from numbers import Real
 
-import numpy as np
-import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians.gaussians import Gaussians
-from sarsplat.gaussians.law_harmonics import Harmonics
 from sarsplat.geometry import ImageGrid, View
 
-_WIDTH = 0.6
-"""Standard deviation in pitches: the sum of footprints then ripples by three thousandths at most."""
 
-_OPTICAL_DEPTH = 3.0
-"""Two-way, at a Gaussian's peak; overlapping, the sheet has 2π·0.6²·3 = 6.8 at any grazing angle."""
+@dataclass(frozen=True)
+class Ground:
+    """A horizontal plane: what is left of a ray that reaches it returns by the ground's γ⁰ there.
 
-_THICKNESS = 0.025
-"""Standard deviation of the height, in pitches."""
-
-_LARGEST = 2500  # pitches
-
-
-def ground_sheet(radius: float, pitch: float) -> Gaussians:
-    """A disc of flat Gaussians around the origin, on a square lattice.
+    Nothing below it is seen, and it has no end. Every tensor is differentiable.
 
     Parameters
     ----------
-    radius : float
-        Of the disc, m.
-    pitch : float
-        Of the lattice, m: also how finely a shadow's edge can fall.
-
-    Returns
-    -------
-    Gaussians
-        float32, with harmonics of zero.
+    gamma0 : Tensor [] or [ny, nx]
+        γ⁰, linear: one number, or those of places on a square lattice around the origin, rows along y, columns along x;
+        linear between them, and beyond the last ones as there. Images show it at their pixels' centres, so places
+        should lie no closer than the images resolve.
+    pitch_m : float
+        Distance of the places, m.
+    height_m : float
+        Height z of the plane, m.
+    exponent : Tensor [], optional
+        Law of the grazing angle θ: γ⁰ is the above times (sin θ) to this power; 0 unless given, the same at all angles.
 
     Raises
     ------
     SarsplatError
-        If the disc is wider than 2 × 2500 pitches, or narrower than two.
+        If a tensor has another shape, or no floating dtype, or a length is not finite.
     """
-    if radius < pitch:
-        raise SarsplatError(
-            f"Gaussians {pitch:g} m apart are too few for a ground of {radius:.6g} m radius; put them closer together"
-        )
-    if not radius <= _LARGEST * pitch:
-        raise SarsplatError(
-            f"a ground of {radius:.6g} m radius needs too many Gaussians {pitch:g} m apart; its radius may be at most "
-            f"{_LARGEST * pitch:g} m, so use smaller images"
-        )
-    half = math.ceil(radius / pitch)
-    steps = (np.arange(-half, half) + 0.5) * pitch
-    x, y = (axis.ravel() for axis in np.meshgrid(steps, steps))
-    inside = np.hypot(x, y) < radius
-    means = torch.from_numpy(np.column_stack([x, y, np.zeros_like(x)])[inside]).float()
-    n = len(means)
-    return Gaussians(
-        means,
-        means.new_tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
-        means.new_tensor([_WIDTH * pitch, _WIDTH * pitch, _THICKNESS * pitch]).repeat(n, 1),
-        means.new_full((n,), _OPTICAL_DEPTH),
-        Harmonics(means.new_zeros(n, 1)),
-    )
+
+    gamma0: Tensor
+    pitch_m: float = 1.0
+    height_m: float = 0.0
+    exponent: Float[Tensor, ""] | None = None
+
+    def __post_init__(self) -> None:
+        for name, tensor, dimensions in (("gamma0", self.gamma0, (0, 2)), ("exponent", self.exponent, (0,))):
+            if tensor is None and name == "exponent":
+                continue
+            if not isinstance(tensor, Tensor) or not tensor.is_floating_point():
+                kind = tensor.dtype if isinstance(tensor, Tensor) else type(tensor).__name__
+                raise SarsplatError(f"the ground's {name} is {kind}; give a floating-point torch.Tensor")
+            if tensor.ndim not in dimensions or not tensor.numel():
+                wanted = "one number" + (", or a lattice [ny, nx]" if 2 in dimensions else "")
+                raise SarsplatError(f"the ground's {name} has shape {tuple(tensor.shape)}; give {wanted}")
+        for name, length, positive in (("pitch_m", self.pitch_m, True), ("height_m", self.height_m, False)):
+            if not isinstance(length, Real) or not math.isfinite(length) or (positive and length <= 0):
+                what = "a positive, finite" if positive else "a finite"
+                raise SarsplatError(f"the ground's {name} is {length}; give {what} number of metres")
 
 
 def ground_radius_m(views: Sequence[View], grid: ImageGrid) -> float:

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sarsplat.arguments import expect
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.gaussians.scattering import MIN_EXCESS, Scattering, softplus, softplus_inverse
@@ -42,6 +43,7 @@ class NormalLobes(Scattering):
     oriented: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
+        expect(tuple[float, ...], sharpness=self.sharpness)
         object.__setattr__(self, "sharpness", tuple(self.sharpness))  # JSON has lists
         if not all(0 <= value < math.inf for value in self.sharpness):
             raise SarsplatError(f"sharpness {self.sharpness} of the lobes must be finite and at least 0")

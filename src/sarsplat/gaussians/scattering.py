@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields, replace
+from inspect import signature
 from typing import Any, ClassVar, Self, TypeVar
 
 import torch
@@ -12,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import logsigmoid
 
+from sarsplat.arguments import checks_arguments, described, expect
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.names import SCATTERINGS
 
@@ -59,11 +61,8 @@ class Scattering(ABC):
     """Whether γ⁰ depends on which axis of a Gaussian is the shortest."""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.parameters, Tensor):
-            raise SarsplatError(
-                f"the parameters of the scattering are a {type(self.parameters).__name__}; give a torch.Tensor "
-                "(torch.as_tensor makes one)"
-            )
+        expect(Tensor, parameters=self.parameters)
+        expect(float, p_min=self.p_min)
         if not 0 <= self.p_min < math.inf:
             raise SarsplatError(f"p_min {self.p_min} must be finite and at least 0")
         shape, allowed = tuple(self.parameters.shape), self.columns
@@ -112,6 +111,7 @@ class Scattering(ABC):
         """What is not learned, by name; with `kind` and the parameters it makes the same law again."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "parameters"}
 
+    @checks_arguments
     def joined(self, other: Scattering) -> Self:
         """Both tables, one below the other, under the settings of the first."""
         if type(other) is not type(self):
@@ -130,10 +130,11 @@ def register_scattering(law: L) -> L:
     Raises
     ------
     SarsplatError
-        If it is not a law with a kind, or another law has that kind.
+        If it is not a law with a kind and its methods, or another law has that kind.
     """
     if not (isinstance(law, type) and issubclass(law, Scattering) and isinstance(getattr(law, "kind", None), str)):
-        raise SarsplatError(f"{law!r} is not a scattering law; derive it from Scattering and give it a kind, a str")
+        raise SarsplatError(f"law is {described(law)}; give a class derived from Scattering with a kind, a str")
+    _check_methods(law)
     other = SCATTERINGS.get(law.kind)
     if other is not None and _home(other) != _home(law):
         raise SarsplatError(f"the scattering law {law.kind!r} is {_home(other)} already; give yours another kind")
@@ -141,10 +142,25 @@ def register_scattering(law: L) -> L:
     return law
 
 
+def _check_methods(law: type[Scattering]) -> None:
+    """See that a law has its methods, and that they can be called as they will be."""
+    if missing := sorted(law.__abstractmethods__):
+        raise SarsplatError(f"the scattering law {law.__name__} has no {' or '.join(missing)}; define that, too")
+    for name in ("amplitudes", "initial"):
+        given = [*signature(getattr(Scattering, name)).parameters]
+        try:
+            signature(getattr(law, name)).bind(*given)
+        except TypeError as error:
+            raise SarsplatError(
+                f"{law.__name__}.{name} does not take ({', '.join(given)}): {error}; define it as Scattering does"
+            ) from error
+
+
 def _home(law: type[Scattering]) -> str:
     return f"{law.__module__}.{law.__qualname__}"
 
 
+@checks_arguments
 def scattering_named(kind: str) -> type[Scattering]:
     """The law of that kind.
 
@@ -164,6 +180,7 @@ def scattering_named(kind: str) -> type[Scattering]:
             f"the entry point {kind!r} of sarsplat.scattering names {law!r}, which is not a law of that kind; correct "
             "its package"
         )
+    _check_methods(law)
     return law  # type: ignore[no-any-return]
 
 

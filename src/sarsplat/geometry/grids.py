@@ -10,7 +10,8 @@ from typing import Any, Self
 import numpy as np
 from jaxtyping import Float64
 
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.arguments import checks_arguments, described, expect
+from sarsplat.errors import SarsplatError
 from sarsplat.geometry.responses import GAUSSIAN, Response, response_of, variance_of, width_of
 
 CLUTTER = 0
@@ -28,7 +29,7 @@ _MAX_PIXELS = 1 << 17
 
 def _check_pair(name: str, values: tuple[float, ...]) -> None:
     if not isinstance(values, tuple | list) or len(values) != 2:
-        raise SarsplatError(f"{name} {values!r} must be a pair of metres")
+        raise SarsplatError(f"{name} {described(values)} must be a pair of metres")
 
 
 def _check_lengths(name: str, values: tuple[float, ...]) -> None:
@@ -66,9 +67,8 @@ class ImageGrid:
     response: Response = GAUSSIAN
 
     def __post_init__(self) -> None:
+        expect(int, rows=self.rows, columns=self.columns)
         size = f"an image of {self.rows} × {self.columns} pixels"
-        if not isinstance(self.rows, int) or not isinstance(self.columns, int):
-            raise SarsplatError(f"{size} is not possible; give whole numbers")
         if self.rows < 1 or self.columns < 1:
             raise SarsplatError(f"{size} is empty; give at least 1 × 1")
         if max(self.rows, self.columns) > _MAX_PIXELS:
@@ -78,10 +78,11 @@ class ImageGrid:
             raise SarsplatError(f"image centre {self.center_m} must be a pair of finite metres")
         _check_lengths("pixel spacing", self.spacing_m)
         _check_lengths("resolution", self.resolution_m)
-        for name in ("spacing_m", "resolution_m", "center_m"):  # JSON cannot hold numpy's numbers
+        for name in ("rows", "columns"):  # JSON cannot hold numpy's numbers
+            object.__setattr__(self, name, int(getattr(self, name)))
+        for name in ("spacing_m", "resolution_m", "center_m"):
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
-        if not isinstance(self.response, Response):
-            raise SarsplatError(f"the response {shown(self.response)} is not a Response; give Gaussian() or Taylor()")
+        expect(Response, response=self.response)
 
     @classmethod
     def of(cls, *, response: Any = None, **fields: Any) -> Self:
@@ -161,6 +162,7 @@ class RayGrid:
         _check_lengths("ray spacing", self.spacing_m)
 
     @classmethod
+    @checks_arguments
     def for_image(cls, grid: ImageGrid, per_pixel: float = 2.0) -> RayGrid:
         """Square lattice with `per_pixel` rays in the smaller pixel spacing."""
         spacing = min(grid.spacing_m) / per_pixel

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
 from typing import Self
@@ -10,6 +11,7 @@ from typing import Self
 import numpy as np
 from jaxtyping import Float64
 
+from sarsplat.arguments import checks_arguments, described
 from sarsplat.errors import SarsplatError
 
 _MAX_AZIMUTH = 3600  # degrees: ten turns
@@ -42,7 +44,7 @@ class View:
         for field, name in (("azimuth_deg", "azimuth"), ("grazing_deg", "grazing angle")):
             value = getattr(self, field)
             if not isinstance(value, Real):
-                raise SarsplatError(f"{name} {value!r} is not a number; give degrees")
+                raise SarsplatError(f"{name} {described(value)} is not a number; give degrees")
             object.__setattr__(self, field, float(value))  # JSON cannot hold numpy's numbers
         if not abs(self.azimuth_deg) <= _MAX_AZIMUTH:  # also catches NaN; 1e308° has no meaningful direction
             raise SarsplatError(
@@ -56,7 +58,8 @@ class View:
             )
 
     @classmethod
-    def towards(cls, direction: Float64[np.ndarray, " 3"]) -> Self:
+    @checks_arguments
+    def towards(cls, direction: Float64[np.ndarray, " 3"] | Sequence[float]) -> Self:
         """The view from a direction above the horizon, a vector of any length; the zenith becomes 89.999°."""
         x, y, z = direction
         grazing = math.degrees(math.atan2(z, math.hypot(x, y)))
@@ -73,6 +76,7 @@ class View:
         return -radar_frame(self)[2]
 
 
+@checks_arguments
 def radar_frame(view: View) -> Float64[np.ndarray, "3 3"]:
     """Rotation R_r from the world to the radar frame, x_r = R_r x_w.
 

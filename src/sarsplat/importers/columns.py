@@ -81,12 +81,22 @@ def _recognised(table: CsvTable, meaning: str, chosen: Columns) -> str | None:
     return candidates[0] if candidates else None
 
 
-def require(table: CsvTable, columns: Columns, meaning: str) -> None:
-    """Refuse a table without a column of this meaning."""
-    if meaning not in columns:
+def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool) -> None:
+    """Refuse a table that lacks columns, and name all of them; `grazing`, `spacing`: whether its cells are needed."""
+    lacking = [meaning for meaning in ("file", "azimuth") if meaning not in columns]
+    also = []
+    if grazing and not columns.keys() & {"grazing", "incidence"}:
+        lacking.append("grazing")
+        also.append("one grazing angle for all with --grazing")
+    if spacing and not columns.keys() & {"spacing", "azimuth-spacing", "range-spacing"}:
+        lacking.append("spacing")
+        also.append("one spacing for all with --spacing")
+    if lacking:
+        named = ",".join(f"{meaning}=NAME" for meaning in lacking)
         raise SarsplatError(
-            f"{table.path} has no column that looks like the {meaning}; name it with --columns {meaning}=NAME "
-            f"(there are {_listed(table)})"
+            f"{table.path} has no column that looks like the {' or the '.join(lacking)}; name "
+            f"{'it' if len(lacking) == 1 else 'them'} with --columns {named}"
+            f"{''.join(f', or give {one}' for one in also)} (there are {_listed(table)})"
         )
 
 

@@ -13,6 +13,7 @@ from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 
 _MOST_FILES = 100_000
+"""Of more, somebody gave a home folder."""
 
 
 def each_once(files: Sequence[str | Path]) -> list[Path]:
@@ -32,11 +33,14 @@ def each_once(files: Sequence[str | Path]) -> list[Path]:
 
 
 def files_in(folder: Path, what: str) -> list[Path]:
-    """Every file in the folder of `what` and in its subfolders, sorted."""
+    """Every file in the folder of `what` and in its subfolders, sorted; far too many are refused, not cut."""
     with plain_os_errors("read", folder):
         if not folder.is_dir():
             raise SarsplatError(f"{folder} is not a folder; give the folder of {what}")
-        return sorted(itertools.islice(filter(Path.is_file, folder.rglob("*")), _MOST_FILES))
+        files = sorted(itertools.islice(filter(Path.is_file, folder.rglob("*")), _MOST_FILES + 1))
+    if len(files) > _MOST_FILES:
+        raise SarsplatError(f"{folder} has more than {_MOST_FILES:,} files; give a folder that holds only {what}")
+    return files
 
 
 def listed_files(

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.header import Calibration
 from sarsplat.data.orientation import Layout, oriented
@@ -22,6 +23,7 @@ from sarsplat.names import Quantity, Side
 Pair = tuple[float, float]
 
 
+@checks_arguments
 def import_folder(
     folder: str | Path,
     out: str | Path,
@@ -100,7 +102,13 @@ def import_folder(
         Once each, for rows without a picture, pictures without a row, and what `dataset_of` warns of.
     """
     folder = Path(folder)
-    listed = read_picture_table(folder, None if table is None else Path(table), columns or {})
+    listed = read_picture_table(
+        folder,
+        None if table is None else Path(table),
+        columns or {},
+        grazing=grazing_deg is None,
+        spacing=spacing_m is None,
+    )
     guessed = quantity
     images = []
     for picture in listed.pictures:

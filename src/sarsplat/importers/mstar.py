@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Num
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.evenly import nearest_to
 from sarsplat.data.header import Box
@@ -38,6 +39,7 @@ MIN_POWER = 1e-3
 """Power that is not quantised is raised to this fraction of its mean: darker than any shadow, but not zero."""
 
 
+@checks_arguments
 def import_mstar(
     chips: str | Path,
     out: str | Path,

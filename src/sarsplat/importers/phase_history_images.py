@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.folders import refuse_existing
 from sarsplat.errors import SarsplatError, counted
@@ -28,6 +29,7 @@ _TILT_DEG = 3.0
 """Slant planes turned by more than this are reported: what is 2 m high moves across by a decimetre."""
 
 
+@checks_arguments
 def import_phase_history(
     files: Sequence[str | Path],
     out: str | Path,

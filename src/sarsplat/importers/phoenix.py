@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Complex64, Float32
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import open_file
 from sarsplat.data.image import SarImage
 from sarsplat.data.orientation import oriented
@@ -140,6 +141,7 @@ def _begins(start: bytes) -> bool:
     return start.removeprefix(b"\n").startswith(_MAGIC)  # the originals start with an empty line
 
 
+@checks_arguments
 def read_phoenix(path: str | Path) -> PhoenixChip:
     """Read one Phoenix file; its suffix (.000, .015, …) is a serial, not an angle.
 

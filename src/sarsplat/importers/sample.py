@@ -17,6 +17,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, counted, shown
@@ -45,6 +46,7 @@ class SampleName:
     elevation_deg: int
 
 
+@checks_arguments
 def import_sample(
     folder: str | Path,
     out: str | Path,

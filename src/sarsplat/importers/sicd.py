@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data import folders
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.dataset_folder import HEADER
@@ -29,6 +30,7 @@ _LEANS = 0.05
 """Displacement, m for each metre of height, above which it is reported."""
 
 
+@checks_arguments
 def import_sicd(
     files: Sequence[str | Path],
     out: str | Path,

@@ -49,10 +49,13 @@ class PictureTable:
     pictures: tuple[ListedPicture, ...]
 
 
-def read_picture_table(folder: Path, path: Path | None, named: Mapping[str, str]) -> PictureTable:
+def read_picture_table(
+    folder: Path, path: Path | None, named: Mapping[str, str], *, grazing: bool = True, spacing: bool = True
+) -> PictureTable:
     """Read a table (None: the only one in the folder) and find its pictures, in subfolders or not.
 
-    `named` is that of `chosen_columns`. Rows without a picture and pictures without a row are warned of.
+    `named` is that of `chosen_columns`; `grazing` and `spacing` say whether the table must have columns of these. Rows
+    without a picture and pictures without a row are warned of.
 
     Raises
     ------
@@ -63,8 +66,7 @@ def read_picture_table(folder: Path, path: Path | None, named: Mapping[str, str]
     inside = files_in(folder, "the pictures")
     table = read_table(_the_table(folder, inside) if path is None else path, "a table with a row for each picture")
     columns = chosen_columns(table, named)
-    require(table, columns, "file")
-    require(table, columns, "azimuth")
+    require(table, columns, grazing, spacing)
     column = columns["file"]
     row_of: dict[Path, Row] = {}
     for row, picture in listed_files(folder, table, table.rows, column, of="picture", endings=PICTURE_ENDINGS):

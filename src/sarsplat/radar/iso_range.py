@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float64, Real
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
@@ -47,6 +48,7 @@ class Pixel:
         return float(grid.azimuth_m[self.column]), float(grid.range_m[self.row])
 
 
+@checks_arguments
 def iso_range_line(
     view: View,
     grid: ImageGrid,
@@ -91,6 +93,7 @@ def iso_range_line(
 
 
 @torch.no_grad()
+@checks_arguments
 def contributions(
     gaussians: Gaussians, view: View, grid: ImageGrid, pixel: Pixel, *, rays: RayGrid | None = None
 ) -> Float[np.ndarray, " n"]:

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Float64
 from scipy.ndimage import map_coordinates
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.radar.surface import Surface, above_ground
@@ -63,6 +64,7 @@ class RadarMaps:
 
 
 @torch.no_grad()
+@checks_arguments
 def radar_maps(surface: Surface, view: View, grid: ImageGrid, *, rays: RayGrid | None = None) -> RadarMaps:
     """Maps of what a radar sees of a surface that stands on flat ground at z = 0.
 

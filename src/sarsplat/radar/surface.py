@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.reconstruction import Run
@@ -50,6 +51,7 @@ class Surface:
             )
 
 
+@checks_arguments
 def surface_of_run(run: Run) -> Surface:
     """A run's estimate of the target's surface: its Gaussians, or the triangles of a method that has none.
 
@@ -64,15 +66,15 @@ def surface_of_run(run: Run) -> Surface:
     model = run.model
     if model is None:
         return surface_of_mesh(run.mesh(), run.grid.cell_m)
-    scene = model.scene(model.degree(run.iteration)).detach().to("cpu")
-    kept, count = without_imitated_ground(scene, len(model), run.points, run.grid.cell_m)
-    if count == 0:
+    learned = model.target(model.degree(run.iteration)).detach().to("cpu")
+    target = without_imitated_ground(learned, run.points, run.grid.cell_m, ground=model.ground() is not None)
+    if len(target) == 0:
         raise SarsplatError(f"{run.path or 'the run'} has no points of a target; train it for longer")
-    target = kept[:count]
     nearest = cKDTree(run.points).query(target.means.double().numpy())[1]
     return Surface(target, np.asarray(run.normals, np.float64)[nearest])
 
 
+@checks_arguments
 def surface_of_mesh(mesh: trimesh.Trimesh, cell_m: float) -> Surface:
     """The surface of triangles, m, in pieces of half a resolution cell of `cell_m`.
 

@@ -5,6 +5,7 @@ Lengths are in resolution cells (`sarsplat.ImageGrid.cell_m`), so that settings 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
@@ -72,7 +73,7 @@ class Rates(Record):
     shift : float
         Shifts of measured images, resolution cells per step.
     ground : float
-        Single Gaussians of the ground.
+        Logarithms of γ⁰ of single places on the ground.
     nuisance : float
         Ground as a whole, noise floor, side lobes and logarithms of the gains of measured images.
     """
@@ -87,7 +88,7 @@ class Rates(Record):
     scattering: NotNegative = 0.08
     directional_scattering: NotNegative = 0.08
     shift: NotNegative = 0.032
-    ground: NotNegative = 0.07
+    ground: NotNegative = 0.02
     nuisance: NotNegative = 0.01
 
 
@@ -198,6 +199,24 @@ class PointExtraction(Record):
 
 
 @dataclass(frozen=True)
+class FlatGround(Record):
+    """Ground at z = 0, on which rays end: it has a γ⁰, and shadow.
+
+    Parameters
+    ----------
+    pitch : float
+        Distance of the places that have a γ⁰ of their own, in resolution cells; 0: all of it has the same.
+    std : float
+        Standard deviation of the logarithm of a single place's γ⁰, as expected before the images are seen.
+    """
+
+    _section: ClassVar[str] = "ground."
+
+    pitch: NotNegative = 3.0
+    std: Positive = 1.0
+
+
+@dataclass(frozen=True)
 class Surroundings(Record):
     """What else is modelled in measured images of a target on the ground; docs/measured-data.md has its worth.
 
@@ -208,10 +227,6 @@ class Surroundings(Record):
     ----------
     noise_floor : float
         Additive power at the start, in units of the training mean, like `p_min` and every γ⁰.
-    ground_pitch : float
-        Distance of the ground's Gaussians from each other, in resolution cells; 0: there is no ground.
-    ground_std : float
-        Standard deviation of the isotropic harmonic of a single one of the ground's Gaussians.
     shift_std : float
         Standard deviation of an image's shift, in resolution cells.
     gain_std : float
@@ -239,10 +254,12 @@ class Surroundings(Record):
     """
 
     _section: ClassVar[str] = "surroundings."
+    _gone: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("ground_pitch", "ground_std"),
+        "ground is a plane now, so train again (settings: ground.pitch, ground.std)",
+    )
 
     noise_floor: Positive = 0.05
-    ground_pitch: NotNegative = 1.3
-    ground_std: NotNegative = 4.0
     shift_std: NotNegative = 1.0
     gain_std: NotNegative = 1.0
     side_lobes: NotNegative = 1.0
@@ -257,7 +274,7 @@ class Surroundings(Record):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("ground_std", "shift_std", "gain_std", "texture_looks"):
+        for name in ("shift_std", "gain_std", "texture_looks"):
             value = getattr(self, name)
             if 0 < value < _LEAST:  # squares and reciprocals of it would leave float32
                 raise SarsplatError(
@@ -332,8 +349,10 @@ class Config(AnyConfig):
         Density control; None: the number of Gaussians is fixed.
     relocation : Relocation
         Moves of idle Gaussians.
+    ground : FlatGround or None
+        Ground below the target; None: nothing.
     surroundings : Surroundings or None
-        What measured images show besides the target; None: nothing.
+        What measured images show besides target and ground; None: nothing.
     checkpoint_every : int
         Iterations between two checkpoints.
     seed : int
@@ -376,6 +395,7 @@ class Config(AnyConfig):
     points: PointExtraction = PointExtraction()
     densification: Densification | None = None
     relocation: Relocation = Relocation()
+    ground: FlatGround | None = None
     surroundings: Surroundings | None = None
     checkpoint_every: Count = 500
     seed: Seed = 0

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -10,8 +12,10 @@ from sarsplat.data import Dataset
 from sarsplat.data.orientation import SIDES, Layout, oriented
 from sarsplat.data.plausible import suspicious_angles, suspicious_images
 from sarsplat.errors import counted
+from sarsplat.geometry import View
 from sarsplat.names import Side
 from sarsplat.radiometry import bright_level
+from sarsplat.reconstruction.counting import Counting, counting
 from sarsplat.reconstruction.examination import Examination
 from sarsplat.reconstruction.orientation import Orientation, orientation, turned_grid
 from sarsplat.reconstruction.units import examine_units
@@ -46,9 +50,10 @@ def examine(dataset: Dataset) -> Examination:
     -------
     Examination
         Contradictions: angles that look like radians; images that are constant or the same; near range that is not row
-        0; azimuths in the opposite sense, or mirrored images; grazing angles that are incidence angles; ground in
-        images that are said to show none; values that are not power; speckle of another number of looks; a resolution
-        that the images do not have. The zero of the azimuth cannot be determined from images.
+        0; azimuths that only count the images; azimuths in the opposite sense, or mirrored images; grazing angles that
+        are incidence angles; ground in images that are said to show none; values that are not power; speckle of another
+        number of looks; a resolution that the images do not have. The zero of the azimuth cannot be determined from
+        images.
     """
     examined = Examination()
     angles = suspicious_angles(dataset.select("train").views)
@@ -56,9 +61,12 @@ def examine(dataset: Dataset) -> Examination:
     examined.contradictions.extend([*angles, *wrong])
     examined.checks["images"] = "see below" if wrong else _all_differ(len(dataset))
     count = min(len(dataset), _MOST_IMAGES)
-    chosen = dataset.take([k * len(dataset) // count for k in range(count)])
+    places = [k * len(dataset) // count for k in range(count)]
+    chosen = dataset.take(places)
     if not angles and np.ptp(chosen.power, axis=(1, 2)).any():
-        examine_units(_upright(chosen, examined), examined)
+        counts = counting(dataset.views)
+        spread = None if counts is None else [counts.spread[k] for k in places]
+        examine_units(_upright(chosen, examined, counts, spread), examined)
     return examined
 
 
@@ -66,11 +74,14 @@ def _all_differ(images: int) -> str:
     return "the only one is not constant" if images == 1 else f"all {images} differ, none is constant"
 
 
-def _upright(dataset: Dataset, examined: Examination) -> Dataset:
+def _upright(
+    dataset: Dataset, examined: Examination, counts: Counting | None, spread: Sequence[View] | None
+) -> Dataset:
     """The images with near range on top, and with ground if they show it; what contradicts that is noted."""
     ground = dataset.ground or bool(np.median(_edges(dataset.power)) > _EMPTY * bright_level(dataset.power))
     centred = dataset.calibration == "absolute"  # simulated or georeferenced, not cut out around a target
-    seen = orientation(dataset.power, dataset.views, dataset.grid, ground=ground, centred=centred)
+    look = partial(orientation, dataset.power, dataset.views, dataset.grid, centred=centred, spread=spread)
+    seen = look(ground=ground)
     if ground and not dataset.ground:
         if seen.by_shadow:
             examined.contradictions.append(
@@ -79,12 +90,16 @@ def _upright(dataset: Dataset, examined: Examination) -> Dataset:
             )
         else:  # a floor of noise, for all that is seen
             ground = False
-            seen = orientation(dataset.power, dataset.views, dataset.grid, ground=ground, centred=centred)
+            seen = look(ground=False)
+    layout = Layout.of(dataset.source)
+    if counts is not None and (seen.counted or (layout and counts.from_one and seen.opposite is not False)):
+        examined.contradictions.append(_counts(counts, seen))
+        examined.checks["azimuths"] = "see below"
+        return dataset  # of wrong azimuths nothing else follows
     near = seen.near or "top"
     examined.checks["near range"] = _near_range(seen)
     examined.checks["azimuths"] = _azimuths(seen)
     examined.checks["grazing angles"] = _grazing(seen)
-    layout = Layout.of(dataset.source)
     if near != "top" or seen.opposite:
         examined.contradictions.append(_orientation(seen, near, layout))
     if seen.incidence:
@@ -96,6 +111,16 @@ def _upright(dataset: Dataset, examined: Examination) -> Dataset:
         signal=None,
         grid=turned_grid(dataset.grid, near),
         ground=ground,
+    )
+
+
+def _counts(counts: Counting, seen: Orientation) -> str:
+    neither = "images of neighbouring azimuths match no better as given than in the other sense"
+    spread = f"images match better if these are spread all round (correlation higher by {seen.spread.mean:.2f})"
+    return (
+        f"the azimuths seem to be numbers of images, for they count from {counts.first_deg:g} to {counts.last_deg:g}, "
+        f"and {spread if seen.counted else neither}; give the angles, by the table's column of them "
+        "(--columns azimuth=NAME)"
     )
 
 

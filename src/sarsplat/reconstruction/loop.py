@@ -100,7 +100,7 @@ class Training(Generic[T]):
                 self.trainer.restore(snapshot)
             except (LookupError, TypeError, ValueError, RuntimeError, OverflowError) as error:
                 raise SarsplatError(
-                    f"{run.checkpoint_path} does not match this version ({error}); start again with --overwrite"
+                    f"{run.checkpoint_path} does not match this version ({error}); start again with overwrite=True"
                 ) from error
             self._begun -= snapshot.seconds
             self.history = [line for line in run.history if line.iteration <= snapshot.iteration]  # a killed one's end

@@ -7,13 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from jaxtyping import Float, Real, UInt8
+from jaxtyping import Real, UInt8
 from scipy.spatial import cKDTree
 
 from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, View
 from sarsplat.radiometry import beta0_of_gamma0
-from sarsplat.renderer import attenuate, project, splat
+from sarsplat.renderer import render
+from sarsplat.renderer.ground import free_ground
 
 _SHARE = 0.5
 _LOWEST = 1.0  # height above the ground from which Gaussians count as the target, resolution cells
@@ -22,15 +24,15 @@ _REACH = 1.5  # and how near the points, resolution cells
 
 @torch.no_grad()
 def scene_masks(
-    scene: Gaussians, target: int, views: Sequence[View], grid: ImageGrid, rays: RayGrid
+    target: Gaussians, ground: Ground | None, views: Sequence[View], grid: ImageGrid, rays: RayGrid
 ) -> UInt8[np.ndarray, "v {grid.rows} {grid.columns}"]:
-    """Masks of a scene: its first Gaussians, `target` of them, are the target, the others its ground.
+    """Masks of a target on its ground.
 
     The yardstick is what the ground would return in a pixel without the target. A pixel is
 
     - target, if the target returns at least half of that there: wherever a surface that the radar sees appears, with
       layover, unless it is much darker than the ground;
-    - shadow, if it is not target, and the ground returns less than half of what it would;
+    - shadow, if it is not target, and the radar sees less than half of the ground there;
     - clutter otherwise.
 
     Without ground there is no shadow, and target are the pixels in which the radar sees at least half as much of it as
@@ -42,10 +44,10 @@ def scene_masks(
 
     Parameters
     ----------
-    scene : Gaussians
-        Target and ground.
-    target : int
-        How many of them are the target.
+    target : Gaussians
+        The target.
+    ground : Ground or None
+        What it stands on.
     views, grid
         From where, and where the pixels lie; what they show is as sharp as they are, whatever the resolution.
     rays : RayGrid
@@ -58,55 +60,35 @@ def scene_masks(
     """
     sharp = replace(grid, resolution_m=grid.spacing_m)
     masks = np.full((len(views), grid.rows, grid.columns), CLUTTER, np.uint8)
-    if len(scene) == 0:
-        return masks
-    uniform = target == len(scene)
+    channel = target.scattering.power_channel
+    uniform = target.means.new_ones(1, len(target), channel + 1) if ground is None else None
     for mask, view in zip(masks, views, strict=True):  # one at a time: memory stays small
-        of_target, of_ground = _returns(scene, target, view, sharp, rays, uniform)
-        if uniform:
-            free = np.full_like(of_ground, beta0_of_gamma0(1.0, view.grazing_deg))
+        rendering = render(target, [view], sharp, rays=rays, amplitudes=uniform, ground=ground)
+        images = rendering.channel(channel)
+        if ground is None or rendering.lit_ground is None:
+            free = torch.full_like(images, beta0_of_gamma0(1.0, view.grazing_deg))
         else:
-            _, free = _returns(scene[target:], 0, view, sharp, rays, uniform)
-            mask[of_ground < _SHARE * free] = SHADOW
-        mask[(of_target >= _SHARE * free) & (of_target > 0)] = TARGET
+            free = free_ground(ground, [view], sharp)
+            images = images - free * rendering.lit_ground
+            mask[rendering.lit_ground[0].cpu().numpy() < _SHARE] = SHADOW
+        shown = (images >= _SHARE * free) & (images > 0)
+        mask[shown[0].cpu().numpy()] = TARGET
     return masks
 
 
 def without_imitated_ground(
-    scene: Gaussians, target: int, points: Real[np.ndarray, "p 3"], cell_m: float
-) -> tuple[Gaussians, int]:
-    """The scene without those of its first `target` Gaussians that may stand for ground as well as the others do.
+    target: Gaussians, points: Real[np.ndarray, "p 3"], cell_m: float, *, ground: bool
+) -> Gaussians:
+    """A target without those of its Gaussians that may stand for ground as well as the ground does.
 
     They are those farther than 1.5 resolution cells of `cell_m` from all points that are higher than one cell and, if
-    the scene has ground, those lower than one cell themselves.
-
-    Returns
-    -------
-    Gaussians
-        What is left.
-    int
-        How many of the first are among it.
+    it stands on `ground`, those lower than one cell themselves.
     """
-    means = scene.means[:target].double().cpu().numpy()
-    kept = np.ones(len(scene), bool)
-    lowest = _LOWEST * cell_m if target < len(scene) else -np.inf
+    means = target.means.double().cpu().numpy()
+    lowest = _LOWEST * cell_m if ground else -np.inf
     points = points[points[:, 2] >= lowest]
-    if len(points):
-        kept[:target] = np.isfinite(cKDTree(points).query(means, distance_upper_bound=_REACH * cell_m)[0])
-        kept[:target] &= means[:, 2] >= lowest
-    else:
-        kept[:target] = False
-    return scene[torch.from_numpy(kept).to(scene.means.device)], int(kept[:target].sum())
-
-
-def _returns(
-    scene: Gaussians, target: int, view: View, grid: ImageGrid, rays: RayGrid, uniform: bool
-) -> Float[np.ndarray, "2 {grid.rows} {grid.columns}"]:
-    """β⁰ of the target and of the ground; `uniform`: as if all had the γ⁰ 1."""
-    projection = project(scene, [view], grid, rays=rays)
-    sections = attenuate(projection, rays).lit_area
-    if not uniform:
-        sections = sections * projection.amplitudes[..., scene.scattering.power_channel]
-    kind = torch.zeros(len(scene), 2, device=sections.device)
-    kind[:target, 0] = kind[target:, 1] = 1
-    return splat(projection.pixels, sections[..., None] * kind, grid)[0].cpu().numpy()
+    if not len(points):
+        return target[:0]
+    kept = np.isfinite(cKDTree(points).query(means, distance_upper_bound=_REACH * cell_m)[0])
+    kept &= means[:, 2] >= lowest
+    return target[torch.from_numpy(kept).to(target.means.device)]

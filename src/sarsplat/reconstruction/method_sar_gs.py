@@ -17,7 +17,7 @@ from sarsplat.data import Dataset, write_gaussians_ply
 from sarsplat.errors import SarsplatWarning, counted
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.reconstruction.config import DEFAULT_METHOD, OWN_LOOP, Config
+from sarsplat.reconstruction.config import DEFAULT_METHOD, OWN_LOOP, Config, FlatGround
 from sarsplat.reconstruction.losses import LOSSES
 from sarsplat.reconstruction.masks import scene_masks, without_imitated_ground
 from sarsplat.reconstruction.mesh import surface_mesh
@@ -51,10 +51,12 @@ class SarGs(Method):
     watchable = True
 
     def preset(self, name: str, dataset: Dataset) -> Config:
-        """A preset; "auto" is for what the images show: where there is ground or speckle, it must be modelled."""
-        if name != "auto":
-            return preset(name)
-        return preset("measured" if dataset.ground else "default" if dataset.looks is None else "speckled")
+        """A preset; "auto" is for what the images show: speckle must be modelled, and ground wherever there is any."""
+        if name == "auto":
+            name = "default" if dataset.looks is None else "measured" if dataset.ground else "speckled"
+        config = preset(name)
+        models_ground = config.ground is None and dataset.ground and config.initialisation == "box"
+        return replace(config, ground=FlatGround()) if models_ground else config
 
     def trainer(
         self,
@@ -130,10 +132,10 @@ class GaussianReconstruction(Reconstruction):
         The target are the Gaussians near the points and, if ground was learned, at least one resolution cell above it
         (`without_imitated_ground`). Without learned ground there is no shadow.
         """
-        scene = self.model.scene(self._degree).detach()
-        scene, count = without_imitated_ground(scene, len(self.model), points, self.grid.cell_m)
+        ground = self.model.ground()
+        target = without_imitated_ground(self.gaussians, points, self.grid.cell_m, ground=ground is not None)
         rays = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL)
-        return scene_masks(scene, count, views, self.model.as_displaced(self.grid), rays)
+        return scene_masks(target, ground, views, self.model.as_displaced(self.grid), rays)
 
     @property
     def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"] | None:

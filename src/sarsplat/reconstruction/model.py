@@ -15,6 +15,7 @@ from sarsplat.data import Dataset
 from sarsplat.data.plausible import warn
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, scattering_named
+from sarsplat.gaussians.ground import Ground
 from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruction.config import Config
@@ -75,7 +76,7 @@ class SceneModel:
         """
         setting, train = Setting.of(config, dataset), dataset.select("train")
         parameters: Parameters = {}
-        if config.surroundings:
+        if config.ground or config.surroundings:
             warn(_cut_off(setting.region, config.margin * setting.cell_m, dataset))
         for part in parts_of(config, setting, torch.device("cpu")):
             parameters |= part.initial(train, generator)
@@ -150,6 +151,10 @@ class SceneModel:
         """The target and what surrounds it; without the target's Gaussians that are `dropped`."""
         return self._made_by(self.parts, degree, dropped)
 
+    def ground(self) -> Ground | None:
+        """The plane on which rays end, in the model's unit; None if there is none."""
+        return next((ground for part in self.parts if (ground := part.ground(self.parameters)) is not None), None)
+
     def _made_by(self, parts: Sequence[Part], degree: int, dropped: Bool[Tensor, " n"] | None = None) -> Gaussians:
         scene = None
         for part in parts:
@@ -183,6 +188,7 @@ class SceneModel:
             shot.grid,
             rays=rays,
             shift=shot.shift,
+            ground=self.ground(),
             plane_gradients=plane_gradients,
             bounds=bounds,
         )
@@ -243,6 +249,5 @@ def _cut_off(region: Region, margin: float, dataset: Dataset) -> list[str]:
 
     return [
         f"the target ({spans(low, high)} m) is larger than the box it is looked for in "
-        f"({spans(region.low, region.high)} m) and will be cut off; widen target_box_m in the dataset, or simulate "
-        "without ground for the preset default"
+        f"({spans(region.low, region.high)} m) and will be cut off; widen target_box_m in the dataset"
     ]

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Real
+from jaxtyping import Float64, Real
 
 from sarsplat.data.orientation import SIDES, oriented
 from sarsplat.geometry import ImageGrid, View
@@ -51,6 +51,9 @@ class Orientation:
         By how much that is higher with azimuths as given.
     grazing : Evidence
         By how much it is higher with grazing angles as given than with 90° less them.
+    spread : Evidence
+        By how much it is higher, in either sense, if azimuths that only count images are spread all round; of no
+        images if they do not.
     """
 
     near: Side | None
@@ -60,6 +63,7 @@ class Orientation:
     correlation: dict[Side, tuple[float, float]]
     sense: Evidence
     grazing: Evidence
+    spread: Evidence
 
     @property
     def by_shadow(self) -> bool:
@@ -78,6 +82,11 @@ class Orientation:
         """Whether grazing angles seem to be incidence angles."""
         return self.near is not None and self.grazing.against(_LEAST_GRAZING)
 
+    @property
+    def counted(self) -> bool:
+        """Whether azimuths only count images that were taken all round."""
+        return self.spread.supports(_LEAST_SENSE)
+
 
 def orientation(
     power: Real[np.ndarray, "v rows columns"],
@@ -86,6 +95,7 @@ def orientation(
     *,
     ground: bool,
     centred: bool = False,
+    spread: Sequence[View] | None = None,
 ) -> Orientation:
     """What images say of their orientation.
 
@@ -99,6 +109,8 @@ def orientation(
         Whether they show ground around the target.
     centred : bool
         Whether the world's origin surely lies where the grid says, so that layover alone tells which side is near.
+    spread : sequence of View, optional
+        Where they may be taken from instead, if their azimuths only count them.
     """
     levels = levels_db(power, grid, ground)
     shadow = shadow_sides(levels if ground else levels[:0])
@@ -124,7 +136,30 @@ def orientation(
         {side: (float(best[k % 2][0].mean()), float(best[k % 2][1].mean())) for k, side in enumerate(SIDES) if pairs},
         Evidence(best[axis][0] - best[axis][1]),
         Evidence(given - swapped),
+        Evidence(_by_spread(frames, bright, pairs, best, spread) if spread and pairs else np.empty(0)),
     )
+
+
+def _by_spread(
+    frames: Sequence[tuple[np.ndarray, ImageGrid]],
+    bright: Sequence[np.ndarray],
+    pairs: Sequence[tuple[int, int]],
+    best: Sequence[Sequence[np.ndarray]],
+    spread: Sequence[View],
+) -> Float64[np.ndarray, " n"]:
+    """By how much more each image correlates with its neighbour among the spread views than with that as given.
+
+    Of each, the axis of range and the sense in which all images together match best.
+    """
+    theirs = neighbours(spread)
+    matched = [match(bright[k], spread, frames[k][1], theirs, sense=sense).best() for k in (0, 1) for sense in (1, -1)]
+    given = dict(zip((k for k, _ in pairs), _highest([*best[0], *best[1]]), strict=True))
+    other = dict(zip((k for k, _ in theirs), _highest(matched), strict=True))
+    return np.array([other[k] - given[k] for k in given.keys() & other.keys()])
+
+
+def _highest(correlations: Sequence[Float64[np.ndarray, " n"]]) -> Float64[np.ndarray, " n"]:
+    return correlations[int(np.argmax([values.sum() for values in correlations]))]
 
 
 def turned_grid(grid: ImageGrid, near: Side) -> ImageGrid:

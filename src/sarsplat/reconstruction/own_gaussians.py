@@ -43,8 +43,8 @@ def usual_grid(gaussians: Gaussians) -> ImageGrid:
     """
     shown = gaussians[gaussians.optical_depth > _FAINT]
     shown = (shown if len(shown) else gaussians).detach()
-    if not len(shown) or not bool(shown.means.isfinite().all()):
-        raise SarsplatError("there are no Gaussians, or a centre is not finite, so no grid can be chosen; give one")
+    if not bool(shown.means.isfinite().all()):
+        raise SarsplatError("the centre of a Gaussian is not finite, so no grid can be chosen; give finite ones")
     reach = shown.means.norm(dim=1) + _SIGMAS * shown.scales.amax(dim=1)  # images are centred on the world's origin
     coarse_m = _CELL_SIGMAS * float(shown.scales.amax(dim=1).median())
     spacing_m = float(f"{max(2 * float(reach.max()) / (_FILLED * _PIXELS), coarse_m):.2g}")
@@ -62,9 +62,10 @@ def own_scene(
         If there are no Gaussians or no views, or configurations cannot name the law of scattering and its settings.
     """
     own = gaussians.detach().to("cpu").to(torch.float32)
-    grid, views = grid or usual_grid(own), _AROUND if views is None else tuple(views)
+    views = _AROUND if views is None else tuple(views)
     if not views or not len(own):
         raise SarsplatError(f"a run needs at least one {'view' if len(own) else 'Gaussian'}; give some")
+    grid = grid or usual_grid(own)
     scattering, settings = own.scattering, own.scattering.settings()
     usual = Config(
         preset=OWN_LOOP,

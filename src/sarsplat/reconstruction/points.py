@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64, Int64, Real
 from scipy.spatial import cKDTree
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
@@ -36,6 +37,7 @@ _AT_ONCE = 1 << 22
 """Returns that wait to be thinned."""
 
 
+@checks_arguments
 def extract_points(
     gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, how: PointExtraction
 ) -> Float64[np.ndarray, "p 3"]:
@@ -57,7 +59,14 @@ def extract_points(
     -------
     numpy.ndarray, float64 [P, 3]
         World frame, m; possibly empty.
+
+    Raises
+    ------
+    SarsplatError
+        If there are no views.
     """
+    if not views:
+        raise SarsplatError("there are no views that could see a surface; give at least one View")
     gaussians, cell = gaussians.detach(), grid.cell_m
     if how.method == "centres":
         points = gaussians.means[gaussians.optical_depth >= how.optical_depth].double().cpu().numpy()

@@ -2,8 +2,17 @@
 
 from __future__ import annotations
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, advised, shown
-from sarsplat.reconstruction.config import Config, Densification, PointExtraction, Rates, Relocation, Surroundings
+from sarsplat.reconstruction.config import (
+    Config,
+    Densification,
+    FlatGround,
+    PointExtraction,
+    Rates,
+    Relocation,
+    Surroundings,
+)
 
 PRESETS: dict[str, Config] = {
     # what measures best on noise-free images
@@ -82,12 +91,14 @@ PRESETS: dict[str, Config] = {
             seen_by=3,
             cluster_radius=1.0,
         ),
+        ground=FlatGround(),
         surroundings=Surroundings(),
     ),
 }
 """Known presets by name."""
 
 
+@checks_arguments
 def preset(name: str) -> Config:
     """The preset of that name; a SarsplatError if there is none."""
     if name not in PRESETS:

@@ -24,6 +24,9 @@ class Record:
     _section: ClassVar[str] = ""
     """What stands before the names of its fields in errors, such as ``rates.``."""
 
+    _gone: ClassVar[Mapping[str, str]] = {}
+    """Fields that files of earlier versions have, and what is to be done about them."""
+
     def __post_init__(self) -> None:
         for name, hint in _hints(type(self)).items():
             value = getattr(self, name)
@@ -111,6 +114,8 @@ def _read(data: object, record: type[R]) -> R:
     if not isinstance(data, dict):
         raise SarsplatError(f"{shown(data)} is not a set of settings; give an object with {', '.join(_hints(record))}")
     hints, section = _hints(record), record._section
+    if (gone := next((name for name in data if name in record._gone), None)) is not None:
+        raise SarsplatError(f"the setting {section}{gone} is of an earlier version; {record._gone[gone]}")
     if (unknown := next((name for name in data if name not in hints), None)) is not None:
         near = get_close_matches(str(unknown), hints, 1)
         meant = f"did you mean {section}{near[0]}?" if near else "remove it"

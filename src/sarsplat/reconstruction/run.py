@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float32, Float64, Real, UInt8
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data import (
     Dataset,
     new_folder,
@@ -101,7 +102,7 @@ class Run:
         if self.memory is not None:
             return self.memory.snapshot
         if self.checkpoint_path is None:
-            raise SarsplatError(f"{self.path} holds no checkpoint; run `sarsplat reconstruct` again with --overwrite")
+            raise SarsplatError(f"{self.path} holds no checkpoint; reconstruct it again with overwrite=True")
         return Snapshot.load(self.checkpoint_path)
 
     @cached_property
@@ -113,7 +114,7 @@ class Run:
         except (KeyError, ValueError, TypeError, IndexError, RuntimeError, SarsplatError) as error:
             raise SarsplatError(
                 f"{self.checkpoint_path} does not hold a whole model ({shown(str(error))}); "
-                "reconstruct it again with --overwrite"
+                "reconstruct it again with overwrite=True"
             ) from error
 
     @property
@@ -126,6 +127,7 @@ class Run:
         """The learned scene of Gaussians; None of methods that learn something else."""
         return self.reconstruction.model
 
+    @checks_arguments
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
         """Images as seen from any views.
 
@@ -153,6 +155,7 @@ class Run:
         """
         return self.reconstruction.render(views, grid)
 
+    @checks_arguments
     def masks(self, views: Sequence[View]) -> UInt8[np.ndarray, "v rows columns"]:
         """What the pixels of any views show: 0 clutter, 1 target, 2 shadow; on its grid, uint8."""
         return self.reconstruction.masks(views, self.points)
@@ -220,7 +223,7 @@ class Run:
         if offsets.shape != (count,) or not np.isfinite(offsets).all():
             raise SarsplatError(
                 f"{self.checkpoint_path} does not hold one azimuth offset for each training view; "
-                "reconstruct it again with --overwrite"
+                "reconstruct it again with overwrite=True"
             )
         return offsets
 
@@ -296,6 +299,7 @@ class Run:
 
     # ---- its folder -------------------------------------------------------------------------------------------------
     @classmethod
+    @checks_arguments
     def load(cls, path: str | Path, device: str = "cpu", dataset: Dataset | None = None) -> Run:
         """Read a run's folder.
 
@@ -329,6 +333,7 @@ class Run:
         return cls(header.method, config, header.dataset_fingerprint, path, where, device=on, images=dataset)
 
     @classmethod
+    @checks_arguments
     def from_gaussians(
         cls,
         gaussians: Gaussians,
@@ -358,6 +363,12 @@ class Run:
         device : {"auto", "cpu", "cuda"}
             Where it renders.
 
+        Returns
+        -------
+        Run
+            Its `config` has the preset "own loop", the number and the scattering of the Gaussians; what else stands
+            there, `iterations` among it, says how the Gaussians are held, and nothing of how they were made.
+
         Raises
         ------
         SarsplatError
@@ -373,6 +384,7 @@ class Run:
         held, on = InMemory(snapshot, ()), device_named(device).type
         return cls(DEFAULT_METHOD, config, fingerprint, None, where, held, on, dataset)
 
+    @checks_arguments
     def save(self, path: str | Path, *, overwrite: bool = False) -> Run:
         """Write the run to a folder, from where every command takes it; with the scores, if it was evaluated.
 

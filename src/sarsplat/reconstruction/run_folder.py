@@ -75,16 +75,16 @@ def read_header(path: Path) -> Header:
     header = path / HEADER
     if not header.is_file():
         if (path / "dataset.json").is_file():
-            raise SarsplatError(
-                f"{path} is a dataset, not a run; give a run of it, which "
-                f"`sarsplat reconstruct {path} --out {path}-run` makes"
-            )
+            usual = path.with_name(f"{path.name}-run")
+            made = (usual / HEADER).is_file()
+            one = f"such as {usual}" if made else f"which `sarsplat reconstruct {path} --out {usual}` makes"
+            raise SarsplatError(f"{path} is a dataset, not a run; give a run of it, {one}")
         what = "does not exist" if not path.exists() else f"holds no {HEADER}, so it is not a run"
         raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out {path}`")
     data = read_json(header, dict[str, Any])
     version = data.get("schema_version")
     if data.get("schema") == SCHEMA and isinstance(version, int) and version < SCHEMA_VERSION:
-        raise SarsplatError(f"{path} was written by an older version; reconstruct it again with --overwrite")
+        raise SarsplatError(f"{path} was written by an older version; reconstruct it again with overwrite=True")
     return read_versioned_json(
         header, Header, schema=SCHEMA, version=SCHEMA_VERSION, remedy="give a run, or reconstruct it again"
     )

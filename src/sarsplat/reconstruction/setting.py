@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from sarsplat.data import Dataset
-from sarsplat.gaussians.ground import ground_radius_m
 from sarsplat.gaussians.initialise import Region, bounded_region
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction.config import Config
@@ -32,15 +30,11 @@ class Setting:
     def of(cls, config: Config, dataset: Dataset) -> Setting:
         """The setting of a configuration on a dataset."""
         train = dataset.select("train")
-        if not config.surroundings:
+        if not config.ground and not config.surroundings:
             return cls(bounded_region(train.power, train.views, train.grid), 1.0, train.views, train.grid)
         box = Region.box(*(dataset.target_box_m or target_box(train.power, train.views, train.grid)))
-        return cls(box, float(train.power.mean(dtype=np.float64)), train.views, train.grid)
-
-    @cached_property
-    def ground_radius_m(self) -> float:
-        """Radius of the ground that the images show, m."""
-        return ground_radius_m(self.views, self.grid)
+        unit = float(train.power.mean(dtype=np.float64)) if config.surroundings else 1.0
+        return cls(box, unit, train.views, train.grid)
 
     @property
     def cell_m(self) -> float:

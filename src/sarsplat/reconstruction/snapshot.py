@@ -88,7 +88,7 @@ class Snapshot:
         except (msgspec.ValidationError, SarsplatError) as error:
             raise SarsplatError(
                 f"{path} does not record how far the training had got ({shown(str(error))}); "
-                "reconstruct it again with --overwrite"
+                "reconstruct it again with overwrite=True"
             ) from error
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float32
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset
 from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
@@ -54,6 +55,7 @@ class TensorBoard:
     step 0, and renderings at intervals that grow.
     """
 
+    @checks_arguments
     def __init__(self, folder: str | Path, dataset: Dataset, *, training_views: int = 2, test_views: int = 2) -> None:
         _writer_class()  # say at once that it is missing
         self._folder = Path(folder)

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import Gaussians
@@ -50,6 +51,7 @@ class Trainer:
         If the training images are black, or a strategy cannot do with the parameters.
     """
 
+    @checks_arguments
     def __init__(
         self,
         dataset: Dataset,
@@ -164,6 +166,7 @@ class Trainer:
         return self.optimiser.rates(self.iteration)
 
     @torch.no_grad()
+    @checks_arguments
     def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
         """β⁰ of any views as they are now, linear power, with the rays of the training."""
         degree, few, power = self.model.degree(self.iteration), self.config.views_per_step, self.model.power_channel
@@ -183,6 +186,7 @@ class Trainer:
         """The target as it is now."""
         return self.model.target(self.model.degree(self.iteration)).detach()
 
+    @checks_arguments
     def snapshot(self, seconds: float) -> Snapshot:
         """Everything the next step depends on, as it is now; `seconds` is how long the training took until here."""
         self.check()
@@ -202,6 +206,7 @@ class Trainer:
             {name: tensor.cpu().clone() for name, tensor in tensors.items()},
         )
 
+    @checks_arguments
     def restore(self, snapshot: Snapshot) -> None:
         """Undo `snapshot`.
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, read_dataset
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError
@@ -20,6 +21,7 @@ from sarsplat.reconstruction.methods import method_named
 from sarsplat.reconstruction.run import Run
 
 
+@checks_arguments
 def reconstruct(
     dataset: Dataset | str | Path,
     preset: str | AnyConfig = "auto",

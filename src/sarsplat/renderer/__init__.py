@@ -9,13 +9,16 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.bounds import Bounds
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
 from sarsplat.renderer.engines import ENGINES, chosen_engine
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
+from sarsplat.renderer.ground import above, check_ground, ground_values
 from sarsplat.renderer.operations import render_with
 from sarsplat.renderer.reference import render_reference
 from sarsplat.renderer.rendering import RayMap, Rendering, channel_of
@@ -36,6 +39,7 @@ __all__ = [
 ]
 
 
+@checks_arguments
 def render(
     gaussians: Gaussians,
     views: Sequence[View],
@@ -46,6 +50,7 @@ def render(
     shift: Float[Tensor, "v 2"] | None = None,
     gain: Float[Tensor, " v"] | None = None,
     imaging_weight: str = "area",
+    ground: Ground | None = None,
     first_return_depth: float | None = None,
     plane_gradients: bool = False,
     bounds: Bounds | None = None,
@@ -56,8 +61,8 @@ def render(
 
     On the computation plane rays attenuate through the Gaussians front to back and give each its radar cross-section;
     on the imaging plane (azimuth × slant range) the cross-sections are splatted additively. Differentiable with respect
-    to every tensor of `gaussians`, and to `amplitudes`, `shift` and `gain`; footprint cuts, depth order and the early
-    stop are held constant.
+    to every tensor of `gaussians` and `ground`, and to `amplitudes`, `shift` and `gain`; footprint cuts, depth order
+    and the early stop are held constant.
 
     Parameters
     ----------
@@ -78,6 +83,8 @@ def render(
         Factor on the power of each image.
     imaging_weight : {"area", "peak"}
         "area" conserves cross-section; "peak" is the paper's unnormalised weight exp(−½eᵀΣ⁻¹e), for ablations only.
+    ground : Ground, optional
+        The plane on which rays end: it is in the images, and hides the Gaussians whose centres are below it.
     first_return_depth : float, optional
         Two-way optical depth at which a ray counts as returned; asks for `Rendering.ray_maps`.
     plane_gradients : bool
@@ -115,13 +122,17 @@ def render(
     agree, "auto" is an error for tensors on that GPU.
     """
     rays = rays or RayGrid.for_image(grid)
-    views = views if isinstance(views, View) else tuple(views)
+    views = tuple(views)
     check_options(
         imaging_weight=imaging_weight,
         first_return_depth=first_return_depth,
         instruction_set=instruction_set,
     )
     check_shapes(gaussians, views, amplitudes, shift, gain)
+    if ground is not None:
+        channels = len(gaussians.scattering.channels) if amplitudes is None else amplitudes.shape[2]
+        check_ground(ground, gaussians.means, channels, gaussians.scattering.power_channel, imaging_weight)
+        gaussians = above(gaussians, ground)
     engine = chosen_engine(engine, gaussians.means)
     by_view = {"amplitudes": amplitudes, "shift": shift, "gain": gain}
     tensors = {**gaussians.tensors(), **by_view}
@@ -129,6 +140,7 @@ def render(
         **by_view,
         "rays": rays,
         "imaging_weight": imaging_weight,
+        "ground": ground,
         "first_return_depth": first_return_depth,
     }
     if engine in ENGINES:
@@ -150,5 +162,5 @@ def render(
             f"plane_gradients=True needs another engine ({', '.join(ENGINES)}); the reference has autograd instead"
         )
     check_for_reference("means", gaussians.means.dtype)
-    check_values(tensors)
+    check_values(tensors if ground is None else tensors | ground_values(ground))
     return render_reference(gaussians, views, grid, **options)

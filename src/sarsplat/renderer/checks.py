@@ -22,6 +22,7 @@ FARTHEST, STRONGEST = 1e9, 1e15
 FLATTEST, STEEPEST = 1e-8, 1e8
 """Limits of the roots of footprints, 1/m."""
 _MAX_ABS = {"means": FARTHEST, "shift": FARTHEST, "scattering": STRONGEST, "amplitudes": STRONGEST, "gain": STRONGEST}
+_MAX_ABS |= {"ground.gamma0": STRONGEST, "ground.exponent": STRONGEST}
 
 _POSITIVE = "optimise logarithms, or clamp"
 ALLOWED = {
@@ -32,6 +33,8 @@ ALLOWED = {
     "scattering": f"finite, at most {STRONGEST:g}",
     "shift": f"finite metres, at most {FARTHEST:g}",
     "gain": f"finite, at most {STRONGEST:g}",
+    "ground.gamma0": f"finite, at most {STRONGEST:g}",
+    "ground.exponent": f"finite, at most {STRONGEST:g}",
     "centers": f"finite metres, at most {2 * FARTHEST:g}",
     "roots": (
         f"finite, at most {STEEPEST:g} per metre, and the first and the last of the three at least {FLATTEST:g} "
@@ -66,11 +69,6 @@ def check_shapes(
     gain: Tensor | None,
 ) -> None:
     """No views, tensors without values, or tensors per view that do not fit them."""
-    if isinstance(views, View):
-        raise SarsplatError(f"views is a single {views}; give a sequence: [view]")
-    for view in views:
-        if not isinstance(view, View):
-            raise SarsplatError(f"views holds {view!r}; each must be a View(azimuth_deg, grazing_deg)")
     if not views:
         raise SarsplatError("there are no views to render; give at least one View")
     v, n = len(views), len(gaussians)

@@ -18,6 +18,7 @@ from sarsplat.renderer.structs import (
     AdamStep,
     Channels,
     Gradients,
+    Ground,
     Lattice,
     Loss,
     Outputs,
@@ -54,6 +55,7 @@ _ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "trace": (*_PROBLEM, c_int32, c_float, c_void_p, c_void_p),
     "get_statistics": (*_PROBLEM, POINTER(Statistics)),
     "amplitude_loss": (c_void_p, POINTER(Loss)),
+    "lit_ground": (c_void_p, POINTER(Ground)),
     "adam": (c_int32, POINTER(AdamStep)),
     "use_torch": (c_void_p,),
 }
@@ -174,14 +176,21 @@ class Pass:
         self._library.sg_set_threads(torch.get_num_threads())
         _require_memory(self._library.sg_amplitude_loss(self._handle, loss))
 
+    def lit_ground(self, ground: ctypes.Structure) -> None:
+        """Fill in what is lit, or the gradients."""
+        self._library.sg_set_threads(torch.get_num_threads())
+        _require_memory(self._library.sg_lit_ground(self._handle, ground))
+
     def lattice(self, view: int) -> ctypes.Structure:
         """Where the rays of a view stand."""
         lattice = Lattice()
         self._library.sg_get_lattice(self._handle, view, lattice)
         return lattice
 
-    def trace(self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int) -> None:
-        """Fill T_end and the first-return range of a view's rays."""
+    def trace(
+        self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int | None
+    ) -> None:
+        """Fill T_end and, unless None, the first-return range of a view's rays."""
         status = self._library.sg_trace(self._handle, problem, view, depth, transmittance, first_return)
         _require_memory(status)
 

@@ -88,8 +88,10 @@ class Pass:
         """Where the rays of a view stand."""
         return Lattice(*self._lattices[view])
 
-    def trace(self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int) -> None:
-        """Fill T_end and the first-return range of a view's rays."""
+    def trace(
+        self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int | None
+    ) -> None:
+        """Fill T_end and, unless None, the first-return range of a view's rays."""
         rays = self._rays[view]
         self._launch(
             "trace_tiles",

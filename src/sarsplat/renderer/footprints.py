@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sarsplat.arguments import expect
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.gaussians import check_tensors
 from sarsplat.renderer.rendering import RayMap
@@ -89,9 +90,7 @@ class Projection:
     amplitudes: Float[Tensor, "v n c"]
 
     def __post_init__(self) -> None:
-        for name in ("rays", "pixels"):
-            if not isinstance(getattr(self, name), Footprints):
-                raise SarsplatError(f"{name} is a {type(getattr(self, name)).__name__}; give Footprints")
+        expect(Footprints, rays=self.rays, pixels=self.pixels)
         v, n = _sizes(self.optical_depth)
         c = self.amplitudes.shape[-1] if isinstance(self.amplitudes, Tensor) and self.amplitudes.ndim == 3 else 1
         _check_fields(self, {"optical_depth": (v, n), "range_m": (v, n), "tilt": (v, n, 2), "amplitudes": (v, n, c)})

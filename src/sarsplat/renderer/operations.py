@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -11,12 +12,15 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import structs
 from sarsplat.renderer.bounds import Bounds
 from sarsplat.renderer.checks import check_values, complaint, complaint_by_view
 from sarsplat.renderer.cpu import FAULTS
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, deviations
+from sarsplat.renderer.ground import ground_values, with_ground
+from sarsplat.renderer.lit_ground import RayEnds, lit_ground
 from sarsplat.renderer.operation import Operation, Tensors
 from sarsplat.renderer.passes import Pass
 from sarsplat.renderer.problem import ARRAYS, directions_to, new_problem, point_at, pointer, problem_of
@@ -39,6 +43,7 @@ def render_with(
     shift: Float[Tensor, "v 2"] | None = None,
     gain: Float[Tensor, " v"] | None = None,
     imaging_weight: str = "area",
+    ground: Ground | None = None,
     first_return_depth: float | None = None,
     plane_gradients: bool = False,
     bounds: Bounds | None = None,
@@ -48,6 +53,8 @@ def render_with(
         bounds.watch(gain)
     else:
         check_values({"gain": gain})  # the rest is checked on the way in
+    if ground is not None and bounds is None:
+        check_values(ground_values(ground))
     g = gaussians
     planes = g.means.new_zeros(len(views), len(g), 4) if plane_gradients else None
     harmonics = None
@@ -57,13 +64,18 @@ def render_with(
         amplitudes = g.amplitudes(directions_to(views, g.means))
     whole = _Render(new_pass(), views, grid, rays, g.scattering.p_min)
     whole.peak, whole.depth, whole.planes = imaging_weight == "peak", first_return_depth, planes
+    whole.ends = ground is not None
     images, cross_sections, lit_area, *traced = whole.of(
         *(g.means, g.quaternions, g.scales, g.optical_depth, harmonics, amplitudes, _shift(g, views, shift))
     )
+    lit = None
+    if ground is not None:
+        lit = lit_ground(_ray_ends(whole, traced[0]), views, grid, rays, ground.height_m, shift)
+        images = with_ground(images, ground, lit, g.scattering.power_channel, views, grid, shift)
     if gain is not None:
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
         images = images * gain[:, None, None, None].expand(-1, images.shape[1], 1, grid.columns)
-    return Rendering(images, cross_sections, lit_area, _ray_maps(whole, len(views), traced), planes)
+    return Rendering(images, cross_sections, lit_area, _ray_maps(whole, traced), planes, lit)
 
 
 def project_with(
@@ -94,7 +106,7 @@ def attenuate_with(
     p = projection
     step = _Attenuate(new_pass(), rays, first_return_depth)
     lit_area, *traced = step.of(p.rays.centers, p.rays.roots, p.optical_depth, p.range_m, p.tilt)
-    return Attenuation(lit_area, _ray_maps(step, len(lit_area), traced))
+    return Attenuation(lit_area, _ray_maps(step, traced))
 
 
 def splat_with(
@@ -144,6 +156,7 @@ class _Render(_OfGaussians):
     """One call each way for all views: images, cross-sections, lit areas, and what the rays met."""
 
     depth: float | None
+    ends: bool
     planes: Float[Tensor, "v n 4"] | None
     constant = (2, 4)
 
@@ -156,7 +169,7 @@ class _Render(_OfGaussians):
         cross_sections, lit_area = means.new_empty(views, n, channels), means.new_empty(views, n)
         outputs = structs.Outputs(*map(pointer, (images, cross_sections, lit_area)))
         self.accept(inputs, *self.kernel.forward("render", problem, outputs))
-        return images, cross_sections, lit_area, *_traced(self.kernel, problem, self.depth, lit_area)
+        return images, cross_sections, lit_area, *_traced(self.kernel, problem, self.depth, self.ends, lit_area)
 
     def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
         d_images, d_cross_sections, _, d_transmittance, _ = grads
@@ -218,7 +231,7 @@ class _Attenuate(Operation):
             reach, width = centers[index].abs().max(), deviations(roots[index]).max()
             raise SarsplatError(_too_many_rays(index, self.rays, float(reach), float(width)))
         _accept_footprints(self.names, inputs, fault, index)
-        return lit_area, *_traced(self.kernel, self.problem, self.depth, lit_area)
+        return lit_area, *_traced(self.kernel, self.problem, self.depth, False, lit_area)
 
     def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
         like = next(grad for grad in grads if grad is not None)
@@ -277,29 +290,35 @@ def _by_view(like: Tensor, problem: Any, width: int | None) -> Tensor:
     return like.new_empty(shape if width is None else (*shape, width))
 
 
-def _traced(kernel: Pass, problem: Any, depth: float | None, like: Tensor) -> tuple[Tensor, Tensor]:
-    """T_end and first returns of the rays of all views, one after the other; of none without a depth."""
-    sizes = [] if depth is None else [kernel.lattice(v).rows * kernel.lattice(v).columns for v in range(problem.views)]
-    transmittance, first_return = like.new_empty(2, sum(sizes)).unbind()
+def _traced(kernel: Pass, problem: Any, depth: float | None, ends: bool, like: Tensor) -> tuple[Tensor, Tensor]:
+    """T_end of the rays of all views, one after the other, and first returns; of none that are not asked for."""
+    asked = ends or depth is not None
+    sizes = [kernel.lattice(v).rows * kernel.lattice(v).columns for v in range(problem.views)] if asked else []
+    transmittance = like.new_empty(sum(sizes))
+    first_return = like.new_empty(0 if depth is None else sum(sizes))
     at = 0
     for v, size in enumerate(sizes):
-        assert depth is not None
-        kernel.trace(problem, v, depth, transmittance[at:].data_ptr(), first_return[at:].data_ptr())
+        returns = None if depth is None else first_return[at:].data_ptr()
+        kernel.trace(problem, v, depth or 0.0, transmittance[at:].data_ptr(), returns)
         at += size
     return transmittance, first_return
 
 
-def _ray_maps(step: _Render | _Attenuate, views: int, traced: Sequence[Tensor]) -> tuple[RayMap, ...] | None:
+def _ray_ends(step: _Render | _Attenuate, transmittance: Tensor) -> RayEnds:
+    """T_end of the rays of all views, and where they are."""
+    lattices, (dx, dy) = [step.kernel.lattice(view) for view in range(step.problem.views)], step.rays.spacing_m
+    sizes = [(lattice.rows, lattice.columns) for lattice in lattices]
+    return RayEnds(transmittance, sizes, [((lattice.k0x + 0.5) * dx, (lattice.k0y + 0.5) * dy) for lattice in lattices])
+
+
+def _ray_maps(step: _Render | _Attenuate, traced: Sequence[Tensor]) -> tuple[RayMap, ...] | None:
     """What was traced, cut into the views' lattices; None if nothing was."""
     if step.depth is None:
         return None
-    maps, at, rays = [], 0, step.rays
-    for lattice in map(step.kernel.lattice, range(views)):
-        end = at + lattice.rows * lattice.columns
-        transmittance, first_return = (t[at:end].view(lattice.rows, lattice.columns) for t in traced)
-        origin = ((lattice.k0x + 0.5) * rays.spacing_m[0], (lattice.k0y + 0.5) * rays.spacing_m[1])
-        maps.append(RayMap(transmittance, first_return, origin))
-        at = end
+    ends, maps = _ray_ends(step, traced[0]), []
+    cut = [values.split([math.prod(size) for size in ends.sizes]) for values in traced]
+    for left, returned, size, origin in zip(*cut, ends.sizes, ends.origins, strict=True):
+        maps.append(RayMap(left.view(size), returned.view(size), origin))
     return tuple(maps)
 
 

@@ -25,6 +25,8 @@ class Pass(Protocol):
         """Where the rays of a view stand."""
         ...
 
-    def trace(self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int) -> None:
-        """Fill T_end and the first-return range of a view's rays."""
+    def trace(
+        self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int | None
+    ) -> None:
+        """Fill T_end and, unless None, the first-return range of a view's rays."""
         ...

@@ -17,9 +17,12 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.covariance import covariance
+from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, deviations
+from sarsplat.renderer.ground import with_ground
+from sarsplat.renderer.lit_ground import RayEnds, lit_ground
 from sarsplat.renderer.rendering import RayMap, Rendering
 
 _UNCUT_RADIUS = 9.0
@@ -39,6 +42,7 @@ def render_reference(
     shift: Float[Tensor, "v 2"] | None = None,
     gain: Float[Tensor, " v"] | None = None,
     imaging_weight: str = "area",
+    ground: Ground | None = None,
     first_return_depth: float | None = None,
     cuts: bool = True,
 ) -> Rendering:
@@ -49,15 +53,27 @@ def render_reference(
     """
     rays = rays or RayGrid.for_image(grid)
     projection = project_reference(gaussians, views, grid, rays=rays, shift=shift)
-    attenuation = attenuate_reference(projection, rays, first_return_depth=first_return_depth, cuts=cuts)
+    depth = first_return_depth if ground is None else first_return_depth or 1.0
+    attenuation = attenuate_reference(projection, rays, first_return_depth=depth, cuts=cuts)
     amplitudes = projection.amplitudes if amplitudes is None else amplitudes
     cross_sections = amplitudes * attenuation.lit_area[..., None]  # σ = P A_c Σ w
-    images = splat_reference(projection.pixels, cross_sections, grid, imaging_weight=imaging_weight, cuts=cuts)
+    images, lit = (
+        splat_reference(projection.pixels, cross_sections, grid, imaging_weight=imaging_weight, cuts=cuts),
+        None,
+    )
+    if ground is not None:
+        maps = attenuation.ray_maps or ()
+        left = torch.cat([ray_map.transmittance.flatten() for ray_map in maps])
+        sizes = [(ray_map.transmittance.shape[0], ray_map.transmittance.shape[1]) for ray_map in maps]
+        ends = RayEnds(left, sizes, [ray_map.origin for ray_map in maps])
+        lit = lit_ground(ends, views, grid, rays, ground.height_m, shift)
+        images = with_ground(images, ground, lit, gaussians.scattering.power_channel, views, grid, shift)
     return Rendering(
         images if gain is None else images * gain[:, None, None, None],
         cross_sections,
         attenuation.lit_area.detach(),
-        attenuation.ray_maps,
+        None if first_return_depth is None else attenuation.ray_maps,
+        lit_ground=lit,
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 
 
@@ -46,6 +47,8 @@ class Rendering:
         On request (`first_return_depth`).
     plane_gradients : Tensor [V, N, 4] or None
         On request: zeros until backward, then ∂L/∂(μ_C,x, μ_C,y, μ_I,x, μ_I,z) per view, per m. For density control.
+    lit_ground : Tensor [V, rows, columns] or None
+        With a ground: the share of it in each pixel that the radar sees, through the response; differentiable.
     """
 
     images: Float[Tensor, "v c rows columns"]
@@ -53,6 +56,7 @@ class Rendering:
     lit_area: Float[Tensor, "v n"]
     ray_maps: tuple[RayMap, ...] | None = None
     plane_gradients: Float[Tensor, "v n 4"] | None = None
+    lit_ground: Float[Tensor, "v rows columns"] | None = None
 
     def __repr__(self) -> str:
         """Shapes instead of tensors."""
@@ -66,6 +70,7 @@ class Rendering:
         return channel_of(self.images, index)
 
 
+@checks_arguments
 def channel_of(images: Float[Tensor, "v c rows columns"], index: int) -> Float[Tensor, "v rows columns"]:
     """The images of one channel [V, rows, columns].
 

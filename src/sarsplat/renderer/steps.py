@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float, Inexact
 from torch import Tensor
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
@@ -24,6 +25,7 @@ from sarsplat.renderer.operations import attenuate_with, project_with, splat_wit
 from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
 
 
+@checks_arguments
 def project(
     gaussians: Gaussians,
     views: Sequence[View],
@@ -72,7 +74,7 @@ def project(
         If shapes or dtypes do not fit, a value is out of range, an option is unknown, or the engine is not available.
     """
     rays = rays or RayGrid.for_image(grid)
-    views = views if isinstance(views, View) else tuple(views)
+    views = tuple(views)
     check_shapes(gaussians, views, None, shift, None)
     tensors = {**gaussians.tensors(), "shift": shift}
     if (engine := chosen_engine(engine, gaussians.means)) in ENGINES:
@@ -83,6 +85,7 @@ def project(
     return project_reference(gaussians, views, grid, rays=rays, shift=shift)
 
 
+@checks_arguments
 def attenuate(
     projection: Projection, rays: RayGrid, *, first_return_depth: float | None = None, engine: str = "auto"
 ) -> Attenuation:
@@ -114,10 +117,6 @@ def attenuate(
     """
     check_options(first_return_depth=first_return_depth)
     p = projection
-    if not isinstance(p, Projection):
-        raise SarsplatError(f"projection is a {type(p).__name__}; give what sarsplat.project returned")
-    if not isinstance(rays, RayGrid):
-        raise SarsplatError(f"rays is a {type(rays).__name__}; give the RayGrid that the projection was made with")
     tensors: dict[str, Tensor | None] = {
         "rays.centers": p.rays.centers,
         "rays.roots": p.rays.roots,
@@ -134,6 +133,7 @@ def attenuate(
     return attenuate_reference(p, rays, first_return_depth=first_return_depth)
 
 
+@checks_arguments
 def splat(
     footprints: Footprints,
     cross_sections: Inexact[Tensor, "v n c"],
@@ -172,10 +172,6 @@ def splat(
         If shapes or dtypes do not fit, a value is out of range, an option is unknown, or the engine is not available.
     """
     check_options(imaging_weight=imaging_weight)
-    if not isinstance(footprints, Footprints):
-        raise SarsplatError(f"footprints is a {type(footprints).__name__}; give Projection.pixels")
-    if not isinstance(cross_sections, Tensor):
-        raise SarsplatError(f"cross_sections is a {type(cross_sections).__name__}; give a torch.Tensor")
     v, n, _ = footprints.centers.shape
     if cross_sections.ndim != 3 or tuple(cross_sections.shape[:2]) != (v, n) or cross_sections.shape[2] < 1:
         raise SarsplatError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from ctypes import POINTER, c_char_p, c_float, c_int32, c_int64, c_void_p
+from ctypes import POINTER, c_char_p, c_double, c_float, c_int32, c_int64, c_void_p
 
 from sarsplat.errors import SarsplatError
 
@@ -54,6 +54,17 @@ Loss = structure(
     *((name, c_float) for name in ("reference", "floor", "ssim_weight", "c1", "c2")),
     *((name, c_void_p) for name in ("loss", "gradient")),
 )
+Axis = structure("sg_axis", ("first", c_double), ("step", c_double), ("count", c_int32))
+Patches = structure("sg_patches", ("rows", Axis), ("columns", Axis))
+Ground = structure(
+    "sg_ground",
+    ("views", c_int32),
+    ("rows", Axis),
+    ("columns", Axis),
+    ("std", c_double * 2),
+    ("patches", POINTER(Patches)),
+    *((name, c_void_p) for name in ("transmittance", "shift", "lit", "d_lit", "d_transmittance", "d_shift")),
+)
 _COLUMNS = c_float * 16
 AdamGroup = structure(
     "sg_adam_group",
@@ -70,7 +81,21 @@ AdamStep = structure(
     ("count", c_int32),
     *((name, c_float) for name in ("beta1", "beta2", "epsilon", "beta1_power", "beta2_power")),
 )
-MIRRORS = (Problem, Outputs, Gradients, Projection, Channels, Lattice, Statistics, Loss, AdamGroup, AdamStep)
+MIRRORS = (
+    Problem,
+    Outputs,
+    Gradients,
+    Projection,
+    Channels,
+    Lattice,
+    Statistics,
+    Loss,
+    Axis,
+    Patches,
+    Ground,
+    AdamGroup,
+    AdamStep,
+)
 """Every structure that Python and the engine share."""
 
 

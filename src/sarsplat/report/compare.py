@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data import new_folder, write_bytes
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Yardstick
@@ -48,6 +49,7 @@ class Comparison:
     caution: str | None
 
 
+@checks_arguments
 def compare(runs: Sequence[Run]) -> Comparison:
     """Put the scores of two or more evaluated runs side by side.
 
@@ -72,6 +74,7 @@ def compare(runs: Sequence[Run]) -> Comparison:
     return Comparison(tuple(runs), tuple(names), tuple(tables), caution)
 
 
+@checks_arguments
 def write_comparison(comparison: Comparison, out: Path, *, overwrite: bool = False) -> Path:
     """Write the comparison as one page that needs no network, `OUT/comparison.html`, and return its path.
 

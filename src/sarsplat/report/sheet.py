@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Real
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.colours import DARK
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
@@ -22,6 +23,7 @@ _MOST = 12 * _MAX_COLUMNS  # images: more would not fit on a screen
 _TEXT = 7.5  # points
 
 
+@checks_arguments
 def contact_sheet(
     images: Real[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid, look: Look
 ) -> bytes:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data import write_bytes
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer
@@ -30,6 +31,7 @@ _SURFACE_SAMPLES = 200_000
 _STILL = Alignment((0.0, 0.0, 0.0), 0.0)
 
 
+@checks_arguments
 def write_report(run: Run, out: str | Path | None = None, *, quiet: bool = False) -> Path:
     """Write `RUN/report/index.html`, or another file: one page that holds all it shows and needs no network.
 

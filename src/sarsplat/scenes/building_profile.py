@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Real
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.geometry import ImageGrid
 from sarsplat.scenes.buildings import Building, Gamma0, Region
 
@@ -44,6 +45,7 @@ class BuildingProfile:
     regions: list[MeasuredRegion]
 
 
+@checks_arguments
 def building_profile(
     image: Real[np.ndarray, "{grid.rows} {grid.columns}"],
     grid: ImageGrid,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import ImageGrid
 from sarsplat.scenes.mesh_files import read_mesh
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 _LARGEST_TARGET, _SMALLEST_TARGET = 1.0, 2.0
 
 
+@checks_arguments
 def load_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
     """Triangle mesh of an .obj, .stl, .ply, .off or .glb file; a scene's parts become one mesh.
 
@@ -75,17 +77,25 @@ def scaled(mesh: trimesh.Trimesh, factor: float) -> trimesh.Trimesh:
     return mesh.copy().apply_scale(factor)
 
 
+def is_larger(mesh: trimesh.Trimesh, grid: ImageGrid) -> bool:
+    """Whether a mesh is longer than its images are wide, along their shorter side."""
+    return float(mesh.extents.max()) > _LARGEST_TARGET * _side_m(grid)
+
+
 def suspicious_size(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
     """A sentence if a mesh is larger than its images or hardly larger than a resolution cell, otherwise nothing."""
     extent = float(mesh.extents.max())
-    side = max(grid.rows * grid.spacing_m[1], grid.columns * grid.spacing_m[0])
     cell = max(grid.resolution_m)
-    if _SMALLEST_TARGET * cell <= extent <= _LARGEST_TARGET * side:
+    if _SMALLEST_TARGET * cell <= extent and not is_larger(mesh, grid):
         return []
     return [
-        f"the target is {extent:.3g} m long, but the images are {side:.3g} m wide with a resolution of {cell:.3g} m; "
-        "if the mesh is not in metres, give --scale, otherwise other --pixels or --spacing"
+        f"the target is {extent:.3g} m long, but the images are {_side_m(grid):.3g} m wide with a resolution of "
+        f"{cell:.3g} m; if the mesh is not in metres, give --scale, otherwise other --pixels or --spacing"
     ]
+
+
+def _side_m(grid: ImageGrid) -> float:
+    return min(grid.rows * grid.spacing_m[1], grid.columns * grid.spacing_m[0])
 
 
 def _have_area(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:

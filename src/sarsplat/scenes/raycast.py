@@ -8,13 +8,14 @@ Direct scattering only: no multiple reflections, no phase.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float, Float64, Int32, Real
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.radiometry import beta0_of_gamma0
@@ -66,13 +67,14 @@ class Facets:
         return np.clip(z, *self.z_span[:, face])
 
 
+@checks_arguments
 def simulate_raycast(
     mesh: trimesh.Trimesh,
     view: View,
     grid: ImageGrid,
     law: ScatteringLaw,
     *,
-    reflectivity: Real[np.ndarray, " faces"] | None = None,
+    reflectivity: Real[np.ndarray, " faces"] | Sequence[float] | None = None,
     ground_gamma0: float | None = None,
     ray_spacing: float | None = None,
     ray_offset: tuple[float, float] = (0.5, 0.5),
@@ -88,7 +90,7 @@ def simulate_raycast(
         Direction to the radar, and where the pixels lie.
     law : ScatteringLaw
         γ⁰ of the mesh's facets against incidence angle.
-    reflectivity : numpy.ndarray [F], optional
+    reflectivity : numpy.ndarray [F], or a list, optional
         Factor on the law's γ⁰ for each face; 1 unless given.
     ground_gamma0 : float, optional
         γ⁰ (linear) of an infinite flat ground at z = 0; without it nothing lies behind the mesh. What lies below the

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from jaxtyping import Float, Float64, Real
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from sarsplat.arguments import checks_arguments, expect
 from sarsplat.errors import SarsplatError
 from sarsplat.radiometry import from_db
 from sarsplat.scenes._random import generator
@@ -51,6 +53,7 @@ class ScatteringLaw:
     exponent: float = 2.0
 
     def __post_init__(self) -> None:
+        expect(float, **self.as_dict())
         for name, value in self.as_dict().items():
             if not 0 <= value <= _MAX_GAMMA0:  # also catches NaN
                 unit = "" if name == "exponent" else " (linear γ⁰)"
@@ -80,6 +83,7 @@ def part_reflectivity(mesh: trimesh.Trimesh, spread_db: float, seed: int) -> Flo
     return factors[part[corners[:, 0]]]
 
 
+@checks_arguments
 def add_speckle(
     power: Real[np.ndarray, "*shape"], looks: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "*shape"]:
@@ -117,7 +121,7 @@ def check_ground(gamma0: float | None) -> None:
 
 
 def check_reflectivity(
-    reflectivity: Real[np.ndarray, " {faces}"] | None, faces: int
+    reflectivity: Real[np.ndarray, " {faces}"] | Sequence[float] | None, faces: int
 ) -> Float64[np.ndarray, " {faces}"]:
     """Factors on the law's γ⁰ as float64: 1 unless given; refused if their number or a value is wrong."""
     if reflectivity is None:

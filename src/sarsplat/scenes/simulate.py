@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64, Real
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.ground import ground_radius_m, ground_sheet
+from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.geometry.responses import GAUSSIAN
 from sarsplat.names import Simulator
@@ -27,9 +27,10 @@ if TYPE_CHECKING:
 
 # Protocol R: nodes of the ray caster, and Gaussians and rays of the splat truth, per pixel spacing.
 _OVERSAMPLE = 9
-_PIECES_PER_PIXEL, _GROUND_PER_PIXEL, _RAYS_PER_PIXEL = 3.0, 2.0, 15.0
+_PIECES_PER_PIXEL, _RAYS_PER_PIXEL = 3.0, 15.0
 
 
+@checks_arguments
 def simulate_images(
     mesh: trimesh.Trimesh,
     views: Sequence[View],
@@ -37,7 +38,7 @@ def simulate_images(
     *,
     source: Simulator = "raycast",
     law: ScatteringLaw | None = None,
-    reflectivity: Real[np.ndarray, " faces"] | None = None,
+    reflectivity: Real[np.ndarray, " faces"] | Sequence[float] | None = None,
     ground_gamma0: float | None = None,
     ray_spacing: float | None = None,
     looks: float | None = None,
@@ -58,7 +59,7 @@ def simulate_images(
         its surface (R-self, as in the paper).
     law : ScatteringLaw, optional
         γ⁰ of the surface against incidence angle; 0.1 + 0.9 cos² i unless given.
-    reflectivity : numpy.ndarray [F], optional
+    reflectivity : numpy.ndarray [F], or a list, optional
         Factor on the law's γ⁰ for each face; 1 unless given.
     ground_gamma0 : float, optional
         γ⁰ (linear) of a flat ground at z = 0; none unless given.
@@ -127,7 +128,6 @@ def simulation_record(
         "raycast": {"ray_spacing_m": ray_spacing, "nodes_per_pixel": _OVERSAMPLE},
         "splat": {
             "surface_pieces_per_pixel": _PIECES_PER_PIXEL,
-            "ground_pieces_per_pixel": _GROUND_PER_PIXEL,
             "rays_per_pixel": _RAYS_PER_PIXEL,
         },
     }
@@ -151,13 +151,11 @@ def _splat(
 ) -> Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]:
     pixel = min(grid.spacing_m)
     gaussians, faces = surface_gaussians(mesh, pixel / _PIECES_PER_PIXEL)
-    target = len(gaussians)
-    if ground_gamma0 is not None:
-        gaussians = Gaussians.cat([gaussians, ground_sheet(ground_radius_m(views, grid), pixel / _GROUND_PER_PIXEL)])
+    ground = None if ground_gamma0 is None else Ground(torch.tensor(ground_gamma0))
     rays = RayGrid.for_image(grid, _RAYS_PER_PIXEL)
     for view in views:
-        gamma0 = torch.full((1, len(gaussians), 1), ground_gamma0 or 0.0)
         face_gamma0 = reflectivity * law_scattering(mesh.face_normals, [view], law)
-        gamma0[:, :target, 0] = torch.from_numpy(face_gamma0[:, faces])
+        gamma0 = torch.from_numpy(face_gamma0[:, faces, None]).float()
         with torch.no_grad():
-            yield render(gaussians, [view], grid, rays=rays, amplitudes=gamma0).channel(0)[0].numpy()
+            rendering = render(gaussians, [view], grid, rays=rays, amplitudes=gamma0, ground=ground)
+            yield rendering.channel(0)[0].numpy()

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float, Float64, Int
 from scipy.spatial.transform import Rotation
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MIN_SCALE, Gaussians, Harmonics
 from sarsplat.geometry import View
@@ -27,6 +28,7 @@ _THICKNESS = 0.01  # standard deviation along the normal, in sizes of a piece
 _MAX_GAUSSIANS = 1e7
 
 
+@checks_arguments
 def surface_gaussians(mesh: trimesh.Trimesh, size: float) -> tuple[Gaussians, Int[np.ndarray, " n"]]:
     """Flat Gaussians that cover a mesh's surface.
 
@@ -102,14 +104,15 @@ def _bisected(
     return np.concatenate(done), np.concatenate(origins)
 
 
+@checks_arguments
 def law_scattering(
-    normals: Float[np.ndarray, "n 3"], views: Sequence[View], law: ScatteringLaw
+    normals: Float[np.ndarray, "n 3"] | Sequence[Sequence[float]], views: Sequence[View], law: ScatteringLaw
 ) -> Float64[np.ndarray, "v n"]:
     """γ⁰ of surface points in every view, two-sided.
 
     Parameters
     ----------
-    normals : numpy.ndarray [N, 3]
+    normals : numpy.ndarray [N, 3], or a list
         Unit normals, world frame.
     views : sequence of View
         V views.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.scenes.btr70 import btr70
 from sarsplat.scenes.buildings import BUILDINGS
@@ -27,6 +28,7 @@ TARGETS: dict[str, Callable[[], trimesh.Trimesh]] = {
 """All built-in targets and the functions that build them."""
 
 
+@checks_arguments
 def target_mesh(name: str) -> trimesh.Trimesh:
     """Triangle mesh of a built-in target.
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Float32
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.points import surface_distance
@@ -19,6 +20,7 @@ from sarsplat.viewer.scene import OfScene
 from sarsplat.viewer.subject import TRUTH, Cloud, Subject, at_most, dataset_subject
 
 
+@checks_arguments
 def subject_at(path: str | Path) -> Subject:
     """The run or dataset in a folder."""
     path = Path(path)

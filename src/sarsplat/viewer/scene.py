@@ -31,7 +31,7 @@ class OfScene(Subject):
         """Set the scene and the degree of its harmonics; copied, so that a training may continue with it."""
         self._model, self._groundless, self._degree = model.copy(), model.copy(ground=False), degree
         self.scene, self.target = (part.detach() for part in (self._model.scene(degree), self._model.target(degree)))
-        self.has_ground = len(self.scene) > len(self.target)
+        self.has_ground = model.ground() is not None
 
     @property
     def maps_grid(self) -> ImageGrid:

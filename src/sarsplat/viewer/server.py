@@ -60,7 +60,7 @@ def stop_server(server: viser.ViserServer) -> None:
 
 def _bound(port: int) -> socket.socket:
     if not 0 <= port < 65536:
-        raise SarsplatError(f"--port {port} is not a valid port; give a number from 1024 to 65535")
+        raise SarsplatError(f"port {port} is not a valid port; give a number from 1024 to 65535")
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     if os.name == "posix":  # of a server that has just ended; elsewhere this would take the port from a living one
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -70,8 +70,7 @@ def _bound(port: int) -> socket.socket:
     except OSError as error:
         listener.close()
         raise SarsplatError(
-            f"port {port} of this machine cannot be used ({(error.strerror or str(error)).lower()}); "
-            "choose another with --port"
+            f"port {port} of this machine cannot be used ({(error.strerror or str(error)).lower()}); choose another"
         ) from error
     return listener
 

@@ -12,6 +12,7 @@ from typing import Self
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.colours import DARK, ERROR, HEIGHT, STRENGTH, rgb
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, View, radar_frame
@@ -65,6 +66,7 @@ class Viewer:
         If the port is taken.
     """
 
+    @checks_arguments
     def __init__(
         self,
         subject: Subject | Gaussians,
@@ -103,21 +105,25 @@ class Viewer:
         """The picked pixel, if any."""
         return self._pixel
 
+    @checks_arguments
     def look_from(self, view: View) -> None:
         """Move the radar to a view and redraw."""
         self._view = view
         self._ask()
 
+    @checks_arguments
     def pick(self, pixel: Pixel | None) -> None:
         """Highlight the contributors to a pixel; None clears it."""
         self._pixel = pixel
         self._ask()
 
+    @checks_arguments
     def show(self, subject: Subject) -> None:
         """Continue with a newer state of the same subject."""
         self._subject, self._picked, self._offered = subject, None, False
         self._ask()
 
+    @checks_arguments
     def update(self, gaussians: Gaussians) -> None:
         """Show a newer state of Gaussians of one's own; called after every step, it takes 3 % of a loop's time at most.
 
@@ -126,6 +132,7 @@ class Viewer:
         now = self._subject
         self.keep_up(lambda: OwnScene(gaussians, now.grid, now.train_views, now.peak))
 
+    @checks_arguments
     def keep_up(self, newer: Callable[[], Subject]) -> None:
         """Show a newer state of a training that waits meanwhile, unless that would take more than 3 % of its time.
 
@@ -144,6 +151,7 @@ class Viewer:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @checks_arguments
     def wait(self, timeout_s: float = 10.0) -> bool:
         """Wait until everything requested is drawn; False on timeout."""
         return self._newest.wait(timeout_s)

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.setting import Setting
@@ -118,6 +119,10 @@ class Part(ABC):
     ) -> Gaussians | None:
         """The scene with this part in it; harmonics up to `degree`, without the Gaussians of the target `dropped`."""
         return scene
+
+    def ground(self, p: Parameters) -> Ground | None:
+        """The plane on which rays end, in the model's unit; None unless it is that."""
+        return None
 
     def reach(self) -> Bounds | None:
         """Bounds that its Gaussians keep as long as parameters are within theirs; None if it has none."""

@@ -11,12 +11,14 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from sarsplat.arguments import described
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MIN_SCALE, Gaussians, Scattering, scattering_named
 from sarsplat.gaussians.initialise import BRIGHT_DB, Region, hemisphere_shell, random_quaternions
 from sarsplat.radiometry import brighter
 from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.outlines import levels_db, outline
 from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, column_means, normal_nats
 from sarsplat.renderer import Bounds
 from sarsplat.renderer.checks import MAX_SCALE
@@ -139,12 +141,29 @@ class Target(Part):
             centre = (low + high) / 2
             low, high = torch.minimum(low, centre - half), torch.maximum(high, centre + half)
         margin = self.config.margin * self.setting.cell_m
-        return low - margin, high + margin
+        low, high = low - margin, high + margin
+        if self.config.ground is not None:
+            low[2] = low[2].clamp(min=0.0)  # what is below is not seen
+        return low, high
 
 
 def law(config: Config, count: int, gamma0: float) -> Scattering:
-    """The configuration's law of scattering, as a training starts with it."""
-    return scattering_named(config.scattering).initial(count, gamma0, config.p_min).detailed(config.harmonics_degree)
+    """The configuration's law of scattering, as a training starts with it.
+
+    Raises
+    ------
+    SarsplatError
+        If a law of one's own starts with something else.
+    """
+    kind = scattering_named(config.scattering)
+    made = kind.initial(count, gamma0, config.p_min)
+    if type(made) is not kind or made.parameters.shape[0] != count or made.parameters.dtype != torch.float32:
+        what = f"{made.parameters.dtype} {list(made.parameters.shape)}" if type(made) is kind else described(made)
+        raise SarsplatError(
+            f"{kind.__name__}.initial({count}, …) returned {what}; it must return a {kind.__name__} whose parameters "
+            f"are torch.float32 [{count}, K]"
+        )
+    return made.detailed(config.harmonics_degree)
 
 
 def scales_m(config: Config, cell_m: float) -> tuple[float, float, float]:
@@ -169,8 +188,11 @@ def scales_m(config: Config, cell_m: float) -> tuple[float, float, float]:
 
 def _enough(train: Dataset) -> int:
     """How many Gaussians a target of this size needs, seen at this resolution."""
-    bright = brighter(train.power, BRIGHT_DB).sum() / len(train)
-    cells = bright * math.prod(train.grid.spacing_m) / train.grid.cell_m**2
+    if train.ground:
+        shown = sum(outline(level).target.sum() for level in levels_db(train.power, train.grid, ground=True))
+    else:
+        shown = brighter(train.power, BRIGHT_DB).sum()
+    cells = shown / len(train) * math.prod(train.grid.spacing_m) / train.grid.cell_m**2
     return max(_FEWEST, round(_PER_CELL * cells))
 
 

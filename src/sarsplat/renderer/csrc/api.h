@@ -83,6 +83,26 @@ struct sg_loss {          // of V images; see loss.h
   float* gradient;        // out [V, rows, columns]
 };
 
+struct sg_axis {          // places first + k step, m; of cells, the edges before each
+  double first, step;
+  int32_t count;
+};
+
+struct sg_patches { sg_axis rows, columns; };  // that the rays of a view make on the ground, in slant range and azimuth
+
+struct sg_ground {        // see ground.h; forward, or with d_lit backward
+  int32_t views;
+  sg_axis rows, columns;  // centres of the pixels
+  double std[2];          // of the response: (azimuth, range)
+  const sg_patches* patches;   // [V]
+  const float* transmittance;  // T_end of all views' lattices one after the other
+  const float* shift;     // [V, 2], or null
+  float* lit;             // out [V, rows, columns]
+  const float* d_lit;     // [V, rows, columns], or null
+  float* d_transmittance; // out
+  float* d_shift;         // out [V, 2], or null
+};
+
 // Footprints of V views of N Gaussians: what `project` makes and the other steps read; backward, the gradients of them.
 struct sg_projection {
   float* ray_centers;     // [V, N, 2] on the computation plane
@@ -116,6 +136,7 @@ struct sg_engine {        // one per instruction set
   void (*lattice)(const sg_context*, int32_t view, sg_lattice*);
   int32_t (*trace)(const sg_context*, const sg_problem*, int32_t view, float depth, float* transmittance, float* first_return);
   int32_t (*amplitude_loss)(sg_context*, const sg_loss*);
+  int32_t (*lit_ground)(sg_context*, const sg_ground*);
   void (*adam)(const sg_adam_step*);
   void (*statistics)(const sg_context*, const sg_problem*, sg_statistics*);
   // one step alone each: of the problem's arrays, `project` alone reads any

@@ -120,12 +120,15 @@ extern "C" __global__ void __launch_bounds__(kThreads) attenuate_tiles_backward(
   }
 }
 
-// T_end and the range at which the two-way optical depth reaches `depth`, ray by ray, of the view that begins at
-// first_tile; NaN where it never does
+// T_end and, unless null, the range at which the two-way optical depth reaches `depth`, ray by ray, of the view that begins
+// at first_tile; NaN where it never does
 extern "C" __global__ void __launch_bounds__(kThreads)
 trace_tiles(sg_problem p, State s, int32_t first_tile, float depth, float* transmittance, float* first_return) {
   const auto [lattice, ray, first, count] = tile(s.rays, p.views, first_tile + blockIdx.x);
   if (!ray.inside) return;
+  const int64_t at = ray.index - lattice.first_point;
+  transmittance[at] = s.transmittance[ray.index];
+  if (!first_return) return;
   const float stop = -logf(p.min_transmittance);
   float sum_tau = 0.0f, found = __int_as_float(0x7fc00000);
   for (int64_t k = first; k < first + count && sum_tau <= stop; k++) {
@@ -139,8 +142,6 @@ trace_tiles(sg_problem p, State s, int32_t first_tile, float depth, float* trans
     if (before < depth && sum_tau >= depth)
       found = splat.extra + s.slope[2 * j] * ((float)ray.x - g.x) + s.slope[2 * j + 1] * ((float)ray.y - g.y);
   }
-  const int64_t at = ray.index - lattice.first_point;
-  transmittance[at] = s.transmittance[ray.index];
   first_return[at] = found;
 }
 

@@ -17,7 +17,7 @@ void read_row(const Strips& s, int y, const float* strips, float* row) {
     std::memcpy(row + x, strips + s.at(s.x0 + x, y), sizeof(float) * smaller(kBlockX, s.columns - x));
 }
 
-// T_end and the range at which the two-way optical depth reaches `depth`, ray by ray; NaN where it never does
+// T_end and, unless null, the range at which the two-way optical depth reaches `depth`, ray by ray; NaN where it never does
 int32_t trace(const sg_context* c, const sg_problem* p, int32_t view, float depth, float* transmittance, float* first_return) {
   const ViewState& s = c->views[view];
   const Strips& lattice = s.rays;
@@ -27,6 +27,7 @@ int32_t trace(const sg_context* c, const sg_problem* p, int32_t view, float dept
     for (int y = band.strips.y0; y < band.strips.y0 + band.strips.rows; y++)
       read_row(band.strips, y, s.T + band.start, transmittance + (int64_t)(y - lattice.y0) * lattice.columns);
   }
+  if (!first_return) return SG_OK;
   float* sum_tau = (float*)std::malloc(sizeof(float) * (rays + 1));
   if (!sum_tau) return SG_MEMORY;
   for (int64_t i = 0; i < rays; i++) { sum_tau[i] = 0.0f; first_return[i] = __builtin_nanf(""); }

@@ -1,0 +1,175 @@
+"""What public functions are given: an argument of another kind than its annotation says is refused in one sentence."""
+
+from __future__ import annotations
+
+import os
+import sys
+import typing
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cache, wraps
+from inspect import signature
+from numbers import Integral, Real
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar
+
+from sarsplat.errors import SarsplatError
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+_GIVE = {
+    "Callable": "a function, not its name",
+    "Config": "a Config, such as preset('default')",
+    "Dataset": "a Dataset, such as read_dataset(PATH) reads",
+    "Footprints": "Footprints, such as Projection.pixels",
+    "Gaussians": "Gaussians, such as read_gaussians_ply(PATH) reads",
+    "ImageGrid": "an ImageGrid(rows, columns, spacing_m, resolution_m)",
+    "Mapping": "a dict",
+    "Path": "a path, a str or a pathlib.Path",
+    "Projection": "what sarsplat.project returned",
+    "RayGrid": "a RayGrid, such as RayGrid.for_image(grid)",
+    "Response": "Gaussian() or Taylor()",
+    "Run": "a Run, as reconstruct returns or Run.load(PATH) reads",
+    "SarImage": "a SarImage(power, view, grid)",
+    "Scattering": "a law with its parameters, such as Harmonics(torch.zeros(n, 16))",
+    "Tensor": "a torch.Tensor (torch.as_tensor makes one)",
+    "Trimesh": "a trimesh.Trimesh, such as load_mesh(PATH) reads",
+    "View": "a View(azimuth_deg, grazing_deg)",
+    "bool": "True or False",
+    "float": "a number",
+    "int": "a whole number",
+    "ndarray": "a numpy.ndarray (numpy.asarray makes one)",
+    "str": "a str",
+}
+"""The remedy, by the name of the kind that was expected."""
+
+_NUMBERS = {float: Real, int: Integral, bool: Integral}
+_SERIES = (Sequence, Iterable, tuple)
+_ONE_THING = (str, bytes, os.PathLike)
+"""What Python iterates over, or opens, but nobody means as a sequence."""
+
+
+def checks_arguments(function: F) -> F:
+    """The function, which first refuses arguments of other kinds than its annotations name.
+
+    Kinds are classes, paths, numbers, arrays, functions, mappings and sequences of them. Shapes, ranges and choices
+    are left to the function; it raises a SarsplatError in either case, here before anything is done.
+    """
+    names = [*signature(function).parameters]
+
+    @wraps(function)
+    def checked(*arguments: Any, **options: Any) -> Any:
+        kinds = _kinds(function)
+        for name, value in (*zip(names, arguments, strict=False), *options.items()):
+            if name in kinds:
+                _expect(kinds[name], name, value)
+        return function(*arguments, **options)
+
+    return typing.cast("F", checked)
+
+
+def expect(kind: Any, **values: object) -> None:
+    """Refuse values, by name, that are not of a kind, in the same words."""
+    for name, value in values.items():
+        _expect(tuple(_alternatives(kind)), name, value)
+
+
+def _expect(kinds: Sequence[Any], name: str, value: object) -> None:
+    if not _fits(value, kinds):
+        raise SarsplatError(f"{name} {_instead(value, kinds)}")
+
+
+def described(value: object) -> str:
+    """The value as an error quotes it; where that is long, or an address in memory, its type and shape."""
+    shape, text = getattr(value, "shape", None), repr(value)
+    if not isinstance(shape, tuple) and len(text) <= 120 and " at 0x" not in text:
+        return text
+    return f"an object of type {type(value).__name__}" + (f" {list(shape)}" if isinstance(shape, tuple) else "")
+
+
+@cache
+def _kinds(function: Callable[..., Any]) -> dict[str, tuple[Any, ...]]:
+    """The kinds that each parameter may be of; of a class that is imported for types alone, its name."""
+    known = vars(sys.modules[function.__module__])
+    kinds: dict[str, tuple[Any, ...]] = {}
+    for name, hint in function.__annotations__.items():
+        try:
+            kinds[name] = tuple(_alternatives(eval(hint, known) if isinstance(hint, str) else hint))
+        except NameError:
+            parts = [part.strip().rpartition(".")[2] for part in hint.split("|")]
+            kinds[name] = tuple(None if part == "None" else part for part in parts)
+    return kinds
+
+
+def _alternatives(hint: Any) -> Iterator[Any]:
+    """What an annotation allows, one by one: classes, and sequences, mappings and functions as they are written."""
+    if typing.get_origin(hint) in (UnionType, typing.Union):
+        for part in typing.get_args(hint):
+            yield from _alternatives(part)
+    else:
+        yield getattr(hint, "array_type", None if hint is NoneType else hint)  # jaxtyping's
+
+
+def _fits(value: object, kinds: Iterable[Any]) -> bool:
+    return any(_is(value, kind) for kind in kinds)
+
+
+def _is(value: object, kind: Any) -> bool:
+    if kind is None or isinstance(kind, str):
+        return value is kind or any(cls.__name__ == kind for cls in type(value).__mro__)
+    origin = typing.get_origin(kind) or kind
+    if origin is Literal:
+        return isinstance(value, tuple(type(choice) for choice in typing.get_args(kind)))
+    if origin is Callable:
+        return callable(value)
+    if origin in _SERIES:
+        if isinstance(value, _ONE_THING) or not isinstance(value, Iterable):
+            return False
+        if isinstance(value, Iterator):
+            return True
+        values = [*value]
+        return len(values) == (_fixed(kind) or len(values)) and all(_fits(item, _items(kind)) for item in values)
+    if not isinstance(origin, type) or origin is Any or getattr(origin, "_is_protocol", False):
+        return True  # what anything is, or the function sees to itself
+    if origin in _NUMBERS:
+        return isinstance(value, _NUMBERS[origin]) or getattr(value, "shape", None) == ()
+    return isinstance(value, os.PathLike if origin is Path else origin)
+
+
+def _items(kind: Any) -> tuple[Any, ...]:
+    """What each member of a series may be."""
+    return tuple(_alternatives(next(iter(typing.get_args(kind)), Any)))
+
+
+def _fixed(kind: Any) -> int:
+    """How many values a tuple must hold, all of one kind; 0: any number."""
+    members = typing.get_args(kind)
+    return 0 if typing.get_origin(kind) is not tuple or ... in members else len(members)
+
+
+def _instead(value: object, kinds: Sequence[Any]) -> str:
+    """What is wrong with a value that is of none of these kinds, and what to give."""
+    for kind in kinds:
+        if typing.get_origin(kind) in _SERIES:
+            items = _items(kind)
+            if Any not in items and not _fixed(kind) and _fits(value, items):
+                return f"is a single one, {described(value)}; put it into a list"
+            if isinstance(value, Iterable) and not isinstance(value, _ONE_THING):
+                for wrong in (item for item in value if not _fits(item, items)):
+                    return f"holds {described(wrong)}; make each {_wanted(items)}"
+    return f"is {described(value)}; give {_wanted(kinds)}"
+
+
+def _wanted(kinds: Sequence[Any]) -> str:
+    some = [kind for kind in kinds if kind is not None and not (kind is str and Path in kinds)]
+    return " or ".join(_remedy(kind) for kind in some)
+
+
+def _remedy(kind: Any) -> str:
+    origin, members = typing.get_origin(kind) or kind, typing.get_args(kind)
+    if origin is Literal:
+        return f"one of {', '.join(map(repr, members))}"
+    if origin in _SERIES:
+        return f"{f'{number} values' if (number := _fixed(kind)) else 'a list'}, each {_wanted(_items(kind))}"
+    name = kind if isinstance(kind, str) else origin.__name__
+    return _GIVE.get(name, f"an object of the class {name}")

@@ -1,0 +1,222 @@
+"""The ground is where rays end: its level, its shadows, what it hides, and what it costs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from named_scenes import GRID, VIEWS, cloud
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.gaussians.ground import Ground, ground_radius_m
+from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.renderer import render
+from sarsplat.renderer.ground import free_ground
+from sarsplat.renderer.lit_ground import RayEnds, lit_ground
+
+WIDE = ImageGrid(48, 40, (0.3, 0.25), (0.45, 0.4))
+
+
+def lattice(view: View, rays: RayGrid, transmittance, height_m: float = 0.0, grid: ImageGrid = WIDE) -> RayEnds:
+    """Rays that cover a square of 12 m of the plane around the origin, with T(x_r, slant range) of the ground there."""
+    dx, dy = rays.spacing_m
+    theta = math.radians(view.grazing_deg)
+    columns, rows = math.ceil(6 / dx), math.ceil(6 * math.sin(theta) / dy)
+    x, y = ((np.arange(-n, n) + 0.5) * d for n, d in ((columns, dx), (rows, dy)))
+    r = (y * math.cos(theta) - height_m) / math.sin(theta)
+    left = torch.from_numpy(
+        np.broadcast_to(transmittance(x[None, :], r[:, None]), (2 * rows, 2 * columns)).astype(float)
+    )
+    return RayEnds(left.flatten(), [(2 * rows, 2 * columns)], [(float(x[0]), float(y[0]))])
+
+
+def lit(
+    ends: RayEnds,
+    view: View,
+    rays: RayGrid,
+    dtype: torch.dtype,
+    height_m: float = 0.0,
+    shift: torch.Tensor | None = None,
+) -> torch.Tensor:
+    return lit_ground(replace(ends, transmittance=ends.transmittance.to(dtype)), [view], WIDE, rays, height_m, shift)[0]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("grazing", [5.0, 17.0, 45.0, 60.0, 85.0])
+def test_lit_ground_is_flat_whatever_the_angle_and_the_rays(grazing, dtype):
+    view = View(35.0, grazing)
+    for spacing in ((0.02, 0.03), (0.4, 0.7)):
+        rays = RayGrid(spacing)
+        shares = lit(lattice(view, rays, lambda x, r: 0.3), view, rays, dtype)
+        inner = shares[np.abs(WIDE.range_m) < 6 * math.cos(math.radians(grazing)) - 1.5]
+        assert len(inner) > 2 or grazing > 70
+        torch.testing.assert_close(inner[:, 4:-4], torch.full_like(inner[:, 4:-4], 0.3), rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("engine", ["cpu", "reference"])
+@pytest.mark.parametrize("grazing", [5.0, 17.0, 45.0, 85.0])
+def test_free_ground_has_the_level_of_its_gamma0(grazing, engine):
+    dtype = torch.float32 if engine == "cpu" else torch.float64
+    far = cloud(5, 0)
+    far = replace(far, means=far.means + torch.tensor([500.0, 0.0, 3.0])).to(dtype)
+    view, ground = View(120.0, grazing), Ground(torch.tensor(0.2, dtype=dtype), exponent=torch.tensor(1.5, dtype=dtype))
+    for scene in (far, far[:0]):
+        images = render(scene, [view], WIDE, rays=RayGrid((0.1, 0.1)), ground=ground, engine=engine).images
+        sine, tangent = math.sin(math.radians(grazing)), math.tan(math.radians(grazing))
+        torch.testing.assert_close(images, torch.full_like(images, 0.2 * sine**1.5 * tangent))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("grazing", [10.0, 45.0, 70.0])
+def test_an_edge_of_shadow_is_where_rays_say(grazing, dtype):
+    """Half of the level lies on the edge between two rays' cells, along range and along azimuth; also when shifted."""
+    view, rays, height_m = View(250.0, grazing), RayGrid((0.05, 0.05 * math.sin(math.radians(grazing)))), 0.7
+    ends = lattice(view, rays, lambda x, r: ~((x < 0.4) & (r < 0.3)), height_m)
+    dx, dy = rays.spacing_m
+    theta = math.radians(grazing)
+    last_y = math.floor((0.3 * math.sin(theta) + height_m) / math.cos(theta) / dy - 0.5) + 1
+    edge_r = (last_y * dy * math.cos(theta) - height_m) / math.sin(theta)
+    edge_x = (math.floor(0.4 / dx - 0.5) + 1) * dx
+    for shift in (None, torch.tensor([[0.13, -0.21]], dtype=dtype)):
+        moved = (0.0, 0.0) if shift is None else shift[0].tolist()
+        shares = lit(ends, view, rays, dtype, height_m=height_m, shift=shift)
+        for profile, places, edge, by in (
+            (shares[:, 12], WIDE.range_m, edge_r, moved[1]),
+            (shares[20, :], WIDE.azimuth_m, edge_x, moved[0]),
+        ):
+            level = profile.double().numpy()
+            inside = slice(np.argmax(level < 0.3), None)
+            after = inside.start + int(np.argmax(level[inside] > 0.5))
+            # between pixels the error function is interpolated by its argument
+            low, high = (math.sqrt(2) * _erfinv(2 * level[k] - 1) for k in (after - 1, after))
+            found = places[after - 1] + (places[after] - places[after - 1]) * -low / (high - low)
+            assert found == pytest.approx(edge + by, abs=2e-4)
+
+
+def _erfinv(x: float) -> float:
+    return float(torch.special.erfinv(torch.tensor(x, dtype=torch.float64)))
+
+
+def test_what_the_ground_loses_is_what_rays_lose():
+    """Energy: Σ β⁰ ΔaΔr that is missing is γ⁰ times the area, across the line of sight, of what is hidden."""
+    view, rays = View(20.0, 40.0), RayGrid((0.07, 0.06))
+    scene = replace(cloud(30, 3, size=(3.0, 3.0, 1.0), scale=0.2, kappa=(0.5, 3.0)))
+    scene = replace(scene, means=scene.means + torch.tensor([0.0, 0.0, 1.0]))
+    ground = Ground(torch.tensor(0.25))
+    rendering = render(scene, [view], WIDE, rays=rays, ground=ground, first_return_depth=0.5)
+    missing = 0.25 * math.tan(math.radians(40)) * float((1 - rendering.lit_ground.double()).sum()) * 0.3 * 0.25
+    (left,) = rendering.ray_maps
+    assert missing == pytest.approx(0.25 * rays.cell_area * float((1 - left.transmittance.double()).sum()), rel=1e-3)
+    alone = render(scene, [view], WIDE, rays=rays)
+    assert torch.equal(rendering.cross_sections, alone.cross_sections)  # nothing else changes
+    expected = alone.images[:, 0] + 0.25 * math.tan(math.radians(40)) * rendering.lit_ground
+    torch.testing.assert_close(rendering.images[:, 0], expected)
+
+
+@pytest.mark.parametrize("grazing", [30.0, 45.0, 60.0])
+def test_the_shadow_of_a_wall_is_as_long_as_the_wall_is_high(grazing):
+    """An opaque wall of 2 m across the line of sight hides the ground to 2 m / tan θ behind its foot."""
+    height, pitch = 2.0, 0.05
+    y, z = (axis.ravel() for axis in np.meshgrid(np.arange(-3, 3, pitch), np.arange(pitch / 2, height, pitch)))
+    n = len(y)
+    wall = Gaussians(
+        torch.from_numpy(np.column_stack([np.zeros(n), y, z])).float(),
+        torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
+        torch.tensor([0.002, 0.6 * pitch, 0.6 * pitch]).repeat(n, 1),
+        torch.full((n,), 4.0),
+        Harmonics(torch.full((n, 1), -90.0), 0.0),
+    )
+    view, ground = View(0.0, grazing), Ground(torch.tensor(0.3))
+    grid = ImageGrid(120, 40, (0.1, 0.05), (0.15, 0.08))
+    image = render(wall, [view], grid, rays=RayGrid((0.02, 0.02)), ground=ground).images[0, 0]
+    profile = image[:, 15:25].mean(1).double().numpy() / (0.3 * math.tan(math.radians(grazing)))
+    theta = math.radians(grazing)
+    near, far = 0.0, height / math.tan(theta) * math.cos(theta)
+    assert profile[grid.range_m < near - 0.2] == pytest.approx(1.0, abs=1e-3)
+    assert profile[(grid.range_m > near + 0.15) & (grid.range_m < far - 0.2)] == pytest.approx(0.0, abs=2e-3)
+    assert profile[grid.range_m > far + 0.2] == pytest.approx(1.0, abs=1e-3)
+    for edge, rising in ((near, False), (far, True)):
+        around = np.flatnonzero(np.abs(grid.range_m - edge) < 0.3)
+        levels = profile[around] if rising else profile[around][::-1]
+        found = np.interp(0.5, levels, grid.range_m[around] if rising else grid.range_m[around][::-1])
+        assert found == pytest.approx(edge, abs=0.036 / math.sin(theta))  # what Gaussians bulge over its edges
+
+
+def test_texture_lies_where_it_is_on_the_ground():
+    """γ⁰ that grows linearly with x and y, up to the last places, against the geometry inverted by a matrix."""
+    steps = torch.arange(-20, 21, dtype=torch.float64) * 0.8
+    table = 2.0 + 0.03 * steps[None, :] - 0.05 * steps[:, None]  # [y, x]
+    view, height_m = View(130.0, 35.0), 0.9
+    shift = torch.tensor([[0.3, -0.2]], dtype=torch.float64)
+    found = free_ground(Ground(table, 0.8, height_m), [view], WIDE, shift)[0]
+    frame = radar_frame(view)
+    x_r, r = np.meshgrid(WIDE.azimuth_m - 0.3, WIDE.range_m + 0.2)
+    # x_r and r fix two coordinates, the height the third
+    matrix = np.stack([frame[0], frame[2], [0.0, 0.0, 1.0]])
+    world = np.linalg.solve(matrix, np.stack([x_r, r, np.full_like(r, height_m)]).reshape(3, -1)).reshape(3, *r.shape)
+    expected = (2.0 + 0.03 * world[0] - 0.05 * world[1]) * math.tan(math.radians(35))
+    np.testing.assert_allclose(found.numpy(), expected, rtol=1e-12)
+    beyond = free_ground(Ground(table[18:23, 18:23], 0.8), [view], WIDE)[0]
+    assert float(beyond.min()) >= float(table[18:23, 18:23].min()) * math.tan(math.radians(35)) - 1e-12
+
+
+def test_what_is_below_the_ground_is_not_seen_and_throws_no_shadow():
+    scene = cloud(20, 1, size=(2.0, 2.0, 0.5))
+    buried = replace(cloud(20, 2), means=cloud(20, 2).means - torch.tensor([0.0, 0.0, 2.0]))
+    ground = Ground(torch.tensor(0.3), height_m=-1.0)
+    alone = render(scene, VIEWS, GRID, ground=ground)
+    both = render(Gaussians.cat([scene, buried]), VIEWS, GRID, ground=ground)
+    torch.testing.assert_close(both.images, alone.images)
+    assert not both.lit_area[:, 20:].any()
+
+
+def test_without_ground_nothing_is_said_of_it():
+    assert render(cloud(5, 0), VIEWS, GRID).lit_ground is None
+
+
+def test_the_ground_reaches_past_the_farthest_corner_of_the_images():
+    grid = ImageGrid(40, 30, (0.3, 0.2), (0.5, 0.4), (2.0, -1.5))
+    for view in (View(0, 30), View(75, 60)):
+        to_ground = np.linalg.inv(radar_frame(view)[[0, 2], :2])
+        edges = [
+            axis[[0, -1]] + np.array([-0.5, 0.5]) * step
+            for axis, step in zip((grid.azimuth_m, grid.range_m), grid.spacing_m, strict=True)
+        ]
+        corners = to_ground @ np.stack(np.meshgrid(*edges)).reshape(2, -1)
+        assert ground_radius_m([view], grid) == pytest.approx(np.linalg.norm(corners, axis=0).max() + 2 * 0.5)
+        assert ground_radius_m([view, View(10, 80)], grid) == pytest.approx(ground_radius_m([View(10, 80)], grid))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Ground(0.3), "the ground's gamma0 is float; give a floating-point torch.Tensor"),
+        (lambda: Ground(torch.ones(3)), r"the ground's gamma0 has shape \(3,\); give one number, or a lattice"),
+        (lambda: Ground(torch.ones(()), 0.0), "the ground's pitch_m is 0.0; give a positive, finite number of metres"),
+        (lambda: Ground(torch.ones(()), 1.0, math.nan), "the ground's height_m is nan; give a finite number of metres"),
+        (
+            lambda: Ground(torch.ones(()), exponent=torch.ones(1)),
+            r"the ground's exponent has shape \(1,\); give one num",
+        ),
+        (lambda: render(cloud(5, 0), VIEWS, GRID, ground=0.3), "ground is a float; give a sarsplat.Ground"),
+        (
+            lambda: render(cloud(5, 0), VIEWS, GRID, ground=Ground(torch.ones((), dtype=torch.float64))),
+            "ground.gamma0 is torch.float64 on cpu but means is torch.float32 on cpu",
+        ),
+        (
+            lambda: render(cloud(5, 0), VIEWS, GRID, ground=Ground(torch.ones(())), imaging_weight="peak"),
+            "imaging_weight='peak' gives images without a unit, to which no ground can be added",
+        ),
+        (
+            lambda: render(cloud(5, 0), VIEWS, GRID, ground=Ground(torch.full((2, 2), math.inf))),
+            r"ground.gamma0\[0\] is inf; it must be finite",
+        ),
+    ],
+)
+def test_errors(make, message):
+    with pytest.raises(SarsplatError, match=message):
+        make()

@@ -1,0 +1,256 @@
+"""What public functions are given: another kind is refused in one sentence, before anything is done."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import pytest
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+import sarsplat
+from datasets import small_dataset
+from sarsplat import (
+    Config,
+    Dataset,
+    Gaussians,
+    Harmonics,
+    ImageGrid,
+    RayGrid,
+    Run,
+    SarImage,
+    SarsplatError,
+    Trainer,
+    View,
+    Viewer,
+    evaluate_run,
+    export,
+    reconstruct,
+    render,
+    write_dataset,
+    write_report,
+)
+from sarsplat.arguments import checks_arguments
+from sarsplat.data import read_points_ply, write_mesh, write_points_ply
+from sarsplat.scenes import ScatteringLaw, law_scattering
+
+if TYPE_CHECKING:
+    import trimesh
+
+GRID = ImageGrid(16, 16, (0.5, 0.5), (0.75, 0.75))
+VIEW = View(30.0, 40.0)
+DATA = small_dataset()
+
+
+def scene(count: int = 3) -> Gaussians:
+    return Gaussians(
+        torch.zeros(count, 3),
+        torch.ones(count, 4),
+        torch.full((count, 3), 0.3),
+        torch.ones(count),
+        Harmonics(torch.ones(count, 1)),
+    )
+
+
+@checks_arguments
+def sample(
+    view: View | None = None,
+    views: Sequence[View] = (),
+    path: str | Path = "",
+    number: float = 0.0,
+    count: int = 0,
+    flag: bool = False,
+    word: Literal["a", "b"] = "a",
+    pair: tuple[float, float] = (0.0, 0.0),
+    many: tuple[int, ...] = (),
+    by_name: Mapping[str, str] | None = None,
+    call: Callable[[int], int] | None = None,
+    tensor: Float[Tensor, "n 3"] | None = None,
+    array: Float[np.ndarray, "n 3"] | None = None,
+    mesh: trimesh.Trimesh | None = None,
+    lines: Iterable[str] = (),
+    anything: Any = None,
+) -> str:
+    """One parameter of each kind."""
+    return "done"
+
+
+FITTING = {
+    "view": [None, VIEW],
+    "views": [[], (VIEW,), iter([VIEW]), np.array([VIEW])],
+    "path": ["a", Path("a")],
+    "number": [1, 1.5, np.float32(1), np.int64(1), float("nan"), torch.tensor(1.0), np.array(1.0)],
+    "count": [1, np.int64(1), torch.tensor(1)],
+    "flag": [True, np.bool_(True), 1],
+    "word": ["a", "c"],
+    "pair": [(1, 2), [1.0, np.float32(2)], np.ones(2)],
+    "many": [(), [1, 2, 3], range(3)],
+    "by_name": [{}, {"a": "b"}],
+    "call": [len, lambda x: x, Run],
+    "tensor": [torch.ones(1), None],
+    "array": [np.ones(1), None],
+    "lines": [[], ["a", "b"], iter("ab")],
+    "anything": [object()],
+}
+
+
+@pytest.mark.parametrize(("name", "value"), [(name, value) for name, values in FITTING.items() for value in values])
+def test_what_fits_is_passed_on(name: str, value: object) -> None:
+    assert sample(**{name: value}) == "done"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "sentence"),
+    [
+        ("view", "x", "view is 'x'; give a View(azimuth_deg, grazing_deg)"),
+        ("view", (30, 40), "view is (30, 40); give a View(azimuth_deg, grazing_deg)"),
+        ("view", GRID, "view is an object of type ImageGrid; give"),
+        ("views", VIEW, f"views is a single one, {VIEW}; put it into a list"),
+        ("views", "x", "views is 'x'; give a list, each a View("),
+        ("views", None, "views is None; give a list"),
+        ("views", [VIEW, 3], "views holds 3; make each a View("),
+        ("path", 3, "path is 3; give a path, a str or a pathlib.Path"),
+        ("path", DATA, "path is <Dataset of unnamed: 1 train, 2 test; 16 × 12 pixels>; give a path"),
+        ("number", "3", "number is '3'; give a number"),
+        ("number", np.ones(2), "number is an object of type ndarray [2]; give a number"),
+        ("count", 1.5, "count is 1.5; give a whole number"),
+        ("flag", "no", "flag is 'no'; give True or False"),
+        ("flag", torch.ones(2), "flag is an object of type Tensor [2]; give True or False"),
+        ("word", 3, "word is 3; give one of 'a', 'b'"),
+        ("pair", 3, "pair is 3; give 2 values, each a number"),
+        ("pair", (1, 2, 3), "pair is (1, 2, 3); give 2 values, each a number"),
+        ("pair", (1, "2"), "pair holds '2'; make each a number"),
+        ("many", 3, "many is a single one, 3; put it into a list"),
+        ("by_name", [("a", "b")], "by_name is [('a', 'b')]; give a dict"),
+        ("call", "amplitude", "call is 'amplitude'; give a function, not its name"),
+        ("tensor", np.ones((2, 3)), "tensor is an object of type ndarray [2, 3]; give a torch.Tensor (torch.as_tensor"),
+        ("array", torch.ones(2, 3), "array is an object of type Tensor [2, 3]; give a numpy.ndarray (numpy.asarray"),
+        ("mesh", "m.ply", "mesh is 'm.ply'; give a trimesh.Trimesh, such as load_mesh(PATH) reads"),
+        ("lines", "a line", "lines is a single one, 'a line'; put it into a list"),
+        ("number", object(), "number is an object of type object; give a number"),
+    ],
+)
+def test_what_does_not_fit_is_named_with_the_remedy(name: str, value: object, sentence: str) -> None:
+    with pytest.raises(SarsplatError, match=rf"^{re.escape(sentence)}") as error:
+        sample(**{name: value})
+    assert "\n" not in str(error.value)
+
+
+def test_arguments_by_position_are_checked_too() -> None:
+    with pytest.raises(SarsplatError, match=r"^views is None"):
+        sample(VIEW, None)
+
+
+def test_a_class_imported_for_types_alone_is_known_by_its_name() -> None:
+    trimesh = pytest.importorskip("trimesh")
+    assert sample(mesh=trimesh.creation.box()) == sample(mesh=None) == "done"
+
+
+def test_lists_of_numbers_are_as_good_as_arrays(tmp_path: Path) -> None:
+    assert View.towards([1.0, 0.0, 1.0]) == View.towards(np.array([1.0, 0.0, 1.0]))
+    write_points_ply(tmp_path / "p.ply", [(0.0, 1.0, 2.0)], normals=[[0.0, 0.0, 1.0]], weight=[0.5])
+    points, columns = read_points_ply(tmp_path / "p.ply")
+    assert points.tolist() == [[0.0, 1.0, 2.0]]
+    assert {name: column.tolist() for name, column in columns.items()} == {
+        "nx": [0.0],
+        "ny": [0.0],
+        "nz": [1.0],
+        "weight": [0.5],
+    }
+    assert law_scattering([[0.0, 0.0, 1.0]], [VIEW], ScatteringLaw()).shape == (1, 1)
+    for wrong in ([[0.0, 1.0]], [[0.0], [1.0, 2.0]]):
+        with pytest.raises(SarsplatError, match=r"^the points (have shape|are rows of different lengths)"):
+            write_points_ply(tmp_path / "p.ply", wrong)
+
+
+# ---- all that is public ---------------------------------------------------------------------------------------------
+CLASSES = (Dataset, Gaussians, RayGrid, Run, SarImage, Trainer, View, Viewer)
+
+
+def public() -> list[tuple[Callable[..., Any], str]]:
+    functions = [value for name in sarsplat.__all__ if inspect.isfunction(value := getattr(sarsplat, name))]
+    for cls in CLASSES:
+        members = {name: value for name, value in vars(cls).items() if name == "__init__" or name[0] != "_"}
+        names = [
+            name
+            for name, value in members.items()
+            if inspect.isfunction(getattr(value, "__func__", value)) and not (name == "__init__" and cls in DATACLASSES)
+        ]
+        functions += [getattr(cls, name) for name in names]
+    kinds = [(function, inspect.signature(function).parameters.values()) for function in functions]
+    return [
+        (function, p.name)
+        for function, ps in kinds
+        for p in ps
+        if p.annotation not in (p.empty, "Any") and p.kind is not p.VAR_KEYWORD and p.kind is not p.VAR_POSITIONAL
+    ]
+
+
+DATACLASSES = (Dataset, Gaussians, RayGrid, Run, SarImage, View)  # check themselves when they are made
+
+
+@pytest.mark.parametrize(("function", "name"), public(), ids=lambda part: getattr(part, "__qualname__", part))
+def test_no_public_function_takes_just_anything(function: Callable[..., Any], name: str) -> None:
+    while hasattr(getattr(function, "__wrapped__", None), "__wrapped__"):  # the tests' own look at shapes
+        function = function.__wrapped__
+    with pytest.raises(SarsplatError, match=rf"^{name} is an object of type object; give "):
+        parameters = inspect.signature(function).parameters
+        if parameters[name].kind is inspect.Parameter.POSITIONAL_ONLY:
+            function(*["p.ply"] * [*parameters].index(name), object())
+        else:
+            function(**{name: object()})
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: Run.from_gaussians(None), "gaussians is None; give Gaussians"),
+        (lambda: Run.from_gaussians(scene(), grid=128), "grid is 128; give an ImageGrid(rows, columns,"),
+        (lambda: Run.from_gaussians(scene(), views=VIEW), "views is a single one, View("),
+        (lambda: Run.from_gaussians(scene(), dataset="t72"), "dataset is 't72'; give a Dataset, such as read_dataset"),
+        (lambda: Run.from_gaussians(scene(0)), "a run needs at least one Gaussian"),
+        (lambda: Run.from_gaussians(scene(), GRID).render(VIEW), "views is a single one, View("),
+        (lambda: render(scene(), VIEW, GRID), "views is a single one, View("),
+        (lambda: write_dataset(DATA, "out"), "path is <Dataset of"),
+        (lambda: write_report("out"), "run is 'out'; give a Run, as reconstruct returns or Run.load(PATH) reads"),
+        (lambda: evaluate_run(scene()), "run is an object of type Gaussians; give a Run"),
+        (lambda: export(scene(), "a.ply"), "run is an object of type Gaussians; give a Run"),
+        (lambda: export("a.ply", scene()), "run is 'a.ply'; give a Run"),
+        (lambda: write_mesh("a.ply", scene()), "mesh is an object of type Gaussians; give a trimesh.Trimesh"),
+        (lambda: reconstruct(DATA, loss="amplitude"), "loss is 'amplitude'; give a function, not its name"),
+        (
+            lambda: Trainer(DATA, Config(), strategies=[3]),
+            "strategies holds 3; make each an object of",
+        ),
+        (lambda: reconstruct(None), "dataset is None; give a Dataset, such as read_dataset(PATH) reads or a path"),
+        (lambda: Gaussians.cat([scene(), 3]), "scenes holds 3; make each Gaussians"),
+        (lambda: Gaussians.cat([]), "there are no Gaussians to join"),
+        (lambda: scene()["x"], "the index is 'x'; give an integer, a slice, a mask [N] or integers [M]"),
+        (lambda: Harmonics(torch.ones(2, 1), None), "p_min is None; give a number"),
+        (lambda: Harmonics(torch.ones(2, 1)).joined(3), "other is 3; give"),
+        (lambda: ScatteringLaw(floor="x"), "floor is 'x'; give a number"),
+        (lambda: SarImage(np.ones((16, 16)), VIEW, VIEW), "grid is View("),
+        (lambda: Dataset(None, DATA.entries, DATA.power), "grid is None; give an ImageGrid"),
+        (lambda: Dataset(DATA.grid, [VIEW], DATA.power), "entries holds View("),
+    ],
+)
+def test_what_users_mix_up(call: Callable[[], object], sentence: str) -> None:
+    with pytest.raises(SarsplatError, match=rf"^{re.escape(sentence)}"):
+        call()
+
+
+def test_a_viewer_refuses_before_it_serves() -> None:
+    pytest.importorskip("viser")
+    with pytest.raises(SarsplatError, match=r"^subject is None; give an object of the class Subject or Gaussians"):
+        Viewer(None)
+    with Viewer(scene()) as shown:
+        with pytest.raises(SarsplatError, match=r"^view is \(30, 40\); give a View\("):
+            shown.look_from((30, 40))
+        with pytest.raises(SarsplatError, match=r"^gaussians is None; give Gaussians"):
+            shown.update(None)
