@@ -191,7 +191,7 @@ class Comparison:
 def simulated(target: str, source: str, small: bool) -> Images:
     """A vehicle as the paper has it; `small` is a few views."""
     few = {"azimuth": ("0:360:90",), "grazing": ("40",), "test_azimuth": ("45", "200"), "test_grazing": ("40",)}
-    options = {"target": target, "source": source, "protocol": "paper", **({"pixels": 40, **few} if small else {})}
+    options = {"target": target, "source": source, "protocol": "paper", **({"pixels": (40,), **few} if small else {})}
     return Images(f"{target}, {SOURCES[source]}", options)
 
 

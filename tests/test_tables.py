@@ -237,7 +237,7 @@ def test_a_refused_cell_is_one_sentence(tmp_path):
 def test_a_whole_cell(made, tmp_path):
     pytest.importorskip("embreex")
     views = {"azimuth": ("0:360:120",), "grazing": ("45",), "test_azimuth": ("60",)}
-    cell = made.cell.Cell({"target": "t72", "pixels": 32, "spacing": 1.2, **views}, "auto", {"gaussians": 3000})
+    cell = made.cell.Cell({"target": "t72", "pixels": (32,), "spacing": (1.2,), **views}, "auto", {"gaussians": 3000})
     cell = replace(cell, quick=True)
     with few_samples():
         path = made.cell.run(cell, tmp_path)
