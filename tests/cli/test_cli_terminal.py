@@ -31,7 +31,7 @@ def test_mistakes_are_one_sentence_on_a_terminal_too(tmp_path: Path) -> None:
     import pty
 
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-c", RUN, *SIMULATE, "16", "128", "--out", str(tmp_path / "out")]
+    command = [sys.executable, "-c", RUN, "simulate", "128", "--out", str(tmp_path / "out")]
     environment = os.environ | {"TERM": "xterm-256color"}
     done = subprocess.run(command, stdout=theirs, stderr=theirs, env=environment, check=False)
     shown = os.read(ours, 10_000).decode()
