@@ -185,8 +185,3 @@ def test_no_points_lead_to_a_longer_training(run: Path, tmp_path: Path, monkeypa
     shown = capsys.readouterr()
     assert "and 0 points" in shown.out
     assert f"train longer, such as with `sarsplat reconstruct {dataset} --out {out} --resume --iter" in shown.err
-
-
-def test_views_that_would_have_one_name(run: Path, tmp_path: Path, refused) -> None:
-    complaint = refused(f"render {run} --azimuth 30 30.0000001 --grazing 40 --out {tmp_path}/out")
-    assert "two of the views are the same to within a millionth of a degree" in complaint
