@@ -143,11 +143,11 @@ class Bench:
 
 def run(cell: BaselineCell, work: Path) -> Path:
     """Do it, unless it has been done; returns the file that says what came of it."""
-    code = code_version()
+    code = code_version(cell.method)
     path = cell.path(work, code)
     if path.is_file():
         return path
-    bench = Bench(cell.images, work, code)
+    bench = Bench(cell.images, work, code_version())
     config = replace(METHODS[cell.method].preset("auto", bench.dataset), seed=cell.seed, **cell.changes)
     if cell.seconds is not None:
         config = replace(config, iterations=min(config.iterations, _fitting_in(cell.seconds, cell, config, bench)))
@@ -155,7 +155,7 @@ def run(cell: BaselineCell, work: Path) -> Path:
     masks = _inputs(cell, bench).masks
     learned = reconstruct(bench.dataset, config, method=cell.method, masks=masks, on_step=watch, quiet=True)
     scored = bench.scores(learned)
-    if code_version() != code:
+    if code_version(cell.method) != code:
         raise SarsplatError("the package's sources changed while a cell was running; run it again")
     path.parent.mkdir(parents=True, exist_ok=True)
     kept = {name: scored[name] for name in ("images", "points", "baselines", "reasons")}

@@ -237,7 +237,7 @@ def _pictures(bouts: Sequence[Bout], comparison: Comparison) -> Figure | None:
     """A row for the truth and one for every contender at its full budget: two unseen images, and its points."""
     shown = []
     for bout in bouts:
-        path = bout.cells[0].path(comparison.work, comparison.code).with_suffix(".npz")
+        path = comparison.path(bout.cells[0]).with_suffix(".npz")
         if path.is_file() and not bout.equal:
             with np.load(path, allow_pickle=False) as kept:
                 shown.append((bout.contender.title, {name: kept[name] for name in kept.files}))

@@ -41,7 +41,7 @@ def write_runs(comparison: Comparison) -> None:
                         "budget": "in our time" if bout.equal else "stopped" if cell.seconds else "full",
                         "seed": cell.seed,
                         **{name: result[name] for name in ("iterations", "time_s", "peak_bytes")},
-                        "cell": cell.path(comparison.work, comparison.code).stem,
+                        "cell": comparison.path(cell).stem,
                     }
                     lines.append({**about, **scores_of(result)})
     with io.StringIO(newline="") as file:

@@ -109,6 +109,7 @@ class Comparison:
     ):
         self.sets, self.seeds, self.work, self.out = sets, seeds, work, out
         self._curves, self._small, self.code = curves, small, code_version()
+        self._codes = {contender.method: code_version(contender.method) for contender in CONTENDERS}
         self._elsewhere = read_runs(out)
 
     def bouts(self, images: Images) -> Iterator[Bout]:
@@ -131,14 +132,18 @@ class Comparison:
             return BaselineCell(images, contender.method, {**contender.changes, **contender.few}, None, seed, curve[:1])
         return BaselineCell(images, contender.method, contender.changes, contender.seconds, seed, curve)
 
+    def path(self, cell: BaselineCell) -> Path:
+        """Where the scores of a cell are kept: a change of one method concerns its own cells alone."""
+        return cell.path(self.work, self._codes[cell.method])
+
     def read(self, cell: BaselineCell) -> dict[str, Any] | None:
         """What came of a cell, if it is finished; done on another machine, it lacks what only pictures need."""
-        path = cell.path(self.work, self.code)
+        path = self.path(cell)
         return json.loads(path.read_bytes()) if path.is_file() else self._elsewhere.get(path.stem)
 
     def is_here(self, cell: BaselineCell) -> bool:
         """Whether all that came of a cell is on this machine."""
-        return cell.path(self.work, self.code).is_file()
+        return self.path(cell).is_file()
 
     def run(self, processes: int) -> list[str]:
         """Do what is missing, seed after seed, so that every table is there early; returns what failed."""
@@ -186,7 +191,7 @@ class Comparison:
 def simulated(target: str, source: str, small: bool) -> Images:
     """A vehicle as the paper has it; `small` is a few views."""
     few = {"azimuth": ("0:360:90",), "grazing": ("40",), "test_azimuth": ("45", "200"), "test_grazing": ("40",)}
-    options = {"target": target, "source": source, "protocol": "paper", **({"pixels": 40, **few} if small else {})}
+    options = {"target": target, "source": source, "protocol": "paper", **({"pixels": (40,), **few} if small else {})}
     return Images(f"{target}, {SOURCES[source]}", options)
 
 

@@ -135,7 +135,7 @@ class Experiment:
 
 def _coarse(dataset: Options) -> Options:
     """The same scene with a quarter of the pixels."""
-    return {**dataset, "pixels": 64, "spacing": 2 * dataset.get("spacing", 0.3)}
+    return {**dataset, "pixels": (64,), "spacing": tuple(2 * one for one in dataset.get("spacing", (0.3,)))}
 
 
 def scene(target: str, **options: Any) -> Options:
@@ -224,7 +224,7 @@ _HARDER = (
 )
 
 _SIZES = tuple(
-    Row(label, (scene("t72", source="raycast", scale=scale, spacing=spacing),))
+    Row(label, (scene("t72", source="raycast", scale=scale, spacing=(spacing,)),))
     for label, scale, spacing in (
         ("9.6 m with pixels of 0.3 m", 1.0, 0.3),
         ("190 m with pixels of 3 m", 20.0, 3.0),

@@ -117,7 +117,7 @@ def run(cell: Cell, work: Path) -> Path:
     from sarsplat.data import write_json
     from sarsplat.reconstruction import METHODS
 
-    code, begun = code_version(), time.monotonic()
+    code, begun = code_version("sar-gs"), time.monotonic()
     path = cell.path(work, code)
     if path.is_file():
         return path
@@ -125,7 +125,7 @@ def run(cell: Cell, work: Path) -> Path:
     config = cell.config(METHODS["sar-gs"].preset(cell.preset, dataset))
     trained = reconstruct(dataset, config, quiet=True)
     metrics = evaluate_run(trained)
-    if code_version() != code:
+    if code_version("sar-gs") != code:
         raise SarsplatError("the package's sources changed while a cell was running; run it again")
     path.parent.mkdir(parents=True, exist_ok=True)
     kept = {name: metrics[name] for name in ("images", "points", "time_s", "reasons")}

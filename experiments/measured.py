@@ -96,7 +96,7 @@ def folded(dataset: Dataset) -> Dataset:
 
 def scores(dataset: Dataset, config: Config, name: str, mesh: Path | None = None) -> dict[str, Any]:
     """Train and evaluate, with points against a mesh if there is one, unless that was done already."""
-    path = WORK / code_version() / f"{name}.json"
+    path = WORK / code_version("sar-gs") / f"{name}.json"
     if not path.exists():
         print(name, flush=True)
         run = reconstruct(dataset, config, quiet=True)

@@ -42,7 +42,7 @@ def main() -> int:
         chosen = [experiment.in_small() for experiment in chosen]
     out = arguments.out or (arguments.work / "quick" if arguments.quick else ROOT / "docs" / "results")
     try:
-        return run(chosen, Runner(arguments.work, code_version(), arguments.processes), out, arguments.write)
+        return run(chosen, Runner(arguments.work, code_version("sar-gs"), arguments.processes), out, arguments.write)
     except (SarsplatError, KeyboardInterrupt) as stopped:
         print(f"{str(stopped) or 'stopped'}; what is finished is kept", file=sys.stderr)
         return 2

@@ -22,7 +22,7 @@ def baselines(module) -> ModuleType:
 
 def finished(comparison, cell, psnr: float, time_s: float) -> None:
     """Leaves what a cell leaves."""
-    path = cell.path(comparison.work, comparison.code)
+    path = comparison.path(cell)
     path.parent.mkdir(parents=True, exist_ok=True)
     scores = {"psnr_db": psnr, "psnr_target_db": psnr - 8, "ssim": 0.9, "lpips": None}
     points = {"cd_m": 0.2, "f1@0.3": 0.8, "f1@0.1": None}

@@ -14,10 +14,16 @@ def import_arrays(
     file: Annotated[Path, tyro.conf.Positional], *, out: Folder, spacing: float, overwrite: bool = False
 ) -> int:
     """Import images from the arrays `power`, `azimuth_deg` and `grazing_deg` of one .npz file."""
+    from sarsplat.cli.imported import carry_out
+
+    return carry_out(read_arrays, file, out, overwrite=overwrite, spacing=spacing)
+
+
+def read_arrays(file: Path, out: Path, *, spacing: float, overwrite: bool):
+    """The same in Python: the dataset, written to `out`."""
     import numpy as np
 
     from sarsplat import View
-    from sarsplat.cli.imported import finish
     from sarsplat.importers import MeasuredImage, dataset_of, write_imported
 
     arrays, cell = np.load(file), (spacing, spacing)
@@ -25,7 +31,7 @@ def import_arrays(
     views = [View(azimuth, grazing) for azimuth, grazing in angles]
     images = [MeasuredImage(f"{k:03d}", arrays["power"][k], view, cell, cell) for k, view in enumerate(views)]
     source = {"kind": "arrays", "assumptions": ["row 0 is near range", "the resolution is the pixel spacing"]}
-    return finish(out, write_imported(out, dataset_of(images, target=file.stem, source=source), overwrite=overwrite))
+    return write_imported(out, dataset_of(images, target=file.stem, source=source), overwrite=overwrite)
 
 
 def recognise(contents: Contents) -> Recognised | None:

@@ -108,6 +108,8 @@ def test_other_pixels_show_the_same_power(run: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
+        ("--azimuth 0 --grazing 0 --out r", "grazing angle 0.0"),
+        ("--azimuth 30 30.0000001 --grazing 40 --out r", "two of the views are the same to within a millionth of a"),
         ("--azimuth 0 --grazing 45 --out r.avi", "looks like a file, but images are written to .mp4, .gif, .webp"),
         ("--azimuth 0 --grazing 45 --out r.mp4", "is an animation but one view was asked for"),
         ("--azimuth 0:90:30 --grazing 45 --out r.png", "holds one image but 3 views were asked for"),

@@ -31,7 +31,7 @@ def test_mistakes_are_one_sentence_on_a_terminal_too(tmp_path: Path) -> None:
     import pty
 
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-c", RUN, *SIMULATE, "128", "--out", str(tmp_path / "out")]
+    command = [sys.executable, "-c", RUN, "simulate", "128", "--out", str(tmp_path / "out")]
     environment = os.environ | {"TERM": "xterm-256color"}
     done = subprocess.run(command, stdout=theirs, stderr=theirs, env=environment, check=False)
     shown = os.read(ours, 10_000).decode()
@@ -64,8 +64,3 @@ def test_when_memory_runs_out(tmp_path: Path) -> None:
     assert "memory" in done.stderr
     assert "Traceback" not in done.stderr
     assert not list(tmp_path.iterdir())
-
-
-def test_views_that_would_have_one_name(tmp_path: Path, refused) -> None:
-    complaint = refused(f"render run --azimuth 30 30.0000001 --grazing 40 --out {tmp_path}/out")
-    assert "two of the views are the same to within a millionth of a degree" in complaint

@@ -19,6 +19,7 @@ from torch.utils._pytree import tree_leaves
 from sarsplat import Dataset, ImageGrid, Run, View, preset, reconstruct
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians.ground import Ground
 from sarsplat.reconstruction import Config, Step, Trainer, adam, extract_points, model, points
 from sarsplat.reconstruction.config import Densification, Relocation
 from sarsplat.reconstruction.dropout import dropped
@@ -58,11 +59,14 @@ def render_nothing(
     *,
     shift: Tensor | None = None,
     gain: Tensor | None = None,
+    ground: Ground | None = None,
     **_: Any,
 ) -> Rendering:
     """As far as shapes, devices and autograd are concerned, a renderer for the device that has no memory."""
     count, device = (len(views), len(gaussians)), gaussians.means.device
     level = sum(tensor.sum() for tensor in gaussians.tensors().values())
+    if ground is not None:
+        level = level + ground.gamma0.sum() + ground.exponent.sum()
     images = level.expand(len(views), 1, grid.rows, grid.columns)
     if shift is not None and gain is not None:
         images = images * gain[:, None, None, None] + shift.sum(1)[:, None, None, None]

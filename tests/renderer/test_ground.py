@@ -202,7 +202,7 @@ def test_the_ground_reaches_past_the_farthest_corner_of_the_images():
             lambda: Ground(torch.ones(()), exponent=torch.ones(1)),
             r"the ground's exponent has shape \(1,\); give one num",
         ),
-        (lambda: render(cloud(5, 0), VIEWS, GRID, ground=0.3), "ground is a float; give a sarsplat.Ground"),
+        (lambda: render(cloud(5, 0), VIEWS, GRID, ground=0.3), "ground is 0.3; give an object of the class Ground"),
         (
             lambda: render(cloud(5, 0), VIEWS, GRID, ground=Ground(torch.ones((), dtype=torch.float64))),
             "ground.gamma0 is torch.float64 on cpu but means is torch.float32 on cpu",

@@ -76,7 +76,7 @@ def with_gradients(outputs: dict[str, Tensor], leaves: dict[str, Tensor]) -> dic
 
 @pytest.mark.parametrize("name", MATRIX)
 def test_the_chain_is_the_fused_pass(name):
-    scene = MATRIX[name]()
+    scene = replace(MATRIX[name](), ground=None)  # which is no step
     found, expected = (
         with_gradients(run(scene, leaves, engine="cpu"), leaves)
         for run in (chained, fused)

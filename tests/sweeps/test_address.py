@@ -46,9 +46,8 @@ def code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str]
     def written(name: str, text: str) -> str:
         (tmp_path / "foreign" / f"{name}.py").write_text(text)
         importlib.invalidate_caches()
-        for cached in (address._code, address._file, address._tree, address._lazy):
-            cached.cache_clear()
-        return address._code(("foreign.method",), "cpu")
+        address.forget()
+        return address.code(("foreign.method",), "cpu")
 
     written("__init__", "")
     return written

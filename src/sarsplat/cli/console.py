@@ -18,6 +18,9 @@ from rich.table import Table
 
 _WIDEST = 200  # columns
 
+COMMANDS: list[str] = []
+"""Their names; the parser fills it in, for it imports the commands, which import this file."""
+
 
 def say(text: str) -> None:
     """One line on stdout."""
@@ -102,8 +105,6 @@ def _typed(text: str) -> str:
     """The text with `program` in place of `sarsplat` before a command's name."""
     if "sarsplat " not in text or (called := program()) == "sarsplat":
         return text
-    from sarsplat.cli.parser import COMMANDS  # here, for it imports the commands
-
     return re.sub(rf"(?<![\w./-])sarsplat(?= (?:{'|'.join(COMMANDS)})\b)", lambda _: called, text)
 
 

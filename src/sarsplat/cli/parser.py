@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from sarsplat.cli import console
 from sarsplat.cli.arguments import MARKERS
 from sarsplat.cli.check import check
 from sarsplat.cli.compare import compare
@@ -61,6 +62,8 @@ COMMANDS: dict[str, Command | Mapping[str, Command]] = {
     "completion": completion,
 }
 """Commands by name; those of `import` are found."""
+
+console.COMMANDS[:] = COMMANDS
 
 _GROUPS = {"import": "Import measured images as a dataset."}
 """What the commands that have commands of their own are for."""

@@ -55,8 +55,9 @@ class SarGs(Method):
         if name == "auto":
             name = "default" if dataset.looks is None else "measured" if dataset.ground else "speckled"
         config = preset(name)
-        models_ground = config.ground is None and dataset.ground and config.initialisation == "box"
-        return replace(config, ground=FlatGround()) if models_ground else config
+        if dataset.ground and config.ground is None and name != "paper":  # which has none
+            return replace(config, ground=FlatGround())
+        return config
 
     def trainer(
         self,

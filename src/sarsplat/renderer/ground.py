@@ -26,8 +26,6 @@ def above(gaussians: Gaussians, ground: Ground) -> Gaussians:
 
 def check_ground(ground: Ground, like: Tensor, channels: int, channel: int, imaging_weight: str) -> None:
     """Refuse what does not fit the Gaussians and the images."""
-    if not isinstance(ground, Ground):
-        raise SarsplatError(f"ground is a {type(ground).__name__}; give a sarsplat.Ground")
     for name, tensor in (("gamma0", ground.gamma0), ("exponent", ground.exponent)):
         if tensor is not None and (tensor.dtype != like.dtype or tensor.device != like.device):
             raise SarsplatError(

@@ -31,17 +31,19 @@ def digest(content: Any) -> str:
 def code_of(method: str, device: str) -> str:
     """Digest of everything of ours that a training by a method runs, and of the plugin's package if it is one."""
     own = module_of(method)
-    return _code((TRAINING, own), device)
+    return code((TRAINING, own), device)
 
 
 def scoring_code() -> str:
     """Digest of everything of ours that scoring a run takes."""
-    return _code((SCORING,), "cpu")
+    return code((SCORING,), "cpu")
 
 
 @cache
-def _code(roots: tuple[str, ...], device: str) -> str:
-    """What the modules do, and the engine of the device; words, as comments and docstrings, do not count."""
+def code(roots: tuple[str, ...], device: str) -> str:
+    """Digest of what modules and all that they import do, and of the device's engine; comments and docstrings do not
+    count, and neither do changes since it was first asked for, until `forget`.
+    """
     sources = {name: ast.unparse(_without_words(_tree(path))) for name, path in imported_by(roots).items()}
     engine = [LIBRARY] if device == "cpu" else sorted((LIBRARY.parent / "csrc").glob("*.[ch]*"))
     parts = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in engine if path.is_file()}
@@ -140,3 +142,9 @@ def _without_words(tree: ast.Module) -> ast.Module:
 
 def _is_text(node: ast.AST) -> bool:
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+
+
+def forget() -> None:
+    """Read everything again from now on."""
+    for cached in (code, _file, _tree, _lazy):
+        cached.cache_clear()

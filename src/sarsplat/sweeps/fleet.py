@@ -9,6 +9,7 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
+from sarsplat.arguments import checks_arguments
 from sarsplat.data import read_json, write_bytes, write_json
 from sarsplat.data.files import locked, plain_os_errors
 from sarsplat.errors import SarsplatError, counted, shown
@@ -29,6 +30,7 @@ _PATIENCE_S = 2.0
 """Between two looks at runs that other processes are doing."""
 
 
+@checks_arguments
 def sweep(
     plan: Plan | str | Path | Mapping[str, Any],
     out: str | Path,
