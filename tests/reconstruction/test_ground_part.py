@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 import torch
 
 from datasets import dataset_of
-from sarsplat import Dataset, Ground, Trainer, preset
+from sarsplat import Dataset, Ground, Trainer, preset, reconstruct
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction.config import FlatGround
@@ -44,6 +45,17 @@ def test_level_and_law_are_learned() -> None:
     assert float(ground.exponent.detach()) == pytest.approx(0.8, abs=0.1)
     assert float(ground.gamma0.detach().median()) == pytest.approx(0.2, rel=0.05)
     assert float(trainer.gaussians.means[:, 2].min()) >= 0  # nothing of the target is below the ground
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e4])
+def test_a_run_says_what_it_learned_of_the_ground(unit: float) -> None:
+    """In the unit of the images, which chips without calibration choose as they like."""
+    views = [View(60.0 * k, (25.0, 40.0, 60.0)[k % 3]) for k in range(6)]
+    dataset = seen(views, Ground(torch.tensor(0.2 * unit)))
+    said = reconstruct(dataset, replace(SHORT, iterations=60), quiet=True).facts["ground"]
+    match = re.fullmatch(r"a plane, γ⁰ (\S+) \(linear\)", said)
+    assert match
+    assert float(match[1]) == pytest.approx(0.2 * unit, rel=0.1)
 
 
 def test_texture_is_learned_where_it_is() -> None:

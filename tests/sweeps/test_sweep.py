@@ -61,6 +61,7 @@ def test_runs_are_runs_and_done_once(finished, plan):
         ("box", "quick", "20", seed, "finished") for seed in ("0", "1")
     ]
     for row in rows:
+        assert row["iterations_done"] == "20"
         run = Run.load(finished / row["run"])
         assert (run.iteration, run.seed) == (20, int(row["seed"]))
         assert run.metrics["images"]["test"]["psnr_db"] == float(row["images.test.psnr_db"])

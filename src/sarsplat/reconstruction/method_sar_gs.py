@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -172,7 +173,20 @@ class GaussianReconstruction(Reconstruction):
     @property
     def facts(self) -> dict[str, str]:
         own = self.config.preset == OWN_LOOP
-        return {"made by": OWN_LOOP} if own else {"preset": self.config.preset, "start": self.config.initialisation}
+        made = {"made by": OWN_LOOP} if own else {"preset": self.config.preset, "start": self.config.initialisation}
+        return made | self._ground
+
+    @property
+    def _ground(self) -> dict[str, str]:
+        """γ⁰ of the learned ground, at the mean of its places and, in logarithms, of the training's grazing angles."""
+        ground = self.model.ground()
+        if ground is None:
+            return {}
+        gamma0 = float(ground.gamma0.detach().log().mean())
+        if ground.exponent is not None:
+            sines = np.sin(np.radians([view.grazing_deg for view in self.snapshot.views]))
+            gamma0 += float(ground.exponent.detach()) * float(np.log(sines).mean())
+        return {"ground": f"a plane, γ⁰ {math.exp(gamma0) * self.model.unit:.3g} (linear)"}
 
 
 def lengths(config: Config, grid: ImageGrid) -> str:

@@ -165,7 +165,7 @@ class Results:
         rows = []
         for one in self.results:
             cell, row = one.cell, one.row
-            done = {} if row is None else {"iterations": row.iterations, "took_s": row.took_s, **row.scores}
+            done = {} if row is None else {"iterations_done": row.iterations, "took_s": row.took_s, **row.scores}
             rows.append(
                 {
                     **cell.labels,
