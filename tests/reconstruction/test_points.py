@@ -16,7 +16,7 @@ from sarsplat.progress import Reporter
 from sarsplat.reconstruction import extract_points
 from sarsplat.reconstruction import points as of_points
 from sarsplat.reconstruction.config import PointExtraction
-from sarsplat.reconstruction.points import _FirstReturns, _Voxels, between, spread
+from sarsplat.reconstruction.points import _cluster, _FirstReturns, _Voxels, between, spread
 
 GRID = ImageGrid(32, 32, (0.3, 0.3), (0.3, 0.3))
 VIEWS = [View(45.0 * k, 30.0) for k in range(8)]
@@ -176,3 +176,13 @@ def test_large_scenes_are_traced_by_fewer_rays_and_still_are_on_the_surface(
     assert len(usual) / 40 < len(points) < len(usual)
     off = np.abs(np.linalg.norm(points - [0, 0, HEIGHT], axis=1) - RADIUS)
     assert np.median(off) < 0.2
+
+
+def test_the_largest_cluster_is_kept_however_dense_the_points() -> None:
+    """A line with a gap wider than the radius; of the few at its side there are too few to be one."""
+    rng = np.random.default_rng(0)
+    for dense in (1, 50):
+        long, short = rng.uniform(0, 10, (400 * dense, 3)), rng.uniform([11.5, 0, 0], [14.5, 3, 3], (300 * dense, 3))
+        line, beside = np.concatenate([long, short]) * [1, 0.01, 0.01], np.array([[5.0, 3, 0], [5.0, 3.2, 0]])
+        kept = _cluster(np.concatenate([line, beside]), 0.8, 10)
+        np.testing.assert_array_equal(kept, line[: len(long)])
