@@ -111,9 +111,8 @@ def test_a_killed_worker_is_a_row_and_done_next_time(place, plan, expected, capf
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds processes in /proc")
-@pytest.mark.parametrize(
-    "number", [signal.SIGINT, *(pytest.param(n, marks=SLOW) for n in (signal.SIGTERM, signal.SIGKILL))]
-)
+@SLOW
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_sweep_that_is_ended_leaves_no_process_and_continues(place, plan, expected, command, number):
     with command() as process:
         until(lambda: list(Path("out/rows").glob("*.json")) or process.poll() is not None)
