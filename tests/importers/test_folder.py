@@ -142,12 +142,16 @@ def test_strays_are_counted_once(tmp_path):
     ("names", "options", "words"),
     [
         ("file,heading,grazing", {}, r"no column that looks like the azimuth; name it .* \(there are file, heading"),
-        ("file,azimuth,x", {}, "like the grazing; name it .* grazing=NAME, or give one grazing angle for all"),
+        (
+            "file,azimuth,x",
+            {},
+            "like the grazing; name it .* grazing=NAME .incidence=NAME, .*, or give one grazing angle",
+        ),
         (
             "shot,heading,x",
             {"spacing_m": None},
             "like the file or the azimuth or the grazing or the spacing; name them with "
-            "--columns file=NAME,azimuth=NAME,grazing=NAME,spacing=NAME, or give one grazing",
+            "--columns file=NAME,azimuth=NAME,grazing=NAME,spacing=NAME .incidence=NAME, not grazing, .*, or give one",
         ),
         ("file,azimuth,grazing", {"columns": {"az": "azimut"}}, r"no column 'azimut' \(did you mean 'azimuth'\?\)"),
         ("file,azimuth,grazing", {"columns": {"azimut": "x"}}, r"can be a 'azimut' \(did you mean 'azimuth'\?\)"),

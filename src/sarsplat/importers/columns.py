@@ -93,6 +93,8 @@ def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool) -> 
         also.append("one spacing for all with --spacing")
     if lacking:
         named = ",".join(f"{meaning}=NAME" for meaning in lacking)
+        if "grazing" in lacking:
+            named += " (incidence=NAME, not grazing, for a column of incidence angles)"
         raise SarsplatError(
             f"{table.path} has no column that looks like the {' or the '.join(lacking)}; name "
             f"{'it' if len(lacking) == 1 else 'them'} with --columns {named}"
