@@ -14,6 +14,7 @@ from cell import Cell
 
 from sarsplat.evaluation import Metric, Yardstick, all_metrics
 from sarsplat.scenes import paper_grid
+from sarsplat.sweeps.results import Spread
 
 METRIC: dict[str, Metric[Any]] = {metric.key: metric for metric in all_metrics(Yardstick.of(paper_grid()))}
 METRIC |= {
@@ -22,29 +23,6 @@ METRIC |= {
     "f1@third": replace(METRIC["f1@0.1"], key="f1@third", label="F1 at a third of a cell"),
 }
 """By key: those of the evaluation, and the points' scores in resolution cells, to compare targets of any size."""
-
-
-@dataclass(frozen=True)
-class Spread:
-    """One figure over the seeds.
-
-    Attributes
-    ----------
-    values : tuple of float
-        For each finished seed, the mean over the row's datasets; at least one.
-    """
-
-    values: tuple[float, ...]
-
-    @property
-    def mean(self) -> float:
-        """Mean over the seeds."""
-        return statistics.fmean(self.values)
-
-    @property
-    def sd(self) -> float | None:
-        """Sample standard deviation over the seeds; None for a single one."""
-        return statistics.stdev(self.values) if len(self.values) > 1 else None
 
 
 @dataclass(frozen=True)

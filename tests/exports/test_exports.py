@@ -177,6 +177,10 @@ def test_empty_runs_are_not_exported(run: Run, tmp_path: Path, ending: str, monk
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_mesh_is_made_once(run: Run) -> None:
+    assert run.mesh() is run.mesh()  # for scores, report and exports of one run
+
+
 def test_colours_apply_only_to_gaussians(run: Run, tmp_path: Path) -> None:
     with pytest.raises(SarsplatError, match=r"a\.xyz will hold points, whose colours are not chosen"):
         export(run, tmp_path / "a.xyz", colour="height")

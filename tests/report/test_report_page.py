@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 from datasets import dataset_of
 from reports import METRICS, POINT_KEYS, make_dataset, make_metrics, make_run
 from sarsplat.data import write_dataset
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluation import Scores
+from sarsplat.evaluation import Alignment, Scores
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.report import write_report
+from sarsplat.report import write, write_report
 from sarsplat.report.scores import score_tables
 from sarsplat.report.widget import widget
 
@@ -240,3 +241,15 @@ def test_scores_of_another_make_are_refused_in_one_sentence(tmp_path: Path, dama
     run = make_run(tmp_path, make_dataset(tmp_path), {**make_metrics(psnr_db=50.0), **damage})
     with pytest.raises(SarsplatError, match="does not contain all scores"):
         write_report(run)
+
+
+def test_a_report_does_not_move_the_mesh_of_its_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where points are aligned with the truth, the report shows a copy beside it."""
+    box = trimesh.creation.box((1, 1, 1))
+    run = SimpleNamespace(mesh=lambda: box)
+    monkeypatch.setattr(write, "_truth", lambda _: (None, Alignment((5.0, 0.0, 0.0), 0.0)))
+    shown = []
+    monkeypatch.setattr(write, "mesh_boards", lambda mesh, _: shown.append(mesh.bounds.mean(axis=0)) or ())
+    assert len(write._mesh(run)) == 1
+    np.testing.assert_allclose(shown, [[5, 0, 0]], atol=1e-9)
+    np.testing.assert_allclose(box.bounds.mean(axis=0), 0, atol=1e-9)

@@ -15,7 +15,10 @@ import pytest
 
 from sarsplat import Run, SarsplatError, sweep
 from sarsplat.cli import main
+from sarsplat.evaluation import Scores, Yardstick, summary_metrics
 from sarsplat.sweeps import EXECUTORS, Means, Results, cell, work
+from sarsplat.sweeps.page import _panel
+from sarsplat.sweeps.results import Line, Spread
 
 
 def done(plan: dict[str, Any], out: Path, **options: Any) -> Results:
@@ -231,3 +234,17 @@ def test_the_command_shows_the_table(finished, capsys):
     assert re.search(r"box\s+2/2\s+[\d.]+ ± [\d.]+", said)
     assert "2 of 2 runs" in said
     assert main(["sweep", "plan.toml", "--out", "data"]) == 2
+
+
+def test_a_figure_of_an_unfinished_sweep_compares_the_same_datasets():
+    """One dataset lacks a value: its other one does not move the mean there."""
+
+    def line(dataset: str, count: int, db: float) -> Line:
+        return Line({"dataset": dataset, "gaussians": count}, {"psnr_db": Spread((db,))}, 1, 1, False)
+
+    (psnr,) = [one for one in summary_metrics([Scores("", {"psnr_db": 1.0})], Yardstick(0.3)) if one.key == "psnr_db"]
+    both = [line("a", 100, 30.0), line("a", 200, 40.0)]
+    alone = _panel("gaussians", [100, 200], both, psnr)
+    assert alone is not None
+    assert _panel("gaussians", [100, 200], [*both, line("b", 100, 10.0)], psnr) == alone
+    assert _panel("gaussians", [100, 200], [*both, line("b", 100, 10.0), line("b", 200, 90.0)], psnr) != alone

@@ -78,9 +78,9 @@ class Options:
         Run folder to write; it appears with the first checkpoint. Ctrl-C keeps the progress so far.
     preset
         Starting settings, which the options below override: default (the best in our measurements; its values are
-        shown), quick (a first look), speckled (speckle, but no ground), measured (ground, noise floor, speckle), paper
-        (the paper's training), or auto: measured if the images show ground, speckled if they have only speckle,
-        otherwise default.
+        shown), quick (a first look), speckled (speckle, but no ground), measured (speckle on ground, noise floor),
+        paper (the paper's training), or auto: by the dataset's speckle and ground. All but paper model ground that is
+        shown.
     config
         Starting settings from a file written by --print-config, instead of a preset.
     print_config

@@ -161,13 +161,18 @@ class Run:
         return self.reconstruction.masks(views, self.points)
 
     def mesh(self) -> trimesh.Trimesh:
-        """Its surface as triangles, world frame, m; perhaps without faces.
+        """Its surface as triangles, world frame, m; perhaps without faces. Made once: copy it before changing it.
 
         Raises
         ------
         SarsplatError
             If a package is missing, or the surface would take too many triangles.
         """
+        return self._mesh
+
+    @cached_property
+    def _mesh(self) -> trimesh.Trimesh:
+        """Scores, report and exports share it: in a large scene it takes minutes."""
         return self.reconstruction.mesh(self.points, self.normals)
 
     @cached_property

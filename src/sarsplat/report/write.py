@@ -167,6 +167,7 @@ def _mesh(run: Run) -> list[Figure]:
         return []
     if len(mesh.faces) == 0:
         return []
+    mesh = mesh.copy()
     mesh.vertices = motion.moved(mesh.vertices)
     text = "The surface through the points, shaded (sarsplat export writes it). It is open where no view looked"
     beside = "; the true surface is whole." if truth else "."

@@ -86,16 +86,26 @@ def _figure(name: str, lines: Sequence[Line], metrics: Sequence[Metric[Any]]) ->
         panels = [panel for metric in drawn if (panel := _panel(name, values, members, metric)) is not None]
         if len(values) > 1 and panels:
             blocks.append(Block(title if len(groups) > 1 else "", tuple(panels)))
-    text = "Dots are means over everything else, one standard deviation over the seeds around them."
+    text = (
+        "Dots are means over everything else that is finished at all of these values, one standard deviation over the "
+        "seeds around them."
+    )
     return [Figure(name, text, tuple(blocks))] if blocks else []
 
 
 def _panel(name: str, values: Sequence[Any], lines: Sequence[Line], metric: Metric[Any]) -> Panel | None:
-    found: dict[int, Spread] = {}
-    for index, value in enumerate(values):
-        here = [line.spreads.get(metric.key) for line in lines if line.labels[name] == value]
-        if spread := _averaged([one for one in here if one is not None]):
-            found[index] = spread
+    others: dict[str, dict[Any, Spread]] = {}  # of each combination of the rest, what is known by value
+    for line in lines:
+        if spread := line.spreads.get(metric.key):
+            rest = {label: one for label, one in line.labels.items() if label != name}
+            others.setdefault(repr(rest), {})[repr(line.labels[name])] = spread
+    largest: dict[Any, Spread] = max(others.values(), key=len, default={})
+    whole = [known for known in others.values() if known.keys() >= largest.keys()]  # or unlike would be compared
+    found = {
+        index: averaged
+        for index, value in enumerate(values)
+        if (averaged := _averaged([known[repr(value)] for known in whole if repr(value) in known]))
+    }
     if not found:
         return None
     places = _places(values)
