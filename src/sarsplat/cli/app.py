@@ -40,7 +40,8 @@ def run(words: list[str]) -> int:
 
             code = parse(words or ["--help"])()
         except SarsplatError as error:
-            console.complain(str(error).replace("overwrite=True", "--overwrite"))  # as it is called here
+            text = str(error).replace("overwrite=True", "--overwrite").replace("resume=True", "--resume")
+            console.complain(text)  # as it is called here
             return _MISUSED
         except ModuleNotFoundError as error:
             extra = extras.extra_with(error.name or "")
