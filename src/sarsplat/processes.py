@@ -17,12 +17,12 @@ T = TypeVar("T")
 
 
 class Processes:
-    """This process among those that torchrun started; all of them make the same calls, in the same order.
+    """One process among those that torchrun started; all of them make the same calls, in the same order.
 
     Attributes
     ----------
     rank : int
-        The number of this one, from 0.
+        Its number, from 0.
     count : int
         How many there are.
 

@@ -72,8 +72,8 @@ def reconstruct(
     device : {"auto", "cpu", "cuda"}
         Where to train; "auto" is a GPU if there is one that passes the CUDA engine's check.
     on_step : callable, optional
-        Called after every step (`Step`), by the first process. If it returns True, the training ends there, and the run is what has been
-        learned so far. An exception ends it too; what has been learned is then kept in `out`.
+        Called after every step (`Step`), by the first process. If it returns True, the training ends there, and the run
+        is what has been learned so far. An exception ends it too; what has been learned is then kept in `out`.
     quiet : bool
         Show no progress.
     resume : bool

@@ -1,7 +1,7 @@
 """A rendering whose views are shared by several processes, to the same bits as in one.
 
-The engine sums gradients over a tree of views (csrc/differentiate.h): each process has whole branches of it, and what it
-exchanges is their sums.
+The engine sums gradients over a tree of views (csrc/differentiate.h): each process has whole branches of it, and
+exchanges their sums.
 """
 
 from __future__ import annotations
@@ -80,9 +80,7 @@ class _Job:
             part.split(of_rank)
             for part, of_rank in zip(self.processes.gathered(flat, [sum(one) for one in of]), of, strict=True)
         ]
-        return [
-            torch.cat(parts).view(self.views, *shape) for parts, shape in zip(zip(*every), shapes, strict=True)
-        ]
+        return [torch.cat(parts).view(self.views, *shape) for parts, shape in zip(zip(*every), shapes, strict=True)]
 
     def summed(self, own: Sequence[Tensor], size: int) -> Tensor:
         """The sum over all views of vectors of this size, from the sums of this process's branches."""
@@ -91,7 +89,7 @@ class _Job:
         sums = {
             branch: vector
             for branches, part in zip(self.branches, every, strict=True)
-            for branch, vector in zip(branches, part.split(size), strict=True)
+            for branch, vector in zip(branches, part.view(len(branches), size), strict=True)
         }
         return _sum((0, self.views), sums)
 

@@ -16,6 +16,9 @@ from sarsplat.reconstruction.methods import method_named
 from sarsplat.sweeps.address import code_of, digest, scoring_code
 from sarsplat.sweeps.plan import Plan
 
+NAMES = ("part", "dataset", "method", "preset")
+"""Labels that are no settings."""
+
 _NO_RESULT = ("preset", "checkpoint_every")
 """Settings on which no result depends."""
 
@@ -59,6 +62,13 @@ class Cell(msgspec.Struct, frozen=True):
     recipe: str
     code: str
     scoring: str
+
+    @property
+    def words(self) -> str:
+        """What it is called in a line."""
+        settled = [self.labels.get(name) for name in ("part", "dataset", "method")]
+        chosen = [f"{name} {value}" for name, value in self.labels.items() if name not in NAMES]
+        return ", ".join([*map(str, filter(None, settled)), *chosen, f"seed {self.seed}"])
 
     @property
     def address(self) -> str:
