@@ -17,6 +17,8 @@ from sarsplat.cli.arguments import (
     OptionalCount,
     OptionalFile,
     OptionalNumber,
+    TargetBox,
+    corners,
     one_of,
     pair,
     refuse_existing,
@@ -58,6 +60,7 @@ def simulate(
     resolution: Lengths = (),
     response: str = "gaussian",
     ray_spacing: Metres = None,
+    target_box: TargetBox = None,
     masks: bool = False,
     seed: int = 0,
     overwrite: bool = False,
@@ -117,6 +120,9 @@ def simulate(
         Shape of the system's response: gaussian, or taylor, with side lobes at −35 dB (ray casting only).
     ray_spacing
         Distance of the rays in ray casting (default: a fifteenth of the resolution).
+    target_box
+        Lower and upper corner of the box in which reconstructions look for the target, m. Without it, they derive it
+        from the images.
     masks
         Also write true masks of all images, by ray casting, to DIR/masks: 0 clutter, 1 target, 2 shadow on flat ground
         (for `evaluate --masks` and `reconstruct --method dsr --masks`).
@@ -199,6 +205,7 @@ def simulate(
         looks=looks,
         clean_tests=clean_tests,
         ground=ground is not None,
+        target_box_m=corners(target_box),
         protocol=protocol if views == theirs and grid == _grid(protocol) else None,
         source={**simulation_record(**how), "reflectivity_db": reflectivity, "scale": scale},
     )
