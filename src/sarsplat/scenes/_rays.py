@@ -44,8 +44,8 @@ class Region:
         rays = (self.x[1] - self.x[0]) * height / (spacing * rays_per_side) ** 2
         if rays > _MAX_RAYS:
             raise SarsplatError(
-                f"the mesh spans {height:.4g} m of elevation, which needs {rays:.2g} rays {spacing:.4g} m "
-                "apart; if it is in millimetres, scale it to metres; otherwise give a larger ray spacing or smaller images"
+                f"the mesh spans {height:.4g} m of elevation, which needs {rays:.2g} rays {spacing:.4g} m apart; "
+                "if it is in millimetres, scale it to metres; otherwise give a larger ray spacing or smaller images"
             )
 
 
