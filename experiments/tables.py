@@ -65,7 +65,7 @@ def run(chosen: list[Experiment], work: Path, out: Path, means: Means, only_writ
         write_index(out, experiment.quick)
     print(f"tables: {out}")
     for one in failed:
-        print(f"failed: {one.cell.words}: {one.reason}", file=sys.stderr)
+        print(f"failed: {one.cell.words(one.cell.labels)}: {one.reason}", file=sys.stderr)
     return 1 if failed else 0
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -63,12 +63,15 @@ class Cell(msgspec.Struct, frozen=True):
     code: str
     scoring: str
 
-    @property
-    def words(self) -> str:
-        """What it is called in a line."""
-        settled = [self.labels.get(name) for name in ("part", "dataset", "method")]
-        chosen = [f"{name} {value}" for name, value in self.labels.items() if name not in NAMES]
-        return ", ".join([*map(str, filter(None, settled)), *chosen, f"seed {self.seed}"])
+    def words(self, names: Collection[str]) -> str:
+        """What it is called in a line, by labels of these names."""
+        labels = {name: value for name, value in self.labels.items() if name in names}
+        return ", ".join(
+            [
+                *(f"{value}" if name in NAMES else f"{name} {value}" for name, value in labels.items()),
+                f"seed {self.seed}",
+            ]
+        )
 
     @property
     def address(self) -> str:

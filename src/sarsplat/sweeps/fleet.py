@@ -111,7 +111,7 @@ def _run(
                         others = True
                     continue
                 if row.state == "failed":
-                    reporter.note(f"failed: {cell.words}: {row.reason}")
+                    reporter.note(f"failed: {cell.words(cell.labels)}: {row.reason}")
                 live.ended(cell)
                 if writing_s <= _SHARE * (now := time.monotonic() - begun):
                     _write(cells, out)

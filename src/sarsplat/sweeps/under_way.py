@@ -26,6 +26,8 @@ class Live:
 
     def __init__(self, cells: Sequence[Cell], out: Path, reporter: Reporter) -> None:
         self._left = {cell.address: cell for cell in cells}
+        labels = {name for cell in cells for name in cell.labels}  # the dataset, and what is not the same everywhere
+        self._names = {n for n in labels if len({repr(cell.labels.get(n)) for cell in cells}) > 1} | {"dataset"}
         self._out, self._reporter, self._begun = out, reporter, time.time()
         self._over, self._one_at_a_time = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._watch, daemon=True)
@@ -42,12 +44,15 @@ class Live:
         """A run has ended."""
         with self._one_at_a_time:
             self._left.pop(cell.address, None)
-            self._reporter.advance(1, cell.words)
+            self._reporter.advance(1, cell.words(self._names))
 
     def _watch(self) -> None:
         while not self._over.wait(_EVERY_S):
             with self._one_at_a_time:
-                said = [f"{cell.words} at {line.iteration}, loss {line.loss:.3g}" for cell, line in self._logs()]
+                said = [
+                    f"{cell.words(self._names)} at {line.iteration}, loss {line.loss:.3g}"
+                    for cell, line in self._logs()
+                ]
                 more = f" and {len(said) - _SHOWN} more" if len(said) > _SHOWN else ""
                 self._reporter.advance(0, "; ".join(said[:_SHOWN]) + more if said else "running")
 
