@@ -56,6 +56,7 @@ def files(run: Path) -> dict[str, bytes]:
     return {name: (run / name).read_bytes() for name in ("gaussians.ply", "points.ply")}
 
 
+@pytest.mark.slow
 def test_three_processes_give_the_bits_of_one(dataset: Dataset, config: Config, finished: Run, tmp_path: Path) -> None:
     script, settings, out = tmp_path / "script.py", tmp_path / "config.json", tmp_path / "run"
     script.write_text(SCRIPT)
