@@ -1,0 +1,106 @@
+"""Which tiles an image is cut into: halves of halves, until each with all that it needs fits into memory.
+
+A tile needs the Gaussians that reach its pixels, and those that cross the same rays: they shade it. On flat ground
+these rays are those of the tile; what stands h above it is seen, at the grazing angle ψ, h·tan ψ nearer to the radar
+than the ground below it (layover), and shades h/tan ψ of the ground behind it. No height is asked for: a ray's place
+(x_r, y_r) on the computation plane holds all that shades what is on it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians.ground import Ground
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.tiles.reach import NOWHERE, Index, Reach, Window
+
+_GAUSSIAN, _PARAMETER, _RAY, _PIXEL = 430, 4, 20, 24  # bytes, in the arrays of the engine and in ours
+_RESPONSE_END = 6.0  # standard deviations, as in csrc/ground.h
+_SMALLEST = 16  # pixels on a side: a smaller tile needs hardly less
+
+LARGEST = 1024
+"""Pixels on a side of a tile at most."""
+
+
+def memory_bytes(gaussians: int, parameters: int, rays: float, pixels: int) -> float:
+    """What rendering one view takes beyond the scene itself; `parameters` of each Gaussian's scattering."""
+    return (_GAUSSIAN + _PARAMETER * parameters) * gaussians + _RAY * rays + _PIXEL * pixels
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A part of an image, and what it needs.
+
+    Parameters
+    ----------
+    rows, columns : slice
+        Its pixels.
+    grid : ImageGrid
+        The same as a grid.
+    gaussians : Tensor [K]
+        Indices of those that reach it, or shade one that does.
+    """
+
+    rows: slice
+    columns: slice
+    grid: ImageGrid
+    gaussians: Index
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How an image of a scene is cut."""
+
+    reach: Reach
+    view: View
+    grid: ImageGrid
+    rays: RayGrid
+    ground: Ground | None
+    parameters: int
+    budget_bytes: float
+
+    def tiles(self, everything: Index) -> Iterator[Tile]:
+        """The tiles, near range first."""
+        return self._halves(slice(0, self.grid.rows), slice(0, self.grid.columns), everything)
+
+    def _halves(self, rows: slice, columns: slice, among: Index) -> Iterator[Tile]:
+        grid = self.grid.part(rows, columns)
+        among = self.reach.on_rays.overlapping(self._rays_of(grid, among), among)
+        rays = self.reach.on_rays.around(among).area / self.rays.cell_area
+        needed = memory_bytes(len(among), self.parameters, rays, grid.rows * grid.columns)
+        if needed <= self.budget_bytes and max(grid.rows, grid.columns) <= LARGEST:
+            yield Tile(rows, columns, grid, among)
+            return
+        if max(grid.rows, grid.columns) <= _SMALLEST:
+            raise SarsplatError(
+                f"{grid.rows} × {grid.columns} pixels alone need {len(among)} Gaussians on {rays:.3g} rays, "
+                f"{needed / 2**30:.1f} GiB, and tiles may take {self.budget_bytes / 2**30:.3g}; remove the widest "
+                "Gaussians, use coarser rays, or allow more memory_gib"
+            )
+        if grid.rows >= grid.columns:
+            middle = (rows.start + rows.stop) // 2
+            halves = ((slice(rows.start, middle), columns), (slice(middle, rows.stop), columns))
+        else:
+            middle = (columns.start + columns.stop) // 2
+            halves = ((rows, slice(columns.start, middle)), (rows, slice(middle, columns.stop)))
+        for half in halves:
+            yield from self._halves(*half, among)
+
+    def _rays_of(self, grid: ImageGrid, among: Index) -> Window:
+        """Where the rays are that cross what reaches the pixels, or end on the ground that they show."""
+        left, right, far, near = grid.extent_m
+        reaching = self.reach.in_image.overlapping(Window((left, near), (right, far)), among)
+        window = self.reach.on_rays.around(reaching)
+        return window.joined(NOWHERE if self.ground is None else self._rays_to_ground(grid, self.ground.height_m))
+
+    def _rays_to_ground(self, grid: ImageGrid, height_m: float) -> Window:
+        left, right, far, near = grid.extent_m
+        azimuth, slant_range = (_RESPONSE_END * math.sqrt(variance) for variance in grid.response_variance_m2)
+        theta = math.radians(self.view.grazing_deg)
+        low, high = (  # of the plane r = (y cos θ − z) / sin θ
+            (r * math.sin(theta) + height_m) / math.cos(theta) for r in (near - slant_range, far + slant_range)
+        )
+        return Window((left - azimuth, low), (right + azimuth, high))
