@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from sarsplat.tiles.kept import tiles_kept_in
+from sarsplat.tiles.plan import at_once
 from sarsplat.tiles.render import render_tiled
 
-__all__ = ["render_tiled"]
+__all__ = ["at_once", "render_tiled", "tiles_kept_in"]

@@ -1,7 +1,7 @@
 """The image of one tile.
 
-Footprints are those of the whole scene, the rays those of its one lattice, and a Gaussian lies at the same place of it in
-every tile: so neighbours show the same of it, to the order of sums.
+Rays are those of the whole scene's one lattice, and a Gaussian has the same footprints at the same places in every
+tile: so neighbours show the same of it, to the order of sums.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ def tile_image(
         return images[0]
     assert lit.ray_maps is not None
     left = lit.ray_maps[0]
-    ends = RayEnds(left.transmittance.reshape(-1), [tuple(left.transmittance.shape)], [left.origin])
+    rows, columns = left.transmittance.shape
+    ends = RayEnds(left.transmittance.reshape(-1), [(rows, columns)], [left.origin])
     seen = lit_ground(ends, [view], pixels, rays, ground.height_m, shift)
     return with_ground(images, ground, seen, gaussians.scattering.power_channel, [view], pixels, shift)[0]
 

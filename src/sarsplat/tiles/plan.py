@@ -9,15 +9,21 @@ than the ground below it (layover), and shades h/tan ψ of the ground behind it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from jaxtyping import Int64
+from torch import Tensor
+
 from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import MAX_OPTICAL_DEPTH, Gaussians
 from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.tiles.reach import NOWHERE, Index, Reach, Window
+from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.renderer.constants import MIN_RAY_DEPTH
+from sarsplat.tiles.reach import NOWHERE, Reach, Window
 
 _GAUSSIAN, _PARAMETER, _RAY, _PIXEL = 430, 4, 20, 24  # bytes, in the arrays of the engine and in ours
+_WHOLE_GIB = 2.0  # for images that are rendered at once, without tiles
 _RESPONSE_END = 6.0  # standard deviations, as in csrc/ground.h
 _SMALLEST = 16  # pixels on a side: a smaller tile needs hardly less
 
@@ -28,6 +34,17 @@ LARGEST = 1024
 def memory_bytes(gaussians: int, parameters: int, rays: float, pixels: int) -> float:
     """What rendering one view takes beyond the scene itself; `parameters` of each Gaussian's scattering."""
     return (_GAUSSIAN + _PARAMETER * parameters) * gaussians + _RAY * rays + _PIXEL * pixels
+
+
+def at_once(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid) -> int:
+    """How many of the views `render` takes at once in little memory; 0: not even one, which is for `render_tiled`."""
+    means, widest = gaussians.means.detach(), float(gaussians.scales.detach().max())
+    low, high = (means.amin(0).cpu().numpy(), means.amax(0).cpu().numpy())
+    reach = widest * math.sqrt(2 * math.log(MAX_OPTICAL_DEPTH / MIN_RAY_DEPTH))
+    most = max(math.prod(abs(radar_frame(view)[:2]) @ (high - low) + 2 * reach) for view in views) / rays.cell_area
+    parameters = gaussians.scattering.parameters.shape[1]
+    each = memory_bytes(len(gaussians), parameters, most, grid.rows * grid.columns)
+    return min(len(views), int(_WHOLE_GIB * 2**30 / each))
 
 
 @dataclass(frozen=True)
@@ -47,7 +64,7 @@ class Tile:
     rows: slice
     columns: slice
     grid: ImageGrid
-    gaussians: Index
+    gaussians: Int64[Tensor, " k"]
 
 
 @dataclass(frozen=True)
@@ -62,11 +79,11 @@ class Plan:
     parameters: int
     budget_bytes: float
 
-    def tiles(self, everything: Index) -> Iterator[Tile]:
+    def tiles(self, everything: Int64[Tensor, " n"]) -> Iterator[Tile]:
         """The tiles, near range first."""
         return self._halves(slice(0, self.grid.rows), slice(0, self.grid.columns), everything)
 
-    def _halves(self, rows: slice, columns: slice, among: Index) -> Iterator[Tile]:
+    def _halves(self, rows: slice, columns: slice, among: Int64[Tensor, " n"]) -> Iterator[Tile]:
         grid = self.grid.part(rows, columns)
         among = self.reach.on_rays.overlapping(self._rays_of(grid, among), among)
         rays = self.reach.on_rays.around(among).area / self.rays.cell_area
@@ -77,7 +94,7 @@ class Plan:
         if max(grid.rows, grid.columns) <= _SMALLEST:
             raise SarsplatError(
                 f"{grid.rows} × {grid.columns} pixels alone need {len(among)} Gaussians on {rays:.3g} rays, "
-                f"{needed / 2**30:.1f} GiB, and tiles may take {self.budget_bytes / 2**30:.3g}; remove the widest "
+                f"{needed / 2**30:.3g} GiB, and tiles may take {self.budget_bytes / 2**30:.3g}; remove the widest "
                 "Gaussians, use coarser rays, or allow more memory_gib"
             )
         if grid.rows >= grid.columns:
@@ -89,7 +106,7 @@ class Plan:
         for half in halves:
             yield from self._halves(*half, among)
 
-    def _rays_of(self, grid: ImageGrid, among: Index) -> Window:
+    def _rays_of(self, grid: ImageGrid, among: Int64[Tensor, " n"]) -> Window:
         """Where the rays are that cross what reaches the pixels, or end on the ground that they show."""
         left, right, far, near = grid.extent_m
         reaching = self.reach.in_image.overlapping(Window((left, near), (right, far)), among)

@@ -18,8 +18,6 @@ from sarsplat.renderer.footprints import deviations
 
 _AT_A_TIME = 1 << 18  # Gaussians that are projected at once: their footprints are not kept
 
-Index = Int64[Tensor, " k"]
-
 
 @dataclass(frozen=True)
 class Window:
@@ -56,14 +54,14 @@ class Boxes:
     low: Float[Tensor, "2 n"]
     high: Float[Tensor, "2 n"]
 
-    def overlapping(self, window: Window, among: Index) -> Index:
+    def overlapping(self, window: Window, among: Int64[Tensor, " k"]) -> Int64[Tensor, " some"]:
         """Those that overlap a window."""
         for axis in (0, 1):
             inside = (self.low[axis][among] <= window.high[axis]) & (self.high[axis][among] >= window.low[axis])
             among = among[inside]
         return among
 
-    def around(self, among: Index) -> Window:
+    def around(self, among: Int64[Tensor, " k"]) -> Window:
         """The smallest window that holds them."""
         if not len(among):
             return NOWHERE

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -16,7 +14,7 @@ from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.progress import stage
 from sarsplat.renderer.ground import above
 from sarsplat.tiles.image import tile_image
-from sarsplat.tiles.kept import Kept
+from sarsplat.tiles.kept import KeptTiles
 from sarsplat.tiles.plan import Plan
 from sarsplat.tiles.reach import Reach
 
@@ -34,12 +32,11 @@ def render_tiled(
     shift: Float[Tensor, " 2"] | None = None,
     ground: Ground | None = None,
     memory_gib: float = USUAL_GIB,
-    keep: str | Path | None = None,
 ) -> Float[Tensor, "c {grid.rows} {grid.columns}"]:
     """Render one view by tiles, in memory that does not grow with the image; no gradients.
 
     The image is halved until each part fits, together with the Gaussians that reach it and those that shade these. All
-    tiles have the rays of one lattice and the footprints of one projection, so that no seams are seen.
+    tiles have the rays of one lattice and the footprints of one projection, so that there are no seams.
 
     Parameters
     ----------
@@ -50,15 +47,13 @@ def render_tiled(
     shift : Tensor [2], optional
         Displacement (azimuth, range) of the image, m.
     memory_gib : float
-        What a tile may take, GiB. Beyond it, rendering takes 32 bytes for each Gaussian, and the image.
-    keep : str or Path, optional
-        A folder for finished tiles, made if it is not there. A rendering of the same goes on from those that it finds;
-        whoever gave the folder removes it.
+        What a tile may take, GiB. Beyond it, rendering takes some fifty bytes for each Gaussian, and the image.
 
     Returns
     -------
     Tensor [C, rows, columns]
-        The image on the CPU, β⁰, linear power, where a channel is power; the same bits whether it was resumed or not.
+        The image on the CPU, β⁰, linear power, where a channel is power; the same bits for any number of threads, and
+        where it goes on from tiles that were kept (`tiles_kept_in`).
 
     Raises
     ------
@@ -68,19 +63,23 @@ def render_tiled(
     if not 0 < memory_gib < float("inf"):
         raise SarsplatError(f"memory_gib {memory_gib} must be positive and finite, such as {USUAL_GIB}")
     rays = rays or RayGrid.for_image(grid)
+    plane = () if ground is None else (*vars(ground).values(),)
+    kept = KeptTiles(gaussians, view, grid.as_dict(), rays, shift, memory_gib, *plane)
     with torch.no_grad():
         scene = gaussians if ground is None else above(gaussians, ground)
         displaced = None if shift is None else shift[None]
         reach = Reach.of(scene, view, grid, rays, displaced)
-        plan = Plan(reach, view, grid, rays, ground, gaussians.tensors()["scattering"].shape[1], memory_gib * 2**30)
-        kept = None if keep is None else Kept(Path(keep), gaussians, view, grid, rays, shift, ground, memory_gib)
-        image = torch.empty(len(gaussians.scattering.channels), grid.rows, grid.columns, dtype=gaussians.means.dtype)
+        plan = Plan(reach, view, grid, rays, ground, scene.scattering.parameters.shape[1], memory_gib * 2**30)
+        size = (len(scene.scattering.channels), grid.rows, grid.columns)
+        image, done = torch.empty(size, dtype=scene.means.dtype), 0
         with stage("tiles, in pixels", grid.rows * grid.columns) as reporter:
             for tile in plan.tiles(torch.arange(len(scene), device=scene.means.device)):
-
-                def make() -> Float[Tensor, "c rows columns"]:
-                    return tile_image(scene, view, grid, tile, rays, displaced, ground).cpu()
-
-                image[:, tile.rows, tile.columns] = make() if kept is None else kept.image(tile, make)
-                reporter.advance(tile.grid.rows * tile.grid.columns)
+                found, done = kept.find(tile), done + tile.grid.rows * tile.grid.columns
+                if found is None:
+                    found = tile_image(scene, view, grid, tile, rays, displaced, ground).cpu()
+                    kept.add(tile, found)
+                    reporter.update(done)
+                else:
+                    reporter.start_at(done)
+                image[:, tile.rows, tile.columns] = found
         return image
