@@ -18,6 +18,7 @@ from sarsplat.reconstruction.parts.target import law
 from sarsplat.reconstruction.setting import Setting
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.renderer import channel_of
+from sarsplat.tiles import at_once
 
 _SIGMAS = 2.5
 """Standard deviations of a Gaussian that count as its extent."""
@@ -91,7 +92,8 @@ def own_scene(
     model = SceneModel(config, setting, tensors)
     if brightest is None:
         rays = RayGrid.for_image(grid)
-        images = (image for view in views for image in model.unseen([view], grid, _DEGREES[0], rays))
+        few = views if at_once(own, views[:1], grid, rays) else views[:1]  # of a scene that is rendered by tiles
+        images = (image for view in few for image in model.unseen([view], grid, _DEGREES[0], rays))
         brightest = max(float(channel_of(image, model.power_channel).max()) for image in images)
     brightest = max(brightest, torch.finfo(torch.float32).tiny)
     return config, Snapshot(config.iterations, time_s, (), grid, views, 1.0, brightest, model.tensors())

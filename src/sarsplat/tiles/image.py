@@ -17,6 +17,7 @@ from sarsplat.renderer import Footprints, attenuate, project, splat
 from sarsplat.renderer.ground import with_ground
 from sarsplat.renderer.lit_ground import RayEnds, lit_ground
 from sarsplat.tiles.plan import LARGEST, Tile
+from sarsplat.tiles.reach import rows_of
 
 _STEPS = (1 << 23) // LARGEST  # of places in a pixel: float32 holds them up to a tile's width beside the tile
 _ANY_DEPTH = 1.0  # of first returns, which nobody reads: they come with the ends of rays
@@ -32,7 +33,7 @@ def tile_image(
     ground: Ground | None,
 ) -> Float[Tensor, "c rows columns"]:
     """What `render` shows of a scene on this grid in the tile's pixels."""
-    some, pixels = gaussians[tile.gaussians], grid.part(tile.rows, tile.columns)
+    some, pixels = rows_of(gaussians, tile.gaussians), grid.part(tile.rows, tile.columns)
     p = project(some, [view], grid, rays=rays, shift=shift)
     lit = attenuate(p, rays, first_return_depth=None if ground is None else _ANY_DEPTH)
     images = _splatted(p.pixels, p.amplitudes * lit.lit_area[..., None], grid, tile)

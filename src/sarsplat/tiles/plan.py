@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import torch
 from jaxtyping import Int64
 from torch import Tensor
 
@@ -79,38 +80,38 @@ class Plan:
     parameters: int
     budget_bytes: float
 
-    def tiles(self, everything: Int64[Tensor, " n"]) -> Iterator[Tile]:
-        """The tiles, near range first."""
-        return self._halves(slice(0, self.grid.rows), slice(0, self.grid.columns), everything)
+    def tiles(self) -> Iterator[Tile]:
+        """The tiles: strips of columns, each from near range to far."""
+        count = self.reach.on_rays.low.shape[1]
+        everything = torch.arange(count, device=self.reach.on_rays.low.device)
+        for first in range(0, self.grid.columns, LARGEST):
+            columns = slice(first, min(first + LARGEST, self.grid.columns))
+            yield from self._halves(slice(0, self.grid.rows), columns, self.reach, everything)
 
-    def _halves(self, rows: slice, columns: slice, among: Int64[Tensor, " n"]) -> Iterator[Tile]:
+    def _halves(self, rows: slice, columns: slice, reach: Reach, gaussians: Int64[Tensor, " n"]) -> Iterator[Tile]:
+        """The tiles of a part of the image, which these Gaussians with this reach make."""
         grid = self.grid.part(rows, columns)
-        among = self.reach.on_rays.overlapping(self._rays_of(grid, among), among)
-        rays = self.reach.on_rays.around(among).area / self.rays.cell_area
-        needed = memory_bytes(len(among), self.parameters, rays, grid.rows * grid.columns)
+        chosen = reach.on_rays.overlapping(self._rays_of(grid, reach))
+        reach, gaussians = reach.some(chosen), gaussians[chosen]
+        rays = reach.on_rays.window.area / self.rays.cell_area
+        needed = memory_bytes(len(gaussians), self.parameters, rays, grid.rows * grid.columns)
         if needed <= self.budget_bytes and max(grid.rows, grid.columns) <= LARGEST:
-            yield Tile(rows, columns, grid, among)
+            yield Tile(rows, columns, grid, gaussians)
             return
         if max(grid.rows, grid.columns) <= _SMALLEST:
             raise SarsplatError(
-                f"{grid.rows} × {grid.columns} pixels alone need {len(among)} Gaussians on {rays:.3g} rays, "
+                f"{grid.rows} × {grid.columns} pixels alone need {len(gaussians)} Gaussians on {rays:.3g} rays, "
                 f"{needed / 2**30:.3g} GiB, and tiles may take {self.budget_bytes / 2**30:.3g}; remove the widest "
                 "Gaussians, use coarser rays, or allow more memory_gib"
             )
-        if grid.rows >= grid.columns:
-            middle = (rows.start + rows.stop) // 2
-            halves = ((slice(rows.start, middle), columns), (slice(middle, rows.stop), columns))
-        else:
-            middle = (columns.start + columns.stop) // 2
-            halves = ((rows, slice(columns.start, middle)), (rows, slice(middle, columns.stop)))
-        for half in halves:
-            yield from self._halves(*half, among)
+        for half in _halved(rows, columns):
+            yield from self._halves(*half, reach, gaussians)
 
-    def _rays_of(self, grid: ImageGrid, among: Int64[Tensor, " n"]) -> Window:
+    def _rays_of(self, grid: ImageGrid, reach: Reach) -> Window:
         """Where the rays are that cross what reaches the pixels, or end on the ground that they show."""
         left, right, far, near = grid.extent_m
-        reaching = self.reach.in_image.overlapping(Window((left, near), (right, far)), among)
-        window = self.reach.on_rays.around(reaching)
+        reaching = reach.in_image.overlapping(Window((left, near), (right, far)))
+        window = reach.on_rays.of(reaching).window
         return window.joined(NOWHERE if self.ground is None else self._rays_to_ground(grid, self.ground.height_m))
 
     def _rays_to_ground(self, grid: ImageGrid, height_m: float) -> Window:
@@ -121,3 +122,12 @@ class Plan:
             (r * math.sin(theta) + height_m) / math.cos(theta) for r in (near - slant_range, far + slant_range)
         )
         return Window((left - azimuth, low), (right + azimuth, high))
+
+
+def _halved(rows: slice, columns: slice) -> list[tuple[slice, slice]]:
+    """Two halves of a part, along its longer side."""
+    if rows.stop - rows.start >= columns.stop - columns.start:
+        middle = (rows.start + rows.stop) // 2
+        return [(slice(rows.start, middle), columns), (slice(middle, rows.stop), columns)]
+    middle = (columns.start + columns.stop) // 2
+    return [(rows, slice(columns.start, middle)), (rows, slice(middle, columns.stop))]

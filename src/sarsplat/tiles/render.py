@@ -73,7 +73,7 @@ def render_tiled(
         size = (len(scene.scattering.channels), grid.rows, grid.columns)
         image, done = torch.empty(size, dtype=scene.means.dtype), 0
         with stage("tiles, in pixels", grid.rows * grid.columns) as reporter:
-            for tile in plan.tiles(torch.arange(len(scene), device=scene.means.device)):
+            for tile in plan.tiles():
                 found, done = kept.find(tile), done + tile.grid.rows * tile.grid.columns
                 if found is None:
                     found = tile_image(scene, view, grid, tile, rays, displaced, ground).cpu()
