@@ -21,6 +21,7 @@ ORDER = (
     ("gaussians",),
     ("renderer",),
     ("scenes", "data"),
+    ("tiles",),
     ("importers",),
     ("reconstruction",),
     ("radar", "baselines"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,6 +21,7 @@ from sarsplat.cli.arguments import (
     run_at,
     views_from,
 )
+from sarsplat.cli.stopped import Stopped
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.names import Swept
 
@@ -96,6 +98,7 @@ def render(
     from sarsplat.report.animation import ANIMATIONS
     from sarsplat.report.look import Look
     from sarsplat.report.rendered import FILES, SHEET, Rendered, asked_grid, require_distinct, require_output
+    from sarsplat.tiles import tiles_kept_in
 
     done = run_at(run)
     views = None if sweep else views_from(azimuth, grazing, incidence)
@@ -113,11 +116,19 @@ def render(
     look = Look(done.brightest, range_db, cmap or POWER)
     look.palette()  # an unknown colour map is refused before the work
     grid = asked_grid(done.grid, pixels, spacing, resolution)
-    rendered = Rendered(_rendered(done, views, grid), views, grid, look)
-    if pixels is None and out.suffix.lower() in ANIMATIONS:
-        rendered = rendered.around_target()
-    with console.busy(f"writing {out}"):
-        wrote = rendered.write(out, seconds=seconds, overwrite=overwrite)
+    tiles = out.with_name(f".{out.name}.tiles")
+    try:
+        with tiles_kept_in(tiles):
+            rendered = Rendered(_rendered(done, views, grid), views, grid, look)
+            if pixels is None and out.suffix.lower() in ANIMATIONS:
+                rendered = rendered.around_target()
+            with console.busy(f"writing {out}"):
+                wrote = rendered.write(out, seconds=seconds, overwrite=overwrite)
+    except KeyboardInterrupt as stop:
+        if not tiles.exists():
+            raise
+        kept = f"stopped; {tiles} keeps what is finished, and the same command goes on from there"
+        raise Stopped(getattr(stop, "number", signal.SIGINT), kept) from stop
     ends = ("grey", "black", "white") if look.cmap == POWER else (look.cmap, "its lower end", "its upper end")
     brightest = "brightest training pixel" if run.is_dir() else "brightest pixel from all sides"
     level = f"β⁰ = {to_db(look.peak):.1f} dB" if _absolute(done) else "β⁰ up to an unknown factor"
@@ -173,11 +184,11 @@ def _rendered(run: Run, views: Sequence[View], grid: ImageGrid) -> np.ndarray:
     from sarsplat.progress import progress
 
     different = list(dict.fromkeys(views))
-    images = []
+    images = np.empty((len(different), grid.rows, grid.columns), np.float32)
     with progress("rendering", len(different)) as reporter:
         for first in range(0, len(different), _AT_A_TIME):
             part = different[first : first + _AT_A_TIME]
-            images.append(run.render(part, grid))
+            images[first : first + len(part)] = run.render(part, grid)
             reporter.advance(len(part))
     place = {view: number for number, view in enumerate(different)}
-    return np.concatenate(images)[[place[view] for view in views]]
+    return images if views == different else images[[place[view] for view in views]]

@@ -91,7 +91,7 @@ def locked(path: Path) -> Iterator[None]:
         lock.release()
 
 
-def write_bytes(path: Path, data: bytes) -> None:
+def write_bytes(path: Path, data: bytes | memoryview) -> None:
     """Write a file, whole or not at all; an existing one is replaced only once the new one is on the disk.
 
     What a killed process left under the temporary name, `.NAME.tmp`, is written over by the next one.

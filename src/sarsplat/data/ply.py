@@ -41,6 +41,7 @@ from sarsplat.names import Colour
 
 _VERSION = "sarsplat gaussians 2"
 _LAW = "scattering "
+_FOR_VIEWERS = ("n", "f_", "opacity", "scale_0", "scale_1", "scale_2")  # of our own files; we read none of these
 _FARTHEST = 1e9  # m from the origin, of points: squares of it stay finite
 _MIN_LOGIT = -30.0  # stands for an opacity of zero, whose logit is −∞
 
@@ -108,7 +109,7 @@ def read_gaussians_ply(path: str | Path) -> Gaussians:
         If the file is missing, damaged, truncated, no 3DGS file, or holds values outside their range.
     """
     path = Path(path)
-    columns, comments = read_ply(path)
+    columns, comments = read_ply(path, lambda name, of: _VERSION not in of or not name.startswith(_FOR_VIEWERS))
     ours = _VERSION in comments
     foreign = next((line for line in comments if line.startswith("sarsplat gaussians") and not ours), None)
     if foreign is not None:
@@ -118,8 +119,9 @@ def read_gaussians_ply(path: str | Path) -> Gaussians:
         "quaternions": _stack(path, columns, [f"rot_{k}" for k in range(4)]),
         **(_our_own(path, columns) if ours else _of_3dgs(path, columns)),
     }
+    del columns
     _check_gaussians(values, str(path))
-    tensors = {name: torch.from_numpy(value.copy()) for name, value in values.items()}
+    tensors = {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in values.items()}
     law = _law(path, comments, tensors.pop("scattering")) if ours else Harmonics(tensors.pop("scattering"))
     return Gaussians(**tensors, scattering=law)
 

@@ -6,7 +6,7 @@ The files come from strangers: the counts in a header are trusted only if the fi
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,7 @@ _TYPES = {
 }
 _FORMAT = "format binary_little_endian 1.0"
 _LONGEST_HEADER = 65_536
+_AT_A_TIME = 1 << 18  # vertices
 
 
 def write_ply(path: Path, columns: Mapping[str, Real[np.ndarray, " n"]], comments: Sequence[str]) -> None:
@@ -42,8 +43,14 @@ def write_ply(path: Path, columns: Mapping[str, Real[np.ndarray, " n"]], comment
     write_bytes(Path(path), "\n".join(header).encode("ascii") + b"\n" + table.tobytes())
 
 
-def read_ply(path: Path) -> tuple[dict[str, Float32[np.ndarray, " n"]], list[str]]:
-    """Read the properties of vertices, by name, and the comments of the header."""
+def read_ply(
+    path: Path, wanted: Callable[[str, list[str]], bool] | None = None
+) -> tuple[dict[str, Float32[np.ndarray, " n"]], list[str]]:
+    """Read the properties of vertices, by name, and the comments of the header.
+
+    `wanted` says, of a name and the comments, what to read; vertices are read some at a time, for a file can be several
+    times as large as what is wanted of it.
+    """
     with open_file(path) as file:
         data = file.read(_LONGEST_HEADER)
         head, end, _ = data.partition(b"\nend_header\n")
@@ -57,11 +64,16 @@ def read_ply(path: Path) -> tuple[dict[str, Float32[np.ndarray, " n"]], list[str
         header = head.decode("ascii").split("\n")[1:]
         offset, count, dtype = _vertices(path, header, len(head) + len(end), size)
         file.seek(offset)
-        content = file.read(count * dtype.itemsize)
-    table = np.ndarray(count, dtype, content)
-    comments = [line.removeprefix("comment").strip() for line in header if line.split()[:1] == ["comment"]]
-    with np.errstate(over="ignore"):
-        return {name: table[name].astype(np.float32) for name in dtype.names or ()}, comments
+        comments = [line.removeprefix("comment").strip() for line in header if line.split()[:1] == ["comment"]]
+        names = [name for name in dtype.names or () if wanted is None or wanted(name, comments)]
+        columns = {name: np.empty(count, np.float32) for name in names}
+        for first in range(0, count, _AT_A_TIME):
+            some = min(_AT_A_TIME, count - first)
+            rows = np.ndarray(some, dtype, file.read(some * dtype.itemsize))
+            with np.errstate(over="ignore"):
+                for name, column in columns.items():
+                    column[first : first + some] = rows[name]
+    return columns, comments
 
 
 def _vertices(path: Path, header: list[str], offset: int, size: int) -> tuple[int, int, np.dtype]:

@@ -37,7 +37,7 @@ def write_tiff(path: Path, image: Shaped[np.ndarray, "rows columns"], descriptio
     tifffile.imwrite(
         buffer, pixels, photometric="minisblack", metadata=None, description=description, software="sarsplat"
     )
-    write_bytes(path, buffer.getvalue())
+    write_bytes(path, buffer.getbuffer())
 
 
 def read_tiff(

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
 _NORMAL_RADIUS = 1.0  # of the neighbours from which a point's normal is computed, resolution cells
 _EVALUATION_RAYS_PER_PIXEL = 4.0
-_VIEWS_AT_A_TIME = 8
 
 
 class SarGs(Method):
@@ -114,19 +113,20 @@ class GaussianReconstruction(Reconstruction):
         """β⁰ of any views, linear power.
 
         Rays are at a quarter of its own pixel spacing on every grid: they measure how much each Gaussian is lit, which
-        has nothing to do with the pixels.
+        has nothing to do with the pixels. Gaussians that no training of ours has made may be finer than the pixels that
+        were chosen for them.
         """
-        grid = grid or self.grid
-        if any(asked < 0.999 * own for asked, own in zip(grid.resolution_m, self.grid.resolution_m, strict=True)):
-            warnings.warn(_finer(grid, self.grid), SarsplatWarning, stacklevel=2)
-        rays, degree = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL), self._degree
-        images = [np.empty((0, grid.rows, grid.columns), np.float32)]
-        with torch.no_grad():
-            for first in range(0, len(views), _VIEWS_AT_A_TIME):  # memory stays small
-                part = views[first : first + _VIEWS_AT_A_TIME]
-                rendered = self.model.render(part, grid, degree, rays=rays)[0]
-                images.append(channel_of(rendered, self.model.power_channel).cpu().numpy())
-        return np.concatenate(images)
+        grid, own = grid or self.grid, self.grid
+        if self.config.preset == OWN_LOOP:
+            own = min(own, grid, key=lambda each: min(each.spacing_m))
+        elif any(asked < 0.999 * had for asked, had in zip(grid.resolution_m, own.resolution_m, strict=True)):
+            warnings.warn(_finer(grid, own), SarsplatWarning, stacklevel=2)
+        rays = RayGrid.for_image(own, _EVALUATION_RAYS_PER_PIXEL)
+        images, done = np.empty((len(views), grid.rows, grid.columns), np.float32), 0
+        for some in self.model.unseen(views, grid, self._degree, rays):
+            images[done : done + len(some)] = channel_of(some, self.model.power_channel).cpu().numpy()
+            done += len(some)
+        return images
 
     def masks(self, views: Sequence[View], points: Float32[np.ndarray, "p 3"]) -> UInt8[np.ndarray, "v rows columns"]:
         """What the pixels of any views show, by what target and ground would return, each alone (`scene_masks`).

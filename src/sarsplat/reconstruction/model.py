@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from functools import cached_property
 
@@ -24,7 +24,9 @@ from sarsplat.reconstruction.setting import Setting
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.reconstruction.target_region import cut_off
 from sarsplat.renderer import Bounds, Rendering, render
+from sarsplat.tiles import at_once, render_tiled
 
+_AT_A_TIME = 8  # views, though more fit into memory
 _REGION = ("normals", "offsets", "low", "high")
 
 
@@ -194,11 +196,34 @@ class SceneModel:
             bounds=bounds,
             processes=processes,
         )
-        images = rendering.images
+        return self._developed(rendering.images, shot, estimated), rendering
+
+    def unseen(
+        self, views: Sequence[View], grid: ImageGrid, degree: int, rays: RayGrid
+    ) -> Iterator[Float[Tensor, "k c {grid.rows} {grid.columns}"]]:
+        """Images of unseen views, some at a time and without gradients: one, by tiles, where they are too large."""
+        with torch.no_grad():
+            scene, ground = self.scene(degree), self.ground()
+            together = min(at_once(scene, views, grid, rays), _AT_A_TIME)
+            for first in range(0, len(views), max(together, 1)):
+                some = views[first : first + max(together, 1)]
+                if together:
+                    yield self.render(some, grid, degree, rays=rays)[0]
+                    continue
+                shot = self.shot(some, grid)
+                shift = None if shot.shift is None else shot.shift[0]
+                yield self._developed(
+                    render_tiled(scene, some[0], shot.grid, rays=rays, shift=shift, ground=ground)[None], shot
+                )
+
+    def _developed(
+        self, images: Float[Tensor, "v c h w"], shot: Shot, estimated: bool = True
+    ) -> Float[Tensor, "v c h w"]:
+        """What was rendered, with what the parts do to images, and its unit."""
         for part in self.parts:
             if estimated or not part.estimated:
                 images = part.images(images, shot, self.parameters)
-        return images if self.unit == 1 else images * self.unit, rendering
+        return images if self.unit == 1 else images * self.unit
 
     def shot(self, views: Sequence[View], grid: ImageGrid, numbers: Int64[Tensor, " v"] | None = None) -> Shot:
         """How images are taken: see `render`."""

@@ -11,13 +11,14 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.initialise import Region
-from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.reconstruction.config import OWN_LOOP, Config
 from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.parts.target import law
 from sarsplat.reconstruction.setting import Setting
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.renderer import channel_of
+from sarsplat.tiles import at_once
 
 _SIGMAS = 2.5
 """Standard deviations of a Gaussian that count as its extent."""
@@ -86,13 +87,13 @@ def own_scene(
         )
     config = configs[fits.index(True)]
     tensors: dict[str, Tensor] = {name: tensor.contiguous() for name, tensor in own.tensors().items()}
-    means = own.means.double().numpy()
-    setting = Setting(Region.box(means.min(axis=0), means.max(axis=0)), 1.0, views, grid)
+    region = Region.box(own.means.amin(0).tolist(), own.means.amax(0).tolist())
+    setting = Setting(region, 1.0, views, grid)
     model = SceneModel(config, setting, tensors)
     if brightest is None:
-        with torch.no_grad():
-            images = (channel_of(model.render([view], grid, _DEGREES[0])[0], model.power_channel) for view in views)
-            brightest = max(float(image.max()) for image in images)
+        rays = RayGrid.for_image(grid)
+        few = views if at_once(own, views[:1], grid, rays) else views[:1]  # of a scene that is rendered by tiles
+        images = (image for view in few for image in model.unseen([view], grid, _DEGREES[0], rays))
+        brightest = max(float(channel_of(image, model.power_channel).max()) for image in images)
     brightest = max(brightest, torch.finfo(torch.float32).tiny)
-    kept = {name: tensor.clone() for name, tensor in model.tensors().items()}
-    return config, Snapshot(config.iterations, time_s, (), grid, views, 1.0, brightest, kept)
+    return config, Snapshot(config.iterations, time_s, (), grid, views, 1.0, brightest, model.tensors())

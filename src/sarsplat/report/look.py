@@ -13,6 +13,8 @@ from sarsplat.colours import POWER, ramp
 from sarsplat.errors import SarsplatError
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, shade
 
+_ROWS = 512  # of an image whose decibels are calculated at once
+
 
 @dataclass(frozen=True)
 class Look:
@@ -67,7 +69,10 @@ def decibel_png(power: Real[np.ndarray, "rows columns"], look: Look) -> bytes:
     text.add_text(
         "Description", f"beta0 in dB: {low} = -{look.range_db:g} dB, {high} = 0 dB of beta0 = {look.peak:.6g}"
     )
-    picture = Image.fromarray(np.round(255 * look.shade(power)).astype(np.uint8))
+    shades = np.empty(power.shape, np.uint8)
+    for first in range(0, len(power), _ROWS):
+        shades[first : first + _ROWS] = np.round(255 * look.shade(power[first : first + _ROWS]))
+    picture = Image.fromarray(shades)
     if look.cmap != POWER:
         picture.putpalette(look.palette().tobytes())
     buffer = io.BytesIO()

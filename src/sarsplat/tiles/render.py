@@ -1,0 +1,85 @@
+"""`render_tiled`: one view of a scene that is too large to be rendered at once."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sarsplat.arguments import checks_arguments
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians.ground import Ground
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.progress import stage
+from sarsplat.renderer.ground import above
+from sarsplat.tiles.image import tile_image
+from sarsplat.tiles.kept import KeptTiles
+from sarsplat.tiles.plan import Plan
+from sarsplat.tiles.reach import Reach
+
+USUAL_GIB = 0.5
+"""What a tile takes unless told otherwise: beyond, it is no faster."""
+
+
+@checks_arguments
+def render_tiled(
+    gaussians: Gaussians,
+    view: View,
+    grid: ImageGrid,
+    *,
+    rays: RayGrid | None = None,
+    shift: Float[Tensor, " 2"] | None = None,
+    ground: Ground | None = None,
+    memory_gib: float = USUAL_GIB,
+) -> Float[Tensor, "c {grid.rows} {grid.columns}"]:
+    """Render one view by tiles, in memory that does not grow with the image; no gradients.
+
+    The image is halved until each part fits, together with the Gaussians that reach it and those that shade these. All
+    tiles have the rays of one lattice and the footprints of one projection, so that there are no seams.
+
+    Parameters
+    ----------
+    gaussians, grid, rays, ground
+        As at `sarsplat.render`.
+    view : View
+        From where.
+    shift : Tensor [2], optional
+        Displacement (azimuth, range) of the image, m.
+    memory_gib : float
+        What a tile may take, GiB. Beyond it, rendering takes some fifty bytes for each Gaussian, and the image.
+
+    Returns
+    -------
+    Tensor [C, rows, columns]
+        The image on the CPU, β⁰, linear power, where a channel is power; the same bits for any number of threads, and
+        where it goes on from tiles that were kept (`tiles_kept_in`).
+
+    Raises
+    ------
+    SarsplatError
+        If `render` would refuse the scene, a few pixels alone do not fit into the memory, or a tile cannot be kept.
+    """
+    if not 0 < memory_gib < float("inf"):
+        raise SarsplatError(f"memory_gib {memory_gib} must be positive and finite, such as {USUAL_GIB}")
+    rays = rays or RayGrid.for_image(grid)
+    plane = () if ground is None else (*vars(ground).values(),)
+    kept = KeptTiles(gaussians, view, grid.as_dict(), rays, shift, memory_gib, *plane)
+    with torch.no_grad():
+        scene = gaussians if ground is None else above(gaussians, ground)
+        displaced = None if shift is None else shift[None]
+        reach = Reach.of(scene, view, grid, rays, displaced)
+        plan = Plan(reach, view, grid, rays, ground, scene.scattering.parameters.shape[1], memory_gib * 2**30)
+        size = (len(scene.scattering.channels), grid.rows, grid.columns)
+        image, done = torch.empty(size, dtype=scene.means.dtype), 0
+        with stage("tiles, in pixels", grid.rows * grid.columns) as reporter:
+            for tile in plan.tiles():
+                found, done = kept.find(tile), done + tile.grid.rows * tile.grid.columns
+                if found is None:
+                    found = tile_image(scene, view, grid, tile, rays, displaced, ground).cpu()
+                    kept.add(tile, found)
+                    reporter.update(done)
+                else:
+                    reporter.start_at(done)
+                image[:, tile.rows, tile.columns] = found
+        return image
