@@ -30,8 +30,7 @@ def one(preset: str, side: int) -> dict[str, Any]:
     """Seconds of every part, peak memory so far in GiB after each, and the scores."""
     from village import village
 
-    from sarsplat import Dataset, DatasetEntry, ImageGrid, View, reconstruct
-    from sarsplat import evaluate_run
+    from sarsplat import Dataset, DatasetEntry, ImageGrid, View, evaluate_run, reconstruct
     from sarsplat.scenes.simulate import simulate_images
 
     parts: dict[str, dict[str, float]] = {}
