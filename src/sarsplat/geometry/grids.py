@@ -105,6 +105,17 @@ class ImageGrid:
         azimuth, slant_range = self.resolution_m
         return replace(self, resolution_m=(width_of(azimuth_m2, azimuth), width_of(range_m2, slant_range)))
 
+    def multilooked(self, factor: int) -> Self:
+        """The grid of images whose pixels are means over blocks of factor × factor of these.
+
+        Rows and columns that fill no block, at the far and the right end, are left out.
+        """
+        rows, columns = self.rows // factor, self.columns // factor
+        mean = [(factor**2 - 1) / 12 * spacing**2 for spacing in self.spacing_m]  # variance of places in a block
+        blocks = self.part(slice(rows * factor), slice(columns * factor)).widened(*mean)
+        azimuth, slant_range = (factor * spacing for spacing in self.spacing_m)
+        return replace(blocks, rows=rows, columns=columns, spacing_m=(azimuth, slant_range))
+
     @property
     def independent_samples(self) -> float:
         """Samples of independent speckle in an image: its resolution cells, or its pixels where those are larger."""
@@ -136,7 +147,7 @@ class ImageGrid:
         azimuth, slant_range = self.center_m
         return azimuth - half_azimuth, azimuth + half_azimuth, slant_range + half_range, slant_range - half_range
 
-    def part(self, rows: slice, columns: slice) -> ImageGrid:
+    def part(self, rows: slice, columns: slice) -> Self:
         """The grid of a part of the image, of at least one pixel."""
         azimuth, slant_range = self.azimuth_m[columns], self.range_m[rows]
         centre = ((azimuth[0] + azimuth[-1]) / 2, (slant_range[0] + slant_range[-1]) / 2)

@@ -295,7 +295,14 @@ class Config(AnyConfig):
     views_per_step : int
         Images used in one step.
     gaussians : int or None
-        Gaussians at the start; None: 18 for each resolution cell that the target covers in a training image.
+        Gaussians at the start; None: 18 for each resolution cell that the target covers in a training image, divided by
+        f³ᐟ² where the training begins with blocks of f × f pixels.
+    fewest_gaussians : int
+        At least so many, where `gaussians` is None.
+    coarsest : int
+        Side of the blocks of pixels over which images are averaged at first, in pixels; half of it is next, and so on.
+        Powers of two, and no more than leave 20 resolution cells across the target: small ones are looked at as they
+        are. 1: so are all.
     initialisation : str
         Start inside the box derived from the images ("box"), or on the paper's hemisphere ("hemisphere").
     loss : str
@@ -370,6 +377,8 @@ class Config(AnyConfig):
     iterations: Count = 900
     views_per_step: Count = 8
     gaussians: Count | None = None
+    fewest_gaussians: Count = 100
+    coarsest: Count = 4
     initialisation: Literal["box", "hemisphere"] = "box"
     loss: str = "amplitude"
     ssim_weight: NotNegative = 0.0
