@@ -9,6 +9,7 @@ import torch
 
 from datasets import dataset_of
 from sarsplat import Dataset, Gaussians, ImageGrid, View, preset
+from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import NormalLobes
 from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import RayGrid
@@ -86,6 +87,11 @@ def test_a_scene_on_the_coarse_grid_is_what_the_means_show(scene: Dataset, facto
 
     assert error(looked.grid) < 0.03
     assert error(replace(looked.grid, resolution_m=GRID.resolution_m)) > 2 * error(looked.grid)
+
+
+def test_blocks_are_no_larger_than_the_image() -> None:
+    with pytest.raises(SarsplatError, match="90 × 91 pixels has no blocks of 91 × 91; give a factor from 1 to 90"):
+        GRID.multilooked(91)
 
 
 def test_a_training_looks_at_finer_images_and_splits_what_they_ask_for(scene: Dataset, config: Config) -> None:

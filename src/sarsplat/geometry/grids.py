@@ -105,11 +105,28 @@ class ImageGrid:
         azimuth, slant_range = self.resolution_m
         return replace(self, resolution_m=(width_of(azimuth_m2, azimuth), width_of(range_m2, slant_range)))
 
-    def multilooked(self, factor: int) -> Self:
-        """The grid of images whose pixels are means over blocks of factor × factor of these.
+    @checks_arguments
+    def multilooked(self, factor: int) -> ImageGrid:
+        """The grid of images whose pixels are means of power over blocks of these.
 
-        Rows and columns that fill no block, at the far and the right end, are left out.
+        The response is as much wider as a block is wide. Rows and columns that fill no block, at the far and the right
+        end, are left out.
+
+        Parameters
+        ----------
+        factor : int
+            Pixels along each side of a block, at least 1.
+
+        Raises
+        ------
+        SarsplatError
+            If the image has no such block.
         """
+        if not 1 <= factor <= min(self.rows, self.columns):
+            raise SarsplatError(
+                f"an image of {self.rows} × {self.columns} pixels has no blocks of {factor} × {factor}; give a factor "
+                f"from 1 to {min(self.rows, self.columns)}"
+            )
         rows, columns = self.rows // factor, self.columns // factor
         mean = [(factor**2 - 1) / 12 * spacing**2 for spacing in self.spacing_m]  # variance of places in a block
         blocks = self.part(slice(rows * factor), slice(columns * factor)).widened(*mean)
@@ -147,7 +164,7 @@ class ImageGrid:
         azimuth, slant_range = self.center_m
         return azimuth - half_azimuth, azimuth + half_azimuth, slant_range + half_range, slant_range - half_range
 
-    def part(self, rows: slice, columns: slice) -> Self:
+    def part(self, rows: slice, columns: slice) -> ImageGrid:
         """The grid of a part of the image, of at least one pixel."""
         azimuth, slant_range = self.azimuth_m[columns], self.range_m[rows]
         centre = ((azimuth[0] + azimuth[-1]) / 2, (slant_range[0] + slant_range[-1]) / 2)
