@@ -48,7 +48,7 @@ def config() -> Config:
     return replace(preset("quick"), iterations=12, gaussians=300, checkpoint_every=10)
 
 
-def levels(side_m: float, iterations: int = 100, coarsest: int = 4, pixels: int = 640) -> Levels:
+def levels(side_m: float, iterations: int = 100, coarsest: int = 8, pixels: int = 640) -> Levels:
     grid = ImageGrid(pixels, pixels, (0.3, 0.3), (0.3, 0.3))
     setting = Setting(Region.box((0.0, 0.0, 0.0), (side_m, side_m, 5.0)), 1.0, tuple(VIEWS), grid)
     return Levels.of(replace(preset("default"), iterations=iterations, coarsest=coarsest), setting)
@@ -56,7 +56,7 @@ def levels(side_m: float, iterations: int = 100, coarsest: int = 4, pixels: int 
 
 @pytest.mark.parametrize(
     ("side_m", "coarsest", "first"),
-    [(7, 4, 1), (11, 4, 1), (13, 4, 2), (30, 4, 4), (900, 4, 4), (900, 64, 16), (900, 1, 1)],
+    [(7, 4, 1), (11, 4, 1), (13, 4, 2), (30, 8, 4), (900, 8, 8), (900, 64, 16), (900, 1, 1)],
 )
 def test_the_first_images_are_as_coarse_as_the_target_is_large(side_m: float, coarsest: int, first: int) -> None:
     made = levels(side_m, coarsest=coarsest, pixels=600)
@@ -65,13 +65,13 @@ def test_the_first_images_are_as_coarse_as_the_target_is_large(side_m: float, co
 
 
 def test_levels_follow_each_other_and_the_last_has_a_quarter_of_the_time() -> None:
-    made = levels(100.0)
+    made = levels(100.0, coarsest=4)
     factors = [made.factor(k) for k in range(100)]
     assert factors == sorted(factors, reverse=True)
     assert [factors.count(f) for f in (4, 2, 1)] == [38, 37, 25]
     assert [k for k in range(100) if made.grows(k)] == [38, 56, 75]
     assert not any(levels(7.0).grows(k) for k in range(100))
-    assert levels(100.0, iterations=1).factor(0) == 4  # however short
+    assert levels(100.0, iterations=1).factor(0) == 8  # however short
 
 
 @pytest.mark.parametrize("factor", [2, 4])

@@ -347,7 +347,7 @@ class Config(AnyConfig):
     fine_rays_per_pixel : float
         The same towards the end …
     fine_from : float
-        … from this share of the iterations on.
+        … from this share of the iterations on, as far as the images themselves are looked at.
     rates : Rates
         Learning rates.
     points : PointExtraction
@@ -378,7 +378,7 @@ class Config(AnyConfig):
     views_per_step: Count = 8
     gaussians: Count | None = None
     fewest_gaussians: Count = 100
-    coarsest: Count = 4
+    coarsest: Count = 8
     initialisation: Literal["box", "hemisphere"] = "box"
     loss: str = "amplitude"
     ssim_weight: NotNegative = 0.0

@@ -163,7 +163,7 @@ class Trainer:
     @property
     def _rays(self) -> RayGrid:
         config = self.config
-        fine = self.iteration >= config.fine_from * config.iterations
+        fine = self.iteration >= config.fine_from * config.iterations and self.images.grid == self.grid
         return RayGrid.for_image(self.images.grid, config.fine_rays_per_pixel if fine else config.rays_per_pixel)
 
     def check(self) -> None:
