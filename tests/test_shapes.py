@@ -26,7 +26,7 @@ def test_calls_are_counted():
 
 def test_initialisers_and_calls_are_watched():
     with pytest.raises(shapes.ShapeError, match=r"_Axis\.__init__ accepted centers"):
-        _Axis(np.zeros(3, np.float32), 0.1, 0.3, GAUSSIAN)
+        _Axis(np.zeros(3, np.float32), 0.1, 0.3, GAUSSIAN, 9)
     assert Lpips.__call__.__wrapped__ is not None
 
 

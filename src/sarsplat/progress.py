@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 _SECONDS_BETWEEN_LINES = 5.0
+_LEAST_STEP = 1e-3  # that tells how long all of them take
 
 _shown: ContextVar[Reporter | None] = ContextVar("_shown", default=None)
 """The progress that is being shown."""
@@ -23,7 +24,7 @@ class Reporter:
         self._total, self._bar, self._description, self._quiet = total, bar, description, quiet
         self._task = bar.add_task(description, total=total, status="") if bar else None
         self._begun = self._last = time.monotonic()
-        self._first = self._done = 0
+        self._first = self._done = 0.0
         self._ended = False
 
     def part(self, description: str, total: int) -> Reporter:
@@ -46,8 +47,8 @@ class Reporter:
         """`steps` more are finished; `status` is a short text such as the loss."""
         self.update(self._done + steps, status)
 
-    def update(self, done: int, status: str = "") -> None:
-        """`done` steps of the total are finished."""
+    def update(self, done: float, status: str = "") -> None:
+        """`done` steps of the total are finished, of which the last may be part of one."""
         self._done = done
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, completed=done, status=status)
@@ -56,8 +57,8 @@ class Reporter:
         if self._quiet or self._ended or (now - self._last < _SECONDS_BETWEEN_LINES and done < self._total):
             return
         self._last, self._ended = now, done >= self._total  # the last line only once
-        seconds = (now - self._begun) / max(done - self._first, 1) * (self._total - done)
-        print(f"{self._description}: {done}/{self._total}  {status}  {seconds:.0f} s left", flush=True)
+        seconds = (now - self._begun) / max(done - self._first, _LEAST_STEP) * (self._total - done)
+        print(f"{self._description}: {int(done)}/{self._total}  {status}  {seconds:.0f} s left", flush=True)
 
 
 @contextmanager

@@ -200,9 +200,10 @@ def test_a_target_larger_than_its_box_is_told(dataset: Dataset, tmp_path: Path) 
         with nullcontext() if fits else pytest.warns(SarsplatWarning, match=r"z 0 … 10 m\) is larger than the box"):
             Trainer(images, config)
     trimesh.creation.box(bounds=[[-40, -40, 0], [40, 40, 40]]).export(mesh)
-    with pytest.warns(SarsplatWarning, match="cut off; give target_box_m in dataset.json"):  # there is none to widen
+    with pytest.warns(SarsplatWarning, match="cut off; give another with --target-box"):
         Trainer(replace(images, target_box_m=None), config)
-    Trainer(images, replace(preset("default"), gaussians=20))  # bounded by the images: no warning
+    # bounded by the images: no warning
+    Trainer(replace(images, target_box_m=None), replace(preset("default"), gaussians=20))
     mesh.write_bytes(b"garbled")
     Trainer(images, config)
 

@@ -22,7 +22,7 @@ from sarsplat.reconstruction.method import Inputs, Method, Reconstruction
 from sarsplat.reconstruction.run_folder import MESH
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.scenes import load_mesh
-from sarsplat.scenes.raycast import Facets, first_hits
+from sarsplat.scenes._rays import Facets, first_hits
 
 if TYPE_CHECKING:
     import trimesh

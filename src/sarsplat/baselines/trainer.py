@@ -12,10 +12,9 @@ from torch import Tensor
 from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
 from sarsplat.data import Dataset, Masks
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians.initialise import bounded_region
 from sarsplat.geometry import View
 from sarsplat.reconstruction.snapshot import Snapshot
-from sarsplat.reconstruction.target_box import target_box
+from sarsplat.reconstruction.target_region import target_region
 from sarsplat.reconstruction.training_images import ViewQueue
 
 
@@ -120,16 +119,12 @@ def scene_of(dataset: Dataset, masks: Masks | None = None) -> Scene:
     unit = float(train.power.mean(dtype=np.float64))
     if not np.float32(unit):
         raise SarsplatError(f"the training images of {dataset} are black everywhere; simulate or import again")
-    if dataset.ground:
-        low, high = dataset.target_box_m or target_box(train.power, train.views, train.grid)
-    else:
-        region = bounded_region(train.power, train.views, train.grid)
-        low, high = region.low, region.high
+    region = target_region(dataset, ground=dataset.ground)
     return Scene(
         train.views,
         train.grid,
-        np.asarray(low, np.float64),
-        np.asarray(high, np.float64),
+        region.low,
+        region.high,
         unit,
         masks,
         float(train.power.max()) / unit,

@@ -13,6 +13,7 @@ import tyro
 from sarsplat.errors import SarsplatError
 
 if TYPE_CHECKING:
+    from sarsplat.data.header import Box
     from sarsplat.geometry import View
     from sarsplat.reconstruction import Run
 
@@ -33,6 +34,12 @@ OptionalCount = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_h
 Metres = Annotated[float | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="(optional)")]
 Lengths = Annotated[tuple[float, ...], tyro.conf.arg(metavar="METRES [METRES]", help_behavior_hint="(optional)")]
 """In azimuth and range, or one for both; see `pair`."""
+
+TargetBox = Annotated[
+    tuple[float, float, float, float, float, float] | None,
+    tyro.conf.arg(metavar="X0 Y0 Z0 X1 Y1 Z1", help_behavior_hint="(optional)"),
+]
+"""Lower and upper corner; see `corners`."""
 
 Angles = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DEG …", help_behavior_hint="")]
 """Numbers or ranges start:stop:step, degrees, with spaces or commas between them; see `angles`."""
@@ -80,6 +87,11 @@ def metres(text: str, name: str) -> float:
         return float(text.strip().removesuffix("m"))
     except ValueError:
         raise SarsplatError(f"--{name} {text!r} is not a valid length; give metres, such as 64 or 64m") from None
+
+
+def corners(box: tuple[float, float, float, float, float, float] | None) -> Box | None:
+    """Those of --target-box."""
+    return None if box is None else (box[:3], box[3:])
 
 
 def pair(lengths: tuple[float, ...], name: str) -> tuple[float, float] | None:

@@ -14,6 +14,8 @@ from sarsplat.cli.arguments import (
     OptionalFile,
     OptionalName,
     OptionalNumber,
+    TargetBox,
+    corners,
     one_of,
     pair,
 )
@@ -56,6 +58,7 @@ def command(
     calibrated: bool = False,
     looks: Annotated[float, tyro.conf.arg(metavar="NUMBER")] = 1.0,
     no_ground: bool = False,
+    target_box: TargetBox = None,
     overwrite: bool = False,
 ) -> int:
     """Import pictures (PNG, JPEG, TIFF, GeoTIFF, NPY) with a table (CSV) of angles.
@@ -108,6 +111,9 @@ def command(
         Looks of the speckle; 0 if there is no speckle.
     no_ground
         The pictures show nothing but the target.
+    target_box
+        Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Without it, it is
+        derived from the images.
     overwrite
         Replace an existing dataset.
     """
@@ -137,6 +143,7 @@ def command(
         calibration="absolute" if calibrated else "relative",
         looks=looks or None,
         ground=not no_ground,
+        target_box_m=corners(target_box),
         overwrite=overwrite,
     )
 

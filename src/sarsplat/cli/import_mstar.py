@@ -10,7 +10,7 @@ from typing import Annotated
 
 import tyro
 
-from sarsplat.cli.arguments import Angles, Folder, OptionalFile, OptionalName, angles
+from sarsplat.cli.arguments import Angles, Folder, OptionalFile, OptionalName, TargetBox, angles, corners
 from sarsplat.cli.imported import carry_out
 from sarsplat.cli.importers import Contents, Recognised, training_half, typed_import
 from sarsplat.errors import SarsplatError
@@ -29,10 +29,7 @@ def command(
     labels: OptionalFile = None,
     train_depression: Angles = ("17",),
     serial: OptionalName = None,
-    target_box: Annotated[
-        tuple[float, float, float, float, float, float] | None,
-        tyro.conf.arg(metavar="X0 Y0 Z0 X1 Y1 Z1"),
-    ] = None,
+    target_box: TargetBox = None,
     azimuth_std: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 0.0,
     mirrored: bool = False,
     overwrite: bool = False,
@@ -78,7 +75,7 @@ def command(
         train_views=train_views,
         train_depression=[_whole(angle) for angle in angles(train_depression, "train-depression")],
         serial=serial,
-        target_box_m=None if target_box is None else (target_box[:3], target_box[3:]),
+        target_box_m=corners(target_box),
         azimuth_std_deg=azimuth_std,
         mirrored=mirrored,
         overwrite=overwrite,

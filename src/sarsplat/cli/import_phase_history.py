@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from sarsplat.cli.arguments import Folder, Metres, OptionalCount, OptionalNumber, metres, numbers
+from sarsplat.cli.arguments import Folder, Metres, OptionalCount, OptionalNumber, TargetBox, corners, metres, numbers
 from sarsplat.cli.imported import carry_out
 from sarsplat.cli.importers import Contents, Recognised, by_ending
 
@@ -23,6 +23,7 @@ def command(
     weighting: Literal["uniform", "taylor"] = "taylor",
     target: Annotated[str, tyro.conf.arg(metavar="NAME")] = "unnamed",
     train_views: OptionalCount = None,
+    target_box: TargetBox = None,
     overwrite: bool = False,
 ) -> int:
     """Import phase history, in the layout of AFRL's GOTCHA: one focused image for every few degrees of flight.
@@ -48,6 +49,9 @@ def command(
     train_views
         Number of training images, nearest to azimuths k·360°/K; the others are test images. Without it, all are for
         training.
+    target_box
+        Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Without it, it is
+        derived from the images.
     overwrite
         Replace an existing dataset.
     """
@@ -65,6 +69,7 @@ def command(
         weighting=weighting,
         target=target,
         train_views=train_views,
+        target_box_m=corners(target_box),
         overwrite=overwrite,
         quiet=False,
     )

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from sarsplat.cli.arguments import Folder, OptionalCount
+from sarsplat.cli.arguments import Folder, OptionalCount, TargetBox, corners
 from sarsplat.cli.imported import carry_out
 from sarsplat.cli.importers import Contents, Recognised, training_half, typed_import
 from sarsplat.names import SampleKind
@@ -23,6 +23,7 @@ def command(
     train_views: OptionalCount = None,
     near: Literal["top", "bottom"] = "bottom",
     mirrored: bool = False,
+    target_box: TargetBox = None,
     overwrite: bool = False,
 ) -> int:
     """Import images of AFRL's SAMPLE set: measured MSTAR chips and simulated ones (.mat), complex.
@@ -43,6 +44,9 @@ def command(
         Rows that are near the radar; MSTAR's chips have them at the bottom.
     mirrored
         Treat the images as mirror images.
+    target_box
+        Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Without it, it is
+        derived from the images.
     overwrite
         Replace an existing dataset.
     """
@@ -58,6 +62,7 @@ def command(
         train_views=train_views,
         near=near,
         mirrored=mirrored,
+        target_box_m=corners(target_box),
         overwrite=overwrite,
     )
 

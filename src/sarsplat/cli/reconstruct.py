@@ -15,7 +15,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import DEFAULT_PORT, MARKERS, Folder, OptionalFile, OptionalFolder, refuse_existing
+from sarsplat.cli.arguments import (
+    DEFAULT_PORT,
+    MARKERS,
+    Folder,
+    OptionalFile,
+    OptionalFolder,
+    TargetBox,
+    refuse_existing,
+)
 from sarsplat.cli.watch import watched
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.names import SCATTERINGS
@@ -42,6 +50,7 @@ Settings = make_dataclass(
     "Settings",
     [
         ("preset", Annotated[str, tyro.conf.Fixed, tyro.conf.Suppress], "default"),
+        ("target_box", TargetBox, None),
         ("scattering", tyro.extras.literal_type_from_choices(SCATTERINGS), Config.scattering),
         *((name, kind, field(default_factory=kind)) for name, kind in _PARTS.items()),
     ],

@@ -17,6 +17,8 @@ from sarsplat.cli.arguments import (
     OptionalCount,
     OptionalFile,
     OptionalNumber,
+    TargetBox,
+    corners,
     one_of,
     pair,
     refuse_existing,
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
 
 Decibels = Annotated[float, tyro.conf.arg(metavar="DB")]
 Law = Annotated[tuple[float, float] | tuple[float, float, float], tyro.conf.arg(metavar="FLOOR LOBE [EXPONENT]")]
+
+_TOLERABLE_DB = 0.1  # of an image's error by its rays
 
 
 def simulate(
@@ -58,6 +62,7 @@ def simulate(
     resolution: Lengths = (),
     response: str = "gaussian",
     ray_spacing: Metres = None,
+    target_box: TargetBox = None,
     masks: bool = False,
     seed: int = 0,
     overwrite: bool = False,
@@ -116,7 +121,11 @@ def simulate(
     response
         Shape of the system's response: gaussian, or taylor, with side lobes at −35 dB (ray casting only).
     ray_spacing
-        Distance of the rays in ray casting (default: a fifteenth of the resolution).
+        Distance of the rays along edges in ray casting (default: a fifteenth of the resolution). What it changes in the
+        first image is told.
+    target_box
+        Lower and upper corner of the box in which reconstructions look for the target, m. Without it, they derive it
+        from the images.
     masks
         Also write true masks of all images, by ray casting, to DIR/masks: 0 clutter, 1 target, 2 shadow on flat ground
         (for `evaluate --masks` and `reconstruct --method dsr --masks`).
@@ -133,7 +142,7 @@ def simulate(
     from sarsplat.progress import progress
     from sarsplat.scenes import ScatteringLaw, load_mesh, mstar_views, paper_views, target_mesh
     from sarsplat.scenes.meshes import is_larger, scaled, suspicious_size
-    from sarsplat.scenes.raycast import default_ray_spacing
+    from sarsplat.scenes.raycast import default_ray_spacing, ray_error_db
     from sarsplat.scenes.raycast_masks import raycast_masks
     from sarsplat.scenes.scattering import part_reflectivity
     from sarsplat.scenes.simulate import simulate_images, simulation_record
@@ -174,7 +183,15 @@ def simulate(
         "seed": seed,
     }
     factors = part_reflectivity(surface, reflectivity, seed)
+    error_db = None
     with progress(f"simulate {name}", len(views)) as shown:
+        if source == "raycast":
+            view, checked = views[0][0], ("law", "ground_gamma0", "ray_spacing")
+            error_db = ray_error_db(surface, view, grid, reflectivity=factors, **{key: how[key] for key in checked})
+            shown.note(
+                f"rays {ray_spacing:.3g} m apart along edges: the first image is right to {error_db:.2g} dB RMS"
+                + ("; give a smaller --ray-spacing" if error_db > _TOLERABLE_DB else "")
+            )
         images = simulate_images(
             surface,
             [view for view, _ in views],
@@ -199,8 +216,9 @@ def simulate(
         looks=looks,
         clean_tests=clean_tests,
         ground=ground is not None,
+        target_box_m=corners(target_box),
         protocol=protocol if views == theirs and grid == _grid(protocol) else None,
-        source={**simulation_record(**how), "reflectivity_db": reflectivity, "scale": scale},
+        source={**simulation_record(**how, ray_error_db=error_db), "reflectivity_db": reflectivity, "scale": scale},
     )
     dataset = write_dataset(out, dataset, truth_mesh=surface, masks=true_masks, overwrite=overwrite)
     warn(suspicions(dataset))

@@ -10,7 +10,7 @@ from typing import Any
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
-from sarsplat.data.header import Calibration
+from sarsplat.data.header import Box, Calibration
 from sarsplat.data.orientation import Layout, oriented
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
@@ -47,6 +47,7 @@ def import_folder(
     calibration: Calibration = "relative",
     looks: float | None = 1.0,
     ground: bool = True,
+    target_box_m: Box | None = None,
     overwrite: bool = False,
 ) -> Dataset:
     """Make a dataset of pictures and a table with a row for each.
@@ -87,6 +88,8 @@ def import_folder(
         What is shown; unless given, the folder's name.
     calibration, looks, ground
         See `Dataset`.
+    target_box_m : pair of (x, y, z), optional
+        Lower and upper corner of the box that contains the target, m; unless given, it is derived from the images.
     overwrite : bool
         Whether an existing dataset may be replaced.
 
@@ -160,6 +163,7 @@ def import_folder(
         calibration=calibration,
         looks=looks,
         ground=ground,
+        target_box_m=target_box_m,
     )
     return write_imported(out, dataset, overwrite=overwrite)
 

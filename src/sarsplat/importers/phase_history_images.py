@@ -11,6 +11,7 @@ import numpy as np
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.folders import refuse_existing
+from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import TAYLOR, UNIFORM, Taylor
@@ -41,6 +42,7 @@ def import_phase_history(
     weighting: Literal["uniform", "taylor"] = "taylor",
     target: str = "unnamed",
     train_views: int | None = None,
+    target_box_m: Box | None = None,
     overwrite: bool = False,
     quiet: bool = True,
 ) -> Dataset:
@@ -68,6 +70,8 @@ def import_phase_history(
         What the images show.
     train_views : int, optional
         Number K of training views, nearest to azimuths k·360°/K; the others are test views. None: all are for training.
+    target_box_m : pair of (x, y, z), optional
+        Lower and upper corner of the box that contains the target, m; unless given, it is derived from the images.
     overwrite : bool
         Whether an existing dataset may be replaced.
     quiet : bool
@@ -112,7 +116,13 @@ def import_phase_history(
         for index, aperture in enumerate(parts):
             images.append(_image(index, aperture, size_m, spacing, taper))
             reporter.advance(1)
-    dataset = dataset_of(images, target=target, source=_source(files, parts, around_m, taper), train_views=train_views)
+    dataset = dataset_of(
+        images,
+        target=target,
+        source=_source(files, parts, around_m, taper),
+        train_views=train_views,
+        target_box_m=target_box_m,
+    )
     return write_imported(out, dataset, overwrite=overwrite)
 
 

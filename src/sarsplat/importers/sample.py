@@ -19,6 +19,7 @@ import numpy as np
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
+from sarsplat.data.header import Box
 from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, stated_taylor
@@ -56,6 +57,7 @@ def import_sample(
     train_views: int | None = None,
     near: Literal["top", "bottom"] = "bottom",
     mirrored: bool = False,
+    target_box_m: Box | None = None,
     overwrite: bool = False,
 ) -> Dataset:
     """Make a dataset of the images of one vehicle.
@@ -76,6 +78,8 @@ def import_sample(
         Rows that are near the radar.
     mirrored : bool
         Take the images for mirror images, with azimuths that grow clockwise.
+    target_box_m : pair of (x, y, z), optional
+        Lower and upper corner of the box that contains the target, m; unless given, it is derived from the images.
     overwrite : bool
         Whether an existing dataset may be replaced.
 
@@ -107,7 +111,9 @@ def import_sample(
             *[f"the Taylor window has n̄ = {TAYLOR.sidelobes}"] * (images[0].response != GAUSSIAN),
         ],
     }
-    dataset = dataset_of(images, target=chosen[0].target, source=source, train_views=train_views)
+    dataset = dataset_of(
+        images, target=chosen[0].target, source=source, train_views=train_views, target_box_m=target_box_m
+    )
     return write_imported(out, dataset, overwrite=overwrite)
 
 

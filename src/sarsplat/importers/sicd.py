@@ -18,6 +18,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import folders
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.dataset_folder import HEADER
+from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.importers.files import each_once
 from sarsplat.importers.images import MeasuredImage, assume, check_sides, dataset_of, write_imported
@@ -43,6 +44,7 @@ def import_sicd(
     train_views: int | None = None,
     looks: float | None = 1.0,
     ground: bool = True,
+    target_box_m: Box | None = None,
     overwrite: bool = False,
 ) -> Dataset:
     """Make a dataset of what one or several SICDs show of one spot.
@@ -72,6 +74,8 @@ def import_sicd(
         Number of looks of the speckle; None if there is none.
     ground : bool
         Whether the images show the ground around the target.
+    target_box_m : pair of (x, y, z), optional
+        Lower and upper corner of the box that contains the target, m; unless given, it is derived from the images.
     overwrite : bool
         Whether an existing dataset may be replaced.
 
@@ -128,6 +132,7 @@ def import_sicd(
         calibration="absolute" if absolute else "relative",
         looks=looks,
         ground=ground,
+        target_box_m=target_box_m,
     )
     return write_imported(out, dataset, overwrite=overwrite)
 

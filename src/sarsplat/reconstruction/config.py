@@ -8,13 +8,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from msgspec import Meta
 
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.names import SCATTERINGS
 from sarsplat.reconstruction.record import Record
+
+if TYPE_CHECKING:
+    from sarsplat.data.header import Box
 
 Count = Annotated[int, Meta(ge=1, le=100_000_000)]
 Iteration = Annotated[int, Meta(ge=0, le=100_000_000)]
@@ -303,6 +306,9 @@ class Config(AnyConfig):
         Side of the blocks of pixels over which images are averaged at first, in pixels; half of it is next, and so on.
         Powers of two, and no more than leave 20 resolution cells across the target: small ones are looked at as they
         are. 1: so are all.
+    target_box : tuple of float or None
+        Lower and upper corner (x, y, z, x, y, z) of the box in which the target is looked for, m; None: the dataset's,
+        or what the images tell.
     initialisation : str
         Start inside the box derived from the images ("box"), or on the paper's hemisphere ("hemisphere").
     loss : str
@@ -379,6 +385,7 @@ class Config(AnyConfig):
     gaussians: Count | None = None
     fewest_gaussians: Count = 100
     coarsest: Count = 8
+    target_box: tuple[Number, Number, Number, Number, Number, Number] | None = None
     initialisation: Literal["box", "hemisphere"] = "box"
     loss: str = "amplitude"
     ssim_weight: NotNegative = 0.0
@@ -416,6 +423,10 @@ class Config(AnyConfig):
                 f"scattering is {shown(self.scattering)}; it must be one of {', '.join(SCATTERINGS)}, or a law that is "
                 "registered first (sarsplat.gaussians.register_scattering)"
             )
+        if self.box_m is not None and not all(low < high for low, high in zip(*self.box_m, strict=True)):
+            raise SarsplatError(
+                f"target_box is {shown(self.target_box)}; give the lower corner (x, y, z) and then the upper one, m"
+            )
         if self.scale_bounds[0] > self.scale_bounds[1]:
             raise SarsplatError(f"scale_bounds is {shown(self.scale_bounds)}; give the smaller one first")
         if self.directional_std is not None and self.scattering != "harmonics":
@@ -423,6 +434,11 @@ class Config(AnyConfig):
                 f"directional_std is {shown(self.directional_std)}, but scattering is {self.scattering}; give none, or "
                 "harmonics"
             )
+
+    @property
+    def box_m(self) -> Box | None:
+        """Corners of `target_box`."""
+        return None if self.target_box is None else (self.target_box[:3], self.target_box[3:])
 
 
 def refuse_other_settings(run: Path, begun: AnyConfig, wanted: AnyConfig) -> None:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.data.plausible import warn
-from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, scattering_named
 from sarsplat.gaussians.ground import Ground
 from sarsplat.gaussians.initialise import Region
@@ -23,8 +21,8 @@ from sarsplat.reconstruction.parts import parts_of
 from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, Shot
 from sarsplat.reconstruction.setting import Setting
 from sarsplat.reconstruction.snapshot import Snapshot
+from sarsplat.reconstruction.target_region import cut_off
 from sarsplat.renderer import Bounds, Rendering, render
-from sarsplat.scenes.mesh_files import read_mesh
 
 _REGION = ("normals", "offsets", "low", "high")
 
@@ -72,14 +70,14 @@ class SceneModel:
     def initial(
         cls, config: Config, dataset: Dataset, generator: torch.Generator, device: torch.device | str = "cpu"
     ) -> SceneModel:
-        """The state training starts from; warns if a given region leaves out a part of the true target.
+        """The state training starts from; warns if a part of the target lies outside of where it is looked for.
 
         `generator` is one of the CPU: a seed starts the same on every device.
         """
         setting, train = Setting.of(config, dataset), dataset.select("train")
         parameters: Parameters = {}
-        if config.ground or config.surroundings:
-            warn(_cut_off(setting.region, config.margin * setting.cell_m, dataset))
+        if config.ground or config.surroundings or config.target_box or dataset.target_box_m:
+            warn(cut_off(setting.region, config.margin * setting.cell_m, dataset))
         for part in parts_of(config, setting, torch.device("cpu")):
             parameters |= part.initial(train, generator)
         return cls(config, setting, parameters, device)
@@ -239,25 +237,3 @@ class SceneModel:
         )
         scale_m, depth = max(r.scale_m for r in reaches), max(r.optical_depth for r in reaches)
         return Bounds(low, high, scale_m, depth, self.device)
-
-
-def _cut_off(region: Region, margin: float, dataset: Dataset) -> list[str]:
-    """What of the true target lies outside; a list of one sentence, or empty."""
-    if dataset.truth_mesh is None:
-        return []
-    try:
-        vertices = np.asarray(read_mesh(dataset.truth_mesh).vertices)
-    except (ImportError, SarsplatError):  # training does not need it; evaluation, which does, says what is wrong
-        return []
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    if (low >= region.low - margin).all() and (high <= region.high + margin).all():
-        return []
-
-    def spans(low: np.ndarray, high: np.ndarray) -> str:
-        return ", ".join(f"{name} {a:.3g} … {b:.3g}" for name, a, b in zip("xyz", low, high, strict=True))
-
-    remedy = "give" if dataset.target_box_m is None else "widen"
-    return [
-        f"the target ({spans(low, high)} m) is larger than the box it is looked for in "
-        f"({spans(region.low, region.high)} m) and will be cut off; {remedy} target_box_m in dataset.json"
-    ]

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sarsplat.data import Dataset
-from sarsplat.gaussians.initialise import Region, bounded_region
+from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction.config import Config
-from sarsplat.reconstruction.target_box import target_box
+from sarsplat.reconstruction.target_region import target_region
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,9 @@ class Setting:
     def of(cls, config: Config, dataset: Dataset) -> Setting:
         """The setting of a configuration on a dataset."""
         train = dataset.select("train")
-        if not config.ground and not config.surroundings:
-            return cls(bounded_region(train.power, train.views, train.grid), 1.0, train.views, train.grid)
-        box = Region.box(*(dataset.target_box_m or target_box(train.power, train.views, train.grid)))
+        region = target_region(dataset, ground=bool(config.ground or config.surroundings), box=config.box_m)
         unit = float(train.power.mean(dtype=np.float64)) if config.surroundings else 1.0
-        return cls(box, unit, train.views, train.grid)
+        return cls(region, unit, train.views, train.grid)
 
     @property
     def cell_m(self) -> float:

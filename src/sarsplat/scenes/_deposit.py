@@ -6,30 +6,33 @@ import math
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.sparse import coo_matrix
+from scipy.sparse import csr_matrix
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import Response, variance_of, width_of
 
 
-class Deposit:
-    """Cross-section collected on nodes finer than the pixels, `oversample` per pixel and axis; pixel centres are nodes.
+class NodeGrid:
+    """Nodes finer than the pixels, `oversample` per pixel and axis, and the response from them to the pixels.
 
-    `image` is β⁰ of everything added so far, float64 [rows, columns], seen through the grid's response.
+    Pixel centres are nodes.
     """
 
     def __init__(self, grid: ImageGrid, oversample: int) -> None:
         if oversample < 1 or oversample != int(oversample):
             raise SarsplatError(f"oversample {oversample} must be a whole number of at least 1")
-        self._columns = _Axis(grid.azimuth_m, grid.spacing_m[0] / oversample, grid.resolution_m[0], grid.response)
-        self._rows = _Axis(grid.range_m, grid.spacing_m[1] / oversample, grid.resolution_m[1], grid.response)
-        self.image = np.zeros((grid.rows, grid.columns))
+        width, depth = grid.spacing_m
+        self.columns = _Axis(grid.azimuth_m, width / oversample, grid.resolution_m[0], grid.response, oversample)
+        self.rows = _Axis(grid.range_m, depth / oversample, grid.resolution_m[1], grid.response, oversample)
 
-    @property
-    def azimuth_reach(self) -> tuple[float, float]:
-        """First and last azimuth that reach the image, m."""
-        return self._columns.first, self._columns.first + (self._columns.count - 1) * self._columns.step
+
+class Deposit:
+    """Cross-section collected on nodes; `image` is β⁰ of everything added so far, float64 [rows, columns]."""
+
+    def __init__(self, nodes: NodeGrid) -> None:
+        self._rows, self._columns = nodes.rows, nodes.columns
+        self.image = np.zeros((self._rows.pixels, self._columns.pixels))
 
     def add(
         self,
@@ -37,25 +40,42 @@ class Deposit:
         slant_range: Float64[np.ndarray, " hits"],
         cross_section: Float64[np.ndarray, " hits"],
     ) -> None:
-        """Add cross-sections (m², of either sign) at positions (m)."""
+        """Add cross-sections (m², of either sign) at positions (m), best close to each other."""
         # Bilinear sharing between four nodes keeps the centre of gravity: rays and nodes do not beat into moiré.
         rows, columns = self._rows, self._columns
         v, u = (slant_range - rows.first) / rows.step, (azimuth - columns.first) / columns.step
         near = (v >= 0) & (v < rows.count - 1) & (u >= 0) & (u < columns.count - 1)
-        v, u, weight = v[near], u[near], cross_section[near]
-        row, column = v.astype(np.int32), u.astype(np.int32)
-        fv, fu = v - row, u - column
-        shares = np.concatenate([weight * a * b for a in (1 - fv, fv) for b in (1 - fu, fu)])
-        places = np.concatenate([row, row, row + 1, row + 1]), np.concatenate([column, column + 1, column, column + 1])
-        nodes = coo_matrix((shares, places), shape=(rows.count, columns.count)).tocsr()
-        self.image += rows.response @ (nodes @ columns.response.T)
+        if not near.any():
+            return
+        if not near.all():
+            v, u, cross_section = v[near], u[near], cross_section[near]
+        row, column = v.astype(np.int64), u.astype(np.int64)
+        v -= row
+        u -= column
+        top, left = int(row.min()), int(column.min())
+        height, width = int(row.max()) + 2 - top, int(column.max()) + 2 - left
+        place = (row - top) * width + (column - left)
+        far = cross_section * v
+        nearer = cross_section - far
+        far_right, near_right = far * u, nearer * u
+        shares = np.concatenate([nearer - near_right, near_right, far - far_right, far_right])
+        places = np.concatenate([place, place + 1, place + width, place + width + 1])
+        nodes = np.bincount(places, shares, minlength=height * width).reshape(height, width)
+        row_pixels, row_response = rows.near(top, height)
+        column_pixels, column_response = columns.near(left, width)
+        self.image[row_pixels, column_pixels] += (column_response @ (row_response @ nodes).T).T
 
 
 class _Axis:
     """Nodes along one image axis, and the response from nodes to pixels."""
 
     def __init__(
-        self, centers: Float64[np.ndarray, " pixels"], step: float, resolution: float, response: Response
+        self,
+        centers: Float64[np.ndarray, " pixels"],
+        step: float,
+        resolution: float,
+        response: Response,
+        oversample: int,
     ) -> None:
         if step > resolution / 2:
             raise SarsplatError(
@@ -64,9 +84,25 @@ class _Axis:
             )
         # Bilinear sharing widens a point by step²/6 on average; the response is narrowed by as much.
         variance = variance_of(resolution) - step**2 / 6
-        margin = math.ceil(response.reach * width_of(variance) / step)
-        self.step = step
-        self.first = centers[0] - margin * step
-        self.count = round((centers[-1] - centers[0]) / step) + 2 * margin + 1
-        offset = centers[:, None] - (self.first + step * np.arange(self.count))
-        self.response = response.density(offset, variance)  # [pixels, nodes], 1/m
+        self._margin = math.ceil(response.reach * width_of(variance) / step)
+        self._oversample = oversample
+        self.step, self.pixels = step, len(centers)
+        self.first = float(centers[0]) - self._margin * step
+        self.count = (len(centers) - 1) * oversample + 2 * self._margin + 1
+        self._taps = response.density(step * np.arange(-self._margin, self._margin + 1), variance)  # 1/m
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """First and last place that reaches the image, m."""
+        return self.first, self.first + (self.count - 1) * self.step
+
+    def near(self, first: int, count: int) -> tuple[slice, csr_matrix]:
+        """The pixels that `count` nodes from the `first` reach, and the response [pixels, nodes], 1/m."""
+        begin = max(0, -((2 * self._margin - first) // self._oversample))
+        end = min(self.pixels, (first + count - 1) // self._oversample + 1)
+        pixel = np.arange(begin, max(begin, end))
+        node = pixel[:, None] * self._oversample + np.arange(len(self._taps)) - first
+        inside = (node >= 0) & (node < count)
+        taps = np.broadcast_to(self._taps, node.shape)[inside]
+        starts = np.concatenate([[0], np.cumsum(inside.sum(axis=1))])
+        return slice(begin, begin + len(pixel)), csr_matrix((taps, node[inside], starts), shape=(len(pixel), count))

@@ -1,70 +1,37 @@
 """Truth for experiments: β⁰ images of a triangle mesh by ray casting, which shares no code with the renderer.
 
-Parallel rays along the line of sight stand on the computation plane (x_r, y_r); each deposits the cross-section
-γ⁰(i)·δx·δy of its first hit on the imaging plane (x_r, z_r), which is then seen through the system's power response.
+Parallel rays along the line of sight stand on the computation plane (x_r, y_r), dense along the edges of flat surfaces
+and sparse within them; each deposits the cross-section γ⁰(i)·δx·δy of its first hit on the imaging plane (x_r, z_r),
+which is then seen through the system's power response.
 Direct scattering only: no multiple reflections, no phase.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Float64, Int32, Real
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, View, radar_frame
-from sarsplat.radiometry import beta0_of_gamma0
-from sarsplat.scenes._deposit import Deposit
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.radiometry import beta0_of_gamma0, to_db
+from sarsplat.scenes._deposit import Deposit, NodeGrid
+from sarsplat.scenes._parallel import in_order
+from sarsplat.scenes._patches import Patches
+from sarsplat.scenes._rays import Facets, Region, Trace, tracer
+from sarsplat.scenes._sparse_rays import sparse_hits
 from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflectivity
 
 if TYPE_CHECKING:
     import trimesh
 
-# The ray lattice is rotated by tan⁻¹((√5 − 1)/2), so that its lines are not parallel to an edge of a vehicle at a round
-# azimuth: a whole row of rays would cross such an edge at once when the offset changes.
-_LATTICE_TILT = math.atan((math.sqrt(5) - 1) / 2)
-
+_OFFSETS = (0.5, 0.5), (0.0, 0.0)
+_FAINTEST = 1e-3  # of the brightest pixel, where the error of the rays is measured
 _RAYS_PER_RESOLUTION, _RAYS_PER_MESH = 15.0, 100.0  # across a resolution cell, and along the mesh
-_RAYS_PER_BATCH = 1 << 20
-_MAX_RAYS = 1e8  # a minute a view
-
-
-@dataclass(frozen=True)
-class Facets:
-    """The mesh in the radar frame: depth of every triangle's plane as z = z0 + slope·(x, y), and its |cos i|."""
-
-    vertices: Float64[np.ndarray, "v 3"]
-    faces: Int32[np.ndarray, "f 3"]
-    z0: Float64[np.ndarray, " f"]
-    slope: Float64[np.ndarray, "f 2"]
-    z_span: Float64[np.ndarray, "2 f"]  # nearest and farthest vertex
-    cos_incidence: Float64[np.ndarray, " f"]
-
-    @classmethod
-    def of(cls, mesh: trimesh.Trimesh, view: View) -> Facets:
-        vertices = np.asarray(mesh.vertices, dtype=np.float64) @ radar_frame(view).T
-        faces = np.asarray(mesh.faces, dtype=np.int32)
-        a, b, c = (vertices[faces[:, k]] for k in range(3))
-        normal = np.cross(b - a, c - a)
-        length = np.linalg.norm(normal, axis=1)
-        # A triangle seen exactly edge-on has no slope, and no ray hits it.
-        seen = normal[:, 2] != 0
-        slope = -np.divide(normal[:, :2], normal[:, 2:], where=seen[:, None], out=np.zeros((len(faces), 2)))
-        cos_incidence = np.abs(np.divide(normal[:, 2], length, where=seen, out=np.zeros(len(faces))))
-        depths = vertices[faces, 2]
-        z0 = a[:, 2] - (slope * a[:, :2]).sum(axis=1)
-        return cls(vertices, faces, z0, slope, np.stack([depths.min(axis=1), depths.max(axis=1)]), cos_incidence)
-
-    def depth(self, face: Int32[np.ndarray, " k"], position: Float64[np.ndarray, "k 2"]) -> Float64[np.ndarray, " k"]:
-        """Range z_r of the planes of faces [K] at positions (x_r, y_r) [K, 2], kept within each triangle."""
-        # In float64 from the plane, not from the intersector's float32; the clip tames planes seen almost edge-on.
-        z = self.z0[face] + (self.slope[face] * position).sum(axis=1)
-        return np.clip(z, *self.z_span[:, face])
 
 
 @checks_arguments
@@ -96,7 +63,8 @@ def simulate_raycast(
         γ⁰ (linear) of an infinite flat ground at z = 0; without it nothing lies behind the mesh. What lies below the
         ground is not seen.
     ray_spacing : float, optional
-        Spacing δ of the square ray lattice, m; `default_ray_spacing` unless given.
+        Spacing δ of the square ray lattice where there are edges, m; `default_ray_spacing` unless given. Flat surfaces
+        between them, which one ray in 64 recognises, are deposited as finely as the resolution needs.
     ray_offset : (float, float)
         Offset of the lattice along its two axes, in spacings. Comparing two shows how far the rays have converged.
     oversample : int
@@ -112,33 +80,141 @@ def simulate_raycast(
     SarsplatError
         If the mesh has no faces or is not finite, or a setting is out of range.
     """
-    if ray_spacing is None:
-        ray_spacing = default_ray_spacing(mesh, grid)
-    check_rays(mesh, ground_gamma0, ray_spacing, ray_offset)
-    facets = Facets.of(mesh, view)
-    gamma0 = check_reflectivity(reflectivity, len(mesh.faces)) * law.gamma0(facets.cos_incidence)
-    cell_area = ray_spacing**2
-    deposit = Deposit(grid, oversample)
-    theta = math.radians(view.grazing_deg)
-    for position, face in first_hits(facets, deposit.azimuth_reach, ray_spacing, ray_offset):
-        x, y = position.T
-        z = facets.depth(face, position)
-        if ground_gamma0 is None:
-            deposit.add(x, z, gamma0[face] * cell_area)
-            continue
-        # Height above the ground is y_r·cosθ − z_r·sinθ: rays reach it at z_r = y_r / tanθ. Free ground has a closed
-        # form, without moiré; a ray that the target stops subtracts what it would have contributed there.
-        z_ground = y / math.tan(theta)
-        above = z < z_ground + 1e-6
-        x, z, z_ground = x[above], z[above], z_ground[above]
-        deposit.add(x, z, gamma0[face[above]] * cell_area)
-        deposit.add(x, z_ground, np.full(x.shape, -ground_gamma0 * cell_area))
-    image = deposit.image + (0.0 if ground_gamma0 is None else beta0_of_gamma0(ground_gamma0, view.grazing_deg))
-    return np.maximum(image, 0.0).astype(np.float32)  # rounding leaves −1e-9 where the shadow is full
+    caster = RayCaster(
+        mesh,
+        grid,
+        law,
+        reflectivity=reflectivity,
+        ground_gamma0=ground_gamma0,
+        ray_spacing=default_ray_spacing(mesh, grid) if ray_spacing is None else ray_spacing,
+        ray_offset=ray_offset,
+        oversample=oversample,
+    )
+    return caster.image(view)
+
+
+class RayCaster:
+    """Images of one mesh, from any views; the settings are those of `simulate_raycast`."""
+
+    def __init__(
+        self,
+        mesh: trimesh.Trimesh,
+        grid: ImageGrid,
+        law: ScatteringLaw,
+        *,
+        reflectivity: Real[np.ndarray, " faces"] | Sequence[float] | None,
+        ground_gamma0: float | None,
+        ray_spacing: float,
+        ray_offset: tuple[float, float] = (0.5, 0.5),
+        oversample: int = 9,
+    ) -> None:
+        check_rays(mesh, ground_gamma0, ray_spacing, ray_offset)
+        self._mesh, self._grid, self._law = mesh, grid, law
+        self._reflectivity = check_reflectivity(reflectivity, len(mesh.faces))
+        self._ground_gamma0 = ground_gamma0
+        self._spacing, self._offset = ray_spacing, ray_offset
+        self._nodes = NodeGrid(grid, oversample)
+        self._patches = Patches.of(mesh, self._reflectivity)
+
+    def image(
+        self, view: View, progress: Callable[[float], object] = lambda share: None
+    ) -> Float[np.ndarray, "rows columns"]:
+        """The image of a view; `progress` is called with the share that is done, several times a second."""
+        facets = Facets.of(self._mesh, view)
+        gamma0 = self._reflectivity * self._law.gamma0(facets.cos_incidence)
+        tan = math.tan(math.radians(view.grazing_deg))
+        ground = self._ground_gamma0
+        trace = tracer(facets)
+        if ground is not None:
+            trace = _above_ground(facets, trace, tan)
+        deposit = Deposit(self._nodes)
+        region = self._region(facets, view)
+        hits = sparse_hits(
+            facets,
+            self._patches,
+            trace,
+            region,
+            self._spacing,
+            self._offset,
+            self._grid.resolution_m,
+            0.0 if ground is None else 1 / tan,
+            progress,
+        )
+        for hit in hits if not region.empty else ():
+            x, y = hit.position.T
+            deposit.add(x, hit.slant_range, gamma0[hit.face] * hit.area)
+            if ground is not None:
+                # Free ground has a closed form, without moiré; a ray that the target stops subtracts what it would
+                # have contributed there.
+                deposit.add(x, y / tan, np.full(x.shape, -ground) * hit.area)
+        image = deposit.image + (0.0 if ground is None else beta0_of_gamma0(ground, view.grazing_deg))
+        return np.maximum(image, 0.0).astype(np.float32)  # rounding leaves −1e-9 where the shadow is full
+
+    def _region(self, facets: Facets, view: View) -> Region:
+        """Where rays can meet the mesh, or shade the ground, within the image."""
+        lower, upper = facets.vertices.min(axis=0), facets.vertices.max(axis=0)
+        # height above the ground is y_r·cosθ − z_r·sinθ
+        theta = math.radians(view.grazing_deg)
+        heights = self._mesh.vertices[:, 2].min(), self._mesh.vertices[:, 2].max()
+        if self._ground_gamma0 is not None:
+            heights = min(heights[0], 0.0), max(heights[1], 0.0)
+        seen = [
+            (height + slant_range * math.sin(theta)) / math.cos(theta)
+            for height, slant_range in zip(heights, self._nodes.rows.reach)
+        ]
+        reach = self._nodes.columns.reach
+        return Region(
+            (max(lower[0], reach[0]), min(upper[0], reach[1])), (max(lower[1], seen[0]), min(upper[1], seen[1]))
+        )
+
+
+def _above_ground(facets: Facets, trace: Trace, tan: float) -> Trace:
+    """Rays that end on flat ground at z = 0, which they reach at z_r = y_r / tan θ."""
+
+    def above(position: Float64[np.ndarray, "k 2"]) -> Int32[np.ndarray, " k"]:
+        face = trace(position)
+        hit = np.flatnonzero(face >= 0)
+        below = facets.depth(face[hit], position[hit]) >= position[hit, 1] / tan + 1e-6
+        face[hit[below]] = -1
+        return face
+
+    return above
+
+
+def ray_error_db(
+    mesh: trimesh.Trimesh,
+    view: View,
+    grid: ImageGrid,
+    law: ScatteringLaw,
+    *,
+    reflectivity: Float64[np.ndarray, " faces"] | None,
+    ground_gamma0: float | None,
+    ray_spacing: float,
+) -> float:
+    """Error of an image by its rays: RMS, in dB, over pixels within 30 dB of the brightest; 0 if it is empty.
+
+    Estimated from two images with other rays of the same spacing, each of which has this error.
+    """
+    casters = [
+        RayCaster(
+            mesh,
+            grid,
+            law,
+            reflectivity=reflectivity,
+            ground_gamma0=ground_gamma0,
+            ray_spacing=ray_spacing,
+            ray_offset=offset,
+        )
+        for offset in _OFFSETS
+    ]
+    first, second = in_order(lambda caster, report: caster.image(view, report), casters)
+    seen = np.minimum(first, second) > _FAINTEST * max(first.max(), second.max())
+    difference = to_db(first[seen].astype(np.float64)) - to_db(second[seen].astype(np.float64))
+    return math.sqrt(float((difference**2).mean()) / 2) if seen.any() else 0.0
 
 
 def default_ray_spacing(mesh: trimesh.Trimesh, grid: ImageGrid) -> float:
-    """Spacing of the rays that images of a mesh need, m.
+    """Spacing of the rays that images of a mesh need where there are edges, m.
 
     A fifteenth of the finer resolution: two offsets of the lattice then agree to 65 dB on a vehicle. It is at most a
     hundredth of the mesh's extent, so that something smaller than a resolution cell is not missed.
@@ -161,58 +237,3 @@ def check_rays(
         raise SarsplatError(f"ray_spacing {ray_spacing} must be positive and finite, in metres")
     if not np.isfinite(ray_offset).all():
         raise SarsplatError(f"ray_offset {ray_offset} must be two finite numbers, in ray spacings")
-
-
-def first_hits(
-    facets: Facets, azimuth_reach: tuple[float, float], spacing: float, offset: tuple[float, float]
-) -> Iterator[tuple[Float64[np.ndarray, "k 2"], Int32[np.ndarray, " k"]]]:
-    """Batches of rays that hit the mesh: positions (x_r, y_r) float64 [K, 2] and first-hit faces [K]."""
-    lower, upper = facets.vertices.min(axis=0), facets.vertices.max(axis=0)
-    center = (lower + upper) / 2  # float32 keeps the most digits around zero
-    run = _intersector(facets.vertices - center, facets.faces)
-    x_range = max(lower[0], azimuth_reach[0]), min(upper[0], azimuth_reach[1])
-    if x_range[0] > x_range[1]:
-        return
-    rays = (x_range[1] - x_range[0]) * (upper[1] - lower[1]) / spacing**2
-    if rays > _MAX_RAYS:
-        raise SarsplatError(
-            f"the mesh spans {upper[1] - lower[1]:.4g} m of elevation, which needs {rays:.2g} rays {spacing:.4g} m "
-            "apart; if it is in millimetres, scale it to metres; otherwise give a larger ray spacing or smaller images"
-        )
-    z_start = lower[2] - center[2] - max(1.0, spacing)
-    for position in _lattice(x_range, (lower[1], upper[1]), spacing, offset):
-        origins = np.column_stack([position - center[:2], np.full(len(position), z_start)]).astype(np.float32)
-        face = run(origins)
-        hit = face >= 0
-        yield position[hit], face[hit]
-
-
-def _intersector(vertices: Float64[np.ndarray, "v 3"], faces: Int32[np.ndarray, "f 3"]) -> Any:
-    """Function from ray origins, float32 [K, 3], to the first faces hit along +z, int32 [K], −1 for none."""
-    try:
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-    except ImportError as error:
-        raise SarsplatError("ray casting needs embreex; install it with: pip install 'sarsplat[simulate]'") from error
-    scene = EmbreeScene(robust=True)  # watertight along shared edges
-    TriangleMesh(scene=scene, vertices=vertices.astype(np.float32), indices=faces)
-    direction = np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
-    return lambda origins: scene.run(origins, direction)
-
-
-def _lattice(
-    x: tuple[float, float], y: tuple[float, float], spacing: float, offset: tuple[float, float]
-) -> Iterator[Float64[np.ndarray, "k 2"]]:
-    """Points of the tilted square lattice within a rectangle, in batches, float64 [K, 2]."""
-    cos, sin = math.cos(_LATTICE_TILT), math.sin(_LATTICE_TILT)
-    turn = np.array([[cos, -sin], [sin, cos]])
-    corners = np.array([(a, b) for a in x for b in y]) @ turn / spacing - offset
-    first, last = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int)
-    along = np.arange(first[0], last[0] + 1) + offset[0]
-    lines_per_batch = max(1, _RAYS_PER_BATCH // len(along))
-    for start in range(first[1], last[1] + 1, lines_per_batch):
-        across = np.arange(start, min(start + lines_per_batch, last[1] + 1)) + offset[1]
-        u, v = np.meshgrid(along, across)
-        position = spacing * np.column_stack([u.ravel(), v.ravel()]) @ turn.T
-        inside = ((position >= (x[0], y[0])) & (position <= (x[1], y[1]))).all(axis=1)
-        yield position[inside]

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, View
-from sarsplat.scenes.raycast import Facets, check_rays, first_hits
+from sarsplat.scenes._rays import Facets, first_hits
+from sarsplat.scenes.raycast import check_rays
 
 if TYPE_CHECKING:
     import trimesh

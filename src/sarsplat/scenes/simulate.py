@@ -16,8 +16,9 @@ from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.geometry.responses import GAUSSIAN
 from sarsplat.names import Simulator
 from sarsplat.renderer import render
+from sarsplat.scenes._parallel import in_order
 from sarsplat.scenes._random import generator
-from sarsplat.scenes.raycast import simulate_raycast
+from sarsplat.scenes.raycast import RayCaster, default_ray_spacing
 from sarsplat.scenes.scattering import ScatteringLaw, add_speckle, check_ground, check_reflectivity
 from sarsplat.scenes.splat_truth import law_scattering, surface_gaussians
 
@@ -44,7 +45,7 @@ def simulate_images(
     looks: float | None = None,
     clean: Sequence[int] = (),
     seed: int = 0,
-    progress: Callable[[int], object] | None = None,
+    progress: Callable[[float], object] | None = None,
 ) -> Float32[np.ndarray, "v {grid.rows} {grid.columns}"]:
     """SAR images of a mesh from every view.
 
@@ -72,7 +73,8 @@ def simulate_images(
     seed : int
         Seed of the speckle.
     progress : callable, optional
-        Called with the number of finished images after each.
+        Called with the number of finished images after each, and by ray casting, which works on as many views at once
+        as PyTorch has threads, several times a second with the parts that are done.
 
     Returns
     -------
@@ -90,12 +92,16 @@ def simulate_images(
     speckle = generator(seed, "speckle")
     images: Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]
     if source == "raycast":
-        settings: dict[str, Any] = {
-            "ground_gamma0": ground_gamma0,
-            "ray_spacing": ray_spacing,
-            "oversample": _OVERSAMPLE,
-        }
-        images = (simulate_raycast(mesh, view, grid, law, reflectivity=reflectivity, **settings) for view in views)
+        caster = RayCaster(
+            mesh,
+            grid,
+            law,
+            reflectivity=reflectivity,
+            ground_gamma0=ground_gamma0,
+            ray_spacing=default_ray_spacing(mesh, grid) if ray_spacing is None else ray_spacing,
+            oversample=_OVERSAMPLE,
+        )
+        images = in_order(caster.image, views, progress)
     elif source != "splat":
         raise SarsplatError(f"source {source!r} is unknown; choose 'raycast' or 'splat'")
     elif ray_spacing is not None:
@@ -121,11 +127,24 @@ def simulate_images(
 
 
 def simulation_record(
-    *, source: Simulator, law: ScatteringLaw, ground_gamma0: float | None, ray_spacing: float | None, seed: int
+    *,
+    source: Simulator,
+    law: ScatteringLaw,
+    ground_gamma0: float | None,
+    ray_spacing: float | None,
+    seed: int,
+    ray_error_db: float | None = None,
 ) -> dict[str, Any]:
-    """How `simulate_images` makes images with these arguments, except speckle, as JSON for a dataset's `source`."""
+    """How `simulate_images` makes images with these arguments, except speckle, as JSON for a dataset's `source`.
+
+    `ray_error_db` is what `ray_error_db` has estimated.
+    """
     sampling: dict[str, dict[str, Any]] = {
-        "raycast": {"ray_spacing_m": ray_spacing, "nodes_per_pixel": _OVERSAMPLE},
+        "raycast": {
+            "ray_spacing_m": ray_spacing,
+            "ray_error_db": ray_error_db,
+            "nodes_per_pixel": _OVERSAMPLE,
+        },
         "splat": {
             "surface_pieces_per_pixel": _PIECES_PER_PIXEL,
             "rays_per_pixel": _RAYS_PER_PIXEL,

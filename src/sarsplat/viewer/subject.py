@@ -12,11 +12,10 @@ from jaxtyping import Float, Float32
 
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians.initialise import bounded_region
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.radar import Pixel, RadarMaps, Surface, radar_maps, surface_of_mesh
 from sarsplat.radar.iso_range import contributions
-from sarsplat.reconstruction.target_box import target_box
+from sarsplat.reconstruction.target_region import target_region
 from sarsplat.scenes.mesh_files import read_mesh
 
 if TYPE_CHECKING:
@@ -175,11 +174,7 @@ class Subject:
         if self.dataset is None:
             half = min(self.grid.rows * self.grid.spacing_m[1], self.grid.columns * self.grid.spacing_m[0]) / 4
             return np.array([-half, -half, 0.0]), np.array([half, half, half])
-        train = self.dataset.select("train")
-        if self.dataset.target_box_m is not None or self.dataset.ground or self.dataset.looks is not None:
-            low, high = self.dataset.target_box_m or target_box(train.power, train.views, train.grid)
-            return np.array(low), np.array(high)
-        region = bounded_region(train.power, train.views, train.grid)
+        region = target_region(self.dataset, ground=self.dataset.ground or self.dataset.looks is not None)
         return region.low, region.high
 
 

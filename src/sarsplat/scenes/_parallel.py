@@ -1,0 +1,51 @@
+"""Images from several views at once, in their order, with progress within each; Ctrl-C ends it at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from threading import Event
+from typing import TypeVar
+
+import torch
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_SECONDS_BETWEEN_REPORTS = 0.2
+
+
+class _Ended(Exception):
+    """Nobody wants the result any more."""
+
+
+def in_order(
+    work: Callable[[Item, Callable[[float], object]], Result],
+    items: Sequence[Item],
+    progress: Callable[[float], object] | None = None,
+) -> Iterator[Result]:
+    """The result of `work(item, report)` for each item, on as many threads as PyTorch has.
+
+    `work` calls `report` with the share that is done, often; `progress` gets the sum of these shares.
+    """
+    done, end = [0.0] * len(items), Event()
+
+    def task(index: int) -> Result:
+        def report(share: float) -> None:
+            if end.is_set():
+                raise _Ended
+            done[index] = min(share, 0.99)  # the image itself is counted when it is handed over
+
+        return work(items[index], report)
+
+    pool = ThreadPoolExecutor(torch.get_num_threads())
+    try:
+        futures = [pool.submit(task, index) for index in range(len(items))]
+        for index, future in enumerate(futures):
+            while wait([future], timeout=_SECONDS_BETWEEN_REPORTS).not_done:
+                if progress is not None:
+                    progress(index + sum(done[index:]))
+            yield future.result()
+    finally:
+        end.set()
+        pool.shutdown(cancel_futures=True)
