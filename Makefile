@@ -79,7 +79,7 @@ bench: setup
 	  $(BIN)/python benchmarks/bench.py --out benchmarks/results)
 	$(call step,docs/performance.md from benchmarks/results,$(BIN)/python benchmarks/performance_page.py)
 
-# Finished cells stay in runs/tables: end it at any time and start it again.
+# Finished runs stay in runs/tables: end it at any time and start it again.
 tables: setup
 	$(BIN)/python experiments/tables.py $(if $(QUICK),--quick) $(if $(ONLY),--only $(ONLY))
 

@@ -21,8 +21,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from cell import digest
-from code_version import code_version
+from code_version import code_version, digest
 from filelock import FileLock
 
 from sarsplat import Dataset, Run, evaluate_run, import_mstar, read_dataset, reconstruct, target_mesh

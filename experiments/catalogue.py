@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
-
-from cell import Cell
 
 from sarsplat.evaluation.paper import PAPER_DENSIFICATION, PAPER_DENSITY, paper_scores
 from sarsplat.reconstruction.presets import PRESETS
@@ -33,8 +31,10 @@ class Row:
         What is special about it.
     datasets : tuple of mapping
         Options of `sarsplat simulate`; the row is the mean over these datasets.
-    preset, changes
-        The training, as in `Cell`.
+    preset : str
+        Of the training; "auto" is the one that fits the images.
+    changes : mapping
+        Settings that differ from the preset, by their names on the command line.
     group : str
         Heading it stands under.
     x : float or None
@@ -54,10 +54,14 @@ class Row:
     paper: Mapping[str, float] = field(default_factory=dict)
     random: bool = False
 
-    def cells(self, seed: int) -> list[Cell]:
-        """What has to be done for one seed."""
-        drawn = {"seed": seed} if self.random else {}
-        return [Cell({**dataset, **drawn}, self.preset, self.changes, seed) for dataset in self.datasets]
+    @property
+    def name(self) -> str:
+        """What tells it from the other rows."""
+        return ", ".join(filter(None, (self.group, self.label)))
+
+    def drawn(self, seed: int) -> list[Options]:
+        """Its datasets for one seed."""
+        return [{**dataset, **({"seed": seed} if self.random else {})} for dataset in self.datasets]
 
 
 @dataclass(frozen=True)
@@ -85,7 +89,7 @@ class Experiment:
     claim : mapping of str to int
         Where the paper says in words how a metric moves with `Row.x`, without figures: 1 up, -1 down.
     alone : bool
-        Whether times are measured: one cell at a time, with all threads.
+        Whether times are measured: one training at a time, on one thread.
     quick : bool
         Whether it is a version in small.
     """
@@ -106,16 +110,6 @@ class Experiment:
     def columns(self) -> tuple[str, ...]:
         """Keys of all the metrics it reports."""
         return tuple(key for table in self.tables for key in table)
-
-    def cells(self, row: Row, seed: int) -> list[Cell]:
-        """What has to be done for one row and seed."""
-        return [replace(cell, alone=self.alone, quick=self.quick) for cell in row.cells(seed)]
-
-    def every_cell(self) -> Iterator[Cell]:
-        """Seed after seed, so that a table has all its rows early."""
-        for seed in self.seeds:
-            for row in self.rows:
-                yield from self.cells(row, seed)
 
     def groups(self) -> dict[str, list[Row]]:
         """Its rows by heading."""
@@ -334,7 +328,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     Experiment(
         "times",
         "Training times",
-        "T-72, true images by ray casting; one training at a time, with all threads. The paper's times are those of "
+        "T-72, true images by ray casting; one training at a time, on one thread. The paper's times are those of "
         "its Table II and of the text above its Table VII, on GPUs: compare how they grow, not what they are.",
         _TIMES,
         (("time_s",),),

@@ -1,20 +1,18 @@
-"""What the finished cells of a row say: mean over its datasets, spread over its seeds."""
+"""What the finished runs of a row say: mean over its datasets, spread over its seeds."""
 
 from __future__ import annotations
 
-import json
 import statistics
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from catalogue import Experiment, Row
-from cell import Cell
 
 from sarsplat.evaluation import Metric, Yardstick, all_metrics
 from sarsplat.scenes import paper_grid
-from sarsplat.sweeps.results import Spread
+from sarsplat.sweeps import work as sweeps
+from sarsplat.sweeps.results import Result, Spread
 
 METRIC: dict[str, Metric[Any]] = {metric.key: metric for metric in all_metrics(Yardstick.of(paper_grid()))}
 METRIC |= {
@@ -37,53 +35,45 @@ class Line:
         By key of the metric; unknown ones are absent.
     seeds : int
         Seeds of which every dataset is finished; the others do not count, or a mean would be one of other targets.
+    older : bool
+        Whether some of them are of older code.
     """
 
     row: Row
     spreads: Mapping[str, Spread]
     seeds: int
+    older: bool = False
 
 
-def read(cell: Cell, work: Path, code: str) -> dict[str, Any] | None:
-    """A finished cell, or None."""
-    path = cell.path(work, code)
-    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+def scores(finished: sweeps.Row) -> dict[str, float]:
+    """The scores of one run by key: unseen images, points against the visible surface, time; unknown ones absent."""
+    by_key = {}
+    for name, value in finished.scores.items():
+        kind, _, rest = name.partition(".")
+        if kind in ("images", "time_s") or name.startswith("points.visible."):
+            by_key[rest.partition(".")[2] or name] = value
+    f1 = sorted((float(key[3:]), value) for key, value in by_key.items() if key.startswith("f1@"))
+    cells = {"cd_cells": by_key["cd_m"] / finished.yardstick_m} if "cd_m" in by_key else {}
+    return by_key | cells | ({"f1@cell": f1[-1][1], "f1@third": f1[0][1]} if f1 else {})
 
 
-def scores(finished: Mapping[str, Any]) -> dict[str, float]:
-    """The scores of one cell by key: unseen images, points against the visible surface, time; unknown ones absent."""
-    images: dict[str, float | None] = {}
-    for scored in finished["images"].values():
-        images.update({key: value for key, value in scored.items() if value is not None})
-    points = finished["points"]["visible"]
-    cd_m, f1 = points["cd_m"], sorted((float(key[3:]), value) for key, value in points.items() if key.startswith("f1@"))
-    cells = {
-        "cd_cells": None if cd_m is None else cd_m / finished["cell_m"],
-        "f1@cell": f1[-1][1],
-        "f1@third": f1[0][1],
-    }
-    by_key = {**images, **points, **cells, "time_s": finished["time_s"]}
-    return {key: float(value) for key, value in by_key.items() if value is not None}
-
-
-def line(experiment: Experiment, row: Row, work: Path, code: str) -> Line:
-    """One row with the figures of its finished cells."""
-    seeds = []
+def line(experiment: Experiment, row: Row, results: Sequence[Result]) -> Line:
+    """One row with the figures of its finished runs."""
+    seeds, older = [], False
     for seed in experiment.seeds:
-        cells = [read(cell, work, code) for cell in experiment.cells(row, seed)]
-        finished = [scores(cell) for cell in cells if cell is not None]
-        if len(finished) == len(cells):
+        runs = [one for one in results if (one.cell.labels["part"], one.cell.seed) == (row.name, seed)]
+        finished = [scores(one.row) for one in runs if one.finished and one.row is not None]
+        if finished and len(finished) == len(runs):
             seeds.append(finished)
+            older |= any(one.older for one in runs)
     spreads = {}
     for key in experiment.columns:
-        values = [
-            statistics.fmean(cell[key] for cell in cells) for cells in seeds if all(key in cell for cell in cells)
-        ]
+        values = [statistics.fmean(run[key] for run in runs) for runs in seeds if all(key in run for run in runs)]
         if values:
             spreads[key] = Spread(tuple(values))
-    return Line(row, spreads, len(seeds))
+    return Line(row, spreads, len(seeds), older)
 
 
-def lines(experiment: Experiment, work: Path, code: str) -> list[Line]:
-    """Every row with the figures of its finished cells."""
-    return [line(experiment, row, work, code) for row in experiment.rows]
+def lines(experiment: Experiment, results: Sequence[Result]) -> list[Line]:
+    """Every row with the figures of its finished runs."""
+    return [line(experiment, row, results) for row in experiment.rows]

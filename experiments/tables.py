@@ -1,6 +1,7 @@
 """Every table of the results: run what is missing, then write it to docs/results.
 
-Finished cells are kept in runs/tables and never done twice by the same code: end it at any time and start it again.
+Each is a plan for `sarsplat.sweep`. Runs stay in runs/tables/sweep, and none is done twice by the same code: end it at
+any time and start it again.
 """
 
 from __future__ import annotations
@@ -13,11 +14,12 @@ from pathlib import Path
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the command line does, before torch is loaded
 
 from catalogue import EXPERIMENTS, Experiment
-from code_version import code_version
-from runner import Runner
+from plans import missing, plan_of, simulated
 from write import write, write_index
 
+from sarsplat import sweep
 from sarsplat.errors import SarsplatError
+from sarsplat.sweeps import Means
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -29,38 +31,42 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", metavar="NAME", default=[], help=f"some of {names}")
     parser.add_argument("--quick", action="store_true", help="everything in small, in minutes, to runs/tables/quick")
     parser.add_argument("--write", action="store_true", help="write what is finished, run nothing")
-    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1, metavar="N", help="cells at a time")
-    parser.add_argument("--work", type=Path, default=ROOT / "runs" / "tables", metavar="FOLDER", help="finished cells")
+    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1, metavar="N", help="trainings at a time")
+    parser.add_argument(
+        "--work", type=Path, default=ROOT / "runs" / "tables", metavar="FOLDER", help="datasets and runs"
+    )
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="results (default: docs/results)")
     arguments = parser.parse_args()
     if unknown := set(arguments.only) - {experiment.name for experiment in EXPERIMENTS}:
         parser.error(f"there is no experiment {min(unknown)!r}; choose from {names}")
-    if arguments.processes < 1:
-        parser.error("--processes must be at least 1")
     chosen = [experiment for experiment in EXPERIMENTS if experiment.name in arguments.only or not arguments.only]
     if arguments.quick:
         chosen = [experiment.in_small() for experiment in chosen]
     out = arguments.out or (arguments.work / "quick" if arguments.quick else ROOT / "docs" / "results")
     try:
-        return run(chosen, Runner(arguments.work, code_version("sar-gs"), arguments.processes), out, arguments.write)
+        return run(chosen, arguments.work, out, Means(arguments.processes), arguments.write)
     except (SarsplatError, KeyboardInterrupt) as stopped:
         print(f"{str(stopped) or 'stopped'}; what is finished is kept", file=sys.stderr)
         return 2
 
 
-def run(chosen: list[Experiment], runner: Runner, out: Path, only_write: bool) -> int:
-    """Experiment after experiment; 1 if a cell failed."""
-    todo = runner.plan([cell for experiment in chosen for cell in experiment.every_cell()])
-    print(f"code version {runner.code}: {todo} cells are not finished", flush=True)
+def run(chosen: list[Experiment], work: Path, out: Path, means: Means, only_write: bool) -> int:
+    """Experiment after experiment; 1 if a run failed."""
+    failed = []
     for experiment in chosen:
+        print(f"{experiment.name}:", flush=True)
         if not only_write:
-            runner.run(experiment.name, list(experiment.every_cell()), experiment.alone)
-        write(experiment, runner.work, out, runner.code)
+            simulated(experiment, work)
+        if not missing(experiment, work):
+            alone = Means(1) if experiment.alone else means  # or times would depend on what else runs
+            results = sweep(plan_of(experiment, work), work / "sweep", means=alone, run=not only_write)
+            write(experiment, results.results, out)
+            failed += results.failed
         write_index(out, experiment.quick)
     print(f"tables: {out}")
-    for failure in runner.failed:
-        print(f"failed: {failure}", file=sys.stderr)
-    return 1 if runner.failed else 0
+    for one in failed:
+        print(f"failed: {one.cell.words(one.cell.labels)}: {one.reason}", file=sys.stderr)
+    return 1 if failed else 0
 
 
 if __name__ == "__main__":

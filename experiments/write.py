@@ -1,4 +1,4 @@
-"""Turn finished cells into docs/results: for every experiment a page, two CSV files and a plot, and an index."""
+"""Turn finished runs into docs/results: for every experiment a page, two CSV files and a plot, and an index."""
 
 from __future__ import annotations
 
@@ -12,37 +12,36 @@ from typing import Any
 from catalogue import EXPERIMENTS, Experiment
 from draw import draw
 from finding import findings
-from summary import METRIC, Line, lines, read, scores
+from summary import METRIC, Line, lines, scores
 
 from sarsplat.data import write_bytes
 from sarsplat.evaluation.paper import NOT_THE_SAME_EXPERIMENT
+from sarsplat.sweeps.results import Result
 
 _FOUND = "**Found.** "
 _QUICK = "A quick run, which shows that everything works; its numbers mean nothing.\n\n"
 
 
-def write(experiment: Experiment, work: Path, out: Path, code: str) -> None:
+def write(experiment: Experiment, results: Sequence[Result], out: Path) -> None:
     """Write one experiment as far as it is finished: what is missing is a dash, and without a row nothing is written.
 
     Parameters
     ----------
     experiment : Experiment
         Which.
-    work : pathlib.Path
-        Folder of the finished cells.
+    results : sequence of Result
+        Its runs.
     out : pathlib.Path
         Folder of the results; made if missing.
-    code : str
-        Version of the code; cells of another one do not count.
     """
-    finished = lines(experiment, work, code)
+    finished = lines(experiment, results)
     if not any(line.seeds for line in finished):
         return
     out.mkdir(parents=True, exist_ok=True)
     _write(out / f"{experiment.name}.csv", _csv(_summary_rows(finished)))
-    _write(out / f"{experiment.name}-runs.csv", _csv(_run_rows(experiment, work, code)))
+    _write(out / f"{experiment.name}-runs.csv", _csv(_run_rows(experiment, results)))
     draw(experiment, finished, out / f"{experiment.name}.png")
-    _write(out / f"{experiment.name}.md", page(experiment, finished, code))
+    _write(out / f"{experiment.name}.md", page(experiment, finished, results))
 
 
 def write_index(out: Path, quick: bool) -> None:
@@ -64,8 +63,9 @@ def write_index(out: Path, quick: bool) -> None:
     _write(out / "README.md", "".join(parts))
 
 
-def page(experiment: Experiment, finished: list[Line], code: str) -> str:
+def page(experiment: Experiment, finished: list[Line], results: Sequence[Result]) -> str:
     """An experiment as Markdown: what was done, what it says, the table."""
+    codes = " and ".join(dict.fromkeys(one.row.code for one in results if one.row is not None and one.finished))
     parts = [f"# {experiment.title}\n\n", _QUICK if experiment.quick else "", f"{experiment.about}\n\n"]
     parts += [f"{_FOUND}{sentence}\n\n" for sentence in findings(experiment, finished)]
     for group in experiment.groups():
@@ -77,7 +77,7 @@ def page(experiment: Experiment, finished: list[Line], code: str) -> str:
         "Mean ± sample standard deviation over the seeds that are finished; “–”: unknown, or not finished. Points "
         f"are held against the visible surface. Figures: [{experiment.name}.csv]({experiment.name}.csv); every run: "
         f"[{experiment.name}-runs.csv]({experiment.name}-runs.csv). "
-        f"Written by `make tables` from code version {code}.\n"
+        f"Written by `make tables` from code version {codes}.\n"
     )
     if any(line.row.paper for line in finished):
         parts.append(f"\n{NOT_THE_SAME_EXPERIMENT}\n")
@@ -86,7 +86,10 @@ def page(experiment: Experiment, finished: list[Line], code: str) -> str:
 
 def _table(columns: Sequence[str], finished: list[Line]) -> str:
     """Rows and metrics; where the paper has figures, a column of them beside ours."""
-    heads, cells = ["", "seeds"], [[line.row.label, str(line.seeds)] for line in finished]
+    heads, cells = (
+        ["", "seeds"],
+        [[line.row.label, f"{line.seeds}{', older code' if line.older else ''}"] for line in finished],
+    )
     for key in columns:
         metric = METRIC[key]
         heads.append(f"{metric.title} {metric.arrow}".strip())
@@ -126,22 +129,23 @@ def _summary_rows(finished: list[Line]) -> Iterable[Mapping[str, Any]]:
             }
 
 
-def _run_rows(experiment: Experiment, work: Path, code: str) -> Iterable[Mapping[str, Any]]:
-    """A line for every finished cell, with how to make its images."""
+def _run_rows(experiment: Experiment, results: Sequence[Result]) -> Iterable[Mapping[str, Any]]:
+    """A line for every finished run, with how to make its images."""
     for row in experiment.rows:
         for seed in experiment.seeds:
-            for cell in experiment.cells(row, seed):
-                finished = read(cell, work, code)
-                if finished is not None:
+            runs = [one for one in results if (one.cell.labels["part"], one.cell.seed) == (row.name, seed)]
+            for one, dataset in zip(runs, row.drawn(seed), strict=True):
+                if one.finished and one.row is not None:
                     yield {
                         "group": row.group,
                         "row": row.label,
                         "seed": seed,
-                        "simulate": _options(cell.dataset),
-                        "preset": finished["config"]["preset"],
-                        "changes": _options(cell.changes),
-                        **{key: value for key, value in scores(finished).items() if key in METRIC},
-                        "took_s": finished["took_s"],
+                        "simulate": _options(dataset),
+                        "preset": one.cell.config["preset"],
+                        "changes": _options(row.changes),
+                        **{key: value for key, value in scores(one.row).items() if key in METRIC},
+                        "took_s": one.row.took_s,
+                        "code": one.row.code,
                     }
 
 

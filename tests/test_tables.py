@@ -3,45 +3,30 @@
 from __future__ import annotations
 
 import inspect
-import json
-import os
-import signal
-import subprocess
 import sys
-import time
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from programs import ROOT, python
+from programs import ROOT
+from sarsplat import sweep
 from sarsplat.cli.arguments import views_from
 from sarsplat.cli.simulate import simulate
 from sarsplat.evaluation import Yardstick, all_metrics
 from sarsplat.reconstruction import preset
+from sarsplat.sweeps import EXECUTORS, Means
+from sarsplat.sweeps.cell import Cell
+from sarsplat.sweeps.plan import Plan
+from sarsplat.sweeps.results import Result
+from sarsplat.sweeps.work import Row, do
 from scoring import few_samples
 
 EXPERIMENTS = ROOT / "experiments"
-MODULES = ("catalogue", "cell", "code_version", "draw", "finding", "runner", "summary", "tables", "write")
-
-# Stands in for cell.py: notes that it was asked, and leaves a file as a cell does.
-FAKE_CELL = """
-import json, sys, time
-from pathlib import Path
-sys.path.insert(0, {experiments!r})
-from cell import Cell
-work = Path(sys.argv[1])
-cell = Cell(**json.load(sys.stdin))
-with (work / "asked").open("a") as log:
-    log.write(f"{{cell.seed}}\\n")
-if cell.seed == 7:
-    sys.exit("out of luck")
-time.sleep(0.2)
-path = cell.path(work, "code")
-path.parent.mkdir(exist_ok=True)
-path.write_text("{{}}")
-"""
+MODULES = ("catalogue", "draw", "finding", "plans", "summary", "tables", "write")
 
 
 @pytest.fixture
@@ -59,13 +44,18 @@ def row(made: SimpleNamespace, label: str, targets: tuple[str, ...] = ("t72",), 
     return made.catalogue.Row(label, tuple({"target": target} for target in targets), **fields)
 
 
-def finish(made: SimpleNamespace, work: Path, cell: object, cd_m: float, f1: float | None = 0.9) -> None:
-    """Leave what the cell would."""
-    path = cell.path(work, "code")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    points = {"visible": {"cd_m": cd_m, "f1@0.3": f1, "f1@0.1": 0.5}}
-    content = {"images": {"test": {"psnr_db": 40.0}}, "points": points, "time_s": 1.0, "took_s": 2.0}
-    path.write_text(json.dumps({**content, "config": {"preset": "default"}, "cell_m": 0.5}))
+def finished(line: object, seed: int, cd_m: float, f1: float | None = 0.9, older: bool = False) -> Result:
+    """What a sweep says of a run of this row."""
+    scores = {"images.test.psnr_db": 40.0, "points.visible.cd_m": cd_m, "points.visible.f1@0.1": 0.5, "time_s": 1.0}
+    if f1 is not None:
+        scores["points.visible.f1@0.3"] = f1
+    cell = SimpleNamespace(labels={"part": line.name}, seed=seed, config={"preset": "default"})
+    row = Row("address", "recipe", "code", "scoring", "finished", scores=scores, yardstick_m=0.5, took_s=2.0)
+    return Result(cell, row, older)
+
+
+def waiting(line: object, seed: int) -> Result:
+    return Result(SimpleNamespace(labels={"part": line.name}, seed=seed), None)
 
 
 def test_every_experiment_can_be_run_and_reported(made):
@@ -77,60 +67,64 @@ def test_every_experiment_can_be_run_and_reported(made):
         assert len({(line.group, line.label) for line in found.rows}) == len(found.rows)
         for line in found.rows:
             assert set(line.paper) <= keys
-            for cell in found.cells(line, 0):
-                assert set(cell.dataset) <= options
-                config = cell.config(preset("default" if cell.preset == "auto" else cell.preset))
-                assert config.seed == cell.seed
+            assert preset("default" if line.preset == "auto" else line.preset).with_settings(line.changes)
+            for dataset in line.drawn(0):
+                assert set(dataset) <= options
                 for angles in ("azimuth", "test_azimuth"):
-                    assert views_from(cell.dataset.get(angles, ("0",)), ("45",), ())
-        small = found.in_small()
-        assert all(cell.quick for cell in small.every_cell())
-        assert {line.group for line in small.rows} == set(found.groups())
+                    assert views_from(dataset.get(angles, ("0",)), ("45",), ())
+        assert {line.group for line in found.in_small().rows} == set(found.groups())
 
 
-def test_settings_are_changed_and_shortened(made):
-    cell = made.cell.Cell({"target": "t72"}, "paper", {"densification.stop": 12_000}, seed=4)
-    config = cell.config(preset("paper"))
-    assert (config.densification.stop, config.seed, config.iterations) == (12_000, 4, 30_000)
-    quick = replace(cell, quick=True).config(preset("paper"))
-    assert quick.iterations == 60
-    assert quick.densification.stop / quick.iterations == pytest.approx(12_000 / 30_000, rel=0.1)
+def test_an_experiment_is_a_plan(made, tmp_path):
+    drawn = row(made, "drawn", random=True, group="group")
+    table = experiment(made, row(made, "plain", ("t72", "kraz"), changes={"gaussians": 5}), drawn, seeds=(0, 1))
+    plan = Plan.from_dict(made.plans.plan_of(table, tmp_path), "the plan")
+    parts = list(plan.each_part())
+    assert [(part.name, part.seeds, len(part.datasets)) for part in parts] == [
+        ("plain", (0, 1), 2),
+        ("group, drawn", (0,), 1),
+        ("group, drawn", (1,), 1),
+    ]
+    assert len({folder for part in parts for folder in part.datasets}) == 4
+    assert parts[0].settings == {"gaussians": 5}
+    assert len(made.plans.missing(table, tmp_path)) == 4
 
 
-def test_a_cell_is_known_by_its_recipe_and_its_code(made, tmp_path):
-    cell = made.cell.Cell({"target": "t72"}, seed=1)
-    others = [replace(cell, **changed) for changed in ({"seed": 2}, {"preset": "paper"}, {"quick": True})]
-    paths = {cell.path(tmp_path, "a"), cell.path(tmp_path, "b"), *(other.path(tmp_path, "a") for other in others)}
-    assert len(paths) == 5
-    same = replace(cell, changes={"initialisation": preset("default").initialisation})
-    assert cell.path(tmp_path, "a") == same.path(tmp_path, "a")
+def test_settings_are_shortened(made):
+    changed = row(made, "one", preset="paper", changes={"densification.stop": 12_000})
+    config = preset("paper").with_settings(changed.changes | made.plans.shortened(changed))
+    assert config.iterations == 60
+    assert config.densification.stop / config.iterations == pytest.approx(12_000 / 30_000, rel=0.1)
 
 
-def test_a_row_is_the_mean_over_targets_and_spreads_over_seeds(made, tmp_path):
+def test_a_row_is_the_mean_over_targets_and_spreads_over_seeds(made):
     table = experiment(made, row(made, "both", ("t72", "kraz")), seeds=(0, 1, 2))
-    for seed, values in ((0, (0.1, 0.3)), (1, (0.2, 0.6))):
-        for cell, value in zip(table.cells(table.rows[0], seed), values):
-            finish(made, tmp_path, cell, value)
-    finish(made, tmp_path, table.cells(table.rows[0], 2)[0], 5.0)  # the other target is not finished
-    (line,) = made.summary.lines(table, tmp_path, "code")
-    assert line.seeds == 2
+    (both,) = table.rows
+    values = ((0, (0.1, 0.3)), (1, (0.2, 0.6)))
+    results = [finished(both, seed, value) for seed, pair in values for value in pair]
+    results += [finished(both, 2, 5.0), waiting(both, 2)]
+    (line,) = made.summary.lines(table, results)
+    assert (line.seeds, line.older) == (2, False)
     assert line.spreads["cd_m"].mean == pytest.approx(0.3)
     assert line.spreads["cd_m"].sd == pytest.approx(0.2 / 2**0.5)
-    assert made.summary.scores(made.summary.read(table.cells(table.rows[0], 0)[0], tmp_path, "code")) == {
+    assert made.summary.scores(results[0].row) == {
         **{"psnr_db": 40.0, "cd_m": 0.1, "f1@0.3": 0.9, "f1@0.1": 0.5, "time_s": 1.0},
         **{"cd_cells": 0.2, "f1@cell": 0.9, "f1@third": 0.5},
     }
-    text = made.write.page(table, [line], "code")
-    assert "| both | 2 | 0.300 ± 0.141 | 0.900 ± 0.000 |" in text
+    assert "| both | 2 | 0.300 ± 0.141 | 0.900 ± 0.000 |" in made.write.page(table, [line], results)
+    older = [finished(both, 0, 0.1, older=True), finished(both, 0, 0.3)]
+    lines = made.summary.lines(table, older)
+    assert "| both | 1, older code | 0.200 | 0.900 |" in made.write.page(table, lines, older)
 
 
 def test_what_is_missing_is_a_dash(made, tmp_path, monkeypatch):
     paper = {"cd_m": 0.187}
-    table = experiment(made, row(made, "done", paper=paper), row(made, "open", changes={"gaussians": 5}, paper=paper))
-    made.write.write(table, tmp_path / "work", tmp_path / "out", "code")
+    table = experiment(
+        made, row(made, "done", paper=paper), row(made, "open", changes={"gaussians": 5}, paper=paper), seeds=(0,)
+    )
+    made.write.write(table, [waiting(line, 0) for line in table.rows], tmp_path / "out")
     assert not (tmp_path / "out").exists()  # nothing is finished, so nothing is replaced
-    finish(made, tmp_path / "work", table.cells(table.rows[0], 0)[0], 0.05, f1=None)
-    made.write.write(table, tmp_path / "work", tmp_path / "out", "code")
+    made.write.write(table, [finished(table.rows[0], 0, 0.05, None), waiting(table.rows[1], 0)], tmp_path / "out")
     text = (tmp_path / "out" / "made-up.md").read_text()
     assert "| done | 1 | 0.0500 | 0.187 | – |" in text
     assert "| open | 0 | – | 0.187 | – |" in text
@@ -155,105 +149,63 @@ def test_what_is_missing_is_a_dash(made, tmp_path, monkeypatch):
         ((0.2, 0.1, 0.2), "it falls (r = -1.00): **the paper's trend is not seen in ours**."),
     ],
 )
-def test_trends_are_compared_with_the_papers(made, tmp_path, ours, said):
+def test_trends_are_compared_with_the_papers(made, ours, said):
     rows = [row(made, f"{x}", changes={"gaussians": x}, x=x, paper={"cd_m": 1 - x / 100}) for x in (10, 20, 30)]
     table = experiment(made, *rows, axis="Gaussians", judged=("cd_m",), tables=(("cd_m",),))
-    for line, value in zip(rows, ours):
-        for seed in table.seeds:
-            finish(made, tmp_path, table.cells(line, seed)[0], value + 1e-4 * seed)
-    (found,) = made.finding.findings(table, made.summary.lines(table, tmp_path, "code"))
+    results = [finished(line, seed, value + 1e-4 * seed) for line, value in zip(rows, ours) for seed in table.seeds]
+    (found,) = made.finding.findings(table, made.summary.lines(table, results))
     assert said in found
 
 
-def test_rows_without_the_papers_figures_are_held_against_the_first(made, tmp_path):
+def test_rows_without_the_papers_figures_are_held_against_the_first(made):
     rows = [row(made, name, changes={"gaussians": k}) for k, name in enumerate(("clean", "alike", "hard"), 1)]
     table = experiment(made, *rows, judged=("cd_m",))
-    for line, value in zip(rows, (0.1, 0.101, 0.5)):
-        for seed in table.seeds:
-            finish(made, tmp_path, table.cells(line, seed)[0], value + 0.01 * seed)
-    (found,) = made.finding.findings(table, made.summary.lines(table, tmp_path, "code"))
+    results = [
+        finished(line, seed, value + 0.01 * seed)
+        for line, value in zip(rows, (0.1, 0.101, 0.5))
+        for seed in table.seeds
+    ]
+    (found,) = made.finding.findings(table, made.summary.lines(table, results))
     assert found == (
         "Chamfer distance, m, 0.110 for clean; worse: hard (0.510); "
         "no different beyond the spread of the seeds: alike (0.111)."
     )
 
 
-@pytest.fixture
-def fake(made: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A program in place of cell.py."""
-    path = tmp_path / "fake.py"
-    path.write_text(FAKE_CELL.format(experiments=str(EXPERIMENTS)))
-    monkeypatch.setattr(made.runner, "_PROGRAM", path)
-    return path
-
-
-def test_a_killed_run_goes_on_where_it_was(made, tmp_path, fake):
-    table = experiment(made, row(made, "one"), seeds=(0, 1, 2))
-    driver = (
-        f"import sys; sys.path.insert(0, {str(EXPERIMENTS)!r})\n"
-        "import runner\nfrom cell import Cell\nfrom pathlib import Path\n"
-        f"runner._PROGRAM = Path({str(fake)!r})\n"
-        "cells = [Cell({'target': 't72'}, seed=seed) for seed in (0, 1, 2)]\n"
-        f"runner.Runner(Path({str(tmp_path)!r}), 'code', 1).run('made-up', cells, alone=False)\n"
-    )
-    process = subprocess.Popen([sys.executable, "-c", driver], start_new_session=True)
-    first = table.cells(table.rows[0], 0)[0].path(tmp_path, "code")
-    deadline = time.monotonic() + 60
-    while not first.exists() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    runner = made.runner.Runner(tmp_path, "code", 2)
-    assert 1 <= runner.plan(list(table.every_cell())) <= 2
-    runner.run(table.name, list(table.every_cell()), alone=False)
-    assert runner.plan(list(table.every_cell())) == 0
-    assert (tmp_path / "asked").read_text().splitlines().count("0") == 1
-
-
-def test_a_cell_that_fails_is_told_and_the_others_go_on(made, tmp_path, fake, capsys):
-    table = experiment(made, row(made, "one"), seeds=(7, 8))
-    runner = made.runner.Runner(tmp_path, "code", 1)
-    assert made.tables.run([table], runner, tmp_path / "out", only_write=True) == 0
-    with pytest.raises(KeyError):  # the fake cell of seed 8 is finished, but holds nothing
-        made.tables.run([table], runner, tmp_path / "out", only_write=False)
-    assert runner.failed == ["target=t72 default seed 7: out of luck"]
-    printed = capsys.readouterr().out
-    assert "made-up 1/2: target=t72 default seed 7 FAILED: out of luck; " in printed
-    assert "made-up 2/2: target=t72 default seed 8; 0 min left" in printed
-
-
-def test_other_sources_end_the_run(made, tmp_path, fake):
-    with pytest.raises(made.tables.SarsplatError, match="sources have changed"):
-        made.runner.Runner(tmp_path, "other code", 1).run("made-up", [made.cell.Cell({"target": "t72"})], alone=False)
-
-
-def test_a_refused_cell_is_one_sentence(tmp_path):
-    done = python(EXPERIMENTS / "cell.py", tmp_path, input=json.dumps({"dataset": {"target": "tank"}}))
-    assert done.returncode == 2
-    assert done.stderr.startswith("there is no target named 'tank'")
-    assert done.stderr.count("\n") == 1
-
-
-def test_a_whole_cell(made, tmp_path):
+def test_a_whole_table_and_what_is_done_is_not_done_again(made, tmp_path, monkeypatch):
     pytest.importorskip("embreex")
+    asked = []
+
+    def here(cells: Sequence[Cell], out: Path, means: Means) -> Iterator[tuple[Cell, Row | None]]:
+        asked.append(len(cells))
+        with few_samples():
+            for cell in cells:
+                yield cell, do(cell, out)
+
+    monkeypatch.setitem(EXECUTORS._entries, "here", None)
+    monkeypatch.setitem(EXECUTORS._loaded, "here", here)
+    monkeypatch.setattr(made.tables, "sweep", partial(sweep, executor="here"))
     views = {"azimuth": ("0:360:120",), "grazing": ("45",), "test_azimuth": ("60",)}
-    cell = made.cell.Cell({"target": "t72", "pixels": (32,), "spacing": (1.2,), **views}, "auto", {"gaussians": 3000})
-    cell = replace(cell, quick=True)
-    with few_samples():
-        path = made.cell.run(cell, tmp_path)
-    assert path == cell.path(tmp_path, made.code_version.code_version("sar-gs"))
-    found = made.summary.scores(json.loads(path.read_text()))
-    assert found["psnr_db"] > 15
-    assert found["cd_m"] < 5
-    before = path.stat().st_mtime_ns
-    assert made.cell.run(cell, tmp_path) == path
-    assert path.stat().st_mtime_ns == before
+    small = {"target": "t72", "pixels": (32,), "spacing": (1.2,), **views}
+    line = made.catalogue.Row("small", (small,), "auto", {"gaussians": 3000})
+    table = experiment(made, line, seeds=(0,), quick=True, tables=(("psnr_db", "cd_m"),), judged=("cd_m",))
+    assert made.tables.run([table], tmp_path, tmp_path / "out", Means(), True) == 0
+    assert not asked  # only what is finished is written: nothing
+    for _ in range(2):
+        assert made.tables.run([table], tmp_path, tmp_path / "out", Means(), False) == 0
+    assert asked == [1]
+    assert "| small | 1 | " in (tmp_path / "out" / "made-up.md").read_text()
 
 
 def test_quick_tables_do_not_reach_the_results(made, tmp_path, monkeypatch, capsys):
     written = []
-    monkeypatch.setattr(made.tables, "write", lambda found, work, out, code: written.append((found.quick, out)))
+    monkeypatch.setattr(made.tables, "write", lambda found, results, out: written.append((found.quick, out)))
     monkeypatch.setattr(made.tables, "write_index", lambda out, quick: None)
+    monkeypatch.setattr(made.tables, "missing", lambda found, work: {})
+    monkeypatch.setattr(made.tables, "plan_of", lambda found, work: {})
+    monkeypatch.setattr(
+        made.tables, "sweep", lambda plan, out, means, run: SimpleNamespace(results=[], failed=[], asked=run)
+    )
     for words in (["--quick"], []):
         monkeypatch.setattr(sys, "argv", ["tables.py", "--write", "--only", "loss", "--work", str(tmp_path), *words])
         assert made.tables.main() == 0

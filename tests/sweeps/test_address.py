@@ -60,6 +60,10 @@ def test_code_is_what_it_does_and_not_its_words(code):
     assert code("unused", "y = 1\n") == used
     assert code("method", "from foreign import used\ndef f():\n    return 1\n") == used
     assert code("method", "from foreign import used\ndef f():\n    return 2\n") != used
+    said = code("method", "def f(x):\n    warn(f'{x} is odd')\n    raise ValueError('no ' + x)\n")
+    assert code("method", "def f(x):\n    warn(f'{x} is new')\n    raise ValueError('never ' + x)\n") == said
+    assert code("method", "def f(x):\n    warn(f'{x} is odd')\n    raise KeyError('no ' + x)\n") != said
+    code("method", "from foreign import used\n")
     assert code("used", "x = 2\n") != used
 
 

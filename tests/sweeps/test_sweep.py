@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
 import shutil
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,8 +18,11 @@ import pytest
 from sarsplat import Run, SarsplatError, sweep
 from sarsplat.cli import main
 from sarsplat.evaluation import Scores, Yardstick, summary_metrics
-from sarsplat.sweeps import EXECUTORS, Means, Results, cell, work
+from sarsplat.reconstruction.log import LogLine, log_text
+from sarsplat.sweeps import EXECUTORS, Means, Results, cell, under_way, work
+from sarsplat.sweeps.cell import cells_of
 from sarsplat.sweeps.page import _panel
+from sarsplat.sweeps.plan import Plan
 from sarsplat.sweeps.results import Line, Spread
 
 
@@ -234,6 +239,39 @@ def test_the_command_shows_the_table(finished, capsys):
     assert re.search(r"box\s+2/2\s+[\d.]+ ± [\d.]+", said)
     assert "2 of 2 runs" in said
     assert main(["sweep", "plan.toml", "--out", "data"]) == 2
+
+
+def test_a_sweep_with_a_failed_run_ends_with_1(place, out, plan, monkeypatch, capsys):
+    def bad(*words: object) -> None:
+        raise SarsplatError("there is no target")
+
+    monkeypatch.setattr(work, "_train_and_score", bad)
+    done({"datasets": ["data/*"], "preset": "quick", "seeds": [0, 1]}, out)
+    (place / "plan.toml").write_text('datasets = ["data/*"]\npreset = "quick"\nseeds = [0, 1]\n')
+    assert main(["sweep", "plan.toml", "--out", "out"]) == 1  # nothing is left to do
+    assert "error: 2 of 2 runs failed: there is no target" in capsys.readouterr().err
+    assert "What failed" in (out / "index.html").read_text()
+
+
+def test_progress_names_the_runs_and_how_far_they_are(place, out, plan, monkeypatch):
+    said: list[str] = []
+
+    class Shown:
+        def advance(self, steps: int, status: str) -> None:
+            said.append(status)
+
+    monkeypatch.setattr(under_way, "_EVERY_S", 0.01)
+    one = cells_of(Plan.from_dict(plan, ""), place)[0]
+    with under_way.Live([one], out, Shown()) as live:
+        log = out / "runs" / f".{one.address}.tmpdir" / "new" / "metrics.jsonl"
+        log.parent.mkdir(parents=True)
+        log.write_bytes(log_text([LogLine(7, 1.0, 0.25, 100)]))
+        os.utime(log, (time.time() + 60, time.time() + 60))
+        while not any(status == "box, seed 0 at 7, loss 0.25" for status in said):
+            time.sleep(0.01)
+        live.ended(one)
+    assert "box, seed 0" in said
+    assert one.words(one.labels).startswith("box, sar-gs, quick, iterations 20")
 
 
 def test_a_figure_of_an_unfinished_sweep_compares_the_same_datasets():

@@ -18,7 +18,8 @@ _READER_LEFT = 141  # as shells have it
 def run(words: list[str]) -> int:
     """Do what the words after the program's name ask for; the exit code is 0, or 2 after a mistake in the input.
 
-    `sarsplat check` and `sarsplat import` end with 1 if images contradict what is said of them.
+    `sarsplat check` and `sarsplat import` end with 1 if images contradict what is said of them, `sarsplat sweep` if
+    a run has failed.
     """
     # before torch is loaded: threads that spin while they wait cost tens of milliseconds a step on a shared machine
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -40,7 +41,8 @@ def run(words: list[str]) -> int:
 
             code = parse(words or ["--help"])()
         except SarsplatError as error:
-            console.complain(str(error).replace("overwrite=True", "--overwrite"))  # as it is called here
+            text = str(error).replace("overwrite=True", "--overwrite").replace("resume=True", "--resume")
+            console.complain(text)  # as it is called here
             return _MISUSED
         except ModuleNotFoundError as error:
             extra = extras.extra_with(error.name or "")

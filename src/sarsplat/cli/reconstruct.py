@@ -24,7 +24,7 @@ from sarsplat.cli.arguments import (
     TargetBox,
     refuse_existing,
 )
-from sarsplat.cli.watch import watched
+from sarsplat.cli.watch import following, watched
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.names import SCATTERINGS
 from sarsplat.reconstruction.config import DEFAULT_METHOD, AnyConfig, Config
@@ -145,6 +145,7 @@ def reconstruct(
     if options.resume and options.overwrite:
         raise SarsplatError("--resume continues the run and --overwrite discards it; give only one of them")
     from sarsplat.data import read_dataset
+    from sarsplat.processes import Processes
     from sarsplat.reconstruction import reconstruct as train
     from sarsplat.reconstruction.run_folder import HEADER, read_header
 
@@ -161,19 +162,21 @@ def reconstruct(
     if not options.resume:
         refuse_existing(out, options.overwrite, marker=HEADER)
         _warn_of_contradictions(dataset, images)
+    choices: dict[str, Any] = {
+        "method": method.name,
+        "masks": options.masks,
+        "device": options.device,
+        "resume": options.resume,
+        "overwrite": options.overwrite,
+    }
+    processes = Processes.started()
+    if processes is not None and not processes.leads:
+        with following():
+            train(images, config, out, **choices)
+        return
     port, begun_at = options.port if options.view else None, time.monotonic()
     with watched(options.dataset, options.out, images, tensorboard=options.tensorboard, port=port) as on_step:
-        run = train(
-            images,
-            config,
-            out,
-            method=method.name,
-            masks=options.masks,
-            device=options.device,
-            on_step=on_step,
-            resume=options.resume,
-            overwrite=options.overwrite,
-        )
+        run = train(images, config, out, on_step=on_step, **choices)
     typed, again = shlex.quote(str(out)), shlex.join(["sarsplat", "reconstruct", str(dataset), "--out", str(out)])
     if len(run.points) == 0:
         longer = f"{again} --resume --iterations {max(2 * config.iterations, Config.iterations)}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import signal
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +15,9 @@ from sarsplat.cli.arguments import Folder, OptionalCount, OptionalNumber
 from sarsplat.cli.stopped import Stopped
 from sarsplat.errors import counted
 from sarsplat.sweeps.executor import EXECUTORS, Means
+
+_FAILED = 1
+"""Exit code if a run has failed."""
 
 if TYPE_CHECKING:
     ExecutorName = str
@@ -33,7 +37,7 @@ def sweep(
     shard: Annotated[str | None, tyro.conf.arg(metavar="I/N", help_behavior_hint="(optional)")] = None,
     again: bool = False,
     show: bool = False,
-) -> None:
+) -> int:
     """Reconstruct and score every combination of datasets, methods, settings and seeds that a plan lists.
 
     Parameters
@@ -74,10 +78,16 @@ def sweep(
             number, f"{by}; what is finished is kept, and `{words}` with the same options continues"
         ) from None
     console.show(results.table())
-    for one in results.failed:
-        console.warn(f"{', '.join(map(str, one.cell.labels.values()))}, seed {one.cell.seed} failed: {one.reason}")
     done = sum(one.finished for one in results.results)
     console.finish(
         f"{out / 'results.csv'} and {out / 'index.html'}: {done} of {counted(len(results.results), 'run')}",
         f"open {out / 'index.html'} in a browser",
     )
+    if not (failed := results.failed):
+        return 0
+    reasons = Counter(one.reason for one in failed)
+    more = f" (and {counted(len(reasons) - 1, 'other reason')})" if len(reasons) > 1 else ""
+    console.complain(
+        f"{len(failed)} of {counted(len(results.results), 'run')} failed: {reasons.most_common(1)[0][0]}{more}"
+    )
+    return _FAILED

@@ -6,6 +6,7 @@ import os
 import shlex
 import signal
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from sarsplat.cli import console
 from sarsplat.cli.stopped import Stopped
+from sarsplat.errors import SarsplatWarning
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
@@ -64,6 +66,19 @@ def watched(
                 f"far; continue with `sarsplat reconstruct {shlex.quote(str(dataset))} --out {shlex.quote(str(out))} "
                 "--resume`",
             ) from None
+
+
+@contextmanager
+def following() -> Iterator[None]:
+    """A training that shares the work of another process: silent, and ended by that one rather than by Ctrl-C."""
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SarsplatWarning)
+            yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager

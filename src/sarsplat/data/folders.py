@@ -136,6 +136,11 @@ def refuse_other_kinds(path: Path, run: Path, recognises: Recognises) -> None:
             )
 
 
+def temporary_folder(path: Path) -> Path:
+    """Where `new_folder` builds what will stand at a path."""
+    return _temporary_name(path) / _BUILT
+
+
 def _temporary_name(path: Path) -> Path:
     return path.with_name(f".{path.name}.tmpdir")
 

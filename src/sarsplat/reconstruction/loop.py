@@ -16,6 +16,7 @@ from sarsplat.data import Dataset, new_folder, write_bytes
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer, refuse_existing
 from sarsplat.errors import SarsplatError
+from sarsplat.processes import Processes
 from sarsplat.progress import Reporter
 from sarsplat.reconstruction.config import AnyConfig, refuse_other_settings
 from sarsplat.reconstruction.log import LogLine, log_text
@@ -58,11 +59,17 @@ class Training(Generic[T]):
     """A trainer at work: counts the time, calls `on_step`, and keeps the log.
 
     `run` is the one whose folder gets the log and the checkpoints; None in memory. `ended` is whether `on_step` asked
-    for the end.
+    for the end. Of `processes` that share the work, only the first has a run and `on_step`.
     """
 
-    def __init__(self, trainer: T, on_step: Callable[[Step[T]], object] | None, shown: Reporter) -> None:
-        self.trainer, self.shown, self._on_step = trainer, shown, on_step
+    def __init__(
+        self,
+        trainer: T,
+        on_step: Callable[[Step[T]], object] | None,
+        shown: Reporter,
+        processes: Processes | None = None,
+    ) -> None:
+        self.trainer, self.shown, self._on_step, self._processes = trainer, shown, on_step, processes
         self.history: list[LogLine] = []
         self.run: Run | None = None
         self.ended = False
@@ -74,6 +81,17 @@ class Training(Generic[T]):
     def seconds(self) -> float:
         """Time trained so far, s of wall clock."""
         return time.monotonic() - self._begun
+
+    @property
+    def follows(self) -> bool:
+        """Whether another process writes and says what is done."""
+        return self._processes is not None and not self._processes.leads
+
+    def follow(self) -> None:
+        """Begin where the first process does, which resumes."""
+        assert self._processes is not None
+        if (snapshot := self._processes.shared(None)) is not None:
+            self.trainer.restore(snapshot)
 
     def resume(self, dataset: Dataset) -> None:
         """Bring the trainer, the log and the folder to the newest checkpoint of `run`."""
@@ -94,8 +112,10 @@ class Training(Generic[T]):
         self.run = resumed = replace(run, dataset_path=where, config=config)
         if resumed != run:
             write_header(resumed)
-        if run.checkpoint_path is not None:
-            snapshot = run.snapshot
+        snapshot = None if run.checkpoint_path is None else run.snapshot
+        if self._processes is not None:
+            self._processes.shared(snapshot)
+        if snapshot is not None:
             try:
                 self.trainer.restore(snapshot)
             except (LookupError, TypeError, ValueError, RuntimeError, OverflowError) as error:
@@ -142,9 +162,17 @@ class Training(Generic[T]):
                 self._show(loss.item())
             if saves:
                 self._save()
-            if self._on_step is not None:
-                step = Step(trainer.iteration, loss, trainer, line, self.folder_to_come)
-                self.ended = self._on_step(step) is True
+            self.ended = self._ends(Step(trainer.iteration, loss, trainer, line, self.folder_to_come))
+
+    def _ends(self, step: Step[T]) -> bool:
+        """Whether this was the last step, as `on_step` says; an exception of it ends those that follow, too."""
+        ended = True
+        try:
+            ended = self._on_step is not None and self._on_step(step) is True
+        finally:
+            if self._processes is not None:
+                ended = self._processes.said(ended)
+        return ended
 
     def _line(self, losses: list[Tensor]) -> LogLine:
         loss = sum(torch.stack(losses).tolist()) / len(losses)  # one wait for the device
@@ -197,9 +225,11 @@ def train(
     config = training.trainer.config
     if resume and overwrite:
         raise SarsplatError("a run is either resumed or overwritten; give only one of resume and overwrite")
-    if out is None:
-        if resume or overwrite:
-            raise SarsplatError("a run in memory can be neither resumed nor overwritten; pass a folder as `out`")
+    if out is None and (resume or overwrite):
+        raise SarsplatError("a run in memory can be neither resumed nor overwritten; pass a folder as `out`")
+    if out is None or training.follows:
+        if resume:
+            training.follow()
         training.advance_to(config.iterations)
         held = InMemory(training.trainer.snapshot(training.seconds), tuple(training.history))
         return replace(new, memory=held, images=dataset)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import trimesh
 
     from sarsplat.gaussians import Gaussians
+    from sarsplat.processes import Processes
     from sarsplat.reconstruction.losses import Loss
     from sarsplat.reconstruction.model import SceneModel
     from sarsplat.reconstruction.snapshot import Snapshot
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Arguments of `reconstruct` that only some methods take (`Method.takes`)."""
+    """What a reconstruction is given that only some methods take (`Method.takes`)."""
 
     masks: Path | None = None
     """Folder of masks of the training images."""
@@ -36,6 +37,8 @@ class Inputs:
     """Loss to be trained with."""
     strategies: Sequence[Any] = ()
     """What else happens between steps."""
+    processes: Processes | None = None
+    """Who shares the views of every step."""
 
 
 class Trainable(Protocol):

@@ -48,7 +48,7 @@ class SarGs(Method):
     name = DEFAULT_METHOD
     title = "sarsplat"
     settings = Config
-    takes = frozenset({"loss", "strategies"})
+    takes = frozenset({"loss", "strategies", "processes"})
     watchable = True
 
     def preset(self, name: str, dataset: Dataset) -> Config:
@@ -72,7 +72,7 @@ class SarGs(Method):
         if inputs.loss is not None:
             name = getattr(inputs.loss, "__name__", type(inputs.loss).__name__)
             config = replace(config, loss=f"own {name}" if name in LOSSES else name)
-        return Trainer(dataset, config, inputs.loss, device, inputs.strategies)
+        return Trainer(dataset, config, inputs.loss, device, inputs.strategies, inputs.processes)
 
     def open(self, snapshot: Snapshot, config: Config, device: str, folder: Path | None) -> GaussianReconstruction:
         return GaussianReconstruction(snapshot, config, device)

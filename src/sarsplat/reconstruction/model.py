@@ -15,6 +15,7 @@ from sarsplat.gaussians import Gaussians, scattering_named
 from sarsplat.gaussians.ground import Ground
 from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.processes import Processes
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.levels import Levels
 from sarsplat.reconstruction.parts import parts_of
@@ -180,12 +181,16 @@ class SceneModel:
         amplitudes: Float[Tensor, "v n c"] | None = None,
         dropped: Bool[Tensor, " n"] | None = None,
         estimated: bool = True,
+        processes: Processes | None = None,
     ) -> tuple[Float[Tensor, "v c {grid.rows} {grid.columns}"], Rendering]:
         """Images [V, C, rows, columns], in the power channel with noise floor, and the rendering behind them.
 
         `numbers` are those of training images, whose own shift and gain then apply; without them, images are as
         expected of unseen views (`Shot`). `bounds` and `amplitudes` are those of `render`; Gaussians that are
         `dropped` are left out; `estimated` is whether what was estimated rather than learned applies, as the texture.
+        expected of unseen views (`Shot`). `bounds` are those of `render`; Gaussians that are `dropped` are left out;
+        `estimated` is whether what was estimated rather than learned applies, as the texture; `processes` share the
+        views.
         """
         shot = self.shot(views, grid, numbers)
         rendering = render(
@@ -198,6 +203,7 @@ class SceneModel:
             plane_gradients=plane_gradients,
             bounds=bounds,
             amplitudes=amplitudes,
+            processes=processes,
         )
         images = rendering.images
         for part in self.parts:

@@ -17,6 +17,7 @@ from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.processes import Processes
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.dropout import dropped
 from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss
@@ -44,6 +45,8 @@ class Trainer:
         Where everything is computed and stays; a seed starts the same on every device.
     strategies : sequence of Strategy
         What else changes the model, after the configuration's own; each of another name.
+    processes : Processes, optional
+        Who shares the views: all have the same trainer, and make the same steps.
 
     Raises
     ------
@@ -59,8 +62,9 @@ class Trainer:
         loss: Loss | None = None,
         device: torch.device | str = "cpu",
         strategies: Sequence[Strategy] = (),
+        processes: Processes | None = None,
     ) -> None:
-        self.config = config
+        self.config, self._processes = config, processes
         self.device = torch.device(device)
         self._finest = TrainingImages(dataset, self.device)
         self._generator = torch.Generator().manual_seed(config.seed)
@@ -108,6 +112,7 @@ class Trainer:
             plane_gradients=any(strategy.wants_plane_gradients(step) for strategy in self.strategies),
             bounds=self._bounds,
             dropped=dropped(len(self.model), share, self.config.seed, step, self.device) if share else None,
+            processes=self._processes,
         )
         truth = torch.stack([self.images.truth[i] for i in chosen])  # much faster than an index
         loss = self._loss(channel_of(images, self.model.power_channel), truth)
@@ -139,6 +144,7 @@ class Trainer:
             self._rays,
             self._bounds,
             self._generator,
+            self._processes,
         )
         for strategy, state in zip(self.strategies, self._states, strict=True):
             getattr(strategy, method)(self.model.parameters, self.optimiser, state, step, info)

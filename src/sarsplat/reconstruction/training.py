@@ -11,6 +11,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, read_dataset
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError
+from sarsplat.processes import Processes
 from sarsplat.progress import progress
 from sarsplat.reconstruction.config import DEFAULT_METHOD, AnyConfig, Config
 from sarsplat.reconstruction.device import device_named
@@ -40,6 +41,9 @@ def reconstruct(
 ) -> Run:
     """Reconstruct a target from the training images of a dataset.
 
+    In a program that torchrun has started, its processes share the views of every step, with the same result; the first
+    one writes `out` and calls `on_step`, and the others get the run in memory.
+
     Parameters
     ----------
     dataset : Dataset, str or Path
@@ -68,8 +72,8 @@ def reconstruct(
     device : {"auto", "cpu", "cuda"}
         Where to train; "auto" is a GPU if there is one that passes the CUDA engine's check.
     on_step : callable, optional
-        Called after every step (`Step`). If it returns True, the training ends there, and the run is what has been
-        learned so far. An exception ends it too; what has been learned is then kept in `out`.
+        Called after every step (`Step`), by the first process. If it returns True, the training ends there, and the run
+        is what has been learned so far. An exception ends it too; what has been learned is then kept in `out`.
     quiet : bool
         Show no progress.
     resume : bool
@@ -93,8 +97,12 @@ def reconstruct(
         started with.
     """
     chosen = method_named(method)
-    inputs = Inputs(None if masks is None else Path(masks), loss, tuple(strategies))
+    processes = Processes.started()
+    inputs = Inputs(None if masks is None else Path(masks), loss, tuple(strategies), processes)
     chosen.refuse_others(inputs)
+    on = device_named(device)
+    if processes is not None and on.type != "cpu":
+        raise SarsplatError(f"the processes of torchrun share views on the CPU only, not on {on.type}; give device cpu")
     dataset = dataset if isinstance(dataset, Dataset) else read_dataset(Path(dataset))
     begun = Run.load(out) if resume and out is not None else None
     if begun is not None and begun.method != method:
@@ -109,12 +117,14 @@ def reconstruct(
         config = replace(config, scattering=scattering)
     warn(suspicions(dataset))
     learned = None if begun is None or begun.checkpoint_path is None else lambda: begun.reconstruction
-    trainer = chosen.trainer(dataset, config, inputs, device_named(device), learned)
+    trainer = chosen.trainer(dataset, config, inputs, on, learned)
+    follows = processes is not None and not processes.leads
     heading, note = chosen.about(config, dataset.grid)
-    with progress(f"reconstruct ({heading})", config.iterations, quiet) as shown:
+    with progress(f"reconstruct ({heading})", config.iterations, quiet or follows) as shown:
         if note is not None:
             shown.note(note)
         where = None if dataset.path is None else dataset.path.resolve()
         new = Run(method, trainer.config, dataset.fingerprint(), dataset_path=where)
         folder = None if out is None else Path(out)
-        return train(Training(trainer, on_step, shown), new, dataset, folder, resume=resume, overwrite=overwrite)
+        training = Training(trainer, None if follows else on_step, shown, processes)
+        return train(training, new, dataset, folder, resume=resume, overwrite=overwrite)

@@ -14,6 +14,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.processes import Processes
 from sarsplat.renderer.bounds import Bounds
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
 from sarsplat.renderer.engines import ENGINES, chosen_engine
@@ -54,6 +55,7 @@ def render(
     first_return_depth: float | None = None,
     plane_gradients: bool = False,
     bounds: Bounds | None = None,
+    processes: Processes | None = None,
     engine: str = "auto",
     instruction_set: str = "auto",
 ) -> Rendering:
@@ -93,6 +95,8 @@ def render(
         Limits that the Gaussians keep. With them the CUDA engine waits for nothing, and reports a value out of range,
         and a Gaussian that breaks them, not here but in `bounds.check()`; its arrays are as large as the limits ask
         for, so narrow ones are faster. The other engines need none, and check as ever.
+    processes : Processes, optional
+        Who shares the views, on the CPU engine: all call this with the same arguments, and get the same as one alone.
     engine : {"auto", "cpu", "cuda", "reference"}
         "auto" is the CPU engine for float32 on the CPU, the CUDA engine for float32 on a GPU where a small scene with
         gradients agrees with the CPU's, and the reference otherwise; the first time, the logger "sarsplat" says which
@@ -134,6 +138,8 @@ def render(
         check_ground(ground, gaussians.means, channels, gaussians.scattering.power_channel, imaging_weight)
         gaussians = above(gaussians, ground)
     engine = chosen_engine(engine, gaussians.means)
+    if processes is not None and (engine != "cpu" or first_return_depth is not None):
+        raise SarsplatError("processes share the views of images, without ray maps, on the CPU engine; omit them")
     by_view = {"amplitudes": amplitudes, "shift": shift, "gain": gain}
     tensors = {**gaussians.tensors(), **by_view}
     options: dict[str, Any] = {
@@ -155,7 +161,7 @@ def render(
             bounds = bounds if capacity else None
         else:
             bounds = None
-        options |= {"plane_gradients": plane_gradients, "bounds": bounds}
+        options |= {"plane_gradients": plane_gradients, "bounds": bounds, "processes": processes}
         return render_with(new_pass, gaussians, views, grid, **options)
     if plane_gradients:
         raise SarsplatError(

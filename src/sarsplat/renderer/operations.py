@@ -14,6 +14,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.processes import Processes
 from sarsplat.renderer import structs
 from sarsplat.renderer.bounds import Bounds
 from sarsplat.renderer.checks import check_values, complaint, complaint_by_view
@@ -25,8 +26,12 @@ from sarsplat.renderer.operation import Operation, Tensors
 from sarsplat.renderer.passes import Pass
 from sarsplat.renderer.problem import ARRAYS, directions_to, new_problem, point_at, pointer, problem_of
 from sarsplat.renderer.rendering import RayMap, Rendering
+from sarsplat.renderer.shared import Branch, shared
 
 _WIDTHS = (2, 3, None, None, 2, 2, 3, None)  # of the tensors [V, N, …] of a projection, as in structs.Projection
+
+_BY_VIEW = ("amplitudes", "shift")
+"""Arrays of a problem with a row for each view."""
 
 NewPass = Callable[[], Pass]
 
@@ -47,6 +52,7 @@ def render_with(
     first_return_depth: float | None = None,
     plane_gradients: bool = False,
     bounds: Bounds | None = None,
+    processes: Processes | None = None,
 ) -> Rendering:
     """`sarsplat.render` on an engine's passes; arguments are documented there. With bounds, no value is looked at."""
     if gain is not None and bounds is not None:
@@ -62,20 +68,39 @@ def render_with(
         harmonics = g.scattering.parameters  # kernels evaluate these themselves
     elif amplitudes is None:
         amplitudes = g.amplitudes(directions_to(views, g.means))
-    whole = _Render(new_pass(), views, grid, rays, g.scattering.p_min)
-    whole.peak, whole.depth, whole.planes = imaging_weight == "peak", first_return_depth, planes
-    whole.ends = ground is not None
-    images, cross_sections, lit_area, *traced = whole.of(
-        *(g.means, g.quaternions, g.scales, g.optical_depth, harmonics, amplitudes, _shift(g, views, shift))
-    )
+    ray_maps: tuple[RayMap, ...] | None = None
+
+    def some(branch: Branch, arrays: Tensors) -> tuple[Tensor, ...]:
+        """Images, cross-sections, lit areas and, with a ground, what of it is lit in some of the views."""
+        nonlocal ray_maps
+        few, height_m = views[slice(*branch)], None if ground is None else ground.height_m
+        part = _Render(new_pass(), few, grid, rays, g.scattering.p_min)
+        part.peak, part.depth, part.of_views = imaging_weight == "peak", first_return_depth, len(views)
+        part.planes, part.ends = None if planes is None else planes[slice(*branch)], ground is not None
+        images, cross_sections, lit_area, *traced = part.of(*arrays)
+        ray_maps = _ray_maps(part, traced)
+        if height_m is None:
+            return images, cross_sections, lit_area
+        lit = lit_ground(_ray_ends(part, traced[0]), few, grid, rays, height_m, None if shift is None else arrays[-1])
+        return images, cross_sections, lit_area, lit
+
+    arrays = (g.means, g.quaternions, g.scales, g.optical_depth, harmonics, amplitudes, _shift(g, views, shift))
+    if processes is None:
+        seen = some((0, len(views)), arrays)
+    else:
+        channels = len(g.scattering.channels) if amplitudes is None else amplitudes.shape[2]
+        size = grid.rows, grid.columns
+        shapes = [(channels, *size), (len(g), channels), (len(g),), *([] if ground is None else [size])]
+        seen = shared(processes, some, arrays, [name in _BY_VIEW for name in ARRAYS], len(views), shapes, planes)
+    images, cross_sections, lit_area, *ends = seen
     lit = None
     if ground is not None:
-        lit = lit_ground(_ray_ends(whole, traced[0]), views, grid, rays, ground.height_m, shift)
+        (lit,) = ends
         images = with_ground(images, ground, lit, g.scattering.power_channel, views, grid, shift)
     if gain is not None:
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
         images = images * gain[:, None, None, None].expand(-1, images.shape[1], 1, grid.columns)
-    return Rendering(images, cross_sections, lit_area, _ray_maps(whole, traced), planes, lit)
+    return Rendering(images, cross_sections, lit_area.detach(), ray_maps, planes, lit)
 
 
 def project_with(
@@ -128,6 +153,8 @@ class _OfGaussians(Operation):
 
     names = ARRAYS
     peak = False
+    of_views: int | None = None
+    """Of so many views these are a part; None: they are all."""
 
     def __init__(self, kernel: Pass, views: Sequence[View], grid: ImageGrid, rays: RayGrid, p_min: float) -> None:
         super().__init__(kernel)
@@ -136,6 +163,7 @@ class _OfGaussians(Operation):
     def pose(self, inputs: Tensors) -> Any:
         """The problem of these inputs."""
         self.problem, self.constants = problem_of(inputs, self.views, self.grid, self.rays, self.p_min, self.peak)
+        self.problem.of_views = self.of_views or len(self.views)
         return self.problem
 
     def accept(self, inputs: Tensors, fault: str, index: int) -> None:

@@ -17,7 +17,8 @@ def structure(name: str, *fields: tuple[str, type]) -> type[ctypes.Structure]:
 _PAIR = c_float * 2
 Problem = structure(
     "sg_problem",
-    *((name, c_int32) for name in ("peak", "views", "gaussians", "coefficients", "channels", "rows", "columns")),
+    *((name, c_int32) for name in ("peak", "views", "of_views", "gaussians")),
+    *((name, c_int32) for name in ("coefficients", "channels", "rows", "columns")),
     *((name, c_void_p) for name in ("means", "quaternions", "scales", "kappa", "harmonics", "amplitudes")),
     *((name, c_void_p) for name in ("frames", "basis", "shift")),
     ("p_min", c_float),

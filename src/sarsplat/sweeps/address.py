@@ -20,6 +20,9 @@ TRAINING, SCORING = "sarsplat.reconstruction.training", "sarsplat.evaluation.eva
 _SETTLED = "sarsplat.reconstruction.presets"
 """Not a part of what a training runs: what it says is in the settings."""
 
+_SAYING = ("warn", "note", "stage", "progress")
+"""Functions whose words change no result."""
+
 _DIGITS = 16
 
 
@@ -41,8 +44,8 @@ def scoring_code() -> str:
 
 @cache
 def code(roots: tuple[str, ...], device: str) -> str:
-    """Digest of what modules and all that they import do, and of the device's engine; comments and docstrings do not
-    count, and neither do changes since it was first asked for, until `forget`.
+    """Digest of what modules and all that they import do, and of the device's engine; comments, docstrings and the
+    words of errors and warnings do not count, and neither do changes since it was first asked for, until `forget`.
     """
     sources = {name: ast.unparse(_without_words(_tree(path))) for name, path in imported_by(roots).items()}
     engine = [LIBRARY] if device == "cpu" else sorted((LIBRARY.parent / "csrc").glob("*.[ch]*"))
@@ -133,11 +136,21 @@ def _modules(package: str) -> Iterator[str]:
 
 
 def _without_words(tree: ast.Module) -> ast.Module:
-    """The tree without docstrings."""
+    """The tree without docstrings and without what errors and warnings say."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             node.body = [one for one in node.body if not _is_text(one)] or [ast.Pass()]
+        elif isinstance(node, ast.Raise) or (isinstance(node, ast.Call) and _called(node) in _SAYING):
+            for said in ast.walk(node):
+                if isinstance(said, ast.Constant) and isinstance(said.value, str):
+                    said.value = ""
     return tree
+
+
+def _called(call: ast.Call) -> str:
+    """The name of a function, whatever it is of."""
+    name = getattr(call.func, "id", None) or getattr(call.func, "attr", "")
+    return str(name)
 
 
 def _is_text(node: ast.AST) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,9 @@ from sarsplat.errors import SarsplatError
 from sarsplat.reconstruction.methods import method_named
 from sarsplat.sweeps.address import code_of, digest, scoring_code
 from sarsplat.sweeps.plan import Plan
+
+NAMES = ("part", "dataset", "method", "preset")
+"""Labels that are no settings."""
 
 _NO_RESULT = ("preset", "checkpoint_every")
 """Settings on which no result depends."""
@@ -59,6 +62,16 @@ class Cell(msgspec.Struct, frozen=True):
     recipe: str
     code: str
     scoring: str
+
+    def words(self, names: Collection[str]) -> str:
+        """What it is called in a line, by labels of these names."""
+        labels = {name: value for name, value in self.labels.items() if name in names}
+        return ", ".join(
+            [
+                *(f"{value}" if name in NAMES else f"{name} {value}" for name, value in labels.items()),
+                f"seed {self.seed}",
+            ]
+        )
 
     @property
     def address(self) -> str:

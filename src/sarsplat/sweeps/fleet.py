@@ -19,6 +19,7 @@ from sarsplat.sweeps.executor import Executor, Means, executor_named
 from sarsplat.sweeps.page import page
 from sarsplat.sweeps.plan import Plan
 from sarsplat.sweeps.results import Results
+from sarsplat.sweeps.under_way import Live
 from sarsplat.sweeps.work import ROWS, RUNS, row_of
 
 HEADER, TABLE, PAGE = "sweep.json", "results.csv", "index.html"
@@ -98,19 +99,20 @@ def _run(
     todo: Sequence[Cell], cells: Sequence[Cell], out: Path, executor: Executor, means: Means, reporter: Reporter
 ) -> None:
     """Do what is to be done; what other processes are doing is waited for, or done if they end before."""
-    begun, writing_s, failed = time.monotonic(), 0.0, 0
+    begun, writing_s, others = time.monotonic(), 0.0, False
     while todo:
         busy = []
-        with closing(executor(todo, out, means)) as outcomes:  # type: ignore[type-var]
+        with Live(todo, out, reporter) as live, closing(executor(todo, out, means)) as outcomes:  # type: ignore[type-var]
             for cell, row in outcomes:
                 if row is None:
                     busy.append(cell)
+                    if not others:
+                        reporter.note("another sweep works here, too: what it does is left to it, and waited for")
+                        others = True
                     continue
                 if row.state == "failed":
-                    failed += 1
-                    what = ", ".join(f"{name} {value}" for name, value in cell.labels.items())
-                    reporter.note(f"failed: {what}, seed {cell.seed}: {row.reason}")
-                reporter.advance(1, f"{failed} failed" if failed else "")
+                    reporter.note(f"failed: {cell.words(cell.labels)}: {row.reason}")
+                live.ended(cell)
                 if writing_s <= _SHARE * (now := time.monotonic() - begun):
                     _write(cells, out)
                     writing_s += time.monotonic() - begun - now

@@ -14,10 +14,11 @@ from sarsplat.errors import counted
 from sarsplat.evaluation import Metric
 from sarsplat.report.figure import Axis, Block, Figure, Panel, axis, chart, polyline
 from sarsplat.report.page import in_words, rendered
+from sarsplat.sweeps.cell import NAMES
 from sarsplat.sweeps.results import Line, Result, Results, Spread, label_text, varying
 from sarsplat.sweeps.work import RUNS
 
-_SETTLED = ("dataset", "method", "preset", "part", "test set")
+_SETTLED = (*NAMES, "test set")
 """Labels that are no settings."""
 
 _DECADE = 8.0

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.geometry import RayGrid, View
+from sarsplat.processes import Processes
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.optimiser import Optimiser, followed
@@ -70,6 +71,8 @@ class Info:
     """What the Gaussians keep."""
     generator: torch.Generator
     """The only source of random numbers, on the CPU."""
+    processes: Processes | None = None
+    """Who shares the views of renderings: all act alike."""
 
     def check(self) -> None:
         """Wait for the device, and raise what went wrong there: before anything is read from it."""
@@ -143,6 +146,7 @@ class Info:
             bounds=self.bounds,
             amplitudes=amplitudes,
             estimated=False,
+            processes=self.processes,
         )
 
 

@@ -63,7 +63,7 @@ project_gaussians_backward(sg_problem p, State s, sg_projection seeds, sg_gradie
   float unit[4], norm;
   const Body<float> b = body(p, i, unit, norm);
   BodyGradient<float> total{};
-  float d_harmonics[kMaxCoefficients] = {};
+  float d_kappa = 0.0f, d_harmonics[kMaxCoefficients] = {};
   for (int v = 0; v < p.views; v++) {
     const int64_t j = v * n + i;
     float* planes = s.planes + 4 * j;
@@ -83,7 +83,7 @@ project_gaussians_backward(sg_problem p, State s, sg_projection seeds, sg_gradie
     const Sym2<float> gc = from_root_gradient(whitening(proj.cov_c, proj.det_cw), u.ray, rays.roots, m0);
     const Sym2<float> gi = from_root_gradient(whitening(proj.cov_i, proj.det_iw), u.pixel, pixels.roots, 0.0f);
     spread(proj, f, u, planes, gc, gi, m0, total);
-    total.kappa += ratio * d_depth;
+    d_kappa += ratio * d_depth;
     const float d_sum = p.coefficients ? seeds.gamma0[j] * softplus(sum_of_harmonics(p, v, i)).slope : 0.0f;
     for (int k = 0; k < kMaxCoefficients; k++)
       if (k < p.coefficients) d_harmonics[k] += d_sum * p.basis[v * p.coefficients + k];
@@ -92,7 +92,7 @@ project_gaussians_backward(sg_problem p, State s, sg_projection seeds, sg_gradie
   finish(b, unit, norm, total, d_scale, d_quaternion);
   for (int k = 0; k < 3; k++) { g.means[3 * i + k] = total.mean[k]; g.scales[3 * i + k] = d_scale[k]; }
   for (int k = 0; k < 4; k++) g.quaternions[4 * i + k] = d_quaternion[k];
-  g.kappa[i] = total.kappa;
+  g.kappa[i] = d_kappa;
   for (int k = 0; k < kMaxCoefficients; k++)
     if (k < p.coefficients) g.harmonics[p.coefficients * i + k] = d_harmonics[k];
 }

@@ -42,18 +42,47 @@ SG_FN BodyGradient<F> no_gradient() {
   for (F& x : g.g) x = zero;
   for (F& x : g.scale) x = zero;
   for (F& x : g.rot) x = zero;
-  g.kappa = zero;
   return g;
 }
 
-SG_FN void write_gradients(const Bodies& bodies, const BodyGradient<F>& total, F d_kappa, const sg_gradients& g, int64_t i, int real) {
-  F d_scale[3], d_quaternion[4];
-  finish(bodies.body, bodies.unit, bodies.norm, total, d_scale, d_quaternion);
-  write_few<3>(total.mean, real, g.means + 3 * i);
-  write_few<3>(d_scale, real, g.scales + 3 * i);
-  write_few<4>(d_quaternion, real, g.quaternions + 4 * i);
-  write_few<1>(&d_kappa, real, g.kappa + i);
+// Numbers of a Gaussian that views have a gradient for: mean, scales, quaternion, optical depth, harmonics.
+constexpr int kNumbers = 11 + kFields;
+
+SG_FN void write_gradients(const sg_problem& p, const F* total, const sg_gradients& g, int64_t i, int real) {
+  write_few<3>(total, real, g.means + 3 * i);
+  write_few<3>(total + 3, real, g.scales + 3 * i);
+  write_few<4>(total + 6, real, g.quaternions + 4 * i);
+  write_few<1>(total + 10, real, g.kappa + i);
+  if (!p.coefficients) return;
+  F harmonics[kFields];
+  for (int k = 0; k < kFields; k++) harmonics[k] = k < p.coefficients ? total[11 + k] : splat(0.0f);
+  write_rows(harmonics, p.coefficients, real, g.harmonics + p.coefficients * i);
 }
+
+// The gradients of views, one after the other, to their sum over a tree: n views are the first p of them, p the largest power of
+// two below n, and the rest. So whoever has the views of a branch has its sum to the bit, and views can be shared out.
+class ViewSum {
+ public:
+  explicit ViewSum(int count) : count_(count) {}
+  F* next() { return branches_[open_]; }  // where the next view's numbers go
+  void add() {                            // they are there
+    __asm__ volatile("" : : "r"(branches_) : "memory");  // or a last product would be fused into the sum
+    open_++;
+    for (int n = ++views_; n % 2 == 0; n /= 2) join();
+  }
+  const F* total() {
+    while (open_ > 1) join();
+    return branches_[0];
+  }
+
+ private:
+  void join() {
+    open_--;
+    for (int k = 0; k < count_; k++) branches_[open_ - 1][k] += branches_[open_][k];
+  }
+  F branches_[33][kNumbers];
+  int count_, open_ = 0, views_ = 0;
+};
 
 // What every chunk found for the shifts, in their order.
 void add_shifts(int views, int chunks, const float* sums, float* shift) {
@@ -64,10 +93,10 @@ void add_shifts(int views, int chunks, const float* sums, float* shift) {
 }
 
 // One view's share: the projection; dL/d(mu_C, mu_I), per metre; of the widened covariances, in cells and pixels; kappa' dL/dkappa'; what is
-// summed for kappa, and for the sum of harmonics.
+// found for kappa, and for the sum of harmonics.
 struct Share { Projection<F> proj; F planes[4]; Sym2<F> gc, gi; F m0, kappa, harmonics; };
 
-// The Gaussians [first, end): share_of(v, i, real, bodies, frame) in every view, and end_of(kappa, its sum).
+// The Gaussians [first, end): share_of(v, i, real, bodies, frame) in every view, and end_of(kappa, its share).
 template <class ShareOf, class EndOf>
 void differentiate(const sg_problem& p, const sg_gradients& g, int64_t first, int64_t end, float* shift_sums, ShareOf share_of, EndOf end_of) {
   const PlaneUnits u = units(p);
@@ -75,21 +104,23 @@ void differentiate(const sg_problem& p, const sg_gradients& g, int64_t first, in
   for (int64_t i = first; i < end; i += kWidth) {
     const int real = smaller(kWidth, (int)(end - i));
     const Bodies bodies = read_bodies(p, i, real);
-    BodyGradient<F> total = no_gradient();
-    F d_harmonics[kFields];
-    for (F& x : d_harmonics) x = splat(0.0f);
+    ViewSum sum_of_views(11 + p.coefficients);
     for (int v = 0; v < p.views; v++) {
       const ViewFrame frame = frame_of(p, v);
       const Share share = share_of(v, i, real, bodies, frame);
-      spread(share.proj, frame, u, share.planes, share.gc, share.gi, share.m0, total);
-      total.kappa += share.kappa;
+      BodyGradient<F> own = no_gradient();
+      spread(share.proj, frame, u, share.planes, share.gc, share.gi, share.m0, own);
+      F* numbers = sum_of_views.next();
+      for (int k = 0; k < 3; k++) numbers[k] = own.mean[k];
+      finish(bodies.body, bodies.unit, bodies.norm, own, numbers + 3, numbers + 6);
+      numbers[10] = end_of(bodies.kappa, share.kappa);
+      for (int k = 0; k < p.coefficients; k++) numbers[11 + k] = share.harmonics * p.basis[v * p.coefficients + k];
+      sum_of_views.add();
       shift_sums[2 * v] += sum(share.planes[2]);
       shift_sums[2 * v + 1] += sum(share.planes[3]);
       if (g.planes) write_few<4>(share.planes, real, g.planes + 4 * ((int64_t)v * p.gaussians + i));
-      for (int k = 0; k < p.coefficients; k++) d_harmonics[k] += share.harmonics * p.basis[v * p.coefficients + k];
     }
-    write_gradients(bodies, total, end_of(bodies.kappa, total.kappa), g, i, real);
-    if (p.coefficients) write_rows(d_harmonics, p.coefficients, real, g.harmonics + p.coefficients * i);
+    write_gradients(p, sum_of_views.total(), g, i, real);
   }
 }
 

@@ -1,7 +1,7 @@
 // engine.cpp: a batch of views, forward and backward, as one composition of stages. Compiled once per instruction set.
 //
 // forward:  check, projection, scattering -> lattice -> depth order, parts -> attenuation -> cross-sections -> splatting
-// backward: splatting (gather per Gaussian) -> attenuation (back to front) -> adjoint of the projection, views summed in order
+// backward: splatting (gather per Gaussian) -> attenuation (back to front) -> adjoint of the projection, views summed over a tree
 
 #include "adam.h"
 #include "ground.h"

@@ -98,9 +98,9 @@ template <class F> SG_FN Softplus<F> softplus(F x) {
 }
 
 // ---- adjoints --------------------------------------------------------------------------------------------------------
-// Accumulated over views: dL/dmu, G = symmetric full gradient of Sigma, and the terms of ln sqrt(det Sigma_C), which are
+// Sums over views: dL/dmu, G = symmetric full gradient of Sigma, and the terms of ln sqrt(det Sigma_C), which are
 // kept apart because Sigma_C^-1 of a thin Gaussian would drown the rest in rounding.
-template <class F> struct BodyGradient { F mean[3], g[6], scale[3], rot[9], kappa; };
+template <class F> struct BodyGradient { F mean[3], g[6], scale[3], rot[9]; };
 
 // half [S M2 S - m0 S] with S the inverse of a widened covariance and M2 the second moments: ln 2 L^T [2 ln 2 M - m0] L
 template <class F> SG_FN Sym2<F> covariance_gradient(const Whitening<F>& w, const Moments<F>& m, F m0) {
@@ -198,7 +198,7 @@ SG_FN void share_of_moments(const Projection<F>& p, const PlaneUnits& u, const M
   gi = covariance_gradient(wi, b, peak ? b.m0 * 0.0f : b.m0);
 }
 
-// From the accumulated sums to dL/ds and dL/dq.
+// From the sums to dL/ds and dL/dq; linear in them.
 template <class F>
 SG_FN void finish(const Body<F>& body, const F* q, F norm, const BodyGradient<F>& sum, F* d_scale, F* d_quaternion) {
   const F full[9] = {sum.g[0], sum.g[1], sum.g[2], sum.g[1], sum.g[3], sum.g[4], sum.g[2], sum.g[4], sum.g[5]};

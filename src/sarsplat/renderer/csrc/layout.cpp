@@ -13,7 +13,7 @@ struct Layout { const char* name; int32_t numbers[40]; };  // the size, the offs
 #define LAYOUT(type, ...) [] { typedef type S; return Layout{#type, {sizeof(S), __VA_ARGS__, -1}}; }()
 
 const Layout kLayouts[] = {
-    LAYOUT(sg_problem, AT(peak), AT(views), AT(gaussians), AT(coefficients), AT(channels), AT(rows), AT(columns), AT(means),
+    LAYOUT(sg_problem, AT(peak), AT(views), AT(of_views), AT(gaussians), AT(coefficients), AT(channels), AT(rows), AT(columns), AT(means),
            AT(quaternions), AT(scales), AT(kappa), AT(harmonics), AT(amplitudes), AT(frames), AT(basis), AT(shift), AT(p_min), AT(pixel), AT(center),
            AT(response_var), AT(ray), AT(cell_widening), AT(min_ray_depth), AT(min_transmittance), AT(image_cut), AT(min_scale),
            AT(max_scale), AT(max_depth), AT(farthest), AT(strongest), AT(flattest), AT(steepest)),
