@@ -89,7 +89,8 @@ def test_what_others_remember_follows_their_gaussians(dataset: Dataset) -> None:
 def test_a_training_goes_on_only_with_the_strategies_it_was_begun_with(dataset: Dataset) -> None:
     snapshot = trained(dataset, CONFIG, 1)
     with pytest.raises(
-        SarsplatError, match="begun with the strategies Restless, density, relocation, not density, relocation"
+        SarsplatError,
+        match="begun with the strategies Restless, density, growth, relocation, not density, growth, relocation",
     ):
         Trainer(dataset, CONFIG).restore(snapshot)
     damaged = replace(snapshot, tensors=snapshot.tensors | {"strategy/Restless/dim": torch.zeros(3)})

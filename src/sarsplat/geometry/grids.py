@@ -105,6 +105,34 @@ class ImageGrid:
         azimuth, slant_range = self.resolution_m
         return replace(self, resolution_m=(width_of(azimuth_m2, azimuth), width_of(range_m2, slant_range)))
 
+    @checks_arguments
+    def multilooked(self, factor: int) -> ImageGrid:
+        """The grid of images whose pixels are means of power over blocks of these.
+
+        The response is as much wider as a block is wide. Rows and columns that fill no block, at the far and the right
+        end, are left out.
+
+        Parameters
+        ----------
+        factor : int
+            Pixels along each side of a block, at least 1.
+
+        Raises
+        ------
+        SarsplatError
+            If the image has no such block.
+        """
+        if not 1 <= factor <= min(self.rows, self.columns):
+            raise SarsplatError(
+                f"an image of {self.rows} × {self.columns} pixels has no blocks of {factor} × {factor}; give a factor "
+                f"from 1 to {min(self.rows, self.columns)}"
+            )
+        rows, columns = self.rows // factor, self.columns // factor
+        mean = [(factor**2 - 1) / 12 * spacing**2 for spacing in self.spacing_m]  # variance of places in a block
+        blocks = self.part(slice(rows * factor), slice(columns * factor)).widened(*mean)
+        azimuth, slant_range = (factor * spacing for spacing in self.spacing_m)
+        return replace(blocks, rows=rows, columns=columns, spacing_m=(azimuth, slant_range))
+
     @property
     def independent_samples(self) -> float:
         """Samples of independent speckle in an image: its resolution cells, or its pixels where those are larger."""

@@ -298,7 +298,14 @@ class Config(AnyConfig):
     views_per_step : int
         Images used in one step.
     gaussians : int or None
-        Gaussians at the start; None: 18 for each resolution cell that the target covers in a training image.
+        Gaussians at the start; None: 18 for each resolution cell that the target covers in a training image, divided by
+        f³ᐟ² where the training begins with blocks of f × f pixels.
+    fewest_gaussians : int
+        At least so many, where `gaussians` is None.
+    coarsest : int
+        Side of the blocks of pixels over which images are averaged at first, in pixels; half of it is next, and so on.
+        Powers of two, and no more than leave 20 resolution cells across the target: small ones are looked at as they
+        are. 1: so are all.
     target_box : tuple of float or None
         Lower and upper corner (x, y, z, x, y, z) of the box in which the target is looked for, m; None: the dataset's,
         or what the images tell.
@@ -346,7 +353,7 @@ class Config(AnyConfig):
     fine_rays_per_pixel : float
         The same towards the end …
     fine_from : float
-        … from this share of the iterations on.
+        … from this share of the iterations on, as far as the images themselves are looked at.
     rates : Rates
         Learning rates.
     points : PointExtraction
@@ -376,6 +383,8 @@ class Config(AnyConfig):
     iterations: Count = 900
     views_per_step: Count = 8
     gaussians: Count | None = None
+    fewest_gaussians: Count = 100
+    coarsest: Count = 8
     target_box: tuple[Number, Number, Number, Number, Number, Number] | None = None
     initialisation: Literal["box", "hemisphere"] = "box"
     loss: str = "amplitude"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
-from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int64
@@ -18,6 +17,7 @@ from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.processes import Processes
 from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.levels import Levels
 from sarsplat.reconstruction.parts import parts_of
 from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, Shot
 from sarsplat.reconstruction.setting import Setting
@@ -58,6 +58,8 @@ class SceneModel:
         self.unit = setting.unit
         self.device = torch.device(device)
         self.parts = parts_of(config, setting, self.device)
+        self.levels = Levels.of(config, setting)
+        self.learned = self._learned()
         self.parameters: Parameters = {}
         count = len(next(parameters[name] for name, learned in self.learned.items() if learned.per_gaussian))
         for name, learned in self.learned.items():
@@ -125,8 +127,13 @@ class SceneModel:
         """The channel of the images that is shown, scored and trained on."""
         return scattering_named(self.config.scattering).power_channel
 
-    @cached_property
-    def learned(self) -> dict[str, Learned]:
+    def look_at(self, cell_m: float) -> None:
+        """Be learned from images with such resolution cells, m: `learned` follows."""
+        for part in self.parts:
+            part.look_at(cell_m)
+        self.learned = self._learned()
+
+    def _learned(self) -> dict[str, Learned]:
         """How each parameter is learned, by name."""
         return {name: learned for part in self.parts for name, learned in part.learned.items()}
 
@@ -173,6 +180,7 @@ class SceneModel:
         numbers: Int64[Tensor, " v"] | None = None,
         plane_gradients: bool = False,
         bounds: Bounds | None = None,
+        amplitudes: Float[Tensor, "v n c"] | None = None,
         dropped: Bool[Tensor, " n"] | None = None,
         estimated: bool = True,
         processes: Processes | None = None,
@@ -180,6 +188,8 @@ class SceneModel:
         """Images [V, C, rows, columns], in the power channel with noise floor, and the rendering behind them.
 
         `numbers` are those of training images, whose own shift and gain then apply; without them, images are as
+        expected of unseen views (`Shot`). `bounds` and `amplitudes` are those of `render`; Gaussians that are
+        `dropped` are left out; `estimated` is whether what was estimated rather than learned applies, as the texture.
         expected of unseen views (`Shot`). `bounds` are those of `render`; Gaussians that are `dropped` are left out;
         `estimated` is whether what was estimated rather than learned applies, as the texture; `processes` share the
         views.
@@ -194,6 +204,7 @@ class SceneModel:
             ground=self.ground(),
             plane_gradients=plane_gradients,
             bounds=bounds,
+            amplitudes=amplitudes,
             processes=processes,
         )
         return self._developed(rendering.images, shot, estimated), rendering

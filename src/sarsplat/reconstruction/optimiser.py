@@ -57,6 +57,10 @@ class Optimiser:
         rates, low, high = (self._columns(name, numbers) for numbers in (learned.rates, learned.low, learned.high))
         return adam.Stepped(tensor, mean, square, rates, low, high, learned.logarithmic)
 
+    def relearn(self, learned: Mapping[str, Learned]) -> None:
+        """Go on with other rates and ranges."""
+        self._learned, self._adam = learned, None
+
     def rates(self, iteration: int) -> dict[str, float]:
         """Rates of this iteration by parameter, each of its first column; of means and shifts in m."""
         return {name: self._learned[name].rates[0] * self._decay(name, iteration) for name in self._parameters}

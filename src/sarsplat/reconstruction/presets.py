@@ -35,6 +35,7 @@ PRESETS: dict[str, Config] = {
         iterations=30_000,
         views_per_step=1,
         gaussians=15_000,
+        coarsest=1,
         initialisation="hemisphere",
         ssim_weight=0.2,
         scattering="harmonics",
@@ -62,7 +63,8 @@ PRESETS: dict[str, Config] = {
     "measured": Config(
         preset="measured",
         iterations=800,
-        gaussians=12_000,
+        fewest_gaussians=12_000,
+        coarsest=1,
         loss="speckle",
         scattering="harmonics",
         p_min=0.2,

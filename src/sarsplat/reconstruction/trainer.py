@@ -66,9 +66,9 @@ class Trainer:
     ) -> None:
         self.config, self._processes = config, processes
         self.device = torch.device(device)
-        self.images = TrainingImages(dataset, self.device)
+        self._finest = TrainingImages(dataset, self.device)
         self._generator = torch.Generator().manual_seed(config.seed)
-        self._queue = ViewQueue(len(self.views), config.views_per_step, self._generator)
+        self._queue = ViewQueue(len(self._finest.views), config.views_per_step, self._generator)
         self.strategies = [*strategies_of(config, dataset.select("train")), *strategies]
         self._learn(SceneModel.initial(config, dataset, self._generator, self.device))
         self._loss = loss or named_loss(config, ImageScale(self.images.brightest, self.model.unit))
@@ -78,7 +78,7 @@ class Trainer:
 
     def _learn(self, model: SceneModel) -> None:
         """Begin with this model."""
-        self.model, self._bounds = model, model.scene_bounds()
+        self.model, self._bounds, self.images = model, model.scene_bounds(), self._finest
         self.optimiser = Optimiser(model.parameters, model.learned, self.config.iterations)
         for name, count in Counter(strategy.name for strategy in self.strategies).items():
             if count > 1:
@@ -87,15 +87,25 @@ class Trainer:
             strategy.check(model.parameters)
         self._states = [strategy.initial_state(model.parameters) for strategy in self.strategies]
 
+    def _look(self) -> None:
+        """Look at the images of the level that the next step is on."""
+        levels = self.model.levels
+        factor = levels.factor(self.iteration)
+        if self.images.grid != levels.grid_at(factor):
+            self.images = self._finest.multilooked(factor, self.views)
+            self.model.look_at(self.images.grid.cell_m)
+            self.optimiser.relearn(self.model.learned)
+
     def step(self) -> Float32[Tensor, ""]:
         """One step of Adam on a few views; returns the loss, still on the device: nothing waits for a GPU.
 
         `check` reports what was out of range on a GPU.
         """
+        self._look()
         chosen, step, share = self._queue.next(), self.iteration + 1, self.config.dropout
         images, rendering = self.model.render(
             [self.views[i] for i in chosen],
-            self.grid,
+            self.images.grid,
             self.model.degree(self.iteration),
             rays=self._rays,
             numbers=torch.stack([self.images.numbers[i] for i in chosen]),
@@ -148,8 +158,8 @@ class Trainer:
 
     @property
     def grid(self) -> ImageGrid:
-        """Of the images."""
-        return self.images.grid
+        """Of the dataset's images; steps may look at coarser ones, `images`."""
+        return self._finest.grid
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -159,8 +169,8 @@ class Trainer:
     @property
     def _rays(self) -> RayGrid:
         config = self.config
-        fine = self.iteration >= config.fine_from * config.iterations
-        return RayGrid.for_image(self.grid, config.fine_rays_per_pixel if fine else config.rays_per_pixel)
+        fine = self.iteration >= config.fine_from * config.iterations and self.images.grid == self.grid
+        return RayGrid.for_image(self.images.grid, config.fine_rays_per_pixel if fine else config.rays_per_pixel)
 
     def check(self) -> None:
         """Wait for the device, and raise a SarsplatError if a step so far was given what it cannot render."""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import torch
 
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
+from sarsplat.geometry import View
 from sarsplat.reconstruction.snapshot import Snapshot
 
 _FAINTEST = 1e-30
@@ -42,6 +45,18 @@ class TrainingImages:
         self.samples = self.grid.independent_samples * (train.looks or 1.0)
         self.truth = power.to(device)
         self.numbers = torch.arange(len(self.views), device=device)
+
+    def multilooked(self, factor: int, views: tuple[View, ...]) -> TrainingImages:
+        """Means of power over blocks of factor × factor pixels, taken from these views."""
+        looked = copy(self)
+        looked.views = views
+        if factor > 1:
+            looked.grid = self.grid.multilooked(factor)
+            rows, columns = looked.grid.rows, looked.grid.columns
+            whole = self.truth[:, : rows * factor, : columns * factor]
+            looked.truth = whole.reshape(len(whole), rows, factor, columns, factor).mean(4).mean(2)
+            looked.samples = self.samples * looked.grid.independent_samples / self.grid.independent_samples
+        return looked
 
 
 class ViewQueue:

@@ -113,6 +113,10 @@ class Part(ABC):
         """What else is minimised, by name, in units of the loss of black images."""
         return iter(())
 
+    def look_at(self, cell_m: float) -> None:
+        """Be learned from images with such resolution cells, m; at first, and until called, those of the dataset."""
+        return
+
     # ---- what it does -----------------------------------------------------------------------------------------------
     def scene(
         self, scene: Gaussians | None, p: Parameters, degree: int, dropped: Bool[Tensor, " n"] | None

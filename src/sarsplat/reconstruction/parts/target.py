@@ -18,8 +18,10 @@ from sarsplat.gaussians import MIN_SCALE, Gaussians, Scattering, scattering_name
 from sarsplat.gaussians.initialise import BRIGHT_DB, Region, hemisphere_shell, random_quaternions
 from sarsplat.radiometry import brighter
 from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.levels import Levels
 from sarsplat.reconstruction.outlines import levels_db, outline
 from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, column_means, normal_nats
+from sarsplat.reconstruction.setting import Setting
 from sarsplat.renderer import Bounds
 from sarsplat.renderer.checks import MAX_SCALE
 
@@ -30,8 +32,6 @@ _FAINT = 0.05
 
 _PER_CELL = 18
 """Gaussians for a resolution cell that the target covers in an image."""
-
-_FEWEST = 100
 
 _START = (1.0, 1.0, 0.9)
 """Widths of an oriented Gaussian at the start, relative: which axis is the shortest must not depend on rounding."""
@@ -50,18 +50,26 @@ class Target(Part):
         """Always."""
         return True
 
-    @cached_property
+    def __init__(self, config: Config, setting: Setting, device: torch.device) -> None:
+        super().__init__(config, setting, device)
+        self._cell_m = setting.cell_m
+        self._levels = Levels.of(config, setting)
+
+    def look_at(self, cell_m: float) -> None:
+        self._cell_m = cell_m
+
+    @property
     def learned(self) -> dict[str, Learned]:
         config, rates = self.config, self.config.rates
         low, high = self._box
-        smallest, _, largest = scales_m(config, self.setting.cell_m)
+        smallest, _, largest = scales_m(config, self._cell_m)
         columns = self._law.parameters.shape[1]
 
         def falling(done: float) -> float:
             return (rates.means_end / rates.means) ** done
 
         return {
-            "means": Learned((None, 3), (rates.means * self.setting.cell_m,), falling, low, high),
+            "means": Learned((None, 3), (rates.means * self._cell_m,), falling, low, high),
             "quaternions": Learned((None, 4), (rates.quaternions,)),
             "scales": Learned((None, 3), (rates.log_scales,), low=smallest, high=largest, logarithmic=True),
             "optical_depth": Learned(
@@ -77,12 +85,12 @@ class Target(Part):
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
         config = self.config
         sample = hemisphere_shell if config.initialisation == "hemisphere" else Region.sample
-        n = config.gaussians or _enough(train)
+        n = config.gaussians or max(config.fewest_gaussians, round(_enough(train) / self._levels.coarsest**1.5))
         means = torch.from_numpy(sample(self.setting.region, n, generator)).float()
         return {
             "means": means,
             "quaternions": random_quaternions(n, generator),
-            "scales": means.new_tensor(_start_scales_m(config, self.setting.cell_m)).repeat(n, 1),
+            "scales": means.new_tensor(_start_scales_m(config, self._coarsest_m)).repeat(n, 1),
             "optical_depth": means.new_full((n,), config.initial_optical_depth),
             "scattering": law(config, n, config.initial_scattering).parameters,
         }
@@ -125,7 +133,12 @@ class Target(Part):
         """Bounds of every scene, the first included."""
         config, (low, high) = self.config, self._box
         depth = max(config.max_optical_depth, config.initial_optical_depth)
-        return Bounds((*low.tolist(),), (*high.tolist(),), max(scales_m(config, self.setting.cell_m)), depth, "cpu")
+        return Bounds((*low.tolist(),), (*high.tolist(),), max(scales_m(config, self._coarsest_m)), depth, "cpu")
+
+    @property
+    def _coarsest_m(self) -> float:
+        """Resolution cell of the coarsest images looked at, m."""
+        return self._levels.grid_at(self._levels.coarsest).cell_m
 
     @cached_property
     def _law(self) -> Scattering:
@@ -186,14 +199,14 @@ def scales_m(config: Config, cell_m: float) -> tuple[float, float, float]:
     return max(smallest, MIN_SCALE), first, largest
 
 
-def _enough(train: Dataset) -> int:
+def _enough(train: Dataset) -> float:
     """How many Gaussians a target of this size needs, seen at this resolution."""
     if train.ground:
         shown = sum(outline(level).target.sum() for level in levels_db(train.power, train.grid, ground=True))
     else:
         shown = brighter(train.power, BRIGHT_DB).sum()
     cells = shown / len(train) * math.prod(train.grid.spacing_m) / train.grid.cell_m**2
-    return max(_FEWEST, round(_PER_CELL * cells))
+    return float(_PER_CELL * cells)
 
 
 def _start_scales_m(config: Config, cell_m: float) -> list[float]:

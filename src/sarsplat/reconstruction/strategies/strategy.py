@@ -21,6 +21,9 @@ from sarsplat.reconstruction.optimiser import Optimiser, followed
 from sarsplat.reconstruction.training_images import TrainingImages
 from sarsplat.renderer import Bounds, Rendering, channel_of
 
+_FAINTEST = 1e-6
+"""Of the brightest pixel: what is darker has no error of its own."""
+
 
 @dataclass
 class State:
@@ -101,12 +104,39 @@ class Info:
             total += sections[:, : len(total)].sum(0)  # those of the surroundings come after
         return total / len(views)
 
+    def errors(self) -> Float[Tensor, " n"]:
+        """The training images' error by the target's Gaussians that are in its place.
+
+        That of a pixel is the difference of amplitudes, and each Gaussian has the share of it that it has of the power.
+        """
+        channel, total = self.model.power_channel, torch.zeros(len(self.model), device=self.model.device)
+        faintest = _FAINTEST * self.images.brightest
+        for few in self._few(len(self.images.views)):
+            views, truth = self.images.views[few], self.images.truth[few]
+            with torch.no_grad():
+                scene = self.model.scene(self.degree)
+                towards = scene.means.new_tensor(np.array([view.direction for view in views]))
+                amplitudes = scene.scattering.amplitudes(towards, scene.quaternions, scene.scales)
+            amplitudes.requires_grad_()
+            images, _ = self._rendered(views, self.images.numbers[few], amplitudes)
+            power = channel_of(images, channel)
+            with torch.no_grad():
+                error = (power.sqrt() - truth.sqrt()).abs() / (power + faintest)
+            (slope,) = torch.autograd.grad((error * power).sum(), amplitudes)
+            total += (slope * amplitudes.detach())[:, : len(total), channel].sum(0)
+        return total
+
     def _few(self, count: int) -> list[slice]:
         """Views at a time: what a step takes fits into memory."""
         size = self.model.config.views_per_step
         return [slice(first, first + size) for first in range(0, count, size)]
 
-    def _rendered(self, views: Sequence[View], numbers: Int64[Tensor, " v"] | None) -> tuple[Tensor, Rendering]:
+    def _rendered(
+        self,
+        views: Sequence[View],
+        numbers: Int64[Tensor, " v"] | None,
+        amplitudes: Float[Tensor, "v n c"] | None = None,
+    ) -> tuple[Tensor, Rendering]:
         return self.model.render(
             views,
             self.images.grid,
@@ -114,6 +144,7 @@ class Info:
             rays=self.rays,
             numbers=numbers,
             bounds=self.bounds,
+            amplitudes=amplitudes,
             estimated=False,
             processes=self.processes,
         )
