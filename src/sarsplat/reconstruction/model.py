@@ -189,10 +189,8 @@ class SceneModel:
 
         `numbers` are those of training images, whose own shift and gain then apply; without them, images are as
         expected of unseen views (`Shot`). `bounds` and `amplitudes` are those of `render`; Gaussians that are
-        `dropped` are left out; `estimated` is whether what was estimated rather than learned applies, as the texture.
-        expected of unseen views (`Shot`). `bounds` are those of `render`; Gaussians that are `dropped` are left out;
-        `estimated` is whether what was estimated rather than learned applies, as the texture; `processes` share the
-        views.
+        `dropped` are left out; `estimated` is whether what was estimated rather than learned applies, as the texture;
+        `processes` share the views.
         """
         shot = self.shot(views, grid, numbers)
         rendering = render(
