@@ -58,7 +58,7 @@ def test_a_round_keeps_the_number_and_about_the_power(dataset: Dataset) -> None:
     after = trainer.model.render(trainer.views, trainer.grid, 0)[0].detach()
     assert len(trainer.model) == 400
     assert 5 < int((trainer.gaussians.means != means).any(dim=1).sum()) < 300
-    assert float(after.mean()) == pytest.approx(float(before.mean()), rel=0.15)  # halves that hid each other are seen
+    assert float(after.mean()) == pytest.approx(float(before.mean()), rel=0.25)  # halves that hid each other are seen
     trainer.step()
 
 

@@ -23,23 +23,23 @@ CONFIGS = {
 }
 
 
-def times(dataset: Dataset, factor: float) -> Dataset:
-    """The same images of a scene that is larger in every length."""
-    grid, box = dataset.grid, dataset.target_box_m or ((-2.0, -1.5, 0.0), (2.0, 1.5, 1.5))
+def times(dataset: Dataset, factor: float, config: Config) -> Dataset:
+    """The same images of a scene that is larger in every length; where it is said to show ground, a box is given."""
+    grid = dataset.grid
     spacing, resolution = ((pair[0] * factor, pair[1] * factor) for pair in (grid.spacing_m, grid.resolution_m))
-    low, high = (tuple(factor * value for value in corner) for corner in box)
+    low, high = (tuple(factor * value for value in corner) for corner in ((-2.0, -1.5, 0.0), (2.0, 1.5, 1.5)))
     grid = ImageGrid(grid.rows, grid.columns, spacing, resolution)
-    return replace(dataset, grid=grid, target_box_m=(low, high), truth_mesh=None)
+    return replace(dataset, grid=grid, target_box_m=(low, high) if config.ground else None, truth_mesh=None)
 
 
 @pytest.fixture(scope="module", params=CONFIGS)
 def original(request: pytest.FixtureRequest, dataset: Dataset) -> Run:
-    return reconstruct(times(dataset, 1.0), CONFIGS[request.param], quiet=True)
+    return reconstruct(times(dataset, 1.0, CONFIGS[request.param]), CONFIGS[request.param], quiet=True)
 
 
 @pytest.mark.parametrize("factor", [10.0, 1 / 15])
 def test_a_scaled_scene_is_learned_alike(original: Run, dataset: Dataset, factor: float) -> None:
-    scaled = reconstruct(times(dataset, factor), original.config, quiet=True)
+    scaled = reconstruct(times(dataset, factor, original.config), original.config, quiet=True)
     assert len(original.gaussians) > 600 or original.config.densification is None
     assert [line.gaussians for line in scaled.history] == [line.gaussians for line in original.history]
     losses, expected = (np.array([line.loss for line in run.history]) for run in (scaled, original))
@@ -75,8 +75,8 @@ def test_cells_whose_gaussians_cannot_be_rendered_are_refused(dataset: Dataset) 
     config = preset("default")
     assert scales_m(config, 1e-3)[0] == MIN_SCALE  # the floor of the engine
     with pytest.raises(SarsplatError, match=r"initial_scale makes Gaussians of 4\.05e-05 m from resolution cells of"):
-        reconstruct(times(dataset, 1 / 3000), config, quiet=True)
+        reconstruct(times(dataset, 1 / 3000, config), config, quiet=True)
     with pytest.raises(
         SarsplatError, match=r"scale_bounds makes Gaussians of 4\.5e\+06 m .* 0\.0001 m to 1e\+06 m can"
     ):
-        reconstruct(times(dataset, 10), replace(config, scale_bounds=(0.1, 1e6)), quiet=True)
+        reconstruct(times(dataset, 10, config), replace(config, scale_bounds=(0.1, 1e6)), quiet=True)

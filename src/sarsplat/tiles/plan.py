@@ -42,7 +42,8 @@ def at_once(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: 
     means, widest = gaussians.means.detach(), float(gaussians.scales.detach().max())
     low, high = (means.amin(0).cpu().numpy(), means.amax(0).cpu().numpy())
     reach = widest * math.sqrt(2 * math.log(MAX_OPTICAL_DEPTH / MIN_RAY_DEPTH))
-    most = max(math.prod(abs(radar_frame(view)[:2]) @ (high - low) + 2 * reach) for view in views) / rays.cell_area
+    spans = [abs(radar_frame(view)[:2]) @ (high - low) + 2 * reach for view in views]
+    most = max(map(math.prod, spans), default=0.0) / rays.cell_area
     parameters = gaussians.scattering.parameters.shape[1]
     each = memory_bytes(len(gaussians), parameters, most, grid.rows * grid.columns)
     return min(len(views), int(_WHOLE_GIB * 2**30 / each))
