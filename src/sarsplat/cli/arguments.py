@@ -90,7 +90,20 @@ def metres(text: str, name: str) -> float:
 
 
 def corners(box: tuple[float, float, float, float, float, float] | None) -> Box | None:
-    """Those of --target-box."""
+    """Those of --target-box.
+
+    Raises
+    ------
+    SarsplatError
+        If it is no box.
+    """
+    if box is not None and not all(
+        -math.inf < low < high < math.inf for low, high in zip(box[:3], box[3:], strict=True)
+    ):
+        given = " ".join(f"{value:g}" for value in box)
+        raise SarsplatError(
+            f"--target-box {given} is no box; give the lower corner (x, y, z), then the upper one, in metres"
+        )
     return None if box is None else (box[:3], box[3:])
 
 

@@ -155,6 +155,7 @@ def simulate(
     own, test = (azimuth, grazing, incidence), (test_azimuth, test_grazing, test_incidence)
     views = simulated_views(theirs, own, random_views, seed, test, test_protocol)
     grid = replace(_grid(protocol, pixels, spacing, resolution), response=response_of({"kind": response}))
+    box_m = corners(target_box)
     refuse_existing(out, overwrite, marker=HEADER)
     if mesh is not None and target is None:
         surface, name = load_mesh(mesh), mesh.name
@@ -216,7 +217,7 @@ def simulate(
         looks=looks,
         clean_tests=clean_tests,
         ground=ground is not None,
-        target_box_m=corners(target_box),
+        target_box_m=box_m,
         protocol=protocol if views == theirs and grid == _grid(protocol) else None,
         source={**simulation_record(**how, ray_error_db=error_db), "reflectivity_db": reflectivity, "scale": scale},
     )

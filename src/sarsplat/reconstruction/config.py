@@ -423,6 +423,8 @@ class Config(AnyConfig):
                 f"scattering is {shown(self.scattering)}; it must be one of {', '.join(SCATTERINGS)}, or a law that is "
                 "registered first (sarsplat.gaussians.register_scattering)"
             )
+        if self.coarsest & (self.coarsest - 1):
+            raise SarsplatError(f"coarsest is {self.coarsest}; give a power of two, such as 1, 2, 4 or 8")
         if self.box_m is not None and not all(low < high for low, high in zip(*self.box_m, strict=True)):
             raise SarsplatError(
                 f"target_box is {shown(self.target_box)}; give the lower corner (x, y, z) and then the upper one, m"

@@ -51,7 +51,7 @@ def cut_off(region: Region, margin_m: float, dataset: Dataset) -> list[str]:
         least, most = vertices.min(axis=0), vertices.max(axis=0)
         if (least >= low).all() and (most <= high).all():
             return []
-        return [f"the target ({_spans(least, most)} m) is larger than {spans} and will be cut off; {remedy}"]
+        return [f"the target ({_spans(least, most)} m) is not all inside of {spans} and will be cut off; {remedy}"]
     if not dataset.ground:
         return []
     train = dataset.select("train")

@@ -18,7 +18,7 @@ from sarsplat.tiles.kept import KeptTiles
 from sarsplat.tiles.plan import Plan
 from sarsplat.tiles.reach import Reach
 
-USUAL_GIB = 0.5
+USUAL_GIB = 2.0
 """What a tile takes unless told otherwise: beyond, it is no faster."""
 
 
