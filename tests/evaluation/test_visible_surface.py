@@ -42,6 +42,14 @@ def test_four_sides_see_everything_but_the_bottom():
     assert np.isclose(surface.samples_whole[:, 2], 0, atol=1e-5).mean() == pytest.approx(1 / 6, abs=0.015)
 
 
+def test_a_large_scene_takes_no_more_rays_than_are_allowed(monkeypatch):
+    """A square kilometre a millimetre apart would be 10¹² rays."""
+    monkeypatch.setattr("sarsplat.evaluation.surface._MOST_RAYS", 10_000)
+    surface = visible_surface(sheet(-500, 500, -500, 500, 0), [View(0, 45)], ray_spacing=0.001, samples=1000)
+    assert len(surface.triangles) == 2
+    assert len(surface.samples) == 1000
+
+
 def test_samples_in_shadow_are_rejected_though_their_triangle_is_visible():
     # a 2 m cube on a floor, seen from +x at 45°: the shadow covers −3 < x < −1 beside |y| < 1 and the foot |x| < 1
     scene = trimesh.util.concatenate([box((2, 2, 2), (0, 0, 1)), sheet(-5, 5, -5, 5, 0)])

@@ -197,7 +197,9 @@ def test_a_target_larger_than_its_box_is_told(dataset: Dataset, tmp_path: Path) 
         mesh = tmp_path / f"{height}.ply"
         trimesh.creation.box(bounds=[[-4, -2, 0], [6, 2, height]]).export(mesh)
         images = replace(dataset, truth_mesh=mesh, target_box_m=((-4.5, -2.5, 0.0), (6.5, 2.5, 3.0)))
-        with nullcontext() if fits else pytest.warns(SarsplatWarning, match=r"z 0 … 10 m\) is not all inside of the box"):
+        with (
+            nullcontext() if fits else pytest.warns(SarsplatWarning, match=r"z 0 … 10 m\) is not all inside of the box")
+        ):
             Trainer(images, config)
     trimesh.creation.box(bounds=[[-40, -40, 0], [40, 40, 40]]).export(mesh)
     with pytest.warns(SarsplatWarning, match="cut off; give another with --target-box"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     from embreex.rtcore_scene import EmbreeScene
 
 _BATCH = 1_000_000  # rays traced at once
+_MOST_RAYS = 10_000_000
+"""In a view: of large scenes, rays are farther apart. Their smallest parts hardly weigh in scores by area."""
+
 _LIFT = 1e-5
 """Shadow rays start this far from the surface, as a part of the mesh's extent: a hundred times float32's rounding."""
 
@@ -78,7 +82,8 @@ def visible_surface(
     views : sequence of View
         The training views.
     ray_spacing : float
-        Spacing of the parallel rays that find visible triangles, m; `Yardstick.ray_spacing_m` for scores.
+        Spacing of the parallel rays that find visible triangles, m; `Yardstick.ray_spacing_m` for scores. It is larger
+        where that would be more than ten million rays in a view.
     samples : int
         Number of samples of the visible and of the whole surface.
     seed : int
@@ -145,6 +150,7 @@ def _lattice(
     """Batches of ray origins, float32 [≤ batch, 3]: a lattice on the computation plane, just before the mesh begins."""
     frame = radar_frame(view)
     low, high = (vertices @ frame.T).min(axis=0), (vertices @ frame.T).max(axis=0)
+    spacing = max(spacing, math.sqrt((high[0] - low[0]) * (high[1] - low[1]) / _MOST_RAYS))
     x, y = ((np.arange(np.floor(low[k] / spacing), np.ceil(high[k] / spacing)) + 0.5) * spacing for k in (0, 1))
     lines = max(1, _BATCH // max(1, len(x)))
     for first in range(0, len(y), lines):
