@@ -1,6 +1,6 @@
 # make demo    the whole workflow once: simulate, reconstruct, evaluate, report
 # make test    the test suite without the slow tests; make test-slow runs those
-# make figures pictures with their tables: buildings, vehicles, splatting against ray casting, reconstructions
+# make figures pictures with their tables: buildings, vehicles, splatting against ray casting, reconstructions, a village
 # make bench   speed and memory beside plain PyTorch and beside the arithmetic alone; fills docs/performance.md (3 minutes)
 # make tables  every experiment, beside the paper's tables, to docs/results (hours; resumable); QUICK=1 tries it in
 #              minutes, ONLY="density loss" runs some
@@ -72,6 +72,7 @@ figures: setup
 	$(call step,splat against ray cast: one mesh through both forward models,$(BIN)/python docs/draw_splat_against_raycast.py)
 	$(call step,vehicles beside measured chips,$(BIN)/python docs/draw_vehicles.py)
 	$(call step,reconstructions: where points are wrong and what is missed,$(BIN)/python docs/draw_reconstructions.py)
+	$(call step,village: truth and points of a larger scene (minutes),$(BIN)/python docs/draw_village.py)
 	$(call step,imports: which file imports which,$(BIN)/python docs/draw_imports.py)
 
 bench: setup

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import platform
-from collections.abc import Mapping
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -45,3 +47,18 @@ def save(path: Path, results: Mapping[str, Any]) -> None:
         file.flush()
         os.fsync(file.fileno())
     temporary.replace(path)
+
+
+def add_rows(path: Path, words: Sequence[str], sides: Sequence[int]) -> None:
+    """Add to a file the row of each side that it lacks, as they finish: `python WORDS SIDE --alone` prints it."""
+    held = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"machine": machine(), "rows": []}
+    for side in sides:
+        if side in {row["side"] for row in held["rows"]}:
+            continue
+        command = [sys.executable, *words, str(side), "--alone"]
+        ended = subprocess.run(command, capture_output=True, text=True, check=False)
+        if ended.returncode:
+            raise SystemExit(f"{path.stem}, {side}²: {ended.stderr[-2000:]}")
+        held["rows"] = sorted([*held["rows"], json.loads(ended.stdout.splitlines()[-1])], key=lambda row: row["side"])
+        save(path, held)
+        print(f"{path.stem}, {side}²: {held['rows'][-1]}", flush=True)

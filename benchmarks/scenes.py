@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 import resource
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -19,18 +18,19 @@ from typing import Any
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the command line does, before torch is loaded
 
-import numpy as np
-from results import RESULTS, machine, save
+from results import RESULTS, add_rows
 
 SIDES = (64, 128, 256, 512, 1024)
 PIXEL_M = 0.3
+SAMPLES = 200_000  # of the true surface
 
 
 def one(preset: str, side: int) -> dict[str, Any]:
     """Seconds of every part, peak memory so far in GiB after each, and the scores."""
     from village import village
 
-    from sarsplat import Dataset, DatasetEntry, ImageGrid, View, evaluate_run, reconstruct
+    from sarsplat import Dataset, DatasetEntry, ImageGrid, View, reconstruct
+    from sarsplat.evaluation import Yardstick, point_metrics, visible_surface
     from sarsplat.scenes.simulate import simulate_images
 
     parts: dict[str, dict[str, float]] = {}
@@ -53,37 +53,17 @@ def one(preset: str, side: int) -> dict[str, Any]:
         run = reconstruct(dataset, preset, quiet=True)
         parts["train"] = {"seconds": run.time_s, "peak_gib": 0.0}
         done("reconstruct", begun)
-        scores = evaluate_run(run, quiet=True)
+        yardstick = Yardstick.of(grid)
+        surface = visible_surface(mesh, views, yardstick.ray_spacing_m, samples=SAMPLES)
+        scores = point_metrics(run.points, surface.triangles, surface.samples, yardstick)
     return {
         "side": side,
         "faces": len(mesh.faces),
         "gaussians": len(run.gaussians),
         "points": len(run.points),
         "parts": parts,
-        "scores": {name: value for name, value in scores["points"].items() if isinstance(value, float)},
+        "f1": {f"{threshold:g}": value for threshold, value in scores.f1.items()},
     }
-
-
-def slope(rows: list[dict[str, Any]], part: str, what: str) -> float:
-    """Of the straight line through the logarithms against the side, without the smallest size: 2 is linear in area."""
-    sides, values = [row["side"] for row in rows[1:]], [row["parts"][part][what] for row in rows[1:]]
-    return float(np.polyfit(np.log(sides), np.log(values), 1)[0])
-
-
-def main(preset: str, sides: list[int]) -> None:
-    """All sizes, one after the other."""
-    path = RESULTS / f"scenes-{preset}.json"
-    held = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"machine": machine(), "rows": []}
-    for side in sides:
-        if side in {row["side"] for row in held["rows"]}:
-            continue
-        command = [sys.executable, __file__, preset, str(side), "--alone"]
-        ended = subprocess.run(command, capture_output=True, text=True, check=False)
-        if ended.returncode:
-            raise SystemExit(f"{preset}, {side}²: {ended.stderr[-2000:]}")
-        held["rows"] = sorted([*held["rows"], json.loads(ended.stdout.splitlines()[-1])], key=lambda row: row["side"])
-        save(path, held)
-        print(f"{preset}, {side}²: {held['rows'][-1]}", flush=True)
 
 
 if __name__ == "__main__":
@@ -91,4 +71,6 @@ if __name__ == "__main__":
     if words[-1:] == ["--alone"]:
         print(json.dumps(one(preset_name, int(words[0]))))
     else:
-        main(preset_name, [int(word) for word in words] or list(SIDES))
+        add_rows(
+            RESULTS / f"scenes-{preset_name}.json", [__file__, preset_name], [int(word) for word in words] or SIDES
+        )
