@@ -17,7 +17,7 @@ sys.path.insert(0, str(REPOSITORY / "docs"))
 from fill_block import fill_block
 
 PAGE, PICTURE = REPOSITORY / "docs" / "scaling.md", REPOSITORY / "docs" / "images" / "scaling.png"
-COLOURS = {"simulate": "#4878a8", "train": "#c0392b", "reconstruct": "#2c3e50", "render by tiles": "#7a9a3a"}
+COLOURS = {"simulate": "#4878a8", "train": "#c0392b", "render by tiles": "#7a9a3a"}
 VIEWS = 24
 SCENE_KM2, PIXEL_M = 1000.0, 0.3  # what is projected
 
@@ -32,7 +32,7 @@ def draw(scenes: list[dict[str, Any]], tiles: list[dict[str, Any]]) -> dict[str,
     figure, (time, memory) = plt.subplots(1, 2, figsize=(9, 3.7), layout="constrained")
     series = {
         part: ([row["side"] for row in scenes], [row["parts"][part] for row in scenes])
-        for part in ("simulate", "train", "reconstruct")
+        for part in ("simulate", "train")
     }
     series["render by tiles"] = ([row["side"] for row in tiles], tiles)
     exponents = {}
@@ -40,8 +40,7 @@ def draw(scenes: list[dict[str, Any]], tiles: list[dict[str, Any]]) -> dict[str,
         seconds = [row["seconds"] for row in rows]
         exponents[name] = slope(sides[-3:], seconds[-3:])
         time.plot(sides, seconds, "o-", color=COLOURS[name], label=f"{name}, exponent {exponents[name]:.2f}")
-        if name != "train":  # its peak is within that of the reconstruction
-            memory.plot(sides, [row["peak_gib"] for row in rows], "o-", color=COLOURS[name], label=name)
+        memory.plot(sides, [row["peak_gib"] for row in rows], "o-", color=COLOURS[name], label=name)
     for ax, label in ((time, "seconds"), (memory, "peak memory of the process (GiB)")):
         ax.set(xscale="log", yscale="log", xlabel="pixels of a side", ylabel=label)
         ax.legend(fontsize=8)
@@ -59,15 +58,14 @@ def section(scenes: dict[str, Any], tiles: dict[str, Any], exponents: dict[str, 
         f"{machine['processor']}, {machine['cores']} cores, {machine['threads']} threads, {machine['date']}; "
         f"load before: {machine['load']:.1f}. {VIEWS} views.",
         "",
-        "| image | faces | Gaussians | simulate | train | with points and normals | peak | F1 at 0.3 m |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|",
+        "| image | faces | Gaussians | simulate | train | peak | F1 at 0.3 m |",
+        "|---|---:|---:|---:|---:|---:|---:|",
     ]
     for row in rows:
         parts = row["parts"]
         lines.append(
             f"| {row['side']}² | {row['faces']:,} | {row['gaussians']:,} | {parts['simulate']['seconds']:.3g} s | "
-            f"{parts['train']['seconds']:.3g} s | {parts['reconstruct']['seconds']:.3g} s | "
-            f"{parts['reconstruct']['peak_gib']:.2g} GiB | {row['f1']['0.3']:.3f} |"
+            f"{parts['train']['seconds']:.3g} s | {parts['train']['peak_gib']:.2g} GiB | {row['f1']['0.3']:.3f} |"
         )
     lines += ["", "One view by tiles, one thread:", "", "| image | Gaussians | time | peak |", "|---|---:|---:|---:|"]
     lines += [
@@ -82,16 +80,16 @@ def section(scenes: dict[str, Any], tiles: dict[str, Any], exponents: dict[str, 
     ]
 
     km2 = (last["side"] * PIXEL_M * 1e-3) ** 2
-    seconds, pixels = last["parts"]["reconstruct"]["seconds"] * machine["cores"], SCENE_KM2 * 1e6 / PIXEL_M**2
+    seconds, pixels = last["parts"]["train"]["seconds"] * machine["cores"], SCENE_KM2 * 1e6 / PIXEL_M**2
     view_h, scene_h = largest["seconds"] / largest["side"] ** 2 * pixels / 3600, seconds / km2 * SCENE_KM2 / 3600
     lines += [
         "## What larger things take, on paper",
         "",
         f"- **{SCENE_KM2:,.0f} km² at {PIXEL_M} m, one view rendered**: {largest['seconds']:.3g} s for "
         f"{largest['side']:,}² pixels, so {view_h:.2g} core hours for {pixels:.2g} pixels.",
-        f"- **The same, reconstructed from {VIEWS} views with `quick`**: {seconds:.3g} core seconds for {km2:.2g} km², "
-        f"so {scene_h:,.0f} core hours if all of it were built up like the village, or {scene_h / 1000:.2g} h on 1,000 "
-        "cores. It would have to go by tiles, which reconstruction cannot do yet.",
+        f"- **The same, trained on {VIEWS} views with `quick`, without points**: {seconds:.3g} core seconds for "
+        f"{km2:.2g} km², so {scene_h:,.0f} core hours if all of it were built up like the village, or "
+        f"{scene_h / 1000:.2g} h on 1,000 cores. It would have to go by tiles, which reconstruction cannot do yet.",
         "",
     ]
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""Time and memory of the whole job on villages of 64² to 1024² pixels: simulate, train, extract points.
+"""Time and memory of villages of 64² to 1024² pixels: simulate, train; and the scores of the points.
 
 `python benchmarks/scenes.py PRESET [SIDE …]` adds to benchmarks/results/scenes-PRESET.json as sizes finish, and skips
 those that it holds; `PRESET SIDE --alone` is one size, printed as JSON, in a process of its own. Pixels are .3 m wide,
@@ -51,8 +51,7 @@ def one(preset: str, side: int) -> dict[str, Any]:
         dataset = Dataset(grid, entries, images, target="village", truth_mesh=truth)
         begun = time.perf_counter()
         run = reconstruct(dataset, preset, quiet=True)
-        parts["train"] = {"seconds": run.time_s, "peak_gib": 0.0}
-        done("reconstruct", begun)
+        done("train", begun)
         yardstick = Yardstick.of(grid)
         surface = visible_surface(mesh, views, yardstick.ray_spacing_m, samples=SAMPLES)
         scores = point_metrics(run.points, surface.triangles, surface.samples, yardstick)
