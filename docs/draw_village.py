@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from village import village
 
 from sarsplat import Dataset, DatasetEntry, ImageGrid, View, reconstruct
-from sarsplat.colours import ERROR, colormap
+from sarsplat.colours import ERROR, POWER, colormap
 from sarsplat.evaluation import Yardstick, visible_surface
 from sarsplat.scenes.simulate import simulate_images
 
@@ -51,7 +51,7 @@ def main() -> None:
     surface = visible_surface(mesh, views, Yardstick.of(grid).ray_spacing_m, samples=2 * SHOWN).samples
     points = np.random.default_rng(0).permutation(run.points)[:SHOWN]
     figure, axes = plt.subplots(1, 2, figsize=(15, 5.6), layout="constrained")
-    show(axes[0], surface[:SHOWN], surface[:SHOWN, 2], cmap="gray")
+    show(axes[0], surface[:SHOWN], surface[:SHOWN, 2], cmap=colormap(POWER))
     distance = KDTree(surface).query(points, workers=-1)[0]
     dots = show(axes[1], points, distance, cmap=colormap(ERROR), vmin=0, vmax=FARTHEST_M)
     axes[0].set_title("the surface that the radar sees")
