@@ -28,6 +28,8 @@ _SPAN = (0.1, 0.995)  # of all that is seen: black and white; a glint must not d
 _DARKEST = 0.08  # of a shade: what is dark stays visible before a black background
 _BELOW = 0.03  # weight of the mirror image below the horizon
 _DEGREE = 3
+_SAMPLE = 20_000  # Gaussians that tell the span of what is seen
+_AT_ONCE = 4096  # Gaussians
 
 
 @dataclass(frozen=True)
@@ -52,23 +54,30 @@ def viewer_colours(gaussians: Gaussians, colour: Colour = "db") -> ViewerColours
         constant[:, :, 0] = (mean - 0.5) / CONSTANTS[0]
         return _rounded(constant, mean, f"colours: height, blue = {low:.3g} m, yellow = {high:.3g} m")
     directions = _hemisphere()
-    with torch.no_grad():
-        gamma0 = gaussians.detach().to("cpu").to(torch.float64).gamma0(torch.from_numpy(directions)).numpy()
-    level_db = to_db(gamma0)  # [V, N]
-    low, high = _span(level_db, np.broadcast_to(_weight(gaussians), level_db.shape))
-    shade = np.interp(level_db, (low, high), (_DARKEST, 1.0))
+    some = gaussians[:: math.ceil(len(gaussians) / _SAMPLE) or 1]
+    level_db = _level_db(some, directions)
+    low, high = _span(level_db, np.broadcast_to(_weight(some), level_db.shape))
     above, below = (harmonic_basis(torch.from_numpy(u), _DEGREE).numpy() for u in (directions, directions * (1, 1, -1)))
     moments = above.T @ above + _BELOW * below.T @ below
-    wanted = (above + _BELOW * below).T @ (shade - 0.5)  # ½ is what viewers add
-    grey = np.linalg.solve(moments, wanted).T
+    grey, mean = np.empty((len(gaussians), len(moments))), np.empty(len(gaussians))
+    for first in range(0, len(gaussians), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        shade = np.interp(_level_db(gaussians[part], directions), (low, high), (_DARKEST, 1.0))
+        wanted = (above + _BELOW * below).T @ (shade - 0.5)  # ½ is what viewers add
+        grey[part], mean[part] = np.linalg.solve(moments, wanted).T, shade.mean(axis=0)
     grey[:, ODD] *= -1  # the direction from the camera is opposite to that to the radar
-    mean = shade.mean(axis=0)
     black = low - _DARKEST / (1 - _DARKEST) * (high - low)
     return _rounded(
         np.repeat(grey[:, None], 3, axis=1),
         np.repeat(mean[:, None], 3, axis=1),
         f"colours: gamma0 in dB, black = {black:.3g} dB, white = {high:.3g} dB",
     )
+
+
+def _level_db(gaussians: Gaussians, directions: Float64[np.ndarray, "v 3"]) -> Float64[np.ndarray, "v n"]:
+    """γ⁰ towards these directions, dB."""
+    with torch.no_grad():
+        return to_db(gaussians.detach().to("cpu").to(torch.float64).gamma0(torch.from_numpy(directions)).numpy())
 
 
 def _rounded(harmonics: Float64[np.ndarray, "n 3 16"], mean: Float64[np.ndarray, "n 3"], legend: str) -> ViewerColours:
