@@ -218,10 +218,16 @@ def test_what_is_no_surface_is_an_empty_mesh_and_no_file(ball: Ball, tmp_path: P
     assert list(tmp_path.iterdir()) == []
 
 
-def test_strays_too_far_for_a_mesh_are_told(ball: Ball) -> None:
-    far = np.concatenate([ball.points, [[1e5, 1e5, 10.0]]])
-    with pytest.raises(SarsplatError, match=r"voxels of 0\.075 m, which is too many"):
-        surface_mesh(far, np.concatenate([ball.normals, [[0, 0, 1.0]]]), ball.seen, GRID.cell_m)
+def test_the_mesh_does_not_depend_on_its_bricks(ball: Ball, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor does a stray far away cost memory: only what is near points is looked at."""
+    far = np.concatenate([ball.points, [[1e5, 1e5, 10.0]]]), np.concatenate([ball.normals, [[0, 0, 1.0]]])
+    monkeypatch.setattr("sarsplat.reconstruction.mesh._BRICK", 11)
+    for points, normals in ((ball.points, ball.normals), far):
+        mesh = surface_mesh(points, normals, ball.seen, GRID.cell_m)
+        assert mesh.is_winding_consistent
+        assert mesh.euler_number == ball.mesh.euler_number  # no seam
+        assert mesh.area == pytest.approx(ball.mesh.area, rel=1e-5)
+        assert len(mesh.faces) == len(ball.mesh.faces)
 
 
 @pytest.mark.parametrize("missing", ["skimage", "trimesh"])

@@ -2,16 +2,19 @@
 
 After H. Hoppe et al., "Surface reconstruction from unorganized points", SIGGRAPH 1992: the distance of a place is that
 from the plane through the weighted mean of the points around it. Only what was seen has points, so the mesh is open
-where no view looked, as below a vehicle.
+where no view looked, as below a vehicle. The grid is cut into bricks, of which only those near points are looked at,
+one after the other: time grows with the surface, and memory hardly.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64, Real
+from jaxtyping import Float64, Int64, Real
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -34,7 +37,7 @@ _REACH = 0.2  # of the mesh from the nearest point
 _SMALLEST_PART = 0.01  # of the whole area: smaller ones float
 _NEIGHBOURS = 24  # points that count for a place
 _AT_ONCE = 50_000  # places
-_MOST_VOXELS = 1 << 28
+_BRICK = 128  # voxels along a side
 _DARKEST_DB = -30.0  # of the brightest vertex: black
 
 
@@ -62,7 +65,7 @@ def surface_mesh(
     Raises
     ------
     SarsplatError
-        If scikit-image or trimesh is missing, or the points span too many voxels.
+        If scikit-image or trimesh is missing.
     """
     try:
         import trimesh
@@ -73,13 +76,9 @@ def surface_mesh(
         ) from error
     vertices, faces, vertex_normals = np.empty((0, 3)), np.empty((0, 3), np.int64), None
     if len(points):
-        voxel, planes = _VOXEL * cell, _Planes.through(np.asarray(points, np.float64), normals, cell)
-        distance, near, corner = _signed_distances(planes, cell)
-        if distance[near].min() < 0:  # at the rim it is positive
-            vertices, faces, _, _ = marching_cubes(
-                distance, 0.0, spacing=(voxel, voxel, voxel), mask=near, allow_degenerate=False
-            )
-            vertices, faces = vertices + corner, faces.astype(np.int64)
+        planes = _Planes.through(np.asarray(points, np.float64), normals, cell)
+        vertices, faces = _zero_surface(planes, cell, marching_cubes)
+        if len(faces):
             faces = faces[(unbroken(planes.tree.query, vertices, workers=-1)[0] <= _REACH * cell)[faces].all(axis=1)]
             vertices, faces = _without_crumbs(vertices, faces)
             if len(faces):
@@ -114,39 +113,85 @@ class _Planes:
         """Signed distances of places from their planes, m, and the planes' unit normals."""
         distance, normal = np.empty(len(places)), np.empty((len(places), 3))
         count = np.arange(1, min(_NEIGHBOURS, len(self.points)) + 1)
-        with stage("surface: mesh", len(places)) as shown:
-            for first in range(0, len(places), _AT_ONCE):
-                part = slice(first, first + _AT_ONCE)
-                apart, index = unbroken(self.tree.query, places[part], k=count, workers=-1)
-                weight = np.exp(-0.5 * (apart**2 - apart[:, :1] ** 2) / self.smoothing_m**2)[:, :, None]
-                offset = places[part] - (weight * self.points[index]).sum(1) / weight.sum(1)
-                mean = (weight * self.normals[index]).sum(1)
-                length = np.linalg.norm(mean, axis=1, keepdims=True)
-                mean /= np.maximum(length, 1e-12)  # normals on both sides of a sheet may cancel
-                distance[part], normal[part] = np.einsum("pc,pc->p", offset, mean), mean
-                shown.advance(len(apart))
+        for first in range(0, len(places), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            apart, index = unbroken(self.tree.query, places[part], k=count, workers=-1)
+            weight = np.exp(-0.5 * (apart**2 - apart[:, :1] ** 2) / self.smoothing_m**2)[:, :, None]
+            offset = places[part] - (weight * self.points[index]).sum(1) / weight.sum(1)
+            mean = (weight * self.normals[index]).sum(1)
+            length = np.linalg.norm(mean, axis=1, keepdims=True)
+            mean /= np.maximum(length, 1e-12)  # normals on both sides of a sheet may cancel
+            distance[part], normal[part] = np.einsum("pc,pc->p", offset, mean), mean
         return distance, normal
 
 
-def _signed_distances(
-    planes: _Planes, cell: float
-) -> tuple[Float64[np.ndarray, "x y z"], Bool[np.ndarray, "x y z"], Float64[np.ndarray, " 3"]]:
-    """Signed distance from the surface, m, positive outside; where it is known; and the place of the first voxel."""
-    voxel, points = _VOXEL * cell, planes.points
+def _zero_surface(
+    planes: _Planes, cell: float, marching_cubes: Callable[..., tuple[np.ndarray, ...]]
+) -> tuple[Float64[np.ndarray, "v 3"], Int64[np.ndarray, "f 3"]]:
+    """Vertices, m, and faces where the signed distance, positive outside, changes its sign near points."""
+    voxel = _VOXEL * cell
     band = _REACH * cell + 2 * voxel  # beyond what is kept: cubes at its rim are whole
-    corner = points.min(axis=0) - band
-    shape = np.ceil((points.max(axis=0) + band - corner) / voxel).astype(np.int64) + 1
-    if shape.prod() > _MOST_VOXELS:
-        raise SarsplatError(
-            f"the points span {' × '.join(map(str, shape))} voxels of {voxel:.3g} m, which is too many for a mesh; "
-            "leave out strays with `sarsplat reconstruct … --resume --points.cluster-radius 2`, or use the points"
-        )
-    empty = np.ones(shape, dtype=bool)
-    empty[tuple(np.rint((points - corner) / voxel).astype(np.int64).T)] = False
-    near = distance_transform_edt(empty, sampling=voxel) <= band
-    distance = np.full(shape, cell)
-    distance[near], _ = planes.at(np.argwhere(near) * voxel + corner)
-    return distance, near, corner
+    corner = planes.points.min(axis=0) - band
+    occupied = np.unique(np.rint((planes.points - corner) / voxel).astype(np.int64), axis=0)
+    margin = int(band / voxel) + 1  # cubes begin one before what is near, or end one behind
+    bricks = _bricks(occupied, margin)
+    vertices, faces, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
+    with stage("surface: mesh", len(bricks)) as shown:
+        for brick, near_by in bricks:
+            first, last = near_by.min(axis=0), near_by.max(axis=0)
+            low, high = np.maximum(brick, first - margin), np.minimum(brick + _BRICK, last + margin)
+            start, end = np.minimum(low, first), np.maximum(high, last)
+            empty = np.ones(end - start + 1, dtype=bool)
+            empty[tuple((near_by - start).T)] = False
+            inside = tuple(slice(begin, begin + size) for begin, size in zip(low - start, high - low + 1, strict=True))
+            near = (distance_transform_edt(empty, sampling=voxel) <= band)[inside]
+            distance = np.full(near.shape, cell)
+            distance[near], _ = planes.at((np.argwhere(near) + low) * voxel + corner)
+            shown.advance(1)
+            if not distance.min() < 0 < distance.max():
+                continue
+            try:
+                some, triangles, _, _ = marching_cubes(distance, 0.0, mask=near, allow_degenerate=False)
+            except RuntimeError:  # no cube whose corners are all near has the surface in it
+                continue
+            vertices.append(some + low.astype(np.float64))
+            faces.append(triangles.astype(np.int64) + count)
+            count += len(some)
+    joined, owner = _welded(np.concatenate(vertices))
+    return joined * voxel + corner, owner[np.concatenate(faces)]
+
+
+def _bricks(
+    occupied: Int64[np.ndarray, "o 3"], margin: int
+) -> list[tuple[Int64[np.ndarray, " 3"], Int64[np.ndarray, "n 3"]]]:
+    """First voxels of the bricks near occupied voxels, and those that reach into each: at most `margin` from it."""
+    members: dict[tuple[int, ...], list[Int64[np.ndarray, "n 3"]]] = {}
+    first, last = (occupied - margin) // _BRICK, (occupied + margin) // _BRICK
+    for step in product((0, 1), repeat=3):  # margins are shorter than bricks
+        brick = first + np.array(step)
+        reached = (brick <= last).all(axis=1)
+        if not reached.any():
+            continue
+        keys, owner = np.unique(brick[reached], axis=0, return_inverse=True)
+        order, ends = np.argsort(owner.ravel(), kind="stable"), np.cumsum(np.bincount(owner.ravel()))
+        for key, part in zip(keys.tolist(), np.split(occupied[reached][order], ends[:-1]), strict=True):
+            members.setdefault(tuple(key), []).append(part)
+    return [(_BRICK * np.array(key), np.concatenate(parts)) for key, parts in sorted(members.items())]
+
+
+def _welded(
+    vertices: Float64[np.ndarray, "v 3"],
+) -> tuple[Float64[np.ndarray, "w 3"], Int64[np.ndarray, " v"]]:
+    """Vertices, in voxels, without the doubles where bricks touch, and which of them each one is.
+
+    An edge between two voxels has one vertex at most, whose place on it is a rounding apart in both bricks.
+    """
+    on_face = (vertices % _BRICK == 0).any(axis=1)
+    edges = np.floor(vertices[on_face]) + np.ceil(vertices[on_face])
+    _, first, same = np.unique(edges, axis=0, return_index=True, return_inverse=True)
+    owner = np.empty(len(vertices), np.int64)
+    owner[on_face], owner[~on_face] = same.ravel(), len(first) + np.arange((~on_face).sum())
+    return np.concatenate([vertices[on_face][first], vertices[~on_face]]), owner
 
 
 def _without_crumbs(
