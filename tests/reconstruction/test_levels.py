@@ -64,13 +64,15 @@ def test_the_first_images_are_as_coarse_as_the_target_is_large(side_m: float, co
     assert made.factor(99) == 1
 
 
-def test_levels_follow_each_other_and_the_last_has_a_quarter_of_the_time() -> None:
+def test_levels_follow_each_other_and_the_last_has_the_least_time() -> None:
     made = levels(100.0, coarsest=4)
     factors = [made.factor(k) for k in range(100)]
     assert factors == sorted(factors, reverse=True)
-    assert [factors.count(f) for f in (4, 2, 1)] == [38, 37, 25]
-    assert [k for k in range(100) if made.grows(k)] == [38, 56, 75]
+    assert [factors.count(f) for f in (4, 2, 1)] == [43, 42, 15]
+    assert [k for k in range(100) if made.grows(k)] == [43, 64, 85]
     assert not any(levels(7.0).grows(k) for k in range(100))
+    assert [k for k in range(100) if made.fine(k, 0.6)] == list(range(94, 100))  # of the last ones alone
+    assert [k for k in range(100) if levels(7.0).fine(k, 0.6)] == list(range(60, 100))
     assert levels(100.0, iterations=1).factor(0) == 8  # however short
 
 
@@ -101,9 +103,9 @@ def test_a_training_looks_at_finer_images_and_splits_what_they_ask_for(scene: Da
         trainer.step()
         seen.append((trainer.images.grid.rows, len(trainer.model)))
     rows, counts = zip(*seen, strict=True)
-    assert rows == (45,) * 9 + (90,) * 3  # 42 m are not enough for 4
-    assert set(counts[:9]) == {300}
-    assert 300 < counts[9] < 600
+    assert rows == (45,) * 11 + (90,) * 1  # 42 m are not enough for 4
+    assert set(counts[:11]) == {300}
+    assert 300 < counts[11] < 600
     assert largest == pytest.approx(0.27 * GRID.multilooked(2).cell_m)
     assert trainer.grid == GRID
     assert float(trainer.gaussians.scales.max()) <= 0.83 * GRID.cell_m * (1 + 1e-6)

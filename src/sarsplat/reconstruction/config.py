@@ -353,7 +353,7 @@ class Config(AnyConfig):
     fine_rays_per_pixel : float
         The same towards the end …
     fine_from : float
-        … from this share of the iterations on, as far as the images themselves are looked at.
+        … from this share on of the iterations that look at the images themselves.
     rates : Rates
         Learning rates.
     points : PointExtraction

@@ -18,7 +18,7 @@ from sarsplat.reconstruction.setting import Setting
 _ACROSS = 20
 """Resolution cells across the target, at least, in multilooked images: in fewer, its parts are not told apart."""
 
-_UNTIL = 0.75
+_UNTIL = 0.85
 """Share of the iterations after which the images themselves are looked at; coarser levels share the time before."""
 
 
@@ -55,6 +55,11 @@ class Levels:
         """First iteration of each level."""
         count = self.coarsest.bit_length() - 1
         return [0, *(math.ceil(_UNTIL * self.iterations * k / count) for k in range(1, count + 1))]
+
+    def fine(self, iteration: int, share: float) -> bool:
+        """Whether this share of the iterations that look at the images themselves has passed."""
+        begin = self._begins[-1]
+        return iteration >= begin + share * (self.iterations - begin)
 
     def factor(self, iteration: int) -> int:
         """The level of an iteration, the first being 0."""

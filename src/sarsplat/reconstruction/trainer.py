@@ -128,10 +128,12 @@ class Trainer:
         self.terms = {name: term.detach() for name, term in terms.items()}
         self._each_strategy("step_pre_backward", step, chosen, rendering)
         sum(terms.values(), loss).backward()
+        loss, rendering = loss.detach(), _done(rendering)
+        del images
         self.optimiser.step(self.iteration)
         self.iteration += 1
         self._each_strategy("step_post_backward", step, chosen, rendering)
-        return loss.detach()
+        return loss
 
     def _each_strategy(self, method: str, step: int, chosen: Sequence[int], rendering: Rendering) -> None:
         """Let all strategies act; what they remember of single Gaussians follows where others move rows."""
@@ -169,7 +171,7 @@ class Trainer:
     @property
     def _rays(self) -> RayGrid:
         config = self.config
-        fine = self.iteration >= config.fine_from * config.iterations and self.images.grid == self.grid
+        fine = self.model.levels.fine(self.iteration, config.fine_from)
         return RayGrid.for_image(self.images.grid, config.fine_rays_per_pixel if fine else config.rays_per_pixel)
 
     def check(self) -> None:
@@ -247,6 +249,14 @@ class Trainer:
 
 def _followed_in(source: Tensor, kept: Tensor, rows: Tensor) -> Tensor:
     return followed(rows.transpose(0, 1), source, kept).transpose(0, 1)
+
+
+def _done(rendering: Rendering) -> Rendering:
+    """What was rendered, without what the backward pass needed: strategies render anew, and need that memory."""
+    lit = None if rendering.lit_ground is None else rendering.lit_ground.detach()
+    return replace(
+        rendering, images=rendering.images.detach(), cross_sections=rendering.cross_sections.detach(), lit_ground=lit
+    )
 
 
 @torch.no_grad()
