@@ -62,8 +62,8 @@ def _plain(program: str, box: str) -> str:
     if wrong := re.match(r"Error parsing (\S+): .*(?:arguments:?|instantiated from) \[(.*?)\]( into|\.|$| )", text):
         given = re.findall(r"'(.*?)'", wrong[2])
         counts = sorted({len(form.split()) for form in re.findall(r"\{(FLOAT(?: FLOAT)*)\}", text)})
-        if counts and (others := [word for word in given if not _is_number(word)]):
-            return f"{wrong[1]} {others[0]!r} is not a number; {see}"
+        if counts and (words := [word for word in given if not _is_number(word)]):
+            return f"{wrong[1]} {words[0]!r} is not a number; {see}"
         if counts:
             return f"{wrong[1]} takes {' or '.join(map(str, counts))} numbers, not {len(given)}; {see}"
         return f"{wrong[1]} does not accept {wrong[2]}; {see}"
