@@ -8,6 +8,7 @@ one after the other: time grows with the surface, and memory hardly.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
@@ -29,14 +30,17 @@ from sarsplat.unbroken import unbroken
 if TYPE_CHECKING:
     import trimesh
 
-# Lengths, resolution cells.
+# Lengths in units: resolution cells, or more where points are so far apart that smaller ones would fall between them.
+_SPACINGS = 7.5  # of the points, in a unit at least: nothing is farther from the next one than the mesh reaches
 _VOXEL = 0.25
 _SMOOTHING = 0.25  # standard deviation of the points' weights
 _REACH = 0.2  # of the mesh from the nearest point
 
-_SMALLEST_PART = 0.01  # of the whole area: smaller ones float
+# A part that is smaller, of the whole area and in square units, floats.
+_SMALLEST_PART, _SMALLEST_UNITS = 0.01, 12.0
 _NEIGHBOURS = 24  # points that count for a place
 _AT_ONCE = 50_000  # places
+_ASKED = 10_000  # points, at most, how far the next one is
 _BRICK = 128  # voxels along a side
 _DARKEST_DB = -30.0  # of the brightest vertex: black
 
@@ -53,14 +57,15 @@ def surface_mesh(
     seen : Seen
         Gives the γ⁰ of the vertices.
     cell : float
-        Side of a resolution cell, m: voxels are a quarter of it, and no vertex is farther than a fifth from a point.
+        Side of a resolution cell, m: voxels are a quarter of it, and no vertex is farther than a fifth from a point;
+        where points are sparse, of 7.5 times their spacing.
 
     Returns
     -------
     trimesh.Trimesh
         World frame, m; faces are counter-clockwise seen from outside. Vertices have the attribute `gamma0` (γ⁰, linear)
         and greys: decibels from 30 dB below the brightest vertex, black, to white. Parts of less than 1 % of the area
-        are left out. Without faces where the points make no surface.
+        and 12 squares of such sides are left out. Without faces where the points make no surface.
 
     Raises
     ------
@@ -77,10 +82,10 @@ def surface_mesh(
     vertices, faces, vertex_normals = np.empty((0, 3)), np.empty((0, 3), np.int64), None
     if len(points):
         planes = _Planes.through(np.asarray(points, np.float64), normals, cell)
-        vertices, faces = _zero_surface(planes, cell, marching_cubes)
+        vertices, faces = _zero_surface(planes, marching_cubes)
         if len(faces):
-            faces = faces[(unbroken(planes.tree.query, vertices, workers=-1)[0] <= _REACH * cell)[faces].all(axis=1)]
-            vertices, faces = _without_crumbs(vertices, faces)
+            near = unbroken(planes.tree.query, vertices, workers=-1)[0] <= _REACH * planes.unit_m
+            vertices, faces = _without_crumbs(vertices, faces[near[faces].all(axis=1)], planes.unit_m)
             if len(faces):
                 _, vertex_normals = planes.at(vertices)  # of many points: those of a voxel's few triangles jump
     gamma0, _ = seen.around(vertices)
@@ -102,12 +107,17 @@ class _Planes:
     points: Float64[np.ndarray, "p 3"]
     normals: Real[np.ndarray, "p 3"]
     tree: cKDTree
-    smoothing_m: float
+    unit_m: float
 
     @classmethod
     def through(cls, points: Float64[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], cell: float) -> _Planes:
         """Those of oriented points."""
-        return cls(points, normals, cKDTree(points), _SMOOTHING * cell)
+        tree = cKDTree(points)
+        spacing = 0.0
+        if len(points) > 1:
+            some = points[:: math.ceil(len(points) / _ASKED)]
+            spacing = float(np.median(tree.query(some, k=[2], workers=-1)[0]))
+        return cls(points, normals, tree, max(cell, _SPACINGS * spacing))
 
     def at(self, places: Real[np.ndarray, "q 3"]) -> tuple[Float64[np.ndarray, " q"], Float64[np.ndarray, "q 3"]]:
         """Signed distances of places from their planes, m, and the planes' unit normals."""
@@ -116,7 +126,7 @@ class _Planes:
         for first in range(0, len(places), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
             apart, index = unbroken(self.tree.query, places[part], k=count, workers=-1)
-            weight = np.exp(-0.5 * (apart**2 - apart[:, :1] ** 2) / self.smoothing_m**2)[:, :, None]
+            weight = np.exp(-0.5 * (apart**2 - apart[:, :1] ** 2) / (_SMOOTHING * self.unit_m) ** 2)[:, :, None]
             offset = places[part] - (weight * self.points[index]).sum(1) / weight.sum(1)
             mean = (weight * self.normals[index]).sum(1)
             length = np.linalg.norm(mean, axis=1, keepdims=True)
@@ -126,11 +136,12 @@ class _Planes:
 
 
 def _zero_surface(
-    planes: _Planes, cell: float, marching_cubes: Callable[..., tuple[np.ndarray, ...]]
+    planes: _Planes, marching_cubes: Callable[..., tuple[np.ndarray, ...]]
 ) -> tuple[Float64[np.ndarray, "v 3"], Int64[np.ndarray, "f 3"]]:
     """Vertices, m, and faces where the signed distance, positive outside, changes its sign near points."""
-    voxel = _VOXEL * cell
-    band = _REACH * cell + 2 * voxel  # beyond what is kept: cubes at its rim are whole
+    unit = planes.unit_m
+    voxel = _VOXEL * unit
+    band = _REACH * unit + 2 * voxel  # beyond what is kept: cubes at its rim are whole
     corner = planes.points.min(axis=0) - band
     occupied = np.unique(np.rint((planes.points - corner) / voxel).astype(np.int64), axis=0)
     margin = int(band / voxel) + 1  # cubes begin one before what is near, or end one behind
@@ -145,7 +156,7 @@ def _zero_surface(
             empty[tuple((near_by - start).T)] = False
             inside = tuple(slice(begin, begin + size) for begin, size in zip(low - start, high - low + 1, strict=True))
             near = (distance_transform_edt(empty, sampling=voxel) <= band)[inside]
-            distance = np.full(near.shape, cell)
+            distance = np.full(near.shape, unit)
             distance[near], _ = planes.at((np.argwhere(near) + low) * voxel + corner)
             shown.advance(1)
             if not distance.min() < 0 < distance.max():
@@ -195,7 +206,7 @@ def _welded(
 
 
 def _without_crumbs(
-    vertices: Real[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3"]
+    vertices: Real[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3"], unit_m: float
 ) -> tuple[Real[np.ndarray, "w 3"], Int64[np.ndarray, "g 3"]]:
     """Connected parts that are not small against the whole, and only the vertices they need."""
     ends = np.concatenate([faces[:, :2], faces[:, 1:]])
@@ -203,6 +214,6 @@ def _without_crumbs(
     part = connected_components(links, directed=False)[1][faces[:, 0]]
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     area = np.bincount(part, np.linalg.norm(np.cross(b - a, c - a), axis=1))
-    faces = faces[area[part] >= _SMALLEST_PART * area.sum()]
+    faces = faces[area[part] >= min(_SMALLEST_PART * area.sum(), _SMALLEST_UNITS * unit_m**2)]
     used, faces = np.unique(faces, return_inverse=True)
     return vertices[used], faces.reshape(-1, 3)
