@@ -9,7 +9,8 @@ import warnings
 from typing import TextIO
 
 from sarsplat.cli import console, extras
-from sarsplat.errors import AssumptionWarning, SarsplatError, SarsplatWarning
+from sarsplat.cli.follower import ABANDONED
+from sarsplat.errors import Abandoned, AssumptionWarning, SarsplatError, SarsplatWarning
 
 _MISUSED = 2
 _READER_LEFT = 141  # as shells have it
@@ -43,7 +44,7 @@ def run(words: list[str]) -> int:
         except SarsplatError as error:
             text = str(error).replace("overwrite=True", "--overwrite").replace("resume=True", "--resume")
             console.complain(text)  # as it is called here
-            return _MISUSED
+            return ABANDONED if isinstance(error, Abandoned) else _MISUSED
         except ModuleNotFoundError as error:
             extra = extras.extra_with(error.name or "")
             if extra is None:
