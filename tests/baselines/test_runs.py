@@ -106,6 +106,7 @@ def test_its_run_is_rendered_scored_and_shown(method, tmp_path, run_of):
     assert {"nx", "ny", "nz"} <= set(columns)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "quick", "most", "most_m"),
     [

@@ -162,7 +162,7 @@ def _train_and_score(cell: Cell, folder: Path, row: Row) -> None:
 
 def scores_in(metrics: Mapping[str, Any]) -> dict[str, float]:
     """The scores of a `metrics.json` by dotted key, without those that are None."""
-    kept = {name: metrics[name] for name in ("images", "points", "mesh", "time_s")}
+    kept = {name: metrics[name] for name in ("images", "points", "mesh", "baselines", "time_s")}
     return {name: value for name, value in _flat(kept) if value is not None}
 
 
