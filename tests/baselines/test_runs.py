@@ -34,7 +34,8 @@ def quick() -> Iterator[None]:
 def short(method: str):
     settings = METHODS[method].defaults
     coarse = {"surface_voxels": 24} if hasattr(settings, "surface_voxels") else {}
-    return replace(settings, iterations=SHORT[method], checkpoint_every=max(1, SHORT[method] // 3), **coarse)
+    few = {"rays": 4} if hasattr(settings, "rays") else {}
+    return replace(settings, iterations=SHORT[method], checkpoint_every=max(1, SHORT[method] // 3), **coarse, **few)
 
 
 def trained(method: str, dataset: Dataset, out: Path | None = None, **options) -> Run:

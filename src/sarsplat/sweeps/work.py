@@ -113,7 +113,7 @@ def do(cell: Cell, out: Path, again: bool = False) -> Row | None:
                 traceback.print_exc()
                 row.state, row.reason, row.passing = "failed", f"{type(error).__name__}: {error}", True
         row.warnings = [str(one.message) for one in caught if issubclass(one.category, SarsplatWarning)]
-        row.took_s = round(time.monotonic() - begun, 1)
+        row.took_s = round(time.monotonic() - begun, 3)
         write_json(row_path(cell, out), row)
         return row
 
