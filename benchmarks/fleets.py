@@ -1,15 +1,19 @@
 """What a sweep costs beside its runs: with local processes, and on a Ray cluster of two nodes on this machine.
 
-`python benchmarks/fleets.py` writes benchmarks/results/fleets.json. It needs the extra `ray` and an idle machine.
+`python benchmarks/fleets.py [local] [ray]` writes benchmarks/results/fleets.json. It needs the extra `ray` and an idle
+machine.
 """
 
 from __future__ import annotations
 
+import json
 import os
+import statistics
+import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,9 +27,9 @@ from sarsplat.sweeps import Means
 PROCESSES = 2
 TINY = {"iterations": 5, "gaussians": 50, "points.voxel": 0.5, "points.rays_per_pixel": 2}
 FEW = {"azimuth": ("0:360:60",), "grazing": ("45",), "test_azimuth": ("45",), "test_grazing": ("45",)}
-KINDS: dict[str, tuple[dict[str, Any], dict[str, Any], tuple[int, int]]] = {
-    "tiny": ({"pixels": (32,), "spacing": (0.6,), **FEW}, TINY, (4, 24)),
-    "t72": ({}, {}, (2, 6)),
+KINDS: dict[str, tuple[dict[str, Any], dict[str, Any], tuple[int, ...]]] = {
+    "tiny": ({"pixels": (32,), "spacing": (0.6,), **FEW}, TINY, (4, 20)),
+    "t72": ({}, {}, (2,)),
 }
 """Options of a simulation, settings, and how many runs: two counts tell what each costs and what beginning does."""
 
@@ -46,45 +50,51 @@ def cluster() -> Iterator[Any]:
         made.shutdown()
 
 
-def measured(kind: str, executor: str, means: Means, folder: Path) -> dict[str, Any]:
-    """Seconds to begin, and for each run: what it computes, and what the sweep adds."""
-    _, settings, counts = KINDS[kind]
-    seconds, took = [], []
-    for count in counts:
-        plan = {"datasets": [str(folder / kind)], "preset": "quick", "settings": settings, "reports": False}
-        begun = time.monotonic()
-        out = folder / f"{kind}-{executor}-{count}"
-        found = sweep(plan | {"seeds": list(range(count))}, out, executor=executor, means=means, quiet=True)
-        seconds.append(time.monotonic() - begun)
-        took += [one.row.took_s for one in found.results if one.row is not None and one.finished]
-    a_run = (seconds[1] - seconds[0]) / (counts[1] - counts[0])
-    computed = sum(took) / len(took)
-    assert len(took) == sum(counts), [one.reason for one in found.failed]
-    return {
-        "kind": kind,
-        "executor": executor,
-        "runs": list(counts),
-        "seconds": seconds,
-        "run_s": computed,
-        "overhead_s": a_run * PROCESSES - computed,
-        "begin_s": seconds[0] - a_run * counts[0],
+def timed(kind: str, count: int, executor: str, means: Means, folder: Path) -> tuple[float, float]:
+    """Seconds of a sweep, and those that one of its runs computes: the first of a process also imports."""
+    plan = {"datasets": [str(folder / kind)], "preset": "quick", "settings": KINDS[kind][1], "reports": False}
+    begun, out = time.monotonic(), folder / f"{kind}-{executor}-{count}"
+    found = sweep(plan | {"seeds": list(range(count))}, out, executor=executor, means=means, quiet=True)
+    assert not found.failed, [one.reason for one in found.failed]
+    seconds = time.monotonic() - begun
+    return seconds, statistics.median(one.row.took_s for one in found.results if one.row is not None)
+
+
+def measured(executor: str, means: Means, folder: Path) -> list[dict[str, Any]]:
+    """Seconds that beginning takes, that a run of each kind computes, and that the sweep adds to it."""
+    (few, many), rows = KINDS["tiny"][2], []
+    found = {
+        (kind, count): timed(kind, count, executor, means, folder)
+        for kind, (*_, counts) in KINDS.items()
+        for count in counts
     }
+    some, more = found["tiny", few][0], found["tiny", many][0]
+    begin_s = some - (more - some) / (many - few) * few
+    for kind, (*_, counts) in KINDS.items():
+        count = counts[-1]
+        seconds, run_s = found[kind, count]
+        added_s = (seconds - begin_s) * PROCESSES / count - run_s
+        rows.append({"kind": kind, "executor": executor, "runs": count, "run_s": run_s, "overhead_s": added_s})
+    return [{**row, "begin_s": begin_s} for row in rows]
 
 
-def main() -> None:
-    """Measure all and write it."""
+def main(executors: Sequence[str]) -> None:
+    """Measure by these executors, and add it to what is known of others."""
+    path = RESULTS / "fleets.json"
     made: dict[str, Any] = {"machine": machine(), "processes": PROCESSES, "rows": []}
-    with tempfile.TemporaryDirectory() as place:
+    if path.exists():
+        made["rows"] = [row for row in json.loads(path.read_text())["rows"] if row["executor"] not in executors]
+    with tempfile.TemporaryDirectory() as place, ExitStack() as stack:
         folder = Path(place)
         for kind, (options, *_) in KINDS.items():
             simulate(target="t72", out=folder / "made" / kind, **options)
             made_of = read_dataset(folder / "made" / kind)  # scoring a surface would take longer than all else
             write_dataset(folder / kind, made_of if kind == "t72" else replace(made_of, truth_mesh=None))
-        made["rows"] += [measured(kind, "local", Means(PROCESSES), folder) for kind in KINDS]
-        with cluster() as nodes:
-            made["rows"] += [measured(kind, "ray", Means(address=nodes.address), folder) for kind in KINDS]
-    save(RESULTS / "fleets.json", made)
+        for executor in executors:
+            address = stack.enter_context(cluster()).address if executor == "ray" else "auto"
+            made["rows"] += measured(executor, Means(PROCESSES, address), folder)
+    save(path, made)
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:] or ("local", "ray"))

@@ -20,7 +20,7 @@ def run(words: list[str]) -> int:
     """Do what the words after the program's name ask for; the exit code is 0, or 2 after a mistake in the input.
 
     `sarsplat check` and `sarsplat import` end with 1 if images contradict what is said of them, `sarsplat sweep` if
-    a run has failed.
+    a run has failed, and with 75 if another process of the same training has ended.
     """
     # before torch is loaded: threads that spin while they wait cost tens of milliseconds a step on a shared machine
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
