@@ -96,6 +96,7 @@ def test_python_of_a_page_runs_from_top_to_bottom(page, bench, threads, monkeypa
         exec(compile("\n".join(blocks(page, "python")), str(page), "exec"), vars(module))
 
 
+@pytest.mark.slow
 def test_own_arrays(tmp_path):
     printed = run_python(str(ROOT / "examples" / "own_arrays.py"), folder=tmp_path)
     count, height = re.findall(r"(\d+) points; heights up to ([\d.]+) m", printed)[0]
@@ -110,6 +111,7 @@ def test_own_loss(tmp_path):
     assert own < preset_s
 
 
+@pytest.mark.slow
 def test_watch_training(tmp_path):
     printed = run_python(str(ROOT / "examples" / "watch_training.py"), folder=tmp_path)
     losses = [float(value) for value in re.findall(r"loss ([\d.]+)", printed)]

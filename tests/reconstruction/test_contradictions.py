@@ -104,9 +104,10 @@ def imported(dataset: Dataset, layout: Layout, seen: Layout) -> Dataset:
 
 
 LAYOUTS = [Layout(*options) for options in itertools.product(SIDES, (False, True), (False, True))]
+HALF = LAYOUTS[::4] + LAYOUTS[3::4]  # each side, with and without both of the other two
 
 
-@pytest.mark.parametrize("seen", LAYOUTS, ids=str)
+@pytest.mark.parametrize("seen", HALF, ids=str)
 def test_every_orientation_is_recovered(bare: Dataset, grounded: Dataset, seen: Layout) -> None:
     """Images, azimuths or both lie otherwise than an import was told: it names the options that were right."""
     right = Layout(seen.near, False, seen.counter_clockwise ^ seen.mirrored)  # the same, but for a mirrored target
