@@ -81,8 +81,10 @@ def targets_line(fleets: dict[str, Any]) -> str:
     )
 
 
-def section(scenes: dict[str, Any], tiles: dict[str, Any], fleets: dict[str, Any], exponents: dict[str, float]) -> str:
-    """Tables and projections, as Markdown."""
+def section(
+    scenes: dict[str, Any], tiles: dict[str, Any], fleets: dict[str, Any] | None, exponents: dict[str, float]
+) -> str:
+    """Tables and projections, as Markdown; fleets are None until they are measured."""
     rows = scenes["rows"]
     last, largest, machine = rows[-1], tiles["rows"][-1], scenes["machine"]
     lines = [
@@ -108,9 +110,9 @@ def section(scenes: dict[str, Any], tiles: dict[str, Any], fleets: dict[str, Any
         "",
         f"Exponents of time against the side, over the three largest sizes (2 is linear in area): {named}.",
         "",
-        *fleet_lines(fleets),
-        "",
     ]
+    if fleets is not None:
+        lines += [*fleet_lines(fleets), ""]
 
     km2 = (last["side"] * PIXEL_M * 1e-3) ** 2
     seconds, pixels = last["parts"]["train"]["seconds"] * machine["cores"], SCENE_KM2 * 1e6 / PIXEL_M**2
@@ -123,7 +125,7 @@ def section(scenes: dict[str, Any], tiles: dict[str, Any], fleets: dict[str, Any
         f"- **The same, trained on {VIEWS} views with `quick`, without points**: {seconds:.3g} core seconds for "
         f"{km2:.2g} km², so {scene_h:,.0f} core hours if all of it were built up like the village, or "
         f"{scene_h / 1000:.2g} h on 1,000 cores. It would have to go by tiles, which reconstruction cannot do yet.",
-        targets_line(fleets),
+        *([] if fleets is None else [targets_line(fleets)]),
         "",
     ]
     return "\n".join(lines)
@@ -131,7 +133,7 @@ def section(scenes: dict[str, Any], tiles: dict[str, Any], fleets: dict[str, Any
 
 if __name__ == "__main__":
     scenes, tiles, fleets = (
-        json.loads((RESULTS / name).read_text(encoding="utf-8"))
+        json.loads(path.read_text(encoding="utf-8")) if (path := RESULTS / name).exists() else None
         for name in ("scenes-quick.json", "tiles.json", "fleets.json")
     )
     fill_block(PAGE, "scaling", section(scenes, tiles, fleets, draw(scenes["rows"], tiles["rows"])))
