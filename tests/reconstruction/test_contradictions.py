@@ -104,7 +104,8 @@ def imported(dataset: Dataset, layout: Layout, seen: Layout) -> Dataset:
 
 
 LAYOUTS = [Layout(*options) for options in itertools.product(SIDES, (False, True), (False, True))]
-HALF = LAYOUTS[::4] + LAYOUTS[3::4]  # each side, with and without both of the other two
+HALF = [LAYOUTS[4 * side + (side + k) % 4] for side in range(4) for k in (0, 1)]
+"""Two of each side, and each combination of the others twice."""
 
 
 @pytest.mark.parametrize("seen", HALF, ids=str)
