@@ -2,10 +2,9 @@
 # make test    the test suite without the slow tests; make test-slow runs those
 # make figures pictures with their tables: buildings, vehicles, splatting against ray casting, reconstructions, a village
 # make bench   speed and memory beside plain PyTorch and beside the arithmetic alone; fills docs/performance.md (3 minutes)
-# make tables  every experiment, beside the paper's tables, to docs/results (hours; resumable); QUICK=1 tries it in
-#              minutes, ONLY="density loss" runs some
-# make baselines  our method beside SAR-NeRF and DSR, to docs/results/baselines.md (hours; resumable); QUICK=1 tries it
-#              in minutes; CHIPS, LABELS and MASKS are the folder of MSTAR chips, their table and the folder of their masks
+# make tables  every experiment, beside the paper's tables and other methods, to docs/results (hours; resumable);
+#              QUICK=1 tries it in minutes, ONLY="density loss" runs some; those with measured chips need CHIPS, LABELS and
+#              MASKS: the folder of MSTAR chips, their table and the folder of their masks
 # make fuzz    malformed files for every reader; make sanitize  the engine under ASan and UBSan (needs Debian's clang-19)
 # make wheels  a wheel for every platform in dist/ (four minutes the first time)
 # make check-wheel  their contents; this machine's wheel is installed into an empty environment and tested there
@@ -33,7 +32,7 @@ define step
 @set -o pipefail; printf '\n==> %s\n' "$(1)"; begun=$$SECONDS; $(2) && printf '    (%s s)\n' $$((SECONDS - begun))
 endef
 
-.PHONY: demo setup test test-slow figures bench tables baselines fuzz sanitize wheels check-wheel docs notebooks primer sweep lint readme clean
+.PHONY: demo setup test test-slow figures bench tables fuzz sanitize wheels check-wheel docs notebooks primer sweep lint readme clean
 
 demo: setup
 	$(call step,simulate: a T-72-like target by ray casting (24 training views and 48 test views),\
@@ -44,7 +43,7 @@ demo: setup
 	  $(BIN)/sarsplat evaluate $(DEMO)/run)
 
 test: setup
-	$(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
 
 test-slow: setup
 	$(BIN)/python -m pytest -m slow
@@ -82,11 +81,8 @@ bench: setup
 
 # Finished runs stay in runs/tables: end it at any time and start it again.
 tables: setup
-	$(BIN)/python experiments/tables.py $(if $(QUICK),--quick) $(if $(ONLY),--only $(ONLY))
-
-baselines: setup
-	$(BIN)/python experiments/baselines.py $(if $(QUICK),--quick) \
-	  $(if $(CHIPS),--chips $(CHIPS) --labels $(LABELS) --masks $(MASKS))
+	$(BIN)/python experiments/tables.py $(if $(QUICK),--quick) $(if $(ONLY),--only $(ONLY)) \
+	  $(if $(CHIPS),--chips $(CHIPS) --labels $(LABELS)) $(if $(MASKS),--masks $(MASKS))
 
 # Warnings are errors: links and anchors that lead nowhere among them.
 docs: notebooks

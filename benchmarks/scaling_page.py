@@ -1,6 +1,7 @@
-"""Fill docs/scaling.md and docs/images/scaling.png from benchmarks/results/scenes-quick.json and tiles.json.
+"""Fill docs/scaling.md and docs/images/scaling.png from scenes-quick.json, tiles.json and fleets.json.
 
-These are written by `python benchmarks/scenes.py quick` and `python benchmarks/tiles.py`, on an idle machine.
+These, in benchmarks/results, are written by `python benchmarks/scenes.py quick`, `python benchmarks/tiles.py` and
+`python benchmarks/fleets.py`, on an idle machine.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from fill_block import fill_block
 PAGE, PICTURE = REPOSITORY / "docs" / "scaling.md", REPOSITORY / "docs" / "images" / "scaling.png"
 COLOURS = {"simulate": "#4878a8", "train": "#c0392b", "render by tiles": "#7a9a3a"}
 VIEWS = 24
-SCENE_KM2, PIXEL_M = 1000.0, 0.3  # what is projected
+SCENE_KM2, PIXEL_M, TARGETS, CORES = 1000.0, 0.3, 100_000, 1000  # what is projected
 
 
 def slope(sides: list[int], values: list[float]) -> float:
@@ -50,8 +51,40 @@ def draw(scenes: list[dict[str, Any]], tiles: list[dict[str, Any]]) -> dict[str,
     return exponents
 
 
-def section(scenes: dict[str, Any], tiles: dict[str, Any], exponents: dict[str, float]) -> str:
-    """Tables and projections, as Markdown."""
+def fleet_lines(fleets: dict[str, Any]) -> list[str]:
+    """What a sweep adds to its runs, as Markdown."""
+    kinds = {"tiny": "32², 5 iterations", "t72": "T-72, 128², 24 views, `quick`, scored on 48"}
+    executors = {"local": "local processes", "ray": "Ray, two nodes"}
+    lines = [
+        f"Runs of [a sweep](how-to/sweep.md), {fleets['processes']} at a time, one thread each; load before: "
+        f"{fleets['machine']['load']:.1f}. What it adds to a run, and what beginning takes:",
+        "",
+        "| run | by | takes | added to it | to begin |",
+        "|---|---|---:|---:|---:|",
+    ]
+    return lines + [
+        f"| {kinds[row['kind']]} | {executors[row['executor']]} | {row['run_s']:.3g} s | {row['overhead_s']:.2g} s | "
+        f"{row['begin_s']:.2g} s |"
+        for row in fleets["rows"]
+    ]
+
+
+def targets_line(fleets: dict[str, Any]) -> str:
+    """What many targets take: time of a run and what is added to any, times their number."""
+    (run_s,) = [row["run_s"] for row in fleets["rows"] if (row["kind"], row["executor"]) == ("t72", "ray")]
+    (added_s,) = [row["overhead_s"] for row in fleets["rows"] if (row["kind"], row["executor"]) == ("tiny", "ray")]
+    hours = (run_s + added_s) * TARGETS / 3600
+    return (
+        f"- **{TARGETS:,} targets like the T-72, trained with `quick` and scored, on a Ray cluster**: ({run_s:.3g} + "
+        f"{added_s:.2g}) s × {TARGETS:,} = {hours:,.0f} core hours, or {hours / CORES:.2g} h on {CORES:,} cores, if "
+        "their images can be read as fast."
+    )
+
+
+def section(
+    scenes: dict[str, Any], tiles: dict[str, Any], fleets: dict[str, Any] | None, exponents: dict[str, float]
+) -> str:
+    """Tables and projections, as Markdown; fleets are None until they are measured."""
     rows = scenes["rows"]
     last, largest, machine = rows[-1], tiles["rows"][-1], scenes["machine"]
     lines = [
@@ -78,6 +111,8 @@ def section(scenes: dict[str, Any], tiles: dict[str, Any], exponents: dict[str, 
         f"Exponents of time against the side, over the three largest sizes (2 is linear in area): {named}.",
         "",
     ]
+    if fleets is not None:
+        lines += [*fleet_lines(fleets), ""]
 
     km2 = (last["side"] * PIXEL_M * 1e-3) ** 2
     seconds, pixels = last["parts"]["train"]["seconds"] * machine["cores"], SCENE_KM2 * 1e6 / PIXEL_M**2
@@ -90,13 +125,15 @@ def section(scenes: dict[str, Any], tiles: dict[str, Any], exponents: dict[str, 
         f"- **The same, trained on {VIEWS} views with `quick`, without points**: {seconds:.3g} core seconds for "
         f"{km2:.2g} km², so {scene_h:,.0f} core hours if all of it were built up like the village, or "
         f"{scene_h / 1000:.2g} h on 1,000 cores. It would have to go by tiles, which reconstruction cannot do yet.",
+        *([] if fleets is None else [targets_line(fleets)]),
         "",
     ]
     return "\n".join(lines)
 
 
 if __name__ == "__main__":
-    measured = [
-        json.loads((RESULTS / name).read_text(encoding="utf-8")) for name in ("scenes-quick.json", "tiles.json")
-    ]
-    fill_block(PAGE, "scaling", section(*measured, draw(*(one["rows"] for one in measured))))
+    scenes, tiles, fleets = (
+        json.loads(path.read_text(encoding="utf-8")) if (path := RESULTS / name).exists() else None
+        for name in ("scenes-quick.json", "tiles.json", "fleets.json")
+    )
+    fill_block(PAGE, "scaling", section(scenes, tiles, fleets, draw(scenes["rows"], tiles["rows"])))

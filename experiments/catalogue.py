@@ -3,138 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
+from experiment import Experiment, Options, Row, scene
+from measured import MEASURED
+
+from baselines import BASELINES, BASELINES_ON_CHIPS
 from sarsplat.evaluation.paper import PAPER_DENSIFICATION, PAPER_DENSITY, paper_scores
 from sarsplat.reconstruction.presets import PRESETS
-
-Options = Mapping[str, Any]
 
 VEHICLES = ("t72", "btr70", "2s1", "kraz")
 PUBLISHED = ("t72", "btr70", "kraz")
 SOURCES = {"raycast": "true images by ray casting", "splat": "true images by our own renderer"}
 SHORT_TRAININGS = tuple(name for name in ("default", "quick") if name in PRESETS)
-SEEDS = (0, 1, 2)
 
 IMAGES = ("psnr_db", "psnr_target_db", "ssim", "lpips")
 POINTS = ("accuracy_m", "completeness_m", "cd_m", "precision@0.3", "recall@0.3", "f1@0.3", "f1@0.1")
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line of a table.
-
-    Attributes
-    ----------
-    label : str
-        What is special about it.
-    datasets : tuple of mapping
-        Options of `sarsplat simulate`; the row is the mean over these datasets.
-    preset : str
-        Of the training; "auto" is the one that fits the images.
-    changes : mapping
-        Settings that differ from the preset, by their names on the command line.
-    group : str
-        Heading it stands under.
-    x : float or None
-        The number that changes from row to row, if one does.
-    paper : mapping of str to float
-        What the paper printed, by key of the metric.
-    random : bool
-        Whether the images themselves are drawn from the seed, as speckle is.
-    """
-
-    label: str
-    datasets: tuple[Options, ...]
-    preset: str = "default"
-    changes: Mapping[str, Any] = field(default_factory=dict)
-    group: str = ""
-    x: float | None = None
-    paper: Mapping[str, float] = field(default_factory=dict)
-    random: bool = False
-
-    @property
-    def name(self) -> str:
-        """What tells it from the other rows."""
-        return ", ".join(filter(None, (self.group, self.label)))
-
-    def drawn(self, seed: int) -> list[Options]:
-        """Its datasets for one seed."""
-        return [{**dataset, **({"seed": seed} if self.random else {})} for dataset in self.datasets]
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """One table.
-
-    Attributes
-    ----------
-    name : str
-        Of its files, and on the command line.
-    title : str
-        Its heading.
-    about : str
-        What was done, and what the paper's figures beside it are.
-    rows : tuple of Row
-        Its lines.
-    tables : tuple of tuple of str
-        Keys of the metrics it reports, a table for each tuple.
-    judged : tuple of str
-        Keys of the metrics that are drawn, and that the sentence above the table is about.
-    axis : str
-        What `Row.x` is.
-    seeds : tuple of int
-        Each row is done with each of them.
-    claim : mapping of str to int
-        Where the paper says in words how a metric moves with `Row.x`, without figures: 1 up, -1 down.
-    alone : bool
-        Whether times are measured: one training at a time, on one thread.
-    quick : bool
-        Whether it is a version in small.
-    """
-
-    name: str
-    title: str
-    about: str
-    rows: tuple[Row, ...]
-    tables: tuple[tuple[str, ...], ...]
-    judged: tuple[str, ...] = ("cd_m", "f1@0.3")
-    axis: str = ""
-    seeds: tuple[int, ...] = SEEDS
-    claim: Mapping[str, int] = field(default_factory=dict)
-    alone: bool = False
-    quick: bool = False
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Keys of all the metrics it reports."""
-        return tuple(key for table in self.tables for key in table)
-
-    def groups(self) -> dict[str, list[Row]]:
-        """Its rows by heading."""
-        groups: dict[str, list[Row]] = {}
-        for row in self.rows:
-            groups.setdefault(row.group, []).append(row)
-        return groups
-
-    def in_small(self) -> Experiment:
-        """First, middle and last row of each group, one target, one seed, coarse pixels, short trainings."""
-        rows = []
-        for group in self.groups().values():
-            chosen = sorted({0, len(group) // 2, len(group) - 1})
-            rows += [replace(group[k], datasets=(_coarse(group[k].datasets[0]),)) for k in chosen]
-        return replace(self, rows=tuple(rows), seeds=self.seeds[:1], quick=True)
-
-
-def _coarse(dataset: Options) -> Options:
-    """The same scene with a quarter of the pixels."""
-    return {**dataset, "pixels": (64,), "spacing": tuple(2 * one for one in dataset.get("spacing", (0.3,)))}
-
-
-def scene(target: str, **options: Any) -> Options:
-    """Options of a simulation by the paper's protocol."""
-    return {"target": target, **options}
 
 
 def _rendered(presets: tuple[str, ...]) -> tuple[Row, ...]:
@@ -336,4 +221,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         axis="number of Gaussians at the start",
         alone=True,
     ),
+    BASELINES,
+    BASELINES_ON_CHIPS,
+    *MEASURED,
 )

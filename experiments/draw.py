@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-from catalogue import Experiment
+from experiment import Experiment
 from matplotlib.axes import Axes
-from summary import METRIC, Line
+from metrics import METRIC
+from summary import Line
 
 _COLOURS = ("#4878a8", "#6a9f58", "#b8860b", "#7a5195")
 _PAPER = "#c0392b"

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
-from catalogue import Experiment
+from experiment import Experiment
+from metrics import METRIC
 from scipy.stats import linregress
-from summary import METRIC, Line
+from summary import Line
 
 _CHANCE = 0.05
 """A slope that chance alone gives more often is no trend."""
@@ -15,18 +16,18 @@ _CHANCE = 0.05
 def findings(experiment: Experiment, lines: list[Line]) -> list[str]:
     """One sentence or two for every group of rows.
 
-    Rows with a number that changes are a trend, rows with the paper's figures are held against these, and other rows
-    against the first of their group.
+    Rows with a number that changes are a trend, rows with the paper's figures are held against these, and other rows,
+    or those of a contest, against the first of their group.
     """
     sentences = []
     for group in experiment.groups():
         members = [line for line in lines if line.row.group == group]
         if all(line.row.x is not None for line in members):
             said = [_trend(experiment, key, members) for key in experiment.judged]
-        elif any(line.row.paper for line in members):
+        elif any(line.row.paper for line in members) and not experiment.contest:
             said = [_against_paper(experiment, members)]
         else:
-            said = [_against_first(key, members) for key in experiment.judged]
+            said = [_against_first(experiment, key, members) for key in experiment.judged]
         heading = [f"{group[0].upper()}{group[1:]}:"] if group else []
         sentences.append(" ".join([*heading, *(f"{text[0].upper()}{text[1:]}" for text in said)]))
     return sentences
@@ -78,8 +79,11 @@ def _against_paper(experiment: Experiment, lines: list[Line]) -> str:
     return f"{said}; worse: {', '.join(worse)}." if worse else f"{said}."
 
 
-def _against_first(key: str, lines: list[Line]) -> str:
-    """Which rows are worse and which better than the first, by more than the spread of the seeds."""
+def _against_first(experiment: Experiment, key: str, lines: list[Line]) -> str:
+    """Which rows are worse and which better than the first, by more than the spread of the seeds.
+
+    Of a contest, only which are as good.
+    """
     first, *others = lines
     compared = [line for line in others if key in line.spreads]
     if key not in first.spreads or not compared:
@@ -93,6 +97,8 @@ def _against_first(key: str, lines: list[Line]) -> str:
         if abs(spread.mean - start.mean) <= 2 * math.sqrt(((start.sd or 0) ** 2 + (spread.sd or 0) ** 2) / 2):
             place = same
         place.append(f"{line.row.label} ({metric.text(spread.mean)})")
-    said = "; ".join(f"{how}: {', '.join(rows)}" for how, rows in places.items() if rows)
+    if experiment.contest:
+        worse.clear()
+    said = "; ".join(f"{how}: {', '.join(rows)}" for how, rows in places.items() if rows) or "no other is as good"
     once = " (one seed: no spread)" if start.sd is None else ""
     return f"{metric.title}, {metric.text(start.mean)} for {first.row.label}{once}; {said}."

@@ -1,65 +1,160 @@
-"""An experiment as a plan for `sarsplat.sweep`: its datasets, simulated where missing, and a part for each row."""
+"""An experiment as a plan for `sarsplat.sweep`: its datasets, made where missing, and a part for each row."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+import json
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from catalogue import Experiment, Options, Row
-from code_version import digest
+import numpy as np
+from experiment import Experiment, Options, Row
+from runs import Finished
 
+from sarsplat import Dataset, import_mstar, read_dataset, target_mesh, write_dataset
+from sarsplat.data import read_masks
+from sarsplat.data.mesh import write_mesh
+from sarsplat.reconstruction import METHODS
+from sarsplat.reconstruction.config import DEFAULT_METHOD
 from sarsplat.reconstruction.presets import PRESETS
+from sarsplat.scenes import TARGETS
 from sarsplat.sweeps.address import code
 
-_QUICK_ITERATIONS = 60
+_QUICK_ITERATIONS, _FEW_ITERATIONS, _FEW_VOXELS = 60, 3, 24
 
 
-def plan_of(experiment: Experiment, work: Path) -> dict[str, Any]:
-    """The plan; its datasets must be there (`simulated`)."""
-    parts = [part for row in experiment.rows for part in _parts(experiment, row, work)]
+@dataclass(frozen=True)
+class Chips:
+    """Where measured chips are: their folder, their table, and the folder of their masks, if there are any."""
+
+    folder: Path
+    labels: Path
+    masks: Path | None = None
+
+
+def plan_of(experiment: Experiment, work: Path, chips: Chips | None = None) -> dict[str, Any]:
+    """The plan; its datasets must be there (`make`)."""
+    parts = [part for row in experiment.rows for part in _parts(experiment, row, work, chips)]
     return {"datasets": parts[0]["datasets"], "reports": False, "parts": parts}
 
 
+def in_our_time(experiment: Experiment, runs: Sequence[Finished]) -> Experiment:
+    """With the iterations that fit into the time of each group's first row, once that is known; otherwise without."""
+    rows = []
+    for row in experiment.rows:
+        if not row.full:
+            rows.append(row)
+            continue
+        group = {other.label: other for other in experiment.groups()[row.group]}
+        ours, whole = (_time_s(one, runs) for one in (next(iter(group.values())), group[row.full]))
+        if ours is not None and whole is not None:
+            share = min(1.0, ours / whole)
+            steps = float(
+                f"{_iterations(group[row.full]) * share:.2g}"
+            )  # a time that differs a little asks for no others
+            rows.append(replace(row, changes={**row.changes, "iterations": max(1, int(steps))}))
+    return replace(experiment, rows=tuple(rows))
+
+
 def missing(experiment: Experiment, work: Path) -> dict[Path, Options]:
-    """Datasets that are still to be simulated, with their options."""
+    """Datasets that are still to be made, with their options."""
     each = (dataset for row in experiment.rows for seed in experiment.seeds for dataset in row.drawn(seed))
     folders = {folder_of(dataset, work): dataset for dataset in each}
     return {folder: dataset for folder, dataset in folders.items() if not folder.exists()}
 
 
-def simulated(experiment: Experiment, work: Path) -> None:
-    """Simulate what is missing."""
+def make(experiment: Experiment, work: Path, chips: Chips | None) -> None:
+    """Simulate or import what is missing; chips only if it is said where they are."""
     from sarsplat.cli.simulate import simulate
 
     for folder, dataset in missing(experiment, work).items():
         folder.parent.mkdir(parents=True, exist_ok=True)
-        simulate(out=folder, **dataset)
+        if experiment.quick and "target_class" not in dataset:
+            whole = folder.with_suffix(".whole")
+            simulate(out=whole, **dataset)
+            write_dataset(folder, **_without_truth(read_dataset(whole)))
+        elif "target_class" not in dataset:
+            simulate(out=folder, **dataset)
+        elif chips is not None:
+            options = {name: value for name, value in dataset.items() if name != "folded"}
+            if dataset.get("folded"):
+                whole = import_mstar(chips.folder, folder.with_suffix(".whole"), labels=chips.labels, **options)
+                write_dataset(folder, folded(whole))
+            else:
+                import_mstar(chips.folder, folder, labels=chips.labels, **options)
+
+
+def _without_truth(dataset: Dataset) -> dict[str, Any]:
+    """The dataset and its masks: to find the nearest of points that are no surface yet takes minutes."""
+    folder = Path(dataset.path or "") / "masks"
+    found = read_masks(folder, dataset, dataset.splits()) if folder.is_dir() else {}
+    masks = np.stack([found[index] for index in range(len(dataset))]) if found else None
+    return {"dataset": replace(dataset, truth_mesh=None), "masks": masks}
+
+
+def folded(dataset: Dataset) -> Dataset:
+    """Its training chips alone: of every four, three are trained on and one is predicted."""
+    train = dataset.select("train")
+    entries = tuple(
+        replace(entry, split="test" if index % 4 == 1 else "train") for index, entry in enumerate(train.entries)
+    )
+    return replace(train, entries=entries)
 
 
 def folder_of(dataset: Options, work: Path) -> Path:
-    """Where a dataset is: other options, or another simulation, are another folder."""
-    made_by = code(("sarsplat.cli.simulate",), "cpu")
-    return work.resolve() / "datasets" / digest({"options": dataset, "code": made_by})
+    """Where a dataset is: other options, or another simulation or import, are another folder."""
+    maker = "sarsplat.importers.mstar" if "target_class" in dataset else "sarsplat.cli.simulate"
+    content = json.dumps({"options": dataset, "code": code((maker,), "cpu")}, sort_keys=True)
+    return work.resolve() / "datasets" / hashlib.sha256(content.encode()).hexdigest()[:20]
 
 
-def _parts(experiment: Experiment, row: Row, work: Path) -> list[dict[str, Any]]:
+def _parts(experiment: Experiment, row: Row, work: Path, chips: Chips | None) -> list[dict[str, Any]]:
     """A plan for a row; one for each seed if its datasets depend on that."""
-    settings = row.changes | (shortened(row) if experiment.quick else {})
-    common = {"name": row.name, "preset": row.preset, "settings": settings}
-    groups = [(seed,) for seed in experiment.seeds] if row.random else [experiment.seeds]
+    settings = {**row.changes, **(shortened(row) if experiment.quick else {})}
+    own: dict[str, Any] = {} if row.method == DEFAULT_METHOD else {"methods": [row.method]}
+    own |= {"name": row.name, "preset": row.preset, "settings": settings}
+    if not experiment.quick:
+        own |= _truth(row, work)
+    if "masks" in METHODS[row.method].takes and chips is not None and "target_class" in row.datasets[0]:
+        own["masks"] = str(chips.masks)
+    seeds = experiment.seeds_of(row)
+    groups = [(seed,) for seed in seeds] if row.random else [seeds]
     return [
-        {**common, "datasets": [str(folder_of(one, work)) for one in row.drawn(seeds[0])], "seeds": list(seeds)}
+        {**own, "datasets": [str(folder_of(one, work)) for one in row.drawn(seeds[0])], "seeds": list(seeds)}
         for seeds in groups
     ]
 
 
-def shortened(row: Row) -> Mapping[str, Any]:
-    """Settings of the same training in small: whatever counts iterations shrinks by the same factor.
+def _truth(row: Row, work: Path) -> dict[str, Any]:
+    """What measured chips are held against: a model of their target, if there is one."""
+    target = str(row.datasets[0].get("target_class", "")).partition("-")[0].lower()
+    if target not in TARGETS or row.datasets[0].get("folded"):
+        return {}
+    model = work.resolve() / "datasets" / f"{target}.ply"
+    if not model.exists():
+        model.parent.mkdir(parents=True, exist_ok=True)
+        write_mesh(model, target_mesh(target))
+    return {"mesh": str(model), "align": "rigid"}
 
-    It starts in the box: points still on the hemisphere are all about as far from a sample of the surface, so that
-    finding the nearest takes minutes.
-    """
+
+def _time_s(row: Row, runs: Sequence[Finished]) -> float | None:
+    times = [run.scores["time_s"] for run in runs if run.row == row.name and "time_s" in run.scores]
+    return statistics.fmean(times) if times else None
+
+
+def _iterations(row: Row) -> int:
+    """Of its training."""
+    return int(row.changes.get("iterations", METHODS[row.method].defaults.iterations))
+
+
+def shortened(row: Row) -> Mapping[str, Any]:
+    """Settings of the same training in small: whatever counts iterations shrinks by the same factor."""
+    if row.method != DEFAULT_METHOD:
+        voxels = {"surface_voxels": _FEW_VOXELS} if hasattr(METHODS[row.method].defaults, "surface_voxels") else {}
+        return {"iterations": min(_FEW_ITERATIONS, _iterations(row)), **voxels}
     config = PRESETS["default" if row.preset == "auto" else row.preset].with_settings(row.changes)
     share = _QUICK_ITERATIONS / config.iterations
     counts = {name: getattr(config, name) for name in ("iterations", "harmonics_every", "checkpoint_every")}
@@ -68,4 +163,4 @@ def shortened(row: Row) -> Mapping[str, Any]:
     settings: dict[str, Any] = {name: max(1, round(count * share)) for name, count in counts.items()}
     if config.gaussians is not None:
         settings["gaussians"] = max(1, config.gaussians // 10)
-    return settings | {"initialisation": "box"}
+    return settings

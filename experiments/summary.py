@@ -4,23 +4,12 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
-from catalogue import Experiment, Row
+from experiment import Experiment, Row
+from runs import Finished
 
-from sarsplat.evaluation import Metric, Yardstick, all_metrics
-from sarsplat.scenes import paper_grid
-from sarsplat.sweeps import work as sweeps
-from sarsplat.sweeps.results import Result, Spread
-
-METRIC: dict[str, Metric[Any]] = {metric.key: metric for metric in all_metrics(Yardstick.of(paper_grid()))}
-METRIC |= {
-    "cd_cells": replace(METRIC["cd_m"], key="cd_cells", unit="cells"),
-    "f1@cell": replace(METRIC["f1@0.3"], key="f1@cell", label="F1 at a cell"),
-    "f1@third": replace(METRIC["f1@0.1"], key="f1@third", label="F1 at a third of a cell"),
-}
-"""By key: those of the evaluation, and the points' scores in resolution cells, to compare targets of any size."""
+from sarsplat.sweeps.results import Spread
 
 
 @dataclass(frozen=True)
@@ -45,35 +34,22 @@ class Line:
     older: bool = False
 
 
-def scores(finished: sweeps.Row) -> dict[str, float]:
-    """The scores of one run by key: unseen images, points against the visible surface, time; unknown ones absent."""
-    by_key = {}
-    for name, value in finished.scores.items():
-        kind, _, rest = name.partition(".")
-        if kind in ("images", "time_s") or name.startswith("points.visible."):
-            by_key[rest.partition(".")[2] or name] = value
-    f1 = sorted((float(key[3:]), value) for key, value in by_key.items() if key.startswith("f1@"))
-    cells = {"cd_cells": by_key["cd_m"] / finished.yardstick_m} if "cd_m" in by_key else {}
-    return by_key | cells | ({"f1@cell": f1[-1][1], "f1@third": f1[0][1]} if f1 else {})
-
-
-def line(experiment: Experiment, row: Row, results: Sequence[Result]) -> Line:
+def line(experiment: Experiment, row: Row, runs: Sequence[Finished]) -> Line:
     """One row with the figures of its finished runs."""
     seeds, older = [], False
-    for seed in experiment.seeds:
-        runs = [one for one in results if (one.cell.labels["part"], one.cell.seed) == (row.name, seed)]
-        finished = [scores(one.row) for one in runs if one.finished and one.row is not None]
-        if finished and len(finished) == len(runs):
-            seeds.append(finished)
-            older |= any(one.older for one in runs)
+    for seed in experiment.seeds_of(row):
+        finished = [run for run in runs if (run.row, run.seed) == (row.name, seed)]
+        if len(finished) == len(row.datasets):
+            seeds.append([run.scores for run in finished])
+            older |= any(run.older for run in finished)
     spreads = {}
     for key in experiment.columns:
-        values = [statistics.fmean(run[key] for run in runs) for runs in seeds if all(key in run for run in runs)]
+        values = [statistics.fmean(one[key] for one in several) for several in seeds if all(key in s for s in several)]
         if values:
             spreads[key] = Spread(tuple(values))
     return Line(row, spreads, len(seeds), older)
 
 
-def lines(experiment: Experiment, results: Sequence[Result]) -> list[Line]:
+def lines(experiment: Experiment, runs: Sequence[Finished]) -> list[Line]:
     """Every row with the figures of its finished runs."""
-    return [line(experiment, row, results) for row in experiment.rows]
+    return [line(experiment, row, runs) for row in experiment.rows]

@@ -4,44 +4,46 @@ from __future__ import annotations
 
 import csv
 import io
-import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from catalogue import EXPERIMENTS, Experiment
+from catalogue import EXPERIMENTS
 from draw import draw
+from experiment import Experiment
 from finding import findings
-from summary import METRIC, Line, lines, scores
+from metrics import METRIC
+from pictures import picture_of
+from runs import Finished, lines_of
+from summary import Line, lines
 
 from sarsplat.data import write_bytes
 from sarsplat.evaluation.paper import NOT_THE_SAME_EXPERIMENT
-from sarsplat.sweeps.results import Result
 
 _FOUND = "**Found.** "
 _QUICK = "A quick run, which shows that everything works; its numbers mean nothing.\n\n"
 
 
-def write(experiment: Experiment, results: Sequence[Result], out: Path) -> None:
+def write(experiment: Experiment, runs: Sequence[Finished], out: Path) -> None:
     """Write one experiment as far as it is finished: what is missing is a dash, and without a row nothing is written.
 
     Parameters
     ----------
     experiment : Experiment
         Which.
-    results : sequence of Result
+    runs : sequence of Finished
         Its runs.
     out : pathlib.Path
         Folder of the results; made if missing.
     """
-    finished = lines(experiment, results)
+    finished = lines(experiment, runs)
     if not any(line.seeds for line in finished):
         return
     out.mkdir(parents=True, exist_ok=True)
     _write(out / f"{experiment.name}.csv", _csv(_summary_rows(finished)))
-    _write(out / f"{experiment.name}-runs.csv", _csv(_run_rows(experiment, results)))
+    _write(out / f"{experiment.name}-runs.csv", _csv(lines_of(runs)))
     draw(experiment, finished, out / f"{experiment.name}.png")
-    _write(out / f"{experiment.name}.md", page(experiment, finished, results))
+    _write(out / f"{experiment.name}.md", page(experiment, finished, runs, out))
 
 
 def write_index(out: Path, quick: bool) -> None:
@@ -56,22 +58,20 @@ def write_index(out: Path, quick: bool) -> None:
             parts += [f"\n{text.removeprefix(_FOUND)}\n" for text in said]
         else:
             parts.append(f"\n## {experiment.title}\n\nNot run yet: `make tables ONLY={experiment.name}`.\n")
-    if (out / "baselines.md").is_file():
-        parts.append(
-            "\n## [Baselines](baselines.md)\n\nSAR-NeRF and DSR on the same images, written by `make baselines`.\n"
-        )
     _write(out / "README.md", "".join(parts))
 
 
-def page(experiment: Experiment, finished: list[Line], results: Sequence[Result]) -> str:
+def page(experiment: Experiment, finished: list[Line], runs: Sequence[Finished], out: Path) -> str:
     """An experiment as Markdown: what was done, what it says, the table."""
-    codes = " and ".join(dict.fromkeys(one.row.code for one in results if one.row is not None and one.finished))
+    codes = " and ".join(dict.fromkeys(filter(None, (run.about["code"] for run in runs)))) or "unknown"
     parts = [f"# {experiment.title}\n\n", _QUICK if experiment.quick else "", f"{experiment.about}\n\n"]
     parts += [f"{_FOUND}{sentence}\n\n" for sentence in findings(experiment, finished)]
     for group in experiment.groups():
         members = [line for line in finished if line.row.group == group]
         parts += [f"## {group[0].upper()}{group[1:]}\n\n"] if group else []
         parts += [_table(columns, members) + "\n" for columns in experiment.tables]
+        if (out / (picture := picture_of(experiment, group))).is_file():
+            parts.append(f"![Two unseen images and the points of every method]({picture})\n\n")
     parts.append(
         f"![{experiment.title}]({experiment.name}.png)\n\n"
         "Mean ± sample standard deviation over the seeds that are finished; “–”: unknown, or not finished. Points "
@@ -127,35 +127,6 @@ def _summary_rows(finished: list[Line]) -> Iterable[Mapping[str, Any]]:
                 "seeds": 0 if spread is None else len(spread.values),
                 "paper": line.row.paper.get(key),
             }
-
-
-def _run_rows(experiment: Experiment, results: Sequence[Result]) -> Iterable[Mapping[str, Any]]:
-    """A line for every finished run, with how to make its images."""
-    for row in experiment.rows:
-        for seed in experiment.seeds:
-            runs = [one for one in results if (one.cell.labels["part"], one.cell.seed) == (row.name, seed)]
-            for one, dataset in zip(runs, row.drawn(seed), strict=True):
-                if one.finished and one.row is not None:
-                    yield {
-                        "group": row.group,
-                        "row": row.label,
-                        "seed": seed,
-                        "simulate": _options(dataset),
-                        "preset": one.cell.config["preset"],
-                        "changes": _options(row.changes),
-                        **{key: value for key, value in scores(one.row).items() if key in METRIC},
-                        "took_s": one.row.took_s,
-                        "code": one.row.code,
-                    }
-
-
-def _options(options: Mapping[str, Any]) -> str:
-    """As on a command line."""
-    words = []
-    for name, value in options.items():
-        values = value if isinstance(value, tuple | list) else [value]
-        words += [f"--{name.replace('_', '-')}", *("none" if v is None else f"{v}" for v in values)]
-    return shlex.join(words)
 
 
 def _csv(rows: Iterable[Mapping[str, Any]]) -> str:

@@ -105,6 +105,7 @@ def test_quick_results_do_not_reach_the_page(generator, monkeypatch, tmp_path):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_a_quick_bench_finds_all_that_the_section_needs(generator, tmp_path):
     done = python("-W", "error", BENCHMARKS / "bench.py", "--quick", "--out", tmp_path)
     assert done.returncode == 0, done.stderr

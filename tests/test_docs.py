@@ -21,6 +21,7 @@ from sarsplat.cli.parser import COMMANDS, parse
 from sarsplat.evaluation import IMAGE_METRICS, MASK_METRICS, RUN_METRICS, Yardstick, metrics_of_points
 from sarsplat.gaussians import SCATTERINGS
 from sarsplat.scenes import target_mesh
+from scoring import few_samples
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 CHEAP = ("completion", "doctor", "export", "info", "render", "report")
@@ -91,9 +92,11 @@ def test_python_of_a_page_runs_from_top_to_bottom(page, bench, threads, monkeypa
     module = ModuleType("page")
     monkeypatch.setitem(sys.modules, "page", module)  # where a dataclass looks up its annotations
     monkeypatch.setattr(SCATTERINGS, "_entries", dict(SCATTERINGS._entries))  # a law is not registered for other tests
-    exec(compile("\n".join(blocks(page, "python")), str(page), "exec"), vars(module))
+    with few_samples():
+        exec(compile("\n".join(blocks(page, "python")), str(page), "exec"), vars(module))
 
 
+@pytest.mark.slow
 def test_own_arrays(tmp_path):
     printed = run_python(str(ROOT / "examples" / "own_arrays.py"), folder=tmp_path)
     count, height = re.findall(r"(\d+) points; heights up to ([\d.]+) m", printed)[0]
@@ -108,6 +111,7 @@ def test_own_loss(tmp_path):
     assert own < preset_s
 
 
+@pytest.mark.slow
 def test_watch_training(tmp_path):
     printed = run_python(str(ROOT / "examples" / "watch_training.py"), folder=tmp_path)
     losses = [float(value) for value in re.findall(r"loss ([\d.]+)", printed)]
@@ -171,7 +175,8 @@ def test_cheap_commands_in_pages_work(bench, capfd):
         named = [word for word in words[1:2] if words[0] not in ("completion", "doctor")]
         if any(not Path(name).exists() for name in named):
             continue  # of a dataset or a run that a dear command makes
-        assert main([*words, *(["--overwrite"] if "--out" in words or words[0] == "export" else [])]) == 0, words
+        with few_samples():
+            assert main([*words, *(["--overwrite"] if "--out" in words or words[0] == "export" else [])]) == 0, words
         done.add(words[0])
     assert done == set(CHEAP)
     assert Path("t72.glb").stat().st_size > 0

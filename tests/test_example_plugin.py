@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
+import shlex
 import subprocess
 import tomllib
 from pathlib import Path
@@ -31,37 +34,56 @@ def site(tmp_path: Path) -> Path:
     return info.parent
 
 
-def sarsplat(site: Path, *words: object) -> subprocess.CompletedProcess[str]:
+COMMANDS = """
+import json, sys
+from sarsplat.cli import main
+for words in json.load(sys.stdin):
+    try:
+        print("code", main(words), flush=True)
+    except SystemExit as ended:
+        print("code", ended.code, flush=True)
+"""
+
+
+def sarsplat(site: Path, *commands: str) -> subprocess.CompletedProcess[str]:
+    """Commands one after the other in a process that finds the package."""
     path = os.pathsep.join([str(site), *filter(None, [os.environ.get("PYTHONPATH")])])
-    return python("-m", "sarsplat", *words, cwd=site.parent, env={**os.environ, "PYTHONPATH": path})
+    words = json.dumps([shlex.split(command) for command in commands])
+    return python("-c", COMMANDS, cwd=site.parent, env={**os.environ, "PYTHONPATH": path}, input=words)
 
 
 def test_the_example_imports_and_exports(site: Path, tmp_path: Path) -> None:
     power = np.random.default_rng(0).gamma(1.0, size=(4, 24, 24)).astype(np.float32)
     power[:, 10:14, 10:14] *= 50
     np.savez(tmp_path / "box.npz", power=power, azimuth_deg=np.arange(4) * 90.0, grazing_deg=np.full(4, 40.0))
-    for given in ("box.npz", tmp_path):
-        done = sarsplat(site, "info", given)
-        assert "box.npz --spacing METRES --out DIR" in done.stdout, done.stderr
-    done = sarsplat(site, "import", "arrays", "box.npz", "--out", "box", "--spacing", "0.3")
-    assert done.returncode == 0, done.stderr
-    assert "assumed: row 0 is near range" in done.stdout
-    done = sarsplat(site, "reconstruct", "box", "--out", "run", "--preset", "quick", "--iterations", "20")
-    assert done.returncode == 0, done.stderr
-    done = sarsplat(site, "export", "run", "points.csv")
-    assert "open points.csv with any spreadsheet" in done.stdout, done.stderr
+    done = sarsplat(
+        site,
+        "info box.npz",
+        "info .",
+        "import arrays box.npz --out box --spacing 0.3",
+        "reconstruct box --out run --preset quick --iterations 5",
+        "import --help",
+    )
+    file, folder, imported, reconstructed, listed, _ = re.split(r"code \d\n", done.stdout)
+    assert re.findall(r"code (\d)", done.stdout) == ["0"] * 5, done.stderr
+    for told in (file, folder):
+        assert "box.npz --spacing METRES --out DIR" in told
+    assert "assumed: row 0 is near range" in imported
+    assert "wrote run" in reconstructed
+    assert "arrays" in listed
+    done = sarsplat(site, "export run points.csv", "export run points.xlsx")
+    exported, refused, _ = re.split(r"code \d\n", done.stdout)
+    assert "open points.csv with any spreadsheet" in exported
+    assert not refused
+    assert ".csv" in done.stderr
     assert (tmp_path / "points.csv").read_text().startswith("x,y,z\n")
-
-
-def test_the_example_is_listed(site: Path) -> None:
-    assert "arrays" in sarsplat(site, "import", "--help").stdout
-    assert ".csv" in sarsplat(site, "export", "run", "points.xlsx").stderr
 
 
 def test_a_broken_plugin_is_named_and_the_others_work(site: Path, tmp_path: Path) -> None:
     (site / "sarsplat_example.py").write_text("import nothing_that_exists\n")
-    done = sarsplat(site, "import", "folder", tmp_path, "--out", "out")
-    assert done.returncode == 2
-    assert done.stderr.startswith("warning: the plugin arrays of sarsplat.importers cannot be imported from")
-    assert "error: " in done.stderr
-    assert "warning" not in sarsplat(site, "check", tmp_path).stderr
+    done = sarsplat(site, "check .", "import folder . --out out")
+    assert re.findall(r"code (\d)", done.stdout) == ["2", "2"]
+    first, second = done.stderr.split("warning: ")
+    assert first.startswith("error: ")
+    assert second.startswith("the plugin arrays of sarsplat.importers cannot be imported from")
+    assert "error: " in second

@@ -10,14 +10,16 @@ from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from datasets import dataset_of
 from programs import ROOT
-from sarsplat import sweep
+from sarsplat import ImageGrid, View, import_mstar, sweep
 from sarsplat.cli.arguments import views_from
 from sarsplat.cli.simulate import simulate
 from sarsplat.evaluation import Yardstick, all_metrics
-from sarsplat.reconstruction import preset
+from sarsplat.reconstruction import METHODS, preset
 from sarsplat.sweeps import EXECUTORS, Means
 from sarsplat.sweeps.cell import Cell
 from sarsplat.sweeps.plan import Plan
@@ -26,7 +28,7 @@ from sarsplat.sweeps.work import Row, do
 from scoring import few_samples
 
 EXPERIMENTS = ROOT / "experiments"
-MODULES = ("catalogue", "draw", "finding", "plans", "summary", "tables", "write")
+MODULES = ("catalogue", "draw", "experiment", "finding", "metrics", "plans", "runs", "summary", "tables", "write")
 
 
 @pytest.fixture
@@ -37,16 +39,18 @@ def made(module) -> SimpleNamespace:
 
 def experiment(made: SimpleNamespace, *rows: object, **fields: object):
     common = {"name": "made-up", "title": "Made up", "about": "Nothing was done.", "tables": (("cd_m", "f1@0.3"),)}
-    return made.catalogue.Experiment(**{**common, "rows": rows, **fields})
+    return made.experiment.Experiment(**{**common, "rows": rows, **fields})
 
 
 def row(made: SimpleNamespace, label: str, targets: tuple[str, ...] = ("t72",), **fields: object):
-    return made.catalogue.Row(label, tuple({"target": target} for target in targets), **fields)
+    return made.experiment.Row(label, tuple({"target": target} for target in targets), **fields)
 
 
-def finished(line: object, seed: int, cd_m: float, f1: float | None = 0.9, older: bool = False) -> Result:
+def finished(
+    line: object, seed: int, cd_m: float, f1: float | None = 0.9, older: bool = False, time_s: float = 1.0
+) -> Result:
     """What a sweep says of a run of this row."""
-    scores = {"images.test.psnr_db": 40.0, "points.visible.cd_m": cd_m, "points.visible.f1@0.1": 0.5, "time_s": 1.0}
+    scores = {"images.test.psnr_db": 40.0, "points.visible.cd_m": cd_m, "points.visible.f1@0.1": 0.5, "time_s": time_s}
     if f1 is not None:
         scores["points.visible.f1@0.3"] = f1
     cell = SimpleNamespace(labels={"part": line.name}, seed=seed, config={"preset": "default"})
@@ -58,21 +62,36 @@ def waiting(line: object, seed: int) -> Result:
     return Result(SimpleNamespace(labels={"part": line.name}, seed=seed), None)
 
 
+def lines(made: SimpleNamespace, table, results: Sequence[Result], kept: Path | None = None):
+    """What is known of its rows, and their runs."""
+    runs = made.runs.runs_of(table, results, kept or Path("nowhere"))
+    return made.summary.lines(table, runs), runs
+
+
 def test_every_experiment_can_be_run_and_reported(made):
     options, keys = set(inspect.signature(simulate).parameters), {metric.key for metric in all_metrics(Yardstick(0.3))}
+    of_chips = {*inspect.signature(import_mstar).parameters, "folded"}
     every = made.catalogue.EXPERIMENTS
     assert len({found.name for found in every}) == len(every)
     for found in every:
-        assert set(found.judged) <= set(found.columns) <= set(made.summary.METRIC)
+        assert set(found.judged) <= set(found.columns) <= set(made.metrics.METRIC)
         assert len({(line.group, line.label) for line in found.rows}) == len(found.rows)
         for line in found.rows:
             assert set(line.paper) <= keys
-            assert preset("default" if line.preset == "auto" else line.preset).with_settings(line.changes)
+            start = preset("default" if line.preset == "auto" else line.preset)
+            start = start if line.method == "sar-gs" else METHODS[line.method].defaults
+            for changes in (line.changes, made.plans.shortened(line)):
+                assert start.with_settings(changes)
+            if found.name.endswith("terms"):
+                assert (start.with_settings(line.changes) != start) == bool(line.changes), line.name
+            assert not line.full or line.full in {other.label for other in found.groups()[line.group]}
             for dataset in line.drawn(0):
-                assert set(dataset) <= options
+                assert set(dataset) <= (of_chips if "target_class" in dataset else options)
                 for angles in ("azimuth", "test_azimuth"):
                     assert views_from(dataset.get(angles, ("0",)), ("45",), ())
-        assert {line.group for line in found.in_small().rows} == set(found.groups())
+        small = found.in_small()
+        assert {line.group for line in small.rows} == set(found.groups())
+        assert {line.full for line in small.rows} <= {line.label for line in small.rows} | {""}
 
 
 def test_an_experiment_is_a_plan(made, tmp_path):
@@ -97,24 +116,23 @@ def test_settings_are_shortened(made):
     assert config.densification.stop / config.iterations == pytest.approx(12_000 / 30_000, rel=0.1)
 
 
-def test_a_row_is_the_mean_over_targets_and_spreads_over_seeds(made):
+def test_a_row_is_the_mean_over_targets_and_spreads_over_seeds(made, tmp_path):
     table = experiment(made, row(made, "both", ("t72", "kraz")), seeds=(0, 1, 2))
     (both,) = table.rows
     values = ((0, (0.1, 0.3)), (1, (0.2, 0.6)))
     results = [finished(both, seed, value) for seed, pair in values for value in pair]
     results += [finished(both, 2, 5.0), waiting(both, 2)]
-    (line,) = made.summary.lines(table, results)
+    (line,), runs = lines(made, table, results)
     assert (line.seeds, line.older) == (2, False)
     assert line.spreads["cd_m"].mean == pytest.approx(0.3)
     assert line.spreads["cd_m"].sd == pytest.approx(0.2 / 2**0.5)
-    assert made.summary.scores(results[0].row) == {
+    assert made.runs.scores(results[0].row, both) == {
         **{"psnr_db": 40.0, "cd_m": 0.1, "f1@0.3": 0.9, "f1@0.1": 0.5, "time_s": 1.0},
         **{"cd_cells": 0.2, "f1@cell": 0.9, "f1@third": 0.5},
     }
-    assert "| both | 2 | 0.300 ± 0.141 | 0.900 ± 0.000 |" in made.write.page(table, [line], results)
+    assert "| both | 2 | 0.300 ± 0.141 | 0.900 ± 0.000 |" in made.write.page(table, [line], runs, tmp_path)
     older = [finished(both, 0, 0.1, older=True), finished(both, 0, 0.3)]
-    lines = made.summary.lines(table, older)
-    assert "| both | 1, older code | 0.200 | 0.900 |" in made.write.page(table, lines, older)
+    assert "| both | 1, older code | 0.200 | 0.900 |" in made.write.page(table, *lines(made, table, older), tmp_path)
 
 
 def test_what_is_missing_is_a_dash(made, tmp_path, monkeypatch):
@@ -122,9 +140,10 @@ def test_what_is_missing_is_a_dash(made, tmp_path, monkeypatch):
     table = experiment(
         made, row(made, "done", paper=paper), row(made, "open", changes={"gaussians": 5}, paper=paper), seeds=(0,)
     )
-    made.write.write(table, [waiting(line, 0) for line in table.rows], tmp_path / "out")
+    made.write.write(table, lines(made, table, [waiting(line, 0) for line in table.rows])[1], tmp_path / "out")
     assert not (tmp_path / "out").exists()  # nothing is finished, so nothing is replaced
-    made.write.write(table, [finished(table.rows[0], 0, 0.05, None), waiting(table.rows[1], 0)], tmp_path / "out")
+    results = [finished(table.rows[0], 0, 0.05, None), waiting(table.rows[1], 0)]
+    made.write.write(table, lines(made, table, results)[1], tmp_path / "out")
     text = (tmp_path / "out" / "made-up.md").read_text()
     assert "| done | 1 | 0.0500 | 0.187 | – |" in text
     assert "| open | 0 | – | 0.187 | – |" in text
@@ -138,6 +157,14 @@ def test_what_is_missing_is_a_dash(made, tmp_path, monkeypatch):
     assert "## Other\n\nNot run yet" in index
     runs = (tmp_path / "out" / "made-up-runs.csv").read_text().splitlines()
     assert [line.split(",")[1:4] for line in runs[1:]] == [["done", "0", "--target t72"]]
+    kept = tmp_path / "out" / "made-up-runs.csv"
+    (done, opened), again = lines(made, table, [waiting(line, 0) for line in table.rows], kept)
+    assert (done.spreads["cd_m"].mean, done.older, opened.seeds) == (0.05, True, 0)
+    made.write.write(table, again, tmp_path / "out")
+    assert "| done | 1, older code | 0.0500 | 0.187 | – |" in (tmp_path / "out" / "made-up.md").read_text()
+    assert kept.read_text().splitlines() == runs
+    (done, _), _ = lines(made, table, [finished(table.rows[0], 0, 0.07), waiting(table.rows[1], 0)], kept)
+    assert (done.spreads["cd_m"].mean, done.older) == (0.07, False)
 
 
 @pytest.mark.parametrize(
@@ -153,7 +180,7 @@ def test_trends_are_compared_with_the_papers(made, ours, said):
     rows = [row(made, f"{x}", changes={"gaussians": x}, x=x, paper={"cd_m": 1 - x / 100}) for x in (10, 20, 30)]
     table = experiment(made, *rows, axis="Gaussians", judged=("cd_m",), tables=(("cd_m",),))
     results = [finished(line, seed, value + 1e-4 * seed) for line, value in zip(rows, ours) for seed in table.seeds]
-    (found,) = made.finding.findings(table, made.summary.lines(table, results))
+    (found,) = made.finding.findings(table, lines(made, table, results)[0])
     assert said in found
 
 
@@ -165,11 +192,54 @@ def test_rows_without_the_papers_figures_are_held_against_the_first(made):
         for line, value in zip(rows, (0.1, 0.101, 0.5))
         for seed in table.seeds
     ]
-    (found,) = made.finding.findings(table, made.summary.lines(table, results))
+    (found,) = made.finding.findings(table, lines(made, table, results)[0])
     assert found == (
         "Chamfer distance, m, 0.110 for clean; worse: hard (0.510); "
         "no different beyond the spread of the seeds: alike (0.111)."
     )
+    (found,) = made.finding.findings(replace(table, contest=True), lines(made, table, results)[0])
+    assert found.endswith("0.110 for clean; no different beyond the spread of the seeds: alike (0.111).")
+
+
+def test_others_get_our_time(made, tmp_path):
+    common = {"group": "box", "method": "dsr"}
+    rows = [
+        row(made, "ours", group="box"),
+        row(made, "theirs, in our time", full="theirs, full", **common),
+        row(made, "theirs, full", **common),
+    ]
+    table = experiment(made, *rows, seeds=(0, 1))
+    assert [line.label for line in made.plans.in_our_time(table, []).rows] == ["ours", "theirs, full"]
+    times = ((rows[0], 9.0), (rows[0], 11.0), (rows[2], 210.0), (rows[2], 190.0))
+    _, runs = lines(made, table, [finished(line, k % 2, 0.1, time_s=time) for k, (line, time) in enumerate(times)])
+    planned = made.plans.in_our_time(table, runs)
+    assert planned.rows[1].changes == {"iterations": 100}  # of 2000
+    parts = list(Plan.from_dict(made.plans.plan_of(planned, tmp_path), "the plan").each_part())
+    assert [(part.methods, part.settings) for part in parts] == [
+        (("sar-gs",), {}),
+        (("dsr",), {"iterations": 100}),
+        (("dsr",), {}),
+    ]
+
+
+def test_rows_are_of_a_test_set_or_of_a_simpler_method(made):
+    scores = {"images.test-15.ssim": 0.1, "images.test-17.ssim": 0.3, "points.visible.cd_m": 0.2, "time_s": 9.0}
+    scores["baselines.test-15.nearest_chip.ssim"] = 0.05
+    found = Row("address", "recipe", "code", "scoring", "finished", scores=scores, yardstick_m=0.5)
+    every, one, simpler = (
+        made.runs.scores(found, row(made, "row", scored=where))
+        for where in ("", "images.test-15.", "baselines.test-15.nearest_chip.")
+    )
+    assert (every["ssim"], one["ssim"], one["cd_m"], simpler) == (0.2, 0.1, 0.2, {"ssim": 0.05})
+
+
+def test_training_chips_alone_are_folded(made):
+    grid = ImageGrid(16, 16, (0.2, 0.2), (0.3, 0.3))
+    views = [(View(20.0 * k, 17.0), "test-17" if k in (0, 5) else "train") for k in range(10)]
+    images = np.ones((10, 16, 16), np.float32)
+    fold = made.plans.folded(dataset_of(grid, views, images, calibration="relative", looks=1.0, ground=True))
+    assert [entry.name for entry in fold.select("test").entries] == ["002", "007"]  # the second and the sixth
+    assert [entry.name for entry in fold.select("train").entries] == ["001", "003", "004", "006", "008", "009"]
 
 
 def test_a_whole_table_and_what_is_done_is_not_done_again(made, tmp_path, monkeypatch):
@@ -187,7 +257,7 @@ def test_a_whole_table_and_what_is_done_is_not_done_again(made, tmp_path, monkey
     monkeypatch.setattr(made.tables, "sweep", partial(sweep, executor="here"))
     views = {"azimuth": ("0:360:120",), "grazing": ("45",), "test_azimuth": ("60",)}
     small = {"target": "t72", "pixels": (32,), "spacing": (1.2,), **views}
-    line = made.catalogue.Row("small", (small,), "auto", {"gaussians": 3000})
+    line = made.experiment.Row("small", (small,), "auto", {"gaussians": 3000})
     table = experiment(made, line, seeds=(0,), quick=True, tables=(("psnr_db", "cd_m"),), judged=("cd_m",))
     assert made.tables.run([table], tmp_path, tmp_path / "out", Means(), True) == 0
     assert not asked  # only what is finished is written: nothing
@@ -199,10 +269,11 @@ def test_a_whole_table_and_what_is_done_is_not_done_again(made, tmp_path, monkey
 
 def test_quick_tables_do_not_reach_the_results(made, tmp_path, monkeypatch, capsys):
     written = []
-    monkeypatch.setattr(made.tables, "write", lambda found, results, out: written.append((found.quick, out)))
+    monkeypatch.setattr(made.tables, "write", lambda found, runs, out: written.append((found.quick, out)))
     monkeypatch.setattr(made.tables, "write_index", lambda out, quick: None)
     monkeypatch.setattr(made.tables, "missing", lambda found, work: {})
-    monkeypatch.setattr(made.tables, "plan_of", lambda found, work: {})
+    monkeypatch.setattr(made.tables, "plan_of", lambda found, work, chips: {})
+    monkeypatch.setattr(made.tables, "runs_of", lambda found, results, kept: [])
     monkeypatch.setattr(
         made.tables, "sweep", lambda plan, out, means, run: SimpleNamespace(results=[], failed=[], asked=run)
     )
@@ -214,3 +285,7 @@ def test_quick_tables_do_not_reach_the_results(made, tmp_path, monkeypatch, caps
     with pytest.raises(SystemExit, match="2"):
         made.tables.main()
     assert "there is no experiment 'los'; choose from rendered, " in capsys.readouterr().err
+    monkeypatch.setattr(sys, "argv", ["tables.py", "--chips", "nowhere"])
+    with pytest.raises(SystemExit, match="2"):
+        made.tables.main()
+    assert "need --chips and --labels together" in capsys.readouterr().err

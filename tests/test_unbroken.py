@@ -10,10 +10,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 from sarsplat.unbroken import unbroken
 
-points = np.random.default_rng(0).normal(size=(200_000, 3))
+points = np.random.default_rng(0).normal(size=(60_000, 3))
 tree = cKDTree(points)
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a background process starts without
-threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
+threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
 try:
     unbroken(tree.query, points, k=64, workers=-1)
 except KeyboardInterrupt:

@@ -11,7 +11,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import Abandoned
 
 T = TypeVar("T")
 
@@ -28,7 +28,7 @@ class Processes:
 
     Raises
     ------
-    SarsplatError
+    Abandoned
         From every method, if another process has ended.
     """
 
@@ -88,7 +88,7 @@ def _all_there() -> Iterator[None]:
     try:
         yield
     except RuntimeError as error:
-        raise SarsplatError(
+        raise Abandoned(
             "another process of this training has ended or cannot be reached; what is saved is kept: start all of them "
             "again, with resume=True if there is a checkpoint"
         ) from error

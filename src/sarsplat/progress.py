@@ -11,7 +11,6 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 _SECONDS_BETWEEN_LINES = 5.0
-_LEAST_STEP = 1e-3  # that tells how long all of them take
 
 _shown: ContextVar[Reporter | None] = ContextVar("_shown", default=None)
 """The progress that is being shown."""
@@ -57,8 +56,9 @@ class Reporter:
         if self._quiet or self._ended or (now - self._last < _SECONDS_BETWEEN_LINES and done < self._total):
             return
         self._last, self._ended = now, done >= self._total  # the last line only once
-        seconds = (now - self._begun) / max(done - self._first, _LEAST_STEP) * (self._total - done)
-        print(f"{self._description}: {int(done)}/{self._total}  {status}  {seconds:.0f} s left", flush=True)
+        here = done - self._first  # without which nothing tells how long the others take
+        left = f"  {(now - self._begun) / here * (self._total - done):.0f} s left" if here > 0 else ""
+        print(f"{self._description}: {int(done)}/{self._total}  {status}{left}", flush=True)
 
 
 @contextmanager

@@ -34,7 +34,8 @@ def quick() -> Iterator[None]:
 def short(method: str):
     settings = METHODS[method].defaults
     coarse = {"surface_voxels": 24} if hasattr(settings, "surface_voxels") else {}
-    return replace(settings, iterations=SHORT[method], checkpoint_every=max(1, SHORT[method] // 3), **coarse)
+    few = {"rays": 4} if hasattr(settings, "rays") else {}
+    return replace(settings, iterations=SHORT[method], checkpoint_every=max(1, SHORT[method] // 3), **coarse, **few)
 
 
 def trained(method: str, dataset: Dataset, out: Path | None = None, **options) -> Run:
@@ -106,6 +107,7 @@ def test_its_run_is_rendered_scored_and_shown(method, tmp_path, run_of):
     assert {"nx", "ny", "nz"} <= set(columns)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "quick", "most", "most_m"),
     [

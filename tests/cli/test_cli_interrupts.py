@@ -2,33 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 
 from datasets import dataset_of
 from sarsplat import ImageGrid, Run, View
-from sarsplat.data import write_dataset
-
-SIGNALLED = """
-import os, signal, sys
 from sarsplat.cli import main
+from sarsplat.data import write_dataset
 from sarsplat.reconstruction import normals, points, seen
-module, name, count = sys.argv[1:4]
-usual = getattr(globals()[module], name)
-calls = []
-def until(*arguments, **options):
-    calls.append(1)
-    if len(calls) == int(count):
-        os.kill(os.getpid(), getattr(signal, sys.argv[4]))
-    return usual(*arguments, **options)
-setattr(globals()[module], name, until)
-sys.exit(main(sys.argv[5:]))
-"""
 
 
 @pytest.fixture
@@ -43,31 +30,39 @@ def dataset(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("where", "number"),
     [
-        (("points", "render", 3), "SIGINT"),
-        (("points", "render", 3), "SIGTERM"),
-        (("seen", "render", 2), "SIGINT"),
-        (("normals", "csr_array", 1), "SIGINT"),
+        ((points, "render", 3), signal.SIGINT),
+        ((points, "render", 3), signal.SIGTERM),
+        ((seen, "render", 2), signal.SIGINT),
+        ((normals, "csr_array", 1), signal.SIGINT),
     ],
 )
 def test_one_signal_ends_the_extraction_and_the_run_resumes(
-    dataset: Path, tmp_path: Path, where: tuple[str, str, int], number: str
+    dataset: Path,
+    tmp_path: Path,
+    where: tuple[ModuleType, str, int],
+    number: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    words = ["reconstruct", str(dataset), "--preset", "quick", "--gaussians", "40", "--iterations", "4", "--out"]
+    out, (module, name, count) = tmp_path / "run", where
+    words = ["reconstruct", str(dataset), "--preset", "quick", "--gaussians", "40", "--iterations", "4"]
+    words += ["--out", str(out)]
+    usual, calls = getattr(module, name), []
 
-    def run(code: str, *arguments: object) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-c", code, *map(str, arguments)]
-        return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    def until(*arguments: Any, **options: Any) -> Any:
+        calls.append(1)
+        if len(calls) == count:
+            os.kill(os.getpid(), number)
+        return usual(*arguments, **options)
 
-    out = tmp_path / "run"
-    done = run(SIGNALLED, *where, number, *words, out)
-    assert done.returncode == 128 + getattr(signal, number), done.stderr
-    message = " ".join(done.stderr.split())
+    with monkeypatch.context() as patch:
+        patch.setattr(module, name, until)
+        assert main(words) == 128 + number
+    message = " ".join(capsys.readouterr().err.split())
     assert f"{out} keeps the progress so far; continue with `sarsplat reconstruct" in message
     assert "Traceback" not in message
     assert Run.load(out).iteration == 4
     assert not (out / "points.ply").exists()
-    plain = "import sys; from sarsplat.cli import main; sys.exit(main(sys.argv[1:]))"
-    resumed = run(plain, *words, out, "--resume")
-    assert resumed.returncode == 0, resumed.stderr
-    assert " s of training; quick, seed 0)" in " ".join(resumed.stdout.split())
+    assert main([*words, "--resume"]) == 0
+    assert " s of training; quick, seed 0)" in " ".join(capsys.readouterr().out.split())
     assert (out / "points.ply").is_file()

@@ -14,11 +14,10 @@ RUN = "import sys, sarsplat.cli; sys.exit(sarsplat.cli.main())"
 SIMULATE = ["simulate", "--target", "t72", "--azimuth", "0", "180", "--grazing", "45", "--pixels", "16"]
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
-def test_terminals_that_know_few_letters(encoding: str, tmp_path: Path) -> None:
+def test_terminals_that_know_few_letters(tmp_path: Path) -> None:
     both = "import sys; from sarsplat.cli import main; sys.exit(main(sys.argv[2:]) or main(['info', sys.argv[1]]))"
     out = str(tmp_path / "out")
-    environment = os.environ | {"PYTHONIOENCODING": encoding, "LC_ALL": "C"}
+    environment = os.environ | {"PYTHONIOENCODING": "ascii", "LC_ALL": "C"}
     command = [sys.executable, "-c", both, out, *SIMULATE, "--out", out]
     shown = subprocess.run(command, capture_output=True, env=environment, check=False)
     assert shown.returncode == 0, shown.stderr

@@ -216,14 +216,13 @@ def test_the_command_draws_a_preview_and_says_what_it_took(tmp_path, capsys):
     assert "'az' is not of the form MEANING=NAME" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("looks", [1, 4])
 @pytest.mark.parametrize(
-    ("numbers", "wrong", "told", "right"),
+    ("looks", "numbers", "wrong", "told", "right"),
     [
-        ("db in 8 bits", "amplitude", "import with --quantity db", "db --scale 0.2353 --offset -40"),
-        ("db in 8 bits", "db", "--scale and --offset", "db --scale 0.2353 --offset -40"),
-        ("amplitude", "db", "--quantity amplitude, or", "amplitude"),
-        ("db", "power", "import with --quantity db", "db"),
+        (1, "db in 8 bits", "amplitude", "import with --quantity db", "db --scale 0.2353 --offset -40"),
+        (4, "db in 8 bits", "db", "--scale and --offset", "db --scale 0.2353 --offset -40"),
+        (1, "amplitude", "db", "--quantity amplitude, or", "amplitude"),
+        (4, "db", "power", "import with --quantity db", "db"),
     ],
 )
 def test_the_option_for_what_the_numbers_are(tmp_path, capsys, looks, numbers, wrong, told, right):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ pytest.importorskip("embreex")
 GRID = ImageGrid(56, 48, (0.4, 0.35), (0.5, 0.45))
 
 
+@cache
 def simulated(
     ground: float | None, grid: ImageGrid = GRID, scale: float = 1.0, azimuths: range = range(0, 360, 30)
 ) -> Dataset:
@@ -80,8 +82,7 @@ def only(dataset: Dataset) -> str:
     return text
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("looks", [1, 4, None])
+@pytest.mark.parametrize(("looks", "seed"), [(1, 0), (1, 1), (1, 2), (4, 0), (None, 0)])
 def test_what_is_right_passes(bare: Dataset, grounded: Dataset, looks: float | None, seed: int) -> None:
     for dataset in (bare, grounded):
         if looks is not None:
@@ -103,14 +104,17 @@ def imported(dataset: Dataset, layout: Layout, seen: Layout) -> Dataset:
 
 
 LAYOUTS = [Layout(*options) for options in itertools.product(SIDES, (False, True), (False, True))]
+HALF = [LAYOUTS[4 * side + (side + k) % 4] for side in range(4) for k in (0, 1)]
+"""Two of each side, and each combination of the others twice."""
 
 
-@pytest.mark.parametrize("seen", LAYOUTS, ids=str)
+@pytest.mark.parametrize("seen", HALF, ids=str)
 def test_every_orientation_is_recovered(bare: Dataset, grounded: Dataset, seen: Layout) -> None:
     """Images, azimuths or both lie otherwise than an import was told: it names the options that were right."""
     right = Layout(seen.near, False, seen.counter_clockwise ^ seen.mirrored)  # the same, but for a mirrored target
-    for dataset in (grounded, speckled(grounded, 1, 0), bare):
-        for layout in (Layout(), Layout("left", True), Layout("bottom", False, True)):
+    told = (Layout(), Layout("left", True), Layout("bottom", False, True))
+    for dataset, layouts in ((grounded, told[:1]), (speckled(grounded, 1, 0), told), (bare, told[1:2])):
+        for layout in layouts:
             said = examine(imported(dataset, layout, seen)).contradictions
             if layout in (right, right.twin):
                 assert said == []
@@ -331,8 +335,7 @@ def numbered(dataset: Dataset, places: np.ndarray | range, first: float = 1.0) -
     return replace(made, source={"kind": "folder", "layout": asdict(Layout())})
 
 
-@pytest.mark.parametrize("ground", [None, 0.05])
-@pytest.mark.parametrize("step", [10, 30, 45])
+@pytest.mark.parametrize(("step", "ground"), [(10, None), (30, 0.05), (45, 0.05)])
 def test_numbers_of_images_are_no_azimuths(ground: float | None, step: int) -> None:
     """Neither in the order of their azimuths nor in another; without a table only if other azimuths match better."""
     dataset = speckled(simulated(ground, azimuths=range(0, 360, step)), 1, 0)
@@ -347,8 +350,7 @@ def test_numbers_of_images_are_no_azimuths(ground: float | None, step: int) -> N
     assert all("match better if these are spread all round" in text for text in said)
 
 
-@pytest.mark.parametrize("ground", [None, 0.05])
-@pytest.mark.parametrize("first", [0, 1, 70])
+@pytest.mark.parametrize(("first", "ground"), [(0, None), (1, 0.05), (70, 0.05)])
 def test_azimuths_that_do_count_degrees_pass(ground: float | None, first: int) -> None:
     """A sector in steps of a degree, from the nose or from the side."""
     grid = ImageGrid(40, 40, (0.4, 0.35), (0.5, 0.45))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 import pytest
@@ -29,28 +30,31 @@ def images(
     speckle: bool = True,
     shadow: float = 0.0,
 ) -> np.ndarray:
-    """Ground with brighter parts, as it lies in slant range; every image has a gain of its own.
-
-    What is high is displaced towards the radar, and behind it is shadow.
-    """
+    """Ground with brighter parts, as it lies in slant range; every image has a gain of its own."""
+    solids = tuple(slab if len(slab) == 2 else (slab, 0.0) for slab in slabs)
     chance, stack = np.random.default_rng(0), []
-    across, along = np.meshgrid(grid.azimuth_m, grid.range_m)
-    solids = [slab if len(slab) == 2 else (slab, 0.0) for slab in slabs]
     for view in views:
-        frame = radar_frame(view)
-        ground = np.stack([across, along], -1) @ np.linalg.inv(frame[[0, 2]][:, :2]).T  # z = 0
-        away = frame[2, :2] / np.linalg.norm(frame[2, :2])
-        tangent = np.tan(np.radians(view.grazing_deg))
-        mean = np.ones(across.shape)
-        for behind, level in ((-1 / tangent, shadow), (tangent, power)):
-            for (x0, x1, y0, y1), height in solids:
-                for z in np.arange(0, height + 0.01, 0.1):
-                    x, y = np.moveaxis(ground + behind * z * away, -1, 0)
-                    mean[(x0 < x) & (x < x1) & (y0 < y) & (y < y1)] = level
-        if speckle:
-            mean *= chance.exponential(size=mean.shape)
-        stack.append(chance.uniform(0.3, 3) * mean)
+        mean = clean(solids, view, grid, power, shadow)
+        drawn = chance.exponential(size=mean.shape) if speckle else 1.0
+        stack.append(chance.uniform(0.3, 3) * mean * drawn)
     return np.stack(stack).astype(np.float32)
+
+
+@cache
+def clean(solids: Sequence[Solid], view: View, grid: ImageGrid, power: float, shadow: float) -> np.ndarray:
+    """What is high is displaced towards the radar, and behind it is shadow."""
+    frame = radar_frame(view)
+    across, along = np.meshgrid(grid.azimuth_m, grid.range_m)
+    ground = np.stack([across, along], -1) @ np.linalg.inv(frame[[0, 2]][:, :2]).T  # z = 0
+    away = frame[2, :2] / np.linalg.norm(frame[2, :2])
+    tangent = np.tan(np.radians(view.grazing_deg))
+    mean = np.ones(across.shape)
+    for behind, level in ((-1 / tangent, shadow), (tangent, power)):
+        for (x0, x1, y0, y1), height in solids:
+            for z in np.arange(0, height + 0.01, max(0.1, height / 20)):
+                x, y = np.moveaxis(ground + behind * z * away, -1, 0)
+                mean[(x0 < x) & (x < x1) & (y0 < y) & (y < y1)] = level
+    return mean
 
 
 def check(slab: Slab, low: np.ndarray, high: np.ndarray, cell: float) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import signal
-import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,6 +13,7 @@ import numpy as np
 import pytest
 
 from datasets import FEW_POINTS, dataset_of
+from programs import python
 from sarsplat.cli import main
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.errors import SarsplatError
@@ -137,27 +137,20 @@ look = tensorboard.TensorBoard.__call__
 def until(self, step):
     look(self, step)
     if step.iteration == 9:
-        os.kill(os.getpid(), getattr(signal, sys.argv[1]))
+        os.kill(os.getpid(), signal.SIGKILL)
 tensorboard.TensorBoard.__call__ = until
-sys.exit(main(sys.argv[2:]))
+sys.exit(main(sys.argv[1:]))
 """
 
 
-@pytest.mark.parametrize("name", ["SIGKILL", "SIGTERM"])
-def test_a_killed_process_leaves_a_log_that_can_be_read(dataset: Dataset, tmp_path: Path, name: str) -> None:
+def test_a_killed_process_leaves_a_log_that_can_be_read(dataset: Dataset, tmp_path: Path) -> None:
     write_dataset(tmp_path / "data", dataset)
     out = tmp_path / "run"
     words = ["reconstruct", str(tmp_path / "data"), "--preset", "quick", "--gaussians", "40", "--iterations", "12"]
     words += ["--checkpoint-every", "6", "--out", str(out), "--tensorboard"]
-    done = subprocess.run(
-        [sys.executable, "-c", KILLED, name, *words], capture_output=True, text=True, check=False, timeout=120
-    )
+    done = python("-c", KILLED, *words)
+    assert done.returncode == -signal.SIGKILL, done.stderr
     assert steps(read(out / "tensorboard"), "loss") == list(range(1, 10))
-    if name == "SIGTERM":
-        assert done.returncode == 128 + signal.SIGTERM
-        message = " ".join(done.stderr.split())
-        assert f"terminated; {out} keeps the progress so far; continue with" in message
-        assert "Ctrl-C" not in message
 
 
 def test_without_tensorboard_it_is_said_before_the_training(

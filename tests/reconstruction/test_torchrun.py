@@ -102,3 +102,21 @@ def test_a_killed_process_ends_the_others_and_the_run_resumes(
     more = replace(long, iterations=reached + 20)
     finish(torchrun(2, *command(dataset, more, out, "--resume")))
     assert Run.load(out).iteration == more.iterations
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--iterations", "0"], "error: iterations is 0; it must be a whole number from 1"),
+        (["--iteration", "5"], "error: --iteration is not an option"),
+        (["--device", "cpu", "--resume"], "run does not exist; make one with"),
+    ],
+)
+def test_a_mistake_is_said_once(dataset: Dataset, tmp_path: Path, words: list[str], complaint: str) -> None:
+    run = ["-m", "sarsplat", "reconstruct", str(dataset.path), "--out", str(tmp_path / "run"), *words]
+    with torchrun(3, *run) as process:
+        _, complained = process.communicate(timeout=60)
+    assert process.returncode != 0
+    assert complained.count(complaint) == 1, complained
+    assert "exitcode  : 2" in complained

@@ -157,7 +157,7 @@ def train(dataset: Dataset, config: Config, steps: int) -> tuple[Tensor, Trainer
     return torch.stack([trainer.step() for _ in range(steps)]), trainer
 
 
-@pytest.mark.parametrize(("name", "steps"), [("amplitude", 50), ("ssim", 10), ("density", 10), ("measured", 10)])
+@pytest.mark.parametrize(("name", "steps"), [("amplitude", 24), ("ssim", 10), ("density", 10), ("measured", 10)])
 def test_the_cuda_engines_source_learns_as_the_cpus(
     name: str, steps: int, dataset: Dataset, library: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -173,7 +173,7 @@ def test_the_cuda_engines_source_learns_as_the_cpus(
     if name == "density":
         assert len(usual.model) != 200
     if name == "amplitude":
-        assert float(actual[-10:].mean()) < 0.7 * float(actual[:10].mean())
+        assert float(actual[-5:].mean()) < 0.8 * float(actual[:5].mean())
 
 
 @pytest.mark.parametrize("name", CONFIGS)

@@ -87,12 +87,6 @@ def test_a_run_in_another_process_is_left_to_it(place, plan):
     assert do(one, out).state == "finished"
 
 
-def test_local_processes_give_the_same_bits(place, plan, expected):
-    found = sweep(plan, place / "out", means=Means(processes=2), quiet=True)
-    assert all(one.finished for one in found.results)
-    assert results(place / "out") == expected
-
-
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds processes in /proc")
 def test_a_killed_worker_is_a_row_and_done_next_time(place, plan, expected, capfd):
     def kill() -> None:
@@ -106,8 +100,10 @@ def test_a_killed_worker_is_a_row_and_done_next_time(place, plan, expected, capf
     (failed,) = found.failed
     assert "ended by SIGKILL" in failed.reason
     assert sum(one.finished for one in found.results) == 1
-    sweep(plan, place / "out", means=Means(processes=1), quiet=True)
-    assert results(place / "out") == expected
+    plan |= {"seeds": [0, 1, 2]}
+    found = sweep(plan, place / "out", means=Means(processes=2), quiet=True)
+    assert all(one.finished for one in found.results)
+    assert expected.items() <= results(place / "out").items()  # bit for bit
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds processes in /proc")

@@ -6,11 +6,9 @@ import signal
 import sys
 import threading
 from collections.abc import Sequence
-from types import FrameType
 
-from sarsplat.cli.stopped import Stopped
-
-_SIGNALLED = 128  # and the signal's number: exit codes as in shells
+from sarsplat.cli.follower import follow, follows
+from sarsplat.cli.stopped import SIGNALLED, terminate
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -27,8 +25,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit code: 0, or 2 after a mistake in the input, 130 after Ctrl-C, 143 after being terminated. Options that do
         not parse end the process with code 2.
     """
+    return follow(lambda: _main(arguments)) if follows() else _main(arguments)
+
+
+def _main(arguments: Sequence[str] | None) -> int:
     main_thread = threading.current_thread() is threading.main_thread()  # the only one that receives signals
-    before = signal.signal(signal.SIGTERM, _terminate) if main_thread else None
+    before = signal.signal(signal.SIGTERM, terminate) if main_thread else None
     try:
         from sarsplat.cli.app import run  # here, because Ctrl-C may come while this is imported
 
@@ -39,17 +41,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         number = getattr(interrupt, "number", signal.SIGINT)
         by = "terminated" if number == signal.SIGTERM else "stopped by Ctrl-C"
         console.complain(str(interrupt) or f"{by}; nothing half-written was left behind")
-        return _SIGNALLED + number
+        return SIGNALLED + number
     finally:
         if main_thread:
             signal.signal(signal.SIGTERM, before)
         if arguments is None:  # the process ends: a late Ctrl-C must not make it look as if it had not done its work
             signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _terminate(number: int, frame: FrameType | None) -> None:
-    """As Ctrl-C does, so that what is half-written is removed."""
-    raise Stopped(number)
 
 
 __all__ = ["main"]

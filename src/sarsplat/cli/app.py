@@ -9,7 +9,8 @@ import warnings
 from typing import TextIO
 
 from sarsplat.cli import console, extras
-from sarsplat.errors import AssumptionWarning, SarsplatError, SarsplatWarning
+from sarsplat.cli.follower import ABANDONED
+from sarsplat.errors import Abandoned, AssumptionWarning, SarsplatError, SarsplatWarning
 
 _MISUSED = 2
 _READER_LEFT = 141  # as shells have it
@@ -19,7 +20,7 @@ def run(words: list[str]) -> int:
     """Do what the words after the program's name ask for; the exit code is 0, or 2 after a mistake in the input.
 
     `sarsplat check` and `sarsplat import` end with 1 if images contradict what is said of them, `sarsplat sweep` if
-    a run has failed.
+    a run has failed, and with 75 if another process of the same training has ended.
     """
     # before torch is loaded: threads that spin while they wait cost tens of milliseconds a step on a shared machine
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -43,7 +44,7 @@ def run(words: list[str]) -> int:
         except SarsplatError as error:
             text = str(error).replace("overwrite=True", "--overwrite").replace("resume=True", "--resume")
             console.complain(text)  # as it is called here
-            return _MISUSED
+            return ABANDONED if isinstance(error, Abandoned) else _MISUSED
         except ModuleNotFoundError as error:
             extra = extras.extra_with(error.name or "")
             if extra is None:

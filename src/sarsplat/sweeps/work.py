@@ -113,7 +113,7 @@ def do(cell: Cell, out: Path, again: bool = False) -> Row | None:
                 traceback.print_exc()
                 row.state, row.reason, row.passing = "failed", f"{type(error).__name__}: {error}", True
         row.warnings = [str(one.message) for one in caught if issubclass(one.category, SarsplatWarning)]
-        row.took_s = round(time.monotonic() - begun, 1)
+        row.took_s = round(time.monotonic() - begun, 3)
         write_json(row_path(cell, out), row)
         return row
 
@@ -162,7 +162,7 @@ def _train_and_score(cell: Cell, folder: Path, row: Row) -> None:
 
 def scores_in(metrics: Mapping[str, Any]) -> dict[str, float]:
     """The scores of a `metrics.json` by dotted key, without those that are None."""
-    kept = {name: metrics[name] for name in ("images", "points", "mesh", "time_s")}
+    kept = {name: metrics[name] for name in ("images", "points", "mesh", "baselines", "time_s")}
     return {name: value for name, value in _flat(kept) if value is not None}
 
 

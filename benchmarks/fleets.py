@@ -1,0 +1,100 @@
+"""What a sweep costs beside its runs: with local processes, and on a Ray cluster of two nodes on this machine.
+
+`python benchmarks/fleets.py [local] [ray]` writes benchmarks/results/fleets.json. It needs the extra `ray` and an idle
+machine.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from results import RESULTS, machine, save
+
+from sarsplat import read_dataset, sweep, write_dataset
+from sarsplat.cli.simulate import simulate
+from sarsplat.sweeps import Means
+
+PROCESSES = 2
+TINY = {"iterations": 5, "gaussians": 50, "points.voxel": 0.5, "points.rays_per_pixel": 2}
+FEW = {"azimuth": ("0:360:60",), "grazing": ("45",), "test_azimuth": ("45",), "test_grazing": ("45",)}
+KINDS: dict[str, tuple[dict[str, Any], dict[str, Any], tuple[int, ...]]] = {
+    "tiny": ({"pixels": (32,), "spacing": (0.6,), **FEW}, TINY, (4, 20)),
+    "t72": ({}, {}, (2,)),
+}
+"""Options of a simulation, settings, and how many runs: two counts tell what each costs and what beginning does."""
+
+
+@contextmanager
+def cluster() -> Iterator[Any]:
+    """Two nodes of a processor each."""
+    from ray.cluster_utils import Cluster
+
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    node = {"num_cpus": 1, "object_store_memory": 80 << 20}
+    made = Cluster(initialize_head=True, head_node_args=node)
+    made.add_node(**node)
+    made.wait_for_nodes()
+    try:
+        yield made
+    finally:
+        made.shutdown()
+
+
+def timed(kind: str, count: int, executor: str, means: Means, folder: Path) -> tuple[float, float]:
+    """Seconds of a sweep, and those that one of its runs computes: the first of a process also imports."""
+    plan = {"datasets": [str(folder / kind)], "preset": "quick", "settings": KINDS[kind][1], "reports": False}
+    begun, out = time.monotonic(), folder / f"{kind}-{executor}-{count}"
+    found = sweep(plan | {"seeds": list(range(count))}, out, executor=executor, means=means, quiet=True)
+    assert not found.failed, [one.reason for one in found.failed]
+    seconds = time.monotonic() - begun
+    return seconds, statistics.median(one.row.took_s for one in found.results if one.row is not None)
+
+
+def measured(executor: str, means: Means, folder: Path) -> list[dict[str, Any]]:
+    """Seconds that beginning takes, that a run of each kind computes, and that the sweep adds to it."""
+    (few, many), rows = KINDS["tiny"][2], []
+    found = {
+        (kind, count): timed(kind, count, executor, means, folder)
+        for kind, (*_, counts) in KINDS.items()
+        for count in counts
+    }
+    some, more = found["tiny", few][0], found["tiny", many][0]
+    begin_s = some - (more - some) / (many - few) * few
+    for kind, (*_, counts) in KINDS.items():
+        count = counts[-1]
+        seconds, run_s = found[kind, count]
+        added_s = (seconds - begin_s) * PROCESSES / count - run_s
+        rows.append({"kind": kind, "executor": executor, "runs": count, "run_s": run_s, "overhead_s": added_s})
+    return [{**row, "begin_s": begin_s} for row in rows]
+
+
+def main(executors: Sequence[str]) -> None:
+    """Measure by these executors, and add it to what is known of others."""
+    path = RESULTS / "fleets.json"
+    made: dict[str, Any] = {"machine": machine(), "processes": PROCESSES, "rows": []}
+    if path.exists():
+        made["rows"] = [row for row in json.loads(path.read_text())["rows"] if row["executor"] not in executors]
+    with tempfile.TemporaryDirectory() as place, ExitStack() as stack:
+        folder = Path(place)
+        for kind, (options, *_) in KINDS.items():
+            simulate(target="t72", out=folder / "made" / kind, **options)
+            made_of = read_dataset(folder / "made" / kind)  # scoring a surface would take longer than all else
+            write_dataset(folder / kind, made_of if kind == "t72" else replace(made_of, truth_mesh=None))
+        for executor in executors:
+            address = stack.enter_context(cluster()).address if executor == "ray" else "auto"
+            made["rows"] += measured(executor, Means(PROCESSES, address), folder)
+    save(path, made)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:] or ("local", "ray"))

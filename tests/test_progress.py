@@ -1,0 +1,22 @@
+"""Lines of progress where there is no terminal."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from sarsplat import progress
+
+
+def test_the_time_left_is_told_once_something_is_done_here(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = iter(range(0, 100, 10))
+    monkeypatch.setattr(progress.time, "monotonic", lambda: float(next(now)))
+    with progress.progress("sweep", 8) as reporter:
+        reporter.start_at(4)  # done before
+        reporter.advance(0, "running")
+        reporter.advance(2, "box")
+    lines = [re.sub(r" +", " ", line).rstrip() for line in capsys.readouterr().out.splitlines()]
+    assert lines == ["sweep: 4/8", "sweep: 4/8 running", "sweep: 6/8 box 30 s left"]
