@@ -1,0 +1,152 @@
+"""Training by tiles: the whole scene first, on coarse images, and then tile after tile on finer ones.
+
+What coarse images teach about all of a scene is little, and fits into memory; what they leave to finer ones is local.
+Each tile goes on from there by itself, with its surroundings as far as its images show them; these are dropped at its
+end, so that no more than the Gaussians of the tiles themselves are put together.
+"""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from sarsplat.data import Dataset
+from sarsplat.data.files import plain_os_errors
+from sarsplat.errors import SarsplatError
+from sarsplat.progress import Reporter
+from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.log import LogLine
+from sarsplat.reconstruction.loop import Step, Training
+from sarsplat.reconstruction.method import Inputs
+from sarsplat.reconstruction.run import Run, write_header
+from sarsplat.reconstruction.run_folder import HEADER
+from sarsplat.reconstruction.snapshot import Snapshot
+from sarsplat.reconstruction.tile import Tile, merged, tiles_of
+from sarsplat.reconstruction.tile_trainer import TileTrainer, rows_in
+from sarsplat.reconstruction.trainer import Trainer
+
+_FOLDER = "tiles"
+"""In a run's folder, until its tiles are finished: a run of each."""
+
+
+class TiledTraining(Training[Trainer]):
+    """A training that goes on by tiles where images get too fine for the whole scene.
+
+    The tiles, N × N, begin with the first level whose blocks of pixels are smaller than N × N: before, the whole has no
+    more of them than a tile has pixels. A tile's `Step`s count iterations from there again.
+    """
+
+    def __init__(
+        self,
+        trainer: Trainer,
+        on_step: Callable[[Step[Trainer]], object] | None,
+        shown: Reporter,
+        dataset: Dataset,
+        inputs: Inputs,
+    ) -> None:
+        super().__init__(trainer, on_step, shown)
+        self._dataset, self._inputs, self._watcher = dataset, inputs, on_step
+        self._begin = begin_of_tiles(trainer)
+
+    def advance_to(self, iterations: int) -> None:
+        """Train the whole as far as it goes, and then, in a folder that is there to stay, by tiles."""
+        whole = self.trainer
+        if whole.iteration < self._begin:
+            self._remove_tiles()  # of a training that was shorter
+            super().advance_to(min(iterations, self._begin))
+            if self.folder_to_come is not None:
+                return
+        if self.ended or whole.iteration >= iterations:
+            return
+        begun = whole.snapshot(self.seconds)
+        tiles, parts, lines = tiles_of(whole.model.parameters["means"], whole.config.tiles), [], []
+        for number, tile in enumerate(tiles):
+            training = self._tile(tile, number, len(tiles), begun, iterations)
+            training.advance_to(iterations)
+            if training.ended:
+                self.ended = True
+                return
+            parts.append(training.trainer.result(training.seconds))
+            lines.append(training.history[-1])
+        seconds = begun.seconds + sum(part.seconds for part in parts)
+        self._begun = time.monotonic() - seconds
+        whole.restore(merged(parts, rows_in(whole.model), seconds))
+        self._log(LogLine(iterations, round(seconds, 3), sum(line.loss for line in lines) / len(lines), len(whole.model)))
+        self._save()
+        self._remove_tiles()
+
+    def _tile(self, tile: Tile, number: int, count: int, begun: Snapshot, iterations: int) -> Training[TileTrainer]:
+        """The training of a tile, as far as it had come."""
+        whole, steps = self.trainer, iterations - begun.iteration
+        shown = self.shown.within(number * steps, f"tile {number + 1} of {count}")
+        trainer = TileTrainer(self._dataset, whole.config, self._inputs.loss, whole.device, begun, tile)
+        training: Training[TileTrainer] = Training(trainer, self._watcher, shown)
+        if self.run is None:
+            return training
+        folder = self._folder / str(number)
+        if (folder / HEADER).is_file():
+            training.run = Run.load(folder)
+            training.resume(self._dataset)
+            return training
+        training.run = replace(self.run, path=folder)
+        with plain_os_errors("write", folder):
+            (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
+        write_header(training.run)
+        return training
+
+    @property
+    def _folder(self) -> Path:
+        assert self.run is not None
+        return self.run.folder / _FOLDER
+
+    def _remove_tiles(self) -> None:
+        if self.run is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def steps_of(trainer: Trainer) -> int:
+    """How many steps a training by tiles takes in all."""
+    iterations, begin = trainer.config.iterations, begin_of_tiles(trainer)
+    return begin + trainer.config.tiles**2 * (iterations - begin)
+
+
+def begin_of_tiles(trainer: Trainer) -> int:
+    """The first iteration that is one of tiles.
+
+    Raises
+    ------
+    SarsplatError
+        If the coarsest images are too fine for the whole.
+    """
+    tiles, coarsest = trainer.config.tiles, trainer.model.levels.coarsest
+    if tiles > coarsest:
+        raise SarsplatError(
+            f"tiles is {tiles}, but a scene of this size is first looked at in blocks of {coarsest} × {coarsest} pixels, "
+            f"which are for at most {coarsest} × {coarsest} tiles; give fewer, or 1 for none"
+            if coarsest < trainer.config.coarsest or coarsest == 1
+            else f"tiles is {tiles}, more than the {coarsest} that the setting coarsest allows; give fewer, or a larger "
+            "coarsest"
+        )
+    return trainer.model.levels.begin_below(tiles)
+
+
+def refuse_with_tiles(config: Config, inputs: Inputs) -> None:
+    """Refuse what a training by tiles cannot have.
+
+    Raises
+    ------
+    SarsplatError
+        If the configuration or the inputs ask for it.
+    """
+    not_local = {
+        "surroundings": config.surroundings is not None,
+        "densification": config.densification is not None,
+        "strategies of one's own": bool(inputs.strategies),
+        "processes that share views": inputs.processes is not None,
+    }
+    for what, wanted in not_local.items():
+        if wanted:
+            raise SarsplatError(f"tiles is {config.tiles}, and tiles know no {what}; omit these, or give 1 for no tiles")
