@@ -198,7 +198,7 @@ class SceneModel:
     ) -> tuple[Float[Tensor, "v c {grid.rows} {grid.columns}"], Rendering]:
         """Images [V, C, rows, columns], in the power channel with noise floor, and the rendering behind them.
 
-        `numbers` are those of training images, whose own windows, shift and gain then apply; without them, images are as
+        `numbers` are those of training images, whose own window, shift and gain then apply; without them, images are as
         expected of unseen views (`Shot`). `bounds` and `amplitudes` are those of `render`; Gaussians that are
         `dropped` are left out; `estimated` is whether what was estimated rather than learned applies, as the texture;
         `processes` share the views.

@@ -60,9 +60,7 @@ def with_some(snapshot: Snapshot, rows: Collection[str], which: Bool[Tensor, " n
 def merged(parts: Sequence[Snapshot], rows: Collection[str], seconds: float) -> Snapshot:
     """A training with the Gaussians of all; what is not of single ones is the same in them, but for chance."""
     first = parts[0]
-    joined = {
-        name: torch.cat([part.tensors[name] for part in parts]) for name in first.tensors if _of_rows(name, rows)
-    }
+    joined = {name: torch.cat([part.tensors[name] for part in parts]) for name in first.tensors if _of_rows(name, rows)}
     return replace(first, seconds=seconds, tensors=first.tensors | joined)
 
 

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from sarsplat.data import Dataset
 from sarsplat.data.files import plain_os_errors
@@ -42,7 +43,7 @@ class TiledTraining(Training[Trainer]):
     def __init__(
         self,
         trainer: Trainer,
-        on_step: Callable[[Step[Trainer]], object] | None,
+        on_step: Callable[[Step[Any]], object] | None,
         shown: Reporter,
         dataset: Dataset,
         inputs: Inputs,
@@ -74,7 +75,8 @@ class TiledTraining(Training[Trainer]):
         seconds = begun.seconds + sum(part.seconds for part in parts)
         self._begun = time.monotonic() - seconds
         whole.restore(merged(parts, rows_in(whole.model), seconds))
-        self._log(LogLine(iterations, round(seconds, 3), sum(line.loss for line in lines) / len(lines), len(whole.model)))
+        loss = sum(line.loss for line in lines) / len(lines)
+        self._log(LogLine(iterations, round(seconds, 3), loss, len(whole.model)))
         self._save()
         self._remove_tiles()
 
@@ -123,12 +125,10 @@ def begin_of_tiles(trainer: Trainer) -> int:
     """
     tiles, coarsest = trainer.config.tiles, trainer.model.levels.coarsest
     if tiles > coarsest:
+        limit = "the setting coarsest" if coarsest == trainer.config.coarsest else "the scene's size"
         raise SarsplatError(
-            f"tiles is {tiles}, but a scene of this size is first looked at in blocks of {coarsest} × {coarsest} pixels, "
-            f"which are for at most {coarsest} × {coarsest} tiles; give fewer, or 1 for none"
-            if coarsest < trainer.config.coarsest or coarsest == 1
-            else f"tiles is {tiles}, more than the {coarsest} that the setting coarsest allows; give fewer, or a larger "
-            "coarsest"
+            f"tiles is {tiles}, but the whole scene is first learned from images of blocks of {coarsest} × {coarsest} "
+            f"pixels, by {limit}, and these must not be smaller than tiles × tiles; give tiles from 1 to {coarsest}"
         )
     return trainer.model.levels.begin_below(tiles)
 
@@ -141,12 +141,12 @@ def refuse_with_tiles(config: Config, inputs: Inputs) -> None:
     SarsplatError
         If the configuration or the inputs ask for it.
     """
-    not_local = {
+    unknown = {
         "surroundings": config.surroundings is not None,
         "densification": config.densification is not None,
         "strategies of one's own": bool(inputs.strategies),
         "processes that share views": inputs.processes is not None,
     }
-    for what, wanted in not_local.items():
+    for what, wanted in unknown.items():
         if wanted:
-            raise SarsplatError(f"tiles is {config.tiles}, and tiles know no {what}; omit these, or give 1 for no tiles")
+            raise SarsplatError(f"tiles is {config.tiles}, and tiles know no {what}; omit them, or give 1 for no tiles")

@@ -48,9 +48,9 @@ class TrainingImages:
         self.numbers = torch.arange(len(self.views), device=device)
 
     def through(self, windows: Windows) -> TrainingImages:
-        """What windows show of them; `grid` says what pixels these have, and not where they lie."""
+        """What windows show of them."""
         looked = copy(self)
-        looked.truth, looked.grid = windows.of(self.truth), windows.grids[0]
+        looked.truth, looked.grid = windows.of(self.truth), windows.stack
         return looked
 
     def multilooked(self, factor: int, views: tuple[View, ...]) -> TrainingImages:
