@@ -11,7 +11,6 @@ import shutil
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from sarsplat.data import Dataset
@@ -60,53 +59,57 @@ class TiledTraining(Training[Trainer]):
             super().advance_to(min(iterations, self._begin))
             if self.folder_to_come is not None:
                 return
-        if self.ended or whole.iteration >= iterations:
-            return
+        if whole.iteration < iterations and not self.ended:
+            self._by_tiles(iterations)
+        if whole.iteration >= iterations:
+            self._remove_tiles()
+
+    def _by_tiles(self, iterations: int) -> None:
+        """Bring the trainer from where it is to the end; to nowhere if `on_step` asks for the end before."""
+        whole = self.trainer
         begun = whole.snapshot(self.seconds)
         tiles, parts, lines = tiles_of(whole.model.parameters["means"], whole.config.tiles), [], []
         for number, tile in enumerate(tiles):
-            training = self._tile(tile, number, len(tiles), begun, iterations)
-            training.advance_to(iterations)
-            if training.ended:
-                self.ended = True
+            part, history = self._trained(tile, f"tile {number + 1} of {len(tiles)}", number, begun, iterations)
+            if self.ended:
                 return
-            parts.append(training.trainer.result(training.seconds))
-            lines.append(training.history[-1])
+            parts.append(part)
+            lines.append(history[-1])
         seconds = begun.seconds + sum(part.seconds for part in parts)
         self._begun = time.monotonic() - seconds
         whole.restore(merged(parts, rows_in(whole.model), seconds))
         loss = sum(line.loss for line in lines) / len(lines)
         self._log(LogLine(iterations, round(seconds, 3), loss, len(whole.model)))
         self._save()
-        self._remove_tiles()
 
-    def _tile(self, tile: Tile, number: int, count: int, begun: Snapshot, iterations: int) -> Training[TileTrainer]:
-        """The training of a tile, as far as it had come."""
-        whole, steps = self.trainer, iterations - begun.iteration
-        shown = self.shown.within(number * steps, f"tile {number + 1} of {count}")
+    def _trained(
+        self, tile: Tile, name: str, number: int, begun: Snapshot, iterations: int
+    ) -> tuple[Snapshot, list[LogLine]]:
+        """What a tile learns, and its log; from where it had come."""
+        whole, shown = self.trainer, self.shown.within(number * (iterations - begun.iteration), name)
         trainer = TileTrainer(self._dataset, whole.config, self._inputs.loss, whole.device, begun, tile)
         training: Training[TileTrainer] = Training(trainer, self._watcher, shown)
-        if self.run is None:
-            return training
-        folder = self._folder / str(number)
+        if self.run is not None:
+            self._open(training, self.run, str(number))
+        training.advance_to(iterations)
+        self.ended = training.ended
+        return trainer.result(training.seconds), training.history
+
+    def _open(self, training: Training[TileTrainer], run: Run, name: str) -> None:
+        """Give a tile its folder, in which it goes on if it was begun."""
+        folder = run.folder / _FOLDER / name
         if (folder / HEADER).is_file():
             training.run = Run.load(folder)
             training.resume(self._dataset)
-            return training
-        training.run = replace(self.run, path=folder)
+            return
+        training.run = replace(run, path=folder)
         with plain_os_errors("write", folder):
             (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
         write_header(training.run)
-        return training
-
-    @property
-    def _folder(self) -> Path:
-        assert self.run is not None
-        return self.run.folder / _FOLDER
 
     def _remove_tiles(self) -> None:
         if self.run is not None:
-            shutil.rmtree(self._folder, ignore_errors=True)
+            shutil.rmtree(self.run.folder / _FOLDER, ignore_errors=True)
 
 
 def steps_of(trainer: Trainer) -> int:
