@@ -7,9 +7,12 @@ end, so that no more than the Gaussians of the tiles themselves are put together
 
 from __future__ import annotations
 
+import ctypes
 import shutil
+import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -86,6 +89,7 @@ class TiledTraining(Training[Trainer]):
         self, tile: Tile, name: str, number: int, begun: Snapshot, iterations: int
     ) -> tuple[Snapshot, list[LogLine]]:
         """What a tile learns, and its log; from where it had come."""
+        _give_back_memory()
         whole, shown = self.trainer, self.shown.within(number * (iterations - begun.iteration), name)
         trainer = TileTrainer(self._dataset, whole.config, self._inputs.loss, whole.device, begun, tile)
         training: Training[TileTrainer] = Training(trainer, self._watcher, shown)
@@ -110,6 +114,13 @@ class TiledTraining(Training[Trainer]):
     def _remove_tiles(self) -> None:
         if self.run is not None:
             shutil.rmtree(self.run.folder / _FOLDER, ignore_errors=True)
+
+
+def _give_back_memory() -> None:
+    """Return to the system what is free: glibc keeps it in pieces, into which what a tile needs does not fit."""
+    if sys.platform == "linux":
+        with suppress(OSError, AttributeError):  # another C library
+            ctypes.CDLL(None).malloc_trim(0)
 
 
 def steps_of(trainer: Trainer) -> int:
