@@ -124,7 +124,7 @@ def section(
         f"{largest['side']:,}² pixels, so {view_h:.2g} core hours for {pixels:.2g} pixels.",
         f"- **The same, trained on {VIEWS} views with `quick`, without points**: {seconds:.3g} core seconds for "
         f"{km2:.2g} km², so {scene_h:,.0f} core hours if all of it were built up like the village, or "
-        f"{scene_h / 1000:.2g} h on 1,000 cores. It would have to go by tiles, which reconstruction cannot do yet.",
+        f"{scene_h / 1000:.2g} h on 1,000 cores. It would have to go by tiles, whose halos are not counted.",
         *([] if fleets is None else [targets_line(fleets)]),
         "",
     ]

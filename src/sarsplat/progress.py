@@ -30,6 +30,10 @@ class Reporter:
         """The progress of a part of the work."""
         return Reporter(total, self._bar, description, self._quiet)
 
+    def within(self, before: int, name: str) -> Reporter:
+        """The progress of a part of the work that is a part of its steps, after so many."""
+        return _Within(self, before, name)
+
     def note(self, text: str) -> None:
         """Print a line that stays."""
         if self._bar is not None:
@@ -59,6 +63,22 @@ class Reporter:
         here = done - self._first  # without which nothing tells how long the others take
         left = f"  {(now - self._begun) / here * (self._total - done):.0f} s left" if here > 0 else ""
         print(f"{self._description}: {int(done)}/{self._total}  {status}{left}", flush=True)
+
+
+class _Within(Reporter):
+    """Says everything to another one."""
+
+    def __init__(self, outer: Reporter, before: int, name: str) -> None:
+        self._outer, self._before, self._name = outer, before, name
+
+    def note(self, text: str) -> None:
+        self._outer.note(text)
+
+    def start_at(self, done: int) -> None:
+        self._outer.start_at(self._before + done)
+
+    def update(self, done: float, status: str = "") -> None:
+        self._outer.update(self._before + done, f"{self._name}  {status}")
 
 
 @contextmanager

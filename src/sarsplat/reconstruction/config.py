@@ -306,6 +306,9 @@ class Config(AnyConfig):
         Side of the blocks of pixels over which images are averaged at first, in pixels; half of it is next, and so on.
         Powers of two, and no more than leave 20 resolution cells across the target: small ones are looked at as they
         are. 1: so are all.
+    tiles : int
+        Tiles along each side of the scene: from images of smaller blocks than so many pixels on, each is learned by
+        itself, in the memory that it takes. 1: the scene is learned whole.
     target_box : tuple of float or None
         Lower and upper corner (x, y, z, x, y, z) of the box in which the target is looked for, m; None: the dataset's,
         or what the images tell.
@@ -385,6 +388,7 @@ class Config(AnyConfig):
     gaussians: Count | None = None
     fewest_gaussians: Count = 100
     coarsest: Count = 8
+    tiles: Count = 1
     target_box: tuple[Number, Number, Number, Number, Number, Number] | None = None
     initialisation: Literal["box", "hemisphere"] = "box"
     loss: str = "amplitude"

@@ -65,6 +65,10 @@ class Levels:
         """The level of an iteration, the first being 0."""
         return self.coarsest >> sum(begin <= iteration for begin in self._begins[1:])
 
+    def begin_below(self, blocks: int) -> int:
+        """First iteration with smaller blocks than these; 0 if all are."""
+        return next(begin for k, begin in enumerate(self._begins) if self.coarsest >> k < blocks)
+
     def grows(self, iteration: int) -> bool:
         """Whether Gaussians are split after an iteration: the first of each finer level, and halfway to the next."""
         finer = self._begins[1:]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
+from dataclasses import replace
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int64
@@ -23,6 +25,7 @@ from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, Shot
 from sarsplat.reconstruction.setting import Setting
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.reconstruction.target_region import cut_off
+from sarsplat.reconstruction.windows import Windows
 from sarsplat.renderer import Bounds, Rendering, render
 from sarsplat.tiles import at_once, render_tiled
 
@@ -59,6 +62,7 @@ class SceneModel:
         self.device = torch.device(device)
         self.parts = parts_of(config, setting, self.device)
         self.levels = Levels.of(config, setting)
+        self.windows: Windows | None = None
         self.learned = self._learned()
         self.parameters: Parameters = {}
         count = len(next(parameters[name] for name, learned in self.learned.items() if learned.per_gaussian))
@@ -133,9 +137,16 @@ class SceneModel:
             part.look_at(cell_m)
         self.learned = self._learned()
 
+    def look_through(self, windows: Windows) -> None:
+        """Be learned from parts of the images, which say nothing new of what all images share: `learned` follows."""
+        self.windows, self.learned = windows, self._learned()
+
     def _learned(self) -> dict[str, Learned]:
         """How each parameter is learned, by name."""
-        return {name: learned for part in self.parts for name, learned in part.learned.items()}
+        learned = {name: how for part in self.parts for name, how in part.learned.items()}
+        if self.windows is None:
+            return learned
+        return {name: how if how.per_gaussian else replace(how, rates=(0.0,)) for name, how in learned.items()}
 
     def copy(self, *, ground: bool = True) -> SceneModel:
         """The same scene in tensors of its own, with or without what surrounds the target."""
@@ -187,24 +198,26 @@ class SceneModel:
     ) -> tuple[Float[Tensor, "v c {grid.rows} {grid.columns}"], Rendering]:
         """Images [V, C, rows, columns], in the power channel with noise floor, and the rendering behind them.
 
-        `numbers` are those of training images, whose own shift and gain then apply; without them, images are as
+        `numbers` are those of training images, whose own window, shift and gain then apply; without them, images are as
         expected of unseen views (`Shot`). `bounds` and `amplitudes` are those of `render`; Gaussians that are
         `dropped` are left out; `estimated` is whether what was estimated rather than learned applies, as the texture;
         `processes` share the views.
         """
         shot = self.shot(views, grid, numbers)
-        rendering = render(
-            self.scene(degree, dropped),
-            views,
-            shot.grid,
-            rays=rays,
-            shift=shot.shift,
-            ground=self.ground(),
-            plane_gradients=plane_gradients,
-            bounds=bounds,
-            amplitudes=amplitudes,
-            processes=processes,
-        )
+        how: dict[str, Any] = {
+            "rays": rays,
+            "shift": shot.shift,
+            "ground": self.ground(),
+            "plane_gradients": plane_gradients,
+            "bounds": bounds,
+            "amplitudes": amplitudes,
+            "processes": processes,
+        }
+        scene = self.scene(degree, dropped)
+        if self.windows is None or numbers is None:
+            rendering = render(scene, views, shot.grid, **how)
+        else:
+            rendering = self.windows.render(scene, views, shot.grid, numbers.tolist(), **how)
         return self._developed(rendering.images, shot, estimated), rendering
 
     def unseen(

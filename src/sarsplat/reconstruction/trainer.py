@@ -66,19 +66,27 @@ class Trainer:
     ) -> None:
         self.config, self._processes = config, processes
         self.device = torch.device(device)
-        self._finest = TrainingImages(dataset, self.device)
+        self._finest = self._images_of(dataset)
         self._generator = torch.Generator().manual_seed(config.seed)
         self._queue = ViewQueue(len(self._finest.views), config.views_per_step, self._generator)
         self.strategies = [*strategies_of(config, dataset.select("train")), *strategies]
-        self._learn(SceneModel.initial(config, dataset, self._generator, self.device))
+        self._learn(self._first_model(dataset))
         self._loss = loss or named_loss(config, ImageScale(self.images.brightest, self.model.unit))
         self._black_loss = _of_black(self._loss, self.images.truth[: config.views_per_step])
         self.iteration = 0
         self.terms: dict[str, Tensor] = {}
 
+    def _images_of(self, dataset: Dataset) -> TrainingImages:
+        """What is learned from, at the finest level."""
+        return TrainingImages(dataset, self.device)
+
+    def _first_model(self, dataset: Dataset) -> SceneModel:
+        """What is learned, as it is before the first step."""
+        return SceneModel.initial(self.config, dataset, self._generator, self.device)
+
     def _learn(self, model: SceneModel) -> None:
         """Begin with this model."""
-        self.model, self._bounds, self.images = model, model.scene_bounds(), self._finest
+        self.model, self._bounds, self.images, self._factor = model, model.scene_bounds(), self._finest, 1
         self.optimiser = Optimiser(model.parameters, model.learned, self.config.iterations)
         for name, count in Counter(strategy.name for strategy in self.strategies).items():
             if count > 1:
@@ -89,10 +97,9 @@ class Trainer:
 
     def _look(self) -> None:
         """Look at the images of the level that the next step is on."""
-        levels = self.model.levels
-        factor = levels.factor(self.iteration)
-        if self.images.grid != levels.grid_at(factor):
-            self.images = self._finest.multilooked(factor, self.views)
+        factor = self.model.levels.factor(self.iteration)
+        if factor != self._factor:
+            self.images, self._factor = self._finest.multilooked(factor, self.views), factor
             self.model.look_at(self.images.grid.cell_m)
             self.optimiser.relearn(self.model.learned)
 
@@ -161,7 +168,7 @@ class Trainer:
     @property
     def grid(self) -> ImageGrid:
         """Of the dataset's images; steps may look at coarser ones, `images`."""
-        return self._finest.grid
+        return self.model.setting.grid
 
     @property
     def views(self) -> tuple[View, ...]:

@@ -20,6 +20,8 @@ from sarsplat.reconstruction.losses import Loss
 from sarsplat.reconstruction.method import Inputs
 from sarsplat.reconstruction.methods import method_named
 from sarsplat.reconstruction.run import Run
+from sarsplat.reconstruction.tiled import TiledTraining, refuse_with_tiles, steps_of
+from sarsplat.reconstruction.trainer import Trainer
 
 
 @checks_arguments
@@ -115,16 +117,24 @@ def reconstruct(
         if not isinstance(config, Config):
             raise SarsplatError(f"{method} uses no scattering; omit {scattering!r}, or choose a method that does")
         config = replace(config, scattering=scattering)
+    if isinstance(config, Config) and config.tiles > 1:
+        refuse_with_tiles(config, inputs)
     warn(suspicions(dataset))
     learned = None if begun is None or begun.checkpoint_path is None else lambda: begun.reconstruction
     trainer = chosen.trainer(dataset, config, inputs, on, learned)
     follows = processes is not None and not processes.leads
     heading, note = chosen.about(config, dataset.grid)
-    with progress(f"reconstruct ({heading})", config.iterations, quiet or follows) as shown:
+    whole = trainer if isinstance(trainer, Trainer) and trainer.config.tiles > 1 else None
+    steps = config.iterations if whole is None else steps_of(whole)
+    with progress(f"reconstruct ({heading})", steps, quiet or follows) as shown:
         if note is not None:
             shown.note(note)
         where = None if dataset.path is None else dataset.path.resolve()
         new = Run(method, trainer.config, dataset.fingerprint(), dataset_path=where)
         folder = None if out is None else Path(out)
-        training = Training(trainer, None if follows else on_step, shown, processes)
+        training: Training[Any]
+        if whole is not None:
+            training = TiledTraining(whole, on_step, shown, dataset, inputs)
+        else:
+            training = Training(trainer, None if follows else on_step, shown, processes)
         return train(training, new, dataset, folder, resume=resume, overwrite=overwrite)

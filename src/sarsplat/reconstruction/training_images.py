@@ -10,6 +10,7 @@ from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.reconstruction.snapshot import Snapshot
+from sarsplat.reconstruction.windows import Windows
 
 _FAINTEST = 1e-30
 """Largest β⁰ below which images count as black: squares and reciprocals of it would leave float32."""
@@ -45,6 +46,12 @@ class TrainingImages:
         self.samples = self.grid.independent_samples * (train.looks or 1.0)
         self.truth = power.to(device)
         self.numbers = torch.arange(len(self.views), device=device)
+
+    def through(self, windows: Windows) -> TrainingImages:
+        """What windows show of them."""
+        looked = copy(self)
+        looked.truth, looked.grid = windows.of(self.truth), windows.stack
+        return looked
 
     def multilooked(self, factor: int, views: tuple[View, ...]) -> TrainingImages:
         """Means of power over blocks of factor × factor pixels, taken from these views."""

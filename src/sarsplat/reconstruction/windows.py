@@ -1,0 +1,178 @@
+"""Windows: the parts of the images that show a part of the scene, and what else of the scene these parts show.
+
+Something h above the ground appears h·tan ψ nearer to the radar, ψ the grazing angle (layover), and shades h/tan ψ of
+the ground behind it. So a window shows, and is darkened by, more than the part that it is for: in each view another
+halo, which follows from where Gaussians are, and how high.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.nn.functional import pad
+
+from sarsplat.gaussians import MAX_OPTICAL_DEPTH, Gaussians
+from sarsplat.gaussians.ground import Ground
+from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.renderer import Rendering, render
+from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH
+
+_ON_RAYS = math.sqrt(2 * math.log(MAX_OPTICAL_DEPTH / MIN_RAY_DEPTH))
+"""Standard deviations within which a Gaussian touches rays, at most."""
+
+_IN_IMAGE = math.sqrt(IMAGE_CUT)
+"""Standard deviations within which it touches pixels."""
+
+
+@dataclass(frozen=True)
+class Windows:
+    """A part of each image of a dataset.
+
+    They are stacked like whole images, as large as the largest: beyond its own pixels, a part is black, in truth and as
+    rendered.
+
+    Parameters
+    ----------
+    rows, columns : tuple of slice
+        The pixels of each image.
+    grids : tuple of ImageGrid
+        Where these lie.
+    """
+
+    rows: tuple[slice, ...]
+    columns: tuple[slice, ...]
+    grids: tuple[ImageGrid, ...]
+
+    @classmethod
+    def around(
+        cls, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, margin_m: float, multiple: int
+    ) -> Self:
+        """Those that show Gaussians which may yet move by a margin, in whole blocks of multiple × multiple pixels."""
+        sides = [_pixels(gaussians, view, grid, margin_m, multiple) for view in views]
+        columns, rows = zip(*sides, strict=True)
+        return cls(rows, columns, tuple(grid.part(r, c) for r, c in zip(rows, columns, strict=True)))
+
+    @property
+    def stack(self) -> ImageGrid:
+        """Pixels of the stacked parts; where they lie has no meaning."""
+        rows, columns = (max(getattr(grid, name) for grid in self.grids) for name in ("rows", "columns"))
+        return replace(self.grids[0], rows=rows, columns=columns)
+
+    def of(self, images: Float[Tensor, "v rows columns"]) -> Float[Tensor, "v some few"]:
+        """These parts of the images, stacked."""
+        parts = zip(images, self.rows, self.columns, strict=True)
+        return torch.stack([_filled(image[rows, columns], self.stack) for image, rows, columns in parts])
+
+    def shown(
+        self, gaussians: Gaussians, views: Sequence[View], rays: RayGrid, ground: Ground | None, margin_m: float
+    ) -> Bool[Tensor, " n"]:
+        """Which Gaussians any of the windows needs, though they move by a margin."""
+        needed = torch.zeros(len(gaussians), dtype=torch.bool, device=gaussians.means.device)
+        for view, grid in zip(views, self.grids, strict=True):
+            needed |= _needed(gaussians, view, grid, rays, ground, margin_m)
+        return needed
+
+    def render(
+        self,
+        gaussians: Gaussians,
+        views: Sequence[View],
+        grid: ImageGrid,
+        numbers: Sequence[int],
+        *,
+        rays: RayGrid,
+        ground: Ground | None,
+        amplitudes: Float[Tensor, "v n c"] | None,
+        shift: Float[Tensor, "v 2"] | None,
+        **options: Any,
+    ) -> Rendering:
+        """What `sarsplat.render` shows in the windows of these images, stacked, each with the Gaussians that it needs.
+
+        `grid` is that of the stack, or of the same with larger pixels.
+        """
+        parts, tensors = [], gaussians.tensors()
+        sections = gaussians.means.new_zeros(len(views), len(gaussians), len(gaussians.scattering.channels))
+        areas = gaussians.means.new_zeros(len(views), len(gaussians))
+        for k, (view, number) in enumerate(zip(views, numbers, strict=True)):
+            part_of, whole = self.grids[number], self.stack
+            rows, columns = part_of.rows * grid.rows // whole.rows, part_of.columns * grid.columns // whole.columns
+            own = replace(grid, rows=rows, columns=columns, center_m=part_of.center_m)
+            index = _needed(gaussians, view, own, rays, ground, 0.0).nonzero()[:, 0]
+            part = render(
+                gaussians.with_tensors(**{name: tensor.index_select(0, index) for name, tensor in tensors.items()}),
+                [view],
+                own,
+                rays=rays,
+                ground=ground,
+                amplitudes=None if amplitudes is None else amplitudes[k : k + 1, index],
+                shift=None if shift is None else shift[k : k + 1],
+                **options,
+            )
+            parts.append(_filled(part.images, grid))
+            sections[k, index], areas[k, index] = part.cross_sections[0].detach(), part.lit_area[0]
+        return Rendering(torch.cat(parts), sections, areas)
+
+
+def _filled(image: Float[Tensor, "*c rows columns"], grid: ImageGrid) -> Float[Tensor, "*c {grid.rows} {grid.columns}"]:
+    """A part with black pixels after its last ones."""
+    rows, columns = image.shape[-2:]
+    return pad(image, (0, grid.columns - columns, 0, grid.rows - rows))
+
+
+def _pixels(gaussians: Gaussians, view: View, grid: ImageGrid, margin_m: float, multiple: int) -> tuple[slice, slice]:
+    """Columns and rows that show any of the Gaussians, in whole blocks; one block where the image shows none."""
+    means, widths = gaussians.means.detach(), gaussians.scales.detach().amax(1)
+    x, _, z = means.new_tensor(radar_frame(view)) @ means.T
+    sides, (left, _, _, near) = [], grid.extent_m
+    for axis, (places, first, count) in enumerate(((x, left, grid.columns), (z, near, grid.rows))):
+        low, high = _extent(places, widths, _IN_IMAGE, grid.response_variance_m2[axis], margin_m)
+        step, blocks = grid.spacing_m[axis] * multiple, count // multiple
+        begin = min(max(math.floor((float(low.min()) - first) / step), 0), blocks - 1)
+        end = min(max(math.ceil((float(high.max()) - first) / step), begin + 1), blocks)
+        sides.append(slice(begin * multiple, end * multiple))
+    return sides[0], sides[1]
+
+
+def _extent(
+    places: Float[Tensor, " n"], widths: Float[Tensor, " n"], deviations: float, variance_m2: float, margin_m: float
+) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
+    """Where footprints begin and end along an axis, m; at most, as if each Gaussian were as wide as it is anywhere."""
+    reach = (widths**2 + variance_m2).sqrt() * deviations + margin_m
+    return places - reach, places + reach
+
+
+def _needed(
+    gaussians: Gaussians, view: View, grid: ImageGrid, rays: RayGrid, ground: Ground | None, margin_m: float
+) -> Bool[Tensor, " n"]:
+    """Which Gaussians an image shows, and which may shade these or the ground that it shows."""
+    means, widths = gaussians.means.detach(), gaussians.scales.detach().amax(1)
+    x, y, z = means.new_tensor(radar_frame(view)) @ means.T
+    variances, cells = grid.response_variance_m2, [CELL_WIDENING * spacing**2 for spacing in rays.spacing_m]
+    begins, ends = _extent(x, widths, _IN_IMAGE, variances[0], margin_m)
+    nearest, farthest = _extent(z, widths, _IN_IMAGE, variances[1], margin_m)
+    left, right, far, near = grid.extent_m
+    before = nearest < far
+    shown = (ends > left) & (begins < right) & (farthest > near) & before
+    for axis, (places, cell) in enumerate(zip((x, y), cells, strict=True)):
+        low, high = _extent(places, widths, _ON_RAYS, cell, margin_m)
+        sides = [low[shown].amin(), high[shown].amax()] if shown.any() else []
+        sides += [] if ground is None else [means.new_tensor(side) for side in _on_ground(view, grid, ground)[axis]]
+        if sides:
+            before = before & (high > torch.stack(sides).amin()) & (low < torch.stack(sides).amax())
+    return shown | before if shown.any() or ground is not None else shown
+
+
+def _on_ground(view: View, grid: ImageGrid, ground: Ground) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Which rays, x_r and y_r from and to, end on the ground that an image shows, m."""
+    left, right, far, near = grid.extent_m
+    azimuth, slant_range = (_IN_IMAGE * variance**0.5 for variance in grid.response_variance_m2)
+    theta = math.radians(view.grazing_deg)
+    low, high = (  # of the plane r = (y cos θ − z) / sin θ
+        (r * math.sin(theta) + ground.height_m) / math.cos(theta) for r in (near - slant_range, far + slant_range)
+    )
+    return (left - azimuth, right + azimuth), (low, high)
