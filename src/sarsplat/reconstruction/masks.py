@@ -15,7 +15,6 @@ from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, View
 from sarsplat.radiometry import beta0_of_gamma0
 from sarsplat.renderer import render
-from sarsplat.renderer.ground import free_ground
 
 _SHARE = 0.5
 _LOWEST = 1.0  # height above the ground from which Gaussians count as the target, resolution cells
@@ -65,12 +64,12 @@ def scene_masks(
     for mask, view in zip(masks, views, strict=True):  # one at a time: memory stays small
         rendering = render(target, [view], sharp, rays=rays, amplitudes=uniform, ground=ground)
         images = rendering.channel(channel)
-        if ground is None or rendering.lit_ground is None:
+        if ground is None or rendering.ground is None:
             free = torch.full_like(images, beta0_of_gamma0(1.0, view.grazing_deg))
         else:
-            free = free_ground(ground, [view], sharp)
-            images = images - free * rendering.lit_ground
-            mask[rendering.lit_ground[0].cpu().numpy() < _SHARE] = SHADOW
+            free = render(target[:0], [view], sharp, rays=rays, ground=ground).channel(channel)
+            images = images - rendering.ground
+            mask[(rendering.ground < _SHARE * free)[0].cpu().numpy()] = SHADOW
         shown = (images >= _SHARE * free) & (images > 0)
         mask[shown[0].cpu().numpy()] = TARGET
     return masks

@@ -1,0 +1,86 @@
+"""Terrain: heights of the ground on a lattice."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from numbers import Real
+
+import numpy as np
+from jaxtyping import Float, Float64
+from scipy.ndimage import map_coordinates
+
+from sarsplat.errors import SarsplatError
+
+
+@dataclass(frozen=True, eq=False)
+class Terrain:
+    """The ground as heights over x and y: linear between places, and beyond the last ones as there.
+
+    Parameters
+    ----------
+    heights_m : numpy.ndarray [ny, nx]
+        z of places on a lattice around the origin, m; rows along +y, columns along +x, at least two of each. Not to be
+        written to.
+    pitch_m : (float, float)
+        Distance of the places along x and y, m.
+
+    Raises
+    ------
+    SarsplatError
+        If there are fewer than 2 × 2 heights, one is not finite, or a pitch is not positive.
+    """
+
+    heights_m: Float[np.ndarray, "ny nx"]
+    pitch_m: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        heights = self.heights_m
+        if not isinstance(heights, np.ndarray) or heights.dtype.kind != "f" or heights.ndim != 2:
+            kind = heights.shape if isinstance(heights, np.ndarray) else type(heights).__name__
+            raise SarsplatError(f"the terrain's heights are {kind}; give a numpy array of floats [ny, nx], in metres")
+        if min(heights.shape) < 2:
+            raise SarsplatError(f"the terrain has {heights.shape[0]} × {heights.shape[1]} heights; give at least 2 × 2")
+        if not np.isfinite(heights).all():
+            at = tuple(int(k) for k in np.argwhere(~np.isfinite(heights))[0])
+            raise SarsplatError(f"the terrain's height {at} is {heights[at]}; fill in what is not known")
+        pitch = self.pitch_m
+        if len(pitch) != 2 or not all(isinstance(p, Real) and math.isfinite(p) and p > 0 for p in pitch):
+            raise SarsplatError(f"the terrain's pitch_m is {pitch}; give two positive, finite numbers of metres (x, y)")
+        object.__setattr__(self, "heights_m", heights.astype(np.float64))
+        object.__setattr__(self, "pitch_m", (float(pitch[0]), float(pitch[1])))
+
+    def __repr__(self) -> str:
+        return f"<Terrain: {self}>"
+
+    def __str__(self) -> str:
+        (ny, nx), (dx, dy), (low, high) = self.heights_m.shape, self.pitch_m, self.span_m
+        return f"{(nx - 1) * dx:.4g} × {(ny - 1) * dy:.4g} m (x × y), heights {low:.3g} to {high:.3g} m"
+
+    @cached_property
+    def span_m(self) -> tuple[float, float]:
+        """Lowest and highest z, m."""
+        return float(self.heights_m.min()), float(self.heights_m.max())
+
+    @property
+    def half_m(self) -> tuple[float, float]:
+        """How far its places reach along ±x and ±y, m."""
+        rows, columns = self.heights_m.shape
+        return (columns - 1) / 2 * self.pitch_m[0], (rows - 1) / 2 * self.pitch_m[1]
+
+    def height_m(self, x: Float[np.ndarray, "*n"], y: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
+        """z at places (x, y), m."""
+        (half_x, half_y), (dx, dy) = self.half_m, self.pitch_m
+        return map_coordinates(self.heights_m, [(y + half_y) / dy, (x + half_x) / dx], order=1, mode="nearest")
+
+    def padded(self, reach_m: float) -> tuple[Float64[np.ndarray, "ny nx 3"], bool]:
+        """Its places (x, y, z), m, with a ring of more at ±`reach_m` if they end before; and whether they do."""
+        heights, axes, wider = self.heights_m, [], False
+        for half, pitch, count, axis in zip(self.half_m, self.pitch_m, heights.shape[::-1], (1, 0)):
+            places = np.arange(count) * pitch - half
+            if half < reach_m:
+                places, wider = np.concatenate([[-reach_m], places, [reach_m]]), True
+                heights = np.pad(heights, [(1, 1) if k == axis else (0, 0) for k in range(2)], mode="edge")
+            axes.append(places)
+        return np.stack([*np.meshgrid(*axes), heights], axis=-1), wider
