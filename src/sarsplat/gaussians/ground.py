@@ -11,8 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, View
-from sarsplat.geometry.terrain import Terrain
+from sarsplat.geometry import ImageGrid, Terrain, View
 
 
 @dataclass(frozen=True)

@@ -70,17 +70,21 @@ class Terrain:
         return (columns - 1) / 2 * self.pitch_m[0], (rows - 1) / 2 * self.pitch_m[1]
 
     def height_m(self, x: Float[np.ndarray, "*n"], y: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
-        """z at places (x, y), m."""
+        """Z at places (x, y), m."""
         (half_x, half_y), (dx, dy) = self.half_m, self.pitch_m
         return map_coordinates(self.heights_m, [(y + half_y) / dy, (x + half_x) / dx], order=1, mode="nearest")
 
-    def padded(self, reach_m: float) -> tuple[Float64[np.ndarray, "ny nx 3"], bool]:
-        """Its places (x, y, z), m, with a ring of more at ±`reach_m` if they end before; and whether they do."""
-        heights, axes, wider = self.heights_m, [], False
+    def centred(self) -> Terrain:
+        """The same with z = 0 at the origin."""
+        return Terrain(self.heights_m - float(self.height_m(np.zeros(1), np.zeros(1))[0]), self.pitch_m)
+
+    def padded(self, reach_m: float) -> Float64[np.ndarray, "ny nx 3"]:
+        """Its places (x, y, z), m, with more at ±`reach_m` where they end before."""
+        heights, axes = self.heights_m, []
         for half, pitch, count, axis in zip(self.half_m, self.pitch_m, heights.shape[::-1], (1, 0)):
             places = np.arange(count) * pitch - half
             if half < reach_m:
-                places, wider = np.concatenate([[-reach_m], places, [reach_m]]), True
+                places = np.concatenate([[-reach_m], places, [reach_m]])
                 heights = np.pad(heights, [(1, 1) if k == axis else (0, 0) for k in range(2)], mode="edge")
             axes.append(places)
-        return np.stack([*np.meshgrid(*axes), heights], axis=-1), wider
+        return np.stack([*np.meshgrid(*axes), heights], axis=-1)

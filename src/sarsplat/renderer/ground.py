@@ -14,8 +14,7 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
-from sarsplat.geometry.terrain import Terrain
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
 from sarsplat.renderer.lit_ground import RayEnds, lit_ground
 from sarsplat.renderer.lit_terrain import lit_terrain
 from sarsplat.renderer.places import at_places

@@ -18,8 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
-from sarsplat.geometry.terrain import Terrain
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
 from sarsplat.renderer import cpu, structs
 from sarsplat.renderer.lit_ground import Axis, RayEnds, pixel_axes, seen, stds
 from sarsplat.renderer.once import differentiable_once
@@ -57,7 +56,9 @@ class _Patches:
     along_y: tuple[float, ...]
 
     @classmethod
-    def of(cls, cells: Cells, view: View, rays: RayGrid, size: tuple[int, int], origin: tuple[float, float]) -> _Patches:
+    def of(
+        cls, cells: Cells, view: View, rays: RayGrid, size: tuple[int, int], origin: tuple[float, float]
+    ) -> _Patches:
         (dx, dy), frame = rays.spacing_m, radar_frame(view)
         x, y = ((first + 0.5) * step for first, step in zip(cells.first, rays.spacing_m))
         column, row = (
@@ -143,9 +144,7 @@ def _gamma0(
     row, column = (
         torch.arange(count, dtype=torch.float64, device=range_m.device).to(range_m) for count in range_m.shape
     )
-    x, y = (
-        a + b * column[None] + c * row[:, None] + d * range_m for a, b, c, d in (patch.along_x, patch.along_y)
-    )
+    x, y = (a + b * column[None] + c * row[:, None] + d * range_m for a, b, c, d in (patch.along_x, patch.along_y))
     return at_places(table, x, y, pitch_m)
 
 

@@ -19,8 +19,7 @@ from jaxtyping import Float, Float32, Float64
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
-from sarsplat.geometry.terrain import Terrain
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
 
 RESPONSE_END = 6.0
 """Standard deviations: beyond, it is nothing in float32."""
@@ -125,9 +124,7 @@ def _cells(terrain: Terrain, view: View, grid: ImageGrid, rays: RayGrid) -> Cell
     left, right = grid.azimuth_m[0] - azimuth_end, grid.azimuth_m[-1] + azimuth_end
     near, far = grid.range_m[0] - range_end, grid.range_m[-1] + range_end
     # of a plane, r = (y cos θ − z) / sin θ
-    bottom, top = (
-        (r * math.sin(theta) + z) / math.cos(theta) / dy for r, z in ((near, lowest), (far, highest))
-    )
+    bottom, top = ((r * math.sin(theta) + z) / math.cos(theta) / dy for r, z in ((near, lowest), (far, highest)))
     first, end = (math.floor(left / dx), math.floor(bottom)), (math.ceil(right / dx), math.ceil(top))
     columns, rows = end[0] - first[0], end[1] - first[1]
     if columns * rows > _MOST:
