@@ -88,3 +88,8 @@ class Terrain:
                 heights = np.pad(heights, [(1, 1) if k == axis else (0, 0) for k in range(2)], mode="edge")
             axes.append(places)
         return np.stack([*np.meshgrid(*axes), heights], axis=-1)
+
+
+def heights_of(points: Float[np.ndarray, "n 3"], terrain: Terrain | None) -> Float[np.ndarray, " n"]:
+    """How far points (x, y, z) lie above the terrain, or above z = 0, m."""
+    return points[:, 2] if terrain is None else points[:, 2] - terrain.height_m(points[:, 0], points[:, 1])

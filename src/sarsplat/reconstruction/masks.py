@@ -12,7 +12,8 @@ from scipy.spatial import cKDTree
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, View
+from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, Terrain, View
+from sarsplat.geometry.terrain import heights_of
 from sarsplat.radiometry import beta0_of_gamma0
 from sarsplat.renderer import render
 
@@ -76,7 +77,7 @@ def scene_masks(
 
 
 def without_imitated_ground(
-    target: Gaussians, points: Real[np.ndarray, "p 3"], cell_m: float, *, ground: bool
+    target: Gaussians, points: Real[np.ndarray, "p 3"], cell_m: float, ground: Ground | None
 ) -> Gaussians:
     """A target without those of its Gaussians that may stand for ground as well as the ground does.
 
@@ -84,10 +85,11 @@ def without_imitated_ground(
     it stands on `ground`, those lower than one cell themselves.
     """
     means = target.means.double().cpu().numpy()
-    lowest = _LOWEST * cell_m if ground else -np.inf
-    points = points[points[:, 2] >= lowest]
+    lowest = -np.inf if ground is None else _LOWEST * cell_m
+    terrain = ground.height_m if ground is not None and isinstance(ground.height_m, Terrain) else None
+    points = points[heights_of(points, terrain) >= lowest]
     if not len(points):
         return target[:0]
     kept = np.isfinite(cKDTree(points).query(means, distance_upper_bound=_REACH * cell_m)[0])
-    kept &= means[:, 2] >= lowest
+    kept &= heights_of(means, terrain) >= lowest
     return target[torch.from_numpy(kept).to(target.means.device)]

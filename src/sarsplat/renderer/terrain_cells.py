@@ -1,8 +1,8 @@
 """Where the rays of a view end on terrain, which nothing learned changes, and what terrain hides from the view.
 
 In the plane of incidence of an azimuth, terrain of height h at ground range g lies at y_r = g sin θ + h cos θ and
-z_r = g cos θ − h sin θ. The ray at y_r ends at the first g that reaches so high: what lies lower than the terrain before it
-is in shadow, and where z_r falls as y_r rises, there is layover.
+z_r = g cos θ − h sin θ. The ray at y_r ends at the first g that reaches so high: what lies lower than the terrain before
+it is in shadow, and where z_r falls as y_r rises, there is layover.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def cells_of(
 def before_terrain(
     means: Float[Tensor, "n 3"], ends: Sequence[Cells], views: Sequence[View], rays: RayGrid
 ) -> Float[Tensor, "v n"]:
-    """1 for Gaussians whose centres lie before where rays end, or beside them all, and 0 for what is hidden in a view."""
+    """1 for Gaussians whose centres lie before where rays end, or beside them all, and 0 for hidden ones."""
     seen = []
     for view, cells in zip(views, ends, strict=True):
         frame = torch.from_numpy(radar_frame(view)).to(means)
@@ -130,7 +130,7 @@ def _cells(terrain: Terrain, view: View, grid: ImageGrid, rays: RayGrid) -> Cell
     if columns * rows > _MOST:
         raise SarsplatError(
             f"the view at azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}° needs {columns * rows:.2g} rays "
-            f"to see terrain {highest - lowest:.4g} m high; cut the terrain to what the images show, or use coarser rays"
+            f"for terrain {highest - lowest:.4g} m high; cut it to what the images show, or use coarser rays"
         )
     # before, the terrain lies lower than all of these rays, and behind, higher
     begin = (first[1] * dy - highest * math.cos(theta)) / math.sin(theta)
@@ -155,7 +155,7 @@ def _ends(
     along: Float64[np.ndarray, " g"],
     elevation: tuple[float, float, int],
 ) -> tuple[Float32[np.ndarray, "c rows"], Float32[np.ndarray, "c rows"]]:
-    """Slant ranges where the lower and the upper edges of cells end: cells at azimuths x, `elevation` first, step, rows.
+    """Slant ranges where the lower and the upper edges of cells end; `elevation`: where they begin, step, rows.
 
     Terrain is looked at in steps along the ground range. A cell that looks past a summit lies where its centre does.
     """
