@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ _TWICE = 64
 
 @checks_arguments
 def read_terrain(path: str | Path) -> Terrain:
-    """Heights of a GeoTIFF of one band, its middle at the origin, columns (east) along +x, rows upwards (north) along +y.
+    """Heights of a GeoTIFF of one band: its middle at the origin, columns (east) along +x, rows upwards along +y.
 
     Parameters
     ----------
@@ -132,10 +133,8 @@ def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]
 def _check_unknown(path: Path, heights: np.ndarray, no_data: Any) -> None:
     """Refuse heights that are not known."""
     unknown = ~np.isfinite(heights)
-    try:
+    with suppress(TypeError, ValueError):  # it names none
         unknown |= heights == float(no_data)
-    except (TypeError, ValueError):  # it names none
-        pass
     if unknown.any():
         raise SarsplatError(
             f"{path} has {counted(int(unknown.sum()), 'height')} of {heights.size} that "

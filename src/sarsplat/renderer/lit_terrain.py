@@ -1,7 +1,8 @@
 """What terrain returns where rays end on it.
 
-A ray's cell, δx wide and δy high across the line of sight, returns γ⁰·T_end·δx·δy from between the slant ranges where its
-lower and its upper edge meet the terrain, spread evenly: β⁰ is γ⁰·δy over the length of that interval, tan θ on a plane.
+A ray's cell, δx wide and δy high across the line of sight, returns γ⁰·T_end·δx·δy from between the slant ranges where
+its lower and its upper edge meet the terrain, spread evenly: β⁰ is γ⁰·δy over the length of that interval, γ⁰·tan θ on
+a plane.
 Intervals of neighbouring rays touch, but at summits, and overlap in layover. The Gaussian response of the system has a
 closed integral over an interval, so nothing depends on how far apart rays are. Where no ray was traced, T_end is 1.
 """
@@ -175,7 +176,7 @@ class _Engine(torch.autograd.Function):
         left, gamma0, shift = left.contiguous(), gamma0.contiguous(), None if shift is None else shift.contiguous()
         patches, _, grid, _ = rest
         lit = left.new_empty(len(patches), grid.rows, grid.columns)
-        _run(left, gamma0, shift, *rest, lit=lit)
+        _run(left, gamma0, shift, *rest, {"lit": lit})
         ctx.save_for_backward(left, gamma0, shift)
         ctx.rest = rest
         return lit
@@ -188,7 +189,8 @@ class _Engine(torch.autograd.Function):
         if ctx.needs_input_grad[2]:
             found[2] = torch.empty_like(shift)
         names = ("d_transmittance", "d_gamma0", "d_shift")
-        _run(left, gamma0, shift, *ctx.rest, d_lit=d_lit.contiguous(), **dict(zip(names, found, strict=True)))
+        results = {"d_lit": d_lit.contiguous(), **dict(zip(names, found, strict=True))}
+        _run(left, gamma0, shift, *ctx.rest, results)
         return (*found, None, None, None, None)
 
 
@@ -200,7 +202,7 @@ def _run(
     pitch_m: float,
     grid: ImageGrid,
     height_m: float,
-    **results: Tensor | None,
+    results: dict[str, Tensor | None],
 ) -> None:
     mirrors = (structs.TerrainPatches * len(patches))()
     for mirror, patch in zip(mirrors, patches, strict=True):

@@ -100,7 +100,7 @@ def render_with(
     images, cross_sections, lit_area, *ends = seen
     of_ground = None
     if ground is not None:
-        of_ground = returned(ground, *ends, views, grid, shift)
+        of_ground = returned(ground, ends[0], views, grid, shift)
         images = with_ground(images, of_ground, g.scattering.power_channel)
     if gain is not None:
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
@@ -352,8 +352,8 @@ def _ray_maps(step: _Render | _Attenuate, traced: Sequence[Tensor]) -> tuple[Ray
         return None
     ends, maps = _ray_ends(step, traced[0]), []
     cut = [values.split([math.prod(size) for size in ends.sizes]) for values in traced]
-    for left, returned, size, origin in zip(*cut, ends.sizes, ends.origins, strict=True):
-        maps.append(RayMap(left.view(size), returned.view(size), origin))
+    for left, first, size, origin in zip(*cut, ends.sizes, ends.origins, strict=True):
+        maps.append(RayMap(left.view(size), first.view(size), origin))
     return tuple(maps)
 
 

@@ -1,8 +1,8 @@
 """Where the rays of a view end on terrain, which nothing learned changes, and what terrain hides from the view.
 
 In the plane of incidence of an azimuth, terrain of height h at ground range g lies at y_r = g sin θ + h cos θ and
-z_r = g cos θ − h sin θ. The ray at y_r ends at the first g that reaches so high: what lies lower than the terrain before
-it is in shadow, and where z_r falls as y_r rises, there is layover.
+z_r = g cos θ − h sin θ. The ray at y_r ends at the first g that reaches so high: what lies lower than the terrain
+before it is in shadow, and where z_r falls as y_r rises, there is layover.
 """
 
 from __future__ import annotations
