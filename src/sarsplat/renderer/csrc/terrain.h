@@ -11,56 +11,87 @@ namespace sarsplat {
 namespace SG_ISA {
 namespace {
 
-constexpr int kAbreast = 16;            // columns of cells, so that what lies beside each other is read together
-constexpr float kShort = 0.25f;         // standard deviations: over less, differences of error functions have too few digits
-constexpr float kThird = 0.28867513f;   // of the two points whose mean is the integral's: 1/2 -+ 1/sqrt 12
+constexpr int kAbreast = 16;           // columns of cells, so that what lies beside each other is read together
+constexpr int kPhases = 512;           // of a place between two pixels, at which the response is written down; between them it is linear
+constexpr float kShort = 0.25f;        // standard deviations: over less, differences of integrals have too few digits
+constexpr float kThird = 0.28867513f;  // of the two points whose mean is the integral's: 1/2 -+ 1/sqrt 12
 
 SG_FN F exponential(F x) { return power2(larger(x * kLog2e, splat(-120.0f))); }
 
-// erf(x) and exp(-x^2); absolute error 2e-7 (Abramowitz and Stegun, 7.1.26)
-struct Erf { F value, dense; };
-SG_FN Erf error_function(F x) {
-  const F dense = exponential(-x * x), t = 1.0f / (1.0f + 0.3275911f * absolute(x));
-  const F tail = ((((1.061405429f * t - 1.453152027f) * t + 1.421413741f) * t - 0.284496736f) * t + 0.254829592f) * t * dense;
-  return {choose(x < 0.0f, tail - 1.0f, 1.0f - tail), dense};
+// The response in pixels around a place, by the place's phase: its integral from there, itself, and its slope.
+struct Table {
+  enum { kIntegral, kDensity, kSlope, kCount };
+  int lead, width;  // numbers before the place's own pixel, and in all: kWidth and more before and after all that is not constant
+  float* values[kCount];
+};
+Table table_of(Arena& arena, float std) {
+  Table t;
+  t.lead = (int)__builtin_ceilf((float)kResponseEnd * std) + kWidth + 1;
+  t.width = (2 * t.lead + 2 * kWidth) / kWidth * kWidth;
+  for (float*& values : t.values) values = arena.take<float>((int64_t)(kPhases + 1) * t.width);
+  return t;
+}
+void fill(const Table& t, int phase, float std) {
+  const float root = 0.70710678f / std;
+  F lane;
+  for (int k = 0; k < kWidth; k++) lane[k] = (float)k;
+  for (int k = 0; k < t.width; k += kWidth) {
+    const F x = (lane + (float)(k - t.lead) - (float)phase / kPhases) * root, dense = exponential(-x * x);
+    // erfc, absolute error 2e-7 (Abramowitz and Stegun, 7.1.26)
+    const F u = 1.0f / (1.0f + 0.3275911f * absolute(x));
+    const F tail = ((((1.061405429f * u - 1.453152027f) * u + 1.421413741f) * u - 0.284496736f) * u + 0.254829592f) * u * dense;
+    const F density = dense * (root * 0.56418958f);
+    const int64_t at = (int64_t)phase * t.width + k;
+    store_anywhere(t.values[Table::kIntegral] + at, choose(x < 0.0f, 0.5f * tail, 1.0f - 0.5f * tail));
+    store_anywhere(t.values[Table::kDensity] + at, density);
+    store_anywhere(t.values[Table::kSlope] + at, density * x * (-2.0f * root));
+  }
+}
+
+// A place among pixels, to look up.
+struct Place { int64_t row; int pixel; float share; };
+SG_FN Place place_of(const Table& t, float x) {
+  const float whole = __builtin_floorf(x), phase = (x - whole) * kPhases;
+  const int row = smaller((int)phase, kPhases - 1);
+  return {(int64_t)row * t.width, (int)whole, phase - (float)row};
+}
+// for the pixels n, n + 1, ...
+SG_FN F look_up(const Table& t, int which, const Place& place, int n) {
+  const int k = smaller(larger(n - place.pixel + t.lead, 0), t.width - kWidth);
+  const float* at = t.values[which] + place.row + k;
+  const F before = load_anywhere(at);
+  return before + place.share * (load_anywhere(at + t.width) - before);
 }
 
 // Pixels as places, and the response in them.
 struct RangeAxis {
-  float per_m, offset, std, root, scale;  // place = (r + shift) per_m + offset; 1 / (sqrt 2 std); of a weight
+  float per_m, offset, reach, brief, scale;  // place = (r + shift) per_m + offset; 6 and 1/4 standard deviations; of a weight
   int pixels;
 };
 RangeAxis range_axis(const sg_terrain& t, int v) {
   const double step = t.rows.step, std = t.std[1] / step, shift = t.shift ? t.shift[2 * v + 1] : 0.0;
-  return {(float)(1.0 / step), (float)((shift - t.rows.first) / step), (float)std, (float)(1.0 / (std * 1.4142135623730951)),
+  return {(float)(1.0 / step), (float)((shift - t.rows.first) / step), (float)(kResponseEnd * std), (float)(kShort * std),
           (float)(t.cell / step), t.rows.count};
 }
 
 // visit(first pixel, weights, their slopes by the shift in metres) of a cell, kWidth pixels at a time; there may be some beyond
 // the last one.
-template <bool slopes, class Visit> SG_FN void weigh_cell(const RangeAxis& r, float low_m, float high_m, Visit visit) {
+template <bool slopes, class Visit> SG_FN void weigh_cell(const Table& t, const RangeAxis& r, float low_m, float high_m, Visit visit) {
   const float low = low_m * r.per_m + r.offset, high = high_m * r.per_m + r.offset, length = high - low;
-  const float reach = (float)kResponseEnd * r.std;
-  const float begin = __builtin_ceilf((low < high ? low : high) - reach), end = (low < high ? high : low) + reach;
+  const float begin = __builtin_ceilf((low < high ? low : high) - r.reach), end = (low < high ? high : low) + r.reach;
   if (!(end >= 0.0f && begin < (float)r.pixels)) return;
   const int first = begin > 0.0f ? (int)begin : 0, last = end < (float)r.pixels ? (int)end : r.pixels - 1;
-  F lane;
-  for (int k = 0; k < kWidth; k++) lane[k] = (float)k;
-  const bool brief = __builtin_fabsf(length) < kShort * r.std;
-  const float density = r.scale * r.root * 0.56418958f;  // root / sqrt pi
+  const bool brief = __builtin_fabsf(length) < r.brief;
+  const float inset = brief ? (0.5f - kThird) * length : 0.0f, scale = r.scale * (brief ? 0.5f : 1.0f / length);
+  const Place one = place_of(t, low + inset), other = place_of(t, high - inset);
   for (int n = first; n <= last; n += kWidth) {
-    const F at = lane + (float)n;
     F weight, slope = splat(0.0f);
     if (brief) {
-      const float middle = 0.5f * (low + high);
-      const F u = (at - (middle - kThird * length)) * r.root, w = (at - (middle + kThird * length)) * r.root;
-      const F near = exponential(-u * u), far = exponential(-w * w);
-      weight = 0.5f * density * (near + far);
-      if (slopes) slope = density * r.root * r.per_m * (u * near + w * far);
+      weight = scale * (look_up(t, Table::kDensity, one, n) + look_up(t, Table::kDensity, other, n));
+      if (slopes) slope = (-scale * r.per_m) * (look_up(t, Table::kSlope, one, n) + look_up(t, Table::kSlope, other, n));
     } else {
-      const Erf below = error_function((at - low) * r.root), above = error_function((at - high) * r.root);
-      weight = (below.value - above.value) * (0.5f * r.scale / length);
-      if (slopes) slope = (above.dense - below.dense) * (density * r.per_m / length);
+      weight = scale * (look_up(t, Table::kIntegral, one, n) - look_up(t, Table::kIntegral, other, n));
+      if (slopes) slope = (scale * r.per_m) * (look_up(t, Table::kDensity, other, n) - look_up(t, Table::kDensity, one, n));
     }
     visit(n, weight, slope);
   }
@@ -108,6 +139,8 @@ int32_t lit_terrain(sg_context* context, const sg_terrain* terrain) {
   arena.reset();
   TerrainView* views = arena.take<TerrainView>(t.views);
   const int stripes = (pixels + kStripe - 1) / kStripe;
+  const float std = (float)(t.std[1] / t.rows.step);
+  const Table table = table_of(arena, std);
   int64_t rays = 0, widest = 0;
   for (int v = 0; v < t.views && !arena.failed(); v++) {
     const sg_terrain_patches& p = t.patches[v];
@@ -126,6 +159,7 @@ int32_t lit_terrain(sg_context* context, const sg_terrain* terrain) {
     else __atomic_store_n(&failed, true, __ATOMIC_RELAXED);
     std::free(scratch);
   };
+  parallel(kPhases + 1, [&](int phase) { fill(table, phase, std); });
   parallel(t.views, [&](int v) {
     weigh(views[v].across, t.columns, t.patches[v].across, t.std[0], t.shift ? t.shift[2 * v] : 0.0);
     for (int k = 0; t.d_shift && k <= stripes; k++) views[v].shift[k] = 0.0;
@@ -149,7 +183,7 @@ int32_t lit_terrain(sg_context* context, const sg_terrain* terrain) {
             const float left = traced < 0 ? 1.0f : views[v].transmittance[traced];
             const float returned = left * gamma0_at(views[v].gamma0, between(t, p, row, begin + c, 0.5f * (p.low[cell] + p.high[cell])));
             float* sum = sums + (int64_t)c * padded;
-            weigh_cell<false>(range, p.low[cell], p.high[cell],
+            weigh_cell<false>(table, range, p.low[cell], p.high[cell],
                               [&](int n, F weight, F) { store_anywhere(sum + n, load_anywhere(sum + n) + returned * weight); });
           }
         for (int c = 0; c < columns; c++)
@@ -203,12 +237,12 @@ int32_t lit_terrain(sg_context* context, const sg_terrain* terrain) {
               const float gamma0 = gamma0_at(views[v].gamma0, places), *seed = seeds + (int64_t)c * padded;
               F lit = splat(0.0f), moved = splat(0.0f);
               if (t.d_shift)
-                weigh_cell<true>(range, p.low[cell], p.high[cell], [&](int n, F weight, F slope) {
+                weigh_cell<true>(table, range, p.low[cell], p.high[cell], [&](int n, F weight, F slope) {
                   lit += weight * load_anywhere(seed + n);
                   moved += slope * load_anywhere(seed + n);
                 });
               else
-                weigh_cell<false>(range, p.low[cell], p.high[cell], [&](int n, F weight, F) { lit += weight * load_anywhere(seed + n); });
+                weigh_cell<false>(table, range, p.low[cell], p.high[cell], [&](int n, F weight, F) { lit += weight * load_anywhere(seed + n); });
               const float d_returned = sum(lit);
               if (traced >= 0) d_transmittance[traced] = gamma0 * d_returned;
               for (int k = 0; k < 4; k++) views[v].places[places.at[k]] += places.share[k] * left * d_returned;
