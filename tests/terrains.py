@@ -22,7 +22,7 @@ def terrain(height, half_m: tuple[float, float] = (15.0, 15.0), pitch_m: tuple[f
 
 def slope(degrees: float) -> Terrain:
     """A plane that falls along +x: its slope faces a radar at azimuth 0 if positive, and away from it if negative."""
-    return terrain(lambda x, y: -math.tan(math.radians(degrees)) * x + 0 * y)
+    return terrain(lambda x, y: -math.tan(math.radians(degrees)) * x + 0 * y, (60.0, 60.0), (5.0, 4.0))
 
 
 def hill(height_m: float = 2.5, at: tuple[float, float] = (1.0, 0.0), width_m: float = 1.5) -> Terrain:

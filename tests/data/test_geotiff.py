@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import tifffile
-from terrains import hill, write_geotiff
 
 from sarsplat import Dataset, DatasetEntry, ImageGrid, SarsplatError, Terrain, View, read_terrain, write_terrain
 from sarsplat.data import read_dataset, write_dataset
 from sarsplat.data.plausible import suspicions
+from terrains import hill, write_geotiff
 
 HEIGHTS = np.arange(12.0).reshape(3, 4)
 

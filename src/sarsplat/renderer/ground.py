@@ -43,7 +43,8 @@ def in_sight(
     """1 for Gaussians that lie before the terrain in a view, 0 for hidden ones; None without terrain."""
     if ground is None or not isinstance(ground.height_m, Terrain):
         return None
-    return before_terrain(means, cells_of(ground.height_m, views, grid, rays, shift), views, rays)
+    terrain = ground.height_m
+    return before_terrain(means, terrain, cells_of(terrain, views, grid, rays, shift), views, rays)
 
 
 def check_ground(ground: Ground, like: Tensor, channels: int, channel: int, imaging_weight: str) -> None:

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
+from sarsplat.renderer.places import at_places
 
 RESPONSE_END = 6.0
 """Standard deviations: beyond, it is nothing in float32."""
@@ -94,20 +95,24 @@ def cells_of(
 
 
 def before_terrain(
-    means: Float[Tensor, "n 3"], ends: Sequence[Cells], views: Sequence[View], rays: RayGrid
+    means: Float[Tensor, "n 3"], terrain: Terrain, ends: Sequence[Cells], views: Sequence[View], rays: RayGrid
 ) -> Float[Tensor, "v n"]:
-    """1 for Gaussians whose centres lie before where rays end, or beside them all, and 0 for hidden ones."""
-    seen = []
+    """1 for Gaussians whose centres a view may see, 0 for those below the terrain, or behind where their ray ends."""
+    means = means.detach()
+    heights = torch.from_numpy(terrain.heights_m).to(means)
+    ground = at_places(heights, means[:, 0] / terrain.pitch_m[0], means[:, 1] / terrain.pitch_m[1], 1.0)
+    above, seen = means[:, 2] >= ground, []
     for view, cells in zip(views, ends, strict=True):
-        frame = torch.from_numpy(radar_frame(view)).to(means)
-        x, y, z = (means.detach() @ frame.T).unbind(1)
-        column, row = (at / step - first for at, step, first in zip((x, y), rays.spacing_m, cells.first))
+        x, y, z = (means @ torch.from_numpy(radar_frame(view)).to(means).T).unbind(1)
+        column, row = (
+            (at / step).floor().long() - first for at, step, first in zip((x, y), rays.spacing_m, cells.first)
+        )
         rows, columns = cells.low_m.shape
         inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-        whole = row.floor().clamp(0, rows - 1)
-        at = (whole.long() * columns + column.long().clamp(0, columns - 1)).to("cpu")
-        low, high = (edge.reshape(-1)[at].to(means) for edge in (cells.low_m, cells.high_m))
-        seen.append(~inside | (z <= torch.lerp(low, high, row - whole)))
+        at = (row * columns + column)[inside].to("cpu")
+        end = torch.maximum(*(edge.reshape(-1)[at] for edge in (cells.low_m, cells.high_m))).to(means)
+        seen.append(above.clone())
+        seen[-1][inside] &= z[inside] <= end
     return torch.stack(seen).to(means)
 
 
