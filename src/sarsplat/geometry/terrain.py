@@ -9,7 +9,6 @@ from numbers import Real
 
 import numpy as np
 from jaxtyping import Float, Float64
-from scipy.ndimage import map_coordinates
 
 from sarsplat.errors import SarsplatError
 
@@ -71,8 +70,15 @@ class Terrain:
 
     def height_m(self, x: Float[np.ndarray, "*n"], y: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
         """Z at places (x, y), m."""
-        (half_x, half_y), (dx, dy) = self.half_m, self.pitch_m
-        return map_coordinates(self.heights_m, [(y + half_y) / dy, (x + half_x) / dx], order=1, mode="nearest")
+        table, before, share = self.heights_m, [], []
+        for at, half, pitch, count in zip((x, y), self.half_m, self.pitch_m, table.shape[::-1]):
+            place = np.clip((at + half) / pitch, 0, count - 1)
+            before.append(np.minimum(place.astype(np.int64), count - 2))
+            share.append(place - before[-1])
+        (column, row), (right, down) = before, share
+        upper = table[row, column] * (1 - right) + table[row, column + 1] * right
+        lower = table[row + 1, column] * (1 - right) + table[row + 1, column + 1] * right
+        return upper * (1 - down) + lower * down
 
     def centred(self) -> Terrain:
         """The same with z = 0 at the origin."""
