@@ -19,13 +19,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from village import village
 
 from sarsplat import Dataset, DatasetEntry, ImageGrid, View, reconstruct
-from sarsplat.colours import ERROR, POWER, colormap
+from sarsplat.colours import ERROR, HEIGHT, colormap
 from sarsplat.evaluation import Yardstick, visible_surface
 from sarsplat.scenes.simulate import simulate_images
 
 PICTURE = Path(__file__).parent / "images" / "village.png"
 SIDE, PIXEL_M = 512, 0.3
 SHOWN = 150_000  # points drawn of a cloud
+SAMPLES = 3_000_000  # of the surface, closer together than the points are wrong
 FARTHEST_M = 0.3  # larger distances look alike
 SEEN_FROM = View(30.0, 40.0)
 
@@ -48,10 +49,10 @@ def main() -> None:
     views = [View(azimuth, grazing) for grazing in (15.0, 45.0, 75.0) for azimuth in range(0, 360, 45)]
     entries = tuple(DatasetEntry(view, "train", f"{k:03}") for k, view in enumerate(views))
     run = reconstruct(Dataset(grid, entries, simulate_images(mesh, views, grid), target="village"), "quick")
-    surface = visible_surface(mesh, views, Yardstick.of(grid).ray_spacing_m, samples=2 * SHOWN).samples
+    surface = visible_surface(mesh, views, Yardstick.of(grid).ray_spacing_m, samples=SAMPLES).samples
     points = np.random.default_rng(0).permutation(run.points)[:SHOWN]
     figure, axes = plt.subplots(1, 2, figsize=(15, 5.6), layout="constrained")
-    show(axes[0], surface[:SHOWN], surface[:SHOWN, 2], cmap=colormap(POWER))
+    show(axes[0], surface[:SHOWN], surface[:SHOWN, 2], cmap=colormap(HEIGHT))
     distance = KDTree(surface).query(points, workers=-1)[0]
     dots = show(axes[1], points, distance, cmap=colormap(ERROR), vmin=0, vmax=FARTHEST_M)
     axes[0].set_title("the surface that the radar sees")

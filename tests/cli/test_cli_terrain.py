@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from terrains import terrain, write_geotiff
 
 from sarsplat import Run, read_dataset
 from sarsplat.cli import main
+from terrains import terrain, write_geotiff
 
 SIMULATE = "simulate --target slicy --pixels 32 --spacing 0.3 --ray-spacing 0.15 --azimuth 0:360:60 --grazing 40 60"
 
@@ -32,7 +32,9 @@ def test_from_heights_to_a_reconstruction(tmp_path, geotiff, capsys):
     loaded = Run.load(run)
     kept = loaded.model.ground().height_m
     assert np.array_equal(kept.heights_m, dataset.terrain.heights_m)
-    assert (loaded.gaussians.means[:, 2].numpy() >= kept.height_m(*loaded.gaussians.means[:, :2].numpy().T) - 1e-5).all()
+    assert (
+        loaded.gaussians.means[:, 2].numpy() >= kept.height_m(*loaded.gaussians.means[:, :2].numpy().T) - 1e-5
+    ).all()
     rendered = loaded.render(dataset.views)
     assert np.abs(rendered - dataset.power).mean() < 0.5 * dataset.power.mean()
 

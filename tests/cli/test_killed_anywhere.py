@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 from PIL import Image
@@ -61,8 +62,10 @@ class Workshop:
         box.export("box.obj")
         (folder / "chips").mkdir()
         labels = ["path,class,serial,desired_depression_deg,measured_depression_deg,target_az_deg"]
+        noise = np.random.default_rng(0)
         for azimuth in range(0, 360, 30):
-            picture = Image.effect_noise((32, 32), 20 + azimuth / 10)
+            amplitude = noise.rayleigh(20 + azimuth / 10, (32, 32))  # as single-look speckle has it
+            picture = Image.fromarray(amplitude.clip(0, 255).astype(np.uint8))
             picture.save(folder / "chips" / f"{azimuth}.png")
             picture.save(folder / "chips" / f"{azimuth}.jpeg", quality=100)
             labels.append(f"{azimuth}.jpeg,T72,132,17,17.1,{azimuth}")

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from terrains import hill, slope
 
 from sarsplat import Ground, ImageGrid, SarsplatError, ScatteringLaw, Terrain, View, render
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.scenes.raycast import simulate_raycast
+from terrains import hill, slope
 
 GRID = ImageGrid(48, 48, (0.3, 0.3), (0.45, 0.45))
 LAW = ScatteringLaw(0.5, 0.0)

@@ -186,6 +186,9 @@ def refuse_existing(path: Path, overwrite: bool, *, marker: str | None = None) -
 
         folders.refuse_existing(path, overwrite, marker=marker)
         return
+    from sarsplat.data.files import refuse_unwritable
+
+    refuse_unwritable(path)
     if overwrite or not os.path.lexists(path) or (path.is_dir() and not any(path.iterdir())):
         return
     raise SarsplatError(f"{path} already exists; choose another name or pass --overwrite")

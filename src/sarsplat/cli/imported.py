@@ -61,12 +61,15 @@ def _finish(out: Path, dataset: Dataset, examined: Examination) -> int:
 
     The exit code is 1 if the images contradict what was assumed.
     """
+    from sarsplat.data.plausible import warn
     from sarsplat.importers import summary
+    from sarsplat.reconstruction.target_region import box_misses
 
     for assumption in dataset.source.get("assumptions", ()):
         console.say(f"assumed: {assumption}")
     for text in examined.contradictions:
         console.complain(text)
+    warn(box_misses(dataset))
     try:
         _draw(out / "preview.png", dataset, examined.orientations)
     except ModuleNotFoundError as error:

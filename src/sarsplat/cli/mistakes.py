@@ -60,7 +60,21 @@ def _plain(program: str, box: str) -> str:
     if wrong := re.match(r"Error parsing (\S+): .*?(string to float|for int\(\)).*?: ('[^']*')", text):
         return f"{wrong[1]} {wrong[3]} is not a {'number' if 'float' in wrong[2] else 'whole number'}; give one"
     if wrong := re.match(r"Error parsing (\S+): .*(?:arguments:?|instantiated from) \[(.*?)\]( into|\.|$| )", text):
+        given = re.findall(r"'(.*?)'", wrong[2])
+        counts = sorted({len(form.split()) for form in re.findall(r"\{(FLOAT(?: FLOAT)*)\}", text)})
+        if counts and (words := [word for word in given if not _is_number(word)]):
+            return f"{wrong[1]} {words[0]!r} is not a number; {see}"
+        if counts:
+            return f"{wrong[1]} takes {' or '.join(map(str, counts))} numbers, not {len(given)}; {see}"
         return f"{wrong[1]} does not accept {wrong[2]}; {see}"
     if short := re.match(r"Missing value for argument '(.*?)'\. Expected (\d+) values", text):
         return f"{short[1]} needs {'a value' if short[2] == '1' else 'more values'}; give {short[2]}, or {see}"
     return f"{text or 'the arguments cannot be read'}; {see}"
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

@@ -180,7 +180,8 @@ def reconstruct(
     typed, again = shlex.quote(str(out)), shlex.join(["sarsplat", "reconstruct", str(dataset), "--out", str(out)])
     if len(run.points) == 0:
         longer = f"{again} --resume --iterations {max(2 * config.iterations, Config.iterations)}"
-        console.warn(f"there are no points of a surface yet; train longer, such as with `{longer}`")
+        elsewhere = " or, if its loss hardly falls, look elsewhere with --target-box"
+        console.warn(f"there are no points of a surface yet; train longer, such as with `{longer}`,{elsewhere}")
     console.finish(
         f"{out}: {run.learned} and {counted(len(run.points), 'point')} in {time.monotonic() - begun_at:.0f} s "
         f"({run.time_s:.0f} s of training; {method.about(config, images.grid)[0]}, seed {run.seed})",

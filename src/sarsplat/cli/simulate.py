@@ -145,6 +145,7 @@ def simulate(
     from sarsplat.data.plausible import suspicions, warn
     from sarsplat.geometry.responses import response_of
     from sarsplat.progress import progress
+    from sarsplat.reconstruction.target_region import box_misses
     from sarsplat.scenes import ScatteringLaw, load_mesh, mstar_views, paper_views, target_mesh
     from sarsplat.scenes.meshes import is_larger, scaled, suspicious_size
     from sarsplat.scenes.raycast import default_ray_spacing, ray_error_db
@@ -199,10 +200,12 @@ def simulate(
             view, checked = views[0][0], ("law", "ground_gamma0", "ray_spacing")
             known = {key: how[key] for key in checked}
             error_db = ray_error_db(surface, view, grid, reflectivity=factors, terrain=relief, **known)
-            shown.note(
-                f"rays {ray_spacing:.3g} m apart along edges: the first image is right to {error_db:.2g} dB RMS"
-                + ("; give a smaller --ray-spacing" if error_db > _TOLERABLE_DB else "")
-            )
+            if error_db is None:
+                right = "is empty: they miss the target, or it lies outside"
+            else:
+                right = f"is right to {error_db:.2g} dB RMS"
+                right += "; give a smaller --ray-spacing" * (error_db > _TOLERABLE_DB)
+            shown.note(f"rays {ray_spacing:.3g} m apart along edges: the first image {right}")
         images = simulate_images(
             surface,
             [view for view, _ in views],
@@ -234,7 +237,7 @@ def simulate(
         source={**simulation_record(**how, ray_error_db=error_db), "reflectivity_db": reflectivity, "scale": scale},
     )
     dataset = write_dataset(out, dataset, truth_mesh=surface, masks=true_masks, overwrite=overwrite)
-    warn(suspicions(dataset))
+    warn([*suspicions(dataset), *box_misses(dataset)])
     counts = ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits())
     run = shlex.quote(f"{out}-run")
     console.finish(

@@ -53,6 +53,17 @@ def plain_reason(error: OSError) -> str:
     return _REASONS.get(error.errno or 0) or f"{error.strerror or error}; check the path and the disk"
 
 
+def refuse_unwritable(path: Path) -> None:
+    """Say before the work, not after it, that nothing can be written at a path."""
+    with plain_os_errors("write", path):
+        whole = Path(os.path.realpath(path))
+        folder = next((parent for parent in whole.parents if os.path.lexists(parent)), whole)
+        if not folder.is_dir():
+            raise OSError(errno.ENOTDIR, "")
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise OSError(errno.EACCES, "")
+
+
 def sync(path: Path) -> None:
     """Flush one file or folder to the disk; not on Windows, which opens no folders."""
     if os.name != "posix":

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from sarsplat.data.files import locked, open_file, plain_os_errors, sync
+from sarsplat.data.files import locked, open_file, plain_os_errors, refuse_unwritable, sync
 from sarsplat.errors import SarsplatError
 
 _LAYOUTS = {
@@ -113,6 +113,7 @@ def new_folder(path: Path, overwrite: bool, *, marker: str) -> Iterator[Path]:
 
 def refuse_existing(path: Path, overwrite: bool, *, marker: str) -> None:
     """Refuse what `new_folder` would refuse, without making anything."""
+    refuse_unwritable(path)
     path = Path(os.path.realpath(path))  # unlike resolve() it tolerates a link to itself
     with plain_os_errors("write", path):
         _refuse_existing(path, overwrite, marker)

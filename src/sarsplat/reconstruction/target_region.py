@@ -66,5 +66,12 @@ def cut_off(region: Region, margin_m: float, dataset: Dataset) -> list[str]:
     return [f"{math.floor(100 * share)} % of what stands out from the ground lies outside of {spans}; {remedy}"]
 
 
+def box_misses(dataset: Dataset) -> list[str]:
+    """What of the target lies outside of the box that the dataset names; a list of one sentence, or empty."""
+    if dataset.target_box_m is None:
+        return []
+    return cut_off(Region.box(*dataset.target_box_m), 0.0, dataset)
+
+
 def _spans(low: np.ndarray, high: np.ndarray) -> str:
     return ", ".join(f"{name} {a:.3g} … {b:.3g}" for name, a, b in zip("xyz", low, high, strict=True))

@@ -176,7 +176,7 @@ class _Engine(torch.autograd.Function):
         left, gamma0, shift = left.contiguous(), gamma0.contiguous(), None if shift is None else shift.contiguous()
         patches, _, grid, _ = rest
         lit = left.new_empty(len(patches), grid.rows, grid.columns)
-        _run(left, gamma0, shift, *rest, {"lit": lit})
+        _run({"lit": lit}, left, gamma0, shift, *rest)
         ctx.save_for_backward(left, gamma0, shift)
         ctx.rest = rest
         return lit
@@ -190,11 +190,12 @@ class _Engine(torch.autograd.Function):
             found[2] = torch.empty_like(shift)
         names = ("d_transmittance", "d_gamma0", "d_shift")
         results = {"d_lit": d_lit.contiguous(), **dict(zip(names, found, strict=True))}
-        _run(left, gamma0, shift, *ctx.rest, results)
+        _run(results, left, gamma0, shift, *ctx.rest)
         return (*found, None, None, None, None)
 
 
 def _run(
+    results: dict[str, Tensor | None],
     transmittance: Tensor,
     gamma0: Tensor,
     shift: Tensor | None,
@@ -202,7 +203,6 @@ def _run(
     pitch_m: float,
     grid: ImageGrid,
     height_m: float,
-    results: dict[str, Tensor | None],
 ) -> None:
     mirrors = (structs.TerrainPatches * len(patches))()
     for mirror, patch in zip(mirrors, patches, strict=True):

@@ -207,8 +207,8 @@ def ray_error_db(
     ground_gamma0: float | None,
     terrain: Terrain | None,
     ray_spacing: float,
-) -> float:
-    """Error of an image by its rays: RMS, in dB, over pixels within 30 dB of the brightest; 0 if it is empty.
+) -> float | None:
+    """Error of an image by its rays: RMS, in dB, over pixels within 30 dB of the brightest; None if it is empty.
 
     Estimated from two images with other rays of the same spacing, each of which has this error.
     """
@@ -227,8 +227,10 @@ def ray_error_db(
     ]
     first, second = in_order(lambda caster, report: caster.image(view, report), casters)
     seen = np.minimum(first, second) > _FAINTEST * max(first.max(), second.max())
+    if not seen.any():
+        return None
     difference = to_db(first[seen].astype(np.float64)) - to_db(second[seen].astype(np.float64))
-    return math.sqrt(float((difference**2).mean()) / 2) if seen.any() else 0.0
+    return math.sqrt(float((difference**2).mean()) / 2)
 
 
 def default_ray_spacing(mesh: trimesh.Trimesh, grid: ImageGrid) -> float:
