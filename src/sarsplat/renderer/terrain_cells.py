@@ -141,7 +141,8 @@ def _cells(terrain: Terrain, view: View, grid: ImageGrid, rays: RayGrid) -> Cell
     begin = (first[1] * dy - highest * math.cos(theta)) / math.sin(theta)
     step = min(*terrain.pitch_m, dy / math.sin(theta))
     length = (rows * dy + (highest - lowest) * math.cos(theta)) / math.sin(theta)
-    along = begin + step * np.arange(math.ceil(length / step) + 2)
+    before = math.floor(begin / step)  # the same steps for every part of an image
+    along = step * np.arange(before, before + math.ceil(length / step) + 3)
     together, parts = max(1, _AT_A_TIME // len(along)), []
     for column in range(0, columns, together):
         some = np.arange(column, min(column + together, columns))

@@ -6,8 +6,6 @@ tile: so neighbours show the same of it, to the order of sums.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -16,7 +14,7 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import Footprints, attenuate, project, splat
-from sarsplat.renderer.ground import gamma0_by_view, in_sight, lit, returned, with_ground
+from sarsplat.renderer.ground import gamma0_by_view, lit, returned, with_ground
 from sarsplat.renderer.lit_ground import RayEnds
 from sarsplat.tiles.plan import LARGEST, Tile
 from sarsplat.tiles.reach import rows_of
@@ -37,9 +35,6 @@ def tile_image(
     """What `render` shows of a scene on this grid in the tile's pixels."""
     some, pixels = rows_of(gaussians, tile.gaussians), grid.part(tile.rows, tile.columns)
     p = project(some, [view], grid, rays=rays, shift=shift)
-    before = in_sight(some.means, ground, [view], pixels, rays, shift)
-    if before is not None:
-        p = replace(p, optical_depth=p.optical_depth * before)
     attenuation = attenuate(p, rays, first_return_depth=None if ground is None else _ANY_DEPTH)
     images = _splatted(p.pixels, p.amplitudes * attenuation.lit_area[..., None], grid, tile)
     if ground is None:
