@@ -93,7 +93,7 @@ def test_what_stands_in_one_tile_shades_another(after):
     scene = Gaussians(means, upright, torch.full((n, 3), 0.4), opaque, Harmonics(torch.zeros(n, 1)))
     behind = render_tiled(scene, view, grid, memory_gib=0.004)[0, :, 16]
     alone = render_tiled(scene[len(wall) :], view, grid, memory_gib=0.004)[0, :, 16]
-    assert len(tiles) >= 4
+    assert len(tiles) > 2
     near, far = ([round(128 - x * math.cos(math.radians(15)) / 0.5) for x in ends] for ends in ((38, -25), (-42, -56)))
     assert alone[near[0] : near[1]].min() > 0.1
     assert behind[near[0] : near[1]].max() < 1e-3
@@ -184,6 +184,6 @@ def test_terrain_has_no_seams_either(view, after, tmp_path):
     with tiles_kept_in(tmp_path):
         for ground in (low, high):
             expected = render(scene, [view], grid, rays=RAYS, ground=ground).images[0]
-            found = render_tiled(scene, view, grid, rays=RAYS, ground=ground, memory_gib=LITTLE)
+            found = render_tiled(scene, view, grid, rays=RAYS, ground=ground, memory_gib=LITTLE / 3)
             torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-4 * float(expected.max()))
-    assert len(tiles) >= 4
+    assert len(tiles) > 2
