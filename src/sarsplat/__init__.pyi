@@ -8,9 +8,11 @@ from .data import (
     read_dataset as read_dataset,
     read_gaussians_ply as read_gaussians_ply,
     read_points_ply as read_points_ply,
+    read_terrain as read_terrain,
     write_dataset as write_dataset,
     write_gaussians_ply as write_gaussians_ply,
     write_points_ply as write_points_ply,
+    write_terrain as write_terrain,
 )
 from .errors import SarsplatError as SarsplatError, SarsplatWarning as SarsplatWarning
 from .evaluation import evaluate_run as evaluate_run, point_metrics as point_metrics, visible_surface as visible_surface
@@ -24,7 +26,13 @@ from .gaussians import (
     NormalLobes as NormalLobes,
     Scattering as Scattering,
 )
-from .geometry import ImageGrid as ImageGrid, RayGrid as RayGrid, View as View, radar_frame as radar_frame
+from .geometry import (
+    ImageGrid as ImageGrid,
+    RayGrid as RayGrid,
+    Terrain as Terrain,
+    View as View,
+    radar_frame as radar_frame,
+)
 from .importers import (
     PhoenixChip as PhoenixChip,
     import_folder as import_folder,

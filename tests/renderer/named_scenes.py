@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from sarsplat.gaussians import MIN_SCALE, Gaussians, Harmonics
 from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
 
 GRID = ImageGrid(20, 24, spacing_m=(0.2, 0.2), resolution_m=(0.3, 0.3))
 VIEWS = (View(20.0, 40.0), View(200.0, 15.0), View(77.0, 75.0))
@@ -124,7 +125,13 @@ def _column() -> Gaussians:
     return replace(cloud(6, 5, scale=0.15, kappa=(0.8, 1.5)), means=facing(VIEWS[0], offsets))
 
 
-def _textured(height_m: float) -> Ground:
+def _terrain(below_m: float) -> Terrain:
+    """Hills and hollows, some of which lie in each other's shadow or lay over each other."""
+    x, y = np.meshgrid(0.3 * np.arange(-12, 13), 0.25 * np.arange(-14, 15))
+    return Terrain(0.3 * np.sin(2.1 * x + 0.4) * np.cos(1.7 * y) + 0.1 * x - below_m, (0.3, 0.25))
+
+
+def _textured(height_m: float | Terrain) -> Ground:
     """Ground of twelve places, that returns less at small angles."""
     return Ground(0.2 + 0.3 * _random(9, 3, 4).abs(), 0.9, height_m, torch.tensor(1.5))
 
@@ -148,6 +155,9 @@ GRADCHECK: dict[str, Callable[[], Scene]] = {
     ),
     "on the ground": lambda: _gradcheck(
         cloud(3, 3, size=(0.5, 0.5, 0.5), scale=0.2, kappa=(0.7, 2.0), degree=0), ground=_textured(-0.3)
+    ),
+    "on terrain": lambda: _gradcheck(
+        cloud(3, 3, size=(0.5, 0.5, 0.5), scale=0.2, kappa=(0.7, 2.0), degree=0), ground=_textured(_terrain(0.5))
     ),
 }
 """A handful of Gaussians each, with overlap and occlusion, small enough for finite differences of every parameter."""
@@ -192,6 +202,8 @@ MATRIX: dict[str, Callable[[], Scene]] = {
     "ground in three channels": lambda: Scene(
         cloud(40, 33), amplitudes=_random(5, 3, 40, 3), ground=Ground(torch.tensor(0.3), height_m=-0.55)
     ),
+    "terrain": lambda: Scene(cloud(40, 34), ground=Ground(torch.tensor(0.3), height_m=_terrain(0.55))),
+    "terrain, shifted": lambda: Scene(cloud(40, 35), ground=_textured(_terrain(0.55)), shift=0.2 * _random(6, 3, 2)),
     "many": lambda: Scene(cloud(1100, 50, size=(4.0, 4.0, 2.0), scale=0.05), views=VIEWS[:2]),
 }
 """What the engines are compared on. Rendering is cut (footprints, early stop, image), and a pair that lies on a cut to

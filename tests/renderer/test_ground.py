@@ -15,7 +15,7 @@ from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.ground import Ground, ground_radius_m
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.renderer import render
-from sarsplat.renderer.ground import free_ground
+from sarsplat.renderer.ground import free_plane
 from sarsplat.renderer.lit_ground import RayEnds, lit_ground
 
 WIDE = ImageGrid(48, 40, (0.3, 0.25), (0.45, 0.4))
@@ -108,12 +108,13 @@ def test_what_the_ground_loses_is_what_rays_lose():
     scene = replace(scene, means=scene.means + torch.tensor([0.0, 0.0, 1.0]))
     ground = Ground(torch.tensor(0.25))
     rendering = render(scene, [view], WIDE, rays=rays, ground=ground, first_return_depth=0.5)
-    missing = 0.25 * math.tan(math.radians(40)) * float((1 - rendering.lit_ground.double()).sum()) * 0.3 * 0.25
+    level = 0.25 * math.tan(math.radians(40))
+    missing = float((level - rendering.ground.double()).sum()) * 0.3 * 0.25
     (left,) = rendering.ray_maps
     assert missing == pytest.approx(0.25 * rays.cell_area * float((1 - left.transmittance.double()).sum()), rel=1e-3)
     alone = render(scene, [view], WIDE, rays=rays)
     assert torch.equal(rendering.cross_sections, alone.cross_sections)  # nothing else changes
-    expected = alone.images[:, 0] + 0.25 * math.tan(math.radians(40)) * rendering.lit_ground
+    expected = alone.images[:, 0] + rendering.ground
     torch.testing.assert_close(rendering.images[:, 0], expected)
 
 
@@ -152,7 +153,7 @@ def test_texture_lies_where_it_is_on_the_ground():
     table = 2.0 + 0.03 * steps[None, :] - 0.05 * steps[:, None]  # [y, x]
     view, height_m = View(130.0, 35.0), 0.9
     shift = torch.tensor([[0.3, -0.2]], dtype=torch.float64)
-    found = free_ground(Ground(table, 0.8, height_m), [view], WIDE, shift)[0]
+    found = free_plane(Ground(table, 0.8), height_m, [view], WIDE, shift)[0]
     frame = radar_frame(view)
     x_r, r = np.meshgrid(WIDE.azimuth_m - 0.3, WIDE.range_m + 0.2)
     # x_r and r fix two coordinates, the height the third
@@ -160,7 +161,7 @@ def test_texture_lies_where_it_is_on_the_ground():
     world = np.linalg.solve(matrix, np.stack([x_r, r, np.full_like(r, height_m)]).reshape(3, -1)).reshape(3, *r.shape)
     expected = (2.0 + 0.03 * world[0] - 0.05 * world[1]) * math.tan(math.radians(35))
     np.testing.assert_allclose(found.numpy(), expected, rtol=1e-12)
-    beyond = free_ground(Ground(table[18:23, 18:23], 0.8), [view], WIDE)[0]
+    beyond = free_plane(Ground(table[18:23, 18:23], 0.8), 0.0, [view], WIDE)[0]
     assert float(beyond.min()) >= float(table[18:23, 18:23].min()) * math.tan(math.radians(35)) - 1e-12
 
 
@@ -175,7 +176,7 @@ def test_what_is_below_the_ground_is_not_seen_and_throws_no_shadow():
 
 
 def test_without_ground_nothing_is_said_of_it():
-    assert render(cloud(5, 0), VIEWS, GRID).lit_ground is None
+    assert render(cloud(5, 0), VIEWS, GRID).ground is None
 
 
 def test_the_ground_reaches_past_the_farthest_corner_of_the_images():

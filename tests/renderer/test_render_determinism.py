@@ -22,6 +22,7 @@ SCENES = {
     "many": MATRIX["many"],
     "many views": MATRIX["many views"],
     "ground": lambda: replace(MATRIX["ground, shifted"](), gaussians=cloud(900, 62, scale=0.05)),
+    "terrain": lambda: replace(MATRIX["terrain, shifted"](), gaussians=cloud(900, 62, scale=0.05)),
     "one view": lambda: Scene(cloud(2500, 60, size=(6.0, 3.0, 3.0), scale=0.05), VIEWS[:1]),
     "shift and gain": lambda: Scene(
         cloud(900, 61, scale=0.05), shift=torch.full((3, 2), 0.1), gain=torch.tensor([1.3, 0.2, 4.0])

@@ -21,6 +21,7 @@ from sarsplat.reconstruction import model
 from sarsplat.renderer import render
 from sarsplat.tiles import at_once, render_tiled, tiles_kept_in
 from sarsplat.tiles import render as module
+from terrains import hill
 
 GRID = ImageGrid(90, 130, spacing_m=(0.3, 0.25), resolution_m=(0.4, 0.3), center_m=(900.0, -700.0))
 RAYS = RayGrid((0.2, 0.2))
@@ -92,7 +93,7 @@ def test_what_stands_in_one_tile_shades_another(after):
     scene = Gaussians(means, upright, torch.full((n, 3), 0.4), opaque, Harmonics(torch.zeros(n, 1)))
     behind = render_tiled(scene, view, grid, memory_gib=0.004)[0, :, 16]
     alone = render_tiled(scene[len(wall) :], view, grid, memory_gib=0.004)[0, :, 16]
-    assert len(tiles) >= 4
+    assert len(tiles) > 2
     near, far = ([round(128 - x * math.cos(math.radians(15)) / 0.5) for x in ends] for ends in ((38, -25), (-42, -56)))
     assert alone[near[0] : near[1]].min() > 0.1
     assert behind[near[0] : near[1]].max() < 1e-3
@@ -169,3 +170,20 @@ def test_the_command_goes_on_too(tmp_path: Path, after, monkeypatch: pytest.Monk
     whole, tiled = (tifffile.imread(tmp_path / f"{name}.tif") for name in ("at-once", "tiles"))
     assert whole.max() > 0
     assert abs(tiled - whole).max() <= 4e-4 * whole.max()
+
+
+@pytest.mark.parametrize("view", [VIEW, View(250.0, 20.0)])
+def test_terrain_has_no_seams_either(view, after, tmp_path):
+    """Hills shade what other tiles show; and tiles of another terrain are not taken for those of this one."""
+    grid, g = ImageGrid(70, 60, (0.3, 0.25), (0.4, 0.3)), torch.Generator().manual_seed(2)
+    scene = town(view, 400)
+    place = (torch.rand(400, 3, generator=g) - 0.5) * torch.tensor([14.0, 14.0, 1.0])
+    scene = Gaussians(place + torch.tensor([0.0, 0.0, 1.0]), *list(scene.tensors().values())[1:4], scene.scattering)
+    low, high = (Ground(TEXTURED.gamma0, 2.0, hill(height), TEXTURED.exponent) for height in (1.0, 4.0))
+    tiles = after(1000)
+    with tiles_kept_in(tmp_path):
+        for ground in (low, high):
+            expected = render(scene, [view], grid, rays=RAYS, ground=ground).images[0]
+            found = render_tiled(scene, view, grid, rays=RAYS, ground=ground, memory_gib=LITTLE / 3)
+            torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-4 * float(expected.max()))
+    assert len(tiles) > 2

@@ -14,7 +14,7 @@ from sarsplat.errors import SarsplatError
 
 if TYPE_CHECKING:
     from sarsplat.data.header import Box
-    from sarsplat.geometry import View
+    from sarsplat.geometry import Terrain, View
     from sarsplat.reconstruction import Run
 
 MARKERS = (tyro.conf.FlagCreatePairsOff,)
@@ -105,6 +105,13 @@ def corners(box: tuple[float, float, float, float, float, float] | None) -> Box 
             f"--target-box {given} is no box; give the lower corner (x, y, z), then the upper one, in metres"
         )
     return None if box is None else (box[:3], box[3:])
+
+
+def heights(path: Path | None) -> Terrain | None:
+    """Those of --terrain, measured from that of the scene's origin."""
+    from sarsplat.data import read_terrain
+
+    return None if path is None else read_terrain(path).centred()
 
 
 def pair(lengths: tuple[float, ...], name: str) -> tuple[float, float] | None:

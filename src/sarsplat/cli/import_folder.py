@@ -16,6 +16,7 @@ from sarsplat.cli.arguments import (
     OptionalNumber,
     TargetBox,
     corners,
+    heights,
     one_of,
     pair,
 )
@@ -58,6 +59,7 @@ def command(
     calibrated: bool = False,
     looks: Annotated[float, tyro.conf.arg(metavar="NUMBER")] = 1.0,
     no_ground: bool = False,
+    terrain: OptionalFile = None,
     target_box: TargetBox = None,
     overwrite: bool = False,
 ) -> int:
@@ -111,6 +113,8 @@ def command(
         Looks of the speckle; 0 if there is no speckle.
     no_ground
         The pictures show nothing but the target.
+    terrain
+        Heights of the ground (GeoTIFF, metres), its middle at the scene's origin; level without it.
     target_box
         Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Without it, it is
         derived from the images.
@@ -143,6 +147,7 @@ def command(
         calibration="absolute" if calibrated else "relative",
         looks=looks or None,
         ground=not no_ground,
+        terrain=heights(terrain),
         target_box_m=corners(target_box),
         overwrite=overwrite,
     )

@@ -10,7 +10,16 @@ from typing import Annotated
 
 import tyro
 
-from sarsplat.cli.arguments import Angles, Folder, OptionalFile, OptionalName, TargetBox, angles, corners
+from sarsplat.cli.arguments import (
+    Angles,
+    Folder,
+    OptionalFile,
+    OptionalName,
+    TargetBox,
+    angles,
+    corners,
+    heights,
+)
 from sarsplat.cli.imported import carry_out
 from sarsplat.cli.importers import Contents, Recognised, training_half, typed_import
 from sarsplat.errors import SarsplatError
@@ -29,6 +38,7 @@ def command(
     labels: OptionalFile = None,
     train_depression: Angles = ("17",),
     serial: OptionalName = None,
+    terrain: OptionalFile = None,
     target_box: TargetBox = None,
     azimuth_std: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 0.0,
     mirrored: bool = False,
@@ -52,6 +62,8 @@ def command(
         Depression angles of the training chips, degrees; of several, each gets the next azimuth in turn.
     serial
         Import only the vehicle with this serial number.
+    terrain
+        Heights of the ground (GeoTIFF, metres), its middle at the scene's origin; level without it.
     target_box
         Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Without it, it is
         derived from the images.
@@ -75,6 +87,7 @@ def command(
         train_views=train_views,
         train_depression=[_whole(angle) for angle in angles(train_depression, "train-depression")],
         serial=serial,
+        terrain=heights(terrain),
         target_box_m=corners(target_box),
         azimuth_std_deg=azimuth_std,
         mirrored=mirrored,

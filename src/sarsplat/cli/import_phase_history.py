@@ -7,7 +7,18 @@ from typing import Annotated, Literal
 
 import tyro
 
-from sarsplat.cli.arguments import Folder, Metres, OptionalCount, OptionalNumber, TargetBox, corners, metres, numbers
+from sarsplat.cli.arguments import (
+    Folder,
+    Metres,
+    OptionalCount,
+    OptionalFile,
+    OptionalNumber,
+    TargetBox,
+    corners,
+    heights,
+    metres,
+    numbers,
+)
 from sarsplat.cli.imported import carry_out
 from sarsplat.cli.importers import Contents, Recognised, by_ending
 
@@ -23,6 +34,7 @@ def command(
     weighting: Literal["uniform", "taylor"] = "taylor",
     target: Annotated[str, tyro.conf.arg(metavar="NAME")] = "unnamed",
     train_views: OptionalCount = None,
+    terrain: OptionalFile = None,
     target_box: TargetBox = None,
     overwrite: bool = False,
 ) -> int:
@@ -49,6 +61,8 @@ def command(
     train_views
         Number of training images, nearest to azimuths k·360°/K; the others are test images. Without it, all are for
         training.
+    terrain
+        Heights of the ground (GeoTIFF, metres), its middle at the scene's origin; level without it.
     target_box
         Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Without it, it is
         derived from the images.
@@ -69,6 +83,7 @@ def command(
         weighting=weighting,
         target=target,
         train_views=train_views,
+        terrain=heights(terrain),
         target_box_m=corners(target_box),
         overwrite=overwrite,
         quiet=False,

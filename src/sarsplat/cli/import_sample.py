@@ -8,7 +8,14 @@ from typing import Annotated, Literal
 
 import tyro
 
-from sarsplat.cli.arguments import Folder, OptionalCount, TargetBox, corners
+from sarsplat.cli.arguments import (
+    Folder,
+    OptionalCount,
+    OptionalFile,
+    TargetBox,
+    corners,
+    heights,
+)
 from sarsplat.cli.imported import carry_out
 from sarsplat.cli.importers import Contents, Recognised, training_half, typed_import
 from sarsplat.names import SampleKind
@@ -23,6 +30,7 @@ def command(
     train_views: OptionalCount = None,
     near: Literal["top", "bottom"] = "bottom",
     mirrored: bool = False,
+    terrain: OptionalFile = None,
     target_box: TargetBox = None,
     overwrite: bool = False,
 ) -> int:
@@ -44,6 +52,8 @@ def command(
         Rows that are near the radar; MSTAR's chips have them at the bottom.
     mirrored
         Treat the images as mirror images.
+    terrain
+        Heights of the ground (GeoTIFF, metres), its middle at the scene's origin; level without it.
     target_box
         Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Without it, it is
         derived from the images.
@@ -62,6 +72,7 @@ def command(
         train_views=train_views,
         near=near,
         mirrored=mirrored,
+        terrain=heights(terrain),
         target_box_m=corners(target_box),
         overwrite=overwrite,
     )

@@ -8,7 +8,16 @@ from typing import Annotated
 
 import tyro
 
-from sarsplat.cli.arguments import Folder, OptionalCount, TargetBox, corners, metres, numbers
+from sarsplat.cli.arguments import (
+    Folder,
+    OptionalCount,
+    OptionalFile,
+    TargetBox,
+    corners,
+    heights,
+    metres,
+    numbers,
+)
 from sarsplat.cli.imported import carry_out
 from sarsplat.cli.importers import Contents, Recognised, by_ending, typed_import
 from sarsplat.errors import SarsplatError, counted
@@ -28,6 +37,7 @@ def command(
     target: Annotated[str, tyro.conf.arg(metavar="NAME")] = "unnamed",
     train_views: OptionalCount = None,
     no_ground: bool = False,
+    terrain: OptionalFile = None,
     target_box: TargetBox = None,
     overwrite: bool = False,
 ) -> int:
@@ -53,6 +63,8 @@ def command(
         Number of training views, evenly around; the others are test views. Without it, all are for training.
     no_ground
         The images show nothing but the target.
+    terrain
+        Heights of the ground (GeoTIFF, metres), its middle at the scene's origin; level without it.
     target_box
         Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Without it, it is
         derived from the images.
@@ -75,6 +87,7 @@ def command(
         target=target,
         train_views=train_views,
         ground=not no_ground,
+        terrain=heights(terrain),
         target_box_m=corners(target_box),
         overwrite=overwrite,
     )

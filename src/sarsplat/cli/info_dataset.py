@@ -79,6 +79,7 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
         "calibration": _CALIBRATIONS[dataset.calibration],
         "speckle": dataset.speckle,
         "ground": "shown" if dataset.ground else "not shown",
+        **({} if dataset.terrain is None else {"terrain": str(dataset.terrain)}),
         **_uncertainty([entry.azimuth_std_deg for entry in dataset.entries]),
         "largest gap": f"{largest_gap(view.azimuth_deg for view in train)} (azimuths of the training views)",
         "weakest direction": str(weakest_direction(train)),

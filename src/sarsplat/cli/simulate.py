@@ -19,6 +19,7 @@ from sarsplat.cli.arguments import (
     OptionalNumber,
     TargetBox,
     corners,
+    heights,
     one_of,
     pair,
     refuse_existing,
@@ -55,6 +56,7 @@ def simulate(
     law: Law = (0.1, 0.9),
     reflectivity: Decibels = 0.0,
     ground: OptionalNumber = None,
+    terrain: OptionalFile = None,
     looks: OptionalNumber = None,
     clean_tests: bool = False,
     pixels: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N [N]", help_behavior_hint="(optional)")] = (),
@@ -107,7 +109,10 @@ def simulate(
     reflectivity
         Draw a factor on γ⁰ for every connected part of the mesh, log-normally, with this standard deviation.
     ground
-        γ⁰ (linear) of flat ground (default: no ground).
+        γ⁰ (linear) of the ground (default: no ground).
+    terrain
+        Heights of the ground (GeoTIFF, metres), its middle, where z = 0, at the target's origin (default: flat). The
+        target is not moved.
     looks
         Looks of multiplicative speckle; 1 is single look (default: no speckle).
     clean_tests
@@ -145,11 +150,15 @@ def simulate(
     from sarsplat.scenes.meshes import is_larger, scaled, suspicious_size
     from sarsplat.scenes.raycast import default_ray_spacing, ray_error_db
     from sarsplat.scenes.raycast_masks import raycast_masks
-    from sarsplat.scenes.scattering import part_reflectivity
+    from sarsplat.scenes.scattering import check_terrain, part_reflectivity
     from sarsplat.scenes.simulate import simulate_images, simulation_record
 
     if clean_tests and looks is None:
         raise SarsplatError("--clean-tests keeps speckle out of the test images, but there is none; give --looks too")
+    relief = heights(terrain)
+    check_terrain(relief, ground)
+    if masks and relief is not None:
+        raise SarsplatError("--masks are of a target on flat ground; leave out --masks or --terrain")
     if masks:
         pillow()  # if it is missing, that is said before minutes of ray casting
     theirs = paper_views() if protocol == "paper" else mstar_views()
@@ -189,7 +198,8 @@ def simulate(
     with progress(f"simulate {name}", len(views)) as shown:
         if source == "raycast":
             view, checked = views[0][0], ("law", "ground_gamma0", "ray_spacing")
-            error_db = ray_error_db(surface, view, grid, reflectivity=factors, **{key: how[key] for key in checked})
+            known = {key: how[key] for key in checked}
+            error_db = ray_error_db(surface, view, grid, reflectivity=factors, terrain=relief, **known)
             if error_db is None:
                 right = "is empty: they miss the target, or it lies outside"
             else:
@@ -202,6 +212,7 @@ def simulate(
             grid,
             **how,
             reflectivity=factors,
+            terrain=relief,
             looks=looks,
             clean=[index for index, (_, split) in enumerate(views) if clean_tests and split != "train"],
             progress=shown.update,
@@ -220,6 +231,7 @@ def simulate(
         looks=looks,
         clean_tests=clean_tests,
         ground=ground is not None,
+        terrain=relief,
         target_box_m=box_m,
         protocol=protocol if views == theirs and grid == _grid(protocol) else None,
         source={**simulation_record(**how, ray_error_db=error_db), "reflectivity_db": reflectivity, "scale": scale},

@@ -5,6 +5,7 @@ from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.dataset_folder import read_dataset, write_dataset
 from sarsplat.data.files import read_json, read_versioned_json, write_bytes, write_json
 from sarsplat.data.folders import new_folder
+from sarsplat.data.geotiff import read_terrain, write_terrain
 from sarsplat.data.image import SarImage
 from sarsplat.data.masks import Mask, Masks, read_masks
 from sarsplat.data.mesh import write_mesh
@@ -24,6 +25,7 @@ __all__ = [
     "read_json",
     "read_masks",
     "read_points_ply",
+    "read_terrain",
     "read_tiff",
     "read_versioned_json",
     "save_checkpoint",
@@ -33,5 +35,6 @@ __all__ = [
     "write_json",
     "write_mesh",
     "write_points_ply",
+    "write_terrain",
     "write_tiff",
 ]

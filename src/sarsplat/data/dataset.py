@@ -20,7 +20,7 @@ from sarsplat.arguments import checks_arguments, expect
 from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, SPLIT, Box, Calibration, DatasetHeader
 from sarsplat.data.image import SarImage, as_signal, check_power, check_signal, power_of
 from sarsplat.errors import SarsplatError, counted, shown
-from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry import ImageGrid, Terrain, View
 
 _FARTHEST_M = 1e6
 _LEAST_CERTAIN_DEG = 10.0
@@ -28,6 +28,9 @@ AS_THEY_ARE = (
     *("target", "calibration", "looks", "clean_tests", "ground", "score_margin", "target_box_m", "protocol", "source"),
 )
 """Fields that `dataset.json` holds as they are here."""
+
+TERRAIN = "terrain.tif"
+"""File of the terrain in a dataset's folder."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,8 @@ class Dataset:
         Whether the test images are without speckle nevertheless, so that they are scored as noise-free ones.
     ground : bool
         Whether the images show the ground around the target.
+    terrain : Terrain or None
+        Heights of that ground; None where it is level at z = 0. With terrain, z in `target_box_m` is above it.
     score_margin : int
         Pixels left out on each side of an image when speckled images are scored.
     target_box_m : pair of (x, y, z) or None
@@ -116,6 +121,7 @@ class Dataset:
     looks: float | None = None
     clean_tests: bool = False
     ground: bool = False
+    terrain: Terrain | None = None
     score_margin: int = 0
     target_box_m: Box | None = None
     protocol: str | None = None
@@ -156,6 +162,8 @@ class Dataset:
                 f"score_margin {self.score_margin} does not suit images of {self.grid.rows} × {self.grid.columns} "
                 "pixels; give 0 or more pixels, less than half a side"
             )
+        if self.terrain is not None and not self.ground:
+            raise SarsplatError("terrain is the ground that images show, but ground is False; give both or neither")
         box = self.target_box_m
         if box is not None and not all(
             -_FARTHEST_M <= low < high <= _FARTHEST_M for low, high in zip(*box, strict=True)
@@ -334,6 +342,7 @@ class Dataset:
             **{name: getattr(self, name) for name in AS_THEY_ARE},
             "pixels": "power" if self.signal is None else "complex",
             "truth_mesh": None if self.truth_mesh is None else self.truth_mesh.name,
+            "terrain": None if self.terrain is None else TERRAIN,
             "grid": self.grid.as_dict(),
             "views": [
                 {"file": f"images/{index:0{digits}d}.tif", **vars(entry.view)}
@@ -355,6 +364,9 @@ class Dataset:
         digest.update(
             self.power.astype("<f4").tobytes() if self.signal is None else self.signal.astype("<c8").tobytes()
         )
+        if self.terrain is not None:
+            digest.update(np.array(self.terrain.pitch_m, "<f8").tobytes())
+            digest.update(self.terrain.heights_m.astype("<f8").tobytes())
         return digest.hexdigest()
 
 

@@ -13,9 +13,10 @@ import numpy as np
 from jaxtyping import UInt8
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.data.dataset import AS_THEY_ARE, Dataset, DatasetEntry
+from sarsplat.data.dataset import AS_THEY_ARE, TERRAIN, Dataset, DatasetEntry
 from sarsplat.data.files import open_file, plain_os_errors, read_versioned_json, write_bytes, write_json
 from sarsplat.data.folders import new_folder
+from sarsplat.data.geotiff import read_terrain, write_terrain
 from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, DatasetHeader, ViewHeader
 from sarsplat.data.masks import encode_masks
 from sarsplat.data.tiff import read_tiff, write_tiff
@@ -76,6 +77,8 @@ def write_dataset(
         write_json(folder / HEADER, header)
         if mesh is not None:
             write_bytes(folder / _MESH, mesh)
+        if dataset.terrain is not None:
+            write_terrain(folder / TERRAIN, dataset.terrain)
         with plain_os_errors("write", folder):
             (folder / "images").mkdir()
             if pictures:
@@ -140,6 +143,7 @@ def read_dataset(path: str | Path) -> Dataset:
         if len({file.resolve() for file in files}) < len(files):
             raise SarsplatError("two views name the same image file; give each view its own")
         mesh = None if header.truth_mesh is None else _inside(path, header.truth_mesh)
+        heights = None if header.terrain is None else _inside(path, header.terrain)
     with plain_os_errors("read", path):  # a name may be longer than the system has names
         if mesh is not None and not mesh.is_file():
             raise SarsplatError(f"{path} is missing its mesh {shown(mesh.name)}; {_MAKE_ONE}")
@@ -152,6 +156,7 @@ def read_dataset(path: str | Path) -> Dataset:
             np.stack(images) if images else np.empty((0, grid.rows, grid.columns), pixel),
             **{name: getattr(header, name) for name in AS_THEY_ARE},
             truth_mesh=mesh,
+            terrain=None if heights is None else read_terrain(heights),
             path=path,
         )
         _require_training(dataset)

@@ -105,3 +105,6 @@ class DatasetHeader(Strict, frozen=True, omit_defaults=True):
         Literal["power", "complex"],
         about("float32 linear power, or complex64 amplitudes, whose squared magnitude is the power"),
     ] = "power"
+    terrain: Annotated[
+        str | None, about('"terrain.tif", heights of the ground (GeoTIFF, m), or null where it is level at z = 0')
+    ] = None

@@ -17,6 +17,7 @@ from sarsplat.data.coverage import largest_gap
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.determined import weak_directions
 from sarsplat.errors import SarsplatWarning, counted
+from sarsplat.gaussians.ground import ground_radius_m
 from sarsplat.geometry import View
 
 _FEW = 3  # angles: of fewer nothing can be said
@@ -39,11 +40,24 @@ def suspicions(dataset: Dataset) -> list[str]:
         One sentence each: what is odd, and what to do if it is not meant. Angles that look like radians; one training
         view, views that are all the same, that leave out more than half of the circle or do not determine positions
         along some direction; images that are constant or all the same; test images that are training images; zeros in
-        measured power. Empty if nothing is odd.
+        measured power; terrain smaller than what images show. Empty if nothing is odd.
     """
     views = dataset.select("train").views
     odd = suspicious_angles(views) or suspicious_coverage(views)  # of angles in another unit, nothing else follows
-    return [*odd, *suspicious_images(dataset)]
+    return [*odd, *suspicious_images(dataset), *suspicious_terrain(dataset)]
+
+
+def suspicious_terrain(dataset: Dataset) -> list[str]:
+    """Whether images show more ground than the terrain has; a list of one sentence, or empty."""
+    if dataset.terrain is None:
+        return []
+    half, shown_m = min(dataset.terrain.half_m), ground_radius_m(dataset.views, dataset.grid)
+    if half >= shown_m:
+        return []
+    return [
+        f"the terrain ends {half:.4g} m from the scene's centre, and images show ground to {shown_m:.4g} m; beyond its "
+        "end, heights are those at its edge: give a larger one if that matters"
+    ]
 
 
 def suspicious_angles(views: Sequence[View]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Flat ground: the plane on which rays end."""
+"""The ground: the plane, or the terrain, on which rays end."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry import ImageGrid, Terrain, View
 
 
 @dataclass(frozen=True)
 class Ground:
-    """A horizontal plane: what is left of a ray that reaches it returns by the ground's γ⁰ there.
+    """A horizontal plane, or terrain: what is left of a ray that reaches it returns by the ground's γ⁰ there.
 
-    Nothing below it is seen, and it has no end. Every tensor is differentiable.
+    Nothing below or behind it is seen, and it has no end. Every tensor is differentiable; heights are fixed.
 
     Parameters
     ----------
@@ -28,8 +28,8 @@ class Ground:
         should lie no closer than the images resolve.
     pitch_m : float
         Distance of the places, m.
-    height_m : float
-        Height z of the plane, m.
+    height_m : float or Terrain
+        Height z of the plane, m, or heights of places.
     exponent : Tensor [], optional
         Law of the grazing angle θ: γ⁰ is the above times (sin θ) to this power; 0 unless given, the same at all angles.
 
@@ -41,7 +41,7 @@ class Ground:
 
     gamma0: Tensor
     pitch_m: float = 1.0
-    height_m: float = 0.0
+    height_m: float | Terrain = 0.0
     exponent: Float[Tensor, ""] | None = None
 
     def __post_init__(self) -> None:
@@ -54,10 +54,15 @@ class Ground:
             if tensor.ndim not in dimensions or not tensor.numel():
                 wanted = "one number" + (", or a lattice [ny, nx]" if 2 in dimensions else "")
                 raise SarsplatError(f"the ground's {name} has shape {tuple(tensor.shape)}; give {wanted}")
-        for name, length, positive in (("pitch_m", self.pitch_m, True), ("height_m", self.height_m, False)):
+        for name, length, positive in (("pitch_m", self.pitch_m, True), ("height_m", self.span_m[0], False)):
             if not isinstance(length, Real) or not math.isfinite(length) or (positive and length <= 0):
                 what = "a positive, finite" if positive else "a finite"
                 raise SarsplatError(f"the ground's {name} is {length}; give {what} number of metres")
+
+    @property
+    def span_m(self) -> tuple[float, float]:
+        """Lowest and highest z, m."""
+        return self.height_m.span_m if isinstance(self.height_m, Terrain) else (self.height_m, self.height_m)
 
 
 def ground_radius_m(views: Sequence[View], grid: ImageGrid) -> float:

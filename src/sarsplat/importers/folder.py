@@ -13,7 +13,7 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.data.header import Box, Calibration
 from sarsplat.data.orientation import Layout, oriented
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import View
+from sarsplat.geometry import Terrain, View
 from sarsplat.importers.images import MeasuredImage, dataset_of, view_of, write_imported
 from sarsplat.importers.pictures import read_pixels
 from sarsplat.importers.quantity import likely_quantity, power_or_signal
@@ -47,6 +47,7 @@ def import_folder(
     calibration: Calibration = "relative",
     looks: float | None = 1.0,
     ground: bool = True,
+    terrain: Terrain | None = None,
     target_box_m: Box | None = None,
     overwrite: bool = False,
 ) -> Dataset:
@@ -88,6 +89,8 @@ def import_folder(
         What is shown; unless given, the folder's name.
     calibration, looks, ground
         See `Dataset`.
+    terrain : Terrain, optional
+        Heights of the ground that the images show; level unless given.
     target_box_m : pair of (x, y, z), optional
         Lower and upper corner of the box that contains the target, m; unless given, it is derived from the images.
     overwrite : bool
@@ -163,6 +166,7 @@ def import_folder(
         calibration=calibration,
         looks=looks,
         ground=ground,
+        terrain=terrain,
         target_box_m=target_box_m,
     )
     return write_imported(out, dataset, overwrite=overwrite)

@@ -20,7 +20,7 @@ from sarsplat.data.header import Box, Calibration
 from sarsplat.data.image import power_of
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import AssumptionWarning, SarsplatError, counted
-from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry import ImageGrid, Terrain, View
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.importers.band_limited import resample
 from sarsplat.radiometry import to_db
@@ -104,6 +104,7 @@ def dataset_of(
     calibration: Calibration = "relative",
     looks: float | None = 1.0,
     ground: bool = True,
+    terrain: Terrain | None = None,
     target_box_m: Box | None = None,
 ) -> Dataset:
     """A dataset in memory: images on one grid, assigned to sets, on one scale.
@@ -121,7 +122,7 @@ def dataset_of(
         Number K of training views: those nearest to azimuths k·360°/K or, where images are missing on one side, to K
         azimuths evenly spaced over the rest; of several grazing angles, each gets the next azimuth in turn. The others
         are test views. Not if the images name their sets.
-    calibration, looks, ground, target_box_m
+    calibration, looks, ground, terrain, target_box_m
         See `Dataset`. Relative power has mean 1 over the training views.
 
     Raises
@@ -178,6 +179,7 @@ def dataset_of(
         looks=looks,
         ground=ground,
         score_margin=round(_MARGIN * min(grid.rows, grid.columns)) if ground else 0,
+        terrain=terrain,
         target_box_m=target_box_m,
         source={**source, "assumptions": assumptions},
     )

@@ -30,6 +30,7 @@ from sarsplat.data.evenly import nearest_to
 from sarsplat.data.header import Box
 from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
+from sarsplat.geometry import Terrain
 from sarsplat.importers.images import MeasuredImage, dataset_of, view_of, write_imported
 from sarsplat.importers.mstar_chips import Chip, read_chips
 
@@ -49,6 +50,7 @@ def import_mstar(
     train_views: int,
     train_depression: int | Sequence[int] = 17,
     serial: str | None = None,
+    terrain: Terrain | None = None,
     target_box_m: Box | None = None,
     azimuth_std_deg: float = 0.0,
     mirrored: bool = False,
@@ -74,6 +76,8 @@ def import_mstar(
         turn.
     serial : str, optional
         Only this vehicle of the class; None takes them all.
+    terrain : Terrain, optional
+        Heights of the ground that the images show; level unless given.
     target_box_m : pair of (x, y, z), optional
         Corners of the box that contains the target, m, in the world frame: nose to +x. None: reconstructions derive it
         from the images.
@@ -139,7 +143,7 @@ def import_mstar(
         "chips": [{"name": chip.name, "target_az_deg": chip.target_az_deg} for chip in ordered],
         "assumptions": _assumptions(ordered, images, mirrored),
     }
-    dataset = dataset_of(images, target=target_class, source=source, target_box_m=target_box_m)
+    dataset = dataset_of(images, target=target_class, source=source, terrain=terrain, target_box_m=target_box_m)
     return write_imported(out, dataset, overwrite=overwrite)
 
 

@@ -13,7 +13,7 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.data.folders import refuse_existing
 from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError, counted
-from sarsplat.geometry import ImageGrid
+from sarsplat.geometry import ImageGrid, Terrain
 from sarsplat.geometry.responses import TAYLOR, UNIFORM, Taylor
 from sarsplat.importers.apertures import Aperture, apertures
 from sarsplat.importers.files import each_once
@@ -42,6 +42,7 @@ def import_phase_history(
     weighting: Literal["uniform", "taylor"] = "taylor",
     target: str = "unnamed",
     train_views: int | None = None,
+    terrain: Terrain | None = None,
     target_box_m: Box | None = None,
     overwrite: bool = False,
     quiet: bool = True,
@@ -70,6 +71,8 @@ def import_phase_history(
         What the images show.
     train_views : int, optional
         Number K of training views, nearest to azimuths k·360°/K; the others are test views. None: all are for training.
+    terrain : Terrain, optional
+        Heights of the ground that the images show; level unless given.
     target_box_m : pair of (x, y, z), optional
         Lower and upper corner of the box that contains the target, m; unless given, it is derived from the images.
     overwrite : bool
@@ -121,6 +124,7 @@ def import_phase_history(
         target=target,
         source=_source(files, parts, around_m, taper),
         train_views=train_views,
+        terrain=terrain,
         target_box_m=target_box_m,
     )
     return write_imported(out, dataset, overwrite=overwrite)

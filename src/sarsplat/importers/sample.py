@@ -22,6 +22,7 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.data.header import Box
 from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.geometry import Terrain
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, stated_taylor
 from sarsplat.importers.files import files_in, warn_caller
 from sarsplat.importers.images import MeasuredImage, dataset_of, view_of, write_imported
@@ -57,6 +58,7 @@ def import_sample(
     train_views: int | None = None,
     near: Literal["top", "bottom"] = "bottom",
     mirrored: bool = False,
+    terrain: Terrain | None = None,
     target_box_m: Box | None = None,
     overwrite: bool = False,
 ) -> Dataset:
@@ -78,6 +80,8 @@ def import_sample(
         Rows that are near the radar.
     mirrored : bool
         Take the images for mirror images, with azimuths that grow clockwise.
+    terrain : Terrain, optional
+        Heights of the ground that the images show; level unless given.
     target_box_m : pair of (x, y, z), optional
         Lower and upper corner of the box that contains the target, m; unless given, it is derived from the images.
     overwrite : bool
@@ -112,7 +116,12 @@ def import_sample(
         ],
     }
     dataset = dataset_of(
-        images, target=chosen[0].target, source=source, train_views=train_views, target_box_m=target_box_m
+        images,
+        target=chosen[0].target,
+        source=source,
+        train_views=train_views,
+        terrain=terrain,
+        target_box_m=target_box_m,
     )
     return write_imported(out, dataset, overwrite=overwrite)
 

@@ -20,6 +20,7 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.data.dataset_folder import HEADER
 from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.geometry import Terrain
 from sarsplat.importers.files import each_once
 from sarsplat.importers.images import MeasuredImage, assume, check_sides, dataset_of, write_imported
 from sarsplat.importers.sicd_chip import chip, resolution_of, response_along, spacing_of
@@ -44,6 +45,7 @@ def import_sicd(
     train_views: int | None = None,
     looks: float | None = 1.0,
     ground: bool = True,
+    terrain: Terrain | None = None,
     target_box_m: Box | None = None,
     overwrite: bool = False,
 ) -> Dataset:
@@ -74,6 +76,8 @@ def import_sicd(
         Number of looks of the speckle; None if there is none.
     ground : bool
         Whether the images show the ground around the target.
+    terrain : Terrain, optional
+        Heights of the ground that the images show; level unless given.
     target_box_m : pair of (x, y, z), optional
         Lower and upper corner of the box that contains the target, m; unless given, it is derived from the images.
     overwrite : bool
@@ -132,6 +136,7 @@ def import_sicd(
         calibration="absolute" if absolute else "relative",
         looks=looks,
         ground=ground,
+        terrain=terrain,
         target_box_m=target_box_m,
     )
     return write_imported(out, dataset, overwrite=overwrite)

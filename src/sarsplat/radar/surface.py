@@ -67,7 +67,7 @@ def surface_of_run(run: Run) -> Surface:
     if model is None:
         return surface_of_mesh(run.mesh(), run.grid.cell_m)
     learned = model.target(model.degree(run.iteration)).detach().to("cpu")
-    target = without_imitated_ground(learned, run.points, run.grid.cell_m, ground=model.ground() is not None)
+    target = without_imitated_ground(learned, run.points, run.grid.cell_m, model.ground())
     if len(target) == 0:
         raise SarsplatError(f"{run.path or 'the run'} has no points of a target; train it for longer")
     nearest = cKDTree(run.points).query(target.means.double().numpy())[1]

@@ -203,7 +203,7 @@ class PointExtraction(Record):
 
 @dataclass(frozen=True)
 class FlatGround(Record):
-    """Ground at z = 0, on which rays end: it has a γ⁰, and shadow.
+    """Ground at z = 0, or the dataset's terrain, on which rays end: it has a γ⁰, and shadow.
 
     Parameters
     ----------

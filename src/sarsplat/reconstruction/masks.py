@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, View
+from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, Terrain, View
+from sarsplat.geometry.terrain import heights_of
 from sarsplat.radiometry import beta0_of_gamma0
 from sarsplat.renderer import render
-from sarsplat.renderer.ground import free_ground
 
 _SHARE = 0.5
 _LOWEST = 1.0  # height above the ground from which Gaussians count as the target, resolution cells
@@ -65,19 +65,19 @@ def scene_masks(
     for mask, view in zip(masks, views, strict=True):  # one at a time: memory stays small
         rendering = render(target, [view], sharp, rays=rays, amplitudes=uniform, ground=ground)
         images = rendering.channel(channel)
-        if ground is None or rendering.lit_ground is None:
+        if ground is None or rendering.ground is None:
             free = torch.full_like(images, beta0_of_gamma0(1.0, view.grazing_deg))
         else:
-            free = free_ground(ground, [view], sharp)
-            images = images - free * rendering.lit_ground
-            mask[rendering.lit_ground[0].cpu().numpy() < _SHARE] = SHADOW
+            free = render(target[:0], [view], sharp, rays=rays, ground=ground).channel(channel)
+            images = images - rendering.ground
+            mask[(rendering.ground < _SHARE * free)[0].cpu().numpy()] = SHADOW
         shown = (images >= _SHARE * free) & (images > 0)
         mask[shown[0].cpu().numpy()] = TARGET
     return masks
 
 
 def without_imitated_ground(
-    target: Gaussians, points: Real[np.ndarray, "p 3"], cell_m: float, *, ground: bool
+    target: Gaussians, points: Real[np.ndarray, "p 3"], cell_m: float, ground: Ground | None
 ) -> Gaussians:
     """A target without those of its Gaussians that may stand for ground as well as the ground does.
 
@@ -85,10 +85,11 @@ def without_imitated_ground(
     it stands on `ground`, those lower than one cell themselves.
     """
     means = target.means.double().cpu().numpy()
-    lowest = _LOWEST * cell_m if ground else -np.inf
-    points = points[points[:, 2] >= lowest]
+    lowest = -np.inf if ground is None else _LOWEST * cell_m
+    terrain = ground.height_m if ground is not None and isinstance(ground.height_m, Terrain) else None
+    points = points[heights_of(points, terrain) >= lowest]
     if not len(points):
         return target[:0]
     kept = np.isfinite(cKDTree(points).query(means, distance_upper_bound=_REACH * cell_m)[0])
-    kept &= means[:, 2] >= lowest
+    kept &= heights_of(means, terrain) >= lowest
     return target[torch.from_numpy(kept).to(target.means.device)]

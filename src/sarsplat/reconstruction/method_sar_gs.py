@@ -135,7 +135,7 @@ class GaussianReconstruction(Reconstruction):
         (`without_imitated_ground`). Without learned ground there is no shadow.
         """
         ground = self.model.ground()
-        target = without_imitated_ground(self.gaussians, points, self.grid.cell_m, ground=ground is not None)
+        target = without_imitated_ground(self.gaussians, points, self.grid.cell_m, ground)
         rays = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL)
         return scene_masks(target, ground, views, self.model.as_displaced(self.grid), rays)
 
@@ -146,7 +146,9 @@ class GaussianReconstruction(Reconstruction):
 
     def points(self) -> Float32[np.ndarray, "p 3"]:
         """First returns of rays, or centres, as configured."""
-        points = extract_points(self.gaussians, self.snapshot.views, self.grid, self.config.points)
+        points = extract_points(
+            self.gaussians, self.snapshot.views, self.grid, self.config.points, self.model.setting.terrain
+        )
         return points.astype(np.float32)  # as the file has them
 
     def normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:

@@ -16,9 +16,10 @@ from sarsplat.data.plausible import warn
 from sarsplat.gaussians import Gaussians, scattering_named
 from sarsplat.gaussians.ground import Ground
 from sarsplat.gaussians.initialise import Region
-from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.processes import Processes
 from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.levelled import levelled
 from sarsplat.reconstruction.levels import Levels
 from sarsplat.reconstruction.parts import parts_of
 from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, Shot
@@ -81,7 +82,7 @@ class SceneModel:
 
         `generator` is one of the CPU: a seed starts the same on every device.
         """
-        setting, train = Setting.of(config, dataset), dataset.select("train")
+        setting, train = Setting.of(config, dataset), levelled(dataset.select("train"))
         parameters: Parameters = {}
         if config.ground or config.surroundings or config.target_box or dataset.target_box_m:
             warn(cut_off(setting.region, config.margin * setting.cell_m, dataset))
@@ -101,7 +102,9 @@ class SceneModel:
         arrays = [snapshot.tensors[f"region/{name}"].numpy() for name in _REGION]
         if arrays[0].shape != (len(arrays[1]), 3) or arrays[2].shape != (3,) or arrays[3].shape != (3,):
             raise ValueError(f"a region of {[array.shape for array in arrays]}")
-        setting = Setting(Region(*arrays), snapshot.unit, snapshot.views, snapshot.grid)
+        kept = snapshot.part("terrain")
+        terrain = Terrain(kept["heights_m"].numpy(), tuple(kept["pitch_m"].tolist())) if kept else None
+        setting = Setting(Region(*arrays), snapshot.unit, snapshot.views, snapshot.grid, terrain)
         learned, state = snapshot.part("model"), snapshot.part("part")
         model = cls(config, setting, learned, device)
         others = [learned[name] for name, how in model.learned.items() if not how.per_gaussian]
@@ -120,7 +123,16 @@ class SceneModel:
         region = {f"region/{name}": torch.from_numpy(getattr(self.setting.region, name)) for name in _REGION}
         learned = {f"model/{name}": tensor.detach() for name, tensor in self.parameters.items()}
         state = {f"part/{part.name}/{name}": tensor for part in self.parts for name, tensor in part.state().items()}
-        return learned | state | region
+        terrain = self.setting.terrain
+        heights = (
+            {}
+            if terrain is None
+            else {
+                "terrain/heights_m": torch.from_numpy(terrain.heights_m),
+                "terrain/pitch_m": torch.tensor(terrain.pitch_m, dtype=torch.float64),
+            }
+        )
+        return learned | state | region | heights
 
     def __len__(self) -> int:
         """Number of the target's Gaussians."""
@@ -171,7 +183,7 @@ class SceneModel:
         return self._made_by(self.parts, degree, dropped)
 
     def ground(self) -> Ground | None:
-        """The plane on which rays end, in the model's unit; None if there is none."""
+        """The plane or the terrain on which rays end, in the model's unit; None if there is none."""
         return next((ground for part in self.parts if (ground := part.ground(self.parameters)) is not None), None)
 
     def _made_by(self, parts: Sequence[Part], degree: int, dropped: Bool[Tensor, " n"] | None = None) -> Gaussians:

@@ -18,7 +18,8 @@ from scipy.spatial import cKDTree
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
-from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
+from sarsplat.geometry.terrain import heights_of
 from sarsplat.progress import stage
 from sarsplat.reconstruction.config import PointExtraction
 from sarsplat.renderer import render
@@ -42,7 +43,11 @@ _CUBES = 4
 
 @checks_arguments
 def extract_points(
-    gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, how: PointExtraction
+    gaussians: Gaussians,
+    views: Sequence[View],
+    grid: ImageGrid,
+    how: PointExtraction,
+    terrain: Terrain | None = None,
 ) -> Float64[np.ndarray, "p 3"]:
     """Points of the surface that Gaussians stand for.
 
@@ -57,6 +62,8 @@ def extract_points(
     how : PointExtraction
         Method, thinning and clean-up. In large scenes rays and voxels are coarser than it says: at most 20 million rays
         are traced, from at most 96 views, and at most a million points kept.
+    terrain : Terrain, optional
+        What the lowest points lie on; z = 0 unless given.
 
     Returns
     -------
@@ -74,15 +81,19 @@ def extract_points(
     if how.method == "centres":
         points = gaussians.means[gaussians.optical_depth >= how.optical_depth].double().cpu().numpy()
         voxels = _Voxels(how.voxel * cell)
-        voxels.add(points[points[:, 2] >= how.min_height * cell])
+        voxels.add(points[heights_of(points, terrain) >= how.min_height * cell])
         points = voxels.means()
     else:
-        points = _seen_points(gaussians, [*views, *between(views)], grid, how)
+        points = _seen_points(gaussians, [*views, *between(views)], grid, how, terrain)
     return points if how.cluster_radius is None else _cluster(points, how.cluster_radius * cell, how.cluster_size)
 
 
 def _seen_points(
-    gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, how: PointExtraction
+    gaussians: Gaussians,
+    views: Sequence[View],
+    grid: ImageGrid,
+    how: PointExtraction,
+    terrain: Terrain | None,
 ) -> Float64[np.ndarray, "p 3"]:
     """Mean returns in each voxel, but for those that too many views look through, or too few see."""
     cell, rays, chosen = grid.cell_m, RayGrid.for_image(grid, how.rays_per_pixel), spread(views, _MOST_VIEWS)
@@ -97,7 +108,7 @@ def _seen_points(
         for view in views:
             returns.append(_FirstReturns.of(gaussians, view, grid, rays, how.optical_depth))
             points = returns[-1].points()
-            voxels.add(points[points[:, 2] >= how.min_height * cell])
+            voxels.add(points[heights_of(points, terrain) >= how.min_height * cell])
             shown.advance(1)
     # haze that one view takes for a surface is looked through by others, or seen by no other
     points = voxels.means()

@@ -8,7 +8,7 @@ import numpy as np
 
 from sarsplat.data import Dataset
 from sarsplat.gaussians.initialise import Region
-from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry import ImageGrid, Terrain, View
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.target_region import target_region
 
@@ -25,14 +25,17 @@ class Setting:
     views: tuple[View, ...]
     grid: ImageGrid
     """Lengths in configurations are multiples of its resolution cell."""
+    terrain: Terrain | None = None
+    """The ground, above which z of the region is; None: z = 0."""
 
     @classmethod
     def of(cls, config: Config, dataset: Dataset) -> Setting:
         """The setting of a configuration on a dataset."""
         train = dataset.select("train")
+        terrain = dataset.terrain if config.ground else None
         region = target_region(dataset, ground=bool(config.ground or config.surroundings), box=config.box_m)
         unit = float(train.power.mean(dtype=np.float64)) if config.surroundings else 1.0
-        return cls(region, unit, train.views, train.grid)
+        return cls(region, unit, train.views, train.grid, terrain)
 
     @property
     def cell_m(self) -> float:

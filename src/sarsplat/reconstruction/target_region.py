@@ -10,6 +10,8 @@ from sarsplat.data import Dataset
 from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.initialise import Region, bounded_region
+from sarsplat.geometry.terrain import heights_of
+from sarsplat.reconstruction.levelled import levelled
 from sarsplat.reconstruction.target_box import stands_out_db, target_box
 from sarsplat.scenes.mesh_files import read_mesh
 
@@ -18,7 +20,7 @@ _MUCH = 0.2
 
 
 def target_region(dataset: Dataset, *, ground: bool, box: Box | None = None) -> Region:
-    """The given box, or the dataset's, or what the training images tell.
+    """The given box, or the dataset's, or what the training images tell; z is above the terrain, where there is any.
 
     Parameters
     ----------
@@ -29,7 +31,7 @@ def target_region(dataset: Dataset, *, ground: bool, box: Box | None = None) -> 
     box : pair of (x, y, z), optional
         Lower and upper corner, m.
     """
-    train, box = dataset.select("train"), box or dataset.target_box_m
+    train, box = levelled(dataset.select("train")), box or dataset.target_box_m
     if box is not None:
         return Region.box(*box)
     if ground:
@@ -48,13 +50,14 @@ def cut_off(region: Region, margin_m: float, dataset: Dataset) -> list[str]:
             vertices = np.asarray(read_mesh(dataset.truth_mesh).vertices)
         except (ImportError, SarsplatError):  # training does not need it; evaluation, which does, says what is wrong
             return []
+        vertices = np.column_stack([vertices[:, :2], heights_of(vertices, dataset.terrain)])
         least, most = vertices.min(axis=0), vertices.max(axis=0)
         if (least >= low).all() and (most <= high).all():
             return []
         return [f"the target ({_spans(least, most)} m) is not all inside of {spans} and will be cut off; {remedy}"]
     if not dataset.ground:
         return []
-    train = dataset.select("train")
+    train = levelled(dataset.select("train"))
     above_db, axis = stands_out_db(train.power, train.views, train.grid)
     inside = np.outer(*((low[i] <= axis) & (axis <= high[i]) for i in (1, 0)))
     share = float(above_db[~inside].sum() / above_db.sum()) if above_db.any() else 0.0

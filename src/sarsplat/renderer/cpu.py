@@ -25,6 +25,7 @@ from sarsplat.renderer.structs import (
     Problem,
     Projection,
     Statistics,
+    Terrain,
     check_layouts,
 )
 
@@ -56,6 +57,7 @@ _ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "get_statistics": (*_PROBLEM, POINTER(Statistics)),
     "amplitude_loss": (c_void_p, POINTER(Loss)),
     "lit_ground": (c_void_p, POINTER(Ground)),
+    "lit_terrain": (c_void_p, POINTER(Terrain)),
     "adam": (c_int32, POINTER(AdamStep)),
     "use_torch": (c_void_p,),
 }
@@ -180,6 +182,11 @@ class Pass:
         """Fill in what is lit, or the gradients."""
         self._library.sg_set_threads(torch.get_num_threads())
         _require_memory(self._library.sg_lit_ground(self._handle, ground))
+
+    def lit_terrain(self, terrain: ctypes.Structure) -> None:
+        """Fill in what the terrain returns, or the gradients."""
+        self._library.sg_set_threads(torch.get_num_threads())
+        _require_memory(self._library.sg_lit_terrain(self._handle, terrain))
 
     def lattice(self, view: int) -> ctypes.Structure:
         """Where the rays of a view stand."""

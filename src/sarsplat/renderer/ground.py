@@ -8,20 +8,43 @@ from dataclasses import replace
 from functools import lru_cache
 
 import torch
-from jaxtyping import Float, Float64, Int64
+from jaxtyping import Float, Float64
 from torch import Tensor
-from torch.nn.functional import embedding
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
+from sarsplat.renderer.lit_ground import RayEnds, lit_ground
+from sarsplat.renderer.lit_terrain import lit_terrain
+from sarsplat.renderer.places import at_places
+from sarsplat.renderer.terrain_cells import before_terrain, cells_of
 
 
 def above(gaussians: Gaussians, ground: Ground) -> Gaussians:
-    """Those whose centres are above the ground; the others are hidden below it, and thin as air."""
+    """Those whose centres are above a plane; the others are hidden below it, and thin as air.
+
+    What terrain hides depends on the view (`in_sight`).
+    """
+    if isinstance(ground.height_m, Terrain):
+        return gaussians
     hidden = gaussians.means[:, 2] < ground.height_m
     return replace(gaussians, optical_depth=gaussians.optical_depth.masked_fill(hidden, 0.0))
+
+
+def in_sight(
+    means: Float[Tensor, "n 3"],
+    ground: Ground | None,
+    views: Sequence[View],
+    grid: ImageGrid,
+    rays: RayGrid,
+    shift: Float[Tensor, "v 2"] | None,
+) -> Float[Tensor, "v n"] | None:
+    """1 for Gaussians that lie before the terrain in a view, 0 for hidden ones; None without terrain."""
+    if ground is None or not isinstance(ground.height_m, Terrain):
+        return None
+    terrain = ground.height_m
+    return before_terrain(means, terrain, cells_of(terrain, views, grid, rays, shift), views, rays)
 
 
 def check_ground(ground: Ground, like: Tensor, channels: int, channel: int, imaging_weight: str) -> None:
@@ -47,53 +70,83 @@ def ground_values(ground: Ground) -> dict[str, Tensor | None]:
     return {"ground.gamma0": ground.gamma0.reshape(-1), "ground.exponent": exponent}
 
 
-def with_ground(
-    images: Float[Tensor, "v c h w"],
+def gamma0_by_view(ground: Ground, views: int) -> Float[Tensor, "v ny nx"] | None:
+    """γ⁰ that `lit` of terrain takes: views that are shared out have its gradients of their own."""
+    if not isinstance(ground.height_m, Terrain):
+        return None
+    table = ground.gamma0
+    return (table if table.ndim else table[None, None]).expand(views, -1, -1)
+
+
+def lit(
+    ends: RayEnds,
+    ground: Ground,
+    gamma0: Float[Tensor, "v ny nx"] | None,
+    views: Sequence[View],
+    grid: ImageGrid,
+    rays: RayGrid,
+    shift: Float[Tensor, "v 2"] | None,
+) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
+    """What rays make of the ground: of a plane, the share of it that a pixel sees; of terrain, γ⁰ and area as well."""
+    if isinstance(ground.height_m, Terrain):
+        assert gamma0 is not None  # `gamma0_by_view`
+        return lit_terrain(ends, views, grid, rays, ground.height_m, gamma0, ground.pitch_m, shift)
+    return lit_ground(ends, views, grid, rays, ground.height_m, shift)
+
+
+def returned(
     ground: Ground,
     lit: Float[Tensor, "v h w"],
-    channel: int,
     views: Sequence[View],
     grid: ImageGrid,
     shift: Float[Tensor, "v 2"] | None,
+) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
+    """β⁰ of the ground, as far as it is `lit`."""
+    if isinstance(ground.height_m, Terrain):
+        return lit if ground.exponent is None else lit * _law(ground, _numbers(ground, views)[1])
+    return lit * free_plane(ground, ground.height_m, views, grid, shift)
+
+
+def with_ground(
+    images: Float[Tensor, "v c h w"], returned: Float[Tensor, "v h w"], channel: int
 ) -> Float[Tensor, "v c h w"]:
-    """Images with what the lit ground returns in their channel of power."""
-    returned = lit * free_ground(ground, views, grid, shift)
+    """Images with what the ground returned in their channel of power."""
     power = torch.arange(images.shape[1], device=images.device) == channel
     return images + (returned[:, None] if len(power) == 1 else returned[:, None] * power.to(images)[:, None, None])
 
 
-def free_ground(
-    ground: Ground, views: Sequence[View], grid: ImageGrid, shift: Float[Tensor, "v 2"] | None = None
+def free_plane(
+    ground: Ground,
+    height_m: float,
+    views: Sequence[View],
+    grid: ImageGrid,
+    shift: Float[Tensor, "v 2"] | None = None,
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
-    """β⁰ of the ground that nothing hides."""
+    """β⁰ of a plane that nothing hides."""
     table, device = ground.gamma0, ground.gamma0.device
-    numbers = torch.stack([_of_view(view, device) for view in views]).to(table).T[..., None, None]
-    tangent, log_sine, sine, *onto = numbers  # [V, 1, 1] each
-    level = tangent if ground.exponent is None else tangent * (ground.exponent * log_sine).exp()
+    tangent, log_sine, sine, *onto = _numbers(ground, views)
+    level = tangent if ground.exponent is None else tangent * _law(ground, log_sine)
     if table.numel() == 1:
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
         return (table.reshape(()) * level).expand(-1, 1, grid.columns).expand(-1, grid.rows, -1)
     x, r = (axis.to(table) for axis in _axes(grid, device))
     if shift is not None:
         x, r = x - shift[:, None, :1], r - shift[:, 1:, None]
-    r = r + sine * ground.height_m  # r = ground range · cos θ − z · sin θ
-    (column, right, next_column), (row, down, next_row) = (
-        _between(across * x + along * r, ground.pitch_m, count)
-        for across, along, count in zip(onto[:2], onto[2:], reversed(table.shape), strict=True)
-    )
-    flat, at, step = table.reshape(-1), row * table.shape[1] + column, next_row * table.shape[1]
-    upper = torch.lerp(_rows(flat, at), _rows(flat, at + next_column), right)
-    lower = torch.lerp(_rows(flat, at + step), _rows(flat, at + step + next_column), right)
-    return torch.lerp(upper, lower, down) * level
+    r = r + sine * height_m  # r = ground range · cos θ − z · sin θ
+    across, along = (onto[k] * x + onto[2 + k] * r for k in range(2))
+    return at_places(table, across, along, ground.pitch_m) * level
 
 
-def _between(
-    place_m: Float[Tensor, "v h w"], pitch_m: float, count: int
-) -> tuple[Int64[Tensor, "v h w"], Float[Tensor, "v h w"], int]:
-    """The places before, how far on it is to the next ones, and how many numbers on those are."""
-    place = (place_m / pitch_m + (count - 1) / 2).clamp(0, count - 1)
-    before = place.detach().floor().clamp(max=max(count - 2, 0))
-    return before.long(), place - before, min(count - 1, 1)
+def _law(ground: Ground, log_sine: Float[Tensor, "v 1 1"]) -> Float[Tensor, "v 1 1"]:
+    """(sin θ) to the ground's exponent, of the view's grazing angle."""
+    assert ground.exponent is not None
+    return (ground.exponent * log_sine).exp()
+
+
+def _numbers(ground: Ground, views: Sequence[View]) -> Float[Tensor, "k v 1 1"]:
+    """`_of_view` of each."""
+    table = ground.gamma0
+    return torch.stack([_of_view(view, table.device) for view in views]).to(table).T[..., None, None]
 
 
 # A training asks for the same few views again and again, and a GPU should not be sent them each time.
@@ -112,10 +165,3 @@ def _axes(grid: ImageGrid, device: torch.device) -> tuple[Float64[Tensor, "1 1 w
     """Azimuth and slant range of the pixels, m."""
     x, r = torch.from_numpy(grid.azimuth_m), torch.from_numpy(grid.range_m)
     return x[None, None].to(device), r[None, :, None].to(device)
-
-
-def _rows(table: Float[Tensor, " n"], index: Tensor) -> Tensor:
-    """`table[index]`, whose gradient is summed in the same order in every run."""
-    if table.is_cuda:
-        return embedding(index, table[:, None])[..., 0]
-    return table.index_select(0, index.reshape(-1)).view(index.shape)  # twenty times as fast on a CPU

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Float64
 from torch import Tensor
 
 from sarsplat.geometry import ImageGrid, RayGrid, View
@@ -42,7 +42,7 @@ class RayEnds:
 
 
 @dataclass(frozen=True)
-class _Axis:
+class Axis:
     """Places along an axis, m: centres of pixels, or the edges before cells."""
 
     first: float
@@ -54,8 +54,12 @@ class _Axis:
         """For the engine."""
         return structs.Axis(self.first, self.step, self.count)
 
+    def places(self, device: torch.device) -> Float64[Tensor, " {self.count}"]:
+        """All of them."""
+        return self.first + self.step * torch.arange(self.count, dtype=torch.float64, device=device)
 
-_Patches = Sequence[tuple[_Axis, _Axis]]
+
+_Patches = Sequence[tuple[Axis, Axis]]
 """Rows and columns of what the rays of each view make on the ground, along slant range and azimuth."""
 
 
@@ -72,7 +76,7 @@ def lit_ground(
     for view, (rows, columns), (x, y) in zip(views, ends.sizes, ends.origins, strict=True):
         theta = math.radians(view.grazing_deg)
         near = ((y - dy / 2) * math.cos(theta) - height_m) / math.sin(theta)  # on the plane r = (y cos θ − z) / sin θ
-        patches.append((_Axis(near, dy / math.tan(theta), rows), _Axis(x - dx / 2, dx, columns)))
+        patches.append((Axis(near, dy / math.tan(theta), rows), Axis(x - dx / 2, dx, columns)))
     left = ends.transmittance
     if left.dtype == torch.float32 and left.device.type == "cpu":
         return _Engine.apply(left, shift, patches, grid)  # type: ignore[no-any-return]
@@ -83,36 +87,33 @@ def plain_lit_ground(
     transmittance: Float[Tensor, " rays"], shift: Float[Tensor, "v 2"] | None, patches: _Patches, grid: ImageGrid
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
     """`lit_ground` in plain torch, for any device and floating dtype."""
-    (rows, columns), (azimuth_std, range_std), images = _pixels(grid), _stds(grid), []
+    (rows, columns), (azimuth_std, range_std), images = pixel_axes(grid), stds(grid), []
     parts = transmittance.split([down.count * across.count for down, across in patches])
     for k, (part, (down, across)) in enumerate(zip(parts, patches, strict=True)):
         azimuth_shift, range_shift = (0.0, 0.0) if shift is None else shift[k]
-        along_range = _seen(rows, down, range_std, range_shift, part)
-        along_azimuth = _seen(columns, across, azimuth_std, azimuth_shift, part)
+        along_range = seen(rows, down, range_std, range_shift, part)
+        along_azimuth = seen(columns, across, azimuth_std, azimuth_shift, part)
         images.append(1 - along_range @ (1 - part.view(down.count, across.count)) @ along_azimuth.T)
     return torch.stack(images)
 
 
-def _pixels(grid: ImageGrid) -> tuple[_Axis, _Axis]:
+def pixel_axes(grid: ImageGrid) -> tuple[Axis, Axis]:
     """Rows and columns."""
     return (
-        _Axis(float(grid.range_m[0]), grid.spacing_m[1], grid.rows),
-        _Axis(float(grid.azimuth_m[0]), grid.spacing_m[0], grid.columns),
+        Axis(float(grid.range_m[0]), grid.spacing_m[1], grid.rows),
+        Axis(float(grid.azimuth_m[0]), grid.spacing_m[0], grid.columns),
     )
 
 
-def _stds(grid: ImageGrid) -> tuple[float, float]:
+def stds(grid: ImageGrid) -> tuple[float, float]:
     """Of the response, m: azimuth, range."""
     azimuth, slant_range = grid.response_variance_m2
     return math.sqrt(azimuth), math.sqrt(slant_range)
 
 
-def _seen(pixels: _Axis, cells: _Axis, std: float, shift: Tensor | float, like: Tensor) -> Float[Tensor, "n k"]:
+def seen(pixels: Axis, cells: Axis, std: float, shift: Tensor | float, like: Tensor) -> Float[Tensor, "n k"]:
     """Integrals of the response of each pixel over each cell."""
-    centres, edges = (
-        axis.first + axis.step * torch.arange(count, dtype=torch.float64, device=like.device)
-        for axis, count in ((pixels, pixels.count), (cells, cells.count + 1))
-    )
+    centres, edges = (axis.places(like.device) for axis in (pixels, replace(cells, count=cells.count + 1)))
     below = torch.erf(((centres[:, None] - edges).to(like) - shift) / (math.sqrt(2) * std)) / 2
     return below[:, :-1] - below[:, 1:]
 
@@ -144,7 +145,7 @@ def _run(
     transmittance: Tensor, shift: Tensor | None, patches: _Patches, grid: ImageGrid, **results: Tensor | None
 ) -> None:
     mirrors = (structs.Patches * len(patches))(*(structs.Patches(down.mirror, over.mirror) for down, over in patches))
-    call = structs.Ground(len(patches), *(axis.mirror for axis in _pixels(grid)), _stds(grid), mirrors)
+    call = structs.Ground(len(patches), *(axis.mirror for axis in pixel_axes(grid)), stds(grid), mirrors)
     for name, tensor in {"transmittance": transmittance, "shift": shift, **results}.items():
         setattr(call, name, None if tensor is None else tensor.data_ptr())
     cpu.Pass().lit_ground(call)

@@ -20,8 +20,8 @@ from sarsplat.renderer.bounds import Bounds
 from sarsplat.renderer.checks import check_values, complaint, complaint_by_view
 from sarsplat.renderer.cpu import FAULTS
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, deviations
-from sarsplat.renderer.ground import ground_values, with_ground
-from sarsplat.renderer.lit_ground import RayEnds, lit_ground
+from sarsplat.renderer.ground import gamma0_by_view, ground_values, in_sight, lit, returned, with_ground
+from sarsplat.renderer.lit_ground import RayEnds
 from sarsplat.renderer.operation import Operation, Tensors
 from sarsplat.renderer.passes import Pass
 from sarsplat.renderer.problem import ARRAYS, directions_to, new_problem, point_at, pointer, problem_of
@@ -73,34 +73,39 @@ def render_with(
     def some(branch: Branch, arrays: Tensors) -> tuple[Tensor, ...]:
         """Images, cross-sections, lit areas and, with a ground, what of it is lit in some of the views."""
         nonlocal ray_maps
-        few, height_m = views[slice(*branch)], None if ground is None else ground.height_m
+        few, (*of_problem, displaced, gamma0) = views[slice(*branch)], arrays
         part = _Render(new_pass(), few, grid, rays, g.scattering.p_min)
         part.peak, part.depth, part.of_views = imaging_weight == "peak", first_return_depth, len(views)
         part.planes, part.ends = None if planes is None else planes[slice(*branch)], ground is not None
-        images, cross_sections, lit_area, *traced = part.of(*arrays)
+        moved = None if shift is None else displaced
+        part.in_sight = in_sight(g.means, ground, few, grid, rays, moved)
+        images, cross_sections, lit_area, *traced = part.of(*of_problem, displaced)
         ray_maps = _ray_maps(part, traced)
-        if height_m is None:
+        if ground is None:
             return images, cross_sections, lit_area
-        lit = lit_ground(_ray_ends(part, traced[0]), few, grid, rays, height_m, None if shift is None else arrays[-1])
-        return images, cross_sections, lit_area, lit
+        ends = _ray_ends(part, traced[0])
+        seen = lit(ends, ground, gamma0, few, grid, rays, moved)
+        return images, cross_sections, lit_area, seen
 
-    arrays = (g.means, g.quaternions, g.scales, g.optical_depth, harmonics, amplitudes, _shift(g, views, shift))
+    by_view = _shift(g, views, shift), None if ground is None else gamma0_by_view(ground, len(views))
+    arrays = (g.means, g.quaternions, g.scales, g.optical_depth, harmonics, amplitudes, *by_view)
     if processes is None:
         seen = some((0, len(views)), arrays)
     else:
         channels = len(g.scattering.channels) if amplitudes is None else amplitudes.shape[2]
         size = grid.rows, grid.columns
         shapes = [(channels, *size), (len(g), channels), (len(g),), *([] if ground is None else [size])]
-        seen = shared(processes, some, arrays, [name in _BY_VIEW for name in ARRAYS], len(views), shapes, planes)
+        cut = [*(name in _BY_VIEW for name in ARRAYS), True]
+        seen = shared(processes, some, arrays, cut, len(views), shapes, planes)
     images, cross_sections, lit_area, *ends = seen
-    lit = None
+    of_ground = None
     if ground is not None:
-        (lit,) = ends
-        images = with_ground(images, ground, lit, g.scattering.power_channel, views, grid, shift)
+        of_ground = returned(ground, ends[0], views, grid, shift)
+        images = with_ground(images, of_ground, g.scattering.power_channel)
     if gain is not None:
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
         images = images * gain[:, None, None, None].expand(-1, images.shape[1], 1, grid.columns)
-    return Rendering(images, cross_sections, lit_area.detach(), ray_maps, planes, lit)
+    return Rendering(images, cross_sections, lit_area.detach(), ray_maps, planes, of_ground)
 
 
 def project_with(
@@ -185,12 +190,14 @@ class _Render(_OfGaussians):
 
     depth: float | None
     ends: bool
+    in_sight: Float[Tensor, "v n"] | None
     planes: Float[Tensor, "v n 4"] | None
     constant = (2, 4)
 
     def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
         problem, means = self.pose(inputs), inputs[0]
         assert means is not None
+        problem.in_sight = pointer(self.in_sight)
         views, n, channels = problem.views, problem.gaussians, problem.channels
         # never torch's default dtype or device
         images = means.new_empty(views, channels, self.grid.rows, self.grid.columns)
@@ -345,8 +352,8 @@ def _ray_maps(step: _Render | _Attenuate, traced: Sequence[Tensor]) -> tuple[Ray
         return None
     ends, maps = _ray_ends(step, traced[0]), []
     cut = [values.split([math.prod(size) for size in ends.sizes]) for values in traced]
-    for left, returned, size, origin in zip(*cut, ends.sizes, ends.origins, strict=True):
-        maps.append(RayMap(left.view(size), returned.view(size), origin))
+    for left, first, size, origin in zip(*cut, ends.sizes, ends.origins, strict=True):
+        maps.append(RayMap(left.view(size), first.view(size), origin))
     return tuple(maps)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -21,8 +22,8 @@ from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, deviations
-from sarsplat.renderer.ground import with_ground
-from sarsplat.renderer.lit_ground import RayEnds, lit_ground
+from sarsplat.renderer.ground import gamma0_by_view, in_sight, lit, returned, with_ground
+from sarsplat.renderer.lit_ground import RayEnds
 from sarsplat.renderer.rendering import RayMap, Rendering
 
 _UNCUT_RADIUS = 9.0
@@ -53,27 +54,29 @@ def render_reference(
     """
     rays = rays or RayGrid.for_image(grid)
     projection = project_reference(gaussians, views, grid, rays=rays, shift=shift)
+    seen = in_sight(gaussians.means, ground, views, grid, rays, shift)
+    if seen is not None:
+        projection = replace(projection, optical_depth=projection.optical_depth * seen)
     depth = first_return_depth if ground is None else first_return_depth or 1.0
     attenuation = attenuate_reference(projection, rays, first_return_depth=depth, cuts=cuts)
     amplitudes = projection.amplitudes if amplitudes is None else amplitudes
     cross_sections = amplitudes * attenuation.lit_area[..., None]  # σ = P A_c Σ w
-    images, lit = (
-        splat_reference(projection.pixels, cross_sections, grid, imaging_weight=imaging_weight, cuts=cuts),
-        None,
-    )
+    images = splat_reference(projection.pixels, cross_sections, grid, imaging_weight=imaging_weight, cuts=cuts)
+    of_ground = None
     if ground is not None:
         maps = attenuation.ray_maps or ()
         left = torch.cat([ray_map.transmittance.flatten() for ray_map in maps])
         sizes = [(ray_map.transmittance.shape[0], ray_map.transmittance.shape[1]) for ray_map in maps]
         ends = RayEnds(left, sizes, [ray_map.origin for ray_map in maps])
-        lit = lit_ground(ends, views, grid, rays, ground.height_m, shift)
-        images = with_ground(images, ground, lit, gaussians.scattering.power_channel, views, grid, shift)
+        of_rays = lit(ends, ground, gamma0_by_view(ground, len(views)), views, grid, rays, shift)
+        of_ground = returned(ground, of_rays, views, grid, shift)
+        images = with_ground(images, of_ground, gaussians.scattering.power_channel)
     return Rendering(
         images if gain is None else images * gain[:, None, None, None],
         cross_sections,
         attenuation.lit_area.detach(),
         None if first_return_depth is None else attenuation.ray_maps,
-        lit_ground=lit,
+        ground=of_ground,
     )
 
 

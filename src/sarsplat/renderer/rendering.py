@@ -47,8 +47,8 @@ class Rendering:
         On request (`first_return_depth`).
     plane_gradients : Tensor [V, N, 4] or None
         On request: zeros until backward, then ∂L/∂(μ_C,x, μ_C,y, μ_I,x, μ_I,z) per view, per m. For density control.
-    lit_ground : Tensor [V, rows, columns] or None
-        With a ground: the share of it in each pixel that the radar sees, through the response; differentiable.
+    ground : Tensor [V, rows, columns] or None
+        With a ground: what of the images it is, β⁰, linear power, without gain; differentiable.
     """
 
     images: Float[Tensor, "v c rows columns"]
@@ -56,7 +56,7 @@ class Rendering:
     lit_area: Float[Tensor, "v n"]
     ray_maps: tuple[RayMap, ...] | None = None
     plane_gradients: Float[Tensor, "v n 4"] | None = None
-    lit_ground: Float[Tensor, "v rows columns"] | None = None
+    ground: Float[Tensor, "v rows columns"] | None = None
 
     def __repr__(self) -> str:
         """Shapes instead of tensors."""

@@ -20,7 +20,7 @@ Problem = structure(
     *((name, c_int32) for name in ("peak", "views", "of_views", "gaussians")),
     *((name, c_int32) for name in ("coefficients", "channels", "rows", "columns")),
     *((name, c_void_p) for name in ("means", "quaternions", "scales", "kappa", "harmonics", "amplitudes")),
-    *((name, c_void_p) for name in ("frames", "basis", "shift")),
+    *((name, c_void_p) for name in ("frames", "basis", "shift", "in_sight")),
     ("p_min", c_float),
     *((name, _PAIR) for name in ("pixel", "center", "response_var", "ray")),
     *((name, c_float) for name in ("cell_widening", "min_ray_depth", "min_transmittance", "image_cut")),
@@ -66,6 +66,26 @@ Ground = structure(
     ("patches", POINTER(Patches)),
     *((name, c_void_p) for name in ("transmittance", "shift", "lit", "d_lit", "d_transmittance", "d_shift")),
 )
+TerrainPatches = structure(
+    "sg_terrain_patches",
+    ("rows", c_int32),
+    ("across", Axis),
+    *((name, c_void_p) for name in ("low", "high")),
+    *((name, c_int32 * 2) for name in ("traced_first", "traced")),
+    *((name, c_float * 4) for name in ("x", "y")),
+)
+Terrain = structure(
+    "sg_terrain",
+    ("views", c_int32),
+    ("rows", Axis),
+    ("columns", Axis),
+    ("std", c_double * 2),
+    ("cell", c_double),
+    ("places", c_int32 * 2),
+    ("patches", POINTER(TerrainPatches)),
+    *((name, c_void_p) for name in ("transmittance", "gamma0", "shift", "lit")),
+    *((name, c_void_p) for name in ("d_lit", "d_transmittance", "d_gamma0", "d_shift")),
+)
 _COLUMNS = c_float * 16
 AdamGroup = structure(
     "sg_adam_group",
@@ -94,6 +114,8 @@ MIRRORS = (
     Axis,
     Patches,
     Ground,
+    TerrainPatches,
+    Terrain,
     AdamGroup,
     AdamStep,
 )

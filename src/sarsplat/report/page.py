@@ -120,7 +120,7 @@ def _dataset_facts(dataset: Dataset) -> dict[str, str]:
         "quantity": quantity,
         "images": ", ".join(f"{count} {split}" for split, count in Counter(sets).items()),
         "speckle": dataset.speckle,
-        "ground": "shown" if dataset.ground else "none",
+        "ground": ("shown" if dataset.terrain is None else f"terrain, {dataset.terrain}") if dataset.ground else "none",
         "weakest direction": str(weakest_direction(dataset.select("train").views)),
         "pixels": f"{grid.rows} × {grid.columns} (slant range × azimuth)",
         "spacing": f"{grid.spacing_m[0]:g} m in azimuth, {grid.spacing_m[1]:g} m in slant range",

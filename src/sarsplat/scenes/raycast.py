@@ -17,20 +17,22 @@ from jaxtyping import Float, Float64, Int32, Real
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry import ImageGrid, Terrain, View
 from sarsplat.radiometry import beta0_of_gamma0, to_db
 from sarsplat.scenes._deposit import Deposit, NodeGrid
 from sarsplat.scenes._parallel import in_order
 from sarsplat.scenes._patches import Patches
 from sarsplat.scenes._rays import Facets, Region, Trace, tracer
 from sarsplat.scenes._sparse_rays import sparse_hits
-from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflectivity
+from sarsplat.scenes._terrain import on_terrain
+from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflectivity, check_terrain
 
 if TYPE_CHECKING:
     import trimesh
 
 _OFFSETS = (0.5, 0.5), (0.0, 0.0)
 _FAINTEST = 1e-3  # of the brightest pixel, where the error of the rays is measured
+_NO_TARGET = -1.0  # reflectivity of terrain: no patch is both
 _RAYS_PER_RESOLUTION, _RAYS_PER_MESH = 15.0, 100.0  # across a resolution cell, and along the mesh
 
 
@@ -43,6 +45,7 @@ def simulate_raycast(
     *,
     reflectivity: Real[np.ndarray, " faces"] | Sequence[float] | None = None,
     ground_gamma0: float | None = None,
+    terrain: Terrain | None = None,
     ray_spacing: float | None = None,
     ray_offset: tuple[float, float] = (0.5, 0.5),
     oversample: int = 9,
@@ -62,6 +65,8 @@ def simulate_raycast(
     ground_gamma0 : float, optional
         γ⁰ (linear) of an infinite flat ground at z = 0; without it nothing lies behind the mesh. What lies below the
         ground is not seen.
+    terrain : Terrain, optional
+        Heights of that ground, instead of z = 0; each of its squares is two triangles.
     ray_spacing : float, optional
         Spacing δ of the square ray lattice where there are edges, m; `default_ray_spacing` unless given. Flat surfaces
         between them, which one ray in 64 recognises, are deposited as finely as the resolution needs.
@@ -86,6 +91,7 @@ def simulate_raycast(
         law,
         reflectivity=reflectivity,
         ground_gamma0=ground_gamma0,
+        terrain=terrain,
         ray_spacing=default_ray_spacing(mesh, grid) if ray_spacing is None else ray_spacing,
         ray_offset=ray_offset,
         oversample=oversample,
@@ -105,13 +111,22 @@ class RayCaster:
         reflectivity: Real[np.ndarray, " faces"] | Sequence[float] | None,
         ground_gamma0: float | None,
         ray_spacing: float,
+        terrain: Terrain | None = None,
         ray_offset: tuple[float, float] = (0.5, 0.5),
         oversample: int = 9,
     ) -> None:
         check_rays(mesh, ground_gamma0, ray_spacing, ray_offset)
-        self._mesh, self._grid, self._law = mesh, grid, law
+        check_terrain(terrain, ground_gamma0)
+        self._grid, self._law = grid, law
         self._reflectivity = check_reflectivity(reflectivity, len(mesh.faces))
-        self._ground_gamma0 = ground_gamma0
+        self._terrain_gamma0: Float64[np.ndarray, " t"] = np.empty(0)
+        if terrain is not None:  # its triangles are traced like those of the mesh, and there is no other ground
+            faces = len(mesh.faces)
+            mesh = on_terrain(mesh, terrain, grid)
+            self._terrain_gamma0 = np.full(len(mesh.faces) - faces, ground_gamma0)
+            self._reflectivity = np.concatenate([self._reflectivity, np.full(len(mesh.faces) - faces, _NO_TARGET)])
+            ground_gamma0 = None
+        self._mesh, self._ground_gamma0 = mesh, ground_gamma0
         self._spacing, self._offset = ray_spacing, ray_offset
         self._nodes = NodeGrid(grid, oversample)
         self._patches = Patches.of(mesh, self._reflectivity)
@@ -122,6 +137,7 @@ class RayCaster:
         """The image of a view; `progress` is called with the share that is done, several times a second."""
         facets = Facets.of(self._mesh, view)
         gamma0 = self._reflectivity * self._law.gamma0(facets.cos_incidence)
+        gamma0[len(gamma0) - len(self._terrain_gamma0) :] = self._terrain_gamma0
         tan = math.tan(math.radians(view.grazing_deg))
         ground = self._ground_gamma0
         trace = tracer(facets)
@@ -189,6 +205,7 @@ def ray_error_db(
     *,
     reflectivity: Float64[np.ndarray, " faces"] | None,
     ground_gamma0: float | None,
+    terrain: Terrain | None,
     ray_spacing: float,
 ) -> float | None:
     """Error of an image by its rays: RMS, in dB, over pixels within 30 dB of the brightest; None if it is empty.
@@ -202,6 +219,7 @@ def ray_error_db(
             law,
             reflectivity=reflectivity,
             ground_gamma0=ground_gamma0,
+            terrain=terrain,
             ray_spacing=ray_spacing,
             ray_offset=offset,
         )

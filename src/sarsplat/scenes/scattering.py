@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from sarsplat.arguments import checks_arguments, expect
 from sarsplat.errors import SarsplatError
+from sarsplat.geometry import Terrain
 from sarsplat.radiometry import from_db
 from sarsplat.scenes._random import generator
 
@@ -118,6 +119,12 @@ def check_ground(gamma0: float | None) -> None:
     """Refuse a γ⁰ of the ground that is negative or not finite."""
     if gamma0 is not None and not 0 <= gamma0 <= _MAX_GAMMA0:
         raise SarsplatError(f"ground_gamma0 {gamma0} must be finite and at least 0 (linear γ⁰, not decibels)")
+
+
+def check_terrain(terrain: Terrain | None, gamma0: float | None) -> None:
+    """Refuse terrain without a γ⁰."""
+    if terrain is not None and gamma0 is None:
+        raise SarsplatError("terrain is the shape of the ground, which has no γ⁰; give that too, with --ground")
 
 
 def check_reflectivity(

@@ -12,14 +12,14 @@ from jaxtyping import Float, Float32, Float64, Real
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.responses import GAUSSIAN
 from sarsplat.names import Simulator
 from sarsplat.renderer import render
 from sarsplat.scenes._parallel import in_order
 from sarsplat.scenes._random import generator
 from sarsplat.scenes.raycast import RayCaster, default_ray_spacing
-from sarsplat.scenes.scattering import ScatteringLaw, add_speckle, check_ground, check_reflectivity
+from sarsplat.scenes.scattering import ScatteringLaw, add_speckle, check_ground, check_reflectivity, check_terrain
 from sarsplat.scenes.splat_truth import law_scattering, surface_gaussians
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ def simulate_images(
     law: ScatteringLaw | None = None,
     reflectivity: Real[np.ndarray, " faces"] | Sequence[float] | None = None,
     ground_gamma0: float | None = None,
+    terrain: Terrain | None = None,
     ray_spacing: float | None = None,
     looks: float | None = None,
     clean: Sequence[int] = (),
@@ -64,6 +65,8 @@ def simulate_images(
         Factor on the law's γ⁰ for each face; 1 unless given.
     ground_gamma0 : float, optional
         γ⁰ (linear) of a flat ground at z = 0; none unless given.
+    terrain : Terrain, optional
+        Heights of that ground, instead of z = 0. The mesh is not moved.
     ray_spacing : float, optional
         Spacing of the rays in ray casting, m; `default_ray_spacing` unless given.
     looks : float, optional
@@ -89,6 +92,7 @@ def simulate_images(
     law = law or ScatteringLaw()
     reflectivity = check_reflectivity(reflectivity, len(mesh.faces))
     check_ground(ground_gamma0)
+    check_terrain(terrain, ground_gamma0)
     speckle = generator(seed, "speckle")
     images: Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]
     if source == "raycast":
@@ -98,6 +102,7 @@ def simulate_images(
             law,
             reflectivity=reflectivity,
             ground_gamma0=ground_gamma0,
+            terrain=terrain,
             ray_spacing=default_ray_spacing(mesh, grid) if ray_spacing is None else ray_spacing,
             oversample=_OVERSAMPLE,
         )
@@ -114,7 +119,7 @@ def simulate_images(
             f"the renderer's response is a Gaussian, but the grid's is {grid.response}; choose the source 'raycast'"
         )
     else:
-        images = _splat(mesh, views, grid, law, reflectivity, ground_gamma0)
+        images = _splat(mesh, views, grid, law, reflectivity, ground_gamma0, terrain)
     stack = np.ones((len(views), grid.rows, grid.columns), dtype=np.float32)
     if looks is not None:  # first, so that a bad number of looks is refused before minutes of ray casting
         stack = add_speckle(stack, looks, speckle)
@@ -167,10 +172,12 @@ def _splat(
     law: ScatteringLaw,
     reflectivity: Float64[np.ndarray, " faces"],
     ground_gamma0: float | None,
+    terrain: Terrain | None,
 ) -> Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]:
     pixel = min(grid.spacing_m)
     gaussians, faces = surface_gaussians(mesh, pixel / _PIECES_PER_PIXEL)
-    ground = None if ground_gamma0 is None else Ground(torch.tensor(ground_gamma0))
+    height_m = 0.0 if terrain is None else terrain
+    ground = None if ground_gamma0 is None else Ground(torch.tensor(ground_gamma0), height_m=height_m)
     rays = RayGrid.for_image(grid, _RAYS_PER_PIXEL)
     for view in views:
         face_gamma0 = reflectivity * law_scattering(mesh.face_normals, [view], law)

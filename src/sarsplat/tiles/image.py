@@ -14,8 +14,8 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import Footprints, attenuate, project, splat
-from sarsplat.renderer.ground import with_ground
-from sarsplat.renderer.lit_ground import RayEnds, lit_ground
+from sarsplat.renderer.ground import gamma0_by_view, lit, returned, with_ground
+from sarsplat.renderer.lit_ground import RayEnds
 from sarsplat.tiles.plan import LARGEST, Tile
 from sarsplat.tiles.reach import rows_of
 
@@ -35,16 +35,17 @@ def tile_image(
     """What `render` shows of a scene on this grid in the tile's pixels."""
     some, pixels = rows_of(gaussians, tile.gaussians), grid.part(tile.rows, tile.columns)
     p = project(some, [view], grid, rays=rays, shift=shift)
-    lit = attenuate(p, rays, first_return_depth=None if ground is None else _ANY_DEPTH)
-    images = _splatted(p.pixels, p.amplitudes * lit.lit_area[..., None], grid, tile)
+    attenuation = attenuate(p, rays, first_return_depth=None if ground is None else _ANY_DEPTH)
+    images = _splatted(p.pixels, p.amplitudes * attenuation.lit_area[..., None], grid, tile)
     if ground is None:
         return images[0]
-    assert lit.ray_maps is not None
-    left = lit.ray_maps[0]
+    assert attenuation.ray_maps is not None
+    left = attenuation.ray_maps[0]
     rows, columns = left.transmittance.shape
     ends = RayEnds(left.transmittance.reshape(-1), [(rows, columns)], [left.origin])
-    seen = lit_ground(ends, [view], pixels, rays, ground.height_m, shift)
-    return with_ground(images, ground, seen, gaussians.scattering.power_channel, [view], pixels, shift)[0]
+    of_rays = ends, ground, gamma0_by_view(ground, 1), [view], pixels, rays, shift
+    of_ground = returned(ground, lit(*of_rays), [view], pixels, shift)
+    return with_ground(images, of_ground, gaussians.scattering.power_channel)[0]
 
 
 def _splatted(

@@ -113,14 +113,15 @@ class Plan:
         left, right, far, near = grid.extent_m
         reaching = reach.in_image.overlapping(Window((left, near), (right, far)))
         window = reach.on_rays.of(reaching).window
-        return window.joined(NOWHERE if self.ground is None else self._rays_to_ground(grid, self.ground.height_m))
+        return window.joined(NOWHERE if self.ground is None else self._rays_to_ground(grid, *self.ground.span_m))
 
-    def _rays_to_ground(self, grid: ImageGrid, height_m: float) -> Window:
+    def _rays_to_ground(self, grid: ImageGrid, lowest_m: float, highest_m: float) -> Window:
         left, right, far, near = grid.extent_m
         azimuth, slant_range = (_RESPONSE_END * math.sqrt(variance) for variance in grid.response_variance_m2)
         theta = math.radians(self.view.grazing_deg)
         low, high = (  # of the plane r = (y cos θ − z) / sin θ
-            (r * math.sin(theta) + height_m) / math.cos(theta) for r in (near - slant_range, far + slant_range)
+            (r * math.sin(theta) + z) / math.cos(theta)
+            for r, z in ((near - slant_range, lowest_m), (far + slant_range, highest_m))
         )
         return Window((left - azimuth, low), (right + azimuth, high))
 

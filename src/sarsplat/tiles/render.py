@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -10,13 +13,15 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.progress import stage
-from sarsplat.renderer.ground import above
+from sarsplat.renderer.ground import above, in_sight
 from sarsplat.tiles.image import tile_image
 from sarsplat.tiles.kept import KeptTiles
 from sarsplat.tiles.plan import Plan
 from sarsplat.tiles.reach import Reach
+
+_STRIP = 128  # columns of the image, whose rays are followed to the terrain at once
 
 USUAL_GIB = 2.0
 """What a tile takes unless told otherwise: beyond, it is no faster."""
@@ -63,11 +68,12 @@ def render_tiled(
     if not 0 < memory_gib < float("inf"):
         raise SarsplatError(f"memory_gib {memory_gib} must be positive and finite, such as {USUAL_GIB}")
     rays = rays or RayGrid.for_image(grid)
-    plane = () if ground is None else (*vars(ground).values(),)
-    kept = KeptTiles(gaussians, view, grid.as_dict(), rays, shift, memory_gib, *plane)
+    kept = KeptTiles(gaussians, view, grid.as_dict(), rays, shift, memory_gib, *_said_of(ground))
     with torch.no_grad():
-        scene = gaussians if ground is None else above(gaussians, ground)
         displaced = None if shift is None else shift[None]
+        scene = (
+            gaussians if ground is None else above(_in_sight(gaussians, view, grid, rays, displaced, ground), ground)
+        )
         reach = Reach.of(scene, view, grid, rays, displaced)
         plan = Plan(reach, view, grid, rays, ground, scene.scattering.parameters.shape[1], memory_gib * 2**30)
         size = (len(scene.scattering.channels), grid.rows, grid.columns)
@@ -83,3 +89,32 @@ def render_tiled(
                     reporter.start_at(done)
                 image[:, tile.rows, tile.columns] = found
         return image
+
+
+def _in_sight(
+    gaussians: Gaussians,
+    view: View,
+    grid: ImageGrid,
+    rays: RayGrid,
+    shift: Float[Tensor, "1 2"] | None,
+    ground: Ground,
+) -> Gaussians:
+    """Those that terrain does not hide from the view; the others are thin as air.
+
+    Of the whole image: what a hill hides may reach into a tile that does not show the hill.
+    """
+    depth = gaussians.optical_depth
+    for first in range(0, grid.columns, _STRIP):
+        strip = grid.part(slice(0, grid.rows), slice(first, min(first + _STRIP, grid.columns)))
+        seen = in_sight(gaussians.means, ground, [view], strip, rays, shift)
+        depth = depth if seen is None else depth * seen[0]
+    return replace(gaussians, optical_depth=depth)
+
+
+def _said_of(ground: Ground | None) -> Iterator[object]:
+    """All that a ground is, as tensors and things whose `repr` says all of them."""
+    for value in () if ground is None else vars(ground).values():
+        if isinstance(value, Terrain):
+            yield from (torch.from_numpy(value.heights_m), value.pitch_m)
+        else:
+            yield value

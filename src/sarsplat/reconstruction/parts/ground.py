@@ -1,4 +1,4 @@
-"""The ground: the plane at z = 0, whose γ⁰ is learned."""
+"""The ground: the plane at z = 0, or the dataset's terrain, whose γ⁰ is learned."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.gaussians.ground import Ground, ground_radius_m
+from sarsplat.geometry import Terrain
 from sarsplat.radiometry import beta0_of_gamma0
 from sarsplat.reconstruction.config import Config, FlatGround
 from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, normal_nats
@@ -68,9 +69,13 @@ class FlatGroundPart(Part):
         exponent = p["ground_exponent"][0]
         level = p["ground"][0] - exponent * float(self._sines.mean())  # that at the mean angle
         if not self._side:
-            return Ground(level.exp(), exponent=exponent)
+            return Ground(level.exp(), height_m=self._height_m, exponent=exponent)
         places = (level + p["ground_texture"].view(self._side, self._side)).exp()
-        return Ground(places, self._pitch_m, exponent=exponent)
+        return Ground(places, self._pitch_m, self._height_m, exponent)
+
+    @property
+    def _height_m(self) -> float | Terrain:
+        return 0.0 if self.setting.terrain is None else self.setting.terrain
 
     @property
     def _settings(self) -> FlatGround:

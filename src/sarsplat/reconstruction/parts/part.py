@@ -125,7 +125,7 @@ class Part(ABC):
         return scene
 
     def ground(self, p: Parameters) -> Ground | None:
-        """The plane on which rays end, in the model's unit; None unless it is that."""
+        """The plane or the terrain on which rays end, in the model's unit; None unless it is that."""
         return None
 
     def reach(self) -> Bounds | None:

@@ -24,6 +24,7 @@ from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, column
 from sarsplat.reconstruction.setting import Setting
 from sarsplat.renderer import Bounds
 from sarsplat.renderer.checks import MAX_SCALE
+from sarsplat.renderer.places import at_places
 
 _MIN_OPTICAL_DEPTH = 1e-3
 
@@ -126,14 +127,33 @@ class Target(Part):
             more = (depth / (1 - self.config.dropout)).clamp(max=self.config.max_optical_depth)
             depth = torch.where(dropped, 0.0, more)
         scattering = replace(self._law, parameters=p["scattering"]).detailed(degree)
-        target = Gaussians(p["means"], p["quaternions"], p["scales"], depth, scattering)
+        target = Gaussians(self._lifted(p["means"]), p["quaternions"], p["scales"], depth, scattering)
         return target if scene is None else Gaussians.cat([scene, target])
 
     def reach(self) -> Bounds:
         """Bounds of every scene, the first included."""
         config, (low, high) = self.config, self._box
         depth = max(config.max_optical_depth, config.initial_optical_depth)
+        if self.setting.terrain is not None:
+            below, above = self.setting.terrain.span_m
+            low, high = low + low.new_tensor([0, 0, below]), high + high.new_tensor([0, 0, above])
         return Bounds((*low.tolist(),), (*high.tolist(),), max(scales_m(config, self._coarsest_m)), depth, "cpu")
+
+    def _lifted(self, means: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Centres in the world: the parameter's z is above the terrain, if there is any."""
+        if self._heights is None:
+            return means
+        heights, (dx, dy) = self._heights
+        x, y, z = means.unbind(1)
+        return torch.stack([x, y, z + at_places(heights, x / dx, y / dy, 1.0)], dim=1)
+
+    @cached_property
+    def _heights(self) -> tuple[Float[Tensor, "ny nx"], tuple[float, float]] | None:
+        """Of the terrain, and how far apart they are, m."""
+        terrain = self.setting.terrain
+        if terrain is None:
+            return None
+        return torch.from_numpy(terrain.heights_m).float().to(self.device), terrain.pitch_m
 
     @property
     def _coarsest_m(self) -> float:

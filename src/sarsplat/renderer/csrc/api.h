@@ -22,6 +22,7 @@ struct sg_problem {
   const float* frames;       // [V, 9] radar frames, row-major
   const float* basis;        // [V, K] harmonic basis at the direction to the radar
   const float* shift;        // [V, 2] image shift (x, r)
+  const float* in_sight;     // [V, N] factor on kappa: 0 of what terrain hides from a view, else 1; or null
   float p_min;
   float pixel[2], center[2], response_var[2];  // spacing, image centre, system response variance: (azimuth, range)
   float ray[2];                                // ray spacing (x, y)
@@ -104,6 +105,30 @@ struct sg_ground {        // see ground.h; forward, or with d_lit backward
   float* d_shift;         // out [V, 2], or null
 };
 
+struct sg_terrain_patches {  // where the rays of a view end
+  int32_t rows;            // of cells
+  sg_axis across;          // azimuths of the edges before their columns
+  const float *low, *high; // [rows, columns] slant range where the lower and the upper edge of a cell end
+  int32_t traced_first[2], traced[2];  // (row, column) among the cells of the first ray whose T_end is given, and how many there are
+  float x[4], y[4];        // the place of a cell's centre on the lattice of gamma0: a constant, and per column, row and slant range
+};
+
+struct sg_terrain {      // see terrain.h; forward, or with d_lit backward
+  int32_t views;
+  sg_axis rows, columns;  // centres of the pixels
+  double std[2];          // of the response: (azimuth, range)
+  double cell;            // height of a cell across the line of sight
+  int32_t places[2];      // of gamma0: (ny, nx)
+  const sg_terrain_patches* patches;  // [V]
+  const float* transmittance;  // T_end of all views' rays one after the other
+  const float* gamma0;    // [V, ny, nx]
+  const float* shift;     // [V, 2], or null
+  float* lit;             // out [V, rows, columns]
+  const float* d_lit;     // [V, rows, columns], or null
+  float *d_transmittance, *d_gamma0;  // out
+  float* d_shift;         // out [V, 2], or null
+};
+
 // Footprints of V views of N Gaussians: what `project` makes and the other steps read; backward, the gradients of them.
 struct sg_projection {
   float* ray_centers;     // [V, N, 2] on the computation plane
@@ -138,6 +163,7 @@ struct sg_engine {        // one per instruction set
   int32_t (*trace)(const sg_context*, const sg_problem*, int32_t view, float depth, float* transmittance, float* first_return);
   int32_t (*amplitude_loss)(sg_context*, const sg_loss*);
   int32_t (*lit_ground)(sg_context*, const sg_ground*);
+  int32_t (*lit_terrain)(sg_context*, const sg_terrain*);
   void (*adam)(const sg_adam_step*);
   void (*statistics)(const sg_context*, const sg_problem*, sg_statistics*);
   // one step alone each: of the problem's arrays, `project` alone reads any

@@ -37,7 +37,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) project_gaussians(sg_prob
     if (i == 0) check(s, p.shift + 2 * view, 2, -p.farthest, p.farthest, SG_SHIFT, view);
     if (p.amplitudes) check(s, p.amplitudes + j * p.channels, p.channels, -p.strongest, p.strongest, SG_AMPLITUDES, j);
     if (p.coefficients) out.gamma0[j] = softplus(sum_of_harmonics(p, view, i)).value + p.p_min;
-    const Projected g = project_pair(p, view, i);
+    Projected g = project_pair(p, view, i);
     if (out.ray_centers) {
       write(g.rays, out.ray_centers, out.ray_roots, j);
       write(g.pixels, out.pixel_centers, out.pixel_roots, j);
@@ -45,6 +45,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) project_gaussians(sg_prob
       out.range[j] = g.range;
       copy(g.tilt, 2, out.tilt + 2 * j);
     } else {
+      if (p.in_sight) g.depth *= p.in_sight[j];
       place_on_rays(p, s, j, g);
       place_on_pixels(p, s, j, g.pixels);
     }

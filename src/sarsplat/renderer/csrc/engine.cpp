@@ -4,7 +4,7 @@
 // backward: splatting (gather per Gaussian) -> attenuation (back to front) -> adjoint of the projection, views summed over a tree
 
 #include "adam.h"
-#include "ground.h"
+#include "terrain.h"
 #include "inspect.h"
 #include "loss.h"
 #include "steps.h"
@@ -118,6 +118,6 @@ void destroy(sg_context* c) { delete c; }
 #define SG_TEXT(a) SG_TEXT_(a)
 extern "C" const sg_engine SG_JOIN(sg_engine_, SG_ISA);
 const sg_engine SG_JOIN(sg_engine_, SG_ISA) = {
-    SG_TEXT(SG_ISA), create, destroy, run<forward>, run_back<backward>, lattice, trace, amplitude_loss, lit_ground, adam, statistics,
+    SG_TEXT(SG_ISA), create, destroy, run<forward>, run_back<backward>, lattice, trace, amplitude_loss, lit_ground, lit_terrain, adam, statistics,
     run<project_step, worth_waking_to_project>, run<project_step_backward, worth_waking_to_project>,
     run<attenuate_step>, run_back<attenuate_step_backward>, run<splat_step>, run_back<splat_step_backward>};

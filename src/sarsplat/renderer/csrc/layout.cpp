@@ -14,7 +14,7 @@ struct Layout { const char* name; int32_t numbers[40]; };  // the size, the offs
 
 const Layout kLayouts[] = {
     LAYOUT(sg_problem, AT(peak), AT(views), AT(of_views), AT(gaussians), AT(coefficients), AT(channels), AT(rows), AT(columns), AT(means),
-           AT(quaternions), AT(scales), AT(kappa), AT(harmonics), AT(amplitudes), AT(frames), AT(basis), AT(shift), AT(p_min), AT(pixel), AT(center),
+           AT(quaternions), AT(scales), AT(kappa), AT(harmonics), AT(amplitudes), AT(frames), AT(basis), AT(shift), AT(in_sight), AT(p_min), AT(pixel), AT(center),
            AT(response_var), AT(ray), AT(cell_widening), AT(min_ray_depth), AT(min_transmittance), AT(image_cut), AT(min_scale),
            AT(max_scale), AT(max_depth), AT(farthest), AT(strongest), AT(flattest), AT(steepest)),
     LAYOUT(sg_outputs, AT(images), AT(cross_sections), AT(lit_area)),
@@ -31,6 +31,9 @@ const Layout kLayouts[] = {
     LAYOUT(sg_patches, AT(rows), AT(columns)),
     LAYOUT(sg_ground, AT(views), AT(rows), AT(columns), AT(std), AT(patches), AT(transmittance), AT(shift), AT(lit), AT(d_lit),
            AT(d_transmittance), AT(d_shift)),
+    LAYOUT(sg_terrain_patches, AT(rows), AT(across), AT(low), AT(high), AT(traced_first), AT(traced), AT(x), AT(y)),
+    LAYOUT(sg_terrain, AT(views), AT(rows), AT(columns), AT(std), AT(cell), AT(places), AT(patches), AT(transmittance), AT(gamma0),
+           AT(shift), AT(lit), AT(d_lit), AT(d_transmittance), AT(d_gamma0), AT(d_shift)),
     LAYOUT(sg_adam_group, AT(value), AT(gradient), AT(mean), AT(square), AT(rows), AT(columns), AT(logarithmic), AT(decay), AT(rate),
            AT(low), AT(high)),
     LAYOUT(sg_adam_step, AT(groups), AT(count), AT(beta1), AT(beta2), AT(epsilon), AT(beta1_power), AT(beta2_power)),

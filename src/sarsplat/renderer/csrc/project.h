@@ -174,7 +174,9 @@ void project_chunk(const sg_context& c, const sg_problem& p, int64_t first, int6
     densest(g, u, slope);
     const Placed<F> on_rays{g.mean[0] * (1.0f / u.ray[0]), g.mean[1] * (1.0f / u.ray[1]), whitening(g.cov_c, g.det_cw), root(g.cov_c.xx),
                             root(g.cov_c.yy)};
-    place_on_rays(s, p, cuts, on_rays, bodies.kappa * widening_ratio(g, u), g.mean[2], slope, i, real, s.bounds[first / kChunk]);
+    F depth = bodies.kappa * widening_ratio(g, u);
+    if (p.in_sight) depth *= load_some(p.in_sight + v * (int64_t)p.gaussians + i, real);
+    place_on_rays(s, p, cuts, on_rays, depth, g.mean[2], slope, i, real, s.bounds[first / kChunk]);
 
     const float* shift = p.shift + 2 * v;
     const Placed<F> on_pixels{pixel_x(p, g.mean[0] + shift[0]), pixel_y(p, g.mean[2] + shift[1]), whitening(g.cov_i, g.det_iw),

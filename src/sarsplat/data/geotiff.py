@@ -1,0 +1,142 @@
+"""Terrain as a GeoTIFF: one band of heights, in a projected system in metres."""
+
+from __future__ import annotations
+
+import io
+import math
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+
+from sarsplat.arguments import checks_arguments
+from sarsplat.data.files import open_file, write_bytes
+from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.geometry import Terrain
+
+_PIXEL_SCALE, _TIEPOINT, _TRANSFORMATION, _KEYS, _NO_DATA = 33550, 33922, 34264, 34735, 42113
+_MODEL, _PROJECTED, _GEOGRAPHIC = 1024, 1, 2
+_UNITS = {3076: "lengths", 4099: "heights"}
+_METRE, _DEFINED_ELSEWHERE = 9001, 32767
+_TWICE = 64
+"""Heights that unpack to more than this many times the file's size are no heights."""
+
+
+@checks_arguments
+def read_terrain(path: str | Path) -> Terrain:
+    """Heights of a GeoTIFF of one band: its middle at the origin, columns (east) along +x, rows upwards along +y.
+
+    Parameters
+    ----------
+    path : str or Path
+        In a projected system in metres. Nothing in it is trusted.
+
+    Returns
+    -------
+    Terrain
+        Heights as they are stored; `Terrain.centred` measures them from the origin.
+
+    Raises
+    ------
+    SarsplatError
+        If it cannot be read, has several bands, is in degrees or feet, is turned, says nowhere how far its pixels are
+        apart, has fewer than 2 × 2 heights, or there are some that are not known.
+    """
+    path = Path(path)
+    with open_file(path) as file:
+        data = file.read()
+    try:
+        with tifffile.TiffFile(io.BytesIO(data)) as tiff:
+            page: Any = tiff.pages.first
+            tags = {tag.code: tag.value for tag in page.tags.values()}
+            bands, shape = page.samplesperpixel, page.shape
+            size = math.prod(shape) * np.dtype(page.dtype).itemsize
+            heights = page.asarray(maxworkers=1) if bands == 1 and size <= _TWICE * len(data) else None
+    except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
+        raise SarsplatError(
+            f"{path} is not a readable TIFF ({shown(str(error))}); write it again with gdal_translate -co COMPRESS=NONE"
+        ) from error
+    if bands != 1:
+        raise SarsplatError(f"{path} has {bands} bands; give one of heights, as by gdal_translate -b 1")
+    if heights is None or heights.ndim != 2 or heights.dtype.kind not in "iuf":
+        raise SarsplatError(
+            f"{path} holds {shown(page.dtype)} of shape {shown(shape)}; give heights in rows and columns"
+        )
+    (dx, dy), upwards = _pitch(path, tags)
+    _check_unknown(path, heights, tags.get(_NO_DATA))
+    table = heights.astype(np.float64)
+    try:
+        return Terrain(np.ascontiguousarray(table if upwards else table[::-1]), (dx, dy))
+    except SarsplatError as error:
+        raise SarsplatError(f"{path}: {error}") from error
+
+
+def terrain_bytes(terrain: Terrain) -> bytes:
+    """A GeoTIFF that `read_terrain` reads to the same bits; the origin of its system is that of the scene."""
+    (dx, dy), (half_x, half_y) = terrain.pitch_m, terrain.half_m
+    keys = (1, 1, 0, 4, _MODEL, 0, 1, _PROJECTED, 1025, 0, 1, 2, 3072, 0, 1, _DEFINED_ELSEWHERE, 3076, 0, 1, _METRE)
+    buffer = io.BytesIO()
+    tifffile.imwrite(
+        buffer,
+        terrain.heights_m[::-1],
+        photometric="minisblack",
+        metadata=None,
+        description="height of the ground, m; columns along x, rows from +y to -y",
+        software="sarsplat",
+        extratags=[
+            (_PIXEL_SCALE, "d", 3, (dx, dy, 0.0), True),
+            (_TIEPOINT, "d", 6, (0.0, 0.0, 0.0, -half_x, half_y, 0.0), True),
+            (_KEYS, "H", len(keys), keys, True),
+        ],
+    )
+    return buffer.getvalue()
+
+
+@checks_arguments
+def write_terrain(path: str | Path, terrain: Terrain) -> None:
+    """Write terrain as a GeoTIFF, whole or not at all."""
+    write_bytes(Path(path), terrain_bytes(terrain))
+
+
+def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]:
+    """Distances of pixels along x and y, m, and whether rows go upwards (north)."""
+    numbers = [int(number) for number in tags.get(_KEYS, ())]
+    keys = {key: value for key, place, _, value in zip(*(numbers[4 + k :: 4] for k in range(4))) if place == 0}
+    if keys.get(_MODEL) == _GEOGRAPHIC:
+        raise SarsplatError(
+            f"{path} is in degrees of latitude and longitude; bring it into metres, as by "
+            "gdalwarp -t_srs EPSG:326xx (the UTM zone)"
+        )
+    for key, what in _UNITS.items():
+        if keys.get(key, _METRE) not in (_METRE, _DEFINED_ELSEWHERE):
+            raise SarsplatError(
+                f"{path} has {what} in another unit than metres (EPSG {keys[key]}); convert it to metres"
+            )
+    if _TRANSFORMATION in tags:
+        a, b, _, _, d, e, *_ = map(float, tags[_TRANSFORMATION])
+        if b or d:
+            raise SarsplatError(f"{path} is turned against its system's axes; straighten it, as by gdalwarp")
+        pitch, upwards = (abs(a), abs(e)), e > 0
+    elif _PIXEL_SCALE in tags:
+        scale = [float(number) for number in tags[_PIXEL_SCALE]]
+        pitch, upwards = (scale[0], scale[1]), False
+    else:
+        raise SarsplatError(
+            f"{path} does not say how far its pixels are apart; write it as a GeoTIFF in metres, as by "
+            "gdal_translate -a_srs EPSG:326xx -a_ullr LEFT TOP RIGHT BOTTOM"
+        )
+    return pitch, upwards
+
+
+def _check_unknown(path: Path, heights: np.ndarray, no_data: Any) -> None:
+    """Refuse heights that are not known."""
+    unknown = ~np.isfinite(heights)
+    with suppress(TypeError, ValueError):  # it names none
+        unknown |= heights == float(no_data)
+    if unknown.any():
+        raise SarsplatError(
+            f"{path} has {counted(int(unknown.sum()), 'height')} of {heights.size} that "
+            f"{'is' if unknown.sum() == 1 else 'are'} not known; fill them in, as by gdal_fillnodata, or cut them off"
+        )

@@ -1,0 +1,101 @@
+"""Terrain: heights of the ground on a lattice."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from numbers import Real
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+from sarsplat.errors import SarsplatError
+
+
+@dataclass(frozen=True, eq=False)
+class Terrain:
+    """The ground as heights over x and y: linear between places, and beyond the last ones as there.
+
+    Parameters
+    ----------
+    heights_m : numpy.ndarray [ny, nx]
+        z of places on a lattice around the origin, m; rows along +y, columns along +x, at least two of each. Not to be
+        written to.
+    pitch_m : (float, float)
+        Distance of the places along x and y, m.
+
+    Raises
+    ------
+    SarsplatError
+        If there are fewer than 2 × 2 heights, one is not finite, or a pitch is not positive.
+    """
+
+    heights_m: Float[np.ndarray, "ny nx"]
+    pitch_m: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        heights = self.heights_m
+        if not isinstance(heights, np.ndarray) or heights.dtype.kind != "f" or heights.ndim != 2:
+            kind = heights.shape if isinstance(heights, np.ndarray) else type(heights).__name__
+            raise SarsplatError(f"the terrain's heights are {kind}; give a numpy array of floats [ny, nx], in metres")
+        if min(heights.shape) < 2:
+            raise SarsplatError(f"the terrain has {heights.shape[0]} × {heights.shape[1]} heights; give at least 2 × 2")
+        if not np.isfinite(heights).all():
+            at = tuple(int(k) for k in np.argwhere(~np.isfinite(heights))[0])
+            raise SarsplatError(f"the terrain's height {at} is {heights[at]}; fill in what is not known")
+        pitch = self.pitch_m
+        if len(pitch) != 2 or not all(isinstance(p, Real) and math.isfinite(p) and p > 0 for p in pitch):
+            raise SarsplatError(f"the terrain's pitch_m is {pitch}; give two positive, finite numbers of metres (x, y)")
+        object.__setattr__(self, "heights_m", heights.astype(np.float64))
+        object.__setattr__(self, "pitch_m", (float(pitch[0]), float(pitch[1])))
+
+    def __repr__(self) -> str:
+        return f"<Terrain: {self}>"
+
+    def __str__(self) -> str:
+        (ny, nx), (dx, dy), (low, high) = self.heights_m.shape, self.pitch_m, self.span_m
+        return f"{(nx - 1) * dx:.4g} × {(ny - 1) * dy:.4g} m (x × y), heights {low:.3g} to {high:.3g} m"
+
+    @cached_property
+    def span_m(self) -> tuple[float, float]:
+        """Lowest and highest z, m."""
+        return float(self.heights_m.min()), float(self.heights_m.max())
+
+    @property
+    def half_m(self) -> tuple[float, float]:
+        """How far its places reach along ±x and ±y, m."""
+        rows, columns = self.heights_m.shape
+        return (columns - 1) / 2 * self.pitch_m[0], (rows - 1) / 2 * self.pitch_m[1]
+
+    def height_m(self, x: Float[np.ndarray, "*n"], y: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
+        """Z at places (x, y), m."""
+        table, before, share = self.heights_m, [], []
+        for at, half, pitch, count in zip((x, y), self.half_m, self.pitch_m, table.shape[::-1]):
+            place = np.clip((at + half) / pitch, 0, count - 1)
+            before.append(np.minimum(place.astype(np.int64), count - 2))
+            share.append(place - before[-1])
+        (column, row), (right, down) = before, share
+        upper = table[row, column] * (1 - right) + table[row, column + 1] * right
+        lower = table[row + 1, column] * (1 - right) + table[row + 1, column + 1] * right
+        return upper * (1 - down) + lower * down
+
+    def centred(self) -> Terrain:
+        """The same with z = 0 at the origin."""
+        return Terrain(self.heights_m - float(self.height_m(np.zeros(1), np.zeros(1))[0]), self.pitch_m)
+
+    def padded(self, reach_m: float) -> Float64[np.ndarray, "ny nx 3"]:
+        """Its places (x, y, z), m, with more at ±`reach_m` where they end before."""
+        heights, axes = self.heights_m, []
+        for half, pitch, count, axis in zip(self.half_m, self.pitch_m, heights.shape[::-1], (1, 0)):
+            places = np.arange(count) * pitch - half
+            if half < reach_m:
+                places = np.concatenate([[-reach_m], places, [reach_m]])
+                heights = np.pad(heights, [(1, 1) if k == axis else (0, 0) for k in range(2)], mode="edge")
+            axes.append(places)
+        return np.stack([*np.meshgrid(*axes), heights], axis=-1)
+
+
+def heights_of(points: Float[np.ndarray, "n 3"], terrain: Terrain | None) -> Float[np.ndarray, " n"]:
+    """How far points (x, y, z) lie above the terrain, or above z = 0, m."""
+    return points[:, 2] if terrain is None else points[:, 2] - terrain.height_m(points[:, 0], points[:, 1])

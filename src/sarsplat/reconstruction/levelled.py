@@ -1,0 +1,49 @@
+"""Images of terrain as if the same stood on level ground: to find a target, and how bright its ground is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+from scipy.ndimage import map_coordinates
+
+from sarsplat.data import Dataset
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
+from sarsplat.renderer.lit_ground import RayEnds
+from sarsplat.renderer.lit_terrain import lit_terrain
+
+_DIMMEST = 0.1
+"""Of the level of flat ground: where terrain returns less, images say nothing, and are taken to show ground."""
+
+
+def levelled(dataset: Dataset) -> Dataset:
+    """Each place of the ground is where level ground has it, as bright as level ground is; without terrain, the same.
+
+    What stands h above the ground is displaced towards the radar, and throws a shadow, nearly as on level ground.
+    """
+    if dataset.terrain is None:
+        return dataset
+    power = np.stack(
+        [_levelled(image, view, dataset.grid, dataset.terrain) for image, view in zip(dataset.power, dataset.views)]
+    )
+    return replace(dataset, power=power, signal=None, terrain=None, path=None)
+
+
+def _levelled(
+    power: Float32[np.ndarray, "rows columns"], view: View, grid: ImageGrid, terrain: Terrain
+) -> Float32[np.ndarray, "rows columns"]:
+    frame, theta = radar_frame(view), math.radians(view.grazing_deg)
+    bare = RayEnds(torch.empty(0), [(0, 0)], [(0.0, 0.0)])
+    free = lit_terrain(bare, [view], grid, RayGrid.for_image(grid), terrain, torch.ones(1, 1, 1), 1.0, None)[0].numpy()
+    share = free / math.tan(theta)
+    known = share > _DIMMEST
+    flat = np.where(known, power / np.where(known, share, 1.0), np.median(power[known]) if known.any() else 0.0)
+    x, r = grid.azimuth_m[None, :], grid.range_m[:, None]
+    place = x[..., None] * frame[0, :2] + r[..., None] * (frame[2, :2] / math.cos(theta) ** 2)
+    nearer = terrain.height_m(place[..., 0], place[..., 1]) * math.sin(theta)
+    row = (r - nearer - grid.range_m[0]) / grid.spacing_m[1]
+    column = np.broadcast_to(np.arange(grid.columns), row.shape)
+    return map_coordinates(flat, [row, column], order=1, mode="nearest").astype(np.float32)

@@ -1,0 +1,219 @@
+"""What terrain returns where rays end on it.
+
+A ray's cell, δx wide and δy high across the line of sight, returns γ⁰·T_end·δx·δy from between the slant ranges where
+its lower and its upper edge meet the terrain, spread evenly: β⁰ is γ⁰·δy over the length of that interval, γ⁰·tan θ on
+a plane.
+Intervals of neighbouring rays touch, but at summits, and overlap in layover. The Gaussian response of the system has a
+closed integral over an interval, so nothing depends on how far apart rays are. Where no ray was traced, T_end is 1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.utils.checkpoint import checkpoint
+
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
+from sarsplat.renderer import cpu, structs
+from sarsplat.renderer.lit_ground import Axis, RayEnds, pixel_axes, seen, stds
+from sarsplat.renderer.once import differentiable_once
+from sarsplat.renderer.places import at_places
+from sarsplat.renderer.terrain_cells import Cells, cells_of
+
+_SHORT = {torch.float32: 0.25, torch.float64: 0.02}
+"""Standard deviations of the response: a difference of error functions over less has too few digits, and two points of
+the response are as good."""
+
+_AT_A_TIME = 1 << 22
+"""Weights of the twin."""
+
+
+@dataclass(frozen=True)
+class _Patches:
+    """What the rays of one view make on the terrain.
+
+    Parameters
+    ----------
+    cells : Cells
+        Where they end.
+    across : Axis
+        Azimuths of the cells.
+    traced : (row, column), (rows, columns)
+        Where among the cells the rays are whose T_end is known, which may reach beyond.
+    along_x, along_y : (float, float, float, float)
+        The place of a cell's centre, m: a constant, and how it grows with column, row and slant range.
+    """
+
+    cells: Cells
+    across: Axis
+    traced: tuple[tuple[int, int], tuple[int, int]]
+    along_x: tuple[float, ...]
+    along_y: tuple[float, ...]
+
+    @classmethod
+    def of(
+        cls, cells: Cells, view: View, rays: RayGrid, size: tuple[int, int], origin: tuple[float, float]
+    ) -> _Patches:
+        (dx, dy), frame = rays.spacing_m, radar_frame(view)
+        x, y = ((first + 0.5) * step for first, step in zip(cells.first, rays.spacing_m))
+        column, row = (
+            round(at / step - 0.5) - first for at, step, first in zip(origin, rays.spacing_m, cells.first, strict=True)
+        )
+        along_x, along_y = (
+            (float(a * x + b * y), float(a * dx), float(b * dy), float(r)) for a, b, r in frame[:, :2].T
+        )
+        across = Axis(cells.first[0] * dx, dx, cells.low_m.shape[1])
+        return cls(cells, across, ((row, column), size), along_x, along_y)
+
+
+def lit_terrain(
+    ends: RayEnds,
+    views: Sequence[View],
+    grid: ImageGrid,
+    rays: RayGrid,
+    terrain: Terrain,
+    gamma0: Float[Tensor, "v ny nx"],
+    pitch_m: float,
+    shift: Float[Tensor, "v 2"] | None,
+) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
+    """β⁰ of terrain with these γ⁰, which each view may have of its own; differentiable by T_end, γ⁰ and shift."""
+    patches = [
+        _Patches.of(cells, view, rays, size, origin)
+        for cells, view, size, origin in zip(
+            cells_of(terrain, views, grid, rays, shift), views, ends.sizes, ends.origins, strict=True
+        )
+    ]
+    left = ends.transmittance
+    arguments = left, gamma0, shift, patches, pitch_m, grid, rays.spacing_m[1]
+    if left.dtype == torch.float32 and left.device.type == "cpu":
+        return _Engine.apply(*arguments)  # type: ignore[no-any-return]
+    return plain_lit_terrain(*arguments)
+
+
+def plain_lit_terrain(
+    transmittance: Float[Tensor, " rays"],
+    gamma0: Float[Tensor, "v ny nx"],
+    shift: Float[Tensor, "v 2"] | None,
+    patches: Sequence[_Patches],
+    pitch_m: float,
+    grid: ImageGrid,
+    height_m: float,
+) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
+    """`lit_terrain` in plain torch, for any device and floating dtype."""
+    (rows, columns), (azimuth_std, range_std), images = pixel_axes(grid), stds(grid), []
+    parts = transmittance.split([math.prod(patch.traced[1]) for patch in patches])
+    for k, (patch, part) in enumerate(zip(patches, parts, strict=True)):
+        azimuth_shift, range_shift = (0.0, 0.0) if shift is None else shift[k]
+        low, high = (edge.to(part) for edge in (patch.cells.low_m, patch.cells.high_m))
+        returned = height_m * _gamma0(patch, gamma0[k], pitch_m, (low + high) / 2) * _everywhere(patch, part)
+        pixels = rows.places(part.device).to(part) - range_shift
+        together = max(1, _AT_A_TIME // max(1, rows.count * len(low)))
+        ranged = [
+            checkpoint(_ranged, pixels, some, a, b, range_std, use_reentrant=False)
+            for some, a, b in zip(*(table.split(together, dim=1) for table in (returned, low, high)), strict=True)
+        ]
+        across = seen(columns, patch.across, azimuth_std, azimuth_shift, part)
+        images.append(torch.cat(ranged, dim=1) @ across.T)
+    return torch.stack(images)
+
+
+def _everywhere(patch: _Patches, traced: Float[Tensor, " n"]) -> Float[Tensor, "rows columns"]:
+    """T_end of all rays: 1 where none was traced."""
+    everywhere, (first, size) = traced.new_ones(patch.cells.low_m.shape), patch.traced
+    inside = [
+        slice(max(at, 0), max(min(at + count, limit), 0))
+        for at, count, limit in zip(first, size, everywhere.shape, strict=True)
+    ]
+    own = [slice(part.start - at, part.stop - at) for part, at in zip(inside, first)]
+    if all(part.start < part.stop for part in inside):
+        everywhere[inside[0], inside[1]] = traced.view(size)[own[0], own[1]]
+    return everywhere
+
+
+def _gamma0(
+    patch: _Patches, table: Float[Tensor, "ny nx"], pitch_m: float, range_m: Float[Tensor, "rows columns"]
+) -> Float[Tensor, "rows columns"]:
+    """γ⁰ where the centres of cells end."""
+    if table.numel() == 1:
+        return table.expand(range_m.shape)
+    row, column = (
+        torch.arange(count, dtype=torch.float64, device=range_m.device).to(range_m) for count in range_m.shape
+    )
+    x, y = (a + b * column[None] + c * row[:, None] + d * range_m for a, b, c, d in (patch.along_x, patch.along_y))
+    return at_places(table, x, y, pitch_m)
+
+
+def _ranged(
+    pixels: Float[Tensor, " n"],
+    returned: Float[Tensor, "rows c"],
+    low: Float[Tensor, "rows c"],
+    high: Float[Tensor, "rows c"],
+    std: float,
+) -> Float[Tensor, "n c"]:
+    """What pixels see of cells between these slant ranges: means of the response over them."""
+    at, length = pixels[:, None, None], high - low
+    short = length.abs() < _SHORT[pixels.dtype] * std
+    below, above = (torch.erf((at - edge) / (math.sqrt(2) * std)) for edge in (low, high))
+    long_mean = (below - above) / (2 * torch.where(short, torch.ones_like(length), length))
+    points = (
+        torch.exp(-0.5 * ((at - (low + share * length)) / std) ** 2) for share in (0.5 - 12**-0.5, 0.5 + 12**-0.5)
+    )
+    short_mean = sum(points) / (2 * math.sqrt(2 * math.pi) * std)
+    return (torch.where(short, short_mean, long_mean) * returned).sum(1)
+
+
+class _Engine(torch.autograd.Function):
+    """`plain_lit_terrain` by the CPU engine, whose sums do not depend on the number of threads; differentiable once."""
+
+    @staticmethod
+    def forward(ctx: Any, left: Tensor, gamma0: Tensor, shift: Tensor | None, *rest: Any) -> Tensor:
+        left, gamma0, shift = left.contiguous(), gamma0.contiguous(), None if shift is None else shift.contiguous()
+        patches, _, grid, _ = rest
+        lit = left.new_empty(len(patches), grid.rows, grid.columns)
+        _run({"lit": lit}, left, gamma0, shift, *rest)
+        ctx.save_for_backward(left, gamma0, shift)
+        ctx.rest = rest
+        return lit
+
+    @staticmethod
+    @differentiable_once
+    def backward(ctx: Any, d_lit: Tensor) -> tuple[Tensor | None, ...]:
+        left, gamma0, shift = ctx.saved_tensors
+        found = [torch.empty_like(left), torch.empty_like(gamma0), None]
+        if ctx.needs_input_grad[2]:
+            found[2] = torch.empty_like(shift)
+        names = ("d_transmittance", "d_gamma0", "d_shift")
+        results = {"d_lit": d_lit.contiguous(), **dict(zip(names, found, strict=True))}
+        _run(results, left, gamma0, shift, *ctx.rest)
+        return (*found, None, None, None, None)
+
+
+def _run(
+    results: dict[str, Tensor | None],
+    transmittance: Tensor,
+    gamma0: Tensor,
+    shift: Tensor | None,
+    patches: Sequence[_Patches],
+    pitch_m: float,
+    grid: ImageGrid,
+    height_m: float,
+) -> None:
+    mirrors = (structs.TerrainPatches * len(patches))()
+    for mirror, patch in zip(mirrors, patches, strict=True):
+        mirror.rows, mirror.across = len(patch.cells.low_m), patch.across.mirror
+        mirror.low, mirror.high = patch.cells.low_m.data_ptr(), patch.cells.high_m.data_ptr()
+        mirror.traced_first, mirror.traced = patch.traced
+        for name, along, count in (("x", patch.along_x, gamma0.shape[2]), ("y", patch.along_y, gamma0.shape[1])):
+            setattr(mirror, name, (along[0] / pitch_m + (count - 1) / 2, *(slope / pitch_m for slope in along[1:])))
+    axes = (axis.mirror for axis in pixel_axes(grid))
+    call = structs.Terrain(len(patches), *axes, stds(grid), height_m, tuple(gamma0.shape[1:]), mirrors)
+    tensors = {"transmittance": transmittance, "gamma0": gamma0, "shift": shift, **results}
+    for name, tensor in tensors.items():
+        setattr(call, name, None if tensor is None else tensor.data_ptr())
+    cpu.Pass().lit_terrain(call)

@@ -1,0 +1,191 @@
+"""Where the rays of a view end on terrain, which nothing learned changes, and what terrain hides from the view.
+
+In the plane of incidence of an azimuth, terrain of height h at ground range g lies at y_r = g sin θ + h cos θ and
+z_r = g cos θ − h sin θ. The ray at y_r ends at the first g that reaches so high: what lies lower than the terrain
+before it is in shadow, and where z_r falls as y_r rises, there is layover.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32, Float64
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
+from sarsplat.renderer.places import at_places
+
+RESPONSE_END = 6.0
+"""Standard deviations: beyond, it is nothing in float32."""
+
+_MARGIN = 8
+"""Pixels: images may be displaced by so many before other rays are needed."""
+
+_MOST = 1e8
+"""Rays of a view; a gigabyte."""
+
+_AT_A_TIME = 1 << 21
+"""Heights."""
+
+_KEPT_BYTES = 1 << 30
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Where the rays of one view end: of each cell of their lattice, δx wide and δy high, the slant ranges.
+
+    Parameters
+    ----------
+    first : (int, int)
+        The ray in row 0, column 0 stands at ((first[0] + ½) δx, (first[1] + ½) δy), as in the engines' lattices.
+    low_m, high_m : Tensor [rows, columns]
+        Slant range where the lower and the upper edge of a cell end, float32, on the CPU, m. The cell's ground lies
+        between them: at less than at its lower edge in layover.
+    """
+
+    first: tuple[int, int]
+    low_m: Float[Tensor, "rows columns"]
+    high_m: Float[Tensor, "rows columns"]
+
+    @property
+    def bytes(self) -> int:
+        return 8 * self.low_m.numel()
+
+
+class _Kept:
+    """The cells used last, up to a gigabyte: a training asks for the same few views again and again."""
+
+    def __init__(self) -> None:
+        self._cells: OrderedDict[tuple[object, ...], Cells] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, terrain: Terrain, view: View, grid: ImageGrid, rays: RayGrid) -> Cells:
+        key = (terrain, view, grid, rays)
+        with self._lock:
+            if key not in self._cells:
+                self._cells[key] = _cells(*key)
+                while len(self._cells) > 1 and sum(cells.bytes for cells in self._cells.values()) > _KEPT_BYTES:
+                    self._cells.popitem(last=False)
+            self._cells.move_to_end(key)
+            return self._cells[key]
+
+
+_kept = _Kept()
+
+
+def cells_of(
+    terrain: Terrain, views: Sequence[View], grid: ImageGrid, rays: RayGrid, shift: Float[Tensor, "v 2"] | None = None
+) -> list[Cells]:
+    """Of all rays of each view that end on terrain that images on this grid show.
+
+    Raises
+    ------
+    SarsplatError
+        If a view needs too many rays.
+    """
+    steps = 0 if shift is None else 1 + int(shift.detach().abs().max() / (_MARGIN * min(grid.spacing_m)))
+    return [_kept.get(terrain, view, _with_margin(grid, _MARGIN * steps), rays) for view in views]
+
+
+def before_terrain(
+    means: Float[Tensor, "n 3"], terrain: Terrain, ends: Sequence[Cells], views: Sequence[View], rays: RayGrid
+) -> Float[Tensor, "v n"]:
+    """1 for Gaussians whose centres a view may see, 0 for those below the terrain, or behind where their ray ends."""
+    means = means.detach()
+    heights = torch.from_numpy(terrain.heights_m).to(means)
+    ground = at_places(heights, means[:, 0] / terrain.pitch_m[0], means[:, 1] / terrain.pitch_m[1], 1.0)
+    above, seen = means[:, 2] >= ground, []
+    for view, cells in zip(views, ends, strict=True):
+        x, y, z = (means @ torch.from_numpy(radar_frame(view)).to(means).T).unbind(1)
+        column, row = (
+            (at / step).floor().long() - first for at, step, first in zip((x, y), rays.spacing_m, cells.first)
+        )
+        rows, columns = cells.low_m.shape
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        at = (row * columns + column)[inside].to("cpu")
+        end = torch.maximum(*(edge.reshape(-1)[at] for edge in (cells.low_m, cells.high_m))).to(means)
+        seen.append(above.clone())
+        seen[-1][inside] &= z[inside] <= end
+    return torch.stack(seen).to(means)
+
+
+def _with_margin(grid: ImageGrid, pixels: int) -> ImageGrid:
+    return ImageGrid(
+        grid.rows + 2 * pixels, grid.columns + 2 * pixels, grid.spacing_m, grid.resolution_m, grid.center_m
+    )
+
+
+def _cells(terrain: Terrain, view: View, grid: ImageGrid, rays: RayGrid) -> Cells:
+    (dx, dy), (lowest, highest) = rays.spacing_m, terrain.span_m
+    theta = math.radians(view.grazing_deg)
+    azimuth_end, range_end = (RESPONSE_END * math.sqrt(variance) for variance in grid.response_variance_m2)
+    left, right = grid.azimuth_m[0] - azimuth_end, grid.azimuth_m[-1] + azimuth_end
+    near, far = grid.range_m[0] - range_end, grid.range_m[-1] + range_end
+    # of a plane, r = (y cos θ − z) / sin θ
+    bottom, top = ((r * math.sin(theta) + z) / math.cos(theta) / dy for r, z in ((near, lowest), (far, highest)))
+    first, end = (math.floor(left / dx), math.floor(bottom)), (math.ceil(right / dx), math.ceil(top))
+    columns, rows = end[0] - first[0], end[1] - first[1]
+    if columns * rows > _MOST:
+        raise SarsplatError(
+            f"the view at azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}° needs {columns * rows:.2g} rays "
+            f"for terrain {highest - lowest:.4g} m high; cut it to what the images show, or use coarser rays"
+        )
+    # before, the terrain lies lower than all of these rays, and behind, higher
+    begin = (first[1] * dy - highest * math.cos(theta)) / math.sin(theta)
+    step = min(*terrain.pitch_m, dy / math.sin(theta))
+    length = (rows * dy + (highest - lowest) * math.cos(theta)) / math.sin(theta)
+    before = math.floor(begin / step)  # the same steps for every part of an image
+    along = step * np.arange(before, before + math.ceil(length / step) + 3)
+    together, parts = max(1, _AT_A_TIME // len(along)), []
+    for column in range(0, columns, together):
+        some = np.arange(column, min(column + together, columns))
+        parts.append(_ends(terrain, view, (first[0] + some + 0.5) * dx, along, (first[1] * dy, dy, rows)))
+    low, high = (np.concatenate(edges) for edges in zip(*parts))  # [columns, rows]
+    shown = np.flatnonzero(((np.maximum(low, high) >= near) & (np.minimum(low, high) <= far)).any(axis=0))
+    kept = slice(int(shown[0]), int(shown[-1]) + 1) if len(shown) else slice(0, 0)
+    low_m, high_m = (torch.from_numpy(np.ascontiguousarray(edge[:, kept].T)) for edge in (low, high))
+    return Cells((first[0], first[1] + kept.start), low_m, high_m)
+
+
+def _ends(
+    terrain: Terrain,
+    view: View,
+    x: Float64[np.ndarray, " c"],
+    along: Float64[np.ndarray, " g"],
+    elevation: tuple[float, float, int],
+) -> tuple[Float32[np.ndarray, "c rows"], Float32[np.ndarray, "c rows"]]:
+    """Slant ranges where the lower and the upper edges of cells end; `elevation`: where they begin, step, rows.
+
+    Terrain is looked at in steps along the ground range. A cell that looks past a summit lies where its centre does.
+    """
+    frame, theta = radar_frame(view), math.radians(view.grazing_deg)
+    sine, cosine = math.sin(theta), math.cos(theta)
+    place = x[:, None, None] * frame[0, :2] + along[None, :, None] * (frame[2, :2] / cosine)
+    height = terrain.height_m(place[..., 0], place[..., 1])  # [c, g]
+    y, z = along * sine + height * cosine, along * cosine - height * sine
+    reached = np.maximum.accumulate(y, axis=1)
+    first, step, rows = elevation
+    halves = 2 * rows + 1  # edges, and centres between them
+    count = np.clip(np.floor((reached - first) / (step / 2)).astype(np.int64) + 1, 0, halves)
+    count[:, 0], count[:, -1] = 0, halves
+    segment = np.repeat(
+        np.broadcast_to(np.arange(len(along)), y.shape).ravel(), np.diff(count, axis=1, prepend=0).ravel()
+    ).reshape(len(x), halves)
+    line = np.arange(len(x))[:, None]
+    y0, y1, z0, z1 = (table[line, segment - back] for table in (y, z) for back in (1, 0))
+    share = np.clip((first + step / 2 * np.arange(halves) - y0) / (y1 - y0), 0.0, 1.0)
+    end = z0 + share * (z1 - z0)
+    shaded = np.cumsum(y < reached, axis=1)[line, segment - 1]
+    broken = shaded[:, 1:] != shaded[:, :-1]
+    lower, middle, upper = end[:, :-1:2], end[:, 1::2], end[:, 2::2]
+    below, above = broken[:, ::2], broken[:, 1::2]
+    low = np.where(below, np.where(above, middle, 2 * middle - upper), lower)
+    high = np.where(above, np.where(below, middle, 2 * middle - lower), upper)
+    return low.astype(np.float32), high.astype(np.float32)

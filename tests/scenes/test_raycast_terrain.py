@@ -1,0 +1,79 @@
+"""Ray casting on terrain: closed forms, and the renderer, which shares nothing with it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from sarsplat import Ground, ImageGrid, SarsplatError, ScatteringLaw, Terrain, View, render
+from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.scenes.raycast import simulate_raycast
+from terrains import hill, slope
+
+GRID = ImageGrid(48, 48, (0.3, 0.3), (0.45, 0.45))
+LAW = ScatteringLaw(0.5, 0.0)
+
+
+def box(z: float, side: float = 1.0, x: float = 0.0) -> trimesh.Trimesh:
+    mesh = trimesh.creation.box((side, side, side))
+    mesh.apply_translation((x, 0.0, z))
+    return mesh
+
+
+BURIED = box(-50.0)
+
+
+@pytest.mark.parametrize(("grazing", "tilt"), [(40.0, 15.0), (40.0, -15.0), (20.0, 0.0)])
+def test_a_slope_is_as_bright_as_its_own_angle_makes_it(grazing, tilt):
+    image = simulate_raycast(
+        BURIED, View(0.0, grazing), GRID, LAW, ground_gamma0=0.2, terrain=slope(tilt), ray_spacing=0.05
+    )
+    expected = 0.2 * math.tan(math.radians(grazing + tilt))
+    assert image[12:-12, 12:-12] == pytest.approx(np.full((24, 24), expected), rel=2e-3)
+
+
+@pytest.mark.parametrize("view", [View(20.0, 30.0), View(200.0, 55.0)])
+def test_a_hill_looks_as_the_renderer_shows_it(view):
+    """Of which the squares of terrain are curved, and here two triangles each."""
+    ground = hill(2.0)
+    cast = simulate_raycast(BURIED, view, GRID, LAW, ground_gamma0=0.2, terrain=ground, ray_spacing=0.08)
+    empty = Gaussians(*(torch.zeros(0, n) for n in (3, 4, 3)), torch.zeros(0), Harmonics(torch.zeros(0, 1), 0.0))
+    rendered = render(empty, [view], GRID, ground=Ground(torch.tensor(0.2), height_m=ground)).images[0, 0].numpy()
+    level = 0.2 * math.tan(math.radians(view.grazing_deg))
+    assert rendered.max() > 1.5 * level  # its front, and in one of them its shadow
+    assert rendered.min() < 0.5 * level
+    error = cast - rendered
+    assert math.sqrt(float((error**2).mean())) < 0.03 * level
+    assert abs(float(error.mean())) < 3e-3 * level
+
+
+def test_hills_hide_targets_and_targets_hills():
+    view, ground = View(0.0, 20.0), hill(2.5, at=(3.0, 0.0), width_m=1.4)
+    shade, lit = (
+        simulate_raycast(one, view, GRID, LAW, ground_gamma0=0.0, terrain=ground, ray_spacing=0.05)
+        for one in (box(0.6), box(0.6, x=6.3))
+    )
+    assert shade.max() == 0.0
+    assert lit.max() > 0.1
+    tall = box(1.5, 2.0, x=6.3)
+    bare, behind = (
+        simulate_raycast(one, view, GRID, ScatteringLaw(0.0, 0.0), ground_gamma0=0.2, terrain=ground, ray_spacing=0.05)
+        for one in (BURIED, tall)
+    )
+    assert behind.sum() < bare.sum() - 1.0
+    assert (behind <= bare + 1e-4).all()
+
+
+def test_level_beyond_its_end():
+    ground = Terrain(np.zeros((2, 2)), (1.0, 1.0))
+    image = simulate_raycast(BURIED, View(70.0, 45.0), GRID, LAW, ground_gamma0=0.2, terrain=ground, ray_spacing=0.05)
+    assert image == pytest.approx(np.full(image.shape, 0.2), rel=2e-3)
+
+
+def test_terrain_needs_a_gamma0():
+    with pytest.raises(SarsplatError, match="terrain is the shape of the ground, which has no γ⁰; give that too"):
+        simulate_raycast(BURIED, View(0.0, 45.0), GRID, LAW, terrain=slope(0.0))
