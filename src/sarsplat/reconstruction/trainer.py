@@ -260,9 +260,9 @@ def _followed_in(source: Tensor, kept: Tensor, rows: Tensor) -> Tensor:
 
 def _done(rendering: Rendering) -> Rendering:
     """What was rendered, without what the backward pass needed: strategies render anew, and need that memory."""
-    lit = None if rendering.lit_ground is None else rendering.lit_ground.detach()
+    ground = None if rendering.ground is None else rendering.ground.detach()
     return replace(
-        rendering, images=rendering.images.detach(), cross_sections=rendering.cross_sections.detach(), lit_ground=lit
+        rendering, images=rendering.images.detach(), cross_sections=rendering.cross_sections.detach(), ground=ground
     )
 
 

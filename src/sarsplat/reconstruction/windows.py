@@ -172,7 +172,8 @@ def _on_ground(view: View, grid: ImageGrid, ground: Ground) -> tuple[tuple[float
     left, right, far, near = grid.extent_m
     azimuth, slant_range = (_IN_IMAGE * variance**0.5 for variance in grid.response_variance_m2)
     theta = math.radians(view.grazing_deg)
-    low, high = (  # of the plane r = (y cos θ − z) / sin θ
-        (r * math.sin(theta) + ground.height_m) / math.cos(theta) for r in (near - slant_range, far + slant_range)
+    low, high = (  # r = (y cos θ − z) / sin θ
+        (r * math.sin(theta) + z) / math.cos(theta)
+        for r, z in zip((near - slant_range, far + slant_range), ground.span_m, strict=True)
     )
     return (left - azimuth, right + azimuth), (low, high)
