@@ -18,7 +18,7 @@ from sarsplat.reconstruction.setting import Setting
 _ACROSS = 20
 """Resolution cells across the target, at least, in multilooked images: in fewer, its parts are not told apart."""
 
-_UNTIL = 0.8
+_UNTIL = 0.75
 """Share of the iterations after which the images themselves are looked at; coarser levels share the time before."""
 
 
