@@ -104,8 +104,8 @@ def test_a_training_looks_at_finer_images_and_splits_what_they_ask_for(scene: Da
         seen.append((trainer.images.grid.rows, len(trainer.model)))
     rows, counts = zip(*seen, strict=True)
     assert rows == (45,) * 9 + (90,) * 3  # 42 m are not enough for 4
-    assert set(counts[:11]) == {300}
-    assert 300 < counts[11] < 600
+    assert set(counts[:9]) == {300}
+    assert 300 < counts[9] < 600
     assert largest == pytest.approx(0.27 * GRID.multilooked(2).cell_m)
     assert trainer.grid == GRID
     assert float(trainer.gaussians.scales.max()) <= 0.83 * GRID.cell_m * (1 + 1e-6)

@@ -267,7 +267,7 @@ def test_the_error_of_the_rays_is_what_finer_rays_tell(t72):
     )
     seen = fine > 1e-3 * fine.max()
     true = np.sqrt(np.mean((10 * np.log10(coarse[seen] / fine[seen])) ** 2))
-    settings = {"reflectivity": None, "ground_gamma0": None}
+    settings = {"reflectivity": None, "ground_gamma0": None, "terrain": None}
     assert raycast.ray_error_db(t72, view, grid, law, ray_spacing=0.03, **settings) == pytest.approx(true, rel=0.5)
     beside = t72.copy().apply_translation((200, 200, 0))
     assert raycast.ray_error_db(beside, view, grid, law, ray_spacing=0.03, **settings) is None
