@@ -1,5 +1,6 @@
 // inspect.h: looking into a finished forward pass: where its rays stand, what they met, how full its vectors were.
 #pragma once
+#include "parallel.h"
 #include "project.h"
 
 namespace sarsplat {
@@ -10,6 +11,8 @@ void lattice(const sg_context* c, int32_t view, sg_lattice* out) {
   const Strips& s = c->views[view].rays;
   *out = {s.x0, s.y0, s.rows, s.columns};
 }
+
+constexpr int kTraced = 64;  // rows of rays of a task
 
 // One row of rays in strips to a row of numbers.
 void read_row(const Strips& s, int y, const float* strips, float* row) {
@@ -32,22 +35,27 @@ int32_t trace(const sg_context* c, const sg_problem* p, int32_t view, float dept
   if (!sum_tau) return SG_MEMORY;
   for (int64_t i = 0; i < rays; i++) { sum_tau[i] = 0.0f; first_return[i] = __builtin_nanf(""); }
   const float stop = -__builtin_logf(p->min_transmittance), faintest = min_log_tau(*p);
-  for (int k = 0; k < s.touching; k++) {
-    const int32_t id = s.front_to_back[k];
-    const RayEntry& e = s.on_rays[id];
-    const float range = from_ordered(s.depth_keys[id]);
-    for (int y = e.y0; y <= e.y1; y++)
-      for (int x = e.x0; x <= e.x1; x++) {
-        const float dx = (float)x - e.g.x, dy = (float)y - e.g.y;
-        const float log_tau = log_depth(e.g, offset(e.g, (float)x, (float)y));
-        const int64_t at = (int64_t)(y - lattice.y0) * lattice.columns + (x - lattice.x0);
-        float& d = sum_tau[at];
-        if (!(log_tau >= faintest) || d > stop) continue;
-        const float before = d;
-        d += kLn2 * __builtin_exp2f(log_tau);
-        if (before < depth && d >= depth) first_return[at] = range + e.slope[0] * dx + e.slope[1] * dy;
-      }
-  }
+  parallel((lattice.rows + kTraced - 1) / kTraced, [&](int task) {  // a task's rows are nobody else's
+    const int first = lattice.y0 + task * kTraced, last = smaller(first + kTraced, lattice.y0 + lattice.rows) - 1;
+    for (int k = 0; k < s.touching; k++) {
+      const int32_t id = s.front_to_back[k];
+      const RayEntry& e = s.on_rays[id];
+      if (e.y1 < first || e.y0 > last) continue;
+      const float range = from_ordered(s.depth_keys[id]);
+      for (int y = larger(e.y0, first); y <= smaller(e.y1, last); y++)
+        for (int x = e.x0; x <= e.x1; x++) {
+          const int64_t at = (int64_t)(y - lattice.y0) * lattice.columns + (x - lattice.x0);
+          float& d = sum_tau[at];
+          if (d > stop) continue;
+          const float dx = (float)x - e.g.x, dy = (float)y - e.g.y;
+          const float log_tau = log_depth(e.g, offset(e.g, (float)x, (float)y));
+          if (!(log_tau >= faintest)) continue;
+          const float before = d;
+          d += kLn2 * __builtin_exp2f(log_tau);
+          if (before < depth && d >= depth) first_return[at] = range + e.slope[0] * dx + e.slope[1] * dy;
+        }
+    }
+  });
   std::free(sum_tau);
   return SG_OK;
 }
