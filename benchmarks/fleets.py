@@ -28,10 +28,11 @@ PROCESSES = 2
 TINY = {"iterations": 5, "gaussians": 50, "points.voxel": 0.5, "points.rays_per_pixel": 2}
 FEW = {"azimuth": ("0:360:60",), "grazing": ("45",), "test_azimuth": ("45",), "test_grazing": ("45",)}
 KINDS: dict[str, tuple[dict[str, Any], dict[str, Any], tuple[int, ...]]] = {
-    "tiny": ({"pixels": (32,), "spacing": (0.6,), **FEW}, TINY, (4, 20)),
+    "tiny": ({"pixels": (32,), "spacing": (0.6,), **FEW}, TINY, (2, 20, 120)),
     "t72": ({}, {}, (2,)),
 }
-"""Options of a simulation, settings, and how many runs: two counts tell what each costs and what beginning does."""
+"""Options of a simulation, settings, and how many runs. Tiny ones: the first sweep is not counted, for it reads the
+programs from the disk; the others tell what a run that computes nearly nothing costs, and what beginning does."""
 
 
 @contextmanager
@@ -60,22 +61,13 @@ def timed(kind: str, count: int, executor: str, means: Means, folder: Path) -> t
     return seconds, statistics.median(one.row.took_s for one in found.results if one.row is not None)
 
 
-def measured(executor: str, means: Means, folder: Path) -> list[dict[str, Any]]:
-    """Seconds that beginning takes, that a run of each kind computes, and that the sweep adds to it."""
-    (few, many), rows = KINDS["tiny"][2], []
-    found = {
-        (kind, count): timed(kind, count, executor, means, folder)
-        for kind, (*_, counts) in KINDS.items()
-        for count in counts
-    }
-    some, more = found["tiny", few][0], found["tiny", many][0]
-    begin_s = some - (more - some) / (many - few) * few
-    for kind, (*_, counts) in KINDS.items():
-        count = counts[-1]
-        seconds, run_s = found[kind, count]
-        added_s = (seconds - begin_s) * PROCESSES / count - run_s
-        rows.append({"kind": kind, "executor": executor, "runs": count, "run_s": run_s, "overhead_s": added_s})
-    return [{**row, "begin_s": begin_s} for row in rows]
+def measured(executor: str, means: Means, folder: Path) -> dict[str, Any]:
+    """Seconds that beginning takes, that a run costs which computes nearly nothing, and that one of the T-72 takes."""
+    _, few, many = KINDS["tiny"][2]
+    _, some, more = (timed("tiny", count, executor, means, folder)[0] for count in KINDS["tiny"][2])
+    each = (more - some) / (many - few)
+    _, run_s = timed("t72", *KINDS["t72"][2], executor, means, folder)
+    return {"executor": executor, "begin_s": some - each * few, "tiny_s": each * PROCESSES, "t72_s": run_s}
 
 
 def main(executors: Sequence[str]) -> None:
@@ -92,7 +84,7 @@ def main(executors: Sequence[str]) -> None:
             write_dataset(folder / kind, made_of if kind == "t72" else replace(made_of, truth_mesh=None))
         for executor in executors:
             address = stack.enter_context(cluster()).address if executor == "ray" else "auto"
-            made["rows"] += measured(executor, Means(PROCESSES, address), folder)
+            made["rows"].append(measured(executor, Means(PROCESSES, address), folder))
     save(path, made)
 
 
