@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from inspect import signature
 from typing import Any, ClassVar, Self, TypeVar
 
@@ -142,6 +143,7 @@ def register_scattering(law: L) -> L:
     return law
 
 
+@cache
 def _check_methods(law: type[Scattering]) -> None:
     """See that a law has its methods, and that they can be called as they will be."""
     if missing := sorted(law.__abstractmethods__):

@@ -129,7 +129,7 @@ def _rays(gaussians: Gaussians, views: Sequence[View], rays: RayGrid) -> float:
     means, reach = gaussians.means.double().cpu().numpy(), 3 * float(gaussians.scales.max()) if len(gaussians) else 0
     total = 0.0
     for view in views if len(means) else ():
-        sides = np.ptp(means @ radar_frame(view)[:2].T, axis=0) + 2 * reach
+        sides = np.ptp(radar_frame(view)[:2] @ means.T, axis=1) + 2 * reach
         total += math.prod(sides / rays.spacing_m)
     return total
 
@@ -184,7 +184,9 @@ class _FirstReturns:
     def of(
         cls, gaussians: Gaussians, view: View, grid: ImageGrid, rays: RayGrid, optical_depth: float
     ) -> _FirstReturns:
-        (ray_map,) = render(gaussians, [view], grid, rays=rays, first_return_depth=optical_depth).ray_maps or ()
+        black = gaussians.means.new_zeros(1, len(gaussians), 1)  # images would take their time
+        traced = render(gaussians, [view], grid, rays=rays, first_return_depth=optical_depth, amplitudes=black)
+        (ray_map,) = traced.ray_maps or ()
         ranges = np.nan_to_num(ray_map.first_return.cpu().numpy(), nan=np.inf)
         origin, spacing_m = np.array(ray_map.origin), np.array(rays.spacing_m)
         return cls(radar_frame(view), np.pad(ranges, 1, constant_values=np.inf), origin - spacing_m, spacing_m)

@@ -12,52 +12,52 @@ void lattice(const sg_context* c, int32_t view, sg_lattice* out) {
   *out = {s.x0, s.y0, s.rows, s.columns};
 }
 
-constexpr int kTraced = 64;  // rows of rays of a task
-
 // One row of rays in strips to a row of numbers.
 void read_row(const Strips& s, int y, const float* strips, float* row) {
   for (int x = 0; x < s.columns; x += kBlockX)
     std::memcpy(row + x, strips + s.at(s.x0 + x, y), sizeof(float) * smaller(kBlockX, s.columns - x));
 }
 
+// The ranges at which the rays of a band reach the two-way optical depth `depth`, in strips; NaN where they never do.
+// sum_tau: as large.
+void first_returns(const ViewState& s, const Part& band, const sg_problem& p, float depth, float* sum_tau, float* first) {
+  const float stop = -__builtin_logf(p.min_transmittance), faintest = min_log_tau(p);
+  for (int64_t i = 0; i < band.strips.size(); i++) { sum_tau[i] = 0.0f; first[i] = __builtin_nanf(""); }
+  for (int k = band.first; k < band.end; k++) {
+    const int32_t id = s.ray_list[k];
+    __builtin_prefetch(s.on_rays + s.ray_list[smaller(k + kAhead, band.end - 1)]);
+    const RayEntry& e = s.on_rays[id];
+    const float range = from_ordered(s.depth_keys[id]);
+    const float along_u = e.slope[0] / e.g.ux, along_v = (e.slope[1] - along_u * e.g.uy) / e.g.vy;
+    for_blocks(e, band.strips, [&](const Offset<F>& d, int64_t at) {
+      const F log_tau = log_depth(e.g, d), before = load_anywhere(sum_tau + at);
+      const I live = (log_tau >= faintest) & (before <= stop);
+      const F after = before + choose(live, kLn2 * power2(log_tau), splat(0.0f));
+      store_anywhere(sum_tau + at, after);
+      const I reached = (before < depth) & (after >= depth);
+      if (any(reached)) store_anywhere(first + at, choose(reached, along_u * d.u + along_v * d.v + range, load_anywhere(first + at)));
+    });
+  }
+}
+
 // T_end and, unless null, the range at which the two-way optical depth reaches `depth`, ray by ray; NaN where it never does
 int32_t trace(const sg_context* c, const sg_problem* p, int32_t view, float depth, float* transmittance, float* first_return) {
   const ViewState& s = c->views[view];
-  const Strips& lattice = s.rays;
-  const int64_t rays = (int64_t)lattice.rows * lattice.columns;
-  for (int b = 0; b < s.ray_parts; b++) {
+  bool failed = false;
+  parallel(s.ray_parts, [&](int b) {
     const Part& band = s.ray_bands[b];
-    for (int y = band.strips.y0; y < band.strips.y0 + band.strips.rows; y++)
-      read_row(band.strips, y, s.T + band.start, transmittance + (int64_t)(y - lattice.y0) * lattice.columns);
-  }
-  if (!first_return) return SG_OK;
-  float* sum_tau = (float*)std::malloc(sizeof(float) * (rays + 1));
-  if (!sum_tau) return SG_MEMORY;
-  for (int64_t i = 0; i < rays; i++) { sum_tau[i] = 0.0f; first_return[i] = __builtin_nanf(""); }
-  const float stop = -__builtin_logf(p->min_transmittance), faintest = min_log_tau(*p);
-  parallel((lattice.rows + kTraced - 1) / kTraced, [&](int task) {  // a task's rows are nobody else's
-    const int first = lattice.y0 + task * kTraced, last = smaller(first + kTraced, lattice.y0 + lattice.rows) - 1;
-    for (int k = 0; k < s.touching; k++) {
-      const int32_t id = s.front_to_back[k];
-      const RayEntry& e = s.on_rays[id];
-      if (e.y1 < first || e.y0 > last) continue;
-      const float range = from_ordered(s.depth_keys[id]);
-      for (int y = larger(e.y0, first); y <= smaller(e.y1, last); y++)
-        for (int x = e.x0; x <= e.x1; x++) {
-          const int64_t at = (int64_t)(y - lattice.y0) * lattice.columns + (x - lattice.x0);
-          float& d = sum_tau[at];
-          if (d > stop) continue;
-          const float dx = (float)x - e.g.x, dy = (float)y - e.g.y;
-          const float log_tau = log_depth(e.g, offset(e.g, (float)x, (float)y));
-          if (!(log_tau >= faintest)) continue;
-          const float before = d;
-          d += kLn2 * __builtin_exp2f(log_tau);
-          if (before < depth && d >= depth) first_return[at] = range + e.slope[0] * dx + e.slope[1] * dy;
-        }
+    const int64_t size = band.strips.size();
+    float* found = first_return ? (float*)std::malloc(sizeof(float) * 2 * (size + 1)) : nullptr;
+    if (found) first_returns(s, band, *p, depth, found + size, found);
+    else if (first_return) __atomic_store_n(&failed, true, __ATOMIC_RELAXED);
+    for (int y = band.strips.y0; y < band.strips.y0 + band.strips.rows; y++) {
+      const int64_t row = (int64_t)(y - s.rays.y0) * s.rays.columns;
+      read_row(band.strips, y, s.T + band.start, transmittance + row);
+      if (found) read_row(band.strips, y, found, first_return + row);
     }
+    std::free(found);
   });
-  std::free(sum_tau);
-  return SG_OK;
+  return failed ? SG_MEMORY : SG_OK;
 }
 
 void statistics(const sg_context* c, const sg_problem* p, sg_statistics* out) {
