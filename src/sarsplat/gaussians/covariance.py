@@ -18,6 +18,13 @@ def rotation_matrix(quaternions: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 3 3
     return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
 
 
+def rotated(quaternions: Float[Tensor, "*n 4"], vectors: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
+    """R(q) v, [..., 3]; cheaper than the matrix."""
+    w, axis = (quaternions / quaternions.norm(dim=-1, keepdim=True)).split([1, 3], dim=-1)
+    across = 2 * torch.linalg.cross(axis, vectors)
+    return vectors + w * across + torch.linalg.cross(axis, across)
+
+
 def covariance(quaternions: Float[Tensor, "*n 4"], scales: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3 3"]:
     """Σ = R(q) diag(s²) R(q)ᵀ, m²; [..., 4] and [..., 3] → [..., 3, 3]."""
     root = rotation_matrix(quaternions) * scales[..., None, :]

@@ -9,10 +9,11 @@ from typing import ClassVar, Self
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn.functional import one_hot
 
 from sarsplat.arguments import expect
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians.covariance import rotation_matrix
+from sarsplat.gaussians.covariance import rotated
 from sarsplat.gaussians.scattering import MIN_EXCESS, Scattering, softplus, softplus_inverse
 
 _IN_LOBE = 0.2
@@ -61,8 +62,8 @@ class NormalLobes(Scattering):
         scales: Float[Tensor, "n 3"],
     ) -> Float[Tensor, "v n 1"]:
         """See `Scattering.amplitudes`."""
-        axes, shortest = rotation_matrix(quaternions), scales.detach().argmin(dim=1)
-        normals = axes.gather(2, shortest[:, None, None].expand(-1, 3, 1))[:, :, 0]
+        shortest = one_hot(scales.detach().argmin(dim=1), 3)
+        normals = rotated(quaternions, shortest.to(quaternions))
         squared = (directions @ normals.T) ** 2  # [V, N]
         b = softplus(self.parameters)
         total = self.p_min + b[:, 0].expand(len(directions), -1)

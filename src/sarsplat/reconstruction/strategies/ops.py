@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from sarsplat.gaussians.covariance import rotation_matrix
+from sarsplat.gaussians.covariance import rotated
 from sarsplat.reconstruction.optimiser import Optimiser
 from sarsplat.reconstruction.strategies.strategy import State
 
@@ -101,4 +101,4 @@ def _inside(params: Params, rows: Int64[Tensor, " m"], generator: torch.Generato
     """From the centres of Gaussians to random places in them, m."""
     scales, quaternions = params["scales"].detach()[rows], params["quaternions"].detach()[rows]
     along = torch.randn(len(rows), 3, generator=generator, device="cpu").to(scales) * scales
-    return (rotation_matrix(quaternions) @ along[:, :, None])[:, :, 0]
+    return rotated(quaternions, along)
