@@ -35,7 +35,9 @@ def site(tmp_path: Path) -> Path:
 
 
 COMMANDS = """
-import json, sys
+import contextlib, json, sys
+with contextlib.suppress(ImportError):
+    import sarsplat_example  # before what it extends, as another program may
 from sarsplat.cli import main
 for words in json.load(sys.stdin):
     try:

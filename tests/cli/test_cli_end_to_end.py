@@ -216,10 +216,10 @@ def test_export_replaces_nothing_but_its_like(workshop: Path, tmp_path: Path, sa
     assert "is inside the run" in refused(f"{export} {tmp_path}/inside/new.ply")
     assert Path("run/gaussians.ply").read_bytes() == before
     for ending in FORMATS:
-        (tmp_path / f"thesis{ending}").write_text("\\documentclass")
-        assert f"not a {ending} file as exported" in refused(f"{export} {tmp_path}/thesis{ending}")
+        (tmp_path / f"thesis.{ending}").write_text("\\documentclass")
+        assert f"not a .{ending} file as exported" in refused(f"{export} {tmp_path}/thesis.{ending}")
         for _ in range(2):
-            said(f"{export} {tmp_path}/new{ending}")
+            said(f"{export} {tmp_path}/new.{ending}")
     (tmp_path / "null.ply").symlink_to("/dev/null")
     assert "device" in refused(f"{export} {tmp_path}/null.ply")
     assert Path("/dev/null").is_char_device()

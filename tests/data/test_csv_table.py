@@ -47,6 +47,12 @@ def test_cells_that_are_missing_are_empty(tmp_path):
         table.number(table.rows[0], "b")
 
 
+def test_a_decimal_comma_between_commas_is_named(tmp_path):
+    table = table_of(tmp_path, b'a,b\n1,"0,5"\n')
+    with pytest.raises(SarsplatError, match=r"line 2: b is '0,5'; write it with a point, or put semicolons between"):
+        table.number(table.rows[0], "b")
+
+
 @pytest.mark.parametrize(
     ("data", "words"),
     [

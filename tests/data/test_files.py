@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from elsewhere import elsewhere
-from sarsplat.data.files import locked, read_json, write_bytes, write_json
+from sarsplat.data.files import locked, read_json, refuse_unwritable, write_bytes, write_json
 from sarsplat.errors import SarsplatError
 
 
@@ -115,6 +115,14 @@ def test_missing_folder_and_file_in_the_way(tmp_path):
         write_bytes(tmp_path / "file" / "a", b"")
     with pytest.raises(SarsplatError, match="is a folder, not a file"):
         write_bytes(tmp_path, b"")
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs a folder in which even root can write nothing")
+def test_what_cannot_be_written_is_known_before_the_work(tmp_path):
+    refuse_unwritable(tmp_path / "to" / "come")
+    assert names(tmp_path) == []
+    with pytest.raises(SarsplatError, match=r"cannot write /proc/self/"):  # whose permissions promise it to root
+        refuse_unwritable(Path("/proc/self/a"))
 
 
 def test_json_round_trip_and_refusals(tmp_path):

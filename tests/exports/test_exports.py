@@ -173,7 +173,7 @@ def test_empty_runs_are_not_exported(run: Run, tmp_path: Path, ending: str, monk
     monkeypatch.setattr(Run, "gaussians", run.gaussians[:0])
     for content in FORMATS[ending].writers:
         with pytest.raises(SarsplatError, match=r"the run in memory has (no|too few) "):
-            export(without_points(run), tmp_path / f"a{ending}", content)
+            export(without_points(run), tmp_path / f"a.{ending}", content)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -137,6 +137,11 @@ def test_negative_numbers_may_be_decibels(quantity):
         power_or_signal(REAL * 0 - 18.5, quantity, "it")
 
 
+def test_numbers_too_large_for_decibels_may_be_amplitudes():
+    with pytest.raises(SarsplatError, match=r"holds 6119 .* as db; no decibels are that large; give --quantity ampl"):
+        power_or_signal(np.full((2, 2), 6119, np.uint16), "db", "it")
+
+
 def test_real_numbers_may_be_anything():
     with pytest.raises(SarsplatError, match=r"it holds float32 numbers, .* --quantity"):
         likely_quantity(REAL, "it")

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from sarsplat import Gaussians, Harmonics, ImageGrid, View
+from sarsplat import Gaussians, Harmonics, ImageGrid, View, memory
+from sarsplat.errors import SarsplatError
 from sarsplat.geometry import RayGrid
 from sarsplat.progress import Reporter
 from sarsplat.reconstruction import extract_points
@@ -176,6 +177,15 @@ def test_large_scenes_are_traced_by_fewer_rays_and_still_are_on_the_surface(
     assert len(usual) / 40 < len(points) < len(usual)
     off = np.abs(np.linalg.norm(points - [0, 0, HEIGHT], axis=1) - RADIUS)
     assert np.median(off) < 0.2
+
+
+def test_what_does_not_fit_into_memory_is_refused(ball_with_a_hole: Gaussians, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "free_bytes", lambda: 1000.0)
+    monkeypatch.setattr(_FirstReturns, "of", lambda *_: pytest.fail("must not get here"))
+    with pytest.raises(
+        SarsplatError, match=r"^extracting the surface takes about .* 9\.3e-07 GiB are free; .*rays-per"
+    ):
+        extract_points(ball_with_a_hole, VIEWS, GRID, KEPT)
 
 
 def test_the_largest_cluster_is_kept_however_dense_the_points() -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import tyro
 
+from sarsplat.cli import console
 from sarsplat.errors import SarsplatError
 
 if TYPE_CHECKING:
@@ -176,7 +177,10 @@ def run_at(path: Path) -> Run:
     from sarsplat.data import read_gaussians_ply
     from sarsplat.reconstruction import Run
 
-    return Run.from_gaussians(read_gaussians_ply(path)) if is_ply(path) else Run.load(path)
+    if not is_ply(path):
+        return Run.load(path)
+    with console.busy(f"reading {path}"):
+        return Run.from_gaussians(read_gaussians_ply(path))
 
 
 def refuse_existing(path: Path, overwrite: bool, *, marker: str | None = None) -> None:

@@ -23,6 +23,7 @@ from sarsplat.cli.arguments import (
 )
 from sarsplat.cli.stopped import Stopped
 from sarsplat.errors import SarsplatError, counted
+from sarsplat.memory import required
 from sarsplat.names import Swept
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 
 _AT_A_TIME = 4  # views, between two steps of the progress
+_BYTES_KEPT, _BYTES_SHOWN = 4, 16  # of a pixel: in an image, and in the picture that is being drawn of one
 
 
 def render(
@@ -100,9 +102,12 @@ def render(
     from sarsplat.report.rendered import FILES, SHEET, Rendered, asked_grid, require_distinct, require_output
     from sarsplat.tiles import tiles_kept_in
 
-    done = run_at(run)
     views = None if sweep else views_from(azimuth, grazing, incidence)
-    require_output(out, frames if views is None else len(views))
+    count = frames if views is None else len(views)
+    require_output(out, count)
+    if pixels is not None:  # before a large file is read
+        _refuse_too_large(count, *pixels)
+    done = run_at(run)
     recognises = FILES.get(out.suffix.lower())
     if views is not None and recognises is None:
         require_distinct(views)
@@ -116,6 +121,8 @@ def render(
     look = Look(done.brightest, range_db, cmap or POWER)
     look.palette()  # an unknown colour map is refused before the work
     grid = asked_grid(done.grid, pixels, spacing, resolution)
+    if pixels is None:
+        _refuse_too_large(count, grid.rows, grid.columns)
     tiles = out.with_name(f".{out.name}.tiles")
     try:
         with tiles_kept_in(tiles):
@@ -137,6 +144,14 @@ def render(
         f"{brightest}, {level}; row 0 is near range"
     )
     console.finish(f"{out}: {wrote}", f"look at {out if recognises else out / SHEET}")
+
+
+def _refuse_too_large(views: int, rows: int, columns: int) -> None:
+    """See that so many images, all of which are kept until they are written, fit into memory; say so if it is much."""
+    needed = rows * columns * (_BYTES_KEPT * (views + min(views, _AT_A_TIME)) + _BYTES_SHOWN)
+    what = f"rendering {counted(views, 'image')} of {rows:,} × {columns:,} pixels"
+    if (much := required(what, needed, "ask for fewer or smaller images")) is not None:
+        console.say(much)
 
 
 def _absolute(run: Run) -> bool:

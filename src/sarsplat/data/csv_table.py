@@ -39,7 +39,9 @@ class CsvTable:
         """A cell as a finite number; refused if it is none."""
         value = parsed(row[1][column], self.decimal_comma)
         if not math.isfinite(value):
-            raise SarsplatError(f"{self.path}, line {row[0]}: {column} is {shown(row[1][column])}; it must be a number")
+            comma = math.isfinite(parsed(row[1][column], decimal_comma=True))
+            remedy = "write it with a point, or put semicolons between the cells" if comma else "it must be a number"
+            raise SarsplatError(f"{self.path}, line {row[0]}: {column} is {shown(row[1][column])}; {remedy}")
         return value
 
 

@@ -10,6 +10,7 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any, BinaryIO, TypeVar
 
 import msgspec
@@ -60,8 +61,8 @@ def refuse_unwritable(path: Path) -> None:
         folder = next((parent for parent in whole.parents if os.path.lexists(parent)), whole)
         if not folder.is_dir():
             raise OSError(errno.ENOTDIR, "")
-        if not os.access(folder, os.W_OK | os.X_OK):
-            raise OSError(errno.EACCES, "")
+        with TemporaryFile(dir=folder):  # the surest way to know
+            pass
 
 
 def sync(path: Path) -> None:

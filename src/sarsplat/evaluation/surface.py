@@ -94,12 +94,17 @@ def visible_surface(
     Raises
     ------
     SarsplatError
-        If there is no view, or no ray hits the mesh.
+        If there is no view, no ray hits the mesh, or a number is not positive and finite.
     """
     import trimesh
 
     if not views:
         raise SarsplatError("the visible surface needs at least one view; give the training views")
+    if not (0 < ray_spacing < math.inf and samples > 0):
+        raise SarsplatError(
+            f"the visible surface cannot have {samples} samples found by rays {ray_spacing} m apart; give at least one "
+            "sample, and metres above 0"
+        )
     if not (mesh.area > 0 and np.isfinite(mesh.bounds).all()):
         raise SarsplatError(f"the mesh ({len(mesh.faces)} triangles) has no surface; give a mesh with an area")
     scene = _scene(mesh)

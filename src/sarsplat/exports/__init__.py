@@ -15,9 +15,8 @@ from sarsplat.reconstruction import Run
 
 __all__ = ["FORMATS", "Content", "Format", "Points", "Written", "export", "format_of"]
 
-_PLUGINS = discover(__name__, "format_", "FORMAT", "sarsplat.exports").loaded()
-FORMATS: dict[str, Format] = {f".{ending}": format for ending, format in _PLUGINS.items()}
-"""Every format by the ending of its files."""
+FORMATS = discover(__name__, "format_", "FORMAT", "sarsplat.exports")
+"""Every `Format` by the ending of its files, without the dot; each is imported when it is asked for."""
 
 
 @dataclass(frozen=True)
@@ -33,9 +32,10 @@ def format_of(path: Path, content: Content | None = None) -> tuple[Format, Conte
 
     Refused if the ending is unknown or such files cannot hold the content.
     """
-    named = FORMATS.get(path.suffix.lower())
-    fit = [ending for ending, other in FORMATS.items() if content is None or content in other.writers]
-    if named is None or path.suffix.lower() not in fit:
+    ending = path.suffix.lower().removeprefix(".")
+    named: Format | None = FORMATS.get(ending)
+    if named is None or (content is not None and content not in named.writers):
+        fit = [f".{ending}" for ending, other in FORMATS.loaded().items() if content in (None, *other.writers)]
         what = {None: "an export", "mesh": "a mesh"}.get(content, content)
         endings = " or ".join(", ".join(fit).rsplit(", ", 1))
         raise SarsplatError(f"{path} is not a valid name for {what}; choose one that ends in {endings}")

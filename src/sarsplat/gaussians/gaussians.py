@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.arguments import checks_arguments, described, expect
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians.scattering import Scattering
 
 MIN_SCALE = 1e-4
@@ -142,7 +142,14 @@ class Gaussians:
 
     def to(self, *target: Any, **options: Any) -> Gaussians:
         """The same Gaussians on another device or in another dtype; arguments are those of `torch.Tensor.to`."""
-        return self._with(lambda tensor: tensor.to(*target, **options))
+        try:
+            return self._with(lambda tensor: tensor.to(*target, **options))
+        except (RuntimeError, AssertionError, TypeError) as error:  # torch's, for what it has not
+            asked = ", ".join(shown(value) for value in (*target, *options.values()))
+            reason = str(error).partition("\n")[0]
+            raise SarsplatError(
+                f"Gaussians cannot be turned to {asked} ({reason}); give a device that is there, or a dtype"
+            ) from error
 
     @staticmethod
     @checks_arguments

@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from sarsplat.data.csv_table import CsvTable, Row, relative_path
-from sarsplat.data.files import plain_os_errors
+from sarsplat.data.files import plain_reason
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 
 _MOST_FILES = 100_000
@@ -34,10 +34,12 @@ def each_once(files: Sequence[str | Path]) -> list[Path]:
 
 def files_in(folder: Path, what: str) -> list[Path]:
     """Every file in the folder of `what` and in its subfolders, sorted; far too many are refused, not cut."""
-    with plain_os_errors("read", folder):
+    try:
         if not folder.is_dir():
             raise SarsplatError(f"{folder} is not a folder; give the folder of {what}")
         files = sorted(itertools.islice(filter(Path.is_file, folder.rglob("*")), _MOST_FILES + 1))
+    except OSError as error:  # which names what it was about, perhaps deep in the folder
+        raise SarsplatError(f"cannot read {error.filename or folder}: {plain_reason(error)}") from error
     if len(files) > _MOST_FILES:
         raise SarsplatError(f"{folder} has more than {_MOST_FILES:,} files; give a folder that holds only {what}")
     return files

@@ -70,9 +70,12 @@ def power_or_signal(
         place = tuple(int(index) for index in np.argwhere(~fits)[0])
         scaled = "" if (scale, offset) == (1, 0) else f", times {scale:g} plus {offset:g},"
         negative = quantity in ("amplitude", "power") and np.isfinite(value[place])
+        too_large = quantity == "db" and np.isfinite(pixels[place])
         remedy = (
             "if the numbers are decibels, give --quantity db; if not, cut the image"
             if negative
+            else "no decibels are that large; give --quantity amplitude or power"
+            if too_large
             else "if that is what the numbers are, cut the image or fill the gap"
         )
         raise SarsplatError(f"{name} holds {shown(pixels[place].tolist())} at {place}{scaled} as {quantity}; {remedy}")

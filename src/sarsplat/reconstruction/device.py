@@ -7,7 +7,7 @@ from functools import cache
 
 import torch
 
-from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.renderer.cuda_device import require_cuda
 from sarsplat.renderer.trial import objection
 
@@ -22,9 +22,26 @@ def device_named(name: str) -> torch.device:
     """
     if name not in ("auto", "cpu", "cuda"):
         raise SarsplatError(f"device {name!r} is unknown; choose auto, cpu or cuda")
-    if name == "cuda":
+    return _automatic() if name == "auto" else usable_device("cuda:0" if name == "cuda" else name)
+
+
+def usable_device(device: torch.device | str) -> torch.device:
+    """A device that models can be trained on, as torch names it.
+
+    Raises
+    ------
+    SarsplatError
+        If it is none, or cannot be used.
+    """
+    try:
+        found = torch.device(device)
+    except RuntimeError as error:
+        raise SarsplatError(f"device {shown(device)} is unknown; give cpu or cuda") from error
+    if found.type not in ("cpu", "cuda", "meta"):  # "meta": its tensors have no numbers
+        raise SarsplatError(f"nothing is trained on the device {shown(device)}; give cpu or cuda")
+    if found.type == "cuda":
         require_cuda()
-    return _automatic() if name == "auto" else torch.device("cpu" if name == "cpu" else "cuda:0")
+    return found
 
 
 @cache

@@ -20,9 +20,11 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
 from sarsplat.geometry.terrain import heights_of
+from sarsplat.memory import required
 from sarsplat.progress import stage
 from sarsplat.reconstruction.config import PointExtraction
 from sarsplat.renderer import render
+from sarsplat.tiles.plan import memory_bytes
 
 _MOST_VIEWS = 96
 _MOST_RAYS = 2e7
@@ -37,8 +39,15 @@ _SAMPLES = 3.0
 _AT_ONCE = 1 << 22
 """Returns that wait to be thinned."""
 
+_RETURN, _POINT = 130, 650
+"""Bytes at most: of a return while it is thinned, and of a point while normals and mesh are made of it."""
+
 _CUBES = 4
 """To the radius of a cluster."""
+
+_FEWER = (
+    "set fewer rays, such as --points.rays-per-pixel 2; `--resume` with it extracts the points of a finished training"
+)
 
 
 @checks_arguments
@@ -73,7 +82,7 @@ def extract_points(
     Raises
     ------
     SarsplatError
-        If there are no views.
+        If there are no views, or the memory that is free does not do.
     """
     if not views:
         raise SarsplatError("there are no views that could see a surface; give at least one View")
@@ -98,13 +107,16 @@ def _seen_points(
     """Mean returns in each voxel, but for those that too many views look through, or too few see."""
     cell, rays, chosen = grid.cell_m, RayGrid.for_image(grid, how.rays_per_pixel), spread(views, _MOST_VIEWS)
     said = "the views" if len(chosen) == len(views) else f"{len(chosen)} of {len(views)} views"
-    views = chosen
-    coarser = math.sqrt(max(1.0, _rays(gaussians, views, rays) / _MOST_RAYS))
+    views, count = chosen, _rays(gaussians, chosen, rays)
+    coarser = math.sqrt(max(1.0, count / _MOST_RAYS))
+    much = required("extracting the surface", _bytes(gaussians, grid, min(count, _MOST_RAYS), len(views)), _FEWER)
     rays = RayGrid((coarser * rays.spacing_m[0], coarser * rays.spacing_m[1]))
     needed_m = max(rays.spacing_m) * math.sqrt(3 * _SAMPLES / len(views)) if coarser > 1 else 0.0
     voxels, returns = _Voxels(max(how.voxel * cell, needed_m)), []
     rarer = f" {coarser:.2g} times as far apart as set" if coarser > 1 else ""
     with stage(f"surface: rays{rarer} from {said}", len(views)) as shown:
+        if much is not None:
+            shown.note(much)
         for view in views:
             returns.append(_FirstReturns.of(gaussians, view, grid, rays, how.optical_depth))
             points = returns[-1].points()
@@ -122,6 +134,16 @@ def _seen_points(
             shown.advance(1)
     enough = min(how.seen_by, len(views) // 5)  # a fifth, so that of few views there are points, too
     return points[left[seen[left] >= enough]]
+
+
+def _bytes(gaussians: Gaussians, grid: ImageGrid, rays: float, views: int) -> float:
+    """What points, normals and mesh take at most, where the views have so many rays."""
+    of_a_view = memory_bytes(
+        len(gaussians), gaussians.scattering.parameters.shape[1], rays / views, grid.rows * grid.columns
+    )
+    ranges = np.dtype(np.float32).itemsize * rays
+    thinned, kept = min(rays, _AT_ONCE + rays / views), min(rays / _SAMPLES, _MOST_POINTS)
+    return ranges + max(of_a_view + _RETURN * (thinned + kept), _POINT * kept)
 
 
 def _rays(gaussians: Gaussians, views: Sequence[View], rays: RayGrid) -> float:

@@ -19,6 +19,7 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.processes import Processes
 from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.device import usable_device
 from sarsplat.reconstruction.dropout import dropped
 from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss
 from sarsplat.reconstruction.model import SceneModel
@@ -51,7 +52,7 @@ class Trainer:
     Raises
     ------
     SarsplatError
-        If the training images are black, or a strategy cannot do with the parameters.
+        If the training images are black, a strategy cannot do with the parameters, or the device cannot be used.
     """
 
     @checks_arguments
@@ -65,7 +66,7 @@ class Trainer:
         processes: Processes | None = None,
     ) -> None:
         self.config, self._processes = config, processes
-        self.device = torch.device(device)
+        self.device = usable_device(device)
         self._finest = self._images_of(dataset)
         self._generator = torch.Generator().manual_seed(config.seed)
         self._queue = ViewQueue(len(self._finest.views), config.views_per_step, self._generator)

@@ -1,0 +1,71 @@
+"""What memory there is: large work says what it will take, and what would not fit is refused before it begins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+
+from sarsplat.errors import SarsplatError
+
+_STATED_GIB = 1.0  # and anything beyond a quarter of what is free
+_STATED_SHARE = 0.25
+
+_SYSTEM = Path("/")
+_CGROUPS = (  # version 2, and 1: prefix of its line in /proc/self/cgroup, its folder, its files
+    ("0::", "sys/fs/cgroup", "memory.max", "memory.current", "inactive_file"),
+    (":memory:", "sys/fs/cgroup/memory", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
+)
+
+
+def required(what: str, needed_bytes: float, remedy: str) -> str | None:
+    """A line that says what work will take, if that is much; None if it is not.
+
+    Parameters
+    ----------
+    what : str
+        The work, such as "extracting the surface".
+    needed_bytes : float
+        An estimate of its largest need beyond what is in use already.
+    remedy : str
+        How to need less; it ends the error.
+
+    Raises
+    ------
+    SarsplatError
+        If it is more than what is free.
+    """
+    free, needed = free_bytes() / 2**30, needed_bytes / 2**30
+    if needed > free:
+        raise SarsplatError(f"{what} takes about {needed:.2g} GiB of memory, and {free:.2g} GiB are free; {remedy}")
+    if needed < min(_STATED_GIB, _STATED_SHARE * free):
+        return None
+    return f"{what} takes about {needed:.2g} GiB of memory, of {free:.3g} GiB that are free"
+
+
+def free_bytes() -> float:
+    """What this process may still take without swapping: of the machine's memory, and of its container's."""
+    return min([float(psutil.virtual_memory().available), *_left_in_groups(_SYSTEM)])
+
+
+def _left_in_groups(system: Path) -> Iterator[float]:
+    """What is left of the limit of each Linux control group that the process is in; `system` is the root folder."""
+    try:
+        lines = (system / "proc/self/cgroup").read_text().splitlines()
+    except OSError:  # another system
+        return
+    for mark, folder, limit, used, cached in _CGROUPS:
+        for line in lines:
+            if mark not in line:
+                continue
+            group, top = system / folder / line.partition(mark)[2].lstrip("/"), system / folder
+            for place in (group, *group.parents):
+                try:
+                    allowed = float((place / limit).read_text().replace("max", "inf"))
+                    statistics = dict(row.split() for row in (place / "memory.stat").read_text().splitlines())
+                    yield allowed - float((place / used).read_text()) + float(statistics.get(cached, 0))
+                except (OSError, ValueError):  # no limits here, as at the root
+                    pass
+                if place == top:
+                    break
