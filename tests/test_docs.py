@@ -233,7 +233,7 @@ def test_commands_of_a_page_work_in_the_order_shown(page, tmp_path):
     if chips.is_dir():
         (tmp_path / "chips").symlink_to(chips)
         (tmp_path / "labels.csv").symlink_to(next(chips.glob("*.csv")))
-    plan = 'datasets = ["t72"]\n[[methods]]\npreset = "quick"\n'
+    plan = 'datasets = ["t72"]\npreset = "quick"\n'
     (tmp_path / "plan.toml").write_text(plan)
     for command in commands(ROOT / "docs" / page):
         serves = words_of(command)[0] == "view"  # until it is ended

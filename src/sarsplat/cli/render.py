@@ -102,12 +102,9 @@ def render(
     from sarsplat.report.rendered import FILES, SHEET, Rendered, asked_grid, require_distinct, require_output
     from sarsplat.tiles import tiles_kept_in
 
-    views = None if sweep else views_from(azimuth, grazing, incidence)
-    count = frames if views is None else len(views)
-    require_output(out, count)
-    if pixels is not None:  # before a large file is read
-        _refuse_too_large(count, *pixels)
     done = run_at(run)
+    views = None if sweep else views_from(azimuth, grazing, incidence)
+    require_output(out, frames if views is None else len(views))
     recognises = FILES.get(out.suffix.lower())
     if views is not None and recognises is None:
         require_distinct(views)
@@ -121,8 +118,7 @@ def render(
     look = Look(done.brightest, range_db, cmap or POWER)
     look.palette()  # an unknown colour map is refused before the work
     grid = asked_grid(done.grid, pixels, spacing, resolution)
-    if pixels is None:
-        _refuse_too_large(count, grid.rows, grid.columns)
+    _refuse_too_large(len(views), grid.rows, grid.columns)
     tiles = out.with_name(f".{out.name}.tiles")
     try:
         with tiles_kept_in(tiles):
