@@ -24,7 +24,8 @@ from sarsplat.renderer.operations import render_with
 
 HERE = Path(__file__).with_name("emulator")
 FLAGS = (
-    *("-std=c++17", "-O2", "-g0", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=fast", "-Wall", "-Wextra"),
+    *("-std=c++17", "-O2", "-g0", "-fPIC", "-fvisibility=hidden", "-fno-exceptions", "-fno-rtti", "-ffp-contract=fast"),
+    *("-Wall", "-Wextra"),
     "-U_FORTIFY_SOURCE",  # which takes a jump between fibers for an attack
 )
 STRICT = ("-fsanitize=undefined", "-fsanitize-trap=undefined")
@@ -44,9 +45,11 @@ def compile_emulator(folder: Path, sources: Path = nvrtc.SOURCES, flags: tuple[s
     library = folder / f"emulator-{hashlib.sha256(repr((texts, FLAGS, flags)).encode()).hexdigest()[:24]}.so"
     if not library.exists():
         with tempfile.TemporaryDirectory(dir=folder) as scratch:
-            made = Path(scratch) / library.name
-            command = [sys.executable, "-m", "ziglang", "c++", *FLAGS, *flags, f"-I{sources}", f"-I{HERE}"]
-            subprocess.run([*command, *map(str, sorted(HERE.glob("*.cpp"))), "-o", str(made)], check=True)
+            zig, made = partial(subprocess.run, cwd=scratch, check=True), Path(scratch) / library.name
+            compiler = [sys.executable, "-m", "ziglang"]
+            zig([*compiler, "c++", *FLAGS, *flags, f"-I{sources}", f"-I{HERE}", "-c", *sorted(HERE.glob("*.cpp"))])
+            # as C: the standard library of C++ would be compiled first, for a minute, and nothing of it is called
+            zig([*compiler, "cc", "-O2", "-shared", *sorted(Path(scratch).glob("*.o")), "-o", made])
             made.replace(library)
     return library
 

@@ -4,9 +4,8 @@
 #include <setjmp.h>
 #include <ucontext.h>
 
-#include <tuple>
+#include <cstdlib>
 #include <utility>
-#include <vector>
 
 #include "kernels.cu"
 
@@ -21,7 +20,7 @@ namespace {
 constexpr int kWarp = 32, kMaxThreads = 1024, kStack = 128 << 10;
 
 enum Waiting { NOT, FOR_WARP, FOR_BLOCK, DONE };
-struct Fiber { jmp_buf at; ucontext_t born; std::vector<char> stack; Waiting waiting = DONE; bool started = false; };
+struct Fiber { jmp_buf at; ucontext_t born; char* stack = nullptr; Waiting waiting = DONE; bool started = false; };
 // Two rounds are enough: nobody is more than one collective ahead of the slowest in its group.
 struct Group { int arrived = 0, round = 0; Collective what = BLOCK; uint32_t values[2][kMaxThreads]; };
 
@@ -54,9 +53,9 @@ void resume(int k) {
   if (_setjmp(scheduler)) return;
   if (fiber.started) _longjmp(fiber.at, 1);
   fiber.started = true;
-  fiber.stack.resize(kStack);
+  if (!fiber.stack) fiber.stack = (char*)std::malloc(kStack);
   getcontext(&fiber.born);
-  fiber.born.uc_stack.ss_sp = fiber.stack.data();
+  fiber.born.uc_stack.ss_sp = fiber.stack;
   fiber.born.uc_stack.ss_size = kStack;
   fiber.born.uc_link = nullptr;
   makecontext(&fiber.born, fiber_main, 0);
