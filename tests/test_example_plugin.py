@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import os
 import re
-import shlex
-import subprocess
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from programs import ROOT, python
+from programs import ROOT, sarsplat
 
 EXAMPLE = ROOT / "examples" / "plugin"
 
@@ -32,24 +28,6 @@ def site(tmp_path: Path) -> Path:
     (info / "entry_points.txt").write_text("\n".join(groups))
     (info.parent / "sarsplat_example.py").write_bytes((EXAMPLE / "sarsplat_example.py").read_bytes())
     return info.parent
-
-
-COMMANDS = """
-import json, sys
-from sarsplat.cli import main
-for words in json.load(sys.stdin):
-    try:
-        print("code", main(words), flush=True)
-    except SystemExit as ended:
-        print("code", ended.code, flush=True)
-"""
-
-
-def sarsplat(site: Path, *commands: str) -> subprocess.CompletedProcess[str]:
-    """Commands one after the other in a process that finds the package."""
-    path = os.pathsep.join([str(site), *filter(None, [os.environ.get("PYTHONPATH")])])
-    words = json.dumps([shlex.split(command) for command in commands])
-    return python("-c", COMMANDS, cwd=site.parent, env={**os.environ, "PYTHONPATH": path}, input=words)
 
 
 def test_the_example_imports_and_exports(site: Path, tmp_path: Path) -> None:

@@ -94,7 +94,7 @@ def make(tmp_path):
         made = dataset_of(grid, views, images, **fields)
         return write_dataset(tmp_path / "dataset", made, truth_mesh=mesh, overwrite=True)
 
-    yield dataset
+    return dataset
 
 
 def test_every_key_is_there_and_every_null_has_its_reason(make):
