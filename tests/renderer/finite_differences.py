@@ -1,4 +1,4 @@
-"""Every element of a Jacobian against central differences: as torch's gradcheck, whose rows are a backward pass each."""
+"""Every element of a Jacobian against central differences: gradcheck, but for a backward pass for each of its rows."""
 
 from __future__ import annotations
 
