@@ -103,6 +103,7 @@ def test_own_arrays(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"first-image.png", "unseen-view.png"}
 
 
+@pytest.mark.slow
 def test_own_loss(tmp_path):
     printed = run_python(str(ROOT / "examples" / "own_loss.py"), folder=tmp_path)
     preset_s, own = (float(value) for value in re.findall(r"([\d.]+) dB off", printed))
