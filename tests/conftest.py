@@ -14,22 +14,43 @@ from typing import Any
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import pytest
-import torch
 
 import shapes
 from programs import ROOT
-from sarsplat.renderer import cpu
 
-shapes.watch()
 
-# `make sanitize` runs the renderer's tests on an engine of its own making
-if (engine := os.environ.get("SARSPLAT_TEST_ENGINE")) is not None:
-    cpu.LIBRARY = Path(engine)
+def pytest_collection() -> None:
+    """Before any test is imported; not in a process that only hands them out to others."""
+    from sarsplat.renderer import cpu
+
+    shapes.watch()
+    # `make sanitize` runs the renderer's tests on an engine of its own making
+    if (engine := os.environ.get("SARSPLAT_TEST_ENGINE")) is not None:
+        cpu.LIBRARY = Path(engine)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_samples() -> Iterator[None]:
+    """Runs are scored with 5000 samples of each surface instead of a million, and shown in fewer pixels."""
+    from sarsplat.evaluation.surface import visible_surface
+
+    def coarse(mesh: Any, views: Any, ray_spacing: float, each_view: Any) -> Any:
+        return visible_surface(mesh, views, ray_spacing=5 * ray_spacing, samples=5000, each_view=each_view)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sarsplat.evaluation.evaluate.visible_surface", coarse)
+        patch.setattr("sarsplat.evaluation.evaluate._MESH_SAMPLES", 5000)
+        patch.setattr("sarsplat.report.write._SURFACE_SAMPLES", 500)
+        patch.setattr("sarsplat.report.boards._PIXELS", 40)
+        patch.setattr("sarsplat.report.widget._MOST_RENDERED", 3000)
+        yield
 
 
 @pytest.fixture
 def threads() -> Iterator[Callable[[int], None]]:
     """Sets torch's thread count; the old one comes back."""
+    import torch
+
     before = torch.get_num_threads()
     yield torch.set_num_threads
     torch.set_num_threads(before)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -36,14 +37,17 @@ def graph(*, for_types: bool = True) -> dict[str, set[str]]:
     return edges
 
 
-def _imports(path: Path, for_types: bool = True) -> Iterator[tuple[str, str]]:
+@cache
+def _imports(path: Path, for_types: bool = True) -> tuple[tuple[str, str], ...]:
     """Of each name that is imported, the module and what would be its name if it were a module, too."""
+    found: list[tuple[str, str]] = []
     for node in _statements(ast.parse(path.read_text(encoding="utf-8")), for_types):
         if isinstance(node, ast.Import):
-            yield from ((alias.name, alias.name) for alias in node.names)
+            found += ((alias.name, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.module and node.level == 0, f"{path}: relative import"
-            yield from ((node.module, f"{node.module}.{alias.name}") for alias in node.names)
+            found += ((node.module, f"{node.module}.{alias.name}") for alias in node.names)
+    return tuple(found)
 
 
 def _statements(node: ast.AST, for_types: bool) -> Iterator[ast.AST]:

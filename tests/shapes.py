@@ -72,14 +72,14 @@ def _speaks_of_arrays(hint: object) -> bool:
 
 def watched(function: types.FunctionType) -> Callable:
     """The same function, checking its arrays on the way in and out."""
-    shapes, signature = shapes_of(function), inspect.signature(function)
+    shapes, names = shapes_of(function), [*inspect.signature(function).parameters]
     name = f"{function.__module__}.{function.__qualname__}"
 
     # `jaxtyped` gives the sizes of one call a common memory; sizes in braces, {grid.rows}, refer to its arguments
     @jaxtyped(typechecker=None)
     @functools.wraps(function)
     def call(*arguments: object, **options: object) -> object:
-        given = signature.bind(*arguments, **options).arguments
+        given = {**dict(zip(names, arguments)), **options}
         wrong = [key for key, shape in shapes.items() if key in given and not is_bearable(given[key], shape)]
         result = function(*arguments, **options)  # may refuse by itself
         if wrong:

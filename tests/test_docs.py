@@ -21,7 +21,6 @@ from sarsplat.cli.parser import COMMANDS, parse
 from sarsplat.evaluation import IMAGE_METRICS, MASK_METRICS, RUN_METRICS, Yardstick, metrics_of_points
 from sarsplat.gaussians import SCATTERINGS
 from sarsplat.scenes import target_mesh
-from scoring import few_samples
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 CHEAP = ("completion", "doctor", "export", "info", "render", "report")
@@ -92,8 +91,7 @@ def test_python_of_a_page_runs_from_top_to_bottom(page, bench, threads, monkeypa
     module = ModuleType("page")
     monkeypatch.setitem(sys.modules, "page", module)  # where a dataclass looks up its annotations
     monkeypatch.setattr(SCATTERINGS, "_entries", dict(SCATTERINGS._entries))  # a law is not registered for other tests
-    with few_samples():
-        exec(compile("\n".join(blocks(page, "python")), str(page), "exec"), vars(module))
+    exec(compile("\n".join(blocks(page, "python")), str(page), "exec"), vars(module))
 
 
 @pytest.mark.slow
@@ -105,6 +103,7 @@ def test_own_arrays(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"first-image.png", "unseen-view.png"}
 
 
+@pytest.mark.slow
 def test_own_loss(tmp_path):
     printed = run_python(str(ROOT / "examples" / "own_loss.py"), folder=tmp_path)
     preset_s, own = (float(value) for value in re.findall(r"([\d.]+) dB off", printed))
@@ -175,8 +174,7 @@ def test_cheap_commands_in_pages_work(bench, capfd):
         named = [word for word in words[1:2] if words[0] not in ("completion", "doctor")]
         if any(not Path(name).exists() for name in named):
             continue  # of a dataset or a run that a dear command makes
-        with few_samples():
-            assert main([*words, *(["--overwrite"] if "--out" in words or words[0] == "export" else [])]) == 0, words
+        assert main([*words, *(["--overwrite"] if "--out" in words or words[0] == "export" else [])]) == 0, words
         done.add(words[0])
     assert done == set(CHEAP)
     assert Path("t72.glb").stat().st_size > 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -19,16 +19,9 @@ from sarsplat.cli.app import run as command
 from sarsplat.data import read_points_ply, write_points_ply
 from sarsplat.evaluation.points import surface_distance
 from sarsplat.reconstruction import METHODS
-from scoring import few_samples
 
 SHORT = {"sar-nerf": 2, "sar-nerf-grid": 12, "dsr": 6}
 EVERY = pytest.mark.parametrize("method", SHORT)
-
-
-@pytest.fixture(autouse=True)
-def quick() -> Iterator[None]:
-    with few_samples():
-        yield
 
 
 def short(method: str):

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from dataclasses import fields
+from pathlib import Path
 from typing import get_args
 
 import pytest
@@ -58,10 +59,14 @@ def test_help_without_a_command_names_the_version_option_too(capsys: pytest.Capt
     assert capsys.readouterr().out.startswith("sarsplat ")
 
 
-def test_the_package_is_a_program() -> None:
-    done = subprocess.run([sys.executable, "-m", "sarsplat", "import", "mstar"], capture_output=True, text=True)
+def test_the_package_is_a_program_that_is_called_by_the_same_python(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    command = [sys.executable, "-m", "sarsplat", "import", "mstar"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert re.fullmatch(r"error: CHIPS is missing; see \S+ -m sarsplat import mstar --help\n", done.stderr)
+    assert done.stderr == f"error: CHIPS is missing; see {sys.executable} -m sarsplat import mstar --help\n"
 
 
 def test_help_shows_every_setting(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

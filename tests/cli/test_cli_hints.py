@@ -59,13 +59,6 @@ def test_on_the_path_the_name_is_enough(script, tmp_path, monkeypatch):
     assert console.program() == "sarsplat"
 
 
-def test_a_module_is_called_by_the_same_python(tmp_path, monkeypatch):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    command = [sys.executable, "-m", "sarsplat", *SIMULATE, "--out", "made"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert f"next: {sys.executable} -m sarsplat reconstruct made" in done.stdout
-
-
 def test_commands_are_shown_alike_wherever_they_are_named(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(console, "program", lambda: "bin/sarsplat")

@@ -26,7 +26,6 @@ from sarsplat.evaluation import (
 from sarsplat.evaluation.lpips import WEIGHTS_VARIABLE
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.reconstruction import Run
-from scoring import few_samples
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -95,8 +94,7 @@ def make(tmp_path):
         made = dataset_of(grid, views, images, **fields)
         return write_dataset(tmp_path / "dataset", made, truth_mesh=mesh, overwrite=True)
 
-    with few_samples():
-        yield dataset
+    return dataset
 
 
 def test_every_key_is_there_and_every_null_has_its_reason(make):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -15,7 +14,7 @@ import torch
 from torch import Tensor
 
 from datasets import FEW_POINTS, box_dataset
-from programs import python
+from programs import sarsplat
 from sarsplat import Run, preset, reconstruct
 from sarsplat.data import Dataset, read_gaussians_ply, write_gaussians_ply
 from sarsplat.errors import SarsplatError
@@ -218,21 +217,13 @@ def test_a_law_that_starts_with_something_else_is_refused(
 
 def test_the_command_line_knows_the_law_of_a_package(dataset: Dataset, tmp_path: Path) -> None:
     text = inspect.getsource(sys.modules[__name__]).partition("@pytest.fixture")[0].replace("from datasets", "# ")
-    (tmp_path / "fans.py").write_text(text.replace("from programs", "# ").replace("import pytest", ""))
-    (tmp_path / "fans-1.0.dist-info").mkdir()
-    (tmp_path / "fans-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: fans\nVersion: 1.0\n")
-    points = tmp_path / "fans-1.0.dist-info" / "entry_points.txt"
-    points.write_text("[sarsplat.scattering]\nfan = fans:Fan\n")
-    path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
-
-    def sarsplat(*words: object) -> str:
-        done = python("-m", "sarsplat", *words, cwd=tmp_path, env={**os.environ, "PYTHONPATH": path})
-        return done.stdout + done.stderr
-
-    options = "--preset", "quick", "--iterations", 20, "--gaussians", 100, "--scattering"
-    out = sarsplat("reconstruct", dataset.path, "--out", "run", *options, "fan")
-    assert (tmp_path / "run" / "gaussians.ply").is_file(), out
-    assert "fan, 3 numbers each" in sarsplat("info", "run/gaussians.ply")
-    points.write_text("[sarsplat.scattering]\nfan = fans:Fan\nfun = fans:Fan\n")
-    wrong = sarsplat("reconstruct", dataset.path, "--out", "wrong", *options, "fun")
-    assert "error: the entry point 'fun' of sarsplat.scattering names <class 'fans.Fan'>" in wrong
+    site = tmp_path / "site"
+    (site / "fans-1.0.dist-info").mkdir(parents=True)
+    (site / "fans.py").write_text(text.replace("from programs", "# ").replace("import pytest", ""))
+    (site / "fans-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: fans\nVersion: 1.0\n")
+    names = "[sarsplat.scattering]\nfan = fans:Fan\nfun = fans:Fan\n"
+    (site / "fans-1.0.dist-info" / "entry_points.txt").write_text(names)
+    reconstruct = f"reconstruct {dataset.path} --preset quick --iterations 20 --gaussians 100 --scattering"
+    done = sarsplat(site, f"{reconstruct} fan --out run", "info run/gaussians.ply", f"{reconstruct} fun --out wrong")
+    assert "fan, 3 numbers each" in done.stdout, done.stderr
+    assert "error: the entry point 'fun' of sarsplat.scattering names <class 'fans.Fan'>" in done.stderr

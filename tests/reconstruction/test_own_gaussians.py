@@ -12,7 +12,6 @@ import torch
 from sarsplat import Config, Dataset, Gaussians, Harmonics, Run, SarsplatError, View, evaluate_run, reconstruct
 from sarsplat.exports import export
 from sarsplat.report import write_report
-from scoring import few_samples
 
 VIEWS = [View(10.0, 30.0), View(200.0, 50.0)]
 
@@ -26,8 +25,7 @@ def few_rays(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_run_in_memory_is_saved_with_its_scores_and_resumed(dataset: Dataset, config: Config, tmp_path: Path) -> None:
     short = replace(config, iterations=6, gaussians=80)
     held = reconstruct(dataset, short, on_step=lambda step: step.iteration == 3, quiet=True)
-    with few_samples():
-        scores = evaluate_run(held, quiet=True)
+    scores = evaluate_run(held, quiet=True)
     saved = held.save(tmp_path / "run")
     assert saved.path == tmp_path / "run"
     again = Run.load(tmp_path / "run")
@@ -57,15 +55,14 @@ def test_gaussians_of_ones_own_are_scored_exported_and_shown_in_a_report(
     assert run.config.points == usual
     assert len(run.points) > 200
     assert len(run.mesh().faces) > 100
-    with few_samples():
-        scores = evaluate_run(run, quiet=True)
-        assert scores["images"]["test"]["psnr_db"] > 15
-        assert (scores["time_s"], run.metrics) == (7.0, scores)
-        page = write_report(run, tmp_path / "pages" / "own.html")
-        with pytest.raises(SarsplatError, match=r"in memory and has no folder; save it first with run\.save\(PATH\)"):
-            write_report(run)
-        with pytest.raises(SarsplatError, match="is a folder; give the name of the page"):
-            write_report(run, tmp_path)
+    scores = evaluate_run(run, quiet=True)
+    assert scores["images"]["test"]["psnr_db"] > 15
+    assert (scores["time_s"], run.metrics) == (7.0, scores)
+    page = write_report(run, tmp_path / "pages" / "own.html")
+    with pytest.raises(SarsplatError, match=r"in memory and has no folder; save it first with run\.save\(PATH\)"):
+        write_report(run)
+    with pytest.raises(SarsplatError, match="is a folder; give the name of the page"):
+        write_report(run, tmp_path)
     html = page.read_text()
     assert f"{scores['points']['visible']['cd_m']:#.3g}" in html
     assert "own loop" in html

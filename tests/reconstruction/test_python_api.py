@@ -14,7 +14,6 @@ from sarsplat import Dataset, Run, SarsplatError, View, evaluate_run, preset, re
 from sarsplat.data import read_dataset, read_gaussians_ply, read_points_ply, write_points_ply
 from sarsplat.gaussians import SCATTERINGS
 from sarsplat.reconstruction import Config, Step, Trainer
-from scoring import few_samples
 
 SHORT = {"iterations": 6, "gaussians": 80, "checkpoint_every": 4}
 
@@ -183,8 +182,7 @@ def test_every_law_of_scattering_is_learned_kept_and_resumed(
 
 def test_scores_of_a_run_in_memory(dataset: Dataset, config: Config) -> None:
     run = reconstruct(dataset, replace(config, iterations=20), quiet=True)
-    with few_samples():
-        scores = evaluate_run(run)
+    scores = evaluate_run(run)
     assert scores["images"]["test"]["psnr_db"] > 15
     assert scores["points"]["visible"]["cd_m"] < 1
     assert run.metrics == scores  # kept with the run, as metrics.json is

@@ -15,7 +15,9 @@ from typing import Any
 
 import pytest
 
+from elsewhere import elsewhere
 from sarsplat import sweep
+from sarsplat.data.files import locked
 from sarsplat.sweeps import Means
 from sarsplat.sweeps.cell import cells_of
 from sarsplat.sweeps.plan import Plan
@@ -23,15 +25,6 @@ from sarsplat.sweeps.work import do, row_path
 from sweeps_results import results
 
 SLOW = pytest.mark.slow
-
-LOCKED = """
-import sys
-from pathlib import Path
-from sarsplat.data.files import locked
-with locked(Path(sys.argv[1])):
-    print(flush=True)
-    sys.stdin.read()
-"""
 
 
 @pytest.fixture
@@ -78,12 +71,8 @@ def test_a_run_in_another_process_is_left_to_it(place, plan):
     one = cells_of(Plan.from_dict({**plan, "seeds": [0]}), place)[0]
     out = place / "out"
     (out / "rows").mkdir(parents=True)
-    words = [sys.executable, "-c", LOCKED, str(row_path(one, out))]
-    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
-        assert other.stdout is not None
-        other.stdout.readline()
+    with elsewhere(locked(row_path(one, out))):
         assert do(one, out) is None
-        other.communicate()
     assert do(one, out).state == "finished"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
 from difflib import get_close_matches
-from functools import cache
+from functools import cache, partial
 from types import UnionType
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -95,9 +95,11 @@ class Record:
 R = TypeVar("R", bound=Record)
 
 
-@cache
-def _hints(record: type) -> Mapping[str, Any]:
-    hints = get_type_hints(record, include_extras=True)
+_resolved = cache(partial(get_type_hints, include_extras=True))  # which evaluates text, .3 ms each time
+
+
+def _hints(record: type) -> dict[str, Any]:
+    hints = _resolved(record)
     return {field.name: hints[field.name] for field in fields(record)}
 
 
