@@ -24,6 +24,9 @@ Quantity = Literal["amplitude", "power", "db", "complex"]
 Side = Literal["top", "right", "bottom", "left"]
 """Sides of a picture, by the number of counter-clockwise quarter turns that bring each to the top."""
 
+Speckle = Literal["response", "white", "none"]
+"""How the speckle of neighbouring pixels is correlated: through the radar's response, or not at all; or there is none."""
+
 SampleKind = Literal["real", "synthetic"]
 """Measured or simulated images of the SAMPLE set."""
 
