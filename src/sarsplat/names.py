@@ -27,6 +27,15 @@ Side = Literal["top", "right", "bottom", "left"]
 Speckle = Literal["response", "white", "none"]
 """How the speckle of neighbouring pixels is correlated: through the radar's response, or not at all; or there is none."""
 
+ChipQuantity = Literal["magnitude", "power", "complex"]
+"""What pixels of generated chips mean."""
+
+ChipScale = Literal["max", "fixed", "calibrated"]
+"""What of generated chips is white: the brightest of each, that of all training images, or nothing."""
+
+ChipFormat = Literal["jpeg", "png", "npy"]
+"""Files of generated chips."""
+
 SampleKind = Literal["real", "synthetic"]
 """Measured or simulated images of the SAMPLE set."""
 

@@ -88,9 +88,7 @@ class Sampler:
         """Expected power of the image that has the drawn shift and gain; β⁰."""
         model = self._model
         shot = model.shot([view], self._grid, chance=chance)
-        rendering = render(
-            self._scene, [view], shot.grid, rays=self._rays, shift=shot.shift, ground=self._ground
-        )
+        rendering = render(self._scene, [view], shot.grid, rays=self._rays, shift=shot.shift, ground=self._ground)
         images = rendering.images
         if self._backdrop is None:
             developed = model.developed(images, shot)
@@ -145,8 +143,8 @@ class _Picture:
         return self._factor[top : top + self._rows, left : left + self._columns]
 
 
-def seed_of(seed: int, index: int) -> int:
-    """A seed of its own for each image of a set, the same whatever else is drawn; below 2⁶³.
+def seed_of(seed: int, *place: int) -> int:
+    """A seed of its own for each place in a set, the same whatever else is drawn; below 2⁶³.
 
     Raises
     ------
@@ -155,4 +153,4 @@ def seed_of(seed: int, index: int) -> int:
     """
     if seed < 0:
         raise SarsplatError(f"seed {seed} must be at least 0")
-    return int(np.random.SeedSequence([seed, index]).generate_state(1, np.uint64)[0] >> np.uint64(1))
+    return int(np.random.SeedSequence([seed, *place]).generate_state(1, np.uint64)[0] >> np.uint64(1))

@@ -172,9 +172,7 @@ class Nuisance(Part):
         self.settings = config.surroundings
 
 
-def drawn_like(
-    values: Float[Tensor, "n ..."], count: int, chance: np.random.Generator
-) -> Float[Tensor, "{count} ..."]:
+def drawn_like(values: Float[Tensor, "n ..."], count: int, chance: np.random.Generator) -> Float[Tensor, "{count} ..."]:
     """So many more of them, normally distributed with their mean and their standard deviation."""
     mean, std = values.detach().mean(0), values.detach().std(0, correction=0)
     normal = torch.from_numpy(chance.standard_normal((count, *values.shape[1:]), np.float32))
