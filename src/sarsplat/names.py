@@ -25,7 +25,7 @@ Side = Literal["top", "right", "bottom", "left"]
 """Sides of a picture, by the number of counter-clockwise quarter turns that bring each to the top."""
 
 Speckle = Literal["response", "white", "none"]
-"""How the speckle of neighbouring pixels is correlated: through the radar's response, or not at all; or there is none."""
+"""How speckle is correlated: through the radar's response, or not at all; or there is none."""
 
 ChipQuantity = Literal["magnitude", "power", "complex"]
 """What pixels of generated chips mean."""

@@ -130,5 +130,6 @@ def _summary(made: Chips) -> str:
 
 def _next(out: Path, made: Chips, shard: int | None) -> str:
     if shard is not None:
-        return f"train on {out}/chips-*.tar, shuffled; see docs/how-to/chips.md for what to mix"
-    return f"train on them mixed with measured chips (docs/how-to/chips.md); look at {shlex.quote(str(out / made.classes[0]))}"
+        return f"train on {out}/chips-*.tar, shuffled and mixed with measured chips (docs/how-to/chips.md)"
+    folder = shlex.quote(str(out / made.classes[0]))
+    return f"look at {folder}, and train on all mixed with measured chips (docs/how-to/chips.md)"

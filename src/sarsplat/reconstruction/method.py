@@ -164,7 +164,7 @@ class Reconstruction(ABC):
     def sampler(self, ground: str | Path, speckle: Speckle) -> DrawsSamples:
         """What draws single images (see `Run.sample`); refused by methods that know only what is expected of them."""
         raise SarsplatError(
-            "this run knows what is expected of images, but not how single ones differ: gain, shift, noise and speckle; "
+            "this run knows what is expected of images, but not how single ones differ (gain, shift, noise, speckle); "
             "give one that sar-gs has learned from speckled images"
         )
 

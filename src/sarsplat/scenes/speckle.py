@@ -40,7 +40,7 @@ def white_speckle(shape: tuple[int, int], rng: np.random.Generator) -> Complex64
     return noise[0] + np.complex64(1j) * noise[1]
 
 
-def _transfer(response: Response, count: int, spacing_m: float, width_m: float) -> Float64[np.ndarray, "{count}"]:
+def _transfer(response: Response, count: int, spacing_m: float, width_m: float) -> Float64[np.ndarray, " n"]:
     """What the response lets through of each frequency of `count` samples; real, for the response is symmetric."""
     distance = np.fft.fftfreq(count, 1 / count) * (spacing_m / width_m)
     return np.fft.fft(response.amplitude(distance)).real

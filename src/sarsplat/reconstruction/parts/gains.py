@@ -14,7 +14,7 @@ from sarsplat.reconstruction.parts.part import Learned, Nuisance, Parameters, Sh
 
 
 class Gains(Nuisance):
-    """A factor on what is scattered in each training image; of mean 1, which is that of an unseen one unless it is drawn.
+    """A factor on what is scattered in each training image; of mean 1, which is that of an unseen one unless drawn.
 
     Scaled to that, the power added to an image of little gain is high.
     """
