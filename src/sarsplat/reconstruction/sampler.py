@@ -28,9 +28,6 @@ LEARNED, UNIFORM = "learned", "uniform"
 
 SPECKLES: tuple[Speckle, ...] = get_args(Speckle)
 
-_RAYS_PER_PIXEL = 2.0
-"""Images are right to a hundredth of a decibel, far less than their speckle."""
-
 _GROUND_CELLS = 3.0
 """Standard deviation of the window through which a picture of ground is seen, resolution cells: without its speckle."""
 
@@ -61,7 +58,7 @@ class Sampler:
         if speckle not in SPECKLES:
             raise SarsplatError(f"speckle is {shown(speckle)}; give one of {', '.join(SPECKLES)}")
         self._model, self._grid, self._speckle = model, grid, speckle
-        self._rays = RayGrid.for_image(grid, _RAYS_PER_PIXEL)
+        self._rays = RayGrid.for_image(grid, model.config.rays_per_pixel)  # as in training: .01 dB, far below speckle
         self._response = ResponseSpeckle(grid)
         self._backdrop: Callable[[np.random.Generator], Tensor] | None = None
         with torch.no_grad():
