@@ -1,4 +1,4 @@
-"""How much generated chips are like measured ones: training chips, and others of their depression, left out of training.
+"""How much generated chips are like measured ones: training chips, and others of their depression, left out of it.
 
 Every generated chip has the view of a measured one. No test chip is looked at. Writes docs/results/chips-realism.md.
 """

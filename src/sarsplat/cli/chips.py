@@ -83,7 +83,8 @@ def chips(
     """
     from sarsplat.samples import chips as chips_of
     from sarsplat.samples import write_chips
-    from sarsplat.samples.write import LABELS, MARKER
+    from sarsplat.samples.made import MARKER
+    from sarsplat.samples.write import LABELS
 
     refuse_existing(out, overwrite, marker=MARKER)
     made = chips_of(

@@ -9,7 +9,6 @@ import tarfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +16,11 @@ import torch
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import new_folder
-from sarsplat.data.files import encode_json
 from sarsplat.errors import SarsplatError
 from sarsplat.progress import progress
 from sarsplat.samples.chip_set import Chips
 from sarsplat.samples.encoding import ENDINGS
-
-MARKER = "chips.json"
-"""The file that marks a folder of chips: how they were made."""
+from sarsplat.samples.made import MARKER, Made
 
 LABELS = "labels.csv"
 
@@ -64,7 +60,7 @@ def write_chips(
     if shard is not None and shard < 1:
         raise SarsplatError(f"shard is {shard}; give at least one chip for each file")
     out = Path(out)
-    made = encode_json(_made(chips, shard), out / MARKER)
+    made = Made.of(chips, shard).encoded(out / MARKER)
 
     def goes_on(folder: Path) -> bool:
         return (folder / MARKER).is_file() and (folder / MARKER).read_bytes() == made
@@ -162,26 +158,6 @@ def _row(chips: Chips, index: int, path: str) -> dict[str, Any]:
     lengths = (*grid.spacing_m, *grid.resolution_m)
     named = (path, label.target, view.azimuth_deg, view.grazing_deg, label.seed, str(chips.runs[label.run].path))
     return dict(zip(_COLUMNS, (*named, label.run, *angles, *lengths), strict=True))
-
-
-def _made(chips: Chips, shard: int | None) -> dict[str, Any]:
-    """All that the files depend on."""
-    return {
-        "schema": "sarsplat-chips",
-        "schema_version": 1,
-        "runs": [
-            {"path": str(run.path), "class": target, "checkpoint": run.snapshot.digest()}
-            for run, target in zip(chips.runs, chips.targets, strict=True)
-        ],
-        "count": chips.count,
-        "seed": chips.seed,
-        "azimuths_deg": chips.azimuths_deg,
-        "grazing_deg": chips.grazing_deg,
-        "ground": str(chips.ground),
-        "speckle": chips.speckle,
-        **asdict(chips.encoding),
-        "shard": shard,
-    }
 
 
 def _there(path: Path) -> bool:
