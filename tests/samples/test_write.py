@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from sarsplat import Run, SarsplatError, chips, import_folder, import_mstar
+from sarsplat.importers.pictures import read_pixels
 from sarsplat.samples import write, write_chips
 
 
@@ -67,7 +67,7 @@ def test_the_table_says_what_each_shows(folders: list[Path], tmp_path: Path) -> 
             label.view.azimuth_deg,
             label.view.grazing_deg,
         )
-        stored = np.asarray(Image.open(tmp_path / "set" / row["path"]))
+        stored = read_pixels(tmp_path / "set" / row["path"])
         assert np.array_equal(stored, made[index][0][0].numpy())
     assert len(rows) == len(tree(tmp_path / "set")) - 2
 

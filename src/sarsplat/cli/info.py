@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 _MARKERS = ("config.json", "contact-sheet.png", "chips.json")
 """Of folders that we make, besides datasets."""
 
-_UNDERSTOOD = "a dataset, a run, rendered images, generated chips, images to import, a PLY of Gaussians or points, a power TIFF or a mesh"
+_UNDERSTOOD = (
+    "a dataset, a run, rendered images, generated chips, images to import, a PLY of Gaussians or points, a power TIFF "
+    "or a mesh"
+)
 
 
 def info(
