@@ -1,7 +1,7 @@
 """Draw measured chips that were left out of training, and below each a generated one from the same side.
 
-Run as `python docs/draw_chips.py RUN … --chips FOLDER --labels TABLE`, with runs of datasets that `sarsplat import mstar`
-has made of these chips. Writes docs/images/chips.png.
+Run as `python docs/draw_chips.py RUN … --chips FOLDER --labels TABLE`, with runs of datasets that `import mstar` has
+made of these chips, which are JPEGs on one scale. Writes docs/images/chips.png.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ def drawn(run: Run, folder: Path, labels: Path) -> list[tuple[str, list[np.ndarr
     every = read_chips(folder, labels, dataset.target)
     left_out = [chip for chip in every if chip.depression in depressions and chip.name not in trained]
     chosen = [min(left_out, key=lambda chip: away(chip, azimuth)) for azimuth in AZIMUTHS]
-    measured = [scaled(middle(chip.magnitude)) for chip in chosen]
-    encoding, generated = Encoding(crop=SIDE), []
+    measured = [middle(chip.magnitude) for chip in chosen]
+    encoding, generated = Encoding(crop=SIDE, scale="fixed"), []
     for seed, chip in enumerate(chosen):
         sample = run.sample(View(-chip.target_az_deg % 360, chip.grazing_deg), seed)
         generated.append(encoding.stored(sample, run.brightest))
@@ -65,11 +65,6 @@ def middle(image: np.ndarray) -> np.ndarray:
     """What is cut out of an image."""
     top, left = ((size - SIDE) // 2 for size in image.shape)
     return image[top : top + SIDE, left : left + SIDE]
-
-
-def scaled(image: np.ndarray) -> np.ndarray:
-    """With its maximum at 255."""
-    return image * (255 / image.max())
 
 
 if __name__ == "__main__":
