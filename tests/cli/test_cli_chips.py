@@ -5,12 +5,12 @@ from __future__ import annotations
 import csv
 import signal
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from sample_runs import GRID, made_up
-from sarsplat import ImageGrid
 from sarsplat.cli import main
 from sarsplat.importers.pictures import read_pixels
 from sarsplat.samples import write
@@ -70,8 +70,8 @@ def test_what_is_refused_leaves_nothing(runs: str, refused: Command, tmp_path: P
 
 def test_runs_that_cannot_be_drawn_from(runs: str, refused: Command, tmp_path: Path) -> None:
     out = tmp_path / "set"
-    other = made_up("other", tmp_path / "other", ImageGrid(32, 32, GRID.spacing_m, GRID.resolution_m)).folder
-    assert "with the same grid" in refused(f"chips {runs} {other} --out {out}")
+    other = made_up("other", tmp_path / "other", replace(GRID, rows=30)).folder
+    assert "cut all to one size, by a crop of at most 30" in refused(f"chips {runs} {other} --out {out}")
     assert "does not exist" in refused(f"chips {tmp_path / 'nothing'} --out {out}")
     assert "there are no runs" in refused(f"chips --out {out}")
     (out / "mine").mkdir(parents=True)

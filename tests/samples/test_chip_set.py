@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +87,11 @@ def test_what_is_refused(run: Run, options: dict[str, Any], words: str) -> None:
 def test_runs_that_do_not_go_together(run: Run, folders: list[Path]) -> None:
     with pytest.raises(SarsplatError, match="there are no runs"):
         chips([])
-    other = made_up("other", grid=ImageGrid(32, 32, GRID.spacing_m, GRID.resolution_m))
-    with pytest.raises(SarsplatError, match="with the same grid"):
+    other = made_up("other", grid=replace(GRID, columns=32))
+    with pytest.raises(SarsplatError, match=r"of 32 × 32 pixels, but .* of 32 × 36; cut all to one size"):
         chips([folders[0], other])
+    assert {image.shape for image, _ in chips([folders[0], other], count=1, crop=30)} == {(1, 30, 30)}
+    coarser = made_up("coarser", grid=ImageGrid(32, 36, (0.3, 0.3), GRID.resolution_m))
+    with pytest.raises(SarsplatError, match="with the same grid"):
+        chips([folders[0], coarser], crop=30)
     assert isinstance(chips([run, *folders]), Chips)

@@ -19,7 +19,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import read_json
 from sarsplat.data.dataset_folder import HEADER
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry import View
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.reconstruction import Run
 from sarsplat.reconstruction.sampler import seed_of
@@ -102,13 +102,9 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
             raise SarsplatError(f"count is {count}; give at least one chip of each run")
         self.runs, self.count, self.seed, self.encoding = tuple(runs), count, seed, encoding
         self.ground, self.speckle = ground, speckle
-        for run in self.runs[1:]:
-            if run.grid != self.grid:
-                raise SarsplatError(
-                    f"{_name(run)} has images on {run.grid}, but {_name(self.runs[0])} on {self.grid}; draw chips from "
-                    "runs with the same grid, or make one set of each"
-                )
-        encoding.require_room(self.grid)
+        for run in self.runs:
+            encoding.require_room(run.grid)
+            _require_alike(run, self.runs[0], cut=encoding.crop is not None)
         seed_of(seed, 0)  # refuses negative ones
         self.azimuths_deg = tuple(View(azimuth % 360, 45.0).azimuth_deg for azimuth in azimuths_deg)
         self.grazing_deg = [_grazing(run) if grazing_deg is None else grazing_deg for run in self.runs]
@@ -119,11 +115,6 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         self.classes = tuple(dict.fromkeys(self.targets))
         """Classes; the numbers that go with chips are places in it."""
         self._draw = [run.reconstruction.sampler(ground, speckle) for run in self.runs]
-
-    @property
-    def grid(self) -> ImageGrid:
-        """Pixels of the runs' images, of which chips may be a part."""
-        return self.runs[0].grid
 
     @cached_property
     def brightest(self) -> float:
@@ -240,6 +231,22 @@ def target_of(run: Run) -> str:
 
 def _name(run: Run) -> str:
     return "the run in memory" if run.path is None else run.path.name
+
+
+def _require_alike(run: Run, first: Run, cut: bool) -> None:
+    """Refuse pixels that are not alike, and images of different sizes unless they are cut to one."""
+    one, other = run.grid, first.grid
+    if (one.spacing_m, one.resolution_m, one.response) != (other.spacing_m, other.resolution_m, other.response):
+        raise SarsplatError(
+            f"{_name(run)} has images on {one}, but {_name(first)} on {other}; draw chips from runs with the same "
+            "grid, or make one set of each"
+        )
+    least = min(one.rows, one.columns, other.rows, other.columns)
+    if not cut and (one.rows, one.columns) != (other.rows, other.columns):
+        raise SarsplatError(
+            f"{_name(run)} has images of {one.rows} × {one.columns} pixels, but {_name(first)} of {other.rows} × "
+            f"{other.columns}; cut all to one size, by a crop of at most {least}"
+        )
 
 
 def _grazing(run: Run) -> tuple[float, float]:

@@ -24,6 +24,9 @@ from sarsplat.samples.made import MARKER, Made
 
 LABELS = "labels.csv"
 
+_AT_A_TIME = 1000
+"""Chips that threads are given, of a set that may have millions."""
+
 _COLUMNS = (
     *("path", "class", "azimuth_deg", "grazing_deg", "seed", "run"),
     *("serial", "desired_depression_deg", "measured_depression_deg", "target_az_deg"),  # what `import mstar` asks for
@@ -83,9 +86,10 @@ def _files(chips: Chips, folder: Path) -> Iterator[int]:
         if not _there(path := folder / _file(chips, index)):
             _put(path, _encoded(chips, index))
 
-    with _mapped(write, range(len(chips))) as written:
-        for index, _ in enumerate(written):
-            yield index + 1
+    for first in range(0, len(chips), _AT_A_TIME):
+        with _mapped(write, range(first, min(first + _AT_A_TIME, len(chips)))) as written:
+            for done, _ in enumerate(written, first + 1):
+                yield done
 
 
 def _shards(chips: Chips, folder: Path, size: int) -> Iterator[int]:
@@ -101,11 +105,13 @@ def _shards(chips: Chips, folder: Path, size: int) -> Iterator[int]:
 @contextmanager
 def _mapped(work: Callable[[int], Any], indices: range) -> Iterator[Iterator[Any]]:
     """The results in order, by as many threads as PyTorch has, each of which renders alone."""
-    pool = ThreadPoolExecutor(torch.get_num_threads(), initializer=torch.set_num_threads, initargs=(1,))
+    threads = torch.get_num_threads()
+    pool = ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,))
     try:
         yield pool.map(work, indices)
     finally:
         pool.shutdown(cancel_futures=True)
+        torch.set_num_threads(threads)  # what later threads begin with
 
 
 def _encoded(chips: Chips, index: int) -> bytes:
@@ -152,8 +158,8 @@ def _table(chips: Chips, shard: int | None) -> bytes:
 
 
 def _row(chips: Chips, index: int, path: str) -> dict[str, Any]:
-    label, grid = chips.label(index), chips.grid
-    view = label.view
+    label = chips.label(index)
+    view, grid = label.view, chips.runs[label.run].grid
     angles = (round(view.grazing_deg), view.grazing_deg, round(-view.azimuth_deg % 360, 6))
     lengths = (*grid.spacing_m, *grid.resolution_m)
     named = (path, label.target, view.azimuth_deg, view.grazing_deg, label.seed, str(chips.runs[label.run].path))
