@@ -369,7 +369,7 @@ def _chips(folder: Path) -> None:
 
 
 def _read_chips(folder: Path) -> object:
-    return read_chips(folder / "chips", folder / "labels.csv", "T72")
+    return [chip.magnitude for chip in read_chips(folder / "chips", folder / "labels.csv", "T72")]
 
 
 # ---- MATLAB files ----

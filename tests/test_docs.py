@@ -15,6 +15,7 @@ import pytest
 
 from datasets import FEW_POINTS
 from programs import ROOT, python
+from sample_runs import made_up
 from sarsplat import Dataset, ImageGrid, SarImage, View, preset, reconstruct, simulate_images, write_dataset
 from sarsplat.cli import main
 from sarsplat.cli.parser import COMMANDS, parse
@@ -64,7 +65,7 @@ def test_readme_example_is_the_example_script():
 
 @pytest.fixture(scope="session")
 def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with what the pages suppose: the dataset t72 and the run t72-run, both small."""
+    """A folder with what the pages suppose: the dataset t72 and the runs t72-run and mstar-t72-run, all small."""
     folder = tmp_path_factory.mktemp("workshop")
     grid = ImageGrid(rows=32, columns=32, spacing_m=(0.4, 0.4), resolution_m=(0.4, 0.4))
     views = [View(azimuth, grazing) for grazing in (30.0, 60.0) for azimuth in range(0, 360, 90)]
@@ -73,6 +74,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     dataset = write_dataset(folder / "t72", Dataset.from_images(images, target="t72"))
     few = replace(preset("quick"), iterations=20, gaussians=400, points=FEW_POINTS)
     reconstruct(dataset, few, folder / "t72-run", quiet=True)
+    made_up("T72", folder / "mstar-t72-run")
     return folder
 
 

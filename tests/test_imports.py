@@ -24,7 +24,7 @@ ORDER = (
     ("tiles",),
     ("importers",),
     ("reconstruction",),
-    ("radar", "baselines"),
+    ("radar", "baselines", "samples"),
     ("evaluation",),
     ("exports",),
     ("report",),

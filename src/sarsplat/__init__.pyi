@@ -64,6 +64,7 @@ from .renderer import (
     splat as splat,
 )
 from .report import write_report as write_report
+from .samples import chips as chips
 from .scenes import (
     ScatteringLaw as ScatteringLaw,
     add_speckle as add_speckle,

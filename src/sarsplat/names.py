@@ -24,6 +24,18 @@ Quantity = Literal["amplitude", "power", "db", "complex"]
 Side = Literal["top", "right", "bottom", "left"]
 """Sides of a picture, by the number of counter-clockwise quarter turns that bring each to the top."""
 
+Speckle = Literal["response", "white", "none"]
+"""How speckle is correlated: through the radar's response, or not at all; or there is none."""
+
+ChipQuantity = Literal["magnitude", "power", "complex"]
+"""What pixels of generated chips mean."""
+
+ChipScale = Literal["max", "fixed", "calibrated"]
+"""What of generated chips is white: the brightest of each, that of all training images, or nothing."""
+
+ChipFormat = Literal["jpeg", "png", "npy"]
+"""Files of generated chips."""
+
 SampleKind = Literal["real", "synthetic"]
 """Measured or simulated images of the SAMPLE set."""
 

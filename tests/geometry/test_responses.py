@@ -69,6 +69,16 @@ def test_a_table_may_have_any_unit_and_side_lobes():
     assert table.reach == pytest.approx(12, rel=1e-3)
 
 
+def test_the_amplitude_is_the_transform_of_the_window():
+    distance = np.linspace(-8, 8, 1601)
+    places = (np.arange(4096) + 0.5) / 4096 - 0.5
+    for shape in (TAYLOR, UNIFORM):
+        window = shape.window(places)
+        waves = np.cos(2 * np.pi * np.outer(distance * shape.width, places))
+        assert shape.amplitude(distance) == pytest.approx(waves @ window / window.sum(), abs=0.01)
+    assert GAUSSIAN.amplitude(distance) == pytest.approx(2.0 ** -(2 * distance**2), abs=1e-4)
+
+
 @pytest.mark.parametrize("shape", SHAPES, ids=repr)
 def test_files_give_it_back(shape):
     again = response_of(json.loads(json.dumps(shape.as_dict())))

@@ -81,6 +81,17 @@ def test_training_chips_are_distinct_and_limited(chips):
         assert run(chips, train_views=2, train_depression=15, overwrite=True).splits() == ("train", "test-17")
 
 
+def test_without_tests_the_other_chips_are_not_even_read(chips):
+    whole = run(chips).select("train")
+    (chips / "T72" / "chip001.jpeg").write_bytes(b"not a picture")
+    with pytest.raises(SarsplatError, match="chip001"):
+        run(chips, overwrite=True)
+    alone = run(chips, test=False, overwrite=True)
+    assert alone.splits() == ("train",)
+    assert alone.entries == whole.entries
+    assert np.array_equal(alone.power, whole.power)
+
+
 def test_several_depressions_take_the_azimuths_in_turn(chips):
     with pytest.warns(SarsplatWarning, match="along directions 73°"):
         dataset = run(chips, train_views=4, train_depression=(17, 15))

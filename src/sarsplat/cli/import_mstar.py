@@ -42,6 +42,7 @@ def command(
     target_box: TargetBox = None,
     azimuth_std: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 0.0,
     mirrored: bool = False,
+    no_test: bool = False,
     overwrite: bool = False,
 ) -> int:
     """Import MSTAR chips: JPEGs with a table of labels, or original Phoenix files.
@@ -72,6 +73,8 @@ def command(
         in training.
     mirrored
         Treat the published chips as mirror images.
+    no_test
+        Leave out all other chips: nothing to score with, but the import takes less time.
     overwrite
         Replace an existing dataset.
     """
@@ -91,6 +94,7 @@ def command(
         target_box_m=corners(target_box),
         azimuth_std_deg=azimuth_std,
         mirrored=mirrored,
+        test=not no_test,
         overwrite=overwrite,
     )
 

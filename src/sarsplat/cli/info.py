@@ -17,11 +17,12 @@ from sarsplat.errors import SarsplatError, counted
 if TYPE_CHECKING:
     import numpy as np
 
-_MARKERS = ("config.json", "contact-sheet.png")
+_MARKERS = ("config.json", "contact-sheet.png", "chips.json")
 """Of folders that we make, besides datasets."""
 
 _UNDERSTOOD = (
-    "a dataset, a run, rendered images, images to import, a PLY of Gaussians or points, a power TIFF or a mesh"
+    "a dataset, a run, rendered images, generated chips, images to import, a PLY of Gaussians or points, a power TIFF "
+    "or a mesh"
 )
 
 
@@ -61,6 +62,8 @@ def _folder(path: Path) -> tuple[str, dict[str, str]]:
         return _run(path)
     if (path / "contact-sheet.png").is_file():
         return _renderings(path)
+    if (path / "chips.json").is_file():
+        return _chips(path)
     _refuse_part(path)
     raise SarsplatError(
         f"{path} is a folder but neither a dataset nor a run, and there are no images in it; give {_UNDERSTOOD}"
@@ -132,6 +135,20 @@ def _renderings(path: Path) -> tuple[str, dict[str, str]]:
         )
     rows = {"images": f"{images[0].stem} … {images[-1].stem}, degrees", "pixels": _tiff(images[0])[1]["pixels"]}
     return f"{counted(len(images), 'rendered image')}, β⁰ in linear power (TIFF) and decibels (PNG)", rows
+
+
+def _chips(path: Path) -> tuple[str, dict[str, str]]:
+    from sarsplat.samples.made import Made
+
+    made = Made.read(path)
+    rows = {
+        "classes": ", ".join(dict.fromkeys(run.target for run in made.runs)),
+        "chips": f"{made.count:,} of each of {counted(len(made.runs), 'run')}, seed {made.seed}",
+        "pixels": f"{made.quantity}, {made.format}, scale {made.scale}, near range at the {made.near}",
+        "drawn with": f"speckle {made.speckle}, ground {made.ground}",
+        "labels": "labels.csv",
+    }
+    return "generated chips", rows
 
 
 def _extent(points: np.ndarray) -> str:

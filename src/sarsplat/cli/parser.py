@@ -13,6 +13,7 @@ import tyro
 from sarsplat.cli import console
 from sarsplat.cli.arguments import MARKERS
 from sarsplat.cli.check import check
+from sarsplat.cli.chips import chips
 from sarsplat.cli.compare import compare
 from sarsplat.cli.doctor import doctor
 from sarsplat.cli.evaluate import evaluate
@@ -55,6 +56,7 @@ COMMANDS: dict[str, Command | Mapping[str, Command]] = {
     "compare": compare,
     "sweep": sweep,
     "render": render,
+    "chips": chips,
     "view": view,
     "export": export,
     "info": info,

@@ -27,6 +27,7 @@ _LAYOUTS = {
     ),
     "comparison.html": r"comparison\.html",
     "contact-sheet.png": r"contact-sheet\.png|az[\d.]+_gr[\d.]+\.(tif|png)",
+    "chips.json": r"chips\.json|labels\.csv|[\w+-]+/\d+\.(jpg|png|npy)|chips-\d+\.tar",
 }
 """The kinds of folder we make, by the file that marks them, and what may be in them."""
 
@@ -58,7 +59,9 @@ def only_writer(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def new_folder(path: Path, overwrite: bool, *, marker: str) -> Iterator[Path]:
+def new_folder(
+    path: Path, overwrite: bool, *, marker: str, goes_on: Callable[[Path], bool] | None = None
+) -> Iterator[Path]:
     """Build a whole output folder under a temporary sibling name; it takes its place when the block ends well.
 
     If the block raises, KeyboardInterrupt included, the temporary folder is removed and what stood at `path` stays.
@@ -71,8 +74,11 @@ def new_folder(path: Path, overwrite: bool, *, marker: str) -> Iterator[Path]:
     overwrite : bool
         Whether an existing folder of the same kind may be replaced, as a whole.
     marker : str
-        Name of the file that marks this kind of folder: dataset.json, config.json (a run), comparison.html or
-        contact-sheet.png.
+        Name of the file that marks this kind of folder: dataset.json, config.json (a run), comparison.html,
+        contact-sheet.png or chips.json.
+    goes_on : callable, optional
+        Whether what a stopped process has built in a folder can be gone on with. If it is given, what has been built
+        stays when the block raises, and the next call yields it again, unless this says no.
 
     Yields
     ------
@@ -95,9 +101,9 @@ def new_folder(path: Path, overwrite: bool, *, marker: str) -> Iterator[Path]:
     with plain_os_errors("write", path):
         refuse_existing(path, overwrite, marker=marker)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with locked(path), _workshop(path) as (built, retired):
+        with locked(path), _workshop(path, goes_on) as (built, retired):
             _refuse_existing(path, overwrite, marker)  # it may have been put back
-            built.mkdir()
+            built.mkdir(exist_ok=True)
             yield built
             for folder, _, names in os.walk(built):
                 for name in names:
@@ -147,8 +153,11 @@ def _temporary_name(path: Path) -> Path:
 
 
 @contextmanager
-def _workshop(path: Path) -> Iterator[tuple[Path, Path]]:
-    """Two free names in a temporary folder beside `path`, removed at the end; the caller holds the lock of `path`."""
+def _workshop(path: Path, goes_on: Callable[[Path], bool] | None = None) -> Iterator[tuple[Path, Path]]:
+    """Two names in a temporary folder beside `path`, removed at the end; the caller holds the lock of `path`.
+
+    Both are free, unless the first one has what `goes_on` accepts; then it also stays after an error.
+    """
     folder = _temporary_name(path)
     built, retired = folder / _BUILT, folder / _RETIRED
     with suppress(FileExistsError):
@@ -156,12 +165,16 @@ def _workshop(path: Path) -> Iterator[tuple[Path, Path]]:
     _refuse_foreign_workshop(folder)
     if retired.exists() and not path.exists():
         retired.replace(path)
-    _clear(folder)
+    if goes_on is None or not goes_on(built):
+        _clear(folder)
     folder.mkdir(exist_ok=True)
     try:
         yield built, retired
-    finally:
-        _clear(folder)
+    except BaseException:
+        if goes_on is None or not goes_on(built):
+            _clear(folder)
+        raise
+    _clear(folder)
 
 
 def _clear(workshop: Path) -> None:

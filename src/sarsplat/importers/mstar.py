@@ -54,6 +54,7 @@ def import_mstar(
     target_box_m: Box | None = None,
     azimuth_std_deg: float = 0.0,
     mirrored: bool = False,
+    test: bool = True,
     overwrite: bool = False,
 ) -> Dataset:
     """Make a dataset from measured chips of one vehicle.
@@ -85,6 +86,8 @@ def import_mstar(
         Standard deviation of the azimuths, degrees, of chips for which the table has none.
     mirrored : bool
         Take the published chips for mirror images (see the head of this module).
+    test : bool
+        Whether the other chips become test views; if not, JPEGs of these are not even read.
     overwrite : bool
         Whether an existing dataset may be replaced.
 
@@ -113,9 +116,9 @@ def import_mstar(
         black = "the training chip is" if len(train) == 1 else f"all {len(train)} training chips are"
         raise SarsplatError(f"{black} black; choose others, or remove what is black from {chips}")
     chosen = {id(chip) for chip in train}
-    test = [chip for chip in every if id(chip) not in chosen]
-    test.sort(key=lambda chip: (-chip.depression, chip.target_az_deg, chip.name))
-    ordered = [*train, *test]
+    others = [chip for chip in every if test and id(chip) not in chosen]
+    others.sort(key=lambda chip: (-chip.depression, chip.target_az_deg, chip.name))
+    ordered = [*train, *others]
     sign = 1 if mirrored else -1
     images = [
         MeasuredImage(

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -41,8 +42,8 @@ class Chip:
     """Depression angle as flown."""
     target_az_deg: float
     """TargetAz, in [0, 360): 0 = nose toward the radar."""
-    magnitude: Float32[np.ndarray, "rows columns"]
-    """Linear (not power), in whatever unit all chips have in common."""
+    read: Callable[[], Float32[np.ndarray, "rows columns"]]
+    """Reads its pixels: see `magnitude`."""
     step: float
     """Magnitude of one digital number; 0 if magnitudes are not quantised."""
     spacing_m: tuple[float, float] = (0.203125, 0.202148)
@@ -56,9 +57,16 @@ class Chip:
     phase: Float32[np.ndarray, "rows columns"] | None = None
     """Radians; None if unknown."""
 
+    @cached_property
+    def magnitude(self) -> Float32[np.ndarray, "rows columns"]:
+        """Linear (not power), in whatever unit all chips have in common; a SarsplatError if the file is damaged."""
+        return self.read()
+
 
 def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chip]:
-    """Read every chip of one class from a folder and its subfolders, in the order of the table or of the files' names.
+    """Every chip of one class in a folder and its subfolders, in the order of the table or of the files' names.
+
+    Pixels of JPEGs are not read yet.
 
     Parameters
     ----------
@@ -77,7 +85,7 @@ def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chi
     ------
     SarsplatError
         If the folder is missing or empty, the labels are garbled, contradict each other, lead out of the folder or
-        match no chip, the class is unknown, or a chip is damaged. What the table lacks otherwise is warned of.
+        match no chip, the class is unknown, or a Phoenix file is damaged. What the table lacks otherwise is warned of.
     """
     files = files_in(folder, "the MSTAR chips")
     if not files:
@@ -124,7 +132,7 @@ def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_clas
             depression=round(chip.desired_depression_deg),
             grazing_deg=chip.measured_depression_deg,
             target_az_deg=chip.target_az_deg % 360,
-            magnitude=chip.magnitude,
+            read=partial(getattr, chip, "magnitude"),
             step=0.0,
             spacing_m=chip.spacing_m,
             resolution_m=chip.resolution_m,
@@ -153,7 +161,7 @@ def _jpeg_chips(folder: Path, jpegs: set[Path], labels: Path, target_class: str)
             depression=round(table.number(row, _DESIRED)),
             grazing_deg=table.number(row, _MEASURED),
             target_az_deg=table.number(row, _AZIMUTH) % 360,
-            magnitude=_digital_numbers(folder / row[1]["path"]) * np.float32(step),
+            read=partial(_magnitude, folder / row[1]["path"], step),
             step=step,
             azimuth_std_deg=table.number(row, _AZIMUTH_STD) if row[1].get(_AZIMUTH_STD) else None,
         )
@@ -235,9 +243,9 @@ def _steps(table: CsvTable, rows: Sequence[Row]) -> list[float]:
     return [1 / scale for scale in scales]
 
 
-def _digital_numbers(path: Path) -> Float32[np.ndarray, "rows columns"]:
-    """The pixels of an 8-bit grey picture."""
+def _magnitude(path: Path, step: float) -> Float32[np.ndarray, "rows columns"]:
+    """The pixels of an 8-bit grey picture, of which each digital number is a step."""
     pixels = read_pixels(path)
     if pixels.dtype != np.uint8 or pixels.ndim != 2:
         raise SarsplatError(f"{path} holds {pixels.dtype} of shape {shown(pixels.shape)}; chips are 8-bit grey")
-    return pixels.astype(np.float32)
+    return pixels.astype(np.float32) * np.float32(step)

@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Complex64, Float32, Float64, UInt8
 
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.names import Speckle
 from sarsplat.reconstruction.config import AnyConfig
 
 if TYPE_CHECKING:
@@ -144,6 +145,10 @@ class Method(ABC):
                 raise SarsplatError(f"{self.name} uses no {field.name}; omit {what}, or choose a method that does")
 
 
+DrawsSamples = Callable[[View, int], Complex64[np.ndarray, "rows columns"]]
+"""One image as the radar would deliver it, complex amplitudes √β⁰·e^jψ, from a view and a seed."""
+
+
 class Reconstruction(ABC):
     """What was learned of a target, on a device; arrays come back in any case."""
 
@@ -155,6 +160,13 @@ class Reconstruction(ABC):
     @abstractmethod
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
         """β⁰ of any views, linear power, on its grid or another one: see `Run.render`."""
+
+    def sampler(self, ground: str | Path, speckle: Speckle) -> DrawsSamples:
+        """What draws single images (see `Run.sample`); refused by methods that know only what is expected of them."""
+        raise SarsplatError(
+            "this run knows what is expected of images, but not how single ones differ (gain, shift, noise, speckle); "
+            "give one that sar-gs has learned from speckled images"
+        )
 
     @abstractmethod
     def masks(self, views: Sequence[View], points: Float32[np.ndarray, "p 3"]) -> UInt8[np.ndarray, "v rows columns"]:

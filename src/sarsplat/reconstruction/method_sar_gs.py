@@ -15,9 +15,10 @@ import torch
 from jaxtyping import Float32, Float64, UInt8
 
 from sarsplat.data import Dataset, write_gaussians_ply
-from sarsplat.errors import SarsplatWarning, counted
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.names import Speckle
 from sarsplat.reconstruction.config import DEFAULT_METHOD, OWN_LOOP, Config, FlatGround
 from sarsplat.reconstruction.losses import LOSSES
 from sarsplat.reconstruction.masks import scene_masks, without_imitated_ground
@@ -28,6 +29,7 @@ from sarsplat.reconstruction.normals import surface_normals
 from sarsplat.reconstruction.parts.target import scales_m
 from sarsplat.reconstruction.points import extract_points
 from sarsplat.reconstruction.presets import preset
+from sarsplat.reconstruction.sampler import Sampler
 from sarsplat.reconstruction.seen import Seen
 from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.reconstruction.strategies.azimuths import AZIMUTH_OFFSETS
@@ -127,6 +129,15 @@ class GaussianReconstruction(Reconstruction):
             images[done : done + len(some)] = channel_of(some, self.model.power_channel).cpu().numpy()
             done += len(some)
         return images
+
+    def sampler(self, ground: str | Path, speckle: Speckle) -> Sampler:
+        """Refused if it has learned nothing of speckle."""
+        if self.config.surroundings is None and self.config.loss != "speckle":
+            raise SarsplatError(
+                f"this run was learned without speckle (preset {self.config.preset}, loss {self.config.loss}), so it "
+                "does not know how single images differ; reconstruct speckled images with --preset measured or speckled"
+            )
+        return Sampler(self.model, self._degree, self.grid, ground, speckle)
 
     def masks(self, views: Sequence[View], points: Float32[np.ndarray, "p 3"]) -> UInt8[np.ndarray, "v rows columns"]:
         """What the pixels of any views show, by what target and ground would return, each alone (`scene_masks`).

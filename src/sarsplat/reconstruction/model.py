@@ -7,6 +7,7 @@ from copy import copy
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
@@ -230,7 +231,7 @@ class SceneModel:
             rendering = render(scene, views, shot.grid, **how)
         else:
             rendering = self.windows.render(scene, views, shot.grid, numbers.tolist(), **how)
-        return self._developed(rendering.images, shot, estimated), rendering
+        return self.developed(rendering.images, shot, estimated), rendering
 
     def unseen(
         self, views: Sequence[View], grid: ImageGrid, degree: int, rays: RayGrid
@@ -246,11 +247,11 @@ class SceneModel:
                     continue
                 shot = self.shot(some, grid)
                 shift = None if shot.shift is None else shot.shift[0]
-                yield self._developed(
+                yield self.developed(
                     render_tiled(scene, some[0], shot.grid, rays=rays, shift=shift, ground=ground)[None], shot
                 )
 
-    def _developed(
+    def developed(
         self, images: Float[Tensor, "v c h w"], shot: Shot, estimated: bool = True
     ) -> Float[Tensor, "v c h w"]:
         """What was rendered, with what the parts do to images, and its unit."""
@@ -259,9 +260,15 @@ class SceneModel:
                 images = part.images(images, shot, self.parameters)
         return images if self.unit == 1 else images * self.unit
 
-    def shot(self, views: Sequence[View], grid: ImageGrid, numbers: Int64[Tensor, " v"] | None = None) -> Shot:
-        """How images are taken: see `render`."""
-        shot = Shot(views, grid, self.power_channel, numbers)
+    def shot(
+        self,
+        views: Sequence[View],
+        grid: ImageGrid,
+        numbers: Int64[Tensor, " v"] | None = None,
+        chance: np.random.Generator | None = None,
+    ) -> Shot:
+        """How images are taken: see `render` and `Shot`."""
+        shot = Shot(views, grid, self.power_channel, numbers, chance)
         for part in self.parts:
             shot = part.shot(shot, self.parameters)
         return shot

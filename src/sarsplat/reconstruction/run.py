@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, Real, UInt8
+from jaxtyping import Complex64, Float32, Float64, Real, UInt8
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import (
@@ -26,6 +26,7 @@ from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.names import Speckle
 from sarsplat.reconstruction.config import DEFAULT_METHOD, OWN_LOOP
 from sarsplat.reconstruction.device import device_named
 from sarsplat.reconstruction.log import LogLine, log_text, read_log
@@ -154,6 +155,45 @@ class Run:
             If the grid is finer than the training images.
         """
         return self.reconstruction.render(views, grid)
+
+    @checks_arguments
+    def sample(
+        self, view: View, seed: int = 0, *, ground: str | Path = "learned", speckle: Speckle = "response"
+    ) -> Complex64[np.ndarray, "rows columns"]:
+        """One image as the radar would deliver it from a view, on the run's own grid; `sarsplat.chips` draws many.
+
+        Where `render` gives the expected power, this draws what belongs to a single image: gain and displacement,
+        normally distributed as those of the training images were, and speckle with receiver noise.
+
+        Parameters
+        ----------
+        view : View
+            From where.
+        seed : int
+            Of all that is drawn, at least 0: the same view and seed give the same image.
+        ground : str or Path
+            "learned": as the training images show it, with all that is peculiar to their site; "uniform": of its mean
+            brightness everywhere; or a picture of ground, at least as large as the images, with pixels of the same size
+            and near range at the top, of which parts are drawn: amplitudes if they are whole numbers, or complex.
+        speckle : {"response", "white", "none"}
+            Complex noise through the radar's response, so that neighbouring pixels are alike; without that
+            correlation; or none, for the power expected with this gain and displacement.
+
+        Returns
+        -------
+        numpy.ndarray, complex64 [rows, columns]
+            √β⁰·e^jψ, row 0 near range; |·|² is β⁰, linear power, up to the drawn gain. Phases mean nothing where
+            there is no speckle.
+
+        Raises
+        ------
+        SarsplatError
+            If the run has not learned how single images differ (`measured` and `speckled` do), or a choice is unknown
+            or does not suit it.
+        """
+        if seed < 0:
+            raise SarsplatError(f"seed {seed} must be at least 0")
+        return self.reconstruction.sampler(ground, speckle)(view, seed)
 
     @checks_arguments
     def masks(self, views: Sequence[View]) -> UInt8[np.ndarray, "v rows columns"]:

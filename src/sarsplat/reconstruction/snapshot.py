@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -45,6 +46,14 @@ class Snapshot:
     def part(self, prefix: str) -> dict[str, Tensor]:
         """The tensors whose names begin with this and a slash, without it."""
         return {name.removeprefix(f"{prefix}/"): t for name, t in self.tensors.items() if name.startswith(f"{prefix}/")}
+
+    def digest(self) -> str:
+        """Of what was learned, hexadecimal: another one has another."""
+        digest = hashlib.blake2b(digest_size=16)
+        for name, tensor in sorted(self.tensors.items()):
+            digest.update(name.encode())
+            digest.update(tensor.contiguous().numpy().data)
+        return digest.hexdigest()
 
     def like(self, prefix: str, expected: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Its `part` of that name; ValueError unless it has these names, shapes and types, and finite numbers."""

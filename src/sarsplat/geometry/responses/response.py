@@ -83,6 +83,17 @@ class Response(ABC):
         width = width_of(variance)
         return np.interp(np.abs(distance) / width, places, power, right=0.0) / (area * width)
 
+    def amplitude(self, distance: Float64[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
+        """h, relative to its peak, at distances in 3 dB widths: √|h|², of another sign in every other lobe.
+
+        So it is behind a symmetric window without phase errors, whose response crosses zero between its lobes.
+        """
+        places, power, _ = self._lobes
+        falls, rises = power[1:-1] < power[:-2], power[2:] >= power[1:-1]
+        zeros = np.flatnonzero(falls & rises) + 1
+        sign = 1 - 2 * (np.searchsorted(zeros, np.arange(len(power))) % 2)
+        return np.interp(np.abs(distance), places, sign * np.sqrt(power), right=0.0)
+
     def side_lobes(self, distance: Float64[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
         """The side lobes alone, relative to the peak of the main lobe, at distances ≥ 0 in 3 dB widths."""
         places, power, own = self._lobes

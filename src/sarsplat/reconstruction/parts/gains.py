@@ -10,11 +10,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.data import Dataset
-from sarsplat.reconstruction.parts.part import Learned, Nuisance, Parameters, Shot, normal_nats
+from sarsplat.reconstruction.parts.part import Learned, Nuisance, Parameters, Shot, drawn_like, normal_nats
 
 
 class Gains(Nuisance):
-    """A factor on what is scattered in each training image; of mean 1, which is that of an unseen one.
+    """A factor on what is scattered in each training image; of mean 1, which is that of an unseen one unless drawn.
 
     Scaled to that, the power added to an image of little gain is high.
     """
@@ -35,9 +35,15 @@ class Gains(Nuisance):
             yield normal_nats(p["log_gain"], self.settings.gain_std)
 
     def shot(self, shot: Shot, p: Parameters) -> Shot:
-        return shot if shot.numbers is not None else replace(shot, additive=gains(p).reciprocal().mean())
+        if shot.numbers is not None:
+            return shot
+        if shot.chance is not None:
+            return replace(shot, gain=drawn_like(gains(p).log(), len(shot.views), shot.chance).exp())
+        return replace(shot, additive=gains(p).reciprocal().mean())
 
     def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
+        if shot.gain is not None:
+            return images * shot.gain[:, None, None, None]
         if shot.numbers is None:
             return images
         # not by `render`, which would look at its values, and a GPU would be waited for; expanded, so that its gradient

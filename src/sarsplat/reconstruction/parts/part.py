@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
@@ -61,9 +62,13 @@ class Shot:
     """The channel of the images that is β⁰."""
     numbers: Int64[Tensor, " v"] | None
     """Which training images they are. None for unseen ones: of what belongs to single images (shift, gain), only the
-    distribution is known, and their expectation is rendered."""
+    distribution is known, and their expectation is rendered, unless `chance` draws from it."""
+    chance: np.random.Generator | None = None
+    """Draws what belongs to single unseen images."""
     shift: Float[Tensor, "v 2"] | None = None
     """Displacement (azimuth, range) of each image, m."""
+    gain: Float[Tensor, " v"] | None = None
+    """Of each image's power, where it was drawn."""
     additive: Float[Tensor, ""] | None = None
     """Factor on power that is added to unseen images instead of being scattered."""
 
@@ -165,6 +170,13 @@ class Nuisance(Part):
         super().__init__(config, setting, device)
         assert config.surroundings is not None  # `wanted`
         self.settings = config.surroundings
+
+
+def drawn_like(values: Float[Tensor, "n ..."], count: int, chance: np.random.Generator) -> Float[Tensor, "{count} ..."]:
+    """So many more of them, normally distributed with their mean and their standard deviation."""
+    mean, std = values.detach().mean(0), values.detach().std(0, correction=0)
+    normal = torch.from_numpy(chance.standard_normal((count, *values.shape[1:]), np.float32))
+    return mean + std * normal.to(values.device)
 
 
 def normal_nats(values: Float[Tensor, "n ..."], std: float) -> Float[Tensor, ""]:

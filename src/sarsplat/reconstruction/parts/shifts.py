@@ -11,13 +11,13 @@ from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.geometry import ImageGrid
-from sarsplat.reconstruction.parts.part import Learned, Nuisance, Parameters, Shot, normal_nats
+from sarsplat.reconstruction.parts.part import Learned, Nuisance, Parameters, Shot, drawn_like, normal_nats
 
 
 class Shifts(Nuisance):
     """A displacement in azimuth and slant range of each training image, m.
 
-    An unseen one is displaced as the mean of them; its response is widened by their spread.
+    An unseen one is displaced as the mean of them, and its response widened by their spread; or drawn from them.
     """
 
     order = 30
@@ -38,6 +38,8 @@ class Shifts(Nuisance):
     def shot(self, shot: Shot, p: Parameters) -> Shot:
         if shot.numbers is not None:
             return replace(shot, shift=p["shift"][shot.numbers])
+        if shot.chance is not None:
+            return replace(shot, shift=drawn_like(p["shift"], len(shot.views), shot.chance))
         widened = shot.grid.widened(*p["shift"].detach().var(dim=0, correction=0).tolist())
         return replace(shot, grid=widened, shift=p["shift"].mean(0).expand(len(shot.views), 2))
 

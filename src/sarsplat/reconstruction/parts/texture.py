@@ -47,8 +47,10 @@ class Texture(Nuisance):
     def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
         if self.maps is None:
             return images
-        unseen = shot.numbers is None
-        factor = self.maps.factor(shot.views, shot.grid) if unseen else self.maps.among_images[shot.numbers]
+        if shot.numbers is not None:
+            factor = self.maps.among_images[shot.numbers]
+        else:
+            factor = self.maps.factor(shot.views, shot.grid, None if shot.chance is None else shot.shift)
         return images * factor[:, None]
 
     def state(self) -> Parameters:
@@ -119,9 +121,13 @@ class Maps:
             settings,
         )
 
-    def factor(self, views: Sequence[View], grid: ImageGrid) -> Float32[Tensor, "v {grid.rows} {grid.columns}"]:
-        """For images from any views, on any grid; 1 where no image reaches."""
-        return torch.stack([self._factor(view, self._shifts_m.mean(axis=0), None, grid) for view in views])
+    def factor(
+        self, views: Sequence[View], grid: ImageGrid, shift_m: Float32[Tensor, "v 2"] | None = None
+    ) -> Float32[Tensor, "v {grid.rows} {grid.columns}"]:
+        """For images from any views, on any grid, displaced as the mean one unless said; 1 where no image reaches."""
+        mean = self._shifts_m.mean(axis=0)
+        shifts = [mean] * len(views) if shift_m is None else shift_m.cpu().double().numpy()
+        return torch.stack([self._factor(view, shift, None, grid) for view, shift in zip(views, shifts, strict=True)])
 
     @cached_property
     def among_images(self) -> Float32[Tensor, "k rows columns"]:

@@ -1,0 +1,4 @@
+# ruff: isort: skip_file
+from .chip_set import Chips as Chips, Label as Label, chips as chips
+from .encoding import Encoding as Encoding
+from .write import write_chips as write_chips

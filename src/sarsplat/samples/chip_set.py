@@ -1,0 +1,255 @@
+"""A set of chips: samples of runs from all around, each made from the set's seed and its own number alone."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Complex64
+from torch import Tensor
+
+from sarsplat.arguments import checks_arguments
+from sarsplat.data import read_json
+from sarsplat.data.dataset_folder import HEADER
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import View
+from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
+from sarsplat.reconstruction import Run
+from sarsplat.reconstruction.sampler import seed_of
+from sarsplat.samples.encoding import Encoding
+
+_AROUND = 360
+"""Chips of a run unless a number is given."""
+
+_GOLDEN = (math.sqrt(5) - 1) / 2
+"""Of a turn: azimuths this far apart are spread evenly, however many there are."""
+
+_DECIMALS = 4
+"""Of angles, degrees: the table of labels holds them as they are."""
+
+
+@dataclass(frozen=True)
+class Label:
+    """What a chip shows; `Run.sample(view, seed)` draws it again.
+
+    Parameters
+    ----------
+    target : str
+        Its class.
+    view : View
+        From where.
+    seed : int
+        Of all that was drawn.
+    run : int
+        Which of the set's runs it is of.
+    """
+
+    target: str
+    view: View
+    seed: int
+    run: int
+
+
+class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
+    """Chips that are made when they are asked for; see `chips`, which makes such a set.
+
+    Chip i is of run i mod R, so that the beginning of a set has as many of each.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        R runs.
+    count : int
+        Chips of each.
+    azimuths_deg : sequence of float
+        Of the chips of a run in turn; none: all around.
+    grazing_deg : (float, float) or None
+        Between which grazing angles are drawn; None: those of each run's training images.
+    seed : int
+        Of the set.
+    encoding : Encoding
+        How they are stored.
+    ground, speckle
+        See `Run.sample`.
+
+    Raises
+    ------
+    SarsplatError
+        As for `chips`.
+    """
+
+    def __init__(
+        self,
+        runs: Sequence[Run],
+        count: int,
+        azimuths_deg: Sequence[float],
+        grazing_deg: tuple[float, float] | None,
+        seed: int,
+        encoding: Encoding,
+        ground: str | Path,
+        speckle: Speckle,
+    ) -> None:
+        if not runs:
+            raise SarsplatError("there are no runs to draw chips from; give at least one")
+        if count < 1:
+            raise SarsplatError(f"count is {count}; give at least one chip of each run")
+        self.runs, self.count, self.seed, self.encoding = tuple(runs), count, seed, encoding
+        self.ground, self.speckle = ground, speckle
+        for run in self.runs:
+            encoding.require_room(run.grid)
+            _require_alike(run, self.runs[0], cut=encoding.crop is not None)
+        seed_of(seed, 0)  # refuses negative ones
+        self.azimuths_deg = tuple(View(azimuth % 360, 45.0).azimuth_deg for azimuth in azimuths_deg)
+        self.grazing_deg = [_grazing(run) if grazing_deg is None else grazing_deg for run in self.runs]
+        for low, high in self.grazing_deg:
+            if View(0.0, low).grazing_deg > View(0.0, high).grazing_deg:
+                raise SarsplatError(f"grazing {low:g}:{high:g} goes down; give the lower angle first")
+        self.targets = tuple(target_of(run) for run in self.runs)
+        self.classes = tuple(dict.fromkeys(self.targets))
+        """Classes; the numbers that go with chips are places in it."""
+        self._draw = [run.reconstruction.sampler(ground, speckle) for run in self.runs]
+
+    @cached_property
+    def brightest(self) -> float:
+        """Largest power of all runs' training images, β⁰."""
+        return max(run.brightest for run in self.runs)
+
+    def __len__(self) -> int:
+        return self.count * len(self.runs)
+
+    def __getitem__(self, index: int) -> tuple[Tensor, int]:
+        """A chip [1, rows, columns], uint8, float32 or complex64 as the encoding has it, and the number of its class.
+
+        IndexError beyond the last, at which loops end.
+        """
+        label, sample = self.label(index), self.sample(index)
+        pixels = self.encoding.stored(sample, self.brightest)
+        return torch.from_numpy(pixels)[None], self.classes.index(label.target)
+
+    def label(self, index: int) -> Label:
+        """What a chip shows."""
+        if not 0 <= index < len(self):
+            raise IndexError(f"chip {index} of a set of {len(self)}")
+        number, place = divmod(index, len(self.runs))
+        if self.azimuths_deg:
+            azimuth = self.azimuths_deg[number % len(self.azimuths_deg)]
+        else:
+            azimuth = round(360 * ((self._starts[place] + number * _GOLDEN) % 1), _DECIMALS) % 360
+        low, high = self.grazing_deg[place]
+        seed = seed_of(self.seed, place, number)
+        drawn = np.random.default_rng([seed, 1]).uniform(low, high)  # `Run.sample` begins with [seed]
+        grazing = min(max(round(float(drawn), _DECIMALS), low), high)
+        return Label(self.targets[place], View(azimuth, grazing), seed, place)
+
+    def sample(self, index: int) -> Complex64[np.ndarray, "rows columns"]:
+        """A chip before it is encoded: complex amplitudes √β⁰·e^jψ on the run's grid, row 0 near."""
+        label = self.label(index)
+        return self._draw[label.run](label.view, label.seed)
+
+    @cached_property
+    def _starts(self) -> list[float]:
+        """Of each run's azimuths, in turns."""
+        seeds = [seed_of(self.seed, place) for place in range(len(self.runs))]
+        return [float(np.random.default_rng([seed, 2]).random()) for seed in seeds]
+
+
+@checks_arguments
+def chips(
+    runs: Sequence[Run | str | Path],
+    *,
+    count: int | None = None,
+    azimuths_deg: Sequence[float] = (),
+    grazing_deg: tuple[float, float] | None = None,
+    seed: int = 0,
+    quantity: ChipQuantity = "magnitude",
+    scale: ChipScale = "max",
+    format: ChipFormat = "jpeg",
+    jpeg_quality: int = 75,
+    crop: int | None = None,
+    near: Side = "bottom",
+    ground: str | Path = "learned",
+    speckle: Speckle = "response",
+) -> Chips:
+    """Chips to train a classifier on, drawn from runs as the radar would deliver them: a torch Dataset.
+
+    Every chip depends on the seed, the place of its run and its number within that run alone: not on how many there
+    are, in what order they are asked for, or by how many workers. Each has a view, a gain and a displacement of its
+    own, all of them like those of the training images, and speckle and noise (`Run.sample`).
+
+    Parameters
+    ----------
+    runs : sequence of Run or path
+        Runs, or their folders; a class is what a run's dataset says that it shows, or else the name of its folder.
+    count : int, optional
+        Chips of each run; as many as there are azimuths unless given, or 360.
+    azimuths_deg : sequence of float
+        Azimuths of each run's chips in turn, degrees; without them, chips are spread evenly all around.
+    grazing_deg : (float, float), optional
+        Lowest and highest grazing angle, degrees, between which each chip's is drawn; those of each run's training
+        images unless given.
+    seed : int
+        Of the set, at least 0.
+    quantity, scale, format, jpeg_quality, crop, near
+        See `Encoding`; pixels are those of files in that format.
+    ground, speckle
+        See `Run.sample`.
+
+    Returns
+    -------
+    Chips
+        Of pairs: a tensor [1, rows, columns], uint8, or float32 or complex64 of `format="npy"`, and the number of its
+        class, a place in `classes`.
+
+    Raises
+    ------
+    SarsplatError
+        If there are no runs, one cannot be read or has not learned how single images differ, grids differ, an angle is
+        out of range, or a choice is unknown or does not suit another.
+    """
+    encoding = Encoding(quantity, scale, format, jpeg_quality, crop, near)
+    opened = [run if isinstance(run, Run) else Run.load(run) for run in runs]
+    number = (len(azimuths_deg) or _AROUND) if count is None else count
+    return Chips(opened, number, azimuths_deg, grazing_deg, seed, encoding, ground, speckle)
+
+
+def target_of(run: Run) -> str:
+    """What a run shows, as a folder may be named."""
+    name = _name(run)
+    if run.images is not None:
+        name = run.images.target
+    elif run.dataset_path is not None and (run.dataset_path / HEADER).is_file():
+        name = str(read_json(run.dataset_path / HEADER, dict[str, Any]).get("target", name))
+    return re.sub(r"[^\w+-]", "_", name)
+
+
+def _name(run: Run) -> str:
+    return "the run in memory" if run.path is None else run.path.name
+
+
+def _require_alike(run: Run, first: Run, cut: bool) -> None:
+    """Refuse pixels that are not alike, and images of different sizes unless they are cut to one."""
+    one, other = run.grid, first.grid
+    if (one.spacing_m, one.resolution_m, one.response) != (other.spacing_m, other.resolution_m, other.response):
+        raise SarsplatError(
+            f"{_name(run)} has images on {one}, but {_name(first)} on {other}; draw chips from runs with the same "
+            "grid, or make one set of each"
+        )
+    least = min(one.rows, one.columns, other.rows, other.columns)
+    if not cut and (one.rows, one.columns) != (other.rows, other.columns):
+        raise SarsplatError(
+            f"{_name(run)} has images of {one.rows} × {one.columns} pixels, but {_name(first)} of {other.rows} × "
+            f"{other.columns}; cut all to one size, by a crop of at most {least}"
+        )
+
+
+def _grazing(run: Run) -> tuple[float, float]:
+    """Of the training images: the lowest and the highest."""
+    angles = [view.grazing_deg for view in run.snapshot.views]
+    return min(angles), max(angles)

@@ -1,0 +1,124 @@
+"""From complex amplitudes to the pixels of a chip as others store them, and back out of their files."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from typing import Any, get_args
+
+import numpy as np
+from jaxtyping import Complex64, Shaped, UInt8
+
+from sarsplat.data.orientation import SIDES
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry import ImageGrid
+from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side
+
+ENDINGS: dict[ChipFormat, str] = {"jpeg": ".jpg", "png": ".png", "npy": ".npy"}
+"""Of files, by format."""
+
+_CHOICES: dict[str, tuple[str, ...]] = {
+    "quantity": get_args(ChipQuantity),
+    "scale": get_args(ChipScale),
+    "format": get_args(ChipFormat),
+    "near": SIDES,
+}
+_WHITE = 255
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """How chips are stored.
+
+    Parameters
+    ----------
+    quantity : {"magnitude", "power", "complex"}
+        What pixels are: √β⁰, β⁰, or complex amplitudes √β⁰·e^jψ.
+    scale : {"max", "fixed", "calibrated"}
+        What is white, and 1 where pixels are not of 8 bits: the chip's own maximum; the brightest pixel of all training
+        images, above which pixels are cut off in 8 bits; or nothing: pixels are β⁰ as the runs have it.
+    format : {"jpeg", "png", "npy"}
+        JPEG and PNG have 8 bits; NPY float32, or complex64.
+    jpeg_quality : int
+        1 to 100.
+    crop : int or None
+        Side of the square that is cut out of the middle; None: all pixels.
+    near : {"top", "right", "bottom", "left"}
+        Side of a chip that is near the radar.
+
+    Raises
+    ------
+    SarsplatError
+        If a choice is unknown, or two do not go together.
+    """
+
+    quantity: ChipQuantity = "magnitude"
+    scale: ChipScale = "max"
+    format: ChipFormat = "jpeg"
+    jpeg_quality: int = 75
+    crop: int | None = None
+    near: Side = "bottom"
+
+    def __post_init__(self) -> None:
+        for name, choices in _CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise SarsplatError(f"{name} is {shown(getattr(self, name))}; give one of {', '.join(choices)}")
+        for name, value in (("quantity", "complex"), ("scale", "calibrated")):
+            if getattr(self, name) == value and self.eight_bit:
+                raise SarsplatError(f"{name} is {value!r}, which the 8 bits of {self.format} cannot hold; choose npy")
+        if not 1 <= self.jpeg_quality <= 100:
+            raise SarsplatError(f"jpeg_quality is {self.jpeg_quality}; give 1 to 100")
+        if self.crop is not None and self.crop < 1:
+            raise SarsplatError(f"crop is {self.crop}; give at least one pixel")
+
+    @property
+    def eight_bit(self) -> bool:
+        """Whether pixels are whole numbers from 0 to 255."""
+        return self.format != "npy"
+
+    def require_room(self, grid: ImageGrid) -> None:
+        """Refuse to cut more out of images than they have."""
+        if self.crop is not None and self.crop > min(grid.rows, grid.columns):
+            raise SarsplatError(
+                f"crop is {self.crop}, but the runs' images have {grid.rows} × {grid.columns} pixels; give at most "
+                f"{min(grid.rows, grid.columns)}"
+            )
+
+    def encoded(self, sample: Complex64[np.ndarray, "rows columns"], brightest: float) -> bytes:
+        """The file of a sample; `brightest` is the power that is white if all chips have one scale."""
+        pixels = self._pixels(sample, brightest)
+        buffer = io.BytesIO()
+        if self.format == "npy":
+            np.save(buffer, pixels, allow_pickle=False)
+        elif self.format == "png":
+            _picture(pixels).save(buffer, "PNG", compress_level=1)
+        else:
+            _picture(pixels).save(buffer, "JPEG", quality=self.jpeg_quality)
+        return buffer.getvalue()
+
+    def stored(self, sample: Complex64[np.ndarray, "rows columns"], brightest: float) -> Shaped[np.ndarray, "m n"]:
+        """The pixels that whoever reads that file sees: uint8, float32 or complex64."""
+        if self.format != "jpeg":
+            return self._pixels(sample, brightest)
+        from PIL import Image
+
+        return np.array(Image.open(io.BytesIO(self.encoded(sample, brightest))))
+
+    def _pixels(self, sample: Complex64[np.ndarray, "rows columns"], brightest: float) -> Shaped[np.ndarray, "m n"]:
+        if self.crop is not None:
+            top, left = ((side - self.crop) // 2 for side in sample.shape)
+            sample = sample[top : top + self.crop, left : left + self.crop]
+        sample = np.rot90(sample, -SIDES.index(self.near))
+        magnitude = np.abs(sample)
+        white = float(magnitude.max()) if self.scale == "max" else brightest**0.5 if self.scale == "fixed" else 1.0
+        scaled = (sample if self.quantity == "complex" else magnitude) / np.float32(white or 1.0)
+        values = scaled**2 if self.quantity == "power" else scaled
+        if self.eight_bit:
+            return np.rint(_WHITE * values.clip(0, 1)).astype(np.uint8)
+        return np.ascontiguousarray(values)
+
+
+def _picture(pixels: UInt8[np.ndarray, "m n"]) -> Any:
+    from PIL import Image
+
+    return Image.fromarray(np.ascontiguousarray(pixels))

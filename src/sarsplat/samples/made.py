@@ -1,0 +1,82 @@
+"""How a set of chips was made: what its folder says, and by which a stopped one is gone on with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Self
+
+import msgspec
+
+from sarsplat.data.files import encode_json, read_versioned_json
+from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
+from sarsplat.samples.chip_set import Chips
+
+MARKER = "chips.json"
+"""The file that marks a folder of chips."""
+
+SCHEMA, SCHEMA_VERSION = "sarsplat-chips", 1
+
+
+class MadeRun(msgspec.Struct, forbid_unknown_fields=True):
+    """Where a run was, what it shows, and what it had learned."""
+
+    path: str | None
+    target: str
+    checkpoint: str
+
+
+class Made(msgspec.Struct, forbid_unknown_fields=True):
+    """All that the files of a set depend on: what `chips.json` holds."""
+
+    schema: str
+    schema_version: int
+    runs: list[MadeRun]
+    count: int
+    seed: int
+    azimuths_deg: list[float]
+    grazing_deg: list[tuple[float, float]]
+    ground: str
+    speckle: Speckle
+    quantity: ChipQuantity
+    scale: ChipScale
+    format: ChipFormat
+    jpeg_quality: int
+    crop: int | None
+    near: Side
+    shard: int | None
+
+    @classmethod
+    def of(cls, chips: Chips, shard: int | None) -> Self:
+        """Of a set that is written in shards of so many chips, or chip by chip."""
+        how = chips.encoding
+        return cls(
+            schema=SCHEMA,
+            schema_version=SCHEMA_VERSION,
+            runs=[
+                MadeRun(None if run.path is None else str(run.path), target, run.snapshot.digest())
+                for run, target in zip(chips.runs, chips.targets, strict=True)
+            ],
+            count=chips.count,
+            seed=chips.seed,
+            azimuths_deg=list(chips.azimuths_deg),
+            grazing_deg=list(chips.grazing_deg),
+            ground=str(chips.ground),
+            speckle=chips.speckle,
+            quantity=how.quantity,
+            scale=how.scale,
+            format=how.format,
+            jpeg_quality=how.jpeg_quality,
+            crop=how.crop,
+            near=how.near,
+            shard=shard,
+        )
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """That of a folder; a SarsplatError if it is not one of ours."""
+        remedy = "give a folder that `sarsplat chips` has written"
+        return read_versioned_json(folder / MARKER, cls, schema=SCHEMA, version=SCHEMA_VERSION, remedy=remedy)
+
+    def encoded(self, path: Path) -> bytes:
+        """As the file holds it; `path` is what an error names."""
+        return encode_json(self, path)

@@ -1,0 +1,178 @@
+"""Sets of chips as files: folders of classes, or shards, with a table; stopped, it goes on from what is there."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import tarfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from sarsplat.arguments import checks_arguments
+from sarsplat.data import new_folder
+from sarsplat.errors import SarsplatError
+from sarsplat.progress import progress
+from sarsplat.samples.chip_set import Chips
+from sarsplat.samples.encoding import ENDINGS
+from sarsplat.samples.made import MARKER, Made
+
+LABELS = "labels.csv"
+
+_AT_A_TIME = 1000
+"""Chips that threads are given, of a set that may have millions."""
+
+_COLUMNS = (
+    *("path", "class", "azimuth_deg", "grazing_deg", "seed", "run"),
+    *("serial", "desired_depression_deg", "measured_depression_deg", "target_az_deg"),  # what `import mstar` asks for
+    *("azimuth_spacing_m", "range_spacing_m", "azimuth_resolution_m", "range_resolution_m"),  # and `import folder`
+)
+
+
+@checks_arguments
+def write_chips(
+    chips: Chips, out: str | Path, *, shard: int | None = None, overwrite: bool = False, quiet: bool = True
+) -> None:
+    """Write a set of chips as a folder that is whole or absent; stopped, the same call goes on from what is there.
+
+    Parameters
+    ----------
+    chips : Chips
+        The set.
+    out : str or Path
+        The folder: for each class a folder of files named after the chips' numbers; `labels.csv`, which also has what
+        `import mstar` and `import folder` ask for; and `chips.json`, how they were made.
+    shard : int, optional
+        Write WebDataset shards instead, tar files of so many chips: NUMBER.jpg (.png, .npy), .cls (the number of the
+        class) and .json (the row of the table).
+    overwrite : bool
+        Replace an existing set.
+    quiet : bool
+        Show no progress.
+
+    Raises
+    ------
+    SarsplatError
+        If the folder exists, is in use or cannot be written, or a shard would be empty.
+    """
+    if shard is not None and shard < 1:
+        raise SarsplatError(f"shard is {shard}; give at least one chip for each file")
+    out = Path(out)
+    made = Made.of(chips, shard).encoded(out / MARKER)
+
+    def goes_on(folder: Path) -> bool:
+        return (folder / MARKER).is_file() and (folder / MARKER).read_bytes() == made
+
+    with new_folder(out, overwrite, marker=MARKER, goes_on=goes_on) as folder:
+        _put(folder / MARKER, made)
+        total = len(chips)
+        with progress(f"chips to {out}", total, quiet) as reporter:
+            for done in _files(chips, folder) if shard is None else _shards(chips, folder, shard):
+                reporter.update(done)
+        _put(folder / LABELS, _table(chips, shard))
+
+
+def _files(chips: Chips, folder: Path) -> Iterator[int]:
+    """Write each chip that is not there; how many are there in all, after each."""
+    for target in chips.classes:
+        (folder / target).mkdir(exist_ok=True)
+
+    def write(index: int) -> None:
+        if not _there(path := folder / _file(chips, index)):
+            _put(path, _encoded(chips, index))
+
+    for first in range(0, len(chips), _AT_A_TIME):
+        with _mapped(write, range(first, min(first + _AT_A_TIME, len(chips)))) as written:
+            for done, _ in enumerate(written, first + 1):
+                yield done
+
+
+def _shards(chips: Chips, folder: Path, size: int) -> Iterator[int]:
+    """Write each shard that is not there; how many chips are there in all, after each."""
+    for number, first in enumerate(range(0, len(chips), size)):
+        indices = range(first, min(first + size, len(chips)))
+        if not _there(path := folder / _shard(number)):
+            with _mapped(lambda index: _encoded(chips, index), indices) as encoded:
+                _put(path, _packed(chips, number, dict(zip(indices, encoded, strict=True))))
+        yield indices.stop
+
+
+@contextmanager
+def _mapped(work: Callable[[int], Any], indices: range) -> Iterator[Iterator[Any]]:
+    """The results in order, by as many threads as PyTorch has, each of which renders alone."""
+    threads = torch.get_num_threads()
+    pool = ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,))
+    try:
+        yield pool.map(work, indices)
+    finally:
+        pool.shutdown(cancel_futures=True)
+        torch.set_num_threads(threads)  # what later threads begin with
+
+
+def _encoded(chips: Chips, index: int) -> bytes:
+    return chips.encoding.encoded(chips.sample(index), chips.brightest)
+
+
+def _packed(chips: Chips, number: int, encoded: dict[int, bytes]) -> bytes:
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w", format=tarfile.USTAR_FORMAT) as tar:
+        for index, content in encoded.items():
+            row = _row(chips, index, _shard(number))
+            members = {
+                ENDINGS[chips.encoding.format]: content,
+                ".cls": str(chips.classes.index(row["class"])).encode(),
+                ".json": json.dumps(row).encode(),
+            }
+            for ending, data in members.items():
+                entry = tarfile.TarInfo(f"{_key(index)}{ending}")
+                entry.size = len(data)
+                tar.addfile(entry, io.BytesIO(data))
+    return buffer.getvalue()
+
+
+def _key(index: int) -> str:
+    return f"{index:08d}"
+
+
+def _file(chips: Chips, index: int) -> str:
+    return f"{chips.label(index).target}/{_key(index)}{ENDINGS[chips.encoding.format]}"
+
+
+def _shard(number: int) -> str:
+    return f"chips-{number:06d}.tar"
+
+
+def _table(chips: Chips, shard: int | None) -> bytes:
+    text = io.StringIO(newline="")
+    table = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+    table.writeheader()
+    for index in range(len(chips)):
+        path = _file(chips, index) if shard is None else _shard(index // shard)
+        table.writerow(_row(chips, index, path))
+    return text.getvalue().encode()
+
+
+def _row(chips: Chips, index: int, path: str) -> dict[str, Any]:
+    label = chips.label(index)
+    view, grid = label.view, chips.runs[label.run].grid
+    angles = (round(view.grazing_deg), view.grazing_deg, round(-view.azimuth_deg % 360, 6))
+    lengths = (*grid.spacing_m, *grid.resolution_m)
+    named = (path, label.target, view.azimuth_deg, view.grazing_deg, label.seed, str(chips.runs[label.run].path))
+    return dict(zip(_COLUMNS, (*named, label.run, *angles, *lengths), strict=True))
+
+
+def _there(path: Path) -> bool:
+    """Whether a file was written; after a power cut it may be empty."""
+    return path.is_file() and path.stat().st_size > 0
+
+
+def _put(path: Path, data: bytes) -> None:
+    """Write a file, whole or not at all; the folder is synced at its end."""
+    unfinished = path.with_name(f".{path.name}.tmp")
+    unfinished.write_bytes(data)
+    unfinished.replace(path)

@@ -1,0 +1,46 @@
+"""Speckle as a radar delivers it: complex noise through the response of the system, so that neighbours are alike."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Complex64, Float32, Float64
+from scipy import fft
+
+from sarsplat.geometry import ImageGrid
+from sarsplat.geometry.responses import Response
+
+
+class ResponseSpeckle:
+    """Fully developed single-look speckle on the pixels of a grid, correlated as its response has it.
+
+    Parameters
+    ----------
+    grid : ImageGrid
+        Pixels, resolution and response.
+    """
+
+    def __init__(self, grid: ImageGrid) -> None:
+        sizes = zip((grid.rows, grid.columns), grid.spacing_m[::-1], grid.resolution_m[::-1], strict=True)
+        weights = np.outer(*(_transfer(grid.response, *size) for size in sizes))
+        rms = math.sqrt(np.mean(weights**2)) * math.sqrt(2 / (grid.rows * grid.columns))  # of power 1 after `ifft2`
+        self._weights = (weights / rms).astype(np.float32)
+
+    def draw(self, rng: np.random.Generator) -> Complex64[np.ndarray, "rows columns"]:
+        """Complex amplitudes of mean power 1; it goes on across opposite edges."""
+        noise = rng.standard_normal((2, *self._weights.shape), np.float32)  # white in frequency as it is in space
+        drawn: Complex64[np.ndarray, "rows columns"] = fft.ifft2((noise[0] + 1j * noise[1]) * self._weights)
+        return drawn
+
+
+def white_speckle(shape: tuple[int, int], rng: np.random.Generator) -> Complex64[np.ndarray, "rows columns"]:
+    """Single-look speckle of mean power 1 without correlation, as no radar has it: complex amplitudes."""
+    noise: Float32[np.ndarray, "2 rows columns"] = rng.standard_normal((2, *shape), np.float32) / np.float32(2**0.5)
+    return noise[0] + np.complex64(1j) * noise[1]
+
+
+def _transfer(response: Response, count: int, spacing_m: float, width_m: float) -> Float64[np.ndarray, " n"]:
+    """What the response lets through of each frequency of `count` samples; real, for the response is symmetric."""
+    distance = np.fft.fftfreq(count, 1 / count) * (spacing_m / width_m)
+    return np.fft.fft(response.amplitude(distance)).real

@@ -1,0 +1,97 @@
+"""Sets of chips: each is the same whoever makes it and whatever else is made."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from sample_runs import GRID, made_up
+from sarsplat import ImageGrid, Run, SarsplatError, chips
+from sarsplat.samples import Chips
+
+
+def test_each_is_the_same_in_any_order_and_by_any_worker(folders: list[Path]) -> None:
+    made = chips(folders, count=5, seed=3)
+    assert len(made) == 10
+    forwards = [made[index] for index in range(10)]
+    again = chips(folders, count=7, seed=3)
+    assert all(torch.equal(again[index][0], forwards[index][0]) for index in reversed(range(10)))
+    loader = torch.utils.data.DataLoader(made, batch_size=5, num_workers=2)
+    images, classes = zip(*loader, strict=True)
+    assert torch.equal(torch.cat(images), torch.stack([image for image, _ in forwards]))
+    assert torch.cat(classes).tolist() == [number for _, number in forwards] == [0, 1] * 5
+    assert not torch.equal(chips(folders, count=5, seed=4)[0][0], forwards[0][0])
+    assert len(list(made)) == 10  # a loop ends
+
+
+def test_a_row_of_the_table_draws_its_chip_again(folders: list[Path]) -> None:
+    made = chips(folders, count=3, format="npy", scale="calibrated", near="top")
+    label = made.label(5)
+    assert label.target == made.classes[label.run] == "T-72__a_"
+    again = Run.load(folders[label.run]).sample(label.view, label.seed)
+    assert np.array_equal(made[5][0][0].numpy(), np.abs(again))
+    assert label.view.azimuth_deg == float(f"{label.view.azimuth_deg:.4f}")
+
+
+def test_views_are_spread_all_around_however_many(run: Run) -> None:
+    for count in (8, 50, 333):
+        made = chips([run], count=count)
+        views = [made.label(index).view for index in range(count)]
+        azimuths = np.sort([view.azimuth_deg for view in views])
+        gaps = np.diff([*azimuths, azimuths[0] + 360])
+        assert gaps.max() < 2.7 * 360 / count
+        low, high = min(v.grazing_deg for v in views), max(v.grazing_deg for v in views)
+        assert 16 <= low < high <= 16 + 300 / 180  # as the training images
+        assert high - low > 0.6 * 300 / 180
+
+
+def test_views_that_are_asked_for(run: Run) -> None:
+    made = chips([run], azimuths_deg=[10, 370.5, -20], grazing_deg=(14.5, 14.5))
+    assert [made.label(index).view.azimuth_deg for index in range(len(made))] == [10, 10.5, 340]
+    assert {made.label(index).view.grazing_deg for index in range(3)} == {14.5}
+    assert chips([run], azimuths_deg=[10, 20], count=5).label(4).view.azimuth_deg == 10
+
+
+def test_a_run_keeps_its_chips_when_others_join(run: Run, folders: list[Path]) -> None:
+    alone, joined = chips([run], count=3), chips([run, *folders], count=3)
+    for number in range(3):
+        assert torch.equal(alone[number][0], joined[3 * number][0])
+
+
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({"count": 0}, "count is 0; give at least one"),
+    ({"seed": -1}, "seed -1 must be at least 0"),
+    ({"grazing_deg": (20.0, 10.0)}, "grazing 20:10 goes down; give the lower"),
+    ({"grazing_deg": (0.0, 10.0)}, "grazing angle 0.0° is outside"),
+    ({"crop": 33}, "crop is 33, but the runs' images have 32 × 36 pixels; give at most 32"),
+    ({"crop": 0}, "crop is 0; give at least one"),
+    ({"quantity": "phase"}, "quantity is 'phase'; give one of magnitude, power, complex"),
+    ({"quantity": "complex"}, "quantity is 'complex', which the 8 bits of jpeg cannot hold; choose npy"),
+    ({"scale": "calibrated", "format": "png"}, "scale is 'calibrated', which the 8 bits of png cannot hold"),
+    ({"jpeg_quality": 101}, "jpeg_quality is 101; give 1 to 100"),
+    ({"ground": "nowhere.png"}, "cannot read nowhere.png: it does not exist"),
+]
+
+
+@pytest.mark.parametrize(("options", "words"), WRONG)
+def test_what_is_refused(run: Run, options: dict[str, Any], words: str) -> None:
+    with pytest.raises(SarsplatError, match=words):
+        chips([run], **options)
+
+
+def test_runs_that_do_not_go_together(run: Run, folders: list[Path]) -> None:
+    with pytest.raises(SarsplatError, match="there are no runs"):
+        chips([])
+    other = made_up("other", grid=replace(GRID, columns=32))
+    with pytest.raises(SarsplatError, match=r"of 32 × 32 pixels, but .* of 32 × 36; cut all to one size"):
+        chips([folders[0], other])
+    assert {image.shape for image, _ in chips([folders[0], other], count=1, crop=30)} == {(1, 30, 30)}
+    coarser = made_up("coarser", grid=ImageGrid(32, 36, (0.3, 0.3), GRID.resolution_m))
+    with pytest.raises(SarsplatError, match="with the same grid"):
+        chips([folders[0], coarser], crop=30)
+    assert isinstance(chips([run, *folders]), Chips)

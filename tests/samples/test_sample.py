@@ -1,0 +1,125 @@
+"""Single images of a run: they differ as the training images did, and are on average what is expected."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from sarsplat import Gaussians, Harmonics, Run, SarsplatError, View
+from sarsplat.reconstruction.parts.part import Shot, drawn_like
+
+VIEW = View(40.0, 17.0)
+
+
+def of_power(run: Run, count: int, **options: str) -> np.ndarray:
+    draw = run.reconstruction.sampler(options.get("ground", "learned"), options.get("speckle", "response"))
+    return np.stack([np.abs(draw(VIEW, seed)) ** 2 for seed in range(count)])
+
+
+def test_view_and_seed_say_all(run: Run) -> None:
+    one = run.sample(VIEW, 7)
+    assert (one.dtype, one.shape) == (np.complex64, (32, 36))
+    assert np.array_equal(one, run.sample(VIEW, 7))
+    assert not np.isclose(run.sample(VIEW, 8), one, rtol=1e-3).any()
+    assert not np.array_equal(run.sample(View(41.0, 17.0), 7), one)
+
+
+def test_on_average_it_is_what_is_rendered(run: Run) -> None:
+    """Over patches, for the response of the mean image is widened."""
+    mean, expected = of_power(run, 250).mean(0), run.render([VIEW])[0]
+    patches = [image.reshape(4, 8, 4, 9).mean((1, 3)) for image in (mean, expected)]
+    assert patches[0] == pytest.approx(patches[1], rel=0.15)
+
+
+def test_speckle_has_the_power_of_what_it_is_on(run: Run) -> None:
+    clean = of_power(run, 60, speckle="none")
+    for speckle in ("response", "white"):
+        ratio = of_power(run, 60, speckle=speckle) / clean
+        assert ratio.mean() == pytest.approx(1, abs=0.03)
+        assert ratio.std() == pytest.approx(1, abs=0.05)
+
+
+def test_gains_and_shifts_are_drawn_as_they_were_found(run: Run) -> None:
+    """Gains by e^±0.4 and shifts by ±0.1 m, as the fixture has it."""
+    chance, model = np.random.default_rng(0), run.model
+    assert model is not None
+    shots = [model.shot([VIEW] * 500, run.grid, chance=chance) for _ in range(4)]
+    gains = torch.cat([shot.gain for shot in shots]).log()
+    assert float(gains.std()) == pytest.approx(0.4, rel=0.05)
+    assert float(gains.mean()) == pytest.approx(-np.log(np.cosh(0.4)), abs=0.03)  # of factors with the mean 1
+    shifts = torch.cat([shot.shift for shot in shots])
+    assert shifts.mean(0).tolist() == pytest.approx([0.2, 0.0], abs=0.01)
+    assert shifts.std(0).tolist() == pytest.approx([0.1, 0.1], rel=0.05)
+    assert all(shot.grid == run.grid for shot in shots[:3])  # not widened
+
+
+def test_a_gain_is_on_what_is_scattered_and_not_on_the_noise(run: Run) -> None:
+    model = run.model
+    assert model is not None
+    black = torch.zeros(2, 1, 32, 36)
+    shot = Shot([VIEW] * 2, run.grid, 0, None, np.random.default_rng(0), gain=torch.tensor([0.5, 4.0]))
+    floor = model.developed(black, shot, estimated=False)
+    assert torch.equal(floor[0], floor[1])
+    assert floor.min() > 0
+    lit = (model.developed(black + 1, shot, estimated=False) - floor).detach()
+    assert float((lit[1] / lit[0]).mean()) == pytest.approx(8)
+
+
+def test_one_image_has_no_spread() -> None:
+    drawn = drawn_like(torch.tensor([[3.0, 4.0]]), 2, np.random.default_rng(0))
+    assert drawn.tolist() == [[3.0, 4.0]] * 2
+
+
+def test_uniform_ground_is_everywhere_the_same(run: Run) -> None:
+    model = run.model
+    assert model is not None
+    texture = model.parameters["ground_texture"]
+    before = texture.detach().clone()
+    with torch.no_grad():
+        texture.copy_(torch.randn(texture.shape, generator=torch.Generator().manual_seed(0)))
+    try:
+        around = slice(0, 6)  # near range: ground alone
+        learned, uniform = (of_power(run, 1, ground=one, speckle="none")[0][around] for one in ("learned", "uniform"))
+    finally:
+        with torch.no_grad():
+            texture.copy_(before)
+    assert learned.std() / learned.mean() > 0.3
+    assert uniform.std() / uniform.mean() < 0.05
+    assert 0.3 < uniform.mean() / learned.mean() < 3
+
+
+def test_ground_as_a_picture_shows_it(run: Run, tmp_path: Path) -> None:
+    picture = np.full((64, 36), 40, np.uint8)
+    picture[32:] = 80  # four times the power
+    Image.fromarray(picture).save(tmp_path / "ground.png")
+    near = of_power(run, 40, ground=str(tmp_path / "ground.png"), speckle="none")[:, :4].mean((1, 2))
+    assert near.max() / near.min() > 2.5  # some of its bright part, some of its dark one
+    again = of_power(run, 2, ground=str(tmp_path / "ground.png"), speckle="none")[:, :4].mean((1, 2))
+    assert again.tolist() == near[:2].tolist()
+    Image.fromarray(picture[:20]).save(tmp_path / "small.png")
+    Image.fromarray(picture * 0).save(tmp_path / "black.png")
+    for name, words in (("small", "has 20 × 36 pixels, fewer"), ("black", "is black"), ("none", "does not exist")):
+        with pytest.raises(SarsplatError, match=words):
+            run.sample(VIEW, ground=tmp_path / f"{name}.png")
+
+
+def test_what_is_refused(run: Run) -> None:
+    with pytest.raises(SarsplatError, match="seed -1 must be at least 0"):
+        run.sample(VIEW, -1)
+    with pytest.raises(SarsplatError, match="speckle is 'grey'; give one of response, white, none"):
+        run.sample(VIEW, speckle="grey")
+    parts = (torch.ones(1, columns) for columns in (3, 4, 3))
+    own = Run.from_gaussians(Gaussians(*parts, torch.ones(1), Harmonics(torch.ones(1, 1))))
+    with pytest.raises(SarsplatError, match="was learned without speckle"):
+        own.sample(VIEW)
+
+
+def test_methods_that_know_only_what_is_expected_are_refused() -> None:
+    from sarsplat.reconstruction.method import Reconstruction
+
+    with pytest.raises(SarsplatError, match="not how single ones differ"):
+        Reconstruction.sampler(None, "learned", "response")

@@ -1,0 +1,137 @@
+"""Sets of chips as files: read back by the importers, and the same after any stop."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import tarfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sarsplat import Run, SarsplatError, chips, import_folder, import_mstar
+from sarsplat.importers.pictures import read_pixels
+from sarsplat.samples import write, write_chips
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_mstar_reads_a_class_back(folders: list[Path], tmp_path: Path) -> None:
+    made = chips(folders, azimuths_deg=[0, 90, 180, 270, 45, 135], grazing_deg=(17, 17.2), jpeg_quality=100)
+    write_chips(made, tmp_path / "set")
+    table = tmp_path / "set" / "labels.csv"
+    back = import_mstar(
+        tmp_path / "set", tmp_path / "back", labels=table, target_class="T-72__a_", train_views=4, test=False
+    )
+    assert sorted(view.azimuth_deg for view in back.views) == [0, 90, 180, 270]
+    place = [view.azimuth_deg for view in back.views].index(90)
+    assert back.views[place] == made.label(3).view
+    power = np.abs(made.sample(3)) ** 2
+    found = back.power[place]
+    bright = power > power.max() / 30
+    assert found[bright] / found.max() == pytest.approx(power[bright] / power.max(), rel=0.15)
+
+
+@pytest.mark.parametrize(("format", "quantity"), [("npy", "complex"), ("npy", "power"), ("png", "magnitude")])
+def test_pictures_are_read_back(run: Run, tmp_path: Path, format: str, quantity: str) -> None:
+    made = chips([run], count=3, format=format, quantity=quantity, crop=24, near="left")
+    write_chips(made, tmp_path / "set")
+    back = import_folder(
+        tmp_path / "set", tmp_path / "back", near="left", quantity={"magnitude": "amplitude"}.get(quantity, quantity)
+    )
+    assert [view.azimuth_deg for view in back.views] == [made.label(index).view.azimuth_deg for index in range(3)]
+    assert back.grid.spacing_m == run.grid.spacing_m
+    assert back.grid.resolution_m == run.grid.resolution_m
+    wanted = made.sample(1)[4:28, 6:30]
+    if quantity == "complex":
+        assert back.signal is not None
+        phase = back.signal[1] * wanted.conj()
+        assert np.abs(np.angle(phase)).max() < 1e-4
+    power = np.abs(wanted) ** 2 / np.abs(wanted).max() ** 2
+    assert back.power[1] / back.power[1].max() == pytest.approx(power, abs=0.01)
+
+
+def test_the_table_says_what_each_shows(folders: list[Path], tmp_path: Path) -> None:
+    made = chips(folders, count=2)
+    write_chips(made, tmp_path / "set")
+    with (tmp_path / "set" / "labels.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    for index, row in enumerate(rows):
+        label = made.label(index)
+        assert (row["class"], int(row["seed"]), row["run"]) == (label.target, label.seed, str(folders[label.run]))
+        assert (float(row["azimuth_deg"]), float(row["grazing_deg"])) == (
+            label.view.azimuth_deg,
+            label.view.grazing_deg,
+        )
+        stored = read_pixels(tmp_path / "set" / row["path"])
+        assert np.array_equal(stored, made[index][0][0].numpy())
+    assert len(rows) == len(tree(tmp_path / "set")) - 2
+
+
+@pytest.mark.parametrize("shard", [None, 2])
+def test_stopped_anywhere_it_goes_on_and_ends_the_same(
+    run: Run, tmp_path: Path, shard: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = chips([run], count=5)
+    write_chips(made, tmp_path / "whole", shard=shard)
+    encode, drawn, left = write._encoded, [], 3
+
+    def stops(chips: object, index: int) -> bytes:
+        drawn.append(index)
+        if len(drawn) > left:
+            raise KeyboardInterrupt
+        return encode(made, index)
+
+    monkeypatch.setattr(write, "_encoded", stops)
+    out = tmp_path / "stopped"
+    with pytest.raises(KeyboardInterrupt):
+        write_chips(made, out, shard=shard)
+    assert not out.exists()
+    drawn.clear()
+    left = 100
+    write_chips(made, out, shard=shard)
+    assert set(drawn) == ({3, 4} if shard is None else {2, 3, 4})
+    assert tree(out) == tree(tmp_path / "whole")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["stopped", "whole"]
+
+
+def test_another_set_is_not_gone_on_with(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, other = chips([run], count=3), chips([run], count=3, seed=1)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(write, "_table", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        write_chips(first, tmp_path / "set")
+    write_chips(other, tmp_path / "set")
+    write_chips(other, tmp_path / "alone")
+    assert tree(tmp_path / "set") == tree(tmp_path / "alone")
+
+
+def test_folders_in_the_way(run: Run, tmp_path: Path) -> None:
+    made = chips([run], count=1)
+    write_chips(made, tmp_path / "set")
+    with pytest.raises(SarsplatError, match="already exists; choose another name or pass overwrite=True"):
+        write_chips(made, tmp_path / "set")
+    other = chips([run], count=2, format="png")
+    write_chips(other, tmp_path / "set", overwrite=True)
+    assert len(list((tmp_path / "set" / "box").iterdir())) == 2
+    (tmp_path / "set" / "notes.txt").touch()
+    with pytest.raises(SarsplatError, match=r"holds notes\.txt, which sarsplat did not create"):
+        write_chips(made, tmp_path / "set", overwrite=True)
+    with pytest.raises(SarsplatError, match="shard is 0; give at least one"):
+        write_chips(made, tmp_path / "other", shard=0)
+    assert not (tmp_path / "other").exists()
+
+
+def test_shards_hold_image_class_and_row(folders: list[Path], tmp_path: Path) -> None:
+    made = chips(folders, count=2, format="npy")
+    write_chips(made, tmp_path / "set", shard=3)
+    assert sorted(tree(tmp_path / "set")) == ["chips-000000.tar", "chips-000001.tar", "chips.json", "labels.csv"]
+    with tarfile.open(tmp_path / "set" / "chips-000001.tar") as tar:
+        files = {member.name: tar.extractfile(member).read() for member in tar}
+    assert list(files) == ["00000003.npy", "00000003.cls", "00000003.json"]
+    assert np.array_equal(np.load(io.BytesIO(files["00000003.npy"])), made[3][0][0].numpy())
+    assert int(files["00000003.cls"]) == made[3][1] == 1
+    assert json.loads(files["00000003.json"])["azimuth_deg"] == made.label(3).view.azimuth_deg
