@@ -13,6 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from sarsplat import Run, View
+from sarsplat.colours import POWER, colormap
 from sarsplat.importers.mstar_chips import Chip, read_chips
 from sarsplat.samples import Encoding
 
@@ -35,7 +36,7 @@ def main() -> None:
     for line, (title, images) in zip(axes, rows, strict=True):
         line[0].set_ylabel(title, fontsize=7)
         for place, image in zip(line, images, strict=True):
-            place.imshow(np.sqrt(image / 255), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
+            place.imshow(np.sqrt(image / 255), cmap=colormap(POWER), vmin=0, vmax=1, interpolation="nearest")
             place.set(xticks=[], yticks=[])
     figure.subplots_adjust(left=0.05, right=1, bottom=0, top=1, wspace=0.03, hspace=0.03)
     figure.savefig(arguments.out, dpi=DPI)

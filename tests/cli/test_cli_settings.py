@@ -103,8 +103,9 @@ def test_surroundings(printed, refused) -> None:
 
 def test_ground_is_modelled_where_images_show_it(printed) -> None:
     assert printed("", "plain")["ground"] is None
-    for words in ("--preset default", "--preset quick", "--preset speckled", "--preset measured"):
+    for words in ("--preset default", "--preset quick", "--preset speckled"):
         assert printed(words, "ground")["ground"] == FlatGround().as_dict()
+    assert printed("--preset measured", "ground")["ground"] == PRESETS["measured"].ground.as_dict()
     assert printed("--preset paper", "ground")["ground"] is None
     assert printed("--ground off", "ground")["ground"] is None
     assert printed("--ground.pitch 7", "plain")["ground"] == FlatGround(pitch=7).as_dict()

@@ -216,7 +216,7 @@ class FlatGround(Record):
     _section: ClassVar[str] = "ground."
 
     pitch: NotNegative = 3.0
-    std: Positive = 0.3
+    std: Positive = 1.0
 
 
 @dataclass(frozen=True)

@@ -130,7 +130,7 @@ class GaussianReconstruction(Reconstruction):
             done += len(some)
         return images
 
-    def sampler(self, ground: str | Path, speckle: Speckle) -> Sampler:
+    def sampler(self, ground: str | Float32[np.ndarray, "r c"], speckle: Speckle) -> Sampler:
         """Refused if it has learned nothing of speckle."""
         if self.config.surroundings is None and self.config.loss != "speckle":
             raise SarsplatError(

@@ -93,7 +93,7 @@ PRESETS: dict[str, Config] = {
             seen_by=3,
             cluster_radius=1.0,
         ),
-        ground=FlatGround(),
+        ground=FlatGround(std=0.3),
         surroundings=Surroundings(),
     ),
 }

@@ -158,7 +158,12 @@ class Run:
 
     @checks_arguments
     def sample(
-        self, view: View, seed: int = 0, *, ground: str | Path = "learned", speckle: Speckle = "response"
+        self,
+        view: View,
+        seed: int = 0,
+        *,
+        ground: str | Float32[np.ndarray, "r c"] = "learned",
+        speckle: Speckle = "response",
     ) -> Complex64[np.ndarray, "rows columns"]:
         """One image as the radar would deliver it from a view, on the run's own grid; `sarsplat.chips` draws many.
 
@@ -171,10 +176,11 @@ class Run:
             From where.
         seed : int
             Of all that is drawn, at least 0: the same view and seed give the same image.
-        ground : str or Path
+        ground : str or numpy.ndarray, float32 [R, C]
             "learned": as the training images show it, with all that is peculiar to their site; "uniform": of its mean
-            brightness everywhere; or a picture of ground, at least as large as the images, with pixels of the same size
-            and near range at the top, of which parts are drawn: amplitudes if they are whole numbers, or complex.
+            brightness everywhere; or linear power of other ground without speckle, relative to that brightness, at
+            least as large as the images, with pixels of the same size and near range at the top, of which parts are
+            drawn (`sarsplat.samples.backdrop_of` reads it from a picture).
         speckle : {"response", "white", "none"}
             Complex noise through the radar's response, so that neighbouring pixels are alike; without that
             correlation; or none, for the power expected with this gain and displacement.

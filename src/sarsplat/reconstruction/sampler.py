@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import torch
 from jaxtyping import Complex64, Float, Float32
-from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.importers.pictures import read_pixels
-from sarsplat.importers.quantity import likely_quantity, power_or_signal
 from sarsplat.names import Speckle
 from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.parts.part import Shot
@@ -27,9 +22,6 @@ LEARNED, UNIFORM = "learned", "uniform"
 """Grounds without a file: as the training images show it, or everywhere as it is on average."""
 
 SPECKLES: tuple[Speckle, ...] = get_args(Speckle)
-
-_GROUND_CELLS = 3.0
-"""Standard deviation of the window through which a picture of ground is seen, resolution cells: without its speckle."""
 
 
 class Sampler:
@@ -43,32 +35,50 @@ class Sampler:
         Of its harmonics.
     grid : ImageGrid
         Pixels of the training images.
-    ground : str or Path
-        "learned", "uniform", or a picture of ground.
+    ground : str or numpy.ndarray [R, C]
+        "learned", "uniform", or relative power, at least as large as the images, of which parts are drawn.
     speckle : {"response", "white", "none"}
         How neighbouring pixels' speckle is correlated.
 
     Raises
     ------
     SarsplatError
-        If a choice is unknown, or the picture cannot be read, is too small or black, or the scene has no ground.
+        If a choice is unknown, the scene has no ground, or that given is too small.
     """
 
-    def __init__(self, model: SceneModel, degree: int, grid: ImageGrid, ground: str | Path, speckle: Speckle) -> None:
+    def __init__(
+        self,
+        model: SceneModel,
+        degree: int,
+        grid: ImageGrid,
+        ground: str | Float32[np.ndarray, "r c"],
+        speckle: Speckle,
+    ) -> None:
         if speckle not in SPECKLES:
             raise SarsplatError(f"speckle is {shown(speckle)}; give one of {', '.join(SPECKLES)}")
+        if isinstance(ground, str) and ground not in (LEARNED, UNIFORM):
+            raise SarsplatError(f"ground is {shown(ground)}; give {LEARNED}, {UNIFORM}, or its power")
         self._model, self._grid, self._speckle = model, grid, speckle
         self._rays = RayGrid.for_image(grid, model.config.rays_per_pixel)  # as in training: .01 dB, far below speckle
         self._response = ResponseSpeckle(grid)
-        self._backdrop: Callable[[np.random.Generator], Tensor] | None = None
+        self._backdrop: Tensor | None = None
         with torch.no_grad():
             self._scene, self._ground = model.scene(degree), model.ground()
-        if str(ground) == LEARNED:
+        if isinstance(ground, str) and ground == LEARNED:
             return
         if self._ground is None:
-            raise SarsplatError(f"ground is {shown(str(ground))}, but this run has learned no ground; leave it out")
+            asked = shown(ground) if isinstance(ground, str) else "given"
+            raise SarsplatError(f"ground is {asked}, but this run has learned no ground; leave it out")
         self._ground = replace(self._ground, gamma0=self._ground.gamma0.mean())
-        self._backdrop = _uniform if str(ground) == UNIFORM else _Picture(Path(ground), grid)
+        if isinstance(ground, str):
+            self._backdrop = torch.ones(grid.rows, grid.columns)
+            return
+        if ground.shape[0] < grid.rows or ground.shape[1] < grid.columns:
+            raise SarsplatError(
+                f"the ground has {ground.shape[0]} × {ground.shape[1]} pixels, fewer than the images' {grid.rows} × "
+                f"{grid.columns}; give a larger picture of it"
+            )
+        self._backdrop = torch.from_numpy(ground)
 
     def __call__(self, view: View, seed: int) -> Complex64[np.ndarray, "rows columns"]:
         """Complex amplitudes √β⁰·e^jψ."""
@@ -91,9 +101,15 @@ class Sampler:
             developed = model.developed(images, shot)
         else:
             assert rendering.ground is not None
-            developed = self._before(images, rendering.ground, self._backdrop(chance), shot)
+            developed = self._before(images, rendering.ground, self._part_of(self._backdrop, chance), shot)
         power: Float32[np.ndarray, "rows columns"] = developed[0, shot.power_channel].clamp(min=0).cpu().numpy()
         return power
+
+    def _part_of(self, backdrop: Tensor, chance: np.random.Generator) -> Tensor:
+        rows, columns = self._grid.rows, self._grid.columns
+        top = int(chance.integers(backdrop.shape[0] - rows + 1))
+        left = int(chance.integers(backdrop.shape[1] - columns + 1))
+        return backdrop[top : top + rows, left : left + columns]
 
     def _before(
         self,
@@ -109,35 +125,6 @@ class Sampler:
         share = target / images[:, channel].clamp(min=torch.finfo(images.dtype).tiny)
         plain, textured = (self._model.developed(images, shot, estimated) for estimated in (False, True))
         return plain + share[:, None] * (textured - plain)
-
-
-def _uniform(chance: np.random.Generator) -> Tensor:
-    return torch.ones(())
-
-
-class _Picture:
-    """Ground as a picture shows it: parts of it, drawn by chance, relative to its mean power."""
-
-    def __init__(self, path: Path, grid: ImageGrid) -> None:
-        pixels = read_pixels(path)
-        power = power_or_signal(pixels, likely_quantity(pixels, str(path)), str(path))
-        power = np.abs(power) ** 2 if np.iscomplexobj(power) else power
-        if power.shape[0] < grid.rows or power.shape[1] < grid.columns:
-            raise SarsplatError(
-                f"{path} has {power.shape[0]} × {power.shape[1]} pixels, fewer than the chips' {grid.rows} × "
-                f"{grid.columns}; give a larger picture of ground"
-            )
-        if not power.any():
-            raise SarsplatError(f"{path} is black; give a picture of ground")
-        sigma = [_GROUND_CELLS * grid.cell_m / spacing for spacing in reversed(grid.spacing_m)]
-        smooth = gaussian_filter(power.astype(np.float64), sigma, mode="nearest")
-        self._factor = torch.from_numpy(smooth / smooth.mean()).float()
-        self._rows, self._columns = grid.rows, grid.columns
-
-    def __call__(self, chance: np.random.Generator) -> Tensor:
-        top = int(chance.integers(self._factor.shape[0] - self._rows + 1))
-        left = int(chance.integers(self._factor.shape[1] - self._columns + 1))
-        return self._factor[top : top + self._rows, left : left + self._columns]
 
 
 def seed_of(seed: int, *place: int) -> int:

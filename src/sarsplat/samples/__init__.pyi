@@ -1,4 +1,5 @@
 # ruff: isort: skip_file
+from .backdrop import backdrop_of as backdrop_of
 from .chip_set import Chips as Chips, Label as Label, chips as chips
 from .encoding import Encoding as Encoding
 from .write import write_chips as write_chips

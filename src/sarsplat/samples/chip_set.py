@@ -23,6 +23,7 @@ from sarsplat.geometry import View
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.reconstruction import Run
 from sarsplat.reconstruction.sampler import seed_of
+from sarsplat.samples.backdrop import backdrop_of
 from sarsplat.samples.encoding import Encoding
 
 _AROUND = 360
@@ -114,7 +115,7 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         self.targets = tuple(target_of(run) for run in self.runs)
         self.classes = tuple(dict.fromkeys(self.targets))
         """Classes; the numbers that go with chips are places in it."""
-        self._draw = [run.reconstruction.sampler(ground, speckle) for run in self.runs]
+        self._draw = [run.reconstruction.sampler(backdrop_of(ground, run.grid), speckle) for run in self.runs]
 
     @cached_property
     def brightest(self) -> float:

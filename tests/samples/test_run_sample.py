@@ -11,12 +11,14 @@ from PIL import Image
 
 from sarsplat import Gaussians, Harmonics, Run, SarsplatError, View
 from sarsplat.reconstruction.parts.part import Shot, drawn_like
+from sarsplat.samples.backdrop import backdrop_of
 
 VIEW = View(40.0, 17.0)
 
 
 def of_power(run: Run, count: int, **options: str) -> np.ndarray:
-    draw = run.reconstruction.sampler(options.get("ground", "learned"), options.get("speckle", "response"))
+    ground = backdrop_of(options.get("ground", "learned"), run.grid)
+    draw = run.reconstruction.sampler(ground, options.get("speckle", "response"))
     return np.stack([np.abs(draw(VIEW, seed)) ** 2 for seed in range(count)])
 
 
@@ -104,7 +106,9 @@ def test_ground_as_a_picture_shows_it(run: Run, tmp_path: Path) -> None:
     Image.fromarray(picture * 0).save(tmp_path / "black.png")
     for name, words in (("small", "has 20 × 36 pixels, fewer"), ("black", "is black"), ("none", "does not exist")):
         with pytest.raises(SarsplatError, match=words):
-            run.sample(VIEW, ground=tmp_path / f"{name}.png")
+            run.sample(VIEW, ground=backdrop_of(tmp_path / f"{name}.png", run.grid))
+    with pytest.raises(SarsplatError, match="ground is 'lerned'; give learned, uniform, or its power"):
+        run.sample(VIEW, ground="lerned")
 
 
 def test_what_is_refused(run: Run) -> None:

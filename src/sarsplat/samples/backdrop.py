@@ -1,0 +1,53 @@
+"""Ground for samples as a picture shows it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+from scipy.ndimage import gaussian_filter
+
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid
+from sarsplat.importers.pictures import read_pixels
+from sarsplat.importers.quantity import likely_quantity, power_or_signal
+from sarsplat.reconstruction.sampler import LEARNED, UNIFORM
+
+_GROUND_CELLS = 3.0
+"""Standard deviation of the window through which a picture of ground is seen, resolution cells: without its speckle."""
+
+
+def backdrop_of(ground: str | Path, grid: ImageGrid) -> str | Float32[np.ndarray, "r c"]:
+    """The ground of samples, as `Run.sample` takes it, from a picture.
+
+    Parameters
+    ----------
+    ground : str or Path
+        A picture of ground, with pixels of the images' size and near range at the top: amplitudes if they are whole
+        numbers, or complex; or one of the words "learned" and "uniform", which are returned.
+    grid : ImageGrid
+        Of the images: speckle is smoothed over three of its resolution cells.
+
+    Returns
+    -------
+    str or numpy.ndarray, float32 [R, C]
+        The word; or linear power without speckle, relative to its mean.
+
+    Raises
+    ------
+    SarsplatError
+        If the picture cannot be read, or is black.
+    """
+    if str(ground) in (LEARNED, UNIFORM):
+        return str(ground)
+    path = Path(ground)
+    pixels = read_pixels(path)
+    power = power_or_signal(pixels, likely_quantity(pixels, str(path)), str(path))
+    power = np.abs(power) ** 2 if np.iscomplexobj(power) else power
+    if not power.any():
+        raise SarsplatError(f"{path} is black; give a picture of ground")
+    sigma = [_GROUND_CELLS * grid.cell_m / spacing for spacing in reversed(grid.spacing_m)]
+    smooth = gaussian_filter(power.astype(np.float64), sigma, mode="nearest")
+    factor: Float32[np.ndarray, "r c"] = (smooth / smooth.mean()).astype(np.float32)
+    return factor
