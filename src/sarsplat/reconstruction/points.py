@@ -27,10 +27,10 @@ from sarsplat.renderer import render
 from sarsplat.tiles.plan import memory_bytes
 
 _MOST_VIEWS = 96
-_MOST_RAYS = 3e7
+_MOST_RAYS = 2e7
 """In all views together."""
 
-_MOST_POINTS = 1_500_000
+_MOST_POINTS = 1_000_000
 """Before those are removed that only some views see."""
 
 _SAMPLES = 3.0
@@ -69,8 +69,8 @@ def extract_points(
     grid : ImageGrid
         Sets the spacing of the rays and the unit of `how`, its resolution cell.
     how : PointExtraction
-        Method, thinning and clean-up. In large scenes rays and voxels are coarser than it says: at most 30 million rays
-        are traced, from at most 96 views, and at most 1.5 million points kept.
+        Method, thinning and clean-up. In large scenes rays and voxels are coarser than it says: at most 20 million rays
+        are traced, from at most 96 views, and at most a million points kept.
     terrain : Terrain, optional
         What the lowest points lie on; z = 0 unless given.
 
