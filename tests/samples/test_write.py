@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from sarsplat import Run, SarsplatError, chips, import_folder, import_mstar
 from sarsplat.importers.pictures import read_pixels
-from sarsplat.samples import write, write_chips
+from sarsplat.samples import Chips, write, write_chips
 
 
 def tree(folder: Path) -> dict[str, bytes]:
@@ -99,11 +100,21 @@ def test_stopped_anywhere_it_goes_on_and_ends_the_same(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["stopped", "whole"]
 
 
-def test_another_set_is_not_gone_on_with(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first, other = chips([run], count=3), chips([run], count=3, seed=1)
+@pytest.mark.parametrize("changed", ["seed", "picture"])
+def test_another_set_is_not_gone_on_with(
+    run: Run, tmp_path: Path, changed: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def made(seed: int, level: int) -> Chips:
+        picture = np.full((40, 40), 40, np.uint8)
+        picture[20:] = level
+        Image.fromarray(picture).save(tmp_path / "ground.png")  # under the same name
+        return chips([run], count=3, seed=seed, ground=tmp_path / "ground.png")
+
+    first = made(0, 80)
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(write, "_table", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         write_chips(first, tmp_path / "set")
+    other = made(1, 80) if changed == "seed" else made(0, 120)
     write_chips(other, tmp_path / "set")
     write_chips(other, tmp_path / "alone")
     assert tree(tmp_path / "set") == tree(tmp_path / "alone")

@@ -77,7 +77,9 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         Of the set.
     encoding : Encoding
         How they are stored.
-    ground, speckle
+    ground
+        See `backdrop_of`.
+    speckle
         See `Run.sample`.
 
     Raises
@@ -199,7 +201,9 @@ def chips(
         Of the set, at least 0.
     quantity, scale, format, jpeg_quality, crop, near
         See `Encoding`; pixels are those of files in that format.
-    ground, speckle
+    ground : str or Path
+        "learned", "uniform" or a picture: see `backdrop_of`, and `Run.sample` for what the words mean.
+    speckle
         See `Run.sample`.
 
     Returns

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Self
 
 import msgspec
 
-from sarsplat.data.files import encode_json, read_versioned_json
+from sarsplat.data.files import encode_json, open_file, read_versioned_json
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
+from sarsplat.reconstruction.sampler import LEARNED, UNIFORM
 from sarsplat.samples.chip_set import Chips
 
 MARKER = "chips.json"
@@ -36,6 +38,8 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
     azimuths_deg: list[float]
     grazing_deg: list[tuple[float, float]]
     ground: str
+    ground_digest: str | None
+    """Of the picture's file; None of a word."""
     speckle: Speckle
     quantity: ChipQuantity
     scale: ChipScale
@@ -61,6 +65,7 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
             azimuths_deg=list(chips.azimuths_deg),
             grazing_deg=list(chips.grazing_deg),
             ground=str(chips.ground),
+            ground_digest=None if str(chips.ground) in (LEARNED, UNIFORM) else _digest(Path(chips.ground)),
             speckle=chips.speckle,
             quantity=how.quantity,
             scale=how.scale,
@@ -80,3 +85,8 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
     def encoded(self, path: Path) -> bytes:
         """As the file holds it; `path` is what an error names."""
         return encode_json(self, path)
+
+
+def _digest(path: Path) -> str:
+    with open_file(path) as file:
+        return hashlib.sha256(file.read()).hexdigest()
