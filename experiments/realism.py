@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import csv
 import io
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -22,6 +23,7 @@ from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.baselines import rotated_average
 from sarsplat.importers.mstar_chips import Chip, read_chips
+from sarsplat.reconstruction.config import SCATTERERS
 from sarsplat.samples import Encoding
 from sarsplat.scenes.speckle import ResponseSpeckle
 
@@ -93,8 +95,9 @@ def ways(run: Run, train: Dataset, views: list[View]) -> dict[str, Draws]:
         return np.sqrt(averages[view]).astype(np.float32) * response.draw(np.random.default_rng(seed))
 
     return {
-        "sarsplat chips": run.reconstruction.sampler("learned", "response"),
-        "with uniform ground": run.reconstruction.sampler("uniform", "response"),
+        "sarsplat chips": run.reconstruction.sampler("learned", "response", SCATTERERS),
+        "with uniform ground": run.reconstruction.sampler("uniform", "response", SCATTERERS),
+        "speckle alone": run.reconstruction.sampler("learned", "response", math.inf),
         "render and white speckle": white,
         "rotated average, same speckle": average,
     }

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import math
+from copy import copy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
+from scipy.special import digamma
 
 from sarsplat import Gaussians, Harmonics, Run, SarsplatError, View
+from sarsplat.names import Speckle
+from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.parts.part import Shot, drawn_like
+from sarsplat.reconstruction.sampler import Sampler
 from sarsplat.samples.backdrop import backdrop_of
 
 VIEW = View(40.0, 17.0)
@@ -18,7 +25,9 @@ VIEW = View(40.0, 17.0)
 
 def of_power(run: Run, count: int, **options: str) -> np.ndarray:
     ground = backdrop_of(options.get("ground", "learned"), run.grid)
-    draw = run.reconstruction.sampler(ground, options.get("speckle", "response"))
+    draw = run.reconstruction.sampler(
+        ground, options.get("speckle", "response"), float(options.get("scatterers", "inf"))
+    )
     return np.stack([np.abs(draw(VIEW, seed)) ** 2 for seed in range(count)])
 
 
@@ -30,9 +39,10 @@ def test_view_and_seed_say_all(run: Run) -> None:
     assert not np.array_equal(run.sample(View(41.0, 17.0), 7), one)
 
 
-def test_on_average_it_is_what_is_rendered(run: Run) -> None:
+@pytest.mark.parametrize("scatterers", ["inf", "2.5"])
+def test_on_average_it_is_what_is_rendered(run: Run, scatterers: str) -> None:
     """Over patches, for the response of the mean image is widened."""
-    mean, expected = of_power(run, 250).mean(0), run.render([VIEW])[0]
+    mean, expected = of_power(run, 250, scatterers=scatterers).mean(0), run.render([VIEW])[0]
     patches = [image.reshape(4, 8, 4, 9).mean((1, 3)) for image in (mean, expected)]
     assert patches[0] == pytest.approx(patches[1], rel=0.15)
 
@@ -43,6 +53,41 @@ def test_speckle_has_the_power_of_what_it_is_on(run: Run) -> None:
         ratio = of_power(run, 60, speckle=speckle) / clean
         assert ratio.mean() == pytest.approx(1, abs=0.03)
         assert ratio.std() == pytest.approx(1, abs=0.05)
+
+
+def altered(run: Run, **factors: float) -> SceneModel:
+    """The run's model with its target's sizes multiplied and its γ⁰ raised."""
+    assert run.model is not None
+    model, scene = copy(run.model), run.model.scene(0)
+    changed = {name: getattr(scene, name) * factor for name, factor in factors.items() if name != "scattering"}
+    if "scattering" in factors:
+        changed["scattering"] = replace(scene.scattering, p_min=factors["scattering"])
+    model.scene = lambda degree: replace(scene, **changed)  # type: ignore[method-assign]
+    return model
+
+
+def powers(model: SceneModel, run: Run, count: int, speckle: Speckle, scatterers: float) -> np.ndarray:
+    draw = Sampler(model, 0, run.grid, "learned", speckle, scatterers)
+    return np.stack([np.abs(draw(VIEW, seed)) ** 2 for seed in range(count)])
+
+
+def test_few_scatterers_put_a_targets_power_into_points_and_leave_the_ground_alone(run: Run) -> None:
+    """The mean logarithm is ψ(ν) − log ν − γ in a K-distribution; of the ground it is −γ, as in all speckle."""
+    bright = altered(run, scattering=60.0)
+    clean = powers(bright, run, 300, "none", math.inf)
+    target = clean.mean(0) > 0.5 * clean.mean(0).max()
+    for few in (math.inf, 1.0):
+        logarithm = np.log(powers(bright, run, 300, "response", few) / clean)
+        assert logarithm[:, :4].mean() == pytest.approx(-np.euler_gamma, abs=0.06)
+        spread = 0.0 if few == math.inf else digamma(few) - math.log(few)
+        assert logarithm[:, target].mean() == pytest.approx(spread - np.euler_gamma, abs=0.25)
+
+
+def test_gaussians_smaller_than_pixels_keep_their_power(run: Run) -> None:
+    """They are imaged in finer pixels."""
+    small = altered(run, scales=1 / 6, scattering=300.0)
+    drawn = [powers(small, run, 120, speckle, 2.5)[:, 6:26, 8:28] for speckle in ("none", "response")]
+    assert drawn[1].mean() == pytest.approx(drawn[0].mean(), rel=0.1)
 
 
 def test_gains_and_shifts_are_drawn_as_they_were_found(run: Run) -> None:
@@ -116,6 +161,9 @@ def test_what_is_refused(run: Run) -> None:
         run.sample(VIEW, -1)
     with pytest.raises(SarsplatError, match="speckle is 'grey'; give one of response, white, none"):
         run.sample(VIEW, speckle="grey")
+    for few in (0.0, -1.0, float("nan")):
+        with pytest.raises(SarsplatError, match=r"scatterers is .*; give a number above 0, or inf"):
+            run.sample(VIEW, scatterers=few)
     parts = (torch.ones(1, columns) for columns in (3, 4, 3))
     own = Run.from_gaussians(Gaussians(*parts, torch.ones(1), Harmonics(torch.ones(1, 1))))
     with pytest.raises(SarsplatError, match="was learned without speckle"):
@@ -126,4 +174,4 @@ def test_methods_that_know_only_what_is_expected_are_refused() -> None:
     from sarsplat.reconstruction.method import Reconstruction
 
     with pytest.raises(SarsplatError, match="not how single ones differ"):
-        Reconstruction.sampler(None, "learned", "response")
+        Reconstruction.sampler(None, "learned", "response", 1.0)

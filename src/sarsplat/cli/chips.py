@@ -14,6 +14,7 @@ from sarsplat.cli.arguments import Angles, Folder, OptionalCount, angles, refuse
 from sarsplat.cli.stopped import Stopped
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
+from sarsplat.reconstruction.config import SCATTERERS
 
 if TYPE_CHECKING:
     from sarsplat.samples import Chips
@@ -35,6 +36,7 @@ def chips(
     near: Side = "bottom",
     ground: Annotated[str, tyro.conf.arg(metavar="{learned,uniform}|FILE")] = "learned",
     speckle: Speckle = "response",
+    scatterers: Annotated[float, tyro.conf.arg(metavar="N")] = SCATTERERS,
     shard: OptionalCount = None,
     overwrite: bool = False,
 ) -> None:
@@ -76,6 +78,9 @@ def chips(
         picture of ground, near range at the top, of which parts are drawn.
     speckle
         Complex noise through the radar's response; white, without correlation; or none.
+    scatterers
+        How many scatterers of the target a pixel sees at a time: the fewer, the more its power is in single points;
+        inf: speckle alone.
     shard
         Write WebDataset shards instead: tar files of so many chips.
     overwrite
@@ -101,6 +106,7 @@ def chips(
         near=near,
         ground=ground,
         speckle=speckle,
+        scatterers=scatterers,
     )
     try:
         write_chips(made, out, shard=shard, overwrite=overwrite, quiet=False)

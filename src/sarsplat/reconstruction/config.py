@@ -38,6 +38,9 @@ DEFAULT_METHOD = "sar-gs"
 OWN_LOOP = "own loop"
 """Instead of a preset: Gaussians that no training of ours has made (`Run.from_gaussians`)."""
 
+SCATTERERS = 2.5
+"""Of a target that a pixel of a sample sees at a time: on MSTAR, chosen by training chips that were left out."""
+
 
 class AnyConfig(Record):
     """Base of every method's settings: what its loop and its run need to know."""

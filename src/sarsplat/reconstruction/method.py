@@ -161,7 +161,7 @@ class Reconstruction(ABC):
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
         """β⁰ of any views, linear power, on its grid or another one: see `Run.render`."""
 
-    def sampler(self, ground: str | Float32[np.ndarray, "r c"], speckle: Speckle) -> DrawsSamples:
+    def sampler(self, ground: str | Float32[np.ndarray, "r c"], speckle: Speckle, scatterers: float) -> DrawsSamples:
         """What draws single images (see `Run.sample`); refused by methods that know only what is expected of them."""
         raise SarsplatError(
             "this run knows what is expected of images, but not how single ones differ (gain, shift, noise, speckle); "

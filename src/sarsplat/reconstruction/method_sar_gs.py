@@ -130,14 +130,14 @@ class GaussianReconstruction(Reconstruction):
             done += len(some)
         return images
 
-    def sampler(self, ground: str | Float32[np.ndarray, "r c"], speckle: Speckle) -> Sampler:
+    def sampler(self, ground: str | Float32[np.ndarray, "r c"], speckle: Speckle, scatterers: float) -> Sampler:
         """Refused if it has learned nothing of speckle."""
         if self.config.surroundings is None and self.config.loss != "speckle":
             raise SarsplatError(
                 f"this run was learned without speckle (preset {self.config.preset}, loss {self.config.loss}), so it "
                 "does not know how single images differ; reconstruct speckled images with --preset measured or speckled"
             )
-        return Sampler(self.model, self._degree, self.grid, ground, speckle)
+        return Sampler(self.model, self._degree, self.grid, ground, speckle, scatterers)
 
     def masks(self, views: Sequence[View], points: Float32[np.ndarray, "p 3"]) -> UInt8[np.ndarray, "v rows columns"]:
         """What the pixels of any views show, by what target and ground would return, each alone (`scene_masks`).

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import get_args
 
@@ -11,12 +12,28 @@ from jaxtyping import Complex64, Float, Float32
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.names import Speckle
 from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.parts.part import Shot
 from sarsplat.renderer import render
 from sarsplat.scenes.speckle import ResponseSpeckle, white_speckle
+
+_FINE_ENOUGH = 1.5
+"""Pixels on which what is scattered is imaged without a response, in standard deviations of small Gaussians …"""
+
+_SMALL = 0.05
+"""… which so many are smaller than."""
+
+_FINEST = 5
+"""Into how many a pixel is divided at most, along each side."""
+
+_SHARP = 0.05
+"""Width of a response that can be neglected, pixels."""
+
+_NO_TARGET = 1e-3
+"""Share of the target in a pixel's power below which it does not count."""
 
 LEARNED, UNIFORM = "learned", "uniform"
 """Grounds without a file: as the training images show it, or everywhere as it is on average."""
@@ -39,6 +56,8 @@ class Sampler:
         "learned", "uniform", or relative power, at least as large as the images, of which parts are drawn.
     speckle : {"response", "white", "none"}
         How neighbouring pixels' speckle is correlated.
+    scatterers : float
+        Of the target that a pixel sees at a time; see `Run.sample`.
 
     Raises
     ------
@@ -53,17 +72,23 @@ class Sampler:
         grid: ImageGrid,
         ground: str | Float32[np.ndarray, "r c"],
         speckle: Speckle,
+        scatterers: float,
     ) -> None:
         if speckle not in SPECKLES:
             raise SarsplatError(f"speckle is {shown(speckle)}; give one of {', '.join(SPECKLES)}")
+        if not scatterers > 0:
+            raise SarsplatError(f"scatterers is {shown(scatterers)}; give a number above 0, or inf")
         if isinstance(ground, str) and ground not in (LEARNED, UNIFORM):
             raise SarsplatError(f"ground is {shown(ground)}; give {LEARNED}, {UNIFORM}, or its power")
-        self._model, self._grid, self._speckle = model, grid, speckle
+        self._model, self._speckle = model, speckle
         self._rays = RayGrid.for_image(grid, model.config.rays_per_pixel)  # as in training: .01 dB, far below speckle
-        self._response = ResponseSpeckle(grid)
         self._backdrop: Tensor | None = None
         with torch.no_grad():
             self._scene, self._ground = model.scene(degree), model.ground()
+        self._parts = _divided(grid, self._scene) if speckle == "response" else 1
+        self._grid = _finer(grid, self._parts)
+        self._response = ResponseSpeckle(self._grid)
+        self._shape = scatterers / self._response.pixels
         if isinstance(ground, str) and ground == LEARNED:
             return
         if self._ground is None:
@@ -71,44 +96,66 @@ class Sampler:
             raise SarsplatError(f"ground is {asked}, but this run has learned no ground; leave it out")
         self._ground = replace(self._ground, gamma0=self._ground.gamma0.mean())
         if isinstance(ground, str):
-            self._backdrop = torch.ones(grid.rows, grid.columns)
+            self._backdrop = torch.ones(self._grid.rows, self._grid.columns)
             return
         if ground.shape[0] < grid.rows or ground.shape[1] < grid.columns:
             raise SarsplatError(
                 f"the ground has {ground.shape[0]} × {ground.shape[1]} pixels, fewer than the images' {grid.rows} × "
                 f"{grid.columns}; give a larger picture of it"
             )
-        self._backdrop = torch.from_numpy(ground)
+        self._backdrop = torch.from_numpy(ground).repeat_interleave(self._parts, 0).repeat_interleave(self._parts, 1)
 
     def __call__(self, view: View, seed: int) -> Complex64[np.ndarray, "rows columns"]:
         """Complex amplitudes √β⁰·e^jψ."""
         chance = np.random.default_rng(seed)
-        amplitude = np.sqrt(self._power(view, chance))
+        shot = self._model.shot([view], self._grid, chance=chance)
+        if self._speckle == "response":
+            return self._through_the_response(shot, chance)
+        amplitude = np.sqrt(self._powers(shot, shot.grid, chance)[0])
         if self._speckle == "none":
             return amplitude.astype(np.complex64)
-        if self._speckle == "white":
-            return amplitude * white_speckle(amplitude.shape, chance)
-        return amplitude * self._response.draw(chance)
+        return amplitude * white_speckle(amplitude.shape, chance)
+
+    def _through_the_response(self, shot: Shot, chance: np.random.Generator) -> Complex64[np.ndarray, "rows columns"]:
+        """Scatterers with phases of their own, imaged; of a target they are few, and some are much the brightest."""
+        sharp = (_SHARP * shot.grid.spacing_m[0], _SHARP * shot.grid.spacing_m[1])
+        power, share = self._powers(shot, replace(shot.grid, resolution_m=sharp), chance)
+        target = share > _NO_TARGET
+        if math.isfinite(self._shape):
+            drawn = chance.standard_gamma(self._shape, int(target.sum()), np.float32) / np.float32(self._shape)
+            power[target] *= 1 + share[target] * (drawn - 1)
+        imaged = self._response.seen(np.sqrt(power) * white_speckle(power.shape, chance))
+        middle = slice(self._parts // 2, None, self._parts)
+        return np.ascontiguousarray(imaged[middle, middle])
 
     @torch.no_grad()
-    def _power(self, view: View, chance: np.random.Generator) -> Float32[np.ndarray, "rows columns"]:
-        """Expected power of the image that has the drawn shift and gain; β⁰."""
-        model = self._model
-        shot = model.shot([view], self._grid, chance=chance)
-        rendering = render(self._scene, [view], shot.grid, rays=self._rays, shift=shot.shift, ground=self._ground)
-        images = rendering.images
+    def _powers(
+        self, shot: Shot, grid: ImageGrid, chance: np.random.Generator
+    ) -> tuple[Float32[np.ndarray, "rows columns"], Float32[np.ndarray, "rows columns"]]:
+        """Expected power of the image with the drawn shift and gain, β⁰, and which share of it is the target's.
+
+        Through the response of `grid`; what the parts add to a response of side lobes, that has already.
+        """
+        rendering = render(self._scene, shot.views, grid, rays=self._rays, shift=shot.shift, ground=self._ground)
+        images, seen_through = rendering.images, grid == shot.grid or not math.isfinite(grid.response.main_lobe)
         if self._backdrop is None:
-            developed = model.developed(images, shot)
+            developed = self._model.developed(images, shot, response=seen_through)
         else:
             assert rendering.ground is not None
-            developed = self._before(images, rendering.ground, self._part_of(self._backdrop, chance), shot)
+            part = self._part_of(self._backdrop, chance)
+            developed = self._before(images, rendering.ground, part, shot, seen_through)
+        scattered = images[0, shot.power_channel]
+        ground = torch.zeros_like(scattered) if rendering.ground is None else rendering.ground[0]
+        share = (1 - ground / scattered.clamp(min=torch.finfo(scattered.dtype).tiny)).clamp(min=0)
         power: Float32[np.ndarray, "rows columns"] = developed[0, shot.power_channel].clamp(min=0).cpu().numpy()
-        return power
+        return power, share.cpu().numpy()
 
     def _part_of(self, backdrop: Tensor, chance: np.random.Generator) -> Tensor:
         rows, columns = self._grid.rows, self._grid.columns
-        top = int(chance.integers(backdrop.shape[0] - rows + 1))
-        left = int(chance.integers(backdrop.shape[1] - columns + 1))
+        top, left = (
+            self._parts * int(chance.integers((had - needed) // self._parts + 1))
+            for had, needed in zip(backdrop.shape, (rows, columns), strict=True)
+        )
         return backdrop[top : top + rows, left : left + columns]
 
     def _before(
@@ -117,14 +164,28 @@ class Sampler:
         ground: Float[Tensor, "1 rows columns"],
         backdrop: Tensor,
         shot: Shot,
+        seen_through: bool,
     ) -> Float[Tensor, "1 c rows columns"]:
         """The target before another ground; what images show beyond the scene is shown of the target alone."""
         images, channel = images.clone(), shot.power_channel
         target = (images[:, channel] - ground).clamp(min=0)
         images[:, channel] = target + ground * backdrop
         share = target / images[:, channel].clamp(min=torch.finfo(images.dtype).tiny)
-        plain, textured = (self._model.developed(images, shot, estimated) for estimated in (False, True))
+        plain, textured = (self._model.developed(images, shot, known, seen_through) for known in (False, True))
         return plain + share[:, None] * (textured - plain)
+
+
+def _divided(grid: ImageGrid, scene: Gaussians) -> int:
+    """Into how many a pixel is divided along each side, so that Gaussians are larger than its parts; an odd number."""
+    smallest = scene.scales.amin(1).double().quantile(_SMALL).item()
+    needed = math.ceil(max(grid.spacing_m) / (_FINE_ENOUGH * smallest))
+    return min(needed + 1 - needed % 2, _FINEST)
+
+
+def _finer(grid: ImageGrid, parts: int) -> ImageGrid:
+    """The same image in pixels so many times as fine, of which those in the middle are the grid's."""
+    azimuth, slant_range = (spacing / parts for spacing in grid.spacing_m)
+    return replace(grid, rows=parts * grid.rows, columns=parts * grid.columns, spacing_m=(azimuth, slant_range))
 
 
 def seed_of(seed: int, *place: int) -> int:

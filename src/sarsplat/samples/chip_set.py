@@ -22,6 +22,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.reconstruction import Run
+from sarsplat.reconstruction.config import SCATTERERS
 from sarsplat.reconstruction.sampler import seed_of
 from sarsplat.samples.backdrop import backdrop_of
 from sarsplat.samples.encoding import Encoding
@@ -79,7 +80,7 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         How they are stored.
     ground
         See `backdrop_of`.
-    speckle
+    speckle, scatterers
         See `Run.sample`.
 
     Raises
@@ -98,13 +99,14 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         encoding: Encoding,
         ground: str | Path,
         speckle: Speckle,
+        scatterers: float,
     ) -> None:
         if not runs:
             raise SarsplatError("there are no runs to draw chips from; give at least one")
         if count < 1:
             raise SarsplatError(f"count is {count}; give at least one chip of each run")
         self.runs, self.count, self.seed, self.encoding = tuple(runs), count, seed, encoding
-        self.ground, self.speckle = ground, speckle
+        self.ground, self.speckle, self.scatterers = ground, speckle, scatterers
         for run in self.runs:
             encoding.require_room(run.grid)
             _require_alike(run, self.runs[0], cut=encoding.crop is not None)
@@ -117,7 +119,9 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         self.targets = tuple(target_of(run) for run in self.runs)
         self.classes = tuple(dict.fromkeys(self.targets))
         """Classes; the numbers that go with chips are places in it."""
-        self._draw = [run.reconstruction.sampler(backdrop_of(ground, run.grid), speckle) for run in self.runs]
+        self._draw = [
+            run.reconstruction.sampler(backdrop_of(ground, run.grid), speckle, scatterers) for run in self.runs
+        ]
 
     @cached_property
     def brightest(self) -> float:
@@ -179,6 +183,7 @@ def chips(
     near: Side = "bottom",
     ground: str | Path = "learned",
     speckle: Speckle = "response",
+    scatterers: float = SCATTERERS,
 ) -> Chips:
     """Chips to train a classifier on, drawn from runs as the radar would deliver them: a torch Dataset.
 
@@ -203,7 +208,7 @@ def chips(
         See `Encoding`; pixels are those of files in that format.
     ground : str or Path
         "learned", "uniform" or a picture: see `backdrop_of`, and `Run.sample` for what the words mean.
-    speckle
+    speckle, scatterers
         See `Run.sample`.
 
     Returns
@@ -221,7 +226,7 @@ def chips(
     encoding = Encoding(quantity, scale, format, jpeg_quality, crop, near)
     opened = [run if isinstance(run, Run) else Run.load(run) for run in runs]
     number = (len(azimuths_deg) or _AROUND) if count is None else count
-    return Chips(opened, number, azimuths_deg, grazing_deg, seed, encoding, ground, speckle)
+    return Chips(opened, number, azimuths_deg, grazing_deg, seed, encoding, ground, speckle, scatterers)
 
 
 def target_of(run: Run) -> str:

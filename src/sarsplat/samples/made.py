@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from pathlib import Path
 from typing import Self
 
@@ -41,6 +42,8 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
     ground_digest: str | None
     """Of the picture's file; None of a word."""
     speckle: Speckle
+    scatterers: float | None
+    """None of any number."""
     quantity: ChipQuantity
     scale: ChipScale
     format: ChipFormat
@@ -67,6 +70,7 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
             ground=str(chips.ground),
             ground_digest=None if str(chips.ground) in (LEARNED, UNIFORM) else _digest(Path(chips.ground)),
             speckle=chips.speckle,
+            scatterers=chips.scatterers if math.isfinite(chips.scatterers) else None,
             quantity=how.quantity,
             scale=how.scale,
             format=how.format,

@@ -24,14 +24,22 @@ class ResponseSpeckle:
     def __init__(self, grid: ImageGrid) -> None:
         sizes = zip((grid.rows, grid.columns), grid.spacing_m[::-1], grid.resolution_m[::-1], strict=True)
         weights = np.outer(*(_transfer(grid.response, *size) for size in sizes))
-        rms = math.sqrt(np.mean(weights**2)) * math.sqrt(2 / (grid.rows * grid.columns))  # of power 1 after `ifft2`
-        self._weights = (weights / rms).astype(np.float32)
+        self._weights = (weights / math.sqrt(np.mean(weights**2))).astype(np.float32)  # white noise keeps its power
+        power = np.abs(fft.ifft2(self._weights)) ** 2
+        self.pixels = float(power.sum() ** 2 / (power**2).sum())
+        """How many pixels a pixel sees through the response: of so many equal ones, powers would vary as of those."""
 
     def draw(self, rng: np.random.Generator) -> Complex64[np.ndarray, "rows columns"]:
         """Complex amplitudes of mean power 1; it goes on across opposite edges."""
         noise = rng.standard_normal((2, *self._weights.shape), np.float32)  # white in frequency as it is in space
-        drawn: Complex64[np.ndarray, "rows columns"] = fft.ifft2((noise[0] + 1j * noise[1]) * self._weights)
+        weights = self._weights * np.float32(math.sqrt(noise[0].size / 2))  # of power 1 after `ifft2`
+        drawn: Complex64[np.ndarray, "rows columns"] = fft.ifft2((noise[0] + 1j * noise[1]) * weights)
         return drawn
+
+    def seen(self, scattered: Complex64[np.ndarray, "rows columns"]) -> Complex64[np.ndarray, "rows columns"]:
+        """Complex amplitudes that are scattered in each pixel, as the radar images them; as `draw` at the edges."""
+        imaged: Complex64[np.ndarray, "rows columns"] = fft.ifft2(fft.fft2(scattered) * self._weights)
+        return imaged
 
 
 def white_speckle(shape: tuple[int, int], rng: np.random.Generator) -> Complex64[np.ndarray, "rows columns"]:

@@ -1,0 +1,115 @@
+"""What networks are trained on: measured chips, and others that were made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from chip_draws import SIDE, Draw, Measured, datasets, middle, runs
+from scipy.ndimage import map_coordinates
+
+from sarsplat import Dataset, Run, View, chips
+from sarsplat.evaluation.baselines import rotated_average
+from sarsplat.reconstruction.config import DEFAULT_METHOD
+from sarsplat.samples import Encoding
+from sarsplat.scenes.speckle import ResponseSpeckle
+
+EACH = 720
+"""Generated chips of a class."""
+
+SAR_NERF = "sar-nerf-grid"
+AVERAGE, TURNED = "rotated average", "turned"
+OURS, OURS_AT_17 = "sarsplat", "sarsplat, 17° alone"
+
+GRAZING_DEG = {OURS: (14.5, 17.5), OURS_AT_17: (16.5, 17.5)}
+"""Between which grazing angles a class is generated: with the tests' 15° among them, or around the training's alone."""
+
+ENCODING = Encoding(near="top")
+_GOLDEN = (5**0.5 - 1) / 2
+_DARK = 1e-6  # of the brightest pixel: a logarithm is taken
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A way to train a network: shares of a batch."""
+
+    title: str
+    measured: float = 1.0
+    others: Mapping[str, float] = field(default_factory=dict)
+    """By the kind of chips."""
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """By which classes must have been reconstructed."""
+        needed = {OURS: DEFAULT_METHOD, OURS_AT_17: DEFAULT_METHOD, SAR_NERF: SAR_NERF}
+        return tuple(dict.fromkeys(needed[kind] for kind in self.others if kind in needed))
+
+
+def pool(kind: str, draw: Draw, measured: Measured, work: Path) -> np.ndarray:
+    """Chips of one kind, EACH of a class in the order of the classes, uint8 [n, SIDE, SIDE]; made once."""
+    path = work / draw.name.replace(" ", "-") / f"{kind.replace(' ', '-')}.npy"
+    if not path.exists():
+        made = np.concatenate([of_class(kind, number, draw, measured, work) for number in range(len(measured.classes))])
+        unfinished = path.with_suffix(".tmp.npy")
+        np.save(unfinished, made)
+        unfinished.replace(path)
+    return np.load(path)
+
+
+def of_class(kind: str, number: int, draw: Draw, measured: Measured, work: Path) -> np.ndarray:
+    """Chips of one kind and class."""
+    if kind in GRAZING_DEG:
+        run = runs(measured, draw, work)[number]
+        made = chips([run], count=EACH, grazing_deg=GRAZING_DEG[kind], crop=SIDE, near="top")
+        return np.stack([made[index][0][0].numpy() for index in range(EACH)])
+    dataset = datasets(measured, draw, work)[number]
+    train = dataset.select("train")
+    chance = np.random.default_rng(number)
+    if kind == TURNED:
+        powers = (turned(train, chance) for _ in range(EACH))
+        return np.stack([_stored(np.sqrt(power)) for power in powers])
+    azimuths = [360 * ((number / 10 + k * _GOLDEN) % 1) for k in range(EACH)]
+    views = [View(azimuth % 360, train.views[0].grazing_deg) for azimuth in azimuths]
+    expected = expectation(kind, train, runs(measured, draw, work, SAR_NERF)[number] if kind == SAR_NERF else None)
+    speckle = ResponseSpeckle(train.grid)
+    return np.stack([_stored(np.sqrt(_displaced(expected(view), chance)) * speckle.draw(chance)) for view in views])
+
+
+def expectation(kind: str, train: Dataset, run: Run | None) -> Callable[[View], np.ndarray]:
+    """Expected power of a view: of a reconstruction, or without a third dimension."""
+    if run is not None:
+        return lambda view: run.render([view])[0].astype(np.float64)
+    level = np.median(train.power, axis=(1, 2), keepdims=True)  # each chip has a scale of its own
+    power = (train.power / level).astype(np.float64)
+    return lambda view: rotated_average(power, train.views, [view], train.grid)[0]
+
+
+def turned(train: Dataset, chance: np.random.Generator) -> np.ndarray:
+    """A measured chip's power, turned in the ground plane by up to half of the mean gap to the next one."""
+    number = chance.integers(len(train))
+    turn = np.radians(180 / len(train) * chance.uniform(-1, 1))
+    slant, across = np.meshgrid(train.grid.range_m, train.grid.azimuth_m, indexing="ij")
+    ground = slant / np.cos(np.radians(train.views[number].grazing_deg))
+    to_slant = np.cos(np.radians(train.views[number].grazing_deg)) * (np.cos(turn) * ground - np.sin(turn) * across)
+    to_across = np.cos(turn) * across + np.sin(turn) * ground
+    rows = (to_slant - train.grid.range_m[0]) / train.grid.spacing_m[1]
+    columns = (to_across - train.grid.azimuth_m[0]) / train.grid.spacing_m[0]
+    power: np.ndarray = map_coordinates(
+        train.power[number].astype(np.float64), [rows, columns], order=1, mode="reflect"
+    )
+    return power
+
+
+def _displaced(power: np.ndarray, chance: np.random.Generator) -> np.ndarray:
+    """By parts of a pixel."""
+    down, right = chance.uniform(-0.5, 0.5, 2)
+    rows, columns = (np.fft.fftfreq(side) for side in power.shape)
+    phase = np.exp(-2j * np.pi * (rows[:, None] * down + columns * right))
+    moved: np.ndarray = np.fft.ifft2(np.fft.fft2(np.log(np.maximum(power, _DARK * power.max()))) * phase).real
+    return np.exp(moved)
+
+
+def _stored(sample: np.ndarray) -> np.ndarray:
+    return ENCODING.stored(middle(sample).astype(np.complex64), 1.0)
