@@ -57,6 +57,7 @@ ARMS = {
     "sar-nerf-turned": Arm("+ SAR-NeRF, turned", 0.25, {TURNED: 0.25, SAR_NERF: 0.5}),
 }
 EVERYWHERE = ("measured", "turned", "average", "average-turned", "ours", "ours-turned")
+TRIED = ("measured", "turned", "average-turned", "ours-turned")
 WITH_SAR_NERF = (EVENLY, Draw(12, 1))
 
 
@@ -88,7 +89,7 @@ def main() -> int:
     try:
         with ProcessPoolExecutor(arguments.processes, get_context("spawn"), _alone) as workers:
             if arguments.steps:
-                wanted = [(EVENLY, arm, 0, steps) for steps in TRIED_STEPS for arm in EVERYWHERE]
+                wanted = [(EVENLY, arm, 0, steps) for steps in TRIED_STEPS for arm in TRIED]
                 train(wanted, where, arguments.out, workers)
             else:
                 for draw in draws:

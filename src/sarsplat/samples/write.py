@@ -6,13 +6,10 @@ import csv
 import io
 import json
 import tarfile
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
-
-import torch
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import new_folder
@@ -21,11 +18,9 @@ from sarsplat.progress import progress
 from sarsplat.samples.chip_set import Chips
 from sarsplat.samples.encoding import ENDINGS
 from sarsplat.samples.made import MARKER, Made
+from sarsplat.samples.made_each import made_each
 
 LABELS = "labels.csv"
-
-_AT_A_TIME = 1000
-"""Chips that threads are given, of a set that may have millions."""
 
 _COLUMNS = (
     *("path", "class", "azimuth_deg", "grazing_deg", "seed", "run"),
@@ -83,35 +78,23 @@ def _files(chips: Chips, folder: Path) -> Iterator[int]:
         (folder / target).mkdir(exist_ok=True)
 
     def write(index: int) -> None:
-        if not _there(path := folder / _file(chips, index)):
-            _put(path, _encoded(chips, index))
+        _put(folder / _file(chips, index), _encoded(chips, index))
 
-    for first in range(0, len(chips), _AT_A_TIME):
-        with _mapped(write, range(first, min(first + _AT_A_TIME, len(chips)))) as written:
-            for done, _ in enumerate(written, first + 1):
-                yield done
+    missing = [index for index in range(len(chips)) if not _there(folder / _file(chips, index))]
+    for done, _ in enumerate(made_each(write, missing), len(chips) - len(missing) + 1):
+        yield done
 
 
 def _shards(chips: Chips, folder: Path, size: int) -> Iterator[int]:
     """Write each shard that is not there; how many chips are there in all, after each."""
-    for number, first in enumerate(range(0, len(chips), size)):
-        indices = range(first, min(first + size, len(chips)))
-        if not _there(path := folder / _shard(number)):
-            with _mapped(lambda index: _encoded(chips, index), indices) as encoded:
-                _put(path, _packed(chips, number, dict(zip(indices, encoded, strict=True))))
-        yield indices.stop
-
-
-@contextmanager
-def _mapped(work: Callable[[int], Any], indices: range) -> Iterator[Iterator[Any]]:
-    """The results in order, by as many threads as PyTorch has, each of which renders alone."""
-    threads = torch.get_num_threads()
-    pool = ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,))
-    try:
-        yield pool.map(work, indices)
-    finally:
-        pool.shutdown(cancel_futures=True)
-        torch.set_num_threads(threads)  # what later threads begin with
+    shards = [range(first, min(first + size, len(chips))) for first in range(0, len(chips), size)]
+    missing = {n: indices for n, indices in enumerate(shards) if not _there(folder / _shard(n))}
+    each = made_each(lambda index: _encoded(chips, index), list(chain(*missing.values())))
+    done = len(chips) - sum(map(len, missing.values()))
+    for number, indices in missing.items():
+        encoded = dict(zip(indices, each, strict=False))
+        _put(folder / _shard(number), _packed(chips, number, encoded))
+        yield (done := done + len(indices))
 
 
 def _encoded(chips: Chips, index: int) -> bytes:
@@ -140,7 +123,7 @@ def _key(index: int) -> str:
 
 
 def _file(chips: Chips, index: int) -> str:
-    return f"{chips.label(index).target}/{_key(index)}{ENDINGS[chips.encoding.format]}"
+    return f"{chips.targets[index % len(chips.runs)]}/{_key(index)}{ENDINGS[chips.encoding.format]}"
 
 
 def _shard(number: int) -> str:

@@ -44,8 +44,8 @@ class ResponseSpeckle:
 
 def white_speckle(shape: tuple[int, int], rng: np.random.Generator) -> Complex64[np.ndarray, "rows columns"]:
     """Single-look speckle of mean power 1 without correlation, as no radar has it: complex amplitudes."""
-    noise: Float32[np.ndarray, "2 rows columns"] = rng.standard_normal((2, *shape), np.float32) / np.float32(2**0.5)
-    return noise[0] + np.complex64(1j) * noise[1]
+    noise: Float32[np.ndarray, "rows columns 2"] = rng.standard_normal((*shape, 2), np.float32) * np.float32(0.5**0.5)
+    return noise.view(np.complex64)[..., 0]
 
 
 def _transfer(response: Response, count: int, spacing_m: float, width_m: float) -> Float64[np.ndarray, " n"]:

@@ -1,0 +1,46 @@
+"""Work shared among processes: in order, the same as alone, and failures come back as they are."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import pytest
+import torch
+
+from sarsplat import SarsplatError
+from sarsplat.samples.made_each import made_each
+
+
+@pytest.fixture(params=[1, 2])
+def threads(request: pytest.FixtureRequest) -> Iterator[int]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(request.param)
+    yield request.param
+    torch.set_num_threads(before)
+
+
+def test_results_come_in_order_from_as_many_processes_as_there_are_threads(threads: int) -> None:
+    made = list(made_each(lambda index: (index, os.getpid(), torch.get_num_threads()), range(500, 0, -1)))
+    assert [index for index, _, _ in made] == list(range(500, 0, -1))
+    assert {one for _, _, one in made} == {1}
+    processes = {process for _, process, _ in made}
+    assert len(processes) == threads
+    assert (os.getpid() in processes) == (threads == 1)
+
+
+def test_few_are_made_here(threads: int) -> None:
+    assert set(made_each(lambda _: os.getpid(), range(20))) == {os.getpid()}
+    assert list(made_each(str, [])) == []
+
+
+def test_a_failure_is_raised_where_it_was_in_the_same_words(threads: int) -> None:
+    def work(index: int) -> int:
+        if index == 130:
+            raise SarsplatError("the disk is full; make room")
+        return index
+
+    made = made_each(work, range(300))
+    assert [next(made) for _ in range(130)] == list(range(130))
+    with pytest.raises(SarsplatError, match="^the disk is full; make room$"):
+        next(made)
