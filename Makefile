@@ -5,6 +5,7 @@
 # make tables  every experiment, beside the paper's tables and other methods, to docs/results (hours; resumable);
 #              QUICK=1 tries it in minutes, ONLY="density loss" runs some; those with measured chips need CHIPS, LABELS and
 #              MASKS: the folder of MSTAR chips, their table and the folder of their masks
+# make chips   what generated chips are worth to a classifier, with CHIPS and LABELS of MSTAR's ten classes (hours; resumable)
 # make fuzz    malformed files for every reader; make sanitize  the engine under ASan and UBSan (needs Debian's clang-19)
 # make wheels  a wheel for every platform in dist/ (four minutes the first time)
 # make check-wheel  their contents; this machine's wheel is installed into an empty environment and tested there
@@ -32,7 +33,7 @@ define step
 @set -o pipefail; printf '\n==> %s\n' "$(1)"; begun=$$SECONDS; $(2) && printf '    (%s s)\n' $$((SECONDS - begun))
 endef
 
-.PHONY: demo setup test test-slow figures bench tables fuzz sanitize wheels check-wheel docs notebooks primer sweep lint readme clean
+.PHONY: demo setup test test-slow figures bench tables chips fuzz sanitize wheels check-wheel docs notebooks primer sweep lint readme clean
 
 demo: setup
 	$(call step,simulate: a T-72-like target by ray casting (24 training views and 48 test views),\
@@ -84,6 +85,10 @@ bench: setup
 tables: setup
 	$(BIN)/python experiments/tables.py $(if $(QUICK),--quick) $(if $(ONLY),--only $(ONLY)) \
 	  $(if $(CHIPS),--chips $(CHIPS) --labels $(LABELS)) $(if $(MASKS),--masks $(MASKS))
+
+# Finished networks stay in docs/results/chips-runs.csv, reconstructions and chips in runs/chips: end it at any time.
+chips: setup
+	$(BIN)/python experiments/chips.py $(if $(CHIPS),--chips $(CHIPS)) $(if $(LABELS),--labels $(LABELS))
 
 # Warnings are errors: links and anchors that lead nowhere among them.
 docs: notebooks

@@ -1,7 +1,7 @@
 """Draw measured chips that were left out of training, and below each a generated one from the same side.
 
 Run as `python docs/draw_chips.py RUN … --chips FOLDER --labels TABLE`, with runs of datasets that `import mstar` has
-made of these chips, which are JPEGs on one scale. Writes docs/images/chips.png.
+made of these chips. Writes docs/images/chips.png.
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ from sarsplat.importers.mstar_chips import Chip, read_chips
 from sarsplat.samples import Encoding
 
 PICTURE = Path(__file__).parent / "images" / "chips.png"
-AZIMUTHS = (15, 75, 135, 195, 255, 315)
+AZIMUTHS = (15, 75, 135, 225, 315)
 """Of the target, degrees, as near as there are chips: half-way between training chips."""
-SIDE, PIXELS, DPI = 88, 1.05, 90
+SIDE, INCHES, DPI = 80, 0.8, 100
+BLOCKS = 2
+"""Of runs, beside each other."""
 
 
 def main() -> None:
@@ -31,30 +33,36 @@ def main() -> None:
     parser.add_argument("--labels", type=Path, required=True, metavar="TABLE")
     parser.add_argument("--out", type=Path, default=PICTURE, metavar="FILE")
     arguments = parser.parse_args()
-    rows = [row for run in arguments.runs for row in drawn(Run.load(run), arguments.chips, arguments.labels)]
-    figure, axes = plt.subplots(len(rows), len(AZIMUTHS), figsize=(PIXELS * len(AZIMUTHS), PIXELS * len(rows)))
-    for line, (title, images) in zip(axes, rows, strict=True):
-        line[0].set_ylabel(title, fontsize=7)
-        for place, image in zip(line, images, strict=True):
-            place.imshow(np.sqrt(image / 255), cmap=colormap(POWER), vmin=0, vmax=1, interpolation="nearest")
-            place.set(xticks=[], yticks=[])
-    figure.subplots_adjust(left=0.05, right=1, bottom=0, top=1, wspace=0.03, hspace=0.03)
+    every = [drawn(Run.load(run), arguments.chips, arguments.labels) for run in arguments.runs]
+    lines, wide = 2 * -(-len(every) // BLOCKS), len(AZIMUTHS)
+    size = (INCHES * BLOCKS * wide, INCHES * lines)
+    figure, axes = plt.subplots(lines, BLOCKS * wide, figsize=size, squeeze=False)
+    for place in axes.flat:
+        place.axis("off")
+    for number, (title, pairs) in enumerate(every):
+        block, line = divmod(number, lines // 2)
+        for column, pair in enumerate(pairs):
+            for below, image in enumerate(pair):
+                place = axes[2 * line + below, block * wide + column]
+                place.imshow(np.sqrt(image / 255), cmap=colormap(POWER), vmin=0, vmax=1, interpolation="nearest")
+        axes[2 * line, block * wide].text(3, 10, title, color="white", fontsize=8)
+    figure.subplots_adjust(left=0, right=1, bottom=0, top=1, wspace=0.02, hspace=0.02)
     figure.savefig(arguments.out, dpi=DPI)
 
 
-def drawn(run: Run, folder: Path, labels: Path) -> list[tuple[str, list[np.ndarray]]]:
-    """A row of measured chips and one of generated ones: digital numbers, near range at the bottom."""
+def drawn(run: Run, folder: Path, labels: Path) -> tuple[str, list[tuple[np.ndarray, np.ndarray]]]:
+    """The class, and pairs of a measured and a generated chip: digital numbers, near range at the bottom."""
     dataset = run.dataset
     trained, depressions = {entry.name for entry in dataset.entries}, dataset.source["train_depression_deg"]
     every = read_chips(folder, labels, dataset.target)
     left_out = [chip for chip in every if chip.depression in depressions and chip.name not in trained]
     chosen = [min(left_out, key=lambda chip: away(chip, azimuth)) for azimuth in AZIMUTHS]
-    measured = [middle(chip.magnitude) for chip in chosen]
-    encoding, generated = Encoding(crop=SIDE, scale="fixed"), []
+    encoding, pairs = Encoding(crop=SIDE), []
     for seed, chip in enumerate(chosen):
+        measured = middle(chip.magnitude)
         sample = run.sample(View(-chip.target_az_deg % 360, chip.grazing_deg), seed)
-        generated.append(encoding.stored(sample, run.brightest))
-    return [(f"{dataset.target}, measured", measured), (f"{dataset.target}, generated", generated)]
+        pairs.append((255 / measured.max() * measured, encoding.stored(sample, run.brightest)))
+    return dataset.target, pairs
 
 
 def away(chip: Chip, azimuth_deg: float) -> float:

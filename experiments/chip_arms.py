@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from chip_draws import SIDE, Draw, Measured, datasets, middle, runs
@@ -21,10 +23,14 @@ EACH = 720
 
 SAR_NERF = "sar-nerf-grid"
 AVERAGE, TURNED = "rotated average", "turned"
-OURS, OURS_AT_17 = "sarsplat", "sarsplat, 17° alone"
+OURS, OURS_AT_17, OURS_SPECKLE = "sarsplat", "sarsplat 17", "sarsplat speckle"
 
-GRAZING_DEG = {OURS: (14.5, 17.5), OURS_AT_17: (16.5, 17.5)}
-"""Between which grazing angles a class is generated: with the tests' 15° among them, or around the training's alone."""
+OPTIONS: dict[str, dict[str, Any]] = {
+    OURS: {"grazing_deg": (14.5, 17.5)},
+    OURS_AT_17: {"grazing_deg": (16.5, 17.5)},
+    OURS_SPECKLE: {"grazing_deg": (14.5, 17.5), "scatterers": math.inf},
+}
+"""Of `sarsplat.chips`: grazing angles with the tests' 15° among them, or around the training's alone."""
 
 ENCODING = Encoding(near="top")
 _GOLDEN = (5**0.5 - 1) / 2
@@ -43,7 +49,7 @@ class Arm:
     @property
     def methods(self) -> tuple[str, ...]:
         """By which classes must have been reconstructed."""
-        needed = {OURS: DEFAULT_METHOD, OURS_AT_17: DEFAULT_METHOD, SAR_NERF: SAR_NERF}
+        needed = dict.fromkeys(OPTIONS, DEFAULT_METHOD) | {SAR_NERF: SAR_NERF}
         return tuple(dict.fromkeys(needed[kind] for kind in self.others if kind in needed))
 
 
@@ -60,9 +66,9 @@ def pool(kind: str, draw: Draw, measured: Measured, work: Path) -> np.ndarray:
 
 def of_class(kind: str, number: int, draw: Draw, measured: Measured, work: Path) -> np.ndarray:
     """Chips of one kind and class."""
-    if kind in GRAZING_DEG:
+    if kind in OPTIONS:
         run = runs(measured, draw, work)[number]
-        made = chips([run], count=EACH, grazing_deg=GRAZING_DEG[kind], crop=SIDE, near="top")
+        made = chips([run], count=EACH, crop=SIDE, near="top", **OPTIONS[kind])
         return np.stack([made[index][0][0].numpy() for index in range(EACH)])
     dataset = datasets(measured, draw, work)[number]
     train = dataset.select("train")

@@ -42,5 +42,5 @@ def test_a_failure_is_raised_where_it_was_in_the_same_words(threads: int) -> Non
 
     made = made_each(work, range(300))
     assert [next(made) for _ in range(130)] == list(range(130))
-    with pytest.raises(SarsplatError, match="^the disk is full; make room$"):
+    with pytest.raises(SarsplatError, match=r"^the disk is full; make room$"):
         next(made)
