@@ -10,6 +10,7 @@ import argparse
 import os
 import sys
 import time
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache
 from multiprocessing import get_context
@@ -62,6 +63,23 @@ EVERYWHERE = ("measured", "turned", "average-turned", "ours-turned")
 WITH_SAR_NERF = (EVENLY, Draw(12, 1))
 
 
+Wanted = tuple[Draw, str, int, int]
+"""A network: draw, arm, seed and steps."""
+
+
+def of_steps() -> list[Wanted]:
+    """Networks that say how many steps are enough."""
+    return [(EVENLY, arm, 0, steps) for steps in TRIED_STEPS for arm in EVERYWHERE]
+
+
+def of_arms(draws: Sequence[Draw]) -> Iterator[list[Wanted]]:
+    """Those of the tables, draw by draw; what waits for SAR-NeRF, which takes hours, comes last."""
+    for slow in (False, True):
+        for draw in draws:
+            arms = [arm for arm in arms_of(draw) if (SAR_NERF in ARMS[arm].methods) == slow]
+            yield [(draw, arm, seed, STEPS) for seed in SEEDS for arm in arms]
+
+
 def arms_of(draw: Draw) -> tuple[str, ...]:
     """Which are trained with a draw."""
     if draw == ALL:
@@ -89,26 +107,15 @@ def main() -> int:
     where = (arguments.chips.resolve(), arguments.labels.resolve(), arguments.work.resolve())
     try:
         with ProcessPoolExecutor(arguments.processes, get_context("spawn"), _alone) as workers:
-            if arguments.steps:
-                wanted = [(EVENLY, arm, 0, steps) for steps in TRIED_STEPS for arm in EVERYWHERE]
+            for wanted in [of_steps()] if arguments.steps else of_arms(draws):
                 train(wanted, where, arguments.out, workers)
-            else:
-                for draw in draws:
-                    train(
-                        [(draw, arm, seed, STEPS) for seed in SEEDS for arm in arms_of(draw)],
-                        where,
-                        arguments.out,
-                        workers,
-                    )
     except (SarsplatError, KeyboardInterrupt) as stopped:
         print(f"{str(stopped) or 'stopped'}; what is finished is kept", file=sys.stderr)
         return 2
     return 0
 
 
-def train(
-    wanted: list[tuple[Draw, str, int, int]], where: tuple[Path, Path, Path], out: Path, workers: ProcessPoolExecutor
-) -> None:
+def train(wanted: Sequence[Wanted], where: tuple[Path, Path, Path], out: Path, workers: ProcessPoolExecutor) -> None:
     """Train the networks that are not there yet, after what they need of reconstructions and generated chips."""
     done = {line.key for line in read_lines(out)}
     missing = [one for one in wanted if (one[0].name, *one[1:]) not in done]
