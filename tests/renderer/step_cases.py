@@ -10,7 +10,7 @@ from named_scenes import MATRIX
 from torch import Tensor
 
 from sarsplat.geometry import RayGrid
-from sarsplat.renderer import Footprints, Projection
+from sarsplat.renderer import Footprints, Projection, Waves
 from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
 from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
 
@@ -102,10 +102,30 @@ def splat_case(name: str, dtype: torch.dtype, splat: Callable, norms: dict[str, 
     return _run({"images": images}, leaves, norms)
 
 
+def waves_case(name: str, dtype: torch.dtype, splat: Callable, norms: dict[str, float]) -> Tensors:
+    """The step `splat` with phases that turn across footprints, by up to some turns."""
+    scene = MATRIX[name]()
+    footprints = {key: t for key, t in _projected(name).items() if key.startswith("pixels.")}
+    views, n, _ = footprints["pixels.centers"].shape
+    generator = torch.Generator().manual_seed(96)
+    width = float(footprints["pixels.roots"].median()) ** -1
+    slopes = torch.randn(views, n, 2, generator=generator) / width
+    numbers = torch.randn(views, CHANNELS, generator=generator)
+    parts = torch.randn(views, n, 2 * CHANNELS, generator=generator)
+    leaves = _leaves(footprints | {"cross_sections": parts, "slopes": slopes}, dtype)
+    on_pixels, waves = (
+        Footprints(leaves["pixels.centers"], leaves["pixels.roots"]),
+        Waves(numbers.to(dtype), leaves["slopes"]),
+    )
+    images = splat(on_pixels, leaves["cross_sections"], scene.grid, waves=waves, imaging_weight=scene.imaging_weight)
+    return _run({"images": images}, leaves, norms)
+
+
 STEPS: dict[str, tuple[Callable, Callable, Callable]] = {
     "project": (project_case, project_reference, project_with),
     "attenuate": (attenuate_case, attenuate_reference, attenuate_with),
     "splat": (splat_case, splat_reference, splat_with),
+    "waves": (waves_case, splat_reference, splat_with),
 }
 
 

@@ -17,7 +17,7 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, Harmonics, NormalLobes
 from sarsplat.geometry import ImageGrid, RayGrid
-from sarsplat.renderer import Footprints, attenuate, cpu, project, render, splat, structs
+from sarsplat.renderer import Footprints, Waves, attenuate, cpu, project, render, splat, structs
 from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
 
 RAYS = RayGrid.for_image(GRID)
@@ -35,7 +35,7 @@ def test_the_scenes_have_something_to_compare():
         for name in set(MATRIX) - {"none", "all outside"}:
             expected, _ = judged(step, name)
             gradients = [key for key in expected if key.startswith("d ")]
-            assert len(gradients) == {"project": 6, "attenuate": 3, "splat": 3}[step]
+            assert len(gradients) == {"project": 6, "attenuate": 3, "splat": 3, "waves": 4}[step]
             assert all(float(expected[key].norm()) > 0 for key in gradients), (step, name)
 
 
@@ -127,6 +127,16 @@ def test_finite_differences_of_every_twin(name):
 
     check_gradients(
         images, tuple(t.clone().requires_grad_() for t in (p.pixels.centers, p.pixels.roots, cross_sections))
+    )
+    numbers = torch.tensor([[2.0], [-3.0]], dtype=torch.float64)
+    slopes = torch.randn(2, len(g), 2, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+
+    def waves(centers, roots, cross_sections, slopes):
+        made, turned = Footprints(centers, roots), Waves(numbers, slopes)
+        return [splat_reference(made, cross_sections, scene.grid, waves=turned, cuts=False)]
+
+    check_gradients(
+        waves, tuple(t.clone().requires_grad_() for t in (p.pixels.centers, p.pixels.roots, cross_sections, slopes))
     )
 
 

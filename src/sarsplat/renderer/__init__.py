@@ -18,7 +18,7 @@ from sarsplat.processes import Processes
 from sarsplat.renderer.bounds import Bounds
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
 from sarsplat.renderer.engines import ENGINES, chosen_engine
-from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
+from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
 from sarsplat.renderer.ground import above, check_ground, ground_values
 from sarsplat.renderer.operations import render_with
 from sarsplat.renderer.reference import render_reference
@@ -32,6 +32,7 @@ __all__ = [
     "Projection",
     "RayMap",
     "Rendering",
+    "Waves",
     "attenuate",
     "channel_of",
     "project",

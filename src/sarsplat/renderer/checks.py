@@ -44,6 +44,7 @@ ALLOWED = {
     "tilt": f"finite, at most {STRONGEST:g}",
     "amplitudes": f"finite, at most {STRONGEST:g}",
     "cross_sections": f"finite, at most {STRONGEST:g}",
+    "slopes": f"finite, at most {STRONGEST:g}",
 }
 """What each tensor must be."""
 
@@ -54,6 +55,7 @@ _STEP_LIMITS = {
     "range_m": (-2 * FARTHEST, 2 * FARTHEST),
     "tilt": (-STRONGEST, STRONGEST),
     "cross_sections": (-STRONGEST, STRONGEST),
+    "slopes": (-STRONGEST, STRONGEST),
 }
 """Least and largest values of footprints and cross-sections."""
 

@@ -35,7 +35,7 @@ LIBRARY = Path(__file__).with_name("_engine.dll" if sys.platform == "win32" else
 _TORCH = {"win32": "torch_cpu.dll", "darwin": "libtorch_cpu.dylib"}.get(sys.platform, "libtorch_cpu.so")
 
 _INPUTS = ("means", "quaternions", "scales", "optical_depth", "scattering", "amplitudes", "shift")
-_FOOTPRINTS = ("centers", "roots", "optical_depth", "range_m", "tilt", "cross_sections")
+_FOOTPRINTS = ("centers", "roots", "optical_depth", "range_m", "tilt", "cross_sections", "slopes")
 FAULTS = ("", *_INPUTS, "lattice", "memory", *_FOOTPRINTS)
 """What a pass can reject, by status code."""
 
@@ -51,7 +51,7 @@ _ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "attenuate": (*_PROBLEM, _PROJECTION, c_void_p, _INDEX),
     "attenuate_backward": (*_PROBLEM, c_void_p, c_void_p, _PROJECTION),
     "splat": (*_PROBLEM, _PROJECTION, _CHANNELS, c_void_p, _INDEX),
-    "splat_backward": (*_PROBLEM, _CHANNELS, c_void_p, _PROJECTION, c_void_p),
+    "splat_backward": (*_PROBLEM, _CHANNELS, c_void_p, _PROJECTION, c_void_p, c_void_p),
     "get_lattice": (c_void_p, c_int32, POINTER(Lattice)),
     "trace": (*_PROBLEM, c_int32, c_float, c_void_p, c_void_p),
     "get_statistics": (*_PROBLEM, POINTER(Statistics)),

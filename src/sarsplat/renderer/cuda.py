@@ -188,8 +188,9 @@ class Pass:
         d_images: int,
         gradients: ctypes.Structure,
         d_cross_sections: int,
+        d_elevation: int | None,
     ) -> None:
-        self._splat_tiles_backward(problem, channels, d_images, d_cross_sections)
+        self._splat_tiles_backward(problem, channels, d_images, d_cross_sections, d_elevation)
         self._over_pairs("write_footprint_gradients", problem, problem, self._state, gradients)
 
     # ---- what they are made of
@@ -288,18 +289,23 @@ class Pass:
         self, problem: ctypes.Structure, channels: ctypes.Structure, pixels: list[ctypes.Structure], images: int
     ) -> None:
         """Once the pixels are arranged."""
-        for first, together in _in_groups(channels.count):
+        for first, kernel in _in_groups(channels):
             arguments = channels, c_int32(first), c_void_p(images)
-            self._launch(f"splat_tiles_{together}", total(pixels)[1], problem, self._state, *arguments)
+            self._launch(kernel, total(pixels)[1], problem, self._state, *arguments)
 
     def _splat_tiles_backward(
-        self, problem: ctypes.Structure, channels: ctypes.Structure, d_images: int, d_cross_sections: int
+        self,
+        problem: ctypes.Structure,
+        channels: ctypes.Structure,
+        d_images: int,
+        d_cross_sections: int,
+        d_elevation: int | None = None,
     ) -> None:
         self._fill(pixel_moments=(self._pairs, 6))
-        for first, together in _in_groups(channels.count):
-            arguments = channels, c_int32(first), c_void_p(d_images), c_void_p(d_cross_sections)
+        for first, kernel in _in_groups(channels):
+            arguments = channels, c_int32(first), *map(c_void_p, (d_images, d_cross_sections, d_elevation))
             blocks = -(-self._pairs // _WARPS)
-            self._launch(f"splat_tiles_{together}_backward", blocks, problem, self._state, *arguments)
+            self._launch(f"{kernel}_backward", blocks, problem, self._state, *arguments)
 
     def _attenuate_tiles_backward(
         self, problem: ctypes.Structure, channels: ctypes.Structure, d_transmittance: int | None, *seeds: c_void_p
@@ -367,10 +373,11 @@ class Pass:
             setattr(self._state, name, self._new(name, *shape, dtype=dtype).data_ptr())
 
 
-def _in_groups(channels: int) -> Iterator[tuple[int, int]]:
-    """The first channel of every launch, and for how many its kernel is."""
-    for first in range(0, channels, _TOGETHER):
-        yield first, 1 if channels - first == 1 else _TOGETHER
+def _in_groups(channels: ctypes.Structure) -> Iterator[tuple[int, str]]:
+    """The first channel of every launch, and its kernel."""
+    kind = "waves" if channels.wavenumbers else "tiles"
+    for first in range(0, channels.count, _TOGETHER):
+        yield first, f"splat_{kind}_{1 if channels.count - first == 1 else _TOGETHER}"
 
 
 def _fault(code: int) -> tuple[str, int]:

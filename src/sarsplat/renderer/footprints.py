@@ -51,6 +51,37 @@ class Footprints:
         _check_fields(self, {"centers": (v, n, 2), "roots": (v, n, 3)})
 
 
+@dataclass(frozen=True)
+class Waves:
+    """How the phase of complex channels changes across footprints: with the elevation of what is imaged there.
+
+    What a Gaussian shows at the displacement d from its centre on the imaging plane lies slopes · d higher, on average,
+    than what it shows at its centre, and channel c turns by exp(j numbers[c] · slopes · d).
+
+    Parameters
+    ----------
+    numbers : Tensor [V, C]
+        Phase per elevation of each channel, rad/m; not differentiable.
+    slopes : Tensor [V, N, 2]
+        Elevation per displacement along azimuth and slant range; differentiable.
+
+    Raises
+    ------
+    SarsplatError
+        If shapes, dtypes or devices do not fit together.
+    """
+
+    numbers: Float[Tensor, "v c"]
+    slopes: Float[Tensor, "v n 2"]
+
+    def __post_init__(self) -> None:
+        v, n = _sizes(self.slopes)
+        c = _sizes(self.numbers)[1]
+        _check_fields(self, {"slopes": (v, n, 2), "numbers": (v, c)})
+        if self.numbers.requires_grad:
+            raise SarsplatError("waves.numbers has no gradient; detach it, or learn what the slopes come from")
+
+
 def deviations(roots: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 2"]:
     """Standard deviations along the two axes of the plane, m: the roots of the diagonal of Σ'."""
     a, b, c = roots.unbind(-1)

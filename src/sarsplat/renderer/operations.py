@@ -19,7 +19,7 @@ from sarsplat.renderer import structs
 from sarsplat.renderer.bounds import Bounds
 from sarsplat.renderer.checks import check_values, complaint, complaint_by_view
 from sarsplat.renderer.cpu import FAULTS
-from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, deviations
+from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves, deviations
 from sarsplat.renderer.ground import gamma0_by_view, ground_values, in_sight, lit, returned, with_ground
 from sarsplat.renderer.lit_ground import RayEnds
 from sarsplat.renderer.operation import Operation, Tensors
@@ -145,11 +145,14 @@ def splat_with(
     cross_sections: Float[Tensor, "v n c"],
     grid: ImageGrid,
     *,
+    waves: Waves | None = None,
     imaging_weight: str,
 ) -> Float[Tensor, "v c {grid.rows} {grid.columns}"]:
-    """`sarsplat.splat` on an engine's passes."""
-    step = _Splat(new_pass(), grid, imaging_weight == "peak")
-    return step.of(footprints.centers, footprints.roots, cross_sections)[0]
+    """`sarsplat.splat` on an engine's passes; with waves, real and imaginary parts in turn."""
+    turns = None if waves is None else (waves.numbers / (2 * math.pi)).contiguous()
+    step = _Splat(new_pass(), grid, imaging_weight == "peak", turns)
+    slopes = None if waves is None else waves.slopes
+    return step.of(footprints.centers, footprints.roots, cross_sections, slopes)[0]
 
 
 # ---- the operations --------------------------------------------------------------------------------------------------
@@ -277,41 +280,48 @@ class _Attenuate(Operation):
 
 
 class _Splat(Operation):
-    """Footprints and cross-sections to images."""
+    """Footprints and cross-sections to images; of channels with `turns` per metre of elevation, with their slopes."""
 
-    names = ("footprints.centers", "footprints.roots", "cross_sections")
-    saved = slice(2, 3)
+    names = ("footprints.centers", "footprints.roots", "cross_sections", "waves.slopes")
+    saved = slice(2, 4)
 
-    def __init__(self, kernel: Pass, grid: ImageGrid, peak: bool) -> None:
+    def __init__(self, kernel: Pass, grid: ImageGrid, peak: bool, turns: Float[Tensor, "v c"] | None) -> None:
         super().__init__(kernel)
-        self.grid, self.peak = grid, peak
+        self.grid, self.peak, self.turns = grid, peak, turns
 
     def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
-        centers, roots, cross_sections = inputs
+        centers, roots, cross_sections, slopes = inputs
         assert cross_sections is not None
         views, n, channels = cross_sections.shape
         self.problem = new_problem(views, n, grid=self.grid, peak=self.peak)
         images = cross_sections.new_empty(views, channels, self.grid.rows, self.grid.columns)
         footprints = structs.Projection(pixel_centers=pointer(centers), pixel_roots=pointer(roots))
-        splatted = structs.Channels(channels, pointer(cross_sections))
+        splatted = self._channels(cross_sections, slopes)
         fault = self.kernel.forward("splat", self.problem, footprints, splatted, images.data_ptr())
         _accept_footprints(self.names, inputs, *fault)
         return (images,)
 
     def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
-        (cross_sections,), (d_images,) = saved, grads
+        (cross_sections, slopes), (d_images,) = saved, grads
         assert d_images is not None
-        centers, roots = (_by_view(cross_sections, self.problem, width) for width in (2, 3))
+        centers, roots, elevation = (_by_view(cross_sections, self.problem, width) for width in (2, 3, 3))
         d_cross_sections = torch.empty_like(cross_sections)
         self.kernel.backward(
             "splat",
             self.problem,
-            structs.Channels(cross_sections.shape[2], pointer(cross_sections)),
+            self._channels(cross_sections, slopes),
             d_images.data_ptr(),
             structs.Projection(pixel_centers=pointer(centers), pixel_roots=pointer(roots)),
             d_cross_sections.data_ptr(),
+            None if slopes is None else elevation.data_ptr(),
         )
-        return centers, roots, d_cross_sections
+        if slopes is None:
+            return centers, roots, d_cross_sections, None
+        # the elevation is slopes · (pixel − centre), and `elevation` its gradient: the sum, and that with displacements
+        return centers - elevation[..., :1] * slopes, roots, d_cross_sections, elevation[..., 1:]
+
+    def _channels(self, cross_sections: Tensor, slopes: Tensor | None) -> Any:
+        return structs.Channels(cross_sections.shape[2], *map(pointer, (cross_sections, self.turns, slopes)))
 
 
 # ---- what they share -------------------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from sarsplat.gaussians.covariance import covariance
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
-from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, deviations
+from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves, deviations
 from sarsplat.renderer.ground import gamma0_by_view, in_sight, lit, returned, with_ground
 from sarsplat.renderer.lit_ground import RayEnds
 from sarsplat.renderer.rendering import RayMap, Rendering
@@ -129,23 +129,34 @@ def splat_reference(
     cross_sections: Float[Tensor, "v n c"],
     grid: ImageGrid,
     *,
+    waves: Waves | None = None,
     imaging_weight: str = "area",
     cuts: bool = True,
 ) -> Float[Tensor, "v c {grid.rows} {grid.columns}"]:
-    """Splat as `sarsplat.splat` does; `cuts` as at `render_reference`."""
+    """Splat as `sarsplat.splat` does; `cuts` as at `render_reference`; with waves, real and imaginary parts in turn."""
     x, r = (torch.from_numpy(axis).to(cross_sections) for axis in (grid.azimuth_m, grid.range_m))
     pixel = torch.stack(torch.meshgrid(x, r, indexing="xy"), dim=-1)  # [rows, columns, 2]
     images = []
     with torch.autocast(cross_sections.device.type, enabled=False):
-        for centers, roots, sigma in zip(footprints.centers, footprints.roots, cross_sections, strict=True):
-            u, v = _whitened(pixel - centers[:, None, None], roots[:, None, None])
+        for view, (centers, roots, sigma) in enumerate(
+            zip(footprints.centers, footprints.roots, cross_sections, strict=True)
+        ):
+            d = pixel - centers[:, None, None]
+            u, v = _whitened(d, roots[:, None, None])
             q = u**2 + v**2
             weight = torch.exp(-0.5 * q)
             if cuts:
                 weight = torch.where(q <= IMAGE_CUT, weight, torch.zeros_like(weight)) / (1 - math.exp(-IMAGE_CUT / 2))
             if imaging_weight == "area":
                 weight = weight * (roots[:, 0] * roots[:, 2] / (2 * math.pi))[:, None, None]  # 1/(2π √det Σ_I')
-            images.append(torch.einsum("nc,nyx->cyx", sigma, weight))
+            if waves is None:
+                images.append(torch.einsum("nc,nyx->cyx", sigma, weight))
+                continue
+            elevation = (waves.slopes[view][:, None, None] * d).sum(-1)
+            turn = torch.exp(1j * elevation[:, None] * waves.numbers[view][:, None, None])  # [N, C, rows, columns]
+            complexes = torch.view_as_complex(sigma.unflatten(1, (-1, 2)).contiguous())
+            image = torch.einsum("nc,nyx,ncyx->cyx", complexes, weight.to(turn), turn)
+            images.append(torch.view_as_real(image).movedim(-1, 1).flatten(0, 1))
     return torch.stack(images)
 
 

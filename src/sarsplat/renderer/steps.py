@@ -20,7 +20,7 @@ from sarsplat.renderer.checks import (
     check_values,
 )
 from sarsplat.renderer.engines import ENGINES, chosen_engine
-from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
+from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
 from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
 from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
 
@@ -139,13 +139,15 @@ def splat(
     cross_sections: Inexact[Tensor, "v n c"],
     grid: ImageGrid,
     *,
+    waves: Waves | None = None,
     imaging_weight: str = "area",
     engine: str = "auto",
 ) -> Inexact[Tensor, "v c {grid.rows} {grid.columns}"]:
     """Add footprints to images, each with a cross-section for every channel: linear in them, in any order.
 
-    Differentiable with respect to the centres, the roots and the cross-sections; footprint cuts are held constant.
-    Channels share the work on a footprint: polarisations, looks or features cost little more than one image.
+    Differentiable with respect to the centres, the roots, the cross-sections and the slopes of the waves; footprint
+    cuts are held constant. Channels share the work on a footprint: polarisations, looks or features cost little more
+    than one image.
 
     Parameters
     ----------
@@ -156,6 +158,8 @@ def splat(
         and imaginary parts are two channels, for complex images.
     grid : ImageGrid
         Pixels; the same as for `project`, which widened the footprints by its response.
+    waves : Waves, optional
+        How the phases of complex cross-sections change across the footprints, at whose centres they are as given.
     imaging_weight : {"area", "peak"}
         "area" divides by the footprint's area, which conserves cross-sections; "peak" does not, for ablations only.
     engine : {"auto", "cpu", "cuda", "reference"}
@@ -185,22 +189,53 @@ def splat(
             f"cross_sections is {cross_sections.dtype} on {cross_sections.device} but footprints.centers is "
             f"{centers.dtype} on {centers.device}; use one floating dtype and one device for all tensors"
         )
+    if waves is not None:
+        _check_waves(waves, cross_sections)
     if cross_sections.is_complex():
         parts = torch.view_as_real(cross_sections.resolve_conj()).flatten(2)
-        images = splat(footprints, parts, grid, imaging_weight=imaging_weight, engine=engine)
+        images = _splat_parts(footprints, parts, grid, waves, imaging_weight, engine)
         return torch.view_as_complex(images.unflatten(1, (-1, 2)).movedim(2, -1).contiguous())
+    return _splat_parts(footprints, cross_sections, grid, waves, imaging_weight, engine)
+
+
+def _splat_parts(
+    footprints: Footprints,
+    cross_sections: Float[Tensor, "v n c"],
+    grid: ImageGrid,
+    waves: Waves | None,
+    imaging_weight: str,
+    engine: str,
+) -> Float[Tensor, "v c {grid.rows} {grid.columns}"]:
+    """With waves, real and imaginary parts in turn."""
     tensors: dict[str, Tensor | None] = {
-        "footprints.centers": centers,
+        "footprints.centers": footprints.centers,
         "footprints.roots": footprints.roots,
         "cross_sections": cross_sections,
+        "waves.slopes": None if waves is None else waves.slopes,
     }
-    _check_batch("footprints.centers", centers)
+    _check_batch("footprints.centers", footprints.centers)
     if (engine := chosen_engine(engine, cross_sections)) in ENGINES:
         new_pass = ENGINES[engine].prepare(tensors, grid, "auto")
-        return splat_with(new_pass, footprints, cross_sections, grid, imaging_weight=imaging_weight)
+        return splat_with(new_pass, footprints, cross_sections, grid, waves=waves, imaging_weight=imaging_weight)
     check_for_reference("cross_sections", cross_sections.dtype)
     check_step_values(tensors)
-    return splat_reference(footprints, cross_sections, grid, imaging_weight=imaging_weight)
+    return splat_reference(footprints, cross_sections, grid, waves=waves, imaging_weight=imaging_weight)
+
+
+def _check_waves(waves: Waves, cross_sections: Tensor) -> None:
+    v, n, c = cross_sections.shape
+    if not cross_sections.is_complex():
+        raise SarsplatError(
+            f"cross_sections is {cross_sections.dtype}, which has no phase; give complex ones, or no waves"
+        )
+    found, wanted = (tuple(waves.slopes.shape), tuple(waves.numbers.shape)), ((v, n, 2), (v, c))
+    like = cross_sections.real
+    if found != wanted or waves.slopes.dtype != like.dtype or waves.slopes.device != like.device:
+        raise SarsplatError(
+            f"waves has slopes {found[0]} and numbers {found[1]} of {waves.slopes.dtype} on {waves.slopes.device}; for "
+            f"cross_sections {tuple(cross_sections.shape)} of {cross_sections.dtype} on {cross_sections.device} they "
+            f"must be {wanted[0]} and {wanted[1]} of {like.dtype}"
+        )
 
 
 def _check_batch(name: str, tensor: Tensor) -> None:

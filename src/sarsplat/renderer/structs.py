@@ -41,7 +41,9 @@ Projection = structure(
     *((name, c_void_p) for name in ("ray_centers", "ray_roots", "optical_depth", "range", "tilt")),
     *((name, c_void_p) for name in ("pixel_centers", "pixel_roots", "gamma0")),
 )
-Channels = structure("sg_channels", ("count", c_int32), ("cross_sections", c_void_p))
+Channels = structure(
+    "sg_channels", ("count", c_int32), *((name, c_void_p) for name in ("cross_sections", "wavenumbers", "slopes"))
+)
 Lattice = structure("sg_lattice", ("k0x", c_int64), ("k0y", c_int64), ("rows", c_int32), ("columns", c_int32))
 Statistics = structure(
     "sg_statistics",

@@ -144,12 +144,14 @@ struct sg_projection {
 struct sg_channels {      // what is splatted
   int32_t count;          // C
   const float* cross_sections;  // [V, N, C], m^2
+  const float* wavenumbers;     // [V, C / 2] turns per metre, or null: channels are pairs, real and imaginary parts, and their phase
+  const float* slopes;          // [V, N, 2] changes across a footprint with its elevation, of so many metres per metre
 };
 
 struct sg_context;        // what backward needs; opaque
 
 enum sg_status { SG_OK = 0, SG_MEANS, SG_QUATERNIONS, SG_SCALES, SG_KAPPA, SG_SCATTERING, SG_AMPLITUDES, SG_SHIFT, SG_LATTICE, SG_MEMORY,
-                 SG_CENTERS, SG_ROOTS, SG_DEPTH, SG_RANGE, SG_TILT, SG_CROSS_SECTIONS };
+                 SG_CENTERS, SG_ROOTS, SG_DEPTH, SG_RANGE, SG_TILT, SG_CROSS_SECTIONS, SG_SLOPES };
 
 }  // extern "C"
 
@@ -172,5 +174,6 @@ struct sg_engine {        // one per instruction set
   int32_t (*attenuate)(sg_context*, const sg_problem*, const sg_projection*, float* lit_area, int64_t* culprit);
   int32_t (*attenuate_backward)(sg_context*, const sg_problem*, const float* d_lit_area, const float* d_transmittance, const sg_projection* out);
   int32_t (*splat)(sg_context*, const sg_problem*, const sg_projection*, const sg_channels*, float* images, int64_t* culprit);
-  int32_t (*splat_backward)(sg_context*, const sg_problem*, const sg_channels*, const float* d_images, const sg_projection* out, float* d_cross_sections);
+  int32_t (*splat_backward)(sg_context*, const sg_problem*, const sg_channels*, const float* d_images, const sg_projection* out, float* d_cross_sections,
+                            float* d_elevation);
 };

@@ -11,42 +11,63 @@ constexpr int kTogether = 4;  // the most channels in one pass; a single one has
 // What channels are multiplied by: the lit area where they are given per area.
 SG_FN float area(const State& s, int64_t j) { return s.lit_area ? s.lit_area[j] : 1.0f; }
 
-template <int K>
+// What a Gaussian shows at a pixel lies so much higher than what it shows at its centre, m.
+struct Slopes { float x, y; };
+SG_FN Slopes slopes_of(const sg_problem& p, const sg_channels& a, int64_t j) {
+  return {a.slopes[2 * j] * p.pixel[0], a.slopes[2 * j + 1] * p.pixel[1]};
+}
+SG_FN float elevation(const Footprint& g, const Slopes& slopes, float x, float y) { return slopes.x * (x - g.x) + slopes.y * (y - g.y); }
+SG_FN const float* turns_of(const sg_channels& a, int64_t view, int first_channel) { return a.wavenumbers + (view * a.count + first_channel) / 2; }
+
+template <int K, bool kWaves>
 SG_FN void splat_tile(const sg_problem& p, const State& s, const sg_channels& a, int first_channel, float* images,
-                      Footprint* staged, float (*heights)[K]) {
+                      Footprint* staged, float (*heights)[K], Slopes* slopes) {
   const auto [lattice, pixel, first, count] = tile(s.pixels, p.views, blockIdx.x);
   const int channels = a.count - first_channel < K ? a.count - first_channel : K;
   const float cut = image_cut(p);
+  const int64_t size = (int64_t)p.rows * p.columns, view = lattice.first_point / size;
   float S[K] = {};
   for (int begin = 0; begin < count; begin += kThreads) {
-    const int size = count - begin < kThreads ? count - begin : kThreads;
+    const int some = count - begin < kThreads ? count - begin : kThreads;
     __syncthreads();  // nobody still reads what was staged before
-    if (thread() < size) {
+    if (thread() < some) {
       const int32_t j = s.pixels.owners[s.pixels.order[first + begin + thread()]];
       Footprint g = placed(s.pixels.splats[j].g, lattice);
       const float norm = g.height * area(s, j), *amplitudes = a.cross_sections + (int64_t)j * a.count + first_channel;
       g.height = norm;
+      if constexpr (kWaves) slopes[thread()] = slopes_of(p, a, j);
       for (int c = 0; c < K; c++) heights[thread()][c] = c < channels ? amplitudes[c] * norm : 0.0f;
       staged[thread()] = g;
     }
     __syncthreads();
-    for (int k = 0; k < size; k++) {
+    for (int k = 0; k < some; k++) {
       const Footprint& g = staged[k];
       if (g.height == 0.0f) continue;  // unlit
       const float weight = imaging_weight(distance(offset(g, (float)pixel.x, (float)pixel.y)), cut);
-      for (int c = 0; c < K; c++) S[c] += weight * heights[k][c];
+      if constexpr (kWaves) {
+        const float height = elevation(g, slopes[k], (float)pixel.x, (float)pixel.y), *turns = turns_of(a, view, first_channel);
+        for (int c = 0; c < K; c += 2) {
+          if (c >= channels) break;
+          const Phase<float> turned = phase(height * turns[c / 2]);
+          S[c] += weight * (turned.c * heights[k][c] - turned.s * heights[k][c + 1]);
+          S[c + 1] += weight * (turned.s * heights[k][c] + turned.c * heights[k][c + 1]);
+        }
+      } else {
+        for (int c = 0; c < K; c++) S[c] += weight * heights[k][c];
+      }
     }
   }
   if (!pixel.inside) return;
-  const int64_t size = (int64_t)p.rows * p.columns, image = lattice.first_point / size * a.count + first_channel;
+  const int64_t image = view * a.count + first_channel;
   for (int c = 0; c < K; c++)
     if (c < channels) images[(image + c) * size + (pixel.index - lattice.first_point)] = S[c];
 }
 
 // From dL/dS to dL/dsigma and the moments of every Gaussian: those of the first channels are written, of others added.
-template <int K>
+// With waves, also to the sums of dL/d(elevation), alone and times the displacement from the centre.
+template <int K, bool kWaves>
 SG_FN void gather_pixels(const sg_problem& p, const State& s, const sg_channels& a, int first_channel, const float* d_images,
-                         float* d_cross_sections) {
+                         float* d_cross_sections, float* d_elevation) {
   const int64_t j = (int64_t)blockIdx.x * kWarps + warp(), n = p.gaussians;
   if (j >= n * p.views) return;
   const Lattice lattice = s.pixels.lattices[j / n];
@@ -58,7 +79,7 @@ SG_FN void gather_pixels(const sg_problem& p, const State& s, const sg_channels&
   const float* dS = d_images + (j / n * a.count + first_channel) * size;
   const float* amplitudes = a.cross_sections + j * a.count + first_channel;
   Moments<float> m{};
-  float sums[K] = {};
+  float sums[K] = {}, turning[3] = {};
   if (lit != 0.0f && !empty(box)) {  // an unlit Gaussian has no gradient
     const int width = box.x.last - box.x.first + 1, across = kWarp % width, down = kWarp / width;
     for (int x = box.x.first + lane() % width, y = box.y.first + lane() / width; y <= box.y.last; x += across, y += down) {
@@ -66,11 +87,31 @@ SG_FN void gather_pixels(const sg_problem& p, const State& s, const sg_channels&
       const Offset<float> d = offset(g, (float)x, (float)y);
       const float weight = imaging_weight(distance(d), cut), *seen = dS + (int64_t)y * lattice.columns + x;
       float along = 0.0f;
-      for (int c = 0; c < K; c++)
-        if (c < channels) {
-          sums[c] += weight * seen[c * size];
-          along += seen[c * size] * amplitudes[c];
+      if constexpr (kWaves) {
+        const Slopes slopes = slopes_of(p, a, j);
+        const float height = elevation(g, slopes, (float)x, (float)y), *turns = turns_of(a, j / n, first_channel);
+        float turn = 0.0f;
+        for (int c = 0; c < K; c += 2) {
+          if (c >= channels) break;
+          const Phase<float> turned = phase(height * turns[c / 2]);
+          const float re = seen[c * size], im = seen[(c + 1) * size];
+          const float real = turned.c * re + turned.s * im, imaginary = turned.c * im - turned.s * re;
+          sums[c] += weight * real;
+          sums[c + 1] += weight * imaginary;
+          along += real * amplitudes[c] + imaginary * amplitudes[c + 1];
+          turn += (imaginary * amplitudes[c] - real * amplitudes[c + 1]) * (6.2831853f * turns[c / 2]);
         }
+        turn *= weight;
+        turning[0] += turn;
+        turning[1] += turn * ((float)x - g.x);
+        turning[2] += turn * ((float)y - g.y);
+      } else {
+        for (int c = 0; c < K; c++)
+          if (c < channels) {
+            sums[c] += weight * seen[c * size];
+            along += seen[c * size] * amplitudes[c];
+          }
+      }
       m.add(d, weight * (K == 1 ? *seen : along));
     }
   }
@@ -79,6 +120,13 @@ SG_FN void gather_pixels(const sg_problem& p, const State& s, const sg_channels&
   const float moment = sum * g.height * lit * (K == 1 ? amplitudes[0] : 1.0f);
   const int sixth = sixth_of(lane());
   if (sixth >= 0) s.pixel_moments[6 * j + sixth] = first_channel ? s.pixel_moments[6 * j + sixth] + moment : moment;
+  if constexpr (kWaves) {
+    const float unit[3] = {1.0f, p.pixel[0], p.pixel[1]};
+    for (int k = 0; k < 3; k++) {
+      const float total = warp_sum(turning[k]) * g.height * lit * unit[k];
+      if (lane() == 0) d_elevation[3 * j + k] = first_channel ? d_elevation[3 * j + k] + total : total;
+    }
+  }
   for (int c = 0; c < K; c++) {
     const float total = K == 1 ? sum : warp_sum(sums[c]);
     if (lane() == 0 && c < channels) d_cross_sections[j * a.count + first_channel + c] = total * g.height;
@@ -88,20 +136,30 @@ SG_FN void gather_pixels(const sg_problem& p, const State& s, const sg_channels&
 extern "C" __global__ void __launch_bounds__(kThreads) splat_tiles_1(sg_problem p, State s, sg_channels a, int32_t first, float* images) {
   __shared__ Footprint staged[kThreads];
   __shared__ float heights[kThreads][1];
-  splat_tile<1>(p, s, a, first, images, staged, heights);
+  splat_tile<1, false>(p, s, a, first, images, staged, heights, nullptr);
 }
 extern "C" __global__ void __launch_bounds__(kThreads) splat_tiles_4(sg_problem p, State s, sg_channels a, int32_t first, float* images) {
   __shared__ Footprint staged[kThreads];
   __shared__ float heights[kThreads][kTogether];
-  splat_tile<kTogether>(p, s, a, first, images, staged, heights);
+  splat_tile<kTogether, false>(p, s, a, first, images, staged, heights, nullptr);
+}
+extern "C" __global__ void __launch_bounds__(kThreads) splat_waves_4(sg_problem p, State s, sg_channels a, int32_t first, float* images) {
+  __shared__ Footprint staged[kThreads];
+  __shared__ float heights[kThreads][kTogether];
+  __shared__ Slopes slopes[kThreads];
+  splat_tile<kTogether, true>(p, s, a, first, images, staged, heights, slopes);
 }
 extern "C" __global__ void __launch_bounds__(kThreads, kResident)
-splat_tiles_1_backward(sg_problem p, State s, sg_channels a, int32_t first, const float* d_images, float* d_cross_sections) {
-  gather_pixels<1>(p, s, a, first, d_images, d_cross_sections);
+splat_tiles_1_backward(sg_problem p, State s, sg_channels a, int32_t first, const float* d_images, float* d_cross_sections, float* d_elevation) {
+  gather_pixels<1, false>(p, s, a, first, d_images, d_cross_sections, d_elevation);
 }
 extern "C" __global__ void __launch_bounds__(kThreads)
-splat_tiles_4_backward(sg_problem p, State s, sg_channels a, int32_t first, const float* d_images, float* d_cross_sections) {
-  gather_pixels<kTogether>(p, s, a, first, d_images, d_cross_sections);
+splat_tiles_4_backward(sg_problem p, State s, sg_channels a, int32_t first, const float* d_images, float* d_cross_sections, float* d_elevation) {
+  gather_pixels<kTogether, false>(p, s, a, first, d_images, d_cross_sections, d_elevation);
+}
+extern "C" __global__ void __launch_bounds__(kThreads)
+splat_waves_4_backward(sg_problem p, State s, sg_channels a, int32_t first, const float* d_images, float* d_cross_sections, float* d_elevation) {
+  gather_pixels<kTogether, true>(p, s, a, first, d_images, d_cross_sections, d_elevation);
 }
 
 }  // namespace SG_ISA

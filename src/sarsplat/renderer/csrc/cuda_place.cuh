@@ -107,6 +107,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) place_footprints(sg_probl
     const OnPlane pixels = on_plane(in.pixel_centers, in.pixel_roots, j);
     check_footprint(p, s, pixels, j);
     check(s, a.cross_sections + j * a.count, a.count, -p.strongest, p.strongest, SG_CROSS_SECTIONS, j);
+    if (a.wavenumbers) check(s, a.slopes + 2 * j, 2, -p.strongest, p.strongest, SG_SLOPES, j);
     place_on_pixels(p, s, j, pixels);
   }
   if (in.ray_centers) bound_rays(s, view, j);

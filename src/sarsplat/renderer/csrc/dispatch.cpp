@@ -68,7 +68,7 @@ SG_EXPORT int32_t sg_attenuate_backward(sg_handle* h, const sg_problem* p, const
 SG_EXPORT int32_t sg_splat(sg_handle* h, const sg_problem* p, const sg_projection* in, const sg_channels* a, float* images, int64_t* culprit) {
   return h->engine->splat(h->context, p, in, a, images, culprit);
 }
-SG_EXPORT int32_t sg_splat_backward(sg_handle* h, const sg_problem* p, const sg_channels* a, const float* d_images, const sg_projection* out, float* d_cross_sections) {
-  return h->engine->splat_backward(h->context, p, a, d_images, out, d_cross_sections);
+SG_EXPORT int32_t sg_splat_backward(sg_handle* h, const sg_problem* p, const sg_channels* a, const float* d_images, const sg_projection* out, float* d_cross_sections, float* d_elevation) {
+  return h->engine->splat_backward(h->context, p, a, d_images, out, d_cross_sections, d_elevation);
 }
 SG_EXPORT void sg_get_statistics(const sg_handle* h, const sg_problem* p, sg_statistics* out) { h->engine->statistics(h->context, p, out); }

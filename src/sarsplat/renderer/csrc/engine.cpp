@@ -15,7 +15,7 @@ namespace {
 
 int32_t forward(sg_context& c, const sg_problem& p, const sg_outputs* out, int64_t* culprit) {
   const int64_t n = p.gaussians, C = p.channels;
-  const Channels channels{p.channels, p.amplitudes};
+  const Channels channels{p.channels, p.amplitudes, nullptr};
   if (const int32_t status = begin(c, p, kRays | kPixels)) return status;
   const int chunks = chunks_of(n);
   parallel(chunks, [&](int i) {
@@ -61,11 +61,14 @@ SG_FN Share share_of(const sg_context& c, const sg_problem& p, const Backward& s
 int32_t backward(sg_context& c, const sg_problem& p, const sg_gradients* gradients) {
   const int64_t n = p.gaussians, C = p.channels;
   const sg_gradients& g = *gradients;
-  const Channels channels{p.channels, p.amplitudes};
+  const Channels channels{p.channels, p.amplitudes, nullptr};
   Backward* scratch = c.arena.take<Backward>(p.views);
   float* sections = C > group_of(p.channels) ? c.arena.take<float>(p.views * n * C) : nullptr;
   if (c.arena.failed()) return SG_MEMORY;
-  for (int v = 0; v < p.views; v++) scratch[v].sections = sections ? sections + v * n * C : nullptr;
+  for (int v = 0; v < p.views; v++) {
+    scratch[v].sections = sections ? sections + v * n * C : nullptr;
+    scratch[v].elevation = nullptr;
+  }
   // dL/dsigma to dL/dw and to dL/dP(u)
   ViewState* const views = c.views;
   float* const d_amplitudes = g.amplitudes;

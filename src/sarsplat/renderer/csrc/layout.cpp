@@ -22,7 +22,7 @@ const Layout kLayouts[] = {
            AT(harmonics), AT(amplitudes), AT(shift), AT(planes)),
     LAYOUT(sg_projection, AT(ray_centers), AT(ray_roots), AT(optical_depth), AT(range), AT(tilt), AT(pixel_centers), AT(pixel_roots),
            AT(gamma0)),
-    LAYOUT(sg_channels, AT(count), AT(cross_sections)),
+    LAYOUT(sg_channels, AT(count), AT(cross_sections), AT(wavenumbers), AT(slopes)),
     LAYOUT(sg_lattice, AT(k0x), AT(k0y), AT(rows), AT(columns)),
     LAYOUT(sg_statistics, AT(blocks_attenuation), AT(live_attenuation), AT(blocks_imaging), AT(live_imaging), AT(lanes)),
     LAYOUT(sg_loss, AT(views), AT(rows), AT(columns), AT(power), AT(truth), AT(window), AT(reference), AT(floor), AT(ssim_weight),

@@ -1,6 +1,6 @@
 // pair_math.h: the one place where the mathematics of a pair lives: (Gaussian, ray) and (Gaussian, pixel).
 // F is a SIMD vector on a CPU and float on a GPU thread; the includer provides splat, choose, power2, power2_parts,
-// power2_minus_one and sum6 for its F. Exponents and optical depths are kept in base 2: they carry a factor log2(e).
+// power2_minus_one, nearest and sum6 for its F. Exponents and optical depths are kept in base 2: they carry a factor log2(e).
 #pragma once
 
 namespace sarsplat {
@@ -43,6 +43,20 @@ template <class F, class M> SG_FN F attenuate_backward(F log_tau, M live, float 
 
 // Pass B (§3): the footprint's weight, without its norm.
 template <class F> SG_FN F imaging_weight(F q, float cut) { return choose(q <= cut, power2(-q), splat(0.0f)); }
+
+// cos and sin of an angle in turns, from those of half of it; errors below 2e-7.
+template <class F> struct Phase { F c, s; };
+template <class F> SG_FN Phase<F> phase(F turns) {
+  const F f = turns - nearest(turns), f2 = f * f;
+  F s = f2 * 0.07721839f - 0.59804419f, c = f2 * 0.21968961f - 1.33187657f;
+  s = s * f2 + 2.55003119f;
+  c = c * f2 + 4.05841135f;
+  s = s * f2 - 5.16770687f;
+  c = c * f2 - 4.93479283f;
+  s = (s * f2 + 3.14159258f) * f;
+  c = c * f2 + 0.99999995f;
+  return {s * s * -2.0f + 1.0f, s * c * 2.0f};
+}
 
 // Six sums per Gaussian and plane are all that the backward pass needs (§4): f {1, u, v, u^2, u v, v^2}.
 template <class F> struct Moments {

@@ -26,7 +26,8 @@ struct alignas(64) RayEntry : Entry {
 struct alignas(64) PixelEntry : Entry {  // height: the norm of the imaging weight
   float gamma0, lit;              // the amplitude, if there is one channel, and what it is multiplied by: A_lit
   float slope;                    // of P(u) over the sum of harmonics
-  int32_t unused[3];
+  float elevation[2];             // of what it shows at (u, v) above its centre: of u and of v, m; where channels have wavenumbers
+  int32_t unused;
 };
 static_assert(sizeof(RayEntry) == 64 && sizeof(PixelEntry) == 64, "an entry is a line of the cache");
 constexpr int kSums = 8;          // numbers in a row of moments: six, and two more
@@ -134,8 +135,9 @@ constexpr int kTogether = kWidth == 16 ? 8 : 4;  // channels at most: as many as
 struct Amplitudes {
   const float* first;
   int64_t stride;
+  const float* turns;             // per metre of elevation, of every pair of channels from there on; null: all are constant
   const float* of(const PixelEntry& e, int64_t id) const { return first ? first + stride * id : &e.gamma0; }
-  Amplitudes from(int channel) const { return {first ? first + channel : nullptr, stride}; }
+  Amplitudes from(int channel) const { return {first ? first + channel : nullptr, stride, turns ? turns + channel / 2 : nullptr}; }
 };
 
 SG_FN int group_of(int channels) { return channels >= kTogether ? kTogether : smaller(4, channels); }  // the first of them
@@ -181,6 +183,70 @@ static void image_part(const PixelEntry* entries, const int32_t* list, int n, co
       for (int c = 0; c < C; c++) store_anywhere(S + c * size + at, weight * heights[c] + load_anywhere(S + c * size + at));
     });
   }
+}
+
+// ---- complex channels whose phase changes across a footprint: pairs of channels, turned at each pixel ---------------------
+SG_FN F elevation_at(const PixelEntry& e, const Offset<F>& d) { return d.u * e.elevation[0] + d.v * e.elevation[1]; }
+
+template <int C>
+static void wave_part(const PixelEntry* entries, const int32_t* list, int n, const Strips& s, const Amplitudes& a, float cut, float* S) {
+  const int64_t size = s.size();
+  std::memset(S, 0, sizeof(float) * C * size);
+  for (int k = 0; k < n; k++) {
+    const int32_t ahead = list[k + kAhead < n ? k + kAhead : k];
+    __builtin_prefetch(entries + ahead);
+    __builtin_prefetch(a.first + a.stride * ahead);
+    const PixelEntry& e = entries[list[k]];
+    float heights[C];
+    if (read_heights<C>(e, a.of(e, list[k]), heights)) continue;
+    for_blocks(e, s, [&](const Offset<F>& d, int64_t at) {
+      const F weight = imaging_weight(distance(d), cut), elevation = elevation_at(e, d);
+      for (int c = 0; c < C; c += 2) {
+        const Phase<F> turned = phase(elevation * a.turns[c / 2]);
+        float *real = S + c * size + at, *imaginary = real + size;
+        store_anywhere(real, weight * (turned.c * heights[c] - turned.s * heights[c + 1]) + load_anywhere(real));
+        store_anywhere(imaginary, weight * (turned.s * heights[c] + turned.c * heights[c + 1]) + load_anywhere(imaginary));
+      }
+    });
+  }
+}
+
+// As image_backward; elevation: sums of dL/d(elevation) times 1, u and v, to which those of these channels are added.
+template <int C> SG_FN Eight wave_backward(const PixelEntry& e, const Strips& s, float cut, const float* dS, const Amplitudes& a, int64_t id,
+                                           float* sums, float* elevation) {
+  const F zero = splat(0.0f);
+  Moments<F> m{zero, zero, zero, zero, zero, zero};
+  F all[C], g0 = zero, gu = zero, gv = zero;
+  for (F& x : all) x = zero;
+  float heights[C];
+  read_heights<C>(e, a.of(e, id), heights);
+  const int64_t size = s.size();
+  for_blocks(e, s, [&](const Offset<F>& d, int64_t at) {
+    const F weight = imaging_weight(distance(d), cut), height = elevation_at(e, d);
+    F along = zero, turning = zero;
+    for (int c = 0; c < C; c += 2) {
+      const Phase<F> turned = phase(height * a.turns[c / 2]);
+      const F x = load_anywhere(dS + c * size + at), y = load_anywhere(dS + (c + 1) * size + at);
+      const F real = turned.c * x + turned.s * y, imaginary = turned.c * y - turned.s * x;
+      all[c] += weight * real;
+      all[c + 1] += weight * imaginary;
+      along += real * heights[c] + imaginary * heights[c + 1];
+      turning += (imaginary * heights[c] - real * heights[c + 1]) * (6.2831853f * a.turns[c / 2]);
+    }
+    m.add(d, weight * along);
+    turning *= weight;
+    g0 += turning;
+    gu += turning * d.u;
+    gv += turning * d.v;
+  });
+  const Eight found = sum6(g0, gu, gv, zero, zero, zero);
+  for (int k = 0; k < 3; k++) elevation[k] += found[k];
+  Eight moments = sum6(zero, m.mu, m.mv, m.muu, m.muv, m.mvv);
+  for (int c = 0; c < C; c++) {
+    sums[c] = sum(all[c]);
+    moments[0] += heights[c] * sums[c];
+  }
+  return moments;
 }
 
 // A gather: a Gaussian reads the pixels it touches; spare rows of dS are zero. Returns the moments of the sum over channels of

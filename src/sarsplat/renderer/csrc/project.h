@@ -122,10 +122,10 @@ F pixel_y(const sg_problem& p, F r_m) { return (r_m - p.center[1]) * (1.0f / p.p
 
 // norm: of the imaging weight; amplitude, lit, slope: see PixelEntry
 void place_on_pixels(const ViewState& s, const sg_problem& p, const Cuts& cuts, const Placed<F>& at, F norm, F amplitude, F lit, F slope,
-                     int64_t i, int real) {
+                     const F (&elevation)[2], int64_t i, int real) {
   const F wide = cuts.deviations * at.deviation_x, tall = cuts.deviations * at.deviation_y, zero = splat(0.0f);
   const Boxes pixels = clip(boxes_around(at.x, at.y, wide, tall, (I)(-1)), p.columns, p.rows);
-  write_entries(s.on_pixels + i, real, at.x, at.y, at.w, norm, pixels, {amplitude, lit, slope, zero, zero, zero});
+  write_entries(s.on_pixels + i, real, at.x, at.y, at.w, norm, pixels, {amplitude, lit, slope, elevation[0], elevation[1], zero});
   store(s.pixel_keys + i, key_of(pixels, p.rows));
 }
 
@@ -182,7 +182,7 @@ void project_chunk(const sg_context& c, const sg_problem& p, int64_t first, int6
     const Placed<F> on_pixels{pixel_x(p, g.mean[0] + shift[0]), pixel_y(p, g.mean[2] + shift[1]), whitening(g.cov_i, g.det_iw),
                               root(g.cov_i.xx), root(g.cov_i.yy)};
     const F norm = p.peak ? splat(cuts.lost) : cuts.lost / (6.2831853f * p.pixel[0] * p.pixel[1] * root(g.det_iw));
-    place_on_pixels(s, p, cuts, on_pixels, norm, gamma0.value, zero, gamma0.slope, i, real);
+    place_on_pixels(s, p, cuts, on_pixels, norm, gamma0.value, zero, gamma0.slope, {zero, zero}, i, real);
   });
 }
 

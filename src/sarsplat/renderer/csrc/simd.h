@@ -30,6 +30,7 @@ SG_FN int larger(int a, int b) { return a > b ? a : b; }
 SG_FN int smaller(int a, int b) { return a < b ? a : b; }
 SG_FN F up(F x) { return __builtin_elementwise_ceil(x); }
 SG_FN F down(F x) { return __builtin_elementwise_floor(x); }
+SG_FN F nearest(F x) { return (x + 12582912.0f) - 12582912.0f; }  // whole number; |x| < 2^22
 
 // at any address, not only at multiples of the vector
 SG_FN F load_anywhere(const float* p) { F x; __builtin_memcpy(&x, p, sizeof(x)); return x; }

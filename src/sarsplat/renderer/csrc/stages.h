@@ -92,6 +92,7 @@ struct Backward {                 // scratch of one backward pass, per view: row
   float* pixel_moments;           // by id; times the amplitude, then dL/dP(u) and the slope of P(u)
   float *T, *B, *dS;
   float* sections;                // dL/dsigma [N, C]; null if one group of channels needs no more than it has at hand
+  float* elevation;               // [N, 3] sums of dL/d(elevation) times 1, u and v; null where no phase changes
 };
 
 // dL/dw is in the entries; d_transmittance: of the views' lattices one after the other, or null.
@@ -126,8 +127,10 @@ int32_t attenuate_rays_backward(sg_context& c, const sg_problem& p, const float*
 // C channels [V, N, C] of all views
 struct Channels {
   int count;
-  const float* amplitudes;
-  Amplitudes of(int64_t v, int64_t n) const { return {count == 1 ? nullptr : amplitudes + v * n * count, count}; }
+  const float *amplitudes, *wavenumbers;  // [V, C / 2], or null
+  Amplitudes of(int64_t v, int64_t n) const {
+    return {count == 1 ? nullptr : amplitudes + v * n * count, count, wavenumbers ? wavenumbers + v * (count / 2) : nullptr};
+  }
 };
 
 // Rows of an image, the `channel`th of a view: what its parts hold, in their order.
@@ -155,8 +158,14 @@ int32_t splat_images(sg_context& c, const sg_problem& p, const Channels& channel
     const ViewState& s = c.views[v];
     const Part& part = s.pixel_groups[b];
     for_channels(C, [&](int first, auto count) {
-      image_part<count>(s.on_pixels, s.pixel_list + part.first, part.count(), part.strips, channels.of(v, n).from(first), image_cut(p),
-                        part.memory + first * part.strips.size());
+      auto to_images = [&](auto image) {
+        image(s.on_pixels, s.pixel_list + part.first, part.count(), part.strips, channels.of(v, n).from(first), image_cut(p),
+              part.memory + first * part.strips.size());
+      };
+      if constexpr (count % 2 == 0) {
+        if (channels.wavenumbers) return to_images(wave_part<count>);
+      }
+      to_images(image_part<count>);
     });
   });
   const int groups = tasks_of(p.rows, kRowsPerTask);
@@ -183,7 +192,7 @@ void write_strips(const Strips& s, int first, int end, const float* image, float
 // from those of all channels is left to finish(id, entry, moments, dL/dsigma), once.
 template <int C, class Finish>
 void image_part_backward(const ViewState& s, const Part& part, const Strips& image, const Amplitudes& a, float cut, const float* dS,
-                         const float* seeds, int first, bool last, float* sections, float* moments, Finish finish) {
+                         const float* seeds, int first, bool last, float* sections, float* elevation, float* moments, Finish finish) {
   for (int k = part.first; k < part.end; k++) {
     const int32_t ahead = s.pixel_list[smaller(k + kAhead, part.end - 1)], id = s.pixel_list[k];
     __builtin_prefetch(s.on_pixels + ahead);
@@ -191,7 +200,14 @@ void image_part_backward(const ViewState& s, const Part& part, const Strips& ima
     const PixelEntry& e = s.on_pixels[id];
     float* row = moments + kSums * (int64_t)id;
     float sums[C] = {};           // what is not lit has no gradient
-    Eight sum = e.lit == 0.0f ? (Eight)(0.0f) : image_backward<C>(e, image, cut, dS, a.of(e, id), sums);
+    Eight sum = (Eight)(0.0f);
+    if constexpr (C % 2 == 0) {
+      if (a.turns) {
+        for (int k = 0; k < 3 && !first; k++) elevation[3 * id + k] = 0.0f;
+        if (e.lit != 0.0f) sum = wave_backward<C>(e, image, cut, dS, a, id, sums, elevation + 3 * (int64_t)id);
+      }
+    }
+    if (e.lit != 0.0f && !a.turns) sum = image_backward<C>(e, image, cut, dS, a.of(e, id), sums);
     for (int c = 0; c < C; c++) sums[c] = sums[c] * e.g.height + (seeds ? seeds[a.stride * id + first + c] : 0.0f);
     float* all = sections ? sections + a.stride * id : sums;
     for (int c = 0; sections && c < C; c++) all[first + c] = sums[c];
@@ -221,7 +237,8 @@ int32_t splat_images_backward(sg_context& c, const sg_problem& p, const Channels
     const ViewState& s = c.views[v];
     for_channels(C, [&](int first, auto count) {
       image_part_backward<count>(s, s.pixel_groups[b], c.image, channels.of(v, n).from(first), image_cut(p), scratch[v].dS + first * size,
-                                 seeds ? seeds + v * n * C : nullptr, first, first + count == C, scratch[v].sections, scratch[v].pixel_moments,
+                                 seeds ? seeds + v * n * C : nullptr, first, first + count == C, scratch[v].sections, scratch[v].elevation,
+                                 scratch[v].pixel_moments,
                                  [&](int64_t id, const PixelEntry& e, Eight& sum, const float* all) { finish(v, id, e, sum, all); });
     });
   });

@@ -185,11 +185,13 @@ int32_t attenuate_step_backward(sg_context& c, const sg_problem& p, const float*
 }
 
 // ---- splat --------------------------------------------------------------------------------------------------------------
-Fault place_pixels(const sg_context& c, const sg_problem& p, const sg_projection& in, const Channels& a, int v, int64_t first, int64_t end) {
+Fault place_pixels(const sg_context& c, const sg_problem& p, const sg_projection& in, const Channels& a, const float* slopes, int v,
+                   int64_t first, int64_t end) {
   const int64_t base = v * (int64_t)p.gaussians;
   Fault fault{SG_OK, -1};
   check_footprints(p, in.pixel_centers, in.pixel_roots, base + first, base + end, fault);
   find_outside(a.amplitudes, base + first, base + end, a.count, -p.strongest, p.strongest, SG_CROSS_SECTIONS, fault);
+  if (a.wavenumbers) find_outside(slopes, base + first, base + end, 2, -p.strongest, p.strongest, SG_SLOPES, fault);
   if (fault.status) return fault;
   const Cuts cuts = cuts_of(p);
   const F zero = splat(0.0f), one = splat(1.0f);
@@ -202,25 +204,36 @@ Fault place_pixels(const sg_context& c, const sg_problem& p, const sg_projection
     const float share = cuts.lost / (6.2831853f * (p.pixel[0] * kRootUnit) * (p.pixel[1] * kRootUnit));
     const F norm = p.peak ? splat(cuts.lost) : at.w.ux * at.w.vy * share;
     const F section = a.count == 1 ? load_some(a.amplitudes + base + i, real) : zero;
-    place_on_pixels(c.views[v], p, cuts, at, norm, section, one, zero, i, real);
+    F elevation[2] = {zero, zero};
+    if (a.wavenumbers) {
+      F slope[2];
+      read_few<2>(slopes + 2 * (base + i), real, slope);
+      elevation[0] = slope[0] * p.pixel[0] / at.w.ux;  // dx = (u - uy / vy v) / ux, dy = v / vy
+      elevation[1] = (slope[1] * p.pixel[1] - elevation[0] * at.w.uy) / at.w.vy;
+    }
+    place_on_pixels(c.views[v], p, cuts, at, norm, section, one, zero, elevation, i, real);
   }
   return fault;
 }
 
 int32_t splat_step(sg_context& c, const sg_problem& p, const sg_projection* in, const sg_channels* channels, float* images, int64_t* culprit) {
-  const Channels a{channels->count, channels->cross_sections};
+  const Channels a{channels->count, channels->cross_sections, channels->wavenumbers};
   int32_t status = begin(c, p, kPixels);
-  if (!status) status = place_all(c, p, culprit, [&](int v, int64_t first, int64_t end) { return place_pixels(c, p, *in, a, v, first, end); });
+  if (!status)
+    status = place_all(c, p, culprit, [&](int v, int64_t first, int64_t end) { return place_pixels(c, p, *in, a, channels->slopes, v, first, end); });
   if (!status) status = arrange(c, p, kPixels, culprit);
   return status ? status : splat_images(c, p, a, images);
 }
 
 int32_t splat_step_backward(sg_context& c, const sg_problem& p, const sg_channels* channels, const float* d_images, const sg_projection* out,
-                            float* d_cross_sections) {
-  const Channels a{channels->count, channels->cross_sections};
+                            float* d_cross_sections, float* d_elevation) {
+  const Channels a{channels->count, channels->cross_sections, channels->wavenumbers};
   Backward* scratch = c.arena.take<Backward>(p.views);
   if (c.arena.failed()) return SG_MEMORY;
-  for (int v = 0; v < p.views; v++) scratch[v].sections = d_cross_sections + (int64_t)v * p.gaussians * a.count;
+  for (int v = 0; v < p.views; v++) {
+    scratch[v].sections = d_cross_sections + (int64_t)v * p.gaussians * a.count;
+    scratch[v].elevation = a.wavenumbers ? d_elevation + (int64_t)v * p.gaussians * 3 : nullptr;
+  }
   const int32_t status = splat_images_backward(c, p, a, d_images, nullptr, scratch, [](int64_t, int64_t, const PixelEntry&, Eight&, const float*) {});
   if (status) return status;
   over_chunks(p, [&](int v, int64_t first, int64_t end) {
@@ -233,8 +246,16 @@ int32_t splat_step_backward(sg_context& c, const sg_problem& p, const sg_channel
         m.muu -= m.m0 * (0.5f / kLn2);
         m.mvv -= m.m0 * (0.5f / kLn2);
       }
-      write_footprint_gradients(read_shapes(c.views[v].on_pixels + i, real).w, p.pixel, m, real, v * (int64_t)p.gaussians + i,
-                                out->pixel_centers, out->pixel_roots);
+      const int64_t at = v * (int64_t)p.gaussians + i;
+      const Whitening<F> w = read_shapes(c.views[v].on_pixels + i, real).w;
+      write_footprint_gradients(w, p.pixel, m, real, at, out->pixel_centers, out->pixel_roots);
+      if (!a.wavenumbers) continue;
+      F columns[3];                     // times 1, u, v become times 1, x, y
+      read_few<3>(d_elevation + 3 * at, real, columns);
+      columns[2] = columns[2] / w.vy;
+      columns[1] = (columns[1] - columns[2] * w.uy) / w.ux * p.pixel[0];
+      columns[2] *= p.pixel[1];
+      write_few<3>(columns, real, d_elevation + 3 * at);
     }
   });
   return SG_OK;
