@@ -17,6 +17,7 @@ from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.processes import Processes
 from sarsplat.renderer.bounds import Bounds
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
+from sarsplat.renderer.covariances import render_covariances
 from sarsplat.renderer.engines import ENGINES, chosen_engine
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
 from sarsplat.renderer.ground import above, check_ground, ground_values
@@ -37,6 +38,7 @@ __all__ = [
     "channel_of",
     "project",
     "render",
+    "render_covariances",
     "splat",
 ]
 

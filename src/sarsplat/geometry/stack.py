@@ -1,0 +1,124 @@
+"""An interferometric stack: several passes over one scene, whose phases tell how high things are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from numbers import Real
+
+import numpy as np
+from jaxtyping import Float64
+
+from sarsplat.arguments import checks_arguments
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry.grids import ImageGrid
+from sarsplat.geometry.view import View, radar_frame
+
+_LEAST_WAVELENGTH, _LARGEST_WAVELENGTH = 1e-4, 100.0
+_WIDEST = 0.2
+"""Offset of a pass, rad: beyond it the image of one pass is not that of another."""
+
+_TRANSMIT = ("each", "one")
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Passes that look at the scene from almost the same direction, coregistered to the images of a view.
+
+    The signal of pass i is y_i ∝ Σ exp(−jkR_i), R_i being the distance from its antenna: what lies farther away has
+    less phase. All passes have the pixels and the azimuth of the view.
+
+    Parameters
+    ----------
+    wavelength_m : float
+        Wavelength λ, m.
+    offsets_rad : tuple of float
+        Of each pass, by how much its antenna is seen higher than the view's direction, rad: the perpendicular baseline
+        over the range, b/R. The first is usually 0.
+    transmit : {"each", "one"}
+        Whether each pass transmits and receives itself, k = 4π/λ, or one transmits for all, k = 2π/λ.
+
+    Raises
+    ------
+    SarsplatError
+        If there are no passes, a number is out of range, or two passes are the same.
+    """
+
+    wavelength_m: float
+    offsets_rad: tuple[float, ...]
+    transmit: str = "each"
+
+    def __post_init__(self) -> None:
+        wavelength = self.wavelength_m
+        if not isinstance(wavelength, Real) or not _LEAST_WAVELENGTH <= wavelength <= _LARGEST_WAVELENGTH:
+            raise SarsplatError(
+                f"wavelength_m is {shown(wavelength)}; give {_LEAST_WAVELENGTH:g} to {_LARGEST_WAVELENGTH:g} metres"
+            )
+        if not isinstance(self.offsets_rad, tuple | list) or not self.offsets_rad:
+            raise SarsplatError(f"offsets_rad is {shown(self.offsets_rad)}; give the b/R of each pass, at least one")
+        for offset in self.offsets_rad:
+            if not isinstance(offset, Real) or not abs(offset) <= _WIDEST:
+                raise SarsplatError(f"an offset is {shown(offset)}; give b/R in radians, at most ±{_WIDEST}")
+        if len(set(self.offsets_rad)) < len(self.offsets_rad):
+            raise SarsplatError(
+                f"offsets_rad is {shown(self.offsets_rad)}, where two passes are the same; give each once"
+            )
+        if self.transmit not in _TRANSMIT:
+            raise SarsplatError(f"transmit is {shown(self.transmit)}; give one of {', '.join(_TRANSMIT)}")
+        object.__setattr__(self, "wavelength_m", float(wavelength))
+        object.__setattr__(self, "offsets_rad", tuple(map(float, self.offsets_rad)))
+
+    def __len__(self) -> int:
+        """Number of passes."""
+        return len(self.offsets_rad)
+
+    @property
+    def wavenumber(self) -> float:
+        """k: phase per distance from the antenna, rad/m."""
+        return (4 if self.transmit == "each" else 2) * math.pi / self.wavelength_m
+
+    @checks_arguments
+    def phase_vectors(self, view: View) -> Float64[np.ndarray, "p 3"]:
+        """By how much more phase a place has in pass i than in the view's direction u: k (u_i − u), rad/m, world frame.
+
+        Its scalar product with the place x is that phase, for y_i ∝ exp(−jkR_i) and R_i = R − u_i · x.
+        """
+        frame = radar_frame(view)
+        towards = -frame[2] + np.array(self.offsets_rad)[:, None] * frame[1]
+        vectors: Float64[np.ndarray, "p 3"] = self.wavenumber * (
+            towards / np.linalg.norm(towards, axis=1, keepdims=True) + frame[2]
+        )
+        return vectors
+
+    @checks_arguments
+    def elevation_numbers(self, view: View) -> Float64[np.ndarray, " p"]:
+        """Phase per elevation of each pass, rad/m; elevation is across the line of sight, upwards (`radar_frame`).
+
+        Of a pair, the difference κ is 2π per ambiguous elevation, and k_z = κ / cos(grazing) the phase per height.
+        """
+        numbers: Float64[np.ndarray, " p"] = self.phase_vectors(view) @ radar_frame(view)[1]
+        return numbers
+
+    @checks_arguments
+    def plane_phases(self, view: View, grid: ImageGrid, height_m: float = 0.0) -> Float64[np.ndarray, "p rows columns"]:
+        """Phases that a level plane has in every pixel, rad: subtracted from those of a stack, it is deramped.
+
+        Parameters
+        ----------
+        view : View
+            Of the images.
+        grid : ImageGrid
+            Their pixels.
+        height_m : float
+            Height of the plane, z in the world frame, m.
+
+        Returns
+        -------
+        numpy.ndarray, float64 [P, rows, columns]
+            A stack is deramped by exp(−j · phases), and what lies above the plane has the sign of its pass's offset.
+        """
+        sine, cosine = math.sin(math.radians(view.grazing_deg)), math.cos(math.radians(view.grazing_deg))
+        slant, across = np.meshgrid(grid.range_m, grid.azimuth_m, indexing="ij")
+        places = np.stack([across, (height_m + slant * sine) / cosine, slant], axis=-1) @ radar_frame(view)
+        phases: Float64[np.ndarray, "p rows columns"] = np.moveaxis(places @ self.phase_vectors(view).T, -1, 0)
+        return phases

@@ -1,0 +1,116 @@
+"""Covariances between the passes of an interferometric stack, as the power of an image is rendered: second order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Complex, Float
+from torch import Tensor
+
+from sarsplat.arguments import checks_arguments
+from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians.covariance import covariance
+from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.geometry.stack import Stack
+from sarsplat.renderer.checks import MAX_OPTICAL_DEPTH
+from sarsplat.renderer.constants import MIN_RAY_DEPTH
+from sarsplat.renderer.footprints import Waves
+from sarsplat.renderer.steps import attenuate, project, splat
+
+
+@checks_arguments
+def render_covariances(
+    gaussians: Gaussians,
+    views: Sequence[View],
+    grid: ImageGrid,
+    stack: Stack,
+    *,
+    rays: RayGrid | None = None,
+    shift: Float[Tensor, "v 2"] | None = None,
+    engine: str = "auto",
+) -> Complex[Tensor, "v p p {grid.rows} {grid.columns}"]:
+    """Expected covariances E[y_i y_j*] of the passes of a stack, in every pixel of several views.
+
+    The signals of different scatterers are uncorrelated, so covariances add up as powers do: each Gaussian gives its
+    cross-section times exp(j(φ_i − φ_j)), times what is left of it as phases differ within the Gaussian. A pixel shows
+    only a part of a Gaussian, whose mean elevation changes across the footprint, and the phase with it (`Waves`).
+
+    Differentiable as `render` is.
+
+    Parameters
+    ----------
+    gaussians : Gaussians
+        The scene, N Gaussians.
+    views : sequence of View
+        V views, at least one; all passes of the stack are seen around each.
+    grid : ImageGrid
+        Pixels.
+    stack : Stack
+        P passes.
+    rays : RayGrid, optional
+        As at `render`.
+    shift : Tensor [V, 2], optional
+        Displacement (azimuth, range) of each image, m.
+    engine : {"auto", "cpu", "cuda", "reference"}
+        As at `render`.
+
+    Returns
+    -------
+    Tensor [V, P, P, rows, columns], complex
+        Hermitian and without noise; the diagonal is β⁰. Phases are those of `Stack.phase_vectors`: not deramped
+        (`Stack.plane_phases`).
+
+    Raises
+    ------
+    SarsplatError
+        As `render`.
+
+    Notes
+    -----
+    Rays pass faint Gaussians where these are thinner than an optical depth of 10⁻³, which would take a share 10⁻³/κ
+    of them away, and of the mean phase of a volume what that share has; here it is made up for, so that powers are by
+    that share above those of `render`.
+    """
+    rays = rays or RayGrid.for_image(grid)
+    projection = project(gaussians, views, grid, rays=rays, shift=shift, engine=engine)
+    depth = projection.optical_depth
+    whole = (depth + MIN_RAY_DEPTH * (depth > 0)).clamp(max=MAX_OPTICAL_DEPTH)
+    lit_area = attenuate(replace(projection, optical_depth=whole), rays, engine=engine).lit_area
+    power = projection.amplitudes[..., gaussians.scattering.power_channel] * lit_area  # [V, N], m²
+    diagonal = splat(projection.pixels, power[..., None], grid, engine=engine)[:, 0]
+    first, second = np.triu_indices(len(stack), 1)
+    result = diagonal.new_zeros((len(stack), len(stack), *diagonal.shape), dtype=diagonal.dtype.to_complex())
+    result[range(len(stack)), range(len(stack))] = diagonal.to(result)
+    if len(first):
+        vectors = np.stack([stack.phase_vectors(view) for view in views])
+        phase, left, waves = _pairs(gaussians, views, grid, vectors[:, first] - vectors[:, second])
+        pairs = splat(projection.pixels, torch.polar(power[..., None] * left, phase), grid, waves=waves, engine=engine)
+        result[first, second] = pairs.transpose(0, 1)
+        result[second, first] = pairs.transpose(0, 1).conj()
+    return result.movedim(2, 0)
+
+
+def _pairs(
+    gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, vectors: np.ndarray
+) -> tuple[Float[Tensor, "v n q"], Float[Tensor, "v n q"], Waves]:
+    """Of Q pairs of passes: phases at the centres of footprints, what is left of coherence, and how phases turn.
+
+    `vectors` [V, Q, 3]: by how much more phase the first of each pair has, rad/m. Given the pixel at the displacement
+    d from the centre of a footprint, scatterers are distributed around μ + K d with the covariance Σ − K J Σ, where
+    K = Σ Jᵀ (J Σ Jᵀ + response)⁻¹ and J projects on the imaging plane.
+    """
+    means = gaussians.means
+    frames = torch.from_numpy(np.stack([radar_frame(view) for view in views])).to(means)[:, None]  # [V, 1, 3, 3]
+    differences = torch.from_numpy(vectors).to(means)
+    turned = (frames @ differences[..., None])[..., 0]  # in the radar frame, [V, Q, 3]
+    cov = frames @ covariance(gaussians.quaternions, gaussians.scales) @ frames.mT  # [V, N, 3, 3]
+    onto = cov[..., ::2]  # Σ Jᵀ, [V, N, 3, 2]
+    imaged = onto[..., ::2, :] + torch.diag(means.new_tensor(grid.response_variance_m2))
+    gain = torch.linalg.solve(imaged, onto, left=False)  # K
+    rest = cov - gain @ onto.mT
+    variance = torch.einsum("vqi,vnij,vqj->vnq", turned, rest, turned)
+    phase = torch.einsum("vqi,ni->vnq", differences, means)
+    return phase, torch.exp(-variance.clamp(min=0) / 2), Waves(turned[..., 1].contiguous(), gain[..., 1, :])

@@ -1,0 +1,317 @@
+"""Covariances of an interferometric stack, against closed forms and rays that are marched through a scene."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from sarsplat import Gaussians, Harmonics, SarsplatError
+from sarsplat.geometry import ImageGrid, RayGrid, Stack, View, radar_frame
+from sarsplat.renderer import render, render_covariances
+
+WAVELENGTH, VIEW = 0.031, View(20.0, 45.0)
+
+
+def scene(
+    means: np.ndarray,
+    scales: np.ndarray,
+    depth: float | np.ndarray,
+    normals: np.ndarray | None = None,
+    gamma0: float = 1.0,
+) -> Gaussians:
+    """Discs or balls of the same γ⁰ from all sides; the third axis of each is along its normal."""
+    n = len(means)
+    quaternions = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    if normals is not None:
+        x, y, z = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).T
+        quaternions = np.stack([1 + z, -y, x, 0 * x], axis=1)
+    f = torch.float32
+    law = Harmonics(torch.full((n, 1), -100.0), gamma0)
+    depths = torch.as_tensor(np.broadcast_to(depth, n).copy(), dtype=f)
+    return Gaussians(*(torch.as_tensor(a, dtype=f) for a in (means, quaternions, scales)), depths, law)
+
+
+def sheet(size: float, normal: np.ndarray, pitch: float, reach: float) -> Gaussians:
+    """An opaque plane through the scene centre, of discs of one size."""
+    across = np.linalg.svd(normal[None])[2][1:]
+    steps = np.arange(-reach, reach + pitch, pitch)
+    u, v = (axis.ravel() for axis in np.meshgrid(steps, steps))
+    means = u[:, None] * across[0] + v[:, None] * across[1] + 1e-4 * np.random.default_rng(0).normal(size=(u.size, 3))
+    scales = np.tile([size, size, 0.005], (u.size, 1))
+    return scene(means, scales, 3.0, np.tile(normal, (u.size, 1)))
+
+
+@pytest.mark.parametrize("size", [0.1, 0.3, 0.5])
+@pytest.mark.parametrize("normal", [(0, 0, 1), (0.3, 0.2, 1), (-0.2, 0.5, 1), (0.6, -0.4, 1)])
+def test_a_tilted_sheet_of_gaussians_of_any_size_has_the_coherence_of_a_sheet(size: float, normal: tuple) -> None:
+    """Elevation y = g · p on it, so that with the response's variances the coherence is exp(−κ² Σ g² σ² / 2)."""
+    grid = ImageGrid(7, 7, (0.5, 0.5), (0.6, 0.6))
+    stack = Stack(WAVELENGTH, (0.0, WAVELENGTH / 16))  # an elevation of 8 m is a turn
+    normal_r = radar_frame(VIEW) @ np.array(normal, float)
+    g = -normal_r[[0, 2]] / normal_r[1]
+    reach = (4 * size + 4) * (1 + np.abs(g).max())
+    found = render_covariances(
+        sheet(size, np.array(normal, float), max(0.45 * size, 0.1), reach),
+        [VIEW],
+        grid,
+        stack,
+        rays=RayGrid((0.2, 0.2)),
+    )[0]
+    coherence = found[0, 1] / (found[0, 0] * found[1, 1]).real.sqrt()
+    kappa = np.diff(stack.elevation_numbers(VIEW))[0]
+    places = np.stack(np.meshgrid(grid.azimuth_m, grid.range_m), axis=-1)
+    expected = np.exp(-1j * kappa * places @ g - kappa**2 / 2 * (g**2 @ np.array(grid.response_variance_m2)))
+    assert np.abs(coherence.numpy() - expected).max() < 0.01
+    assert abs(coherence.abs().mean() - abs(expected).mean()) < 0.005
+
+
+def slab(height: float, extinction: float, gamma0: float, of_ground: float, grazing: float) -> Gaussians:
+    """A volume of small balls, with a two-way extinction per metre, over ground; wide enough for the middle pixels."""
+    size, step, chance = 0.5, 0.7, np.random.default_rng(0)
+    tangent = math.tan(math.radians(grazing))
+    low, high = np.array([-height * tangent - 7, -3.7, 0]), np.array([height / tangent + 7, 3.7, height])
+    counts = np.maximum(np.round((high - low) / step), 1).astype(int)
+    cells = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), -1).reshape(-1, 3)
+    balls = low + (cells + chance.random(cells.shape)) * (high - low) / counts
+    depth = extinction * np.prod(high - low) / len(balls) / (2 * math.pi * size**2)
+    volume = scene(balls, np.full((len(balls), 3), size), depth, gamma0=gamma0)
+    if not of_ground:
+        return volume
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(low[0], high[0], 0.35), np.arange(-3.7, 3.7, 0.35)))
+    places = np.stack([x, y, -0.02 + 1e-3 * chance.normal(size=x.size)], axis=1)
+    ground = scene(places, np.tile([0.35, 0.35, 0.01], (x.size, 1)), 5.0, gamma0=of_ground)
+    laws = [g.gaussians if hasattr(g, "gaussians") else g for g in (volume, ground)]
+    amplitudes = torch.cat([torch.full((len(g),), level) for g, level in zip(laws, (gamma0, of_ground))])
+    fields = [
+        torch.cat([getattr(g, name) for g in laws]) for name in ("means", "quaternions", "scales", "optical_depth")
+    ]
+    return Gaussians(*fields, Harmonics(_softplus_inverse(amplitudes)[:, None] / 0.28209479, 0.0))
+
+
+def _softplus_inverse(x: torch.Tensor) -> torch.Tensor:
+    return x + torch.log(-torch.expm1(-x))
+
+
+RVOG = [
+    (grazing, *layer)
+    for grazing in (45.0, 55.0)
+    for layer in (
+        (10, 0.3, 1, 0),
+        (20, 0.2, 1, 0),
+        (20, 0.5, 1, 0),
+        (20, 0.2, 1, 0.3),
+        (20, 0.2, 1, 2.0),
+        (30, 0.1, 1, 1.0),
+        (20, 0.05, 1, 0),
+        (15, 1.0, 1, 0.3),
+    )
+    if grazing == 45.0 or layer[0] == 20
+]
+
+
+def rvog_errors(grazing: float, height: float, loss_db: float, gamma0: float, of_ground: float) -> list[float]:
+    """Of complex coherence, against a random volume over ground (Papathanassiou and Cloude 2001), at three k_z."""
+    view, grid, cosine = View(0.0, grazing), ImageGrid(9, 5, (0.5, 0.5), (1.0, 1.0)), math.sin(math.radians(grazing))
+    k_z = np.array([0.05, 0.1, 0.2])
+    wavelength = 0.23
+    sine = math.cos(math.radians(grazing))  # of the incidence
+    stack = Stack(wavelength, (0.0, *(k_z * sine * wavelength / (4 * math.pi))))
+    extinction = 2 * loss_db / (10 / math.log(10))  # two-way, per metre of path
+    gaussians = slab(height, extinction, gamma0, of_ground, grazing)
+    with torch.no_grad():
+        found = render_covariances(gaussians, [view], grid, stack, rays=RayGrid((0.2, 0.2)))[0].numpy()
+    found = found * np.exp(-1j * (lambda p: p[:, None] - p[None])(stack.plane_phases(view, grid)))
+    z = (np.arange(20_000) + 0.5) / 20_000 * height
+    left = np.exp(extinction / cosine * (z - height))
+    through = math.exp(-extinction * height / cosine)
+    ratio = of_ground * through / (gamma0 * (1 - through))
+    errors = []
+    for n, number in enumerate(k_z, 1):
+        kappa = stack.elevation_numbers(view)[n]
+        blurred = math.exp(-0.5 * (kappa * math.tan(math.radians(grazing))) ** 2 * grid.response_variance_m2[1])
+        coherence = found[n, 0].mean() / np.sqrt(found[0, 0].real.mean() * found[n, n].real.mean()) / blurred
+        volume = (left * np.exp(1j * number * z)).sum() / left.sum()
+        errors.append(abs(coherence - (volume + ratio) / (1 + ratio)))
+    return errors
+
+
+def test_random_volumes_over_ground() -> None:
+    errors = [error for case in RVOG for error in rvog_errors(*case)]
+    assert len(errors) == 39
+    assert np.median(errors) <= 0.005
+    assert max(errors) <= 0.015
+
+
+# ---- a box and a pyramid against rays that are marched through them --------------------------------------------------
+def _height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    box = 8.0 * ((np.abs(x) <= 4) & (np.abs(y - 7) <= 4))
+    return np.maximum(box, np.clip(5 * (1 - np.maximum(np.abs(x), np.abs(y + 7)) / 6), 0, None))
+
+
+def _discs(pitch: float = 0.2) -> Gaussians:
+    """The scene's surface."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-26, 26, pitch), np.arange(-14, 14, pitch)))
+    z = _height(x, y)
+    slopes = [
+        np.clip((_height(x + dx, y + dy) - _height(x - dx, y - dy)) / 0.02, -2, 2) for dx, dy in ((0.01, 0), (0, 0.01))
+    ]
+    level = (z == 8) | (z == 0)
+    normals = np.stack([*(-np.where(level, 0, slope) for slope in slopes), np.ones_like(z)], axis=1)
+    parts = [(np.stack([x, y, z], axis=1), normals)]
+    along, up = (
+        axis.ravel() for axis in np.meshgrid(np.arange(-4, 4, pitch) + pitch / 2, np.arange(0, 8, pitch) + pitch / 2)
+    )
+    for side in (-1, 1):
+        parts.append((np.stack([0 * up + 4 * side, along + 7, up], axis=1), np.tile([side, 0.0, 0.0], (up.size, 1))))
+        parts.append((np.stack([along, 0 * up + 7 + 4 * side, up], axis=1), np.tile([0.0, side, 0.0], (up.size, 1))))
+    means, normals = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    means = means + 1e-4 * np.random.default_rng(0).normal(size=means.shape)
+    return scene(means, np.tile([0.8 * pitch, 0.8 * pitch, 0.01], (len(means), 1)), 6.0, normals)
+
+
+def _marched(view: View, grid: ImageGrid, number: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Power, the covariance of two passes, and by how much elevations in a pixel differ; by rays 0.1 m apart."""
+    frame, pitch = radar_frame(view), 0.1
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-13, 13, pitch) + 0.05, np.arange(-24, 24, pitch) + 0.05))
+    hit = np.full(x.size, np.nan)
+    for depth in np.arange(-30, 40, 0.05):
+        place = x[:, None] * frame[0] + y[:, None] * frame[1] + depth * frame[2]
+        hit[(place[:, 2] <= _height(place[:, 0], place[:, 1])) & np.isnan(hit)] = depth
+    x, y, slant = (array[~np.isnan(hit)] for array in (x, y, hit))
+    across, along = (
+        np.exp(-0.5 * (axis[:, None] - at) ** 2 / variance) / math.sqrt(2 * math.pi * variance)
+        for axis, at, variance in zip(
+            (grid.azimuth_m, grid.range_m), (x, slant), grid.response_variance_m2, strict=True
+        )
+    )
+    power, mean, square, pair = (
+        (along * (pitch**2 * of_ray)) @ across.T for of_ray in (np.ones_like(y), y, y**2, np.exp(-1j * number * y))
+    )
+    least = np.maximum(power, 1e-9)
+    return power.real, pair, np.sqrt(np.maximum(square.real / least - (mean.real / least) ** 2, 0))
+
+
+def test_a_box_and_a_pyramid_have_the_phases_of_marched_rays() -> None:
+    view, grid = View(0.0, 45.0), ImageGrid(56, 44, (0.5, 0.5), (0.6, 0.6))
+    stack = Stack(WAVELENGTH, (0.0, WAVELENGTH / 32))  # an elevation of 16 m is a turn
+    with torch.no_grad():
+        found = render_covariances(_discs(), [view], grid, stack, rays=RayGrid((0.125, 0.125)))[0].numpy()
+    power, pair, spread_m = _marched(view, grid, stack.elevation_numbers(view)[1])
+    single = (power > 0.9) & (spread_m < 2)  # of discs, those that stand on an edge bulge over it
+    error = np.angle(found[0, 1] * pair.conj())[single]
+    assert single.sum() > 1500
+    assert np.sqrt((error**2).mean()) < 0.02
+    shadow = power < 0.02
+    assert shadow.sum() > 50
+    assert (np.abs(found[0, 1]) / (found[0, 0].real + 0.1))[shadow].mean() < 0.02  # with noise of 0.1
+    layover = (power > 0.9) & ~single
+    coherence = [np.abs(c)[layover] / p[layover] for c, p in ((found[0, 1], found[0, 0].real), (pair, power))]
+    assert np.abs(coherence[0] - coherence[1]).mean() < 0.05
+
+
+# ---- what holds for any scene ----------------------------------------------------------------------------------------
+def _cloud(count: int = 300) -> Gaussians:
+    chance = np.random.default_rng(3)
+    means = chance.uniform(-4, 4, (count, 3))
+    return scene(
+        means,
+        chance.uniform(0.1, 0.6, (count, 3)),
+        chance.uniform(0.5, 3, count),
+        chance.normal((0, 0, 2), size=(count, 3)),
+    )
+
+
+GRID = ImageGrid(24, 20, (0.4, 0.5), (0.6, 0.7))
+
+
+def test_they_are_hermitian_and_positive_and_their_diagonal_is_power() -> None:
+    stack = Stack(WAVELENGTH, (0.0, 0.001, -0.0015, 0.004))
+    views = [VIEW, View(200.0, 30.0)]
+    with torch.no_grad():
+        found = render_covariances(_cloud(), views, GRID, stack)
+        images = render(_cloud(), views, GRID).images
+    assert found.shape == (2, 4, 4, 24, 20)
+    assert torch.equal(found, found.transpose(1, 2).conj())
+    assert torch.equal(found[:, 0, 0], found[:, 3, 3])
+    assert float((found[:, 0, 0].real - images[:, 0]).abs().max()) < 3e-3 * float(images.max())
+    values = torch.linalg.eigvalsh(found.permute(0, 3, 4, 1, 2).to(torch.complex128))
+    assert float(values.min()) > -1e-5 * float(values.max())
+
+
+def test_one_pass_is_power_alone() -> None:
+    with torch.no_grad():
+        found = render_covariances(_cloud(), [VIEW], GRID, Stack(WAVELENGTH, (0.0,)))
+    assert found.shape == (1, 1, 1, 24, 20)
+    assert not found.imag.any()
+
+
+def test_what_is_higher_has_more_phase_in_the_higher_pass() -> None:
+    """The sign of everything: y ∝ exp(−jkR), and a pass that is seen higher is nearer to what is higher."""
+    stack = Stack(WAVELENGTH, (0.0, WAVELENGTH / 80))  # an elevation of 40 m is a turn
+    for height in (-3.0, 2.0, 5.0):
+        point = scene(np.array([[0.0, 0.0, height]]), np.full((1, 3), 0.05), 4.0)
+        with torch.no_grad():
+            found = render_covariances(point, [VIEW], GRID, stack)[0].numpy()
+        row, column = np.unravel_index(found[0, 0].real.argmax(), found.shape[2:])
+        deramped = found[1, 0] * np.exp(-1j * np.subtract(*stack.plane_phases(VIEW, GRID)[::-1]))
+        k_z = np.diff(stack.elevation_numbers(VIEW))[0] / math.cos(math.radians(VIEW.grazing_deg))
+        assert np.angle(deramped[row, column]) == pytest.approx(k_z * height, abs=0.06)
+    one = Stack(WAVELENGTH, stack.offsets_rad, "one")
+    assert one.elevation_numbers(VIEW)[1] == pytest.approx(stack.elevation_numbers(VIEW)[1] / 2)
+
+
+@pytest.mark.parametrize("name", ["means", "quaternions", "scales", "optical_depth"])
+def test_gradients_are_those_of_finite_differences(name: str) -> None:
+    """In float64, where nothing is cut that a small step would bring in."""
+    gaussians = _cloud(12).to(torch.float64)
+    stack, generator = Stack(WAVELENGTH, (0.0, 0.0005, 0.002)), torch.Generator().manual_seed(0)
+    seed = torch.randn(1, 3, 3, 24, 20, generator=generator, dtype=torch.complex128)
+
+    def loss(tensor: torch.Tensor) -> torch.Tensor:
+        found = render_covariances(gaussians.with_tensors(**{name: tensor}), [VIEW], GRID, stack, engine="reference")
+        return (found * seed).real.sum()
+
+    tensor = getattr(gaussians, name).clone().requires_grad_()
+    (gradient,) = torch.autograd.grad(loss(tensor), tensor)
+    for _ in range(3):
+        direction = torch.randn(tensor.shape, generator=generator, dtype=torch.float64)
+        step = 1e-6
+        with torch.no_grad():
+            difference = (loss(tensor + step * direction) - loss(tensor - step * direction)) / (2 * step)
+        assert float((gradient * direction).sum()) == pytest.approx(
+            float(difference), rel=2e-2, abs=1e-3 * float(gradient.norm())
+        )
+
+
+def test_engines_agree() -> None:
+    stack = Stack(WAVELENGTH, (0.0, 0.001, 0.003))
+    found = []
+    for dtype, engine in ((torch.float64, "reference"), (torch.float32, "cpu")):
+        gaussians = _cloud(60).to(dtype)
+        leaves = {name: tensor.clone().requires_grad_() for name, tensor in gaussians.tensors().items()}
+        images = render_covariances(gaussians.with_tensors(**leaves), [VIEW], GRID, stack, engine=engine)
+        weights = torch.linspace(-1, 1, images.numel(), dtype=dtype).view(images.shape)
+        (images.real * weights + images.imag * weights.flip(-1)).sum().backward()
+        found.append({"images": images.detach(), **{name: leaf.grad for name, leaf in leaves.items()}})
+    for name, judged in found[0].items():
+        tolerance = 1e-5 if name == "images" else 1e-4
+        assert float((found[1][name] - judged).norm()) <= tolerance * float(judged.norm()), name
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ((0.0, (0.0,)), "wavelength_m is 0.0; give 0.0001 to 100 metres"),
+        ((0.03, ()), r"offsets_rad is \(\); give the b/R of each pass"),
+        ((0.03, (0.0, 0.3)), "an offset is 0.3; give b/R in radians"),
+        ((0.03, (0.0, float("nan"))), "an offset is nan"),
+        ((0.03, (0.001, 0.001)), "two passes are the same"),
+        ((0.03, (0.0, 0.001), "both"), "transmit is 'both'; give one of each, one"),
+    ],
+)
+def test_stacks_that_are_refused(settings: tuple, words: str) -> None:
+    with pytest.raises(SarsplatError, match=words):
+        Stack(*settings)
