@@ -252,14 +252,11 @@ class SceneModel:
                 )
 
     def developed(
-        self, images: Float[Tensor, "v c h w"], shot: Shot, estimated: bool = True, response: bool = True
+        self, images: Float[Tensor, "v c h w"], shot: Shot, estimated: bool = True
     ) -> Float[Tensor, "v c h w"]:
-        """What was rendered, with what the parts do to images, and its unit.
-
-        Without what was estimated rather than learned, or without what belongs to the response, if so wanted.
-        """
+        """What was rendered, with what the parts do to images, and its unit."""
         for part in self.parts:
-            if (estimated or not part.estimated) and (response or not part.of_response):
+            if estimated or not part.estimated:
                 images = part.images(images, shot, self.parameters)
         return images if self.unit == 1 else images * self.unit
 

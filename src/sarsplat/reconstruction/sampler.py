@@ -134,16 +134,16 @@ class Sampler:
     ) -> tuple[Float32[np.ndarray, "rows columns"], Float32[np.ndarray, "rows columns"]]:
         """Expected power of the image with the drawn shift and gain, β⁰, and which share of it is the target's.
 
-        Through the response of `grid`; what the parts add to a response of side lobes, that has already.
+        Through the response of `grid`. The side lobes that were learned are of all that is around bright scatterers:
+        without them, though the response has its own, samples were told from measured chips more easily.
         """
         rendering = render(self._scene, shot.views, grid, rays=self._rays, shift=shot.shift, ground=self._ground)
-        images, seen_through = rendering.images, grid == shot.grid or not math.isfinite(grid.response.main_lobe)
+        images = rendering.images
         if self._backdrop is None:
-            developed = self._model.developed(images, shot, response=seen_through)
+            developed = self._model.developed(images, shot)
         else:
             assert rendering.ground is not None
-            part = self._part_of(self._backdrop, chance)
-            developed = self._before(images, rendering.ground, part, shot, seen_through)
+            developed = self._before(images, rendering.ground, self._part_of(self._backdrop, chance), shot)
         scattered = images[0, shot.power_channel]
         ground = torch.zeros_like(scattered) if rendering.ground is None else rendering.ground[0]
         share = (1 - ground / scattered.clamp(min=torch.finfo(scattered.dtype).tiny)).clamp(min=0)
@@ -164,14 +164,13 @@ class Sampler:
         ground: Float[Tensor, "1 rows columns"],
         backdrop: Tensor,
         shot: Shot,
-        seen_through: bool,
     ) -> Float[Tensor, "1 c rows columns"]:
         """The target before another ground; what images show beyond the scene is shown of the target alone."""
         images, channel = images.clone(), shot.power_channel
         target = (images[:, channel] - ground).clamp(min=0)
         images[:, channel] = target + ground * backdrop
         share = target / images[:, channel].clamp(min=torch.finfo(images.dtype).tiny)
-        plain, textured = (self._model.developed(images, shot, known, seen_through) for known in (False, True))
+        plain, textured = (self._model.developed(images, shot, estimated) for estimated in (False, True))
         return plain + share[:, None] * (textured - plain)
 
 

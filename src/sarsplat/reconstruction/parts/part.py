@@ -92,9 +92,6 @@ class Part(ABC):
     estimated: ClassVar[bool] = False
     """Whether it is what images show beyond all that is learned, and therefore estimated without it."""
 
-    of_response: ClassVar[bool] = False
-    """Whether it is what the system's response has beyond a Gaussian one."""
-
     def __init__(self, config: Config, setting: Setting, device: torch.device) -> None:
         self.config, self.setting, self.device = config, setting, device
 

@@ -21,7 +21,6 @@ class SideLobes(Nuisance):
     """The logarithm of their power in azimuth and in range, relative to those of a usual window."""
 
     order = 40
-    of_response = True
 
     @classmethod
     def wanted(cls, config: Config) -> bool:
