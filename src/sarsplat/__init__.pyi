@@ -29,6 +29,7 @@ from .gaussians import (
 from .geometry import (
     ImageGrid as ImageGrid,
     RayGrid as RayGrid,
+    Stack as Stack,
     Terrain as Terrain,
     View as View,
     radar_frame as radar_frame,
@@ -51,6 +52,7 @@ from .reconstruction import (
     extract_points as extract_points,
     preset as preset,
     reconstruct as reconstruct,
+    stack_nats as stack_nats,
 )
 from .renderer import (
     Attenuation as Attenuation,
@@ -58,9 +60,11 @@ from .renderer import (
     Projection as Projection,
     RayMap as RayMap,
     Rendering as Rendering,
+    Waves as Waves,
     attenuate as attenuate,
     project as project,
     render as render,
+    render_covariances as render_covariances,
     splat as splat,
 )
 from .report import write_report as write_report

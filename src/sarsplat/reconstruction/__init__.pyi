@@ -7,6 +7,7 @@ from .methods import METHODS as METHODS
 from .points import extract_points as extract_points
 from .presets import PRESETS as PRESETS, preset as preset
 from .run import Run as Run
+from .stack_loss import stack_nats as stack_nats
 from .tensorboard import TensorBoard as TensorBoard
 from .trainer import Trainer as Trainer
 from .training import reconstruct as reconstruct
