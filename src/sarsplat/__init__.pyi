@@ -78,6 +78,7 @@ from .scenes import (
     paper_grid as paper_grid,
     paper_views as paper_views,
     simulate_raycast as simulate_raycast,
+    simulate_stack as simulate_stack,
     target_mesh as target_mesh,
 )
 from .scenes.simulate import simulate_images as simulate_images

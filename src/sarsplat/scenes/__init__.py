@@ -6,6 +6,7 @@ from sarsplat.scenes.meshes import load_mesh
 from sarsplat.scenes.protocols import mstar_grid, mstar_views, paper_grid, paper_views
 from sarsplat.scenes.raycast import simulate_raycast
 from sarsplat.scenes.scattering import ScatteringLaw, add_speckle
+from sarsplat.scenes.simulate_stack import simulate_stack
 from sarsplat.scenes.splat_truth import law_scattering, surface_gaussians
 from sarsplat.scenes.targets import TARGETS, VEHICLES, target_mesh
 
@@ -26,6 +27,7 @@ __all__ = [
     "paper_grid",
     "paper_views",
     "simulate_raycast",
+    "simulate_stack",
     "surface_gaussians",
     "target_mesh",
 ]

@@ -8,10 +8,10 @@ import numpy as np
 
 from sarsplat.errors import SarsplatError
 
-_STREAMS: dict[str, tuple[int, ...]] = {"speckle": (), "reflectivity": (1,), "views": (2,)}
+_STREAMS: dict[str, tuple[int, ...]] = {"speckle": (), "reflectivity": (1,), "views": (2,), "scatterers": (3,)}
 
 
-def generator(seed: int, purpose: Literal["speckle", "reflectivity", "views"]) -> np.random.Generator:
+def generator(seed: int, purpose: Literal["speckle", "reflectivity", "views", "scatterers"]) -> np.random.Generator:
     """The source of random numbers for one purpose; refuses a negative seed."""
     if seed < 0:
         raise SarsplatError(f"seed {seed} must be at least 0")

@@ -1,0 +1,72 @@
+"""Simulated stacks: their power is that of the ray caster, their phases are those of their geometry."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+
+from sarsplat import SarsplatError, View
+from sarsplat.geometry import ImageGrid, Stack
+from sarsplat.geometry.responses import TAYLOR
+from sarsplat.scenes import ScatteringLaw, simulate_raycast, simulate_stack
+
+VIEW, GRID = View(0.0, 45.0), ImageGrid(40, 36, (0.5, 0.5), (0.7, 0.7))
+STACK, LAW = Stack(0.031, (0.0, 0.0004, 0.001)), ScatteringLaw(1.0, 0.0, 1.0)
+
+
+def box() -> trimesh.Trimesh:
+    made = trimesh.creation.box((4.0, 6.0, 5.0))
+    made.apply_translation((0.0, 0.0, 2.5))
+    return made
+
+
+@pytest.mark.parametrize("grid", [GRID, ImageGrid(30, 28, (0.5, 0.6), (0.7, 0.8), response=TAYLOR)])
+def test_power_is_that_of_the_ray_caster(grid: ImageGrid) -> None:
+    """Means over draws, and over blocks of pixels."""
+    powers = np.mean(
+        [np.abs(simulate_stack(box(), VIEW, grid, STACK, LAW, ground_gamma0=0.4, seed=k)) ** 2 for k in range(40)], 0
+    )
+    expected = simulate_raycast(box(), VIEW, grid, LAW, ground_gamma0=0.4)
+    for power in powers:
+        blocks = [image[:28, :28].reshape(7, 4, 7, 4).mean((1, 3)) for image in (power, expected)]
+        assert np.abs(blocks[0] - blocks[1]).max() < 0.3 * expected.max()
+        assert power.mean() == pytest.approx(expected.mean(), rel=0.05)
+
+
+def test_phases_are_those_of_heights() -> None:
+    """Flat ground has none once it is deramped; its coherence is the response's."""
+    plane = trimesh.creation.box((0.01, 0.01, 0.01))
+    plane.apply_translation((0, 0, -5))
+    signals = np.stack([simulate_stack(plane, VIEW, GRID, STACK, LAW, ground_gamma0=1.0, seed=k) for k in range(20)])
+    deramped = signals * np.exp(-1j * STACK.plane_phases(VIEW, GRID))
+    for n in (1, 2):
+        pair = (deramped[:, n] * deramped[:, 0].conj()).mean()
+        coherence = pair / np.sqrt((np.abs(deramped[:, n]) ** 2).mean() * (np.abs(deramped[:, 0]) ** 2).mean())
+        kappa = STACK.elevation_numbers(VIEW)[n] - STACK.elevation_numbers(VIEW)[0]
+        blurred = math.exp(-0.5 * (kappa * math.tan(math.radians(45))) ** 2 * GRID.response_variance_m2[1])
+        assert np.angle(coherence) == pytest.approx(0, abs=0.02)
+        assert abs(coherence) == pytest.approx(blurred, abs=0.02)
+
+
+def test_noise_is_in_each_pass_alone_and_seeds_say_all() -> None:
+    far = box()
+    far.apply_translation((500.0, 0, 0))
+    found = simulate_stack(far, VIEW, GRID, STACK, LAW, noise=0.3)
+    assert (np.abs(found) ** 2).mean() == pytest.approx(0.3, rel=0.1)
+    assert abs((found[0] * found[1].conj()).mean()) < 0.03
+    again = [simulate_stack(box(), VIEW, GRID, STACK, LAW, noise=0.1, seed=seed) for seed in (3, 3, 4)]
+    assert np.array_equal(again[0], again[1])
+    assert not np.array_equal(again[0], again[2])
+
+
+def test_what_is_refused() -> None:
+    for settings, words in (
+        ({"noise": -1.0}, "noise is -1.0; give a power of 0 or more"),
+        ({"spacing_m": 0.0}, "ray_spacing 0.0 must be positive"),
+        ({"seed": -1}, "seed"),
+    ):
+        with pytest.raises(SarsplatError, match=words):
+            simulate_stack(box(), VIEW, GRID, STACK, LAW, **settings)
