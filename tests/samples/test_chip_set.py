@@ -94,7 +94,7 @@ def test_runs_that_do_not_go_together(run: Run, folders: list[Path]) -> None:
         chips([folders[0], other])
     assert {image.shape for image, _ in chips([folders[0], other], count=1, crop=30)} == {(1, 30, 30)}
     coarser = made_up("coarser", grid=ImageGrid(32, 36, (0.3, 0.3), GRID.resolution_m))
-    with pytest.raises(SarsplatError, match="pixels of 0.3 m × 0.3 m, .* with the same pixels"):
+    with pytest.raises(SarsplatError, match=r"pixels of 0.3 m × 0.3 m, .* with the same pixels"):
         chips([folders[0], coarser], crop=30)
     assert isinstance(chips([run, *folders]), Chips)
 
