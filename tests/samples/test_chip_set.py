@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,7 @@ import pytest
 import torch
 
 from sample_runs import GRID, made_up
-from sarsplat import ImageGrid, Run, SarsplatError, chips
+from sarsplat import ImageGrid, Run, SarsplatError, SarsplatWarning, chips
 from sarsplat.samples import Chips
 
 
@@ -92,6 +94,32 @@ def test_runs_that_do_not_go_together(run: Run, folders: list[Path]) -> None:
         chips([folders[0], other])
     assert {image.shape for image, _ in chips([folders[0], other], count=1, crop=30)} == {(1, 30, 30)}
     coarser = made_up("coarser", grid=ImageGrid(32, 36, (0.3, 0.3), GRID.resolution_m))
-    with pytest.raises(SarsplatError, match="with the same grid"):
+    with pytest.raises(SarsplatError, match=r"pixels of 0.3 m × 0.3 m, .* with the same pixels"):
         chips([folders[0], coarser], crop=30)
     assert isinstance(chips([run, *folders]), Chips)
+
+
+def test_workers_that_begin_empty_make_the_same(folders: list[Path]) -> None:
+    """As on Windows and macOS, and wherever a GPU is used."""
+    for some in (folders, [made_up("in memory")]):
+        made = chips(some, count=2)
+        first = made[0][0]
+        again = pickle.loads(pickle.dumps(made))
+        assert torch.equal(again[0][0], first)
+        assert again.classes == made.classes
+
+
+def test_a_run_knows_what_it_shows_without_its_dataset(tmp_path: Path) -> None:
+    folder = made_up("T-72", tmp_path / "some-run").folder
+    (tmp_path / "some-run-data").rename(tmp_path / "elsewhere")
+    assert chips([folder], count=1).classes == ("T-72",)
+    header = json.loads((folder / "config.json").read_text())
+    del header["target"]  # as runs of before
+    (folder / "config.json").write_text(json.dumps(header))
+    assert chips([folder], count=1).classes == ("some-run",)
+
+
+def test_angles_that_no_training_image_has_seen_are_warned_of(run: Run) -> None:
+    with pytest.warns(SarsplatWarning, match=r"grazing 16:40 is up to 22° from what .* has seen \(16° to 17.67°\)"):
+        chips([run], count=1, grazing_deg=(16.0, 40.0))
+    chips([run], count=1, grazing_deg=(14.5, 20.0))

@@ -185,8 +185,15 @@ def reconstruct(
     console.finish(
         f"{out}: {run.learned} and {counted(len(run.points), 'point')} in {time.monotonic() - begun_at:.0f} s "
         f"({run.time_s:.0f} s of training; {method.about(config, images.grid)[0]}, seed {run.seed})",
-        f"sarsplat evaluate {typed}",
+        _next(images, typed),
     )
+
+
+def _next(images: Dataset, run: str) -> str:
+    """What to type: scores, if there is anything to score."""
+    if len(images.splits()) > 1 or images.truth_mesh is not None:
+        return f"sarsplat evaluate {run}"
+    return f"sarsplat view {run}" if images.looks is None else f"sarsplat view {run}, or sarsplat chips {run} --out DIR"
 
 
 def _warn_of_contradictions(dataset: Path, images: Dataset) -> None:

@@ -22,6 +22,7 @@ from sarsplat.data import (
     write_json,
     write_points_ply,
 )
+from sarsplat.data.dataset_folder import HEADER as DATASET_HEADER
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.gaussians import Gaussians
@@ -319,6 +320,16 @@ class Run:
 
     # ---- what it was made from --------------------------------------------------------------------------------------
     @cached_property
+    def target(self) -> str:
+        """What its dataset shows, as that says; "" if it is not known."""
+        if self.images is not None:
+            return self.images.target
+        if self.path is not None and (self.path / HEADER).is_file() and (known := read_header(self.path).target):
+            return known
+        made_from = None if self.dataset_path is None else self.dataset_path / DATASET_HEADER
+        return str(read_json(made_from, dict[str, Any]).get("target", "")) if made_from and made_from.is_file() else ""
+
+    @cached_property
     def dataset(self) -> Dataset:
         """The dataset it was made from.
 
@@ -525,5 +536,5 @@ class Run:
 def write_header(run: Run) -> None:
     """Write the `config.json` of a run with a folder."""
     where = None if run.dataset_path is None else str(run.dataset_path)
-    header = Header(SCHEMA, SCHEMA_VERSION, where, run.fingerprint, run.config.as_dict(), run.method)
+    header = Header(SCHEMA, SCHEMA_VERSION, where, run.fingerprint, run.config.as_dict(), run.method, run.target)
     write_json(run.folder / HEADER, header)

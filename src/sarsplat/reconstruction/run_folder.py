@@ -62,6 +62,8 @@ class Header(msgspec.Struct, forbid_unknown_fields=True):
     dataset_fingerprint: str
     config: dict[str, Any]
     method: str
+    target: str = ""
+    """What its dataset shows."""
 
 
 def read_header(path: Path) -> Header:

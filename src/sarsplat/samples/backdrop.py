@@ -43,6 +43,10 @@ def backdrop_of(ground: str | Path, grid: ImageGrid) -> str | Float32[np.ndarray
         return str(ground)
     path = Path(ground)
     pixels = read_pixels(path)
+    if pixels.dtype.kind == "f" and pixels.ndim == 2:
+        raise SarsplatError(
+            f"{path} holds {pixels.dtype} numbers, which may be amplitude or power; store amplitudes as whole numbers"
+        )
     power = power_or_signal(pixels, likely_quantity(pixels, str(path)), str(path))
     power = np.abs(power) ** 2 if np.iscomplexobj(power) else power
     if not power.any():

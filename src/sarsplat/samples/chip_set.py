@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,13 +17,12 @@ from jaxtyping import Complex64
 from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.data import read_json
-from sarsplat.data.dataset_folder import HEADER
-from sarsplat.errors import SarsplatError
-from sarsplat.geometry import View
+from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.geometry import ImageGrid, View
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.reconstruction import Run
 from sarsplat.reconstruction.config import SCATTERERS
+from sarsplat.reconstruction.method import DrawsSamples
 from sarsplat.reconstruction.sampler import seed_of
 from sarsplat.samples.backdrop import backdrop_of
 from sarsplat.samples.encoding import Encoding
@@ -32,6 +32,9 @@ _AROUND = 360
 
 _GOLDEN = (math.sqrt(5) - 1) / 2
 """Of a turn: azimuths this far apart are spread evenly, however many there are."""
+
+_FAR_DEG = 10.0
+"""Beyond the grazing angles of a training by so much, it is warned of."""
 
 _DECIMALS = 4
 """Of angles, degrees: the table of labels holds them as they are."""
@@ -116,12 +119,24 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         for low, high in self.grazing_deg:
             if View(0.0, low).grazing_deg > View(0.0, high).grazing_deg:
                 raise SarsplatError(f"grazing {low:g}:{high:g} goes down; give the lower angle first")
+        _warn_of_far_angles(self.runs, grazing_deg)
         self.targets = tuple(target_of(run) for run in self.runs)
         self.classes = tuple(dict.fromkeys(self.targets))
         """Classes; the numbers that go with chips are places in it."""
-        self._draw = [
-            run.reconstruction.sampler(backdrop_of(ground, run.grid), speckle, scatterers) for run in self.runs
-        ]
+        _ = self._draw  # refuses what runs cannot be asked for
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For processes that begin empty: what is read from the runs is read there again."""
+        read = ("_draw", "brightest")
+        state = {name: value for name, value in vars(self).items() if name not in read}
+        return state | {"runs": tuple(replace(run) for run in self.runs)}
+
+    @cached_property
+    def _draw(self) -> list[DrawsSamples]:
+        """What draws samples of each run."""
+        backdrops = [backdrop_of(self.ground, run.grid) for run in self.runs]
+        pairs = zip(self.runs, backdrops, strict=True)
+        return [run.reconstruction.sampler(backdrop, self.speckle, self.scatterers) for run, backdrop in pairs]
 
     @cached_property
     def brightest(self) -> float:
@@ -230,12 +245,7 @@ def chips(
 
 def target_of(run: Run) -> str:
     """What a run shows, as a folder may be named."""
-    name = _name(run)
-    if run.images is not None:
-        name = run.images.target
-    elif run.dataset_path is not None and (run.dataset_path / HEADER).is_file():
-        name = str(read_json(run.dataset_path / HEADER, dict[str, Any]).get("target", name))
-    return re.sub(r"[^\w+-]", "_", name)
+    return re.sub(r"[^\w+-]", "_", run.target or _name(run))
 
 
 def _name(run: Run) -> str:
@@ -247,8 +257,8 @@ def _require_alike(run: Run, first: Run, cut: bool) -> None:
     one, other = run.grid, first.grid
     if (one.spacing_m, one.resolution_m, one.response) != (other.spacing_m, other.resolution_m, other.response):
         raise SarsplatError(
-            f"{_name(run)} has images on {one}, but {_name(first)} on {other}; draw chips from runs with the same "
-            "grid, or make one set of each"
+            f"{_name(run)} has pixels of {_pixels(one)}, but {_name(first)} of {_pixels(other)}; draw chips from runs "
+            "with the same pixels, or make one set of each"
         )
     least = min(one.rows, one.columns, other.rows, other.columns)
     if not cut and (one.rows, one.columns) != (other.rows, other.columns):
@@ -256,6 +266,26 @@ def _require_alike(run: Run, first: Run, cut: bool) -> None:
             f"{_name(run)} has images of {one.rows} × {one.columns} pixels, but {_name(first)} of {other.rows} × "
             f"{other.columns}; cut all to one size, by a crop of at most {least}"
         )
+
+
+def _warn_of_far_angles(runs: Sequence[Run], grazing_deg: tuple[float, float] | None) -> None:
+    """A shape that was seen from one height alone is not known from others."""
+    for run in runs if grazing_deg is not None else ():
+        low, high = _grazing(run)
+        far = max(low - grazing_deg[0], grazing_deg[1] - high)
+        if far > _FAR_DEG:
+            warnings.warn(
+                f"grazing {grazing_deg[0]:g}:{grazing_deg[1]:g} is up to {far:.0f}° from what {_name(run)} has seen "
+                f"({low:.4g}° to {high:.4g}°), so its chips may not look like the target",
+                SarsplatWarning,
+                stacklevel=4,
+            )
+            return
+
+
+def _pixels(grid: ImageGrid) -> str:
+    spacing, resolution = (" m × ".join(f"{side:.4g}" for side in pair) for pair in (grid.spacing_m, grid.resolution_m))
+    return f"{spacing} m, a resolution of {resolution} m and a {grid.response.kind} response"
 
 
 def _grazing(run: Run) -> tuple[float, float]:

@@ -105,10 +105,10 @@ class Encoding:
         return np.array(Image.open(io.BytesIO(self.encoded(sample, brightest))))
 
     def _pixels(self, sample: Complex64[np.ndarray, "rows columns"], brightest: float) -> Shaped[np.ndarray, "m n"]:
-        if self.crop is not None:
+        sample = np.rot90(sample, -SIDES.index(self.near))
+        if self.crop is not None:  # as whoever cuts the whole chip would
             top, left = ((side - self.crop) // 2 for side in sample.shape)
             sample = sample[top : top + self.crop, left : left + self.crop]
-        sample = np.rot90(sample, -SIDES.index(self.near))
         magnitude = np.abs(sample)
         white = float(magnitude.max()) if self.scale == "max" else brightest**0.5 if self.scale == "fixed" else 1.0
         scaled = (sample if self.quantity == "complex" else magnitude) / np.float32(white or 1.0)

@@ -17,7 +17,7 @@ from sarsplat.samples.chip_set import Chips
 MARKER = "chips.json"
 """The file that marks a folder of chips."""
 
-SCHEMA, SCHEMA_VERSION = "sarsplat-chips", 1
+SCHEMA, SCHEMA_VERSION = "sarsplat-chips", 2
 
 
 class MadeRun(msgspec.Struct, forbid_unknown_fields=True):
