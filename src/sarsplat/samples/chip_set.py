@@ -119,7 +119,8 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         for low, high in self.grazing_deg:
             if View(0.0, low).grazing_deg > View(0.0, high).grazing_deg:
                 raise SarsplatError(f"grazing {low:g}:{high:g} goes down; give the lower angle first")
-        _warn_of_far_angles(self.runs, grazing_deg)
+        if grazing_deg is not None:
+            _warn_of_far_angles(self.runs, *grazing_deg)
         self.targets = tuple(target_of(run) for run in self.runs)
         self.classes = tuple(dict.fromkeys(self.targets))
         """Classes; the numbers that go with chips are places in it."""
@@ -268,14 +269,14 @@ def _require_alike(run: Run, first: Run, cut: bool) -> None:
         )
 
 
-def _warn_of_far_angles(runs: Sequence[Run], grazing_deg: tuple[float, float] | None) -> None:
+def _warn_of_far_angles(runs: Sequence[Run], lowest: float, highest: float) -> None:
     """A shape that was seen from one height alone is not known from others."""
-    for run in runs if grazing_deg is not None else ():
+    for run in runs:
         low, high = _grazing(run)
-        far = max(low - grazing_deg[0], grazing_deg[1] - high)
+        far = max(low - lowest, highest - high)
         if far > _FAR_DEG:
             warnings.warn(
-                f"grazing {grazing_deg[0]:g}:{grazing_deg[1]:g} is up to {far:.0f}° from what {_name(run)} has seen "
+                f"grazing {lowest:g}:{highest:g} is up to {far:.0f}° from what {_name(run)} has seen "
                 f"({low:.4g}° to {high:.4g}°), so its chips may not look like the target",
                 SarsplatWarning,
                 stacklevel=4,
