@@ -83,6 +83,16 @@ def test_few_scatterers_put_a_targets_power_into_points_and_leave_the_ground_alo
         assert logarithm[:, target].mean() == pytest.approx(spread - np.euler_gamma, abs=0.25)
 
 
+def test_noise_and_brighter_ground_before_a_target_are_speckle(run: Run) -> None:
+    """Where the target is faint against either, there is nothing of its few scatterers."""
+    faint, grid = altered(run, scattering=1e-6), run.grid
+    for ground in ("learned", 1e4 * np.ones((grid.rows, grid.columns), np.float32)):
+        draws = [Sampler(faint, 0, grid, ground, speckle, 0.3) for speckle in ("none", "response")]
+        clean, drawn = (np.stack([np.abs(draw(VIEW, seed)) ** 2 for seed in range(150)]) for draw in draws)
+        target = (slice(None), slice(10, 24), slice(12, 22))  # and its shadow
+        assert np.log(drawn / clean)[target].mean() == pytest.approx(-np.euler_gamma, abs=0.1)
+
+
 def test_gaussians_smaller_than_pixels_keep_their_power(run: Run) -> None:
     """They are imaged in finer pixels."""
     small = altered(run, scales=1 / 6, scattering=300.0)

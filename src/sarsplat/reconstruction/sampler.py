@@ -134,21 +134,23 @@ class Sampler:
     ) -> tuple[Float32[np.ndarray, "rows columns"], Float32[np.ndarray, "rows columns"]]:
         """Expected power of the image with the drawn shift and gain, β⁰, and which share of it is the target's.
 
-        Through the response of `grid`. The side lobes that were learned are of all that is around bright scatterers:
-        without them, though the response has its own, samples were told from measured chips more easily.
+        The rest is of the ground and of noise. Through the response of `grid`. The side lobes that were learned are
+        of all that is around bright scatterers: without them, though the response has its own, samples were told from
+        measured chips more easily.
         """
         rendering = render(self._scene, shot.views, grid, rays=self._rays, shift=shot.shift, ground=self._ground)
-        images = rendering.images
+        images, channel = rendering.images, shot.power_channel
+        without = torch.zeros_like(images)
+        if rendering.ground is not None:
+            without[:, channel] = rendering.ground
         if self._backdrop is None:
-            developed = self._model.developed(images, shot)
+            developed = [self._model.developed(some, shot) for some in (images, without)]
         else:
-            assert rendering.ground is not None
-            developed = self._before(images, rendering.ground, self._part_of(self._backdrop, chance), shot)
-        scattered = images[0, shot.power_channel]
-        ground = torch.zeros_like(scattered) if rendering.ground is None else rendering.ground[0]
-        share = (1 - ground / scattered.clamp(min=torch.finfo(scattered.dtype).tiny)).clamp(min=0)
-        power: Float32[np.ndarray, "rows columns"] = developed[0, shot.power_channel].clamp(min=0).cpu().numpy()
-        return power, share.cpu().numpy()
+            part = self._part_of(self._backdrop, chance)
+            developed = [self._before(some, without[:, channel], part, shot) for some in (images, without)]
+        power, rest = (some[0, channel].clamp(min=0) for some in developed)
+        share = (1 - rest / power.clamp(min=torch.finfo(power.dtype).tiny)).clamp(min=0)
+        return power.cpu().numpy(), share.cpu().numpy()
 
     def _part_of(self, backdrop: Tensor, chance: np.random.Generator) -> Tensor:
         rows, columns = self._grid.rows, self._grid.columns
