@@ -31,7 +31,7 @@ from sarsplat.errors import SarsplatError
 ROOT = Path(__file__).resolve().parent.parent
 
 STEPS = 2000
-"""Of training: twice as many change no arm by more than a point, on training chips that were left out."""
+"""Of training: twice as many raise no arm by more than a point, on training chips that were left out."""
 
 TRIED_STEPS = (500, 1000, 2000, 4000)
 
