@@ -18,9 +18,9 @@ from jaxtyping import Complex, Complex64, Real
 
 from sarsplat.arguments import checks_arguments, expect
 from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, SPLIT, Box, Calibration, DatasetHeader
-from sarsplat.data.image import SarImage, as_signal, check_power, check_signal, power_of
+from sarsplat.data.image import SarImage, as_signal, check_power, check_signal, power_of_passes
 from sarsplat.errors import SarsplatError, counted, shown
-from sarsplat.geometry import ImageGrid, Terrain, View
+from sarsplat.geometry import ImageGrid, Stack, Terrain, View
 
 _FARTHEST_M = 1e6
 _LEAST_CERTAIN_DEG = 10.0
@@ -47,16 +47,20 @@ class DatasetEntry:
         What to call it, e.g. the measured chip's path.
     azimuth_std_deg : float
         Standard deviation of the view's azimuth, degrees, at most 10; 0 if it is known exactly.
+    stack : Stack, optional
+        The passes of an interferometric stack, of which `view` is the direction and the grid the pixels.
     """
 
     view: View
     split: str
     name: str
     azimuth_std_deg: float = 0.0
+    stack: Stack | None = None
 
     def __post_init__(self) -> None:
         expect(View, view=self.view)
         expect(str, split=self.split, name=self.name)
+        expect(Stack | None, stack=self.stack)
         std = self.azimuth_std_deg
         if not isinstance(std, RealNumber) or not 0 <= std <= _LEAST_CERTAIN_DEG:  # also catches NaN
             raise SarsplatError(
@@ -77,9 +81,10 @@ class Dataset:
     entries : tuple of DatasetEntry
         One for each image.
     power : numpy.ndarray, float32 [V, rows, columns]
-        β⁰, linear power, ≥ 0, row 0 near range; not to be written to.
-    signal : numpy.ndarray, complex64 [V, rows, columns], or None
-        Complex amplitudes, if the phases are known: |signal|² is the power. See `of_complex`.
+        β⁰, linear power, ≥ 0, row 0 near range; not to be written to. Of stacks, the mean over the passes.
+    signal : numpy.ndarray, complex64 [V, rows, columns] or [V, P, rows, columns], or None
+        Complex amplitudes, if the phases are known: |signal|² is the power. Of stacks, those of P passes, not deramped.
+        See `of_complex`.
     target : str
         What the images show.
     calibration : {"absolute", "relative"}
@@ -115,7 +120,7 @@ class Dataset:
     entries: tuple[DatasetEntry, ...]
     power: Real[np.ndarray, "v rows columns"]
     _: KW_ONLY
-    signal: Complex64[np.ndarray, "v rows columns"] | None = None
+    signal: Complex64[np.ndarray, "v *passes rows columns"] | None = None
     target: str = "unnamed"
     calibration: Calibration = "absolute"
     looks: float | None = None
@@ -141,7 +146,7 @@ class Dataset:
                 f"{np.shape(self.power)}; "
                 f"for {counted(len(self.entries), 'view')} they must be float32 {expected}"
             )
-        check_signal(self.signal, self.power, "the images")
+        check_signal(self.signal, self.power, "the images", self.passes)
         for entry, image in zip(self.entries, self.power):
             check_power(image, f"the image {shown(entry.name)}")
             if not re.fullmatch(SPLIT, entry.split):
@@ -176,7 +181,7 @@ class Dataset:
         cls,
         grid: ImageGrid,
         entries: tuple[DatasetEntry, ...],
-        signal: Complex[np.ndarray, "v rows columns"],
+        signal: Complex[np.ndarray, "v *passes rows columns"],
         **fields: Any,
     ) -> Self:
         """A dataset that keeps the phases.
@@ -185,7 +190,7 @@ class Dataset:
         ----------
         grid, entries
             See `Dataset`.
-        signal : numpy.ndarray, complex [V, rows, columns]
+        signal : numpy.ndarray, complex [V, rows, columns], or of stacks [V, P, rows, columns]
             Complex amplitudes √β⁰·e^jψ, row 0 near range.
         **fields
             All others of `Dataset`.
@@ -196,7 +201,7 @@ class Dataset:
             As for `Dataset`.
         """
         signal = as_signal(signal, "the images")
-        return cls(grid, entries, power_of(signal), signal=signal, **fields)
+        return cls(grid, entries, power_of_passes(signal), signal=signal, **fields)
 
     @classmethod
     @checks_arguments
@@ -261,7 +266,7 @@ class Dataset:
             raise SarsplatError(
                 f"{shown(index)} is not the index of an image; give a whole number, or take a set with select('train')"
             ) from error
-        signal = None if self.signal is None else self.signal[index]
+        signal = None if self.signal is None or self.passes else self.signal[index]
         return SarImage(self.power[index], self.entries[index].view, self.grid, signal)
 
     def __str__(self) -> str:
@@ -283,6 +288,16 @@ class Dataset:
     def views(self) -> tuple[View, ...]:
         """From where each image was taken."""
         return tuple(entry.view for entry in self.entries)
+
+    @property
+    def passes(self) -> int:
+        """Passes of each image, if they are stacks; 0 if they are not."""
+        return passes_of(self.entries)
+
+    @property
+    def stacks(self) -> tuple[Stack, ...]:
+        """The stack of each image; none if they are not stacks."""
+        return tuple(entry.stack for entry in self.entries if entry.stack is not None)
 
     def splits(self) -> tuple[str, ...]:
         """Names of the sets it holds, in order of first appearance."""
@@ -347,6 +362,7 @@ class Dataset:
             "views": [
                 {"file": f"images/{index:0{digits}d}.tif", **vars(entry.view)}
                 | {"split": entry.split, "name": entry.name, "azimuth_std_deg": entry.azimuth_std_deg or None}
+                | ({} if entry.stack is None else {"stack": vars(entry.stack)})
                 for index, entry in enumerate(self.entries)
             ],
         }
@@ -368,6 +384,17 @@ class Dataset:
             digest.update(np.array(self.terrain.pitch_m, "<f8").tobytes())
             digest.update(self.terrain.heights_m.astype("<f8").tobytes())
         return digest.hexdigest()
+
+
+def passes_of(entries: Sequence[DatasetEntry]) -> int:
+    """Passes of each image, 0 if they are no stacks; a SarsplatError if images differ."""
+    passes = sorted({0 if entry.stack is None else len(entry.stack) for entry in entries})
+    if len(passes) > 1:
+        raise SarsplatError(
+            f"some images are of {passes[0]} passes and others of {passes[-1]} (0: no stack); give stacks of the same "
+            "number of passes, or none"
+        )
+    return passes[0] if passes else 0
 
 
 def _part(indices: list[int]) -> slice | list[int]:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.data.dataset import AS_THEY_ARE, TERRAIN, Dataset, DatasetEntry
+from sarsplat.data.dataset import AS_THEY_ARE, TERRAIN, Dataset, DatasetEntry, passes_of
 from sarsplat.data.files import open_file, plain_os_errors, read_versioned_json, write_bytes, write_json
 from sarsplat.data.folders import new_folder
 from sarsplat.data.geotiff import read_terrain, write_terrain
@@ -21,7 +21,7 @@ from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, DatasetHeader, ViewHead
 from sarsplat.data.masks import encode_masks
 from sarsplat.data.tiff import read_tiff, write_tiff
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry import ImageGrid, Stack, View
 
 if TYPE_CHECKING:
     import trimesh
@@ -92,7 +92,7 @@ def write_dataset(
                 f"along the flight direction; azimuth {item.azimuth_deg:.6g} deg, grazing {item.grazing_deg:.6g} deg; "
                 f"pixel spacing {dataset.grid.spacing_m[0]:.6g} m (azimuth) x {dataset.grid.spacing_m[1]:.6g} m "
                 f"(slant range); set {item.split}"
-            )
+            ) + ("" if item.stack is None else "; one page for each pass")
             write_tiff(folder / item.file, pixels[index], description)
     return written
 
@@ -136,24 +136,28 @@ def read_dataset(path: str | Path) -> Dataset:
     with _blamed_on(path / HEADER):
         grid = ImageGrid.of(**msgspec.structs.asdict(header.grid))
         entries = tuple(
-            DatasetEntry(_view(index, item), item.split, item.name, item.azimuth_std_deg or 0.0)
+            DatasetEntry(_view(index, item), item.split, item.name, item.azimuth_std_deg or 0.0, _stack(index, item))
             for index, item in enumerate(header.views)
         )
         files = [_inside(path, item.file) for item in header.views]
         if len({file.resolve() for file in files}) < len(files):
             raise SarsplatError("two views name the same image file; give each view its own")
+        passes = passes_of(entries)
+        if passes and header.pixels != "complex":
+            raise SarsplatError('stacks need phases, but pixels is "power"; store complex amplitudes, or no stack')
         mesh = None if header.truth_mesh is None else _inside(path, header.truth_mesh)
         heights = None if header.terrain is None else _inside(path, header.terrain)
     with plain_os_errors("read", path):  # a name may be longer than the system has names
         if mesh is not None and not mesh.is_file():
             raise SarsplatError(f"{path} is missing its mesh {shown(mesh.name)}; {_MAKE_ONE}")
     make, pixel = (Dataset.of_complex, np.complex64) if header.pixels == "complex" else (Dataset, np.float32)
-    images = [read_tiff(file, (grid.rows, grid.columns), pixel) for file in files]
+    shape = (passes, grid.rows, grid.columns) if passes else (grid.rows, grid.columns)
+    images = [read_tiff(file, shape, pixel) for file in files]
     with _blamed_on(path / HEADER):
         dataset = make(
             grid,
             entries,
-            np.stack(images) if images else np.empty((0, grid.rows, grid.columns), pixel),
+            np.stack(images) if images else np.empty((0, *shape), pixel),
             **{name: getattr(header, name) for name in AS_THEY_ARE},
             truth_mesh=mesh,
             terrain=None if heights is None else read_terrain(heights),
@@ -200,6 +204,11 @@ def _blamed_on(place: object) -> Iterator[None]:
 def _view(index: int, item: ViewHeader) -> View:
     with _blamed_on(f"views[{index}]"):
         return View(item.azimuth_deg, item.grazing_deg)
+
+
+def _stack(index: int, item: ViewHeader) -> Stack | None:
+    with _blamed_on(f"views[{index}].stack"):
+        return None if item.stack is None else Stack(**msgspec.structs.asdict(item.stack))
 
 
 def _inside(folder: Path, name: str) -> Path:

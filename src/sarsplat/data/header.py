@@ -47,6 +47,20 @@ class GridHeader(Strict, frozen=True, omit_defaults=True):
     ] = None
 
 
+class StackHeader(Strict, frozen=True, omit_defaults=True):
+    """Passes of an interferometric stack, coregistered to one image."""
+
+    wavelength_m: Annotated[float, about("λ, m, > 0")]
+    offsets_rad: Annotated[
+        tuple[float, ...],
+        about("of each pass, by how much its antenna is seen higher than the view's direction, b/R, rad", minItems=1),
+    ]
+    transmit: Annotated[
+        Literal["each", "one"], about("whether each pass transmits itself (k = 4π/λ) or one does for all (2π/λ)")
+    ]
+    noise: Annotated[tuple[float, ...] | None, about("power of each pass's noise, β⁰; null if it is not known")] = None
+
+
 class ViewHeader(Strict, frozen=True, omit_defaults=True):
     """One image: its file, and from where it was taken."""
 
@@ -67,6 +81,10 @@ class ViewHeader(Strict, frozen=True, omit_defaults=True):
     azimuth_std_deg: Annotated[
         float | None, about("standard deviation of the azimuth, degrees, at most 10; null if it is known exactly")
     ] = None  # of 0: msgspec leaves out a default only if it is the very object
+    stack: Annotated[
+        StackHeader | None,
+        about("passes of a stack, one page of the TIFF each, in this order; null if it is a single image"),
+    ] = None
 
 
 class DatasetHeader(Strict, frozen=True, omit_defaults=True):
@@ -103,7 +121,7 @@ class DatasetHeader(Strict, frozen=True, omit_defaults=True):
     ] = False
     pixels: Annotated[
         Literal["power", "complex"],
-        about("float32 linear power, or complex64 amplitudes, whose squared magnitude is the power"),
+        about("float32 linear power, or complex64 amplitudes: their squared magnitude, of stacks its mean, is power"),
     ] = "power"
     terrain: Annotated[
         str | None, about('"terrain.tif", heights of the ground (GeoTIFF, m), or null where it is level at z = 0')

@@ -162,13 +162,26 @@ def power_of(signal: Complex64[np.ndarray, "*shape"]) -> Float32[np.ndarray, "*s
         return np.square(signal.real) + np.square(signal.imag)
 
 
+def power_of_passes(signal: Complex64[np.ndarray, "v *passes rows columns"]) -> Float32[np.ndarray, "v rows columns"]:
+    """Linear power of images, of a stack the mean over its passes."""
+    power = power_of(signal)
+    return power if power.ndim == 3 else power.mean(1)
+
+
 @checks_arguments
-def check_signal(signal: Complex64[np.ndarray, "*shape"] | None, power: Real[np.ndarray, "*shape"], name: str) -> None:
-    """Raise SarsplatError if the power is not that of the signal, where there is one."""
-    if signal is None:
+def check_signal(
+    signal: Complex64[np.ndarray, "*of_signal"] | None, power: Real[np.ndarray, "*shape"], name: str, passes: int = 0
+) -> None:
+    """Raise SarsplatError if the power is not that of the signal, where there is one; of stacks, of all `passes`."""
+    if signal is None and not passes:
         return
-    if signal.dtype != np.complex64 or signal.shape != power.shape or not np.array_equal(power_of(signal), power):
+    if signal is None:
+        raise SarsplatError(f"{name} are stacks of {passes} passes, which need phases; make them with of_complex")
+    shape = (power.shape[0], passes, *power.shape[1:]) if passes else power.shape
+    same = signal.dtype == np.complex64 and signal.shape == shape
+    if not same or not np.array_equal(power_of_passes(signal) if passes else power_of(signal), power):
         raise SarsplatError(
-            f"the power of {name} is not the squared magnitude of its signal, {signal.dtype} of shape {signal.shape}; "
-            "make it with of_complex"
+            f"the power of {name} is not the squared magnitude of its signal, {signal.dtype} of shape {signal.shape}"
+            + (f" for {passes} passes" if passes else "")
+            + "; make it with of_complex"
         )

@@ -1,9 +1,11 @@
-"""One image as a TIFF: power as float32, complex amplitudes as complex64."""
+"""One image as a TIFF: power as float32, complex amplitudes as complex64; of a stack, a page for each pass."""
 
 from __future__ import annotations
 
 import io
+import itertools
 import logging
+import math
 from pathlib import Path
 
 import numpy as np
@@ -13,22 +15,23 @@ from numpy.typing import DTypeLike
 
 from sarsplat.data.files import open_file, write_bytes
 from sarsplat.data.image import check_power, power_of
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.errors import SarsplatError, counted, shown
 
 _LONGEST_HEADER = 1 << 20  # bytes of a TIFF that are not pixels: tags, descriptions
 
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what is wrong with a file is said by our own errors
 
 
-def write_tiff(path: Path, image: Shaped[np.ndarray, "rows columns"], description: str) -> None:
-    """Write an image as an uncompressed TIFF of one page, whole or not at all.
+def write_tiff(path: Path, image: Shaped[np.ndarray, "*passes rows columns"], description: str) -> None:
+    """Write an image as an uncompressed TIFF, whole or not at all.
 
     Parameters
     ----------
     path : Path
         File to write.
-    image : numpy.ndarray [rows, columns]
-        Linear power, stored as float32, or complex amplitudes, stored as complex64; row 0 near range.
+    image : numpy.ndarray [rows, columns] or [P, rows, columns]
+        Linear power, stored as float32, or complex amplitudes, stored as complex64; row 0 near range. A page for each
+        pass of a stack.
     description : str
         What it shows, for other programs (ASCII; the ImageDescription tag).
     """
@@ -40,17 +43,15 @@ def write_tiff(path: Path, image: Shaped[np.ndarray, "rows columns"], descriptio
     write_bytes(path, buffer.getbuffer())
 
 
-def read_tiff(
-    path: Path, shape: tuple[int, int], pixel: DTypeLike = np.float32
-) -> Shaped[np.ndarray, "{shape[0]} {shape[1]}"]:
+def read_tiff(path: Path, shape: tuple[int, ...], pixel: DTypeLike = np.float32) -> Shaped[np.ndarray, "*shape"]:
     """Read an image that must have the given shape and pixels.
 
     Parameters
     ----------
     path : Path
         An uncompressed TIFF; its header is trusted only where it fits `shape` and the size of the file.
-    shape : (int, int)
-        Rows and columns to expect.
+    shape : (int, int) or (int, int, int)
+        Rows and columns to expect, of a stack after the number of its passes.
     pixel : numpy dtype
         float32 for linear power, complex64 for complex amplitudes.
 
@@ -61,28 +62,39 @@ def read_tiff(
         absurdly large or not finite.
     """
     path, dtype = Path(path), np.dtype(pixel)
-    pixel_bytes = dtype.itemsize * shape[0] * shape[1]
+    pixel_bytes, pages = dtype.itemsize * math.prod(shape), shape[0] if len(shape) == 3 else 1
     with open_file(path) as file:
         size = file.seek(0, 2)
         if not pixel_bytes <= size <= pixel_bytes + _LONGEST_HEADER:
             raise SarsplatError(
-                f"{path} has {size} bytes, too {'few' if size < pixel_bytes else 'many'} for {shape[0]} × {shape[1]} "
-                f"{dtype} pixels; it is truncated, compressed or of another size: create the dataset again"
+                f"{path} has {size} bytes, too {'few' if size < pixel_bytes else 'many'} for "
+                f"{' × '.join(map(str, shape))} {dtype} pixels; it is truncated, compressed or of another size: create "
+                "the dataset again"
             )
         file.seek(0)
         data = file.read()
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as tiff:
             page = tiff.pages.first
-            layout = (page.shape, page.dtype, page.compression, tiff.pages.is_multipage)
-            image = page.asarray() if layout == (shape, dtype, tifffile.COMPRESSION.NONE, False) else None
+            layout = (page.shape, page.dtype, page.compression, _pages(tiff, pages))
+            expected = (shape[-2:], dtype, tifffile.COMPRESSION.NONE, pages)
+            image = tiff.asarray(key=slice(None)).reshape(shape) if layout == expected else None
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
         raise SarsplatError(f"{path} is not a readable TIFF ({shown(str(error))}); create the dataset again") from error
     if image is None:
         raise SarsplatError(
             f"{path} holds {layout[1]} pixels of shape {shown(layout[0])}, compression {layout[2]!r:.30}, on "
-            f"{'several pages' if layout[3] else 'one page'}; give one page of uncompressed {dtype} of shape {shape}"
+            f"{'another number of pages' if layout[3] != pages else counted(pages, 'page')}; give "
+            f"{counted(pages, 'page')} of uncompressed {dtype} of shape {shape[-2:]}"
         )
     image = np.asarray(image, dtype=dtype)
     check_power(power_of(image) if np.iscomplexobj(image) else image, str(path))
     return image
+
+
+def _pages(tiff: tifffile.TiffFile, expected: int) -> int:
+    """The number of pages, counted no further than one beyond those expected."""
+    count = 0
+    for page in itertools.islice(tiff.pages, expected + 1):
+        count += page.shape == tiff.pages.first.shape and page.dtype == tiff.pages.first.dtype
+    return count

@@ -18,6 +18,13 @@ _LEAST_WAVELENGTH, _LARGEST_WAVELENGTH = 1e-4, 100.0
 _WIDEST = 0.2
 """Offset of a pass, rad: beyond it the image of one pass is not that of another."""
 
+_LOUDEST = 1e18
+
+_LOOKED_FOR, _STEPS = 1000.0, 32
+"""How far alike phases are looked for, in resolutions, and in how many steps of each."""
+
+_APART, _ALIKE = 0.7, 0.95
+
 _TRANSMIT = ("each", "one")
 
 
@@ -37,6 +44,8 @@ class Stack:
         over the range, b/R. The first is usually 0.
     transmit : {"each", "one"}
         Whether each pass transmits and receives itself, k = 4π/λ, or one transmits for all, k = 2π/λ.
+    noise : tuple of float, optional
+        Power of each pass's noise, β⁰; None if it is not known.
 
     Raises
     ------
@@ -47,6 +56,7 @@ class Stack:
     wavelength_m: float
     offsets_rad: tuple[float, ...]
     transmit: str = "each"
+    noise: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         wavelength = self.wavelength_m
@@ -65,8 +75,18 @@ class Stack:
             )
         if self.transmit not in _TRANSMIT:
             raise SarsplatError(f"transmit is {shown(self.transmit)}; give one of {', '.join(_TRANSMIT)}")
+        if self.noise is not None:
+            self._check_noise(self.noise)
+            object.__setattr__(self, "noise", tuple(map(float, self.noise)))
         object.__setattr__(self, "wavelength_m", float(wavelength))
         object.__setattr__(self, "offsets_rad", tuple(map(float, self.offsets_rad)))
+
+    def _check_noise(self, noise: tuple[float, ...]) -> None:
+        if not isinstance(noise, tuple | list) or len(noise) != len(self.offsets_rad):
+            raise SarsplatError(f"noise is {shown(noise)}; give a power for each of {len(self.offsets_rad)} passes")
+        for power in noise:
+            if not isinstance(power, Real) or not 0 < power <= _LOUDEST:
+                raise SarsplatError(f"the noise of a pass is {shown(power)}; give a positive power, β⁰")
 
     def __len__(self) -> int:
         """Number of passes."""
@@ -76,6 +96,27 @@ class Stack:
     def wavenumber(self) -> float:
         """k: phase per distance from the antenna, rad/m."""
         return (4 if self.transmit == "each" else 2) * math.pi / self.wavelength_m
+
+    @property
+    def resolution_m(self) -> float:
+        """Rayleigh resolution in elevation, 2π over the span of phases per elevation, m; infinite of one pass."""
+        span = self.wavenumber * float(np.ptp(self.offsets_rad))
+        return 2 * math.pi / span if span else math.inf
+
+    @property
+    def ambiguous_elevation_m(self) -> float:
+        """Difference of elevation at which phases are alike again, m: all passes together are within 5 % of agreement.
+
+        Infinite if that is more than 1000 resolutions, or there is one pass.
+        """
+        if not math.isfinite(self.resolution_m):
+            return math.inf
+        elevation = self.resolution_m * np.arange(0.0, _LOOKED_FOR, 1 / _STEPS)
+        phases = self.wavenumber * np.array(self.offsets_rad)
+        together = np.abs(np.exp(1j * phases[:, None] * elevation).mean(0))
+        beyond = np.maximum.accumulate(together < _APART)  # outside of the main lobe
+        alike = np.flatnonzero(beyond & (together >= _ALIKE))
+        return float(elevation[alike[0]]) if len(alike) else math.inf
 
     @checks_arguments
     def phase_vectors(self, view: View) -> Float64[np.ndarray, "p 3"]:

@@ -166,6 +166,8 @@ class PointExtraction(Record):
         "centres": centres of the Gaussians.
     optical_depth : float
         Two-way optical depth of a first return ("rays"), or smallest κ of a Gaussian ("centres").
+    power_share : float
+        Leave out the weakest Gaussians, which together return the rest of the power ("centres").
     voxel : float
         Keep one point in each voxel of this side, in resolution cells.
     min_height : float
@@ -189,6 +191,7 @@ class PointExtraction(Record):
 
     method: Literal["rays", "centres"] = "rays"
     optical_depth: NotNegative = 0.6
+    power_share: Share = 1.0
     voxel: Positive = 0.083
     min_height: Number = 0.0
     rays_per_pixel: Positive = 7.0
@@ -289,6 +292,34 @@ class Surroundings(Record):
 
 
 @dataclass(frozen=True)
+class Passes(Record):
+    """How a scene is learned from interferometric stacks.
+
+    Parameters
+    ----------
+    window : int
+        Side of the square, in pixels, over which covariances are averaged, those of the images and those of the scene,
+        after the phase of level ground is taken out: single looks would be taken for surfaces.
+    elevation_only : float
+        Share of the training in which centres move in elevation alone, where all images have one direction: what lies
+        where in the images is known to a pixel, and what is higher is not.
+    noise : float
+        Power of the passes' noise at the start, in units of the training mean, where the stacks do not say.
+    """
+
+    _section: ClassVar[str] = "passes."
+
+    window: Annotated[int, Meta(ge=1, le=99)] = 3
+    elevation_only: Share = 1.0
+    noise: Positive = 0.05
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.window % 2 == 0:
+            raise SarsplatError(f"passes.window is {self.window}; give an odd number of pixels, such as 3")
+
+
+@dataclass(frozen=True)
 class Config(AnyConfig):
     """Everything a reconstruction depends on, besides the dataset; the defaults are the preset `default`.
 
@@ -372,6 +403,8 @@ class Config(AnyConfig):
         Ground below the target; None: nothing.
     surroundings : Surroundings or None
         What measured images show besides target and ground; None: nothing.
+    passes : Passes or None
+        How covariances of interferometric stacks are learned from; None: from power alone.
     checkpoint_every : int
         Iterations between two checkpoints.
     seed : int
@@ -420,6 +453,7 @@ class Config(AnyConfig):
     relocation: Relocation = Relocation()
     ground: FlatGround | None = None
     surroundings: Surroundings | None = None
+    passes: Passes | None = None
     checkpoint_every: Count = 500
     seed: Seed = 0
 

@@ -197,9 +197,14 @@ class NamedLoss:
     unit: str
 
 
+def _passes(config: Config, scale: ImageScale) -> Loss:
+    raise SarsplatError("the loss passes is for stacks, and these are single images; choose amplitude or speckle")
+
+
 LOSSES = {
     "amplitude": NamedLoss(_amplitude, "difference of amplitudes (largest = 1)", "loss"),
     "speckle": NamedLoss(_speckle, "negative log-likelihood of the speckle", "nats per pixel"),
+    "passes": NamedLoss(_passes, "negative log-likelihood of all passes", "nats per pixel"),
 }
 """Losses by their names in configurations."""
 

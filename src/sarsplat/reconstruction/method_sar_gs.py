@@ -32,6 +32,7 @@ from sarsplat.reconstruction.presets import preset
 from sarsplat.reconstruction.sampler import Sampler
 from sarsplat.reconstruction.seen import Seen
 from sarsplat.reconstruction.snapshot import Snapshot
+from sarsplat.reconstruction.stack_trainer import StackTrainer
 from sarsplat.reconstruction.strategies.azimuths import AZIMUTH_OFFSETS
 from sarsplat.reconstruction.trainer import Trainer
 from sarsplat.renderer import channel_of
@@ -56,8 +57,9 @@ class SarGs(Method):
         """A preset; "auto" is for what the images show: speckle must be modelled, and ground wherever there is any."""
         if name == "auto":
             name = "default" if dataset.looks is None else "measured" if dataset.ground else "speckled"
+            name = "stack" if dataset.passes else name
         config = preset(name)
-        if dataset.ground and config.ground is None and name != "paper":  # which has none
+        if dataset.ground and config.passes is None and config.ground is None and name != "paper":  # which has none
             return replace(config, ground=FlatGround())
         return config
 
@@ -73,7 +75,8 @@ class SarGs(Method):
         if inputs.loss is not None:
             name = getattr(inputs.loss, "__name__", type(inputs.loss).__name__)
             config = replace(config, loss=f"own {name}" if name in LOSSES else name)
-        return Trainer(dataset, config, inputs.loss, device, inputs.strategies, inputs.processes)
+        trainer = StackTrainer if config.passes is not None and dataset.passes else Trainer
+        return trainer(dataset, config, inputs.loss, device, inputs.strategies, inputs.processes)
 
     def open(self, snapshot: Snapshot, config: Config, device: str, folder: Path | None) -> GaussianReconstruction:
         return GaussianReconstruction(snapshot, config, device)

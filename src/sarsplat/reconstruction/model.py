@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Complex, Float, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
@@ -17,7 +17,7 @@ from sarsplat.data.plausible import warn
 from sarsplat.gaussians import Gaussians, scattering_named
 from sarsplat.gaussians.ground import Ground
 from sarsplat.gaussians.initialise import Region
-from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
+from sarsplat.geometry import ImageGrid, RayGrid, Stack, Terrain, View
 from sarsplat.processes import Processes
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.levelled import levelled
@@ -29,6 +29,7 @@ from sarsplat.reconstruction.snapshot import Snapshot
 from sarsplat.reconstruction.target_region import cut_off
 from sarsplat.reconstruction.windows import Windows
 from sarsplat.renderer import Bounds, Rendering, render
+from sarsplat.renderer.covariances import lit_covariances
 from sarsplat.tiles import at_once, render_tiled
 
 _AT_A_TIME = 8  # views, though more fit into memory
@@ -105,7 +106,7 @@ class SceneModel:
             raise ValueError(f"a region of {[array.shape for array in arrays]}")
         kept = snapshot.part("terrain")
         terrain = Terrain(kept["heights_m"].numpy(), tuple(kept["pitch_m"].tolist())) if kept else None
-        setting = Setting(Region(*arrays), snapshot.unit, snapshot.views, snapshot.grid, terrain)
+        setting = Setting(Region(*arrays), snapshot.unit, snapshot.views, snapshot.grid, terrain, snapshot.stacks)
         learned, state = snapshot.part("model"), snapshot.part("part")
         model = cls(config, setting, learned, device)
         others = [learned[name] for name, how in model.learned.items() if not how.per_gaussian]
@@ -232,6 +233,26 @@ class SceneModel:
         else:
             rendering = self.windows.render(scene, views, shot.grid, numbers.tolist(), **how)
         return self.developed(rendering.images, shot, estimated), rendering
+
+    def covariances(
+        self,
+        views: Sequence[View],
+        stacks: Sequence[Stack],
+        grid: ImageGrid,
+        degree: int,
+        *,
+        rays: RayGrid | None = None,
+        numbers: Int64[Tensor, " v"] | None = None,
+        dropped: Bool[Tensor, " n"] | None = None,
+    ) -> tuple[Complex[Tensor, "v p p {grid.rows} {grid.columns}"], Rendering]:
+        """Covariances between passes, with noise, and the rendering of power behind them; otherwise as `render`."""
+        shot = self.shot(views, grid, numbers)
+        scene = self.scene(degree, dropped)
+        covariances, sections, lit = lit_covariances(scene, views, shot.grid, stacks, rays=rays, shift=shot.shift)
+        rendering = Rendering(covariances[:, 0, 0].real[:, None], sections[..., None], lit)
+        for part in self.parts:
+            covariances = part.covariances(covariances, shot, self.parameters)
+        return covariances if self.unit == 1 else covariances * self.unit, rendering
 
     def unseen(
         self, views: Sequence[View], grid: ImageGrid, degree: int, rays: RayGrid

@@ -12,8 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64, Real
+import torch
+from jaxtyping import Bool, Float64, Int64, Real
 from scipy.spatial import cKDTree
+from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
@@ -88,13 +90,37 @@ def extract_points(
         raise SarsplatError("there are no views that could see a surface; give at least one View")
     gaussians, cell = gaussians.detach(), grid.cell_m
     if how.method == "centres":
-        points = gaussians.means[gaussians.optical_depth >= how.optical_depth].double().cpu().numpy()
+        kept = gaussians.optical_depth >= how.optical_depth
+        if how.power_share < 1:
+            kept &= _strongest(gaussians, views, grid, how.power_share)
+        points = gaussians.means[kept].double().cpu().numpy()
         voxels = _Voxels(how.voxel * cell)
         voxels.add(points[heights_of(points, terrain) >= how.min_height * cell])
         points = voxels.means()
     else:
         points = _seen_points(gaussians, [*views, *between(views)], grid, how, terrain)
     return points if how.cluster_radius is None else _cluster(points, how.cluster_radius * cell, how.cluster_size)
+
+
+def _strongest(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, share: float) -> Bool[Tensor, " n"]:
+    """Those that return this share of the power in images; what lies outside of all images is not among them."""
+    rays, strongest = RayGrid.for_image(grid), gaussians.means.new_zeros(len(gaussians))
+    channel = gaussians.scattering.power_channel
+    for view in spread(views, _MOST_VIEWS):
+        with torch.no_grad():
+            sections = render(gaussians, [view], grid, rays=rays).cross_sections[0, :, channel]
+        inside = torch.from_numpy(imaged(gaussians.means.double().cpu().numpy(), view, grid)).to(sections.device)
+        strongest = torch.maximum(strongest, sections * inside)
+    order = strongest.argsort(descending=True, stable=True)
+    before = strongest[order].double().cumsum(0) - strongest[order]
+    return torch.zeros_like(strongest, dtype=torch.bool).index_put((order,), before < share * strongest.double().sum())
+
+
+def imaged(points: Float64[np.ndarray, "p 3"], view: View, grid: ImageGrid) -> Bool[np.ndarray, " p"]:
+    """Which points lie within the edges of an image."""
+    local = points @ radar_frame(view).T
+    left, right, far, near = grid.extent_m
+    return (left <= local[:, 0]) & (local[:, 0] <= right) & (near <= local[:, 2]) & (local[:, 2] <= far)
 
 
 def _seen_points(

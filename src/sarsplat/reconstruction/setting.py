@@ -8,8 +8,9 @@ import numpy as np
 
 from sarsplat.data import Dataset
 from sarsplat.gaussians.initialise import Region
-from sarsplat.geometry import ImageGrid, Terrain, View
+from sarsplat.geometry import ImageGrid, Stack, Terrain, View
 from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.stack_region import stack_region
 from sarsplat.reconstruction.target_region import target_region
 
 
@@ -27,15 +28,21 @@ class Setting:
     """Lengths in configurations are multiples of its resolution cell."""
     terrain: Terrain | None = None
     """The ground, above which z of the region is; None: z = 0."""
+    stacks: tuple[Stack, ...] = ()
+    """Of each view, if the images are stacks and learned from as such."""
 
     @classmethod
     def of(cls, config: Config, dataset: Dataset) -> Setting:
         """The setting of a configuration on a dataset."""
         train = dataset.select("train")
         terrain = dataset.terrain if config.ground else None
-        region = target_region(dataset, ground=bool(config.ground or config.surroundings), box=config.box_m)
-        unit = float(train.power.mean(dtype=np.float64)) if config.surroundings else 1.0
-        return cls(region, unit, train.views, train.grid, terrain)
+        stacks = train.stacks if config.passes else ()
+        if stacks:
+            region = stack_region(train, config.box_m)
+        else:
+            region = target_region(dataset, ground=bool(config.ground or config.surroundings), box=config.box_m)
+        unit = float(train.power.mean(dtype=np.float64)) if config.surroundings or stacks else 1.0
+        return cls(region, unit, train.views, train.grid, terrain, stacks)
 
     @property
     def cell_m(self) -> float:

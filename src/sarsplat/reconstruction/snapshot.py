@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -14,7 +14,7 @@ from torch import Tensor
 from sarsplat.data import load_checkpoint, save_checkpoint
 from sarsplat.data.header import GridHeader
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry import ImageGrid, Stack, View
 
 # What files may say of a training: far more than any does, and little enough for sums and pictures.
 _Count = Annotated[int, msgspec.Meta(ge=0, le=10**9)]
@@ -40,6 +40,8 @@ class Snapshot:
     """Power that counts as 1 in the model."""
     brightest: float
     """Largest β⁰ of the training images, linear power."""
+    stacks: tuple[Stack, ...] = field(kw_only=True, default=())
+    """Of the training images, if they are learned from as stacks."""
     tensors: dict[str, Tensor]
     """`model/…`, `optimiser/…` and whatever else the training needs, on the CPU."""
 
@@ -75,6 +77,7 @@ class Snapshot:
             "queue": self.queue,
             "grid": self.grid.as_dict(),
             "views": [asdict(view) for view in self.views],
+            "stacks": [asdict(stack) for stack in self.stacks],
             "unit": self.unit,
             "brightest": self.brightest,
         }
@@ -111,3 +114,4 @@ class _State(msgspec.Struct, forbid_unknown_fields=True):
     views: tuple[View, ...]
     unit: _Power
     brightest: _Power
+    stacks: tuple[Stack, ...] = ()

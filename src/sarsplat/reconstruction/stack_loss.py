@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from jaxtyping import Complex, Float
 from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.renderer.once import differentiable_once
 
 
 @checks_arguments
@@ -56,17 +59,42 @@ def stack_nats(
             f"noise is {shown(noise)}; give a positive power, such as a thousandth of what is brightest"
         )
     matrices = covariances.permute(0, 3, 4, 1, 2) + torch.diag(floor).to(covariances.dtype)
-    factor, failed = torch.linalg.cholesky_ex(matrices)
-    if bool(failed.any()):
-        raise SarsplatError(
-            f"{int((failed > 0).sum())} covariances are not positive definite with a noise of {shown(noise)}; raise "
-            "it, or use float64"
-        )
-    log_det = 2 * torch.diagonal(factor, dim1=-2, dim2=-1).real.log().sum(-1)
     if single:
-        whitened = torch.linalg.solve_triangular(factor, signals.permute(0, 2, 3, 1)[..., None], upper=False)
-        surprise = whitened.abs().square().sum((-2, -1))
-    else:
-        solved = torch.cholesky_solve(signals.permute(0, 3, 4, 1, 2), factor)
-        surprise = torch.diagonal(solved, dim1=-2, dim2=-1).real.sum(-1)
-    return (surprise + log_det).mean()
+        signals = signals[:, :, None] * signals[:, None].conj()
+    return covariance_nats(matrices.permute(0, 3, 4, 1, 2), signals)
+
+
+def covariance_nats(
+    covariances: Complex[Tensor, "v p p rows columns"], samples: Complex[Tensor, "v p p rows columns"]
+) -> Float[Tensor, ""]:
+    """`stack_nats` of sample covariances, given covariances that have their noise."""
+    nats: Float[Tensor, ""] = _Nats.apply(covariances.permute(0, 3, 4, 1, 2), samples.permute(0, 3, 4, 1, 2))
+    return nats
+
+
+class _Nats(torch.autograd.Function):
+    """Mean of tr C⁻¹Y + log det C; its gradient C⁻¹ − C⁻¹YC⁻¹ is a by-product. Differentiable once, in C."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, matrices: Complex[Tensor, "v r c p p"], samples: Complex[Tensor, "v r c p p"]
+    ) -> Float[Tensor, ""]:
+        factor, failed = torch.linalg.cholesky_ex(matrices)
+        if bool(failed.any()):
+            raise SarsplatError(
+                f"{int((failed > 0).sum())} covariances with their noise are not positive definite; raise the noise, "
+                "or use float64"
+            )
+        inverse = torch.cholesky_inverse(factor)
+        fitted = inverse @ samples
+        surprise, half = (torch.diagonal(of, dim1=-2, dim2=-1).real for of in (fitted, factor))
+        ctx.save_for_backward(inverse - fitted @ inverse)
+        ctx.pixels = surprise[..., 0].numel()
+        nats = surprise.sum(-1) + 2 * half.log().sum(-1)
+        return nats.mean(2).mean(1).mean(0)  # one after the other: bits must not depend on threads
+
+    @staticmethod
+    @differentiable_once
+    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
+        (gradient,) = ctx.saved_tensors
+        return gradient * (slope / ctx.pixels), None

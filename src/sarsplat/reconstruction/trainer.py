@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 import torch
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32
 from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
@@ -72,10 +72,14 @@ class Trainer:
         self._queue = ViewQueue(len(self._finest.views), config.views_per_step, self._generator)
         self.strategies = [*strategies_of(config, dataset.select("train")), *strategies]
         self._learn(self._first_model(dataset))
-        self._loss = loss or named_loss(config, ImageScale(self.images.brightest, self.model.unit))
-        self._black_loss = _of_black(self._loss, self.images.truth[: config.views_per_step])
+        self._black_loss = self._minimise(loss)
         self.iteration = 0
         self.terms: dict[str, Tensor] = {}
+
+    def _minimise(self, loss: Loss | None) -> Tensor:
+        """Minimise this loss, or the configuration's; returns the unit of what else is minimised."""
+        self._loss = loss or named_loss(self.config, ImageScale(self.images.brightest, self.model.unit))
+        return _of_black(self._loss, self.images.truth[: self.config.views_per_step])
 
     def _images_of(self, dataset: Dataset) -> TrainingImages:
         """What is learned from, at the finest level."""
@@ -111,19 +115,8 @@ class Trainer:
         """
         self._look()
         chosen, step, share = self._queue.next(), self.iteration + 1, self.config.dropout
-        images, rendering = self.model.render(
-            [self.views[i] for i in chosen],
-            self.images.grid,
-            self.model.degree(self.iteration),
-            rays=self._rays,
-            numbers=torch.stack([self.images.numbers[i] for i in chosen]),
-            plane_gradients=any(strategy.wants_plane_gradients(step) for strategy in self.strategies),
-            bounds=self._bounds,
-            dropped=dropped(len(self.model), share, self.config.seed, step, self.device) if share else None,
-            processes=self._processes,
-        )
-        truth = torch.stack([self.images.truth[i] for i in chosen])  # much faster than an index
-        loss = self._loss(channel_of(images, self.model.power_channel), truth)
+        left_out = dropped(len(self.model), share, self.config.seed, step, self.device) if share else None
+        loss, rendering = self._compared(chosen, left_out)
         if not isinstance(loss, Tensor) or loss.ndim != 0 or not loss.requires_grad or loss.is_complex():
             what = f"{tuple(loss.shape)} of {loss.dtype}" if isinstance(loss, Tensor) else type(loss).__name__
             raise SarsplatError(
@@ -137,11 +130,27 @@ class Trainer:
         self._each_strategy("step_pre_backward", step, chosen, rendering)
         sum(terms.values(), loss).backward()
         loss, rendering = loss.detach(), _done(rendering)
-        del images
         self.optimiser.step(self.iteration)
         self.iteration += 1
         self._each_strategy("step_post_backward", step, chosen, rendering)
         return loss
+
+    def _compared(self, chosen: Sequence[int], left_out: Bool[Tensor, " n"] | None) -> tuple[Tensor, Rendering]:
+        """The loss of some training images, without the Gaussians `left_out`, and what was rendered."""
+        step = self.iteration + 1
+        images, rendering = self.model.render(
+            [self.views[i] for i in chosen],
+            self.images.grid,
+            self.model.degree(self.iteration),
+            rays=self._rays,
+            numbers=torch.stack([self.images.numbers[i] for i in chosen]),
+            plane_gradients=any(strategy.wants_plane_gradients(step) for strategy in self.strategies),
+            bounds=self._bounds,
+            dropped=left_out,
+            processes=self._processes,
+        )
+        truth = torch.stack([self.images.truth[i] for i in chosen])  # much faster than an index
+        return self._loss(channel_of(images, self.model.power_channel), truth), rendering
 
     def _each_strategy(self, method: str, step: int, chosen: Sequence[int], rendering: Rendering) -> None:
         """Let all strategies act; what they remember of single Gaussians follows where others move rows."""
@@ -229,7 +238,8 @@ class Trainer:
             self.views,
             self.model.unit,
             self.images.brightest,
-            {name: tensor.cpu().clone() for name, tensor in tensors.items()},
+            stacks=self.model.setting.stacks,
+            tensors={name: tensor.cpu().clone() for name, tensor in tensors.items()},
         )
 
     @checks_arguments

@@ -11,6 +11,7 @@ from jaxtyping import Complex, Float
 from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
+from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.covariance import covariance
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
@@ -26,7 +27,7 @@ def render_covariances(
     gaussians: Gaussians,
     views: Sequence[View],
     grid: ImageGrid,
-    stack: Stack,
+    stack: Stack | Sequence[Stack],
     *,
     rays: RayGrid | None = None,
     shift: Float[Tensor, "v 2"] | None = None,
@@ -45,11 +46,11 @@ def render_covariances(
     gaussians : Gaussians
         The scene, N Gaussians.
     views : sequence of View
-        V views, at least one; all passes of the stack are seen around each.
+        V views, at least one.
     grid : ImageGrid
         Pixels.
-    stack : Stack
-        P passes.
+    stack : Stack or sequence of Stack
+        P passes, around every view or around each its own.
     rays : RayGrid, optional
         As at `render`.
     shift : Tensor [V, 2], optional
@@ -66,7 +67,7 @@ def render_covariances(
     Raises
     ------
     SarsplatError
-        As `render`.
+        As `render`; or if there are more or fewer stacks than views, or of different numbers of passes.
 
     Notes
     -----
@@ -74,23 +75,44 @@ def render_covariances(
     of them away, and of the mean phase of a volume what that share has; here it is made up for, so that powers are by
     that share above those of `render`.
     """
-    rays = rays or RayGrid.for_image(grid)
+    stacks = [stack] * len(views) if isinstance(stack, Stack) else [*stack]
+    if len(stacks) != len(views) or len({len(one) for one in stacks}) != 1:
+        raise SarsplatError(
+            f"there are {counted(len(stacks), 'stack')} of {shown([len(one) for one in stacks])} passes for "
+            f"{counted(len(views), 'view')}; give one for each, all of the same number of passes"
+        )
+    covariances, _, _ = lit_covariances(gaussians, views, grid, stacks, rays=rays, shift=shift, engine=engine)
+    return covariances
+
+
+def lit_covariances(
+    gaussians: Gaussians,
+    views: Sequence[View],
+    grid: ImageGrid,
+    stacks: Sequence[Stack],
+    *,
+    rays: RayGrid | None = None,
+    shift: Float[Tensor, "v 2"] | None = None,
+    engine: str = "auto",
+) -> tuple[Complex[Tensor, "v p p rows columns"], Float[Tensor, "v n"], Float[Tensor, "v n"]]:
+    """`render_covariances`, and of each Gaussian the radar cross-section of power and the lit area, m²."""
+    rays, passes = rays or RayGrid.for_image(grid), len(stacks[0])
     projection = project(gaussians, views, grid, rays=rays, shift=shift, engine=engine)
     depth = projection.optical_depth
     whole = (depth + MIN_RAY_DEPTH * (depth > 0)).clamp(max=MAX_OPTICAL_DEPTH)
     lit_area = attenuate(replace(projection, optical_depth=whole), rays, engine=engine).lit_area
     power = projection.amplitudes[..., gaussians.scattering.power_channel] * lit_area  # [V, N], m²
     diagonal = splat(projection.pixels, power[..., None], grid, engine=engine)[:, 0]
-    first, second = np.triu_indices(len(stack), 1)
-    result = diagonal.new_zeros((len(stack), len(stack), *diagonal.shape), dtype=diagonal.dtype.to_complex())
-    result[range(len(stack)), range(len(stack))] = diagonal.to(result)
+    first, second = np.triu_indices(passes, 1)
+    result = diagonal.new_zeros((passes, passes, *diagonal.shape), dtype=diagonal.dtype.to_complex())
+    result[range(passes), range(passes)] = diagonal.to(result)
     if len(first):
-        vectors = np.stack([stack.phase_vectors(view) for view in views])
+        vectors = np.stack([stack.phase_vectors(view) for stack, view in zip(stacks, views, strict=True)])
         phase, left, waves = _pairs(gaussians, views, grid, vectors[:, first] - vectors[:, second])
         pairs = splat(projection.pixels, torch.polar(power[..., None] * left, phase), grid, waves=waves, engine=engine)
         result[first, second] = pairs.transpose(0, 1)
         result[second, first] = pairs.transpose(0, 1).conj()
-    return result.movedim(2, 0)
+    return result.movedim(2, 0), power, lit_area
 
 
 def _pairs(

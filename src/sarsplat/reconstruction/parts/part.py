@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Complex, Float, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
@@ -144,6 +144,12 @@ class Part(ABC):
     def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
         """Images [V, C, rows, columns], in the model's unit, with what it does to them."""
         return images
+
+    def covariances(
+        self, covariances: Complex[Tensor, "v p p h w"], shot: Shot, p: Parameters
+    ) -> Complex[Tensor, "v p p h w"]:
+        """Covariances of stacks [V, P, P, rows, columns], in the model's unit, with what it does to them."""
+        return covariances
 
     def displaced(self, grid: ImageGrid, p: Parameters) -> ImageGrid:
         """The grid on which a scene that is not displaced lies as unseen images on `grid` show it."""

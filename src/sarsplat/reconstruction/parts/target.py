@@ -22,6 +22,7 @@ from sarsplat.reconstruction.levels import Levels
 from sarsplat.reconstruction.outlines import levels_db, outline
 from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, column_means, normal_nats
 from sarsplat.reconstruction.setting import Setting
+from sarsplat.reconstruction.stack_region import enough_gaussians, imaged_sample
 from sarsplat.renderer import Bounds
 from sarsplat.renderer.checks import MAX_SCALE
 from sarsplat.renderer.places import at_places
@@ -86,8 +87,12 @@ class Target(Part):
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
         config = self.config
         sample = hemisphere_shell if config.initialisation == "hemisphere" else Region.sample
-        n = config.gaussians or max(config.fewest_gaussians, round(_enough(train) / self._levels.coarsest**1.5))
-        means = torch.from_numpy(sample(self.setting.region, n, generator)).float()
+        if self.setting.stacks:
+            n = config.gaussians or max(config.fewest_gaussians, enough_gaussians(self.setting))
+            means = torch.from_numpy(imaged_sample(self.setting, n, generator)).float()
+        else:
+            n = config.gaussians or max(config.fewest_gaussians, round(_enough(train) / self._levels.coarsest**1.5))
+            means = torch.from_numpy(sample(self.setting.region, n, generator)).float()
         return {
             "means": means,
             "quaternions": random_quaternions(n, generator),

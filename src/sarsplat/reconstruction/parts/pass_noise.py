@@ -1,0 +1,61 @@
+"""Noise of the passes of stacks: known, or learned."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from jaxtyping import Complex, Float
+from torch import Tensor
+
+from sarsplat.data import Dataset
+from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, Shot
+
+
+class PassNoise(Part):
+    """Power of each pass where nothing scatters; its logarithm is learned unless the stacks say it."""
+
+    order = 60
+
+    @classmethod
+    def wanted(cls, config: Config) -> bool:
+        return config.passes is not None
+
+    @property
+    def learned(self) -> dict[str, Learned]:
+        if self._known is not None:
+            return {}
+        return {"pass_noise": Learned(self._shape, (self.config.rates.nuisance,))}
+
+    def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
+        assert self.config.passes is not None  # `wanted`
+        start = torch.full(self._shape, math.log(self.config.passes.noise), device="cpu")
+        return dict.fromkeys(self.learned, start)
+
+    def of_passes(self, p: Parameters) -> Float[Tensor, "v passes"]:
+        """Of each training image, in the model's unit."""
+        return p["pass_noise"].exp() if self._known is None else self._known
+
+    def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
+        """The mean over all passes: unseen images have no noise of their own."""
+        return images + self.of_passes(p).mean(1).mean(0)
+
+    def covariances(
+        self, covariances: Complex[Tensor, "v p p h w"], shot: Shot, p: Parameters
+    ) -> Complex[Tensor, "v p p h w"]:
+        """It is added to the diagonal."""
+        noise = self.of_passes(p)
+        noise = noise if shot.numbers is None else noise[shot.numbers]
+        return covariances + torch.diag_embed(noise).to(covariances.dtype)[..., None, None]
+
+    @property
+    def _shape(self) -> tuple[int, int]:
+        return len(self.setting.stacks), len(self.setting.stacks[0])
+
+    @property
+    def _known(self) -> Float[Tensor, "v passes"] | None:
+        noise = [stack.noise for stack in self.setting.stacks]
+        if None in noise:
+            return None
+        return torch.tensor(noise, dtype=torch.float64).div(self.setting.unit).float().to(self.device)

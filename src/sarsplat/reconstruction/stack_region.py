@@ -1,0 +1,96 @@
+"""Where scatterers of stacks are looked for: where they would be imaged, within one ambiguity of elevation."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float64
+
+from sarsplat.data import Dataset
+from sarsplat.data.header import Box
+from sarsplat.gaussians.initialise import Region
+from sarsplat.geometry import radar_frame
+from sarsplat.reconstruction.points import imaged, spread
+
+if TYPE_CHECKING:
+    from sarsplat.reconstruction.setting import Setting
+
+_BELOW = 0.1
+"""Part of the heights looked at that lies below z = 0."""
+
+_PER_CELL = 3.0
+"""Gaussians for a cell of azimuth, range and elevation."""
+
+_FEWEST_CELLS = 0.25
+"""Of the heights, an elevation is at most so much: a single pair of passes resolves none, but tells one."""
+
+_TRIED, _VIEWS = 1 << 16, 96
+
+
+def stack_region(train: Dataset, box: Box | None = None) -> Region:
+    """The given box, or the dataset's, or as high as phases tell; of one direction, only what its images show.
+
+    Without a box, heights are those that one ambiguity holds, or that an image is long enough to show.
+    """
+    box, grid = box or train.target_box_m, train.grid
+    half_azimuth, half_range = grid.columns * grid.spacing_m[0] / 2, grid.rows * grid.spacing_m[1] / 2
+    if box is None:
+        heights = [
+            min(
+                stack.ambiguous_elevation_m * math.cos(math.radians(view.grazing_deg)),
+                2 * half_range / math.sin(math.radians(view.grazing_deg)),
+            )
+            for stack, view in zip(train.stacks, train.views, strict=True)
+        ]
+        low, high = -_BELOW * min(heights), (1 - _BELOW) * min(heights)
+        reach = max(_reach_m(view.grazing_deg, half_azimuth, half_range, high) for view in train.views)
+        box = (-reach, -reach, low), (reach, reach, high)
+    region = Region.box(*box)
+    towards = {(view.azimuth_deg % 360.0, view.grazing_deg) for view in train.views}
+    if len(towards) > 1:
+        return region
+    frame = radar_frame(train.views[0])
+    normals, middle = np.array([frame[0], -frame[0], frame[2], -frame[2]]), np.array(grid.center_m)
+    offsets = np.array([half_azimuth, half_azimuth, half_range, half_range])
+    offsets += np.array([middle[0], -middle[0], middle[1], -middle[1]])
+    return Region(
+        np.concatenate([region.normals, normals]), np.concatenate([region.offsets, offsets]), region.low, region.high
+    )
+
+
+def imaged_sample(setting: Setting, count: int, generator: torch.Generator) -> Float64[np.ndarray, "{count} 3"]:
+    """Uniform places in a region, of those that at least one image shows."""
+    kept: list[np.ndarray] = []
+    while sum(map(len, kept)) < count:
+        points = setting.region.sample(count, generator)
+        kept.append(points[_in_any(points, setting)])
+    return np.concatenate(kept)[:count]
+
+
+def enough_gaussians(setting: Setting) -> int:
+    """How many Gaussians the stacks need: so many for each cell of azimuth, range and elevation that images show."""
+    region, few = setting.region, np.random.default_rng(0)
+    points = region.low + (region.high - region.low) * few.random((_TRIED, 3))
+    inside = (points @ region.normals.T <= region.offsets).all(axis=1) & _in_any(points, setting)
+    volume = float(np.prod(region.high - region.low)) * float(inside.mean())
+    elevation = min(min(stack.resolution_m for stack in setting.stacks), _FEWEST_CELLS * _span(setting))
+    return max(1, round(_PER_CELL * volume / (setting.cell_m**2 * elevation)))
+
+
+def _span(setting: Setting) -> float:
+    """Heights of the region, m, along elevation."""
+    height = float(setting.region.high[2] - setting.region.low[2])
+    return height / math.cos(math.radians(setting.views[0].grazing_deg))
+
+
+def _in_any(points: Float64[np.ndarray, "p 3"], setting: Setting) -> Bool[np.ndarray, " p"]:
+    return np.any([imaged(points, view, setting.grid) for view in spread(setting.views, _VIEWS)], axis=0)
+
+
+def _reach_m(grazing_deg: float, half_azimuth: float, half_range: float, height: float) -> float:
+    """Farthest from the origin that something is imaged, along the ground, m; images may lie anywhere around it."""
+    sine, cosine = math.sin(math.radians(grazing_deg)), math.cos(math.radians(grazing_deg))
+    return math.hypot(half_azimuth, (half_range + height * sine) / cosine)
