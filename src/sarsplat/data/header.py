@@ -59,6 +59,9 @@ class StackHeader(Strict, frozen=True, omit_defaults=True):
         Literal["each", "one"], about("whether each pass transmits itself (k = 4π/λ) or one does for all (2π/λ)")
     ]
     noise: Annotated[tuple[float, ...] | None, about("power of each pass's noise, β⁰; null if it is not known")] = None
+    polarisations: Annotated[
+        tuple[str, ...] | None, about('of each pass, received and transmitted, such as "HV"; null if all have the same')
+    ] = None
 
 
 class ViewHeader(Strict, frozen=True, omit_defaults=True):

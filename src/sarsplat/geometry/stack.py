@@ -1,4 +1,4 @@
-"""An interferometric stack: several passes over one scene, whose phases tell how high things are."""
+"""A stack: several passes over one scene, whose phases tell how high things are, or several polarisations."""
 
 from __future__ import annotations
 
@@ -27,10 +27,15 @@ _APART, _ALIKE = 0.7, 0.95
 
 _TRANSMIT = ("each", "one")
 
+POLARISATIONS = ("HH", "HV", "VH", "VV", "RR", "RL", "LR", "LL", "RH", "RV", "LH", "LV")
+"""Received and transmitted; circular ones are right and left."""
+
 
 @dataclass(frozen=True)
 class Stack:
-    """Passes that look at the scene from almost the same direction, coregistered to the images of a view.
+    """Channels that look at the scene from almost the same direction, coregistered to the images of a view.
+
+    A channel is a pass of an interferometric stack, a polarisation, or a polarisation of a pass.
 
     The signal of pass i is y_i ∝ Σ exp(−jkR_i), R_i being the distance from its antenna: what lies farther away has
     less phase. All passes have the pixels and the azimuth of the view.
@@ -40,23 +45,26 @@ class Stack:
     wavelength_m : float
         Wavelength λ, m.
     offsets_rad : tuple of float
-        Of each pass, by how much its antenna is seen higher than the view's direction, rad: the perpendicular baseline
-        over the range, b/R. The first is usually 0.
+        Of each channel, by how much its antenna is seen higher than the view's direction, rad: the perpendicular
+        baseline over the range, b/R. The first is usually 0; all are, if channels are polarisations alone.
     transmit : {"each", "one"}
         Whether each pass transmits and receives itself, k = 4π/λ, or one transmits for all, k = 2π/λ.
     noise : tuple of float, optional
-        Power of each pass's noise, β⁰; None if it is not known.
+        Power of each channel's noise, β⁰; None if it is not known.
+    polarisations : tuple of str, optional
+        Of each channel, received and transmitted, such as "HV"; None if all have the same.
 
     Raises
     ------
     SarsplatError
-        If there are no passes, a number is out of range, or two passes are the same.
+        If there are no channels, a number is out of range, a polarisation is none, or two channels are the same.
     """
 
     wavelength_m: float
     offsets_rad: tuple[float, ...]
     transmit: str = "each"
     noise: tuple[float, ...] | None = None
+    polarisations: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         wavelength = self.wavelength_m
@@ -69,9 +77,11 @@ class Stack:
         for offset in self.offsets_rad:
             if not isinstance(offset, Real) or not abs(offset) <= _WIDEST:
                 raise SarsplatError(f"an offset is {shown(offset)}; give b/R in radians, at most ±{_WIDEST}")
-        if len(set(self.offsets_rad)) < len(self.offsets_rad):
+        self._check_polarisations()
+        if len(set(zip(self.offsets_rad, self.of_channels, strict=True))) < len(self.offsets_rad):
             raise SarsplatError(
-                f"offsets_rad is {shown(self.offsets_rad)}, where two passes are the same; give each once"
+                f"offsets_rad is {shown(self.offsets_rad)}, where two passes are the same; give each once, or their "
+                "polarisations"
             )
         if self.transmit not in _TRANSMIT:
             raise SarsplatError(f"transmit is {shown(self.transmit)}; give one of {', '.join(_TRANSMIT)}")
@@ -81,16 +91,39 @@ class Stack:
         object.__setattr__(self, "wavelength_m", float(wavelength))
         object.__setattr__(self, "offsets_rad", tuple(map(float, self.offsets_rad)))
 
+    def _check_polarisations(self) -> None:
+        names = self.polarisations
+        if names is None:
+            return
+        if not isinstance(names, tuple | list) or len(names) != len(self.offsets_rad):
+            raise SarsplatError(
+                f"polarisations is {shown(names)}; give one for each of {len(self.offsets_rad)} channels"
+            )
+        for name in names:
+            if name not in POLARISATIONS:
+                raise SarsplatError(f"a polarisation is {shown(name)}; give one of {', '.join(POLARISATIONS)}")
+        object.__setattr__(self, "polarisations", tuple(names))
+
     def _check_noise(self, noise: tuple[float, ...]) -> None:
         if not isinstance(noise, tuple | list) or len(noise) != len(self.offsets_rad):
-            raise SarsplatError(f"noise is {shown(noise)}; give a power for each of {len(self.offsets_rad)} passes")
+            raise SarsplatError(f"noise is {shown(noise)}; give a power for each of {len(self.offsets_rad)} channels")
         for power in noise:
             if not isinstance(power, Real) or not 0 < power <= _LOUDEST:
-                raise SarsplatError(f"the noise of a pass is {shown(power)}; give a positive power, β⁰")
+                raise SarsplatError(f"the noise of a channel is {shown(power)}; give a positive power, β⁰")
 
     def __len__(self) -> int:
-        """Number of passes."""
+        """Number of channels."""
         return len(self.offsets_rad)
+
+    @property
+    def of_channels(self) -> tuple[str, ...]:
+        """The polarisation of each channel; empty names where all have the same."""
+        return self.polarisations or ("",) * len(self.offsets_rad)
+
+    @property
+    def interferometric(self) -> bool:
+        """Whether its phases tell elevations."""
+        return len(set(self.offsets_rad)) > 1
 
     @property
     def wavenumber(self) -> float:
