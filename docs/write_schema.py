@@ -35,7 +35,7 @@ def field_table() -> str:
 def _fields(struct: str, prefix: str) -> Iterator[tuple[str, str, str]]:
     definition = schema()["$defs"][struct]
     for name, field in definition["properties"].items():
-        inner = next((part for part in ("GridHeader", "ViewHeader") if part in json.dumps(field)), None)
+        inner = next((part for part in ("GridHeader", "StackHeader", "ViewHeader") if part in json.dumps(field)), None)
         if inner is not None:
             yield from _fields(inner, f"{name}[]." if field.get("type") == "array" else f"{name}.")
             continue
@@ -52,7 +52,8 @@ def _kind(field: dict[str, Any]) -> str:
     if "anyOf" in field:
         return " or ".join(_kind(choice) for choice in field["anyOf"])
     if field["type"] == "array":
-        return "[" + ", ".join(_kind(item) for item in field["prefixItems"]) + "]"
+        items = [_kind(item) for item in field["prefixItems"]] if "prefixItems" in field else [_kind(field["items"]), "…"]
+        return f"[{', '.join(items)}]"
     return str(field["type"])
 
 
