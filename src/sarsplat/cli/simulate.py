@@ -24,12 +24,19 @@ from sarsplat.cli.arguments import (
     pair,
     refuse_existing,
 )
+from sarsplat.cli.simulated_stack import asked_stack, refuse_with_stacks, simulated_signals
 from sarsplat.cli.simulated_views import simulated_views
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.names import Simulator, TargetName
 
 if TYPE_CHECKING:
-    from sarsplat.geometry import ImageGrid
+    from pathlib import Path
+
+    import numpy as np
+    import trimesh
+
+    from sarsplat.data import Dataset, DatasetEntry
+    from sarsplat.geometry import ImageGrid, Stack, View
 
 Decibels = Annotated[float, tyro.conf.arg(metavar="DB")]
 Law = Annotated[tuple[float, float] | tuple[float, float, float], tyro.conf.arg(metavar="FLOOR LOBE [EXPONENT]")]
@@ -66,6 +73,10 @@ def simulate(
     ray_spacing: Metres = None,
     target_box: TargetBox = None,
     masks: bool = False,
+    passes: OptionalCount = None,
+    baseline: Annotated[tuple[float, ...], tyro.conf.arg(metavar="RAD …", help_behavior_hint="(optional)")] = (),
+    wavelength: Metres = None,
+    noise: OptionalNumber = None,
     seed: int = 0,
     overwrite: bool = False,
 ) -> None:
@@ -134,18 +145,25 @@ def simulate(
     masks
         Also write true masks of all images, by ray casting, to DIR/masks: 0 clutter, 1 target, 2 shadow on flat ground
         (for `evaluate --masks` and `reconstruct --method dsr --masks`).
+    passes
+        Simulate stacks of so many passes a little apart in elevation, complex and of one look (docs/channels.md).
+    baseline
+        b/R from the first pass to the last, rad, the others evenly between; or that of each pass.
+    wavelength
+        Of stacks, m (default: 0.031).
+    noise
+        Power of each pass's noise, β⁰ (default: none).
     seed
         Random seed of speckle, reflectivity and views.
     overwrite
         Replace an existing dataset.
     """
-    from sarsplat.data import Dataset, DatasetEntry, write_dataset
+    from sarsplat.data import Dataset
     from sarsplat.data.dataset_folder import HEADER
     from sarsplat.data.masks import pillow
-    from sarsplat.data.plausible import suspicions, warn
+    from sarsplat.data.plausible import warn
     from sarsplat.geometry.responses import response_of
     from sarsplat.progress import progress
-    from sarsplat.reconstruction.target_region import box_misses
     from sarsplat.scenes import ScatteringLaw, load_mesh, mstar_views, paper_views, target_mesh
     from sarsplat.scenes.meshes import is_larger, scaled, suspicious_size
     from sarsplat.scenes.raycast import default_ray_spacing, ray_error_db
@@ -166,6 +184,12 @@ def simulate(
     views = simulated_views(theirs, own, random_views, seed, test, test_protocol)
     grid = replace(_grid(protocol, pixels, spacing, resolution), response=response_of({"kind": response}))
     box_m = corners(target_box)
+    if (stack := asked_stack(passes, baseline, wavelength, noise)) is not None:
+        refuse_with_stacks(
+            looks=looks, clean_tests=clean_tests, terrain=terrain, reflectivity=reflectivity, masks=masks
+        )
+        if source != "raycast":
+            raise SarsplatError(f"--source {source} makes no stacks; leave it out, or --passes")
     refuse_existing(out, overwrite, marker=HEADER)
     if mesh is not None and target is None:
         surface, name = load_mesh(mesh), mesh.name
@@ -179,6 +203,23 @@ def simulate(
     if odd and is_larger(surface, grid) and not pixels and not spacing:
         raise SarsplatError(odd[0])  # not minutes of work for images of a part that nobody chose
     warn(odd)
+    if stack is not None:
+        signals = simulated_signals(
+            surface, [view for view, _ in views], grid, stack, ScatteringLaw(*law), ground, seed
+        )
+        record = {"kind": "scatterers", "law": ScatteringLaw(*law).as_dict(), "ground_gamma0": ground, "seed": seed}
+        dataset = Dataset.of_complex(
+            grid,
+            _entries(views, stack),
+            signals,
+            target=name,
+            looks=1.0,
+            ground=ground is not None,
+            target_box_m=box_m,
+            source={**record, "scale": scale},
+        )
+        _finish(out, dataset, surface, None, overwrite)
+        return
     if ray_spacing is None and source == "raycast":
         ray_spacing = default_ray_spacing(surface, grid)
     elif ray_spacing is not None and ray_spacing > min(grid.spacing_m) / 2:
@@ -221,11 +262,9 @@ def simulate(
     if masks:
         with progress(f"masks of {name}", len(views)) as shown:
             true_masks = raycast_masks(surface, [view for view, _ in views], grid, progress=shown.update)
-    digits = max(3, len(str(len(views) - 1)))
-    entries = tuple(DatasetEntry(view, split, f"{index:0{digits}d}") for index, (view, split) in enumerate(views))
     dataset = Dataset(
         grid,
-        entries,
+        _entries(views),
         images,
         target=name,
         looks=looks,
@@ -236,13 +275,32 @@ def simulate(
         protocol=protocol if views == theirs and grid == _grid(protocol) else None,
         source={**simulation_record(**how, ray_error_db=error_db), "reflectivity_db": reflectivity, "scale": scale},
     )
-    dataset = write_dataset(out, dataset, truth_mesh=surface, masks=true_masks, overwrite=overwrite)
+    _finish(out, dataset, surface, true_masks, overwrite)
+
+
+def _entries(views: list[tuple[View, str]], stack: Stack | None = None) -> tuple[DatasetEntry, ...]:
+    from sarsplat.data import DatasetEntry
+
+    digits = max(3, len(str(len(views) - 1)))
+    return tuple(
+        DatasetEntry(view, split, f"{index:0{digits}d}", stack=stack) for index, (view, split) in enumerate(views)
+    )
+
+
+def _finish(out: Path, dataset: Dataset, surface: trimesh.Trimesh, masks: np.ndarray | None, overwrite: bool) -> None:
+    """Write it, and say what is odd about it, what it is and what is next."""
+    from sarsplat.data import write_dataset
+    from sarsplat.data.plausible import suspicions, warn
+    from sarsplat.reconstruction.target_region import box_misses
+
+    dataset, grid = write_dataset(out, dataset, truth_mesh=surface, masks=masks, overwrite=overwrite), dataset.grid
     warn([*suspicions(dataset), *box_misses(dataset)])
     counts = ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits())
+    kind = f"{dataset.passes}-pass stack" if dataset.passes else "image"
     run = shlex.quote(f"{out}-run")
     console.finish(
-        f"{out}: {counted(len(views), 'image')} of {name} ({counts}), {grid.rows} × {grid.columns} pixels"
-        + (f", and their masks in {out / 'masks'}" if masks else ""),
+        f"{out}: {counted(len(dataset), kind)} of {dataset.target} ({counts}), {grid.rows} × {grid.columns} pixels"
+        + (f", and their masks in {out / 'masks'}" if masks is not None else ""),
         f"sarsplat reconstruct {shlex.quote(str(out))} --out {run}",
     )
 

@@ -1,0 +1,77 @@
+"""What `sarsplat simulate --passes` makes: complex images of every pass over a mesh, scatterer by scatterer."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from sarsplat.errors import SarsplatError
+
+if TYPE_CHECKING:
+    import numpy as np
+    import trimesh
+
+    from sarsplat.geometry import ImageGrid, Stack, View
+    from sarsplat.scenes import ScatteringLaw
+
+X_BAND_M = 0.031
+"""Wavelength where none is given."""
+
+
+def asked_stack(
+    passes: int | None, baseline: tuple[float, ...], wavelength: float | None, noise: float | None
+) -> Stack | None:
+    """The stack that options ask for; None if they ask for single images.
+
+    `baseline` is b/R from the first pass to the last, between which the others are spread evenly around the view, or
+    that of each pass.
+    """
+    from sarsplat.geometry import Stack
+
+    if passes is None:
+        given = {"--baseline": baseline or None, "--wavelength": wavelength, "--noise": noise}
+        if (name := next((name for name, value in given.items() if value is not None), None)) is not None:
+            raise SarsplatError(f"{name} is for stacks; give --passes too, or leave it out")
+        return None
+    if passes < 2:
+        raise SarsplatError(f"--passes is {passes}; give at least 2, or leave it out for single images")
+    if len(baseline) not in (1, passes):
+        raise SarsplatError(
+            f"--baseline has {len(baseline)} numbers for {passes} passes; give one, from the first to the last, or "
+            "one for each (b/R, rad)"
+        )
+    each = baseline if len(baseline) == passes else [baseline[0] * (k / (passes - 1) - 0.5) for k in range(passes)]
+    return Stack(wavelength or X_BAND_M, tuple(each), noise=None if noise is None else (noise,) * passes)
+
+
+def refuse_with_stacks(**options: object) -> None:
+    """Refuse options that the simulation of stacks has none of."""
+    for name, value in options.items():
+        if value:
+            raise SarsplatError(f"--{name.replace('_', '-')} is for single images; leave it out, or --passes")
+
+
+def simulated_signals(
+    mesh: trimesh.Trimesh,
+    views: list[View],
+    grid: ImageGrid,
+    stack: Stack,
+    law: ScatteringLaw,
+    ground_gamma0: float | None,
+    seed: int,
+) -> np.ndarray:
+    """Signals of every view [V, P, rows, columns], complex64; each view has scatterers of its own."""
+    import numpy as np
+
+    from sarsplat.progress import progress
+    from sarsplat.scenes import simulate_stack
+
+    seeds = np.random.SeedSequence(seed).generate_state(len(views))
+    noise = 0.0 if stack.noise is None else stack.noise[0]
+    signals = np.empty((len(views), len(stack), grid.rows, grid.columns), np.complex64)
+    with progress("simulate stacks", len(views)) as shown:
+        for index, (view, own) in enumerate(zip(views, seeds, strict=True)):
+            signals[index] = simulate_stack(
+                mesh, view, grid, stack, law, ground_gamma0=ground_gamma0, noise=noise, seed=int(own)
+            )
+            shown.advance(1)
+    return signals
