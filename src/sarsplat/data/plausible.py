@@ -42,8 +42,11 @@ def suspicions(dataset: Dataset) -> list[str]:
         along some direction; images that are constant or all the same; test images that are training images; zeros in
         measured power; terrain smaller than what images show. Empty if nothing is odd.
     """
-    views = dataset.select("train").views
-    odd = suspicious_angles(views) or suspicious_coverage(views)  # of angles in another unit, nothing else follows
+    train = dataset.select("train")
+    odd = suspicious_angles(train.views)  # of angles in another unit, nothing else follows
+    if not odd:
+        phases_tell = train.stacks and all(stack.interferometric for stack in train.stacks)
+        odd = _ambiguity(train) if phases_tell else suspicious_coverage(train.views)
     return [*odd, *suspicious_images(dataset), *suspicious_terrain(dataset)]
 
 
@@ -131,6 +134,23 @@ def suspicious_coverage(views: Sequence[View]) -> list[str]:
             f"{first.grazing_deg:g}°), which cannot determine the shape; check their angles"
         ]
     return [*_gap(views), *weak_directions(views)]
+
+
+def _ambiguity(train: Dataset) -> list[str]:
+    """Whether the phases of stacks repeat within the box; a list of one sentence, or empty."""
+    if train.target_box_m is None:
+        return []
+    (_, _, low), (_, _, high) = train.target_box_m
+    repeats_m = min(
+        stack.ambiguous_elevation_m * math.cos(math.radians(view.grazing_deg))
+        for stack, view in zip(train.stacks, train.views, strict=True)
+    )
+    if repeats_m >= high - low:
+        return []
+    return [
+        f"the phases of the stacks repeat every {repeats_m:.3g} m of height, and the target's box is {high - low:.3g} "
+        "m high, so that heights are ambiguous; give a lower box, or passes with smaller or less even baselines"
+    ]
 
 
 def _gap(views: Sequence[View]) -> list[str]:

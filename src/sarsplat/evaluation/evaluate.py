@@ -19,6 +19,7 @@ from sarsplat.data.plausible import warn
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.alignment import MOST_TURNED_DEG, align
 from sarsplat.evaluation.baselines import baseline_scores
+from sarsplat.evaluation.capon import capon_points
 from sarsplat.evaluation.images import Stack, UndefinedScore
 from sarsplat.evaluation.lpips import Lpips, lpips_weights
 from sarsplat.evaluation.masks import MaskPair, predicted_masks
@@ -34,7 +35,7 @@ from sarsplat.evaluation.metrics import (
     metrics_of_points,
 )
 from sarsplat.evaluation.points import PointMetrics, Yardstick, point_metrics
-from sarsplat.evaluation.surface import read_truth_mesh, visible_surface
+from sarsplat.evaluation.surface import imaged_alone, of_stacks, read_truth_mesh, visible_surface
 from sarsplat.geometry import View
 from sarsplat.progress import Reporter, progress
 from sarsplat.reconstruction import Run
@@ -222,14 +223,20 @@ def _surfaces(
     if dataset.truth_mesh is not None and len(run.points):
         clouds["mesh"], lacks["mesh"] = _points_on_mesh(run)
         views = dataset.select("train").views
+        true_mesh = read_truth_mesh(dataset.truth_mesh)
         surface = visible_surface(
-            read_truth_mesh(dataset.truth_mesh),
+            of_stacks(true_mesh, dataset) if dataset.passes else true_mesh,
             views,
             ray_spacing=yardstick.ray_spacing_m,
             each_view=lambda: shown.advance(1, "surface that the views see"),
         )
         shown.advance(_SAMPLES * len(views), "distances from the visible surface")
-        if weakest_direction(views).undetermined:
+        if dataset.passes:
+            surface = imaged_alone(surface, dataset)
+            low, high = run.points[:, 2].min(), run.points[:, 2].max()
+            clouds["capon"] = capon_points(dataset, float(low), float(high))
+            lacks["capon"] = "Capon's method found no peaks"
+        elif weakest_direction(views).undetermined:
             name = run.path or "the run"
             warn([f"{name} was made from views that cannot determine the shape, so its CD and F1 mean nothing"])
         if aligned:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,12 +13,16 @@ from jaxtyping import Bool, Float, Float32, Float64
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
+from sarsplat.gaussians.ground import ground_radius_m
 from sarsplat.geometry import View, radar_frame
+from sarsplat.reconstruction.points import imaged
 from sarsplat.scenes.mesh_files import read_mesh
 
 if TYPE_CHECKING:
     import trimesh
     from embreex.rtcore_scene import EmbreeScene
+
+    from sarsplat.data import Dataset
 
 _BATCH = 1_000_000  # rays traced at once
 _MOST_RAYS = 10_000_000
@@ -26,6 +30,9 @@ _MOST_RAYS = 10_000_000
 
 _LIFT = 1e-5
 """Shadow rays start this far from the surface, as a part of the mesh's extent: a hundred times float32's rounding."""
+
+_THIN = 1e-3
+"""Thickness of ground, m."""
 
 _LARGEST_ROUND = 4_000_000  # samples drawn at once when most of them turn out to be hidden
 
@@ -59,6 +66,25 @@ def read_truth_mesh(path: Path) -> trimesh.Trimesh:
     if not np.isfinite(mesh.vertices).all():
         raise SarsplatError(f"the true mesh {path} holds vertices that are not finite; repair it, or give another")
     return mesh
+
+
+def of_stacks(mesh: trimesh.Trimesh, dataset: Dataset) -> trimesh.Trimesh:
+    """The mesh, with level ground around it if images show any: stacks are scored on all that they show."""
+    import trimesh
+
+    if not dataset.ground:
+        return mesh
+    side = 2 * ground_radius_m(dataset.views, dataset.grid)
+    ground = trimesh.creation.box((side, side, _THIN))
+    ground.apply_translation((0.0, 0.0, -_THIN / 2))
+    return trimesh.util.concatenate(mesh, ground)  # type: ignore[return-value]
+
+
+def imaged_alone(surface: VisibleSurface, dataset: Dataset) -> VisibleSurface:
+    """The surface with samples only where a training image shows them."""
+    views = dataset.select("train").views
+    inside = np.any([imaged(surface.samples.astype(np.float64), view, dataset.grid) for view in views], axis=0)
+    return replace(surface, samples=surface.samples[inside])
 
 
 @checks_arguments

@@ -75,7 +75,12 @@ class SarGs(Method):
         if inputs.loss is not None:
             name = getattr(inputs.loss, "__name__", type(inputs.loss).__name__)
             config = replace(config, loss=f"own {name}" if name in LOSSES else name)
-        trainer = StackTrainer if config.passes is not None and dataset.passes else Trainer
+        if config.passes is not None and not dataset.passes:
+            raise SarsplatError(
+                f"the settings (preset {config.preset}) learn from stacks, and {dataset} has single images; choose "
+                "another preset, or auto"
+            )
+        trainer = Trainer if config.passes is None else StackTrainer
         return trainer(dataset, config, inputs.loss, device, inputs.strategies, inputs.processes)
 
     def open(self, snapshot: Snapshot, config: Config, device: str, folder: Path | None) -> GaussianReconstruction:

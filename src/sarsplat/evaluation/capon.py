@@ -1,0 +1,88 @@
+"""Capon's method, for comparison: the elevations of each pixel by itself, where a spectrum over elevation peaks."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+from scipy.ndimage import uniform_filter
+
+from sarsplat.arguments import checks_arguments
+from sarsplat.data import Dataset
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, Stack, View, radar_frame
+
+_WINDOW = 3
+"""Pixels along each side over which covariances are averaged, as reconstructions do."""
+
+_LOADING = 0.05
+"""Of the mean power, added to the diagonal: nine looks of more passes have no inverse."""
+
+_STEPS = 40
+"""Of elevation in a resolution."""
+
+_LEAST_PEAK, _ABOVE_NOISE = 0.3, 2.0
+"""Of a pixel's highest peak, and of the noise that is left in the spectrum."""
+
+
+@checks_arguments
+def capon_points(dataset: Dataset, low_m: float, high_m: float) -> Float64[np.ndarray, "p 3"]:
+    """Points of the training stacks, all directions together, within heights from `low_m` to `high_m`.
+
+    Covariances are averaged over 3 × 3 pixels after level phases were taken out; every peak of the spectrum above 0.3
+    of the pixel's highest and twice the noise is a point, between steps by a parabola.
+
+    Returns
+    -------
+    numpy.ndarray, float64 [P, 3]
+        World frame, m.
+
+    Raises
+    ------
+    SarsplatError
+        If the images are no interferometric stacks.
+    """
+    train = dataset.select("train")
+    if train.signal is None or not train.passes or not all(stack.interferometric for stack in train.stacks):
+        raise SarsplatError("Capon's method needs interferometric stacks, and these images are none")
+    return np.concatenate(
+        [
+            _of_stack(signal, view, train.grid, stack, low_m, high_m)
+            for signal, view, stack in zip(train.signal, train.views, train.stacks, strict=True)
+        ]
+    )
+
+
+def _of_stack(
+    signal: np.ndarray, view: View, grid: ImageGrid, stack: Stack, low_m: float, high_m: float
+) -> Float64[np.ndarray, "p 3"]:
+    cosine, sine = math.cos(math.radians(view.grazing_deg)), math.sin(math.radians(view.grazing_deg))
+    deramped = np.moveaxis(signal * np.exp(-1j * stack.plane_phases(view, grid)), 0, -1)
+    sample: Complex128[np.ndarray, "rows columns p p"] = _averaged(
+        deramped[..., :, None] * deramped[..., None, :].conj()
+    )
+    power = np.trace(sample, axis1=2, axis2=3).real / len(stack)
+    loaded = sample + (_LOADING * power + 1e-9 * power.max())[..., None, None] * np.eye(len(stack))
+    step = stack.resolution_m / _STEPS
+    above = np.arange(low_m / cosine, high_m / cosine + step, step)  # elevation above the level plane
+    steering = np.exp(1j * stack.elevation_numbers(view)[:, None] * above)
+    inverse = np.linalg.inv(loaded)
+    spectrum = 1 / np.einsum("ps,rcpq,qs->rcs", steering.conj(), inverse, steering, optimize=True).real
+    noise = 0.0 if stack.noise is None else _ABOVE_NOISE * float(np.mean(stack.noise)) / len(stack)
+    inner = spectrum[..., 1:-1]
+    peaks = (inner > spectrum[..., :-2]) & (inner > spectrum[..., 2:]) & (inner > noise)
+    peaks &= inner > _LEAST_PEAK * spectrum.max(-1, keepdims=True)
+    row, column, at = np.nonzero(peaks)
+    before, here, after = (np.log(spectrum[row, column, at + k]) for k in (0, 1, 2))
+    shift = 0.5 * (before - after) / (before - 2 * here + after)
+    slant = grid.range_m[row]
+    elevation = slant * sine / cosine + above[at + 1] + step * shift
+    local = np.column_stack([grid.azimuth_m[column], elevation, slant])
+    return local @ radar_frame(view)
+
+
+def _averaged(matrices: np.ndarray) -> np.ndarray:
+    size = (_WINDOW, _WINDOW, 1, 1)
+    averaged: np.ndarray = uniform_filter(matrices.real, size) + 1j * uniform_filter(matrices.imag, size)
+    return averaged

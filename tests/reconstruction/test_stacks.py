@@ -1,0 +1,139 @@
+"""Reconstruction from interferometric stacks: heights in layover, the same bits again, and what is refused."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from sarsplat import (
+    ImageGrid,
+    Run,
+    SarsplatError,
+    ScatteringLaw,
+    Stack,
+    View,
+    evaluate_run,
+    reconstruct,
+    simulate_stack,
+)
+from sarsplat.data import Dataset, DatasetEntry, read_dataset, write_dataset
+from sarsplat.data.plausible import suspicions
+from sarsplat.reconstruction.presets import preset
+
+GRID = ImageGrid(28, 20, (0.5, 0.5), (0.6, 0.6))
+VIEW = View(0.0, 45.0)
+NOISE = 0.05
+OFFSETS = tuple(0.0052 * (k / 5 - 0.5) for k in range(6))  # 3 m of resolution in elevation
+LAW = ScatteringLaw(floor=1.0, lobe=0.0, exponent=1.0)
+
+
+def block(height: float) -> trimesh.Trimesh:
+    mesh = trimesh.creation.box((4.0, 6.0, height))
+    mesh.apply_translation((0.0, 0.0, height / 2))
+    return mesh
+
+
+def dataset(noise: bool = True, views: tuple[View, ...] = (VIEW,)) -> Dataset:
+    stack = Stack(0.031, OFFSETS, noise=(NOISE,) * len(OFFSETS))
+    signals = [
+        simulate_stack(block(5.0), view, GRID, stack, LAW, ground_gamma0=0.5, noise=NOISE, seed=k)
+        for k, view in enumerate(views)
+    ]
+    stack = stack if noise else replace(stack, noise=None)
+    entries = tuple(DatasetEntry(view, "train", f"{k}", stack=stack) for k, view in enumerate(views))
+    return Dataset.of_complex(GRID, entries, np.stack(signals), looks=1.0, ground=True, target="block")
+
+
+@pytest.fixture(scope="module")
+def stacks(tmp_path_factory) -> Dataset:
+    return write_dataset(tmp_path_factory.mktemp("stacks") / "data", dataset(), truth_mesh=block(5.0))
+
+
+@pytest.fixture(scope="module")
+def run(stacks, tmp_path_factory) -> Run:
+    return reconstruct(stacks, out=tmp_path_factory.mktemp("run") / "run", quiet=True)
+
+
+def test_a_dataset_of_stacks_is_read_as_written(stacks):
+    read = read_dataset(stacks.path)
+    assert read.fingerprint() == stacks.fingerprint()
+    assert (read.passes, read.stacks) == (6, stacks.stacks)
+    assert np.array_equal(read.signal, stacks.signal)
+    np.testing.assert_allclose(read.power, (np.abs(stacks.signal) ** 2).mean(1), rtol=1e-5)
+
+
+def test_heights_are_those_of_roof_and_ground(run):
+    """Roof, wall and ground share pixels; single looks at 10 dB."""
+    assert run.config.preset == "stack"
+    scores = evaluate_run(run, quiet=True)
+    own, capon = scores["points"]["visible"], scores["capon"]["visible"]
+    assert own["f1@0.6"] > 0.95
+    assert own["f1@0.4"] > capon["f1@0.4"]
+    roof = run.points[(np.abs(run.points[:, :2]) < (1.5, 2.5)).all(1) & (run.points[:, 2] > 3.5)]
+    assert abs(np.median(roof[:, 2]) - 5.0) < 0.25
+
+
+def test_centres_move_in_elevation_alone(run, stacks):
+    still = replace(run.config, relocation=replace(run.config.relocation, rounds=0))
+    started, moved = (
+        reconstruct(stacks, replace(still, iterations=count), quiet=True).gaussians.means for count in (1, 40)
+    )
+    plane = torch.tensor([[0.0, -1.0, 0.0], [-(0.5**0.5), 0.0, -(0.5**0.5)]])  # azimuth and range
+    aside = ((moved - started) @ plane.T).abs().amax(1)
+    assert float((aside > 1e-4).float().mean()) < 0.02  # those that the region's edges stop
+    assert float((moved - started).abs().max()) > 0.3
+
+
+def test_a_resumed_run_is_the_same(stacks, tmp_path):
+    config = replace(preset("stack"), iterations=30, checkpoint_every=10)
+    whole = reconstruct(stacks, config, quiet=True)
+    reconstruct(stacks, config, tmp_path / "run", quiet=True, on_step=lambda step: step.iteration == 20)
+    resumed = reconstruct(stacks, config, tmp_path / "run", quiet=True, resume=True)
+    assert torch.equal(whole.gaussians.means, resumed.gaussians.means)
+    loaded = Run.load(tmp_path / "run")
+    np.testing.assert_array_equal(loaded.render([VIEW]), resumed.render([VIEW]))
+
+
+def test_heights_are_found_without_known_noise():
+    """It is learned with them: low, for single looks can be explained by Gaussians as well."""
+    learned = reconstruct(dataset(noise=False), quiet=True)
+    noise = learned.snapshot.tensors["model/pass_noise"].exp() * learned.snapshot.unit
+    assert noise.shape == (1, 6)
+    assert bool((noise < NOISE).all())
+    roof = learned.points[(np.abs(learned.points[:, :2]) < (1.5, 2.5)).all(1) & (learned.points[:, 2] > 3.5)]
+    assert abs(np.median(roof[:, 2]) - 5.0) < 0.3
+
+
+def test_two_headings_share_a_scene():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        both = reconstruct(
+            dataset(views=(VIEW, View(180.0, 45.0))), replace(preset("stack"), iterations=10), quiet=True
+        )
+    assert np.isfinite(both.points).all()
+
+
+@pytest.mark.filterwarnings("ignore:there is one training view")
+def test_what_is_refused():
+    images = dataset()
+    entries = (*images.entries, replace(images.entries[0], stack=None))
+    with pytest.raises(SarsplatError, match="some images are of 0 passes and others of 6"):
+        Dataset.of_complex(GRID, entries, np.repeat(images.signal, 2, axis=0))
+    with pytest.raises(SarsplatError, match="for 6 passes; make it with of_complex"):
+        Dataset(GRID, images.entries, images.power, signal=images.signal[:, 0])
+    with pytest.raises(SarsplatError, match="likelihood of all passes; omit it"):
+        reconstruct(images, loss=lambda a, b: (a - b).abs().mean(), quiet=True)
+    single = Dataset(GRID, (replace(images.entries[0], stack=None),), images.power, looks=1.0)
+    with pytest.raises(SarsplatError, match="learn from stacks, and .* has single images; choose another preset"):
+        reconstruct(single, "stack", quiet=True)
+
+
+def test_a_box_higher_than_an_ambiguity_is_warned_of():
+    high = replace(dataset(), target_box_m=((-5.0, -5.0, 0.0), (5.0, 5.0, 40.0)))
+    assert any("repeat every 10.3 m of height, and the target's box is 40 m high" in text for text in suspicions(high))
+    assert not suspicions(dataset())
