@@ -52,8 +52,8 @@ def _kind(field: dict[str, Any]) -> str:
     if "anyOf" in field:
         return " or ".join(_kind(choice) for choice in field["anyOf"])
     if field["type"] == "array":
-        items = [_kind(item) for item in field["prefixItems"]] if "prefixItems" in field else [_kind(field["items"]), "…"]
-        return f"[{', '.join(items)}]"
+        of_list = [_kind(item) for item in field.get("prefixItems", ())] or [_kind(field["items"]), "…"]
+        return f"[{', '.join(of_list)}]"
     return str(field["type"])
 
 

@@ -129,7 +129,7 @@ def test_what_is_refused():
     with pytest.raises(SarsplatError, match="likelihood of all passes; omit it"):
         reconstruct(images, loss=lambda a, b: (a - b).abs().mean(), quiet=True)
     single = Dataset(GRID, (replace(images.entries[0], stack=None),), images.power, looks=1.0)
-    with pytest.raises(SarsplatError, match="learn from stacks, and .* has single images; choose another preset"):
+    with pytest.raises(SarsplatError, match=r"learn from stacks, and .* has single images; choose another preset"):
         reconstruct(single, "stack", quiet=True)
 
 

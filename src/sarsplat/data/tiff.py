@@ -84,7 +84,7 @@ def read_tiff(path: Path, shape: tuple[int, ...], pixel: DTypeLike = np.float32)
     if image is None:
         raise SarsplatError(
             f"{path} holds {layout[1]} pixels of shape {shown(layout[0])}, compression {layout[2]!r:.30}, on "
-            f"{'another number of pages' if layout[3] != pages else counted(pages, 'page')}; give "
+            f"{'one page' if layout[3] == 1 else 'several pages'}; give "
             f"{counted(pages, 'page')} of uncompressed {dtype} of shape {shape[-2:]}"
         )
     image = np.asarray(image, dtype=dtype)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -12,11 +12,8 @@ from jaxtyping import Bool, Float64
 from sarsplat.data import Dataset
 from sarsplat.data.header import Box
 from sarsplat.gaussians.initialise import Region
-from sarsplat.geometry import radar_frame
+from sarsplat.geometry import ImageGrid, Stack, View, radar_frame
 from sarsplat.reconstruction.points import imaged, spread
-
-if TYPE_CHECKING:
-    from sarsplat.reconstruction.setting import Setting
 
 _BELOW = 0.1
 """Part of the heights looked at that lies below z = 0."""
@@ -24,8 +21,8 @@ _BELOW = 0.1
 _PER_CELL = 3.0
 """Gaussians for a cell of azimuth, range and elevation."""
 
-_FEWEST_CELLS = 0.25
-"""Of the heights, an elevation is at most so much: a single pair of passes resolves none, but tells one."""
+_FEWEST_CELLS = 4
+"""Of elevation: a single pair of passes resolves none, but tells one."""
 
 _TRIED, _VIEWS = 1 << 16, 96
 
@@ -61,33 +58,29 @@ def stack_region(train: Dataset, box: Box | None = None) -> Region:
     )
 
 
-def imaged_sample(setting: Setting, count: int, generator: torch.Generator) -> Float64[np.ndarray, "{count} 3"]:
+def imaged_sample(
+    region: Region, views: Sequence[View], grid: ImageGrid, count: int, generator: torch.Generator
+) -> Float64[np.ndarray, "{count} 3"]:
     """Uniform places in a region, of those that at least one image shows."""
     kept: list[np.ndarray] = []
     while sum(map(len, kept)) < count:
-        points = setting.region.sample(count, generator)
-        kept.append(points[_in_any(points, setting)])
+        points = region.sample(count, generator)
+        kept.append(points[_in_any(points, views, grid)])
     return np.concatenate(kept)[:count]
 
 
-def enough_gaussians(setting: Setting) -> int:
-    """How many Gaussians the stacks need: so many for each cell of azimuth, range and elevation that images show."""
-    region, few = setting.region, np.random.default_rng(0)
-    points = region.low + (region.high - region.low) * few.random((_TRIED, 3))
-    inside = (points @ region.normals.T <= region.offsets).all(axis=1) & _in_any(points, setting)
-    volume = float(np.prod(region.high - region.low)) * float(inside.mean())
-    elevation = min(min(stack.resolution_m for stack in setting.stacks), _FEWEST_CELLS * _span(setting))
-    return max(1, round(_PER_CELL * volume / (setting.cell_m**2 * elevation)))
+def enough_gaussians(region: Region, views: Sequence[View], grid: ImageGrid, stacks: Sequence[Stack]) -> int:
+    """How many Gaussians stacks need: so many for each cell of azimuth, range and elevation that images show."""
+    size, few = region.high - region.low, np.random.default_rng(0)
+    points = region.low + size * few.random((_TRIED, 3))
+    inside = (points @ region.normals.T <= region.offsets).all(axis=1) & _in_any(points, views, grid)
+    volume, span = float(np.prod(size)) * float(inside.mean()), size[2] / math.cos(math.radians(views[0].grazing_deg))
+    elevation = min(min(stack.resolution_m for stack in stacks), float(span) / _FEWEST_CELLS)
+    return max(1, round(_PER_CELL * volume / (grid.cell_m**2 * elevation)))
 
 
-def _span(setting: Setting) -> float:
-    """Heights of the region, m, along elevation."""
-    height = float(setting.region.high[2] - setting.region.low[2])
-    return height / math.cos(math.radians(setting.views[0].grazing_deg))
-
-
-def _in_any(points: Float64[np.ndarray, "p 3"], setting: Setting) -> Bool[np.ndarray, " p"]:
-    return np.any([imaged(points, view, setting.grid) for view in spread(setting.views, _VIEWS)], axis=0)
+def _in_any(points: Float64[np.ndarray, "p 3"], views: Sequence[View], grid: ImageGrid) -> Bool[np.ndarray, " p"]:
+    return np.any([imaged(points, view, grid) for view in spread(views, _VIEWS)], axis=0)
 
 
 def _reach_m(grazing_deg: float, half_azimuth: float, half_range: float, height: float) -> float:

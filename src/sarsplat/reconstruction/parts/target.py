@@ -87,12 +87,14 @@ class Target(Part):
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
         config = self.config
         sample = hemisphere_shell if config.initialisation == "hemisphere" else Region.sample
+        region, views, grid = self.setting.region, train.views, train.grid
         if self.setting.stacks:
-            n = config.gaussians or max(config.fewest_gaussians, enough_gaussians(self.setting))
-            means = torch.from_numpy(imaged_sample(self.setting, n, generator)).float()
+            needed = enough_gaussians(region, views, grid, self.setting.stacks)
+            n = config.gaussians or max(config.fewest_gaussians, needed)
+            means = torch.from_numpy(imaged_sample(region, views, grid, n, generator)).float()
         else:
             n = config.gaussians or max(config.fewest_gaussians, round(_enough(train) / self._levels.coarsest**1.5))
-            means = torch.from_numpy(sample(self.setting.region, n, generator)).float()
+            means = torch.from_numpy(sample(region, n, generator)).float()
         return {
             "means": means,
             "quaternions": random_quaternions(n, generator),
