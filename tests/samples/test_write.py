@@ -101,7 +101,7 @@ def test_stopped_anywhere_it_goes_on_and_ends_the_same(
 
 
 @pytest.mark.parametrize("changed", ["seed", "picture"])
-def test_another_set_is_not_gone_on_with(
+def test_another_set_is_not_gone_on_with_and_not_lost(
     run: Run, tmp_path: Path, changed: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def made(seed: int, level: int) -> Chips:
@@ -115,7 +115,9 @@ def test_another_set_is_not_gone_on_with(
         patch.setattr(write, "_table", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         write_chips(first, tmp_path / "set")
     other = made(1, 80) if changed == "seed" else made(0, 120)
-    write_chips(other, tmp_path / "set")
+    with pytest.raises(SarsplatError, match="unfinished set of other runs, options or version"):
+        write_chips(other, tmp_path / "set")
+    write_chips(other, tmp_path / "set", overwrite=True)
     write_chips(other, tmp_path / "alone")
     assert tree(tmp_path / "set") == tree(tmp_path / "alone")
 

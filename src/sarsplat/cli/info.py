@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -145,8 +146,10 @@ def _chips(path: Path) -> tuple[str, dict[str, str]]:
         "classes": ", ".join(dict.fromkeys(run.target for run in made.runs)),
         "chips": f"{made.count:,} of each of {counted(len(made.runs), 'run')}, seed {made.seed}",
         "pixels": f"{made.quantity}, {made.format}, scale {made.scale}, near range at the {made.near}",
-        "drawn with": f"speckle {made.speckle}, ground {made.ground}",
+        "size": "as the runs' images" if made.crop is None else f"{made.crop} × {made.crop} pixels",
+        "drawn with": f"speckle {made.speckle}, ground {made.ground}, scatterers {made.scatterers or math.inf:g}",
         "labels": "labels.csv",
+        "made by": f"sarsplat {made.program}",
     }
     return "generated chips", rows
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from sarsplat.colours import DARK, LIGHT, PREDICTED, RADAR, TRUE
@@ -13,6 +12,7 @@ from sarsplat.data import Dataset
 from sarsplat.data.determined import weakest_direction
 from sarsplat.errors import counted
 from sarsplat.evaluation import NOT_THE_SAME_EXPERIMENT, Yardstick, all_metrics, paper_beside
+from sarsplat.names import program_version
 from sarsplat.reconstruction import Run
 from sarsplat.report.figure import Figure
 from sarsplat.report.scores import Row, ScoreTable, score_tables
@@ -140,17 +140,13 @@ def _plain(value: Any) -> str:
 
 
 def _run_facts(run: Run) -> dict[str, str]:
-    try:
-        program = version("sarsplat")
-    except PackageNotFoundError:  # run from source
-        program = "from source"
     return {
         "folder": "in memory" if run.path is None else str(run.path),
         "method": run.method,
         **run.facts,
         "training time": _duration(run.time_s),
         "seed": str(run.seed),
-        "report by": f"sarsplat {program}",
+        "report by": f"sarsplat {program_version()}",
     }
 
 

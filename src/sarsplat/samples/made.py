@@ -10,7 +10,7 @@ from typing import Self
 import msgspec
 
 from sarsplat.data.files import encode_json, open_file, read_versioned_json
-from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
+from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle, program_version
 from sarsplat.reconstruction.sampler import LEARNED, UNIFORM
 from sarsplat.samples.chip_set import Chips
 
@@ -33,6 +33,8 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
 
     schema: str
     schema_version: int
+    program: str
+    """Version of this program."""
     runs: list[MadeRun]
     count: int
     seed: int
@@ -59,6 +61,7 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
         return cls(
             schema=SCHEMA,
             schema_version=SCHEMA_VERSION,
+            program=program_version(),
             runs=[
                 MadeRun(None if run.path is None else str(run.path), target, run.snapshot.digest())
                 for run, target in zip(chips.runs, chips.targets, strict=True)

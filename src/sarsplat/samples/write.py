@@ -46,14 +46,15 @@ def write_chips(
         Write WebDataset shards instead, tar files of so many chips: NUMBER.jpg (.png, .npy), .cls (the number of the
         class) and .json (the row of the table).
     overwrite : bool
-        Replace an existing set.
+        Replace an existing set, or an unfinished one of another kind.
     quiet : bool
         Show no progress.
 
     Raises
     ------
     SarsplatError
-        If the folder exists, is in use or cannot be written, or a shard would be empty.
+        If the folder exists, is in use or cannot be written, an unfinished set of another kind waits there, or a shard
+        would be empty.
     """
     if shard is not None and shard < 1:
         raise SarsplatError(f"shard is {shard}; give at least one chip for each file")
@@ -61,7 +62,13 @@ def write_chips(
     made = Made.of(chips, shard).encoded(out / MARKER)
 
     def goes_on(folder: Path) -> bool:
-        return (folder / MARKER).is_file() and (folder / MARKER).read_bytes() == made
+        begun = (folder / MARKER).read_bytes() if (folder / MARKER).is_file() else b""
+        if begun not in (b"", made) and not overwrite:
+            raise SarsplatError(
+                f"{out} has an unfinished set of other runs, options or version of the program; go on with that by the "
+                "same command, give another folder, or --overwrite to begin anew"
+            )
+        return begun == made
 
     with new_folder(out, overwrite, marker=MARKER, goes_on=goes_on) as folder:
         _put(folder / MARKER, made)
