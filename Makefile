@@ -74,6 +74,7 @@ figures: setup
 	$(call step,reconstructions: where points are wrong and what is missed,$(BIN)/python docs/draw_reconstructions.py)
 	$(call step,village: truth and points of a larger scene (minutes),$(BIN)/python docs/draw_village.py)
 	$(call step,terrain: a hill's layover and shadow,$(BIN)/python docs/draw_terrain.py)
+	$(call step,stacks: a slice through layover,$(BIN)/python docs/draw_stacks.py)
 	$(call step,imports: which file imports which,$(BIN)/python docs/draw_imports.py)
 
 bench: setup
