@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 
 from sarsplat import ImageGrid, ScatteringLaw, Stack, View, reconstruct, simulate_stack
-from sarsplat.colours import POWER, colormap
+from sarsplat.colours import PHASE, POWER, colormap
 from sarsplat.data import Dataset, DatasetEntry
 from sarsplat.evaluation.capon import capon_points
 from sarsplat.radiometry import to_db
@@ -43,7 +43,7 @@ def main() -> None:
     pair = dataset.signal[0] * np.exp(-1j * phases)
     figure, panels = plt.subplots(1, 4, figsize=(15, 4), layout="constrained")
     panels[0].imshow(to_db(dataset.power[0], 1.0), cmap=colormap(POWER), vmin=-15, vmax=10, interpolation="nearest")
-    panels[1].imshow(np.angle(pair[4] * pair[3].conj()), cmap="twilight", interpolation="nearest")
+    panels[1].imshow(np.angle(pair[4] * pair[3].conj()), cmap=colormap(PHASE), interpolation="nearest")
     for axes, title in zip(panels, ("power: layover, roof, shadow", "phase of one pair, level ground taken out")):
         axes.set(xticks=[], yticks=[], title=title)
     for axes, points, title in zip(panels[2:], (capon, own), ("Capon, 3 × 3 pixels", "sarsplat")):

@@ -43,6 +43,9 @@ STRENGTH = "inferno"
 INCIDENCE, SPREAD = "cividis", "inferno"
 """Radar maps: local incidence angle, and how far apart along elevation scatterers of one pixel lie."""
 
+PHASE = "twilight"
+"""Phases: the colours of −π and π are the same."""
+
 TOO_DARK, TOO_BRIGHT = "#8f6be0", "#e66101"
 DIFFERENCE_IN_WORDS = "orange: too bright, purple: too dark"
 
