@@ -37,7 +37,7 @@ def _fields(struct: str, prefix: str) -> Iterator[tuple[str, str, str]]:
     for name, field in definition["properties"].items():
         inner = next((part for part in ("GridHeader", "StackHeader", "ViewHeader") if part in json.dumps(field)), None)
         if inner is not None:
-            yield from _fields(inner, f"{name}[]." if field.get("type") == "array" else f"{name}.")
+            yield from _fields(inner, f"{prefix}{name}[]." if field.get("type") == "array" else f"{prefix}{name}.")
             continue
         optional = "" if name in definition["required"] else "; may be absent"
         yield f"{prefix}{name}", _kind(field), f"{field['description']}{optional}"

@@ -2,19 +2,9 @@
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError, version
 from typing import Literal
 
 from sarsplat.plugins import discover
-
-
-def program_version() -> str:
-    """Version of this program, for what says by which one it was made."""
-    try:
-        return version("sarsplat")
-    except PackageNotFoundError:  # run from source
-        return "from source"
-
 
 TargetName = Literal["t72", "btr70", "2s1", "kraz", "slicy", "building-a", "building-b", "building-c"]
 """Built-in targets; a test compares them with `sarsplat.scenes.TARGETS`."""

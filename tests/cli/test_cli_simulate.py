@@ -213,3 +213,47 @@ def test_a_mesh_in_another_unit_is_refused_unless_the_images_are_chosen(box: Pat
     assert main(words) == 2
     assert "the target is 2.6e+03 m long, but the images are 38.4 m wide" in capsys.readouterr().err
     assert not (box.parent / "new").exists()
+
+
+STACK = ["--azimuth", "0", "--grazing", "45", "--pixels", "24", "--spacing", "0.5", "--ground", "0.5"]
+
+
+def test_stacks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "stacks"
+    options = ["--passes", "3", "--baseline", "0.004", "--noise", "0.1", "--wavelength", "0.05"]
+    assert main(["simulate", "--target", "slicy", *STACK, *options, "--out", str(out)]) == 0
+    assert "1 3-pass stack of slicy" in " ".join(capsys.readouterr().out.split())
+    made = read_dataset(out)
+    (stack,) = made.stacks
+    assert (stack.wavelength_m, stack.noise) == (0.05, (0.1, 0.1, 0.1))
+    assert stack.offsets_rad == pytest.approx((-0.002, 0.0, 0.002))
+    assert made.signal is not None
+    assert made.signal.shape == (1, 3, 24, 24)
+    assert made.looks == 1
+    assert main(["info", str(out)]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "passes 3, wavelength 0.05 m, each transmits elevation resolution 6.25 m, ambiguous by 12.5 m" in told
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--baseline", "0.004"], "--baseline is for stacks; give --passes too"),
+        (["--noise", "0.1"], "--noise is for stacks"),
+        (["--passes", "1", "--baseline", "0.004"], "--passes is 1; give at least 2"),
+        (["--passes", "3"], "--baseline has 0 numbers for 3 passes"),
+        (["--passes", "3", "--baseline", "0", "0.1"], "--baseline has 2 numbers for 3 passes"),
+        (["--passes", "2", "--baseline", "0.004", "--looks", "4"], "--looks is for single images"),
+        (["--passes", "2", "--baseline", "0.004", "--ray-spacing", "0.1"], "--ray-spacing is for single images"),
+        (["--passes", "2", "--baseline", "0.004", "--source", "splat"], "--source splat makes no stacks"),
+        (["--passes", "2", "--baseline", "0.004", "--wavelength", "0"], "wavelength"),
+        (["--passes", "2", "--baseline", "0"], "two passes are the same"),
+    ],
+)
+def test_stacks_that_cannot_be(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], words: str
+) -> None:
+    out = tmp_path / "stacks"
+    assert main(["simulate", "--target", "slicy", *STACK, *options, "--out", str(out)]) == 2
+    assert words in " ".join(capsys.readouterr().err.split())
+    assert not out.exists()

@@ -34,6 +34,7 @@ from sarsplat.data import (
     read_points_ply,
     read_tiff,
     write_json,
+    write_tiff,
 )
 from sarsplat.errors import SarsplatError
 from sarsplat.importers import read_phoenix
@@ -240,6 +241,15 @@ def test_images_of_other_kinds(tmp_path):
         with watched() as cost, pytest.raises(SarsplatError, match=words):
             read_tiff(path, shape)
         assert cost.bytes < 4 * path.stat().st_size + (64 << 20)
+
+
+@pytest.mark.parametrize("pages", [1, 3])
+def test_stacks_of_another_number_of_pages(tmp_path, pages):
+    stack = np.ones((pages, 6, 5), np.complex64)
+    write_tiff(tmp_path / "a.tif", stack, "a stack")
+    np.testing.assert_array_equal(read_tiff(tmp_path / "a.tif", (pages, 6, 5), np.complex64), stack)
+    with pytest.raises(SarsplatError, match=r"give 2 pages of uncompressed complex64|bytes, too few"):
+        read_tiff(tmp_path / "a.tif", (2, 6, 5), np.complex64)
 
 
 def test_phoenix_magnitudes_whose_square_overflows(tmp_path):

@@ -19,11 +19,14 @@ from sarsplat import (
     View,
     evaluate_run,
     reconstruct,
+    render_covariances,
     simulate_stack,
 )
 from sarsplat.data import Dataset, DatasetEntry, read_dataset, write_dataset
 from sarsplat.data.plausible import suspicions
+from sarsplat.reconstruction.config import FlatGround, Surroundings
 from sarsplat.reconstruction.presets import preset
+from sarsplat.reconstruction.stack_region import stack_region
 
 GRID = ImageGrid(28, 20, (0.5, 0.5), (0.6, 0.6))
 VIEW = View(0.0, 45.0)
@@ -110,12 +113,20 @@ def test_heights_are_found_without_known_noise():
 
 
 def test_two_headings_share_a_scene():
+    """Both are learned from, and nothing is warned of: phases determine the shape."""
+    nats: list[float] = []
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         both = reconstruct(
-            dataset(views=(VIEW, View(180.0, 45.0))), replace(preset("stack"), iterations=10), quiet=True
+            dataset(views=(VIEW, View(180.0, 45.0))),
+            replace(preset("stack"), iterations=60),
+            quiet=True,
+            on_step=lambda step: nats.append(float(step.loss)),
         )
-    assert np.isfinite(both.points).all()
+    assert nats[-1] < nats[0] - 3
+    for view in both.snapshot.views:  # each wall is seen by one of them
+        wall = both.points @ view.direction
+        assert ((np.abs(both.points[:, 2] - 2.5) < 1.5) & (wall > 1.0)).any()
 
 
 @pytest.mark.filterwarnings("ignore:there is one training view")
@@ -126,14 +137,55 @@ def test_what_is_refused():
         Dataset.of_complex(GRID, entries, np.repeat(images.signal, 2, axis=0))
     with pytest.raises(SarsplatError, match="for 6 passes; make it with of_complex"):
         Dataset(GRID, images.entries, images.power, signal=images.signal[:, 0])
-    with pytest.raises(SarsplatError, match="likelihood of all passes; omit it"):
+    with pytest.raises(SarsplatError, match=r"loss is .*, which learning from passes knows nothing of; give 'passes'"):
         reconstruct(images, loss=lambda a, b: (a - b).abs().mean(), quiet=True)
     single = Dataset(GRID, (replace(images.entries[0], stack=None),), images.power, looks=1.0)
-    with pytest.raises(SarsplatError, match=r"learn from stacks, and .* has single images; choose another preset"):
+    with pytest.raises(SarsplatError, match=r"interferometric stacks, and .* has single images; choose another preset"):
         reconstruct(single, "stack", quiet=True)
 
 
 def test_a_box_higher_than_an_ambiguity_is_warned_of():
     high = replace(dataset(), target_box_m=((-5.0, -5.0, 0.0), (5.0, 5.0, 40.0)))
-    assert any("repeat every 10.3 m of height, and the target's box is 40 m high" in text for text in suspicions(high))
+    assert any("repeat every 10.5 m of height, and the target's box is 40 m high" in text for text in suspicions(high))
     assert not suspicions(dataset())
+
+
+@pytest.mark.filterwarnings("ignore:there is one training view")
+def test_polarisations_are_learned_from_by_power_alone():
+    images = dataset()
+    assert images.signal is not None
+    pair = Stack(0.031, (0.0, 0.0), polarisations=("HH", "VV"))
+    entries = (replace(images.entries[0], stack=pair),)
+    polarimetric = Dataset.of_complex(GRID, entries, images.signal[:, :2], looks=1.0)
+    with pytest.raises(SarsplatError, match="has stacks of one offset or several polarisations; choose another"):
+        reconstruct(polarimetric, "stack", quiet=True)
+    few = replace(preset("speckled"), iterations=1, fewest_gaussians=10)
+    assert reconstruct(polarimetric, few, quiet=True).snapshot.stacks == ()
+    with pytest.raises(SarsplatError, match="polarisations HH, VV, whose covariances are not known"):
+        render_covariances(reconstruct(polarimetric, few, quiet=True).gaussians, [VIEW], GRID, pair)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("coarsest", 8), ("tiles", 2), ("ground", FlatGround()), ("surroundings", Surroundings())]
+)
+def test_settings_that_covariances_know_nothing_of(name: str, value: object):
+    with pytest.raises(SarsplatError, match=f"{name} is .*, which learning from passes knows nothing of"):
+        reconstruct(dataset(), replace(preset("stack"), **{name: value}), quiet=True)
+
+
+def test_a_box_that_no_image_shows_is_refused():
+    away = replace(dataset(), target_box_m=((100.0, 100.0, 0.0), (110.0, 110.0, 5.0)))
+    with pytest.raises(SarsplatError, match="no training image shows anything of the box"):
+        reconstruct(away, quiet=True)
+
+
+def test_without_a_box_all_that_images_show_is_looked_at_wherever_they_lie():
+    moved = replace(GRID, center_m=(40.0, -30.0))
+    images = dataset()
+    assert images.signal is not None
+    far = Dataset.of_complex(moved, images.entries, images.signal, looks=1.0)
+    region = stack_region(far)
+    corners = np.array([[x, y, 0.0] for x in (moved.extent_m[:2]) for y in (moved.extent_m[2:])])
+    ground = np.column_stack([-corners[:, 1] / 0.5**0.5, -corners[:, 0], corners[:, 2]])  # φ = 0: ranges at z = 0
+    inside = ground * (1 - 1e-6) + ground.mean(0) * 1e-6
+    assert (inside @ region.normals.T <= region.offsets).all()

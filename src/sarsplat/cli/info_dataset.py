@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from sarsplat.data import Dataset
     from sarsplat.data.coverage import ViewGroup
-    from sarsplat.geometry import ImageGrid
+    from sarsplat.geometry import ImageGrid, Stack
 
 _CALIBRATIONS = {"absolute": "absolute", "relative": "relative: β⁰ up to one common factor"}
 
@@ -82,7 +82,7 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
         **({} if dataset.terrain is None else {"terrain": str(dataset.terrain)}),
         **_uncertainty([entry.azimuth_std_deg for entry in dataset.entries]),
         "largest gap": f"{largest_gap(view.azimuth_deg for view in train)} (azimuths of the training views)",
-        "weakest direction": str(weakest_direction(train)),
+        **(_passes(dataset.stacks[0]) if dataset.passes else {"weakest direction": str(weakest_direction(train))}),
         "protocol": dataset.protocol or "none",
         "quantity": f"{_QUANTITIES[dataset.signal is not None]}; row 0 near range",
         **_grid(dataset.grid),
@@ -91,6 +91,17 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
         "masks": "masks/" if (path / "masks").is_dir() else "none",
         **_source(dataset.source),
     }
+
+
+def _passes(stack: Stack) -> dict[str, str]:
+    """Of the first image."""
+    rows = {"passes": f"{len(stack)}, wavelength {stack.wavelength_m:g} m, {stack.transmit} transmits"}
+    if stack.interferometric:
+        rows["elevation"] = f"resolution {stack.resolution_m:.3g} m, ambiguous by {stack.ambiguous_elevation_m:.3g} m"
+    if stack.polarisations is not None:
+        rows["polarisations"] = ", ".join(stack.polarisations)
+    noise = "not stated" if stack.noise is None else ", ".join(f"{power:.3g}" for power in stack.noise)
+    return {**rows, "noise": f"{noise} (β⁰ of each pass)"}
 
 
 def _source(source: Mapping[str, Any]) -> dict[str, str]:

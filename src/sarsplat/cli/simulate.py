@@ -186,7 +186,12 @@ def simulate(
     box_m = corners(target_box)
     if (stack := asked_stack(passes, baseline, wavelength, noise)) is not None:
         refuse_with_stacks(
-            looks=looks, clean_tests=clean_tests, terrain=terrain, reflectivity=reflectivity, masks=masks
+            looks=looks,
+            clean_tests=clean_tests,
+            terrain=terrain,
+            reflectivity=reflectivity,
+            ray_spacing=ray_spacing,
+            masks=masks,
         )
         if source != "raycast":
             raise SarsplatError(f"--source {source} makes no stacks; leave it out, or --passes")

@@ -40,7 +40,11 @@ def asked_stack(
             "one for each (b/R, rad)"
         )
     each = baseline if len(baseline) == passes else [baseline[0] * (k / (passes - 1) - 0.5) for k in range(passes)]
-    return Stack(wavelength or X_BAND_M, tuple(each), noise=None if noise is None else (noise,) * passes)
+    return Stack(
+        X_BAND_M if wavelength is None else wavelength,
+        tuple(each),
+        noise=None if noise is None else (noise,) * passes,
+    )
 
 
 def refuse_with_stacks(**options: object) -> None:

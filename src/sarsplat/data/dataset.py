@@ -260,6 +260,7 @@ class Dataset:
         return len(self.entries)
 
     def __getitem__(self, index: int) -> SarImage:
+        """An image; of a stack its power alone."""
         try:
             index = operator.index(index)
         except TypeError as error:
@@ -298,6 +299,11 @@ class Dataset:
     def stacks(self) -> tuple[Stack, ...]:
         """The stack of each image; none if they are not stacks."""
         return tuple(entry.stack for entry in self.entries if entry.stack is not None)
+
+    @property
+    def interferometric(self) -> bool:
+        """Whether its images are stacks whose phases tell elevations."""
+        return bool(self.passes) and all(stack.interferometric for stack in self.stacks)
 
     def splits(self) -> tuple[str, ...]:
         """Names of the sets it holds, in order of first appearance."""

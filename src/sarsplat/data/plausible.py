@@ -45,8 +45,7 @@ def suspicions(dataset: Dataset) -> list[str]:
     train = dataset.select("train")
     odd = suspicious_angles(train.views)  # of angles in another unit, nothing else follows
     if not odd:
-        phases_tell = train.stacks and all(stack.interferometric for stack in train.stacks)
-        odd = _ambiguity(train) if phases_tell else suspicious_coverage(train.views)
+        odd = _ambiguity(train) if train.interferometric else suspicious_coverage(train.views)
     return [*odd, *suspicious_images(dataset), *suspicious_terrain(dataset)]
 
 

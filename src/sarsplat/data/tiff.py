@@ -75,26 +75,18 @@ def read_tiff(path: Path, shape: tuple[int, ...], pixel: DTypeLike = np.float32)
         data = file.read()
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as tiff:
-            page = tiff.pages.first
-            layout = (page.shape, page.dtype, page.compression, _pages(tiff, pages))
-            expected = (shape[-2:], dtype, tifffile.COMPRESSION.NONE, pages)
-            image = tiff.asarray(key=slice(None)).reshape(shape) if layout == expected else None
+            few = itertools.islice(tiff.pages, pages + 1)  # of a file that lists millions, no more are looked at
+            layouts = [(page.shape, page.dtype, page.compression) for page in few]
+            fits = layouts == [(shape[-2:], dtype, tifffile.COMPRESSION.NONE)] * pages
+            image = tiff.asarray(key=slice(None)).reshape(shape) if fits else None
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
         raise SarsplatError(f"{path} is not a readable TIFF ({shown(str(error))}); create the dataset again") from error
     if image is None:
         raise SarsplatError(
-            f"{path} holds {layout[1]} pixels of shape {shown(layout[0])}, compression {layout[2]!r:.30}, on "
-            f"{'one page' if layout[3] == 1 else 'several pages'}; give "
+            f"{path} holds {layouts[0][1]} pixels of shape {shown(layouts[0][0])}, compression "
+            f"{layouts[0][2]!r:.30}, on {'one page' if len(layouts) == 1 else 'several pages'}; give "
             f"{counted(pages, 'page')} of uncompressed {dtype} of shape {shape[-2:]}"
         )
     image = np.asarray(image, dtype=dtype)
     check_power(power_of(image) if np.iscomplexobj(image) else image, str(path))
     return image
-
-
-def _pages(tiff: tifffile.TiffFile, expected: int) -> int:
-    """The number of pages, counted no further than one beyond those expected."""
-    count = 0
-    for page in itertools.islice(tiff.pages, expected + 1):
-        count += page.shape == tiff.pages.first.shape and page.dtype == tiff.pages.first.dtype
-    return count

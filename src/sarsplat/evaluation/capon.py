@@ -28,10 +28,17 @@ _LEAST_PEAK, _ABOVE_NOISE = 0.3, 2.0
 
 @checks_arguments
 def capon_points(dataset: Dataset, low_m: float, high_m: float) -> Float64[np.ndarray, "p 3"]:
-    """Points of the training stacks, all directions together, within heights from `low_m` to `high_m`.
+    """Points of the training stacks, all directions together.
 
     Covariances are averaged over 3 × 3 pixels after level phases were taken out; every peak of the spectrum above 0.3
     of the pixel's highest and twice the noise is a point, between steps by a parabola.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Of interferometric stacks.
+    low_m, high_m : float
+        Heights between which peaks are looked for, m.
 
     Returns
     -------
@@ -44,7 +51,7 @@ def capon_points(dataset: Dataset, low_m: float, high_m: float) -> Float64[np.nd
         If the images are no interferometric stacks.
     """
     train = dataset.select("train")
-    if train.signal is None or not train.passes or not all(stack.interferometric for stack in train.stacks):
+    if train.signal is None or not train.interferometric:
         raise SarsplatError("Capon's method needs interferometric stacks, and these images are none")
     return np.concatenate(
         [

@@ -81,11 +81,13 @@ def evaluate_run(
     -------
     dict
         The content of `metrics.json`: `images.<set>.<metric>`, `by_image` (of each set the leading metric and its value
-        for each image, in the dataset's order), `points.{visible, whole}.<metric>`, `mesh` (the
-        same of points on the mesh), `baselines` (what methods without a third dimension score on speckled images with
-        ground), `truth` (the given mesh if there is one, and the motion that brought the points onto it), `masks` (the
-        given folder), `time_s`, `seed`, `method`, `definitions` (of every metric), `parameters` (what they refer to)
-        and `reasons`: for every metric that is None, its dotted key and why. Without test images `images` is empty.
+        for each image, in the dataset's order), `points.{visible, whole}.<metric>`, `mesh` (the same of points on the
+        mesh), of interferometric stacks `capon` (the same of Capon's method, between the heights of the run's own
+        points; the true surface then includes level ground, where images show it), `baselines` (what methods
+        without a third dimension score on speckled images with ground), `truth` (the given mesh if there is one, and
+        the motion that brought the points onto it), `masks` (the given folder), `time_s`, `seed`, `method`,
+        `definitions` (of every metric), `parameters` (what they refer to) and `reasons`: for every metric that is None,
+        its dotted key and why. Without test images `images` is empty.
 
     Raises
     ------
@@ -225,13 +227,13 @@ def _surfaces(
         views = dataset.select("train").views
         true_mesh = read_truth_mesh(dataset.truth_mesh)
         surface = visible_surface(
-            of_stacks(true_mesh, dataset) if dataset.passes else true_mesh,
+            of_stacks(true_mesh, dataset) if dataset.interferometric else true_mesh,
             views,
             ray_spacing=yardstick.ray_spacing_m,
             each_view=lambda: shown.advance(1, "surface that the views see"),
         )
         shown.advance(_SAMPLES * len(views), "distances from the visible surface")
-        if dataset.passes:
+        if dataset.interferometric:
             surface = imaged_alone(surface, dataset)
             low, high = run.points[:, 2].min(), run.points[:, 2].max()
             clouds["capon"] = capon_points(dataset, float(low), float(high))

@@ -122,8 +122,8 @@ class Stack:
 
     @property
     def interferometric(self) -> bool:
-        """Whether its phases tell elevations."""
-        return len(set(self.offsets_rad)) > 1
+        """Whether its phases tell elevations and nothing else: several offsets, and one polarisation."""
+        return len(set(self.offsets_rad)) > 1 and len(set(self.of_channels)) == 1
 
     @property
     def wavenumber(self) -> float:
@@ -149,7 +149,10 @@ class Stack:
         together = np.abs(np.exp(1j * phases[:, None] * elevation).mean(0))
         beyond = np.maximum.accumulate(together < _APART)  # outside of the main lobe
         alike = np.flatnonzero(beyond & (together >= _ALIKE))
-        return float(elevation[alike[0]]) if len(alike) else math.inf
+        if not len(alike):
+            return math.inf
+        around = slice(alike[0], alike[0] + _STEPS)  # the lobe that begins there
+        return float(elevation[around][together[around].argmax()])
 
     @checks_arguments
     def phase_vectors(self, view: View) -> Float64[np.ndarray, "p 3"]:

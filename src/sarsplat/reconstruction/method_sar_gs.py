@@ -32,7 +32,7 @@ from sarsplat.reconstruction.presets import preset
 from sarsplat.reconstruction.sampler import Sampler
 from sarsplat.reconstruction.seen import Seen
 from sarsplat.reconstruction.snapshot import Snapshot
-from sarsplat.reconstruction.stack_trainer import StackTrainer
+from sarsplat.reconstruction.stack_trainer import StackTrainer, refuse_with_passes
 from sarsplat.reconstruction.strategies.azimuths import AZIMUTH_OFFSETS
 from sarsplat.reconstruction.trainer import Trainer
 from sarsplat.renderer import channel_of
@@ -57,7 +57,7 @@ class SarGs(Method):
         """A preset; "auto" is for what the images show: speckle must be modelled, and ground wherever there is any."""
         if name == "auto":
             name = "default" if dataset.looks is None else "measured" if dataset.ground else "speckled"
-            name = "stack" if dataset.passes else name
+            name = "stack" if dataset.interferometric else name
         config = preset(name)
         if dataset.ground and config.passes is None and config.ground is None and name != "paper":  # which has none
             return replace(config, ground=FlatGround())
@@ -75,10 +75,13 @@ class SarGs(Method):
         if inputs.loss is not None:
             name = getattr(inputs.loss, "__name__", type(inputs.loss).__name__)
             config = replace(config, loss=f"own {name}" if name in LOSSES else name)
-        if config.passes is not None and not dataset.passes:
+        if config.passes is not None:
+            refuse_with_passes(config)
+        if config.passes is not None and not dataset.interferometric:
+            has = "stacks of one offset or several polarisations" if dataset.passes else "single images"
             raise SarsplatError(
-                f"the settings (preset {config.preset}) learn from stacks, and {dataset} has single images; choose "
-                "another preset, or auto"
+                f"the settings (preset {config.preset}) learn from interferometric stacks, and {dataset} has {has}; "
+                "choose another preset, or auto, which learns from the power"
             )
         trainer = Trainer if config.passes is None else StackTrainer
         return trainer(dataset, config, inputs.loss, device, inputs.strategies, inputs.processes)

@@ -28,7 +28,7 @@ def stack_nats(
     Parameters
     ----------
     covariances : Tensor [V, P, P, rows, columns], complex
-        Expected, as `render_covariances` returns; differentiable.
+        Expected, as `render_covariances` returns; differentiable once.
     signals : Tensor [V, P, rows, columns] or [V, P, P, rows, columns], complex
         Of one look; or sample covariances, means of y_i y_j* over looks.
     noise : float or Tensor [P]

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float64
 
 from sarsplat.data import Dataset
 from sarsplat.data.header import Box
+from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, Stack, View, radar_frame
 from sarsplat.reconstruction.points import imaged, spread
@@ -25,6 +26,9 @@ _FEWEST_CELLS = 4
 """Of elevation: a single pair of passes resolves none, but tells one."""
 
 _TRIED, _VIEWS = 1 << 16, 96
+
+_SAME = 1.0 - 1e-4
+"""Cosine between directions that count as one: 0.8°."""
 
 
 def stack_region(train: Dataset, box: Box | None = None) -> Region:
@@ -43,11 +47,14 @@ def stack_region(train: Dataset, box: Box | None = None) -> Region:
             for stack, view in zip(train.stacks, train.views, strict=True)
         ]
         low, high = -_BELOW * min(heights), (1 - _BELOW) * min(heights)
-        reach = max(_reach_m(view.grazing_deg, half_azimuth, half_range, high) for view in train.views)
+        reach = max(_reach_m(view, grid, high) for view in train.views)
         box = (-reach, -reach, low), (reach, reach, high)
     region = Region.box(*box)
-    towards = {(view.azimuth_deg % 360.0, view.grazing_deg) for view in train.views}
-    if len(towards) > 1:
+    if not _in_any(_tried(region), train.views, grid).any():
+        raise SarsplatError(
+            f"no training image shows anything of the box {box[0]} to {box[1]} m; give another one with --target-box"
+        )
+    if not of_one_direction(train.views):
         return region
     frame = radar_frame(train.views[0])
     normals, middle = np.array([frame[0], -frame[0], frame[2], -frame[2]]), np.array(grid.center_m)
@@ -56,6 +63,12 @@ def stack_region(train: Dataset, box: Box | None = None) -> Region:
     return Region(
         np.concatenate([region.normals, normals]), np.concatenate([region.offsets, offsets]), region.low, region.high
     )
+
+
+def of_one_direction(views: Sequence[View]) -> bool:
+    """Whether all views are the same, or nearly so."""
+    directions = np.array([view.direction for view in views])
+    return bool((directions @ directions[0]).min() > _SAME)
 
 
 def imaged_sample(
@@ -71,19 +84,24 @@ def imaged_sample(
 
 def enough_gaussians(region: Region, views: Sequence[View], grid: ImageGrid, stacks: Sequence[Stack]) -> int:
     """How many Gaussians stacks need: so many for each cell of azimuth, range and elevation that images show."""
-    size, few = region.high - region.low, np.random.default_rng(0)
-    points = region.low + size * few.random((_TRIED, 3))
+    size, points = region.high - region.low, _tried(region)
     inside = (points @ region.normals.T <= region.offsets).all(axis=1) & _in_any(points, views, grid)
     volume, span = float(np.prod(size)) * float(inside.mean()), size[2] / math.cos(math.radians(views[0].grazing_deg))
     elevation = min(min(stack.resolution_m for stack in stacks), float(span) / _FEWEST_CELLS)
     return max(1, round(_PER_CELL * volume / (grid.cell_m**2 * elevation)))
 
 
+def _tried(region: Region) -> Float64[np.ndarray, "k 3"]:
+    """Places in the box around a region, always the same."""
+    return region.low + (region.high - region.low) * np.random.default_rng(0).random((_TRIED, 3))
+
+
 def _in_any(points: Float64[np.ndarray, "p 3"], views: Sequence[View], grid: ImageGrid) -> Bool[np.ndarray, " p"]:
     return np.any([imaged(points, view, grid) for view in spread(views, _VIEWS)], axis=0)
 
 
-def _reach_m(grazing_deg: float, half_azimuth: float, half_range: float, height: float) -> float:
-    """Farthest from the origin that something is imaged, along the ground, m; images may lie anywhere around it."""
-    sine, cosine = math.sin(math.radians(grazing_deg)), math.cos(math.radians(grazing_deg))
-    return math.hypot(half_azimuth, (half_range + height * sine) / cosine)
+def _reach_m(view: View, grid: ImageGrid, height: float) -> float:
+    """Farthest from the origin that something is imaged, along the ground, m."""
+    sine, cosine = math.sin(math.radians(view.grazing_deg)), math.cos(math.radians(view.grazing_deg))
+    azimuth, slant = (np.abs(edges).max() for edges in (grid.extent_m[:2], grid.extent_m[2:]))
+    return math.hypot(azimuth, (slant + height * sine) / cosine)

@@ -11,8 +11,9 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
 from sarsplat.data import Dataset
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, Stack, View
+from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.losses import Loss
 from sarsplat.reconstruction.stack_loss import covariance_nats
 from sarsplat.reconstruction.trainer import Trainer
@@ -61,6 +62,23 @@ def level_phases(
     return torch.from_numpy(np.exp(1j * phases).astype(np.complex64))
 
 
+def refuse_with_passes(config: Config) -> None:
+    """Refuse what is not known of covariances: it would be left out in silence.
+
+    Raises
+    ------
+    SarsplatError
+        If the configuration asks for it.
+    """
+    known = {"loss": "passes", "coarsest": 1, "tiles": 1, "ground": None, "surroundings": None, "densification": None}
+    for name, value in known.items():
+        if (asked := getattr(config, name)) != value:
+            asked, remedy = ("on", "off") if value is None else (shown(asked), shown(value))
+            raise SarsplatError(
+                f"{name} is {asked}, which learning from passes knows nothing of; give {remedy}, or passes off"
+            )
+
+
 class StackTrainer(Trainer):
     """A `Trainer` that learns from the phases between passes as well; the loss is their likelihood."""
 
@@ -71,8 +89,6 @@ class StackTrainer(Trainer):
         return StackImages(dataset, self.config.passes.window, self.device)
 
     def _minimise(self, loss: Loss | None) -> Tensor:
-        if loss is not None:
-            raise SarsplatError("stacks are learned by the likelihood of all passes; omit it, or set passes to None")
         return self.images.truth.new_tensor(float(len(self.images.stacks[0])))
 
     def _compared(self, chosen: Sequence[int], left_out: Bool[Tensor, " n"] | None) -> tuple[Tensor, Rendering]:

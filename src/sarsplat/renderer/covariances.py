@@ -67,7 +67,8 @@ def render_covariances(
     Raises
     ------
     SarsplatError
-        As `render`; or if there are more or fewer stacks than views, or of different numbers of passes.
+        As `render`; or if there are more or fewer stacks than views, of different numbers of passes, or of
+        several polarisations.
 
     Notes
     -----
@@ -81,6 +82,12 @@ def render_covariances(
             f"there are {counted(len(stacks), 'stack')} of {shown([len(one) for one in stacks])} passes for "
             f"{counted(len(views), 'view')}; give one for each, all of the same number of passes"
         )
+    for one in stacks:
+        if len(set(one.of_channels)) > 1:
+            raise SarsplatError(
+                f"a stack has the polarisations {', '.join(one.of_channels)}, whose covariances are not known to be "
+                "alike; give the passes of one polarisation"
+            )
     covariances, _, _ = lit_covariances(gaussians, views, grid, stacks, rays=rays, shift=shift, engine=engine)
     return covariances
 

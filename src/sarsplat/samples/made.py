@@ -10,14 +10,15 @@ from typing import Self
 import msgspec
 
 from sarsplat.data.files import encode_json, open_file, read_versioned_json
-from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle, program_version
+from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.reconstruction.sampler import LEARNED, UNIFORM
 from sarsplat.samples.chip_set import Chips
+from sarsplat.version import program_version
 
 MARKER = "chips.json"
 """The file that marks a folder of chips."""
 
-SCHEMA, SCHEMA_VERSION = "sarsplat-chips", 2
+SCHEMA, SCHEMA_VERSION = "sarsplat-chips", 3
 
 
 class MadeRun(msgspec.Struct, forbid_unknown_fields=True):

@@ -12,10 +12,8 @@ from sarsplat.data import Dataset
 from sarsplat.geometry import radar_frame
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.optimiser import Optimiser
+from sarsplat.reconstruction.stack_region import of_one_direction
 from sarsplat.reconstruction.strategies.strategy import Configured, Info, State
-
-_SAME = 1.0 - 1e-4
-"""Cosine between directions that count as one: 0.8°."""
 
 
 class ElevationOnly(Configured):
@@ -29,10 +27,7 @@ class ElevationOnly(Configured):
 
     @classmethod
     def of(cls, config: Config, train: Dataset) -> Self | None:
-        if config.passes is None or not train.passes:
-            return None
-        directions = np.array([view.direction for view in train.views])
-        if (directions @ directions[0]).min() < _SAME:
+        if config.passes is None or not of_one_direction(train.views):
             return None
         return cls(radar_frame(train.views[0])[1], round(config.passes.elevation_only * config.iterations))
 

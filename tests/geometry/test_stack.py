@@ -1,0 +1,51 @@
+"""Stacks: what their channels may be, and how far they resolve elevations."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from sarsplat import SarsplatError, Stack
+
+
+def test_evenly_spaced_passes_repeat_after_as_many_resolutions_as_there_are_gaps() -> None:
+    stack = Stack(0.03, tuple(0.001 * k for k in range(8)))
+    assert stack.resolution_m == pytest.approx(0.03 / (2 * 0.007))
+    assert stack.ambiguous_elevation_m == pytest.approx(7 * stack.resolution_m, rel=0.01)
+    assert Stack(0.03, stack.offsets_rad, transmit="one").resolution_m == pytest.approx(2 * stack.resolution_m)
+
+
+def test_uneven_passes_repeat_later() -> None:
+    """A ruler of marks 0, 1, 4, 9, 11 measures each length once: phases are alike after all eleven."""
+    ruler = Stack(0.03, tuple(0.007 / 11 * mark for mark in (0, 1, 4, 9, 11)))
+    assert ruler.ambiguous_elevation_m == pytest.approx(11 * ruler.resolution_m, rel=0.01)
+
+
+def test_one_pass_resolves_nothing() -> None:
+    alone = Stack(0.03, (0.0,))
+    assert alone.resolution_m == alone.ambiguous_elevation_m == math.inf
+    assert not alone.interferometric
+
+
+def test_polarisations_tell_no_elevation() -> None:
+    assert not Stack(0.03, (0.0, 0.0), polarisations=("HH", "VV")).interferometric
+    assert not Stack(0.03, (0.0, 0.0, 0.001), polarisations=("HH", "VV", "HH")).interferometric
+    assert Stack(0.03, (0.0, 0.001), polarisations=("HH", "HH")).interferometric
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"noise": (0.1,)}, "noise is .*; give a power for each of 2 channels"),
+        ({"noise": (0.1, 0.0)}, "noise of a channel is 0.0; give a positive power"),
+        ({"noise": (0.1, math.nan)}, "noise of a channel is nan"),
+        ({"polarisations": ("HH",)}, "polarisations is .*; give one for each of 2 channels"),
+        ({"polarisations": ("HH", "XY")}, "a polarisation is 'XY'; give one of HH, HV"),
+        ({"offsets_rad": (0.0, 0.0)}, "two passes are the same"),
+        ({"offsets_rad": (0.0, 0.0), "polarisations": ("HH", "HH")}, "two passes are the same"),
+    ],
+)
+def test_what_is_refused(fields: dict[str, object], words: str) -> None:
+    with pytest.raises(SarsplatError, match=words):
+        Stack(**{"wavelength_m": 0.03, "offsets_rad": (0.0, 0.001), **fields})
