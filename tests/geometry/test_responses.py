@@ -69,6 +69,14 @@ def test_a_table_may_have_any_unit_and_side_lobes():
     assert table.reach == pytest.approx(12, rel=1e-3)
 
 
+def test_beyond_its_reach_a_response_stays_below_a_power():
+    for shape, power in ((TAYLOR, 1e-4), (UNIFORM, 1e-3), (GAUSSIAN, 1e-4)):
+        reach = shape.reach_above(power)
+        peak = shape.density(np.zeros(1))
+        assert shape.density(np.linspace(reach + 0.1, 100, 20_001)).max() < power * peak
+        assert shape.density(np.linspace(reach - 1, reach, 1001)).max() > power * peak
+
+
 def test_the_amplitude_is_the_transform_of_the_window():
     distance = np.linspace(-8, 8, 1601)
     places = (np.arange(4096) + 0.5) / 4096 - 0.5

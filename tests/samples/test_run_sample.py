@@ -100,6 +100,30 @@ def test_gaussians_smaller_than_pixels_keep_their_power(run: Run) -> None:
     assert drawn[1].mean() == pytest.approx(drawn[0].mean(), rel=0.1)
 
 
+@pytest.mark.parametrize(("row", "column"), [(0, 18), (31, 18), (16, 0), (16, 35)])
+def test_what_is_at_one_edge_is_not_seen_at_the_opposite_one(run: Run, row: int, column: int) -> None:
+    """As on a grid that goes on beyond both: the response of a bright point ends there, side lobes included."""
+    assert run.model is not None
+    draw = Sampler(run.model, 0, run.grid, "learned", "response", math.inf)
+    point = np.zeros((32, 36), np.float32)
+    point[row, column] = 1
+    draw._powers = lambda *_: (point, np.zeros_like(point))  # type: ignore[method-assign]
+    seen = np.mean([np.abs(draw(VIEW, seed)) ** 2 for seed in range(20)], 0)
+    opposite = seen[31 - row] if column == 18 else seen[:, 35 - column]
+    assert np.unravel_index(seen.argmax(), seen.shape) == (row, column)
+    assert opposite.max() < seen.max() / 255**2
+
+
+def test_nothing_darkens_towards_the_edges(run: Run) -> None:
+    assert run.model is not None
+    draw = Sampler(run.model, 0, run.grid, "learned", "response", math.inf)
+    level = np.full((32, 36), 3.0, np.float32)
+    draw._powers = lambda *_: (level, np.zeros_like(level))  # type: ignore[method-assign]
+    seen = np.mean([np.abs(draw(VIEW, seed)) ** 2 for seed in range(200)], 0)
+    for edge in (seen[0], seen[-1], seen[:, 0], seen[:, -1]):
+        assert edge.mean() == pytest.approx(3, rel=0.06)
+
+
 def test_gains_and_shifts_are_drawn_as_they_were_found(run: Run) -> None:
     """Gains by e^±0.4 and shifts by ±0.1 m, as the fixture has it."""
     chance, model = np.random.default_rng(0), run.model

@@ -9,6 +9,7 @@ from typing import get_args
 import numpy as np
 import torch
 from jaxtyping import Complex64, Float, Float32
+from scipy.fft import next_fast_len
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError, shown
@@ -31,6 +32,9 @@ _FINEST = 5
 
 _SHARP = 0.05
 """Width of a response that can be neglected, pixels."""
+
+_UNSEEN = 255.0**-2
+"""Power relative to the brightest that 8 bits do not show: beyond where a response falls below, it is neglected."""
 
 _NO_TARGET = 1e-3
 """Share of the target in a pixel's power below which it does not count."""
@@ -87,7 +91,8 @@ class Sampler:
             self._scene, self._ground = model.scene(degree), model.ground()
         self._parts = _divided(grid, self._scene) if speckle == "response" else 1
         self._grid = _finer(grid, self._parts)
-        self._response = ResponseSpeckle(self._grid)
+        self._margins, wider = _widened(self._grid)
+        self._response = ResponseSpeckle(wider)
         self._shape = scatterers / self._response.pixels
         if isinstance(ground, str) and ground == LEARNED:
             return
@@ -117,16 +122,23 @@ class Sampler:
         return amplitude * white_speckle(amplitude.shape, chance)
 
     def _through_the_response(self, shot: Shot, chance: np.random.Generator) -> Complex64[np.ndarray, "rows columns"]:
-        """Scatterers with phases of their own, imaged; of a target they are few, and some are much the brightest."""
+        """Scatterers with phases of their own, imaged; of a target they are few, and some are much the brightest.
+
+        Applied by FFT, the response goes on across opposite edges; between them lies a margin in which what is at each
+        is mirrored, so that the image neither darkens there nor shows what is at the other side.
+        """
         sharp = (_SHARP * shot.grid.spacing_m[0], _SHARP * shot.grid.spacing_m[1])
-        power, share = self._powers(shot, replace(shot.grid, resolution_m=sharp), chance)
+        inside = self._powers(shot, replace(shot.grid, resolution_m=sharp), chance)
+        power, share = (np.pad(some, self._margins, mode="symmetric") for some in inside)
         target = share > _NO_TARGET
         if math.isfinite(self._shape):
             drawn = chance.standard_gamma(self._shape, int(target.sum()), np.float32) / np.float32(self._shape)
             power[target] *= 1 + share[target] * (drawn - 1)
         imaged = self._response.seen(np.sqrt(power) * white_speckle(power.shape, chance))
+        (top, _), (left, _) = self._margins
+        rows, columns = self._grid.rows, self._grid.columns
         middle = slice(self._parts // 2, None, self._parts)
-        return np.ascontiguousarray(imaged[middle, middle])
+        return np.ascontiguousarray(imaged[top : top + rows, left : left + columns][middle, middle])
 
     @torch.no_grad()
     def _powers(
@@ -187,6 +199,22 @@ def _finer(grid: ImageGrid, parts: int) -> ImageGrid:
     """The same image in pixels so many times as fine, of which those in the middle are the grid's."""
     azimuth, slant_range = (spacing / parts for spacing in grid.spacing_m)
     return replace(grid, rows=parts * grid.rows, columns=parts * grid.columns, spacing_m=(azimuth, slant_range))
+
+
+def _widened(grid: ImageGrid) -> tuple[list[tuple[int, int]], ImageGrid]:
+    """Pixels before and after the rows and columns, as far as the response shows anything, and the grid with them.
+
+    They are no more than the image has, beyond which its own side lobes reach over all of it.
+    """
+    reach = grid.response.reach_above(_UNSEEN)
+    margins = []
+    for count, width, spacing in zip(
+        (grid.rows, grid.columns), grid.resolution_m[::-1], grid.spacing_m[::-1], strict=True
+    ):
+        before = min(math.ceil(reach * width / spacing), count)
+        margins.append((before, next_fast_len(count + 2 * before) - count - before))
+    rows, columns = (sum(both) for both in margins)
+    return margins, replace(grid, rows=grid.rows + rows, columns=grid.columns + columns)
 
 
 def seed_of(seed: int, *place: int) -> int:

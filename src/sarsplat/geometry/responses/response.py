@@ -57,6 +57,11 @@ class Response(ABC):
         """Distance beyond which the power is zero, in 3 dB widths."""
         return float(self._lobes[0][-1])
 
+    def reach_above(self, power: float) -> float:
+        """Distance beyond which the power, relative to the peak, stays below `power`, in 3 dB widths."""
+        distance, powers, _ = self._lobes
+        return float(distance[np.flatnonzero(powers >= power)[-1]])
+
     @property
     def main_lobe(self) -> float:
         """Distance at which the main lobe ends and the side lobes begin, in 3 dB widths; infinite if there are none."""
