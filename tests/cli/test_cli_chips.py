@@ -35,7 +35,11 @@ def test_chips_in_folders_of_classes(runs: str, said: Command, refused: Command,
     for row in rows:
         assert read_pixels(out / row["path"]).shape == (24, 24)
     told = " ".join(said(f"info {out}").split())
-    assert "generated chips classes box, cone chips 3 of each of 2 runs, seed 0" in told
+    assert "6 generated chips class box 3 chips class cone 3 chips size 24 × 24 pixels of 0.2 m × 0.2 m" in told
+    assert "grazing 14.5° to 15.5° drawn with speckle response, ground learned, scatterers 2.5, seed 0" in told
+    command = told.partition("import with: ")[2]
+    assert "--near bottom --quantity amplitude --class box" in command
+    said(f"{command.partition('sarsplat ')[2].rpartition(' ')[0]} {tmp_path / 'back'}")
     (out / "chips.json").write_text("{}")
     assert "its schema is None" in refused(f"info {out}")
 
@@ -80,7 +84,12 @@ def test_runs_that_cannot_be_drawn_from(runs: str, refused: Command, tmp_path: P
 
 
 def test_stopped_it_says_how_to_go_on(
-    runs: str, said: Command, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    runs: str,
+    said: Command,
+    refused: Command,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out = tmp_path / "set"
 
@@ -92,5 +101,11 @@ def test_stopped_it_says_how_to_go_on(
         assert main(f"chips {runs} --out {out} --count 1".split()) == 128 + signal.SIGINT
     assert "the same command goes on from there" in capsys.readouterr().err
     assert not out.exists()
+    told = " ".join(said(f"info {out}").split())
+    assert "set: unfinished, 2 of 2 generated chips class box 1 chip" in told
+    assert "go on with: the `sarsplat chips` command that began it" in told
+    other = refused(f"chips {runs} --out {out} --count 2")
+    assert "differs in count (1, not 2); go on with it by the command that began it" in other
+    assert "or pass --overwrite to begin anew" in other
     said(f"chips {runs} --out {out} --count 1")
     assert [path.name for path in tmp_path.iterdir()] == ["set"]

@@ -77,6 +77,22 @@ def test_eight_bits_of_decibels(tmp_path):
     np.testing.assert_allclose(made.power, POWER, rtol=0.02)
 
 
+def test_a_dataset_shows_one_class(tmp_path):
+    rows = [[f"{k}.npy", azimuth, 30, "tank" if k < 3 else "car"] for k, azimuth in enumerate(AZIMUTHS)]
+    folder = write(tmp_path / "in", POWER, rows, "file,azimuth,grazing,class")
+    made = imported(folder, target_class="tank")
+    np.testing.assert_array_equal(made.power, POWER[:3])
+    assert made.target == "tank"
+    with pytest.warns(SarsplatWarning, match="there is one training view"):
+        assert imported(folder, target_class="car", target="mine").target == "mine"
+    with pytest.raises(SarsplatError, match=r"2 classes \(tank, car\), and a dataset shows one; .* --class NAME"):
+        imported(folder)
+    with pytest.raises(SarsplatError, match="no picture of the class 'Tank'; choose one of tank, car"):
+        imported(folder, target_class="Tank")
+    with pytest.raises(SarsplatError, match="has no column of classes to choose 'tank' from; name it with --columns"):
+        imported(write(tmp_path / "plain", POWER), target_class="tank")
+
+
 @pytest.mark.parametrize(("near", "turns"), [("top", 0), ("left", 1), ("bottom", 2), ("right", 3)])
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_orientation(tmp_path, near, turns, mirrored):

@@ -72,10 +72,14 @@ def test_splits_angles_and_order(chips):
 def test_training_chips_are_distinct_and_limited(chips):
     dataset = run(chips, train_views=8)
     assert sorted(target_az(dataset.select("train"))) == sorted(row[3] for row in ROWS[:8])
-    for count in (0, 9):
-        with pytest.raises(SarsplatError, match=f"{count} training views asked for, but there are 8 chips at 17°; ask"):
+    for count, remedy in ((0, "to 8$"), (9, "to 8, or add 15 to --train-depression$")):
+        said = f"{count} training views asked for, but there are 8 chips at 17°; ask for 1 {remedy}"
+        with pytest.raises(SarsplatError, match=said):
             run(chips, train_views=count, overwrite=True)
-    with pytest.raises(SarsplatError, match="no chips at the training depression of 30°; choose one of 15°, 17°"):
+    said = (
+        "no chips at the training depression of 30°, but 2 at 15° and 8 at 17°; choose among them with --train-depress"
+    )
+    with pytest.raises(SarsplatError, match=said):
         run(chips, train_depression=30, overwrite=True)
     with pytest.warns(SarsplatWarning, match="leave a gap of 270° in azimuth, from 350° clockwise to 260°"):
         assert run(chips, train_views=2, train_depression=15, overwrite=True).splits() == ("train", "test-17")

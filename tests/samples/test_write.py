@@ -56,6 +56,17 @@ def test_pictures_are_read_back(run: Run, tmp_path: Path, format: str, quantity:
     assert back.power[1] / back.power[1].max() == pytest.approx(power, abs=0.01)
 
 
+def test_a_folder_of_several_classes_is_imported_class_by_class(folders: list[Path], tmp_path: Path) -> None:
+    write_chips(chips(folders, count=3, format="npy"), tmp_path / "set")
+    with pytest.raises(
+        SarsplatError, match=r"pictures of 2 classes \(box, T-72__a_\), .*; choose it with --class NAME"
+    ):
+        import_folder(tmp_path / "set", tmp_path / "back", near="bottom", quantity="amplitude")
+    back = import_folder(tmp_path / "set", tmp_path / "back", near="bottom", quantity="amplitude", target_class="box")
+    assert (len(back), back.target) == (3, "box")
+    assert {Path(entry.name).parent.name for entry in back.entries} == {"box"}
+
+
 def test_the_table_says_what_each_shows(folders: list[Path], tmp_path: Path) -> None:
     made = chips(folders, count=2)
     write_chips(made, tmp_path / "set")
@@ -115,8 +126,17 @@ def test_another_set_is_not_gone_on_with_and_not_lost(
         patch.setattr(write, "_table", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         write_chips(first, tmp_path / "set")
     other = made(1, 80) if changed == "seed" else made(0, 120)
-    with pytest.raises(SarsplatError, match="unfinished set of other runs, options or version"):
+    what = r"seed \(0, not 1\)" if changed == "seed" else "the picture of the ground"
+    with pytest.raises(SarsplatError, match=f"unfinished set that differs in {what}; go on with it"):
         write_chips(other, tmp_path / "set")
+    header = next(tmp_path.glob(".set.tmpdir/*/chips.json"))
+    text = header.read_text()
+    header.write_text(text.replace('"schema_version": 4', '"schema_version": 3'))
+    with pytest.raises(SarsplatError, match="that has a header that this version of the program does not read"):
+        write_chips(first, tmp_path / "set")
+    header.write_text(text.replace('"program": "', '"program": "0.'))
+    with pytest.raises(SarsplatError, match=r"differs in program \('0\..*', not '.*'\)"):
+        write_chips(made(0, 80), tmp_path / "set")
     write_chips(other, tmp_path / "set", overwrite=True)
     write_chips(other, tmp_path / "alone")
     assert tree(tmp_path / "set") == tree(tmp_path / "alone")

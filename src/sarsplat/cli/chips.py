@@ -84,7 +84,7 @@ def chips(
     shard
         Write WebDataset shards instead: tar files of so many chips.
     overwrite
-        Replace an existing folder of chips.
+        Replace an existing folder of chips, or an unfinished one that other options began.
     """
     from sarsplat.samples import chips as chips_of
     from sarsplat.samples import write_chips
@@ -131,7 +131,7 @@ def _between(grazing: str | None) -> tuple[float, float] | None:
 
 def _summary(made: Chips) -> str:
     many = f" of {len(made.classes)} classes" if len(made.classes) > 1 else f" of {made.classes[0]}"
-    rows, columns = made[0][0].shape[1:]
+    rows, columns = made.encoding.size(made.runs[0].grid)
     return f"{counted(len(made), 'chip')}{many}, {rows} × {columns} pixels"
 
 

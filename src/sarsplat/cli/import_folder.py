@@ -42,6 +42,9 @@ def command(
     out: Folder,
     table: OptionalFile = None,
     columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="MEANING=NAME …", help_behavior_hint="(optional)")] = (),
+    target_class: Annotated[
+        str | None, tyro.conf.arg(name="class", metavar="NAME", help_behavior_hint="(optional)")
+    ] = None,
     quantity: Annotated[Quantity | None, one_of(Quantity)] = None,
     scale: float = 1.0,
     offset: float = 0.0,
@@ -75,8 +78,10 @@ def command(
         Table (CSV) with a row for each picture; without it, the only one in the folder.
     columns
         What the table calls its columns, e.g. az=aspect,graz=elev; meanings are file, azimuth, grazing or incidence,
-        spacing, resolution (or azimuth-spacing, range-spacing …), split, azimuth-std, look (left or right), scale and
-        offset. The usual names are recognised without it.
+        spacing, resolution (or azimuth-spacing, range-spacing …), split, azimuth-std, class, look (left or right),
+        scale and offset. The usual names are recognised without it.
+    target_class
+        Take only the pictures of this class, if the table has a column of classes.
     quantity
         What scale · pixel + offset is; without it, complex numbers are complex amplitude, whole numbers amplitude.
     scale
@@ -106,7 +111,7 @@ def command(
         Number of training views, evenly chosen; the others are test views. Without it, the column split decides, or all
         are training views.
     target
-        What is shown; without it, the folder's name.
+        What is shown; without it, the pictures' class, or else the folder's name.
     calibrated
         The power is β⁰ itself, not only up to a factor.
     looks
@@ -130,6 +135,7 @@ def command(
         doing=f"reading pictures from {folder}",
         table=table,
         columns=_named(columns),
+        target_class=target_class,
         quantity=quantity,
         scale=scale,
         offset=offset,
@@ -194,13 +200,18 @@ def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:
     lacking = [meaning for meaning in ("file", "azimuth") if meaning not in columns]
     if lacking:
         facts["missing"] = f"which column is the {' and which the '.join(lacking)}; it has {', '.join(table.columns)}"
-    command = _command(contents.path, columns, lacking)
+    classes = dict.fromkeys(row[columns["class"]] for _, row in table.rows) if "class" in columns else {}
+    if len(classes) > 1:
+        facts["classes"] = ", ".join(classes)
+    command = _command(contents.path, columns, lacking, next(iter(classes)) if len(classes) > 1 else None)
     certainty = 1.0 if not lacking else 0.2 if columns else _LEAST_CERTAIN
     return Recognised(f"pictures with a table{'' if lacking else ' of their angles'}", facts, command, certainty)
 
 
-def _command(folder: Path, columns: Columns, lacking: list[str]) -> str:
+def _command(folder: Path, columns: Columns, lacking: list[str], target_class: str | None) -> str:
     words = ["folder", str(folder)]
+    if target_class is not None:
+        words += ["--class", target_class]
     if lacking:
         words += ["--columns", ",".join(f"{meaning}=NAME" for meaning in lacking)]
     if "grazing" not in columns and "incidence" not in columns:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +10,7 @@ import tyro
 from sarsplat.cli import console
 from sarsplat.cli.arguments import OptionalFile
 from sarsplat.cli.importers import recognised
+from sarsplat.cli.info_chips import chips_in, describe_chips
 from sarsplat.cli.info_dataset import describe_dataset
 from sarsplat.cli.info_folder import describe_contents
 from sarsplat.errors import SarsplatError, counted
@@ -18,7 +18,7 @@ from sarsplat.errors import SarsplatError, counted
 if TYPE_CHECKING:
     import numpy as np
 
-_MARKERS = ("config.json", "contact-sheet.png", "chips.json")
+_MARKERS = ("config.json", "contact-sheet.png")
 """Of folders that we make, besides datasets."""
 
 _UNDERSTOOD = (
@@ -39,6 +39,9 @@ def info(
     plot
         For a dataset: also draw its views on the sky, to a .png or .svg file, which is replaced if it exists.
     """
+    if plot is None and (place := chips_in(path)) is not None:
+        describe_chips(path, place)
+        return
     if not path.exists():
         raise SarsplatError(f"{path} does not exist; give {_UNDERSTOOD}")
     if path.is_dir() and (path / "dataset.json").is_file():
@@ -63,8 +66,6 @@ def _folder(path: Path) -> tuple[str, dict[str, str]]:
         return _run(path)
     if (path / "contact-sheet.png").is_file():
         return _renderings(path)
-    if (path / "chips.json").is_file():
-        return _chips(path)
     _refuse_part(path)
     raise SarsplatError(
         f"{path} is a folder but neither a dataset nor a run, and there are no images in it; give {_UNDERSTOOD}"
@@ -136,22 +137,6 @@ def _renderings(path: Path) -> tuple[str, dict[str, str]]:
         )
     rows = {"images": f"{images[0].stem} … {images[-1].stem}, degrees", "pixels": _tiff(images[0])[1]["pixels"]}
     return f"{counted(len(images), 'rendered image')}, β⁰ in linear power (TIFF) and decibels (PNG)", rows
-
-
-def _chips(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.samples.made import Made
-
-    made = Made.read(path)
-    rows = {
-        "classes": ", ".join(dict.fromkeys(run.target for run in made.runs)),
-        "chips": f"{made.count:,} of each of {counted(len(made.runs), 'run')}, seed {made.seed}",
-        "pixels": f"{made.quantity}, {made.format}, scale {made.scale}, near range at the {made.near}",
-        "size": "as the runs' images" if made.crop is None else f"{made.crop} × {made.crop} pixels",
-        "drawn with": f"speckle {made.speckle}, ground {made.ground}, scatterers {made.scatterers or math.inf:g}",
-        "labels": "labels.csv",
-        "made by": f"sarsplat {made.program}",
-    }
-    return "generated chips", rows
 
 
 def _extent(points: np.ndarray) -> str:

@@ -22,6 +22,7 @@ MEANINGS: dict[str, tuple[str, ...]] = {
     "range-resolution": ("resolutionrange",),
     "split": ("set", "subset"),
     "azimuth-std": ("azstd", "azimuthuncertainty"),
+    "class": (),
     "look": ("lookside", "lookdirection"),
     "scale": (),
     "offset": (),

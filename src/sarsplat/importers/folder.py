@@ -30,6 +30,7 @@ def import_folder(
     *,
     table: str | Path | None = None,
     columns: Mapping[str, str] | None = None,
+    target_class: str | None = None,
     quantity: Quantity | None = None,
     scale: float = 1.0,
     offset: float = 0.0,
@@ -64,6 +65,8 @@ def import_folder(
     columns : mapping of str to str, optional
         What columns say → their names (see `sarsplat.importers.columns.MEANINGS`). Those not named are recognised by
         their usual names. Cells of the table take precedence over the arguments here.
+    target_class : str, optional
+        The class whose pictures are wanted, if a column says what each shows; needed if there are several.
     quantity : {"amplitude", "power", "db", "complex"}, optional
         What `scale`·pixels + `offset` is. Unless given: complex for complex pixels, amplitude for whole numbers.
     scale, offset : float
@@ -86,7 +89,7 @@ def import_folder(
     train_views : int, optional
         Number of training views, evenly chosen; the others are test views. Not if a column names the sets.
     target : str, optional
-        What is shown; unless given, the folder's name.
+        What is shown; unless given, the pictures' class, or else the folder's name.
     calibration, looks, ground
         See `Dataset`.
     terrain : Terrain, optional
@@ -99,8 +102,8 @@ def import_folder(
     Raises
     ------
     SarsplatError
-        If the table or a picture is missing, damaged or says too little, a path leads out of the folder, a number is
-        out of range, or the output exists.
+        If the table or a picture is missing, damaged or says too little, several classes are shown, a path leads out of
+        the folder, a number is out of range, or the output exists.
 
     Warns
     -----
@@ -112,6 +115,7 @@ def import_folder(
         folder,
         None if table is None else Path(table),
         columns or {},
+        target_class=target_class,
         grazing=grazing_deg is None,
         spacing=spacing_m is None,
     )
@@ -160,7 +164,7 @@ def import_folder(
     }
     dataset = dataset_of(
         images,
-        target=folder.resolve().name if target is None else target,
+        target=(listed.target or folder.resolve().name) if target is None else target,
         source=source,
         train_views=train_views,
         calibration=calibration,

@@ -17,6 +17,7 @@ their power is at least 0.001 (−30 dB) of its mean. Their phases are kept: the
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -177,16 +178,21 @@ def _training_chips(chips: list[Chip], count: int, depressions: Sequence[int]) -
         candidates = sorted((chip for chip in chips if chip.depression == depression), key=lambda chip: chip.name)
         numbers = range(first, count, len(depressions))
         if not candidates:
-            others = ", ".join(f"{value}°" for value in sorted({chip.depression for chip in chips}))
+            there = Counter(chip.depression for chip in chips)
             raise SarsplatError(
-                f"there are no chips at the training depression of {depression}°; choose one of {others}"
+                f"there are no chips at the training depression of {depression}°, but "
+                f"{' and '.join(f'{there[angle]:,} at {angle}°' for angle in sorted(there))}; choose among them with "
+                f"--train-depression {' '.join(map(str, sorted(there)))}"
             )
         if not 1 <= len(numbers) <= len(candidates):
             share = "" if len(depressions) == 1 else f"{len(numbers)} of "
             are, most = "is" if len(candidates) == 1 else "are", len(candidates) * len(depressions)
+            others = sorted({chip.depression for chip in chips} - set(depressions))
+            more = others and len(numbers) > len(candidates)
+            also = f", or add {' or '.join(map(str, others))} to --train-depression" if more else ""
             raise SarsplatError(
                 f"{share}{counted(count, 'training view')} asked for, but there {are} "
-                f"{counted(len(candidates), 'chip')} at {depression}°; ask for {len(depressions)} to {most}"
+                f"{counted(len(candidates), 'chip')} at {depression}°; ask for {len(depressions)} to {most}{also}"
             )
         nearest = nearest_to([chip.target_az_deg for chip in candidates], [k * 360 / count for k in numbers])
         chosen |= {k: candidates[i] for k, i in zip(numbers, nearest, strict=True)}

@@ -46,22 +46,30 @@ class PictureTable:
 
     path: Path
     columns: Columns
+    target: str | None
+    """The class that all of them show; None where no column says it."""
     pictures: tuple[ListedPicture, ...]
 
 
 def read_picture_table(
-    folder: Path, path: Path | None, named: Mapping[str, str], *, grazing: bool = True, spacing: bool = True
+    folder: Path,
+    path: Path | None,
+    named: Mapping[str, str],
+    *,
+    target_class: str | None = None,
+    grazing: bool = True,
+    spacing: bool = True,
 ) -> PictureTable:
     """Read a table (None: the only one in the folder) and find its pictures, in subfolders or not.
 
-    `named` is that of `chosen_columns`; `grazing` and `spacing` say whether the table must have columns of these. Rows
-    without a picture and pictures without a row are warned of.
+    `named` is that of `chosen_columns`; `target_class` is the one whose pictures are wanted; `grazing` and `spacing`
+    say whether the table must have columns of these. Rows without a picture and pictures without a row are warned of.
 
     Raises
     ------
     SarsplatError
         If the table is missing, damaged or lacks a column, names a file twice, none that exists or one outside the
-        folder, or a cell is not what its column should hold.
+        folder, several classes are in it of which none is chosen, or a cell is not what its column should hold.
     """
     inside = files_in(folder, "the pictures")
     table = read_table(_the_table(folder, inside) if path is None else path, "a table with a row for each picture")
@@ -74,10 +82,39 @@ def read_picture_table(
             raise SarsplatError(
                 f"{table.path} has two rows for {shown(row[1][column])}, lines {first[0]} and {row[0]}; remove one"
             )
-    pictures = {path for path in inside if path.suffix.lower() in PICTURE_ENDINGS}
-    if unlisted := len(pictures - set(row_of)):
+    every = {path for path in inside if path.suffix.lower() in PICTURE_ENDINGS}
+    if unlisted := len(every - set(row_of)):
         warn_caller(f"{table.path} has no row for {counted(unlisted, 'picture')} in {folder}, which are left out")
-    return PictureTable(table.path, columns, tuple(_listed(table, row, columns, at) for at, row in row_of.items()))
+    target = _one_class(table, columns, target_class, list(row_of.values()))
+    pictures = (
+        _listed(table, row, columns, at)
+        for at, row in row_of.items()
+        if target is None or row[1][columns["class"]] == target
+    )
+    return PictureTable(table.path, columns, target, tuple(pictures))
+
+
+def _one_class(table: CsvTable, columns: Columns, wanted: str | None, rows: list[Row]) -> str | None:
+    """The class whose pictures are taken: a dataset shows one target."""
+    if "class" not in columns:
+        if wanted is not None:
+            raise SarsplatError(
+                f"{table.path} has no column of classes to choose {shown(wanted)} from; name it with --columns "
+                "class=NAME, or leave out --class"
+            )
+        return None
+    classes = list(dict.fromkeys(row[1][columns["class"]] for row in rows))
+    if wanted in classes:
+        return wanted
+    names = ", ".join(name if name and name.isprintable() else shown(name) for name in classes[:20])
+    if wanted is not None:
+        raise SarsplatError(f"{table.path} has no picture of the class {shown(wanted)}; choose one of {names}")
+    if len(classes) > 1:
+        raise SarsplatError(
+            f"{table.path} has pictures of {len(classes)} classes ({names}), and a dataset shows one; choose it with "
+            "--class NAME"
+        )
+    return classes[0] or None
 
 
 def _the_table(folder: Path, files: list[Path]) -> Path:

@@ -84,6 +84,12 @@ class Encoding:
                 f"{min(grid.rows, grid.columns)}"
             )
 
+    def size(self, grid: ImageGrid) -> tuple[int, int]:
+        """Rows and columns of the chips of images on a grid."""
+        if self.crop is not None:
+            return self.crop, self.crop
+        return (grid.rows, grid.columns) if self.near in ("top", "bottom") else (grid.columns, grid.rows)
+
     def encoded(self, sample: Complex64[np.ndarray, "rows columns"], brightest: float) -> bytes:
         """The file of a sample; `brightest` is the power that is white if all chips have one scale."""
         pixels = self._pixels(sample, brightest)

@@ -10,6 +10,7 @@ from typing import Self
 import msgspec
 
 from sarsplat.data.files import encode_json, open_file, read_versioned_json
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.reconstruction.sampler import LEARNED, UNIFORM
 from sarsplat.samples.chip_set import Chips
@@ -18,7 +19,15 @@ from sarsplat.version import program_version
 MARKER = "chips.json"
 """The file that marks a folder of chips."""
 
-SCHEMA, SCHEMA_VERSION = "sarsplat-chips", 3
+SCHEMA, SCHEMA_VERSION = "sarsplat-chips", 4
+
+_CALLED = {
+    "runs": "runs",
+    "ground_digest": "the picture of the ground",
+    "azimuths_deg": "azimuths",
+    "grazing_deg": "grazing angles",
+}
+"""Fields with values that nobody would compare, in words."""
 
 
 class MadeRun(msgspec.Struct, forbid_unknown_fields=True):
@@ -54,11 +63,15 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
     crop: int | None
     near: Side
     shard: int | None
+    pixels: tuple[int, int]
+    """Rows and columns of each file."""
+    spacing_m: tuple[float, float]
+    """Azimuth, range."""
 
     @classmethod
     def of(cls, chips: Chips, shard: int | None) -> Self:
         """Of a set that is written in shards of so many chips, or chip by chip."""
-        how = chips.encoding
+        how, grid = chips.encoding, chips.runs[0].grid
         return cls(
             schema=SCHEMA,
             schema_version=SCHEMA_VERSION,
@@ -82,6 +95,8 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
             crop=how.crop,
             near=how.near,
             shard=shard,
+            pixels=how.size(grid),
+            spacing_m=grid.spacing_m,
         )
 
     @classmethod
@@ -89,6 +104,18 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
         """That of a folder; a SarsplatError if it is not one of ours."""
         remedy = "give a folder that `sarsplat chips` has written"
         return read_versioned_json(folder / MARKER, cls, schema=SCHEMA, version=SCHEMA_VERSION, remedy=remedy)
+
+    def unlike(self, folder: Path) -> str:
+        """What is different about the set in another folder, for a sentence: names, and values that are short."""
+        try:
+            other = Made.read(folder)
+        except SarsplatError:
+            return "has a header that this version of the program does not read"
+        words = []
+        for name, mine in msgspec.structs.asdict(self).items():
+            if (theirs := getattr(other, name)) != mine:
+                words.append(_CALLED.get(name) or f"{name} ({shown(theirs)}, not {shown(mine)})")
+        return f"differs in {', '.join(words)}"
 
     def encoded(self, path: Path) -> bytes:
         """As the file holds it; `path` is what an error names."""

@@ -59,14 +59,15 @@ def write_chips(
     if shard is not None and shard < 1:
         raise SarsplatError(f"shard is {shard}; give at least one chip for each file")
     out = Path(out)
-    made = Made.of(chips, shard).encoded(out / MARKER)
+    header = Made.of(chips, shard)
+    made = header.encoded(out / MARKER)
 
     def goes_on(folder: Path) -> bool:
         begun = (folder / MARKER).read_bytes() if (folder / MARKER).is_file() else b""
         if begun not in (b"", made) and not overwrite:
             raise SarsplatError(
-                f"{out} has an unfinished set of other runs, options or version of the program; go on with that by the "
-                "same command, give another folder, or --overwrite to begin anew"
+                f"{out} is an unfinished set that {header.unlike(folder)}; go on with it by the command that began it, "
+                "choose another name, or pass overwrite=True to begin anew"
             )
         return begun == made
 
