@@ -81,6 +81,33 @@ def test_heights_are_those_of_roof_and_ground(run):
     assert abs(np.median(roof[:, 2]) - 5.0) < 0.25
 
 
+def test_a_run_renders_its_covariances_with_noise(run, stacks):
+    found = run.render_covariances(stacks.views, stacks.stacks)
+    assert found.shape == (1, 6, 6, GRID.rows, GRID.columns)
+    np.testing.assert_allclose(found[:, 2, 2].real, run.render(stacks.views), rtol=0.03, atol=0.002)
+    without = run.snapshot.unit * render_covariances(run.gaussians, [VIEW], GRID, stacks.stacks[0]).numpy()
+    noise = (found - without)[0].mean((2, 3))
+    np.testing.assert_allclose(noise, NOISE * np.eye(6), atol=2e-3)
+    measured = stacks.signal[0, 4] * stacks.signal[0, 3].conj()
+    assert abs(np.angle((measured * found[0, 4, 3].conj()).sum())) < 0.1
+    other = run.render_covariances([View(20.0, 40.0)] * 2, Stack(0.031, (0.0, 0.001)), ImageGrid(9, 8, (1, 1), (1, 1)))
+    assert other.shape == (2, 2, 2, 9, 8)
+    with pytest.raises(SarsplatError, match=r"2 stacks of .* passes for 1 view"):
+        run.render_covariances([VIEW], [stacks.stacks[0]] * 2)
+
+
+@pytest.mark.filterwarnings("ignore:there is one training view")
+def test_a_run_of_power_alone_has_no_covariances(stacks):
+    few = replace(preset("speckled"), iterations=1, fewest_gaussians=10)
+    alone = reconstruct(stacks, few, quiet=True)
+    with pytest.raises(SarsplatError, match="has not learned phases, so it has no covariances"):
+        alone.render_covariances([VIEW], stacks.stacks)
+    own = Run.from_gaussians(alone.gaussians, GRID)
+    np.testing.assert_allclose(
+        own.render_covariances([VIEW], stacks.stacks)[:, 0, 0].real, own.render([VIEW]), rtol=5e-3, atol=1e-4
+    )
+
+
 def test_centres_move_in_elevation_alone(run, stacks):
     still = replace(run.config, relocation=replace(run.config.relocation, rounds=0))
     started, moved = (

@@ -13,7 +13,7 @@ from jaxtyping import Complex64, Float32, Float64, UInt8
 
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.names import Speckle
 from sarsplat.reconstruction.config import AnyConfig
 
@@ -160,6 +160,15 @@ class Reconstruction(ABC):
     @abstractmethod
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
         """β⁰ of any views, linear power, on its grid or another one: see `Run.render`."""
+
+    def covariances(
+        self, views: Sequence[View], stacks: Sequence[Stack], grid: ImageGrid | None = None
+    ) -> Complex64[np.ndarray, "v p p rows columns"]:
+        """Covariances between passes: see `Run.render_covariances`; refused by methods that know of power alone."""
+        raise SarsplatError(
+            "this run has not learned phases, so it has no covariances between passes; give one that sar-gs has "
+            "learned from interferometric stacks (preset stack)"
+        )
 
     def sampler(self, ground: str | Float32[np.ndarray, "r c"], speckle: Speckle, scatterers: float) -> DrawsSamples:
         """What draws single images (see `Run.sample`); refused by methods that know only what is expected of them."""

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Complex64, Float32, Float64, UInt8
 
 from sarsplat.data import Dataset, write_gaussians_ply
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.gaussians import Gaussians
-from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.geometry import ImageGrid, RayGrid, Stack, View
 from sarsplat.names import Speckle
 from sarsplat.reconstruction.config import DEFAULT_METHOD, OWN_LOOP, Config, FlatGround
 from sarsplat.reconstruction.losses import LOSSES
@@ -140,6 +140,20 @@ class GaussianReconstruction(Reconstruction):
             images[done : done + len(some)] = channel_of(some, self.model.power_channel).cpu().numpy()
             done += len(some)
         return images
+
+    def covariances(
+        self, views: Sequence[View], stacks: Sequence[Stack], grid: ImageGrid | None = None
+    ) -> Complex64[np.ndarray, "v p p rows columns"]:
+        """With what was learned of noise; refused where ground or the like was learned, which only power shows."""
+        if self.config.passes is None and self.config.preset != OWN_LOOP:
+            return super().covariances(views, stacks, grid)
+        rays = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL)
+        with torch.no_grad():
+            found = [  # one at a time: those of many passes are large
+                self.model.covariances([view], [stack], grid or self.grid, self._degree, rays=rays)[0].cpu().numpy()
+                for view, stack in zip(views, stacks, strict=True)
+            ]
+        return np.concatenate(found)
 
     def sampler(self, ground: str | Float32[np.ndarray, "r c"], speckle: Speckle, scatterers: float) -> Sampler:
         """Refused if it has learned nothing of speckle."""

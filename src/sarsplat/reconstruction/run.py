@@ -26,7 +26,7 @@ from sarsplat.data.dataset_folder import HEADER as DATASET_HEADER
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.gaussians import Gaussians
-from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.names import Speckle
 from sarsplat.reconstruction.config import DEFAULT_METHOD, OWN_LOOP, SCATTERERS
 from sarsplat.reconstruction.device import device_named
@@ -45,6 +45,7 @@ from sarsplat.reconstruction.run_folder import (
     require_replaceable,
 )
 from sarsplat.reconstruction.snapshot import Snapshot
+from sarsplat.renderer.covariances import stacks_of
 
 if TYPE_CHECKING:
     import trimesh
@@ -156,6 +157,35 @@ class Run:
             If the grid is finer than the training images.
         """
         return self.reconstruction.render(views, grid)
+
+    @checks_arguments
+    def render_covariances(
+        self, views: Sequence[View], stack: Stack | Sequence[Stack], grid: ImageGrid | None = None
+    ) -> Complex64[np.ndarray, "v p p rows columns"]:
+        """Expected covariances E[y_i y_j*] between the passes of stacks around any views.
+
+        Parameters
+        ----------
+        views : sequence of View
+            V views, at least one.
+        stack : Stack or sequence of Stack
+            P passes, around every view or around each its own; not only those it was learned from.
+        grid : ImageGrid, optional
+            Pixels and resolution; its own if omitted.
+
+        Returns
+        -------
+        numpy.ndarray, complex64 [V, P, P, rows, columns]
+            Hermitian; phases are not deramped (`Stack.plane_phases`). On the diagonal is β⁰ with noise, the mean of all
+            passes that it was learned from; other than those of `sarsplat.render_covariances`, which have none.
+
+        Raises
+        ------
+        SarsplatError
+            If it was not learned from interferometric stacks, there are no views, there are more or fewer stacks than
+            views, of different numbers of passes, or of several polarisations.
+        """
+        return self.reconstruction.covariances(views, stacks_of(views, stack), grid)
 
     @checks_arguments
     def sample(

@@ -76,6 +76,13 @@ def render_covariances(
     of them away, and of the mean phase of a volume what that share has; here it is made up for, so that powers are by
     that share above those of `render`.
     """
+    stacks = stacks_of(views, stack)
+    covariances, _, _ = lit_covariances(gaussians, views, grid, stacks, rays=rays, shift=shift, engine=engine)
+    return covariances
+
+
+def stacks_of(views: Sequence[View], stack: Stack | Sequence[Stack]) -> list[Stack]:
+    """The stack of each view; refused if their covariances cannot be rendered together (`render_covariances`)."""
     stacks = [stack] * len(views) if isinstance(stack, Stack) else [*stack]
     if len(stacks) != len(views) or len({len(one) for one in stacks}) != 1:
         raise SarsplatError(
@@ -88,8 +95,7 @@ def render_covariances(
                 f"a stack has the polarisations {', '.join(one.of_channels)}, whose covariances are not known to be "
                 "alike; give the passes of one polarisation"
             )
-    covariances, _, _ = lit_covariances(gaussians, views, grid, stacks, rays=rays, shift=shift, engine=engine)
-    return covariances
+    return stacks
 
 
 def lit_covariances(

@@ -44,9 +44,9 @@ class PassNoise(Part):
     def covariances(
         self, covariances: Complex[Tensor, "v p p h w"], shot: Shot, p: Parameters
     ) -> Complex[Tensor, "v p p h w"]:
-        """It is added to the diagonal."""
+        """It is added to the diagonal; of unseen images the mean over all passes, as to those."""
         noise = self.of_passes(p)
-        noise = noise if shot.numbers is None else noise[shot.numbers]
+        noise = noise.mean().expand(1, covariances.shape[1]) if shot.numbers is None else noise[shot.numbers]
         return covariances + torch.diag_embed(noise).to(covariances.dtype)[..., None, None]
 
     @property
