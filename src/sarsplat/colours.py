@@ -46,6 +46,9 @@ INCIDENCE, SPREAD = "cividis", "inferno"
 PHASE = "twilight"
 """Phases: the colours of −π and π are the same."""
 
+COHERENCE = "viridis"
+"""Coherence, from 0 to 1."""
+
 TOO_DARK, TOO_BRIGHT = "#8f6be0", "#e66101"
 DIFFERENCE_IN_WORDS = "orange: too bright, purple: too dark"
 

@@ -20,8 +20,11 @@ from sarsplat.reconstruction import Run
 from sarsplat.report.boards import mesh_boards, point_boards
 from sarsplat.report.curves import azimuths_figure, curves_figure
 from sarsplat.report.figure import Figure
+from sarsplat.report.layover import brightest_layover
 from sarsplat.report.masks import masks_figure
 from sarsplat.report.page import page
+from sarsplat.report.phases import phases_figure, window_of
+from sarsplat.report.tomography import slice_figure
 from sarsplat.report.views import chosen_views, unseen_figure
 from sarsplat.report.widget import Widget, widget
 
@@ -71,6 +74,7 @@ def _html(run: Run, quiet: bool) -> bytes:
     figures, turning = list[Figure](), list[Widget | None]()
     parts: dict[str, Callable[[], object]] = {
         "unseen views": lambda: figures.append(unseen_figure(run, chosen)),
+        "stacks": lambda: figures.extend(_stacks(run)),
         "masks": lambda: figures.extend(_masks(run)),
         "points": lambda: figures.append(_points(run)),
         "mesh": lambda: figures.extend(_mesh(run)),
@@ -123,6 +127,20 @@ def _masks(run: Run) -> list[Figure]:
     folder = None if (metrics := run.metrics) is None else metrics.get("masks")
     drawn = None if folder is None else masks_figure(run, Path(folder))
     return [] if drawn is None else [drawn]
+
+
+def _stacks(run: Run) -> list[Figure]:
+    """Of runs that were learned from phases: what they are, and what is behind each other in them."""
+    if not run.dataset.interferometric:
+        return []
+    index, cut = brightest_layover(run.dataset, run.points, window_of(run))
+    try:
+        figures = [phases_figure(run, index, cut)]
+    except SarsplatError:  # it was learned from power alone
+        return []
+    truth, motion = _truth(run)
+    tomography = slice_figure(run, cut, truth if motion == _STILL else None)
+    return figures if tomography is None else [*figures, tomography]
 
 
 def _points(run: Run) -> Figure:

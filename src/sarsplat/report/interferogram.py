@@ -1,0 +1,82 @@
+"""Two passes of a stack, pixel by pixel: the phase that is not that of level ground, and the coherence."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex, Float, Float64
+from scipy.ndimage import correlate
+
+from sarsplat.geometry import Stack, View
+from sarsplat.report.images import Part
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Numbers of two passes: of what is higher, the interferogram of `first` with `second` has more phase."""
+
+    first: int
+    second: int
+    cycle_m: float
+    """Height that is one turn of the phase, m."""
+
+    @classmethod
+    def longest(cls, stack: Stack, view: View, height_m: float) -> Pair:
+        """The pair that tells heights best among those whose phase turns at most once over `height_m`.
+
+        If there is none, the pair whose phase turns least.
+        """
+        per_height = stack.elevation_numbers(view) / math.cos(math.radians(view.grazing_deg))
+        pairs = [
+            cls(
+                i, j, float(f"{2 * math.pi / (per_height[i] - per_height[j]):.6g}")
+            )  # of even passes, the first are alike
+            for i, j in itertools.permutations(range(len(stack)), 2)
+            if per_height[i] > per_height[j]
+        ]
+        unambiguous = [pair for pair in pairs if pair.cycle_m >= height_m]
+        if unambiguous:
+            return min(unambiguous, key=lambda pair: pair.cycle_m)
+        return max(pairs, key=lambda pair: pair.cycle_m)
+
+    def of_signals(
+        self, signals: Complex[np.ndarray, "p rows columns"], level: Float[np.ndarray, "p rows columns"]
+    ) -> Float64[np.ndarray, "4 rows columns"]:
+        """What `Interferogram` is made of, from the signals of all passes and the phases of level ground, rad."""
+        first, second = signals[self.first], signals[self.second]
+        return self._parts(abs(first) ** 2, abs(second) ** 2, first * second.conj(), level)
+
+    def of_covariances(
+        self, covariances: Complex[np.ndarray, "p p rows columns"], level: Float[np.ndarray, "p rows columns"]
+    ) -> Float64[np.ndarray, "4 rows columns"]:
+        """The same from covariances."""
+        i, j = self.first, self.second
+        return self._parts(covariances[i, i].real, covariances[j, j].real, covariances[i, j], level)
+
+    def _parts(self, power: np.ndarray, other: np.ndarray, product: np.ndarray, level: np.ndarray) -> np.ndarray:
+        deramped = product * np.exp(1j * (level[self.second] - level[self.first]))
+        return np.stack([power, other, deramped.real, deramped.imag]).astype(np.float64)
+
+
+@dataclass(frozen=True)
+class Interferogram:
+    """As it is shown: phase, rad, and coherence, 0 to 1."""
+
+    phase: Float64[np.ndarray, "rows columns"]
+    coherence: Float64[np.ndarray, "rows columns"]
+
+    @classmethod
+    def of(cls, parts: Float64[np.ndarray, "4 rows columns"], window: int, part: Part) -> Interferogram:
+        """From both powers and the deramped product, averaged over `window` × `window` pixels, of a part of the images.
+
+        At the edges of images means are over what there is of the window, as in training.
+        """
+        weights = np.ones((1, window, window))
+        count = correlate(np.ones_like(parts[:1]), weights, mode="constant")
+        first, second, real, imaginary = part.of_images(correlate(parts, weights, mode="constant") / count)
+        least = np.finfo(np.float64).tiny
+        coherence = np.hypot(real, imaginary) / np.sqrt(np.maximum(first * second, least))
+        return cls(np.arctan2(imaginary, real), np.clip(coherence, 0, 1))
