@@ -74,7 +74,7 @@ def _html(run: Run, quiet: bool) -> bytes:
     figures, turning = list[Figure](), list[Widget | None]()
     parts: dict[str, Callable[[], object]] = {
         "unseen views": lambda: figures.append(unseen_figure(run, chosen)),
-        "stacks": lambda: figures.extend(_stacks(run)),
+        **({"stacks": lambda: figures.extend(_stacks(run))} if run.dataset.interferometric else {}),
         "masks": lambda: figures.extend(_masks(run)),
         "points": lambda: figures.append(_points(run)),
         "mesh": lambda: figures.extend(_mesh(run)),
@@ -130,9 +130,7 @@ def _masks(run: Run) -> list[Figure]:
 
 
 def _stacks(run: Run) -> list[Figure]:
-    """Of runs that were learned from phases: what they are, and what is behind each other in them."""
-    if not run.dataset.interferometric:
-        return []
+    """What the phases of its stacks are, and what is behind each other there; none if it was learned without them."""
     index, cut = brightest_layover(run.dataset, run.points, window_of(run))
     try:
         figures = [phases_figure(run, index, cut)]
