@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 
-from sarsplat import SarsplatError, View
-from sarsplat.geometry import ImageGrid, Stack
+from sarsplat import Gaussians, Harmonics, SarsplatError, View, render_covariances
+from sarsplat.geometry import ImageGrid, Stack, radar_frame
 from sarsplat.geometry.responses import TAYLOR
 from sarsplat.scenes import ScatteringLaw, simulate_raycast, simulate_stack
 
@@ -49,6 +50,36 @@ def test_phases_are_those_of_heights() -> None:
         blurred = math.exp(-0.5 * (kappa * math.tan(math.radians(45))) ** 2 * GRID.response_variance_m2[1])
         assert np.angle(coherence) == pytest.approx(0, abs=0.02)
         assert abs(coherence) == pytest.approx(blurred, abs=0.02)
+
+
+@pytest.mark.parametrize("transmit", ["each", "one"])
+@pytest.mark.parametrize("view", [View(70.0, 30.0), View(200.0, 55.0)])
+def test_signs_are_those_of_distances_from_the_antennas(view: View, transmit: str) -> None:
+    """As docs/channels.md draws them: simulated signals, rendered covariances and distances agree, signs included."""
+    stack = Stack(0.031, (0.0, 0.0007), transmit)
+    per_metre = (4 if transmit == "each" else 2) * math.pi / 0.031
+    level, up = stack.plane_phases(view, GRID), radar_frame(view)[1]
+    far = 1e6  # m
+    antennas = [far * (view.direction + offset * up) for offset in stack.offsets_rad]
+    assert antennas[1][2] > antennas[0][2]  # a positive offset: seen higher
+    for height in (-3.0, 2.0, 5.0):
+        place = np.array([0.0, 0.0, height])
+        below = place - height / math.cos(math.radians(view.grazing_deg)) * up  # on the plane, at the same range
+        assert below[2] == pytest.approx(0)
+        farther = [math.dist(antenna, place) - math.dist(antenna, below) for antenna in antennas]
+        expected = -per_metre * (farther[1] - farther[0])
+        assert math.copysign(1, expected) == math.copysign(1, height)
+        plate = trimesh.creation.box((3.0, 3.0, 0.01))
+        plate.apply_translation(place)
+        signals = simulate_stack(plate, view, GRID, stack, LAW)
+        flat = Gaussians(
+            *(torch.tensor([row]) for row in ([0.0, 0.0, height], [1.0, 0.0, 0.0, 0.0], [0.8, 0.8, 0.01])),
+            torch.tensor([4.0]),
+            Harmonics(torch.tensor([[1.0]])),
+        )
+        for pair in (signals[1] * signals[0].conj(), render_covariances(flat, [view], GRID, stack)[0, 1, 0].numpy()):
+            deramped = (pair * np.exp(-1j * (level[1] - level[0]))).sum()
+            assert np.angle(deramped) == pytest.approx(expected, abs=0.03)
 
 
 def test_noise_is_in_each_pass_alone_and_seeds_say_all() -> None:
