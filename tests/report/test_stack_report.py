@@ -13,14 +13,12 @@ import trimesh
 from sarsplat import ImageGrid, ScatteringLaw, Stack, View, preset, reconstruct, simulate_stack, write_report
 from sarsplat.data import Dataset, DatasetEntry, write_dataset
 from sarsplat.geometry import radar_frame
-from sarsplat.report.images import Part
-from sarsplat.report.interferogram import Interferogram, Pair
+from sarsplat.report.interferogram import Interferogram, Pair, averaged
 from sarsplat.report.layover import Slice, brightest_layover
 
 VIEW, GRID = View(0.0, 45.0), ImageGrid(24, 20, (0.5, 0.6), (0.6, 0.6))
 OFFSETS = (0.0, 0.0006, 0.0012, 0.0024, 0.0048)
 STACK = Stack(0.031, OFFSETS, noise=(0.05,) * 5)
-WHOLE = Part(GRID, slice(0, 24), slice(0, 20))
 
 
 def dataset(views: tuple[View, ...] = (VIEW,)) -> Dataset:
@@ -57,7 +55,7 @@ def test_a_plane_is_coherent_and_its_phase_is_that_of_its_height(height_m: float
         pair.of_signals(signals, level),
         pair.of_covariances(signals[:, None] * signals[None].conj(), level),
     ):
-        shown = Interferogram.of(parts, 3, WHOLE)
+        shown = Interferogram.of(averaged(parts, 3))
         np.testing.assert_allclose(shown.coherence, 1.0, rtol=1e-6)
         np.testing.assert_allclose(shown.phase, 2 * math.pi * height_m / pair.cycle_m, atol=1e-3)
 
@@ -66,9 +64,9 @@ def test_what_is_not_coherent_looks_so() -> None:
     rng = np.random.default_rng(0)
     signals = rng.normal(size=(5, 24, 20)) + 1j * rng.normal(size=(5, 24, 20))
     parts = Pair(1, 0, 10.0).of_signals(signals, np.zeros((5, 24, 20)))
-    assert Interferogram.of(parts, 3, WHOLE).coherence.mean() < 0.4
-    assert Interferogram.of(parts, 11, WHOLE).coherence.mean() < 0.15
-    assert not Interferogram.of(0 * parts, 3, WHOLE).coherence.any()
+    assert Interferogram.of(averaged(parts, 3)).coherence.mean() < 0.4
+    assert Interferogram.of(averaged(parts, 11)).coherence.mean() < 0.15
+    assert not Interferogram.of(0 * parts).coherence.any()
 
 
 def test_the_slice_is_where_layover_is_bright() -> None:

@@ -11,7 +11,9 @@ from jaxtyping import Complex, Float, Float64
 from scipy.ndimage import correlate
 
 from sarsplat.geometry import Stack, View
-from sarsplat.report.images import Part
+
+_STRAYS = 0.01, 0.99
+"""Heights of points beyond these quantiles do not count."""
 
 
 @dataclass(frozen=True)
@@ -69,14 +71,22 @@ class Interferogram:
     coherence: Float64[np.ndarray, "rows columns"]
 
     @classmethod
-    def of(cls, parts: Float64[np.ndarray, "4 rows columns"], window: int, part: Part) -> Interferogram:
-        """From both powers and the deramped product, averaged over `window` × `window` pixels, of a part of the images.
-
-        At the edges of images means are over what there is of the window, as in training.
-        """
-        weights = np.ones((1, window, window))
-        count = correlate(np.ones_like(parts[:1]), weights, mode="constant")
-        first, second, real, imaginary = part.of_images(correlate(parts, weights, mode="constant") / count)
+    def of(cls, parts: Float64[np.ndarray, "4 rows columns"]) -> Interferogram:
+        """From both powers and the deramped product."""
+        first, second, real, imaginary = parts
         least = np.finfo(np.float64).tiny
         coherence = np.hypot(real, imaginary) / np.sqrt(np.maximum(first * second, least))
         return cls(np.arctan2(imaginary, real), np.clip(coherence, 0, 1))
+
+
+def averaged(parts: Float64[np.ndarray, "n rows columns"], window: int) -> Float64[np.ndarray, "n rows columns"]:
+    """Means over `window` × `window` pixels; at edges over what there is of the window, as in training."""
+    weights = np.ones((1, window, window))
+    count = correlate(np.ones_like(parts[:1]), weights, mode="constant")
+    means: Float64[np.ndarray, "n rows columns"] = correlate(parts, weights, mode="constant") / count
+    return means
+
+
+def spread_m(points: Float[np.ndarray, "p 3"]) -> float:
+    """From the lowest to the highest points, m, without strays."""
+    return float(np.ptp(np.quantile(points[:, 2], _STRAYS))) if len(points) else 0.0

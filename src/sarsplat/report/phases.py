@@ -12,15 +12,12 @@ from sarsplat.reconstruction import Run
 from sarsplat.reconstruction.config import Passes
 from sarsplat.report.figure import Block, ColourBar, Figure, Panel, colour_bar
 from sarsplat.report.images import Part, power_bar, view_name
-from sarsplat.report.interferogram import Interferogram, Pair
+from sarsplat.report.interferogram import Interferogram, Pair, averaged, spread_m
 from sarsplat.report.layover import Slice
 from sarsplat.report.raster import data_uri, indexed, png
 from sarsplat.report.window import target_window
 
 _LARGEST = 256
-_STRAYS = 0.01, 0.99
-"""Heights of points beyond these quantiles do not count."""
-
 _TURNS = ((0.0, "−π"), (0.25, "−π/2"), (0.5, "0"), (0.75, "π/2"), (1.0, "π"))
 
 
@@ -37,13 +34,13 @@ def phases_figure(run: Run, index: int, cut: Slice) -> Figure:
     dataset, window = run.dataset, window_of(run)
     view, stack, power = dataset.views[index], dataset.stacks[index], dataset.power[index]
     assert dataset.signal is not None  # of stacks
-    height_m = float(np.ptp(np.quantile(run.points[:, 2], _STRAYS))) if len(run.points) else 0.0
+    height_m = spread_m(run.points)
     pair, level = Pair.longest(stack, view, height_m), stack.plane_phases(view, dataset.grid)
     rendered = run.render_covariances([view], stack)[0]
     peak = float(dataset.images("train").max())
     part = Part.of(dataset.grid, target_window(power[None], peak, dataset.score_margin), _LARGEST)
     blocks = [
-        _block(part, name, image, Interferogram.of(parts, window, part), peak, line)
+        _block(part, name, image, Interferogram.of(part.of_images(averaged(parts, window))), peak, line)
         for name, image, parts, line in (
             ("measured", power, pair.of_signals(dataset.signal[index], level), _line(part, cut.azimuth_m)),
             ("rendered", np.trace(rendered).real / len(stack), pair.of_covariances(rendered, level), ""),

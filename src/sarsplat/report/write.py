@@ -20,11 +20,9 @@ from sarsplat.reconstruction import Run
 from sarsplat.report.boards import mesh_boards, point_boards
 from sarsplat.report.curves import azimuths_figure, curves_figure
 from sarsplat.report.figure import Figure
-from sarsplat.report.layover import brightest_layover
 from sarsplat.report.masks import masks_figure
 from sarsplat.report.page import page
-from sarsplat.report.phases import phases_figure, window_of
-from sarsplat.report.tomography import slice_figure
+from sarsplat.report.stacks import stack_figures, which_points
 from sarsplat.report.views import chosen_views, unseen_figure
 from sarsplat.report.widget import Widget, widget
 
@@ -130,15 +128,8 @@ def _masks(run: Run) -> list[Figure]:
 
 
 def _stacks(run: Run) -> list[Figure]:
-    """What the phases of its stacks are, and what is behind each other there; none if it was learned without them."""
-    index, cut = brightest_layover(run.dataset, run.points, window_of(run))
-    try:
-        figures = [phases_figure(run, index, cut)]
-    except SarsplatError:  # it was learned from power alone
-        return []
     truth, motion = _truth(run)
-    tomography = slice_figure(run, cut, truth if motion == _STILL else None)
-    return figures if tomography is None else [*figures, tomography]
+    return stack_figures(run, truth if motion == _STILL else None)
 
 
 def _points(run: Run) -> Figure:
@@ -146,7 +137,7 @@ def _points(run: Run) -> Figure:
     file, motion = _truth(run)
     clouds = {"reconstruction": motion.moved(run.points)}
     surface = None if file is None else sampled(file)
-    text = "The first returns of the training views' rays, seen from three sides"
+    text = f"{which_points(run)}, seen from three sides"
     if surface is None:
         text += "; the true surface is unknown."
     else:

@@ -13,7 +13,7 @@ from jaxtyping import UInt8
 from sarsplat.colours import DARK, LIGHT, POWER_RAMPS, Page, rgb
 from sarsplat.geometry import View
 from sarsplat.radiometry import DYNAMIC_RANGE_DB
-from sarsplat.viewer.pictures import MAPS
+from sarsplat.viewer.pictures import MAPS, PHASES
 from sarsplat.viewer.subject import Subject
 
 if TYPE_CHECKING:
@@ -157,12 +157,14 @@ class Controls:
         self.title.content = f"**{subject.title}**"
         names = tuple(cloud.name for cloud in subject.clouds)
         ways = (BY_HEIGHT, *((BY_GAMMA0,) if subject.scatters else ()), *((BY_ERROR,) if subject.knows_errors else ()))
-        for handle, options in ((self._set["cloud"], names or ("nothing",)), (self._set["coloured_by"], ways)):
+        maps = (_NO_MAP, *(MAPS if subject.surface is not None else ()), *((PHASES,) if subject.knows_phases else ()))
+        offered = {"cloud": names or ("nothing",), "coloured_by": ways, "map": maps}
+        for handle, options in ((self._set[name], options) for name, options in offered.items()):
             if tuple(handle.options) != options:
                 handle.options = options
         for handle in (self._set["cloud"], self._set["coloured_by"], self._set["point_size"], self.legend):
             handle.visible = len(names) > 0
-        self._set["map"].visible = subject.surface is not None
+        self._set["map"].visible = len(maps) > 1
         self._set["ground"].visible = self._set["shadow"].visible = subject.has_ground
 
     @property

@@ -15,6 +15,7 @@ from sarsplat.colours import (
     HEIGHT,
     INCIDENCE,
     LAYOVER,
+    PHASE,
     PICKED,
     SHADOW,
     SPREAD,
@@ -33,6 +34,9 @@ _GAP = 6  # pixels between panels
 
 MAPS = ("height", "incidence", "layover", "shadow and layover")
 """The radar maps by their names on the page."""
+
+PHASES = "phase between passes"
+"""What is offered beside them where phases were learned."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +139,12 @@ def map_panel(name: str, maps: RadarMaps, highest_m: float, cell_m: float, page:
             f'margin:0 5px 0 0"></span>{text}<br>'
         )
     return Panel("shadow and layover", classes, f'<div style="font-size:12px;margin:2px 0 6px">{legend}</div>')
+
+
+def phase_panel(phase: Float[np.ndarray, "rows columns"], cycle_m: float, page: Page) -> Panel:
+    """A phase, rad, of which one cycle is so much height."""
+    scale = Scale(f"rad; one cycle is {cycle_m:.3g} m of height", -math.pi, math.pi, PHASE, page)
+    return Panel("phase above level ground", scale.rgb(phase), scale.bar())
 
 
 class Strip:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from sarsplat.geometry import View
 from sarsplat.radar import Surface, surface_of_run
 from sarsplat.reconstruction import Run
 from sarsplat.reconstruction.model import SceneModel
+from sarsplat.report.interferogram import Interferogram, Pair, spread_m
 from sarsplat.viewer.scene import OfScene
 from sarsplat.viewer.subject import TRUTH, Cloud, Subject, at_most, dataset_subject
 
@@ -87,6 +89,25 @@ class RunSubject(Subject):
     @cached_property
     def _errors(self) -> dict[str, Float[np.ndarray, " n"]]:
         return {}
+
+    @property
+    def knows_phases(self) -> bool:  # type: ignore[override]
+        return len(self.run.snapshot.stacks) > 0
+
+    def interferogram(self, view: View) -> tuple[Interferogram, Pair]:
+        """As the passes around the nearest training view would show it."""
+        cosines = [known.direction @ view.direction for known in self.train_views]
+        stack = self.run.snapshot.stacks[int(np.argmax(cosines))]
+        pair = Pair.longest(stack, view, spread_m(self.run.points))
+        two = replace(
+            stack,
+            offsets_rad=tuple(stack.offsets_rad[k] for k in (pair.first, pair.second)),
+            polarisations=None,
+            noise=None,
+        )
+        covariances = self.run.render_covariances([view], two)[0]
+        parts = Pair(0, 1, pair.cycle_m).of_covariances(covariances, two.plane_phases(view, self.grid))
+        return Interferogram.of(parts), pair
 
     def render(self, view: View, *, ground: bool = True, shadow: bool = True) -> Float32[np.ndarray, "rows columns"]:
         return self.run.render([view])[0]

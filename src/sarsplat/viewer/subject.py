@@ -16,6 +16,7 @@ from sarsplat.geometry import ImageGrid, View
 from sarsplat.radar import Pixel, RadarMaps, Surface, radar_maps, surface_of_mesh
 from sarsplat.radar.iso_range import contributions
 from sarsplat.reconstruction.target_region import target_region
+from sarsplat.report.interferogram import Interferogram, Pair
 from sarsplat.scenes.mesh_files import read_mesh
 
 if TYPE_CHECKING:
@@ -62,6 +63,9 @@ class Subject:
 
     scatters = False
     """Whether the clouds have a γ⁰."""
+
+    knows_phases = False
+    """Whether `interferogram` can be asked."""
 
     def __init__(
         self, title: str, grid: ImageGrid, train_views: tuple[View, ...], peak: float, dataset: Dataset | None
@@ -134,6 +138,10 @@ class Subject:
 
         Without `shadow`, target and ground are each seen as if the other were not there.
         """
+        raise NotImplementedError
+
+    def interferogram(self, view: View) -> tuple[Interferogram, Pair]:
+        """What was learned of the phase of two passes from any view, and of which; asked only if `knows_phases`."""
         raise NotImplementedError
 
     # ---- why a pixel shows what it shows ----------------------------------------------------------------------------

@@ -20,7 +20,18 @@ from sarsplat.radar import Pixel
 from sarsplat.radiometry import to_db
 from sarsplat.viewer.controls import BY_ERROR, BY_GAMMA0, Choices, Controls
 from sarsplat.viewer.newest import Newest
-from sarsplat.viewer.pictures import Panel, Scale, Strip, difference_panel, heights_up_to, map_panel, power_panel
+from sarsplat.viewer.pictures import (
+    MAPS,
+    PHASES,
+    Panel,
+    Scale,
+    Strip,
+    difference_panel,
+    heights_up_to,
+    map_panel,
+    phase_panel,
+    power_panel,
+)
 from sarsplat.viewer.scene import OwnScene
 from sarsplat.viewer.server import HOST, start_server, stop_server
 from sarsplat.viewer.stage import Stage
@@ -217,7 +228,11 @@ class Viewer:
                 levels = subject.peak, choices.limits_db[0]
                 panels.append(difference_panel(rendered, power, *levels, choices.page, speckled=subject.speckled))
                 heads.append(("difference", "rendered over nearest image"))
-        if choices.map and (maps := subject.maps(view)) is not None:
+        if choices.map == PHASES and subject.knows_phases:
+            shown, pair = subject.interferogram(view)
+            panels.append(phase_panel(shown.phase, pair.cycle_m, choices.page))
+            heads.append((panels[-1].title, f"passes {pair.first + 1} and {pair.second + 1}, rendered"))
+        elif choices.map in MAPS and (maps := subject.maps(view)) is not None:
             highest_m = heights_up_to(subject.clouds[0].places_m[:, 2])
             panels.append(map_panel(choices.map, maps, highest_m, subject.grid.cell_m, choices.page))
             heads.append((panels[-1].title, here))
