@@ -123,18 +123,9 @@ class GaussianReconstruction(Reconstruction):
         return surface_mesh(points, normals, self._seen, self.grid.cell_m)
 
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
-        """β⁰ of any views, linear power.
-
-        Rays are at a quarter of its own pixel spacing on every grid: they measure how much each Gaussian is lit, which
-        has nothing to do with the pixels. Gaussians that no training of ours has made may be finer than the pixels that
-        were chosen for them.
-        """
-        grid, own = grid or self.grid, self.grid
-        if self.config.preset == OWN_LOOP:
-            own = min(own, grid, key=lambda each: min(each.spacing_m))
-        elif any(asked < 0.999 * had for asked, had in zip(grid.resolution_m, own.resolution_m, strict=True)):
-            warnings.warn(_finer(grid, own), SarsplatWarning, stacklevel=2)
-        rays = RayGrid.for_image(own, _EVALUATION_RAYS_PER_PIXEL)
+        """β⁰ of any views, linear power."""
+        grid = grid or self.grid
+        rays = self._rays(grid)
         images, done = np.empty((len(views), grid.rows, grid.columns), np.float32), 0
         for some in self.model.unseen(views, grid, self._degree, rays):
             images[done : done + len(some)] = channel_of(some, self.model.power_channel).cpu().numpy()
@@ -147,13 +138,27 @@ class GaussianReconstruction(Reconstruction):
         """With what was learned of noise; refused where ground or the like was learned, which only power shows."""
         if self.config.passes is None and self.config.preset != OWN_LOOP:
             return super().covariances(views, stacks, grid)
-        rays = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL)
+        grid = grid or self.grid
+        rays = self._rays(grid)
         with torch.no_grad():
             found = [  # one at a time: those of many passes are large
-                self.model.covariances([view], [stack], grid or self.grid, self._degree, rays=rays)[0].cpu().numpy()
+                self.model.covariances([view], [stack], grid, self._degree, rays=rays)[0].cpu().numpy()
                 for view, stack in zip(views, stacks, strict=True)
             ]
         return np.concatenate(found)
+
+    def _rays(self, grid: ImageGrid) -> RayGrid:
+        """At a quarter of its own pixel spacing on every grid; warns of grids that are finer than its own.
+
+        Rays measure how much each Gaussian is lit, which has nothing to do with the pixels. Gaussians that no training
+        of ours has made may be finer than the pixels that were chosen for them.
+        """
+        own = self.grid
+        if self.config.preset == OWN_LOOP:
+            own = min(own, grid, key=lambda each: min(each.spacing_m))
+        elif any(asked < 0.999 * had for asked, had in zip(grid.resolution_m, own.resolution_m, strict=True)):
+            warnings.warn(_finer(grid, own), SarsplatWarning, stacklevel=3)
+        return RayGrid.for_image(own, _EVALUATION_RAYS_PER_PIXEL)
 
     def sampler(self, ground: str | Float32[np.ndarray, "r c"], speckle: Speckle, scatterers: float) -> Sampler:
         """Refused if it has learned nothing of speckle."""

@@ -184,6 +184,11 @@ class Run:
         SarsplatError
             If it was not learned from interferometric stacks, there are no views, there are more or fewer stacks than
             views, of different numbers of passes, or of several polarisations.
+
+        Warns
+        -----
+        SarsplatWarning
+            As `render`.
         """
         return self.reconstruction.covariances(views, stacks_of(views, stack), grid)
 
