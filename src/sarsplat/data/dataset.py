@@ -305,6 +305,11 @@ class Dataset:
         """Whether its images are stacks whose phases tell elevations."""
         return bool(self.passes) and all(stack.interferometric for stack in self.stacks)
 
+    @property
+    def polarimetric(self) -> bool:
+        """Whether its images are stacks of several polarisations."""
+        return bool(self.passes) and all(stack.polarimetric for stack in self.stacks)
+
     def splits(self) -> tuple[str, ...]:
         """Names of the sets it holds, in order of first appearance."""
         return tuple(dict.fromkeys(entry.split for entry in self.entries))

@@ -4,6 +4,7 @@ from sarsplat.gaussians.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.gaussians.law_harmonics import Harmonics
 from sarsplat.gaussians.law_normal_lobes import NormalLobes
+from sarsplat.gaussians.law_polarimetric import Polarimetric
 from sarsplat.gaussians.scattering import Scattering, register_scattering, scattering_named
 from sarsplat.names import SCATTERINGS
 
@@ -15,6 +16,7 @@ __all__ = [
     "Ground",
     "Harmonics",
     "NormalLobes",
+    "Polarimetric",
     "Scattering",
     "register_scattering",
     "scattering_named",

@@ -108,6 +108,10 @@ class Scattering(ABC):
         """The law with no more detail than `degree`, 0 to 3: a training adds it by and by; most laws have none."""
         return self
 
+    def for_polarisations(self, polarisations: tuple[str, ...]) -> Self:
+        """The law, at its start, for images in these polarisations, two or more; most laws know one."""
+        return self
+
     def settings(self) -> dict[str, Any]:
         """What is not learned, by name; with `kind` and the parameters it makes the same law again."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "parameters"}

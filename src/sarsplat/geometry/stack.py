@@ -126,6 +126,11 @@ class Stack:
         return len(set(self.offsets_rad)) > 1 and len(set(self.of_channels)) == 1
 
     @property
+    def polarimetric(self) -> bool:
+        """Whether it has several polarisations."""
+        return len(set(self.of_channels)) > 1
+
+    @property
     def wavenumber(self) -> float:
         """k: phase per distance from the antenna, rad/m."""
         return (4 if self.transmit == "each" else 2) * math.pi / self.wavelength_m

@@ -57,7 +57,7 @@ class SarGs(Method):
         """A preset; "auto" is for what the images show: speckle must be modelled, and ground wherever there is any."""
         if name == "auto":
             name = "default" if dataset.looks is None else "measured" if dataset.ground else "speckled"
-            name = "stack" if dataset.interferometric else name
+            name = "polarimetric" if dataset.polarimetric else "stack" if dataset.interferometric else name
         config = preset(name)
         if dataset.ground and config.passes is None and config.ground is None and name != "paper":  # which has none
             return replace(config, ground=FlatGround())
@@ -76,13 +76,7 @@ class SarGs(Method):
             name = getattr(inputs.loss, "__name__", type(inputs.loss).__name__)
             config = replace(config, loss=f"own {name}" if name in LOSSES else name)
         if config.passes is not None:
-            refuse_with_passes(config)
-        if config.passes is not None and not dataset.interferometric:
-            has = "stacks of one offset or several polarisations" if dataset.passes else "single images"
-            raise SarsplatError(
-                f"the settings (preset {config.preset}) learn from interferometric stacks, and {dataset} has {has}; "
-                "choose another preset, or auto, which learns from the power"
-            )
+            refuse_with_passes(config, dataset)
         trainer = Trainer if config.passes is None else StackTrainer
         return trainer(dataset, config, inputs.loss, device, inputs.strategies, inputs.processes)
 

@@ -245,11 +245,12 @@ class SceneModel:
         numbers: Int64[Tensor, " v"] | None = None,
         dropped: Bool[Tensor, " n"] | None = None,
     ) -> tuple[Complex[Tensor, "v p p {grid.rows} {grid.columns}"], Rendering]:
-        """Covariances between passes, with noise, and the rendering of power behind them; otherwise as `render`."""
+        """Covariances between channels, with noise, and the rendering of power behind them; otherwise as `render`."""
         shot = self.shot(views, grid, numbers)
         scene = self.scene(degree, dropped)
         covariances, sections, lit = lit_covariances(scene, views, shot.grid, stacks, rays=rays, shift=shot.shift)
-        rendering = Rendering(covariances[:, 0, 0].real[:, None], sections[..., None], lit)
+        power = torch.diagonal(covariances.detach(), dim1=1, dim2=2).real.mean(-1)[:, None]
+        rendering = Rendering(power, sections[..., None], lit)
         for part in self.parts:
             covariances = part.covariances(covariances, shot, self.parameters)
         return covariances if self.unit == 1 else covariances * self.unit, rendering

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, advised, shown
 from sarsplat.reconstruction.config import (
@@ -118,6 +120,8 @@ PRESETS: dict[str, Config] = {
         passes=Passes(),
     ),
 }
+# several polarisations: the same, with a matrix for each Gaussian
+PRESETS["polarimetric"] = replace(PRESETS["stack"], preset="polarimetric", scattering="polarimetric")
 """Known presets by name."""
 
 

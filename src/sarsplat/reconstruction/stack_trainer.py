@@ -1,4 +1,4 @@
-"""Training from interferometric stacks: what is compared are covariances between passes."""
+"""Training from stacks: what is compared are covariances between passes, or polarisations."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from torch.nn.functional import avg_pool2d
 
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.gaussians import Polarimetric
 from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.losses import Loss
@@ -62,14 +63,25 @@ def level_phases(
     return torch.from_numpy(np.exp(1j * phases).astype(np.complex64))
 
 
-def refuse_with_passes(config: Config) -> None:
+def refuse_with_passes(config: Config, dataset: Dataset) -> None:
     """Refuse what is not known of covariances: it would be left out in silence.
 
     Raises
     ------
     SarsplatError
-        If the configuration asks for it.
+        If the configuration asks for it, or the dataset has no covariances to learn from.
     """
+    if not (dataset.interferometric or dataset.polarimetric):
+        has = "stacks of one offset and one polarisation" if dataset.passes else "single images"
+        raise SarsplatError(
+            f"the settings (preset {config.preset}) learn from stacks, and {dataset} has {has}; choose another preset, "
+            "or auto, which learns from the power"
+        )
+    if dataset.polarimetric and config.scattering != Polarimetric.kind:
+        raise SarsplatError(
+            f"scattering is {config.scattering}, which is the same in all polarisations, and {dataset} has "
+            f"{', '.join(dict.fromkeys(dataset.stacks[0].of_channels))}; choose {Polarimetric.kind}"
+        )
     known = {"loss": "passes", "coarsest": 1, "tiles": 1, "ground": None, "surroundings": None, "densification": None}
     for name, value in known.items():
         if (asked := getattr(config, name)) != value:

@@ -1,4 +1,4 @@
-"""Covariances between the passes of an interferometric stack, as the power of an image is rendered: second order."""
+"""Covariances between passes and polarisations, as the power of an image is rendered: second order."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.covariance import covariance
+from sarsplat.gaussians.law_polarimetric import Polarimetric, covariances_between
+from sarsplat.gaussians.scattering import Scattering
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.geometry.stack import Stack
 from sarsplat.renderer.checks import MAX_OPTICAL_DEPTH
@@ -33,11 +35,12 @@ def render_covariances(
     shift: Float[Tensor, "v 2"] | None = None,
     engine: str = "auto",
 ) -> Complex[Tensor, "v p p {grid.rows} {grid.columns}"]:
-    """Expected covariances E[y_i y_j*] of the passes of a stack, in every pixel of several views.
+    """Expected covariances E[y_i y_j*] of the channels of a stack, in every pixel of several views.
 
     The signals of different scatterers are uncorrelated, so covariances add up as powers do: each Gaussian gives its
     cross-section times exp(j(φ_i − φ_j)), times what is left of it as phases differ within the Gaussian. A pixel shows
     only a part of a Gaussian, whose mean elevation changes across the footprint, and the phase with it (`Waves`).
+    Between polarisations, the cross-section is that of the Gaussian's own matrix (`Polarimetric`).
 
     Differentiable as `render` is.
 
@@ -50,7 +53,7 @@ def render_covariances(
     grid : ImageGrid
         Pixels.
     stack : Stack or sequence of Stack
-        P passes, around every view or around each its own.
+        P channels, passes or polarisations or both, around every view or around each its own.
     rays : RayGrid, optional
         As at `render`.
     shift : Tensor [V, 2], optional
@@ -67,8 +70,8 @@ def render_covariances(
     Raises
     ------
     SarsplatError
-        As `render`; or if there are more or fewer stacks than views, of different numbers of passes, or of
-        several polarisations.
+        As `render`; or if there are more or fewer stacks than views, of different numbers of passes or different
+        polarisations, or of polarisations that the scattering does not know.
 
     Notes
     -----
@@ -89,11 +92,20 @@ def stacks_of(views: Sequence[View], stack: Stack | Sequence[Stack]) -> list[Sta
             f"there are {counted(len(stacks), 'stack')} of {shown([len(one) for one in stacks])} passes for "
             f"{counted(len(views), 'view')}; give one for each, all of the same number of passes"
         )
+    law = gaussians.scattering
+    known = law.polarisations if isinstance(law, Polarimetric) else None
     for one in stacks:
-        if len(set(one.of_channels)) > 1:
+        asked = list(dict.fromkeys(one.of_channels))
+        if len(asked) > 1 if known is None else one.polarisations and not set(asked) <= set(known):
             raise SarsplatError(
-                f"a stack has the polarisations {', '.join(one.of_channels)}, whose covariances are not known to be "
-                "alike; give the passes of one polarisation"
+                f"a stack has the polarisations {', '.join(asked)}, and the Gaussians' scattering has "
+                f"{', '.join(known) if known else 'one alone'}; give stacks of those, or Gaussians with the scattering "
+                "Polarimetric"
+            )
+        if one.of_channels != stacks[0].of_channels:
+            raise SarsplatError(
+                f"stacks have the polarisations {', '.join(stacks[0].of_channels)} and {', '.join(one.of_channels)}; "
+                "give stacks of the same ones"
             )
     return stacks
 
@@ -114,18 +126,43 @@ def lit_covariances(
     depth = projection.optical_depth
     whole = (depth + MIN_RAY_DEPTH * (depth > 0)).clamp(max=MAX_OPTICAL_DEPTH)
     lit_area = attenuate(replace(projection, optical_depth=whole), rays, engine=engine).lit_area
-    power = projection.amplitudes[..., gaussians.scattering.power_channel] * lit_area  # [V, N], m²
-    diagonal = splat(projection.pixels, power[..., None], grid, engine=engine)[:, 0]
     first, second = np.triu_indices(passes, 1)
-    result = diagonal.new_zeros((passes, passes, *diagonal.shape), dtype=diagonal.dtype.to_complex())
-    result[range(passes), range(passes)] = diagonal.to(result)
+    power, shown, of_pairs, kinds = _sections(gaussians.scattering, projection.amplitudes, lit_area, stacks[0])
+    diagonal = splat(projection.pixels, shown, grid, engine=engine)[:, kinds]
+    result = diagonal.new_zeros(
+        (passes, passes, len(views), grid.rows, grid.columns), dtype=diagonal.dtype.to_complex()
+    )
+    result[range(passes), range(passes)] = diagonal.transpose(0, 1).to(result)
     if len(first):
         vectors = np.stack([stack.phase_vectors(view) for stack, view in zip(stacks, views, strict=True)])
-        phase, left, waves = _pairs(gaussians, views, grid, vectors[:, first] - vectors[:, second])
-        pairs = splat(projection.pixels, torch.polar(power[..., None] * left, phase), grid, waves=waves, engine=engine)
+        waves = None
+        if vectors.any():
+            phase, left, waves = _pairs(gaussians, views, grid, vectors[:, first] - vectors[:, second])
+            of_pairs = of_pairs * torch.polar(left, phase)
+        pairs = splat(projection.pixels, of_pairs, grid, waves=waves, engine=engine)
         result[first, second] = pairs.transpose(0, 1)
         result[second, first] = pairs.transpose(0, 1).conj()
     return result.movedim(2, 0), power, lit_area
+
+
+def _sections(
+    law: Scattering, amplitudes: Float[Tensor, "v n c"], lit_area: Float[Tensor, "v n"], stack: Stack
+) -> tuple[Float[Tensor, "v n"], Float[Tensor, "v n k"], Tensor, list[int]]:
+    """Cross-sections, m²: of power, of each polarisation, and of each pair of channels, all at one place.
+
+    The last is the polarisation of each channel, in order of the second.
+    """
+    names = stack.of_channels
+    power = amplitudes[..., law.power_channel] * lit_area
+    if not isinstance(law, Polarimetric) or not stack.polarisations:
+        return power, power[..., None], power[..., None], [0] * len(names)
+    places = [law.polarisations.index(name) for name in names]
+    own = sorted(set(places))
+    lit = amplitudes * lit_area[..., None]
+    first, second = np.triu_indices(len(names), 1)
+    matrices = covariances_between(lit, len(law.polarisations))
+    pairs = matrices[..., [places[i] for i in first], [places[j] for j in second]]
+    return power, lit[..., [1 + place for place in own]], pairs, [own.index(place) for place in places]
 
 
 def _pairs(

@@ -2,6 +2,7 @@
 
 from sarsplat.scenes.building_profile import BuildingProfile, building_profile
 from sarsplat.scenes.buildings import BUILDINGS, Building, Gamma0
+from sarsplat.scenes.mechanisms import Mechanisms
 from sarsplat.scenes.meshes import load_mesh
 from sarsplat.scenes.protocols import mstar_grid, mstar_views, paper_grid, paper_views
 from sarsplat.scenes.raycast import simulate_raycast
@@ -17,6 +18,7 @@ __all__ = [
     "Building",
     "BuildingProfile",
     "Gamma0",
+    "Mechanisms",
     "ScatteringLaw",
     "add_speckle",
     "building_profile",

@@ -1,4 +1,4 @@
-"""Signals of an interferometric stack, scatterer by scatterer: shares no code with the renderer.
+"""Signals of a stack, scatterer by scatterer: shares no code with the renderer.
 
 Points with random complex amplitudes lie where rays first meet the mesh or the ground; every pass adds up the same
 points, each through the amplitude response and with the phase of its own distance. So speckle, layover, shadow and
@@ -20,6 +20,7 @@ from sarsplat.geometry import ImageGrid, Stack, View, radar_frame
 from sarsplat.geometry.responses import Response
 from sarsplat.scenes._random import generator
 from sarsplat.scenes._rays import Facets, Region, tracer
+from sarsplat.scenes.mechanisms import Mechanisms
 from sarsplat.scenes.raycast import check_rays
 from sarsplat.scenes.scattering import ScatteringLaw
 
@@ -47,22 +48,25 @@ def simulate_stack(
     law: ScatteringLaw,
     *,
     ground_gamma0: float | None = None,
+    mechanisms: Mechanisms | None = None,
     noise: float = 0.0,
     seed: int = 0,
     spacing_m: float | None = None,
 ) -> Complex64[np.ndarray, "p {grid.rows} {grid.columns}"]:
-    """Single-look complex images of every pass over a mesh.
+    """Single-look complex images of every channel: passes over a mesh, or polarisations.
 
     Parameters
     ----------
     mesh : trimesh.Trimesh
         Opaque triangles, m.
     view, grid, stack
-        Direction to the radar, where the pixels lie, and the passes, which are coregistered to them.
+        Direction to the radar, where the pixels lie, and the channels, which are coregistered to them.
     law : ScatteringLaw
         γ⁰ of the mesh's facets against incidence angle.
     ground_gamma0 : float, optional
         γ⁰ of an infinite flat ground at z = 0; without it nothing lies behind the mesh.
+    mechanisms : Mechanisms, optional
+        How polarisations go together, for stacks of several.
     noise : float
         Power of each pass's own noise, β⁰.
     seed : int
@@ -78,8 +82,9 @@ def simulate_stack(
     Raises
     ------
     SarsplatError
-        If the mesh has no faces or is not finite, or a setting is out of range.
+        If the mesh has no faces or is not finite, a setting is out of range, or mechanisms are missing or do not fit.
     """
+    roots = _roots(mechanisms, stack, len(mesh.faces))
     spacing = min(grid.resolution_m) / _PER_CELL if spacing_m is None else spacing_m
     check_rays(mesh, ground_gamma0, spacing, (0.5, 0.5))
     if not (math.isfinite(noise) and noise >= 0):
@@ -99,16 +104,45 @@ def simulate_stack(
             face, depth = np.where(depth < of_ground, face, -1), np.minimum(depth, of_ground)
         met = np.isfinite(depth)
         place, face = np.column_stack([position, depth])[met], face[met]
-        amplitude = np.sqrt(gamma0[face] * spacing**2 / 2) * (chance.standard_normal((2, len(face))).T @ [1, 1j])
+        amplitude = np.sqrt(gamma0[face] * spacing**2 / 2)[:, None] * _drawn(roots, face, chance)
         node = axes[1].of(place[:, 2]), axes[0].of(place[:, 0])
         inside = (node[0] >= 0) & (node[0] < axes[1].count) & (node[1] >= 0) & (node[1] < axes[0].count)
         at = (node[0] * axes[0].count + node[1])[inside]
-        for total, vector in zip(nodes, vectors, strict=True):
-            signal = (amplitude * np.exp(1j * place @ vector))[inside]
+        for total, vector, own in zip(nodes, vectors, _places(stack), strict=True):
+            signal = (amplitude[:, own] * np.exp(1j * place @ vector))[inside]
             total += _summed(at, signal, total.size).reshape(total.shape)
     images = axes[1].response @ nodes @ axes[0].response.T
     images += math.sqrt(noise / 2) * (chance.standard_normal((*images.shape, 2)) @ [1, 1j])
     return images.astype(np.complex64)
+
+
+def _places(stack: Stack) -> list[int]:
+    """Of each channel, which of the polarisations it is, in order of appearance."""
+    names = list(dict.fromkeys(stack.of_channels))
+    return [names.index(name) for name in stack.of_channels]
+
+
+def _roots(mechanisms: Mechanisms | None, stack: Stack, faces: int) -> Complex128[np.ndarray, "f p p"]:
+    """L of each facet and of the ground, the last, with E[a aᴴ] = γ⁰ L Lᴴ."""
+    if not stack.polarimetric:
+        return np.ones((faces + 1, 1, 1), np.complex128)
+    if mechanisms is None:
+        raise SarsplatError("the stack has several polarisations; give mechanisms, which say how they go together")
+    if mechanisms.polarisations != tuple(dict.fromkeys(stack.of_channels)) or len(mechanisms.of_faces) != faces:
+        raise SarsplatError(
+            f"mechanisms are of {len(mechanisms.of_faces)} facets in {', '.join(mechanisms.polarisations)}; give those "
+            f"of {faces} in {', '.join(dict.fromkeys(stack.of_channels))}"
+        )
+    return mechanisms.roots
+
+
+def _drawn(
+    roots: Complex128[np.ndarray, "f p p"], face: np.ndarray, chance: np.random.Generator
+) -> Complex128[np.ndarray, "k p"]:
+    """Circular amplitudes of facets with E[a aᴴ] = 2 L Lᴴ."""
+    own = chance.standard_normal((2, len(face) * roots.shape[1])).T @ [1, 1j]
+    drawn: Complex128[np.ndarray, "k p"] = np.einsum("kij,kj->ki", roots[face], own.reshape(len(face), -1))
+    return drawn
 
 
 class _Axis:

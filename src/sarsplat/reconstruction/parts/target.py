@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -16,6 +16,7 @@ from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MIN_SCALE, Gaussians, Scattering, scattering_named
 from sarsplat.gaussians.initialise import BRIGHT_DB, Region, hemisphere_shell, random_quaternions
+from sarsplat.geometry import Stack
 from sarsplat.radiometry import brighter
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.levels import Levels
@@ -100,7 +101,7 @@ class Target(Part):
             "quaternions": random_quaternions(n, generator),
             "scales": means.new_tensor(_start_scales_m(config, self._coarsest_m)).repeat(n, 1),
             "optical_depth": means.new_full((n,), config.initial_optical_depth),
-            "scattering": law(config, n, config.initial_scattering).parameters,
+            "scattering": law(config, n, config.initial_scattering, self.setting.stacks).parameters,
         }
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
@@ -169,7 +170,7 @@ class Target(Part):
 
     @cached_property
     def _law(self) -> Scattering:
-        return law(self.config, 1, 0.0)
+        return law(self.config, 1, 0.0, self.setting.stacks)
 
     @cached_property
     def _box(self) -> tuple[Float[Tensor, " 3"], Float[Tensor, " 3"]]:
@@ -187,8 +188,8 @@ class Target(Part):
         return low, high
 
 
-def law(config: Config, count: int, gamma0: float) -> Scattering:
-    """The configuration's law of scattering, as a training starts with it.
+def law(config: Config, count: int, gamma0: float, stacks: Sequence[Stack] = ()) -> Scattering:
+    """The configuration's law of scattering, as a training starts with it; in the polarisations of stacks, if any.
 
     Raises
     ------
@@ -203,7 +204,8 @@ def law(config: Config, count: int, gamma0: float) -> Scattering:
             f"{kind.__name__}.initial({count}, …) returned {what}; it must return a {kind.__name__} whose parameters "
             f"are torch.float32 [{count}, K]"
         )
-    return made.detailed(config.harmonics_degree)
+    polarisations = tuple(dict.fromkeys(stacks[0].of_channels)) if stacks else ()
+    return (made.for_polarisations(polarisations) if len(polarisations) > 1 else made).detailed(config.harmonics_degree)
 
 
 def scales_m(config: Config, cell_m: float) -> tuple[float, float, float]:

@@ -1,0 +1,100 @@
+"""How a surface returns several polarisations: by one bounce, by two, or by a volume of thin dipoles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Complex128, Int64
+
+from sarsplat.arguments import expect
+from sarsplat.errors import SarsplatError, shown
+
+if TYPE_CHECKING:
+    import trimesh
+
+POLARISATIONS = ("HH", "HV", "VV")
+
+SURFACE, DOUBLE_BOUNCE, VOLUME = range(3)
+"""Places in `MATRICES`."""
+
+MATRICES: Complex128[np.ndarray, "3 3 3"] = np.array(
+    [
+        [[1.35, 0.0, 1.15], [0.0, 0.15, 0.0], [1.15, 0.0, 1.5]],
+        [[1.65, 0.0, -1.2], [0.0, 0.15, 0.0], [-1.2, 0.0, 1.2]],
+        [[9 / 7, 0.0, 3 / 7], [0.0, 3 / 7, 0.0], [3 / 7, 0.0, 9 / 7]],
+    ],
+    np.complex128,
+)
+"""E[y yᴴ] / γ⁰ in HH, HV, VV: HH and VV are alike after one bounce and opposite after two; thin dipoles at random lie
+between, with an eighth of their power in each cross-polarised channel."""
+
+_LEVEL, _UPRIGHT = 0.9, 0.1
+"""Of a normal's vertical part: above, a facet is level; below, it is upright."""
+
+_TOLERATED = 1e-9
+
+
+@dataclass(frozen=True)
+class Mechanisms:
+    """How each facet of a mesh, and the ground, return several polarisations together.
+
+    Parameters
+    ----------
+    of_faces : numpy.ndarray, int64 [F]
+        Which of the matrices is each facet's.
+    of_ground : int
+        Which is the ground's.
+    matrices : numpy.ndarray, complex128 [M, P, P]
+        E[y yᴴ] / γ⁰ of the polarisations, Hermitian and positive semi-definite; if γ⁰ is to be the mean power, their
+        mean diagonal is 1.
+    polarisations : tuple of str
+        Received and transmitted, such as "HV".
+
+    Raises
+    ------
+    SarsplatError
+        If shapes do not fit, or a matrix is not the covariance of anything.
+    """
+
+    of_faces: Int64[np.ndarray, " f"]
+    of_ground: int = SURFACE
+    matrices: Complex128[np.ndarray, "m p p"] = field(default_factory=MATRICES.copy)
+    polarisations: Sequence[str] = POLARISATIONS
+
+    def __post_init__(self) -> None:
+        expect(np.ndarray, of_faces=self.of_faces, matrices=self.matrices)
+        object.__setattr__(self, "polarisations", tuple(self.polarisations))
+        count, matrices = len(self.polarisations), self.matrices
+        if matrices.ndim != 3 or matrices.shape[1:] != (count, count):
+            raise SarsplatError(
+                f"matrices has shape {matrices.shape}; for {count} polarisations give (M, {count}, {count})"
+            )
+        numbers = np.append(self.of_faces, self.of_ground)
+        if numbers.min() < 0 or numbers.max() >= len(matrices):
+            raise SarsplatError(
+                f"a facet has matrix {shown(int(numbers.max()))} of {len(matrices)}; number them from 0"
+            )
+        for matrix in matrices:
+            if not np.allclose(matrix, matrix.conj().T) or np.linalg.eigvalsh(matrix)[0] < -_TOLERATED:
+                raise SarsplatError(
+                    f"a matrix is {shown(matrix.tolist())}; give a Hermitian, positive semi-definite one"
+                )
+
+    @classmethod
+    def by_slope(cls, mesh: trimesh.Trimesh) -> Mechanisms:
+        """Level facets and the ground return by one bounce, upright ones by two, all others as volumes do.
+
+        That is no physics of a target, but scenes to try polarimetry on: rays here meet one facet and no second.
+        """
+        upward = np.abs(mesh.face_normals[:, 2])
+        return cls(np.select([upward > _LEVEL, upward < _UPRIGHT], [SURFACE, DOUBLE_BOUNCE], VOLUME).astype(np.int64))
+
+    @property
+    def roots(self) -> Complex128[np.ndarray, "n p p"]:
+        """L of each facet and, at the end, of the ground: the matrix is L Lᴴ."""
+        values, vectors = np.linalg.eigh(self.matrices)
+        roots: Complex128[np.ndarray, "m p p"] = vectors * np.sqrt(values.clip(min=0))[:, None]
+        return roots[np.append(self.of_faces, self.of_ground)]
