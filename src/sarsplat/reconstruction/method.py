@@ -162,7 +162,7 @@ class Reconstruction(ABC):
         """β⁰ of any views, linear power, on its grid or another one: see `Run.render`."""
 
     def covariances(
-        self, views: Sequence[View], stacks: Sequence[Stack], grid: ImageGrid | None = None
+        self, views: Sequence[View], stack: Stack | Sequence[Stack], grid: ImageGrid | None = None
     ) -> Complex64[np.ndarray, "v p p rows columns"]:
         """Covariances between passes: see `Run.render_covariances`; refused by methods that know of power alone."""
         raise SarsplatError(

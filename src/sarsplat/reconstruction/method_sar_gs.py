@@ -36,6 +36,7 @@ from sarsplat.reconstruction.stack_trainer import StackTrainer, refuse_with_pass
 from sarsplat.reconstruction.strategies.azimuths import AZIMUTH_OFFSETS
 from sarsplat.reconstruction.trainer import Trainer
 from sarsplat.renderer import channel_of
+from sarsplat.renderer.covariances import stacks_of
 
 if TYPE_CHECKING:
     import trimesh
@@ -127,17 +128,17 @@ class GaussianReconstruction(Reconstruction):
         return images
 
     def covariances(
-        self, views: Sequence[View], stacks: Sequence[Stack], grid: ImageGrid | None = None
+        self, views: Sequence[View], stack: Stack | Sequence[Stack], grid: ImageGrid | None = None
     ) -> Complex64[np.ndarray, "v p p rows columns"]:
         """With what was learned of noise; refused where ground or the like was learned, which only power shows."""
         if self.config.passes is None and self.config.preset != OWN_LOOP:
-            return super().covariances(views, stacks, grid)
-        grid = grid or self.grid
+            return super().covariances(views, stack, grid)
+        grid, stacks = grid or self.grid, stacks_of(self.gaussians.scattering, views, stack)
         rays = self._rays(grid)
         with torch.no_grad():
             found = [  # one at a time: those of many passes are large
-                self.model.covariances([view], [stack], grid, self._degree, rays=rays)[0].cpu().numpy()
-                for view, stack in zip(views, stacks, strict=True)
+                self.model.covariances([view], [one], grid, self._degree, rays=rays)[0].cpu().numpy()
+                for view, one in zip(views, stacks, strict=True)
             ]
         return np.concatenate(found)
 

@@ -45,7 +45,6 @@ from sarsplat.reconstruction.run_folder import (
     require_replaceable,
 )
 from sarsplat.reconstruction.snapshot import Snapshot
-from sarsplat.renderer.covariances import stacks_of
 
 if TYPE_CHECKING:
     import trimesh
@@ -183,14 +182,14 @@ class Run:
         ------
         SarsplatError
             If it was not learned from interferometric stacks, there are no views, there are more or fewer stacks than
-            views, of different numbers of passes, or of several polarisations.
+            views, of different numbers of passes, or of polarisations that it has not learned.
 
         Warns
         -----
         SarsplatWarning
             As `render`.
         """
-        return self.reconstruction.covariances(views, stacks_of(views, stack), grid)
+        return self.reconstruction.covariances(views, stack, grid)
 
     @checks_arguments
     def sample(

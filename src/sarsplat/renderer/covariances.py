@@ -79,12 +79,12 @@ def render_covariances(
     of them away, and of the mean phase of a volume what that share has; here it is made up for, so that powers are by
     that share above those of `render`.
     """
-    stacks = stacks_of(views, stack)
+    stacks = stacks_of(gaussians.scattering, views, stack)
     covariances, _, _ = lit_covariances(gaussians, views, grid, stacks, rays=rays, shift=shift, engine=engine)
     return covariances
 
 
-def stacks_of(views: Sequence[View], stack: Stack | Sequence[Stack]) -> list[Stack]:
+def stacks_of(law: Scattering, views: Sequence[View], stack: Stack | Sequence[Stack]) -> list[Stack]:
     """The stack of each view; refused if their covariances cannot be rendered together (`render_covariances`)."""
     stacks = [stack] * len(views) if isinstance(stack, Stack) else [*stack]
     if len(stacks) != len(views) or len({len(one) for one in stacks}) != 1:
@@ -92,7 +92,6 @@ def stacks_of(views: Sequence[View], stack: Stack | Sequence[Stack]) -> list[Sta
             f"there are {counted(len(stacks), 'stack')} of {shown([len(one) for one in stacks])} passes for "
             f"{counted(len(views), 'view')}; give one for each, all of the same number of passes"
         )
-    law = gaussians.scattering
     known = law.polarisations if isinstance(law, Polarimetric) else None
     for one in stacks:
         asked = list(dict.fromkeys(one.of_channels))

@@ -92,7 +92,7 @@ class RunSubject(Subject):
 
     @property
     def knows_phases(self) -> bool:  # type: ignore[override]
-        return len(self.run.snapshot.stacks) > 0
+        return any(stack.interferometric for stack in self.run.snapshot.stacks)  # all are, or none
 
     def interferogram(self, view: View) -> tuple[Interferogram, Pair]:
         """As the passes around the nearest training view would show it."""
