@@ -167,7 +167,7 @@ def test_what_is_refused():
     with pytest.raises(SarsplatError, match=r"loss is .*, which learning from passes knows nothing of; give 'passes'"):
         reconstruct(images, loss=lambda a, b: (a - b).abs().mean(), quiet=True)
     single = Dataset(GRID, (replace(images.entries[0], stack=None),), images.power, looks=1.0)
-    with pytest.raises(SarsplatError, match=r"interferometric stacks, and .* has single images; choose another preset"):
+    with pytest.raises(SarsplatError, match=r"learn from stacks, and .* has single images; choose another preset"):
         reconstruct(single, "stack", quiet=True)
 
 
@@ -178,13 +178,13 @@ def test_a_box_higher_than_an_ambiguity_is_warned_of():
 
 
 @pytest.mark.filterwarnings("ignore:there is one training view")
-def test_polarisations_are_learned_from_by_power_alone():
+def test_polarisations_may_be_learned_from_by_power_alone():
     images = dataset()
     assert images.signal is not None
     pair = Stack(0.031, (0.0, 0.0), polarisations=("HH", "VV"))
     entries = (replace(images.entries[0], stack=pair),)
     polarimetric = Dataset.of_complex(GRID, entries, images.signal[:, :2], looks=1.0)
-    with pytest.raises(SarsplatError, match="has stacks of one offset or several polarisations; choose another"):
+    with pytest.raises(SarsplatError, match=r"the same in all polarisations, and .* has HH, VV; choose polarimetric"):
         reconstruct(polarimetric, "stack", quiet=True)
     few = replace(preset("speckled"), iterations=1, fewest_gaussians=10)
     assert reconstruct(polarimetric, few, quiet=True).snapshot.stacks == ()

@@ -17,6 +17,7 @@ from jaxtyping import Complex64, Float32, Float64, UInt8
 from sarsplat.data import Dataset, write_gaussians_ply
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians.law_polarimetric import Polarimetric
 from sarsplat.geometry import ImageGrid, RayGrid, Stack, View
 from sarsplat.names import Speckle
 from sarsplat.reconstruction.config import DEFAULT_METHOD, OWN_LOOP, Config, FlatGround
@@ -78,6 +79,11 @@ class SarGs(Method):
             config = replace(config, loss=f"own {name}" if name in LOSSES else name)
         if config.passes is not None:
             refuse_with_passes(config, dataset)
+        if config.scattering == Polarimetric.kind and not (config.passes and dataset.polarimetric):
+            raise SarsplatError(
+                f"scattering is {config.scattering}, which is learned from stacks of several polarisations with passes "
+                f"on, and {dataset} is learned from without them; choose harmonics"
+            )
         trainer = Trainer if config.passes is None else StackTrainer
         return trainer(dataset, config, inputs.loss, device, inputs.strategies, inputs.processes)
 
