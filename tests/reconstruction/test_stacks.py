@@ -188,7 +188,7 @@ def test_polarisations_may_be_learned_from_by_power_alone():
         reconstruct(polarimetric, "stack", quiet=True)
     few = replace(preset("speckled"), iterations=1, fewest_gaussians=10)
     assert reconstruct(polarimetric, few, quiet=True).snapshot.stacks == ()
-    with pytest.raises(SarsplatError, match="polarisations HH, VV, whose covariances are not known"):
+    with pytest.raises(SarsplatError, match="polarisations HH, VV, and the Gaussians' scattering has one alone"):
         render_covariances(reconstruct(polarimetric, few, quiet=True).gaussians, [VIEW], GRID, pair)
 
 
