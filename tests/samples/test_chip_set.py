@@ -109,7 +109,7 @@ def test_workers_that_begin_empty_make_the_same(folders: list[Path]) -> None:
         assert again.classes == made.classes
 
 
-def test_a_run_knows_what_it_shows_without_its_dataset(tmp_path: Path) -> None:
+def test_a_run_knows_what_it_shows_without_its_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = made_up("T-72", tmp_path / "some-run").folder
     (tmp_path / "some-run-data").rename(tmp_path / "elsewhere")
     assert chips([folder], count=1).classes == ("T-72",)
@@ -117,6 +117,8 @@ def test_a_run_knows_what_it_shows_without_its_dataset(tmp_path: Path) -> None:
     del header["target"]  # as runs of before
     (folder / "config.json").write_text(json.dumps(header))
     assert chips([folder], count=1).classes == ("some-run",)
+    monkeypatch.chdir(folder)
+    assert chips(["."], count=1).classes == ("some-run",)
 
 
 def test_angles_that_no_training_image_has_seen_are_warned_of(run: Run) -> None:

@@ -250,7 +250,7 @@ def target_of(run: Run) -> str:
 
 
 def _name(run: Run) -> str:
-    return "the run in memory" if run.path is None else run.path.name
+    return "the run in memory" if run.path is None else run.path.absolute().name
 
 
 def _require_alike(run: Run, first: Run, cut: bool) -> None:
