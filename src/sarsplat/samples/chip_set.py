@@ -238,10 +238,13 @@ def chips(
         If there are no runs, one cannot be read or has not learned how single images differ, grids differ, an angle is
         out of range, or a choice is unknown or does not suit another.
     """
-    encoding = Encoding(quantity, scale, format, jpeg_quality, crop, near)
+    # JSON cannot hold numpy's numbers, and spells 17 and 17.0 differently
+    encoding = Encoding(quantity, scale, format, int(jpeg_quality), None if crop is None else int(crop), near)
     opened = [run if isinstance(run, Run) else Run.load(run) for run in runs]
-    number = (len(azimuths_deg) or _AROUND) if count is None else count
-    return Chips(opened, number, azimuths_deg, grazing_deg, seed, encoding, ground, speckle, scatterers)
+    azimuths = tuple(azimuths_deg)
+    number = (len(azimuths) or _AROUND) if count is None else int(count)
+    between = None if grazing_deg is None else (float(grazing_deg[0]), float(grazing_deg[1]))
+    return Chips(opened, number, azimuths, between, int(seed), encoding, ground, speckle, float(scatterers))
 
 
 def target_of(run: Run) -> str:
