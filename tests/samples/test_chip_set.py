@@ -67,6 +67,8 @@ def test_a_run_keeps_its_chips_when_others_join(run: Run, folders: list[Path]) -
 
 WRONG: list[tuple[dict[str, Any], str]] = [
     ({"count": 0}, "count is 0; give at least one"),
+    ({"count": 10**20}, "count is 100000000000000000000; give at most 100000000, for numbers have eight digits"),
+    ({"azimuths_deg": [float("inf")]}, "azimuth inf is not a number of degrees"),
     ({"seed": -1}, "seed -1 must be at least 0"),
     ({"grazing_deg": (20.0, 10.0)}, "grazing 20:10 goes down; give the lower"),
     ({"grazing_deg": (0.0, 10.0)}, "grazing angle 0.0° is outside"),

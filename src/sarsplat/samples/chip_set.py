@@ -30,6 +30,9 @@ from sarsplat.samples.encoding import Encoding
 _AROUND = 360
 """Chips of a run unless a number is given."""
 
+_MOST = 100_000_000
+"""Chips of a set: the numbers that files are named after have eight digits."""
+
 _GOLDEN = (math.sqrt(5) - 1) / 2
 """Of a turn: azimuths this far apart are spread evenly, however many there are."""
 
@@ -108,13 +111,15 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
             raise SarsplatError("there are no runs to draw chips from; give at least one")
         if count < 1:
             raise SarsplatError(f"count is {count}; give at least one chip of each run")
+        if count * len(runs) > _MOST:
+            raise SarsplatError(f"count is {count}; give at most {_MOST // len(runs)}, for numbers have eight digits")
         self.runs, self.count, self.seed, self.encoding = tuple(runs), count, seed, encoding
         self.ground, self.speckle, self.scatterers = ground, speckle, scatterers
         for run in self.runs:
             encoding.require_room(run.grid)
             _require_alike(run, self.runs[0], cut=encoding.crop is not None)
         seed_of(seed, 0)  # refuses negative ones
-        self.azimuths_deg = tuple(View(azimuth % 360, 45.0).azimuth_deg for azimuth in azimuths_deg)
+        self.azimuths_deg = tuple(View(azimuth, 45.0).azimuth_deg % 360 for azimuth in azimuths_deg)
         self.grazing_deg = [_grazing(run) if grazing_deg is None else grazing_deg for run in self.runs]
         for low, high in self.grazing_deg:
             if View(0.0, low).grazing_deg > View(0.0, high).grazing_deg:
