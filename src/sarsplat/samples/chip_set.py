@@ -141,8 +141,15 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
     def _draw(self) -> list[DrawsSamples]:
         """What draws samples of each run."""
         backdrops = [backdrop_of(self.ground, run.grid) for run in self.runs]
-        pairs = zip(self.runs, backdrops, strict=True)
-        return [run.reconstruction.sampler(backdrop, self.speckle, self.scatterers) for run, backdrop in pairs]
+        draw = []
+        for run, backdrop in zip(self.runs, backdrops, strict=True):
+            try:
+                draw.append(run.reconstruction.sampler(backdrop, self.speckle, self.scatterers))
+            except SarsplatError as error:
+                if len(self.runs) == 1:
+                    raise
+                raise SarsplatError(f"{_name(run)}: {error}") from error
+        return draw
 
     @cached_property
     def brightest(self) -> float:
