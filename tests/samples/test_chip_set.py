@@ -99,6 +99,12 @@ def test_runs_that_do_not_go_together(run: Run, folders: list[Path]) -> None:
     with pytest.raises(SarsplatError, match=r"pixels of 0.3 m × 0.3 m, .* with the same pixels"):
         chips([folders[0], coarser], crop=30)
     assert isinstance(chips([run, *folders]), Chips)
+    quick = made_up("box")
+    quick = replace(quick, config=replace(quick.config, loss="amplitude", surroundings=None))
+    with pytest.raises(SarsplatError, match=r"^the run in memory: this run was learned without speckle"):
+        chips([run, quick])
+    with pytest.raises(SarsplatError, match=r"^'T-72 \(a\)' and 'T-72 \[a\]' are two classes .* called T-72__a_;"):
+        chips([folders[1], made_up("T-72 [a]")])
 
 
 def test_workers_that_begin_empty_make_the_same(folders: list[Path]) -> None:

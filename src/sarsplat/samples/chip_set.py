@@ -17,7 +17,7 @@ from jaxtyping import Complex64
 from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.reconstruction import Run
@@ -129,6 +129,13 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         self.targets = tuple(target_of(run) for run in self.runs)
         self.classes = tuple(dict.fromkeys(self.targets))
         """Classes; the numbers that go with chips are places in it."""
+        first: dict[str, str] = {}
+        for run, target in zip(self.runs, self.targets, strict=True):
+            if (one := first.setdefault(target, _shows(run))) != (other := _shows(run)):
+                raise SarsplatError(
+                    f"{shown(one)} and {shown(other)} are two classes whose folders would both be called {target}; "
+                    "make a set of each"
+                )
         _ = self._draw  # refuses what runs cannot be asked for
 
     def __getstate__(self) -> dict[str, Any]:
@@ -261,7 +268,11 @@ def chips(
 
 def target_of(run: Run) -> str:
     """What a run shows, as a folder may be named."""
-    return re.sub(r"[^\w+-]", "_", run.target or _name(run))
+    return re.sub(r"[^\w+-]", "_", _shows(run))
+
+
+def _shows(run: Run) -> str:
+    return run.target or _name(run)
 
 
 def _name(run: Run) -> str:
