@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Iterator
 
 import pytest
@@ -32,6 +33,16 @@ def test_results_come_in_order_from_as_many_processes_as_there_are_threads(threa
 def test_few_are_made_here(threads: int) -> None:
     assert set(made_each(lambda _: os.getpid(), range(20))) == {os.getpid()}
     assert list(made_each(str, [])) == []
+
+
+def test_a_polite_kill_of_all_is_left_to_the_first_process(threads: int) -> None:
+    def work(index: int) -> int:
+        if index == 130 and os.getpid() != first:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return index
+
+    first = os.getpid()
+    assert list(made_each(work, range(300))) == list(range(300))
 
 
 def test_a_failure_is_raised_where_it_was_in_the_same_words(threads: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
@@ -34,11 +35,17 @@ def made_each(work: Callable[[int], T], indices: Sequence[int]) -> Iterator[T]:
         sampler=[indices[first : first + _TOGETHER] for first in range(0, len(indices), _TOGETHER)],  # type: ignore[arg-type]
         num_workers=processes,
         multiprocessing_context="fork",
+        worker_init_fn=_ignore_polite_kills,
     )
     for made in chain.from_iterable(loader):
         if isinstance(made, Exception):
             raise made
         yield made
+
+
+def _ignore_polite_kills(_: int) -> None:
+    """One of the whole group is for the first process, which ends the others."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
 
 class _Work(Dataset[list[T | Exception]], Generic[T]):
