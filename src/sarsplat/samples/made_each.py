@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -16,6 +17,8 @@ _WORTH_IT = 100
 
 _TOGETHER = 16
 """Chips that a process is asked for at a time."""
+
+_PR_SET_PDEATHSIG = 1  # of Linux's prctl
 
 T = TypeVar("T")
 
@@ -35,7 +38,7 @@ def made_each(work: Callable[[int], T], indices: Sequence[int]) -> Iterator[T]:
         sampler=[indices[first : first + _TOGETHER] for first in range(0, len(indices), _TOGETHER)],  # type: ignore[arg-type]
         num_workers=processes,
         multiprocessing_context="fork",
-        worker_init_fn=_ignore_polite_kills,
+        worker_init_fn=_end_with_the_first,
     )
     for made in chain.from_iterable(loader):
         if isinstance(made, Exception):
@@ -43,9 +46,10 @@ def made_each(work: Callable[[int], T], indices: Sequence[int]) -> Iterator[T]:
         yield made
 
 
-def _ignore_polite_kills(_: int) -> None:
-    """One of the whole group is for the first process, which ends the others."""
+def _end_with_the_first(_: int) -> None:
+    """A polite kill of the whole group is for the first process, and that ends the others, however it ends."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # one that waits to be listened to would stay for ever
 
 
 class _Work(Dataset[list[T | Exception]], Generic[T]):
