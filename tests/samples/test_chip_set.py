@@ -78,6 +78,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"quantity": "complex"}, "quantity is 'complex', which the 8 bits of jpeg cannot hold; choose npy"),
     ({"scale": "calibrated", "format": "png"}, "scale is 'calibrated', which the 8 bits of png cannot hold"),
     ({"jpeg_quality": 101}, "jpeg_quality is 101; give 1 to 100"),
+    ({"ground": "Uniform"}, "ground is 'Uniform'; give learned, uniform or the file of a picture"),
     ({"ground": "nowhere.png"}, "cannot read nowhere.png: it does not exist"),
 ]
 
