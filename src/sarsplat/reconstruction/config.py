@@ -81,7 +81,7 @@ class Rates(Record):
     ground : float
         Logarithms of γ⁰ of single places on the ground.
     nuisance : float
-        Ground as a whole, noise floor, side lobes and logarithms of the gains of measured images.
+        Ground as a whole, noise floor, phase screens (rad), side lobes and logarithms of the gains of measured images.
     """
 
     _section: ClassVar[str] = "rates."
@@ -305,6 +305,9 @@ class Passes(Record):
         where in the images is known to a pixel, and what is higher is not.
     noise : float
         Power of the passes' noise at the start, in units of the training mean, where the stacks do not say.
+    screen_std : float
+        Standard deviation of what atmosphere and unknown baselines add to the phases of each pass, rad: a constant, and
+        slopes from the middle of images to their edges; 0: nothing.
     """
 
     _section: ClassVar[str] = "passes."
@@ -312,6 +315,7 @@ class Passes(Record):
     window: Annotated[int, Meta(ge=1, le=99)] = 3
     elevation_only: Share = 1.0
     noise: Positive = 0.05
+    screen_std: NotNegative = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
