@@ -21,6 +21,9 @@ Swept = Literal["azimuth", "grazing"]
 Quantity = Literal["amplitude", "power", "db", "complex"]
 """What the numbers of an image mean."""
 
+Transmit = Literal["each", "one"]
+"""Whether each pass of a stack transmits itself, or one transmits for all."""
+
 Side = Literal["top", "right", "bottom", "left"]
 """Sides of a picture, by the number of counter-clockwise quarter turns that bring each to the top."""
 
