@@ -24,6 +24,7 @@ from .gaussians import (
     Ground as Ground,
     Harmonics as Harmonics,
     NormalLobes as NormalLobes,
+    Polarimetric as Polarimetric,
     Scattering as Scattering,
 )
 from .geometry import (
@@ -70,6 +71,7 @@ from .renderer import (
 from .report import write_report as write_report
 from .samples import chips as chips
 from .scenes import (
+    Mechanisms as Mechanisms,
     ScatteringLaw as ScatteringLaw,
     add_speckle as add_speckle,
     load_mesh as load_mesh,

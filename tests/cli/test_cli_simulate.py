@@ -222,7 +222,7 @@ def test_stacks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "stacks"
     options = ["--passes", "3", "--baseline", "0.004", "--noise", "0.1", "--wavelength", "0.05"]
     assert main(["simulate", "--target", "slicy", *STACK, *options, "--out", str(out)]) == 0
-    assert "1 3-pass stack of slicy" in " ".join(capsys.readouterr().out.split())
+    assert "1 3-channel stack of slicy" in " ".join(capsys.readouterr().out.split())
     made = read_dataset(out)
     (stack,) = made.stacks
     assert (stack.wavelength_m, stack.noise) == (0.05, (0.1, 0.1, 0.1))

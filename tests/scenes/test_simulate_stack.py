@@ -1,8 +1,9 @@
-"""Simulated stacks: their power is that of the ray caster, their phases are those of their geometry."""
+"""Simulated stacks: their power is the ray caster's, their phases their geometry's, V that of their mechanisms."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ import trimesh
 from sarsplat import Gaussians, Harmonics, SarsplatError, View, render_covariances
 from sarsplat.geometry import ImageGrid, Stack, radar_frame
 from sarsplat.geometry.responses import TAYLOR
-from sarsplat.scenes import ScatteringLaw, simulate_raycast, simulate_stack
+from sarsplat.scenes import Mechanisms, ScatteringLaw, simulate_raycast, simulate_stack
+from sarsplat.scenes.mechanisms import MATRICES
 
 VIEW, GRID = View(0.0, 45.0), ImageGrid(40, 36, (0.5, 0.5), (0.7, 0.7))
 STACK, LAW = Stack(0.031, (0.0, 0.0004, 0.001)), ScatteringLaw(1.0, 0.0, 1.0)
@@ -101,3 +103,49 @@ def test_what_is_refused() -> None:
     ):
         with pytest.raises(SarsplatError, match=words):
             simulate_stack(box(), VIEW, GRID, STACK, LAW, **settings)
+
+
+def test_polarisations_go_together_as_their_mechanisms_say() -> None:
+    """Means over draws, of the top, the sides and the ground; each of the passes has all polarisations."""
+    names = ("HH", "HV", "VV")
+    plate = trimesh.creation.box((60.0, 60.0, 0.01))
+    stack = Stack(0.031, (0.0,) * 3 + (0.0004,) * 3, polarisations=names * 2)
+    beta0 = simulate_raycast(plate, VIEW, GRID, LAW).mean()
+    for mechanism, matrix in enumerate(MATRICES):
+        all_alike = Mechanisms(np.full(len(plate.faces), mechanism))
+        signals = np.stack(
+            [simulate_stack(plate, VIEW, GRID, stack, LAW, mechanisms=all_alike, seed=k) for k in range(3)]
+        )
+        found = np.einsum("kirc,kjrc->ij", signals, signals.conj()) / signals[:, 0].size
+        expected = beta0 * matrix
+        for first in (slice(0, 3), slice(3, 6)):
+            assert np.linalg.norm(found[first, first] - expected) < 0.12 * np.linalg.norm(expected)
+        assert np.angle(found[3, 0]) == pytest.approx(np.angle(found[5, 2]), abs=0.1)  # the pass's, not theirs
+
+
+def test_mechanisms_by_slope() -> None:
+    made = trimesh.creation.icosphere(3)
+    kinds = Mechanisms.by_slope(made).of_faces
+    upward = np.abs(made.face_normals[:, 2])
+    assert (kinds[upward > 0.95] == 0).all()
+    assert (kinds[upward < 0.05] == 1).all()
+    assert (kinds[np.abs(upward - 0.5) < 0.3] == 2).all()
+    for matrix in MATRICES:
+        assert np.trace(matrix).real == pytest.approx(3)
+
+
+def test_mechanisms_that_do_not_fit() -> None:
+    pair = Stack(0.031, (0.0, 0.0), polarisations=("HH", "VV"))
+    with pytest.raises(SarsplatError, match="the stack has several polarisations; give mechanisms"):
+        simulate_stack(box(), VIEW, GRID, pair, LAW)
+    for stack, faces in ((pair, 12), (replace(pair, offsets_rad=(0.0,) * 3, polarisations=("HH", "HV", "VV")), 5)):
+        with pytest.raises(SarsplatError, match=f"mechanisms are of {faces} facets in HH, HV, VV; give those of 12"):
+            simulate_stack(box(), VIEW, GRID, stack, LAW, mechanisms=Mechanisms(np.zeros(faces, np.int64)))
+    for settings, words in (
+        ({"of_faces": np.array([0, 3])}, "a facet has matrix 3 of 3; number them from 0"),
+        ({"of_ground": -1}, "a facet has matrix"),
+        ({"matrices": np.eye(2, dtype=complex)[None]}, r"matrices has shape \(1, 2, 2\); for 3 polarisations give"),
+        ({"matrices": np.diag([1.0, -1.0, 1.0]).astype(complex)[None]}, "give a Hermitian, positive semi-definite one"),
+    ):
+        with pytest.raises(SarsplatError, match=words):
+            Mechanisms(**{"of_faces": np.zeros(12, np.int64), **settings})

@@ -77,6 +77,7 @@ def simulate(
     baseline: Annotated[tuple[float, ...], tyro.conf.arg(metavar="RAD …", help_behavior_hint="(optional)")] = (),
     wavelength: Metres = None,
     noise: OptionalNumber = None,
+    polarimetric: bool = False,
     seed: int = 0,
     overwrite: bool = False,
 ) -> None:
@@ -152,7 +153,10 @@ def simulate(
     wavelength
         Of stacks, m (default: 0.031).
     noise
-        Power of each pass's noise, β⁰ (default: none).
+        Of stacks, power of each channel's noise, β⁰ (default: none).
+    polarimetric
+        Simulate stacks of HH, HV and VV, of every pass or without passes: facets return by one bounce where they are
+        level, by two where they are upright, and as volumes do where they slope.
     seed
         Random seed of speckle, reflectivity and views.
     overwrite
@@ -184,7 +188,7 @@ def simulate(
     views = simulated_views(theirs, own, random_views, seed, test, test_protocol)
     grid = replace(_grid(protocol, pixels, spacing, resolution), response=response_of({"kind": response}))
     box_m = corners(target_box)
-    if (stack := asked_stack(passes, baseline, wavelength, noise)) is not None:
+    if (stack := asked_stack(passes, baseline, wavelength, noise, polarimetric)) is not None:
         refuse_with_stacks(
             looks=looks,
             clean_tests=clean_tests,
@@ -194,7 +198,7 @@ def simulate(
             masks=masks,
         )
         if source != "raycast":
-            raise SarsplatError(f"--source {source} makes no stacks; leave it out, or --passes")
+            raise SarsplatError(f"--source {source} makes no stacks; leave it out, or --passes and --polarimetric")
     refuse_existing(out, overwrite, marker=HEADER)
     if mesh is not None and target is None:
         surface, name = load_mesh(mesh), mesh.name
@@ -213,6 +217,7 @@ def simulate(
             surface, [view for view, _ in views], grid, stack, ScatteringLaw(*law), ground, seed
         )
         record = {"kind": "scatterers", "law": ScatteringLaw(*law).as_dict(), "ground_gamma0": ground, "seed": seed}
+        record |= {"mechanisms": "by slope"} if polarimetric else {}
         dataset = Dataset.of_complex(
             grid,
             _entries(views, stack),
@@ -301,7 +306,7 @@ def _finish(out: Path, dataset: Dataset, surface: trimesh.Trimesh, masks: np.nda
     dataset, grid = write_dataset(out, dataset, truth_mesh=surface, masks=masks, overwrite=overwrite), dataset.grid
     warn([*suspicions(dataset), *box_misses(dataset)])
     counts = ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits())
-    kind = f"{dataset.passes}-pass stack" if dataset.passes else "image"
+    kind = f"{dataset.passes}-channel stack" if dataset.passes else "image"
     run = shlex.quote(f"{out}-run")
     console.finish(
         f"{out}: {counted(len(dataset), kind)} of {dataset.target} ({counts}), {grid.rows} × {grid.columns} pixels"

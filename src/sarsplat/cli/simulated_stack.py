@@ -1,4 +1,4 @@
-"""What `sarsplat simulate --passes` makes: complex images of every pass over a mesh, scatterer by scatterer."""
+"""What `sarsplat simulate --passes` or `--polarimetric` makes: complex images of a mesh, scatterer by scatterer."""
 
 from __future__ import annotations
 
@@ -18,40 +18,58 @@ X_BAND_M = 0.031
 
 
 def asked_stack(
-    passes: int | None, baseline: tuple[float, ...], wavelength: float | None, noise: float | None
+    passes: int | None,
+    baseline: tuple[float, ...],
+    wavelength: float | None,
+    noise: float | None,
+    polarimetric: bool,
 ) -> Stack | None:
     """The stack that options ask for; None if they ask for single images.
 
     `baseline` is b/R from the first pass to the last, between which the others are spread evenly around the view, or
-    that of each pass.
+    that of each pass. All polarisations of a pass come one after the other.
     """
     from sarsplat.geometry import Stack
+    from sarsplat.scenes.mechanisms import POLARISATIONS
 
-    if passes is None:
+    if passes is None and not polarimetric:
         given = {"--baseline": baseline or None, "--wavelength": wavelength, "--noise": noise}
         if (name := next((name for name, value in given.items() if value is not None), None)) is not None:
-            raise SarsplatError(f"{name} is for stacks; give --passes too, or leave it out")
+            raise SarsplatError(f"{name} is for stacks; give --passes or --polarimetric too, or leave it out")
         return None
+    names = POLARISATIONS if polarimetric else ("",)
+    offsets = [offset for offset in _offsets(passes, baseline) for _ in names]
+    return Stack(
+        X_BAND_M if wavelength is None else wavelength,
+        tuple(offsets),
+        noise=None if noise is None else (noise,) * len(offsets),
+        polarisations=names * (len(offsets) // len(names)) if polarimetric else None,
+    )
+
+
+def _offsets(passes: int | None, baseline: tuple[float, ...]) -> list[float]:
+    """b/R of each pass."""
+    if passes is None:
+        if baseline:
+            raise SarsplatError("--baseline is between passes; give --passes too, or leave it out")
+        return [0.0]
     if passes < 2:
-        raise SarsplatError(f"--passes is {passes}; give at least 2, or leave it out for single images")
+        raise SarsplatError(f"--passes is {passes}; give at least 2, or leave it out")
     if len(baseline) not in (1, passes):
         raise SarsplatError(
             f"--baseline has {len(baseline)} numbers for {passes} passes; give one, from the first to the last, or "
             "one for each (b/R, rad)"
         )
-    each = baseline if len(baseline) == passes else [baseline[0] * (k / (passes - 1) - 0.5) for k in range(passes)]
-    return Stack(
-        X_BAND_M if wavelength is None else wavelength,
-        tuple(each),
-        noise=None if noise is None else (noise,) * passes,
-    )
+    return [*baseline] if len(baseline) == passes else [baseline[0] * (k / (passes - 1) - 0.5) for k in range(passes)]
 
 
 def refuse_with_stacks(**options: object) -> None:
     """Refuse options that the simulation of stacks has none of."""
     for name, value in options.items():
         if value:
-            raise SarsplatError(f"--{name.replace('_', '-')} is for single images; leave it out, or --passes")
+            raise SarsplatError(
+                f"--{name.replace('_', '-')} is for single images; leave it out, or --passes and --polarimetric"
+            )
 
 
 def simulated_signals(
@@ -67,15 +85,24 @@ def simulated_signals(
     import numpy as np
 
     from sarsplat.progress import progress
-    from sarsplat.scenes import simulate_stack
+    from sarsplat.scenes import Mechanisms, simulate_stack
 
     seeds = np.random.SeedSequence(seed).generate_state(len(views))
     noise = 0.0 if stack.noise is None else stack.noise[0]
+    mechanisms = Mechanisms.by_slope(mesh) if stack.polarimetric else None
     signals = np.empty((len(views), len(stack), grid.rows, grid.columns), np.complex64)
     with progress("simulate stacks", len(views)) as shown:
         for index, (view, own) in enumerate(zip(views, seeds, strict=True)):
             signals[index] = simulate_stack(
-                mesh, view, grid, stack, law, ground_gamma0=ground_gamma0, noise=noise, seed=int(own)
+                mesh,
+                view,
+                grid,
+                stack,
+                law,
+                ground_gamma0=ground_gamma0,
+                mechanisms=mechanisms,
+                noise=noise,
+                seed=int(own),
             )
             shown.advance(1)
     return signals

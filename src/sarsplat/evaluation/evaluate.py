@@ -226,15 +226,17 @@ def _surfaces(
         clouds["mesh"], lacks["mesh"] = _points_on_mesh(run)
         views = dataset.select("train").views
         true_mesh = read_truth_mesh(dataset.truth_mesh)
+        stacks = dataset.interferometric or dataset.polarimetric
         surface = visible_surface(
-            of_stacks(true_mesh, dataset) if dataset.interferometric else true_mesh,
+            of_stacks(true_mesh, dataset) if stacks else true_mesh,
             views,
             ray_spacing=yardstick.ray_spacing_m,
             each_view=lambda: shown.advance(1, "surface that the views see"),
         )
         shown.advance(_SAMPLES * len(views), "distances from the visible surface")
-        if dataset.interferometric:
+        if stacks:
             surface = imaged_alone(surface, dataset)
+        if dataset.interferometric:
             low, high = run.points[:, 2].min(), run.points[:, 2].max()
             clouds["capon"] = capon_points(dataset, float(low), float(high))
             lacks["capon"] = "Capon's method found no peaks"

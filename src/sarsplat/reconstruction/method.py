@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from jaxtyping import Complex64, Float32, Float64, UInt8
+from jaxtyping import Complex64, Complex128, Float32, Float64, UInt8
 
 from sarsplat.data import Dataset
+from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.names import Speckle
@@ -168,6 +169,13 @@ class Reconstruction(ABC):
         raise SarsplatError(
             "this run has not learned phases, so it has no covariances between passes; give one that sar-gs has "
             "learned from interferometric stacks (preset stack)"
+        )
+
+    def covariance_within(self, box: Box) -> Complex128[np.ndarray, "p p"]:
+        """How a part of the scene returns polarisations together (`Run.covariance_within`); refused if it has one."""
+        raise SarsplatError(
+            "this run has learned one polarisation; give one that sar-gs has learned from stacks of several (preset "
+            "polarimetric)"
         )
 
     def sampler(self, ground: str | Float32[np.ndarray, "r c"], speckle: Speckle, scatterers: float) -> DrawsSamples:

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from jaxtyping import Complex64, Float32, Float64, UInt8
+from jaxtyping import Complex64, Complex128, Float32, Float64, UInt8
 
 from sarsplat.data import Dataset, write_gaussians_ply
+from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.law_polarimetric import Polarimetric
@@ -29,6 +30,7 @@ from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.normals import surface_normals
 from sarsplat.reconstruction.parts.target import scales_m
 from sarsplat.reconstruction.points import extract_points
+from sarsplat.reconstruction.polarimetry import covariance_within
 from sarsplat.reconstruction.presets import preset
 from sarsplat.reconstruction.sampler import Sampler
 from sarsplat.reconstruction.seen import Seen
@@ -147,6 +149,11 @@ class GaussianReconstruction(Reconstruction):
                 for view, one in zip(views, stacks, strict=True)
             ]
         return np.concatenate(found)
+
+    def covariance_within(self, box: Box) -> Complex128[np.ndarray, "p p"]:
+        """Seen from the training views."""
+        grid = self.grid
+        return self.snapshot.unit * covariance_within(self.gaussians, self.snapshot.views, grid, self._rays(grid), box)
 
     def _rays(self, grid: ImageGrid) -> RayGrid:
         """At a quarter of its own pixel spacing on every grid; warns of grids that are finer than its own.

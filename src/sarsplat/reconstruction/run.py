@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Complex64, Float32, Float64, Real, UInt8
+from jaxtyping import Complex64, Complex128, Float32, Float64, Real, UInt8
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import (
@@ -24,6 +24,7 @@ from sarsplat.data import (
 )
 from sarsplat.data.dataset_folder import HEADER as DATASET_HEADER
 from sarsplat.data.folders import only_writer
+from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, Stack, View
@@ -190,6 +191,30 @@ class Run:
             As `render`.
         """
         return self.reconstruction.covariances(views, stack, grid)
+
+    @checks_arguments
+    def covariance_within(self, box: Box) -> Complex128[np.ndarray, "p p"]:
+        """How what lies in a box returns several polarisations together, on average over the training views.
+
+        Single Gaussians share pixels with others, and only their sum is determined: ask about parts that are larger
+        than a resolution cell.
+
+        Parameters
+        ----------
+        box : pair of (x, y, z)
+            Lower and upper corner, m.
+
+        Returns
+        -------
+        numpy.ndarray, complex128 [P, P]
+            E[y_i y_j*], m²: radar cross-sections on the diagonal, in order of its scattering's `polarisations`.
+
+        Raises
+        ------
+        SarsplatError
+            If it was not learned from stacks of several polarisations, or no Gaussian lies in the box.
+        """
+        return self.reconstruction.covariance_within(box)
 
     @checks_arguments
     def sample(

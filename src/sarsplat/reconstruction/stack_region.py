@@ -15,6 +15,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, Stack, View, radar_frame
 from sarsplat.reconstruction.points import imaged, spread
+from sarsplat.reconstruction.target_region import target_region
 
 _BELOW = 0.1
 """Part of the heights looked at that lies below z = 0."""
@@ -34,9 +35,13 @@ _SAME = 1.0 - 1e-4
 def stack_region(train: Dataset, box: Box | None = None) -> Region:
     """The given box, or the dataset's, or as high as phases tell; of one direction, only what its images show.
 
-    Without a box, heights are those that one ambiguity holds, or that an image is long enough to show.
+    Without a box, heights are those that one ambiguity holds, or that an image is long enough to show; of polarisations
+    alone, those of what stands out from the ground, or what all images hold.
     """
     box, grid = box or train.target_box_m, train.grid
+    blind = box is None and not any(np.ptp(stack.offsets_rad) for stack in train.stacks)  # phases tell no heights
+    if blind and not train.ground:
+        return target_region(train, ground=False)
     half_azimuth, half_range = grid.columns * grid.spacing_m[0] / 2, grid.rows * grid.spacing_m[1] / 2
     if box is None:
         heights = [
@@ -46,7 +51,8 @@ def stack_region(train: Dataset, box: Box | None = None) -> Region:
             )
             for stack, view in zip(train.stacks, train.views, strict=True)
         ]
-        low, high = -_BELOW * min(heights), (1 - _BELOW) * min(heights)
+        tallest = float(target_region(train, ground=True).high[2]) / (1 - _BELOW) if blind else min(heights)
+        low, high = -_BELOW * tallest, (1 - _BELOW) * tallest
         reach = max(_reach_m(view, grid, high) for view in train.views)
         box = (-reach, -reach, low), (reach, reach, high)
     region = Region.box(*box)

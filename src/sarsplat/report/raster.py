@@ -19,8 +19,8 @@ def indexed(values: Real[np.ndarray, "*shape"], low: float, high: float) -> UInt
     return np.round(255 * np.clip((np.asarray(values) - low) / (high - low), 0, 1)).astype(np.uint8)
 
 
-def png(indices: Picture, colours: Palette | None = None) -> bytes:
-    """A PNG of the indices, in grey without a palette."""
+def png(indices: Picture | UInt8[np.ndarray, "rows columns 3"], colours: Palette | None = None) -> bytes:
+    """A PNG of the indices, in grey without a palette; or of red, green and blue."""
     from PIL import Image
 
     buffer = io.BytesIO()

@@ -1,35 +1,35 @@
-"""What a report shows of runs that were learned from interferometric stacks."""
+"""What a report shows of runs that were learned from stacks."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from sarsplat.errors import SarsplatError
 from sarsplat.reconstruction import Run
 from sarsplat.report.figure import Figure
 from sarsplat.report.layover import brightest_layover
+from sarsplat.report.pauli import PAULI, pauli_figure
 from sarsplat.report.phases import phases_figure, window_of
 from sarsplat.report.tomography import slice_figure
 
 
 def stack_figures(run: Run, truth: Path | None) -> list[Figure]:
-    """Phase and coherence of a stack, and a slice through layover; none if the run was learned without phases.
+    """What the images show besides power, none if the run was learned from power alone.
 
-    `truth` is the mesh of the true surface, if that is known.
+    Polarisations in colours; or phase and coherence, and a slice through layover. `truth` is the mesh of the true
+    surface, if that is known.
     """
-    if run.model is None:  # other methods know of power alone
+    if run.model is None or run.config.passes is None:
         return []
+    if run.dataset.polarimetric:
+        return [pauli_figure(run)] if set(run.dataset.stacks[0].of_channels) >= PAULI else []
     index, cut = brightest_layover(run.dataset, run.points, window_of(run))
-    try:
-        phases = phases_figure(run, index, cut)
-    except SarsplatError:  # it was learned from power alone
-        return []
+    phases = phases_figure(run, index, cut)
     tomography = slice_figure(run, cut, truth)
     return [phases] if tomography is None else [phases, tomography]
 
 
 def which_points(run: Run) -> str:
     """What the points of a run are, for readers."""
-    if run.dataset.interferometric and run.model is not None and run.config.passes is not None:
+    if run.model is not None and run.config.passes is not None:
         return f"The centres of the Gaussians that together return {run.config.points.power_share:.0%} of the power"
     return "The first returns of the training views' rays"

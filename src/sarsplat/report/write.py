@@ -72,7 +72,7 @@ def _html(run: Run, quiet: bool) -> bytes:
     figures, turning = list[Figure](), list[Widget | None]()
     parts: dict[str, Callable[[], object]] = {
         "unseen views": lambda: figures.append(unseen_figure(run, chosen)),
-        **({"stacks": lambda: figures.extend(_stacks(run))} if run.dataset.interferometric else {}),
+        **({"stacks": lambda: figures.extend(_stacks(run))} if run.dataset.passes else {}),
         "masks": lambda: figures.extend(_masks(run)),
         "points": lambda: figures.append(_points(run)),
         "mesh": lambda: figures.extend(_mesh(run)),
