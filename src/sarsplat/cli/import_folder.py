@@ -72,7 +72,7 @@ def command(
     flattened: bool = False,
     overwrite: bool = False,
 ) -> int:
-    """Import pictures (PNG, JPEG, TIFF, GeoTIFF, NPY) with a table (CSV) of angles; complex ones also as stacks.
+    """Import pictures (PNG, JPEG, TIFF, GeoTIFF, NPY, MATLAB) with a table (CSV) of angles, or stacks of complex ones.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Import pictures of any origin: a folder of PNG, JPEG, TIFF or NPY files, and a table of their angles."""
+"""Import pictures of any origin: a folder of PNG, JPEG, TIFF, NPY or MATLAB files, and a table of their angles."""
 
 from __future__ import annotations
 
