@@ -226,12 +226,16 @@ def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:
     classes = dict.fromkeys(row[columns["class"]] for _, row in table.rows) if "class" in columns else {}
     if len(classes) > 1:
         facts["classes"] = ", ".join(classes)
-    command = _command(contents.path, columns, lacking, next(iter(classes)) if len(classes) > 1 else None)
+    views = [row[columns["view"]] for _, row in table.rows] if "view" in columns else []
+    stacks = bool(columns.keys() & {"baseline", "polarisation"}) and len(set(views)) < len(views)
+    if stacks:
+        facts["stacks"] = f"{counted(len(set(views)), 'view')} of several channels"
+    command = _command(contents.path, columns, lacking, next(iter(classes)) if len(classes) > 1 else None, stacks)
     certainty = 1.0 if not lacking else 0.2 if columns else _LEAST_CERTAIN
     return Recognised(f"pictures with a table{'' if lacking else ' of their angles'}", facts, command, certainty)
 
 
-def _command(folder: Path, columns: Columns, lacking: list[str], target_class: str | None) -> str:
+def _command(folder: Path, columns: Columns, lacking: list[str], target_class: str | None, stacks: bool) -> str:
     words = ["folder", str(folder)]
     if target_class is not None:
         words += ["--class", target_class]
@@ -241,6 +245,8 @@ def _command(folder: Path, columns: Columns, lacking: list[str], target_class: s
         words += ["--grazing", "DEGREES"]
     if not any("spacing" in meaning for meaning in columns):
         words += ["--spacing", "METRES"]
+    if stacks:
+        words += ["--wavelength", "METRES"]
     return typed_import(*words, out=dataset_name(folder))
 
 
