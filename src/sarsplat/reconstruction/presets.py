@@ -120,8 +120,16 @@ PRESETS: dict[str, Config] = {
         passes=Passes(),
     ),
 }
-# several polarisations: the same, with a matrix for each Gaussian
-PRESETS["polarimetric"] = replace(PRESETS["stack"], preset="polarimetric", scattering="polarimetric")
+# several polarisations: the same, with a matrix for each Gaussian. Materials are not alike, and sparsity and dropout keep
+# faint Gaussians from mixing those that share pixels.
+PRESETS["polarimetric"] = replace(
+    PRESETS["stack"],
+    preset="polarimetric",
+    scattering="polarimetric",
+    scattering_penalty=0.0,
+    sparsity=0.2,
+    dropout=0.2,
+)
 """Known presets by name."""
 
 

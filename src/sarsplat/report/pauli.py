@@ -54,9 +54,9 @@ def pauli_figure(run: Run) -> Figure:
         panels = []
         for index, image in zip(shown, images, strict=True):
             colours = indexed(np.sqrt(part.of_images(image.clip(min=0)) / brightest), 0, 1)
-            title = view_name(train.views[index])
+            title = f"azimuth {round(train.views[index].azimuth_deg, 1):g}°"
             picture = data_uri(png(np.ascontiguousarray(np.moveaxis(colours, 0, -1))))
-            panels.append(part.panel(title, f"{name}: polarisations, {title}", picture))
+            panels.append(part.panel(title, f"{name}: polarisations, {view_name(train.views[index])}", picture))
         blocks.append(Block(name, tuple(panels)))
     return Figure("Polarisations", _text(window), tuple(blocks))
 
