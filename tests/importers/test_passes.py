@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sarsplat import ScatteringLaw, preset, reconstruct, simulate_stack
+from sarsplat import Mechanisms, ScatteringLaw, preset, reconstruct, simulate_stack
 from sarsplat.cli import main
 from sarsplat.data import Dataset, read_dataset
 from sarsplat.errors import SarsplatError
@@ -125,6 +125,22 @@ def test_polarisations_come_back(tmp_path):
     assert made.polarimetric and not made.interferometric
     both = write(tmp_path / "in", NOISY[:, :2], {"polarisation": ["HH", "HH"], "baseline": [0.0, 1e-3]})
     assert imported(both).interferometric
+
+
+def test_simulated_polarisations_come_back_and_are_learned_from(tmp_path):
+    mesh = trimesh.creation.box((2.0, 3.0, 2.0)).apply_translation((0, 0, 1.0))
+    stack = Stack(0.031, (0.0,) * 3, noise=(0.1,) * 3, polarisations=("HH", "HV", "VV"))
+    mechanisms = Mechanisms(np.zeros(len(mesh.faces), np.int64))
+    signals = [
+        simulate_stack(mesh, view, GRID, stack, LAW, ground_gamma0=0.5, mechanisms=mechanisms, noise=0.1)
+        for view in VIEWS
+    ]
+    folder = write(tmp_path / "in", np.stack(signals), {"polarisation": list(stack.of_channels)})
+    made = imported(folder, noise=0.1)
+    np.testing.assert_array_equal(made.signal, np.stack(signals))
+    assert made.stacks == (stack, stack)
+    run = reconstruct(made, replace(preset("polarimetric"), iterations=2), quiet=True)
+    assert run.gaussians.scattering.polarisations == stack.polarisations
 
 
 def test_stacks_lie_as_single_images_do(tmp_path):
