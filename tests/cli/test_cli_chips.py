@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import signal
 from collections.abc import Callable
 from dataclasses import replace
@@ -40,6 +41,10 @@ def test_chips_in_folders_of_classes(runs: str, said: Command, refused: Command,
     command = told.partition("import with: ")[2]
     assert "--near bottom --quantity amplitude --class box" in command
     said(f"{command.partition('sarsplat ')[2].rpartition(' ')[0]} {tmp_path / 'back'}")
+    header = json.loads((out / "chips.json").read_text())
+    for field, value in (("runs", []), ("count", -1), ("grazing_deg", []), ("shard", 0)):
+        (out / "chips.json").write_text(json.dumps(header | {field: value}))
+        assert f"{field} is {value}: expected" in refused(f"info {out}")
     (out / "chips.json").write_text("{}")
     assert "its schema is None" in refused(f"info {out}")
 

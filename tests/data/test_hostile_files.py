@@ -225,8 +225,8 @@ def test_folders_whose_names_are_not_text(dataset, tmp_path):
     shutil.move(dataset, there)
     assert read_dataset(there).grid == GRID
     assert main(["info", str(there)]) == 0
-    with pytest.raises(SarsplatError, match="not UTF-8 text; rename"):
-        write_json(tmp_path / "a.json", {"dataset": str(there)})  # as the header of a run names it
+    with pytest.raises(SarsplatError, match=r"cannot hold the name 'a/\\udcff', which is not UTF-8 text; rename"):
+        write_json(tmp_path / "a.json", {"seed": 0, "dataset": os.fsdecode(b"a/\xff")})  # as a run names it
 
 
 def test_images_of_other_kinds(tmp_path):

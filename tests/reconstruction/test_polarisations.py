@@ -46,9 +46,7 @@ def dataset(offsets: tuple[float, ...] = (0.0,)) -> Dataset:
     stack = Stack(0.24, channels, noise=noise, polarisations=names)
     two_bounces, law = Mechanisms(np.full(len(block().faces), 1)), ScatteringLaw(2.0, 0.0, 1.0)
     signals = [
-        simulate_stack(
-            block(), view, GRID, stack, law, ground_gamma0=0.7, mechanisms=two_bounces, noise=NOISE, seed=k
-        )
+        simulate_stack(block(), view, GRID, stack, law, ground_gamma0=0.7, mechanisms=two_bounces, noise=NOISE, seed=k)
         for k, view in enumerate(VIEWS)
     ]
     entries = tuple(DatasetEntry(view, "train", f"{k}", stack=stack) for k, view in enumerate(VIEWS))

@@ -67,6 +67,8 @@ def test_a_run_keeps_its_chips_when_others_join(run: Run, folders: list[Path]) -
 
 WRONG: list[tuple[dict[str, Any], str]] = [
     ({"count": 0}, "count is 0; give at least one"),
+    ({"count": 10**20}, "count is 100000000000000000000; give at most 100000000, for numbers have eight digits"),
+    ({"azimuths_deg": [float("inf")]}, "azimuth inf is not a number of degrees"),
     ({"seed": -1}, "seed -1 must be at least 0"),
     ({"grazing_deg": (20.0, 10.0)}, "grazing 20:10 goes down; give the lower"),
     ({"grazing_deg": (0.0, 10.0)}, "grazing angle 0.0° is outside"),
@@ -76,6 +78,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"quantity": "complex"}, "quantity is 'complex', which the 8 bits of jpeg cannot hold; choose npy"),
     ({"scale": "calibrated", "format": "png"}, "scale is 'calibrated', which the 8 bits of png cannot hold"),
     ({"jpeg_quality": 101}, "jpeg_quality is 101; give 1 to 100"),
+    ({"ground": "Uniform"}, "ground is 'Uniform'; give learned, uniform or the file of a picture"),
     ({"ground": "nowhere.png"}, "cannot read nowhere.png: it does not exist"),
 ]
 
@@ -97,6 +100,12 @@ def test_runs_that_do_not_go_together(run: Run, folders: list[Path]) -> None:
     with pytest.raises(SarsplatError, match=r"pixels of 0.3 m × 0.3 m, .* with the same pixels"):
         chips([folders[0], coarser], crop=30)
     assert isinstance(chips([run, *folders]), Chips)
+    quick = made_up("box")
+    quick = replace(quick, config=replace(quick.config, loss="amplitude", surroundings=None))
+    with pytest.raises(SarsplatError, match=r"^the run in memory: this run was learned without speckle"):
+        chips([run, quick])
+    with pytest.raises(SarsplatError, match=r"^'T-72 \(a\)' and 'T-72 \[a\]' are two classes .* called T-72__a_;"):
+        chips([folders[1], made_up("T-72 [a]")])
 
 
 def test_workers_that_begin_empty_make_the_same(folders: list[Path]) -> None:
@@ -109,7 +118,7 @@ def test_workers_that_begin_empty_make_the_same(folders: list[Path]) -> None:
         assert again.classes == made.classes
 
 
-def test_a_run_knows_what_it_shows_without_its_dataset(tmp_path: Path) -> None:
+def test_a_run_knows_what_it_shows_without_its_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = made_up("T-72", tmp_path / "some-run").folder
     (tmp_path / "some-run-data").rename(tmp_path / "elsewhere")
     assert chips([folder], count=1).classes == ("T-72",)
@@ -117,6 +126,8 @@ def test_a_run_knows_what_it_shows_without_its_dataset(tmp_path: Path) -> None:
     del header["target"]  # as runs of before
     (folder / "config.json").write_text(json.dumps(header))
     assert chips([folder], count=1).classes == ("some-run",)
+    monkeypatch.chdir(folder)
+    assert chips(["."], count=1).classes == ("some-run",)
 
 
 def test_angles_that_no_training_image_has_seen_are_warned_of(run: Run) -> None:

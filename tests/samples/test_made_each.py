@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
 import torch
@@ -32,6 +38,46 @@ def test_results_come_in_order_from_as_many_processes_as_there_are_threads(threa
 def test_few_are_made_here(threads: int) -> None:
     assert set(made_each(lambda _: os.getpid(), range(20))) == {os.getpid()}
     assert list(made_each(str, [])) == []
+
+
+def test_a_polite_kill_of_all_is_left_to_the_first_process(threads: int) -> None:
+    def work(index: int) -> int:
+        if index == 130 and os.getpid() != first:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return index
+
+    first = os.getpid()
+    assert list(made_each(work, range(300))) == list(range(300))
+
+
+LONG_RESULTS = """
+import os, time, torch
+from sarsplat.samples.made_each import made_each
+torch.set_num_threads(2)
+for number, (process, _) in enumerate(made_each(lambda index: (os.getpid(), bytes(100_000)), range(1000))):
+    print(process, flush=True)
+    if number == 100:
+        time.sleep(60)
+"""
+
+
+def lives(process: int) -> bool:
+    """Also false of one whose end nobody has asked about yet."""
+    with suppress(FileNotFoundError, ProcessLookupError):
+        return Path(f"/proc/{process}/cmdline").read_bytes() != b""
+    return False
+
+
+def test_processes_end_with_the_first_one_however_that_ends() -> None:
+    with subprocess.Popen([sys.executable, "-c", LONG_RESULTS], stdout=subprocess.PIPE, text=True) as first:
+        assert first.stdout is not None
+        workers = {int(first.stdout.readline()) for _ in range(101)}
+        first.kill()
+    assert len(workers) == 2
+    until = time.monotonic() + 10
+    while any(map(lives, workers)):
+        assert time.monotonic() < until
+        time.sleep(0.05)
 
 
 def test_a_failure_is_raised_where_it_was_in_the_same_words(threads: int) -> None:

@@ -186,6 +186,9 @@ def test_ground_as_a_picture_shows_it(run: Run, tmp_path: Path) -> None:
     for name, words in (("small", "has 20 × 36 pixels, fewer"), ("black", "is black"), ("none", "does not exist")):
         with pytest.raises(SarsplatError, match=words):
             run.sample(VIEW, ground=backdrop_of(tmp_path / f"{name}.png", run.grid))
+    for number in (math.nan, math.inf, -1.0):
+        with pytest.raises(SarsplatError, match=rf"is \[64, 36\] numbers from {number:g} to .*; give power"):
+            run.sample(VIEW, ground=np.full((64, 36), number, np.float32))
     with pytest.raises(SarsplatError, match="ground is 'lerned'; give learned, uniform, or its power"):
         run.sample(VIEW, ground="lerned")
 

@@ -160,9 +160,9 @@ def encode_json(obj: Any, path: Path) -> bytes:
         text = json.dumps(obj, indent=2, ensure_ascii=False, allow_nan=False, default=_struct_as_dict)
         return (text + "\n").encode()
     except UnicodeEncodeError as error:  # a path whose bytes are not UTF-8 carries them as halves of surrogate pairs
-        name = error.object[max(0, error.start - 60) : error.end + 60]
+        name = error.object[: error.start].rpartition('"')[2] + error.object[error.start :].partition('"')[0]
         raise SarsplatError(
-            f"{path} cannot hold the name {name!r}, which is not UTF-8 text; rename that file"
+            f"{path} cannot hold the name {shown(name)}, which is not UTF-8 text; rename that file"
         ) from error
     except (TypeError, ValueError, RecursionError) as error:
         raise SarsplatError(

@@ -120,8 +120,8 @@ PRESETS: dict[str, Config] = {
         passes=Passes(),
     ),
 }
-# several polarisations: the same, with a matrix for each Gaussian. Materials are not alike, and sparsity and dropout keep
-# faint Gaussians from mixing those that share pixels.
+# several polarisations: the same, with a matrix for each Gaussian. Materials are not alike, and sparsity and dropout
+# keep faint Gaussians from mixing those that share pixels.
 PRESETS["polarimetric"] = replace(
     PRESETS["stack"],
     preset="polarimetric",

@@ -103,6 +103,11 @@ class Sampler:
         if isinstance(ground, str):
             self._backdrop = torch.ones(self._grid.rows, self._grid.columns)
             return
+        if ground.ndim != 2 or not ((ground >= 0) & (ground < math.inf)).all():
+            raise SarsplatError(
+                f"the ground is {list(ground.shape)} numbers from {ground.min():g} to {ground.max():g}; give power in "
+                "rows and columns, finite and not negative"
+            )
         if ground.shape[0] < grid.rows or ground.shape[1] < grid.columns:
             raise SarsplatError(
                 f"the ground has {ground.shape[0]} × {ground.shape[1]} pixels, fewer than the images' {grid.rows} × "

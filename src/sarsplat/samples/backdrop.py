@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32
 from scipy.ndimage import gaussian_filter
 
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid
 from sarsplat.importers.pictures import read_pixels
 from sarsplat.importers.quantity import likely_quantity, power_or_signal
@@ -42,6 +42,8 @@ def backdrop_of(ground: str | Path, grid: ImageGrid) -> str | Float32[np.ndarray
     if str(ground) in (LEARNED, UNIFORM):
         return str(ground)
     path = Path(ground)
+    if not path.suffix:
+        raise SarsplatError(f"ground is {shown(str(ground))}; give {LEARNED}, {UNIFORM} or the file of a picture")
     pixels = read_pixels(path)
     if pixels.dtype.kind == "f" and pixels.ndim == 2:
         raise SarsplatError(

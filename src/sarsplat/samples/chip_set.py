@@ -17,7 +17,7 @@ from jaxtyping import Complex64
 from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.reconstruction import Run
@@ -29,6 +29,9 @@ from sarsplat.samples.encoding import Encoding
 
 _AROUND = 360
 """Chips of a run unless a number is given."""
+
+_MOST = 100_000_000
+"""Chips of a set: the numbers that files are named after have eight digits."""
 
 _GOLDEN = (math.sqrt(5) - 1) / 2
 """Of a turn: azimuths this far apart are spread evenly, however many there are."""
@@ -108,13 +111,15 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
             raise SarsplatError("there are no runs to draw chips from; give at least one")
         if count < 1:
             raise SarsplatError(f"count is {count}; give at least one chip of each run")
+        if count * len(runs) > _MOST:
+            raise SarsplatError(f"count is {count}; give at most {_MOST // len(runs)}, for numbers have eight digits")
         self.runs, self.count, self.seed, self.encoding = tuple(runs), count, seed, encoding
         self.ground, self.speckle, self.scatterers = ground, speckle, scatterers
         for run in self.runs:
             encoding.require_room(run.grid)
             _require_alike(run, self.runs[0], cut=encoding.crop is not None)
         seed_of(seed, 0)  # refuses negative ones
-        self.azimuths_deg = tuple(View(azimuth % 360, 45.0).azimuth_deg for azimuth in azimuths_deg)
+        self.azimuths_deg = tuple(View(azimuth, 45.0).azimuth_deg % 360 for azimuth in azimuths_deg)
         self.grazing_deg = [_grazing(run) if grazing_deg is None else grazing_deg for run in self.runs]
         for low, high in self.grazing_deg:
             if View(0.0, low).grazing_deg > View(0.0, high).grazing_deg:
@@ -124,6 +129,13 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         self.targets = tuple(target_of(run) for run in self.runs)
         self.classes = tuple(dict.fromkeys(self.targets))
         """Classes; the numbers that go with chips are places in it."""
+        first: dict[str, str] = {}
+        for run, target in zip(self.runs, self.targets, strict=True):
+            if (one := first.setdefault(target, _shows(run))) != (other := _shows(run)):
+                raise SarsplatError(
+                    f"{shown(one)} and {shown(other)} are two classes whose folders would both be called {target}; "
+                    "make a set of each"
+                )
         _ = self._draw  # refuses what runs cannot be asked for
 
     def __getstate__(self) -> dict[str, Any]:
@@ -136,8 +148,15 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
     def _draw(self) -> list[DrawsSamples]:
         """What draws samples of each run."""
         backdrops = [backdrop_of(self.ground, run.grid) for run in self.runs]
-        pairs = zip(self.runs, backdrops, strict=True)
-        return [run.reconstruction.sampler(backdrop, self.speckle, self.scatterers) for run, backdrop in pairs]
+        draw = []
+        for run, backdrop in zip(self.runs, backdrops, strict=True):
+            try:
+                draw.append(run.reconstruction.sampler(backdrop, self.speckle, self.scatterers))
+            except SarsplatError as error:
+                if len(self.runs) == 1:
+                    raise
+                raise SarsplatError(f"{_name(run)}: {error}") from error
+        return draw
 
     @cached_property
     def brightest(self) -> float:
@@ -238,19 +257,26 @@ def chips(
         If there are no runs, one cannot be read or has not learned how single images differ, grids differ, an angle is
         out of range, or a choice is unknown or does not suit another.
     """
-    encoding = Encoding(quantity, scale, format, jpeg_quality, crop, near)
+    # JSON cannot hold numpy's numbers, and spells 17 and 17.0 differently
+    encoding = Encoding(quantity, scale, format, int(jpeg_quality), None if crop is None else int(crop), near)
     opened = [run if isinstance(run, Run) else Run.load(run) for run in runs]
-    number = (len(azimuths_deg) or _AROUND) if count is None else count
-    return Chips(opened, number, azimuths_deg, grazing_deg, seed, encoding, ground, speckle, scatterers)
+    azimuths = tuple(azimuths_deg)
+    number = (len(azimuths) or _AROUND) if count is None else int(count)
+    between = None if grazing_deg is None else (float(grazing_deg[0]), float(grazing_deg[1]))
+    return Chips(opened, number, azimuths, between, int(seed), encoding, ground, speckle, float(scatterers))
 
 
 def target_of(run: Run) -> str:
     """What a run shows, as a folder may be named."""
-    return re.sub(r"[^\w+-]", "_", run.target or _name(run))
+    return re.sub(r"[^\w+-]", "_", _shows(run))
+
+
+def _shows(run: Run) -> str:
+    return run.target or _name(run)
 
 
 def _name(run: Run) -> str:
-    return "the run in memory" if run.path is None else run.path.name
+    return "the run in memory" if run.path is None else run.path.absolute().name
 
 
 def _require_alike(run: Run, first: Run, cut: bool) -> None:

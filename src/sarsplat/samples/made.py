@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Self
 
 import msgspec
 
@@ -45,11 +45,11 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
     schema_version: int
     program: str
     """Version of this program."""
-    runs: list[MadeRun]
-    count: int
+    runs: Annotated[list[MadeRun], msgspec.Meta(min_length=1)]
+    count: Annotated[int, msgspec.Meta(ge=1)]
     seed: int
     azimuths_deg: list[float]
-    grazing_deg: list[tuple[float, float]]
+    grazing_deg: Annotated[list[tuple[float, float]], msgspec.Meta(min_length=1)]
     ground: str
     ground_digest: str | None
     """Of the picture's file; None of a word."""
@@ -62,7 +62,7 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
     jpeg_quality: int
     crop: int | None
     near: Side
-    shard: int | None
+    shard: Annotated[int, msgspec.Meta(ge=1)] | None
     pixels: tuple[int, int]
     """Rows and columns of each file."""
     spacing_m: tuple[float, float]

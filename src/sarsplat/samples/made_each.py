@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
@@ -15,6 +17,8 @@ _WORTH_IT = 100
 
 _TOGETHER = 16
 """Chips that a process is asked for at a time."""
+
+_PR_SET_PDEATHSIG = 1  # of Linux's prctl
 
 T = TypeVar("T")
 
@@ -34,11 +38,18 @@ def made_each(work: Callable[[int], T], indices: Sequence[int]) -> Iterator[T]:
         sampler=[indices[first : first + _TOGETHER] for first in range(0, len(indices), _TOGETHER)],  # type: ignore[arg-type]
         num_workers=processes,
         multiprocessing_context="fork",
+        worker_init_fn=_end_with_the_first,
     )
     for made in chain.from_iterable(loader):
         if isinstance(made, Exception):
             raise made
         yield made
+
+
+def _end_with_the_first(_: int) -> None:
+    """A polite kill of the whole group is for the first process, and that ends the others, however it ends."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # one that waits to be listened to would stay for ever
 
 
 class _Work(Dataset[list[T | Exception]], Generic[T]):

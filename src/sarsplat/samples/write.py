@@ -59,7 +59,7 @@ def write_chips(
     if shard is not None and shard < 1:
         raise SarsplatError(f"shard is {shard}; give at least one chip for each file")
     out = Path(out)
-    header = Made.of(chips, shard)
+    header = Made.of(chips, None if shard is None else int(shard))
     made = header.encoded(out / MARKER)
 
     def goes_on(folder: Path) -> bool:
