@@ -8,6 +8,7 @@ import random
 import re
 import struct
 import tempfile
+import warnings
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -27,6 +28,7 @@ from chip_files import COLUMNS, phoenix_bytes
 from datasets import dataset_of
 from fuzz_mutations import FLOATS, NUMBERS, Mutation, spoil_bytes, spoil_json
 from pulses import FREQUENCIES, circle, record
+from rslcs import halves, write_rslc
 from sarsplat.data import (
     load_checkpoint,
     read_dataset,
@@ -38,10 +40,11 @@ from sarsplat.data import (
     write_gaussians_ply,
     write_points_ply,
 )
+from sarsplat.errors import SarsplatWarning
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.responses import Taylor
-from sarsplat.importers import read_phoenix
+from sarsplat.importers import import_rslc, read_phoenix
 from sarsplat.importers.apertures import apertures
 from sarsplat.importers.focus import focus
 from sarsplat.importers.gotcha import read_gotcha
@@ -372,6 +375,21 @@ def _read_chips(folder: Path) -> object:
     return [chip.magnitude for chip in read_chips(folder / "chips", folder / "labels.csv", "T72")]
 
 
+# ---- RSLC files ----
+
+
+def _rslcs() -> list[bytes]:
+    image = np.random.default_rng(0).normal(size=(40, 30, 2)) @ [1, 1j]
+    images = {name: halves(image) for name in ("HH", "HV", "VV")}
+    return [_written(lambda path: write_rslc(path, images)), _written(lambda path: write_rslc(path, {"HH": image}))]
+
+
+def _read_rslc(folder: Path) -> object:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SarsplatWarning)  # there is but one view
+        return import_rslc(folder / "a.h5", folder / "set", size_m=60.0, overwrite=True).power.mean()
+
+
 # ---- MATLAB files ----
 
 
@@ -470,6 +488,7 @@ READERS = (
     Reader("labels.csv", "labels.csv", _read_chips, lambda: [_LABELS], (), _chips),
     Reader("chip.jpeg", "chips/a.jpeg", _read_chips, lambda: [_jpeg()], (), _chips),
     Reader("sicd", "a.nitf", fuzz_sicd.read, fuzz_sicd.seeds, (fuzz_sicd.spoil,)),
+    Reader("rslc", "a.h5", _read_rslc, _rslcs),
     Reader("mat", "a.mat", lambda folder: read_mat(folder / "a.mat"), _mats, (_spoil_mat,)),
     Reader("gotcha", "a.mat", _read_pulses, _pulses, (_spoil_mat, _spoil_pulses)),
     Reader("folder table", "shots/t.csv", pics.read_table, pics.tables, (pics.spoil_cell,), pics.prepare_table),

@@ -11,6 +11,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
+import scipy.io
 import tifffile
 from PIL import Image
 
@@ -84,7 +85,8 @@ def pictures() -> list[bytes]:
         buffer = io.BytesIO()
         np.save(buffer, pixels)
         made.append(buffer.getvalue())
-    return made
+    scipy.io.savemat(buffer := io.BytesIO(), {"image": _SIGNAL, "spacing": 0.5})
+    return [*made, buffer.getvalue()]
 
 
 def _saved(image: Image.Image, kind: str) -> bytes:
@@ -107,14 +109,14 @@ def spoil_npy(data: bytes, rng: random.Random) -> bytes:
 def read_picture(folder: Path) -> object:
     """Named after how it begins, as nobody else would know what it is."""
     data = (folder / "picture").read_bytes()
-    endings = {b"\x89P": "png", b"\xff\xd8": "jpg", b"II": "tif", b"MM": "tif"}
+    endings = {b"\x89P": "png", b"\xff\xd8": "jpg", b"II": "tif", b"MM": "tif", b"MA": "mat"}
     name = f"a.{endings.get(data[:2], 'npy')}"
     shots = folder / "shots"
     shots.mkdir(exist_ok=True)
     (shots / name).write_bytes(data)
     (shots / "t.csv").write_text(f"file,azimuth\n{name},30\n")
     try:
-        quantity = None if b"<c" in data[:128] or name[2] in "pj" else "power"
+        quantity = None if b"<c" in data[:128] or name[2] in "pjm" else "power"
         options = {"spacing_m": (0.1, 0.3), "grazing_deg": 20, "quantity": quantity}
         return _checked(import_folder, shots, folder / "out", **options)
     finally:

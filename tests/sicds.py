@@ -85,6 +85,9 @@ class Recording:
     window: str | None = "UNIFORM"
     parameters: tuple[tuple[str, str], ...] = ()
     sign: int = -1
+    polarisation: str = "V:V"
+    coregistered_to: Track | None = None
+    """Whose image plane it lies in; its own if None."""
 
     @property
     def spacing(self) -> tuple[float, float]:
@@ -197,7 +200,9 @@ def describe(track: Track, recording: Recording) -> tuple[lxml.etree._ElementTre
     arp, velocity = ecef(track.position()), track.velocity() @ east_north_up
     llh = sarkit.wgs84.cartesian_to_geodetic(scp)
     up = sarkit.wgs84.up(llh)
-    row, column = plane(recording, scp, arp, velocity, up)
+    base = recording.coregistered_to or track
+    seen_from = ecef(base.position()), base.velocity() @ east_north_up
+    row, column = plane(recording, scp, *seen_from, up)
 
     root = lxml.etree.Element("{urn:SICD:1.4.0}SICD", nsmap={None: "urn:SICD:1.4.0"})
     tree = lxml.etree.ElementTree(root)
@@ -255,13 +260,13 @@ def describe(track: Track, recording: Recording) -> tuple[lxml.etree._ElementTre
     sicd["Position"]["ARPPoly"] = np.array([arp - velocity, velocity])
     sicd["RadarCollection"] = {
         "TxFrequency": {"Min": FREQUENCY - 3e8, "Max": FREQUENCY + 3e8},
-        "TxPolarization": "V",
-        "RcvChannels": {"@size": 1, "ChanParameters": [{"@index": 1, "TxRcvPolarization": "V:V"}]},
+        "TxPolarization": recording.polarisation[0],
+        "RcvChannels": {"@size": 1, "ChanParameters": [{"@index": 1, "TxRcvPolarization": recording.polarisation}]},
     }
     algorithm = {"RGZERO": "RMA", "RGAZIM": "PFA"}.get(recording.kind, "OTHER")
     sicd["ImageFormation"] = {
         "RcvChanProc": {"NumChanProc": 1, "ChanIndex": [1]},
-        "TxRcvPolarizationProc": "V:V",
+        "TxRcvPolarizationProc": recording.polarisation,
         "TStartProc": 0.0,
         "TEndProc": 2.0,
         "TxFrequencyProc": {"MinProc": FREQUENCY - 3e8, "MaxProc": FREQUENCY + 3e8},
@@ -299,6 +304,6 @@ def describe(track: Track, recording: Recording) -> tuple[lxml.etree._ElementTre
         }
 
     def grid_of(place: np.ndarray) -> np.ndarray:
-        return locate(recording.kind, place, scp, arp, velocity, row, column)
+        return locate(recording.kind, place, scp, *seen_from, row, column)
 
     return tree, grid_of

@@ -40,6 +40,7 @@ from .importers import (
     import_folder as import_folder,
     import_mstar as import_mstar,
     import_phase_history as import_phase_history,
+    import_rslc as import_rslc,
     import_sample as import_sample,
     import_sicd as import_sicd,
     read_phoenix as read_phoenix,

@@ -21,6 +21,12 @@ Swept = Literal["azimuth", "grazing"]
 Quantity = Literal["amplitude", "power", "db", "complex"]
 """What the numbers of an image mean."""
 
+Transmit = Literal["each", "one"]
+"""Whether each pass of a stack transmits itself, or one transmits for all."""
+
+CrossPolarised = Literal["mean", "both"]
+"""Whether HV and VH of one antenna become one channel, or stay two."""
+
 Side = Literal["top", "right", "bottom", "left"]
 """Sides of a picture, by the number of counter-clockwise quarter turns that bring each to the top."""
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 import tifffile
 from PIL import Image
 
@@ -30,6 +31,8 @@ def written(folder: Path, name: str, pixels: np.ndarray, **options) -> Path:
             np.save(path, pixels)
         case ".tif":
             tifffile.imwrite(path, pixels, **options)
+        case ".mat":
+            scipy.io.savemat(path, {"image": pixels, "spacing": 0.5, "azimuths": [1.0, 2.0], **options})
         case _:
             Image.fromarray(pixels).save(path, **options)
     return path
@@ -50,6 +53,8 @@ def written(folder: Path, name: str, pixels: np.ndarray, **options) -> Path:
         ("a.npy", COMPLEX.astype(np.complex128), {}),
         ("a.npy", REAL[None], {}),
         ("a.npy", np.asfortranarray(REAL), {}),
+        ("a.mat", COMPLEX, {}),
+        ("a.mat", SIXTEEN, {"about": {"sensor": "x"}}),
     ],
 )
 def test_pixels_are_those_written(tmp_path, name, pixels, options):
@@ -222,3 +227,12 @@ def test_colours_and_objects_are_refused(tmp_path):
     np.save(tmp_path / "a.npy", np.array([[object()]], dtype=object), allow_pickle=True)
     with pytest.raises(SarsplatError, match="not a readable array"):
         read_pixels(tmp_path / "a.npy")
+
+
+@pytest.mark.parametrize(
+    ("variables", "words"), [({"b": REAL}, r"2 matrices \(image, b\); give one image"), ({}, None)]
+)
+def test_a_matlab_file_has_one_image(tmp_path, variables, words):
+    path = written(tmp_path, "a.mat", REAL if words else np.ones((1, 5)), **variables)
+    with pytest.raises(SarsplatError, match=words or "has no matrix of numbers; give one image for each file"):
+        read_pixels(path)

@@ -19,6 +19,7 @@ EXTRAS: dict[str, dict[str, str]] = {
     "view": {"viser": "viser", "websockets": "websockets", "matplotlib": "matplotlib", "trimesh": "trimesh"},
     "report": {"matplotlib": "matplotlib", "jinja2": "jinja2", "trimesh": "trimesh", "skimage": "scikit-image"},
     "sicd": {"sarkit": "sarkit", "lxml": "lxml"},
+    "rslc": {"h5py": "h5py"},
     "phase-history": {"finufft": "finufft"},
     "las": {"laspy": "laspy", "lazrs": "lazrs"},
     "video": {"PIL": "pillow", "cv2": "opencv-python-headless"},

@@ -10,6 +10,7 @@ import tyro
 from sarsplat.cli.arguments import (
     Folder,
     Lengths,
+    Metres,
     OptionalCount,
     OptionalFile,
     OptionalName,
@@ -23,7 +24,7 @@ from sarsplat.cli.arguments import (
 from sarsplat.cli.imported import carry_out
 from sarsplat.cli.importers import Contents, Recognised, dataset_name, typed_import
 from sarsplat.errors import SarsplatError, counted
-from sarsplat.names import Quantity, Side
+from sarsplat.names import Quantity, Side, Transmit
 
 if TYPE_CHECKING:
     from sarsplat.importers.columns import Columns
@@ -64,9 +65,14 @@ def command(
     no_ground: bool = False,
     terrain: OptionalFile = None,
     target_box: TargetBox = None,
+    wavelength: Metres = None,
+    transmit: Transmit = "each",
+    noise: OptionalNumber = None,
+    conjugate: bool = False,
+    flattened: bool = False,
     overwrite: bool = False,
 ) -> int:
-    """Import pictures (PNG, JPEG, TIFF, GeoTIFF, NPY) with a table (CSV) of angles.
+    """Import pictures (PNG, JPEG, TIFF, GeoTIFF, NPY, MATLAB) with a table (CSV) of angles, or stacks of complex ones.
 
     Parameters
     ----------
@@ -79,7 +85,7 @@ def command(
     columns
         What the table calls its columns, e.g. az=aspect,graz=elev; meanings are file, azimuth, grazing or incidence,
         spacing, resolution (or azimuth-spacing, range-spacing …), split, azimuth-std, class, look (left or right),
-        scale and offset. The usual names are recognised without it.
+        scale and offset, and of stacks view, baseline and polarisation. The usual names are recognised without it.
     target_class
         Take only the pictures of this class, if the table has a column of classes.
     quantity
@@ -123,6 +129,18 @@ def command(
     target_box
         Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Without it, it is
         derived from the images.
+    wavelength
+        Of stacks, m. Rows with the same view are then its channels, coregistered and complex: passes, with b/R in
+        radians in the column baseline, or polarisations, received and transmitted, in the column polarisation.
+    transmit
+        Of stacks: each pass transmits itself, or one transmits for all.
+    noise
+        Of stacks: power of each channel's noise, in the unit of the images; learned unless given.
+    conjugate
+        Of stacks: what is farther away has more phase.
+    flattened
+        Of stacks: phases of the level plane z = 0 were taken out. Unless they were, a scatterer at the scene's origin
+        must have the same phase in every pass.
     overwrite
         Replace an existing dataset.
     """
@@ -155,6 +173,11 @@ def command(
         ground=not no_ground,
         terrain=heights(terrain),
         target_box_m=corners(target_box),
+        wavelength_m=wavelength,
+        transmit=transmit,
+        noise=noise,
+        conjugate=conjugate,
+        flattened=flattened,
         overwrite=overwrite,
     )
 
@@ -203,12 +226,16 @@ def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:
     classes = dict.fromkeys(row[columns["class"]] for _, row in table.rows) if "class" in columns else {}
     if len(classes) > 1:
         facts["classes"] = ", ".join(classes)
-    command = _command(contents.path, columns, lacking, next(iter(classes)) if len(classes) > 1 else None)
+    views = [row[columns["view"]] for _, row in table.rows] if "view" in columns else []
+    stacks = bool(columns.keys() & {"baseline", "polarisation"}) and len(set(views)) < len(views)
+    if stacks:
+        facts["stacks"] = f"{counted(len(set(views)), 'view')} of several channels"
+    command = _command(contents.path, columns, lacking, next(iter(classes)) if len(classes) > 1 else None, stacks)
     certainty = 1.0 if not lacking else 0.2 if columns else _LEAST_CERTAIN
     return Recognised(f"pictures with a table{'' if lacking else ' of their angles'}", facts, command, certainty)
 
 
-def _command(folder: Path, columns: Columns, lacking: list[str], target_class: str | None) -> str:
+def _command(folder: Path, columns: Columns, lacking: list[str], target_class: str | None, stacks: bool) -> str:
     words = ["folder", str(folder)]
     if target_class is not None:
         words += ["--class", target_class]
@@ -218,6 +245,8 @@ def _command(folder: Path, columns: Columns, lacking: list[str], target_class: s
         words += ["--grazing", "DEGREES"]
     if not any("spacing" in meaning for meaning in columns):
         words += ["--spacing", "METRES"]
+    if stacks:
+        words += ["--wavelength", "METRES"]
     return typed_import(*words, out=dataset_name(folder))
 
 

@@ -36,6 +36,7 @@ def command(
     heading: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 90.0,
     target: Annotated[str, tyro.conf.arg(metavar="NAME")] = "unnamed",
     train_views: OptionalCount = None,
+    stack: bool = False,
     no_ground: bool = False,
     terrain: OptionalFile = None,
     target_box: TargetBox = None,
@@ -46,7 +47,7 @@ def command(
     Parameters
     ----------
     files
-        SICD files (NITF), one for each view.
+        SICD files (NITF), one for each view, or the channels of one.
     out
         Dataset folder to write.
     size
@@ -61,6 +62,8 @@ def command(
         What the images show.
     train_views
         Number of training views, evenly around; the others are test views. Without it, all are for training.
+    stack
+        The files, coregistered to one grid, are passes or polarisations of one view, that of the first.
     no_ground
         The images show nothing but the target.
     terrain
@@ -86,6 +89,7 @@ def command(
         heading_deg=heading,
         target=target,
         train_views=train_views,
+        stack=stack,
         ground=not no_ground,
         terrain=heights(terrain),
         target_box_m=corners(target_box),

@@ -5,6 +5,7 @@ from sarsplat.importers.images import MeasuredImage, dataset_of, summary, write_
 from sarsplat.importers.mstar import import_mstar
 from sarsplat.importers.phase_history_images import import_phase_history
 from sarsplat.importers.phoenix import PhoenixChip, read_phoenix
+from sarsplat.importers.rslc import import_rslc
 from sarsplat.importers.sample import import_sample
 from sarsplat.importers.sicd import import_sicd
 
@@ -15,6 +16,7 @@ __all__ = [
     "import_folder",
     "import_mstar",
     "import_phase_history",
+    "import_rslc",
     "import_sample",
     "import_sicd",
     "read_phoenix",

@@ -26,10 +26,16 @@ MEANINGS: dict[str, tuple[str, ...]] = {
     "look": ("lookside", "lookdirection"),
     "scale": (),
     "offset": (),
+    "view": ("viewname", "stack"),
+    "baseline": ("baselinerad", "lookoffset"),
+    "polarisation": ("polarization", "pol"),
 }
 """What a column can say, and other usual names of such columns, without units."""
 
-_SHORT = {"az": "azimuth", "graz": "grazing", "elev": "grazing", "inc": "incidence", "std": "azimuth-std"}
+_SHORT = {
+    **{"az": "azimuth", "graz": "grazing", "elev": "grazing", "inc": "incidence", "std": "azimuth-std"},
+    **{"pol": "polarisation", "polarization": "polarisation"},
+}
 _UNITS = {"deg", "degree", "degrees", "m", "metre", "metres", "meter", "meters", "angle"}
 _ONLY_IF_NAMED = ("scale", "offset")
 """Too many things are called that."""

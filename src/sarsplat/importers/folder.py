@@ -1,4 +1,4 @@
-"""Import pictures of any origin: a folder of PNG, JPEG, TIFF or NPY files, and a table of their angles."""
+"""Import pictures of any origin: a folder of PNG, JPEG, TIFF, NPY or MATLAB files, and a table of their angles."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from sarsplat.data.orientation import Layout, oriented
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Terrain, View
 from sarsplat.importers.images import MeasuredImage, dataset_of, view_of, write_imported
+from sarsplat.importers.passes import Recording, lists_stacks, stacks_of
 from sarsplat.importers.pictures import read_pixels
 from sarsplat.importers.quantity import likely_quantity, power_or_signal
 from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
-from sarsplat.names import Quantity, Side
+from sarsplat.names import Quantity, Side, Transmit
 
 Pair = tuple[float, float]
 
@@ -50,9 +51,14 @@ def import_folder(
     ground: bool = True,
     terrain: Terrain | None = None,
     target_box_m: Box | None = None,
+    wavelength_m: float | None = None,
+    transmit: Transmit = "each",
+    noise: float | None = None,
+    conjugate: bool = False,
+    flattened: bool = False,
     overwrite: bool = False,
 ) -> Dataset:
-    """Make a dataset of pictures and a table with a row for each.
+    """Make a dataset of pictures and a table with a row for each, or of stacks and a table with a row for each channel.
 
     Parameters
     ----------
@@ -96,6 +102,18 @@ def import_folder(
         Heights of the ground that the images show; level unless given.
     target_box_m : pair of (x, y, z), optional
         Lower and upper corner of the box that contains the target, m; unless given, it is derived from the images.
+    wavelength_m : float, optional
+        Of stacks, m. Rows with the same `view` are then coregistered channels of it, with the pass's `baseline` (b/R,
+        rad), or a `polarisation`, received and transmitted; see docs/channels.md.
+    transmit : {"each", "one"}
+        Of stacks, whether each pass transmits itself, or one transmits for all.
+    noise : float, optional
+        Of stacks, the power of each channel's noise, in the unit of the images.
+    conjugate : bool
+        Of stacks, whether what is farther away has more phase.
+    flattened : bool
+        Of stacks, whether the phases of the level plane z = 0 were taken out. Unless they were, a scatterer at the
+        scene's origin must have the same phase in every pass.
     overwrite : bool
         Whether an existing dataset may be replaced.
 
@@ -103,7 +121,7 @@ def import_folder(
     ------
     SarsplatError
         If the table or a picture is missing, damaged or says too little, several classes are shown, a path leads out of
-        the folder, a number is out of range, or the output exists.
+        the folder, a number is out of range, channels do not make a stack, or the output exists.
 
     Warns
     -----
@@ -111,6 +129,7 @@ def import_folder(
         Once each, for rows without a picture, pictures without a row, and what `dataset_of` warns of.
     """
     folder = Path(folder)
+    recording = _recording(wavelength_m, transmit, noise, conjugate, flattened)
     listed = read_picture_table(
         folder,
         None if table is None else Path(table),
@@ -119,6 +138,11 @@ def import_folder(
         grazing=grazing_deg is None,
         spacing=spacing_m is None,
     )
+    if recording is None and lists_stacks(listed):
+        raise SarsplatError(
+            f"{listed.path} has several rows for one view, channels of a stack; give its wavelength with --wavelength "
+            "METRES, or a name of its own to each view"
+        )
     guessed = quantity
     images = []
     for picture in listed.pictures:
@@ -144,6 +168,8 @@ def import_folder(
                 split=picture.split,
             )
         )
+    if recording is not None:
+        images = stacks_of(listed, images, recording)
     source: dict[str, Any] = {
         "kind": "folder",
         "table": listed.path.name,
@@ -160,6 +186,7 @@ def import_folder(
             f"azimuths are directions to the radar, {'counter-' if counter_clockwise else ''}clockwise; 0 is "
             f"{azimuth_offset_deg:g}° from the target's nose",
             *([] if _resolution_known(listed, resolution_m) else ["the resolution is the pixel spacing"]),
+            *([] if recording is None else _said_of_phases(recording)),
         ],
     }
     dataset = dataset_of(
@@ -174,6 +201,27 @@ def import_folder(
         target_box_m=target_box_m,
     )
     return write_imported(out, dataset, overwrite=overwrite)
+
+
+def _recording(
+    wavelength_m: float | None, transmit: Transmit, noise: float | None, conjugate: bool, flattened: bool
+) -> Recording | None:
+    """How channels of stacks were recorded; None for single images."""
+    if wavelength_m is not None:
+        return Recording(wavelength_m, transmit, noise, conjugate, flattened)
+    given = {"transmit": transmit != "each", "noise": noise is not None, "conjugate": conjugate, "flattened": flattened}
+    if named := [name for name, value in given.items() if value]:
+        raise SarsplatError(f"--{named[0]} is for stacks; give --wavelength METRES too, or leave it out")
+    return None
+
+
+def _said_of_phases(recording: Recording) -> list[str]:
+    return [
+        f"what is farther away has {'more' if recording.conjugate else 'less'} phase in the files",
+        "the phases of the level plane z = 0 were taken out of the files"
+        if recording.flattened
+        else "no phases were taken out of the files, and the scene's origin has the same in every pass",
+    ]
 
 
 def _layout(near: Side, mirrored: bool, counter_clockwise: bool, listed: PictureTable) -> dict[str, Any]:

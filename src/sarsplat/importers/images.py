@@ -20,7 +20,7 @@ from sarsplat.data.header import Box, Calibration
 from sarsplat.data.image import power_of
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import AssumptionWarning, SarsplatError, counted
-from sarsplat.geometry import ImageGrid, Terrain, View
+from sarsplat.geometry import ImageGrid, Stack, Terrain, View
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.importers.band_limited import resample
 from sarsplat.radiometry import to_db
@@ -53,9 +53,9 @@ class MeasuredImage:
     ----------
     name : str
         What to call it, e.g. its file.
-    pixels : numpy.ndarray, complex64 or float32 [rows, columns]
+    pixels : numpy.ndarray, complex64 or float32 [rows, columns], or complex64 [P, rows, columns]
         Complex amplitude if phase is available, otherwise linear power; row 0 near range, columns rising along the
-        flight of a right-looking radar.
+        flight of a right-looking radar. Of a stack, those of each channel, coregistered, not deramped.
     view : View
         From where it was taken.
     spacing_m, resolution_m : (float, float)
@@ -68,10 +68,12 @@ class MeasuredImage:
         Its set, if the source says so.
     response : Response
         Shape of the power response; Gaussian if unknown.
+    stack : Stack or None
+        The channels, if there are several.
     """
 
     name: str
-    pixels: Num[np.ndarray, "rows columns"]
+    pixels: Num[np.ndarray, "*channels rows columns"]
     view: View
     spacing_m: tuple[float, float]
     resolution_m: tuple[float, float]
@@ -79,11 +81,12 @@ class MeasuredImage:
     azimuth_std_deg: float = 0.0
     split: str | None = None
     response: Response = GAUSSIAN
+    stack: Stack | None = None
 
     @property
     def grid(self) -> ImageGrid:
         """Where its pixels lie."""
-        rows, columns = self.pixels.shape
+        rows, columns = self.pixels.shape[-2:]
         return ImageGrid(rows, columns, self.spacing_m, self.resolution_m, self.center_m, self.response)
 
 
@@ -113,7 +116,7 @@ def dataset_of(
     ----------
     images : sequence of MeasuredImage
         All complex, or all power. If their spacings differ, all are resampled to the finest; if their sizes or centres
-        differ, all are cut to what they have in common.
+        differ, all are cut to what they have in common. Either none or all of them are stacks, of as many channels.
     target : str
         What they show.
     source : dict
@@ -123,13 +126,13 @@ def dataset_of(
         azimuths evenly spaced over the rest; of several grazing angles, each gets the next azimuth in turn. The others
         are test views. Not if the images name their sets.
     calibration, looks, ground, terrain, target_box_m
-        See `Dataset`. Relative power has mean 1 over the training views.
+        See `Dataset`. Relative power has mean 1 over the training views; that of noise is in the same unit.
 
     Raises
     ------
     SarsplatError
-        If there are no images or fewer than `train_views`, some are complex and some not, the sets are given twice,
-        they have no common part, or all training images are black.
+        If there are no images or fewer than `train_views`, some are complex and some not, stacks differ in their
+        numbers of channels, the sets are given twice, they have no common part, or all training images are black.
 
     Warns
     -----
@@ -141,6 +144,7 @@ def dataset_of(
     if len({image.pixels.dtype.kind for image in images}) > 1:
         raise SarsplatError("some images are complex and others are not; import images of one kind")
     assumptions = [*source.get("assumptions", ())]
+    _refuse_other_channels(images)
     images = _with_sets(images, train_views)
     grid = _common_grid(images, assumptions)
     pixels = np.stack([_on(image, grid) for image in images])
@@ -166,9 +170,11 @@ def dataset_of(
             )
         with np.errstate(over="ignore"):  # what is brighter than float32 holds is refused by the dataset
             pixels /= np.sqrt(scale, dtype=np.float32) if pixels.dtype.kind == "c" else np.float32(scale)
+        images = [replace(image, stack=_in_units(image.stack, scale)) for image in images]
         source = {**source, "mean_power": scale}
     entries = tuple(
-        DatasetEntry(image.view, image.split or "train", image.name, image.azimuth_std_deg) for image in images
+        DatasetEntry(image.view, image.split or "train", image.name, image.azimuth_std_deg, image.stack)
+        for image in images
     )
     return (Dataset.of_complex if pixels.dtype.kind == "c" else Dataset)(
         grid,
@@ -209,14 +215,18 @@ def assume(assumptions: list[str], text: str) -> None:
 
 
 def summary(dataset: Dataset) -> str:
-    """What was made: "36 views (24 train, 12 test) of 26 m × 26 m, largest gap of the training views 14°"."""
+    """What was made: "36 views (24 train, 12 test) of 26 m × 26 m, largest gap of the training views 14°".
+
+    Of stacks also how many channels each view has: "4 views of 3 channels, 26 m × 26 m, …".
+    """
     sets = [f"{len(dataset.images(split))} {split}" for split in dataset.splits()]
     training = [entry.view.azimuth_deg for entry in dataset.entries if entry.split == "train"]
     shares, whose = (f" ({', '.join(sets)})", " of the training views") if len(sets) > 1 else ("", "")
     gap = largest_gap(training).width_deg
     sides = (dataset.grid.columns * dataset.grid.spacing_m[0], dataset.grid.rows * dataset.grid.spacing_m[1])
     size = " × ".join(f"{side:.3g} m" for side in sides)
-    return f"{counted(len(dataset), 'view')}{shares} of {size}, largest gap{whose} {gap:.3g}°"
+    channels = f"{counted(dataset.passes, 'channel')}, " if dataset.passes else ""
+    return f"{counted(len(dataset), 'view')}{shares} of {channels}{size}, largest gap{whose} {gap:.3g}°"
 
 
 def _with_sets(images: Sequence[MeasuredImage], train_views: int | None) -> list[MeasuredImage]:
@@ -280,7 +290,7 @@ def _edges(grid: ImageGrid) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def _on(image: MeasuredImage, grid: ImageGrid) -> Shaped[np.ndarray, "{grid.rows} {grid.columns}"]:
+def _on(image: MeasuredImage, grid: ImageGrid) -> Shaped[np.ndarray, "*channels {grid.rows} {grid.columns}"]:
     """The pixels of an image where those of a grid lie."""
     own = image.grid
     rows = (grid.range_m - own.range_m[0]) / own.spacing_m[1]
@@ -288,7 +298,13 @@ def _on(image: MeasuredImage, grid: ImageGrid) -> Shaped[np.ndarray, "{grid.rows
     top, left = round(rows[0]), round(columns[0])
     whole_rows, whole_columns = top + np.arange(grid.rows), left + np.arange(grid.columns)
     if max(np.abs(rows - whole_rows).max(), np.abs(columns - whole_columns).max()) < _SAME_PLACE:
-        return image.pixels[top : top + grid.rows, left : left + grid.columns]
+        return image.pixels[..., top : top + grid.rows, left : left + grid.columns]
+    if image.stack is not None:
+        # the ramp of a level plane moves the band away from zero, so it is taken out meanwhile
+        before, after = (np.exp(1j * image.stack.plane_phases(image.view, one)) for one in (own, grid))
+        level = image.pixels * before.conj()
+        moved = np.stack([resample(channel, rows, columns) for channel in level]) * after
+        return moved.astype(image.pixels.dtype)
     resampled = resample(image.pixels, rows, columns)
     # a sinc undershoots beside what is bright
     return resampled if resampled.dtype.kind == "c" else np.maximum(resampled, 0)
@@ -296,6 +312,24 @@ def _on(image: MeasuredImage, grid: ImageGrid) -> Shaped[np.ndarray, "{grid.rows
 
 def _power(pixels: Num[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
     return power_of(pixels) if pixels.dtype.kind == "c" else pixels
+
+
+def _refuse_other_channels(images: Sequence[MeasuredImage]) -> None:
+    """Refuse stacks of different numbers of channels, or beside single images."""
+    first, *others = [(image.name, 0 if image.stack is None else len(image.stack)) for image in images]
+    for name, channels in others:
+        if channels != first[1]:
+            raise SarsplatError(
+                f"{first[0]} has {counted(first[1], 'channel')} and {name} has {channels} (0: no stack); give all "
+                "views the same number, or import those with others by themselves"
+            )
+
+
+def _in_units(stack: Stack | None, scale: float) -> Stack | None:
+    """The stack when power is divided by `scale`."""
+    if stack is None or stack.noise is None:
+        return stack
+    return replace(stack, noise=tuple(noise / scale for noise in stack.noise))
 
 
 def _metres(pair: np.ndarray) -> str:

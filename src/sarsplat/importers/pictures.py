@@ -1,4 +1,4 @@
-"""Pixels of PNG, JPEG, TIFF and NPY files, as they are stored; what a header promises is believed only if it fits."""
+"""Pixels of PNG, JPEG, TIFF, NPY and MATLAB files, as they are stored; a header is believed only if it fits."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from jaxtyping import Shaped
 
 from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.importers.mat import read_mat
 
-PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy")
+PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy", ".mat")
 """Files that `read_pixels` reads."""
 
 _FREE_BYTES, _BYTES_PER_BYTE = 4 << 20, 64
 """Measured images do not compress much: what unpacks to more than this, and so many times its size, is a bomb."""
 _MOST_PAGES = 16
 _MANY_WRONG = (OSError, SyntaxError, ValueError, ZeroDivisionError, OverflowError, EOFError)
-_TIFF, _NPY = (".tif", ".tiff"), ".npy"
+_TIFF = (".tif", ".tiff")
 
 
 def read_pixels(path: Path) -> Shaped[np.ndarray, "*shape"]:
@@ -33,13 +34,14 @@ def read_pixels(path: Path) -> Shaped[np.ndarray, "*shape"]:
     Raises
     ------
     SarsplatError
-        If it cannot be read, is damaged or of another format, in colour, of several pages, holds Python objects, or
-        unpacks to far more than its size.
+        If it cannot be read, is damaged or of another format, in colour, of several pages or matrices, holds Python
+        objects, or unpacks to far more than its size.
     """
     ending = path.suffix.lower()
     if ending not in PICTURE_ENDINGS:
         raise SarsplatError(f"{path} does not end in one of {', '.join(PICTURE_ENDINGS)}; save it as one of these")
-    pixels = _npy(path) if ending == _NPY else _tiff(path) if ending in _TIFF else _picture(path)
+    reads = {".npy": _npy, ".mat": _mat, **dict.fromkeys(_TIFF, _tiff)}
+    pixels = reads.get(ending, _picture)(path)
     if pixels.ndim == 3 and 1 in pixels.shape[::2]:
         pixels = pixels[0] if pixels.shape[0] == 1 else pixels[..., 0]
     bands = pixels.ndim == 3 and 2 in pixels.shape[::2]
@@ -64,6 +66,16 @@ def _npy(path: Path) -> Shaped[np.ndarray, "*shape"]:
         raise SarsplatError(
             f"{path} is not a readable array of numbers ({shown(str(error))}); write it again with numpy.save"
         ) from error
+
+
+def _mat(path: Path) -> Shaped[np.ndarray, "*shape"]:
+    """The one matrix among a file's variables; numbers and lines of numbers may lie beside it."""
+    variables = read_mat(path)
+    matrices = [name for name, value in variables.items() if isinstance(value, np.ndarray) and min(value.shape) > 1]
+    if len(matrices) != 1:
+        names = f"{len(matrices)} matrices ({', '.join(matrices[:5])})" if matrices else "no matrix of numbers"
+        raise SarsplatError(f"{path} has {names}; give one image for each file")
+    return np.asarray(variables[matrices[0]])
 
 
 def _tiff(path: Path) -> Shaped[np.ndarray, "*shape"]:

@@ -26,6 +26,7 @@ from sarsplat.importers.images import MeasuredImage, assume, check_sides, datase
 from sarsplat.importers.sicd_chip import chip, resolution_of, response_along, spacing_of
 from sarsplat.importers.sicd_file import Sicd, read_sicd
 from sarsplat.importers.sicd_geometry import Layout, Spot, layout_around, spot_of_centre, spot_of_pixel
+from sarsplat.importers.sicd_stack import stack_image
 
 _LARGEST_SIZE_M = 1e5
 _LEANS = 0.05
@@ -43,6 +44,7 @@ def import_sicd(
     heading_deg: float = 90.0,
     target: str = "unnamed",
     train_views: int | None = None,
+    stack: bool = False,
     looks: float | None = 1.0,
     ground: bool = True,
     terrain: Terrain | None = None,
@@ -54,7 +56,7 @@ def import_sicd(
     Parameters
     ----------
     files : sequence of Path
-        SICD files, one for each view.
+        SICD files, one for each view, or the channels of one (`stack`).
     out : Path
         Dataset to make.
     size_m : float
@@ -72,6 +74,9 @@ def import_sicd(
     train_views : int, optional
         Number of training views, as evenly around as there are; the others become test views. None: all are for
         training.
+    stack : bool
+        Whether the files, coregistered to one grid, are passes or polarisations of one view, which is that of the
+        first; their phases, offsets and names are made those of a `Stack`.
     looks : float or None
         Number of looks of the speckle; None if there is none.
     ground : bool
@@ -92,8 +97,8 @@ def import_sicd(
     Raises
     ------
     SarsplatError
-        If sarkit is not installed, a file is not a valid SICD or does not show the whole of what is asked for, or the
-        output exists.
+        If sarkit is not installed, a file is not a valid SICD or does not show the whole of what is asked for, files of
+        a stack differ in their grids or frequencies, or the output exists.
     """
     require_sarkit()
     folders.refuse_existing(Path(out), overwrite, marker=HEADER)
@@ -101,31 +106,36 @@ def import_sicd(
     _check_request(size_m, around, pixel, heading_deg)
     sicds = [read_sicd(path) for path in paths]
     spot = _spot(sicds[0], around, pixel, heading_deg)
-    layouts = [layout_around(sicd, spot, size_m / 2) for sicd in sicds]
+    layouts = [layout_around(sicd, spot, size_m / 2) for sicd in (sicds[:1] if stack else sicds)]
+    layouts *= len(sicds) // len(layouts)  # all channels of a stack have the first one's
     finest = np.min([spacing_of(sicd, layout) for sicd, layout in zip(sicds, layouts, strict=True)], axis=0)
     spacing = float(finest[0]), float(finest[1])
     columns, rows = (round(size_m / step) for step in spacing)
     check_sides(size_m, rows, columns, f"{spacing[0]:.3g} m × {spacing[1]:.3g} m")
     absolute = all(sicd.beta_zero is not None for sicd in sicds)
-    images = [
-        MeasuredImage(
-            name,
-            chip(sicd, layout, (rows, columns), spacing, absolute),
-            layout.view,
-            spacing,
-            resolution_of(sicd, layout),
-            response=response_along(sicd, layout),
-        )
-        for name, sicd, layout in zip(_names(paths), sicds, layouts, strict=True)
-    ]
+    names = _names(paths)
+    images = (
+        [stack_image(names[0], sicds, spot, layouts[0], (rows, columns), spacing, absolute)]
+        if stack
+        else [
+            MeasuredImage(
+                name,
+                chip(sicd, layout, (rows, columns), spacing, absolute),
+                layout.view,
+                spacing,
+                resolution_of(sicd, layout),
+                response=response_along(sicd, layout),
+            )
+            for name, sicd, layout in zip(names, sicds, layouts, strict=True)
+        ]
+    )
     source: dict[str, Any] = {
         "kind": "sicd",
         "spot": {"latitude_deg": spot.latitude_deg, "longitude_deg": spot.longitude_deg, "height_m": spot.height_m},
         "heading_deg": spot.heading_deg,
-        "assumptions": _assumptions(sicds, layouts, spot, (around, pixel), absolute),
+        "assumptions": _assumptions(sicds, layouts, spot, (around, pixel), absolute, stack),
         "images": [
-            {"name": image.name, **_facts(sicd, layout)}
-            for image, sicd, layout in zip(images, sicds, layouts, strict=True)
+            {"name": name, **_facts(sicd, layout)} for name, sicd, layout in zip(names, sicds, layouts, strict=True)
         ],
     }
     dataset = dataset_of(
@@ -213,6 +223,7 @@ def _assumptions(
     spot: Spot,
     given: tuple[object, object],
     absolute: bool,
+    stack: bool,
 ) -> list[str]:
     """What was taken for granted, in plain English."""
     around, pixel = given
@@ -235,8 +246,13 @@ def _assumptions(
         else f"{sum(sicd.beta_zero is None for sicd in sicds)} of {counted(len(sicds), 'file')} do not say how to get "
         "β⁰, so power is known up to one factor, which is taken to be the same for all",
     ]
+    if stack:
+        sentences.append(
+            "the files are coregistered to the grid of the first, and the phases of each are referred to the range of "
+            "its scene centre point; those of the spot are made equal, and those of level ground are kept"
+        )
     polarizations = sorted({sicd.collection.get("polarization", "not stated") for sicd in sicds})
-    if len(polarizations) > 1:
+    if len(polarizations) > 1 and not stack:
         differ = f"polarisations differ ({', '.join(polarizations)}), but are taken to show the same power"
         assume(sentences, f"{differ}; give files of one if they do not")
     leaning = [(math.hypot(*layout.leaning), sicd, layout) for sicd, layout in zip(sicds, layouts, strict=True)]

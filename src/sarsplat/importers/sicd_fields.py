@@ -117,6 +117,13 @@ class SicdFields:
             raise SarsplatError(f"{self._path} has a table of amplitudes that is not 256 numbers ≥ 0; get it again")
         return values
 
+    def centre_frequency(self) -> float | None:
+        """Of the processed band, Hz; None where the file does not say it."""
+        ends = [self._load(f"ImageFormation/TxFrequencyProc/{name}") for name in ("MinProc", "MaxProc")]
+        if not all(isinstance(end, int | float) and 1e6 <= end <= FARTHEST for end in ends):  # also catches NaN
+            return None
+        return sum(map(float, ends)) / 2
+
     def collection(self) -> dict[str, str]:
         """Who took it, when and how."""
         names = {

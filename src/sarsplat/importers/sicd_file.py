@@ -42,6 +42,8 @@ class Sicd:
     """What the amplitudes of the last pixel type stand for; None for themselves."""
     beta_zero: Float64[np.ndarray, "m n"] | None
     """What power is multiplied by to be β⁰: a polynomial in (xrow, ycol), m; None if unknown."""
+    frequency_hz: float | None
+    """Centre of the processed band; None if the file does not say it."""
     collection: dict[str, str]
     """Sensor, collection, date and polarisation, for people to read."""
 
@@ -138,6 +140,7 @@ def read_sicd(path: Path) -> Sicd:
             segments,
             fields_of.amplitudes(),
             fields_of.polynomial("Radiometric/BetaZeroSFPoly"),
+            fields_of.centre_frequency(),
             fields_of.collection(),
         )
 

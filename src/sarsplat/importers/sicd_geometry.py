@@ -202,7 +202,7 @@ def _radar(
     return line / distance, spot.axes @ state.VARP_COA, distance
 
 
-def _on_ground(view: View, azimuth_m: np.ndarray, range_m: np.ndarray) -> Float64[np.ndarray, "n 3"]:
+def on_ground(view: View, azimuth_m: np.ndarray, range_m: np.ndarray) -> Float64[np.ndarray, "n 3"]:
     """The places on level ground that a view has at these azimuths and ranges."""
     across, elevation, away = radar_frame(view)
     rise = -away[2] / elevation[2]  # along the elevation axis for each metre of range
@@ -212,7 +212,7 @@ def _on_ground(view: View, azimuth_m: np.ndarray, range_m: np.ndarray) -> Float6
 def _fit(sicd: Sicd, spot: Spot, view: View, extent_m: float) -> Float64[np.ndarray, "n 2"]:
     steps = np.linspace(-1, 1, _LATTICE)
     azimuth, away = (part.ravel() for part in np.meshgrid(steps, steps))
-    places = _locate(sicd, spot, _on_ground(view, azimuth * extent_m, away * extent_m))
+    places = _locate(sicd, spot, on_ground(view, azimuth * extent_m, away * extent_m))
     terms = _terms(azimuth, away)
     coefficients = np.linalg.lstsq(terms, places, rcond=None)[0]
     left = np.abs(terms @ coefficients - places) / [sicd.row.spacing_m, sicd.column.spacing_m]

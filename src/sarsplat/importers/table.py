@@ -38,6 +38,12 @@ class ListedPicture:
     """What the pixels are multiplied by."""
     offset: float | None
     """What is then added to them."""
+    view: str | None
+    """Of a stack: rows of the same view are its channels."""
+    baseline_rad: float | None
+    """Of a stack: b/R of the pass."""
+    polarisation: str | None
+    """Of a stack: as it stands in the table, in capital letters."""
 
 
 @dataclass(frozen=True)
@@ -150,6 +156,9 @@ def _listed(table: CsvTable, row: Row, columns: Columns, path: Path) -> ListedPi
         looks_left=_looks_left(table, row, text("look")),
         scale=number("scale"),
         offset=number("offset"),
+        view=text("view") or None,
+        baseline_rad=number("baseline"),
+        polarisation=text("polarisation").upper() or None,
     )
 
 

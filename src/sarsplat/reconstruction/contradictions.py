@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from sarsplat.data import Dataset
+from sarsplat.data.image import power_of
 from sarsplat.data.orientation import SIDES, Layout, oriented
 from sarsplat.data.plausible import suspicious_angles, suspicious_images
 from sarsplat.errors import counted
@@ -44,7 +45,8 @@ def examine(dataset: Dataset) -> Examination:
     Parameters
     ----------
     dataset : Dataset
-        At most 120 images, evenly chosen, are looked at; for images that are the same or constant, all.
+        At most 120 images, evenly chosen, are looked at, of stacks their first channel; for images that are the same
+        or constant, all.
 
     Returns
     -------
@@ -62,12 +64,20 @@ def examine(dataset: Dataset) -> Examination:
     examined.checks["images"] = "see below" if wrong else _all_differ(len(dataset))
     count = min(len(dataset), _MOST_IMAGES)
     places = [k * len(dataset) // count for k in range(count)]
-    chosen = dataset.take(places)
+    chosen = _of_one_channel(dataset.take(places))
     if not angles and np.ptp(chosen.power, axis=(1, 2)).any():
         counts = counting(dataset.views)
         spread = None if counts is None else [counts.spread[k] for k in places]
         examine_units(_upright(chosen, examined, counts, spread), examined)
     return examined
+
+
+def _of_one_channel(dataset: Dataset) -> Dataset:
+    """Of stacks the first channel alone, since the mean over channels has more looks; others as they are."""
+    if dataset.signal is None or not dataset.passes:
+        return dataset
+    entries = tuple(replace(entry, stack=None) for entry in dataset.entries)
+    return replace(dataset, entries=entries, power=power_of(dataset.signal[:, 0]), signal=None)
 
 
 def _all_differ(images: int) -> str:

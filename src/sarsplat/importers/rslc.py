@@ -1,0 +1,237 @@
+"""Import a single-look complex image of several polarisations in NISAR's layout (RSLC): one view, a stack.
+
+Rows of a file are azimuth times and columns slant ranges, at zero Doppler; here they become columns and rows. Phases
+are those of the file, which has exp(−jkR), as `Stack` has. Its polarisations are named by what is transmitted and what
+is received, those of a `Stack` by what is received and what is transmitted. The radar being one antenna, HV and VH of a
+scene are the same but for noise, and their mean is one channel, HV, unless both are asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Complex64
+
+from sarsplat.arguments import checks_arguments
+from sarsplat.data import folders
+from sarsplat.data.dataset import Dataset
+from sarsplat.data.dataset_folder import HEADER
+from sarsplat.data.header import Box, Calibration
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import Stack, Terrain, View
+from sarsplat.importers.images import MeasuredImage, check_sides, dataset_of, write_imported
+from sarsplat.importers.rslc_file import Rslc, read_rslc, require_h5py
+from sarsplat.names import CrossPolarised
+from sarsplat.radiometry import to_db
+
+_LIGHT_M_S = 299_792_458.0
+_UNWEIGHTED = 0.886
+"""Width of a response at half power, for a band of 1 without weights."""
+
+
+@checks_arguments
+def import_rslc(
+    file: str | Path,
+    out: str | Path,
+    *,
+    size_m: float,
+    pixel: tuple[float, float] | None = None,
+    height_m: float = 0.0,
+    heading_deg: float = 90.0,
+    cross: CrossPolarised = "mean",
+    target: str = "unnamed",
+    calibration: Calibration = "relative",
+    looks: float | None = 1.0,
+    ground: bool = True,
+    terrain: Terrain | None = None,
+    target_box_m: Box | None = None,
+    overwrite: bool = False,
+) -> Dataset:
+    """Make a dataset of what an RSLC shows of one spot in all its polarisations.
+
+    Parameters
+    ----------
+    file : Path
+        RSLC file (HDF5).
+    out : Path
+        Dataset to make.
+    size_m : float
+        Side of the image in azimuth and in slant range, m.
+    pixel : (row, column), optional
+        The spot, which becomes the origin of the scene: azimuth time and slant range, counted from 0; the middle of the
+        image unless given.
+    height_m : float
+        The spot's height above the ellipsoid, m; the view's direction depends on it a little.
+    heading_deg : float
+        Compass heading of the scene's x axis, degrees clockwise from north; 90 is east.
+    cross : {"mean", "both"}
+        Whether HV and VH become one channel, or stay two.
+    target : str
+        What the image shows.
+    calibration : {"absolute", "relative"}
+        Whether the power in the file is β⁰ itself, or up to one factor, the same for all polarisations.
+    looks : float or None
+        Number of looks of the speckle; None if there is none.
+    ground : bool
+        Whether the image shows the ground around the target.
+    terrain : Terrain, optional
+        Heights of the ground that the image shows; level unless given.
+    target_box_m : pair of (x, y, z), optional
+        Lower and upper corner of the box that contains the target, m; unless given, it is derived from the image.
+    overwrite : bool
+        Whether an existing dataset may be replaced.
+
+    Returns
+    -------
+    Dataset
+        One view, whose channels are HH, HV, VV, or those that the file has.
+
+    Raises
+    ------
+    SarsplatError
+        If h5py is not installed, the file is not a valid RSLC of several polarisations or does not show the whole of
+        what is asked for, or the output exists.
+    """
+    require_h5py()
+    folders.refuse_existing(Path(out), overwrite, marker=HEADER)
+    rslc = read_rslc(Path(file))
+    if len(rslc.polarisations) < 2:
+        raise SarsplatError(
+            f"{rslc.path} has {', '.join(rslc.polarisations)} alone; give a file of several polarisations"
+        )
+    spot = _spot(rslc, pixel)
+    view, spacing = _seen(rslc, spot, height_m, heading_deg)
+    lines, samples = _cut(rslc, spot, size_m, spacing)
+    signals = {
+        name[::-1]: _laid_out(rslc.read(name, lines, samples), rslc.look) for name in rslc.polarisations
+    }  # received, transmitted
+    assumptions = [_cross(signals)] if cross == "mean" and {"HV", "VH"} <= signals.keys() else []
+    names = tuple(sorted(signals))  # HH, HV, VH, VV
+    widths, wider = _resolution(rslc, spacing, spot, height_m)
+    middle = [(low + high - 1) / 2 - at for (low, high), at in zip((lines, samples), spot, strict=True)]
+    image = MeasuredImage(
+        rslc.path.stem,
+        np.stack([signals[name] for name in names]),
+        view,
+        spacing,
+        widths,
+        center_m=(middle[0] * spacing[0] * (1 if rslc.look == "right" else -1), middle[1] * spacing[1]),
+        stack=Stack(_LIGHT_M_S / rslc.frequency_hz, (0.0,) * len(names), polarisations=names),
+    )
+    source: dict[str, Any] = {
+        "kind": "rslc",
+        "file": rslc.path.name,
+        "mission": rslc.mission,
+        "look": rslc.look,
+        "pixel": list(spot),
+        "heading_deg": heading_deg,
+        "assumptions": [
+            f"the origin of the scene is pixel {spot[0]:g}, {spot[1]:g}, {height_m:g} m above the ellipsoid, and the "
+            "ground there is level at z = 0",
+            f"the x axis points to the compass heading {heading_deg:g}°, so azimuth = compass bearing of the radar − "
+            f"{heading_deg:g}°",
+            "what is farther away has less phase in the file, whose polarisations are named by what is transmitted and "
+            "what is received",
+            *assumptions,
+            "the resolution is that of the processed bandwidths, without weights"
+            + ", as far as the pixels hold them: the file states wider ones" * wider,
+        ],
+    }
+    dataset = dataset_of(
+        [image],
+        target=target,
+        source=source,
+        calibration=calibration,
+        looks=looks,
+        ground=ground,
+        terrain=terrain,
+        target_box_m=target_box_m,
+    )
+    return write_imported(out, dataset, overwrite=overwrite)
+
+
+def _spot(rslc: Rslc, pixel: tuple[float, float] | None) -> tuple[float, float]:
+    if pixel is None:
+        return rslc.shape[0] // 2, rslc.shape[1] // 2
+    if not all(0 <= value <= size - 1 for value, size in zip(pixel, rslc.shape, strict=True)):
+        raise SarsplatError(
+            f"the pixel {pixel[0]:g}, {pixel[1]:g} is outside {rslc.path}, which has {rslc.shape[0]} rows and "
+            f"{rslc.shape[1]} columns, counted from 0"
+        )
+    return pixel
+
+
+def _seen(
+    rslc: Rslc, spot: tuple[float, float], height_m: float, heading_deg: float
+) -> tuple[View, tuple[float, float]]:
+    """From where the spot is seen, and the pixel spacing (azimuth, range) there, m."""
+    if not abs(heading_deg) <= 360:
+        raise SarsplatError(f"the heading {heading_deg:g}° must be a compass heading, 0 to 360°")
+    east, north, speed = _geolocated(rslc, spot, height_m)
+    up = math.sqrt(max(1 - east**2 - north**2, 0.0))
+    if not 0 < up < 1 or not 1 < speed < 1e5:
+        raise SarsplatError(
+            f"{rslc.path} says that its radar is seen from the spot towards {east:g} east and {north:g} north, and "
+            f"that its image moves at {speed:g} m/s; get it again"
+        )
+    heading = math.radians(heading_deg)
+    ahead = math.sin(heading) * east + math.cos(heading) * north
+    left = math.sin(heading) * north - math.cos(heading) * east
+    return View.towards((ahead, left, up)), (rslc.times_s[1] * speed, rslc.ranges_m[1])
+
+
+def _geolocated(rslc: Rslc, spot: tuple[float, float], height_m: float) -> tuple[float, float, float]:
+    time, away = (first + step * at for (first, step), at in zip((rslc.times_s, rslc.ranges_m), spot, strict=True))
+    return rslc.geolocation.at(height_m, time, away)
+
+
+def _cut(
+    rslc: Rslc, spot: tuple[float, float], size_m: float, spacing: tuple[float, float]
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First and past the last of the azimuth times, and of the slant ranges."""
+    if not 0 < size_m < math.inf:
+        raise SarsplatError(f"the size {size_m:g} m must be positive")
+    columns, rows = (round(size_m / step) for step in spacing)
+    check_sides(size_m, rows, columns, f"{spacing[0]:.3g} m × {spacing[1]:.3g} m")
+    ends = [(round(at - count / 2), round(at - count / 2) + count) for at, count in zip(spot, (columns, rows))]
+    if any(low < 0 or high > size for (low, high), size in zip(ends, rslc.shape, strict=True)):
+        whole = " × ".join(f"{count * step:.4g} m" for count, step in zip(rslc.shape, spacing, strict=True))
+        raise SarsplatError(
+            f"{rslc.path} has {rslc.shape[0]} rows and {rslc.shape[1]} columns ({whole}), but rows {ends[0][0]} to "
+            f"{ends[0][1] - 1} and columns {ends[1][0]} to {ends[1][1] - 1} are asked for; give a smaller --size or "
+            "another --pixel"
+        )
+    return ends[0], ends[1]
+
+
+def _laid_out(image: Complex64[np.ndarray, "lines samples"], look: str) -> Complex64[np.ndarray, "samples lines"]:
+    """Slant ranges × azimuth; columns run along the flight of a right-looking radar."""
+    return np.ascontiguousarray(image.T if look == "right" else image.T[:, ::-1])
+
+
+def _cross(signals: dict[str, Complex64[np.ndarray, "rows columns"]]) -> str:
+    """Replace HV and VH by their mean, and say how alike they were."""
+    one, other = signals["HV"], signals.pop("VH")
+    signals["HV"] = (one + other) / 2
+    powers = [float(np.mean(np.square(np.abs(part), dtype=np.float64))) for part in (one, other)]
+    product = np.sum(one * other.conj(), dtype=np.complex128) / one.size
+    alike = abs(product) / max(math.sqrt(powers[0] * powers[1]), 1e-30)
+    decibels = float(to_db(powers[0], least=1e-30) - to_db(powers[1], least=1e-30))
+    degrees = math.degrees(np.angle(product))
+    return (
+        f"HV and VH are one channel, HV, their mean: coherence {alike:.2f}, phase {degrees:.0f}° and {decibels:.1f} dB "
+        "between them, which after calibration are 1, 0° and 0 dB but for noise"
+    )
+
+
+def _resolution(
+    rslc: Rslc, spacing: tuple[float, float], spot: tuple[float, float], height_m: float
+) -> tuple[tuple[float, float], bool]:
+    """3 dB widths (azimuth, range), m, and whether the file states a wider band than its pixels can hold."""
+    speed = _geolocated(rslc, spot, height_m)[2]
+    stated = speed / rslc.bandwidths_hz[0], _LIGHT_M_S / (2 * rslc.bandwidths_hz[1])
+    azimuth, away = np.maximum(stated, spacing)
+    return (_UNWEIGHTED * float(azimuth), _UNWEIGHTED * float(away)), (azimuth, away) != stated

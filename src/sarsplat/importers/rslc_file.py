@@ -1,0 +1,252 @@
+"""One RSLC file of NISAR's layout (HDF5): what it says of its images, and parts of these.
+
+`/science/LSAR/RSLC/swaths/frequencyA` holds an image for each polarisation, azimuth times × slant ranges at zero
+Doppler, and `metadata/geolocationGrid` from where the radar saw places. Files come from strangers: only what is stored
+in the file itself is read, never what a link leads to, and nothing is larger than what is needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Complex64, Float64
+
+from sarsplat.data.files import open_file
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.importers.quantity import power_or_signal
+
+if TYPE_CHECKING:
+    import h5py
+
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_PRODUCTS = [f"science/{band}/{product}" for band in ("LSAR", "SSAR") for product in ("RSLC", "SLC")]
+_FREQUENCIES = ("frequencyA", "frequencyB")
+_POLARISATIONS = ("HH", "HV", "VH", "VV")
+_LOOKS = ("left", "right")
+_MOST_NUMBERS = 1 << 24
+_LARGEST_CHUNK = 64 << 20
+"""Bytes that are unpacked at a time, whatever is asked for."""
+
+
+@dataclass(frozen=True)
+class GeolocationGrid:
+    """From where the radar saw places, by height above the ellipsoid (m), azimuth time (s) and slant range (m)."""
+
+    axes: tuple[Float64[np.ndarray, " h"], Float64[np.ndarray, " t"], Float64[np.ndarray, " r"]]
+    """Each rising."""
+    east: Float64[np.ndarray, "h t r"]
+    north: Float64[np.ndarray, "h t r"]
+    """Of the unit vector from a place to the radar."""
+    speed: Float64[np.ndarray, "h t r"]
+    """Of the radar's image along the ground, m/s."""
+
+    def at(self, height_m: float, time_s: float, range_m: float) -> tuple[float, float, float]:
+        """East and north of that unit vector, and the speed; beyond its edges as at these."""
+        found = np.stack([self.east, self.north, self.speed], axis=-1)
+        for line, place in zip(self.axes, (height_m, time_s, range_m), strict=True):
+            index = float(np.interp(place, line, np.arange(len(line))))
+            low = int(index)
+            found = found[low] * (1 - index + low) + found[min(low + 1, len(line) - 1)] * (index - low)
+        east, north, speed = map(float, found)
+        return east, north, speed
+
+
+@dataclass(frozen=True)
+class Rslc:
+    """What a file says of its images, all of it finite."""
+
+    path: Path
+    group: str
+    """Of the images, such as "science/LSAR/RSLC/swaths/frequencyA"."""
+    shape: tuple[int, int]
+    """Azimuth times and slant ranges."""
+    polarisations: tuple[str, ...]
+    """As the file calls them: transmitted and received."""
+    frequency_hz: float
+    bandwidths_hz: tuple[float, float]
+    """Processed, of azimuth and range."""
+    times_s: tuple[float, float]
+    """The first azimuth time, and their interval."""
+    ranges_m: tuple[float, float]
+    """The first slant range, and their interval."""
+    look: str
+    """On which side of the track the scene lies, "left" or "right"."""
+    mission: str
+    geolocation: GeolocationGrid
+
+    def read(
+        self, polarisation: str, lines: tuple[int, int], samples: tuple[int, int]
+    ) -> Complex64[np.ndarray, "lines samples"]:
+        """Amplitudes of one polarisation, from the first azimuth time and slant range to before the last.
+
+        Raises
+        ------
+        SarsplatError
+            If they cannot be read, are not complex, or one is not finite.
+        """
+        name = f"{self.group}/{polarisation}"
+        with _opened(self.path) as file:
+            image = _dataset(self.path, file, name)
+            stored = image[slice(*lines), slice(*samples)]
+        if stored.dtype.names == ("r", "i"):  # as 16-bit floats are stored, for which there is no complex type
+            joined = np.empty(stored.shape, np.complex64)
+            joined.real, joined.imag = stored["r"], stored["i"]
+            stored = joined
+        return power_or_signal(stored, "complex", f"{self.path}: {name}")
+
+
+def is_hdf5(path: Path) -> bool:
+    """Whether a file begins as HDF5 files do."""
+    with open_file(path) as file:
+        return file.read(len(_SIGNATURE)) == _SIGNATURE
+
+
+def require_h5py() -> None:
+    """Refuse to go on without h5py, and say how to get it."""
+    try:
+        import h5py  # noqa: F401
+    except ImportError as error:
+        raise SarsplatError(
+            f"RSLC files need h5py, which cannot be imported ({error}); install it with: pip install 'sarsplat[rslc]'"
+        ) from error
+
+
+def read_rslc(path: Path) -> Rslc:
+    """What one file says of its images.
+
+    Raises
+    ------
+    SarsplatError
+        If it is no RSLC, damaged, or what is needed is missing or impossible.
+    """
+    if not is_hdf5(path):
+        raise SarsplatError(f"{path} is not an HDF5 file; give an RSLC in NISAR's layout")
+    with _opened(path) as file:
+        product = next((name for name in _PRODUCTS if name in file), None)
+        if product is None:
+            raise SarsplatError(f"{path} has none of {', '.join(_PRODUCTS)}; give an RSLC in NISAR's layout")
+        swaths = f"{product}/swaths"
+        group = next((f"{swaths}/{name}" for name in _FREQUENCIES if f"{swaths}/{name}" in file), None)
+        if group is None:
+            raise SarsplatError(f"{path} has no images in {swaths}/{_FREQUENCIES[0]}; get it again")
+        fields = _Fields(path, file)
+        names = [name for name in _POLARISATIONS if f"{group}/{name}" in file]
+        shapes = {_dataset(path, file, f"{group}/{name}").shape for name in names}
+        if len(shapes) != 1 or len(shape := shapes.pop()) != 2 or min(shape) < 1:
+            raise SarsplatError(f"{path} has no images of one size in {group}; get it again")
+        times, ranges = fields.line(f"{swaths}/zeroDopplerTime"), fields.line(f"{group}/slantRange")
+        if (len(times), len(ranges)) != shape:
+            raise SarsplatError(
+                f"{path} has {len(times)} azimuth times and {len(ranges)} slant ranges for images of {shape[0]} × "
+                f"{shape[1]} pixels; get it again"
+            )
+        identification = f"{product.rpartition('/')[0]}/identification"
+        look = fields.text(f"{identification}/lookDirection").lower()
+        if look not in _LOOKS:
+            raise SarsplatError(f"{path} says that its radar looks {shown(look)}; it must be left or right")
+        return Rslc(
+            path,
+            group,
+            shape,
+            tuple(names),
+            fields.number(f"{group}/processedCenterFrequency", 1e8, 1e12),
+            (
+                fields.number(f"{group}/processedAzimuthBandwidth", 1.0, 1e6),
+                fields.number(f"{group}/processedRangeBandwidth", 1e4, 1e11),
+            ),
+            (float(times[0]), fields.number(f"{swaths}/zeroDopplerTimeSpacing", 1e-7, 1.0)),
+            (float(ranges[0]), fields.number(f"{group}/slantRangeSpacing", 1e-3, 1e3)),
+            look,
+            fields.text(f"{identification}/missionId"),
+            fields.geolocation(f"{product}/metadata/geolocationGrid"),
+        )
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[h5py.File]:
+    """The file, whose errors are one sentence: a garbled one can fail anywhere inside h5py, with any exception."""
+    import h5py
+
+    with open_file(path):  # a regular file that can be read
+        try:
+            with h5py.File(path, "r", locking=False) as file:
+                yield file
+        except (SarsplatError, MemoryError):
+            raise
+        except Exception as error:
+            raise SarsplatError(f"{path} is not a readable HDF5 file ({shown(str(error))}); get it again") from error
+
+
+def _dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
+    """An array of the file; what lies in another file is refused."""
+    import h5py
+
+    at: Any = file
+    for part in name.split("/"):
+        if not isinstance(at, h5py.Group) or part not in at:
+            raise SarsplatError(f"{path} has no {name}; give an RSLC in NISAR's layout")
+        if not isinstance(at.get(part, getlink=True), h5py.HardLink):
+            raise SarsplatError(f"{path} has a link as {name}; give a file that holds its data itself")
+        at = at[part]
+    if not isinstance(at, h5py.Dataset) or at.shape is None:
+        raise SarsplatError(f"{path} has no array {name}; give an RSLC in NISAR's layout")
+    if at.external or at.is_virtual:
+        raise SarsplatError(f"{path} has {name} in another file; give a file that holds its data itself")
+    if at.chunks is not None and np.prod(at.chunks, dtype=float) * at.dtype.itemsize > _LARGEST_CHUNK:
+        raise SarsplatError(f"{path} has {name} in chunks {shown(at.chunks)}; write it again in smaller ones")
+    return at
+
+
+class _Fields:
+    """Single fields of a file, each refused with a sentence if it is not what it must be."""
+
+    def __init__(self, path: Path, file: h5py.File) -> None:
+        self._path, self._file = path, file
+
+    def _array(self, name: str) -> np.ndarray:
+        stored = _dataset(self._path, self._file, name)
+        if stored.size > _MOST_NUMBERS or stored.dtype.kind not in "iuf":
+            raise SarsplatError(f"{self._path} has {stored.dtype} of shape {shown(stored.shape)} as {name}")
+        values = np.asarray(stored[()], np.float64)
+        if not values.size or not np.isfinite(values).all():
+            raise SarsplatError(f"{self._path} has no finite numbers as {name}; get it again")
+        return values
+
+    def number(self, name: str, least: float, most: float) -> float:
+        values = self._array(name)
+        if values.size != 1 or not least <= values.item() <= most:
+            raise SarsplatError(
+                f"{self._path} has {shown(values.tolist())} as {name}; it must be a number from {least:g} to {most:g}, "
+                "so get it again"
+            )
+        return float(values.item())
+
+    def line(self, name: str) -> Float64[np.ndarray, " n"]:
+        """Rising numbers."""
+        values = self._array(name)
+        if values.ndim != 1 or not (np.diff(values) > 0).all():
+            raise SarsplatError(f"{self._path} has numbers that do not rise as {name}; get it again")
+        return values
+
+    def text(self, name: str) -> str:
+        stored = _dataset(self._path, self._file, name)
+        value = stored[()] if stored.shape == () and stored.dtype.kind in "SO" else b"?"
+        text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+        return "".join(letter if letter.isprintable() else "?" for letter in text.strip("\0 "))[:80]
+
+    def geolocation(self, name: str) -> GeolocationGrid:
+        axes = tuple(self.line(f"{name}/{axis}") for axis in ("heightAboveEllipsoid", "zeroDopplerTime", "slantRange"))
+        values = [self._array(f"{name}/{one}") for one in ("losUnitVectorX", "losUnitVectorY", "groundTrackVelocity")]
+        expected = tuple(map(len, axes))
+        for value in values:
+            if value.shape != expected:
+                raise SarsplatError(
+                    f"{self._path} has {name} of {shown(value.shape)} values where its axes have {shown(expected)}; "
+                    "get it again"
+                )
+        return GeolocationGrid((axes[0], axes[1], axes[2]), *values)

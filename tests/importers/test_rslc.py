@@ -1,0 +1,160 @@
+"""Images in several polarisations become one stack: order, names, conjugation and scale of the channels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("h5py")
+
+import h5py
+
+from rslcs import IMAGES, RANGES, SPEED, SWATHS, halves, write_rslc
+from sarsplat import preset, reconstruct
+from sarsplat.cli import main
+from sarsplat.data import Dataset, read_dataset
+from sarsplat.errors import SarsplatError
+from sarsplat.importers import import_rslc
+
+pytestmark = pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")  # there is but one view
+
+MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "quadpol" / "alos_rio_branco_trihedral.h5"
+RNG = np.random.default_rng(0)
+QUAD = {name: (RNG.integers(-50, 50, (40, 30, 2)) @ [1, 1j]).astype(np.complex64) for name in ("VH", "VV", "HH", "HV")}
+"""Whole numbers, which 16-bit floats hold."""
+
+
+def imported(folder: Path, images=QUAD, changed=None, look="Right", **options) -> Dataset:
+    path = write_rslc(folder / "quad.h5", images, changed or {}, look)
+    options = {"size_m": 68.0, "calibration": "absolute", "overwrite": True, **options}
+    return import_rslc(path, folder / "out", **options)
+
+
+@pytest.mark.parametrize("stored", [halves, np.asarray], ids=["16 bits", "32 bits"])
+def test_channels_are_those_of_the_file(tmp_path, stored):
+    made = imported(tmp_path, {name: stored(image) for name, image in QUAD.items()}, cross="both", pixel=(21, 14))
+    [stack] = made.stacks
+    assert stack.polarisations == ("HH", "HV", "VH", "VV")  # received, transmitted: the other way round than the file
+    for channel, name in enumerate(("HH", "VH", "HV", "VV")):
+        np.testing.assert_array_equal(made.signal[0, channel], QUAD[name][11:31, 8:19].T)
+    assert stack.offsets_rad == (0.0,) * 4
+    assert stack.wavelength_m == pytest.approx(299_792_458 / 1.25e9)
+    assert made.grid.spacing_m == pytest.approx((SPEED * 5e-4, 6.0))
+    assert made.grid.resolution_m == pytest.approx((0.886 * SPEED / 1500, 0.886 * 299_792_458 / 40e6))
+    assert made.grid.azimuth_m[10] == pytest.approx(0) and made.grid.range_m[6] == pytest.approx(0)  # the spot
+    assert read_dataset(tmp_path / "out").fingerprint() == made.fingerprint()
+
+
+def test_cross_polarised_channels_become_their_mean(tmp_path):
+    made = imported(tmp_path)
+    assert made.stacks[0].polarisations == ("HH", "HV", "VV")
+    cut = np.s_[10:30, 10:21]
+    np.testing.assert_array_equal(made.signal[0, 1], ((QUAD["HV"][cut] + QUAD["VH"][cut]) / 2).T)
+    [said] = [text for text in made.source["assumptions"] if text.startswith("HV and VH are one channel")]
+    assert "coherence 0." in said
+    made = imported(tmp_path, {"HH": QUAD["HH"], "HV": QUAD["HV"]})
+    assert made.stacks[0].polarisations == ("HH", "VH")
+    run = reconstruct(imported(tmp_path), replace(preset("polarimetric"), iterations=2), quiet=True)
+    assert run.gaussians.scattering.polarisations == ("HH", "HV", "VV")
+
+
+def test_views_are_those_of_the_geolocation(tmp_path):
+    view = imported(tmp_path, pixel=(20, 8), size_m=50.0).views[0]
+    expected = np.interp(RANGES[8], RANGES[[0, -1]], np.cos(np.radians([60.0, 50.0])))
+    assert view.azimuth_deg == pytest.approx(180)
+    assert math.cos(math.radians(view.grazing_deg)) == pytest.approx(expected)
+    assert imported(tmp_path, heading_deg=270.0).views[0].azimuth_deg == pytest.approx(0)
+    assert imported(tmp_path, heading_deg=0.0).views[0].azimuth_deg == pytest.approx(270)
+
+
+def test_images_of_a_left_looking_radar_are_laid_out_as_those_of_a_right_looking_one(tmp_path):
+    right, left = (imported(tmp_path, look=look, pixel=(21, 14)) for look in ("Right", "Left"))
+    np.testing.assert_array_equal(left.signal, right.signal[..., ::-1])
+    assert left.grid.azimuth_m[-11] == pytest.approx(0)
+
+
+@pytest.mark.parametrize(
+    ("changed", "options", "words"),
+    [
+        ({"zeroDopplerTimeSpacing": None}, {}, "has no science/LSAR/RSLC/swaths/zeroDopplerTimeSpacing; give an RSLC"),
+        ({"CenterFrequency": np.nan}, {}, "has no finite numbers as .*CenterFrequency; get it again"),
+        ({"CenterFrequency": 3.0}, {}, "has .*3.0.* as .*CenterFrequency; it must be a number from 1e[+]08 to 1e[+]12"),
+        ({"lookDirection": np.bytes_("up")}, {}, "says that its radar looks 'up'; it must be left or right"),
+        ({"frequencyA/slantRange": RANGES[::-1]}, {}, "numbers that do not rise as .*slantRange"),
+        ({"frequencyA/slantRange": RANGES[:-1]}, {}, "40 azimuth times and 29 slant ranges for images of 40 × 30"),
+        ({"losUnitVectorX": np.full((2, 2, 2), 2.0)}, {}, "seen from the spot towards 2 east"),
+        ({"losUnitVectorX": np.zeros(3)}, {}, r"geolocationGrid of \(3,\) values where its axes have \(2, 2, 2\)"),
+        ({"frequencyA/HH": QUAD["HH"][1:]}, {}, "no images of one size"),
+        ({"frequencyA/HH": np.ones((40, 30))}, {}, "holds real numbers, but the quantity is 'complex'"),
+        ({"frequencyA/HH": np.full((40, 30), np.nan + 0j)}, {}, "frequencyA/HH holds .*nan.* as complex"),
+        ({"frequencyA/HH": h5py.ExternalLink("other.h5", "/x")}, {}, "has a link as .*HH; give a file that holds its"),
+        ({"frequencyA/HH": h5py.SoftLink("/science")}, {}, "has a link as"),
+        ({"/VV": None, "/HV": None, "/VH": None}, {}, "has HH alone; give a file of several polarisations"),
+        ({}, {"pixel": (40.0, 3.0)}, "the pixel 40, 3 is outside .*, which has 40 rows and 30 columns, counted from 0"),
+        ({}, {"size_m": 300.0}, r"40 rows and 30 columns \(136 m × 180 m\), but rows -24 to 63 .*; give a smaller"),
+        ({}, {"size_m": -1.0}, "the size -1 m must be positive"),
+        ({}, {"size_m": 20.0}, "--size 20 makes 6 × 3 pixels"),
+        ({}, {"heading_deg": 400.0}, "the heading 400° must be a compass heading"),
+    ],
+)
+def test_what_is_refused(tmp_path, changed, options, words):
+    with pytest.raises(SarsplatError, match=words):
+        imported(tmp_path, changed=changed, **options)
+    assert not (tmp_path / "out").exists()
+
+
+def test_data_in_other_files_are_not_read(tmp_path):
+    (tmp_path / "secret").write_bytes(bytes(40 * 30 * 8))
+    path = write_rslc(tmp_path / "a.h5", QUAD, {"frequencyA/HH": None})
+    with h5py.File(path, "a") as file:
+        outside = [(str(tmp_path / "secret"), 0, 40 * 30 * 8)]
+        file[IMAGES].create_dataset("HH", (40, 30), np.complex64, external=outside)
+    with pytest.raises(SarsplatError, match="HH in another file; give a file that holds its data itself"):
+        import_rslc(path, tmp_path / "out", size_m=60.0)
+
+
+@pytest.mark.parametrize("data", [b"", b"II*\0", b"\x89HDF\r\n\x1a\n", b"\x89HDF\r\n\x1a\n" + bytes(2000)])
+def test_other_files_are_refused(tmp_path, data):
+    (tmp_path / "a.h5").write_bytes(data)
+    with pytest.raises(SarsplatError, match=r"not an HDF5 file|not a readable HDF5 file"):
+        import_rslc(tmp_path / "a.h5", tmp_path / "out", size_m=60.0)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["x"] = 1
+    with pytest.raises(SarsplatError, match=r"has none of science/LSAR/RSLC, .*; give an RSLC in NISAR's layout"):
+        import_rslc(tmp_path / "a.h5", tmp_path / "out", size_m=60.0)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_group(SWATHS)
+    with pytest.raises(SarsplatError, match="has no images in science/LSAR/RSLC/swaths/frequencyA"):
+        import_rslc(tmp_path / "a.h5", tmp_path / "out", size_m=60.0)
+
+
+def test_the_command(tmp_path, capsys):
+    path, out = write_rslc(tmp_path / "quad.h5", QUAD), tmp_path / "out"
+    assert main(["info", str(path)]) == 0
+    told = capsys.readouterr().out
+    assert "HH, HV, VH, VV (transmitted, received)" in " ".join(told.split())
+    assert f"import with: sarsplat import rslc {path} --pixel 20,15 --size METRES --out quad-dataset" in told
+    assert main(["import", "rslc", str(path), "--size", "68m", "--pixel", "20,15", "--out", str(out)]) == 0
+    assert "1 view of 3 channels" in capsys.readouterr().out
+    with h5py.File(tmp_path / "quad.h5", "w") as file:
+        file["x"] = 1
+    assert main(["info", str(path)]) == 2
+
+
+@pytest.mark.skipif(not MEASURED.is_file(), reason="the measured trihedral is not here")
+def test_a_measured_trihedral_is_bright_in_the_same_pixel_of_both_and_dark_across(tmp_path):
+    made = import_rslc(MEASURED, tmp_path / "out", size_m=340.0, cross="both")
+    assert made.stacks[0].polarisations == ("HH", "HV", "VH", "VV")
+    powers = np.abs(made.signal[0]) ** 2
+    peak = np.unravel_index(powers[0].argmax(), powers[0].shape)
+    assert np.unravel_index(powers[3].argmax(), powers[3].shape) == peak
+    assert (made.grid.range_m[peak[0]], made.grid.azimuth_m[peak[1]]) == pytest.approx((0, 0), abs=1e-6)
+    assert 10 * np.log10(powers[1:3, *peak].max() / powers[0][peak]) < -19
+    assert -4 < 10 * np.log10(powers[3][peak] / powers[0][peak]) < 0
+    assert made.views[0].grazing_deg == pytest.approx(90 - 23.14, abs=0.01)  # of the file's own incidence angle
+    mean = import_rslc(MEASURED, tmp_path / "out", size_m=340.0, overwrite=True).signal[0]
+    assert 20 * np.log10(abs(mean[1][peak] / mean[0][peak])) < -19
