@@ -76,6 +76,7 @@ figures: setup
 	$(call step,terrain: a hill's layover and shadow,$(BIN)/python docs/draw_terrain.py)
 	$(call step,stacks: a slice through layover,$(BIN)/python docs/draw_stacks.py)
 	$(call step,channels: the signs of stacks,$(BIN)/python docs/draw_channels.py)
+	$(call step,polarimetry: four kinds of scattering (minutes),$(BIN)/python docs/draw_polarimetry.py)
 	$(call step,imports: which file imports which,$(BIN)/python docs/draw_imports.py)
 
 bench: setup

@@ -9,7 +9,7 @@
 # This tutorial simulates such a stack of images and looks at its power, its phases and
 # its coherence. Then it finds the heights twice: pixel by pixel with Capon's method, a
 # classic of SAR tomography, and by a reconstruction from all pixels and passes at once.
-# [Interferometric stacks](../channels.md) has the conventions.
+# [Stacks](../channels.md) has the conventions.
 
 # %%
 import matplotlib.pyplot as plt

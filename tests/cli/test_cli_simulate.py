@@ -235,10 +235,26 @@ def test_stacks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "passes 3, wavelength 0.05 m, each transmits elevation resolution 6.25 m, ambiguous by 12.5 m" in told
 
 
+def test_polarisations(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Alone, and of each of several passes."""
+    options = ["simulate", "--target", "slicy", *STACK, "--polarimetric", "--noise", "0.1", "--out"]
+    assert main([*options, str(tmp_path / "alone")]) == 0
+    assert main([*options, str(tmp_path / "both"), "--passes", "2", "--baseline", "0.004"]) == 0
+    (alone,), (both,) = (read_dataset(tmp_path / name).stacks for name in ("alone", "both"))
+    assert alone.polarisations == ("HH", "HV", "VV")
+    assert alone.offsets_rad == (0.0, 0.0, 0.0)
+    assert both.polarisations == ("HH", "HV", "VV") * 2
+    assert both.offsets_rad == pytest.approx((-0.002,) * 3 + (0.002,) * 3)
+    assert main(["info", str(tmp_path / "both")]) == 0
+    assert "polarisations HH, HV, VV, HH, HV, VV" in " ".join(capsys.readouterr().out.split())
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--baseline", "0.004"], "--baseline is for stacks; give --passes too"),
+        (["--baseline", "0.004"], "--baseline is for stacks; give --passes or --polarimetric too"),
+        (["--polarimetric", "--baseline", "0.004"], "--baseline is between passes; give --passes too"),
+        (["--polarimetric", "--looks", "4"], "--looks is for single images; leave it out, or --passes and --pol"),
         (["--noise", "0.1"], "--noise is for stacks"),
         (["--passes", "1", "--baseline", "0.004"], "--passes is 1; give at least 2"),
         (["--passes", "3"], "--baseline has 0 numbers for 3 passes"),

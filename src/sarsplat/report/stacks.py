@@ -30,6 +30,6 @@ def stack_figures(run: Run, truth: Path | None) -> list[Figure]:
 
 def which_points(run: Run) -> str:
     """What the points of a run are, for readers."""
-    if run.model is not None and run.config.passes is not None:
+    if run.dataset.passes and run.model is not None and run.config.passes is not None:
         return f"The centres of the Gaussians that together return {run.config.points.power_share:.0%} of the power"
     return "The first returns of the training views' rays"
