@@ -18,9 +18,7 @@ def screened(constants: np.ndarray, slopes: np.ndarray) -> Dataset:
     clear = dataset()
     down = np.linspace(-1, 1, GRID.rows)[:, None]
     turned = np.exp(1j * (constants[:, None, None] + slopes[:, None, None] * down))
-    return Dataset.of_complex(
-        GRID, clear.entries, clear.signal * turned, looks=1.0, ground=True, target="block"
-    )
+    return Dataset.of_complex(GRID, clear.entries, clear.signal * turned, looks=1.0, ground=True, target="block")
 
 
 def without_heights(phases: np.ndarray) -> np.ndarray:

@@ -145,10 +145,10 @@ class GaussianReconstruction(Reconstruction):
         rays = self._rays(grid)
         with torch.no_grad():
             found = [  # one at a time: those of many passes are large
-                self.model.covariances([view], [one], grid, self._degree, rays=rays)[0].cpu().numpy()
+                self.model.covariances([view], [one], grid, self._degree, rays=rays)[0].whole().cpu().numpy()
                 for view, one in zip(views, stacks, strict=True)
             ]
-        return np.concatenate(found)
+        return self.snapshot.unit * np.concatenate(found)
 
     def covariance_within(self, box: Box) -> Complex128[np.ndarray, "p p"]:
         """Seen from the training views."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Complex, Float, Int64
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
@@ -26,10 +26,11 @@ from sarsplat.reconstruction.parts import parts_of
 from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, Shot
 from sarsplat.reconstruction.setting import Setting
 from sarsplat.reconstruction.snapshot import Snapshot
+from sarsplat.reconstruction.stack_loss import ExpectedStacks
 from sarsplat.reconstruction.target_region import cut_off
 from sarsplat.reconstruction.windows import Windows
 from sarsplat.renderer import Bounds, Rendering, render
-from sarsplat.renderer.covariances import lit_covariances
+from sarsplat.renderer.planes import lit_planes
 from sarsplat.tiles import at_once, render_tiled
 
 _AT_A_TIME = 8  # views, though more fit into memory
@@ -244,16 +245,19 @@ class SceneModel:
         rays: RayGrid | None = None,
         numbers: Int64[Tensor, " v"] | None = None,
         dropped: Bool[Tensor, " n"] | None = None,
-    ) -> tuple[Complex[Tensor, "v p p {grid.rows} {grid.columns}"], Rendering]:
-        """Covariances between channels, with noise, and the rendering of power behind them; otherwise as `render`."""
+    ) -> tuple[ExpectedStacks, Rendering]:
+        """Covariances between channels, with noise, and the rendering of power behind them; otherwise as `render`.
+
+        They are in the model's unit.
+        """
         shot = self.shot(views, grid, numbers)
         scene = self.scene(degree, dropped)
-        covariances, sections, lit = lit_covariances(scene, views, shot.grid, stacks, rays=rays, shift=shot.shift)
-        power = torch.diagonal(covariances.detach(), dim1=1, dim2=2).real.mean(-1)[:, None]
+        planes, sections, lit = lit_planes(scene, views, shot.grid, stacks, rays=rays, shift=shot.shift)
+        power = planes.powers.detach()[:, list(planes.of_channels)].mean(1, keepdim=True)
         rendering = Rendering(power, sections[..., None], lit)
-        for part in self.parts:
-            covariances = part.covariances(covariances, shot, self.parameters)
-        return covariances if self.unit == 1 else covariances * self.unit, rendering
+        noise = [noise for part in self.parts if (noise := part.noise(shot, self.parameters)) is not None]
+        phases = [phases for part in self.parts if (phases := part.phases(shot, self.parameters)) is not None]
+        return ExpectedStacks(planes, noise[0] if noise else None, phases[0] if phases else None), rendering
 
     def unseen(
         self, views: Sequence[View], grid: ImageGrid, degree: int, rays: RayGrid

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 import torch
-from jaxtyping import Bool, Complex64, Float32
+from jaxtyping import Bool, Float32
 from torch import Tensor
-from torch.nn.functional import avg_pool2d
 
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import Polarimetric
-from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.losses import Loss
-from sarsplat.reconstruction.stack_loss import covariance_nats
+from sarsplat.reconstruction.stack_loss import packed, windowed, windowed_nats
 from sarsplat.reconstruction.trainer import Trainer
 from sarsplat.reconstruction.training_images import TrainingImages
 from sarsplat.renderer import Rendering
@@ -29,38 +26,22 @@ class StackImages(TrainingImages):
     ----------
     stacks : tuple of Stack
         Of each image.
-    level : Tensor, complex64 [K, P, rows, columns]
-        Of unit magnitude, with the phases of level ground, by which stacks are deramped.
-    covariances : Tensor, complex64 [K, P, P, rows, columns]
-        y_i y_j* of each pixel, averaged around it.
+    plane_phases : K tensors [P, rows, columns]
+        Phases of level ground, rad, by which stacks are deramped.
+    measured : K tensors [P², rows, columns]
+        y_i y_j* of each pixel, deramped and averaged around it, `packed`, linear power.
     """
 
     def __init__(self, dataset: Dataset, window: int, device: torch.device) -> None:
         super().__init__(dataset, device)
         train = dataset.select("train")
         assert train.signal is not None  # of stacks
-        self.stacks, self._window = train.stacks, window
-        self.level = level_phases(self.stacks, self.views, self.grid).to(device)
-        signal = torch.from_numpy(train.signal).to(device)
-        self.covariances = self.averaged(signal[:, :, None] * signal[:, None].conj(), self.level)
-
-    def averaged(
-        self, covariances: Complex64[Tensor, "v p p rows columns"], level: Complex64[Tensor, "v p rows columns"]
-    ) -> Complex64[Tensor, "v p p rows columns"]:
-        """Deramped, and averaged over the window around each pixel, at edges over what of it there is."""
-        deramped = covariances * (level[:, :, None].conj() * level[:, None])
-        parts = torch.view_as_real(deramped).movedim(-1, 3).flatten(0, 3)
-        mean = avg_pool2d(parts[:, None], self._window, 1, self._window // 2, count_include_pad=False)[:, 0]
-        v, p = covariances.shape[:2]
-        return torch.view_as_complex(mean.unflatten(0, (v, p, p, 2)).movedim(3, -1).contiguous())
-
-
-def level_phases(
-    stacks: Sequence[Stack], views: Sequence[View], grid: ImageGrid
-) -> Complex64[Tensor, "v p {grid.rows} {grid.columns}"]:
-    """Of unit magnitude, with the phases of level ground."""
-    phases = np.stack([stack.plane_phases(view, grid) for stack, view in zip(stacks, views, strict=True)])
-    return torch.from_numpy(np.exp(1j * phases).astype(np.complex64))
+        self.stacks = train.stacks
+        self.plane_phases, self.measured = list[Tensor](), list[Tensor]()
+        for signal, stack, view in zip(train.signal, self.stacks, self.views, strict=True):  # one needs much memory
+            level, y = (torch.from_numpy(one).to(device) for one in (stack.plane_phases(view, self.grid), signal))
+            self.plane_phases.append(level.float())
+            self.measured.append(packed(windowed((y[:, None] * y.conj())[None], level.float()[None], window))[0])
 
 
 def refuse_with_passes(config: Config, dataset: Dataset) -> None:
@@ -105,7 +86,7 @@ class StackTrainer(Trainer):
 
     def _compared(self, chosen: Sequence[int], left_out: Bool[Tensor, " n"] | None) -> tuple[Tensor, Rendering]:
         of, unit = self.images, self.model.unit
-        covariances, rendering = self.model.covariances(
+        expected, rendering = self.model.covariances(
             [self.views[i] for i in chosen],
             [of.stacks[i] for i in chosen],
             of.grid,
@@ -114,6 +95,7 @@ class StackTrainer(Trainer):
             numbers=torch.stack([of.numbers[i] for i in chosen]),
             dropped=left_out,
         )
-        level, measured = (torch.stack([whole[i] for i in chosen]) for whole in (of.level, of.covariances))
-        loss: Float32[Tensor, ""] = covariance_nats(of.averaged(covariances, level) / unit, measured / unit)
+        level, measured = (torch.stack([whole[i] for i in chosen]) for whole in (of.plane_phases, of.measured))
+        assert self.config.passes is not None  # as above
+        loss: Float32[Tensor, ""] = windowed_nats(expected, level, measured / unit, self.config.passes.window)
         return loss, rendering

@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
-import numpy as np
-import torch
 from jaxtyping import Complex, Float
 from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.covariance import covariance
-from sarsplat.gaussians.law_polarimetric import Polarimetric, covariances_between
+from sarsplat.gaussians.law_polarimetric import Polarimetric
 from sarsplat.gaussians.scattering import Scattering
-from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.geometry.stack import Stack
-from sarsplat.renderer.checks import MAX_OPTICAL_DEPTH
-from sarsplat.renderer.constants import MIN_RAY_DEPTH
-from sarsplat.renderer.footprints import Waves
-from sarsplat.renderer.steps import attenuate, project, splat
+from sarsplat.renderer.planes import lit_planes
 
 
 @checks_arguments
@@ -80,8 +73,8 @@ def render_covariances(
     that share above those of `render`.
     """
     stacks = stacks_of(gaussians.scattering, views, stack)
-    covariances, _, _ = lit_covariances(gaussians, views, grid, stacks, rays=rays, shift=shift, engine=engine)
-    return covariances
+    planes, _, _ = lit_planes(gaussians, views, grid, stacks, rays=rays, shift=shift, engine=engine)
+    return planes.whole()
 
 
 def stacks_of(law: Scattering, views: Sequence[View], stack: Stack | Sequence[Stack]) -> list[Stack]:
@@ -107,81 +100,3 @@ def stacks_of(law: Scattering, views: Sequence[View], stack: Stack | Sequence[St
                 "give stacks of the same ones"
             )
     return stacks
-
-
-def lit_covariances(
-    gaussians: Gaussians,
-    views: Sequence[View],
-    grid: ImageGrid,
-    stacks: Sequence[Stack],
-    *,
-    rays: RayGrid | None = None,
-    shift: Float[Tensor, "v 2"] | None = None,
-    engine: str = "auto",
-) -> tuple[Complex[Tensor, "v p p rows columns"], Float[Tensor, "v n"], Float[Tensor, "v n"]]:
-    """`render_covariances`, and of each Gaussian the radar cross-section of power and the lit area, m²."""
-    rays, passes = rays or RayGrid.for_image(grid), len(stacks[0])
-    projection = project(gaussians, views, grid, rays=rays, shift=shift, engine=engine)
-    depth = projection.optical_depth
-    whole = (depth + MIN_RAY_DEPTH * (depth > 0)).clamp(max=MAX_OPTICAL_DEPTH)
-    lit_area = attenuate(replace(projection, optical_depth=whole), rays, engine=engine).lit_area
-    first, second = np.triu_indices(passes, 1)
-    power, shown, of_pairs, kinds = _sections(gaussians.scattering, projection.amplitudes, lit_area, stacks[0])
-    diagonal = splat(projection.pixels, shown, grid, engine=engine)[:, kinds]
-    result = diagonal.new_zeros(
-        (passes, passes, len(views), grid.rows, grid.columns), dtype=diagonal.dtype.to_complex()
-    )
-    result[range(passes), range(passes)] = diagonal.transpose(0, 1).to(result)
-    if len(first):
-        vectors = np.stack([stack.phase_vectors(view) for stack, view in zip(stacks, views, strict=True)])
-        waves = None
-        if vectors.any():
-            phase, left, waves = _pairs(gaussians, views, grid, vectors[:, first] - vectors[:, second])
-            of_pairs = of_pairs * torch.polar(left, phase)
-        pairs = splat(projection.pixels, of_pairs, grid, waves=waves, engine=engine)
-        result[first, second] = pairs.transpose(0, 1)
-        result[second, first] = pairs.transpose(0, 1).conj()
-    return result.movedim(2, 0), power, lit_area
-
-
-def _sections(
-    law: Scattering, amplitudes: Float[Tensor, "v n c"], lit_area: Float[Tensor, "v n"], stack: Stack
-) -> tuple[Float[Tensor, "v n"], Float[Tensor, "v n k"], Tensor, list[int]]:
-    """Cross-sections, m²: of power, of each polarisation, and of each pair of channels, all at one place.
-
-    The last is the polarisation of each channel, in order of the second.
-    """
-    names = stack.of_channels
-    power = amplitudes[..., law.power_channel] * lit_area
-    if not isinstance(law, Polarimetric) or not stack.polarisations:
-        return power, power[..., None], power[..., None], [0] * len(names)
-    places = [law.polarisations.index(name) for name in names]
-    own = sorted(set(places))
-    lit = amplitudes * lit_area[..., None]
-    first, second = np.triu_indices(len(names), 1)
-    matrices = covariances_between(lit, len(law.polarisations))
-    pairs = matrices[..., [places[i] for i in first], [places[j] for j in second]]
-    return power, lit[..., [1 + place for place in own]], pairs, [own.index(place) for place in places]
-
-
-def _pairs(
-    gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, vectors: np.ndarray
-) -> tuple[Float[Tensor, "v n q"], Float[Tensor, "v n q"], Waves]:
-    """Of Q pairs of passes: phases at the centres of footprints, what is left of coherence, and how phases turn.
-
-    `vectors` [V, Q, 3]: by how much more phase the first of each pair has, rad/m. Given the pixel at the displacement
-    d from the centre of a footprint, scatterers are distributed around μ + K d with the covariance Σ − K J Σ, where
-    K = Σ Jᵀ (J Σ Jᵀ + response)⁻¹ and J projects on the imaging plane.
-    """
-    means = gaussians.means
-    frames = torch.from_numpy(np.stack([radar_frame(view) for view in views])).to(means)[:, None]  # [V, 1, 3, 3]
-    differences = torch.from_numpy(vectors).to(means)
-    turned = (frames @ differences[..., None])[..., 0]  # in the radar frame, [V, Q, 3]
-    cov = frames @ covariance(gaussians.quaternions, gaussians.scales) @ frames.mT  # [V, N, 3, 3]
-    onto = cov[..., ::2]  # Σ Jᵀ, [V, N, 3, 2]
-    imaged = onto[..., ::2, :] + torch.diag(means.new_tensor(grid.response_variance_m2))
-    gain = torch.linalg.solve(imaged, onto, left=False)  # K
-    rest = cov - gain @ onto.mT
-    variance = torch.einsum("vqi,vnij,vqj->vnq", turned, rest, turned)
-    phase = torch.einsum("vqi,ni->vnq", differences, means)
-    return phase, torch.exp(-variance.clamp(min=0) / 2), Waves(turned[..., 1].contiguous(), gain[..., 1, :])

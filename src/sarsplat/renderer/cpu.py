@@ -20,6 +20,7 @@ from sarsplat.renderer.structs import (
     Gradients,
     Ground,
     Lattice,
+    Likelihood,
     Loss,
     Outputs,
     Problem,
@@ -56,6 +57,7 @@ _ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "trace": (*_PROBLEM, c_int32, c_float, c_void_p, c_void_p),
     "get_statistics": (*_PROBLEM, POINTER(Statistics)),
     "amplitude_loss": (c_void_p, POINTER(Loss)),
+    "stack_likelihood": (c_void_p, POINTER(Likelihood)),
     "lit_ground": (c_void_p, POINTER(Ground)),
     "lit_terrain": (c_void_p, POINTER(Terrain)),
     "adam": (c_int32, POINTER(AdamStep)),
@@ -177,6 +179,11 @@ class Pass:
         """Fill in the loss and its gradient."""
         self._library.sg_set_threads(torch.get_num_threads())
         _require_memory(self._library.sg_amplitude_loss(self._handle, loss))
+
+    def stack_likelihood(self, likelihood: ctypes.Structure) -> None:
+        """Fill in the likelihood and its gradients."""
+        self._library.sg_set_threads(torch.get_num_threads())
+        _require_memory(self._library.sg_stack_likelihood(self._handle, likelihood))
 
     def lit_ground(self, ground: ctypes.Structure) -> None:
         """Fill in what is lit, or the gradients."""

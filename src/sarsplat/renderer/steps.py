@@ -193,12 +193,12 @@ def splat(
         _check_waves(waves, cross_sections)
     if cross_sections.is_complex():
         parts = torch.view_as_real(cross_sections.resolve_conj()).flatten(2)
-        images = _splat_parts(footprints, parts, grid, waves, imaging_weight, engine)
+        images = splat_parts(footprints, parts, grid, waves, imaging_weight, engine)
         return torch.view_as_complex(images.unflatten(1, (-1, 2)).movedim(2, -1).contiguous())
-    return _splat_parts(footprints, cross_sections, grid, waves, imaging_weight, engine)
+    return splat_parts(footprints, cross_sections, grid, waves, imaging_weight, engine)
 
 
-def _splat_parts(
+def splat_parts(
     footprints: Footprints,
     cross_sections: Float[Tensor, "v n c"],
     grid: ImageGrid,
@@ -206,7 +206,7 @@ def _splat_parts(
     imaging_weight: str,
     engine: str,
 ) -> Float[Tensor, "v c {grid.rows} {grid.columns}"]:
-    """With waves, real and imaginary parts in turn."""
+    """`splat` of real channels; with waves, these are real and imaginary parts in turn."""
     tensors: dict[str, Tensor | None] = {
         "footprints.centers": footprints.centers,
         "footprints.roots": footprints.roots,

@@ -57,6 +57,12 @@ Loss = structure(
     *((name, c_float) for name in ("reference", "floor", "ssim_weight", "c1", "c2")),
     *((name, c_void_p) for name in ("loss", "gradient")),
 )
+Likelihood = structure(
+    "sg_likelihood",
+    *((name, c_int32) for name in ("views", "rows", "columns", "passes", "powers", "pairs", "reach")),
+    *((name, c_void_p) for name in ("power", "pair", "of_channels", "of_pairs", "phases", "noise", "truth", "loss")),
+    *((name, c_void_p) for name in ("d_power", "d_pair", "d_phases", "d_noise", "failed")),
+)
 Axis = structure("sg_axis", ("first", c_double), ("step", c_double), ("count", c_int32))
 Patches = structure("sg_patches", ("rows", Axis), ("columns", Axis))
 Ground = structure(
@@ -113,6 +119,7 @@ MIRRORS = (
     Lattice,
     Statistics,
     Loss,
+    Likelihood,
     Axis,
     Patches,
     Ground,

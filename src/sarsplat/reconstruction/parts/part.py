@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Complex, Float, Int64
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
@@ -145,11 +145,13 @@ class Part(ABC):
         """Images [V, C, rows, columns], in the model's unit, with what it does to them."""
         return images
 
-    def covariances(
-        self, covariances: Complex[Tensor, "v p p h w"], shot: Shot, p: Parameters
-    ) -> Complex[Tensor, "v p p h w"]:
-        """Covariances of stacks [V, P, P, rows, columns], in the model's unit, with what it does to them."""
-        return covariances
+    def noise(self, shot: Shot, p: Parameters) -> Float[Tensor, "v p"] | None:
+        """Power of the noise of each channel of stacks, in the model's unit; None unless it is that."""
+        return None
+
+    def phases(self, shot: Shot, p: Parameters) -> Float[Tensor, "v p h w"] | None:
+        """What is added to the phases of each channel of stacks, rad; None unless it is that."""
+        return None
 
     def displaced(self, grid: ImageGrid, p: Parameters) -> ImageGrid:
         """The grid on which a scene that is not displaced lies as unseen images on `grid` show it."""

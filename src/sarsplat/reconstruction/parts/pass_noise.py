@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import torch
-from jaxtyping import Complex, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.data import Dataset
@@ -41,13 +41,10 @@ class PassNoise(Part):
         """The mean over all passes: unseen images have no noise of their own."""
         return images + self.of_passes(p).mean(1).mean(0)
 
-    def covariances(
-        self, covariances: Complex[Tensor, "v p p h w"], shot: Shot, p: Parameters
-    ) -> Complex[Tensor, "v p p h w"]:
-        """It is added to the diagonal; of unseen images the mean over all passes, as to those."""
+    def noise(self, shot: Shot, p: Parameters) -> Float[Tensor, "v p"]:
+        """Of unseen images the mean over all passes, as in `images`; then there is one number."""
         noise = self.of_passes(p)
-        noise = noise.mean().expand(1, covariances.shape[1]) if shot.numbers is None else noise[shot.numbers]
-        return covariances + torch.diag_embed(noise).to(covariances.dtype)[..., None, None]
+        return noise.mean().expand(1, 1) if shot.numbers is None else noise[shot.numbers]
 
     @property
     def _shape(self) -> tuple[int, int]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import torch
-from jaxtyping import Complex, Complex64, Float, Float32
+from jaxtyping import Complex64, Float, Float32
 from torch import Tensor
 
 from sarsplat.data import Dataset
@@ -50,16 +50,12 @@ class PhaseScreen(Part):
         assert self.config.passes is not None  # `wanted`
         yield normal_nats(p["phase_screen"], self.config.passes.screen_std)
 
-    def covariances(
-        self, covariances: Complex[Tensor, "v p p h w"], shot: Shot, p: Parameters
-    ) -> Complex[Tensor, "v p p h w"]:
+    def phases(self, shot: Shot, p: Parameters) -> Float[Tensor, "v p h w"] | None:
         if shot.numbers is None:
-            return covariances
+            return None
         constant, along, away = p["phase_screen"][shot.numbers].unflatten(1, (-1, 3)).unbind(-1)
-        down, across = (torch.linspace(-1, 1, size, device=self.device) for size in covariances.shape[-2:])
-        phases = constant[..., None, None] + along[..., None, None] * across + away[..., None, None] * down[:, None]
-        turned = torch.polar(torch.ones_like(phases), phases)
-        return covariances * (turned[:, :, None] * turned[:, None].conj())
+        down, across = (torch.linspace(-1, 1, size).to(constant) for size in (shot.grid.rows, shot.grid.columns))
+        return constant[..., None, None] + along[..., None, None] * across + away[..., None, None] * down[:, None]
 
 
 def _left_over(

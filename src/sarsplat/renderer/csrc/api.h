@@ -85,6 +85,20 @@ struct sg_loss {          // of V images; see loss.h
   float* gradient;        // out [V, rows, columns]
 };
 
+struct sg_likelihood {    // of V stacks of P channels; see likelihood.h
+  int32_t views, rows, columns, passes;
+  int32_t powers, pairs;  // planes that channels and pairs of channels share
+  int32_t reach;          // of the window, on each side
+  const float *power, *pair;  // [V, powers, rows, columns] and, real and imaginary parts in turn, [V, 2 pairs, rows, columns]
+  const int32_t *of_channels, *of_pairs;  // [P] and [P (P - 1) / 2]: which planes are theirs
+  const float* phases;    // [V, P, rows, columns] rad, to be taken out
+  const float* noise;     // [V, P]
+  const float* truth;     // [V, P^2, rows, columns]: sample covariances; a diagonal, then real and imaginary parts in turn
+  float* loss;            // out: one number, the mean over the pixels
+  float *d_power, *d_pair, *d_phases, *d_noise;  // out; of the phases perhaps null
+  int64_t* failed;        // out: covariances that are not positive definite
+};
+
 struct sg_axis {          // places first + k step, m; of cells, the edges before each
   double first, step;
   int32_t count;
@@ -164,6 +178,7 @@ struct sg_engine {        // one per instruction set
   void (*lattice)(const sg_context*, int32_t view, sg_lattice*);
   int32_t (*trace)(const sg_context*, const sg_problem*, int32_t view, float depth, float* transmittance, float* first_return);
   int32_t (*amplitude_loss)(sg_context*, const sg_loss*);
+  int32_t (*stack_likelihood)(sg_context*, const sg_likelihood*);
   int32_t (*lit_ground)(sg_context*, const sg_ground*);
   int32_t (*lit_terrain)(sg_context*, const sg_terrain*);
   void (*adam)(const sg_adam_step*);
