@@ -25,6 +25,7 @@ from sarsplat.renderer.structs import (
     Outputs,
     Problem,
     Projection,
+    Sections,
     Statistics,
     Terrain,
     check_layouts,
@@ -58,6 +59,8 @@ _ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "get_statistics": (*_PROBLEM, POINTER(Statistics)),
     "amplitude_loss": (c_void_p, POINTER(Loss)),
     "stack_likelihood": (c_void_p, POINTER(Likelihood)),
+    "pair_sections": (c_void_p, POINTER(Sections)),
+    "pair_sections_backward": (c_void_p, POINTER(Sections)),
     "lit_ground": (c_void_p, POINTER(Ground)),
     "lit_terrain": (c_void_p, POINTER(Terrain)),
     "adam": (c_int32, POINTER(AdamStep)),
@@ -184,6 +187,16 @@ class Pass:
         """Fill in the likelihood and its gradients."""
         self._library.sg_set_threads(torch.get_num_threads())
         _require_memory(self._library.sg_stack_likelihood(self._handle, likelihood))
+
+    def pair_sections(self, sections: ctypes.Structure) -> None:
+        """Fill in the cross-sections of pairs, and their slopes."""
+        self._library.sg_set_threads(torch.get_num_threads())
+        self._library.sg_pair_sections(self._handle, sections)
+
+    def pair_sections_backward(self, sections: ctypes.Structure) -> None:
+        """Fill in the gradients."""
+        self._library.sg_set_threads(torch.get_num_threads())
+        self._library.sg_pair_sections_backward(self._handle, sections)
 
     def lit_ground(self, ground: ctypes.Structure) -> None:
         """Fill in what is lit, or the gradients."""

@@ -12,14 +12,14 @@ from jaxtyping import Complex, Float, Float64
 from torch import Tensor
 
 from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.gaussians.law_polarimetric import Polarimetric, covariances_between
 from sarsplat.gaussians.scattering import Scattering
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.geometry.stack import Stack
 from sarsplat.renderer.checks import MAX_OPTICAL_DEPTH
 from sarsplat.renderer.constants import MIN_RAY_DEPTH
-from sarsplat.renderer.footprints import Projection, Waves
+from sarsplat.renderer.elevations import elevated
+from sarsplat.renderer.footprints import Waves
 from sarsplat.renderer.steps import attenuate, project, splat, splat_parts
 
 _SAME = 1e-5
@@ -89,12 +89,14 @@ def lit_planes(
     power, shown, real, imaginary, kinds = _sections(gaussians.scattering, projection.amplitudes, lit_area, plan)
     powers = splat(projection.pixels, shown, grid, engine=engine)
     pairs = powers[:, :0]
-    if plan.pairs:
-        waves = None
-        if plan.numbers.any():
-            real, imaginary, waves = _turned(gaussians, views, projection, plan.numbers, real, imaginary)
-        parts = torch.stack([real, torch.zeros_like(real) if imaginary is None else imaginary], dim=-1).flatten(2)
+    if plan.numbers.any():
+        parts, slopes = elevated(gaussians, views, projection.pixels, plan.numbers, real, imaginary, engine)
+        waves = Waves(torch.from_numpy(plan.numbers).to(slopes), slopes)
         pairs = splat_parts(projection.pixels, parts, grid, waves, "area", engine)
+    elif plan.pairs:
+        assert imaginary is not None  # channels differ in polarisation
+        parts = torch.stack([real, imaginary], dim=-1).flatten(2)
+        pairs = splat_parts(projection.pixels, parts, grid, None, "area", engine)
     turns = torch.from_numpy(plan.ranges[..., None] * grid.range_m).to(powers)
     return Planes(powers, pairs, kinds, plan.of_pairs, turns), power, lit_area
 
@@ -142,7 +144,7 @@ def _sections(
 ) -> tuple[Float[Tensor, "v n"], Float[Tensor, "v n k"], Tensor, Tensor | None, tuple[int, ...]]:
     """Cross-sections, m²: of power, of each polarisation, and of each pair, real and imaginary, all at one place.
 
-    The last is the polarisation of each channel, in order of the second. Imaginary parts are None where all are 0.
+    The last is the polarisation of each channel, in order of the second. If there is one, pairs share the power.
     """
     power = amplitudes[..., law.power_channel] * lit_area
     if not isinstance(law, Polarimetric) or not any(plan.names):
@@ -160,37 +162,3 @@ def _sections(
     pairs = matrices[..., [places[i] for i, _ in plan.pairs], [places[j] for _, j in plan.pairs]]
     kinds = tuple(own.index(place) for place in places)
     return power, lit[..., [1 + place for place in own]], pairs.real, pairs.imag, kinds
-
-
-def _turned(
-    gaussians: Gaussians,
-    views: Sequence[View],
-    projection: Projection,
-    numbers: Float64[np.ndarray, "v d"],
-    real: Float[Tensor, "v n d"],
-    imaginary: Float[Tensor, "v n d"] | None,
-) -> tuple[Float[Tensor, "v n d"], Float[Tensor, "v n d"], Waves]:
-    """Cross-sections of pairs with the phases at the centres of footprints, and how these change across them.
-
-    Given the pixel at the displacement d from the centre of a footprint, scatterers are distributed around μ + K d with
-    the covariance Σ − K J Σ, where K = Σ Jᵀ (J Σ Jᵀ + response)⁻¹ and J projects on the imaging plane; of these, only
-    the elevation counts. The inverse is that of the footprint.
-    """
-    means = gaussians.means
-    frames = torch.from_numpy(np.stack([radar_frame(view) for view in views])).to(means)  # [V, 3, 3]
-    root = rotation_matrix(gaussians.quaternions) * gaussians.scales[:, None]  # Σ is its square
-    sides = (frames.flatten(0, 1) @ root.transpose(0, 1).flatten(1)).unflatten(0, (-1, 3)).unflatten(2, (-1, 3))
-    x, y, z = sides.unbind(1)  # [V, N, 3] each
-    yx, yy, yz = ((y * other).sum(-1) for other in (x, y, z))
-    a, b, c = projection.pixels.roots.unbind(-1)
-    along, mixed, away = a * a, a * b, b * b + c * c
-    slopes = torch.stack([along * yx + mixed * yz, mixed * yx + away * yz], dim=-1)
-    variance = (yy - slopes[..., 0] * yx - slopes[..., 1] * yz).clamp(min=0)
-    kappa = torch.from_numpy(numbers).to(means)[:, None]
-    phase = (frames[:, 1] @ means.T)[..., None] * kappa
-    left = torch.exp(variance[..., None] * (-0.5 * kappa * kappa))
-    cosine, sine = left * phase.cos(), left * phase.sin()
-    waves = Waves(kappa[:, 0].contiguous(), slopes)
-    if imaginary is None:
-        return real * cosine, real * sine, waves
-    return real * cosine - imaginary * sine, real * sine + imaginary * cosine, waves

@@ -57,6 +57,16 @@ Loss = structure(
     *((name, c_float) for name in ("reference", "floor", "ssim_weight", "c1", "c2")),
     *((name, c_void_p) for name in ("loss", "gradient")),
 )
+Sections = structure(
+    "sg_sections",
+    *(("views", c_int32), ("pairs", c_int32), ("gaussians", c_int64), ("shared", c_int32)),
+    *(
+        (name, c_void_p)
+        for name in ("means", "quaternions", "scales", "frames", "roots", "numbers", "real", "imaginary")
+    ),
+    *((name, c_void_p) for name in ("parts", "slopes", "d_parts", "d_slopes")),
+    *((name, c_void_p) for name in ("d_means", "d_quaternions", "d_scales", "d_roots", "d_real", "d_imaginary")),
+)
 Likelihood = structure(
     "sg_likelihood",
     *((name, c_int32) for name in ("views", "rows", "columns", "passes", "powers", "pairs", "reach")),
@@ -119,6 +129,7 @@ MIRRORS = (
     Lattice,
     Statistics,
     Loss,
+    Sections,
     Likelihood,
     Axis,
     Patches,

@@ -85,6 +85,21 @@ struct sg_loss {          // of V images; see loss.h
   float* gradient;        // out [V, rows, columns]
 };
 
+struct sg_sections {      // of D pairs of channels, in V views of N Gaussians; see sections.h
+  int32_t views, pairs;
+  int64_t gaussians;
+  int32_t shared;         // 1: the real part is one number for all pairs
+  const float *means, *quaternions, *scales;  // [N, 3], [N, 4], [N, 3]
+  const float* frames;    // [V, 9] R_r, row-major
+  const float* roots;     // [V, N, 3] of the footprints on the imaging plane, 1/m
+  const float* numbers;   // [V, D] phase per elevation, rad/m
+  const float *real, *imaginary;  // [V, N, D], or of the real part [V, N], and of the imaginary one perhaps null
+  float* parts;           // out [V, N, 2 D]: real and imaginary parts in turn
+  float* slopes;          // out [V, N, 2]
+  const float *d_parts, *d_slopes;  // backward
+  float *d_means, *d_quaternions, *d_scales, *d_roots, *d_real, *d_imaginary;  // out, backward
+};
+
 struct sg_likelihood {    // of V stacks of P channels; see likelihood.h
   int32_t views, rows, columns, passes;
   int32_t powers, pairs;  // planes that channels and pairs of channels share
@@ -179,6 +194,8 @@ struct sg_engine {        // one per instruction set
   int32_t (*trace)(const sg_context*, const sg_problem*, int32_t view, float depth, float* transmittance, float* first_return);
   int32_t (*amplitude_loss)(sg_context*, const sg_loss*);
   int32_t (*stack_likelihood)(sg_context*, const sg_likelihood*);
+  void (*pair_sections)(const sg_sections*);
+  void (*pair_sections_backward)(const sg_sections*);
   int32_t (*lit_ground)(sg_context*, const sg_ground*);
   int32_t (*lit_terrain)(sg_context*, const sg_terrain*);
   void (*adam)(const sg_adam_step*);

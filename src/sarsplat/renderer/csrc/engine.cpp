@@ -8,6 +8,7 @@
 #include "inspect.h"
 #include "likelihood.h"
 #include "loss.h"
+#include "sections.h"
 #include "steps.h"
 
 namespace sarsplat {
@@ -122,6 +123,7 @@ void destroy(sg_context* c) { delete c; }
 #define SG_TEXT(a) SG_TEXT_(a)
 extern "C" const sg_engine SG_JOIN(sg_engine_, SG_ISA);
 const sg_engine SG_JOIN(sg_engine_, SG_ISA) = {
-    SG_TEXT(SG_ISA), create, destroy, run<forward>, run_back<backward>, lattice, trace, amplitude_loss, stack_likelihood, lit_ground, lit_terrain, adam, statistics,
+    SG_TEXT(SG_ISA), create, destroy, run<forward>, run_back<backward>, lattice, trace, amplitude_loss, stack_likelihood, pair_sections, pair_sections_backward,
+    lit_ground, lit_terrain, adam, statistics,
     run<project_step, worth_waking_to_project>, run<project_step_backward, worth_waking_to_project>,
     run<attenuate_step>, run_back<attenuate_step_backward>, run<splat_step>, run_back<splat_step_backward>};
