@@ -1,8 +1,9 @@
-"""Complex cross-sections of pairs of channels: with the phases of elevations, and how these change across footprints."""
+"""Complex cross-sections of pairs of channels, with phases of elevations, and how these change across footprints."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from ctypes import Structure
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,7 @@ def elevated(
     means, roots = gaussians.means, pixels.roots
     frames = torch.from_numpy(np.stack([radar_frame(view) for view in views])).to(means)  # [V, 3, 3]
     kappa = torch.from_numpy(numbers).to(means)
+    assert real.shape[2] in (1, kappa.shape[1])
     if chosen_engine(engine, means) == "cpu":
         inputs = (means, gaussians.quaternions, gaussians.scales, roots, real, imaginary)
         parts, slopes = _Engine.apply(frames, kappa, *inputs)
@@ -98,17 +100,16 @@ class _Engine(torch.autograd.Function):
         return None, None, *gradients
 
 
-def _problem(kept: Sequence[Tensor | None], *others: Tensor | None) -> Sections:
+def _problem(kept: Sequence[Tensor | None], *others: Tensor | None) -> Structure:
     """Inputs as `forward` has them, then outputs, seeds and gradients."""
     frames, numbers, means, quaternions, scales, roots, real, imaginary = kept
     assert real is not None  # of each Gaussian
     assert numbers is not None
     pointers = [means, quaternions, scales, frames, roots, numbers, real, imaginary, *others]
-    shared = real.shape[2] < numbers.shape[1]
     return Sections(
         real.shape[0],
         numbers.shape[1],
         real.shape[1],
-        int(shared or numbers.shape[1] == 1),
+        int(real.shape[2] == 1),
         *(None if tensor is None else tensor.data_ptr() for tensor in pointers),
     )

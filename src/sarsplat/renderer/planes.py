@@ -87,16 +87,22 @@ def lit_planes(
     lit_area = attenuate(replace(projection, optical_depth=whole), rays, engine=engine).lit_area
     plan = _Plan.of(tuple(stacks))
     power, shown, real, imaginary, kinds = _sections(gaussians.scattering, projection.amplitudes, lit_area, plan)
-    powers = splat(projection.pixels, shown, grid, engine=engine)
-    pairs = powers[:, :0]
+    pixels = projection.pixels
     if plan.numbers.any():
-        parts, slopes = elevated(gaussians, views, projection.pixels, plan.numbers, real, imaginary, engine)
-        waves = Waves(torch.from_numpy(plan.numbers).to(slopes), slopes)
-        pairs = splat_parts(projection.pixels, parts, grid, waves, "area", engine)
-    elif plan.pairs:
-        assert imaginary is not None  # channels differ in polarisation
-        parts = torch.stack([real, imaginary], dim=-1).flatten(2)
-        pairs = splat_parts(projection.pixels, parts, grid, None, "area", engine)
+        numbers = plan.numbers if len(set(kinds)) > 1 else np.insert(plan.numbers, 0, 0.0, axis=1)  # with the power
+        parts, slopes = elevated(gaussians, views, pixels, numbers, real, imaginary, engine)
+        waves = Waves(torch.from_numpy(numbers).to(slopes), slopes)
+        pairs = splat_parts(pixels, parts, grid, waves, "area", engine)
+        if len(set(kinds)) > 1:
+            powers = splat(pixels, shown, grid, engine=engine)
+        else:
+            powers, pairs = pairs[:, :1], pairs[:, 2:]
+    else:
+        powers = splat(pixels, shown, grid, engine=engine)
+        pairs = powers[:, :0]
+        if plan.pairs:
+            assert imaginary is not None  # channels differ in polarisation
+            pairs = splat_parts(pixels, torch.stack([real, imaginary], dim=-1).flatten(2), grid, None, "area", engine)
     turns = torch.from_numpy(plan.ranges[..., None] * grid.range_m).to(powers)
     return Planes(powers, pairs, kinds, plan.of_pairs, turns), power, lit_area
 
@@ -148,13 +154,7 @@ def _sections(
     """
     power = amplitudes[..., law.power_channel] * lit_area
     if not isinstance(law, Polarimetric) or not any(plan.names):
-        return (
-            power,
-            power[..., None],
-            power[..., None].expand(*power.shape, len(plan.pairs)),
-            None,
-            (0,) * len(plan.names),
-        )
+        return power, power[..., None], power[..., None], None, (0,) * len(plan.names)
     places = [law.polarisations.index(name) for name in plan.names]
     own = sorted(set(places))
     lit = amplitudes * lit_area[..., None]
