@@ -50,10 +50,11 @@ def test_gradients_and_unseen_images():
     with torch.no_grad():
         screen += 0.3 * torch.randn(screen.shape, generator=torch.Generator().manual_seed(1))
     (part,) = [part for part in model.parts if type(part).__name__ == "PhaseScreen"]
-    plain = torch.randn(1, 6, 6, 5, 4, dtype=torch.complex128, generator=torch.Generator().manual_seed(2))
     shot = model.shot([VIEW], GRID, torch.tensor([0]))
     double = screen.detach().double().requires_grad_()
-    assert torch.autograd.gradcheck(lambda p: part.covariances(plain, shot, {"phase_screen": p}), double)
-    turned = part.covariances(plain, shot, {"phase_screen": double})
-    torch.testing.assert_close(turned.abs(), plain.abs())
-    assert part.covariances(plain, model.shot([VIEW], GRID), {"phase_screen": double}) is plain
+    assert torch.autograd.gradcheck(lambda p: part.phases(shot, {"phase_screen": p}), double)
+    constant, along, away = screen.detach()[0].unflatten(0, (-1, 3)).unbind(-1)
+    phases = part.phases(shot, {"phase_screen": screen.detach()})[0]
+    torch.testing.assert_close(phases[:, 0, -1], constant + along - away)  # near range is row 0
+    torch.testing.assert_close(phases.mean((1, 2)), constant, atol=1e-5, rtol=0)
+    assert part.phases(model.shot([VIEW], GRID), {"phase_screen": double}) is None

@@ -158,7 +158,10 @@ def _sections(
     places = [law.polarisations.index(name) for name in plan.names]
     own = sorted(set(places))
     lit = amplitudes * lit_area[..., None]
+    kinds = tuple(own.index(place) for place in places)
+    if len(own) == 1:
+        alone = lit[..., [1 + own[0]]]
+        return power, alone, alone, None, kinds
     matrices = covariances_between(lit, len(law.polarisations))
     pairs = matrices[..., [places[i] for i, _ in plan.pairs], [places[j] for _, j in plan.pairs]]
-    kinds = tuple(own.index(place) for place in places)
     return power, lit[..., [1 + place for place in own]], pairs.real, pairs.imag, kinds

@@ -44,5 +44,5 @@ class ElevationOnly(Configured):
             return
         with torch.no_grad():
             means, axis = params["means"], self._axis.to(self._before.device)
-            means.copy_(self._before + ((means - self._before) * axis).sum(1, keepdim=True) * axis)
+            means.copy_(self._before + ((means - self._before) @ axis)[:, None] * axis)
         optimizers.constrain()

@@ -202,8 +202,13 @@ static void wave_part(const PixelEntry* entries, const int32_t* list, int n, con
     for_blocks(e, s, [&](const Offset<F>& d, int64_t at) {
       const F weight = imaging_weight(distance(d), cut), elevation = elevation_at(e, d);
       for (int c = 0; c < C; c += 2) {
-        const Phase<F> turned = phase(elevation * a.turns[c / 2]);
         float *real = S + c * size + at, *imaginary = real + size;
+        if (a.turns[c / 2] == 0.0f) {  // as of power
+          store_anywhere(real, weight * heights[c] + load_anywhere(real));
+          if (heights[c + 1] != 0.0f) store_anywhere(imaginary, weight * heights[c + 1] + load_anywhere(imaginary));
+          continue;
+        }
+        const Phase<F> turned = phase(elevation * a.turns[c / 2]);
         store_anywhere(real, weight * (turned.c * heights[c] - turned.s * heights[c + 1]) + load_anywhere(real));
         store_anywhere(imaginary, weight * (turned.s * heights[c] + turned.c * heights[c + 1]) + load_anywhere(imaginary));
       }
@@ -225,8 +230,14 @@ template <int C> SG_FN Eight wave_backward(const PixelEntry& e, const Strips& s,
     const F weight = imaging_weight(distance(d), cut), height = elevation_at(e, d);
     F along = zero, turning = zero;
     for (int c = 0; c < C; c += 2) {
-      const Phase<F> turned = phase(height * a.turns[c / 2]);
       const F x = load_anywhere(dS + c * size + at), y = load_anywhere(dS + (c + 1) * size + at);
+      if (a.turns[c / 2] == 0.0f) {
+        all[c] += weight * x;
+        all[c + 1] += weight * y;
+        along += x * heights[c] + y * heights[c + 1];
+        continue;
+      }
+      const Phase<F> turned = phase(height * a.turns[c / 2]);
       const F real = turned.c * x + turned.s * y, imaginary = turned.c * y - turned.s * x;
       all[c] += weight * real;
       all[c + 1] += weight * imaginary;
