@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -24,9 +25,11 @@ from sarsplat import (
 )
 from sarsplat.data import Dataset, DatasetEntry, read_dataset, write_dataset
 from sarsplat.data.plausible import suspicions
+from sarsplat.processes import Processes
 from sarsplat.reconstruction.config import FlatGround, Surroundings
 from sarsplat.reconstruction.presets import preset
 from sarsplat.reconstruction.stack_region import stack_region
+from sarsplat.reconstruction.stack_trainer import refuse_with_passes
 
 GRID = ImageGrid(28, 20, (0.5, 0.5), (0.6, 0.6))
 VIEW = View(0.0, 45.0)
@@ -166,6 +169,8 @@ def test_what_is_refused():
         Dataset(GRID, images.entries, images.power, signal=images.signal[:, 0])
     with pytest.raises(SarsplatError, match=r"loss is .*, which learning from passes knows nothing of; give 'passes'"):
         reconstruct(images, loss=lambda a, b: (a - b).abs().mean(), quiet=True)
+    with pytest.raises(SarsplatError, match="of torchrun cannot share learning from stacks; start one process"):
+        refuse_with_passes(preset("stack"), images, cast(Processes, "2 processes of torchrun"))
     single = Dataset(GRID, (replace(images.entries[0], stack=None),), images.power, looks=1.0)
     with pytest.raises(SarsplatError, match=r"learn from stacks, and .* has single images; choose another preset"):
         reconstruct(single, "stack", quiet=True)
@@ -216,3 +221,9 @@ def test_without_a_box_all_that_images_show_is_looked_at_wherever_they_lie():
     ground = np.column_stack([-corners[:, 1] / 0.5**0.5, -corners[:, 0], corners[:, 2]])  # φ = 0: ranges at z = 0
     inside = ground * (1 - 1e-6) + ground.mean(0) * 1e-6
     assert (inside @ region.normals.T <= region.offsets).all()
+
+
+def test_stacks_that_do_not_fit_into_memory(monkeypatch):
+    monkeypatch.setattr("sarsplat.memory.free_bytes", lambda: 1e5)
+    with pytest.raises(SarsplatError, match=r"learning from these stacks takes about .* GiB .* fewer passes"):
+        reconstruct(dataset(), quiet=True)

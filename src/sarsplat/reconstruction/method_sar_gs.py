@@ -80,7 +80,7 @@ class SarGs(Method):
             name = getattr(inputs.loss, "__name__", type(inputs.loss).__name__)
             config = replace(config, loss=f"own {name}" if name in LOSSES else name)
         if config.passes is not None:
-            refuse_with_passes(config, dataset)
+            refuse_with_passes(config, dataset, inputs.processes)
         if config.scattering == Polarimetric.kind and not (config.passes and dataset.polarimetric):
             raise SarsplatError(
                 f"scattering is {config.scattering}, which is learned from stacks of several polarisations with passes "

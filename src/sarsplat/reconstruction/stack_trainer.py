@@ -11,12 +11,17 @@ from torch import Tensor
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import Polarimetric
+from sarsplat.memory import required
+from sarsplat.processes import Processes
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.losses import Loss
 from sarsplat.reconstruction.stack_loss import packed, windowed, windowed_nats
 from sarsplat.reconstruction.trainer import Trainer
 from sarsplat.reconstruction.training_images import TrainingImages
 from sarsplat.renderer import Rendering
+
+_IN_ENGINE, _BESIDE = 3, 4
+"""Numbers of a pixel for each pair of channels that a step needs: of one stack, and of each that it looks at."""
 
 
 class StackImages(TrainingImages):
@@ -32,11 +37,15 @@ class StackImages(TrainingImages):
         y_i y_j* of each pixel, deramped and averaged around it, `packed`, linear power.
     """
 
-    def __init__(self, dataset: Dataset, window: int, device: torch.device) -> None:
+    def __init__(self, dataset: Dataset, window: int, together: int, device: torch.device) -> None:
         super().__init__(dataset, device)
         train = dataset.select("train")
         assert train.signal is not None  # of stacks
         self.stacks = train.stacks
+        pairs, channels = train.passes**2, train.passes
+        numbers = len(train) * (pairs + channels) + (_IN_ENGINE + _BESIDE * min(together, len(train))) * pairs
+        needed = 4.0 * numbers * self.grid.rows * self.grid.columns
+        required("learning from these stacks", needed, "give smaller images, fewer of them or fewer passes")
         self.plane_phases, self.measured = list[Tensor](), list[Tensor]()
         for signal, stack, view in zip(train.signal, self.stacks, self.views, strict=True):  # one needs much memory
             level, y = (torch.from_numpy(one).to(device) for one in (stack.plane_phases(view, self.grid), signal))
@@ -44,14 +53,17 @@ class StackImages(TrainingImages):
             self.measured.append(packed(windowed((y[:, None] * y.conj())[None], level.float()[None], window))[0])
 
 
-def refuse_with_passes(config: Config, dataset: Dataset) -> None:
+def refuse_with_passes(config: Config, dataset: Dataset, processes: Processes | None = None) -> None:
     """Refuse what is not known of covariances: it would be left out in silence.
 
     Raises
     ------
     SarsplatError
-        If the configuration asks for it, or the dataset has no covariances to learn from.
+        If the configuration asks for it, the dataset has no covariances to learn from, or several processes are to
+        share the work.
     """
+    if processes is not None:
+        raise SarsplatError(f"{processes} cannot share learning from stacks; start one process, without torchrun")
     if not (dataset.interferometric or dataset.polarimetric):
         has = "stacks of one offset and one polarisation" if dataset.passes else "single images"
         raise SarsplatError(
@@ -79,7 +91,7 @@ class StackTrainer(Trainer):
 
     def _images_of(self, dataset: Dataset) -> StackImages:
         assert self.config.passes is not None  # or there would be a `Trainer`
-        return StackImages(dataset, self.config.passes.window, self.device)
+        return StackImages(dataset, self.config.passes.window, self.config.views_per_step, self.device)
 
     def _minimise(self, loss: Loss | None) -> Tensor:
         return self.images.truth.new_tensor(float(len(self.images.stacks[0])))
