@@ -24,14 +24,14 @@ AVAILABLE = BUILT[: BUILT.index(cpu.best_instruction_set()) + 1]
 
 
 def pair(views: int, rows: int, columns: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Power with dark places, and amplitudes that resemble it."""
+    """Power with dark places, and a truth that resembles it."""
     generator = torch.Generator().manual_seed(rows)
     power = 3.0 * torch.rand(views, rows, columns, generator=generator) ** 3
     power[:, ::3] *= 1e-4
     truth = (power.sqrt() / 2.0 + 0.1 * torch.randn(power.shape, generator=generator)).clamp(min=0)
     power.clamp_(min=1e-6)  # below, float32 cannot tell on which side of a truth of 0 the softened amplitude lies
     power[0, 0, 0], truth[0, 0, 0] = 0.0, 0.3
-    return power, truth
+    return power, 4.0 * truth**2
 
 
 # one vector and less, tails, a window that fits once, more rows than one task, tasks shorter than the window
@@ -63,7 +63,7 @@ def test_the_slope_is_finite_at_zero() -> None:
 def test_a_perfect_image_costs_nothing() -> None:
     truth = torch.rand(1, 32, 32, generator=torch.Generator().manual_seed(2))
     power = (truth + 1e-3) ** 2 - 1e-6  # whose softened amplitude is the truth
-    assert float(amplitude_loss(power, truth, 1.0, 0.2)) == pytest.approx(0.0, abs=1e-5)
+    assert float(amplitude_loss(power, truth**2, 1.0, 0.2)) == pytest.approx(0.0, abs=1e-5)
 
 
 def test_images_smaller_than_the_window() -> None:

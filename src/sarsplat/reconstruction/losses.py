@@ -54,7 +54,7 @@ def amplitude_loss(
     power : Tensor [V, rows, columns]
         Rendered β⁰; differentiable.
     truth : Tensor [V, rows, columns]
-        True amplitude, already divided by the reference; of the same dtype and on the same device.
+        True β⁰, of the same dtype and on the same device.
     reference : float
         Amplitude that counts as 1: the largest of the training set.
     ssim_weight : float
@@ -111,10 +111,11 @@ def plain_amplitude_loss(
 ) -> Float[Tensor, ""]:
     """`amplitude_loss` in plain torch, for any device and floating dtype."""
     rendered = (power / reference**2 + FLOOR**2).sqrt() - FLOOR
-    absolute = _mean((rendered - truth).abs())
+    true = truth.sqrt() / reference
+    absolute = _mean((rendered - true).abs())
     if ssim_weight == 0:
         return absolute
-    return (1 - ssim_weight) * absolute + ssim_weight * (1 - structural_similarity(rendered, truth))
+    return (1 - ssim_weight) * absolute + ssim_weight * (1 - structural_similarity(rendered, true))
 
 
 def structural_similarity(a: Float[Tensor, "v rows columns"], b: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
@@ -178,7 +179,7 @@ class ImageScale:
 
 def _amplitude(config: Config, scale: ImageScale) -> Loss:
     reference = math.sqrt(scale.brightest)
-    return lambda rendered, truth: amplitude_loss(rendered, truth.sqrt() / reference, reference, config.ssim_weight)
+    return lambda rendered, truth: amplitude_loss(rendered, truth, reference, config.ssim_weight)
 
 
 def _speckle(config: Config, scale: ImageScale) -> Loss:

@@ -1,6 +1,6 @@
 // loss.h: (1 - lambda) L1 + lambda (1 - SSIM) of amplitudes, and its gradient with respect to power, in one go.
 //
-// amplitude a = sqrt(power / reference^2 + floor^2) - floor against truth t; SSIM of the places where the window fits
+// amplitude a = sqrt(power / reference^2 + floor^2) - floor against that of the truth, t = sqrt(truth) / reference; SSIM of the places where the window fits
 // whole. A task makes some rows of the gradient and computes what they need of their neighbours for itself:
 // amplitudes -> windows, along columns and along rows -> similarity and its slopes -> both transposed -> gradient.
 #pragma once
@@ -75,7 +75,7 @@ int32_t amplitude_loss(sg_context* context, const sg_loss* loss) {
       for (int x = 0; x < C; x += kWidth) {
         const int64_t at = image + (int64_t)y * C + x;
         store(row(s.a, y) + x, root(load_some(l.power + at, C - x) * scale + floor2) - l.floor);
-        store(row(s.truth, y) + x, load_some(l.truth + at, C - x));
+        store(row(s.truth, y) + x, root(load_some(l.truth + at, C - x) * scale));
       }
     s.similar = 0.0;
     auto clear = [&](float* p) { for (int64_t x = 0; x < stride; x += kWidth) store(p + x, splat(0.0f)); };
