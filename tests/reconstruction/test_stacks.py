@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import replace
 from typing import cast
@@ -180,6 +181,17 @@ def test_a_box_higher_than_an_ambiguity_is_warned_of():
     high = replace(dataset(), target_box_m=((-5.0, -5.0, 0.0), (5.0, 5.0, 40.0)))
     assert any("repeat every 10.5 m of height, and the target's box is 40 m high" in text for text in suspicions(high))
     assert not suspicions(dataset())
+
+
+def test_a_wavelength_in_millimetres_and_noise_in_another_unit_are_warned_of():
+    images = dataset()
+    for changes, words in (
+        ({"wavelength_m": 31.0}, "resolve elevations of 2.98e.03 m at best, and images show 14 m, .* wavelength, 31 m"),
+        ({"noise": (100.0,) * 6}, "the stack 0 states noise of 100 and has a mean power of 0"),
+    ):
+        stacks = replace(images.stacks[0], **changes)
+        odd = suspicions(replace(images, entries=(replace(images.entries[0], stack=stacks),)))
+        assert len(odd) == 1 and re.search(words, odd[0]), odd
 
 
 @pytest.mark.filterwarnings("ignore:there is one training view")
