@@ -254,3 +254,7 @@ def test_the_command_says_how_phases_were_read(tmp_path, capsys):
     assert "2 views of 3 channels, 8 m × 8 m, largest gap 290°, ready" in told
     assert read_dataset(out).stacks[0].transmit == "one"
     assert main([*words, "--overwrite", "--baseline", "1"]) == 2
+    capsys.readouterr()
+    assert main(["reconstruct", str(out), "--iterations", "2", "--out", str(tmp_path / "run")]) == 0
+    told = capsys.readouterr().out
+    assert "sarsplat view" in told and "sarsplat chips" not in told  # which learn nothing of single images
