@@ -110,7 +110,9 @@ class Stack:
             raise SarsplatError(f"noise is {shown(noise)}; give a power for each of {len(self.offsets_rad)} channels")
         for power in noise:
             if not isinstance(power, Real) or not 0 < power <= LOUDEST:
-                raise SarsplatError(f"the noise of a channel is {shown(power)}; give a positive power, β⁰")
+                raise SarsplatError(
+                    f"the noise of a channel is {shown(power)}; give a positive power, at most {LOUDEST:g}"
+                )
 
     def __len__(self) -> int:
         """Number of channels."""

@@ -173,8 +173,8 @@ class GaussianReconstruction(Reconstruction):
         if self.config.surroundings is None and self.config.loss != "speckle":
             if self.config.passes is not None:
                 raise SarsplatError(
-                    f"this run was learned from covariances of stacks (preset {self.config.preset}), so it does not know "
-                    "how single images differ; reconstruct their power with --preset measured or speckled"
+                    f"this run was learned from covariances of stacks (preset {self.config.preset}), so it does not "
+                    "know how single images differ; reconstruct their power with --preset measured or speckled"
                 )
             raise SarsplatError(
                 f"this run was learned without speckle (preset {self.config.preset}, loss {self.config.loss}), so it "
