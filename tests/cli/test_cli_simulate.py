@@ -246,7 +246,12 @@ def test_polarisations(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert both.polarisations == ("HH", "HV", "VV") * 2
     assert both.offsets_rad == pytest.approx((-0.002,) * 3 + (0.002,) * 3)
     assert main(["info", str(tmp_path / "both")]) == 0
-    assert "polarisations HH, HV, VV, HH, HV, VV" in " ".join(capsys.readouterr().out.split())
+    told = " ".join(capsys.readouterr().out.split())
+    assert "both: a dataset of 1 stack" in told
+    assert "passes 2, wavelength 0.031 m, each transmits polarisations HH, HV, VV, HH, HV, VV" in told
+    assert main(["info", str(tmp_path / "alone")]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "passes 1, wavelength 0.031 m polarisations HH, HV, VV noise 0.1, 0.1, 0.1 (β⁰ of each channel)" in told
 
 
 @pytest.mark.parametrize(
@@ -263,7 +268,8 @@ def test_polarisations(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
         (["--passes", "2", "--baseline", "0.004", "--ray-spacing", "0.1"], "--ray-spacing is for single images"),
         (["--passes", "2", "--baseline", "0.004", "--source", "splat"], "--source splat makes no stacks"),
         (["--passes", "2", "--baseline", "0.004", "--wavelength", "0"], "wavelength"),
-        (["--passes", "2", "--baseline", "0"], "two passes are the same"),
+        (["--passes", "2", "--baseline", "0"], "--baseline is 0, so that all passes would be the same; give b/R"),
+        (["--passes", "2", "--baseline", "0.1", "0.1"], "two passes are the same"),
     ],
 )
 def test_stacks_that_cannot_be(

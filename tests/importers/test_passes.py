@@ -211,8 +211,17 @@ def test_channels_that_do_not_go_together(tmp_path):
     np.save(folder / "0-1.npy", np.abs(NOISY[0, 1]))
     with pytest.raises(SarsplatError, match="the quantity is 'complex'"):
         imported(folder)
+    np.save(folder / "0-1.npy", 0 * NOISY[0, 1])
+    with pytest.raises(
+        SarsplatError, match="0-1 is zero everywhere, which no channel of a stack is; leave out its row"
+    ):
+        imported(folder)
     lines = (folder / "passes.csv").read_text().splitlines()
     np.save(folder / "0-1.npy", NOISY[0, 1])
+    sets = [f"{line},{split}" for line, split in zip(lines, ["split", "train", "test", *["train"] * 4], strict=True)]
+    (folder / "passes.csv").write_text("\n".join(sets))
+    with pytest.raises(SarsplatError, match="channels of different sets, 'train' in 0-0 and 'test' in 0-1; give them"):
+        imported(folder)
     (folder / "passes.csv").write_text("\n".join(lines[:-1]))
     with pytest.raises(SarsplatError, match=r"v0 has 3 channels and v1 has 2 \(0: no stack\); give all views the same"):
         imported(folder)
@@ -245,3 +254,7 @@ def test_the_command_says_how_phases_were_read(tmp_path, capsys):
     assert "2 views of 3 channels, 8 m × 8 m, largest gap 290°, ready" in told
     assert read_dataset(out).stacks[0].transmit == "one"
     assert main([*words, "--overwrite", "--baseline", "1"]) == 2
+    capsys.readouterr()
+    assert main(["reconstruct", str(out), "--iterations", "2", "--out", str(tmp_path / "run")]) == 0
+    told = capsys.readouterr().out
+    assert "sarsplat view" in told and "sarsplat chips" not in told  # which learn nothing of single images

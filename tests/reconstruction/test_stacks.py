@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import replace
 from typing import cast
@@ -182,6 +183,17 @@ def test_a_box_higher_than_an_ambiguity_is_warned_of():
     assert not suspicions(dataset())
 
 
+def test_a_wavelength_in_millimetres_and_noise_in_another_unit_are_warned_of():
+    images = dataset()
+    for changes, words in (
+        ({"wavelength_m": 31.0}, "resolve elevations of 2.98e.03 m at best, and images show 14 m, .* wavelength, 31 m"),
+        ({"noise": (100.0,) * 6}, "the stack 0 states noise of 100 and has a mean power of 0"),
+    ):
+        stacks = replace(images.stacks[0], **changes)
+        odd = suspicions(replace(images, entries=(replace(images.entries[0], stack=stacks),)))
+        assert len(odd) == 1 and re.search(words, odd[0]), odd
+
+
 @pytest.mark.filterwarnings("ignore:there is one training view")
 def test_polarisations_may_be_learned_from_by_power_alone():
     images = dataset()
@@ -227,3 +239,38 @@ def test_stacks_that_do_not_fit_into_memory(monkeypatch):
     monkeypatch.setattr("sarsplat.memory.free_bytes", lambda: 1e5)
     with pytest.raises(SarsplatError, match=r"learning from these stacks takes about .* GiB .* fewer passes"):
         reconstruct(dataset(), quiet=True)
+
+
+def of_stacks(*stacks: Stack) -> Dataset:
+    """Noise, the same direction for each of the stacks."""
+    signal = (np.random.default_rng(0).standard_normal((len(stacks), 2, 24, 20, 2)) @ [1, 1j]).astype(np.complex64)
+    entries = tuple(DatasetEntry(View(90.0 * k, 45.0), "train", f"v{k}", stack=one) for k, one in enumerate(stacks))
+    return Dataset.of_complex(ImageGrid(24, 20, (0.5, 0.5), (0.6, 0.6)), entries, signal, looks=1.0, ground=True)
+
+
+@pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")
+def test_views_of_other_polarisations_are_refused():
+    pairs = [Stack(0.24, (0.0, 0.0), polarisations=("HH", other)) for other in ("VV", "HV")]
+    with pytest.raises(SarsplatError, match=r"v0 has the polarisations HH, VV and v1 has HH, HV; give all views"):
+        reconstruct(of_stacks(*pairs), quiet=True)
+
+
+@pytest.mark.parametrize("noise", [1e-12, 1e-7])
+def test_noise_too_low_for_float32_is_refused(noise: float):
+    images = of_stacks(Stack(0.031, (0.0, 0.001), noise=(noise, 0.1)))
+    with pytest.raises(SarsplatError, match=rf"v0 states noise of {noise:g} where .* state at least .*, or none"):
+        reconstruct(images, quiet=True)
+
+
+def test_settings_of_passes_that_make_no_sense():
+    images, stack = of_stacks(Stack(0.031, (0.0, 0.001))), preset("stack")
+    assert stack.passes is not None
+    wide = replace(stack, passes=replace(stack.passes, window=25))
+    with pytest.raises(SarsplatError, match=r"passes.window is 25, more than the 24 × 20 pixels of the images; give a"):
+        reconstruct(images, wide, quiet=True)
+    with pytest.raises(SarsplatError, match=r"passes.screen_std is 1e-30; give at least 1e-06 radians, or 0 to switch"):
+        replace(stack.passes, screen_std=1e-30)
+    with pytest.raises(
+        SarsplatError, match=r"the loss passes is learned from stacks with passes on, and passes is off"
+    ):
+        reconstruct(images, replace(stack, passes=None), quiet=True)

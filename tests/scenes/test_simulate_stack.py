@@ -97,7 +97,8 @@ def test_noise_is_in_each_pass_alone_and_seeds_say_all() -> None:
 
 def test_what_is_refused() -> None:
     for settings, words in (
-        ({"noise": -1.0}, "noise is -1.0; give a power of 0 or more"),
+        ({"noise": -1.0}, r"noise is -1.0; give a power from 0 to 1e\+18"),
+        ({"noise": 1e300}, r"noise is 1e\+300; give a power from 0 to 1e\+18"),
         ({"spacing_m": 0.0}, "ray_spacing 0.0 must be positive"),
         ({"seed": -1}, "seed"),
     ):
@@ -146,6 +147,14 @@ def test_mechanisms_that_do_not_fit() -> None:
         ({"of_ground": -1}, "a facet has matrix"),
         ({"matrices": np.eye(2, dtype=complex)[None]}, r"matrices has shape \(1, 2, 2\); for 3 polarisations give"),
         ({"matrices": np.diag([1.0, -1.0, 1.0]).astype(complex)[None]}, "give a Hermitian, positive semi-definite one"),
+        ({"matrices": np.full((1, 3, 3), np.inf + 0j)}, "give a Hermitian, positive semi-definite one"),
+        ({"of_faces": np.array([-1, 0])}, "a facet has matrix -1 of 3; number them from 0"),
+        ({"of_faces": np.array([0.5, 1.7])}, "of_faces is float64 of shape .2,.; give a whole number for each facet"),
+        ({"of_faces": np.zeros((2, 2), np.int64)}, "of_faces is int64 of shape .2, 2.; give a whole number"),
+        ({"of_ground": 1.5}, "of_ground is 1.5; give a whole number"),
+        ({"polarisations": ("HH", "HH", "VV")}, r"polarisations is .*; give different ones of HH, HV"),
+        ({"polarisations": "HV"}, "polarisations is 'HV'; give different ones of HH, HV"),
+        ({"polarisations": None}, "polarisations is None; give different ones of HH, HV"),
     ):
         with pytest.raises(SarsplatError, match=words):
             Mechanisms(**{"of_faces": np.zeros(12, np.int64), **settings})

@@ -42,7 +42,9 @@ def describe_dataset(path: Path, plot: Path | None) -> None:
     dataset = read_dataset(path)
     for text in suspicions(dataset):
         console.warn(text)
-    console.facts(f"{path}: a dataset of {counted(len(dataset), 'image')}", _facts(dataset, path))
+    console.facts(
+        f"{path}: a dataset of {counted(len(dataset), 'stack' if dataset.passes else 'image')}", _facts(dataset, path)
+    )
     console.show(_table(view_groups(dataset)))
     terminal = Console()
     symbols = symbols_for(terminal.encoding)
@@ -95,13 +97,15 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
 
 def _passes(stack: Stack) -> dict[str, str]:
     """Of the first image."""
-    rows = {"passes": f"{len(stack)}, wavelength {stack.wavelength_m:g} m, {stack.transmit} transmits"}
+    count = len(set(stack.offsets_rad))
+    each = f", {stack.transmit} transmits" if count > 1 else ""
+    rows = {"passes": f"{count}, wavelength {stack.wavelength_m:g} m{each}"}
     if stack.interferometric:
         rows["elevation"] = f"resolution {stack.resolution_m:.3g} m, ambiguous by {stack.ambiguous_elevation_m:.3g} m"
     if stack.polarisations is not None:
         rows["polarisations"] = ", ".join(stack.polarisations)
     noise = "not stated" if stack.noise is None else ", ".join(f"{power:.3g}" for power in stack.noise)
-    return {**rows, "noise": f"{noise} (β⁰ of each pass)"}
+    return {**rows, "noise": f"{noise} (β⁰ of each channel)"}
 
 
 def _source(source: Mapping[str, Any]) -> dict[str, str]:

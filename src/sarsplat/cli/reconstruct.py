@@ -88,8 +88,8 @@ class Options:
     preset
         Starting settings, which the options below override: default (the best in our measurements; its values are
         shown), quick (a first look), speckled (speckle, but no ground), measured (speckle on ground, noise floor),
-        paper (the paper's training), or auto: by the dataset's speckle and ground. All but paper model ground that is
-        shown.
+        stack (interferometric passes), polarimetric (several polarisations), paper (the paper's training), or auto: by
+        the dataset's stacks, speckle and ground. Of the others, all but paper model ground that is shown.
     config
         Starting settings from a file written by --print-config, instead of a preset.
     print_config
@@ -185,15 +185,17 @@ def reconstruct(
     console.finish(
         f"{out}: {run.learned} and {counted(len(run.points), 'point')} in {time.monotonic() - begun_at:.0f} s "
         f"({run.time_s:.0f} s of training; {method.about(config, images.grid)[0]}, seed {run.seed})",
-        _next(images, typed),
+        _next(images, typed, learns_speckle=getattr(config, "passes", None) is None),
     )
 
 
-def _next(images: Dataset, run: str) -> str:
+def _next(images: Dataset, run: str, learns_speckle: bool) -> str:
     """What to type: scores, if there is anything to score."""
     if len(images.splits()) > 1 or images.truth_mesh is not None:
         return f"sarsplat evaluate {run}"
-    return f"sarsplat view {run}" if images.looks is None else f"sarsplat view {run}, or sarsplat chips {run} --out DIR"
+    if images.looks is None or not learns_speckle:
+        return f"sarsplat view {run}"
+    return f"sarsplat view {run}, or sarsplat chips {run} --out DIR"
 
 
 def _warn_of_contradictions(dataset: Path, images: Dataset) -> None:

@@ -60,6 +60,8 @@ def _offsets(passes: int | None, baseline: tuple[float, ...]) -> list[float]:
             f"--baseline has {len(baseline)} numbers for {passes} passes; give one, from the first to the last, or "
             "one for each (b/R, rad)"
         )
+    if len(baseline) == 1 and baseline[0] == 0:
+        raise SarsplatError("--baseline is 0, so that all passes would be the same; give b/R in radians, such as 0.004")
     return [*baseline] if len(baseline) == passes else [baseline[0] * (k / (passes - 1) - 0.5) for k in range(passes)]
 
 

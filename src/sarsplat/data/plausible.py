@@ -23,6 +23,8 @@ from sarsplat.geometry import View
 _FEW = 3  # angles: of fewer nothing can be said
 _SAME_DIRECTION_DEG = 0.01
 _HALF_CIRCLE_DEG = 180.0
+_BLIND = 100.0  # resolutions in elevation, of what images show: phases change by 4 degrees across them
+_LOUDER = 1.2  # noise, of power that it is a part of: nothing but noise is not odd
 _FROM_ABOVE_DEG = 80.0  # and above: a view that favours no side
 
 
@@ -39,14 +41,15 @@ def suspicions(dataset: Dataset) -> list[str]:
     list of str
         One sentence each: what is odd, and what to do if it is not meant. Angles that look like radians; one training
         view, views that are all the same, that leave out more than half of the circle or do not determine positions
-        along some direction; images that are constant or all the same; test images that are training images; zeros in
-        measured power; terrain smaller than what images show. Empty if nothing is odd.
+        along some direction; stacks with baselines that tell no heights, or with more noise than power; images that
+        are constant or all the same; test images that are training images; zeros in measured power; terrain smaller
+        than what images show. Empty if nothing is odd.
     """
     train = dataset.select("train")
     odd = suspicious_angles(train.views)  # of angles in another unit, nothing else follows
     if not odd:
-        odd = _ambiguity(train) if train.interferometric else suspicious_coverage(train.views)
-    return [*odd, *suspicious_images(dataset), *suspicious_terrain(dataset)]
+        odd = _baselines(train) if train.interferometric else suspicious_coverage(train.views)
+    return [*odd, *_noise(train), *suspicious_images(dataset), *suspicious_terrain(dataset)]
 
 
 def suspicious_terrain(dataset: Dataset) -> list[str]:
@@ -133,6 +136,32 @@ def suspicious_coverage(views: Sequence[View]) -> list[str]:
             f"{first.grazing_deg:g}°), which cannot determine the shape; check their angles"
         ]
     return [*_gap(views), *weak_directions(views)]
+
+
+def _noise(train: Dataset) -> list[str]:
+    """Whether stacks state more noise than there is power; a list of one sentence, or empty."""
+    for entry, image in zip(train.entries, train.power, strict=True):
+        noise = () if entry.stack is None else entry.stack.noise or ()
+        if noise and float(np.mean(noise)) > _LOUDER * (mean := float(image.mean(dtype=np.float64))):
+            return [
+                f"the stack {entry.name} states noise of {float(np.mean(noise)):.3g} and has a mean power of "
+                f"{mean:.3g} with it; give the noise in the unit of the images, as power"
+            ]
+    return []
+
+
+def _baselines(train: Dataset) -> list[str]:
+    """Whether phases hardly change within what images show, or repeat; a list of one sentence, or empty."""
+    across_m = max(train.grid.rows * train.grid.spacing_m[1], train.grid.columns * train.grid.spacing_m[0])
+    finest_m = min(stack.resolution_m for stack in train.stacks)
+    if finest_m <= _BLIND * across_m:
+        return _ambiguity(train)
+    first = train.stacks[0]
+    return [
+        f"the passes resolve elevations of {finest_m:.3g} m at best, and images show {across_m:.3g} m, so phases tell "
+        f"hardly any heights; check the wavelength, {first.wavelength_m:g} m, and the baselines, b/R from "
+        f"{min(first.offsets_rad):g} to {max(first.offsets_rad):g} rad"
+    ]
 
 
 def _ambiguity(train: Dataset) -> list[str]:

@@ -18,7 +18,8 @@ _LEAST_WAVELENGTH, _LARGEST_WAVELENGTH = 1e-4, 100.0
 _WIDEST = 0.2
 """Offset of a pass, rad: beyond it the image of one pass is not that of another."""
 
-_LOUDEST = 1e18
+LOUDEST = 1e18
+"""Power of noise, β⁰, beyond which squares leave float32."""
 
 _LOOKED_FOR, _STEPS = 1000.0, 32
 """How far alike phases are looked for, in resolutions, and in how many steps of each."""
@@ -108,8 +109,10 @@ class Stack:
         if not isinstance(noise, tuple | list) or len(noise) != len(self.offsets_rad):
             raise SarsplatError(f"noise is {shown(noise)}; give a power for each of {len(self.offsets_rad)} channels")
         for power in noise:
-            if not isinstance(power, Real) or not 0 < power <= _LOUDEST:
-                raise SarsplatError(f"the noise of a channel is {shown(power)}; give a positive power, β⁰")
+            if not isinstance(power, Real) or not 0 < power <= LOUDEST:
+                raise SarsplatError(
+                    f"the noise of a channel is {shown(power)}; give a positive power, at most {LOUDEST:g}"
+                )
 
     def __len__(self) -> int:
         """Number of channels."""

@@ -21,7 +21,7 @@ _SHARED = {
     "spacing_m": "pixel spacing",
     "resolution_m": "resolution",
     "azimuth_std_deg": "standard deviation of the azimuth",
-    "split": "set",
+    "split": "sets",
 }
 """What all channels of a view must have in common."""
 
@@ -84,6 +84,8 @@ def stacks_of(listed: PictureTable, images: Sequence[MeasuredImage], recording: 
             raise SarsplatError(f"{listed.path} does not say what the baseline of {row.name} is; give b/R, rad")
         if image.pixels.dtype.kind != "c":
             raise SarsplatError(f"{row.name} holds power, but a stack needs phases; give complex files")
+        if not image.pixels.any():
+            raise SarsplatError(f"{row.name} is zero everywhere, which no channel of a stack is; leave out its row")
         channels.setdefault(row.view, []).append((row, image))
     return [_stack(f"{listed.path}: the view {shown(name)}", name, own, recording) for name, own in channels.items()]
 
@@ -119,9 +121,10 @@ def _stack(
     for image in images[1:]:
         for attribute, words in _SHARED.items():
             if (own := getattr(image, attribute)) != (expected := getattr(first, attribute)):
+                remedy = "give them the same" if attribute == "split" else "coregister them, and give them the same"
                 raise SarsplatError(
                     f"{where} has channels of different {words}, {shown(expected)} in {first.name} and {shown(own)} in "
-                    f"{image.name}; coregister them, and give them the same"
+                    f"{image.name}; {remedy}"
                 )
         if image.pixels.shape != first.pixels.shape:
             sizes = (" × ".join(map(str, one.pixels.shape)) for one in (first, image))

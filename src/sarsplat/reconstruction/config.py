@@ -321,6 +321,10 @@ class Passes(Record):
         super().__post_init__()
         if self.window % 2 == 0:
             raise SarsplatError(f"passes.window is {self.window}; give an odd number of pixels, such as 3")
+        if 0 < self.screen_std < _LEAST:  # squares and reciprocals of it would leave float32
+            raise SarsplatError(
+                f"passes.screen_std is {self.screen_std:g}; give at least {_LEAST:g} radians, or 0 to switch it off"
+            )
 
 
 @dataclass(frozen=True)

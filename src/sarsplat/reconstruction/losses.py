@@ -199,7 +199,10 @@ class NamedLoss:
 
 
 def _passes(config: Config, scale: ImageScale) -> Loss:
-    raise SarsplatError("the loss passes is for stacks, and these are single images; choose amplitude or speckle")
+    raise SarsplatError(
+        "the loss passes is learned from stacks with passes on, and passes is off; switch it on, or choose the loss "
+        "amplitude or speckle"
+    )
 
 
 LOSSES = {

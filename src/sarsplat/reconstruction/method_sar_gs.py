@@ -171,6 +171,11 @@ class GaussianReconstruction(Reconstruction):
     def sampler(self, ground: str | Float32[np.ndarray, "r c"], speckle: Speckle, scatterers: float) -> Sampler:
         """Refused if it has learned nothing of speckle."""
         if self.config.surroundings is None and self.config.loss != "speckle":
+            if self.config.passes is not None:
+                raise SarsplatError(
+                    f"this run was learned from covariances of stacks (preset {self.config.preset}), so it does not "
+                    "know how single images differ; reconstruct their power with --preset measured or speckled"
+                )
             raise SarsplatError(
                 f"this run was learned without speckle (preset {self.config.preset}, loss {self.config.loss}), so it "
                 "does not know how single images differ; reconstruct speckled images with --preset measured or speckled"

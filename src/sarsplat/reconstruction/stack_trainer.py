@@ -23,6 +23,9 @@ from sarsplat.renderer import Rendering
 _IN_ENGINE, _BESIDE = 3, 4
 """Numbers of a pixel for each pair of channels that a step needs: of one stack, and of each that it looks at."""
 
+_LEAST_NOISE = 1e-6
+"""Of the mean power: with less, covariances of smooth scenes cannot be inverted in float32."""
+
 
 class StackImages(TrainingImages):
     """The training stacks of a dataset.
@@ -75,12 +78,38 @@ def refuse_with_passes(config: Config, dataset: Dataset, processes: Processes | 
             f"scattering is {config.scattering}, which is the same in all polarisations, and {dataset} has "
             f"{', '.join(dict.fromkeys(dataset.stacks[0].of_channels))}; choose {Polarimetric.kind}"
         )
+    _refuse_stacks(config, dataset.select("train"), dataset)
     known = {"loss": "passes", "coarsest": 1, "tiles": 1, "ground": None, "surroundings": None, "densification": None}
     for name, value in known.items():
         if (asked := getattr(config, name)) != value:
             asked, remedy = ("on", "off") if value is None else (shown(asked), shown(value))
             raise SarsplatError(
                 f"{name} is {asked}, which learning from passes knows nothing of; give {remedy}, or passes off"
+            )
+
+
+def _refuse_stacks(config: Config, train: Dataset, dataset: Dataset) -> None:
+    """Refuse training stacks that cannot be learned from together, or not with these settings."""
+    grid, first = train.grid, train.entries[0]
+    assert config.passes is not None and first.stack is not None  # or nothing is learned from stacks
+    for entry in train.entries:
+        if entry.stack is not None and entry.stack.of_channels != first.stack.of_channels:
+            of = (", ".join(one.of_channels) for one in (first.stack, entry.stack))
+            raise SarsplatError(
+                f"{first.name} has the polarisations {next(of)} and {entry.name} has {next(of)}; give all views of "
+                f"{dataset} the same, in the same order"
+            )
+    if config.passes.window > max(grid.rows, grid.columns):
+        raise SarsplatError(
+            f"passes.window is {config.passes.window}, more than the {grid.rows} × {grid.columns} pixels of the "
+            "images; give a smaller one, such as 3"
+        )
+    mean = float(train.power.mean(dtype="float64"))
+    for entry in train.entries:
+        if entry.stack is not None and entry.stack.noise and (least := min(entry.stack.noise)) < _LEAST_NOISE * mean:
+            raise SarsplatError(
+                f"{entry.name} states noise of {least:.3g} where the mean power is {mean:.3g}, too little for 32-bit "
+                f"numbers; state at least {_LEAST_NOISE * mean:.2g}, or none, so that it is learned"
             )
 
 

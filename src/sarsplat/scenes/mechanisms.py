@@ -11,6 +11,7 @@ from jaxtyping import Complex128, Int64
 
 from sarsplat.arguments import expect
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry.stack import POLARISATIONS as KNOWN_POLARISATIONS
 
 if TYPE_CHECKING:
     import trimesh
@@ -66,7 +67,21 @@ class Mechanisms:
 
     def __post_init__(self) -> None:
         expect(np.ndarray, of_faces=self.of_faces, matrices=self.matrices)
-        object.__setattr__(self, "polarisations", tuple(self.polarisations))
+        expect(int, of_ground=self.of_ground)
+        names = self.polarisations
+        if (
+            not isinstance(names, tuple | list)
+            or len({*map(str, names)}) < len(names)
+            or not {*map(str, names)} <= {*KNOWN_POLARISATIONS}
+        ):
+            raise SarsplatError(
+                f"polarisations is {shown(names)}; give different ones of {', '.join(KNOWN_POLARISATIONS)}"
+            )
+        object.__setattr__(self, "polarisations", tuple(names))
+        if self.of_faces.ndim != 1 or self.of_faces.dtype.kind not in "iu":
+            raise SarsplatError(
+                f"of_faces is {self.of_faces.dtype} of shape {self.of_faces.shape}; give a whole number for each facet"
+            )
         count, matrices = len(self.polarisations), self.matrices
         if matrices.ndim != 3 or matrices.shape[1:] != (count, count):
             raise SarsplatError(
@@ -74,11 +89,11 @@ class Mechanisms:
             )
         numbers = np.append(self.of_faces, self.of_ground)
         if numbers.min() < 0 or numbers.max() >= len(matrices):
-            raise SarsplatError(
-                f"a facet has matrix {shown(int(numbers.max()))} of {len(matrices)}; number them from 0"
-            )
+            wrong = numbers.min() if numbers.min() < 0 else numbers.max()
+            raise SarsplatError(f"a facet has matrix {shown(int(wrong))} of {len(matrices)}; number them from 0")
         for matrix in matrices:
-            if not np.allclose(matrix, matrix.conj().T) or np.linalg.eigvalsh(matrix)[0] < -_TOLERATED:
+            finite = bool(np.isfinite(matrix).all())
+            if not finite or not np.allclose(matrix, matrix.conj().T) or np.linalg.eigvalsh(matrix)[0] < -_TOLERATED:
                 raise SarsplatError(
                     f"a matrix is {shown(matrix.tolist())}; give a Hermitian, positive semi-definite one"
                 )

@@ -18,6 +18,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, Stack, View, radar_frame
 from sarsplat.geometry.responses import Response
+from sarsplat.geometry.stack import LOUDEST
 from sarsplat.scenes._random import generator
 from sarsplat.scenes._rays import Facets, Region, tracer
 from sarsplat.scenes.mechanisms import Mechanisms
@@ -87,8 +88,8 @@ def simulate_stack(
     roots = _roots(mechanisms, stack, len(mesh.faces))
     spacing = min(grid.resolution_m) / _PER_CELL if spacing_m is None else spacing_m
     check_rays(mesh, ground_gamma0, spacing, (0.5, 0.5))
-    if not (math.isfinite(noise) and noise >= 0):
-        raise SarsplatError(f"noise is {shown(noise)}; give a power of 0 or more")
+    if not 0 <= noise <= LOUDEST:  # also catches NaN
+        raise SarsplatError(f"noise is {shown(noise)}; give a power from 0 to {LOUDEST:g}")
     chance = generator(seed, "scatterers")
     facets, frame = Facets.of(mesh, view), radar_frame(view)
     gamma0 = np.append(law.gamma0(facets.cos_incidence), ground_gamma0 or 0.0)  # the last is the ground's
