@@ -48,8 +48,9 @@ def made_each(work: Callable[[int], T], indices: Sequence[int]) -> Iterator[T]:
 
 def _end_with_the_first(_: int) -> None:
     """A polite kill of the whole group is for the first process, and that ends the others, however it ends."""
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # one that waits to be listened to would stay for ever
+    if sys.platform == "linux":  # where processes are copied
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # one that waits to be listened to would stay
 
 
 class _Work(Dataset[list[T | Exception]], Generic[T]):
