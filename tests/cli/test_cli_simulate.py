@@ -233,6 +233,8 @@ def test_stacks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", str(out)]) == 0
     told = " ".join(capsys.readouterr().out.split())
     assert "passes 3, wavelength 0.05 m, each transmits elevation resolution 6.25 m, ambiguous by 12.5 m" in told
+    assert main(["check", str(out)]) == 0
+    assert "cannot determine" not in capsys.readouterr().err  # phases tell heights
 
 
 def test_polarisations(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -43,7 +43,7 @@ def check(
         Replace an existing sheet.
     """
     from sarsplat.data import read_dataset, write_bytes
-    from sarsplat.data.plausible import suspicious_angles, suspicious_coverage
+    from sarsplat.data.plausible import left_open, suspicious_angles
     from sarsplat.reconstruction.contradictions import examine
 
     if out is not None:
@@ -60,8 +60,8 @@ def check(
     console.facts(f"{dataset}: {counted(len(read), 'image')}", examined.checks)
     if verbose and examined.orientations:
         _show(examined.orientations)
-    views = read.select("train").views
-    for text in () if suspicious_angles(views) else suspicious_coverage(views):
+    train = read.select("train")
+    for text in () if suspicious_angles(train.views) else left_open(train):
         console.warn(text)
     for text in examined.contradictions:
         console.complain(text)

@@ -48,8 +48,13 @@ def suspicions(dataset: Dataset) -> list[str]:
     train = dataset.select("train")
     odd = suspicious_angles(train.views)  # of angles in another unit, nothing else follows
     if not odd:
-        odd = _baselines(train) if train.interferometric else suspicious_coverage(train.views)
+        odd = left_open(train)
     return [*odd, *_noise(train), *suspicious_images(dataset), *suspicious_terrain(dataset)]
+
+
+def left_open(train: Dataset) -> list[str]:
+    """What the training images leave open of the shape: by their directions, or of stacks by their baselines."""
+    return _baselines(train) if train.interferometric else suspicious_coverage(train.views)
 
 
 def suspicious_terrain(dataset: Dataset) -> list[str]:
