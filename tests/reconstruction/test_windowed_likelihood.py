@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from sarsplat.errors import SarsplatError
-from sarsplat.reconstruction.stack_loss import ExpectedStacks, packed, unpacked, windowed, windowed_nats
+from sarsplat.reconstruction.windowed_likelihood import ExpectedStacks, packed, unpacked, windowed, windowed_nats
 from sarsplat.renderer.planes import Planes
 
 CASES = {  # passes, planes of pairs, window, rows, columns

@@ -26,8 +26,8 @@ from sarsplat.reconstruction.parts import parts_of
 from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, Shot
 from sarsplat.reconstruction.setting import Setting
 from sarsplat.reconstruction.snapshot import Snapshot
-from sarsplat.reconstruction.stack_loss import ExpectedStacks
 from sarsplat.reconstruction.target_region import cut_off
+from sarsplat.reconstruction.windowed_likelihood import ExpectedStacks
 from sarsplat.reconstruction.windows import Windows
 from sarsplat.renderer import Bounds, Rendering, render
 from sarsplat.renderer.planes import lit_planes

@@ -15,9 +15,9 @@ from sarsplat.memory import required
 from sarsplat.processes import Processes
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.losses import Loss
-from sarsplat.reconstruction.stack_loss import packed, windowed, windowed_nats
 from sarsplat.reconstruction.trainer import Trainer
 from sarsplat.reconstruction.training_images import TrainingImages
+from sarsplat.reconstruction.windowed_likelihood import packed, windowed, windowed_nats
 from sarsplat.renderer import Rendering
 
 _IN_ENGINE, _BESIDE = 3, 4
