@@ -20,8 +20,9 @@ from sarsplat.reconstruction.training_images import TrainingImages
 from sarsplat.reconstruction.windowed_likelihood import packed, windowed, windowed_nats
 from sarsplat.renderer import Rendering
 
-_IN_ENGINE, _BESIDE = 3, 4
-"""Numbers of a pixel for each pair of channels that a step needs: of one stack, and of each that it looks at."""
+_OF_ONE, _OF_EACH = 11, 4
+"""Numbers of a pixel for each pair of channels: of one stack while it is averaged, as measured, and of each that a step
+looks at."""
 
 _LEAST_NOISE = 1e-6
 """Of the mean power: with less, covariances of smooth scenes cannot be inverted in float32."""
@@ -46,7 +47,7 @@ class StackImages(TrainingImages):
         assert train.signal is not None  # of stacks
         self.stacks = train.stacks
         pairs, channels = train.passes**2, train.passes
-        numbers = len(train) * (pairs + channels) + (_IN_ENGINE + _BESIDE * min(together, len(train))) * pairs
+        numbers = len(train) * (pairs + channels) + (_OF_ONE + _OF_EACH * min(together, len(train))) * pairs
         needed = 4.0 * numbers * self.grid.rows * self.grid.columns
         required("learning from these stacks", needed, "give smaller images, fewer of them or fewer passes")
         self.plane_phases, self.measured = list[Tensor](), list[Tensor]()

@@ -133,18 +133,22 @@ struct Bodies {                   // kWidth Gaussians
   Body<F> body;
   F unit[4], norm, kappa;         // q / |q|, |q|
 };
-Bodies read_bodies(const sg_problem& p, int64_t i, int real) {
+Bodies read_bodies(const float* means, const float* quaternions, const float* scales, int64_t i, int real) {  // without kappa
   Bodies b;
   F q[4];
-  read_few<3>(p.means + 3 * i, real, b.body.mean);
-  read_few<3>(p.scales + 3 * i, real, b.body.scale);
-  read_few<4>(p.quaternions + 4 * i, real, q);
-  read_few<1>(p.kappa + i, real, &b.kappa);
+  read_few<3>(means + 3 * i, real, b.body.mean);
+  read_few<3>(scales + 3 * i, real, b.body.scale);
+  read_few<4>(quaternions + 4 * i, real, q);
   for (int k = real; k < kWidth; k++) {  // the rest are harmless
     for (F& scale : b.body.scale) scale[k] = 1.0f;
     q[0][k] = 1.0f;
   }
   rotation(q[0], q[1], q[2], q[3], b.body.rot, b.unit, b.norm);
+  return b;
+}
+Bodies read_bodies(const sg_problem& p, int64_t i, int real) {
+  Bodies b = read_bodies(p.means, p.quaternions, p.scales, i, real);
+  read_few<1>(p.kappa + i, real, &b.kappa);
   return b;
 }
 

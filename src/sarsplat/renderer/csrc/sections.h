@@ -57,14 +57,7 @@ template <class Visit> static void over_sections(const sg_sections& s, Visit vis
     const int64_t first = (int64_t)chunk * kChunk, end = chunk_end(chunk, s.gaussians);
     for (int64_t i = first; i < end; i += kWidth) {
       const int real = smaller(kWidth, (int)(end - i));
-      F q[4], unit[4], norm;
-      Body<F> body;
-      read_few<3>(s.means + 3 * i, real, body.mean);
-      read_few<4>(s.quaternions + 4 * i, real, q);
-      read_few<3>(s.scales + 3 * i, real, body.scale);
-      for (int k = real; k < kWidth; k++) { q[0][k] = 1.0f; body.scale[0][k] = body.scale[1][k] = body.scale[2][k] = 1.0f; }
-      rotation(q[0], q[1], q[2], q[3], body.rot, unit, norm);
-      visit(i, real, body, unit, norm);
+      visit(i, real, read_bodies(s.means, s.quaternions, s.scales, i, real));
     }
   });
 }
@@ -72,12 +65,12 @@ template <class Visit> static void over_sections(const sg_sections& s, Visit vis
 void pair_sections(const sg_sections* sections) {
   const sg_sections& s = *sections;
   const int64_t n = s.gaussians, D = s.pairs, S = s.shared ? 1 : D;
-  over_sections(s, [&](int64_t i, int real, const Body<F>& body, const F*, F) {
+  over_sections(s, [&](int64_t i, int real, const Bodies& bodies) {
     for (int64_t v = 0; v < s.views; v++) {
       const int64_t at = v * n + i;
       F roots[3];
       read_few<3>(s.roots + 3 * at, real, roots);
-      const Elevation e = elevation_of(body, s.frames + 9 * v, roots);
+      const Elevation e = elevation_of(bodies.body, s.frames + 9 * v, roots);
       write_few<2>(e.slope, real, s.slopes + 2 * at);
       for (int64_t d = 0; d < D; d++) {
         const Phase<F> t = turned(e, s.numbers[v * D + d]);
@@ -93,7 +86,7 @@ void pair_sections(const sg_sections* sections) {
 void pair_sections_backward(const sg_sections* sections) {
   const sg_sections& s = *sections;
   const int64_t n = s.gaussians, D = s.pairs, S = s.shared ? 1 : D;
-  over_sections(s, [&](int64_t i, int real, const Body<F>& body, const F* unit, F norm) {
+  over_sections(s, [&](int64_t i, int real, const Bodies& bodies) {
     const F zero = splat(0.0f);
     BodyGradient<F> sum;
     for (F& x : sum.mean) x = zero;
@@ -106,7 +99,7 @@ void pair_sections_backward(const sg_sections* sections) {
       F roots[3], d_slope[2];
       read_few<3>(s.roots + 3 * at, real, roots);
       read_few<2>(s.d_slopes + 2 * at, real, d_slope);
-      const Elevation e = elevation_of(body, frame, roots);
+      const Elevation e = elevation_of(bodies.body, frame, roots);
       F d_at = zero, d_variance = zero, d_shared = zero;
       for (int64_t d = 0; d < D; d++) {
         const float number = s.numbers[v * D + d];
@@ -137,7 +130,7 @@ void pair_sections_backward(const sg_sections* sections) {
       }
     }
     F d_scale[3], d_quaternion[4];
-    finish(body, unit, norm, sum, d_scale, d_quaternion);
+    finish(bodies.body, bodies.unit, bodies.norm, sum, d_scale, d_quaternion);
     write_few<3>(sum.mean, real, s.d_means + 3 * i);
     write_few<4>(d_quaternion, real, s.d_quaternions + 4 * i);
     write_few<3>(d_scale, real, s.d_scales + 3 * i);
