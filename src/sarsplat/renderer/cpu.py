@@ -21,6 +21,7 @@ from sarsplat.renderer.structs import (
     Ground,
     Lattice,
     Likelihood,
+    Lobes,
     Loss,
     Outputs,
     Problem,
@@ -61,6 +62,8 @@ _ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "stack_likelihood": (c_void_p, POINTER(Likelihood)),
     "pair_sections": (c_void_p, POINTER(Sections)),
     "pair_sections_backward": (c_void_p, POINTER(Sections)),
+    "normal_lobes": (c_void_p, POINTER(Lobes)),
+    "normal_lobes_backward": (c_void_p, POINTER(Lobes)),
     "lit_ground": (c_void_p, POINTER(Ground)),
     "lit_terrain": (c_void_p, POINTER(Terrain)),
     "adam": (c_int32, POINTER(AdamStep)),
@@ -197,6 +200,16 @@ class Pass:
         """Fill in the gradients."""
         self._library.sg_set_threads(torch.get_num_threads())
         self._library.sg_pair_sections_backward(self._handle, sections)
+
+    def normal_lobes(self, lobes: ctypes.Structure) -> None:
+        """Fill in γ⁰ of a law of lobes."""
+        self._library.sg_set_threads(torch.get_num_threads())
+        self._library.sg_normal_lobes(self._handle, lobes)
+
+    def normal_lobes_backward(self, lobes: ctypes.Structure) -> None:
+        """Fill in the gradients."""
+        self._library.sg_set_threads(torch.get_num_threads())
+        self._library.sg_normal_lobes_backward(self._handle, lobes)
 
     def lit_ground(self, ground: ctypes.Structure) -> None:
         """Fill in what is lit, or the gradients."""

@@ -22,9 +22,10 @@ from sarsplat.renderer.cpu import FAULTS
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves, deviations
 from sarsplat.renderer.ground import gamma0_by_view, ground_values, in_sight, lit, returned, with_ground
 from sarsplat.renderer.lit_ground import RayEnds
+from sarsplat.renderer.lobes import amplitudes_towards
 from sarsplat.renderer.operation import Operation, Tensors
 from sarsplat.renderer.passes import Pass
-from sarsplat.renderer.problem import ARRAYS, directions_to, new_problem, point_at, pointer, problem_of
+from sarsplat.renderer.problem import ARRAYS, new_problem, point_at, pointer, problem_of
 from sarsplat.renderer.rendering import RayMap, Rendering
 from sarsplat.renderer.shared import Branch, shared
 
@@ -67,7 +68,7 @@ def render_with(
     if amplitudes is None and isinstance(g.scattering, Harmonics):
         harmonics = g.scattering.parameters  # kernels evaluate these themselves
     elif amplitudes is None:
-        amplitudes = g.amplitudes(directions_to(views, g.means))
+        amplitudes = amplitudes_towards(g, views)
     ray_maps: tuple[RayMap, ...] | None = None
 
     def some(branch: Branch, arrays: Tensors) -> tuple[Tensor, ...]:
@@ -123,7 +124,7 @@ def project_with(
     ray_centers, ray_roots, depth, range_m, tilt, pixel_centers, pixel_roots, gamma0 = _Project(
         new_pass(), views, grid, rays, law.p_min
     ).of(g.means, g.quaternions, g.scales, g.optical_depth, harmonics, None, _shift(g, views, shift))
-    amplitudes = gamma0[..., None] if harmonics is not None else g.amplitudes(directions_to(views, g.means))
+    amplitudes = gamma0[..., None] if harmonics is not None else amplitudes_towards(g, views)
     return Projection(
         Footprints(ray_centers, ray_roots), depth, range_m, tilt, Footprints(pixel_centers, pixel_roots), amplitudes
     )

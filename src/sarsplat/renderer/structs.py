@@ -67,6 +67,12 @@ Sections = structure(
     *((name, c_void_p) for name in ("parts", "slopes", "d_parts", "d_slopes")),
     *((name, c_void_p) for name in ("d_means", "d_quaternions", "d_scales", "d_roots", "d_real", "d_imaginary")),
 )
+Lobes = structure(
+    "sg_lobes",
+    *(("views", c_int32), ("lobes", c_int32), ("gaussians", c_int64), ("p_min", c_float)),
+    *((name, c_void_p) for name in ("sharpness", "directions", "quaternions", "scales", "parameters")),
+    *((name, c_void_p) for name in ("amplitudes", "d_amplitudes", "d_quaternions", "d_parameters")),
+)
 Likelihood = structure(
     "sg_likelihood",
     *((name, c_int32) for name in ("views", "rows", "columns", "passes", "powers", "pairs", "reach")),
@@ -130,6 +136,7 @@ MIRRORS = (
     Statistics,
     Loss,
     Sections,
+    Lobes,
     Likelihood,
     Axis,
     Patches,

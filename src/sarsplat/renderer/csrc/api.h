@@ -100,6 +100,18 @@ struct sg_sections {      // of D pairs of channels, in V views of N Gaussians; 
   float *d_means, *d_quaternions, *d_scales, *d_roots, *d_real, *d_imaginary;  // out, backward
 };
 
+struct sg_lobes {         // gamma0 of V views of N Gaussians in J <= 15 lobes; see lobes.h
+  int32_t views, lobes;
+  int64_t gaussians;
+  float p_min;
+  const float* sharpness;   // [J]
+  const float* directions;  // [V, 3] unit vectors to the radar
+  const float *quaternions, *scales, *parameters;  // [N, 4], [N, 3], [N, 1 + J]
+  float* amplitudes;        // out [V, N]
+  const float* d_amplitudes;  // backward
+  float *d_quaternions, *d_parameters;  // out, backward
+};
+
 struct sg_likelihood {    // of V stacks of P channels; see likelihood.h
   int32_t views, rows, columns, passes;
   int32_t powers, pairs;  // planes that channels and pairs of channels share
@@ -196,6 +208,8 @@ struct sg_engine {        // one per instruction set
   int32_t (*stack_likelihood)(sg_context*, const sg_likelihood*);
   void (*pair_sections)(const sg_sections*);
   void (*pair_sections_backward)(const sg_sections*);
+  void (*normal_lobes)(const sg_lobes*);
+  void (*normal_lobes_backward)(const sg_lobes*);
   int32_t (*lit_ground)(sg_context*, const sg_ground*);
   int32_t (*lit_terrain)(sg_context*, const sg_terrain*);
   void (*adam)(const sg_adam_step*);

@@ -6,6 +6,7 @@
 #include "columns.h"
 #include "gaussian_math.h"
 #include "memory.h"
+#include "parallel.h"
 #include "passes.h"
 
 namespace sarsplat {
@@ -28,6 +29,13 @@ int64_t padded(int64_t n) { return (n + kWidth - 1) / kWidth * kWidth; }
 // Tasks of a pass; Gaussians go by the chunk.
 int64_t chunk_end(int64_t chunk, int64_t limit) { return (chunk + 1) * kChunk < limit ? (chunk + 1) * kChunk : limit; }
 int chunks_of(int64_t n) { return larger(1, (int)((n + kChunk - 1) / kChunk)); }
+// visit(i, real) for kWidth of n Gaussians at a time
+template <class Visit> void by_width(int64_t n, Visit visit) {
+  parallel(chunks_of(n), [&](int chunk) {
+    const int64_t end = chunk_end(chunk, n);
+    for (int64_t i = (int64_t)chunk * kChunk; i < end; i += kWidth) visit(i, smaller(kWidth, (int)(end - i)));
+  });
+}
 int tasks_of(int count, int each) { return (count + each - 1) / each; }
 int parts_of(const sg_problem& p) { return larger(1, smaller(kMaxParts, kTasks / larger(p.of_views, 1))); }
 

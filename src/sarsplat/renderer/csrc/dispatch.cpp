@@ -53,6 +53,8 @@ SG_EXPORT int32_t sg_amplitude_loss(sg_handle* h, const sg_loss* loss) { return 
 SG_EXPORT int32_t sg_stack_likelihood(sg_handle* h, const sg_likelihood* l) { return h->engine->stack_likelihood(h->context, l); }
 SG_EXPORT void sg_pair_sections(const sg_handle* h, const sg_sections* s) { h->engine->pair_sections(s); }
 SG_EXPORT void sg_pair_sections_backward(const sg_handle* h, const sg_sections* s) { h->engine->pair_sections_backward(s); }
+SG_EXPORT void sg_normal_lobes(const sg_handle* h, const sg_lobes* l) { h->engine->normal_lobes(l); }
+SG_EXPORT void sg_normal_lobes_backward(const sg_handle* h, const sg_lobes* l) { h->engine->normal_lobes_backward(l); }
 SG_EXPORT int32_t sg_lit_ground(sg_handle* h, const sg_ground* ground) { return h->engine->lit_ground(h->context, ground); }
 SG_EXPORT int32_t sg_lit_terrain(sg_handle* h, const sg_terrain* terrain) { return h->engine->lit_terrain(h->context, terrain); }
 SG_EXPORT void sg_adam(int32_t isa, const sg_adam_step* step) { engine(isa ? isa : best)->adam(step); }

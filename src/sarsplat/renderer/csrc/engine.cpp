@@ -7,6 +7,7 @@
 #include "terrain.h"
 #include "inspect.h"
 #include "likelihood.h"
+#include "lobes.h"
 #include "loss.h"
 #include "sections.h"
 #include "steps.h"
@@ -124,6 +125,6 @@ void destroy(sg_context* c) { delete c; }
 extern "C" const sg_engine SG_JOIN(sg_engine_, SG_ISA);
 const sg_engine SG_JOIN(sg_engine_, SG_ISA) = {
     SG_TEXT(SG_ISA), create, destroy, run<forward>, run_back<backward>, lattice, trace, amplitude_loss, stack_likelihood, pair_sections, pair_sections_backward,
-    lit_ground, lit_terrain, adam, statistics,
+    normal_lobes, normal_lobes_backward, lit_ground, lit_terrain, adam, statistics,
     run<project_step, worth_waking_to_project>, run<project_step_backward, worth_waking_to_project>,
     run<attenuate_step>, run_back<attenuate_step_backward>, run<splat_step>, run_back<splat_step_backward>};

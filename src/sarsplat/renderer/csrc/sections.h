@@ -5,7 +5,6 @@
 // the elevation mu_y + s d, with the variance Sigma_yy - s (Sigma_yx, Sigma_yz), s = (Sigma_yx, Sigma_yz) L^T L.
 #pragma once
 #include "context.h"
-#include "parallel.h"
 
 namespace sarsplat {
 namespace SG_ISA {
@@ -53,13 +52,7 @@ SG_FN void scattered(float* p, int64_t stride, int real, F x) {
 }
 
 template <class Visit> static void over_sections(const sg_sections& s, Visit visit) {
-  parallel(chunks_of(s.gaussians), [&](int chunk) {
-    const int64_t first = (int64_t)chunk * kChunk, end = chunk_end(chunk, s.gaussians);
-    for (int64_t i = first; i < end; i += kWidth) {
-      const int real = smaller(kWidth, (int)(end - i));
-      visit(i, real, read_bodies(s.means, s.quaternions, s.scales, i, real));
-    }
-  });
+  by_width(s.gaussians, [&](int64_t i, int real) { visit(i, real, read_bodies(s.means, s.quaternions, s.scales, i, real)); });
 }
 
 void pair_sections(const sg_sections* sections) {

@@ -1,0 +1,64 @@
+"""What Gaussians return towards the views of a call; of a training's usual law by the CPU engine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from ctypes import Structure
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sarsplat.gaussians import Gaussians, NormalLobes
+from sarsplat.geometry import View
+from sarsplat.renderer import cpu
+from sarsplat.renderer.once import differentiable_once
+from sarsplat.renderer.problem import directions_to
+from sarsplat.renderer.structs import Lobes
+
+_MOST = 15
+"""Lobes that the engine takes."""
+
+
+def amplitudes_towards(gaussians: Gaussians, views: Sequence[View]) -> Float[Tensor, "v n c"]:
+    """`Gaussians.amplitudes` towards the radar of each view; of float32 on the CPU differentiable at least once."""
+    law, means = gaussians.scattering, gaussians.means
+    directions = directions_to(views, means)
+    if type(law) is NormalLobes and means.dtype == torch.float32 and means.is_cpu and len(law.sharpness) <= _MOST:
+        return _Engine.apply(directions, law, gaussians.quaternions, gaussians.scales, law.parameters)
+    return gaussians.amplitudes(directions)
+
+
+class _Engine(torch.autograd.Function):
+    """`NormalLobes.amplitudes`, as there without a gradient of the scales."""
+
+    @staticmethod
+    def forward(ctx: Any, directions: Tensor, law: NormalLobes, *inputs: Tensor) -> Tensor:
+        kept = [tensor.contiguous() for tensor in (directions, directions.new_tensor(law.sharpness), *inputs)]
+        ctx.save_for_backward(*kept)
+        ctx.p_min = law.p_min
+        made = directions.new_empty(len(directions), len(inputs[0]), 1)
+        cpu.Pass().normal_lobes(_problem(ctx.p_min, kept, made))
+        return made
+
+    @staticmethod
+    @differentiable_once
+    def backward(ctx: Any, seed: Tensor) -> tuple[Tensor | None, ...]:
+        _, _, quaternions, _, parameters = kept = ctx.saved_tensors
+        gradients = torch.empty_like(quaternions), torch.empty_like(parameters)
+        cpu.Pass().normal_lobes_backward(_problem(ctx.p_min, kept, None, seed.contiguous(), *gradients))
+        return None, None, gradients[0], None, gradients[1]
+
+
+def _problem(p_min: float, kept: Sequence[Tensor], *others: Tensor | None) -> Structure:
+    """Inputs as `forward` has them, then what comes out, its seed and gradients."""
+    directions, sharpness, quaternions, *_ = kept
+    pointers = [sharpness, directions, *kept[2:], *others]
+    return Lobes(
+        len(directions),
+        len(sharpness),
+        len(quaternions),
+        p_min,
+        *(None if tensor is None else tensor.data_ptr() for tensor in pointers),
+    )
