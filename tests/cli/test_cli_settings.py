@@ -143,7 +143,7 @@ def test_a_run_is_resumed_and_extended_with_its_own_settings(tmp_path: Path, ref
     extended = Run.load(run)
     assert (extended.iteration, extended.config.iterations, extended.config.gaussians) == (4, 4, 40)
     assert "started with seed 7, not 8" in refused(f"{resume} --iterations 5 --seed 8")
-    assert "started with rates.means 0.067, not 0.5" in refused(f"{resume} --rates.means 0.5")
+    assert "started with rates.means 0.15, not 0.5" in refused(f"{resume} --rates.means 0.5")
     assert "started with preset 'default', not 'paper'" in refused(f"{resume} --preset paper")
     assert "has already done 4 iterations, more than 3" in refused(f"{resume} --iterations 3")
     assert Run.load(run).config == extended.config

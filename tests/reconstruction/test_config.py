@@ -119,7 +119,7 @@ def test_absent_settings_take_their_defaults(path: str) -> None:
     read = Config.from_dict(data)
     for key in path.split("."):
         read = getattr(read, key)
-    assert read == {"p_min": 0.03, "rates.means": 0.067, "densification.every": 500, "surroundings": None}[path]
+    assert read == {"p_min": 0.03, "rates.means": 0.15, "densification.every": 500, "surroundings": None}[path]
 
 
 @pytest.mark.parametrize("data", [None, 3, [], "text"])

@@ -51,7 +51,7 @@ def test_gaussians_of_ones_own_are_scored_exported_and_shown_in_a_report(
     run = Run.from_gaussians(finished.gaussians, dataset=dataset, time_s=7.0)
     assert (run.grid, run.snapshot.views) == (dataset.grid, dataset.select("train").views)
     np.testing.assert_array_equal(run.render(VIEWS), finished.render(VIEWS))
-    usual = replace(finished.config.points, voxel=run.config.points.voxel, rays_per_pixel=7.0)
+    usual = replace(finished.config.points, voxel=run.config.points.voxel, rays_per_pixel=10.0)
     assert run.config.points == usual
     assert len(run.points) > 200
     assert len(run.mesh().faces) > 100

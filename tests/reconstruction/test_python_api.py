@@ -137,7 +137,7 @@ def test_a_loss_of_ones_own(dataset: Dataset, config: Config) -> None:
 
     run = reconstruct(dataset, replace(config, iterations=40), loss=squares, quiet=True)
     assert run.config.loss == "squares"
-    assert shapes == {((8, 32, 32), (8, 32, 32))}
+    assert shapes == {((4, 32, 32), (4, 32, 32))}
     assert run.history[-1].loss < 0.5 * run.history[0].loss
     rendered = run.render(dataset.select("train").views)
     assert run.render([]).shape == (0, *rendered.shape[1:])
@@ -191,7 +191,7 @@ def test_scores_of_a_run_in_memory(dataset: Dataset, config: Config) -> None:
 @pytest.mark.parametrize(
     ("loss", "words"),
     [
-        (lambda a, b: (a - b).square(), r"returned \(8, 32, 32\) of torch.float32; it must return one real number"),
+        (lambda a, b: (a - b).square(), r"returned \(4, 32, 32\) of torch.float32; it must return one real number"),
         (lambda a, b: (a - b).square().mean().detach(), r"returned \(\) of"),
         (lambda a, b: (a - b).mean() * 1j, r"returned \(\) of torch.complex64"),
         (lambda a, b: 0.5, "returned float"),

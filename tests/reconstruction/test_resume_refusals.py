@@ -79,7 +79,7 @@ def test_a_dataset_that_was_changed_in_place(begun: Path, dataset: Dataset) -> N
         ({"seed": 1}, "started with seed 0, not 1; resume it with the same settings"),
         ({"p_min": 0.031}, "started with p_min 0.03, not 0.031"),
         ({"preset": "mine"}, "started with preset 'default', not 'mine'"),
-        ({"rates": Rates(means=0.1)}, r"started with rates\.means 0.067, not 0.1"),
+        ({"rates": Rates(means=0.1)}, r"started with rates\.means 0.15, not 0.1"),
         ({"densification": Densification()}, "started with densification None, not "),
         ({"iterations": 3, "seed": 1}, "started with seed 0, not 1"),
     ],

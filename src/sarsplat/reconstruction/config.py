@@ -86,7 +86,7 @@ class Rates(Record):
 
     _section: ClassVar[str] = "rates."
 
-    means: Positive = 0.067
+    means: Positive = 0.15
     means_end: Positive = 0.0033
     quaternions: NotNegative = 0.02
     log_scales: NotNegative = 0.05
@@ -145,7 +145,8 @@ class Relocation(Record):
     until : float
         When the last round is, as a share of all iterations.
     idle_share : float
-        Idle are the weakest Gaussians that together have at most this share of the mean cross-section.
+        Idle are the weakest Gaussians that together have at most this share of all cross-sections; of each the largest
+        in any training view counts.
     """
 
     _section: ClassVar[str] = "relocation."
@@ -190,11 +191,11 @@ class PointExtraction(Record):
     _section: ClassVar[str] = "points."
 
     method: Literal["rays", "centres"] = "rays"
-    optical_depth: NotNegative = 0.6
+    optical_depth: NotNegative = 0.7
     power_share: Share = 1.0
-    voxel: Positive = 0.083
+    voxel: Positive = 0.067
     min_height: Number = 0.0
-    rays_per_pixel: Positive = 7.0
+    rays_per_pixel: Positive = 10.0
     seen_through: Share = 0.17
     behind: NotNegative = 0.17
     seen_by: Iteration = 0
@@ -340,8 +341,10 @@ class Config(AnyConfig):
     views_per_step : int
         Images used in one step.
     gaussians : int or None
-        Gaussians at the start; None: 18 for each resolution cell that the target covers in a training image, divided by
-        f³ᐟ² where the training begins with blocks of f × f pixels.
+        Gaussians at the start; None: as many as the next two say.
+    gaussians_per_cell : float
+        Gaussians for each resolution cell that the target covers in a training image, divided by f³ᐟ² where the
+        training begins with blocks of f × f pixels.
     fewest_gaussians : int
         At least so many, where `gaussians` is None.
     coarsest : int
@@ -428,8 +431,9 @@ class Config(AnyConfig):
 
     preset: str = "default"
     iterations: Count = 900
-    views_per_step: Count = 8
+    views_per_step: Count = 4
     gaussians: Count | None = None
+    gaussians_per_cell: Positive = 36.0
     fewest_gaussians: Count = 100
     coarsest: Count = 8
     tiles: Count = 1
@@ -440,10 +444,10 @@ class Config(AnyConfig):
     scattering: str = "normal-lobes"
     p_min: NotNegative = 0.03
     scattering_penalty: NotNegative = 0.03
-    initial_scale: Positive = 0.27
+    initial_scale: Positive = 0.2
     initial_optical_depth: OpticalDepth = 0.5
     initial_scattering: NotNegative = 0.5
-    scale_bounds: tuple[Positive, Positive] = (0.067, 0.83)
+    scale_bounds: tuple[Positive, Positive] = (0.067, 0.5)
     margin: NotNegative = 0.67
     max_optical_depth: OpticalDepth = 10.0
     harmonics_degree: Degree = 3
@@ -454,7 +458,7 @@ class Config(AnyConfig):
     dropout: Annotated[float, Meta(ge=0, le=0.9)] = 0.0
     rays_per_pixel: Positive = 2.0
     fine_rays_per_pixel: Positive = 4.0
-    fine_from: Share = 0.57
+    fine_from: Share = 0.5
     rates: Rates = Rates()
     points: PointExtraction = PointExtraction()
     densification: Densification | None = None

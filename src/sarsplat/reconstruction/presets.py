@@ -21,16 +21,27 @@ PRESETS: dict[str, Config] = {
     # what measures best on noise-free images
     "default": Config(),
     # a first look, in a quarter of the time
-    "quick": Config(preset="quick", iterations=250, fine_from=1.0, rates=Rates(means=0.33)),
+    "quick": Config(
+        preset="quick",
+        iterations=400,
+        gaussians_per_cell=24.0,
+        fine_from=1.0,
+        rates=Rates(means=0.33),
+        points=PointExtraction(rays_per_pixel=7.0, voxel=0.083),
+    ),
     # speckle without ground: averaged by larger Gaussians with more uniform scattering, and learned by long trainings
     "speckled": Config(
         preset="speckled",
         iterations=300,
+        views_per_step=8,
+        gaussians_per_cell=18.0,
         loss="speckle",
         scattering_penalty=0.3,
+        initial_scale=0.27,
         scale_bounds=(0.2, 0.83),
         fine_from=1.0,
         rates=Rates(means=0.33),
+        points=PointExtraction(optical_depth=0.6, rays_per_pixel=7.0, voxel=0.083),
     ),
     # the paper's training, as far as it is stated (docs/paper-map.md)
     "paper": Config(
@@ -40,6 +51,7 @@ PRESETS: dict[str, Config] = {
         gaussians=15_000,
         coarsest=1,
         initialisation="hemisphere",
+        initial_scale=0.27,
         ssim_weight=0.2,
         scattering="harmonics",
         p_min=0.0,
@@ -66,6 +78,8 @@ PRESETS: dict[str, Config] = {
     "measured": Config(
         preset="measured",
         iterations=800,
+        views_per_step=8,
+        gaussians_per_cell=18.0,
         fewest_gaussians=12_000,
         coarsest=1,
         loss="speckle",
@@ -103,6 +117,7 @@ PRESETS: dict[str, Config] = {
     "stack": Config(
         preset="stack",
         iterations=250,
+        views_per_step=8,
         coarsest=1,
         loss="passes",
         scattering="harmonics",

@@ -33,9 +33,6 @@ _MIN_OPTICAL_DEPTH = 1e-3
 _FAINT = 0.05
 """Optical depth that is hardly noticed."""
 
-_PER_CELL = 18
-"""Gaussians for a resolution cell that the target covers in an image."""
-
 _START = (1.0, 1.0, 0.9)
 """Widths of an oriented Gaussian at the start, relative: which axis is the shortest must not depend on rounding."""
 
@@ -94,7 +91,9 @@ class Target(Part):
             n = config.gaussians or max(config.fewest_gaussians, needed)
             means = torch.from_numpy(imaged_sample(region, views, grid, n, generator)).float()
         else:
-            n = config.gaussians or max(config.fewest_gaussians, round(_enough(train) / self._levels.coarsest**1.5))
+            n = config.gaussians or max(
+                config.fewest_gaussians, round(config.gaussians_per_cell * _cells(train) / self._levels.coarsest**1.5)
+            )
             means = torch.from_numpy(sample(region, n, generator)).float()
         return {
             "means": means,
@@ -228,14 +227,13 @@ def scales_m(config: Config, cell_m: float) -> tuple[float, float, float]:
     return max(smallest, MIN_SCALE), first, largest
 
 
-def _enough(train: Dataset) -> float:
-    """How many Gaussians a target of this size needs, seen at this resolution."""
+def _cells(train: Dataset) -> float:
+    """How many resolution cells the target covers in an image."""
     if train.ground:
         shown = sum(outline(level).target.sum() for level in levels_db(train.power, train.grid, ground=True))
     else:
         shown = brighter(train.power, BRIGHT_DB).sum()
-    cells = shown / len(train) * math.prod(train.grid.spacing_m) / train.grid.cell_m**2
-    return float(_PER_CELL * cells)
+    return float(shown / len(train) * math.prod(train.grid.spacing_m) / train.grid.cell_m**2)
 
 
 def _start_scales_m(config: Config, cell_m: float) -> list[float]:

@@ -47,8 +47,8 @@ def pairs(
 ) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
     """Numbers of the idle Gaussians, and of the strong one that each joins; on the CPU, no number in both.
 
-    Idle are the weakest that together have at most `idle_share` of all mean radar cross-sections σ, m². The probability
-    to be joined is proportional to σ.
+    Idle are the weakest that together have at most `idle_share` of all radar cross-sections σ, m². The probability to
+    be joined is proportional to σ.
     """
     sigma = cross_sections.double().cpu()
     order = sigma.argsort(stable=True)

@@ -96,13 +96,16 @@ class Info:
 
     @torch.no_grad()
     def cross_sections(self) -> Float[Tensor, " n"]:
-        """Radar cross-sections σ of the target's Gaussians, mean over the training views, m²."""
-        views, total = self.images.views, torch.zeros(len(self.model), device=self.model.device)
+        """Radar cross-sections σ of the target's Gaussians, in the training view in which each is largest, m².
+
+        The mean over the views would take for idle what only one of them sees.
+        """
+        views, largest = self.images.views, torch.zeros(len(self.model), device=self.model.device)
         for few in self._few(len(views)):
             _, rendering = self._rendered(views[few], None)
-            sections = rendering.cross_sections[..., self.model.power_channel]
-            total += sections[:, : len(total)].sum(0)  # those of the surroundings come after
-        return total / len(views)
+            sections = rendering.cross_sections[:, : len(largest), self.model.power_channel]  # then the surroundings'
+            largest = torch.maximum(largest, sections.amax(0))
+        return largest
 
     def errors(self) -> Float[Tensor, " n"]:
         """The training images' error by the target's Gaussians that are in its place.
