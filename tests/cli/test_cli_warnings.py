@@ -62,3 +62,20 @@ def test_radians_are_simulated_as_the_degrees_they_are_called(
     (line, *_) = capsys.readouterr().err.splitlines()
     assert line.startswith("warning: the azimuths (0° to 4.71°) and grazing angles (0.3° to 0.3°) look like radians")
     assert [view.azimuth_deg for view in read_dataset(tmp_path / "out").views] == [0, 1.57, 3.14, 4.71]
+
+
+@pytest.mark.parametrize(("grazing", "uncertain"), [("15", True), ("60", False)])
+def test_an_uncertain_shape_is_called_so_before_and_after(
+    box: Path, grazing: str, uncertain: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    simulate = ["simulate", "--mesh", str(box / "box.obj"), "--azimuth", "0:360:45", "--grazing", grazing]
+    assert main([*simulate, "--pixels", "16", "--out", str(tmp_path / "ring")]) == 0
+    capsys.readouterr()
+    train = ["reconstruct", str(tmp_path / "ring"), "--iterations", "20", "--gaussians", "200"]
+    assert main([*train, "--out", str(tmp_path / "run")]) == 0
+    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning: ")]
+    assert len(told) == (2 if uncertain else 0)
+    if uncertain:
+        assert "so the shape is uncertain; add views at other grazing angles" in told[0]
+        assert "the shape in" in told[1]
+        assert "is uncertain: the weakest direction of its views is 77° above the horizon" in told[1]

@@ -145,6 +145,7 @@ def reconstruct(
     if options.resume and options.overwrite:
         raise SarsplatError("--resume continues the run and --overwrite discards it; give only one of them")
     from sarsplat.data import read_dataset
+    from sarsplat.data.determined import weakest_direction
     from sarsplat.processes import Processes
     from sarsplat.reconstruction import reconstruct as train
     from sarsplat.reconstruction.run_folder import HEADER, read_header
@@ -182,6 +183,9 @@ def reconstruct(
         longer = f"{again} --resume --iterations {max(2 * config.iterations, Config.iterations)}"
         elsewhere = " or, if its loss hardly falls, look elsewhere with --target-box"
         console.warn(f"there are no points of a surface yet; train longer, such as with `{longer}`,{elsewhere}")
+    elif not images.passes and (weakest := weakest_direction(images.select("train").views)).uncertain:
+        verdict = "not determined" if weakest.undetermined else "uncertain"
+        console.warn(f"the shape in {out} is {verdict}: the weakest direction of its views is {weakest}")
     console.finish(
         f"{out}: {run.learned} and {counted(len(run.points), 'point')} in {time.monotonic() - begun_at:.0f} s "
         f"({run.time_s:.0f} s of training; {method.about(config, images.grid)[0]}, seed {run.seed})",

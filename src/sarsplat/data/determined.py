@@ -43,6 +43,11 @@ class WeakestDirection:
     above_horizon_deg: float
 
     @property
+    def uncertain(self) -> bool:
+        """Whether the views determine the shape badly, if at all."""
+        return self.weakness > _WEAKLY
+
+    @property
     def undetermined(self) -> bool:
         """Whether the views cannot determine the shape."""
         return self.weakness > _HARDLY
@@ -77,7 +82,7 @@ def _average(weights: Float64[np.ndarray, "s v"], y: Float64[np.ndarray, "v 3"])
 def weak_directions(views: Sequence[View]) -> list[str]:
     """Whether the views leave a direction (nearly) open: one sentence that says which and what to add, or none."""
     weakest = weakest_direction(views)
-    if weakest.weakness <= _WEAKLY:
+    if not weakest.uncertain:
         return []
     best = min(_GRAZINGS, key=lambda grazing: weakest_direction(_with_grazing(views, grazing)).weakness)
     where = f"along directions {weakest.above_horizon_deg:.0f}° above the horizon"
