@@ -58,7 +58,7 @@ def test_values_and_gradients_are_those_of_the_law(count: int, sharpness: tuple[
 
 
 def test_the_engine_itself_does_it() -> None:
-    """Not the law: it is a tenth of a training step."""
+    """Not the law, in torch, which takes several times as long."""
     made = amplitudes_towards(gaussians(5, (0.0,)), VIEWS)
     assert "_Engine" in type(made.grad_fn).__name__
     assert "_Engine" not in type(amplitudes_towards(double(gaussians(5, (0.0,))), VIEWS).grad_fn).__name__
