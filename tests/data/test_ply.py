@@ -82,7 +82,12 @@ def test_viewers_show_decibels_whatever_the_calibration(tmp_path, u, strength):
     b = strength * 10 ** (2 * torch.rand(400, 2, generator=generator) - 2)
     raw = b + torch.log(-torch.expm1(-b))  # softplus undone
     flat = torch.tensor([0.3, 0.3, 0.02]).expand(400, 3)
-    gaussians = replace(some_of_them, scales=flat, scattering=NormalLobes(raw), optical_depth=torch.full((400,), 2.0))
+    gaussians = replace(
+        some_of_them,
+        scales=flat,
+        scattering=NormalLobes(torch.cat([raw, torch.zeros(400, 1)], 1)),
+        optical_depth=torch.full((400,), 2.0),
+    )
     write_gaussians_ply(tmp_path / "a.ply", gaussians)
     towards = torch.nn.functional.normalize(torch.tensor(u), dim=0)
     shown = in_a_viewer(tmp_path / "a.ply", towards)

@@ -98,7 +98,7 @@ class TwoPolarisations(NormalLobes):
 
 def of_law(engine: str, dtype: torch.dtype) -> tuple[Gaussians, Rendering]:
     plain = cloud(40, 3)
-    parameters = torch.randn(40, 2, generator=torch.Generator().manual_seed(1))
+    parameters = torch.randn(40, 3, generator=torch.Generator().manual_seed(1))
     law = TwoPolarisations(parameters.to(dtype).requires_grad_(), 0.05)
     geometry = {name: t.to(dtype) for name, t in plain.tensors().items() if name != "scattering"}
     gaussians = Gaussians(**geometry, scattering=law)

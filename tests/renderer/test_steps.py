@@ -90,7 +90,7 @@ def test_the_chain_is_the_fused_pass(name):
 
 @pytest.mark.parametrize("law", [Harmonics, NormalLobes])
 def test_the_reference_by_steps(law):
-    single = replace(cloud(20, 1), scattering=law(torch.randn(20, 1 if law is Harmonics else 2)))
+    single = replace(cloud(20, 1), scattering=law(torch.randn(20, 1 if law is Harmonics else 3)))
     scene = Scene(single.to(torch.float64))
     leaves = scene.leaves(torch.float64)
     found, expected = chained(scene, leaves), fused(scene, leaves)

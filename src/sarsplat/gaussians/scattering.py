@@ -61,6 +61,9 @@ class Scattering(ABC):
     oriented: ClassVar[bool] = False
     """Whether γ⁰ depends on which axis of a Gaussian is the shortest."""
 
+    common: ClassVar[tuple[tuple[float, float], ...]] = ()
+    """Ranges of the last columns of the parameters, of those that all Gaussians of a training have in common."""
+
     def __post_init__(self) -> None:
         expect(Tensor, parameters=self.parameters)
         expect(float, p_min=self.p_min)

@@ -76,6 +76,8 @@ class Rates(Record):
         Isotropic part of the scattering.
     directional_scattering : float
         Directional part of the scattering.
+    law : float
+        What all Gaussians' laws of scattering have in common.
     shift : float
         Shifts of measured images, resolution cells per step.
     ground : float
@@ -93,6 +95,7 @@ class Rates(Record):
     log_optical_depth: NotNegative = 0.05
     scattering: NotNegative = 0.08
     directional_scattering: NotNegative = 0.08
+    law: NotNegative = 0.04
     shift: NotNegative = 0.032
     ground: NotNegative = 0.02
     nuisance: NotNegative = 0.01
@@ -370,6 +373,9 @@ class Config(AnyConfig):
     scattering_penalty : float
         Weight of differences between the Gaussians' scattering, in units of the loss of black images. Most materials
         scatter the same: a thin layer that scatters strongly looks like an opaque one, and costs more.
+    law_penalty : float
+        Weight of the squared distance from its start of what all Gaussians' laws of scattering have in common, in the
+        same units: of "normal-lobes" the logarithm of the exponent, which starts with that of 2.
     initial_scale : float
         Standard deviation of a Gaussian at the start, in resolution cells.
     initial_optical_depth : float
@@ -444,6 +450,7 @@ class Config(AnyConfig):
     scattering: str = "normal-lobes"
     p_min: NotNegative = 0.03
     scattering_penalty: NotNegative = 0.03
+    law_penalty: NotNegative = 0.003
     initial_scale: Positive = 0.2
     initial_optical_depth: OpticalDepth = 0.5
     initial_scattering: NotNegative = 0.5

@@ -37,6 +37,7 @@ PRESETS: dict[str, Config] = {
         gaussians_per_cell=18.0,
         loss="speckle",
         scattering_penalty=0.3,
+        law_penalty=3e-4,
         initial_scale=0.27,
         scale_bounds=(0.2, 0.83),
         fine_from=1.0,

@@ -17,15 +17,12 @@ from sarsplat.renderer.once import differentiable_once
 from sarsplat.renderer.problem import directions_to
 from sarsplat.renderer.structs import Lobes
 
-_MOST = 15
-"""Lobes that the engine takes."""
-
 
 def amplitudes_towards(gaussians: Gaussians, views: Sequence[View]) -> Float[Tensor, "v n c"]:
     """`Gaussians.amplitudes` towards the radar of each view; of float32 on the CPU differentiable at least once."""
     law, means = gaussians.scattering, gaussians.means
     directions = directions_to(views, means)
-    if type(law) is NormalLobes and means.dtype == torch.float32 and means.is_cpu and len(law.sharpness) <= _MOST:
+    if type(law) is NormalLobes and means.dtype == torch.float32 and means.is_cpu:
         return _Engine.apply(directions, law, gaussians.quaternions, gaussians.scales, law.parameters)
     return gaussians.amplitudes(directions)
 
@@ -35,7 +32,7 @@ class _Engine(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, directions: Tensor, law: NormalLobes, *inputs: Tensor) -> Tensor:
-        kept = [tensor.contiguous() for tensor in (directions, directions.new_tensor(law.sharpness), *inputs)]
+        kept = [tensor.contiguous() for tensor in (directions, *inputs)]
         ctx.save_for_backward(*kept)
         ctx.p_min = law.p_min
         made = directions.new_empty(len(directions), len(inputs[0]), 1)
@@ -45,20 +42,14 @@ class _Engine(torch.autograd.Function):
     @staticmethod
     @differentiable_once
     def backward(ctx: Any, seed: Tensor) -> tuple[Tensor | None, ...]:
-        _, _, quaternions, _, parameters = kept = ctx.saved_tensors
-        gradients = torch.empty_like(quaternions), torch.empty_like(parameters)
-        cpu.Pass().normal_lobes_backward(_problem(ctx.p_min, kept, None, seed.contiguous(), *gradients))
+        _, quaternions, _, parameters = kept = ctx.saved_tensors
+        gradients, seed = (torch.empty_like(quaternions), torch.empty_like(parameters)), seed.contiguous()
+        cpu.Pass().normal_lobes_backward(_problem(ctx.p_min, kept, None, seed, *gradients))
         return None, None, gradients[0], None, gradients[1]
 
 
 def _problem(p_min: float, kept: Sequence[Tensor], *others: Tensor | None) -> Structure:
     """Inputs as `forward` has them, then what comes out, its seed and gradients."""
-    directions, sharpness, quaternions, *_ = kept
-    pointers = [sharpness, directions, *kept[2:], *others]
-    return Lobes(
-        len(directions),
-        len(sharpness),
-        len(quaternions),
-        p_min,
-        *(None if tensor is None else tensor.data_ptr() for tensor in pointers),
-    )
+    directions, quaternions, *_ = kept
+    pointers = (None if tensor is None else tensor.data_ptr() for tensor in (*kept, *others))
+    return Lobes(len(directions), p_min, len(quaternions), *pointers)

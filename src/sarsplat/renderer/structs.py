@@ -69,8 +69,8 @@ Sections = structure(
 )
 Lobes = structure(
     "sg_lobes",
-    *(("views", c_int32), ("lobes", c_int32), ("gaussians", c_int64), ("p_min", c_float)),
-    *((name, c_void_p) for name in ("sharpness", "directions", "quaternions", "scales", "parameters")),
+    *(("views", c_int32), ("p_min", c_float), ("gaussians", c_int64)),
+    *((name, c_void_p) for name in ("directions", "quaternions", "scales", "parameters")),
     *((name, c_void_p) for name in ("amplitudes", "d_amplitudes", "d_quaternions", "d_parameters")),
 )
 Likelihood = structure(

@@ -197,3 +197,8 @@ def column_means(table: Float[Tensor, "n k"]) -> Float[Tensor, " k"]:
     """The mean of each column; never of one alone, which torch would split by threads."""
     columns = table.shape[1]
     return table.expand(-1, max(columns, 2)).mean(0)[:columns]
+
+
+def in_rows(row: Float[Tensor, "1 k"], count: int) -> Float[Tensor, "{count} k"]:
+    """The same row so many times; as above, the sums of its gradient are those of several columns."""
+    return row.repeat(1, 2).expand(count, -1)[:, : row.shape[1]]

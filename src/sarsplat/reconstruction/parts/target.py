@@ -21,7 +21,7 @@ from sarsplat.radiometry import brighter
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.levels import Levels
 from sarsplat.reconstruction.outlines import levels_db, outline
-from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, column_means, normal_nats
+from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, column_means, in_rows, late, normal_nats
 from sarsplat.reconstruction.setting import Setting
 from sarsplat.reconstruction.stack_region import enough_gaussians, imaged_sample
 from sarsplat.renderer import Bounds
@@ -63,7 +63,7 @@ class Target(Part):
         config, rates = self.config, self.config.rates
         low, high = self._box
         smallest, _, largest = scales_m(config, self._cell_m)
-        columns = self._law.parameters.shape[1]
+        columns, ranges = self._own, self._law.common
 
         def falling(done: float) -> float:
             return (rates.means_end / rates.means) ** done
@@ -80,7 +80,7 @@ class Target(Part):
                 logarithmic=True,
             ),
             "scattering": Learned((None, columns), (rates.scattering, *[rates.directional_scattering] * (columns - 1))),
-        }
+        } | ({"law": Learned((1, len(ranges)), (rates.law,), late, *torch.tensor(ranges).T)} if ranges else {})
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
         config = self.config
@@ -95,13 +95,14 @@ class Target(Part):
                 config.fewest_gaussians, round(config.gaussians_per_cell * _cells(train) / self._levels.coarsest**1.5)
             )
             means = torch.from_numpy(sample(region, n, generator)).float()
+        scattering = law(config, n, config.initial_scattering, self.setting.stacks).parameters
         return {
             "means": means,
             "quaternions": random_quaternions(n, generator),
             "scales": means.new_tensor(_start_scales_m(config, self._coarsest_m)).repeat(n, 1),
             "optical_depth": means.new_full((n,), config.initial_optical_depth),
-            "scattering": law(config, n, config.initial_scattering, self.setting.stacks).parameters,
-        }
+            "scattering": scattering[:, : self._own].contiguous(),
+        } | ({"law": self._law.parameters[:, self._own :].clone()} if self._law.common else {})
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
         """Gaussians are empty rather than not, and scatter in all directions rather than in some."""
@@ -110,7 +111,7 @@ class Target(Part):
             filled = torch.log1p(p["optical_depth"] / _FAINT)
             yield config.sparsity * len(filled) * column_means(filled[:, None]).sum()
         if config.directional_std is not None and scattering.shape[1] > 1:
-            uniform = replace(self._law, parameters=scattering.detach()).detailed(0)
+            uniform = self._scattering(p, 0)
             upwards = p["means"].new_tensor([[0.0, 0.0, 1.0]])
             level = uniform.amplitudes(upwards, p["quaternions"], p["scales"])[0, :, uniform.power_channel]
             yield normal_nats(scattering[:, 1:] / (config.directional_std * level[:, None].detach()), 1.0)
@@ -124,6 +125,9 @@ class Target(Part):
             difference = p["scattering"] - column_means(p["scattering"].detach())
             spread = _SIMILAR**2 * column_means(torch.log1p((difference / _SIMILAR) ** 2)).sum()
             yield "scattering penalty", self.config.scattering_penalty * spread
+        if self.config.law_penalty and "law" in p:
+            start = self._law.parameters[:, self._own :].to(self.device)
+            yield "law penalty", self.config.law_penalty * ((p["law"] - start) ** 2).sum(1).sum(0)
 
     def scene(
         self, scene: Gaussians | None, p: Parameters, degree: int, dropped: Bool[Tensor, " n"] | None
@@ -133,8 +137,7 @@ class Target(Part):
         if dropped is not None:
             more = (depth / (1 - self.config.dropout)).clamp(max=self.config.max_optical_depth)
             depth = torch.where(dropped, 0.0, more)
-        scattering = replace(self._law, parameters=p["scattering"]).detailed(degree)
-        target = Gaussians(self._lifted(p["means"]), p["quaternions"], p["scales"], depth, scattering)
+        target = Gaussians(self._lifted(p["means"]), p["quaternions"], p["scales"], depth, self._scattering(p, degree))
         return target if scene is None else Gaussians.cat([scene, target])
 
     def reach(self) -> Bounds:
@@ -145,6 +148,12 @@ class Target(Part):
             below, above = self.setting.terrain.span_m
             low, high = low + low.new_tensor([0, 0, below]), high + high.new_tensor([0, 0, above])
         return Bounds((*low.tolist(),), (*high.tolist(),), max(scales_m(config, self._coarsest_m)), depth, "cpu")
+
+    def _scattering(self, p: Parameters, degree: int) -> Scattering:
+        rows = p["scattering"]
+        if "law" in p:
+            rows = torch.cat([rows, in_rows(p["law"], len(rows))], dim=1)
+        return replace(self._law, parameters=rows).detailed(degree)
 
     def _lifted(self, means: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Centres in the world: the parameter's z is above the terrain, if there is any."""
@@ -170,6 +179,11 @@ class Target(Part):
     @cached_property
     def _law(self) -> Scattering:
         return law(self.config, 1, 0.0, self.setting.stacks)
+
+    @property
+    def _own(self) -> int:
+        """Columns of the scattering in which Gaussians differ: all but the last ones, which they have in common."""
+        return self._law.parameters.shape[1] - len(self._law.common)
 
     @cached_property
     def _box(self) -> tuple[Float[Tensor, " 3"], Float[Tensor, " 3"]]:

@@ -100,13 +100,12 @@ struct sg_sections {      // of D pairs of channels, in V views of N Gaussians; 
   float *d_means, *d_quaternions, *d_scales, *d_roots, *d_real, *d_imaginary;  // out, backward
 };
 
-struct sg_lobes {         // gamma0 of V views of N Gaussians in J <= 15 lobes; see lobes.h
-  int32_t views, lobes;
-  int64_t gaussians;
+struct sg_lobes {         // gamma0 of V views of N Gaussians in a lobe; see lobes.h
+  int32_t views;
   float p_min;
-  const float* sharpness;   // [J]
+  int64_t gaussians;
   const float* directions;  // [V, 3] unit vectors to the radar
-  const float *quaternions, *scales, *parameters;  // [N, 4], [N, 3], [N, 1 + J]
+  const float *quaternions, *scales, *parameters;  // [N, 4], [N, 3], [N, 3]
   float* amplitudes;        // out [V, N]
   const float* d_amplitudes;  // backward
   float *d_quaternions, *d_parameters;  // out, backward

@@ -30,7 +30,7 @@ const Layout kLayouts[] = {
     LAYOUT(sg_sections, AT(views), AT(pairs), AT(gaussians), AT(shared), AT(means), AT(quaternions), AT(scales), AT(frames), AT(roots),
            AT(numbers), AT(real), AT(imaginary), AT(parts), AT(slopes), AT(d_parts), AT(d_slopes), AT(d_means), AT(d_quaternions),
            AT(d_scales), AT(d_roots), AT(d_real), AT(d_imaginary)),
-    LAYOUT(sg_lobes, AT(views), AT(lobes), AT(gaussians), AT(p_min), AT(sharpness), AT(directions), AT(quaternions), AT(scales),
+    LAYOUT(sg_lobes, AT(views), AT(p_min), AT(gaussians), AT(directions), AT(quaternions), AT(scales),
            AT(parameters), AT(amplitudes), AT(d_amplitudes), AT(d_quaternions), AT(d_parameters)),
     LAYOUT(sg_likelihood, AT(views), AT(rows), AT(columns), AT(passes), AT(powers), AT(pairs), AT(reach), AT(power), AT(pair),
            AT(of_channels), AT(of_pairs), AT(phases), AT(noise), AT(truth), AT(loss), AT(d_power), AT(d_pair), AT(d_phases), AT(d_noise),

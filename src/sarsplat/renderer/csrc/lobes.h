@@ -1,7 +1,7 @@
-// lobes.h: gamma0 in lobes around the surface normal, and its adjoint.
+// lobes.h: gamma0 in a lobe around the surface normal, and its adjoint.
 //
-// Of a Gaussian whose shortest axis is n: P(u) = p_min + b_0 + sum_j b_j exp(k_j (c - 1)), c = (n . u)^2, b = softplus of its
-// parameters; a lobe of sharpness k_j = 0 is c itself.
+// Of a Gaussian whose shortest axis is n: P(u) = p_min + b_0 + b_1 |n . u|^e, b = softplus of its first two parameters and
+// ln e its third.
 #pragma once
 #include "context.h"
 
@@ -30,35 +30,43 @@ SG_FN Facing facing_of(const sg_lobes& l, int64_t i, int real) {
   return f;
 }
 
-// The height of a lobe at c, and its slope there.
-struct Lobe { F height, slope; };
-SG_FN Lobe lobe(float sharpness, F c) {
-  if (sharpness == 0.0f) return {c, splat(1.0f)};
-  const F height = power2(larger((c - 1.0f) * (sharpness * kLog2e), splat(-120.0f)));
-  return {height, height * sharpness};
+// A cosine this small, squared, and an exponent this far from 1 on a logarithmic scale stand for those beyond.
+constexpr float kGrazing = 1e-12f, kMostLog = 5.0f;
+
+struct Law {
+  Softplus<F> b[2];
+  F exponent, in_range;  // e, and whether it moves with its parameter
+};
+SG_FN Law law_of(const sg_lobes& l, int64_t i, int real) {
+  F p[3];
+  read_few<3>(l.parameters + 3 * i, real, p);
+  for (F& x : p)
+    for (int k = real; k < kWidth; k++) x[k] = 0.0f;  // the rest are harmless
+  const F log = smaller(larger(p[2], splat(-kMostLog)), splat(kMostLog));
+  return {{softplus(p[0]), softplus(p[1])}, power2(log * kLog2e), choose(log == p[2], splat(1.0f), splat(0.0f))};
 }
 
-// visit(i, real, the Gaussians, b and its slopes) for kWidth Gaussians at a time
+// The logarithm of |cosine|, and its power.
+struct Lobe { F log, height; };
+SG_FN Lobe lobe(const Law& law, F cosine) {
+  const F log = natural_log(larger(cosine * cosine, splat(kGrazing))) * 0.5f;
+  return {log, power2(larger(law.exponent * log * kLog2e, splat(-120.0f)))};
+}
+
+// visit(i, real, the Gaussians, their law) for kWidth Gaussians at a time
 template <class Visit> static void over_lobes(const sg_lobes& l, Visit visit) {
   together((int64_t)l.views * l.gaussians > (1 << 17), [&] {
-    by_width(l.gaussians, [&](int64_t i, int real) {
-      F parameters[kFields];
-      Softplus<F> b[kFields];
-      read_rows(l.parameters + (l.lobes + 1) * i, l.lobes + 1, real, parameters);
-      for (int k = 0; k <= l.lobes; k++) b[k] = softplus(parameters[k]);
-      visit(i, real, facing_of(l, i, real), b);
-    });
+    by_width(l.gaussians, [&](int64_t i, int real) { visit(i, real, facing_of(l, i, real), law_of(l, i, real)); });
   });
 }
 
 void normal_lobes(const sg_lobes* lobes) {
   const sg_lobes& l = *lobes;
-  over_lobes(l, [&](int64_t i, int real, const Facing& f, const Softplus<F>* b) {
+  over_lobes(l, [&](int64_t i, int real, const Facing& f, const Law& law) {
     for (int64_t v = 0; v < l.views; v++) {
       const float* u = l.directions + 3 * v;
       const F cosine = f.normal[0] * u[0] + f.normal[1] * u[1] + f.normal[2] * u[2];
-      F sum = b[0].value + l.p_min;
-      for (int j = 0; j < l.lobes; j++) sum += b[j + 1].value * lobe(l.sharpness[j], cosine * cosine).height;
+      const F sum = law.b[0].value + l.p_min + law.b[1].value * lobe(law, cosine).height;
       store_some(l.amplitudes + v * l.gaussians + i, sum, real);
     }
   });
@@ -66,26 +74,27 @@ void normal_lobes(const sg_lobes* lobes) {
 
 void normal_lobes_backward(const sg_lobes* lobes) {
   const sg_lobes& l = *lobes;
-  over_lobes(l, [&](int64_t i, int real, const Facing& f, const Softplus<F>* b) {
+  over_lobes(l, [&](int64_t i, int real, const Facing& f, const Law& law) {
     const F zero = splat(0.0f);
-    F d_parameters[kFields], d_normal[3] = {zero, zero, zero};
-    for (F& x : d_parameters) x = zero;
+    F d_parameters[3] = {zero, zero, zero}, d_normal[3] = {zero, zero, zero};
     for (int64_t v = 0; v < l.views; v++) {
       const float* u = l.directions + 3 * v;
       const F cosine = f.normal[0] * u[0] + f.normal[1] * u[1] + f.normal[2] * u[2];
       const F seed = load_some(l.d_amplitudes + v * l.gaussians + i, real);
-      F slope = zero;
+      const Lobe at = lobe(law, cosine);
+      const F lit = seed * at.height;
       d_parameters[0] += seed;
-      for (int j = 0; j < l.lobes; j++) {
-        const Lobe at = lobe(l.sharpness[j], cosine * cosine);
-        d_parameters[j + 1] += seed * at.height;
-        slope += b[j + 1].value * at.slope;
-      }
-      slope *= seed * cosine * 2.0f;
+      d_parameters[1] += lit;
+      d_parameters[2] += lit * at.log;
+      const F slope = choose(cosine * cosine > kGrazing, lit / cosine, zero);
       for (int j = 0; j < 3; j++) d_normal[j] += slope * u[j];
     }
-    for (int k = 0; k <= l.lobes; k++) d_parameters[k] *= b[k].slope;
-    write_rows(d_parameters, l.lobes + 1, real, l.d_parameters + (l.lobes + 1) * i);
+    const F steepness = law.b[1].value * law.exponent;
+    for (F& x : d_normal) x *= steepness;
+    d_parameters[0] *= law.b[0].slope;
+    d_parameters[1] *= law.b[1].slope;
+    d_parameters[2] *= steepness * law.in_range;
+    write_few<3>(d_parameters, real, l.d_parameters + 3 * i);
     BodyGradient<F> sum;
     for (F& x : sum.g) x = zero;
     for (F& x : sum.scale) x = zero;
